@@ -1,0 +1,138 @@
+"""Design: from a scenario to gains, tubes, terminal set, condensed controllers and their certificate.
+
+The only package of jaxtube that uses `sets`. Everything here is offline, numpy float64; `tube_mpc`, `plain_mpc` and the
+other controllers it returns are pytrees for the device.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxtube.design import condense
+from jaxtube.design.certify import certify
+from jaxtube.design.condense import Bounds
+from jaxtube.design.feasible import reach_of_ray, shortfall
+from jaxtube.design.problem import Problem, make_problem
+from jaxtube.design.terminal import Terminal, make_terminal
+from jaxtube.design.tightening import (
+    EmptySetError,
+    LocalGain,
+    Tightening,
+    Windows,
+    compensating_gain,
+    make_tubes,
+    make_windows,
+    refuse_empty,
+    tighten,
+)
+from jaxtube.mpc import Window
+from jaxtube.scenario import Scenario, ScenarioError
+from sets.certificate import Certificate
+from sets.lmi import TerminalCost, terminal_cost
+from sets.tubes import Section
+
+__all__ = ["Design", "EmptySetError", "design", "refuse_infeasible_start"]
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Everything computed offline for one scenario."""
+
+    problem: Problem
+    tube_gain: LocalGain
+    cost: TerminalCost
+    windows: Windows
+    tubes: dict[str, list[Section]]
+    tightening: Tightening
+    terminal: Terminal
+    bounds: Bounds
+    tube_window: Window
+    plain_window: Window
+    certificate: Certificate
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+class _Clock:
+    """Seconds by part."""
+
+    def __init__(self):
+        self.seconds, self._last = {}, time.perf_counter()
+
+    def lap(self, part: str) -> None:
+        """Book the time since the last call under `part`."""
+        now = time.perf_counter()
+        self.seconds[part] = now - self._last
+        self._last = now
+
+
+def design(scenario: Scenario) -> Design:
+    """Compute sets, gains, terminal ingredients, condensed controllers and certificate.
+
+    Raises:
+        ScenarioError: for data no controller can be built from, in one line.
+        EmptySetError: where a tightened set E_j or U_j is empty.
+    """
+    clock = _Clock()
+    problem = make_problem(scenario)
+    settings = scenario.controller
+    clock.lap("problem")
+    vertices = problem.model.matrices(problem.model.vertices)
+    try:
+        cost = terminal_cost(*vertices, problem.error_weight, problem.input_weight, settings.lmi_objective)
+    except (RuntimeError, ValueError) as error:
+        raise ScenarioError(f"scenario: controller: {error}") from None
+    clock.lap("lmi")
+    terminal_gain = LocalGain(cost.gains.mean(axis=0), cost.gains)
+    tube_gain = terminal_gain if settings.terminal == "T-A" else compensating_gain(problem)
+    windows = make_windows(problem, tube_gain)
+    sections = make_tubes(problem, tube_gain, windows)
+    if settings.tube not in sections:
+        raise ScenarioError(
+            f"scenario: controller.tube = {settings.tube}: eq. (27) needs loops affine in the schedule; "
+            'choose "hull", "summed" or "sequence", or discretisation = "euler" with another terminal'
+        )
+    tightening = tighten(problem, tube_gain, windows, sections[settings.tube], settings.tube)
+    refuse_empty(problem, tightening)
+    clock.lap("tubes")
+    terminal = make_terminal(problem, tube_gain, terminal_gain, windows, tightening)
+    clock.lap("terminal_set")
+    bounds = condense.tube_bounds(problem, tightening, terminal)
+    tube_window = condense.condense(problem, windows, terminal, cost.cost, bounds)
+    plain_window = condense.condense(problem, windows, terminal, cost.cost, condense.plain_bounds(problem, windows))
+    clock.lap("condensing")
+    certificate = certify(problem, tube_gain, cost, windows, terminal, bounds)
+    clock.lap("certificate")
+    return Design(
+        problem,
+        tube_gain,
+        cost,
+        windows,
+        sections,
+        tightening,
+        terminal,
+        bounds,
+        tube_window,
+        plain_window,
+        certificate,
+        clock.seconds,
+    )
+
+
+def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None = None) -> None:
+    """Raise ScenarioError where the tube-MPC has no plan from the scenario's start."""
+    error = found.problem.initial_error if error is None else error
+    index = int(found.windows.index[0])
+    missing = shortfall(found.tube_window, index, error)
+    if missing <= 1e-9:
+        return
+    share = reach_of_ray(found.tube_window, index, error)
+    initial = found.problem.scenario.initial
+    raise ScenarioError(
+        f"scenario: initial = ({initial.x_m} m, {initial.y_m} m, {initial.heading_deg} deg): the start lies outside the "
+        f"feasible set of the tube-MPC (constraints short by {missing:.3g}); start at most {share:.0%} as far away, "
+        "lengthen controller.horizon or shrink [disturbance]"
+    )

@@ -1,0 +1,280 @@
+"""The certificate of a design: which conditions are asked of which sets, in terms of what the controller really uses."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jaxtube.design.condense import BACK_OFF, Bounds
+from jaxtube.design.problem import Problem
+from jaxtube.design.tightening import LocalGain, Windows, vertex_loops
+from jaxtube.design.terminal import Terminal, admissible_set
+from sets import certificate as check
+from sets.certificate import Certificate
+from sets.invariant import maximal_rpi
+from sets.lmi import TerminalCost, terminal_cost
+from sets.polytope import Polytope
+
+SOLVER_RESIDUAL = 1e-8
+OBJECTIVES = ("trace_s", "trace_p", "logdet")
+
+
+def certify(
+    problem: Problem, tube_gain: LocalGain, cost: TerminalCost, windows: Windows, terminal: Terminal, bounds: Bounds
+) -> Certificate:
+    """Re-check every condition of the guarantee but the disturbance bound, which only the plant can answer."""
+    certificate = Certificate()
+    _nonempty(certificate, problem, bounds)
+    sequence = problem.scenario.controller.tube == "sequence"
+    margins = (_sequence_margins if sequence else _tube_margins)(problem, tube_gain, windows, bounds)
+    _reach_and_inclusion(certificate, *margins)
+    _terminal(certificate, problem, tube_gain, terminal, windows, bounds)
+    margin = check.decrease_margin(
+        terminal.loops, terminal.gains.vertices, cost.cost, problem.error_weight, problem.input_weight
+    )
+    certificate.add(
+        "terminal_cost_decrease",
+        margin,
+        "The terminal cost decreases by at least the stage cost at every vertex of the schedule box.",
+        "The terminal cost does not decrease by the stage cost at some vertex.",
+    )
+    _coverage(certificate, problem, tube_gain, terminal)
+    certificate.add(
+        "solver_residual",
+        BACK_OFF - SOLVER_RESIDUAL,
+        f"Constraints are backed off by {BACK_OFF:.0e}, more than the residual {SOLVER_RESIDUAL:.0e} the solver accepts.",
+        "Constraints are not backed off by the residual the solver accepts.",
+    )
+    _existence(certificate, problem, tube_gain)
+    return certificate
+
+
+def _tightened(problem: Problem, bounds: Bounds):
+    """Yield the distinct tightened sets E_j (j = 1..N-1) and U_j (j = 0..N-1)."""
+    for j in range(problem.horizon):
+        for offsets in np.unique(bounds.errors[:, j], axis=0) if j else ():
+            yield "E", Polytope(problem.error_set.normals, offsets)
+        for offsets in np.unique(bounds.inputs[:, j], axis=0):
+            yield "U", Polytope(problem.input_set.normals, offsets)
+
+
+def _nonempty(certificate: Certificate, problem: Problem, bounds: Bounds) -> None:
+    sets = list(_tightened(problem, bounds))
+    for kind, name in (("E", "error_sets_not_empty"), ("U", "input_sets_not_empty")):
+        radius = check.nonempty_margin([polytope for k, polytope in sets if k == kind] or [problem.error_set])
+        certificate.add(
+            name,
+            radius,
+            f"Every tightened set {kind}_j holds a ball of radius {radius:.4g}.",
+            f"A tightened set {kind}_j is empty (radius {radius:.4g}).",
+        )
+    radius = check.nonempty_margin(
+        Polytope(bounds.terminal_normals, offsets) for offsets in np.unique(bounds.terminal, axis=0)
+    )
+    certificate.add(
+        "terminal_constraint_not_empty",
+        radius,
+        f"The constraint on the last predicted error holds a ball of radius {radius:.4g}.",
+        f"The constraint on the last predicted error is empty (radius {radius:.4g}).",
+    )
+
+
+def _tube_margins(problem: Problem, gain: LocalGain, windows: Windows, bounds: Bounds):
+    """Return the margins of reach and inclusion for a tube that holds for every schedule in the box."""
+    N, loops = problem.horizon, vertex_loops(problem, gain)
+    W = problem.disturbance_set.vertices()
+    reach_margin = inclusion_margin = np.inf
+    errors = (problem.error_set.offsets - bounds.errors[0])[:, :, None]
+    inputs = (problem.input_set.offsets - bounds.inputs[0])[:, :, None]
+    cases = [
+        (row[None], taken) for row, taken in zip(problem.error_set.normals, errors.transpose(1, 0, 2), strict=True)
+    ]
+    cases += [
+        (row @ gain.vertices, taken)
+        for row, taken in zip(problem.input_set.normals, inputs.transpose(1, 0, 2), strict=True)
+    ]
+    for directions, taken in cases:
+        pairs = [check.reach_supports(loops, W, direction, N - 1) for direction in directions]
+        reach, last = (np.max([pair[i] for pair in pairs], axis=0) for i in (0, 1))
+        reach_margin = min(reach_margin, np.min(taken[:, 0] - reach))
+        if N > 1:
+            inclusion_margin = min(inclusion_margin, np.min(np.diff(taken[:, 0]) - last[:-1]))
+    return reach_margin, inclusion_margin
+
+
+def _sequence_margins(problem: Problem, gain: LocalGain, windows: Windows, bounds: Bounds):
+    """Return the margins of reach and inclusion along the reference, from each step to the next."""
+    N = problem.horizon
+    W = problem.disturbance_set.vertices()
+    taken_errors = problem.error_set.offsets - bounds.errors
+    taken_inputs = problem.input_set.offsets - bounds.inputs
+    reach_margin = inclusion_margin = np.inf
+    pairs = np.unique(np.stack([windows.index[:-1], windows.index[1:]], axis=1), axis=0)
+    pairs = pairs if len(pairs) else np.zeros((1, 2), int)
+    for first, second in pairs:
+        loops = windows.loops[first]
+        for j in range(N):
+            for taken, rows in (
+                (taken_errors, problem.error_set.normals),
+                (taken_inputs, problem.input_set.normals @ windows.gains[first, j]),
+            ):
+                reach, last = check.sequence_reach(loops[: max(j, 1)], W, rows)
+                reach_margin = min(reach_margin, np.min(taken[first, j] - reach[j]))
+                if j:
+                    growth = taken[first, j] - taken[second, j - 1] - last[j - 1]
+                    inclusion_margin = min(inclusion_margin, np.min(growth))
+    return reach_margin, inclusion_margin
+
+
+def _reach_and_inclusion(certificate: Certificate, reach_margin: float, inclusion_margin: float) -> None:
+    certificate.add(
+        "tightening_covers_reach",
+        reach_margin + check.ROUNDING,
+        "Every stage is tightened by at least what products of loops and disturbances in W can reach.",
+        f"Some stage is tightened by {-reach_margin:.3g} less than products of loops and disturbances in W can reach.",
+    )
+    certificate.add(
+        "shifted_plan_inclusion",
+        inclusion_margin + check.ROUNDING,
+        "R_{j+1} contains R_j + Psi_j W on every facet used: the shifted plan meets the tightened constraints.",
+        f"R_(j+1) misses R_j + Psi_j W by {-inclusion_margin:.3g} on some facet: the shifted plan may be inadmissible.",
+    )
+
+
+def _terminal(certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, windows, bounds: Bounds) -> None:
+    W, D = problem.disturbance_set.vertices(), terminal.disturbance.vertices()
+    label = {"T-B": "D"}.get(terminal.kind, "W")
+    if terminal.invariant is None:
+        _empty_terminal(certificate, terminal, D)
+    else:
+        margin = check.invariance_margin(terminal.loops, D, terminal.invariant)
+        certificate.add(
+            "terminal_set_invariant",
+            margin,
+            f"The terminal set ({len(terminal.invariant.offsets)} facets) is invariant at every vertex under {label}.",
+            f"The terminal set is not invariant under {label}: some vertex leaves it by {-margin:.3g}.",
+        )
+        margin = terminal.admissible.containment_margin(terminal.invariant)
+        certificate.add(
+            "terminal_set_admissible",
+            margin,
+            "The terminal set lies in the error constraints and its terminal inputs in the input constraints.",
+            f"The terminal set or its inputs leave the constraints by {-margin:.3g}.",
+        )
+    _plan_stays_feasible(certificate, problem, tube_gain, terminal, windows, bounds, W)
+
+
+def _empty_terminal(certificate: Certificate, terminal: Terminal, disturbance) -> None:
+    excess, steps = np.nan, 0
+    if terminal.maximal.escape is not None:
+        escape = terminal.maximal.escape
+        excess, _ = check.escape_excess(terminal.loops, disturbance, escape.normal, escape.offset, escape.loops)
+        steps = len(escape.loops) + 1
+    certificate.add(
+        "terminal_set_invariant",
+        -excess,
+        "",
+        f"No invariant terminal set exists: disturbances carry the origin {excess:.3g} past a constraint in {steps} "
+        "steps. The run uses E - R_N at the last stage instead."
+        if steps
+        else "No invariant terminal set was found. The run uses E - R_N at the last stage instead.",
+    )
+
+
+def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal: Terminal, windows, bounds, W) -> None:
+    """Check the three terminal inclusions of the shifted plan on the sets used, or for T-A the premises of the theorem."""
+    name = "plan_stays_feasible"
+    if terminal.kind == "T-A" and not terminal.fallback:
+        same = -float(np.max(np.abs(tube_gain.vertices - terminal.gains.vertices)))
+        certificate.add(
+            name,
+            same if problem.scenario.controller.tube == "sequence" else -np.inf,
+            "Tube gain and terminal gain coincide and the tube follows the reference: Omega - R_N receives every shifted plan.",
+            "T-A needs the tube `sequence`: with another tube the shifted plan may miss the terminal set.",
+        )
+        return
+    N = problem.horizon
+    loops = vertex_loops(problem, tube_gain)
+    last_reach = _products(loops, W, N - 1)
+    margins = [
+        check.terminal_margins(
+            Polytope(bounds.terminal_normals, offsets),
+            terminal.loops,
+            terminal.gains.vertices,
+            Polytope(problem.error_set.normals, bounds.errors[:, N - 1].min(axis=0)),
+            Polytope(problem.input_set.normals, bounds.inputs[:, N - 1].min(axis=0)),
+            last_reach,
+        )
+        for offsets in np.unique(bounds.terminal, axis=0)
+    ]
+    worst = {key: min(margin[key] for margin in margins) for key in margins[0]}
+    failing = ", ".join(f"{key} by {-value:.3g}" for key, value in worst.items() if value < 0)
+    certificate.add(
+        name,
+        min(worst.values()),
+        "From every plan the shifted one ends in the terminal constraint again: feasibility is recursive.",
+        f"The shifted plan may miss the terminal constraint ({failing}): feasibility is not recursive.",
+    )
+
+
+def _products(loops, W, steps: int) -> Polytope:
+    """Return the hull of Psi W over every product of `steps` loops, by enumeration of the products."""
+    points = W
+    for _ in range(steps):
+        points = np.concatenate([points @ loop.T for loop in loops])
+        points = Polytope.from_vertices(points).vertices()
+    return Polytope.from_vertices(points)
+
+
+def _coverage(certificate: Certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal) -> None:
+    """Check that loops inside the box are the mixtures of the vertex loops: exact for Euler, not for zero-order hold."""
+    lower, upper = problem.model.box
+    grid = np.stack(np.meshgrid(*np.linspace(lower, upper, 21).T), axis=-1).reshape(-1, 2)
+    transitions, inputs = problem.model.matrices(grid)
+    weights = problem.model.weights(grid)
+    worst = 0.0
+    for gain in (tube_gain, terminal.gains):
+        mixtures = np.tensordot(weights, vertex_loops(problem, gain), axes=1)
+        worst = max(worst, float(np.max(np.abs(transitions + inputs @ gain.at(weights) - mixtures))))
+    certificate.add(
+        "vertices_cover_schedule",
+        check.ROUNDING - worst,
+        "Every loop inside the schedule box is a mixture of the four vertex loops.",
+        f"Loops inside the schedule box differ from mixtures of the vertex loops by {worst:.3g} (zero-order hold).",
+    )
+
+
+def _existence(certificate: Certificate, problem: Problem, tube_gain: LocalGain) -> None:
+    """Say, for information, for which gains an invariant set inside E and U exists at all over the whole box."""
+    _exists(certificate, "invariant_set_for_tube_gain", "the tube gain", problem, tube_gain)
+    vertices = problem.model.matrices(problem.model.vertices)
+    for objective in OBJECTIVES:
+        try:
+            gains = terminal_cost(*vertices, problem.error_weight, problem.input_weight, objective).gains
+        except RuntimeError as error:
+            certificate.add(f"terminal_set_for_{objective}", -np.inf, "", f"LMI gains ({objective}): {error}", False)
+            continue
+        gain = LocalGain(gains.mean(axis=0), gains)
+        _exists(certificate, f"terminal_set_for_{objective}", f"the LMI gains of {objective}", problem, gain)
+
+
+def _exists(certificate: Certificate, name: str, label: str, problem: Problem, gain: LocalGain) -> None:
+    loops, W = vertex_loops(problem, gain), problem.disturbance_set
+    admissible = admissible_set(problem, gain)
+    found = maximal_rpi(loops, admissible, W.support)
+    if found.polytope is not None:
+        margin = check.invariance_margin(loops, W.vertices(), found.polytope)
+        margin = min(margin, admissible.containment_margin(found.polytope) + check.ROUNDING)
+    elif found.escape is not None:
+        escape = found.escape
+        margin = -check.escape_excess(loops, W.vertices(), escape.normal, escape.offset, escape.loops)[0]
+    else:
+        margin = -np.inf
+    facets = 0 if found.polytope is None else len(found.polytope.offsets)
+    certificate.add(
+        name,
+        margin,
+        f"With {label} an invariant set inside the constraints exists over the whole box ({facets} facets).",
+        f"With {label} no invariant set fits the constraints over the whole box: within {found.iterations + 1} steps the "
+        f"reach of the origin passes one by {-margin:.3g}.",
+        required=False,
+    )

@@ -1,0 +1,122 @@
+"""Terminal sets: the maximal RPI set of the terminal gains, its few-facet stand-in, and the constraint on e_N.
+
+With the terminal gains Gamma(th) bilinear in the schedule and Omega invariant for A_i + B Gamma_i:
+
+* `paper`  Omega for W, in E with Gamma_i Omega in U;      e_N in Omega - R_N        (eq. (30))
+* `T-A`    the same with K = Gamma and `sequence` tubes;   e_N in Omega - R_{N|k}    (then the plan stays feasible)
+* `T-B`    Omega' for D, which contains Psi_{N-1} W for every product of N - 1 tube loops, in E - R_{N-1} with
+           Gamma_i Omega' in U - K R_{N-1};                e_N in Omega' - D         (then the plan stays feasible)
+
+Where the set is empty, e_N in E - R_N takes its place and the design says so.
+Sources: Gonzalez, Fiacchini, Guzman, Alamo 2009, section III-E; Kolmanovsky and Gilbert 1998; Blanchini 1999.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxtube.design.problem import Problem
+from jaxtube.design.tightening import LocalGain, Tightening, Windows, vertex_loops
+from sets import tubes
+from sets.invariant import MaximalRpi, few_facet_rpi, maximal_rpi
+from sets.polytope import Polytope
+
+FACETS = 40
+"""Facets that the invariant set used on line may have: every one of them is a row of every QP."""
+
+
+@dataclass(frozen=True, eq=False)
+class Terminal:
+    """The terminal ingredients of a design.
+
+    `constraint_offsets[w]` bound `constraint_normals` e_N in window w; `fallback` says that they are E - R_N because
+    no invariant set was found, or nothing of it is left once the tube is taken off.
+    """
+
+    kind: str
+    gains: LocalGain
+    loops: Float[np.ndarray, "4 3 3"]
+    disturbance: tubes.Section  # W, or D for T-B
+    admissible: Polytope  # what the invariant set must lie in: errors, and errors whose terminal input is admissible
+    maximal: MaximalRpi
+    invariant: Polytope | None
+    constraint_normals: Float[np.ndarray, "facets 3"]
+    constraint_offsets: Float[np.ndarray, "windows facets"]
+    fallback: bool
+
+
+def admissible_set(
+    problem: Problem,
+    gains: LocalGain,
+    error_offsets: Float[np.ndarray, " 6"] | None = None,
+    input_offsets: Float[np.ndarray, " 4"] | None = None,
+) -> Polytope:
+    """Return {e in E : Gamma_i e in U at every vertex}, with offsets of E and U tightened where given."""
+    E, U = problem.error_set, problem.input_set
+    rows = [E.normals, *(U.normals @ gain for gain in gains.vertices)]
+    input_offsets = U.offsets if input_offsets is None else input_offsets
+    offsets = [E.offsets if error_offsets is None else error_offsets, *([input_offsets] * len(gains.vertices))]
+    return Polytope(np.concatenate(rows), np.concatenate(offsets))
+
+
+def make_terminal(
+    problem: Problem, tube_gain: LocalGain, gains: LocalGain, windows: Windows, tightening: Tightening
+) -> Terminal:
+    """Return the terminal set of the scenario's choice, or its stand-in."""
+    kind, N = problem.scenario.controller.terminal, problem.horizon
+    loops = vertex_loops(problem, gains)
+    disturbance = tubes.Section((problem.disturbance_set.vertices(),), 3)
+    admissible = admissible_set(problem, gains)
+    if kind == "T-B":
+        tube_loops = vertex_loops(problem, tube_gain)
+        disturbance = tubes.propagated(tube_loops, problem.disturbance_set, N - 1)[-1]
+        last_errors = problem.error_set.offsets - tightening.error_reach[:, N - 1].max(axis=0)
+        last_inputs = problem.input_set.offsets - tightening.input_reach[:, N - 1].max(axis=0)
+        admissible = admissible_set(problem, gains, last_errors, last_inputs)
+    maximal = _maximal(loops, admissible, disturbance)
+    invariant = None
+    if maximal.polytope is not None:
+        invariant = few_facet_rpi(loops, admissible, disturbance.support, maximal.polytope, FACETS)
+    normals, offsets = _constraint(problem, kind, invariant, disturbance, windows, tightening)
+    fallback = normals is None
+    if fallback:
+        normals = problem.error_set.normals
+        offsets = problem.error_set.offsets - tightening.error_reach[:, N]
+    return Terminal(kind, gains, loops, disturbance, admissible, maximal, invariant, normals, offsets, fallback)
+
+
+def _maximal(loops, admissible: Polytope, disturbance: tubes.Section) -> MaximalRpi:
+    if np.any(admissible.offsets <= 0):
+        return MaximalRpi(None, None, 0)
+    return maximal_rpi(loops, admissible, disturbance.support)
+
+
+def _constraint(problem, kind, invariant: Polytope | None, disturbance, windows: Windows, tightening: Tightening):
+    """Return (normals, offsets a window) of the constraint on e_N, (None, None) where nothing is left."""
+    if invariant is None:
+        return None, None
+    if kind == "T-B":
+        taken = np.broadcast_to(disturbance.support(invariant.normals), (len(windows.loops), len(invariant.offsets)))
+    else:
+        taken = _tube_support(problem, windows, tightening, invariant.normals)
+    offsets = invariant.offsets - taken
+    least = Polytope(invariant.normals, offsets.min(axis=0))
+    if least.is_empty():
+        return None, None
+    # A row that is implied in the smallest of the sets may still cut another, so only constant sets lose rows.
+    if len(np.unique(offsets.round(15), axis=0)) == 1:
+        least = least.reduce()
+        return least.normals, np.broadcast_to(least.offsets, (len(windows.loops), len(least.offsets)))
+    return invariant.normals, offsets
+
+
+def _tube_support(problem: Problem, windows: Windows, tightening: Tightening, normals) -> Float[np.ndarray, "w k"]:
+    """Return the support numbers of R_N along any normals, window by window."""
+    if tightening.sections is None:
+        rows = np.broadcast_to(normals, (len(windows.loops), *normals.shape))
+        return tubes.sequence_support(windows.loops, problem.disturbance_set, rows, problem.horizon)
+    support = tightening.sections[problem.horizon].support(normals)
+    return np.broadcast_to(support, (len(windows.loops), len(normals)))

@@ -1,0 +1,125 @@
+"""`check`: run scenarios again and compare their metrics with the expected ones.
+
+The file expected.toml beside a scenario holds the claims,
+
+    [[metric]]
+    path = "tube_half_widths.paper.5.1"     keys and list indices into metrics.json
+    value = 0.038934
+    tolerance = 5e-7                        |metric - value| <= tolerance
+    provenance = "independent computation"
+    command = "design"                      or "paper": the run that writes the metric
+"""
+
+import importlib
+import json
+import math
+import tomllib
+from collections import Counter
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from ..scenario import Scenario, ScenarioError, experiments_folder, find, load, names
+from .options import COMMANDS, Check, title
+
+MISSING = object()
+
+
+class Metric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One claim: the number, text or truth value that a run has to give."""
+
+    path: str
+    value: bool | int | float | str
+    provenance: str
+    tolerance: Annotated[float, msgspec.Meta(ge=0)] = 0.0
+    command: Literal["design", "paper"] = "design"
+
+
+class Claims(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The file expected.toml."""
+
+    metric: tuple[Metric, ...] = ()
+
+
+def run(scenario: Scenario | None, options: Check) -> int:
+    """Print one line a metric; returns 0 when all hold, else 1.
+
+    Raises: ScenarioError for a scenario without expected metrics that was asked for by name.
+    """
+    chosen = options.names or ((options.scenario,) if scenario else tuple(filter(_has_claims, names())))
+    if not chosen:
+        raise ScenarioError(f"{experiments_folder()}: no scenario has an expected.toml; name a scenario that has one")
+    verdicts = Counter(verdict for name in chosen for verdict in _check(name, options))
+    print(f"{verdicts['ok']} ok, {verdicts['off']} off, {verdicts['skipped']} skipped")
+    return 1 if verdicts["off"] else 0
+
+
+def resolve(metrics: Any, path: str) -> Any:
+    """Follow a dotted path of keys and list indices; MISSING where it leads nowhere."""
+    node = metrics
+    for name in path.split("."):
+        try:
+            node = node[int(name)] if isinstance(node, list) else node[name]
+        except (LookupError, TypeError, ValueError):
+            return MISSING
+    return node
+
+
+def holds(actual: Any, metric: Metric) -> bool:
+    """Say whether a metric is the expected one: numbers within the tolerance, anything else equal and of one type."""
+    if type(actual) in (int, float) and type(metric.value) in (int, float):
+        return abs(actual - metric.value) <= metric.tolerance
+    return type(actual) is type(metric.value) and actual == metric.value
+
+
+def _has_claims(name: str) -> bool:
+    return _claims_file(name).exists()
+
+
+def _claims_file(name: str) -> Path:
+    return find(name).with_name("expected.toml")
+
+
+def _read_claims(name: str) -> tuple[Metric, ...]:
+    path = _claims_file(name)
+    try:
+        claims = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Claims).metric
+    except OSError as error:
+        raise ScenarioError(f"{path}: cannot be read ({error.strerror}); write the expected metrics there") from None
+    except ValueError as error:
+        raise ScenarioError(f"{path}: {error}; give path, value, tolerance and provenance of each [[metric]]") from None
+    for metric in claims:
+        if isinstance(metric.value, float) and not math.isfinite(metric.value):
+            raise ScenarioError(f"{path}: {metric.path} = {metric.value}: is not finite; give a finite number")
+    return claims
+
+
+def _check(name: str, options: Check) -> list[str]:
+    claims = _read_claims(name)
+    commands = {claim.command for claim in claims} - ({"paper"} if options.quick else set())
+    results = {command: _replay(command, name, options) for command in sorted(commands)}
+    return [_judge(name, claim, results) for claim in claims]
+
+
+def _replay(command: str, name: str, options: Check) -> Any:
+    """Run a command on a scenario and return its metrics; an empty table when the run did not end well."""
+    out = Path(options.out or "runs") / f"check-{title(name)}" / command
+    kind = COMMANDS[command]
+    settings = kind(scenario=name, out=str(out), seed=options.seed, overrides=options.overrides)
+    code = importlib.import_module(f"{__package__}.{kind.module}").run(load(name, options.overrides), settings)
+    if code:
+        print(f"{name}: {command} ended with exit code {code}")
+        return {}
+    return json.loads((out / "metrics.json").read_text(encoding="utf-8"))
+
+
+def _judge(name: str, claim: Metric, results: dict[str, Any]) -> str:
+    if claim.command not in results:
+        verdict, found = "skipped", "not run"
+    else:
+        actual = resolve(results[claim.command], claim.path)
+        verdict, found = "ok" if holds(actual, claim) else "off", "missing" if actual is MISSING else str(actual)
+    bound = f" +- {claim.tolerance:g}" if claim.tolerance else ""
+    print(f"{verdict:8}{name}  {claim.path}  {found}  expected {claim.value}{bound}  ({claim.provenance})")
+    return verdict

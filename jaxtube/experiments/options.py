@@ -1,0 +1,104 @@
+"""The options of each command, from which the parser is built.
+
+Every command takes a scenario, the folder of its run, a seed, and overrides of single keys.
+"""
+
+import shlex
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+from tyro.conf import Positional, Suppress, arg
+
+PROGRAM = "python -m jaxtube.experiments"
+
+
+@dataclass(frozen=True)
+class Options:
+    """What every command takes."""
+
+    command: ClassVar[str]
+    module: ClassVar[str]
+
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "paper"
+    """a scenario that `list` prints, or a file"""
+    out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: runs/COMMAND-SCENARIO)")] = ""
+    """folder of the run"""
+    seed: Annotated[int, arg(metavar="INT")] = 0
+    """seed of every random draw"""
+    overrides: Suppress[tuple] = ()
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run."""
+        return Path(self.out or f"runs/{self.command}-{title(self.scenario)}")
+
+
+@dataclass(frozen=True)
+class Paper(Options):
+    """Reproduce the paper's comparison of controllers (the default command)."""
+
+    command = module = "paper"
+
+    realisations: Annotated[int, arg(metavar="INT")] = 256
+    """number of simulated runs of each controller"""
+    require_certificate: bool = False
+    """exit with 3 when the terminal set is empty or the certificate fails"""
+
+
+@dataclass(frozen=True)
+class Design(Options):
+    """Compute tubes, gains and terminal set of a scenario, and check their certificate."""
+
+    command = module = "design"
+
+    require_certificate: bool = False
+    """exit with 3 when the terminal set is empty or the certificate fails"""
+
+
+@dataclass(frozen=True)
+class List(Options):
+    """List the scenarios that come with the project (--scenario: only this one)."""
+
+    command, module = "list", "listing"
+
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml", help_behavior_hint="(default: all)")] = ""
+    """a scenario, or a file"""
+
+
+@dataclass(frozen=True)
+class Check(Options):
+    """Run scenarios again and compare their metrics with the expected ones; exit 1 when any is off."""
+
+    command = module = "check"
+
+    names: Positional[Annotated[tuple[str, ...], arg(metavar="[NAME|FILE.toml ...]", help_behavior_hint="")]] = ()
+    """scenarios with an expected.toml beside them; none: all that come with the project"""
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml", help_behavior_hint="")] = ""
+    """the same as one NAME"""
+    quick: bool = False
+    """only the metrics that the design answers, without simulation"""
+
+
+COMMANDS: dict[str, type[Options]] = {kind.command: kind for kind in (Paper, Design, List, Check)}
+
+
+def title(scenario: str) -> str:
+    """Name a scenario in a folder's name: its own name, or that of its file, or of the folder of a scenario.toml."""
+    path = Path(scenario)
+    if path.suffix != ".toml":
+        return scenario
+    return path.stem if path.stem != "scenario" else path.resolve().parent.name
+
+
+def command_line(options: Options) -> str:
+    """Write the command that has these options, for a shell; options at their default are left out."""
+    words = [*PROGRAM.split(), options.command]
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if isinstance(value, tuple):
+            words += value
+        elif value != field.default:
+            words.append(f"--{field.name.replace('_', '-')}")
+            words += [] if value is True else [str(value)]
+    return shlex.join(words)

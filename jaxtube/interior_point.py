@@ -1,0 +1,103 @@
+"""Primal-dual interior point method for a batch of small convex quadratic programs with a fixed number of iterations.
+
+    minimise over x   1/2 x' P x + q' x   subject to   G x + s = h,  s >= 0
+
+P and G are shared by the batch, q and h are not; an infinite h drops its row. Each iteration
+(1) takes the affine direction, towards s y = 0, (2) sets the centring from the step that direction allows,
+(3) corrects for its second-order term, (4) moves by one step length for x, s and y.
+
+Notation: y >= 0 multipliers, mu = s'y / rows. The batch is the last axis.
+Source: Mehrotra, On the implementation of a primal-dual interior point method, SIAM J. Optimization 1992.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, Float
+
+from jaxtube import batched_ldl
+from jaxtube.batched_ldl import matmul
+
+SHORTEST_WAY_TO_THE_BOUNDARY = 0.995
+
+
+class Program(NamedTuple):
+    """What the batch shares: P, G, and the packed forms of P and of the pairs of columns of G."""
+
+    hessian: Float[Array, "n n"]
+    rows: Float[Array, "m n"]
+    packed_hessian: Float[Array, " pairs"]
+    pair_products: Float[Array, "pairs m"]
+
+
+class State(NamedTuple):
+    """Primal, slack and multipliers of every instance."""
+
+    x: Float[Array, "n batch"]
+    s: Float[Array, "m batch"]
+    y: Float[Array, "m batch"]
+
+
+def program(hessian: Float[Array, "n n"], rows: Float[Array, "m n"]) -> Program:
+    """Prepare the shared data of min 1/2 x'Px + q'x s.t. Gx <= h, P being `hessian` and G `rows`."""
+    return Program(hessian, rows, batched_ldl.pack(hessian), batched_ldl.pair_products(rows))
+
+
+def solve(
+    shared: Program,
+    q: Float[Array, "n batch"],
+    h: Float[Array, "m batch"],
+    start: Float[Array, "n batch"],
+    iterations: int,
+) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"]]:
+    """Return x and the multipliers y >= 0 (zero on dropped rows); no status: the caller checks the residual."""
+    kept = jnp.isfinite(h)
+    h = jnp.where(kept, h, 0.0)
+    slack = jnp.where(kept, jnp.maximum(h - matmul(shared.rows, start), 1.0), 1.0)
+    state = State(start, slack, jnp.where(kept, 1.0 / kept.shape[0], 0.0))
+    state = jax.lax.fori_loop(0, iterations, lambda _, state: iterate(shared, q, h, kept, state), state)
+    return state.x, state.y
+
+
+def iterate(
+    shared: Program,
+    q: Float[Array, "n batch"],
+    h: Float[Array, "m batch"],
+    kept: Bool[Array, "m batch"],
+    state: State,
+) -> State:
+    """Take one predictor-corrector step; an instance whose numbers leave the floats stays where it was."""
+    (x, s, y), P, G = state, shared.hessian, shared.rows
+    count = jnp.maximum(jnp.sum(kept, axis=0), 1).astype(x.dtype)
+    weights = jnp.where(kept, y / s, 0.0)
+    ldl = batched_ldl.factorise(shared.packed_hessian[:, None] + matmul(shared.pair_products, weights))
+    dual_residual = matmul(P, x) + q + matmul(G.T, y)
+    primal_residual = matmul(G, x) + s - h
+
+    def direction(complementarity):
+        shift = weights * primal_residual - jnp.where(kept, complementarity / s, 0.0)
+        dx = batched_ldl.solve(ldl, -dual_residual - matmul(G.T, shift))
+        ds = jnp.where(kept, -primal_residual - matmul(G, dx), 0.0)
+        dy = jnp.where(kept, -(complementarity + y * ds) / s, 0.0)
+        return dx, ds, dy
+
+    _, ds, dy = direction(s * y)  # (1)
+    step = longest_step(state, ds, dy)
+    mu = jnp.sum(jnp.where(kept, s * y, 0.0), axis=0) / count
+    affine_mu = jnp.sum(jnp.where(kept, (s + step * ds) * (y + step * dy), 0.0), axis=0) / count
+    target = mu * jnp.minimum(affine_mu / mu, 1.0) ** 3  # (2)
+    dx, ds, dy = direction(s * y + ds * dy - target)  # (3)
+    step = jnp.minimum(SHORTEST_WAY_TO_THE_BOUNDARY * longest_step(state, ds, dy), 1.0)  # (4)
+    moved = State(x + step * dx, s + step * ds, y + step * dy)
+    # Beyond this mu the weights y / s differ by more than the floats resolve, and iterating on loses what was found.
+    unfinished = mu > jnp.finfo(x.dtype).eps ** 0.75
+    sound = jnp.all(jnp.isfinite(moved.x), 0) & jnp.all(moved.s > 0, 0) & jnp.all(moved.y >= 0, 0)
+    return jax.tree.map(lambda new, old: jnp.where(unfinished & sound, new, old), moved, state)
+
+
+def longest_step(state: State, ds: Float[Array, "m batch"], dy: Float[Array, "m batch"]) -> Float[Array, " batch"]:
+    """Return the longest step, at most 1/0.995, that keeps s and y >= 0."""
+    shrink = jnp.maximum(jnp.max(-ds / state.s, 0), jnp.max(jnp.where(dy < 0, -dy / state.y, 0.0), 0))
+    return 1 / jnp.maximum(shrink, SHORTEST_WAY_TO_THE_BOUNDARY)

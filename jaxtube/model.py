@@ -1,0 +1,180 @@
+"""The linear parameter-varying prediction model of the tracking error.
+
+    e+ = A(th) e + B(th) u + w,   th = (V_r, V_l) in Theta
+    e_x' = Om e_y + u1            e_y' = -Om e_x + V e_th            e_th' = u2
+
+th, the schedule, is the pair of reference wheel speeds in m/s, Theta the box it lies in. Two choices make four models:
+
+* `paper` takes Om = ((1 - i_r) V_r - (1 - i_l) V_l) / b, the Jacobian at wheels that do not compensate their slip;
+  `consistent` takes Om = (V_r - V_l) / b, the Jacobian of the dynamics under commands that do. They differ by T i Om.
+* `euler` is I + T (.), affine in the schedule; `zoh` is exact over a period with the inputs held, and not affine.
+
+Errors are (longitudinal m, lateral m, heading rad), inputs (speed deficit m/s, yaw rate deficit rad/s).
+
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (6), (9)-(10), (16)-(25), (34)-(37).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+from scipy.linalg import expm
+
+MODELS = ("paper", "consistent")
+DISCRETISATIONS = ("euler", "zoh")
+# The sides, lower 0 or upper 1, of (V_r, V_l) at the four vertices in the order of eqs. (34)-(37).
+VERTEX_SIDES = np.array([[0, 1], [0, 0], [1, 0], [1, 1]])
+
+
+@dataclass(frozen=True, eq=False)
+class Model:
+    """The prediction model, made by `make_model`.
+
+    Attributes:
+        dt: period, s.
+        track_width: b, m.
+        slip_factors: (right, left), what part of a wheel's speed counts in the yaw rate: 1 - nominal slip, or 1.
+        discretisation: "euler" or "zoh".
+        box: Theta as (lower, upper), each (right, left) in m/s.
+    """
+
+    dt: float
+    track_width: float
+    slip_factors: Float[np.ndarray, "2"]
+    discretisation: str
+    box: tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]
+
+    def matrices(
+        self, schedule: Float[np.ndarray, "... 2"]
+    ) -> tuple[Float[np.ndarray, "... 3 3"], Float[np.ndarray, "... 3 2"]]:
+        """Give A and B at one or many schedules.
+
+        Args:
+            schedule: reference wheel speeds (right, left), m/s.
+
+        Returns:
+            (A, B), with eigenvalues of modulus 1 and above; B depends on the schedule for `zoh` only.
+        """
+        rates = self._continuous_pair(np.asarray(schedule, float)) * self.dt
+        transition = expm(rates) if self.discretisation == "zoh" else np.eye(5) + rates
+        return transition[..., :3, :3], transition[..., :3, 3:]
+
+    def _continuous_pair(self, schedule: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 5 5"]:
+        """Give the rates of (error, held input), eq. (6)."""
+        yaw_rate = schedule * self.slip_factors @ np.array([1.0, -1.0]) / self.track_width
+        rates = np.zeros((*schedule.shape[:-1], 5, 5))
+        rates[..., 0, 1], rates[..., 1, 0] = yaw_rate, -yaw_rate
+        rates[..., 1, 2] = schedule.mean(axis=-1)
+        rates[..., 0, 3] = rates[..., 2, 4] = 1.0
+        return rates
+
+    @property
+    def centre(self) -> Float[np.ndarray, "2"]:
+        """Schedule (right, left) at the centre of the box, m/s: the nominal one of eq. (19)."""
+        return (self.box[0] + self.box[1]) / 2.0
+
+    @property
+    def half_widths(self) -> Float[np.ndarray, "2"]:
+        """Half widths (right, left) of the box, m/s: the greatest deviations of eq. (19)."""
+        return (self.box[1] - self.box[0]) / 2.0
+
+    @property
+    def vertices(self) -> Float[np.ndarray, "4 2"]:
+        """Schedules at the four corners: (min, max), (min, min), (max, min), (max, max), as in eqs. (34)-(37)."""
+        return np.stack(self.box)[VERTEX_SIDES, [0, 1]]
+
+    def weights(self, schedule: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 4"]:
+        """Give the bilinear weights of the vertices.
+
+        Args:
+            schedule: reference wheel speeds (right, left), m/s.
+
+        Returns:
+            Weights in the order of `vertices`: they sum to 1 and reproduce the schedule, hence `euler`'s A, exactly.
+            They are non-negative for a schedule in the box, and extrapolate outside it.
+        """
+        lower, upper = self.box
+        width = np.where(upper > lower, upper - lower, 1.0)
+        upper_share = ((np.asarray(schedule, float) - lower) / width)[..., None, :]
+        return np.where(VERTEX_SIDES == 1, upper_share, 1.0 - upper_share).prod(axis=-1)
+
+    @property
+    def slopes(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]:
+        """Slopes (A_r, A_l) of A in the two wheel speeds, s/m, eq. (17).
+
+        Raises:
+            ValueError: for `zoh`, whose A is not affine.
+        """
+        if self.discretisation != "euler":
+            raise ValueError(
+                f"model: discretisation = {self.discretisation!r} has no slopes, its A is not affine; use 'euler'"
+            )
+        right, left = self._continuous_pair(np.eye(2))[:, :3, :3] * self.dt
+        return right, left
+
+    def compensating_gains(self) -> tuple[Float[np.ndarray, "2 3"], Float[np.ndarray, "2 3"]]:
+        """Give the gains (K_r, K_l) per m/s of wheel speed that cancel the first rows of A_r and A_l, eq. (24).
+
+        Returns:
+            Gains for u = +K e: A_r + B K_r and A_l + B K_l of `euler` have zeros but in the row of the lateral error.
+        """
+        right, left = np.zeros((2, 2, 3))
+        right[0, 1], left[0, 1] = self.slip_factors / self.track_width * np.array([-1.0, 1.0])
+        return right, left
+
+
+def make_model(
+    model: str,
+    discretisation: str,
+    dt: float,
+    track_width: float,
+    nominal_slip: Float[np.ndarray, "2"],
+    box: tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]],
+) -> Model:
+    """Make a prediction model.
+
+    Args:
+        model: "paper" or "consistent".
+        discretisation: "euler" or "zoh".
+        dt: period, s.
+        track_width: m.
+        nominal_slip: (right, left), in [0, 1).
+        box: least and greatest reference wheel speeds, each (right, left) in m/s.
+
+    Returns:
+        The model.
+
+    Raises:
+        ValueError: for an unknown choice, a setting out of range, or a box with its bounds crossed.
+    """
+    slip = np.asarray(nominal_slip, float)
+    lower, upper = (np.asarray(bound, float) for bound in box)
+    _refuse_unless(model in MODELS, "model", model, f"choose one of {', '.join(MODELS)}")
+    _refuse_unless(
+        discretisation in DISCRETISATIONS,
+        "discretisation",
+        discretisation,
+        f"choose one of {', '.join(DISCRETISATIONS)}",
+    )
+    _refuse_unless(0.0 < dt < np.inf, "dt", dt, "give a positive number of seconds")
+    _refuse_unless(0.0 < track_width < np.inf, "track_width", track_width, "give a positive length in m")
+    _refuse_unless(
+        slip.shape == (2,) and bool(np.all((slip >= 0.0) & (slip < 1.0))),
+        "nominal_slip",
+        slip.tolist(),
+        "give (right, left) in [0, 1)",
+    )
+    _refuse_unless(
+        lower.shape == upper.shape == (2,) and bool(np.all(np.isfinite([lower, upper])) and np.all(lower <= upper)),
+        "box",
+        [lower.tolist(), upper.tolist()],
+        "give finite (right, left) speeds, the lower ones first",
+    )
+    slip_factors = 1.0 - slip if model == "paper" else np.ones(2)
+    return Model(dt, track_width, slip_factors, discretisation, (lower, upper))
+
+
+def _refuse_unless(valid: bool, field: str, value: object, cure: str) -> None:
+    """Refuse a bad setting in one line."""
+    if not valid:
+        raise ValueError(f"model: {field} = {value!r} is not usable; {cure}")

@@ -1,0 +1,147 @@
+"""A robot on two driven wheels (or tracks) that slip: wheel commands, body velocity and virtual inputs.
+
+    v = (v_r (1 - i_r) + v_l (1 - i_l)) / 2        w = (v_r (1 - i_r) - v_l (1 - i_l)) / b
+    u1 = V - v                                     u2 = Om - w
+
+Wheels are (right v_r, left v_l) in m/s, slips (right i_r, left i_l) without unit (0.2: a fifth of the wheel's travel is
+lost), b the track width in m; V, Om are speed and yaw rate of the reference. All arrays end in the coordinate and
+broadcast over leading axes.
+
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(2), (5), (7)-(8).
+"""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class Robot:
+    """The robot's geometry and its actuators' limits.
+
+    Attributes:
+        track_width: distance between the two wheels' contact points, m, positive.
+        wheel_speed_min: least wheel speed, m/s (negative: backwards).
+        wheel_speed_max: greatest wheel speed, m/s.
+    """
+
+    track_width: float
+    wheel_speed_min: float
+    wheel_speed_max: float
+
+
+def body_velocity(
+    wheels: Float[Array, "... 2"], slip: Float[Array, "... 2"] | float, track_width: float
+) -> Float[Array, "... 2"]:
+    """Give the speed and yaw rate of the body, eqs. (1)-(2).
+
+    Args:
+        wheels: wheel speeds (right, left), m/s.
+        slip: longitudinal slips (right, left); 0.0 for rolling.
+        track_width: m.
+
+    Returns:
+        (speed m/s, forwards positive; yaw rate rad/s, left positive).
+    """
+    ground = wheels * (1.0 - slip)
+    right, left = ground[..., 0], ground[..., 1]
+    return jnp.stack([(right + left) / 2.0, (right - left) / track_width], axis=-1)
+
+
+def virtual_input(
+    wheels: Float[Array, "... 2"],
+    reference_wheels: Float[Array, "... 2"],
+    slip: Float[Array, "... 2"] | float,
+    track_width: float,
+) -> Float[Array, "... 2"]:
+    """Give what the body lacks of the reference's velocity, eq. (5).
+
+    Args:
+        wheels: wheel speeds (right, left), m/s.
+        reference_wheels: wheel speeds of the reference, which does not slip, m/s.
+        slip: longitudinal slips (right, left).
+        track_width: m.
+
+    Returns:
+        (speed deficit m/s, yaw rate deficit rad/s); positive: slower, turning less to the left than the reference.
+        Exact inverse of `wheel_commands` for the same slip.
+    """
+    return body_velocity(reference_wheels, 0.0, track_width) - body_velocity(wheels, slip, track_width)
+
+
+def wheel_commands(
+    virtual_input: Float[Array, "... 2"],
+    reference_wheels: Float[Array, "... 2"],
+    measured_slip: Float[Array, "... 2"] | float,
+    track_width: float,
+) -> Float[Array, "... 2"]:
+    """Give the wheel speeds that realise a virtual input under the measured slip, eqs. (7)-(8).
+
+    Args:
+        virtual_input: (speed deficit m/s, yaw rate deficit rad/s).
+        reference_wheels: wheel speeds of the reference (right, left), m/s.
+        measured_slip: slips (right, left) the controller believes in, below 1; 0.0 for no compensation.
+        track_width: m.
+
+    Returns:
+        Wheel speeds (right, left), m/s, not saturated.
+    """
+    speed_deficit, yaw_rate_deficit = virtual_input[..., 0], virtual_input[..., 1]
+    turning = track_width / 2.0 * yaw_rate_deficit
+    wheel_deficits = jnp.stack([speed_deficit + turning, speed_deficit - turning], axis=-1)
+    return (reference_wheels - wheel_deficits) / (1.0 - measured_slip)
+
+
+def cosine_free_input(
+    virtual_input: Float[Array, "... 2"], heading_error: Float[Array, "..."], reference_wheels: Float[Array, "... 2"]
+) -> Float[Array, "... 2"]:
+    """Give the virtual input whose speed deficit counts from V cos e_th, the reference's speed along the robot.
+
+    The longitudinal error then obeys e_x' = w e_y + u1 with the u1 passed in: no cosine remains to be linearised.
+
+    Args:
+        virtual_input: (V cos e_th - v m/s, yaw rate deficit rad/s).
+        heading_error: e_th, rad.
+        reference_wheels: wheel speeds of the reference (right, left), m/s.
+
+    Returns:
+        (V - v m/s, yaw rate deficit rad/s), to be passed to `wheel_commands`.
+    """
+    speed = (reference_wheels[..., 0] + reference_wheels[..., 1]) / 2.0
+    # 2 sin^2(e_th / 2) is 1 - cos e_th without its cancellation near zero.
+    lost_speed = speed * 2.0 * jnp.sin(heading_error / 2.0) ** 2
+    return jnp.stack(jnp.broadcast_arrays(virtual_input[..., 0] + lost_speed, virtual_input[..., 1]), axis=-1)
+
+
+def saturate(wheels: Float[Array, "... 2"], robot: Robot) -> Float[Array, "... 2"]:
+    """Clip wheel speeds to the actuators' limits.
+
+    Args:
+        wheels: wheel speeds (right, left), m/s.
+        robot: the limits.
+
+    Returns:
+        The nearest wheel speeds within the limits, each wheel on its own.
+    """
+    return jnp.clip(wheels, robot.wheel_speed_min, robot.wheel_speed_max)
+
+
+def wheel_positions(pose: Float[Array, "... 3"], track_width: float) -> Float[Array, "... 2 2"]:
+    """Give the points where the two wheels touch the ground.
+
+    Args:
+        pose: (x m, y m, heading rad) of the robot in the world frame.
+        track_width: m.
+
+    Returns:
+        Points (right, left) in the last axis but one, each (x m, y m) in the world frame.
+    """
+    x, y, heading = pose[..., 0], pose[..., 1], pose[..., 2]
+    offset_x, offset_y = track_width / 2.0 * jnp.sin(heading), track_width / 2.0 * jnp.cos(heading)
+    right = jnp.stack([x + offset_x, y - offset_y], axis=-1)
+    left = jnp.stack([x - offset_x, y + offset_y], axis=-1)
+    return jnp.stack([right, left], axis=-2)

@@ -1,0 +1,38 @@
+"""How a scenario is refused: one line, `FILE: KEY = VALUE: what is wrong; cure`."""
+
+import json
+from typing import Any
+
+SHOWN_CHARACTERS = 60
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be used; the message is one line with file, key, value and cure."""
+
+
+def refusal(source: str, key: str, value: Any, problem: str, cure: str) -> ScenarioError:
+    """Compose the error of one refused value.
+
+    Args:
+        source: file, scenario name or "override".
+        key: dotted key, such as `controller.horizon`.
+        problem, cure: clauses without a full stop.
+    """
+    shown = literal(value)
+    if len(shown) > SHOWN_CHARACTERS:
+        shown = shown[: SHOWN_CHARACTERS - 3] + "..."
+    return ScenarioError(" ".join(f"{source}: {key} = {shown}: {problem}; {cure}".split()))
+
+
+def literal(value: Any) -> str:
+    """Write a value as a TOML literal; reading it back gives an equal value."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        # JSON leaves the delete character as it is; TOML does not allow that.
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(map(literal, value))}]"
+    if isinstance(value, dict):
+        return f"{{{', '.join(f'{key} = {literal(entry)}' for key, entry in value.items())}}}"
+    return repr(value) if isinstance(value, int | float) else str(value)

@@ -1,0 +1,125 @@
+"""The keys of a scenario, their types, bounds and defaults.
+
+Every key carries its unit and every default is the value of the paper's experiment: an empty file is that experiment.
+Lengths in metres, speeds in metres a second, angles in degrees; a slip is a fraction of the wheel speed.
+
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV; radius, speed and duration are read off its figures.
+"""
+
+from typing import Annotated, Literal
+
+import msgspec
+
+from .refusal import literal
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NonNegative = Annotated[float, msgspec.Meta(ge=0)]
+Fraction = Annotated[float, msgspec.Meta(ge=0, lt=1)]
+HeadingBound = Annotated[float, msgspec.Meta(gt=0, lt=90)]
+HeadingSpread = Annotated[float, msgspec.Meta(ge=0, lt=90)]
+Weight = tuple[float | tuple[float, ...], ...]
+
+
+class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table of the scenario file."""
+
+
+class Robot(Section, frozen=True):
+    """The robot: distance between its wheels and the speeds that the wheels can run."""
+
+    track_width_m: Positive = 0.5
+    wheel_speed_min_mps: float = -3.0
+    wheel_speed_max_mps: float = 3.0
+
+
+class Reference(Section, frozen=True):
+    """The reference path and the box that its wheel speeds keep; `file` is read for the shape "file" only."""
+
+    shape: Literal["two_circles", "lemniscate", "file"] = "two_circles"
+    file: str = ""
+    radius_m: Positive = 2.5
+    speed_mps: Positive = 1.36
+    duration_s: Positive = 30.0
+    wheel_speed_min_mps: float = 0.2
+    wheel_speed_max_mps: float = 1.5
+
+
+class Slip(Section, frozen=True):
+    """Longitudinal slip of the wheels; `relative_error` bounds how far true and measured slip lie apart, relative to
+    the slip, and `random` says which of the two varies."""
+
+    nominal_right: Fraction = 0.2
+    nominal_left: Fraction = 0.2
+    relative_error: Fraction = 0.1
+    process: Literal["iid", "constant", "walk", "patches"] = "iid"
+    random: Literal["true", "measured", "both"] = "true"
+
+
+class Constraints(Section, frozen=True):
+    """Half widths of the error set E, a box in the robot frame."""
+
+    longitudinal_m: Positive = 0.3
+    lateral_m: Positive = 0.3
+    heading_deg: HeadingBound = 20.0
+
+
+class Disturbance(Section, frozen=True):
+    """Half widths of the disturbance set W of one step, a box in the robot frame."""
+
+    longitudinal_m: NonNegative = 0.005
+    lateral_m: NonNegative = 0.005
+    heading_deg: HeadingSpread = 0.2
+
+
+class Noise(Section, frozen=True):
+    """Bounds of the error of the measured pose, a box in the robot frame."""
+
+    longitudinal_m: NonNegative = 0.0
+    lateral_m: NonNegative = 0.0
+    heading_deg: HeadingSpread = 0.0
+
+
+class Controller(Section, frozen=True):
+    """The predictive controller; a weight is a list of diagonal entries or a symmetric matrix, a list of rows."""
+
+    dt_s: Positive = 0.1
+    horizon: Annotated[int, msgspec.Meta(ge=1)] = 5
+    error_weight: Weight = (1.0, 1.0, 0.01)
+    input_weight: Weight = (1.0, 1.0)
+    tube: Literal["paper", "hull", "summed", "sequence"] = "paper"
+    model: Literal["paper", "consistent"] = "paper"
+    discretisation: Literal["euler", "zoh"] = "euler"
+    input_map: Literal["paper", "cosine_free"] = "paper"
+    lmi_objective: Literal["trace_s", "trace_p", "logdet"] = "trace_s"
+    terminal: Literal["paper", "T-A", "T-B"] = "paper"
+    restart: bool = True
+
+
+class Initial(Section, frozen=True):
+    """Pose of the robot at the start, in the frame of the reference's first pose."""
+
+    x_m: float = 0.1
+    y_m: float = 0.1
+    heading_deg: float = 0.0
+
+
+class Scenario(Section, frozen=True):
+    """One experiment: robot, reference, slip, sets, controller and start."""
+
+    robot: Robot = Robot()
+    reference: Reference = Reference()
+    slip: Slip = Slip()
+    constraints: Constraints = Constraints()
+    disturbance: Disturbance = Disturbance()
+    noise: Noise = Noise()
+    controller: Controller = Controller()
+    initial: Initial = Initial()
+
+
+def to_toml(scenario: Scenario) -> str:
+    """Write a scenario as TOML with every key spelled out; reading it back gives an equal scenario."""
+    tables = []
+    for section in scenario.__struct_fields__:
+        values = msgspec.structs.asdict(getattr(scenario, section))
+        tables.append("\n".join([f"[{section}]", *(f"{key} = {literal(value)}" for key, value in values.items())]))
+    return "\n\n".join(tables) + "\n"

@@ -1,0 +1,182 @@
+"""Certificate: every condition a tube-MPC guarantee needs, re-checked by code that shares nothing with the construction.
+
+The construction works with support numbers of hulls and dual points; here reach is summed along explicit products of
+loops, inclusions are linear programs over the polytopes actually used on line, and decrease is an eigenvalue. With
+r_j(c) = (offset of the untightened set) - (offset used at stage j), all read off the sets the controller really uses:
+
+    reach      r_j(c) >= max over products of  sum_{m<j} h_W(Psi_m^T c)
+    inclusion  r_{j+1}(c) >= r_j(c) + max over products of  h_W(Psi_j^T c)        (the shifted plan stays admissible)
+    terminal   e_N in T, Psi the last N - 1 loops, w in W:  e_N + Psi w in E_{N-1},  Gamma (e_N + Psi w) in U_{N-1},
+               (A_i + B_i Gamma_i)(e_N + Psi w) in T
+
+Every condition keeps its margin (>= 0 where it holds; negative: by how much it fails) and a plain sentence.
+Sources: Chisci, Rossiter, Zappa 2001 (restarted tubes); Gonzalez, Fiacchini, Guzman, Alamo 2009, section III.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from jaxtyping import Float
+from scipy.spatial import ConvexHull
+
+from sets.polytope import Polytope
+
+ROUNDING = 1e-12
+"""Float64 slack, relative to the quantity compared, granted where a condition holds with equality by construction."""
+
+
+@dataclass(frozen=True)
+class Condition:
+    """One condition: whether it holds, by what margin, and what that means; only `required` ones decide the guarantee."""
+
+    holds: bool
+    margin: float
+    sentence: str
+    required: bool = True
+
+
+@dataclass
+class Certificate:
+    """The conditions of a design by name, in the order in which they were checked."""
+
+    conditions: dict[str, Condition] = field(default_factory=dict)
+
+    @property
+    def holds(self) -> bool:
+        """Whether every required condition holds."""
+        return all(condition.holds for condition in self.conditions.values() if condition.required)
+
+    @property
+    def failing(self) -> list[str]:
+        """Names of the required conditions that fail."""
+        return [name for name, condition in self.conditions.items() if condition.required and not condition.holds]
+
+    def add(self, name: str, margin: float, if_true: str, if_false: str, required: bool = True) -> None:
+        """Record a condition that holds exactly when its margin is not negative (NaN never holds)."""
+        holds = bool(margin >= 0)
+        self.conditions[name] = Condition(holds, float(margin), if_true if holds else if_false, required)
+
+
+def nonempty_margin(polytopes: Iterable[Polytope]) -> float:
+    """Return the smallest radius of a ball inside any of the sets; negative or -inf where one is empty."""
+    return min(polytope.chebyshev()[1] for polytope in polytopes)
+
+
+def _transported(
+    loops: Float[np.ndarray, "v n n"], directions: Float[np.ndarray, "k n"], sums: Float[np.ndarray, " k"]
+):
+    """Return directions and sums one loop earlier; only extreme ones can carry a maximum of a convex function."""
+    directions = np.concatenate([directions @ loop for loop in loops])
+    sums = np.tile(sums, len(loops))
+    if len(sums) > 4000:
+        cloud = np.column_stack([directions, sums])
+        spread = cloud / np.maximum(np.abs(cloud).max(axis=0), 1e-300)
+        kept = ConvexHull(spread, qhull_options="QJ").vertices
+        directions, sums = directions[kept], sums[kept]
+    return directions, sums
+
+
+def reach_supports(
+    loops: Float[np.ndarray, "v n n"], disturbance: Float[np.ndarray, "w n"], direction: Float[np.ndarray, " n"], steps
+) -> tuple[Float[np.ndarray, " steps+1"], Float[np.ndarray, " steps+1"]]:
+    """Return, for j = 0..steps, the reach of j steps along `direction` and the largest h_W(Psi_j^T direction).
+
+    Maxima over every product of j vertex loops; `disturbance` holds the vertices of W.
+    """
+    directions, sums = direction[None, :], np.zeros(1)
+    reach, last = np.zeros(steps + 1), np.zeros(steps + 1)
+    for j in range(steps + 1):
+        steps_of_w = np.max(directions @ disturbance.T, axis=1)
+        reach[j], last[j] = sums.max(), steps_of_w.max()
+        directions, sums = _transported(loops, directions, sums + steps_of_w)
+    return reach, last
+
+
+def sequence_reach(
+    loops: Float[np.ndarray, "horizon n n"], disturbance: Float[np.ndarray, "w n"], directions: Float[np.ndarray, "k n"]
+) -> tuple[Float[np.ndarray, "horizon+1 k"], Float[np.ndarray, "horizon k"]]:
+    """Return reach by simulation of worst cases along one schedule: h_{R_j}, and h_W([loops[j] .. loops[1]]^T c).
+
+    The matrices Psi are formed forwards, one disturbance instant at a time.
+    """
+    horizon, dimension = loops.shape[:2]
+    reach = np.zeros((horizon + 1, len(directions)))
+    last = np.zeros((horizon, len(directions)))
+    for instant in range(horizon):
+        transport = np.eye(dimension)
+        for j in range(instant + 1, horizon + 1):
+            reach[j] += np.max(directions @ transport @ disturbance.T, axis=1)
+            if instant == 0:
+                last[j - 1] = np.max(directions @ transport @ disturbance.T, axis=1)
+            if j < horizon:
+                transport = loops[j] @ transport
+    return reach, last
+
+
+def escape_excess(
+    loops: Float[np.ndarray, "v n n"],
+    disturbance: Float[np.ndarray, "w n"],
+    normal: Float[np.ndarray, " n"],
+    offset: float,
+    path: tuple[int, ...],
+) -> tuple[float, Float[np.ndarray, " n"]]:
+    """Simulate the worst disturbances from the origin along `path`: return (normal x - offset, x) at its end.
+
+    A positive excess proves that no invariant set fits: it would contain the origin and with it this x.
+    """
+    transported = [normal]
+    for index in reversed(path):
+        transported.append(transported[-1] @ loops[index])
+    choices = [disturbance[np.argmax(disturbance @ row)] for row in reversed(transported)]
+    state = choices[0]
+    for index, choice in zip(path, choices[1:], strict=True):
+        state = loops[index] @ state + choice
+    return float(normal @ state - offset), state
+
+
+def invariance_margin(
+    loops: Float[np.ndarray, "v n n"], disturbance: Float[np.ndarray, "w n"], polytope: Polytope
+) -> float:
+    """Return the least of h - h_O(H Phi_i) - h_W(H) over unit facets and vertices; >= 0 exactly when invariant."""
+    scale = np.linalg.norm(polytope.normals, axis=1)
+    normals, offsets = polytope.normals / scale[:, None], polytope.offsets / scale
+    steps = np.max(normals @ disturbance.T, axis=1)
+    return float(min(np.min(offsets - steps - polytope.support(normals @ loop)) for loop in loops))
+
+
+def decrease_margin(loops, gains, cost, error_weight, input_weight) -> float:
+    """Return the least eigenvalue of P - Phi_i^T P Phi_i - Q - Gamma_i^T R Gamma_i over the vertices."""
+    return float(
+        min(
+            np.linalg.eigvalsh(cost - loop.T @ cost @ loop - error_weight - gain.T @ input_weight @ gain)[0]
+            for loop, gain in zip(loops, gains, strict=True)
+        )
+    )
+
+
+def terminal_margins(
+    terminal: Polytope,
+    terminal_loops: Float[np.ndarray, "v n n"],
+    terminal_gains: Float[np.ndarray, "v m n"],
+    last_error_set: Polytope,
+    last_input_set: Polytope,
+    last_reach: Polytope,
+) -> dict[str, float]:
+    """Return the margins of the three terminal inclusions for the shifted plan (module docstring, `terminal`).
+
+    `last_reach` contains Psi w for every product of N - 1 loops; `last_error_set`, `last_input_set` are E_{N-1}, U_{N-1}.
+    """
+
+    def room(polytope: Polytope, matrix: Float[np.ndarray, "k n"]) -> float:
+        scale = np.linalg.norm(polytope.normals, axis=1)
+        rows = polytope.normals / scale[:, None] @ matrix
+        return float(np.min(polytope.offsets / scale - terminal.support(rows) - last_reach.support(rows)))
+
+    return {
+        "admissible_errors": room(last_error_set, np.eye(terminal.dimension)),
+        "admissible_inputs": min(room(last_input_set, gain) for gain in terminal_gains),
+        "returns": min(room(terminal, loop) for loop in terminal_loops),
+    }

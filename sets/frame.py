@@ -1,0 +1,214 @@
+"""Frames x = centre + basis y in which a polytope {x : H x <= h} is {y : p_i y <= 1}, has interior and is of unit size.
+
+A frame absorbs flat directions, bad scales and offsets far from the origin. The hull of the polar points p_i and 0 then
+answers everything: its vertices are the rows that are not redundant, its facets that miss 0 are the vertices of the
+set, its facets through 0 are the rays along which the set is unbounded (Ziegler 1995, Lectures on Polytopes, ch. 2).
+Flat directions are found one linear program at a time, by facial reduction (Borwein and Wolkowicz 1981, J. Austral.
+Math. Soc. 30, 369-380).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float, Int
+from scipy.linalg import qr
+from scipy.optimize import linprog
+from scipy.spatial import ConvexHull, KDTree
+
+FLAT = 1e-9  # relative thickness below which a set has no interior
+SAME = 1e-10  # relative distance below which two points or facets are one
+FAR = 1e-11  # a vertex further than 1 / FAR unit sizes is a ray
+ROUNDING = 1e-14  # relative error of data that went through a few operations
+HULL_DIMENSION = 4  # above it vertices may explode: the support function goes by linear programs
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Coordinates x = centre + basis y of the affine hull in which the set is {y : polar y <= 1}.
+
+    `rows` are the facets behind `polar` and `slacks` their h - H centre; the `equalities` hold on the whole set.
+    """
+
+    centre: Float[np.ndarray, " n"]
+    basis: Float[np.ndarray, "n d"]
+    polar: Float[np.ndarray, "m d"]
+    slacks: Float[np.ndarray, " m"]
+    rows: Int[np.ndarray, " m"]
+    equalities: Int[np.ndarray, " e"]
+
+    @cached_property
+    def generators(self):
+        """Vertices, rays and lines whose sum is the set, each (count, d)."""
+        points, _, _ = _dual(self.polar)
+        # a second pass about the middle of the first one's vertices, for a deepest point can lie at one end of the set
+        middle = points.sum(axis=0) / (len(points) + 1)
+        points, rays, lines = _dual(self.polar / (1 - self.polar @ middle)[:, None])
+        points = points + middle
+        if (self.polar @ points.T).max(initial=0.0) > 1 + 1e-6:
+            raise ArithmeticError("vertices violate their rows: rescale the coordinates of the polytope")
+        return points, rays, lines
+
+    @cached_property
+    def facets(self):
+        """Positions in `rows` of the rows that are not redundant."""
+        corners = extreme(flatten(np.vstack([np.zeros(self.polar.shape[1]), self.polar]))[0])
+        return corners[corners > 0] - 1
+
+    def support(self, directions):
+        if self.basis.shape[1] > HULL_DIMENSION:
+            return np.apply_along_axis(self._support_by_program, -1, directions)
+        points, rays, lines = self.generators
+        cone = np.vstack([rays, lines, -lines]).T
+        open_ended = directions @ cone > FLAT * (abs(directions) @ abs(cone))
+        return np.where(open_ended.any(axis=-1), np.inf, (directions @ points.T).max(axis=-1))
+
+    def _support_by_program(self, direction):
+        size = np.linalg.norm(direction)
+        if size == 0:
+            return 0.0
+        if recedes(self.polar, -direction / size):
+            return np.inf
+        solution, _ = solve(-direction / size, self.polar, np.ones(len(self.polar)))
+        return direction @ solution
+
+
+def find_frame(normals, offsets):
+    """Return the frame of {x : normals x <= offsets}, None if empty: it sheds equalities until there is interior."""
+    sizes, dimension = np.linalg.norm(normals, axis=1), normals.shape[1]
+    if not sizes.all():
+        return None
+    unit, heights = normals / sizes[:, None], offsets / sizes
+    rows, equalities = np.arange(len(unit)), np.zeros(0, dtype=int)
+    centre, basis = np.zeros(dimension), np.eye(dimension)
+    extent = np.zeros(dimension)
+    while basis.shape[1]:
+        centre, basis, depth, weights = _deepest(unit[rows], heights[rows], centre, basis)
+        local = unit[rows] @ basis
+        lengths = np.linalg.norm(local, axis=1)
+        # rows with positive weight sum to zero: at depth zero each of them holds with equality on the whole set
+        tight = np.flatnonzero(weights > 1e-3 * weights.max(initial=0.0))
+        extent = np.maximum(extent, abs(centre) + abs(basis).sum(axis=1))
+        noise = ROUNDING * (abs(heights) + abs(unit) @ extent)[rows] + np.finfo(float).eps * extent.max()
+        doubt = max(FLAT, (noise / lengths)[tight].min(initial=1.0))
+        if depth < -doubt:
+            return None
+        if depth > doubt:
+            break
+        local = local / lengths[:, None]
+        factor, triangle, order = qr(local[tight].T, pivoting=True)
+        rank = int((abs(np.diag(triangle)) > FLAT).sum())
+        equalities = np.concatenate([equalities, rows[tight[order[:rank]]]])
+        tangent = factor[:, rank:]
+        rows = rows[np.linalg.norm(local @ tangent, axis=1) > FLAT]
+        basis = basis @ tangent
+    slacks = offsets[rows] - normals[rows] @ centre
+    return Frame(centre, basis, normals[rows] @ basis / slacks[:, None], slacks, rows, equalities)
+
+
+def _deepest(unit, heights, centre, basis):
+    """Move the centre to the deepest point, in coordinates rescaled until its depth is plain to see."""
+    for _ in range(3):
+        slacks = heights - unit @ centre
+        basis = basis * _column_scales(unit @ basis, slacks)
+        local = unit @ basis
+        lengths = np.linalg.norm(local, axis=1)
+        program = np.column_stack([local / lengths[:, None], np.ones(len(local))])
+        cost = -np.eye(basis.shape[1] + 1)[-1]
+        cap = -cost
+        solution, weights = solve(cost, np.vstack([program, cap]), np.append(slacks / lengths, 1.0))
+        centre = centre + basis @ solution[:-1]
+        if solution[-1] > 1e-2:
+            break
+    return centre, basis, solution[-1], weights[:-1]
+
+
+def _column_scales(rows, slacks):
+    """Return the s that give rows s y <= slacks unit size: rows and columns of [rows, slacks] to one norm, in turn."""
+    table = abs(np.column_stack([rows, slacks]))
+    scales = np.ones(table.shape[1])
+    for _ in range(100):
+        table = table / np.linalg.norm(table, axis=1, keepdims=True)
+        norms = np.sqrt((table**2).sum(axis=0) * len(scales) / max(len(table), 1))
+        norms[norms == 0] = 1.0
+        table, scales = table / norms, scales / norms
+        if abs(np.log(norms)).max() < 0.1:
+            break
+    return scales[:-1] / scales[-1]
+
+
+def solve(cost, rows, limits):
+    """Minimise cost x over rows x <= limits, which is feasible and bounded; return x and the multipliers, checked."""
+    options = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+    for method in ("highs", "highs-ds", "highs-ipm"):
+        answer = linprog(cost, rows, limits, bounds=(None, None), method=method, options=options)
+        if answer.status != 0:
+            continue
+        solution, multipliers = answer.x, -answer.ineqlin.marginals
+        misfit = max(
+            ((rows @ solution - limits) / (1 + abs(limits))).max(initial=0.0),
+            -multipliers.min(initial=0.0),
+            abs(cost + multipliers @ rows).max(),
+            abs(cost @ solution + multipliers @ limits) / (1 + abs(cost @ solution)),
+        )
+        if misfit <= 1e-8:
+            return solution, multipliers
+    raise ArithmeticError("linear program not solved to 1e-8: rescale the coordinates of the polytope")
+
+
+def recedes(rows, cost):
+    """Tell whether cost x falls along a ray of rows x <= 0, hence without bound over rows x <= limits if not empty."""
+    rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.finfo(float).tiny)
+    cube = np.vstack([np.eye(len(cost)), -np.eye(len(cost))])
+    solution, _ = solve(cost, np.vstack([rows, cube]), np.append(np.zeros(len(rows)), np.ones(len(cube))))
+    return cost @ solution < -FLAT
+
+
+def _dual(polar):
+    """Return vertices, rays and lines of {y : polar y <= 1} from the hull of polar and 0."""
+    coordinates, inverse, lines = flatten(np.vstack([np.zeros(polar.shape[1]), polar]))
+    normals, offsets, _ = hull(coordinates)
+    heights = offsets - normals @ coordinates[0]
+    far = heights <= FAR
+    rays = normals[far] @ inverse
+    rays[abs(rays) <= 1e-12 * abs(rays).max(axis=1, initial=0.0, keepdims=True)] = 0.0
+    return normals[~far] @ inverse / heights[~far, None], rays, lines
+
+
+def flatten(points):
+    """Return isotropic coordinates of a cloud in its affine hull, the map x -> coordinates, and the hull's normals."""
+    extent, reach = np.ptp(points, axis=0), abs(points).max(initial=0.0)
+    constant = extent <= ROUNDING * reach
+    scale = np.where(constant, extent.max(initial=0.0) or 1.0, extent)
+    scaled = np.where(constant, 0.0, (points - points.mean(axis=0)) / scale)
+    _, spread, axes = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
+    rounding = ROUNDING * (abs(points).max(axis=0, initial=0.0) / scale).max(initial=0.0)
+    rank = int((spread > max(FLAT, rounding) * spread.max(initial=0.0)).sum())
+    spread = spread[:rank] / np.sqrt(len(points))
+    return scaled @ axes[:rank].T / spread, axes[:rank] / scale / spread[:, None], axes[rank:] / scale
+
+
+def hull(points):
+    """Return facets a y <= b of a cloud that is not flat, and its extreme points; qhull begins at dimension two."""
+    if points.shape[1] == 0:
+        return np.zeros((1, 0)), np.ones(1), np.zeros(1, dtype=int)
+    if points.shape[1] == 1:
+        ends = np.array([points.argmax(), points.argmin()])
+        return np.array([[1.0], [-1.0]]), points[ends, 0] * [1.0, -1.0], ends
+    hull = ConvexHull(points)
+    facets = hull.equations[_distinct(hull.equations)]
+    return facets[:, :-1], -facets[:, -1], hull.vertices
+
+
+def extreme(points):
+    distinct = _distinct(points)
+    return distinct[hull(points[distinct])[2]]
+
+
+def _distinct(points):
+    """Return indices of points such that every other one is within SAME of a point that was in the cloud."""
+    first = np.unique(points, axis=0, return_index=True)[1]
+    pairs = KDTree(points[first]).query_pairs(SAME, output_type="ndarray") if points.shape[1] else np.zeros((0, 2), int)
+    return np.sort(np.delete(first, pairs.max(axis=1, initial=0)[: len(pairs)]))

@@ -1,0 +1,252 @@
+"""Polytopes {x : H x <= h} whose operations are exact and reduce to the support function h_P(d) = max {d x : x in P}.
+
+Support numbers answer inclusion, P contains Q if and only if h_Q(H_i) <= h_i for all rows, and the Pontryagin
+difference, P - Q = {x : H x <= h - h_Q(H)} (Kolmanovsky and Gilbert 1998, Math. Probl. Eng. 4, section 2). Vertices
+serve sums, hulls and singular images.
+
+A set thinner than 1e-9 of its width, or than the rounding of its own data, is flat; results are exact to 1e-9 of the
+set's size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Float
+from scipy.spatial import ConvexHull
+
+from sets.frame import ROUNDING, Frame, extreme, find_frame, flatten, hull, recedes, solve
+
+
+@dataclass(frozen=True, eq=False)
+class Polytope:
+    """The set {x : normals x <= offsets}; rows `0 x <= h >= 0` and rows with offset +inf are dropped."""
+
+    normals: Float[np.ndarray, "facets dimension"]
+    offsets: Float[np.ndarray, " facets"]
+
+    def __post_init__(self):
+        normals, offsets = np.array(self.normals, dtype=float), np.array(self.offsets, dtype=float)
+        if normals.ndim != 2 or normals.shape[1] == 0 or offsets.shape != normals.shape[:1]:
+            raise ValueError(f"normals {normals.shape}, offsets {offsets.shape}: give (facets, dimension), (facets,)")
+        if not np.isfinite(normals).all():
+            raise ValueError("normals: NaN or infinite entry; give finite facet normals")
+        if np.isnan(offsets).any() or (offsets == -np.inf).any():
+            raise ValueError("offsets: NaN or -inf entry; give finite offsets, or +inf for a row that does not bind")
+        binds = (offsets < np.inf) & (normals.any(axis=1) | (offsets < 0))
+        for name, value in (("normals", normals[binds]), ("offsets", offsets[binds])):
+            value.flags.writeable = False
+            object.__setattr__(self, name, value)
+
+    @staticmethod
+    def box(lower: Float[np.ndarray, " dimension"], upper: Float[np.ndarray, " dimension"]) -> Polytope:
+        """Build {x : lower <= x <= upper}; infinite bounds do not bind, crossed bounds give the empty set."""
+        lower, upper = np.broadcast_arrays(np.atleast_1d(lower), np.atleast_1d(upper))
+        identity = np.eye(lower.size)
+        return Polytope(np.vstack([identity, -identity]), np.concatenate([upper, -lower]))
+
+    @staticmethod
+    def from_vertices(points: Float[np.ndarray, "points dimension"]) -> Polytope:
+        """Build the convex hull of points; directions in which they are flat become two opposite rows."""
+        points = _cloud(points)
+        if not len(points):
+            return Polytope(np.zeros((1, points.shape[1])), -np.ones(1))
+        coordinates, inverse, flat_normals = flatten(points)
+        normals = np.vstack([hull(coordinates)[0] @ inverse, flat_normals, -flat_normals])
+        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+        # support numbers of the cloud itself, so that no point is cut off by the rounding of its hull
+        return Polytope(normals, (points @ normals.T).max(axis=0))
+
+    @property
+    def dimension(self) -> int:
+        """Dimension of the space the set lives in."""
+        return self.normals.shape[1]
+
+    @cached_property
+    def _frame(self) -> Frame | None:
+        return find_frame(self.normals, self.offsets)
+
+    def support(self, directions: Float[np.ndarray, "*directions dimension"]) -> Float[np.ndarray, "*directions"]:
+        """Return max {d x : x in P} for each direction d: exact, +inf where unbounded, -inf if P is empty."""
+        directions = self._checked("directions", directions)
+        if not np.isfinite(directions).all():
+            raise ValueError("directions: NaN or infinite entry; give finite directions")
+        if self._frame is None:
+            return np.full(directions.shape[:-1], -np.inf)[()]
+        return directions @ self._frame.centre + self._frame.support(directions @ self._frame.basis)
+
+    def vertices(self) -> Float[np.ndarray, "vertices dimension"]:
+        """Return the vertices, (0, dimension) if empty; raise ValueError if unbounded."""
+        if self._frame is None:
+            return np.zeros((0, self.dimension))
+        points, rays, lines = self._frame.generators
+        if len(rays) or len(lines):
+            raise ValueError("polytope is unbounded: intersect it with a box to give it vertices")
+        return self._frame.centre + points @ self._frame.basis.T
+
+    def volume(self) -> float:
+        """Return the volume: 0 if empty or flat, inf if unbounded with interior."""
+        if self._frame is None or self.is_flat():
+            return 0.0
+        if not self.is_bounded():
+            return np.inf
+        coordinates, inverse, _ = flatten(self.vertices())
+        size = np.ptp(coordinates) if self.dimension == 1 else ConvexHull(coordinates).volume
+        return float(size / abs(np.linalg.det(inverse)))
+
+    def chebyshev(self) -> tuple[Float[np.ndarray, " dimension"], float]:
+        """Return a centre and the radius of a largest ball in P; the ball is inside, for the radius is its margin.
+
+        Flat: radius 0 about a point of P. Balls without bound: radius inf. Empty: radius -inf and no centre (NaN).
+        """
+        frame = self._frame
+        if frame is None:
+            return np.full(self.dimension, np.nan), -np.inf
+        if frame.equalities.size:
+            return frame.centre, 0.0
+        # in units of the radius about the frame's centre the ball's weight in every row is at most one; solvers drop
+        # coefficients below 1e-9, and a larger weight only asks for more room
+        distances = frame.slacks / np.linalg.norm(self.normals[frame.rows], axis=1)
+        weights = np.maximum(distances.min(initial=np.inf) / distances, 2e-9)
+        weighted = np.column_stack([frame.polar, weights])
+        cost = -np.eye(self.dimension + 1)[-1]
+        if recedes(weighted, cost):
+            return frame.centre, np.inf
+        solution, _ = solve(cost, weighted, np.ones(len(weighted)))
+        centre = frame.centre + frame.basis @ solution[:-1]
+        return centre, float(self.margin(centre))
+
+    def is_empty(self) -> bool:
+        """Tell whether no point satisfies all rows."""
+        return self._frame is None
+
+    def is_flat(self) -> bool:
+        """Tell whether the set is not empty and has no interior."""
+        return self._frame is not None and self._frame.equalities.size > 0
+
+    def is_bounded(self) -> bool:
+        """Tell whether the set, empty ones included, fits in a box."""
+        identity = np.eye(self.dimension)
+        return bool((self.support(np.vstack([identity, -identity])) < np.inf).all())
+
+    def contains(
+        self, points: Float[np.ndarray, "*points dimension"], tolerance: float = 0.0
+    ) -> Bool[np.ndarray, "*points"]:
+        """Tell which points satisfy H x <= h + tolerance ||H_i||; a NaN is outside every proper subset."""
+        slack = self.offsets - self._checked("points", points) @ self.normals.T
+        return (slack >= -tolerance * np.linalg.norm(self.normals, axis=1)).all(axis=-1)
+
+    def margin(self, points: Float[np.ndarray, "*points dimension"]) -> Float[np.ndarray, "*points"]:
+        """Return min_i (h_i - H_i x) / ||H_i||: the distance to the nearest facet plane, negative outside."""
+        return self._least(self.offsets - self._checked("points", points) @ self.normals.T)
+
+    def containment_margin(self, other: Polytope) -> float:
+        """Return min_i (h_i - h_other(H_i)) / ||H_i||: >= 0 if and only if other is a subset; +inf if empty."""
+        return float(self._least(self.offsets - other.support(self._checked("normals", self.normals, other))))
+
+    def intersect(self, other: Polytope) -> Polytope:
+        """Return the points in both sets."""
+        self._checked("other.normals", other.normals)
+        return Polytope(np.vstack([self.normals, other.normals]), np.concatenate([self.offsets, other.offsets]))
+
+    def preimage(
+        self, matrix: Float[np.ndarray, "dimension k"], shift: Float[np.ndarray, " dimension"] | None = None
+    ) -> Polytope:
+        """Return {x : matrix x + shift in P}: exact for every matrix, no vertices."""
+        matrix = np.asarray(matrix, dtype=float)
+        shift = np.zeros(self.dimension) if shift is None else np.asarray(shift, dtype=float)
+        if matrix.ndim != 2 or len(matrix) != self.dimension or shift.shape != (self.dimension,):
+            raise ValueError(
+                f"matrix {matrix.shape}, shift {shift.shape}: give ({self.dimension}, k), ({self.dimension},)"
+            )
+        normals = self.normals @ matrix
+        # rounding would turn rows that the matrix annihilates into arbitrary half-spaces
+        normals[
+            np.linalg.norm(normals, axis=1) <= ROUNDING * np.linalg.norm(abs(self.normals) @ abs(matrix), axis=1)
+        ] = 0
+        return Polytope(normals, _difference(self.offsets, self.normals @ shift))
+
+    def image(self, matrix: Float[np.ndarray, "k dimension"]) -> Polytope:
+        """Return {matrix x : x in P}: exact, by the inverse where it is well conditioned, else by the vertices.
+
+        Raises ValueError if the set is unbounded and its vertices are needed.
+        """
+        matrix = self._checked("matrix", matrix)
+        rows = abs(matrix).max(axis=1, initial=0.0, keepdims=True)
+        columns = (abs(matrix) / np.where(rows > 0, rows, 1.0)).max(axis=0, initial=0.0)
+        square = matrix.shape[0] == matrix.shape[1] and rows.all() and columns.all()
+        if not square or np.linalg.cond(scaled := matrix / rows / columns) > 1e6:
+            return Polytope.from_vertices(self.vertices() @ matrix.T)
+        return Polytope(np.linalg.solve(scaled.T, (self.normals / columns).T).T / rows[:, 0], self.offsets)
+
+    def minkowski_sum(self, other: Polytope) -> Polytope:
+        """Return {x + y : x in P, y in other}: exact, by the hull of all sums of vertices; both bounded."""
+        self._checked("other.normals", other.normals)
+        sums = self.vertices()[:, None, :] + other.vertices()[None, :, :]
+        return Polytope.from_vertices(sums.reshape(-1, self.dimension))
+
+    def pontryagin_difference(self, other: Polytope | Callable[[np.ndarray], np.ndarray]) -> Polytope:
+        """Return {x : x + other in P}, exact, of a polytope or of any set given by its support function."""
+        support = other.support if isinstance(other, Polytope) else other
+        offsets = _difference(self.offsets, np.asarray(support(self.normals), dtype=float))
+        if (offsets == -np.inf).any():
+            return Polytope.from_vertices(np.zeros((0, self.dimension)))
+        return Polytope(self.normals, offsets)
+
+    def scale(self, factor: float) -> Polytope:
+        """Return {factor x : x in P} for factor >= 0; factor 0 gives the origin alone."""
+        if not 0 <= factor < np.inf:
+            raise ValueError(f"factor {factor}: give a finite factor >= 0 (a reflection is image(-identity))")
+        if factor == 0 and not self.is_empty():
+            return Polytope.box(np.zeros(self.dimension), np.zeros(self.dimension))
+        return Polytope(self.normals, self.offsets * (factor or 1.0))
+
+    def reduce(self) -> Polytope:
+        """Return the same set by rows of which none is redundant; implicit equalities become two opposite rows."""
+        frame = self._frame
+        if frame is None:
+            return Polytope.from_vertices(np.zeros((0, self.dimension)))
+        facets, flat = frame.rows[frame.facets], frame.equalities
+        return Polytope(
+            np.vstack([self.normals[facets], self.normals[flat], -self.normals[flat]]),
+            np.concatenate([self.offsets[facets], self.offsets[flat], -self.offsets[flat]]),
+        )
+
+    def _least(self, slacks):
+        with np.errstate(divide="ignore"):
+            return (slacks / np.linalg.norm(self.normals, axis=1)).min(axis=-1, initial=np.inf)
+
+    def _checked(self, name, value, owner=None):
+        value, dimension = np.asarray(value, dtype=float), (owner or self).dimension
+        if value.ndim == 0 or value.shape[-1] != dimension:
+            raise ValueError(f"{name}: shape {value.shape}; the last axis must have the set's dimension {dimension}")
+        return value
+
+
+def convex_hull(polytopes: Sequence[Polytope]) -> Polytope:
+    """Return the hull of the union of bounded polytopes: exact, by their vertices."""
+    if len({polytope.dimension for polytope in polytopes}) != 1:
+        raise ValueError("polytopes: give at least one, all of the same dimension")
+    return Polytope.from_vertices(np.vstack([polytope.vertices() for polytope in polytopes]))
+
+
+def hull_vertices(points: Float[np.ndarray, "points dimension"]) -> Float[np.ndarray, "vertices dimension"]:
+    """Return the extreme points of a cloud, flat clouds included; points closer than 1e-10 of its size are one."""
+    points = _cloud(points)
+    return points[extreme(flatten(points)[0])] if len(points) else points
+
+
+def _difference(left, right):
+    """Subtract, and take what is left of two equal numbers after rounding for zero."""
+    difference = left - right
+    return np.where(abs(difference) < 1e-13 * (abs(left) + abs(right)), 0.0, difference)
+
+
+def _cloud(points):
+    points = np.asarray(points, dtype=float)
+    if points.ndim != 2 or points.shape[1] == 0 or not np.isfinite(points).all():
+        raise ValueError(f"points: shape {points.shape}; give finite points of shape (points, dimension)")
+    return points

@@ -1,0 +1,154 @@
+"""Tubes: sets that hold the deviation from a plan, j steps ahead, under every admissible disturbance and schedule.
+
+    R_0 = {0},    R_1 = W,    deviation+ = Phi(th) deviation + w,    w in W,    Phi(th) = A(th) + B K(th)
+
+* `paper`     R_{j+1} = Phi_n R_j + co{dV_min A_r R_j u dV_max A_r R_j} + co{... A_l ...} + W
+* `hull`      R_{j+1} = co u_i Phi_i R_j + W, the exact one-step set made convex, Phi_i over the vertices of the box
+* `summed`    S_0 = W, S_{j+1} = co u_i Phi_i S_j, R_{j+1} = R_j + S_j
+* `sequence`  R_{j+1|k} = Phi(th_{k+j}) R_{j|k} + W along the known schedule
+
+Every section is a Minkowski sum of convex hulls of point clouds, so its support function is a sum of maxima and no
+facet is ever needed.
+
+Sources: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (26)-(29) (`paper`, tightening); Chisci, Rossiter, Zappa 2001
+(restarted tubes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from jaxtyping import Float
+
+from sets.polytope import Polytope, hull_vertices
+
+
+@dataclass(frozen=True)
+class Section:
+    """One tube section: the Minkowski sum of the convex hulls of its terms (no term: the origin alone)."""
+
+    terms: tuple[Float[np.ndarray, "points n"], ...]
+    dimension: int
+
+    def support(self, directions: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
+        """Return the support numbers along the rows of `directions`, exact up to rounding."""
+        directions = np.atleast_2d(directions)
+        return sum((np.max(directions @ term.T, axis=1) for term in self.terms), np.zeros(len(directions)))
+
+    def vertices(self) -> Float[np.ndarray, "v n"]:
+        """Return the extreme points, by one planar hull a term."""
+        origin = np.zeros((1, self.dimension))
+        return reduce(lambda left, right: hull_vertices(_all_sums(left, right)), self.terms, origin)
+
+    def polytope(self) -> Polytope:
+        """Return the section as a polytope (facets through its extreme points)."""
+        return Polytope.from_vertices(self.vertices())
+
+    def image(self, matrix: Float[np.ndarray, "m n"]) -> Section:
+        """Return the linear image {matrix x}."""
+        return Section(tuple(term @ matrix.T for term in self.terms), matrix.shape[0])
+
+    def __add__(self, other: Section) -> Section:
+        """Return the Minkowski sum."""
+        return Section(self.terms + other.terms, self.dimension)
+
+
+def _all_sums(left: Float[np.ndarray, "k n"], right: Float[np.ndarray, "l n"]) -> Float[np.ndarray, "kl n"]:
+    return (left[:, None] + right[None]).reshape(-1, left.shape[1])
+
+
+def _hull_of_images(matrices: Sequence[Float[np.ndarray, "n n"]], points: Float[np.ndarray, "k n"]) -> Section:
+    return Section((hull_vertices(np.concatenate([points @ matrix.T for matrix in matrices])),), points.shape[1])
+
+
+def _start(disturbance: Polytope) -> tuple[Section, Section]:
+    return Section((), disturbance.dimension), Section((disturbance.vertices(),), disturbance.dimension)
+
+
+def paper_tube(
+    nominal_loop: Float[np.ndarray, "n n"],
+    slopes: Sequence[Float[np.ndarray, "n n"]],
+    ranges: Sequence[tuple[float, float]],
+    disturbance: Polytope,
+    horizon: int,
+) -> list[Section]:
+    """Return R_0 .. R_N of eq. (27) (Gonzalez et al. 2009), for Phi(th) = nominal_loop + sum_m dV_m slopes[m].
+
+    `ranges[m]` bounds dV_m; each parameter is treated on its own, which is why this tube contains `hull`.
+    """
+    origin, step = _start(disturbance)
+    sections = [origin, step]
+    for _ in range(1, horizon):
+        last = sections[-1]
+        points = last.vertices()
+        spread = [
+            _hull_of_images([low * slope, high * slope], points)
+            for slope, (low, high) in zip(slopes, ranges, strict=True)
+        ]
+        sections.append(reduce(Section.__add__, spread, last.image(nominal_loop)) + step)
+    return sections[: horizon + 1]
+
+
+def hull_tube(loops: Float[np.ndarray, "v n n"], disturbance: Polytope, horizon: int) -> list[Section]:
+    """Return R_0 .. R_N with R_{j+1} = co u_i Phi_i R_j + W, the smallest convex tube for arbitrary schedules."""
+    origin, step = _start(disturbance)
+    sections = [origin, step]
+    for _ in range(1, horizon):
+        sections.append(_hull_of_images(list(loops), sections[-1].vertices()) + step)
+    return sections[: horizon + 1]
+
+
+def propagated(loops: Float[np.ndarray, "v n n"], disturbance: Polytope, steps: int) -> list[Section]:
+    """Return S_0 .. S_steps, S_j the convex hull of Psi_j W over every product Psi_j of j vertex loops."""
+    clouds = [_start(disturbance)[1]]
+    for _ in range(steps):
+        clouds.append(_hull_of_images(list(loops), clouds[-1].vertices()))
+    return clouds
+
+
+def summed_tube(loops: Float[np.ndarray, "v n n"], disturbance: Polytope, horizon: int) -> list[Section]:
+    """Return R_0 .. R_N with R_{j+1} = R_j + S_j.
+
+    Contains `hull`, and by construction R_{j+1} contains R_j + Psi_j W for every product Psi_j of j vertex loops.
+    """
+    sections = [_start(disturbance)[0]]
+    for cloud in propagated(loops, disturbance, max(horizon - 1, 0))[:horizon]:
+        sections.append(sections[-1] + cloud)
+    return sections
+
+
+def sequence_tube(loops: Float[np.ndarray, "horizon n n"], disturbance: Polytope) -> list[Section]:
+    """Return R_0 .. R_N along one known schedule: R_{j+1} = loops[j] R_j + W."""
+    origin, step = _start(disturbance)
+    sections = [origin]
+    for loop in loops:
+        sections.append(sections[-1].image(loop) + step)
+    return sections
+
+
+def sequence_support(
+    loops: Float[np.ndarray, "windows horizon n n"],
+    disturbance: Polytope,
+    directions: Float[np.ndarray, "windows k n"],
+    steps: int,
+) -> Float[np.ndarray, "windows k"]:
+    """Return the support numbers of the `sequence` section R_steps of many windows at once.
+
+    h_{R_j}(c) = sum over m = 1..j of h_W([Phi_{j-1} ... Phi_m]^T c), the factor being I at m = j.
+    """
+    points = disturbance.vertices()
+    total = np.zeros(directions.shape[:2])
+    for m in range(steps, 0, -1):
+        total += np.max(directions @ points.T, axis=-1)
+        directions = directions @ loops[:, m - 1]
+    return total
+
+
+def input_support(
+    section: Section, gains: Float[np.ndarray, "v m n"], directions: Float[np.ndarray, "k m"]
+) -> Float[np.ndarray, " k"]:
+    """Return the support numbers of co u_i K_i R, what the tube controller may add to the planned input."""
+    return np.max([section.support(directions @ gain) for gain in gains], axis=0)

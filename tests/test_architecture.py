@@ -1,0 +1,152 @@
+"""The order of imports, read from the syntax trees: `sets` stands alone, and nothing points upwards."""
+
+import ast
+import graphlib
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+PACKAGES = ("jaxtube", "sets")
+FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+
+# A module may import from its own row and from the rows above it.
+LEVELS = (
+    {"robot"},
+    {"slip", "error_dynamics"},
+    {"mpc", "baselines"},
+    {"rollout"},
+    {"montecarlo", "falsify", "tune"},
+    {"experiments"},
+)
+
+# The solver of quadratic programs, and the methods it is made of.
+SOLVER = ("jaxtube.qp", "jaxtube.batched_ldl", "jaxtube.interior_point", "jaxtube.farkas")
+
+
+class Import(NamedTuple):
+    """One imported name, such as `jaxtube.robot.Robot`, and whether it is imported inside a function."""
+
+    name: str
+    inside_function: bool
+
+    def within(self, module: str) -> bool:
+        return f"{self.name}.".startswith(f"{module}.")
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imports(tree: ast.AST, module: str, is_package: bool, inside_function: bool = False) -> Iterator[Import]:
+    """Yield every import of a module, at any depth, with relative names resolved."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.Import):
+            yield from (Import(alias.name, inside_function) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            package = module.split(".") if is_package else module.split(".")[:-1]
+            base = package[: len(package) - node.level + 1] if node.level else []
+            origin = ".".join([*base, *([node.module] if node.module else [])])
+            yield from (Import(f"{origin}.{alias.name}", inside_function) for alias in node.names)
+        is_function = isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+        yield from imports(node, module, is_package, inside_function or is_function)
+
+
+def imports_of(path: Path) -> list[Import]:
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    return list(imports(tree, module_name(path), path.name == "__init__.py"))
+
+
+GRAPH = {module_name(path): imports_of(path) for path in FILES}
+
+
+def violations(importers: str, *forbidden: str, allowed: tuple[str, ...] = ()) -> list[str]:
+    """List "importer -> imported" for imports of a forbidden module by modules of a package, save the allowed ones."""
+    return [
+        f"{module} -> {entry.name}"
+        for module, entries in GRAPH.items()
+        if f"{module}.".startswith(f"{importers}.")
+        for entry in entries
+        if any(entry.within(name) for name in forbidden) and not any(entry.within(name) for name in allowed)
+    ]
+
+
+def test_imports_are_found_wherever_they_stand():
+    source = (
+        "import a.b as c\nfrom .d import e\nfrom ..f import g\nfrom . import h\n"
+        "def function():\n    import i\nclass K:\n    def m(self):\n        from j import k\n"
+        "if True:\n    try:\n        import l\n    finally:\n        pass\n"
+    )
+    found = set(imports(ast.parse(source), "p.q.r", is_package=False))
+    outside = {"a.b", "p.q.d.e", "p.f.g", "p.q.h", "l"}
+    assert found == {Import(name, False) for name in outside} | {Import("i", True), Import("j.k", True)}
+    assert list(imports(ast.parse("from .d import e"), "p.q", is_package=True)) == [Import("p.q.d.e", False)]
+    assert Import("jaxtube.qp.solve", False).within("jaxtube.qp")
+    assert not Import("jaxtyping.Float", False).within("jax")
+
+
+def test_sets_knows_neither_jax_nor_jaxtube():
+    assert violations("sets", "jax", "jaxlib", "jaxtube") == []
+
+
+def test_inside_sets_everything_rests_on_polytope_alone():
+    assert violations("sets.frame", "sets") == []
+    assert violations("sets.polytope", "sets", allowed=("sets.frame",)) == []
+    for module in ("tubes", "invariant", "lmi", "certificate"):
+        assert violations(f"sets.{module}", "sets", allowed=("sets.polytope", f"sets.{module}")) == []
+
+
+def test_design_alone_imports_sets_and_experiments_may_draw_them():
+    allowed = ("jaxtube.design", "jaxtube.experiments")
+    assert [line for line in violations("jaxtube", "sets") if not line.startswith(allowed)] == []
+
+
+def test_the_qp_knows_no_robot():
+    for module in SOLVER:
+        assert violations(module, *PACKAGES, allowed=SOLVER) == []
+
+
+def test_nothing_outside_experiments_imports_experiments():
+    lines = violations("jaxtube", "jaxtube.experiments") + violations("sets", "jaxtube.experiments")
+    assert [line for line in lines if not line.startswith("jaxtube.experiments")] == []
+
+
+def test_cvxpy_is_imported_inside_functions_of_the_lmi_alone():
+    users = {(module, entry.inside_function) for module in GRAPH for entry in GRAPH[module] if entry.within("cvxpy")}
+    assert users <= {("sets.lmi", True)}
+
+
+def test_no_import_points_to_a_higher_level():
+    level = {f"jaxtube.{name}": number for number, names in enumerate(LEVELS) for name in names}
+    upwards = [
+        f"{module} -> {entry.name}"
+        for module, entries in GRAPH.items()
+        for entry in entries
+        for name, number in level.items()
+        if entry.within(name) and number > level.get(".".join(module.split(".")[:2]), len(LEVELS))
+    ]
+    assert upwards == []
+
+
+def test_no_modules_import_each_other():
+    def defining_module(entry: Import) -> str | None:
+        return max((name for name in GRAPH if entry.within(name)), key=len, default=None)
+
+    edges = {module: {defining_module(entry) for entry in entries} - {None} for module, entries in GRAPH.items()}
+    assert list(graphlib.TopologicalSorter(edges).static_order())
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_the_package_is_marked_as_typed(package):
+    assert (ROOT / package / "py.typed").exists()
+
+
+def test_sets_imports_and_works_where_jax_is_absent():
+    modules = [name for name in GRAPH if name.split(".")[0] == "sets"]
+    blocked = "import sys; sys.modules['jax'] = sys.modules['jaxlib'] = sys.modules['jaxtube'] = None; "
+    subprocess.run([sys.executable, "-c", blocked + f"import {', '.join(modules)}"], check=True, cwd=ROOT)

@@ -1,0 +1,207 @@
+"""Laws of scenarios: an empty file is the paper's, writing and reading are inverse, a refusal is one telling line."""
+
+import math
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxtube.scenario import (
+    Scenario,
+    ScenarioError,
+    check_reference_wheels,
+    experiments_folder,
+    load,
+    names,
+    to_toml,
+    weight_matrix,
+)
+
+# What the line of a refusal has to name: the key, the value as it was given, and the cure.
+REFUSED_OVERRIDES = [
+    ("controller.horizn=3", ["controller.horizn = 3", "unknown key", "did you mean controller.horizon?"]),
+    ("robot.horizon=3", ["robot.horizon = 3", "unknown key", "did you mean controller.horizon?"]),
+    ("horizon=3", ["horizon = 3", "unknown section", "did you mean controller.horizon?"]),
+    ("controler.horizon=3", ["controler = {horizon = 3}", "unknown section", "did you mean controller?"]),
+    ("zzzz.q=1", ["zzzz = {q = 1}", "unknown section", "the sections are robot, reference"]),
+    ("controller=3", ["controller = 3", "must be a table", "[controller]"]),
+    ("controller.horizon", ["controller.horizon", "no key and value", "controller.horizon=7"]),
+    ("=3", ['"3"', "no key and value", "controller.horizon=7"]),
+    ("controller.horizon=0", ["controller.horizon = 0", "whole number >= 1", "default is 5"]),
+    ("controller.horizon=5.0", ["controller.horizon = 5.0", "whole number", "default is 5"]),
+    ("controller.horizon=true", ["controller.horizon = true", "whole number"]),
+    ("controller.horizon=five", ['controller.horizon = "five"', "whole number"]),
+    ("controller.horizon=", ['controller.horizon = ""', "whole number"]),
+    ("controller.restart=1", ["controller.restart = 1", "true or false", "default is true"]),
+    ("controller.tube=cone", ['controller.tube = "cone"', "choose one of paper, hull, summed, sequence"]),
+    ("controller.tube=3", ['controller.tube = "3"', "choose one of paper, hull, summed, sequence"]),
+    ("controller.dt_s=0", ["controller.dt_s = 0", "> 0", "default is 0.1"]),
+    ("controller.dt_s=1979-05-27", ["controller.dt_s = 1979-05-27", "a number"]),
+    ("robot.track_width_m=-0.5", ["robot.track_width_m = -0.5", "> 0", "default is 0.5"]),
+    ("robot.wheel_speed_min_mps=3", ["robot.wheel_speed_min_mps = 3", "not below", "robot.wheel_speed_max_mps"]),
+    ("reference.wheel_speed_min_mps=2", ["reference.wheel_speed_min_mps = 2", "not below", "lower the minimum"]),
+    ("reference.radius_m=0", ["reference.radius_m = 0", "> 0", "default is 2.5"]),
+    ("reference.radius_m=nan", ["reference.radius_m = nan", "not finite", "finite number"]),
+    ("reference.radius_m=1e999", ["reference.radius_m = inf", "not finite", "finite number"]),
+    (f"reference.radius_m={10**400}", ["reference.radius_m = 1000", "out of range"]),
+    ("reference.speed_mps=-1", ["reference.speed_mps = -1", "> 0"]),
+    ("reference.speed_mps=1.45", ["reference.speed_mps = 1.45", "1.305 to 1.595 m/s", "[0.2, 1.5]", "widen the box"]),
+    ("reference.speed_mps=0.21", ["reference.speed_mps = 0.21", "0.189 to 0.231 m/s", "[0.2, 1.5]"]),
+    ("reference.duration_s=0", ["reference.duration_s = 0", "> 0"]),
+    ("reference.duration_s=0.05", ["reference.duration_s = 0.05", "controller.dt_s = 0.1", "at least one step"]),
+    ("reference.shape=file", ['reference.file = ""', "is empty", "name the file"]),
+    ("slip.nominal_right=1", ["slip.nominal_right = 1", "< 1", "default is 0.2"]),
+    ("slip.nominal_left=-0.1", ["slip.nominal_left = -0.1", ">= 0", "default is 0.2"]),
+    ("slip.nominal_left=0.95", ["slip.nominal_left = 0.95", "1.045", "below 1"]),
+    ("slip.relative_error=1", ["slip.relative_error = 1", "< 1", "default is 0.1"]),
+    ("constraints.lateral_m=0", ["constraints.lateral_m = 0", "> 0", "default is 0.3"]),
+    ("constraints.heading_deg=90", ["constraints.heading_deg = 90", "< 90", "default is 20"]),
+    ("disturbance.lateral_m=-1e-3", ["disturbance.lateral_m = -0.001", ">= 0", "default is 0.005"]),
+    ("noise.heading_deg=-1", ["noise.heading_deg = -1", ">= 0", "default is 0"]),
+    ("initial.x_m=inf", ["initial.x_m = inf", "not finite"]),
+    ("controller.error_weight=[1, 1]", ["controller.error_weight = [1.0, 1.0]", "shape", "3 diagonal entries"]),
+    ("controller.error_weight=[1, 1, [1]]", ["controller.error_weight", "shape", "3 diagonal entries"]),
+    ("controller.error_weight=[1, 1, nan]", ["controller.error_weight[2] = nan", "not finite"]),
+    ("controller.error_weight=[1, 1, 'a']", ['controller.error_weight[2] = "a"', "a number", "default is [1.0, 1.0"]),
+    (
+        "controller.error_weight=[1, 1, -0.5]",
+        ["controller.error_weight", "semidefinite", "eigenvalue is -0.5", "raise"],
+    ),
+    ("controller.input_weight=[1, 0]", ["controller.input_weight", "positive definite", "eigenvalue is 0", "raise"]),
+    ("controller.input_weight=[[1, 2], [2, 1]]", ["controller.input_weight", "positive definite", "is -1", "raise"]),
+    ("controller.input_weight=[[1, 2], [0, 1]]", ["controller.input_weight", "not symmetric", "symmetric matrix"]),
+]
+
+REFUSED_FILES = [
+    ("[controller]\nhorizon =\n", ["line 2", "not TOML", "correct this line"]),
+    ("[controller]\nhorizon = 5\nhorizon = 6\n", ["line 3", "not TOML", "correct this line"]),
+    ("[controller\n", ["line 1", "not TOML", "correct this line"]),
+    (f"x = {'9' * 5000}", ["line 1", "not TOML"]),
+    (f"x = {'[' * 5000}", ["line 1", "not TOML"]),
+    ("controller = 3", ["controller = 3", "must be a table"]),
+    ("[controller]\nhorizon = 'five'", ['controller.horizon = "five"', "must be a whole number"]),
+    ("[slip]\nrandom = true", ["slip.random = true", "must be text", 'default is "true"']),
+    ("[[controller]]\nhorizon = 5", ["controller = [{horizon = 5}]", "must be a table"]),
+    ('[controller]\n"hor\\nizon" = 5', ["controller.hor izon = 5", "unknown key", "did you mean controller.horizon?"]),
+    ("[reference]\nshape = 'file'\nfile = 'no-such.csv'", ["reference.file", "No such file", "name a readable file"]),
+]
+
+
+def refusal_of(*arguments) -> str:
+    with pytest.raises(ScenarioError) as caught:
+        load(*arguments)
+    return str(caught.value)
+
+
+SCENARIOS = st.builds(
+    lambda width, position, weight, text, flag: Scenario(
+        robot=msgspec.structs.replace(Scenario().robot, track_width_m=width),
+        initial=msgspec.structs.replace(Scenario().initial, x_m=position, heading_deg=-position),
+        controller=msgspec.structs.replace(Scenario().controller, error_weight=weight, restart=flag),
+        reference=msgspec.structs.replace(Scenario().reference, file="/" + text),
+    ),
+    st.floats(0, 0.5, exclude_min=True),
+    st.floats(allow_nan=False, allow_infinity=False),
+    st.sampled_from([(1.0, 2.0, 3.0), ((2.0, 1.0, 0.0), (1.0, 2.0, 0.0), (0.0, 0.0, 1e-30))]),
+    st.text(st.characters(blacklist_categories=["Cs"], blacklist_characters="/\\\0"), min_size=3),
+    st.booleans(),
+)
+
+
+def test_an_empty_file_is_the_experiment_of_the_paper(tmp_path):
+    (tmp_path / "empty.toml").write_text("")
+    assert load(tmp_path / "empty.toml") == load("paper") == Scenario()
+
+
+def test_the_file_of_the_paper_spells_every_key_and_comments_it():
+    text = (experiments_folder() / "paper" / "scenario.toml").read_text()
+    written = [line.split("  # ") for line in text.splitlines() if " = " in line and not line.startswith("#")]
+    expected = [line for line in to_toml(Scenario()).splitlines() if " = " in line]
+    assert [line[0] for line in written] == expected
+    assert all(len(line) == 2 for line in written)
+
+
+@given(scenario=SCENARIOS)
+def test_writing_and_reading_are_inverse(scenario, tmp_path_factory):
+    path = tmp_path_factory.getbasetemp() / "round-trip.toml"
+    path.write_text(to_toml(scenario), encoding="utf-8")
+    assert load(path) == scenario
+
+
+@pytest.mark.parametrize("name", names())
+def test_every_scenario_of_the_project_is_valid(name):
+    assert isinstance(load(name), Scenario)
+
+
+def test_overrides_replace_single_keys():
+    scenario = load(
+        "paper", ["controller.horizon=7", "controller.tube=hull", 'reference.shape="lemniscate"', "slip.random=true"]
+    )
+    assert (scenario.controller.horizon, scenario.controller.tube) == (7, "hull")
+    assert (scenario.reference.shape, scenario.slip.random) == ("lemniscate", "true")
+    assert scenario.robot == Scenario().robot
+
+
+def test_the_later_override_wins():
+    assert load("paper", ["controller.horizon=7", "controller.horizon=8"]).controller.horizon == 8
+
+
+@pytest.mark.parametrize(("override", "fragments"), REFUSED_OVERRIDES)
+def test_refused_overrides_name_key_value_and_cure_in_one_line(override, fragments):
+    line = refusal_of("paper", [override])
+    source = "paper" if override == "reference.shape=file" else "override"
+    assert line.startswith(f"{source}: ")
+    assert "\n" not in line and "; " in line
+    assert [fragment for fragment in fragments if fragment not in line] == []
+
+
+@pytest.mark.parametrize(("text", "fragments"), REFUSED_FILES)
+def test_refused_files_name_file_key_value_and_cure_in_one_line(text, fragments, tmp_path):
+    path = tmp_path / "wrong.toml"
+    path.write_text(text)
+    line = refusal_of(path)
+    assert line.startswith(f"{path}: ")
+    assert "\n" not in line and "; " in line
+    assert [fragment for fragment in fragments if fragment not in line] == []
+
+
+def test_files_that_cannot_be_read_are_refused(tmp_path):
+    (tmp_path / "latin.toml").write_bytes(b"# \xe9\n")
+    (tmp_path / "folder.toml").mkdir()
+    assert "not UTF-8" in refusal_of(tmp_path / "latin.toml")
+    assert "Is a directory" in refusal_of(tmp_path / "folder.toml")
+    assert "No such file" in refusal_of(tmp_path / "missing.toml")
+    assert "choose one of" in refusal_of("no-such-scenario")
+
+
+def test_a_path_starts_at_the_scenario_file_and_in_an_override_at_the_current_folder(tmp_path, monkeypatch):
+    (tmp_path / "poses.csv").write_text("")
+    (tmp_path / "mine.toml").write_text('[reference]\nshape = "file"\nfile = "poses.csv"\n')
+    assert Path(load(tmp_path / "mine.toml").reference.file) == tmp_path / "poses.csv"
+    monkeypatch.chdir(tmp_path)
+    overridden = load("paper", ["reference.shape=file", "reference.file=poses.csv"])
+    assert Path(overridden.reference.file) == tmp_path / "poses.csv"
+
+
+def test_reference_wheels_on_the_edge_of_the_box_are_inside():
+    assert load("paper", [f"reference.speed_mps={1.5 / 1.1!r}"])
+    check_reference_wheels(Scenario(), 0.2, 1.5)
+
+
+@pytest.mark.parametrize(("slowest", "fastest"), [(0.19, 1.0), (0.3, 1.51), (math.nan, 1.0), (0.3, math.nan)])
+def test_reference_wheels_outside_the_box_are_refused(slowest, fastest):
+    with pytest.raises(ScenarioError, match=r"^mine: reference.speed_mps = 1.36: .*outside .*; change the speed"):
+        check_reference_wheels(Scenario(), slowest, fastest, source="mine")
+
+
+def test_a_weight_is_its_diagonal_or_its_rows():
+    np.testing.assert_array_equal(weight_matrix((1.0, 2.0)), [[1, 0], [0, 2]])
+    np.testing.assert_array_equal(weight_matrix(((1.0, 2.0), (2.0, 5.0))), [[1, 2], [2, 5]])
+
+
+def test_singular_error_weights_are_allowed():
+    assert load("paper", ["controller.error_weight=[[1, 1, 0], [1, 1, 0], [0, 0, 0]]"])
+    assert load("paper", ["controller.error_weight=[0, 0, 0]"])
