@@ -171,17 +171,18 @@ def solve_constrained(
     elastic = farkas.elastic_program(factors.hessian, factors.rows)
 
     def first(block, best):
-        return polish(factors, block, best, *admm(factors, block, best.x, iterations), polish_steps)
+        x, y = admm(factors, block, best.x, iterations)
+        return prove(factors, block, polish(factors, block, best, x, y, polish_steps), *two_sided(y), tolerance)
 
     def rescue(block, best):
-        return polish(factors, block, best, *interior(quadratic, block, best.x), polish_steps)
+        x, y = interior(quadratic, block, best.x)
+        return prove(factors, block, polish(factors, block, best, x, y, polish_steps), *two_sided(y), tolerance)
 
-    def prove(block, best):
+    def last(block, best):
         multipliers = farkas.elastic_multipliers(elastic, block.l, block.u, best.x, RESCUE_ITERATIONS)
-        infeasible = farkas.excludes(factors.rows, block.l, block.u, *multipliers, tolerance)
-        return best._replace(status=jnp.where(infeasible, INFEASIBLE, best.status).astype(jnp.int32))
+        return prove(factors, block, best, *multipliers, tolerance)
 
-    for method, size in ((first, ADMM_BLOCK), (rescue, RESCUE_BLOCK), (prove, RESCUE_BLOCK)):
+    for method, size in ((first, ADMM_BLOCK), (rescue, RESCUE_BLOCK), (last, RESCUE_BLOCK)):
         solution = in_blocks(method, size, instances, solution)
     x = jnp.where(jnp.isfinite(solution.residual)[:, None], solution.x, 0.0)
     return solution._replace(x=x, multipliers=solution.multipliers / norms)
@@ -275,3 +276,20 @@ def better(
     wins = residual < best.residual
     x, y, residual = (jnp.where(wins, *pair) for pair in ((x, best.x), (y, best.multipliers), (residual, best.residual)))
     return Solution(x, y, jnp.where(residual <= block.limit, SOLVED, best.status).astype(jnp.int32), residual)
+
+
+def prove(
+    factors: Factors,
+    block: Instances,
+    best: Solution,
+    upper: Float[Array, "m batch"],
+    lower: Float[Array, "m batch"],
+    tolerance: float,
+) -> Solution:
+    """Mark as infeasible the unsolved instances that the multipliers of the two sides exclude."""
+    excluded = farkas.excludes(factors.rows, block.l, block.u, upper, lower, tolerance) & (best.status == UNSOLVED)
+    return best._replace(status=jnp.where(excluded, INFEASIBLE, best.status).astype(jnp.int32))
+
+
+def two_sided(y):
+    return jnp.maximum(y, 0), jnp.maximum(-y, 0)

@@ -18,9 +18,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float, Key
+from jaxtyping import Bool, Float, Int, Key
 
+from jaxtube import mpc
 from jaxtube import slip as slips
+from jaxtube.controllers import TubeMpc
 from jaxtube.error_dynamics import advance, world_pose
 from jaxtube.mpc import Diagnostics
 from jaxtube.robot import Robot, cosine_free_input, saturate, wheel_commands, wheel_positions
@@ -159,6 +161,42 @@ def rollout(controller, plant, keys: Key[Array, " batch"], errors: Float[Array, 
     (last, _, _), (before, measured, *rest) = jax.lax.scan(period, start, jnp.arange(steps))
     last_measured = plant.measure(keys, steps, last)
     return Trajectory(jnp.concatenate([before, last[None]]), jnp.concatenate([measured, last_measured[None]]), *rest)
+
+
+@jax.jit
+def follow_plan(
+    controller: TubeMpc, plant, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"], step: Int[Array, ""]
+) -> tuple[Float[Array, "horizon batch 3"], Bool[Array, " batch"]]:
+    """Plan once and follow the plan to its end, u = g_j + K(th) (e - e_nominal): what the tube is about.
+
+    Args:
+        controller: the tube-MPC whose plan, nominal model and tube gain are used.
+        plant: any.
+        keys: one key a realisation.
+        errors: tracking errors at `step`, (m, m, rad).
+        step: where along the reference, at least a horizon before its end.
+
+    Returns:
+        (e - e_nominal after 1 .. N steps, to be compared with R_1 .. R_N; whether there was a plan to follow).
+    """
+    horizon = controller.windows.plan_errors.shape[1]
+    solution, planned = mpc.plan(mpc.take_window(controller.windows, controller.index[step]), errors)
+    planned_inputs = jnp.moveaxis(solution.x.reshape(-1, horizon, 2), 1, 0)
+
+    def period(carry, ahead):
+        errors, nominal, memory = carry
+        offset, planned_input = ahead
+        window = mpc.take_window(controller.windows, controller.index[step + offset])
+        reference = plant.reference_wheels[step + offset]
+        inputs = planned_input + (errors - nominal) @ window.tube_gain.T
+        acting = cosine_free_input(inputs, errors[:, 2], reference) if controller.cosine_free else inputs
+        errors, memory, _, _ = plant.advance(keys, step + offset, memory, errors, acting, controller)
+        nominal = nominal @ window.transition.T + planned_input @ window.input_matrix.T
+        return (errors, nominal, memory), errors - nominal
+
+    start = (errors, errors, plant.initial(keys, errors))
+    _, deviations = jax.lax.scan(period, start, (jnp.arange(horizon), planned_inputs))
+    return deviations, planned
 
 
 def realisation_keys(seed: int, first: int, count: int) -> Key[Array, " count"]:

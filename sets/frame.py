@@ -22,6 +22,8 @@ FLAT = 1e-9  # relative thickness below which a set has no interior
 SAME = 1e-10  # relative distance below which two points or facets are one
 FAR = 1e-11  # a vertex further than 1 / FAR unit sizes is a ray
 ROUNDING = 1e-14  # relative error of data that went through a few operations
+DEEP = 10.0  # depth, in unit sizes, that is enough: only unbounded sets reach it
+PLAIN = 1e-2  # depth, in unit sizes, at which nothing is in doubt
 HULL_DIMENSION = 4  # above it vertices may explode: the support function goes by linear programs
 
 
@@ -40,6 +42,11 @@ class Frame:
     equalities: Int[np.ndarray, " e"]
 
     @cached_property
+    def isotropic(self):
+        """Isotropic coordinates of 0 and the polar points, the map to them, and the lines along which the set is open."""
+        return flatten(np.vstack([np.zeros(self.polar.shape[1]), self.polar]))
+
+    @cached_property
     def generators(self):
         """Vertices, rays and lines whose sum is the set, each (count, d)."""
         points, _, _ = _dual(self.polar)
@@ -54,16 +61,31 @@ class Frame:
     @cached_property
     def facets(self):
         """Positions in `rows` of the rows that are not redundant."""
-        corners = extreme(flatten(np.vstack([np.zeros(self.polar.shape[1]), self.polar]))[0])
-        return corners[corners > 0] - 1
+        corners = hull(self.isotropic[0])[2]
+        candidates = corners[corners > 0] - 1
+        return candidates[[self._supports_facet(self.polar[i]) for i in candidates]]
+
+    def _supports_facet(self, row):
+        """Tell whether a row touches the set in more than a face of lower dimension, seen as a facet by rounding."""
+        points, rays, lines = self.generators
+        unit = row / np.linalg.norm(row)
+        size = np.linalg.norm(points, axis=1).max()
+        touching = points[abs(points @ unit - 1 / np.linalg.norm(row)) <= FLAT * size]
+        face = np.vstack(
+            [touching[1:] - touching[:1], rays[abs(rays @ unit) <= FLAT * np.linalg.norm(rays, axis=1)], lines]
+        )
+        return np.linalg.matrix_rank(face, tol=FLAT * size) >= len(row) - 1 if len(touching) else False
 
     def support(self, directions):
+        """Return h_P(d) = d centre + max {d basis y : polar y <= 1}; rays at right angles to d, to 1e-9, do not count."""
+        local = directions @ self.basis
         if self.basis.shape[1] > HULL_DIMENSION:
-            return np.apply_along_axis(self._support_by_program, -1, directions)
+            return directions @ self.centre + np.apply_along_axis(self._support_by_program, -1, local)
         points, rays, lines = self.generators
         cone = np.vstack([rays, lines, -lines]).T
-        open_ended = directions @ cone > FLAT * (abs(directions) @ abs(cone))
-        return np.where(open_ended.any(axis=-1), np.inf, (directions @ points.T).max(axis=-1))
+        open_ended = local @ cone > FLAT * (abs(directions) @ abs(self.basis) @ abs(cone))
+        highest = (local @ points.T).max(axis=-1)
+        return np.where(open_ended.any(axis=-1), np.inf, directions @ self.centre + highest)
 
     def _support_by_program(self, direction):
         size = np.linalg.norm(direction)
@@ -82,61 +104,68 @@ def find_frame(normals, offsets):
         return None
     unit, heights = normals / sizes[:, None], offsets / sizes
     rows, equalities = np.arange(len(unit)), np.zeros(0, dtype=int)
-    centre, basis = np.zeros(dimension), np.eye(dimension)
-    extent = np.zeros(dimension)
+    centre, basis, extent = np.zeros(dimension), np.eye(dimension), np.zeros(dimension)
     while basis.shape[1]:
-        centre, basis, depth, weights = _deepest(unit[rows], heights[rows], centre, basis)
-        local = unit[rows] @ basis
-        lengths = np.linalg.norm(local, axis=1)
-        # rows with positive weight sum to zero: at depth zero each of them holds with equality on the whole set
-        tight = np.flatnonzero(weights > 1e-3 * weights.max(initial=0.0))
-        extent = np.maximum(extent, abs(centre) + abs(basis).sum(axis=1))
-        noise = ROUNDING * (abs(heights) + abs(unit) @ extent)[rows] + np.finfo(float).eps * extent.max()
-        doubt = max(FLAT, (noise / lengths)[tight].min(initial=1.0))
+        centre, basis, extent, depth, doubt, tight = _deepest(unit[rows], heights[rows], centre, basis, extent)
         if depth < -doubt:
             return None
-        if depth > doubt:
+        if depth > doubt or not tight.size:
             break
-        local = local / lengths[:, None]
-        factor, triangle, order = qr(local[tight].T, pivoting=True)
+        local = unit[rows] @ basis
+        local = local / np.linalg.norm(local, axis=1, keepdims=True)
+        factor, triangle, order = qr(local[tight].T, pivoting=True)  # pyright: ignore[reportAssignmentType]
         rank = int((abs(np.diag(triangle)) > FLAT).sum())
         equalities = np.concatenate([equalities, rows[tight[order[:rank]]]])
-        tangent = factor[:, rank:]
+        tangent = np.asarray(factor)[:, rank:]
         rows = rows[np.linalg.norm(local @ tangent, axis=1) > FLAT]
         basis = basis @ tangent
     slacks = offsets[rows] - normals[rows] @ centre
     return Frame(centre, basis, normals[rows] @ basis / slacks[:, None], slacks, rows, equalities)
 
 
-def _deepest(unit, heights, centre, basis):
-    """Move the centre to the deepest point, in coordinates rescaled until its depth is plain to see."""
+def _deepest(unit, heights, centre, basis, extent):
+    """Move the centre to the deepest point, in coordinates rescaled until its depth is plain to see.
+
+    Return with it the basis, the extent of what was computed with so far, the depth, the depth below which it may be
+    rounding, and the rows that bind: their multipliers are positive and sum to zero with their normals, so at depth
+    zero each of them holds with equality on the whole set.
+    """
     for _ in range(3):
-        slacks = heights - unit @ centre
-        basis = basis * _column_scales(unit @ basis, slacks)
-        local = unit @ basis
+        slacks, local = heights - unit @ centre, unit @ basis
+        noise = ROUNDING * (abs(heights) + abs(unit) @ extent) + np.finfo(float).eps * extent.max()
+        scales = _column_scales(local, np.where(abs(slacks) > noise, slacks, 0.0))
+        basis, local = basis * scales, local * scales
         lengths = np.linalg.norm(local, axis=1)
-        program = np.column_stack([local / lengths[:, None], np.ones(len(local))])
-        cost = -np.eye(basis.shape[1] + 1)[-1]
-        cap = -cost
-        solution, weights = solve(cost, np.vstack([program, cap]), np.append(slacks / lengths, 1.0))
-        centre = centre + basis @ solution[:-1]
-        if solution[-1] > 1e-2:
+        extent = np.maximum(extent, abs(centre) + abs(basis).sum(axis=1))
+        program = np.vstack(
+            [np.column_stack([local / lengths[:, None], np.ones(len(local))]), np.eye(len(scales) + 1)[-1]]
+        )
+        solution, weights = solve(-program[-1], program, np.append(slacks / lengths, DEEP))
+        centre, depth = centre + basis @ solution[:-1], solution[-1]
+        if depth > PLAIN:
             break
-    return centre, basis, solution[-1], weights[:-1]
+    tight = np.flatnonzero(weights[:-1] > 1e-4)
+    return centre, basis, extent, depth, max(FLAT, (noise / lengths)[tight].min(initial=DEEP)), tight
 
 
 def _column_scales(rows, slacks):
-    """Return the s that give rows s y <= slacks unit size: rows and columns of [rows, slacks] to one norm, in turn."""
+    """Return the s that bring the entries of rows s y <= slacks near to one size, rows being free to scale.
+
+    Least squares in the logarithms of the entries (Curtis and Reid 1972, J. Inst. Math. Appl. 10, 118-124), twice
+    repeated with the entries weighted by their size so that those which are mere rounding lose their say.
+    """
     table = abs(np.column_stack([rows, slacks]))
-    scales = np.ones(table.shape[1])
-    for _ in range(100):
-        table = table / np.linalg.norm(table, axis=1, keepdims=True)
-        norms = np.sqrt((table**2).sum(axis=0) * len(scales) / max(len(table), 1))
-        norms[norms == 0] = 1.0
-        table, scales = table / norms, scales / norms
-        if abs(np.log(norms)).max() < 0.1:
-            break
-    return scales[:-1] / scales[-1]
+    weights, logs, scales = (table > 0).astype(float), np.log(np.where(table > 0, table, 1.0)), np.zeros(table.shape[1])
+    for _ in range(3):
+        shares = weights / weights.sum(axis=1, keepdims=True)
+        spread, root = logs - (logs * shares).sum(axis=1, keepdims=True), np.sqrt(weights)
+        system = (np.eye(len(scales)) - shares[:, None, :]) * root[:, :, None]
+        step = np.linalg.lstsq(system.reshape(-1, len(scales)), -(spread * root).ravel(), rcond=1e-8)[0]
+        logs, scales = logs + step, scales + step
+        heads = np.where(table > 0, logs, -np.inf)
+        sizes = 2 * logs - heads.max(axis=1, keepdims=True) - heads.max(axis=0, initial=-700.0)
+        weights = (table > 0) * np.exp(np.clip(sizes, -700.0, 0.0))
+    return np.exp(scales[:-1] - scales[-1])
 
 
 def solve(cost, rows, limits):
@@ -197,18 +226,14 @@ def hull(points):
     if points.shape[1] == 1:
         ends = np.array([points.argmax(), points.argmin()])
         return np.array([[1.0], [-1.0]]), points[ends, 0] * [1.0, -1.0], ends
-    hull = ConvexHull(points)
-    facets = hull.equations[_distinct(hull.equations)]
-    return facets[:, :-1], -facets[:, -1], hull.vertices
-
-
-def extreme(points):
     distinct = _distinct(points)
-    return distinct[hull(points[distinct])[2]]
+    found = ConvexHull(points[distinct])
+    facets = found.equations[_distinct(found.equations)]
+    return facets[:, :-1], -facets[:, -1], distinct[found.vertices]
 
 
 def _distinct(points):
     """Return indices of points such that every other one is within SAME of a point that was in the cloud."""
     first = np.unique(points, axis=0, return_index=True)[1]
-    pairs = KDTree(points[first]).query_pairs(SAME, output_type="ndarray") if points.shape[1] else np.zeros((0, 2), int)
-    return np.sort(np.delete(first, pairs.max(axis=1, initial=0)[: len(pairs)]))
+    pairs = KDTree(points[first]).query_pairs(SAME, output_type="ndarray")
+    return np.sort(np.delete(first, pairs.max(axis=1)))

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
-from sets.frame import ROUNDING, Frame, extreme, find_frame, flatten, hull, recedes, solve
+from sets.frame import ROUNDING, Frame, find_frame, flatten, hull, recedes, solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ class Polytope:
             raise ValueError("directions: NaN or infinite entry; give finite directions")
         if self._frame is None:
             return np.full(directions.shape[:-1], -np.inf)[()]
-        return directions @ self._frame.centre + self._frame.support(directions @ self._frame.basis)
+        return self._frame.support(directions)
 
     def vertices(self) -> Float[np.ndarray, "vertices dimension"]:
         """Return the vertices, (0, dimension) if empty; raise ValueError if unbounded."""
@@ -111,12 +111,13 @@ class Polytope:
         # coefficients below 1e-9, and a larger weight only asks for more room
         distances = frame.slacks / np.linalg.norm(self.normals[frame.rows], axis=1)
         weights = np.maximum(distances.min(initial=np.inf) / distances, 2e-9)
-        weighted = np.column_stack([frame.polar, weights])
-        cost = -np.eye(self.dimension + 1)[-1]
+        _, inverse, _ = frame.isotropic
+        weighted = np.column_stack([frame.polar @ inverse.T, weights])
+        cost = -np.eye(weighted.shape[1])[-1]
         if recedes(weighted, cost):
             return frame.centre, np.inf
         solution, _ = solve(cost, weighted, np.ones(len(weighted)))
-        centre = frame.centre + frame.basis @ solution[:-1]
+        centre = frame.centre + frame.basis @ (solution[:-1] @ inverse)
         return centre, float(self.margin(centre))
 
     def is_empty(self) -> bool:
@@ -167,7 +168,9 @@ class Polytope:
         normals[
             np.linalg.norm(normals, axis=1) <= ROUNDING * np.linalg.norm(abs(self.normals) @ abs(matrix), axis=1)
         ] = 0
-        return Polytope(normals, _difference(self.offsets, self.normals @ shift))
+        return Polytope(
+            normals, _difference(self.offsets, self.normals @ shift, abs(self.offsets) + abs(self.normals) @ abs(shift))
+        )
 
     def image(self, matrix: Float[np.ndarray, "k dimension"]) -> Polytope:
         """Return {matrix x : x in P}: exact, by the inverse where it is well conditioned, else by the vertices.
@@ -191,7 +194,11 @@ class Polytope:
     def pontryagin_difference(self, other: Polytope | Callable[[np.ndarray], np.ndarray]) -> Polytope:
         """Return {x : x + other in P}, exact, of a polytope or of any set given by its support function."""
         support = other.support if isinstance(other, Polytope) else other
-        offsets = _difference(self.offsets, np.asarray(support(self.normals), dtype=float))
+        axes = np.vstack([np.eye(self.dimension), -np.eye(self.dimension)])
+        numbers = np.asarray(support(np.vstack([self.normals, axes])), dtype=float)
+        extent = np.where(np.isfinite(numbers), abs(numbers), 0.0)[-len(axes) :].reshape(2, -1).max(axis=0)
+        size = abs(self.offsets) + abs(self.normals) @ extent
+        offsets = _difference(self.offsets, numbers[: -len(axes)], size)
         if (offsets == -np.inf).any():
             return Polytope.from_vertices(np.zeros((0, self.dimension)))
         return Polytope(self.normals, offsets)
@@ -236,13 +243,12 @@ def convex_hull(polytopes: Sequence[Polytope]) -> Polytope:
 def hull_vertices(points: Float[np.ndarray, "points dimension"]) -> Float[np.ndarray, "vertices dimension"]:
     """Return the extreme points of a cloud, flat clouds included; points closer than 1e-10 of its size are one."""
     points = _cloud(points)
-    return points[extreme(flatten(points)[0])] if len(points) else points
+    return points[hull(flatten(points)[0])[2]] if len(points) else points
 
 
-def _difference(left, right):
-    """Subtract, and take what is left of two equal numbers after rounding for zero."""
-    difference = left - right
-    return np.where(abs(difference) < 1e-13 * (abs(left) + abs(right)), 0.0, difference)
+def _difference(left, right, size):
+    """Subtract, and take for zero what rounding leaves of two equal numbers that came from terms of the given size."""
+    return np.where(abs(left - right) <= 1e-12 * size, 0.0, left - right)
 
 
 def _cloud(points):

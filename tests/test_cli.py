@@ -20,6 +20,12 @@ from jaxtube.scenario import Scenario, load
 METRICS = {"half_widths_m": [[0.0], [0.5, 0.25]], "terminal": {"facets": 269, "exists": True}, "volume": float("nan")}
 
 
+def replace_module(monkeypatch, name: str, **contents) -> None:
+    module = ModuleType(name)
+    vars(module).update(contents)
+    monkeypatch.setitem(sys.modules, name, module)
+
+
 @pytest.fixture
 def fake_runs(monkeypatch):
     """Replace the design and the paper run by ones that write METRICS; returns the options each was run with."""
@@ -31,18 +37,15 @@ def fake_runs(monkeypatch):
         return 0
 
     for name in ("design", "paper"):
-        module = ModuleType(name)
-        module.run = run
-        monkeypatch.setitem(sys.modules, f"jaxtube.experiments.{name}", module)
+        replace_module(monkeypatch, f"jaxtube.experiments.{name}", run=run)
     return calls
 
 
 @pytest.fixture
 def empty_set_error(monkeypatch):
-    design = ModuleType("jaxtube.design")
-    design.EmptySetError = type("EmptySetError", (ValueError,), {})
-    monkeypatch.setitem(sys.modules, "jaxtube.design", design)
-    return design.EmptySetError
+    error = type("EmptySetError", (ValueError,), {})
+    replace_module(monkeypatch, "jaxtube.design", EmptySetError=error)
+    return error
 
 
 def error_line(capsys, *words) -> str:
@@ -66,12 +69,13 @@ def test_the_three_forms_of_an_override_are_one():
         assert parse(["design", *words, "--seed", "3"]) == command_options.Design(
             seed=3, overrides=("controller.horizon=7",)
         )
-    assert parse(["--initial.x_m", "-0.1"]).overrides == ("initial.x_m=-0.1",)
+    assert parse(["--initial.x_m", "-0.1"]) == command_options.Paper(overrides=("initial.x_m=-0.1",))
 
 
 def test_the_written_command_line_reads_back_as_the_same_options():
     words = ["check", "a", "b c.toml", "--seed", "3", "--quick", "--out", "some where", "controller.horizon=7"]
     options = parse(words)
+    assert options is not None
     written = shlex.split(command_options.command_line(options))
     assert parse(written[written.index("check") :]) == options
 
@@ -133,8 +137,7 @@ def test_help_imports_nothing_heavy():
 
 @pytest.mark.parametrize("code", [0, 3])
 def test_the_exit_code_is_that_of_the_command(code, monkeypatch):
-    monkeypatch.setitem(sys.modules, "jaxtube.experiments.design", ModuleType("design"))
-    sys.modules["jaxtube.experiments.design"].run = lambda scenario, options: code
+    replace_module(monkeypatch, "jaxtube.experiments.design", run=lambda scenario, options: code)
     assert main(["design"]) == code
 
 
@@ -142,8 +145,7 @@ def fail_with(monkeypatch, error: BaseException) -> None:
     def run(scenario, options):
         raise error
 
-    monkeypatch.setitem(sys.modules, "jaxtube.experiments.design", ModuleType("design"))
-    sys.modules["jaxtube.experiments.design"].run = run
+    replace_module(monkeypatch, "jaxtube.experiments.design", run=run)
 
 
 def test_an_empty_set_ends_with_3_and_its_line(monkeypatch, capsys, empty_set_error):

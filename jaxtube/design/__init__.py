@@ -43,6 +43,7 @@ class Design:
     """Everything computed offline for one scenario."""
 
     problem: Problem
+    lqr_gain: Float[np.ndarray, "2 3"]  # K^n at the centre of the box
     tube_gain: LocalGain
     cost: TerminalCost
     windows: Windows
@@ -87,7 +88,8 @@ def design(scenario: Scenario) -> Design:
         raise ScenarioError(f"scenario: controller: {error}") from None
     clock.lap("lmi")
     terminal_gain = LocalGain(cost.gains.mean(axis=0), cost.gains)
-    tube_gain = terminal_gain if settings.terminal == "T-A" else compensating_gain(problem)
+    local_gain = compensating_gain(problem)
+    tube_gain = terminal_gain if settings.terminal == "T-A" else local_gain
     windows = make_windows(problem, tube_gain)
     sections = make_tubes(problem, tube_gain, windows)
     if settings.tube not in sections:
@@ -102,12 +104,15 @@ def design(scenario: Scenario) -> Design:
     clock.lap("terminal_set")
     bounds = condense.tube_bounds(problem, tightening, terminal)
     tube_window = condense.condense(problem, windows, terminal, cost.cost, bounds)
-    plain_window = condense.condense(problem, windows, terminal, cost.cost, condense.plain_bounds(problem, windows))
+    plain_window = condense.condense(
+        problem, windows, terminal, cost.cost, condense.plain_bounds(problem, windows, terminal)
+    )
     clock.lap("condensing")
     certificate = certify(problem, tube_gain, cost, windows, terminal, bounds)
     clock.lap("certificate")
     return Design(
         problem,
+        local_gain.nominal,
         tube_gain,
         cost,
         windows,
@@ -126,7 +131,8 @@ def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None 
     """Raise ScenarioError where the tube-MPC has no plan from the scenario's start."""
     error = found.problem.initial_error if error is None else error
     index = int(found.windows.index[0])
-    missing = shortfall(found.tube_window, index, error)
+    outside_limits = float(np.max(found.problem.error_set.normals @ error - found.problem.error_set.offsets))
+    missing = max(shortfall(found.tube_window, index, error), outside_limits)
     if missing <= 1e-9:
         return
     share = reach_of_ray(found.tube_window, index, error)

@@ -20,14 +20,14 @@ from jaxtyping import Float
 from jaxtube import qp
 from jaxtube.design.problem import Problem
 from jaxtube.design.terminal import Terminal
-from jaxtube.design.tightening import Tightening, Windows
+from jaxtube.design.tightening import BACK_OFF, Tightening, Windows
 from jaxtube.mpc import Window
-
-BACK_OFF = 1e-7
-"""Share of the solver's answer: ten times the residual it accepts, in the units of E and U."""
 
 UNREACHED = 1e-12
 """A row whose input coefficients are all below this is a test of the present error, not a constraint on the plan."""
+
+
+_factorise = jax.jit(jax.vmap(qp.factorise))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,14 +51,17 @@ def tube_bounds(problem: Problem, tightening: Tightening, terminal: Terminal) ->
     )
 
 
-def plain_bounds(problem: Problem, windows: Windows) -> Bounds:
-    """Return E and U untightened and no terminal set: what MPC without a tube uses."""
+def plain_bounds(problem: Problem, windows: Windows, terminal: Terminal) -> Bounds:
+    """Return E and U untightened and no terminal set: what MPC without a tube uses.
+
+    The terminal rows stay, unbounded, so that both controllers share their shapes and one compilation.
+    """
     count, N = len(windows.schedules), problem.horizon
     return Bounds(
         np.broadcast_to(problem.error_set.offsets, (count, N, 6)),
         np.broadcast_to(problem.input_set.offsets, (count, N, 4)),
-        np.zeros((0, 3)),
-        np.zeros((count, 0)),
+        terminal.constraint_normals,
+        np.full(terminal.constraint_offsets.shape, np.inf),
     )
 
 
@@ -75,7 +78,7 @@ def condense(problem: Problem, windows: Windows, terminal: Terminal, cost: Float
     reached = np.abs(rows).max(axis=(0, 2)) > UNREACHED
     weights_now = problem.model.weights(windows.schedules[:, 0])
     with jax.enable_x64(True):
-        factors = jax.vmap(qp.factorise)(jnp.asarray(hessian), jnp.asarray(rows[:, reached]))
+        factors = _factorise(jnp.asarray(hessian), jnp.asarray(rows[:, reached]))
         factors = jax.tree.map(np.asarray, factors)
     return Window(
         factors=factors,

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from scipy.optimize import linprog
 
 from jaxtube.mpc import Window
+from sets.polytope import Polytope
 
 
 def _constraints(window: Window, index: int):
@@ -53,15 +54,16 @@ def shortfall(window: Window, index: int, error: Float[np.ndarray, "3"]) -> floa
 
 
 def boundary(
-    window: Window, index: int, scale: Float[np.ndarray, "3"], count: int, seed: int = 0
+    window: Window, index: int, error_set: Polytope, count: int, seed: int = 0
 ) -> Float[np.ndarray, "count 3"]:
-    """Return points on the boundary of F along `count` directions spread over the sphere scaled by `scale`.
+    """Return points on the boundary of F along `count` random directions, E being scaled to a cube for the draw.
 
     Their convex hull lies in F.
     """
-    directions = np.random.default_rng(seed).normal(size=(count, 3))
-    directions *= scale / np.linalg.norm(directions, axis=1, keepdims=True)
-    return np.stack([reach_of_ray(window, index, direction) * direction for direction in directions])
+    directions = np.random.default_rng(seed).normal(size=(count, 3)) * error_set.support(np.eye(3))
+    inside = np.max(directions @ error_set.normals.T / error_set.offsets, axis=1)
+    reach = [min(reach_of_ray(window, index, d), 1 / most) for d, most in zip(directions, inside, strict=True)]
+    return np.array(reach)[:, None] * directions
 
 
 def spread_starts(

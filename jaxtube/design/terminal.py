@@ -14,14 +14,15 @@ Sources: Gonzalez, Fiacchini, Guzman, Alamo 2009, section III-E; Kolmanovsky and
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.design.problem import Problem
-from jaxtube.design.tightening import LocalGain, Tightening, Windows, vertex_loops
+from jaxtube.design.tightening import BACK_OFF, LocalGain, Tightening, Windows, vertex_loops
 from sets import tubes
-from sets.invariant import MaximalRpi, few_facet_rpi, maximal_rpi
+from sets.invariant import MaximalRpi, SupportFunction, few_facet_rpi, maximal_rpi
 from sets.polytope import Polytope
 
 FACETS = 40
@@ -76,10 +77,13 @@ def make_terminal(
         last_errors = problem.error_set.offsets - tightening.error_reach[:, N - 1].max(axis=0)
         last_inputs = problem.input_set.offsets - tightening.input_reach[:, N - 1].max(axis=0)
         admissible = admissible_set(problem, gains, last_errors, last_inputs)
-    maximal = _maximal(loops, admissible, disturbance)
+    # The constraints used on line are backed off, so what the plan must return to is smaller by as much: the set is
+    # built inside backed-off constraints, for a disturbance wider by twice the back-off.
+    inner = Polytope(admissible.normals, admissible.offsets - BACK_OFF * (1 + np.linalg.norm(admissible.normals, axis=1)))
+    maximal = _maximal(loops, inner, partial(_widened, disturbance))
     invariant = None
     if maximal.polytope is not None:
-        invariant = few_facet_rpi(loops, admissible, disturbance.support, maximal.polytope, FACETS)
+        invariant = few_facet_rpi(loops, inner, partial(_widened, disturbance), maximal.polytope, FACETS)
     normals, offsets = _constraint(problem, kind, invariant, disturbance, windows, tightening)
     fallback = normals is None
     if fallback:
@@ -88,10 +92,15 @@ def make_terminal(
     return Terminal(kind, gains, loops, disturbance, admissible, maximal, invariant, normals, offsets, fallback)
 
 
-def _maximal(loops, admissible: Polytope, disturbance: tubes.Section) -> MaximalRpi:
+def _widened(disturbance: tubes.Section, rows: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+    """Return the support numbers of the disturbance and a ball of twice the back-off."""
+    return disturbance.support(rows) + 2 * BACK_OFF * np.linalg.norm(rows, axis=1)
+
+
+def _maximal(loops, admissible: Polytope, disturbance: SupportFunction) -> MaximalRpi:
     if np.any(admissible.offsets <= 0):
         return MaximalRpi(None, None, 0)
-    return maximal_rpi(loops, admissible, disturbance.support)
+    return maximal_rpi(loops, admissible, disturbance)
 
 
 def _constraint(problem, kind, invariant: Polytope | None, disturbance, windows: Windows, tightening: Tightening):

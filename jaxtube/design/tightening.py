@@ -20,7 +20,8 @@ from sets import tubes
 from sets.lmi import lqr_gain
 from sets.tubes import Section
 
-TUBES = ("paper", "hull", "summed", "sequence")
+BACK_OFF = 1e-7
+"""Share of the solver: ten times the residual it accepts, in the units of E and U."""
 
 
 class EmptySetError(ValueError):

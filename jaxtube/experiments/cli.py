@@ -13,6 +13,7 @@ import importlib
 import inspect
 import io
 import itertools
+import os
 import re
 import sys
 from collections.abc import Iterable, Sequence
@@ -39,6 +40,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return run(options) if options else 0
     except KeyboardInterrupt:
         return _report("interrupted; run the same command again", INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read the output has enough of it, as `| head` does; the interpreter must not flush into that pipe.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except ValueError as error:
         code = _exit_code(error)
         if code is None:

@@ -26,6 +26,7 @@ class Options:
     """folder of the run"""
     seed: Annotated[int, arg(metavar="INT")] = 0
     """seed of every random draw"""
+    # Not tuple[str, ...]: to check that default, the parser would load a library that takes a third of the help's time.
     overrides: Suppress[tuple] = ()
 
     @property

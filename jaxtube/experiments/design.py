@@ -1,0 +1,91 @@
+"""`design`: compute tubes, gains and terminal set of a scenario, re-check them, and print the certificate."""
+
+from __future__ import annotations
+
+import textwrap
+
+import numpy as np
+
+from jaxtube.design import Design, design, refuse_infeasible_start
+from jaxtube.experiments import closed_loop, metrics, run_folder
+from jaxtube.experiments.options import Design as DesignOptions
+from jaxtube.scenario import Scenario
+from sets.certificate import Certificate
+
+CERTIFICATE_FAILED = 3
+WIDTH = 110
+
+
+def run(scenario: Scenario, options: DesignOptions) -> int:
+    """Run the command; returns 3 where a certificate is required and fails."""
+    found = design(scenario)
+    refuse_infeasible_start(found)
+    folder = run_folder.create(scenario, options)
+    starts = np.tile(found.problem.initial_error, (closed_loop.BLOCK, 1))
+    loop = closed_loop.controllers(found)["local_gain"]
+    trajectory = closed_loop.simulate(loop, closed_loop.slipping_robot(found), starts, options.seed)
+    disturbance = metrics.disturbance_metrics(found, closed_loop.model_residuals(found, trajectory))
+    add_disturbance_condition(found.certificate, disturbance, "the local gain")
+    print(report(found))
+    folder.save_metrics({**metrics.design_metrics(found), "disturbance": disturbance})
+    print(f"\nwritten to {folder.path}/")
+    return exit_code(found, options.require_certificate)
+
+
+def exit_code(found: Design, required: bool) -> int:
+    """Return 0, or 3 where a certificate is required and does not hold."""
+    return CERTIFICATE_FAILED if required and not found.certificate.holds else 0
+
+
+def add_disturbance_condition(certificate: Certificate, disturbance: dict, loop: str) -> None:
+    """Add what only the plant can answer: whether w(k) lies in W, measured over simulated laps."""
+    share = disturbance["share_of_steps_outside"]
+    by_coordinate = disturbance["share_of_steps_outside_by_coordinate"]
+    parts = ", ".join(f"{name.rsplit('_', 1)[0]} {value:.1%}" for name, value in by_coordinate.items())
+    certificate.add(
+        "disturbance_in_w",
+        disturbance["margin"],
+        f"In {disturbance['steps']} simulated steps of {loop} no w left W (a measurement, not a proof).",
+        f"The plant leaves the model: w lies outside W in {share:.1%} of {disturbance['steps']} simulated steps of "
+        f"{loop} ({parts}).",
+    )
+
+
+def report(found: Design) -> str:
+    """Return the design as text: gains, tubes, terminal set, certificate."""
+    terminal, N = found.terminal, found.problem.horizon
+    lines = [f"LQR gain K^n   {np.array2string(found.lqr_gain, precision=6, suppress_small=True).replace(chr(10), '')}"]
+    lines += ["", f"half widths of R_{N}        e_x [m]    e_y [m]    e_th [deg]   volume [m^2 rad]"]
+    for name, sections in found.tubes.items():
+        e_x, e_y, e_th = metrics.tube_half_widths(found, name)[-1]
+        mark = "*" if name == found.problem.scenario.controller.tube else " "
+        lines.append(
+            f"  {mark} {name:<18}{e_x:10.6f} {e_y:10.6f} {e_th:11.5f}   {sections[-1].polytope().volume():.4e}"
+        )
+    lines += ["  * the tube in use", "", *_terminal_lines(found)]
+    verdict = "holds" if found.certificate.holds else f"FAILS: {', '.join(found.certificate.failing)}"
+    lines += ["", f"certificate (terminal {terminal.kind}, tube {found.problem.scenario.controller.tube}) {verdict}"]
+    for name, condition in found.certificate.conditions.items():
+        sign = ("holds" if condition.holds else "FAILS") if condition.required else ("yes" if condition.holds else "no")
+        lines.append(f"  {sign:<6} {name:<32} margin {condition.margin:10.3g}")
+        lines += textwrap.wrap(condition.sentence, WIDTH, initial_indent=" " * 9, subsequent_indent=" " * 9)
+    total = sum(found.seconds.values())
+    parts = ", ".join(f"{name} {seconds:.2f}" for name, seconds in found.seconds.items())
+    lines += ["", f"designed in {total:.2f} s ({parts})"]
+    return "\n".join(lines)
+
+
+def _terminal_lines(found: Design) -> list[str]:
+    terminal = found.terminal
+    if terminal.invariant is None:
+        return ["terminal set    none is invariant: the last predicted error is kept in E - R_N instead"]
+    maximal, invariant = terminal.maximal.polytope, terminal.invariant
+    share = invariant.volume() / maximal.volume()
+    lines = [
+        f"terminal set    maximal invariant set of {len(maximal.offsets)} facets; used: an invariant one of "
+        f"{len(invariant.offsets)} facets, {share:.1%} of its volume",
+        f"                constraint on the last predicted error: {len(terminal.constraint_normals)} facets",
+    ]
+    if terminal.fallback:
+        lines.append("                nothing is left of it once the tube is taken off: E - R_N is used instead")
+    return lines

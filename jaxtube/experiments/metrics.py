@@ -1,0 +1,129 @@
+"""The numbers of a run: what `metrics.json` holds, plain and with units in the keys."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxtube import qp
+from jaxtube.design import Design
+from jaxtube.design.problem import input_rows
+from jaxtube.rollout import Trajectory
+from sets.tubes import Section, input_support, sequence_support
+
+TRANSIENT_S = 10.0
+"""The first seconds, in which a run forgets its start."""
+
+COORDINATES = ("longitudinal_m", "lateral_m", "heading_deg")
+TO_DISPLAY = np.array([1.0, 1.0, np.rad2deg(1.0)])
+
+
+def design_metrics(design: Design) -> dict:
+    """Return the numbers of the sets, gains and certificate."""
+    problem, terminal = design.problem, design.terminal
+    maximal, invariant = terminal.maximal.polytope, terminal.invariant
+    U = problem.input_set.offsets
+    return {
+        "lqr_gain": design.lqr_gain,
+        "tube_half_widths": {name: tube_half_widths(design, name) for name in design.tubes},
+        "tube_volume": {name: sections[-1].polytope().volume() for name, sections in design.tubes.items()},
+        "input_support": {name: tube_input_support(design, name) for name in design.tubes},
+        "input_set_p_q": [[-U[2], U[0]], [-U[3], U[1]]],
+        "lmi_cost": design.cost.cost,
+        "lmi_objective_value": design.cost.value,
+        "terminal_gains": design.terminal.gains.vertices,
+        "terminal_half_widths": None if maximal is None else maximal.support(np.eye(3)) * TO_DISPLAY,
+        "terminal_facets": None if invariant is None else len(invariant.offsets),
+        "terminal_facets_maximal": None if maximal is None else len(maximal.offsets),
+        "terminal_volume_share": None if invariant is None else invariant.volume() / maximal.volume(),
+        "terminal_constraint_facets": len(terminal.constraint_normals),
+        "terminal_fallback": bool(terminal.fallback),
+        "certificate": {
+            name: {"holds": c.holds, "margin": c.margin, "required": c.required, "sentence": c.sentence}
+            for name, c in design.certificate.conditions.items()
+        },
+        "certified": design.certificate.holds,
+        "design_seconds": design.seconds,
+    }
+
+
+def tube_half_widths(design: Design, name: str) -> Float[np.ndarray, "horizon+1 3"]:
+    """Return the half widths (m, m, deg) of R_0 .. R_N; for `sequence` the largest along the reference."""
+    if name != "sequence":
+        return np.stack([section.support(np.eye(3)) for section in design.tubes[name]]) * TO_DISPLAY
+    loops, W = design.windows.loops, design.problem.disturbance_set
+    rows = np.broadcast_to(np.eye(3), (len(loops), 3, 3))
+    widths = [sequence_support(loops, W, rows, j).max(axis=0) for j in range(design.problem.horizon + 1)]
+    return np.stack(widths) * TO_DISPLAY
+
+
+def tube_input_support(design: Design, name: str) -> Float[np.ndarray, " horizon+1"]:
+    """Return the largest support number of K R_j along p and q, j = 0..N, over the gains that may act, m/s."""
+    rows = input_rows(design.problem.robot.track_width)
+    rows = np.vstack([rows, -rows])
+    gains = design.tube_gain.vertices
+    if name == "sequence":
+        loops, W = design.windows.loops, design.problem.disturbance_set
+        directions = rows @ design.windows.gains
+        last = design.problem.horizon - 1
+        return np.array([sequence_support(loops, W, directions[:, min(j, last)], j).max() for j in range(last + 2)])
+    return np.array([_largest(section, gains, rows) for section in design.tubes[name]])
+
+
+def _largest(section: Section, gains, rows) -> float:
+    return float(np.max(input_support(section, gains, rows)))
+
+
+def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
+    """Return the numbers of one controller over its realisations."""
+    problem = design.problem
+    limits = problem.error_set.offsets[:3]
+    errors = np.abs(trajectory.errors)
+    # Counted as "not inside", so that NaN is a violation.
+    outside = ~np.all(errors <= limits, axis=(0, 2))
+    settled = round(TRANSIENT_S / problem.reference.dt)
+    status = trajectory.diagnostics.status
+    return {
+        "realisations": errors.shape[1],
+        "violation_share": float(outside.mean()),
+        "violating_realisations": int(outside.sum()),
+        "max_error": {"whole_run": _spread(errors.max(axis=0)), "after_10_s": _spread(errors[settled:].max(axis=0))},
+        "rms_error": {
+            "whole_run": _spread(np.sqrt((errors**2).mean(axis=0))),
+            "after_10_s": _spread(np.sqrt((errors[settled:] ** 2).mean(axis=0))),
+        },
+        "wheel_speed_max_mps": float(np.max(np.abs(trajectory.wheels))),
+        "wheel_speed_mean_mps": float(np.mean(trajectory.wheels)),
+        "saturated_share": float(np.mean(np.any(trajectory.demanded != trajectory.wheels, axis=2))),
+        "qp_status": {
+            "solved": int(np.sum(status == qp.SOLVED)),
+            "infeasible": int(np.sum(status == qp.INFEASIBLE)),
+            "unsolved": int(np.sum(status == qp.UNSOLVED)),
+        },
+        "qp_residual_max": float(np.max(trajectory.diagnostics.residual)),
+        "active_share": float(np.mean(trajectory.diagnostics.active)),
+        "backup_share": float(np.mean(trajectory.diagnostics.backup)),
+    }
+
+
+def _spread(values: Float[np.ndarray, "runs 3"]) -> dict:
+    """Return median and 95 % quantile over realisations, and the worst one, by coordinate."""
+    shown = values * TO_DISPLAY
+    statistics = {"median": np.median(shown, axis=0), "p95": np.quantile(shown, 0.95, axis=0), "worst": shown.max(0)}
+    return {name: dict(zip(COORDINATES, found.tolist(), strict=True)) for name, found in statistics.items()}
+
+
+def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs 3"]) -> dict:
+    """Return how often and how far w(k) leaves W: per coordinate (W's half widths) and altogether."""
+    W = design.problem.disturbance_set
+    widths = W.support(np.eye(3))
+    outside = ~(np.abs(residuals) <= widths)
+    inside_runs = ~outside.any(axis=(0, 2))
+    return {
+        "steps": int(outside[..., 0].size),
+        "share_of_steps_outside": float(outside.any(axis=2).mean()),
+        "share_of_steps_outside_by_coordinate": dict(zip(COORDINATES, outside.mean(axis=(0, 1)).tolist(), strict=True)),
+        "largest": dict(zip(COORDINATES, (np.abs(residuals).max(axis=(0, 1)) * TO_DISPLAY).tolist(), strict=True)),
+        "runs_with_every_w_inside": int(inside_runs.sum()),
+        "margin": float(np.min(W.margin(residuals.reshape(-1, 3)))),
+    }
