@@ -3,7 +3,7 @@
     initial(errors) -> memory
     act(step, memory, errors, reference_wheels) -> (virtual inputs, next memory, diagnostics)
 
-`errors` are the measured ones, (batch, 3); virtual inputs (speed deficit m/s, yaw rate deficit rad/s) become wheel speeds
+`errors` are the measured ones, (batch, 3); virtual inputs (speed deficit m/s, yaw rate deficit rad/s) become wheels
 by eqs. (7)-(8) with the measured slip where the controller `compensates`, else with none; with `cosine_free` the speed
 deficit counts from V cos e_th. All are pytrees whose arrays run along the reference.
 

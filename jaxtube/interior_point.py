@@ -1,4 +1,4 @@
-"""Primal-dual interior point method for a batch of small convex quadratic programs with a fixed number of iterations.
+"""Primal-dual interior point method for a batch of small convex quadratic programs.
 
     minimise over x   1/2 x' P x + q' x   subject to   G x + s = h,  s >= 0
 
@@ -33,11 +33,12 @@ class Program(NamedTuple):
 
 
 class State(NamedTuple):
-    """Primal, slack and multipliers of every instance."""
+    """Primal, slack and multipliers of every instance, and whether it still moves."""
 
     x: Float[Array, "n batch"]
     s: Float[Array, "m batch"]
     y: Float[Array, "m batch"]
+    moves: Bool[Array, " batch"]
 
 
 def program(hessian: Float[Array, "n n"], rows: Float[Array, "m n"]) -> Program:
@@ -52,12 +53,22 @@ def solve(
     start: Float[Array, "n batch"],
     iterations: int,
 ) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"]]:
-    """Return x and the multipliers y >= 0 (zero on dropped rows); no status: the caller checks the residual."""
+    """Take at most `iterations` steps from x = start; return x and y >= 0, zero on dropped rows.
+
+    No status: the caller checks the residual. An instance without a solution ends with large y, most often a proof.
+    """
     kept = jnp.isfinite(h)
     h = jnp.where(kept, h, 0.0)
     slack = jnp.where(kept, jnp.maximum(h - matmul(shared.rows, start), 1.0), 1.0)
-    state = State(start, slack, jnp.where(kept, 1.0 / kept.shape[0], 0.0))
-    state = jax.lax.fori_loop(0, iterations, lambda _, state: iterate(shared, q, h, kept, state), state)
+    state = State(start, slack, jnp.where(kept, 1.0 / len(h), 0.0), jnp.ones(h.shape[1], bool))
+
+    def unfinished(carry):
+        return (carry[0] < iterations) & jnp.any(carry[1].moves)
+
+    def body(carry):
+        return carry[0] + 1, iterate(shared, q, h, kept, carry[1])
+
+    state = jax.lax.while_loop(unfinished, body, (0, state))[1]
     return state.x, state.y
 
 
@@ -68,8 +79,8 @@ def iterate(
     kept: Bool[Array, "m batch"],
     state: State,
 ) -> State:
-    """Take one predictor-corrector step; an instance whose numbers leave the floats stays where it was."""
-    (x, s, y), P, G = state, shared.hessian, shared.rows
+    """Take one predictor-corrector step; an instance that is done, or whose numbers leave the floats, stays."""
+    (x, s, y, moves), P, G = state, shared.hessian, shared.rows
     count = jnp.maximum(jnp.sum(kept, axis=0), 1).astype(x.dtype)
     weights = jnp.where(kept, y / s, 0.0)
     ldl = batched_ldl.factorise(shared.packed_hessian[:, None] + matmul(shared.pair_products, weights))
@@ -90,11 +101,11 @@ def iterate(
     target = mu * jnp.minimum(affine_mu / mu, 1.0) ** 3  # (2)
     dx, ds, dy = direction(s * y + ds * dy - target)  # (3)
     step = jnp.minimum(SHORTEST_WAY_TO_THE_BOUNDARY * longest_step(state, ds, dy), 1.0)  # (4)
-    moved = State(x + step * dx, s + step * ds, y + step * dy)
+    x, s, y = x + step * dx, s + step * ds, y + step * dy
     # Beyond this mu the weights y / s differ by more than the floats resolve, and iterating on loses what was found.
-    unfinished = mu > jnp.finfo(x.dtype).eps ** 0.75
-    sound = jnp.all(jnp.isfinite(moved.x), 0) & jnp.all(moved.s > 0, 0) & jnp.all(moved.y >= 0, 0)
-    return jax.tree.map(lambda new, old: jnp.where(unfinished & sound, new, old), moved, state)
+    moves &= mu > jnp.finfo(x.dtype).eps ** 0.75
+    moves &= jnp.all(jnp.isfinite(x), 0) & jnp.all(s > 0, 0) & jnp.all(y >= 0, 0)
+    return jax.tree.map(lambda new, old: jnp.where(moves, new, old), State(x, s, y, moves), state)
 
 
 def longest_step(state: State, ds: Float[Array, "m batch"], dy: Float[Array, "m batch"]) -> Float[Array, " batch"]:

@@ -17,10 +17,13 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
+
+AnyArray = Array | np.ndarray  # a design holds numpy, a controller jax arrays
 
 
 class Window(NamedTuple):
@@ -30,19 +33,19 @@ class Window(NamedTuple):
     """
 
     factors: qp.Factors
-    linear: Float[Array, "n 3"]  # q = linear e
-    row_errors: Float[Array, "m 3"]  # lower <= row_errors e + rows g <= upper
-    lower: Float[Array, " m"]
-    upper: Float[Array, " m"]
-    check_errors: Float[Array, "c 3"]
-    check_lower: Float[Array, " c"]
-    check_upper: Float[Array, " c"]
-    plan_errors: Float[Array, "horizon 3 3"]  # e_j = plan_errors e + plan_inputs g, j = 0..N-1
-    plan_inputs: Float[Array, "horizon 3 n"]
-    tube_gain: Float[Array, "2 3"]  # K(th_k)
-    terminal_gain: Float[Array, "2 3"]  # Gamma(th_k)
-    transition: Float[Array, "3 3"]  # A(th_k)
-    input_matrix: Float[Array, "3 2"]  # B(th_k)
+    linear: Float[AnyArray, "n 3"]  # q = linear e
+    row_errors: Float[AnyArray, "m 3"]  # lower <= row_errors e + rows g <= upper
+    lower: Float[AnyArray, " m"]
+    upper: Float[AnyArray, " m"]
+    check_errors: Float[AnyArray, "c 3"]
+    check_lower: Float[AnyArray, " c"]
+    check_upper: Float[AnyArray, " c"]
+    plan_errors: Float[AnyArray, "horizon 3 3"]  # e_j = plan_errors e + plan_inputs g, j = 0..N-1
+    plan_inputs: Float[AnyArray, "horizon 3 n"]
+    tube_gain: Float[AnyArray, "2 3"]  # K(th_k)
+    terminal_gain: Float[AnyArray, "2 3"]  # Gamma(th_k)
+    transition: Float[AnyArray, "3 3"]  # A(th_k)
+    input_matrix: Float[AnyArray, "3 2"]  # B(th_k)
 
 
 class MpcState(NamedTuple):

@@ -43,7 +43,7 @@ class Frame:
 
     @cached_property
     def isotropic(self):
-        """Isotropic coordinates of 0 and the polar points, the map to them, and the lines along which the set is open."""
+        """Isotropic coordinates of 0 and the polar points, the map to them, and the lines of the set."""
         return flatten(np.vstack([np.zeros(self.polar.shape[1]), self.polar]))
 
     @cached_property
@@ -54,7 +54,8 @@ class Frame:
         middle = points.sum(axis=0) / (len(points) + 1)
         points, rays, lines = _dual(self.polar / (1 - self.polar @ middle)[:, None])
         points = points + middle
-        if (self.polar @ points.T).max(initial=0.0) > 1 + 1e-6:
+        excess = (self.polar @ points.T - 1) / np.linalg.norm(self.polar, axis=1)[:, None]
+        if excess.max(initial=0.0) > FLAT * np.linalg.norm(points, axis=1).max():
             raise ArithmeticError("vertices violate their rows: rescale the coordinates of the polytope")
         return points, rays, lines
 
@@ -77,7 +78,7 @@ class Frame:
         return np.linalg.matrix_rank(face, tol=FLAT * size) >= len(row) - 1 if len(touching) else False
 
     def support(self, directions):
-        """Return h_P(d) = d centre + max {d basis y : polar y <= 1}; rays at right angles to d, to 1e-9, do not count."""
+        """Return h_P(d) = d centre + max {d basis y : polar y <= 1}; rays within 1e-9 of right angles to d stay out."""
         local = directions @ self.basis
         if self.basis.shape[1] > HULL_DIMENSION:
             return directions @ self.centre + np.apply_along_axis(self._support_by_program, -1, local)
@@ -132,7 +133,7 @@ def _deepest(unit, heights, centre, basis, extent):
     """
     for _ in range(3):
         slacks, local = heights - unit @ centre, unit @ basis
-        noise = ROUNDING * (abs(heights) + abs(unit) @ extent) + np.finfo(float).eps * extent.max()
+        noise = ROUNDING * (abs(heights) + abs(unit) @ extent)
         scales = _column_scales(local, np.where(abs(slacks) > noise, slacks, 0.0))
         basis, local = basis * scales, local * scales
         lengths = np.linalg.norm(local, axis=1)

@@ -1,4 +1,4 @@
-"""The certificate of a design: which conditions are asked of which sets, in terms of what the controller really uses."""
+"""The certificate of a design: which conditions are asked of which sets, those the controller really uses."""
 
 from __future__ import annotations
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from jaxtube.design.condense import Bounds
 from jaxtube.design.problem import Problem
-from jaxtube.design.tightening import BACK_OFF, LocalGain, Windows, vertex_loops
 from jaxtube.design.terminal import Terminal, admissible_set
+from jaxtube.design.tightening import BACK_OFF, LocalGain, Windows, vertex_loops
 from sets import certificate as check
 from sets.certificate import Certificate
 from sets.invariant import maximal_rpi
@@ -41,7 +41,7 @@ def certify(
     certificate.add(
         "solver_residual",
         BACK_OFF - SOLVER_RESIDUAL,
-        f"Constraints are backed off by {BACK_OFF:.0e}, more than the residual {SOLVER_RESIDUAL:.0e} the solver accepts.",
+        f"Constraints are backed off by {BACK_OFF:.0e}, more than the {SOLVER_RESIDUAL:.0e} the solver accepts.",
         "Constraints are not backed off by the residual the solver accepts.",
     )
     _existence(certificate, problem, tube_gain, terminal, cost)
@@ -181,14 +181,14 @@ def _empty_terminal(certificate: Certificate, terminal: Terminal, disturbance) -
 
 
 def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal: Terminal, windows, bounds, W) -> None:
-    """Check the three terminal inclusions of the shifted plan on the sets used, or for T-A the premises of the theorem."""
+    """Check the terminal inclusions of the shifted plan on the sets used, or for T-A the premises of the theorem."""
     name = "plan_stays_feasible"
     if terminal.kind == "T-A" and not terminal.fallback:
         same = -float(np.max(np.abs(tube_gain.vertices - terminal.gains.vertices)))
         certificate.add(
             name,
             same if problem.scenario.controller.tube == "sequence" else -np.inf,
-            "Tube gain and terminal gain coincide and the tube follows the reference: Omega - R_N receives every shifted plan.",
+            "Tube and terminal gain coincide and the tube follows the reference: Omega - R_N receives every shifted plan.",
             "T-A needs the tube `sequence`: with another tube the shifted plan may miss the terminal set.",
         )
         return
@@ -226,7 +226,7 @@ def _products(loops, W, steps: int) -> Polytope:
 
 
 def _coverage(certificate: Certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal) -> None:
-    """Check that loops inside the box are the mixtures of the vertex loops: exact for Euler, not for zero-order hold."""
+    """Check that loops inside the box are mixtures of the vertex loops: exact for Euler, not for zero-order hold."""
     lower, upper = problem.model.box
     grid = np.stack(np.meshgrid(*np.linspace(lower, upper, 21).T), axis=-1).reshape(-1, 2)
     transitions, inputs = problem.model.matrices(grid)
@@ -275,7 +275,7 @@ def _exists(certificate: Certificate, name: str, label: str, problem: Problem, g
     certificate.add(
         name,
         margin,
-        f"With {label} an invariant set inside the constraints exists over the whole box ({facets} facets).",
+        f"With {label} an invariant set ({facets} facets) inside the constraints exists over the whole box.",
         f"With {label} no invariant set fits the constraints over the whole box: within {found.iterations + 1} steps the "
         f"reach of the origin passes one by {-margin:.3g}.",
         required=False,

@@ -4,8 +4,8 @@
     1/2 g^T H g + (F e)^T g,      H = 2 (sum_j Theta_j^T Q_j Theta_j + R),   F = 2 sum_j Theta_j^T Q_j Psi_j,  Q_N = P
     lower <= row_errors e + rows g <= upper
 
-Rows of E_j for j = 1..N-1, of U_j for j = 0..N-1, and the terminal ones. Constraints are backed off by what a solver may
-miss them by. Rows that no input reaches in any window (the lateral error one step ahead, with Euler) are kept apart.
+Rows of E_j for j = 1..N-1, of U_j for j = 0..N-1, and the terminal ones. Constraints are backed off by what a solver
+may miss them by. Rows that no input reaches in any window (the lateral error one step ahead, with Euler) are kept apart.
 """
 
 from __future__ import annotations

@@ -116,12 +116,12 @@ def make_problem(scenario: Scenario) -> Problem:
 
 def _reference(scenario: Scenario) -> Reference:
     section, settings = scenario.reference, scenario.controller
-    common = dict(dt=settings.dt_s, preview=settings.horizon + 1, track_width=scenario.robot.track_width_m)
+    track_width, preview = scenario.robot.track_width_m, settings.horizon + 1
     try:
         if section.shape == "file":
-            return from_file(Path(section.file), duration=section.duration_s, **common)
+            return from_file(Path(section.file), settings.dt_s, preview, track_width, section.duration_s)
         shape = {"two_circles": two_circles, "lemniscate": lemniscate}[section.shape]
-        return shape(section.radius_m, section.speed_mps, section.duration_s, **common)
+        return shape(section.radius_m, section.speed_mps, section.duration_s, settings.dt_s, preview, track_width)
     except ValueError as error:
         raise ScenarioError(f"scenario: {error}") from None
 

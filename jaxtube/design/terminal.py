@@ -48,6 +48,13 @@ class Terminal:
     constraint_offsets: Float[np.ndarray, "windows facets"]
     fallback: bool
 
+    @property
+    def volume_share(self) -> float | None:
+        """Volume of the invariant set used as a share of the maximal one's, None where there is none."""
+        if self.maximal.polytope is None or self.invariant is None:
+            return None
+        return self.invariant.volume() / self.maximal.polytope.volume()
+
 
 def admissible_set(
     problem: Problem,
@@ -79,16 +86,19 @@ def make_terminal(
         admissible = admissible_set(problem, gains, last_errors, last_inputs)
     # The constraints used on line are backed off, so what the plan must return to is smaller by as much: the set is
     # built inside backed-off constraints, for a disturbance wider by twice the back-off.
-    inner = Polytope(admissible.normals, admissible.offsets - BACK_OFF * (1 + np.linalg.norm(admissible.normals, axis=1)))
+    inner = Polytope(
+        admissible.normals, admissible.offsets - BACK_OFF * (1 + np.linalg.norm(admissible.normals, axis=1))
+    )
     maximal = _maximal(loops, inner, partial(_widened, disturbance))
     invariant = None
     if maximal.polytope is not None:
         invariant = few_facet_rpi(loops, inner, partial(_widened, disturbance), maximal.polytope, FACETS)
-    normals, offsets = _constraint(problem, kind, invariant, disturbance, windows, tightening)
-    fallback = normals is None
-    if fallback:
-        normals = problem.error_set.normals
-        offsets = problem.error_set.offsets - tightening.error_reach[:, N]
+    constraint = _constraint(problem, kind, invariant, disturbance, windows, tightening)
+    fallback = constraint is None
+    normals, offsets = constraint or (
+        problem.error_set.normals,
+        problem.error_set.offsets - tightening.error_reach[:, N],
+    )
     return Terminal(kind, gains, loops, disturbance, admissible, maximal, invariant, normals, offsets, fallback)
 
 
@@ -104,9 +114,9 @@ def _maximal(loops, admissible: Polytope, disturbance: SupportFunction) -> Maxim
 
 
 def _constraint(problem, kind, invariant: Polytope | None, disturbance, windows: Windows, tightening: Tightening):
-    """Return (normals, offsets a window) of the constraint on e_N, (None, None) where nothing is left."""
+    """Return (normals, offsets a window) of the constraint on e_N, None where nothing is left."""
     if invariant is None:
-        return None, None
+        return None
     if kind == "T-B":
         taken = np.broadcast_to(disturbance.support(invariant.normals), (len(windows.loops), len(invariant.offsets)))
     else:
@@ -114,7 +124,7 @@ def _constraint(problem, kind, invariant: Polytope | None, disturbance, windows:
     offsets = invariant.offsets - taken
     least = Polytope(invariant.normals, offsets.min(axis=0))
     if least.is_empty():
-        return None, None
+        return None
     # A row that is implied in the smallest of the sets may still cut another, so only constant sets lose rows.
     if len(np.unique(offsets.round(15), axis=0)) == 1:
         least = least.reduce()

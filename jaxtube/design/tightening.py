@@ -154,7 +154,7 @@ def refuse_empty(problem: Problem, tightening: Tightening) -> None:
             worst = width[:, stage, row].min()
             whole = offsets[row] + offsets[row + size]
             raise EmptySetError(
-                f"{name}_{stage} is empty: in the {coordinates[row]} the tube of stage {stage} is {whole - worst:.4g} wide "
-                f"and {name} only {whole:.4g} (short by {-worst:.4g}); shrink [disturbance], shorten controller.horizon "
-                f"or widen the limits"
+                f"{name}_{stage} is empty: in the {coordinates[row]} the tube of stage {stage} is {whole - worst:.4g} "
+                f"wide and {name} only {whole:.4g} (short by {-worst:.4g}); shrink [disturbance], shorten "
+                "controller.horizon or widen the limits"
             )

@@ -19,16 +19,23 @@ BLOCK = 256
 
 
 def controllers(design: Design) -> dict:
-    """Return the controllers compared, by name."""
+    """Return the controllers compared, by name.
+
+    `local_gain` is the tube's u = K(th) e; `equal_gain` the static law that the MPC is while no row is active.
+    """
     problem, index = design.problem, jnp.asarray(design.windows.index)
     settings = problem.scenario.controller
     cosine_free = settings.input_map == "cosine_free"
     weights = problem.model.weights(problem.schedule[: problem.reference.steps])
     tube_window, plain_window = jax.tree.map(jnp.asarray, (design.tube_window, design.plain_window))
+    unconstrained = np.einsum(
+        "wan,wne->wae", np.swapaxes(design.plain_window.factors.optimum, 1, 2), design.plain_window.linear
+    )
     return {
         "uncompensated": TrackingLaw(problem.robot.track_width, compensates=False),
         "compensated": TrackingLaw(problem.robot.track_width, compensates=True),
         "local_gain": ScheduledGain(jnp.asarray(design.tube_gain.at(weights)), cosine_free),
+        "equal_gain": ScheduledGain(jnp.asarray(unconstrained[design.windows.index, :2]), cosine_free),
         "plain_mpc": TubeMpc(plain_window, index, True, cosine_free),
         "tube_mpc": TubeMpc(tube_window, index, settings.restart, cosine_free),
     }

@@ -77,13 +77,12 @@ def report(found: Design) -> str:
 
 def _terminal_lines(found: Design) -> list[str]:
     terminal = found.terminal
-    if terminal.invariant is None:
-        return ["terminal set    none is invariant: the last predicted error is kept in E - R_N instead"]
     maximal, invariant = terminal.maximal.polytope, terminal.invariant
-    share = invariant.volume() / maximal.volume()
+    if maximal is None or invariant is None:
+        return ["terminal set    none is invariant: the last predicted error is kept in E - R_N instead"]
     lines = [
         f"terminal set    maximal invariant set of {len(maximal.offsets)} facets; used: an invariant one of "
-        f"{len(invariant.offsets)} facets, {share:.1%} of its volume",
+        f"{len(invariant.offsets)} facets, {terminal.volume_share:.1%} of its volume",
         f"                constraint on the last predicted error: {len(terminal.constraint_normals)} facets",
     ]
     if terminal.fallback:

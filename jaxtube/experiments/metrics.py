@@ -35,7 +35,7 @@ def design_metrics(design: Design) -> dict:
         "terminal_half_widths": None if maximal is None else maximal.support(np.eye(3)) * TO_DISPLAY,
         "terminal_facets": None if invariant is None else len(invariant.offsets),
         "terminal_facets_maximal": None if maximal is None else len(maximal.offsets),
-        "terminal_volume_share": None if invariant is None else invariant.volume() / maximal.volume(),
+        "terminal_volume_share": design.terminal.volume_share,
         "terminal_constraint_facets": len(terminal.constraint_normals),
         "terminal_fallback": bool(terminal.fallback),
         "certificate": {
@@ -127,3 +127,22 @@ def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs
         "runs_with_every_w_inside": int(inside_runs.sum()),
         "margin": float(np.min(W.margin(residuals.reshape(-1, 3)))),
     }
+
+
+def deviation_metrics(design: Design, deviations: Float[np.ndarray, "horizon samples 3"]) -> dict:
+    """Return how many deviations from plans left the tube in use, and the smallest facet margin, stage by stage."""
+    margins = tube_margins(design, deviations)
+    return {
+        "samples": margins.size,
+        "share_outside": float(np.mean(~(margins >= 0))),
+        "share_outside_by_stage": np.mean(~(margins >= 0), axis=1),
+        "margin_by_stage": margins.min(axis=1),
+    }
+
+
+def tube_margins(
+    design: Design, deviations: Float[np.ndarray, "horizon samples 3"]
+) -> Float[np.ndarray, "horizon samples"]:
+    """Return the facet margin of every deviation in its section R_j, j = 1..N (`sequence`: the widest one's)."""
+    sections = design.tubes[design.problem.scenario.controller.tube][1:]
+    return np.stack([section.polytope().margin(points) for section, points in zip(sections, deviations, strict=True)])
