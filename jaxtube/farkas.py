@@ -1,3 +1,4 @@
+# ruff: noqa: E741 -- l and u are the letters of the problem
 """Prove that l <= A x <= u has no solution, for a batch of bounds l, u and one A with rows of unit 2-norm.
 
 (1) Elastic problem: minimise t subject to l - t <= A x <= u + t and t >= -1. It always has interior points, so that the

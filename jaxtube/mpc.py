@@ -88,7 +88,9 @@ def plan(window: Window, errors: Float[Array, "batch 3"]) -> tuple[qp.Solution, 
         (solution, whether it is a plan): solved, and the rows that no input reaches hold.
     """
     shift = errors @ window.row_errors.T
-    solution = qp.solve(window.factors, errors @ window.linear.T, window.lower - shift, window.upper - shift)
+    solution = qp.solve(
+        window.factors, errors @ window.linear.T, jnp.asarray(window.lower) - shift, jnp.asarray(window.upper) - shift
+    )
     checks = errors @ window.check_errors.T
     reachable = jnp.all((checks >= window.check_lower) & (checks <= window.check_upper), axis=1)
     status = jnp.where(reachable, solution.status, qp.INFEASIBLE)

@@ -129,7 +129,8 @@ class LinearPlant:
         count, dtype = self.disturbance_vertices.shape[0], self.disturbance_vertices.dtype
         index = jax.random.randint(side, (), 0, 2 * count)
         mixed = jax.random.exponential(inside, (count,), dtype)
-        weights = jnp.where(index < count, jnp.arange(count) == index, mixed / jnp.sum(mixed))
+        corner = (jnp.arange(count) == index).astype(dtype)
+        weights = jnp.where(index < count, corner, mixed / jnp.sum(mixed))
         return weights @ self.disturbance_vertices
 
 

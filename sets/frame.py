@@ -64,24 +64,23 @@ class Frame:
         """Positions in `rows` of the rows that are not redundant."""
         corners = hull(self.isotropic[0])[2]
         candidates = corners[corners > 0] - 1
-        return candidates[[self._supports_facet(self.polar[i]) for i in candidates]]
+        return candidates[np.array([self._supports_facet(self.polar[i]) for i in candidates], dtype=bool)]
 
     def _supports_facet(self, row):
-        """Tell whether a row touches the set in more than a face of lower dimension, seen as a facet by rounding."""
+        """Tell whether a row touches the set in more than a face of lower dimension, which rounding makes a facet."""
         points, rays, lines = self.generators
-        unit = row / np.linalg.norm(row)
-        size = np.linalg.norm(points, axis=1).max()
-        touching = points[abs(points @ unit - 1 / np.linalg.norm(row)) <= FLAT * size]
-        face = np.vstack(
-            [touching[1:] - touching[:1], rays[abs(rays @ unit) <= FLAT * np.linalg.norm(rays, axis=1)], lines]
-        )
-        return np.linalg.matrix_rank(face, tol=FLAT * size) >= len(row) - 1 if len(touching) else False
+        length, size = np.linalg.norm(row), np.linalg.norm(points, axis=1).max()
+        touching = points[abs(points @ row - 1) <= FLAT * size * length]
+        parallel = rays[abs(rays @ row) <= FLAT * length * np.linalg.norm(rays, axis=1)]
+        face = np.vstack([touching - touching[:1], parallel, lines])
+        return len(touching) > 0 and np.linalg.matrix_rank(face, tol=FLAT * size) >= len(row) - 1
 
     def support(self, directions):
         """Return h_P(d) = d centre + max {d basis y : polar y <= 1}; rays within 1e-9 of right angles to d stay out."""
         local = directions @ self.basis
         if self.basis.shape[1] > HULL_DIMENSION:
-            return directions @ self.centre + np.apply_along_axis(self._support_by_program, -1, local)
+            highest = [self._support_by_program(row) for row in local.reshape(-1, local.shape[-1])]
+            return directions @ self.centre + np.reshape(highest, local.shape[:-1])
         points, rays, lines = self.generators
         cone = np.vstack([rays, lines, -lines]).T
         open_ended = local @ cone > FLAT * (abs(directions) @ abs(self.basis) @ abs(cone))
@@ -98,7 +97,7 @@ class Frame:
         return direction @ solution
 
 
-def find_frame(normals, offsets):
+def find_frame(normals: Float[np.ndarray, "m n"], offsets: Float[np.ndarray, " m"]) -> Frame | None:
     """Return the frame of {x : normals x <= offsets}, None if empty: it sheds equalities until there is interior."""
     sizes, dimension = np.linalg.norm(normals, axis=1), normals.shape[1]
     if not sizes.all():
@@ -138,39 +137,42 @@ def _deepest(unit, heights, centre, basis, extent):
         basis, local = basis * scales, local * scales
         lengths = np.linalg.norm(local, axis=1)
         extent = np.maximum(extent, abs(centre) + abs(basis).sum(axis=1))
-        program = np.vstack(
-            [np.column_stack([local / lengths[:, None], np.ones(len(local))]), np.eye(len(scales) + 1)[-1]]
-        )
-        solution, weights = solve(-program[-1], program, np.append(slacks / lengths, DEEP))
+        cap = np.eye(len(scales) + 1)[-1:]
+        program = np.vstack([np.column_stack([local / lengths[:, None], np.ones(len(local))]), cap])
+        solution, weights = solve(-cap[0], program, np.append(slacks / lengths, DEEP))
         centre, depth = centre + basis @ solution[:-1], solution[-1]
+        tight = np.flatnonzero(weights[:-1] > 1e-4)
+        doubt = max(FLAT, (noise / lengths)[tight].min(initial=DEEP))
         if depth > PLAIN:
             break
-    tight = np.flatnonzero(weights[:-1] > 1e-4)
-    return centre, basis, extent, depth, max(FLAT, (noise / lengths)[tight].min(initial=DEEP)), tight
+    return centre, basis, extent, depth, doubt, tight
 
 
 def _column_scales(rows, slacks):
-    """Return the s that bring the entries of rows s y <= slacks near to one size, rows being free to scale.
+    """Return the s that bring rows s y <= slacks to unit size: in turn, rows to norm one and columns to one height.
 
-    Least squares in the logarithms of the entries (Curtis and Reid 1972, J. Inst. Math. Appl. 10, 118-124), twice
-    repeated with the entries weighted by their size so that those which are mere rounding lose their say.
+    The largest entries decide, so entries and slacks that are mere rounding have no say; and a column that only one row
+    could lift is lifted no further than by the square root of the number of turns.
     """
     table = abs(np.column_stack([rows, slacks]))
-    weights, logs, scales = (table > 0).astype(float), np.log(np.where(table > 0, table, 1.0)), np.zeros(table.shape[1])
-    for _ in range(3):
-        shares = weights / weights.sum(axis=1, keepdims=True)
-        spread, root = logs - (logs * shares).sum(axis=1, keepdims=True), np.sqrt(weights)
-        system = (np.eye(len(scales)) - shares[:, None, :]) * root[:, :, None]
-        step = np.linalg.lstsq(system.reshape(-1, len(scales)), -(spread * root).ravel(), rcond=1e-8)[0]
-        logs, scales = logs + step, scales + step
-        heads = np.where(table > 0, logs, -np.inf)
-        sizes = 2 * logs - heads.max(axis=1, keepdims=True) - heads.max(axis=0, initial=-700.0)
-        weights = (table > 0) * np.exp(np.clip(sizes, -700.0, 0.0))
-    return np.exp(scales[:-1] - scales[-1])
+    scales = np.ones(table.shape[1])
+    for _ in range(200):
+        table = table / np.linalg.norm(table, axis=1, keepdims=True)
+        heights = table.max(axis=0, initial=0.0)
+        heights = np.where(heights > 0, heights / heights.max(initial=np.finfo(float).tiny), 1.0)
+        table, scales = table / heights, scales / heights
+        if heights.min() > 0.9:
+            break
+    return scales[:-1] / scales[-1]
 
 
-def solve(cost, rows, limits):
-    """Minimise cost x over rows x <= limits, which is feasible and bounded; return x and the multipliers, checked."""
+def solve(
+    cost: Float[np.ndarray, " n"], rows: Float[np.ndarray, "m n"], limits: Float[np.ndarray, " m"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]:
+    """Minimise cost x over rows x <= limits; return x and the multipliers, optimal to 1e-8 by their own residuals.
+
+    The program must be feasible and bounded; ArithmeticError if no method of the solver gets that far.
+    """
     options = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
     for method in ("highs", "highs-ds", "highs-ipm"):
         answer = linprog(cost, rows, limits, bounds=(None, None), method=method, options=options)
@@ -188,12 +190,12 @@ def solve(cost, rows, limits):
     raise ArithmeticError("linear program not solved to 1e-8: rescale the coordinates of the polytope")
 
 
-def recedes(rows, cost):
+def recedes(rows: Float[np.ndarray, "m n"], cost: Float[np.ndarray, " n"]) -> bool:
     """Tell whether cost x falls along a ray of rows x <= 0, hence without bound over rows x <= limits if not empty."""
     rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.finfo(float).tiny)
     cube = np.vstack([np.eye(len(cost)), -np.eye(len(cost))])
     solution, _ = solve(cost, np.vstack([rows, cube]), np.append(np.zeros(len(rows)), np.ones(len(cube))))
-    return cost @ solution < -FLAT
+    return bool(cost @ solution < -FLAT)
 
 
 def _dual(polar):
@@ -207,20 +209,24 @@ def _dual(polar):
     return normals[~far] @ inverse / heights[~far, None], rays, lines
 
 
-def flatten(points):
+def flatten(
+    points: Float[np.ndarray, "k n"],
+) -> tuple[Float[np.ndarray, "k d"], Float[np.ndarray, "d n"], Float[np.ndarray, "e n"]]:
     """Return isotropic coordinates of a cloud in its affine hull, the map x -> coordinates, and the hull's normals."""
-    extent, reach = np.ptp(points, axis=0), abs(points).max(initial=0.0)
-    constant = extent <= ROUNDING * reach
+    extent, reach = np.ptp(points, axis=0), abs(points).max(axis=0)
+    constant = extent <= np.maximum(ROUNDING * reach, 4 * np.finfo(float).eps * reach.max(initial=0.0))
     scale = np.where(constant, extent.max(initial=0.0) or 1.0, extent)
     scaled = np.where(constant, 0.0, (points - points.mean(axis=0)) / scale)
     _, spread, axes = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
-    rounding = ROUNDING * (abs(points).max(axis=0, initial=0.0) / scale).max(initial=0.0)
-    rank = int((spread > max(FLAT, rounding) * spread.max(initial=0.0)).sum())
+    doubt = max(FLAT, ROUNDING * (reach / scale).max(initial=0.0))
+    rank = int((spread > doubt * spread.max(initial=0.0)).sum())
     spread = spread[:rank] / np.sqrt(len(points))
     return scaled @ axes[:rank].T / spread, axes[:rank] / scale / spread[:, None], axes[rank:] / scale
 
 
-def hull(points):
+def hull(
+    points: Float[np.ndarray, "k d"],
+) -> tuple[Float[np.ndarray, "f d"], Float[np.ndarray, " f"], Int[np.ndarray, " v"]]:
     """Return facets a y <= b of a cloud that is not flat, and its extreme points; qhull begins at dimension two."""
     if points.shape[1] == 0:
         return np.zeros((1, 0)), np.ones(1), np.zeros(1, dtype=int)

@@ -54,11 +54,16 @@ class Polytope:
         points = _cloud(points)
         if not len(points):
             return Polytope(np.zeros((1, points.shape[1])), -np.ones(1))
-        coordinates, inverse, flat_normals = flatten(points)
-        normals = np.vstack([hull(coordinates)[0] @ inverse, flat_normals, -flat_normals])
+        coordinates, inverse, flat = flatten(points)
+        facets = hull(coordinates)[0] @ inverse
+        normals = np.vstack([facets, flat])
         normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
-        # support numbers of the cloud itself, so that no point is cut off by the rounding of its hull
-        return Polytope(normals, (points @ normals.T).max(axis=0))
+        # support numbers of the cloud itself, so that the rounding of its hull cuts no point off
+        numbers, constants = np.split(points @ normals.T, [len(facets)], axis=1)
+        level = constants.mean(axis=0)
+        return Polytope(
+            np.vstack([normals, -normals[len(facets) :]]), np.concatenate([numbers.max(axis=0), level, -level])
+        )
 
     @property
     def dimension(self) -> int:

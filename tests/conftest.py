@@ -1,6 +1,80 @@
 """All tests run in float64 with strict promotion: a silent cast is an error."""
 
+import functools
+
 import jax
+import pytest
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+
+# Designs and closed loops that several files look at: computed once, and compiled once for one shape.
+
+
+@pytest.fixture(scope="session")
+def paper_design():
+    """The design of the scenario `paper`, with its certificate."""
+    from jaxtube.design import design
+    from jaxtube.scenario import load
+
+    return design(load("paper"))
+
+
+@pytest.fixture(scope="session")
+def robust_design():
+    """The design of the scenario `robust`, with its certificate."""
+    from jaxtube.design import design
+    from jaxtube.scenario import load
+
+    return design(load("robust"))
+
+
+@pytest.fixture(scope="session")
+def uncertified():
+    """Design a scenario under overrides without the certificate, which takes longer than all the rest."""
+    from jaxtube.design import design
+    from jaxtube.scenario import load
+    from sets.certificate import Certificate
+
+    @functools.cache
+    def make(name, *overrides):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("jaxtube.design.certify", lambda *sets: Certificate())
+            return design(load(name, overrides))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def edge_starts():
+    """Starts of a design's tube-MPC, most of them close to the edge of its feasible set."""
+    from jaxtube.design.feasible import boundary, spread_starts
+
+    def draw(design, count, edge_share=0.5):
+        points = boundary(design.tube_window, int(design.windows.index[0]), design.problem.error_set, 200, seed=3)
+        return spread_starts(points, count, 4, edge_share)
+
+    return draw
+
+
+@pytest.fixture(scope="session")
+def stressed(robust_design, edge_starts):
+    """Tube-MPC and MPC without tube from the same 512 starts, on the linear plant of `robust` with w in W."""
+    from jaxtube.experiments import closed_loop
+
+    loops, plant = closed_loop.controllers(robust_design), closed_loop.linear_plant(robust_design)
+    starts = edge_starts(robust_design, 512)
+    return {name: closed_loop.simulate(loops[name], plant, starts, 5) for name in ("tube_mpc", "plain_mpc")}
+
+
+@pytest.fixture(scope="session")
+def paper_laps(paper_design):
+    """256 laps of the paper's tube-MPC on the slipping robot."""
+    import numpy as np
+
+    from jaxtube.experiments import closed_loop
+
+    starts = np.tile(paper_design.problem.initial_error, (closed_loop.BLOCK, 1))
+    loop = closed_loop.controllers(paper_design)["tube_mpc"]
+    return closed_loop.simulate(loop, closed_loop.slipping_robot(paper_design), starts, 0)

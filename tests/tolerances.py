@@ -14,3 +14,29 @@ RICCATI_COST = 1e-6  # relative; semidefinite program against the Riccati soluti
 RICCATI_GAIN = 1e-4  # relative; the cost is flat around its best gain, so gains are known less well
 GAP_LIMIT = 1e-4  # relative for traces, absolute for log det
 GAP_ROUNDING = 1e-9
+
+# Polytopes, relative to the size of the set
+SET_RELATIVE = 1e-11  # support numbers, vertices, volumes
+SET_CHEBYSHEV = 1e-8  # radii, found by a linear program; support numbers of unbounded sets
+SET_DECIDED = 1e-7  # margin below which an oracle does not decide emptiness or membership
+SET_SAME_POINT = 1e-8  # distance below which brute force takes two vertices for one
+
+# Controllers, closed loops and design.
+CLOSED_LOOP = 1e-12  # float64 sums in another order, over one step or over a batch of other size
+WORLD_FRAME = 1e-8  # 300 steps against an integrator run at 1e-12
+EXACT_SOLVER = 1e-6  # first inputs of the batched solver, residual 1e-8, against an active-set method
+SINGLE_PRECISION = 1e-4  # the same in float32
+KKT = 1e-8
+LINEAR_PROGRAM = 1e-6  # what a linear program answers, against its own tolerance of 1e-7
+INSIDE_TUBE = -1e-12  # least facet margin of a deviation
+
+# Quadratic programs (test_qp.py)
+QP_ORACLE = 1e-9  # feasibility asked of the exact solver
+QP_SHARE = 0.999  # of the feasible instances solved, and of the infeasible ones proved
+QP_RESIDUAL = 1e-8
+QP_ANSWER = 1e-6
+QP_ROUNDING = 1e-11
+QP_EDGE = 1e-5  # relative distance from the edge of the feasible set at which both sides are told apart
+QP_SHARE_FLOAT32 = 0.9
+QP_ANSWER_FLOAT32 = 1e-4
+QP_ILL_CONDITIONED_FLOAT32 = 1e-3  # condition number 1e4, answers up to 30

@@ -139,6 +139,6 @@ def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None 
     initial = found.problem.scenario.initial
     raise ScenarioError(
         f"scenario: initial = ({initial.x_m} m, {initial.y_m} m, {initial.heading_deg} deg): the start lies outside "
-        f"the feasible set of the tube-MPC (constraints short by {missing:.3g}); start at most {share:.0%} as far away, "
-        "lengthen controller.horizon or shrink [disturbance]"
+        f"the feasible set of the tube-MPC (constraints short by {missing:.3g}); start at most {share:.0%} as far "
+        "away, lengthen controller.horizon or shrink [disturbance]"
     )

@@ -15,6 +15,7 @@ from sets.lmi import TerminalCost, terminal_cost
 from sets.polytope import Polytope
 
 SOLVER_RESIDUAL = 1e-8
+NEVER_RESET_STEPS = 20
 OBJECTIVES = ("trace_s", "trace_p", "logdet")
 
 
@@ -27,6 +28,8 @@ def certify(
     sequence = problem.scenario.controller.tube == "sequence"
     margins = (_sequence_margins if sequence else _tube_margins)(problem, tube_gain, windows, bounds)
     _reach_and_inclusion(certificate, *margins)
+    if not problem.scenario.controller.restart:
+        _never_reset(certificate, problem, tube_gain, bounds)
     _terminal(certificate, problem, tube_gain, terminal, windows, bounds)
     margin = check.decrease_margin(
         terminal.loops, terminal.gains.vertices, cost.cost, problem.error_weight, problem.input_weight
@@ -140,6 +143,22 @@ def _reach_and_inclusion(certificate: Certificate, reach_margin: float, inclusio
     )
 
 
+def _never_reset(certificate: Certificate, problem: Problem, gain: LocalGain, bounds: Bounds) -> None:
+    """Compare what the first stage is tightened by with what a deviation that is never reset can reach."""
+    loops, W = vertex_loops(problem, gain), problem.disturbance_set.vertices()
+    first = min(1, problem.horizon - 1)
+    taken = (problem.error_set.offsets - bounds.errors[:, first]).min(axis=0)
+    reach = [check.reach_supports(loops, W, row, NEVER_RESET_STEPS)[0][-1] for row in problem.error_set.normals]
+    margin = float(np.min(taken - reach))
+    certificate.add(
+        "nominal_error_never_reset",
+        margin,
+        f"The first stage is tightened by more than {NEVER_RESET_STEPS} steps of disturbances can reach.",
+        f"The nominal error is never reset, but the first stage is tightened for one step only: in {NEVER_RESET_STEPS} "
+        f"steps the deviation reaches {-margin:.3g} further.",
+    )
+
+
 def _terminal(certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, windows, bounds: Bounds) -> None:
     W, D = problem.disturbance_set.vertices(), terminal.disturbance.vertices()
     label = {"T-B": "D"}.get(terminal.kind, "W")
@@ -188,7 +207,7 @@ def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal: Ter
         certificate.add(
             name,
             same if problem.scenario.controller.tube == "sequence" else -np.inf,
-            "Tube and terminal gain coincide and the tube follows the reference: Omega - R_N receives every shifted plan.",
+            "Tube and terminal gain coincide, the tube follows the reference: Omega - R_N receives every shifted plan.",
             "T-A needs the tube `sequence`: with another tube the shifted plan may miss the terminal set.",
         )
         return
@@ -276,7 +295,7 @@ def _exists(certificate: Certificate, name: str, label: str, problem: Problem, g
         name,
         margin,
         f"With {label} an invariant set ({facets} facets) inside the constraints exists over the whole box.",
-        f"With {label} no invariant set fits the constraints over the whole box: within {found.iterations + 1} steps the "
-        f"reach of the origin passes one by {-margin:.3g}.",
+        f"With {label} no invariant set fits the constraints over the whole box: within {found.iterations + 1} "
+        f"steps the reach of the origin passes one by {-margin:.3g}.",
         required=False,
     )

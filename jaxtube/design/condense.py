@@ -5,7 +5,7 @@
     lower <= row_errors e + rows g <= upper
 
 Rows of E_j for j = 1..N-1, of U_j for j = 0..N-1, and the terminal ones. Constraints are backed off by what a solver
-may miss them by. Rows that no input reaches in any window (the lateral error one step ahead, with Euler) are kept apart.
+may miss them by. Rows that no input reaches in any window (the lateral error one step ahead, Euler) are kept apart.
 """
 
 from __future__ import annotations

@@ -9,6 +9,7 @@ from jaxtube import qp
 from jaxtube.design import Design
 from jaxtube.design.problem import input_rows
 from jaxtube.rollout import Trajectory
+from sets.polytope import Polytope
 from sets.tubes import Section, input_support, sequence_support
 
 TRANSIENT_S = 10.0
@@ -32,7 +33,7 @@ def design_metrics(design: Design) -> dict:
         "lmi_cost": design.cost.cost,
         "lmi_objective_value": design.cost.value,
         "terminal_gains": design.terminal.gains.vertices,
-        "terminal_half_widths": None if maximal is None else maximal.support(np.eye(3)) * TO_DISPLAY,
+        "terminal_half_widths": None if maximal is None else _half_widths(maximal),
         "terminal_facets": None if invariant is None else len(invariant.offsets),
         "terminal_facets_maximal": None if maximal is None else len(maximal.offsets),
         "terminal_volume_share": design.terminal.volume_share,
@@ -45,6 +46,11 @@ def design_metrics(design: Design) -> dict:
         "certified": design.certificate.holds,
         "design_seconds": design.seconds,
     }
+
+
+def _half_widths(polytope: Polytope) -> Float[np.ndarray, "3"]:
+    """Return the half widths (m, m, deg) of the smallest symmetric box that holds a set."""
+    return np.maximum(polytope.support(np.eye(3)), polytope.support(-np.eye(3))) * TO_DISPLAY
 
 
 def tube_half_widths(design: Design, name: str) -> Float[np.ndarray, "horizon+1 3"]:
