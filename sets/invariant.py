@@ -6,7 +6,7 @@
 * the maximal set inside given constraints (Gilbert and Tan 1991; Kolmanovsky and Gilbert 1998; Blanchini 1999), or the
   proof that there is none: a product of loops and disturbances that carries the origin out of the constraints;
 * an outer bound of the minimal set that is itself invariant (fixed point on given facet normals);
-* an invariant set of few facets, grown inside the maximal one by a sequence of linear programs.
+* an invariant set of few facets, grown inside the maximal one by linear programs in its normals and its offsets.
 
 Every loop must be stable for one constant schedule at least and W must contain the origin. Then a non-empty closed
 invariant set contains the origin (take w = 0), hence everything reached from it: a reach that leaves proves emptiness.
@@ -14,12 +14,14 @@ invariant set contains the origin (take w = 0), hence everything reached from it
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linprog
+from scipy.sparse import csr_array
 from scipy.spatial import ConvexHull, QhullError
 
 from sets.polytope import Polytope
@@ -34,6 +36,9 @@ PRUNING = 1e-9
 
 BACK_OFF = 1e-5
 """Few-facet sets stay this share inside the constraints: room to repair what a linear program's tolerance leaves."""
+
+MOVES, FIRST_RADIUS, LAST_RADIUS = 40, 0.05, 2e-3
+"""Moves of the facets at most; how far a normal may turn at first, as a share of the largest, and where that ends."""
 
 
 @dataclass(frozen=True)
@@ -169,69 +174,115 @@ def few_facet_rpi(
     disturbance: SupportFunction,
     maximal: Polytope,
     facets: int = 40,
-    target: float = 0.85,
+    target: float = 0.95,
 ) -> Polytope | None:
     """Return an invariant set of at most `facets` facets inside `maximal`, grown towards `target` of its volume.
 
-    On fixed normals C the offsets b must satisfy, with multipliers L >= 0, L C = C Phi_i:  L b + (1 + INFLATION) h_W <= b.
-    From the smallest solution, linear programs in b (multipliers of the last set, facet areas as objective) enlarge the
-    volume; every step stays invariant. Normals come spread over the rows of the maximal set for a somewhat larger W,
-    whose rows are closer to being closed under the loops. Returns None where no such set was found.
+    The smallest invariant set on normals spread over the rows of the maximal one is enlarged by pairs of linear
+    programs: one turns the normals, to first order; one finds the best offsets of the turned normals, exactly. Every
+    set on the way is invariant. Returns None where the chosen normals carry no invariant set inside `constraints`.
     """
     if len(maximal.offsets) <= facets:
         return maximal
-    full, best, best_volume = maximal.volume(), None, 0.0
-    for normals in _templates(loops, constraints, disturbance, maximal, facets):
-        start = minimal_rpi_bound(loops, disturbance, normals)
-        if start is None or constraints.containment_margin(start) < 0:
-            continue
-        offsets, volume = _grow(loops, constraints, (1 + INFLATION) * disturbance(normals), normals, start.offsets)
-        if volume > best_volume:
-            best, best_volume = Polytope(normals, offsets), volume
-        if best_volume >= target * full:
+
+    def steps(rows):
+        return (1 + INFLATION) * disturbance(rows)
+
+    normals = _spread(maximal.normals / maximal.offsets[:, None], facets)
+    start = minimal_rpi_bound(loops, disturbance, normals)
+    if start is None or constraints.containment_margin(start) < 0:
+        return None
+
+    dual, wanted = normals / start.offsets[:, None], target * maximal.volume()
+    volume, slope = _volume_and_slope(dual)
+    radius, growth = 0.0, 1e3  # far at first, with the normals as they are; small steps once these turn
+    for _ in range(MOVES):
+        moved = _turned(loops, constraints, steps(dual), dual, slope, radius) if radius else dual
+        found = _refitted(loops, constraints, steps(moved), moved, slope, growth)
+        measured = (0.0, slope) if found is None else _volume_and_slope(found)
+        if found is not None and measured[0] > volume * (1 + 1e-5):
+            dual, (volume, slope), radius = found, measured, min(1.5 * radius, 0.2)
+        else:
+            radius, growth = (0.4 * radius if radius else FIRST_RADIUS), 0.1
+        if volume >= wanted or 0 < radius < LAST_RADIUS:
             break
-    return best
+    return Polytope(dual, np.ones(len(dual)))
 
 
-def _templates(loops, constraints, disturbance, maximal: Polytope, facets: int):
-    """Yield sets of facet normals, the most promising first."""
-    sources = [maximal]
-    for inflation in (1.06, 1.2):
-        larger = maximal_rpi(loops, constraints, lambda rows, s=inflation: s * disturbance(rows), max_iterations=60)
-        if larger.polytope is not None:
-            sources.insert(0, larger.polytope)
-    for seed in range(2):
-        for source in sources[:2]:
-            yield _spread(source.normals / source.offsets[:, None], facets, seed)
-
-
-def _spread(points: Float[np.ndarray, "k n"], count: int, seed: int) -> Float[np.ndarray, "count n"]:
+def _spread(points: Float[np.ndarray, "k n"], count: int) -> Float[np.ndarray, "count n"]:
     """Choose `count` rows far from each other, the extremes along every axis first."""
     scaled = points / np.abs(points).max(axis=0)
     chosen = list(dict.fromkeys([*scaled.argmax(axis=0).tolist(), *scaled.argmin(axis=0).tolist()]))
-    if seed:
-        chosen.append(int(np.random.default_rng(seed).integers(len(points))))
     distance = np.min(np.linalg.norm(scaled[:, None] - scaled[chosen], axis=2), axis=1)
-    while len(chosen) < min(count, len(points)):
+    while len(chosen) < count:
         chosen.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(scaled - scaled[chosen[-1]], axis=1))
-    return points[np.unique(chosen)]
+    return points[chosen]
 
 
-def _volume_and_slope(normals, offsets) -> tuple[float, Float[np.ndarray, " k"]]:
-    """Return the volume of {normals x <= offsets} and its derivative: a cone over facet k has d volume / d b_k = n cone_k / b_k."""
-    hull = ConvexHull(_vertices(normals, offsets))
-    dimension = normals.shape[1]
+def _volume_and_slope(dual: Float[np.ndarray, "k n"]) -> tuple[float, Float[np.ndarray, "k n"]]:
+    """Return the volume of {dual x <= 1} and its derivative: a cone over facet k has dV / dc_k = -n cone centre."""
+    hull = ConvexHull(_facet_points(ConvexHull(dual)))
+    n = dual.shape[1]
     corners = hull.points[hull.simplices]
-    cones = np.abs(np.linalg.det(corners)) / np.prod(np.arange(1, dimension + 1))
-    owner = np.argmax((normals / offsets[:, None]) @ corners.mean(axis=1).T, axis=0)
-    slope = np.zeros(len(offsets))
-    np.add.at(slope, owner, dimension * cones / offsets[owner])
+    cones, centres = np.abs(np.linalg.det(corners)) / math.factorial(n), corners.mean(axis=1)
+    slope = np.zeros_like(dual)
+    np.add.at(slope, np.argmax(dual @ centres.T, axis=0), -n * cones[:, None] * centres)
     return float(cones.sum()), slope
 
 
+def _turned(loops, constraints: Polytope, steps, dual, slope, radius: float) -> Float[np.ndarray, "k n"]:
+    """Return rows c within `radius` that gain the most volume while c_k Phi_i y + h_W(c_k) <= 1 at every vertex y.
+
+    To first order, with h_W frozen: a vertex y on the facets s, and a row r = sum of weights w_s c_s, give
+    d(r y) = dr y - sum w_s dc_s y. Only rows that are nearly tight at y can be reached by a small move.
+    """
+    k, n = dual.shape
+    simplices = ConvexHull(dual).simplices
+    inverses = np.linalg.inv(dual[simplices])
+    vertices = inverses.sum(axis=2)
+    limits = constraints.normals / constraints.offsets[:, None]
+    rows = np.concatenate([*(dual @ loop for loop in loops), limits])
+    room = np.concatenate([np.tile(1 - steps, len(loops)), np.full(len(limits), 1 - BACK_OFF)])
+    slack = room[:, None] - rows @ vertices.T
+    row, at = np.nonzero(slack < radius)
+    weights = np.einsum("an,anm->am", rows[row], inverses[at])
+    change, entry = np.zeros((len(row), k, n)), np.arange(len(row))
+    for m in range(n):
+        change[entry, simplices[at, m]] -= weights[:, m, None] * vertices[at]
+    own = np.flatnonzero(row < k * len(loops))
+    change[own, row[own] % k] += np.einsum("anm,am->an", loops[row[own] // k], vertices[at[own]])
+    width = np.tile(radius * np.abs(dual).max(axis=0), k)
+    answer = linprog(
+        -slope.ravel(),
+        A_ub=csr_array(change.reshape(len(row), -1)),
+        b_ub=np.maximum(slack[row, at], 0),
+        bounds=np.stack([-width, width], axis=1),
+    )
+    return dual + answer.x.reshape(k, n) if answer.status == 0 else dual
+
+
+def _refitted(loops, constraints: Polytope, steps, dual, slope, growth: float) -> Float[np.ndarray, "k n"] | None:
+    """Return the rows scaled to offsets b that make {dual x <= b} invariant and large, or None.
+
+    Multipliers L >= 0, L dual = dual Phi_i, turn invariance into L b + h_W <= b; those of the tight rows are taken.
+    """
+    k, v = len(dual), len(loops)
+    images = np.concatenate([dual @ loop for loop in loops])
+    try:
+        offsets = np.max(dual @ _vertices(dual, np.ones(k)).T, axis=1)
+        invariance = _multipliers(dual, offsets, images) - np.tile(np.eye(k), (v, 1))
+        rows = np.concatenate([invariance, _multipliers(dual, offsets, constraints.normals)])
+        bounds = np.concatenate([-np.tile(steps, v), constraints.offsets * (1 - BACK_OFF)])
+        step = np.stack([offsets / (1 + growth), offsets * (1 + growth)], axis=1)
+        answer = linprog(np.einsum("kn,kn->k", slope, dual), A_ub=rows, b_ub=bounds, bounds=step)
+        return _restored(images, constraints, steps, dual, answer.x) if answer.status == 0 else None
+    except (QhullError, np.linalg.LinAlgError):
+        return None
+
+
 def _multipliers(normals, offsets, directions) -> Float[np.ndarray, "d k"]:
-    """Return L >= 0 with L normals = directions and L offsets = support numbers: barycentres on the dual hull's facets."""
+    """Return L >= 0, L normals = directions, L offsets = support numbers: barycentres on the dual hull's facets."""
     dual = normals / offsets[:, None]
     hull = ConvexHull(dual)
     simplices = hull.simplices[np.argmax(directions @ _facet_points(hull).T, axis=1)]
@@ -241,50 +292,14 @@ def _multipliers(normals, offsets, directions) -> Float[np.ndarray, "d k"]:
     return multipliers
 
 
-def _grow(loops, constraints: Polytope, steps, normals, offsets, patience: int = 4):
-    """Enlarge {normals x <= offsets} by linear programs that keep it invariant and inside `constraints`."""
-    generator = np.random.default_rng(0)
-    images = np.concatenate([normals @ loop for loop in loops])
-    invariance = np.tile(np.eye(len(offsets)), (len(loops), 1))
-    bounds = np.concatenate([-np.tile(steps, len(loops)), constraints.offsets * (1 - BACK_OFF)])
-    volume, slope = _volume_and_slope(normals, offsets)
-    stalled = 0
-    while stalled <= patience:
-        # At a stall the multipliers of a nearby set open another convex piece of the feasible offsets.
-        near = offsets * np.exp(generator.normal(size=len(offsets)) * 0.02 * generator.random() * (stalled > 0))
-        near = np.minimum(near, np.max(normals @ _vertices(normals, near).T, axis=1))
-        rows = np.concatenate(
-            [
-                _multipliers(normals, near, images) - invariance,
-                _multipliers(normals, near, constraints.normals),
-            ]
-        )
-        stalled += 1
-        for step in (1e3, 0.2, 0.03):
-            answer = linprog(
-                -slope, A_ub=rows, b_ub=bounds, bounds=np.stack([offsets / (1 + step), offsets * (1 + step)], 1)
-            )
-            candidate = _restored(loops, constraints, steps, normals, answer.x) if answer.status == 0 else None
-            if candidate is None:
-                continue
-            new_volume, new_slope = _volume_and_slope(normals, candidate)
-            if new_volume > volume * (1 + 1e-5):
-                offsets, volume, slope, stalled = candidate, new_volume, new_slope, 0
-    return offsets, volume
-
-
-def _restored(loops, constraints: Polytope, steps, normals, offsets) -> Float[np.ndarray, " k"] | None:
-    """Return offsets repaired to invariance in float64 (a solver's answer misses it by 1e-7), or None."""
-    images = np.concatenate([normals @ loop for loop in loops])
+def _restored(images, constraints: Polytope, steps, dual, offsets) -> Float[np.ndarray, "k n"] | None:
+    """Return the rows with offsets repaired to invariance in float64 (a solver's answer misses it by 1e-7), or None."""
     for _ in range(100):
-        try:
-            points = _vertices(normals, offsets)
-        except QhullError:
-            return None
-        tight = np.max(normals @ points.T, axis=1)
-        reach = np.max(images @ points.T, axis=1).reshape(len(loops), -1).max(axis=0) + steps
+        points = _vertices(dual, offsets)
+        tight = np.max(dual @ points.T, axis=1)
+        reach = np.max(images @ points.T, axis=1).reshape(-1, len(dual)).max(axis=0) + steps
         if np.all(reach <= tight * (1 + 1e-3 * INFLATION)):
             inside = np.all(constraints.normals @ points.T <= constraints.offsets[:, None])
-            return tight if inside else None
+            return dual / tight[:, None] if inside else None
         offsets = np.maximum(tight, reach)
     return None

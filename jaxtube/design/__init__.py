@@ -135,10 +135,12 @@ def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None 
     missing = max(shortfall(found.tube_window, index, error), outside_limits)
     if missing <= 1e-9:
         return
-    share = reach_of_ray(found.tube_window, index, error)
+    E = found.problem.error_set
+    share = min(reach_of_ray(found.tube_window, index, error), 1 / np.max(E.normals @ error / E.offsets))
+    cure = f"start at most {share:.0%} as far away" if share > 0 else "no start has a plan"
     initial = found.problem.scenario.initial
     raise ScenarioError(
         f"scenario: initial = ({initial.x_m} m, {initial.y_m} m, {initial.heading_deg} deg): the start lies outside "
-        f"the feasible set of the tube-MPC (constraints short by {missing:.3g}); start at most {share:.0%} as far "
-        "away, lengthen controller.horizon or shrink [disturbance]"
+        f"the feasible set of the tube-MPC (constraints short by {missing:.3g}); {cure}; "
+        "lengthen controller.horizon or shrink [disturbance]"
     )

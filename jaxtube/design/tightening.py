@@ -150,8 +150,10 @@ def refuse_empty(problem: Problem, tightening: Tightening) -> None:
         size = len(coordinates)
         width = left[..., :size] + left[..., size:]
         if np.any(width < 0):
-            _, stage, row = np.unravel_index(np.argmin(width), width.shape)
-            worst = width[:, stage, row].min()
+            narrowest = width.min(axis=0)
+            stage = int(np.argmax(np.any(narrowest < 0, axis=1)))
+            row = int(np.argmin(narrowest[stage]))
+            worst = narrowest[stage, row]
             whole = offsets[row] + offsets[row + size]
             raise EmptySetError(
                 f"{name}_{stage} is empty: in the {coordinates[row]} the tube of stage {stage} is {whole - worst:.4g} "

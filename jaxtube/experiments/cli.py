@@ -83,10 +83,14 @@ def parse(arguments: Sequence[str]) -> Options | None:
 
 def run(options: Options) -> int:
     """Load the scenario, where one is given, and run the command's own module."""
-    from ..scenario import load
+    from ..scenario import ScenarioError, load
 
     scenario = load(options.scenario, options.overrides) if options.scenario else None
-    return importlib.import_module(f"{__package__}.{options.module}").run(scenario, options)
+    try:
+        return importlib.import_module(f"{__package__}.{options.module}").run(scenario, options)
+    except ScenarioError as error:
+        # What only a design can find out is not told where the scenario came from.
+        raise ScenarioError(re.sub("^scenario:", f"{options.scenario}:", str(error))) from None
 
 
 def _split(arguments: Iterable[str]) -> tuple[list[str], list[str]]:
