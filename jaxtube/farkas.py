@@ -18,16 +18,16 @@ from jaxtyping import Bool, Float
 from jaxtube import batched_ldl, interior_point
 from jaxtube.batched_ldl import matmul
 
-LARGEST_NORM = {8: 1e6, 4: 1e3}  # X, by bytes of a float
+LARGEST_NORM = {8: 1e6, 4: 1e2}  # X, by bytes of a float: I / X^2 must stay above the rounding of H
 
 
 def elastic_program(hessian: Float[Array, "n n"], rows: Float[Array, "m n"]) -> interior_point.Program:
-    """Prepare problem (1) in (x, t); a trace of `hessian` makes its answer unique."""
+    """Prepare problem (1) in (x, t); a very small multiple of `hessian` as its cost makes the answer unique."""
     m, n = rows.shape
-    trace = jnp.finfo(rows.dtype).eps ** 0.66 * hessian / jnp.max(jnp.abs(hessian))
+    cost = jnp.finfo(rows.dtype).eps ** 0.66 * hessian / jnp.max(jnp.abs(hessian))
     both = jnp.concatenate([rows, -rows, jnp.zeros_like(rows[:1])])
     both = jnp.concatenate([both, -jnp.ones((2 * m + 1, 1), rows.dtype)], axis=1)
-    return interior_point.program(jnp.zeros((n + 1, n + 1), rows.dtype).at[:n, :n].set(trace), both)
+    return interior_point.program(jnp.zeros((n + 1, n + 1), rows.dtype).at[:n, :n].set(cost), both)
 
 
 def elastic_multipliers(
@@ -64,11 +64,11 @@ def excludes(
     size = jnp.sum(upper + lower, axis=0)
     upper, lower = upper / size, lower / size
     g = matmul(rows.T, upper - lower)
-    largest = jnp.sqrt(
-        (1 + jnp.sum(two_sided, axis=0).astype(g.dtype))
-        * jnp.maximum(jnp.sum(g * batched_ldl.solve(batched_ldl.factorise(packed), g), axis=0), 0.0)
-    )
+    ldl = batched_ldl.factorise(packed)
+    length = jnp.sum(g * batched_ldl.solve(ldl, g), axis=0)
+    largest = jnp.sqrt((1 + jnp.sum(two_sided, axis=0).astype(g.dtype)) * jnp.maximum(length, 0.0))
     from_below = jnp.where(lower > 0, lower * l, 0.0)
     from_above = jnp.where(upper > 0, upper * u, 0.0)
     margin = tolerance * jnp.maximum(1.0, jnp.sum(jnp.abs(from_below) + jnp.abs(from_above), axis=0))
-    return jnp.sum(from_below - from_above, axis=0) > largest + margin
+    positive = jnp.all(ldl.inverse_pivots > 0, axis=0)
+    return positive & (jnp.sum(from_below - from_above, axis=0) > largest + margin)

@@ -21,7 +21,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxtube import batched_ldl
 from jaxtube.batched_ldl import matmul
@@ -97,12 +97,17 @@ def factorise(P: Float[Array, "n n"], A: Float[Array, "m n"]) -> Factors:
 def residual(
     factors: Factors, given: Instances, x: Float[Array, "n batch"], y: Float[Array, "m batch"]
 ) -> Float[Array, " batch"]:
-    """Return max(|P x + q + A'y|_inf, |A x - clip(A x + y, l, u)|_inf); infinite where a number is NaN."""
+    """Return max(|P x + q + A'y|_inf, |A x - clip(A x + y, l, u)|_inf); infinite where NaN or bounds that cross."""
     row_values = matmul(factors.rows, x)
     stationarity = matmul(factors.hessian, x) + given.q + matmul(factors.rows.T, y)
     distance = row_values - jnp.clip(row_values + y, given.l, given.u)
     largest = jnp.maximum(jnp.max(jnp.abs(stationarity), axis=0), jnp.max(jnp.abs(distance), axis=0))
-    return jnp.where(jnp.isnan(largest), jnp.inf, largest)
+    return jnp.where(jnp.isnan(largest) | crossing(given), jnp.inf, largest)
+
+
+def crossing(given: Instances) -> Bool[Array, " batch"]:
+    """Return whether the bounds of some row leave no number between them; clip would silently take the upper one."""
+    return jnp.any((given.l > given.u) | (given.l == jnp.inf) | (given.u == -jnp.inf), axis=0)
 
 
 def better(

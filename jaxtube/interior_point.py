@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float
 from jaxtube import batched_ldl
 from jaxtube.batched_ldl import matmul
 
-SHORTEST_WAY_TO_THE_BOUNDARY = 0.995
+TOWARDS_THE_BOUNDARY = 0.995
 
 
 class Program(NamedTuple):
@@ -100,7 +100,7 @@ def iterate(
     affine_mu = jnp.sum(jnp.where(kept, (s + step * ds) * (y + step * dy), 0.0), axis=0) / count
     target = mu * jnp.minimum(affine_mu / mu, 1.0) ** 3  # (2)
     dx, ds, dy = direction(s * y + ds * dy - target)  # (3)
-    step = jnp.minimum(SHORTEST_WAY_TO_THE_BOUNDARY * longest_step(state, ds, dy), 1.0)  # (4)
+    step = longest_step(state, ds, dy)  # (4)
     x, s, y = x + step * dx, s + step * ds, y + step * dy
     # Beyond this mu the weights y / s differ by more than the floats resolve, and iterating on loses what was found.
     moves &= mu > jnp.finfo(x.dtype).eps ** 0.75
@@ -109,6 +109,6 @@ def iterate(
 
 
 def longest_step(state: State, ds: Float[Array, "m batch"], dy: Float[Array, "m batch"]) -> Float[Array, " batch"]:
-    """Return the longest step, at most 1/0.995, that keeps s and y >= 0."""
+    """Return the step, at most 1, that goes at most 0.995 of the way to where some s or y would be zero."""
     shrink = jnp.maximum(jnp.max(-ds / state.s, 0), jnp.max(jnp.where(dy < 0, -dy / state.y, 0.0), 0))
-    return 1 / jnp.maximum(shrink, SHORTEST_WAY_TO_THE_BOUNDARY)
+    return TOWARDS_THE_BOUNDARY / jnp.maximum(shrink, TOWARDS_THE_BOUNDARY)

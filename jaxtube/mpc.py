@@ -85,15 +85,17 @@ def plan(window: Window, errors: Float[Array, "batch 3"]) -> tuple[qp.Solution, 
         errors: start of each prediction, (m, m, rad).
 
     Returns:
-        (solution, whether it is a plan): solved, and the rows that no input reaches hold.
+        (solution, whether it is a plan): solved, and the rows that no input reaches hold to the solver's tolerance.
     """
     shift = errors @ window.row_errors.T
     solution = qp.solve(
         window.factors, errors @ window.linear.T, jnp.asarray(window.lower) - shift, jnp.asarray(window.upper) - shift
     )
     checks = errors @ window.check_errors.T
-    reachable = jnp.all((checks >= window.check_lower) & (checks <= window.check_upper), axis=1)
-    status = jnp.where(reachable, solution.status, qp.INFEASIBLE)
+    # As exact as the rows of the QP: what an admissible plan meets with equality, it meets to rounding when shifted.
+    slack = qp.TOLERANCE[errors.dtype.itemsize]
+    missed = jnp.any((checks < window.check_lower - slack) | (checks > window.check_upper + slack), axis=1)
+    status = jnp.where(missed, qp.INFEASIBLE, solution.status)
     return solution._replace(status=status), status == qp.SOLVED
 
 

@@ -82,8 +82,8 @@ def solve(
 
     l, u may be (m,), common to all. `tolerance` is 1e-9 in float64 and 5e-7 in float32 unless given.
     SOLVED: `kkt_residual` <= tolerance max(1, |q|_inf), or <= the rounding error of P x if that is larger.
-    INFEASIBLE: proved (see `farkas`), or l > u in some row.
-    UNSOLVED: neither; x is the best iterate, or zero with an infinite residual where the data are not numbers.
+    INFEASIBLE: proved (see `farkas`), or l > u in some row. UNSOLVED: neither.
+    x is the best iterate; it is zero and the residual infinite where the data are not numbers or l > u.
     """
     tolerance = TOLERANCE[q.dtype.itemsize] if tolerance is None else tolerance
     l, u = (jnp.broadcast_to(bound, (len(q), len(factors.rows))) for bound in (l, u))
@@ -105,7 +105,10 @@ def kkt_residual(
     x: Float[Array, "batch n"],
     multipliers: Float[Array, "batch m"],
 ) -> Float[Array, " batch"]:
-    """Return max(|P x + q + A'y|_inf, |A x - clip(A x + y, l, u)|_inf), rows scaled to unit 2-norm; NaN gives inf."""
+    """Return max(|P x + q + A'y|_inf, |A x - clip(A x + y, l, u)|_inf), rows scaled to unit 2-norm.
+
+    Infinite where a number is NaN or where bounds cross.
+    """
     l, u = (jnp.broadcast_to(bound, multipliers.shape) for bound in (l, u))
     given = unit_rows(factors, Instances(q, l, u, q[:, 0]))
     return fixed_point.residual(factors, given, x.T, (multipliers * factors.row_norms).T)
@@ -129,13 +132,12 @@ def solve_constrained(
         return farkas.excludes(A, block.l, block.u, upper, lower, tolerance)
 
     def split(block, best):
-        crossing = jnp.any((block.l > block.u) | (block.l == jnp.inf) | (block.u == -jnp.inf), axis=0)
         best = fixed_point.better(
             factors, block, best._replace(residual=jnp.full_like(best.residual, jnp.inf)), *best[:2]
         )
         x, y = fixed_point.admm(factors, block, best.x, iterations)  # (2)
         best = fixed_point.polish(factors, block, best, x, y, polish_steps)  # (3)
-        return best, crossing | proved(block, jnp.maximum(y, 0.0), jnp.maximum(-y, 0.0))
+        return best, fixed_point.crossing(block) | proved(block, jnp.maximum(y, 0.0), jnp.maximum(-y, 0.0))
 
     def rescue(block, best):
         h = jnp.concatenate([block.u, -block.l])

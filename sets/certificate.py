@@ -1,4 +1,4 @@
-"""Certificate: every condition a tube-MPC guarantee needs, re-checked by code that shares nothing with the construction.
+"""Certificate: every condition a tube-MPC guarantee needs, re-checked by code that shares none with the construction.
 
 The construction works with support numbers of hulls and dual points; here reach is summed along explicit products of
 loops, inclusions are linear programs over the polytopes actually used on line, and decrease is an eigenvalue. With
@@ -7,7 +7,7 @@ r_j(c) = (offset of the untightened set) - (offset used at stage j), all read of
     reach      r_j(c) >= max over products of  sum_{m<j} h_W(Psi_m^T c)
     inclusion  r_{j+1}(c) >= r_j(c) + max over products of  h_W(Psi_j^T c)        (the shifted plan stays admissible)
     terminal   e_N in T, Psi the last N - 1 loops, w in W:  e_N + Psi w in E_{N-1},  Gamma (e_N + Psi w) in U_{N-1},
-               (A_i + B_i Gamma_i)(e_N + Psi w) in T
+               (A_i + B_i Gamma_i)(e_N + Psi w) in the next T;   or, one gain throughout:  T + R_N in the invariant set
 
 Every condition keeps its margin (>= 0 where it holds; negative: by how much it fails) and a plain sentence.
 Sources: Chisci, Rossiter, Zappa 2001 (restarted tubes); Gonzalez, Fiacchini, Guzman, Alamo 2009, section III.
@@ -30,7 +30,7 @@ ROUNDING = 1e-12
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition: whether it holds, by what margin, and what that means; only `required` ones decide the guarantee."""
+    """One condition: whether it holds, by what margin, what that means; only `required` ones decide the guarantee."""
 
     holds: bool
     margin: float
@@ -159,6 +159,7 @@ def decrease_margin(loops, gains, cost, error_weight, input_weight) -> float:
 
 def terminal_margins(
     terminal: Polytope,
+    next_terminal: Polytope,
     terminal_loops: Float[np.ndarray, "v n n"],
     terminal_gains: Float[np.ndarray, "v m n"],
     last_error_set: Polytope,
@@ -167,7 +168,8 @@ def terminal_margins(
 ) -> dict[str, float]:
     """Return the margins of the three terminal inclusions for the shifted plan (module docstring, `terminal`).
 
-    `last_reach` contains Psi w for every product of N - 1 loops; `last_error_set`, `last_input_set` are E_{N-1}, U_{N-1}.
+    `next_terminal` is the constraint of the next step, the same one unless the tube follows the reference; `last_reach`
+    contains Psi w for every product of N - 1 loops; `last_error_set`, `last_input_set` are E_{N-1}, U_{N-1}.
     """
 
     def room(polytope: Polytope, matrix: Float[np.ndarray, "k n"]) -> float:
@@ -178,5 +180,17 @@ def terminal_margins(
     return {
         "admissible_errors": room(last_error_set, np.eye(terminal.dimension)),
         "admissible_inputs": min(room(last_input_set, gain) for gain in terminal_gains),
-        "returns": min(room(terminal, loop) for loop in terminal_loops),
+        "returns": min(room(next_terminal, loop) for loop in terminal_loops),
     }
+
+
+def whole_tube_margin(
+    invariant: Polytope,
+    terminal: Polytope,
+    loops: Float[np.ndarray, "horizon n n"],
+    disturbance: Float[np.ndarray, "w n"],
+) -> float:
+    """Return by how much e_N + R_N stays inside `invariant`: e_N in `terminal`, R_N along the schedule's loops."""
+    scale = np.linalg.norm(invariant.normals, axis=1)
+    rows, offsets = invariant.normals / scale[:, None], invariant.offsets / scale
+    return float(np.min(offsets - terminal.support(rows) - sequence_reach(loops, disturbance, rows)[0][-1]))

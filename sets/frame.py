@@ -149,19 +149,24 @@ def _deepest(unit, heights, centre, basis, extent):
 
 
 def _column_scales(rows, slacks):
-    """Return the s that bring rows s y <= slacks to unit size: in turn, rows to norm one and columns to one height.
+    """Return the s that bring the entries of rows s y <= slacks near to one size, rows being free to scale.
 
-    The largest entries decide, so entries and slacks that are mere rounding have no say; and a column that only one row
-    could lift is lifted no further than by the square root of the number of turns.
+    Rows and columns of [rows, slacks] are in turn divided by the root mean square of their entries (Sinkhorn 1967, Am.
+    Math. Mon. 74, 402-405), so that the large ones decide. Entries small in their row and their column do not count:
+    rounding has no say, and the iteration converges for every pattern, as its limit with all entries one shows.
     """
     table = abs(np.column_stack([rows, slacks]))
     scales = np.ones(table.shape[1])
-    for _ in range(200):
-        table = table / np.linalg.norm(table, axis=1, keepdims=True)
-        heights = table.max(axis=0, initial=0.0)
-        heights = np.where(heights > 0, heights / heights.max(initial=np.finfo(float).tiny), 1.0)
-        table, scales = table / heights, scales / heights
-        if heights.min() > 0.9:
+    for _ in range(100):
+        factors = np.ones(1)
+        for axis in (1, 0):
+            heads = table.max(axis=1, keepdims=True) * table.max(axis=0, keepdims=True, initial=0.0)
+            counts = np.maximum((table**2 > 1e-16 * heads).sum(axis=axis, keepdims=True), 1)
+            factors = np.sqrt((table**2).sum(axis=axis, keepdims=True) / counts)
+            factors[factors == 0] = 1.0
+            table = table / factors
+        scales = scales / factors[0]
+        if abs(np.log(factors)).max() < 0.1:
             break
     return scales[:-1] / scales[-1]
 
@@ -224,6 +229,12 @@ def flatten(
     return scaled @ axes[:rank].T / spread, axes[:rank] / scale / spread[:, None], axes[rank:] / scale
 
 
+def product(left: Float[np.ndarray, "m k"], right: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m n"]:
+    """Multiply, and take for zero the entries that are mere rounding: in badly scaled coordinates they would bind."""
+    result = left @ right
+    return np.where(abs(result) <= ROUNDING * (abs(left) @ abs(right)), 0.0, result)
+
+
 def hull(
     points: Float[np.ndarray, "k d"],
 ) -> tuple[Float[np.ndarray, "f d"], Float[np.ndarray, " f"], Int[np.ndarray, " v"]]:
@@ -236,7 +247,8 @@ def hull(
     distinct = _distinct(points)
     found = ConvexHull(points[distinct])
     facets = found.equations[_distinct(found.equations)]
-    return facets[:, :-1], -facets[:, -1], distinct[found.vertices]
+    normals = np.where(abs(facets[:, :-1]) <= ROUNDING, 0.0, facets[:, :-1])
+    return normals, -facets[:, -1], distinct[found.vertices]
 
 
 def _distinct(points):

@@ -8,8 +8,9 @@
 * an outer bound of the minimal set that is itself invariant (fixed point on given facet normals);
 * an invariant set of few facets, grown inside the maximal one by linear programs in its normals and its offsets.
 
-Every loop must be stable for one constant schedule at least and W must contain the origin. Then a non-empty closed
-invariant set contains the origin (take w = 0), hence everything reached from it: a reach that leaves proves emptiness.
+In two dimensions or more. Every loop must be stable for one constant schedule at least and W must contain the origin.
+Then a non-empty closed invariant set contains the origin (take w = 0), hence everything reached from it: a reach that
+leaves proves emptiness.
 """
 
 from __future__ import annotations
@@ -108,19 +109,16 @@ def maximal_rpi(
     """
     if np.any(constraints.offsets <= 0):
         raise ValueError(f"constraints: smallest offset {constraints.offsets.min():.3g}: the origin must lie inside")
-    rows = _Rows(
-        constraints.normals, constraints.offsets, np.arange(len(constraints.offsets)), [()] * len(constraints.offsets)
-    )
+    k = len(constraints.offsets)
+    rows = _Rows(constraints.normals, constraints.offsets, np.arange(k), [()] * k)
     rows = new = rows.take(ConvexHull(rows.dual).vertices)
     for iteration in range(max_iterations):
         room = new.offsets - (1 + INFLATION) * disturbance(new.normals)
         if np.any(room <= 0):
             worst = int(np.argmin(room))
-            root = new.roots[worst]
-            path = tuple(reversed(new.paths[worst]))
-            return MaximalRpi(
-                None, Escape(constraints.normals[root], float(constraints.offsets[root]), path), iteration
-            )
+            root, path = new.roots[worst], tuple(reversed(new.paths[worst]))
+            escape = Escape(constraints.normals[root], float(constraints.offsets[root]), path)
+            return MaximalRpi(None, escape, iteration)
         candidates = new.predecessors(loops, room)
         hull = ConvexHull(rows.dual)
         outside = np.max(candidates.dual @ _facet_points(hull).T, axis=1) > 1 + PRUNING
@@ -184,21 +182,16 @@ def few_facet_rpi(
     """
     if len(maximal.offsets) <= facets:
         return maximal
-
-    def steps(rows):
-        return (1 + INFLATION) * disturbance(rows)
-
     normals = _spread(maximal.normals / maximal.offsets[:, None], facets)
     start = minimal_rpi_bound(loops, disturbance, normals)
     if start is None or constraints.containment_margin(start) < 0:
         return None
-
     dual, wanted = normals / start.offsets[:, None], target * maximal.volume()
     volume, slope = _volume_and_slope(dual)
     radius, growth = 0.0, 1e3  # far at first, with the normals as they are; small steps once these turn
     for _ in range(MOVES):
-        moved = _turned(loops, constraints, steps(dual), dual, slope, radius) if radius else dual
-        found = _refitted(loops, constraints, steps(moved), moved, slope, growth)
+        moved = _turned(loops, constraints, disturbance, dual, slope, radius) if radius else dual
+        found = _refitted(loops, constraints, disturbance, moved, slope, growth)
         measured = (0.0, slope) if found is None else _volume_and_slope(found)
         if found is not None and measured[0] > volume * (1 + 1e-5):
             dual, (volume, slope), radius = found, measured, min(1.5 * radius, 0.2)
@@ -231,7 +224,7 @@ def _volume_and_slope(dual: Float[np.ndarray, "k n"]) -> tuple[float, Float[np.n
     return float(cones.sum()), slope
 
 
-def _turned(loops, constraints: Polytope, steps, dual, slope, radius: float) -> Float[np.ndarray, "k n"]:
+def _turned(loops, constraints: Polytope, disturbance, dual, slope, radius: float) -> Float[np.ndarray, "k n"]:
     """Return rows c within `radius` that gain the most volume while c_k Phi_i y + h_W(c_k) <= 1 at every vertex y.
 
     To first order, with h_W frozen: a vertex y on the facets s, and a row r = sum of weights w_s c_s, give
@@ -243,6 +236,7 @@ def _turned(loops, constraints: Polytope, steps, dual, slope, radius: float) -> 
     vertices = inverses.sum(axis=2)
     limits = constraints.normals / constraints.offsets[:, None]
     rows = np.concatenate([*(dual @ loop for loop in loops), limits])
+    steps = (1 + INFLATION) * disturbance(dual)
     room = np.concatenate([np.tile(1 - steps, len(loops)), np.full(len(limits), 1 - BACK_OFF)])
     slack = room[:, None] - rows @ vertices.T
     row, at = np.nonzero(slack < radius)
@@ -262,12 +256,12 @@ def _turned(loops, constraints: Polytope, steps, dual, slope, radius: float) -> 
     return dual + answer.x.reshape(k, n) if answer.status == 0 else dual
 
 
-def _refitted(loops, constraints: Polytope, steps, dual, slope, growth: float) -> Float[np.ndarray, "k n"] | None:
+def _refitted(loops, constraints: Polytope, disturbance, dual, slope, growth: float) -> Float[np.ndarray, "k n"] | None:
     """Return the rows scaled to offsets b that make {dual x <= b} invariant and large, or None.
 
     Multipliers L >= 0, L dual = dual Phi_i, turn invariance into L b + h_W <= b; those of the tight rows are taken.
     """
-    k, v = len(dual), len(loops)
+    k, v, steps = len(dual), len(loops), (1 + INFLATION) * disturbance(dual)
     images = np.concatenate([dual @ loop for loop in loops])
     try:
         offsets = np.max(dual @ _vertices(dual, np.ones(k)).T, axis=1)

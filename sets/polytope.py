@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
-from sets.frame import ROUNDING, Frame, find_frame, flatten, hull, recedes, solve
+from sets.frame import Frame, find_frame, flatten, hull, product, recedes, solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class Polytope:
         if not len(points):
             return Polytope(np.zeros((1, points.shape[1])), -np.ones(1))
         coordinates, inverse, flat = flatten(points)
-        facets = hull(coordinates)[0] @ inverse
+        facets = product(hull(coordinates)[0], inverse)
         normals = np.vstack([facets, flat])
         normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
         # support numbers of the cloud itself, so that the rounding of its hull cuts no point off
@@ -122,7 +122,8 @@ class Polytope:
         if recedes(weighted, cost):
             return frame.centre, np.inf
         solution, _ = solve(cost, weighted, np.ones(len(weighted)))
-        centre = frame.centre + frame.basis @ (solution[:-1] @ inverse)
+        # the step back costs 1e-9 of the radius and gives far rows the room that the solver's tolerance took
+        centre = frame.centre + (1 - 1e-9) * (frame.basis @ (solution[:-1] @ inverse))
         return centre, float(self.margin(centre))
 
     def is_empty(self) -> bool:
@@ -168,14 +169,8 @@ class Polytope:
             raise ValueError(
                 f"matrix {matrix.shape}, shift {shift.shape}: give ({self.dimension}, k), ({self.dimension},)"
             )
-        normals = self.normals @ matrix
-        # rounding would turn rows that the matrix annihilates into arbitrary half-spaces
-        normals[
-            np.linalg.norm(normals, axis=1) <= ROUNDING * np.linalg.norm(abs(self.normals) @ abs(matrix), axis=1)
-        ] = 0
-        return Polytope(
-            normals, _difference(self.offsets, self.normals @ shift, abs(self.offsets) + abs(self.normals) @ abs(shift))
-        )
+        size = abs(self.offsets) + abs(self.normals) @ abs(shift)
+        return Polytope(product(self.normals, matrix), _difference(self.offsets, self.normals @ shift, size))
 
     def image(self, matrix: Float[np.ndarray, "k dimension"]) -> Polytope:
         """Return {matrix x : x in P}: exact, by the inverse where it is well conditioned, else by the vertices.
@@ -188,7 +183,7 @@ class Polytope:
         square = matrix.shape[0] == matrix.shape[1] and rows.all() and columns.all()
         if not square or np.linalg.cond(scaled := matrix / rows / columns) > 1e6:
             return Polytope.from_vertices(self.vertices() @ matrix.T)
-        return Polytope(np.linalg.solve(scaled.T, (self.normals / columns).T).T / rows[:, 0], self.offsets)
+        return Polytope(product(self.normals / columns, np.linalg.inv(scaled)) / rows[:, 0], self.offsets)
 
     def minkowski_sum(self, other: Polytope) -> Polytope:
         """Return {x + y : x in P, y in other}: exact, by the hull of all sums of vertices; both bounded."""

@@ -8,6 +8,7 @@ import daqp
 import numpy as np
 from scipy.linalg import expm
 from scipy.optimize import linprog
+from tolerances import KKT
 
 REACHED = 1e-12  # coefficients below it are those of a row that no input reaches
 
@@ -37,8 +38,8 @@ def terminal_gain(design, wheels):
     """Give Gamma(th): bilinear in the wheel speeds between (min, max), (min, min), (max, min), (max, max)."""
     reference = design.problem.scenario.reference
     width = reference.wheel_speed_max_mps - reference.wheel_speed_min_mps
-    r, l = (np.asarray(wheels) - reference.wheel_speed_min_mps) / width
-    shares = [(1 - r) * l, (1 - r) * (1 - l), r * (1 - l), r * l]
+    right, left = (np.asarray(wheels) - reference.wheel_speed_min_mps) / width
+    shares = [(1 - right) * left, (1 - right) * (1 - left), right * (1 - left), right * left]
     return sum(share * gain for share, gain in zip(shares, design.terminal.gains.vertices, strict=True))
 
 
@@ -98,7 +99,7 @@ class PlainQp:
     def solve(self, error):
         """Give (g, multipliers) by DAQP, or None where no g meets the rows."""
         limits = self.limits(error)
-        if np.any(limits[~self.reached] < 0):
+        if np.any(limits[~self.reached] < -KKT):
             return None
         G, h = np.ascontiguousarray(self.rows[self.reached]), limits[self.reached]
         answer, _, flag, info = daqp.solve(

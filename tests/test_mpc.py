@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import PlainMpc, terminal_gain, tube_gain
-from tolerances import EXACT_SOLVER, KKT, LINEAR_PROGRAM, ROUNDING, SINGLE_PRECISION
+from tolerances import EXACT_SOLVER, KKT, LINEAR_PROGRAM, ROUNDING, SINGLE_KKT, SINGLE_PRECISION
 
 from jaxtube import mpc, qp
 from jaxtube.experiments import closed_loop
@@ -121,12 +121,17 @@ def test_plans_with_many_active_rows_are_exact_and_infeasible_ones_are_flagged(u
     assert np.mean(found.status[found.feasible] == qp.SOLVED) >= 0.999, str(found)
 
 
-def test_an_error_that_no_input_can_bring_back_has_no_plan(robust_design):
-    limit = robust_design.problem.error_set.offsets[1]
+def test_an_error_that_no_input_can_bring_back_has_no_plan(uncertified):
+    design = uncertified("robust", *TIGHT)
     # One step ahead the lateral error is e_y + T (V e_th - Om e_x), whatever the input.
-    starts = np.tile([0.0, limit - 0.001, 0.3], (BATCH, 1))
-    solution, plans = plan_in_blocks(robust_design, 0, starts)
-    assert not plans.any() and np.all(solution.status == qp.INFEASIBLE)
+    limit = design.problem.error_set.offsets[1] - design.tightening.error_reach[0, 1, 1]
+    ahead = 0.1 * design.problem.reference.wheels[0].mean()
+    headings = np.linspace(0, 0.3, BATCH)
+    beyond = np.where(np.arange(BATCH) % 2 == 0, 1e-6, -1e-6)
+    starts = np.stack([np.zeros(BATCH), limit + beyond - ahead * headings, headings], axis=1)
+    solution, plans = plan_in_blocks(design, 0, starts)
+    assert np.all(solution.status[beyond > 0] == qp.INFEASIBLE) and not plans[beyond > 0].any()
+    assert np.any(plans[beyond < 0])
 
 
 # ---------------------------------------------------------------------------------------------------------- guarantee
@@ -167,40 +172,37 @@ def test_the_guarantee_holds_in_thousands_of_runs(robust_design, uncertified, ed
 
 @pytest.fixture(scope="module")
 def disturbed(robust_design, edge_starts):
-    """The tube-MPC of `robust` under six times W, with starts beyond its feasible set and one that is not a number."""
+    """The tube-MPC of `robust` under ten times W; many starts are beyond its feasible set, one is not a number."""
     loops, plant = closed_loop.controllers(robust_design), closed_loop.linear_plant(robust_design)
-    plant = dataclasses.replace(plant, disturbance_vertices=6 * plant.disturbance_vertices)
+    plant = dataclasses.replace(plant, disturbance_vertices=10 * plant.disturbance_vertices)
     starts = edge_starts(robust_design, BATCH)
     starts[: BATCH // 4] *= 1.5
     starts[0] = np.nan
-    return starts, closed_loop.simulate(loops["tube_mpc"], plant, starts, 9)
+    return closed_loop.simulate(loops["tube_mpc"], plant, starts, 9)
 
 
 def test_without_a_plan_the_status_says_so_and_inputs_stay_finite(disturbed):
-    starts, trajectory = disturbed
-    status, backup = trajectory.diagnostics.status, trajectory.diagnostics.backup
+    status, backup = disturbed.diagnostics.status, disturbed.diagnostics.backup
     assert np.mean(status[0, 1 : BATCH // 4] == qp.INFEASIBLE) > 0.5
     assert np.all(status[0, BATCH // 4 :] == qp.SOLVED)
     np.testing.assert_array_equal(backup, status != qp.SOLVED)
-    assert np.all(np.isfinite(trajectory.inputs[:, 1:])) and np.all(np.isfinite(trajectory.errors[:, 1:]))
+    assert np.all(np.isfinite(disturbed.inputs[:, 1:])) and np.all(np.isfinite(disturbed.errors[:, 1:]))
     recovered = backup.any(axis=0) & ~backup[-1]
     assert recovered.sum() > BATCH / 4
 
 
 def test_a_start_that_is_not_a_number_is_never_taken_for_a_plan(disturbed):
-    _, trajectory = disturbed
-    assert np.all(trajectory.diagnostics.status[:, 0] != qp.SOLVED) and np.all(trajectory.diagnostics.backup[:, 0])
-    assert np.all(trajectory.diagnostics.status[:, 1:] != qp.UNSOLVED)
+    assert np.all(disturbed.diagnostics.status[:, 0] == qp.UNSOLVED) and np.all(disturbed.diagnostics.backup[:, 0])
+    assert np.all(disturbed.diagnostics.status[:, 1:] != qp.UNSOLVED)
 
 
 def test_the_backup_follows_the_last_plan_then_the_terminal_gain(robust_design, disturbed):
-    starts, trajectory = disturbed
     problem, plain = robust_design.problem, PlainMpc(robust_design)
-    backup, used = trajectory.diagnostics.backup, dict(plan=0, gain=0)
-    for run in np.flatnonzero(backup[:60].any(axis=0))[1:41]:
+    backup, used = disturbed.diagnostics.backup, dict(plan=0, gain=0)
+    for run in range(1, BATCH, 2):
         inputs, errors, age = None, None, 0
-        for step in range(60):
-            error, wheels = trajectory.measured[step, run], problem.schedule[step]
+        for step in range(100):
+            error, wheels = disturbed.measured[step, run], problem.schedule[step]
             if not backup[step, run]:
                 inputs, errors = plain.qp(step).plan(error)
                 age = 0
@@ -210,7 +212,7 @@ def test_the_backup_follows_the_last_plan_then_the_terminal_gain(robust_design, 
             else:
                 expected = terminal_gain(robust_design, wheels) @ error
                 used["gain"] += 1
-            np.testing.assert_allclose(trajectory.inputs[step, run], expected, atol=EXACT_SOLVER)
+            np.testing.assert_allclose(disturbed.inputs[step, run], expected, atol=EXACT_SOLVER)
             age += 1
     assert used["plan"] > 100 and used["gain"] > 20
 
@@ -244,9 +246,10 @@ def test_ten_thousand_recorded_qps_are_solved_exactly(paper_design, paper_laps):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("dtype", "residual", "tolerance"), [(np.float64, KKT, EXACT_SOLVER), (np.float32, 2e-5, SINGLE_PRECISION)]
+    ("dtype", "residual", "tolerance", "least_share"),
+    [(np.float64, KKT, EXACT_SOLVER, 0.999), (np.float32, SINGLE_KKT, SINGLE_PRECISION, 0.9)],
 )
-def test_ten_thousand_hard_qps_are_solved_or_flagged(uncertified, edge_starts, dtype, residual, tolerance):
+def test_ten_thousand_hard_qps_are_solved_or_flagged(uncertified, edge_starts, dtype, residual, tolerance, least_share):
     cases = [("robust", ()), ("robust", TIGHT), ("robust", ONE_SIDED), ("paper", SEQUENCE)]
     comparisons = []
     for name, overrides in cases:
@@ -260,4 +263,4 @@ def test_ten_thousand_hard_qps_are_solved_or_flagged(uncertified, edge_starts, d
     assert len(found.status) >= 10_000
     assert found.errors.max() <= tolerance, str(found)
     assert np.mean(found.active > 0) >= 0.2 and np.sum(found.active >= 5) > 100, str(found)
-    assert np.mean(found.status[found.feasible] == qp.SOLVED) >= 0.999, str(found)
+    assert np.mean(found.status[found.feasible] == qp.SOLVED) >= least_share, str(found)

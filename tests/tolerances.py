@@ -27,8 +27,10 @@ WORLD_FRAME = 1e-8  # 300 steps against an integrator run at 1e-12
 EXACT_SOLVER = 1e-6  # first inputs of the batched solver, residual 1e-8, against an active-set method
 SINGLE_PRECISION = 1e-4  # the same in float32
 KKT = 1e-8
+SINGLE_KKT = 2e-5  # the same in float32
 LINEAR_PROGRAM = 1e-6  # what a linear program answers, against its own tolerance of 1e-7
-INSIDE_TUBE = -1e-12  # least facet margin of a deviation
+INSIDE_TUBE = -1e-12  # least facet margin of a deviation or disturbance
+AT_A_VERTEX = 1e-8  # relative; a disturbance of 3 mm rebuilt from errors of order one
 
 # Quadratic programs (test_qp.py)
 QP_ORACLE = 1e-9  # feasibility asked of the exact solver
@@ -37,6 +39,7 @@ QP_RESIDUAL = 1e-8
 QP_ANSWER = 1e-6
 QP_ROUNDING = 1e-11
 QP_EDGE = 1e-5  # relative distance from the edge of the feasible set at which both sides are told apart
+QP_POLISHED = 0.9  # of the constrained instances, made exact by Newton steps after ADMM
 QP_SHARE_FLOAT32 = 0.9
 QP_ANSWER_FLOAT32 = 1e-4
 QP_ILL_CONDITIONED_FLOAT32 = 1e-3  # condition number 1e4, answers up to 30

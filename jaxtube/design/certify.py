@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from functools import partial
+from itertools import pairwise
+
 import numpy as np
 
 from jaxtube.design.condense import Bounds
@@ -31,16 +34,15 @@ def certify(
     if not problem.scenario.controller.restart:
         _never_reset(certificate, problem, tube_gain, bounds)
     _terminal(certificate, problem, tube_gain, terminal, windows, bounds)
-    margin = check.decrease_margin(
-        terminal.loops, terminal.gains.vertices, cost.cost, problem.error_weight, problem.input_weight
-    )
+    loops, gains = vertex_loops(problem, terminal.gains), terminal.gains.vertices
+    margin = check.decrease_margin(loops, gains, cost.cost, problem.error_weight, problem.input_weight)
     certificate.add(
         "terminal_cost_decrease",
         margin,
         "The terminal cost decreases by at least the stage cost at every vertex of the schedule box.",
         "The terminal cost does not decrease by the stage cost at some vertex.",
     )
-    _coverage(certificate, problem, tube_gain, terminal)
+    _coverage(certificate, problem, tube_gain, terminal, windows)
     certificate.add(
         "solver_residual",
         BACK_OFF - SOLVER_RESIDUAL,
@@ -86,21 +88,17 @@ def _tube_margins(problem: Problem, gain: LocalGain, windows: Windows, bounds: B
     N, loops = problem.horizon, vertex_loops(problem, gain)
     W = problem.disturbance_set.vertices()
     reach_margin = inclusion_margin = np.inf
-    errors = (problem.error_set.offsets - bounds.errors[0])[:, :, None]
-    inputs = (problem.input_set.offsets - bounds.inputs[0])[:, :, None]
-    cases = [
-        (row[None], taken) for row, taken in zip(problem.error_set.normals, errors.transpose(1, 0, 2), strict=True)
-    ]
-    cases += [
-        (row @ gain.vertices, taken)
-        for row, taken in zip(problem.input_set.normals, inputs.transpose(1, 0, 2), strict=True)
-    ]
-    for directions, taken in cases:
-        pairs = [check.reach_supports(loops, W, direction, N - 1) for direction in directions]
-        reach, last = (np.max([pair[i] for pair in pairs], axis=0) for i in (0, 1))
-        reach_margin = min(reach_margin, np.min(taken[:, 0] - reach))
-        if N > 1:
-            inclusion_margin = min(inclusion_margin, np.min(np.diff(taken[:, 0]) - last[:-1]))
+    for directions, taken in (
+        (problem.error_set.normals[:, None], problem.error_set.offsets - bounds.errors),
+        (problem.input_set.normals[:, None, None] @ gain.vertices, problem.input_set.offsets - bounds.inputs),
+    ):
+        least, most = taken.min(axis=0), taken.max(axis=0)
+        for row, along in enumerate(directions):
+            along = along.reshape(-1, along.shape[-1])
+            reach, last = np.max([check.reach_supports(loops, W, direction, N - 1) for direction in along], axis=0)
+            reach_margin = min(reach_margin, np.min(least[:, row] - reach))
+            growth = least[1:, row] - most[:-1, row] - last[:-1]
+            inclusion_margin = min(inclusion_margin, np.min(growth, initial=np.inf))
     return reach_margin, inclusion_margin
 
 
@@ -111,10 +109,8 @@ def _sequence_margins(problem: Problem, gain: LocalGain, windows: Windows, bound
     taken_errors = problem.error_set.offsets - bounds.errors
     taken_inputs = problem.input_set.offsets - bounds.inputs
     reach_margin = inclusion_margin = np.inf
-    pairs = np.unique(np.stack([windows.index[:-1], windows.index[1:]], axis=1), axis=0)
-    pairs = pairs if len(pairs) else np.zeros((1, 2), int)
-    for first, second in pairs:
-        loops = windows.loops[first]
+    for first, loops in enumerate(windows.loops):
+        followers = np.unique(windows.index[1:][windows.index[:-1] == first])
         for j in range(N):
             for taken, rows in (
                 (taken_errors, problem.error_set.normals),
@@ -123,8 +119,8 @@ def _sequence_margins(problem: Problem, gain: LocalGain, windows: Windows, bound
                 reach, last = check.sequence_reach(loops[: max(j, 1)], W, rows)
                 reach_margin = min(reach_margin, np.min(taken[first, j] - reach[j]))
                 if j:
-                    growth = taken[first, j] - taken[second, j - 1] - last[j - 1]
-                    inclusion_margin = min(inclusion_margin, np.min(growth))
+                    growth = taken[first, j] - taken[followers, j - 1] - last[j - 1]
+                    inclusion_margin = min(inclusion_margin, np.min(growth, initial=np.inf))
     return reach_margin, inclusion_margin
 
 
@@ -161,11 +157,11 @@ def _never_reset(certificate: Certificate, problem: Problem, gain: LocalGain, bo
 
 def _terminal(certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, windows, bounds: Bounds) -> None:
     W, D = problem.disturbance_set.vertices(), terminal.disturbance.vertices()
-    label = {"T-B": "D"}.get(terminal.kind, "W")
+    label, loops = {"T-B": "D"}.get(terminal.kind, "W"), vertex_loops(problem, terminal.gains)
     if terminal.invariant is None:
-        _empty_terminal(certificate, terminal, D)
+        _empty_terminal(certificate, terminal, loops, D)
     else:
-        margin = check.invariance_margin(terminal.loops, D, terminal.invariant)
+        margin = check.invariance_margin(loops, D, terminal.invariant)
         certificate.add(
             "terminal_set_invariant",
             margin,
@@ -182,48 +178,49 @@ def _terminal(certificate, problem: Problem, tube_gain: LocalGain, terminal: Ter
     _plan_stays_feasible(certificate, problem, tube_gain, terminal, windows, bounds, W)
 
 
-def _empty_terminal(certificate: Certificate, terminal: Terminal, disturbance) -> None:
-    excess, steps = np.nan, 0
-    if terminal.maximal.escape is not None:
-        escape = terminal.maximal.escape
-        excess, _ = check.escape_excess(terminal.loops, disturbance, escape.normal, escape.offset, escape.loops)
-        steps = len(escape.loops) + 1
-    certificate.add(
-        "terminal_set_invariant",
-        -excess,
-        "",
-        f"No invariant terminal set exists: disturbances carry the origin {excess:.3g} past a constraint in {steps} "
-        "steps. The run uses E - R_N at the last stage instead."
-        if steps
-        else "No invariant terminal set was found. The run uses E - R_N at the last stage instead.",
-    )
+def _empty_terminal(certificate: Certificate, terminal: Terminal, loops, disturbance) -> None:
+    margin, sentence = -np.inf, "No invariant terminal set was found."
+    escape = terminal.maximal.escape
+    if escape is not None:
+        excess, _ = check.escape_excess(loops, disturbance, escape.normal, escape.offset, escape.loops)
+        # the set was sought for a slightly wider disturbance, so an escape may fall short: it proves nothing then
+        if excess > 0:
+            margin, steps = -excess, len(escape.loops) + 1
+            sentence = (
+                f"No invariant terminal set exists: in {steps} steps the origin goes {excess:.3g} past a constraint."
+            )
+    certificate.add("terminal_set_invariant", margin, "", f"{sentence} The run uses E - R_N at the last stage instead.")
 
 
 def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal: Terminal, windows, bounds, W) -> None:
     """Check the terminal inclusions of the shifted plan on the sets used, or for T-A the premises of the theorem."""
     name = "plan_stays_feasible"
-    if terminal.kind == "T-A" and not terminal.fallback:
-        same = -float(np.max(np.abs(tube_gain.vertices - terminal.gains.vertices)))
+    sets = [Polytope(bounds.terminal_normals, offsets) for offsets in bounds.terminal]
+    if terminal.kind == "T-A" and terminal.invariant is not None and not terminal.fallback:
+        rooms = map(partial(check.whole_tube_margin, terminal.invariant, disturbance=W), sets, windows.loops)
+        same = np.array_equal(tube_gain.vertices, terminal.gains.vertices)
         certificate.add(
             name,
-            same if problem.scenario.controller.tube == "sequence" else -np.inf,
+            min(rooms) if same and problem.scenario.controller.tube == "sequence" else -np.inf,
             "Tube and terminal gain coincide, the tube follows the reference: Omega - R_N receives every shifted plan.",
-            "T-A needs the tube `sequence`: with another tube the shifted plan may miss the terminal set.",
+            "T-A needs one gain, the tube `sequence` and e_N in Omega - R_N: the shifted plan may miss it.",
         )
         return
     N = problem.horizon
-    loops = vertex_loops(problem, tube_gain)
-    last_reach = _products(loops, W, N - 1)
+    last_reach = _products(vertex_loops(problem, tube_gain), W, N - 1)
+    _, distinct, kinds = np.unique(bounds.terminal, axis=0, return_index=True, return_inverse=True)
+    kinds = distinct[kinds.reshape(-1)][windows.index]
     margins = [
         check.terminal_margins(
-            Polytope(bounds.terminal_normals, offsets),
-            terminal.loops,
+            sets[now],
+            sets[following],
+            vertex_loops(problem, terminal.gains),
             terminal.gains.vertices,
             Polytope(problem.error_set.normals, bounds.errors[:, N - 1].min(axis=0)),
             Polytope(problem.input_set.normals, bounds.inputs[:, N - 1].min(axis=0)),
             last_reach,
         )
-        for offsets in np.unique(bounds.terminal, axis=0)
+        for now, following in set(pairwise(kinds)) or {(kinds[0], kinds[0])}
     ]
     worst = {key: min(margin[key] for margin in margins) for key in margins[0]}
     failing = ", ".join(f"{key} by {-value:.3g}" for key, value in worst.items() if value < 0)
@@ -244,13 +241,15 @@ def _products(loops, W, steps: int) -> Polytope:
     return Polytope.from_vertices(points)
 
 
-def _coverage(certificate: Certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal) -> None:
-    """Check that loops inside the box are mixtures of the vertex loops: exact for Euler, not for zero-order hold."""
+def _coverage(certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, windows: Windows) -> None:
+    """Check that loops in the box, the run's too, are mixtures of the vertex loops: not so for zero-order hold."""
     lower, upper = problem.model.box
     grid = np.stack(np.meshgrid(*np.linspace(lower, upper, 21).T), axis=-1).reshape(-1, 2)
     transitions, inputs = problem.model.matrices(grid)
     weights = problem.model.weights(grid)
-    worst = 0.0
+    used = problem.model.weights(windows.schedules)
+    run = tube_gain.at(used) - windows.gains, np.tensordot(used, vertex_loops(problem, tube_gain), 1) - windows.loops
+    worst = max(-float(used.min()), *(float(np.max(np.abs(difference))) for difference in run))
     for gain in (tube_gain, terminal.gains):
         mixtures = np.tensordot(weights, vertex_loops(problem, gain), axes=1)
         worst = max(worst, float(np.max(np.abs(transitions + inputs @ gain.at(weights) - mixtures))))

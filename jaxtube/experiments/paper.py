@@ -129,19 +129,24 @@ def _comparison(measured: dict) -> str:
 
 def _stress_table(measured: dict) -> str:
     """Return the stress runs of the design `robust`, with and without tube."""
+    columns = ("runs", "outside E", "infeasible QPs", "recovered runs", "every w in W", "of these outside E")
     lines = [
-        f"{'design `robust`, starts over the':<26}{'':<10}{'':>8}{'runs':>9}{'QPs':>12}{'runs':>11}{'every w in W:':>15}",
-        f"{'feasible set of the tube-MPC':<26}{'':<8}{'runs':>8}{'outside E':>11}{'infeasible':>12}{'recovered':>11}"
-        f"{'runs':>9}{'outside E':>12}",
+        "design `robust`, starts all over the feasible set of the tube-MPC",
+        f"{'plant':<24}{'controller':<10}" + "".join(f"{name:>{len(name) + 2}}" for name in columns),
     ]
     for case, runs in measured["stress"].items():
         for name, numbers in runs.items():
             recovered = f"{numbers['runs_recovered']}/{numbers['runs_with_infeasible_QP']}"
-            lines.append(
-                f"{stress.CASES[case]:<24}{name:<10}{numbers['runs']:8}{numbers['runs_outside_E']:11}"
-                f"{numbers['infeasible_QPs']:12}{recovered:>11}{numbers['runs_with_every_w_in_W']:9}"
-                f"{numbers['runs_outside_E_with_every_w_in_W']:12}"
+            values = (
+                numbers["runs"],
+                numbers["runs_outside_E"],
+                numbers["infeasible_QPs"],
+                recovered,
+                numbers["runs_with_every_w_in_W"],
+                numbers["runs_outside_E_with_every_w_in_W"],
             )
+            cells = "".join(f"{value:>{len(head) + 2}}" for head, value in zip(columns, values, strict=True))
+            lines.append(f"{stress.CASES[case]:<24}{name:<10}{cells}")
     return "\n".join(lines)
 
 

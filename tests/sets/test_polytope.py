@@ -21,7 +21,7 @@ from sets.polytope import Polytope, convex_hull, hull_vertices
 from tests.tolerances import SET_CHEBYSHEV, SET_DECIDED, SET_RELATIVE, SET_SAME_POINT
 
 CASES = 1000
-LAWS = 5  # every law takes one case in five; 5 has no factor in common with the period of the kinds of cases
+LAWS = 7  # every law takes one case in seven; the kinds of cases recur with period 64, so it meets them all
 
 
 @dataclass(frozen=True)
@@ -71,9 +71,8 @@ def brute_force_vertices(rows, limits):
     return points[~np.tril(near, -1).any(axis=1)]
 
 
-def depth(rows, limits):
-    """Radius of the largest ball in {y : rows y <= limits}, negative if empty."""
-    weights = np.linalg.norm(rows, axis=1)
+def depth(rows, limits, weights):
+    """Largest r for which some y has rows y + r weights <= limits."""
     return -linprog(-np.eye(rows.shape[1] + 1)[-1], np.column_stack([rows, weights]), limits, bounds=(None, None)).fun
 
 
@@ -165,29 +164,28 @@ def test_containment_margin_is_the_least_distance_from_the_facets_to_the_vertice
         assert hull.containment_margin(c.polytope) >= -SET_RELATIVE * c.size * c.scales.max()
 
 
-def test_intersection_has_the_vertices_of_all_rows_and_is_empty_when_they_exclude_each_other():
+def test_intersection_has_the_support_of_all_rows_and_is_empty_when_they_exclude_each_other():
     empties = 0
     for c in share(2):
-        both = c.polytope.intersect(c.other)
-        if c.flat:
-            inside = (c.points @ c.other_rows.T <= c.other_limits - SET_DECIDED).all(axis=1)
-            directions = c.directions()
-            assert not (inside.any() and both.is_empty())
-            assert (
-                both.support(directions)
-                <= np.minimum(*map(lambda p: p.support(directions), (c.polytope, c.other)))
-                + SET_RELATIVE * c.size * (abs(directions) @ c.scales)
-            ).all()
-            continue
         rows, limits = np.vstack([c.rows, c.other_rows]), np.append(c.limits, c.other_limits)
-        room = depth(rows, limits)
+        room = depth(rows, limits, np.repeat([0.0, 1.0], [len(c.rows), len(c.other_rows)]))
         if abs(room) < SET_DECIDED:
             continue
+        both = c.polytope.intersect(c.other)
+        assert both.is_empty() == (room < 0) and both.is_flat() == (c.flat and room > 0)
         empties += room < 0
-        assert both.is_empty() == (room < 0)
-        if room > 0:
+        if room < 0:
+            continue
+        if c.flat:
+            directions = c.directions(3)
+            programs = [
+                linprog(-d * c.scales / abs(d * c.scales).max(), rows, limits, bounds=(None, None)) for d in directions
+            ]
+            expected = -np.array([p.fun for p in programs]) * abs(directions * c.scales).max(axis=1)
+        else:
             directions = c.directions()
-            c.assert_support(both, directions, c.numbers(directions, brute_force_vertices(rows, limits)))
+            expected = c.numbers(directions, brute_force_vertices(rows, limits))
+        c.assert_support(both, directions, expected)
     assert empties > 5
 
 
@@ -206,8 +204,9 @@ def test_support_of_a_minkowski_sum_is_the_sum_and_of_a_hull_of_the_union_the_ma
 def test_pontryagin_difference_holds_exactly_the_points_that_carry_the_subtrahend():
     for c in share(4):
         subtrahend = c.polytope.scale(0.3)
+        lengths = np.linalg.norm(c.other_rows, axis=1)
         limits = c.other_limits - 0.3 * (c.other_rows @ c.points.T).max(axis=1)
-        difference, room = c.other.pontryagin_difference(subtrahend), depth(c.other_rows, limits)
+        difference, room = c.other.pontryagin_difference(subtrahend), depth(c.other_rows, limits, lengths)
         if abs(room) < SET_DECIDED:
             continue
         assert difference.is_empty() == (room < 0)
@@ -226,7 +225,7 @@ def test_pontryagin_difference_holds_exactly_the_points_that_carry_the_subtrahen
 
 
 def test_a_set_minus_itself_is_the_origin():
-    for c in share(0):
+    for c in share(5):
         np.testing.assert_array_equal(c.polytope.pontryagin_difference(c.polytope).vertices(), [0 * c.scales])
 
 
@@ -245,7 +244,7 @@ def test_support_of_an_image_is_the_support_along_the_transpose():
 
 
 def test_preimage_holds_exactly_the_points_that_map_into_the_set():
-    for c in share(2):
+    for c in share(6):
         dimension = len(c.scales)
         count = int(c.rng.integers(1, dimension + 2))
         source = np.ones(count) if c.plain else 10 ** c.rng.uniform(-6, 6, count)
@@ -295,7 +294,7 @@ def test_chebyshev_ball_is_a_largest_one():
             continue
         assert c.polytope.margin(centre) == radius
         if c.plain:
-            assert abs(radius - depth(c.rows, c.limits)) <= SET_CHEBYSHEV
+            assert abs(radius - depth(c.rows, c.limits, np.linalg.norm(c.rows, axis=1))) <= SET_CHEBYSHEV
         # no point on the way to any vertex is deeper: the margin is concave, so a local maximum is the largest
         ways = centre + 1e-3 * (c.points * c.scales - centre)
         assert (c.polytope.margin(ways) <= radius * (1 + SET_CHEBYSHEV) + SET_RELATIVE * c.scales.min()).all()
@@ -377,7 +376,7 @@ def test_empty_sets_stay_empty():
 
 def test_cones_and_half_spaces_are_finite_along_their_normals_only():
     rng = np.random.default_rng(7)
-    for index in range(100):
+    for index in range(40):
         dimension = 1 + index % 4
         scales = 10 ** rng.uniform(-3, 3, dimension)
         rows = rng.normal(size=(rng.integers(1, dimension + 1), dimension))
@@ -405,16 +404,16 @@ def test_cones_and_half_spaces_are_finite_along_their_normals_only():
 def test_linear_programs_and_generators_give_the_same_support_in_higher_dimension(monkeypatch):
     rng = np.random.default_rng(3)
     for index in range(10):
-        dimension = 5 + index % 2
-        rows = np.vstack(
-            [rng.normal(size=(12, dimension)), *([np.eye(dimension), -np.eye(dimension)] * (index % 3 > 0))]
-        )
+        dimension, bounded = 5 + index % 2, index % 3 > 0
+        rows = rng.normal(size=(12, dimension))
+        axes = np.eye(dimension)
+        rows = np.vstack([rows, axes, -axes]) if bounded else rows * np.sign(rows[:, :1])
         polytope, directions = Polytope(rows, rng.uniform(0.3, 1, len(rows))), rng.normal(size=(4, dimension))
         by_programs = polytope.support(directions)
         with monkeypatch.context() as patch:
             patch.setattr(frame, "HULL_DIMENSION", dimension)
             np.testing.assert_allclose(by_programs, polytope.support(directions), rtol=SET_RELATIVE)
-        assert polytope.is_bounded() == (index % 3 > 0)
+        assert polytope.is_bounded() == bounded
 
 
 def test_thin_turned_boxes_keep_their_vertices_down_to_a_relative_thickness_of_1e_8():
@@ -451,7 +450,7 @@ def test_points_and_segments_are_sets():
     segment = Polytope.from_vertices(np.array([[1.0, -2.0, 3.0], [2.0, 0.0, 3.0], [1.5, -1.0, 3.0]]))
     assert point.is_flat() and segment.is_flat() and segment.volume() == 0
     np.testing.assert_allclose(point.vertices(), [[1, -2, 3]], rtol=SET_RELATIVE)
-    np.testing.assert_allclose(np.sort(segment.vertices(), axis=0), [[1, -2, 3], [2, 0, 3]], rtol=SET_RELATIVE)
+    np.testing.assert_allclose(np.sort(segment.vertices(), axis=0), [[1, -2, 3], [2, 0, 3]], atol=SET_RELATIVE)
     assert len(hull_vertices(np.array([[1.0], [3.0], [2.0], [3.0]]))) == 2
     np.testing.assert_array_equal(Polytope.box(-1.0 * np.ones(2), np.ones(2)).scale(0.0).vertices(), [[0, 0]])
 

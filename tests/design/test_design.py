@@ -1,0 +1,367 @@
+"""Laws of a design: its sets, its condensed QP, what each choice of terminal set leads to, and its refusals."""
+
+import jax
+import numpy as np
+import pytest
+from oracles import PlainMpc, model, simulate_model, terminal_gain, tube_gain
+from scipy.linalg import solve_discrete_are
+from tolerances import CLOSED_LOOP, LINEAR_PROGRAM, ROUNDING, WORLD_FRAME
+
+from jaxtube.design import EmptySetError, design, refuse_infeasible_start
+from jaxtube.design.feasible import boundary
+from jaxtube.design.problem import make_problem
+from jaxtube.design.tightening import BACK_OFF
+from jaxtube.error_dynamics import tracking_error
+from jaxtube.experiments import closed_loop
+from jaxtube.scenario import ScenarioError, load
+from sets.tubes import sequence_tube
+
+SEQUENCE = ("controller.terminal=T-A", "controller.tube=sequence", "reference.wheel_speed_min_mps=1.0")
+TIGHT = ("robot.wheel_speed_max_mps=2.2", "robot.wheel_speed_min_mps=0.5")
+EXACT_MODEL = ("controller.model=consistent", "controller.discretisation=zoh")
+CASES = {
+    "summed, T-B": ("robust",),
+    "sequence, T-A": ("paper", *SEQUENCE),
+    "no terminal set": ("robust", *TIGHT),
+    "zero-order hold": ("robust", *EXACT_MODEL),
+    "one stage": ("robust", "controller.horizon=1"),
+}
+
+
+@pytest.fixture(params=CASES, scope="module")
+def condensed(request, uncertified):
+    return uncertified(*CASES[request.param])
+
+
+def samples(found, seed, count=3):
+    """Yield (window, schedules ahead, error, inputs) at random for every distinct window."""
+    generator, N = np.random.default_rng(seed), found.problem.horizon
+    for window, schedules in enumerate(found.windows.schedules):
+        for _ in range(count):
+            yield window, schedules, generator.normal(size=3), generator.normal(size=(N, 2))
+
+
+def take(found, window, which="tube_window"):
+    return jax.tree.map(lambda array: array[window], getattr(found, which))
+
+
+# ----------------------------------------------------------------------------------------------------------- condensing
+
+
+def test_windows_are_the_stretches_of_the_reference(condensed):
+    problem, windows = condensed.problem, condensed.windows
+    for step, window in enumerate(windows.index):
+        ahead = problem.schedule[step : step + problem.horizon]
+        np.testing.assert_allclose(windows.schedules[window], ahead, atol=1e2 * ROUNDING)
+    assert len(windows.index) == problem.reference.steps
+    assert len(np.unique(windows.schedules.round(9), axis=0)) == len(windows.schedules)
+
+
+def test_predictions_are_those_of_a_step_by_step_simulation(condensed):
+    for window, schedules, error, inputs in samples(condensed, 1):
+        w, expected = take(condensed, window), simulate_model(condensed.problem, schedules, error, inputs)
+        predicted = w.plan_errors @ error + w.plan_inputs @ inputs.ravel()
+        np.testing.assert_allclose(predicted, expected[:-1], atol=CLOSED_LOOP)
+        step = w.transition @ error + w.input_matrix @ inputs[0]
+        np.testing.assert_allclose(step, expected[1], atol=CLOSED_LOOP)
+
+
+def plain_cost(found, schedules, error, inputs):
+    """The cost of section 9: sum of e'Qe + g'Rg over N stages, and e'Pe at the end."""
+    problem = found.problem
+    errors = simulate_model(problem, schedules, error, inputs)
+    stages = sum(
+        e @ problem.error_weight @ e + g @ problem.input_weight @ g for e, g in zip(errors[:-1], inputs, strict=True)
+    )
+    return stages + errors[-1] @ found.cost.cost @ errors[-1]
+
+
+def test_the_quadratic_program_has_the_cost_of_the_plan(condensed):
+    for window, schedules, error, inputs in samples(condensed, 2):
+        w, g = take(condensed, window), inputs.ravel()
+        expected = plain_cost(condensed, schedules, error, inputs) - plain_cost(condensed, schedules, error, 0 * inputs)
+        found = g @ w.factors.hessian @ g / 2 + w.linear @ error @ g
+        assert found == pytest.approx(expected, rel=1e2 * CLOSED_LOOP)
+
+
+def section_of(found, window, j):
+    """R_j of a window."""
+    if found.problem.scenario.controller.tube == "sequence":
+        return sequence_tube(found.windows.loops[window], found.problem.disturbance_set)[j]
+    return found.tubes[found.problem.scenario.controller.tube][j]
+
+
+def input_reach(found, window, schedules, j, row):
+    """Support number of K R_j along a row of U, over every gain that may act."""
+    vertices = [schedules[j]] if found.problem.scenario.controller.tube == "sequence" else found.problem.model.vertices
+    section = section_of(found, window, j)
+    return max(section.support(row @ tube_gain(found, wheels))[0] for wheels in vertices)
+
+
+def plain_rows(found, window, schedules, error, inputs):
+    """Return the arrays (values, lower, upper) of every constraint on a plan, one after the other."""
+    problem, errors = found.problem, simulate_model(found.problem, schedules, error, inputs)
+    limits, rows = problem.error_set.offsets[:3], []
+    for j in range(1, problem.horizon):
+        for axis in range(3):
+            left = limits[axis] - section_of(found, window, j).support(np.eye(3)[axis])[0] - BACK_OFF
+            rows.append((errors[j, axis], -left, left))
+    b, U = problem.robot.track_width, problem.input_set.offsets
+    for j in range(problem.horizon):
+        for wheel, sign in enumerate((1, -1)):
+            row = np.array([1, sign * b / 2])
+            upper = U[wheel] - input_reach(found, window, schedules, j, row) - BACK_OFF
+            lower = -U[2 + wheel] + input_reach(found, window, schedules, j, -row) + BACK_OFF
+            rows.append((row @ inputs[j], lower, upper))
+    terminal = found.terminal
+    for row, offset in zip(terminal.constraint_normals, terminal.constraint_offsets[window], strict=True):
+        rows.append((row @ errors[-1], -np.inf, offset - BACK_OFF * np.linalg.norm(row)))
+    return np.array(rows).T
+
+
+def unreached_rows(found):
+    """Tell which constraints no input moves: their values are the same for any two plans."""
+    schedules, N = found.windows.schedules[0], found.problem.horizon
+    generator = np.random.default_rng(4)
+    plans = generator.normal(size=(2, N, 2))
+    first, second = (plain_rows(found, 0, schedules, np.ones(3), inputs)[0] for inputs in plans)
+    return np.abs(first - second) <= CLOSED_LOOP
+
+
+def test_rows_and_bounds_are_the_constraints_and_rows_no_input_reaches_stand_apart(condensed):
+    unreached = unreached_rows(condensed)
+    for window, schedules, error, inputs in samples(condensed, 3, count=1):
+        w = take(condensed, window)
+        value, lower, upper = plain_rows(condensed, window, schedules, error, inputs)
+        rows = w.factors.rows * w.factors.row_norms[:, None]
+        np.testing.assert_allclose(w.row_errors @ error + rows @ inputs.ravel(), value[~unreached], atol=WORLD_FRAME)
+        np.testing.assert_allclose(w.lower, lower[~unreached], atol=CLOSED_LOOP)
+        np.testing.assert_allclose(w.upper, upper[~unreached], atol=CLOSED_LOOP)
+        np.testing.assert_allclose(w.check_errors @ error, value[unreached], atol=CLOSED_LOOP)
+        np.testing.assert_allclose(w.check_lower, lower[unreached], atol=CLOSED_LOOP)
+        np.testing.assert_allclose(w.check_upper, upper[unreached], atol=CLOSED_LOOP)
+
+
+def test_no_input_reaches_the_lateral_error_one_step_ahead_and_every_other_row_is_reached(uncertified):
+    lateral_one_ahead = 1
+    for name, expected in (("summed, T-B", [lateral_one_ahead]), ("sequence, T-A", [lateral_one_ahead])):
+        np.testing.assert_array_equal(np.flatnonzero(unreached_rows(uncertified(*CASES[name]))), expected)
+    # Zero-order hold moves it within the step: V T^2 / 2 u2.
+    assert not unreached_rows(uncertified(*CASES["zero-order hold"])).any()
+
+
+def test_without_tube_the_rows_are_E_and_U_themselves_and_no_terminal_set(condensed):
+    problem, unreached = condensed.problem, unreached_rows(condensed)
+    E, U, N = problem.error_set.offsets[:3], problem.input_set.offsets, problem.horizon
+    facets = len(condensed.terminal.constraint_normals)
+    upper = np.concatenate([np.tile(E, N - 1), np.tile(U[:2], N), np.full(facets, np.inf)])
+    lower = np.concatenate([np.tile(-E, N - 1), np.tile(-U[2:], N), np.full(facets, -np.inf)])
+    plain = condensed.plain_window
+    for window in range(len(condensed.windows.schedules)):
+        np.testing.assert_allclose(plain.upper[window], upper[~unreached], atol=ROUNDING)
+        np.testing.assert_allclose(plain.lower[window], lower[~unreached], atol=ROUNDING)
+        np.testing.assert_allclose(plain.check_upper[window], upper[unreached], atol=ROUNDING)
+        np.testing.assert_allclose(plain.check_lower[window], lower[unreached], atol=ROUNDING)
+    np.testing.assert_array_equal(plain.factors.hessian, condensed.tube_window.factors.hessian)
+
+
+def test_gains_of_a_window_are_those_of_its_first_schedule(condensed):
+    for window, schedules in enumerate(condensed.windows.schedules):
+        w = take(condensed, window)
+        np.testing.assert_allclose(w.tube_gain, tube_gain(condensed, schedules[0]), atol=CLOSED_LOOP)
+        np.testing.assert_allclose(w.terminal_gain, terminal_gain(condensed, schedules[0]), atol=CLOSED_LOOP)
+        for j, wheels in enumerate(schedules):
+            A, B = model(condensed.problem, wheels)
+            loop = A + B @ tube_gain(condensed, wheels)
+            np.testing.assert_allclose(condensed.windows.loops[window, j], loop, atol=CLOSED_LOOP)
+
+
+def test_the_static_laws_are_the_tubes_gain_and_the_mpc_without_constraints(robust_design):
+    loops, plain = closed_loop.controllers(robust_design), PlainMpc(robust_design)
+    for step in (0, 112, 115, 299):
+        wheels, qp = robust_design.problem.schedule[step], plain.qp(step)
+        first_inputs = -np.linalg.solve(qp.hessian, qp.linear)[:2]
+        np.testing.assert_allclose(loops["local_gain"].gains[step], tube_gain(robust_design, wheels), atol=CLOSED_LOOP)
+        np.testing.assert_allclose(loops["equal_gain"].gains[step], first_inputs, atol=CLOSED_LOOP)
+
+
+# -------------------------------------------------------------------------------------------------------- sets and data
+
+
+def test_the_papers_sets(paper_design):
+    problem = paper_design.problem
+    np.testing.assert_allclose(problem.error_set.support(np.eye(3)), [0.3, 0.3, np.deg2rad(20)], atol=ROUNDING)
+    np.testing.assert_allclose(
+        problem.disturbance_set.support(np.eye(3)), [0.005, 0.005, np.deg2rad(0.2)], atol=ROUNDING
+    )
+    np.testing.assert_allclose(problem.input_set.offsets, [2.54, 2.54, 0.84, 0.84], atol=ROUNDING)
+    deficits = np.array([[1, 0.25], [1, -0.25]])
+    np.testing.assert_allclose(problem.input_set.support(deficits), 2.54, atol=CLOSED_LOOP)
+    np.testing.assert_allclose(problem.input_set.support(-deficits), 0.84, atol=CLOSED_LOOP)
+    np.testing.assert_allclose(problem.initial_error, [-0.1, -0.1, 0.0], atol=ROUNDING)
+    np.testing.assert_array_equal(problem.error_weight, np.diag([1, 1, 0.01]))
+
+
+def test_the_initial_error_is_that_of_eq_3():
+    problem = make_problem(load("paper", ["initial.x_m=0.2", "initial.y_m=-0.05", "initial.heading_deg=40"]))
+    pose = np.array([0.2, -0.05, np.deg2rad(40)])
+    np.testing.assert_allclose(problem.initial_error, tracking_error(pose, problem.reference.poses[0]), atol=ROUNDING)
+
+
+@pytest.mark.parametrize("input_map", ["paper", "cosine_free"])
+def test_inputs_in_U_never_saturate_a_wheel(input_map):
+    settings = ["slip.nominal_left=0.3", "robot.wheel_speed_max_mps=2.8", "robot.wheel_speed_min_mps=-1"]
+    problem = make_problem(load("paper", [f"controller.input_map={input_map}", *settings]))
+    generator, count = np.random.default_rng(4), 20_000
+    vertices = problem.input_set.vertices()
+    inputs = np.where(
+        generator.random(count)[:, None] < 0.5,
+        vertices[generator.integers(len(vertices), size=count)],
+        generator.dirichlet(np.ones(len(vertices)), count) @ vertices,
+    )
+    ends = generator.random((count, 2)) < 0.5
+    reference = np.where(ends, generator.choice([0.2, 1.5], (count, 2)), generator.uniform(0.2, 1.5, (count, 2)))
+    slip = np.array([0.2, 0.3]) * np.where(
+        ends, generator.choice([0.9, 1.1], (count, 2)), generator.uniform(0.9, 1.1, (count, 2))
+    )
+    heading = np.deg2rad(generator.choice([-20, 0, 20], count))
+    deficits = inputs @ np.array([[1, 1], [0.25, -0.25]])
+    if input_map == "cosine_free":
+        deficits = deficits + (reference.mean(axis=1) * (1 - np.cos(heading)))[:, None]
+    wheels = (reference - deficits) / (1 - slip)
+    assert wheels.min() >= -1 - ROUNDING and wheels.max() <= 2.8 + ROUNDING
+    # Not by a wide margin either: both limits are reached by some input, reference and slip in the box.
+    assert wheels.max() > 2.799 and wheels.min() < (-0.999 if input_map == "paper" else -0.9)
+
+
+def test_gains_of_the_tube_are_the_riccati_gain_at_the_centre_and_what_cancels_the_schedule(paper_design):
+    problem = paper_design.problem
+    A, B = model(problem, [0.85, 0.85])
+    P = solve_discrete_are(A, B, problem.error_weight, problem.input_weight)
+    riccati = -np.linalg.solve(problem.input_weight + B.T @ P @ B, B.T @ P @ A)
+    np.testing.assert_allclose(paper_design.lqr_gain, riccati, atol=CLOSED_LOOP)
+    for wheels, gain in zip(
+        [[0.2, 1.5], [0.2, 0.2], [1.5, 0.2], [1.5, 1.5]], paper_design.tube_gain.vertices, strict=True
+    ):
+        np.testing.assert_allclose(gain, tube_gain(paper_design, wheels), atol=CLOSED_LOOP)
+        A, B = model(problem, wheels)
+        # The first row of the loop is the same at every schedule: that is what the compensating gains are for.
+        np.testing.assert_allclose((A + B @ gain)[0], [1 + 0.1 * riccati[0, 0], 0, 0], atol=CLOSED_LOOP)
+
+
+# -------------------------------------------------------------------------------------------------------- terminal sets
+
+
+def test_terminal_choices_lead_where_they_should(paper_design, robust_design, uncertified):
+    sequence, stand_in = uncertified("paper", *SEQUENCE), uncertified("robust", *TIGHT)
+    kinds = [found.terminal.kind for found in (paper_design, robust_design, sequence, stand_in)]
+    assert kinds == ["paper", "T-B", "T-A", "T-B"]
+    assert [f.terminal.fallback for f in (paper_design, robust_design, sequence, stand_in)] == [
+        False,
+        False,
+        False,
+        True,
+    ]
+    np.testing.assert_array_equal(sequence.tube_gain.vertices, sequence.cost.gains)
+    assert not np.allclose(robust_design.tube_gain.vertices, robust_design.cost.gains)
+    assert stand_in.terminal.invariant is None
+    R_N = stand_in.tubes["summed"][-1].support(stand_in.problem.error_set.normals)
+    np.testing.assert_array_equal(stand_in.terminal.constraint_normals, stand_in.problem.error_set.normals)
+    left = stand_in.problem.error_set.offsets - R_N
+    np.testing.assert_allclose(stand_in.terminal.constraint_offsets, np.tile(left, (len(stand_in.windows.loops), 1)))
+
+
+@pytest.mark.parametrize("name", ["robust", "sequence"])
+def test_from_the_edge_of_the_feasible_set_every_disturbance_leads_to_another_plan(robust_design, uncertified, name):
+    """Recursive feasibility, attacked where it is tightest: every vertex of W after the exact solver's plan."""
+    found = robust_design if name == "robust" else uncertified("paper", *SEQUENCE)
+    plain, vertices = PlainMpc(found), found.problem.disturbance_set.vertices()
+    # Steps before, at and after the change of circle: the windows there differ from one step to the next.
+    for step in (0, 111, 113, 115):
+        window, wheels = int(found.windows.index[step]), found.problem.schedule[step]
+        A, B = model(found.problem, wheels)
+        for error in boundary(found.tube_window, window, found.problem.error_set, 12, seed=step) * (1 - LINEAR_PROGRAM):
+            inputs, _ = plain.qp(step).plan(error)
+            for w in vertices:
+                assert plain.qp(step + 1).shortfall(A @ error + B @ inputs[0] + w) <= LINEAR_PROGRAM
+
+
+# ------------------------------------------------------------------------------------------------------------- refusals
+
+
+def one_line(error):
+    assert "\n" not in str(error.value)
+    return str(error.value)
+
+
+def test_an_empty_error_set_is_named_with_its_stage_and_what_it_lacks():
+    """Along e_y, R_2 of `summed` is h_W(c) + max_i h_W(Phi_i' c) on either side."""
+    scenario = load("robust", ["disturbance.lateral_m=0.2"])
+    problem = make_problem(scenario)
+    A, B = model(problem, [1.15, 1.15])
+    P = solve_discrete_are(A, B, problem.error_weight, problem.input_weight)
+    K = -np.linalg.solve(problem.input_weight + B.T @ P @ B, B.T @ P @ A)
+    half_widths, reach = np.array([0.005, 0.2, np.deg2rad(0.2)]), 0.0
+    for wheels in problem.model.vertices:
+        A, B = model(problem, wheels)
+        gain = K.copy()
+        gain[0, 1] -= 0.8 * (wheels[0] - wheels[1]) / 0.5
+        reach = max(reach, np.abs((A + B @ gain)[1]) @ half_widths)
+    lacking = 2 * (0.2 + reach) - 0.6
+    with pytest.raises(EmptySetError) as error:
+        design(scenario)
+    assert one_line(error).startswith("E_2 is empty: in the lateral error") and f"short by {lacking:.4g}" in str(
+        error.value
+    )
+
+
+def test_an_empty_input_set_is_named_with_its_stage_and_what_it_lacks(uncertified):
+    """The tube does not depend on the wheels' limits, so that of another design tells the first empty stage."""
+    wide = uncertified("robust")
+    row, vertices = np.array([1, 0.25]), wide.problem.model.vertices
+    reach = [
+        max(section.support(row @ tube_gain(wide, wheels))[0] for wheels in vertices)
+        for section in wide.tubes["summed"]
+    ]
+    width = (0.8 - 0.82 * 0.9) - (1.5 - 0.78 * 1.97)
+    lacking = 2 * np.array(reach) - width
+    stage = int(np.argmax(lacking > 0))
+    assert 0 < stage < 5
+    with pytest.raises(EmptySetError) as error:
+        design(load("robust", ["robot.wheel_speed_max_mps=1.97", "robot.wheel_speed_min_mps=0.9"]))
+    assert one_line(error).startswith(f"U_{stage} is empty: in the right wheel deficit")
+    assert f"short by {lacking[stage]:.4g}" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("overrides", "message"),
+    [
+        (["robot.wheel_speed_max_mps=1.8"], r"robot\.wheel_speed_max_mps = 1\.8: .*widen the wheel limits"),
+        (["reference.shape=lemniscate", "reference.speed_mps=1.45"], r"reference\.speed_mps = 1\.45: .*outside"),
+        (["reference.duration_s=30.05"], r"duration = 30\.05"),
+        (["controller.discretisation=zoh"], r"controller\.tube = paper: .*choose"),
+    ],
+)
+def test_data_that_no_controller_can_be_built_from_is_refused_in_one_line(overrides, message):
+    with pytest.raises(ScenarioError, match=message) as error:
+        design(load("paper", overrides))
+    one_line(error)
+
+
+@pytest.mark.parametrize("direction", [[-0.2, -0.1, 0.05], [0.05, 0.25, 0.2]])
+def test_a_start_without_a_plan_is_refused_with_the_share_that_has_one(robust_design, direction):
+    problem, qp = robust_design.problem, PlainMpc(robust_design).qp(0)
+    error = 2 * np.array(direction)
+    with pytest.raises(ScenarioError, match=r"at most \d+% as far") as refusal:
+        refuse_infeasible_start(robust_design, error)
+    share = int(one_line(refusal).split("at most ")[1].split("%")[0]) / 100
+    inside, outside = (share - 0.006) * error, (share + 0.006) * error
+    assert qp.shortfall(inside) <= 0 and problem.error_set.contains(inside)
+    assert qp.shortfall(outside) > 0 or not problem.error_set.contains(outside)
+    refuse_infeasible_start(robust_design, inside)
+    with pytest.raises(ScenarioError):
+        refuse_infeasible_start(robust_design, outside)
+
+
+def test_the_start_of_the_scenario_is_the_one_judged_by_default(robust_design):
+    refuse_infeasible_start(robust_design)
