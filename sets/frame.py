@@ -247,8 +247,7 @@ def hull(
     distinct = _distinct(points)
     found = ConvexHull(points[distinct])
     facets = found.equations[_distinct(found.equations)]
-    normals = np.where(abs(facets[:, :-1]) <= ROUNDING, 0.0, facets[:, :-1])
-    return normals, -facets[:, -1], distinct[found.vertices]
+    return facets[:, :-1], -facets[:, -1], distinct[found.vertices]
 
 
 def _distinct(points):

@@ -81,7 +81,7 @@ class Polytope:
             raise ValueError("directions: NaN or infinite entry; give finite directions")
         if self._frame is None:
             return np.full(directions.shape[:-1], -np.inf)[()]
-        return self._frame.support(directions)
+        return self._frame.support(directions)[()]
 
     def vertices(self) -> Float[np.ndarray, "vertices dimension"]:
         """Return the vertices, (0, dimension) if empty; raise ValueError if unbounded."""
@@ -151,7 +151,10 @@ class Polytope:
         return self._least(self.offsets - self._checked("points", points) @ self.normals.T)
 
     def containment_margin(self, other: Polytope) -> float:
-        """Return min_i (h_i - h_other(H_i)) / ||H_i||: >= 0 if and only if other is a subset; +inf if empty."""
+        """Return min_i (h_i - h_other(H_i)) / ||H_i||: >= 0 if and only if other is a subset.
+
+        It is +inf if other is empty and -inf if other is unbounded along one of the rows.
+        """
         return float(self._least(self.offsets - other.support(self._checked("normals", self.normals, other))))
 
     def intersect(self, other: Polytope) -> Polytope:

@@ -25,7 +25,7 @@ LEVELS = (
 )
 
 # The solver of quadratic programs, and the methods it is made of.
-SOLVER = ("jaxtube.qp", "jaxtube.batched_ldl", "jaxtube.interior_point", "jaxtube.farkas")
+SOLVER = tuple(f"jaxtube.{name}" for name in ("qp", "fixed_point", "batched_ldl", "interior_point", "farkas"))
 
 
 class Import(NamedTuple):

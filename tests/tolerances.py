@@ -43,3 +43,10 @@ QP_POLISHED = 0.9  # of the constrained instances, made exact by Newton steps af
 QP_SHARE_FLOAT32 = 0.9
 QP_ANSWER_FLOAT32 = 1e-4
 QP_ILL_CONDITIONED_FLOAT32 = 1e-3  # condition number 1e4, answers up to 30
+
+# sets/tubes.py
+TUBE_ROUNDING = 1e-12
+TUBE_HALF_WIDTH = 0.5e-6  # m; the reference half widths are printed to 1e-6 m and 1e-5 deg
+TUBE_VOLUME = 0.5e-9  # the reference volumes are printed to five digits
+TUBE_GAIN_REACH = 0.5e-4  # m/s; printed to four decimals
+LONG_TUBE = 0.5e-3  # m; printed to three decimals

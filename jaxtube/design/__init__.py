@@ -108,7 +108,9 @@ def design(scenario: Scenario) -> Design:
         problem, windows, terminal, cost.cost, condense.plain_bounds(problem, windows, terminal)
     )
     clock.lap("condensing")
-    certificate = certify(problem, tube_gain, cost, windows, terminal, bounds)
+    certificate = certify(
+        problem, tube_gain, cost, windows, terminal, bounds, condense.residual_bound(problem, tube_window)
+    )
     clock.lap("certificate")
     return Design(
         problem,

@@ -17,15 +17,23 @@ from sets.invariant import maximal_rpi
 from sets.lmi import TerminalCost, terminal_cost
 from sets.polytope import Polytope
 
-SOLVER_RESIDUAL = 1e-8
 NEVER_RESET_STEPS = 20
 OBJECTIVES = ("trace_s", "trace_p", "logdet")
 
 
 def certify(
-    problem: Problem, tube_gain: LocalGain, cost: TerminalCost, windows: Windows, terminal: Terminal, bounds: Bounds
+    problem: Problem,
+    tube_gain: LocalGain,
+    cost: TerminalCost,
+    windows: Windows,
+    terminal: Terminal,
+    bounds: Bounds,
+    residual: float,
 ) -> Certificate:
-    """Re-check every condition of the guarantee but the disturbance bound, which only the plant can answer."""
+    """Re-check every condition of the guarantee but the disturbance bound, which only the plant can answer.
+
+    `residual` bounds by how much an accepted answer of the solver may miss a constraint from any error in E.
+    """
     certificate = Certificate()
     _nonempty(certificate, problem, bounds)
     sequence = problem.scenario.controller.tube == "sequence"
@@ -45,9 +53,9 @@ def certify(
     _coverage(certificate, problem, tube_gain, terminal, windows)
     certificate.add(
         "solver_residual",
-        BACK_OFF - SOLVER_RESIDUAL,
-        f"Constraints are backed off by {BACK_OFF:.0e}, more than the {SOLVER_RESIDUAL:.0e} the solver accepts.",
-        "Constraints are not backed off by the residual the solver accepts.",
+        BACK_OFF - residual,
+        f"Constraints are backed off by {BACK_OFF:.0e}, more than the {residual:.0e} a solved QP may miss them by.",
+        f"Constraints are backed off by {BACK_OFF:.0e}, less than the {residual:.0e} a solved QP may miss them by.",
     )
     _existence(certificate, problem, tube_gain, terminal, cost)
     return certificate

@@ -98,6 +98,16 @@ def condense(problem: Problem, windows: Windows, terminal: Terminal, cost: Float
     )
 
 
+def residual_bound(problem: Problem, window: Window) -> float:
+    """Return by how much an accepted answer may miss a constraint, from any error in E, in the units of E and U.
+
+    The solver accepts a residual of its tolerance times max(1, |q|), on rows of unit norm.
+    """
+    widths = problem.error_set.support(np.eye(3))
+    largest = float(np.max(np.abs(window.linear) @ widths))
+    return qp.TOLERANCE[8] * max(1.0, largest) * float(np.max(window.factors.row_norms))
+
+
 def _predictions(transitions, inputs):
     """Return Psi (windows, N+1, 3, 3) and Theta (windows, N+1, 3, 2N) with e_j = Psi_j e + Theta_j g."""
     count, N = transitions.shape[:2]

@@ -87,7 +87,8 @@ def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
     errors = np.abs(trajectory.errors)
     # Counted as "not inside", so that NaN is a violation.
     outside = ~np.all(errors <= limits, axis=(0, 2))
-    settled = round(TRANSIENT_S / problem.reference.dt)
+    # Of a run that is shorter than the transient the last sample remains.
+    settled = min(round(TRANSIENT_S / problem.reference.dt), len(errors) - 1)
     status = trajectory.diagnostics.status
     return {
         "realisations": errors.shape[1],

@@ -1,0 +1,196 @@
+"""Laws of the commands `design` and `paper`: exit codes, complete run folders, numbers that are those computed."""
+
+import dataclasses
+import json
+
+import msgspec
+import numpy as np
+import pytest
+from tolerances import CLOSED_LOOP, WORLD_FRAME
+
+from jaxtube.design import design as compute
+from jaxtube.design.problem import make_problem
+from jaxtube.experiments import closed_loop
+from jaxtube.experiments.cli import main
+from sets.certificate import Certificate
+
+REALISATIONS = 4
+CONTROLLERS = {"uncompensated", "compensated", "local_gain", "equal_gain", "plain_mpc", "tube_mpc"}
+TUBES = {"paper", "hull", "summed", "sequence"}
+FIGURES = {"trajectories", "errors", "wheel_speeds", "margins", "stress", "realisations_in_tube"}
+FIGURES |= {"tube_sections", "tightened_sets", "terminal_set", "stress_terminal_set"}
+
+
+@pytest.fixture
+def known_designs(monkeypatch, paper_design, robust_design):
+    """Hand out the session's designs, fresh certificate and all, where a scenario differs in its start at most."""
+
+    def design(scenario):
+        for known in (paper_design, robust_design):
+            if msgspec.structs.replace(scenario, initial=known.problem.scenario.initial) == known.problem.scenario:
+                certificate = Certificate(dict(known.certificate.conditions))
+                return dataclasses.replace(known, problem=make_problem(scenario), certificate=certificate)
+        return compute(scenario)
+
+    monkeypatch.setattr("jaxtube.experiments.design.design", design)
+    monkeypatch.setattr("jaxtube.experiments.paper.design", design)
+
+
+def run(folder, *words):
+    return main([*words, "--out", str(folder)])
+
+
+def metrics_of(folder):
+    return json.loads((folder / "metrics.json").read_text())
+
+
+def refusal(capsys):
+    output = capsys.readouterr()
+    assert output.out == "" and output.err.count("\n") == 1
+    return output.err
+
+
+# ----------------------------------------------------------------------------------------------------------- exit codes
+
+
+@pytest.mark.parametrize("command", ["design", "paper"])
+def test_a_start_outside_the_feasible_set_ends_with_2_and_leaves_no_folder(command, tmp_path, capsys, known_designs):
+    assert run(tmp_path / "run", command, "--scenario", "robust", "initial.y_m=-0.29", "initial.heading_deg=-15") == 2
+    assert "outside the feasible set" in refusal(capsys)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("command", ["design", "paper"])
+def test_an_empty_tightened_set_ends_with_3_and_leaves_no_folder(command, tmp_path, capsys):
+    assert run(tmp_path / "run", command, "--disturbance.lateral_m", "0.2") == 3
+    assert refusal(capsys).startswith("E_2 is empty")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_failed_certificate_is_reported_and_ends_with_3_only_on_request(
+    tmp_path, capsys, known_designs, paper_design
+):
+    assert run(tmp_path, "design") == 0
+    assert run(tmp_path, "design", "--require-certificate") == 3
+    found = metrics_of(tmp_path)
+    assert not found["certified"] and not found["certificate"]["disturbance_in_w"]["holds"]
+    text = capsys.readouterr().out
+    assert "certificate (terminal paper, tube paper) FAILS" in text
+    for name, condition in found["certificate"].items():
+        assert name in text
+        assert condition["sentence"].split()[-1] in text
+
+
+def test_a_certificate_that_holds_meets_the_request(tmp_path, known_designs):
+    """Slip that is known exactly, and a disturbance set as wide as what remains: linearisation alone."""
+    words = ("controller.horizon=2", "reference.wheel_speed_min_mps=1.2", "slip.relative_error=0", "initial.x_m=0")
+    wider = ("initial.y_m=0.01", "disturbance.lateral_m=0.01", "disturbance.longitudinal_m=0.01")
+    assert run(tmp_path, "design", "--scenario", "robust", "--require-certificate", *words, *wider) == 0
+    found = metrics_of(tmp_path)
+    assert found["certified"] and all(c["holds"] for c in found["certificate"].values() if c["required"])
+
+
+# --------------------------------------------------------------------------------------------------------------- design
+
+
+def check_design_metrics(found, design):
+    np.testing.assert_allclose(found["lqr_gain"], design.lqr_gain, rtol=CLOSED_LOOP)
+    assert set(found["tube_half_widths"]) == set(found["tube_volume"]) == set(found["input_support"]) == TUBES
+    N = design.problem.horizon
+    assert {np.shape(widths) for widths in found["tube_half_widths"].values()} == {(N + 1, 3)}
+    assert {np.shape(support) for support in found["input_support"].values()} == {(N + 1,)}
+    assert np.shape(found["input_set_p_q"]) == (2, 2) and np.shape(found["terminal_gains"]) == (4, 2, 3)
+    np.testing.assert_allclose(found["lmi_cost"], design.cost.cost, rtol=CLOSED_LOOP)
+    assert found["terminal_facets"] == len(design.terminal.invariant.offsets)
+    assert len(found["terminal_half_widths"]) == 3
+    assert set(design.certificate.conditions) | {"disturbance_in_w"} == set(found["certificate"])
+    assert all(seconds >= 0 for seconds in found["design_seconds"].values())
+
+
+def test_the_design_command_writes_what_was_designed(tmp_path, capsys, known_designs, robust_design):
+    assert run(tmp_path, "design", "--scenario", "robust") == 0
+    found = metrics_of(tmp_path)
+    check_design_metrics(found, robust_design)
+    assert found["disturbance"]["steps"] == closed_loop.BLOCK * robust_design.problem.reference.steps
+    assert {path.name for path in tmp_path.iterdir()} == {"metrics.json", "manifest.json", "scenario.toml"}
+    text = capsys.readouterr().out
+    assert "* summed" in text and f"{found['terminal_facets']} facets" in text and str(tmp_path) in text
+
+
+# ---------------------------------------------------------------------------------------------------------------- paper
+
+
+@pytest.fixture(scope="module")
+def paper_run(tmp_path_factory, paper_design, robust_design):
+    """(exit code, folder, metrics) of `paper` with few realisations."""
+    pytest.importorskip("jaxtube.experiments.figures")
+    pytest.importorskip("jaxtube.experiments.set_figures")
+    folder = tmp_path_factory.mktemp("paper")
+    with pytest.MonkeyPatch.context() as patch:
+        designs = {"paper": paper_design, "robust": robust_design}
+        by_tube = {found.problem.scenario.controller.tube: found for found in designs.values()}
+
+        def design(scenario):
+            known = by_tube[scenario.controller.tube]
+            assert known.problem.scenario == scenario
+            return dataclasses.replace(known, certificate=Certificate(dict(known.certificate.conditions)))
+
+        patch.setattr("jaxtube.experiments.paper.design", design)
+        code = run(folder, "paper", "--realisations", str(REALISATIONS))
+    return code, folder, metrics_of(folder)
+
+
+@pytest.mark.slow
+def test_the_paper_command_writes_every_file(paper_run):
+    code, folder, _ = paper_run
+    assert code == 0
+    names = {f"{name}.{kind}" for name in FIGURES for kind in ("png", "pdf")}
+    names |= {"metrics.json", "manifest.json", "scenario.toml", "noise_free.npz"}
+    assert {path.name for path in folder.iterdir()} == names
+    assert all(path.stat().st_size > 0 for path in folder.iterdir())
+
+
+@pytest.mark.slow
+def test_the_metrics_of_the_paper_command_are_complete(paper_run, paper_design):
+    _, _, found = paper_run
+    check_design_metrics(found, paper_design)
+    steps = paper_design.problem.reference.steps
+    assert set(found["controllers"]) == CONTROLLERS
+    for numbers in found["controllers"].values():
+        assert numbers["realisations"] == REALISATIONS
+        assert 0 <= numbers["violation_share"] <= 1 and 0 <= numbers["active_share"] <= 1
+        for kind in ("max_error", "rms_error"):
+            assert set(numbers[kind]) == {"whole_run", "after_10_s"}
+            assert all(set(spread) == {"median", "p95", "worst"} for spread in numbers[kind].values())
+        assert 1 < numbers["wheel_speed_max_mps"] <= 3
+        assert numbers["qp_status"] == {"solved": REALISATIONS * steps, "infeasible": 0, "unsolved": 0}
+    assert found["other_restart"]["restart"] is False
+    assert found["disturbance"]["steps"] == REALISATIONS * steps
+    assert found["plan_deviations"]["samples"] > 0
+    assert len(found["claims"]) == 13 and {row["verdict"] for row in found["claims"]} >= {
+        "reproduced",
+        "not reproduced",
+    }
+
+
+@pytest.mark.slow
+def test_under_stress_on_the_linear_plant_the_guarantee_holds(paper_run):
+    _, _, found = paper_run
+    tube, plain = found["stress"]["linear_w_in_W"]["tube_mpc"], found["stress"]["linear_w_in_W"]["plain_mpc"]
+    assert tube["runs"] == tube["runs_with_every_w_in_W"] == 40 * REALISATIONS
+    assert tube["runs_outside_E"] == tube["infeasible_QPs"] == tube["unsolved_QPs"] == 0 < plain["runs_outside_E"]
+    assert all(runs["tube_mpc"]["runs_outside_E_with_every_w_in_W"] == 0 for runs in found["stress"].values())
+
+
+@pytest.mark.slow
+def test_the_noise_free_laps_are_the_ones_with_exact_slip(paper_run, paper_design):
+    _, folder, _ = paper_run
+    with np.load(folder / "noise_free.npz") as laps:
+        assert set(laps) == {"uncompensated", "compensated", "tube_mpc", "plain_mpc"}
+        for name in laps:
+            assert laps[name].shape == (301, 3)
+            np.testing.assert_array_equal(laps[name][0], paper_design.problem.initial_error)
+        loop, start = closed_loop.controllers(paper_design)["tube_mpc"], paper_design.problem.initial_error[None]
+        lap = closed_loop.simulate(loop, closed_loop.exact_robot(paper_design), start, 0).errors[:, 0]
+        np.testing.assert_allclose(laps["tube_mpc"], lap, atol=WORLD_FRAME)
+        assert np.abs(laps["tube_mpc"][-1]).max() < 0.01 < np.abs(laps["uncompensated"]).max()
