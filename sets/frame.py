@@ -16,10 +16,10 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import qr
 from scipy.optimize import linprog
-from scipy.spatial import ConvexHull, KDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 FLAT = 1e-9  # relative thickness below which a set has no interior
-SAME = 1e-10  # relative distance below which two points or facets are one
+SAME = 1e-11  # relative distance below which two points or facets are one
 FAR = 1e-11  # a vertex further than 1 / FAR unit sizes is a ray
 ROUNDING = 1e-14  # relative error of data that went through a few operations
 DEEP = 10.0  # depth, in unit sizes, that is enough: only unbounded sets reach it
@@ -209,8 +209,10 @@ def _dual(polar):
     normals, offsets, _ = hull(coordinates)
     heights = offsets - normals @ coordinates[0]
     far = heights <= FAR
-    rays = normals[far] @ inverse
-    rays[abs(rays) <= 1e-12 * abs(rays).max(axis=1, initial=0.0, keepdims=True)] = 0.0
+    rays, lines = (
+        np.where(abs(cone) <= 1e-12 * abs(cone).max(axis=1, initial=0.0, keepdims=True), 0.0, cone)
+        for cone in (normals[far] @ inverse, lines)
+    )
     return normals[~far] @ inverse / heights[~far, None], rays, lines
 
 
@@ -244,14 +246,19 @@ def hull(
     if points.shape[1] == 1:
         ends = np.array([points.argmax(), points.argmin()])
         return np.array([[1.0], [-1.0]]), points[ends, 0] * [1.0, -1.0], ends
-    distinct = _distinct(points)
-    found = ConvexHull(points[distinct])
-    facets = found.equations[_distinct(found.equations)]
-    return facets[:, :-1], -facets[:, -1], distinct[found.vertices]
+    for apart in (SAME, 100 * SAME):
+        distinct = _distinct(points, apart)
+        try:
+            found = ConvexHull(points[distinct])
+        except QhullError:  # clusters of almost equal points can stop qhull
+            continue
+        facets = found.equations[_distinct(found.equations, SAME)]
+        return facets[:, :-1], -facets[:, -1], distinct[found.vertices]
+    raise ArithmeticError(f"hull of {len(points)} points not found: drop points closer than 1e-9 of their spread")
 
 
-def _distinct(points):
-    """Return indices of points such that every other one is within SAME of a point that was in the cloud."""
+def _distinct(points, apart):
+    """Return indices of points such that those left out lie within `apart` of others."""
     first = np.unique(points, axis=0, return_index=True)[1]
-    pairs = KDTree(points[first]).query_pairs(SAME, output_type="ndarray")
+    pairs = KDTree(points[first]).query_pairs(apart, output_type="ndarray")
     return np.sort(np.delete(first, pairs.max(axis=1)))

@@ -19,6 +19,7 @@ GAP_ROUNDING = 1e-9
 SET_RELATIVE = 1e-11  # support numbers, vertices, volumes
 SET_CHEBYSHEV = 1e-8  # radii, found by a linear program; support numbers of unbounded sets
 SET_DECIDED = 1e-7  # margin below which an oracle does not decide emptiness or membership
+SET_NEAR_DUPLICATE = 1e-9  # merged points and rows
 SET_SAME_POINT = 1e-8  # distance below which brute force takes two vertices for one
 
 # Controllers, closed loops and design.
@@ -46,7 +47,8 @@ QP_ILL_CONDITIONED_FLOAT32 = 1e-3  # condition number 1e4, answers up to 30
 
 # sets/tubes.py
 TUBE_ROUNDING = 1e-12
-TUBE_HALF_WIDTH = 0.5e-6  # m; the reference half widths are printed to 1e-6 m and 1e-5 deg
+TUBE_HALF_WIDTH = 0.5e-6  # m; the reference half widths are printed to six decimals
+TUBE_HALF_WIDTH_DEG = 0.5e-5  # and to five in degrees
 TUBE_VOLUME = 0.5e-9  # the reference volumes are printed to five digits
 TUBE_GAIN_REACH = 0.5e-4  # m/s; printed to four decimals
 LONG_TUBE = 0.5e-3  # m; printed to three decimals

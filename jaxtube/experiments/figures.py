@@ -41,6 +41,9 @@ THIN_RUNS = 30
 ZOOM = 0.5
 """Half width of a magnified piece of the path, m."""
 
+DOT_SECONDS = 0.5
+"""Time between the dots on a magnified piece of the path."""
+
 FIRST_SECONDS = 3.0
 """What the magnified start of a run shows."""
 
@@ -117,48 +120,57 @@ def trajectories(problem: Problem, runs: Mapping[str, Any]) -> Figure:
     poses = reference.poses[: reference.steps + 1]
     paths = {name: np.asarray(world_pose(c.errors, poses[:, None]))[..., :2] for name, c in curves.items()}
     width, height = np.ptp(poses[:, :2], axis=0)
-    tall = {"mosaic": [["whole", "start"], ["whole", "apart"]], "width_ratios": (1, 2.4)}
-    wide = {"mosaic": [["whole", "whole"], ["start", "apart"]], "height_ratios": (1.5, 1)}
-    figure = page_figure(4.1 if height > width else 4.8)
-    panels = figure.subplot_mosaic(**(tall if height > width else wide))
-    for axes in panels.values():
-        axes.set(xlabel="$x$ [m]", ylabel="$y$ [m]")
+    figure = page_figure(3.7)
+    panels = figure.subplot_mosaic(
+        [["whole", "start", "legend"], ["whole", "apart", "legend"]],
+        width_ratios=(2 * np.clip(width / height, 0.5, 1.0), 1.5, 0.9),
+    )
     _whole_path(panels["whole"], curves, poses, paths)
     lateral = np.max([np.abs(np.median(c.errors[..., 1], axis=1)) for c in curves.values()], axis=0)
     settled = min(round(FIRST_SECONDS / reference.dt), reference.steps)
     apart = settled + int(np.argmax(lateral[settled:]))
-    for panel, letter, step, title in (("start", "b", 0, "start"), ("apart", "c", apart, "furthest from the reference")):
-        _zoom(panels[panel], curves, poses, paths, step)
-        panels[panel].set_title(f"({letter}) {title}, $t = {step * reference.dt:.4g}$ s")
+    every = max(round(DOT_SECONDS / reference.dt), 1)
+    for panel, title, step in (
+        ("start", "(b) start", 0),
+        ("apart", f"(c) around $t = {apart * reference.dt:.1f}$ s", apart),
+    ):
+        _zoom(panels[panel], curves, poses, paths, step, every)
+        panels[panel].set_title(title)
         panels["whole"].plot(*poses[step, :2], "s", markersize=7, markerfacecolor="none", color="0.15", zorder=5)
-        panels["whole"].annotate(letter, poses[step, :2], xytext=(6, -9), textcoords="offset points")
+        panels["whole"].annotate(title[1], poses[step, :2], xytext=(6, -9), textcoords="offset points")
     keys = [Line2D([], [], label="Reference", **REFERENCE)]
-    keys.append(Line2D([], [], marker="o", color="0.15", linestyle="none", markersize=4, label="places at the instant $t$"))
-    _legend(figure, _keys(curves) + keys)
+    keys.append(
+        Line2D([], [], marker="o", color="0.15", linestyle="none", markersize=4, label=f"every {DOT_SECONDS} s")
+    )
+    for key in (own := _keys(curves)):
+        key.set_label(str(key.get_label()).replace(" = ", "\n= "))
+    panels["legend"].set_axis_off()
+    panels["legend"].legend(handles=own + keys, loc="center left", borderaxespad=0)
     return figure
 
 
 def _whole_path(axes: Axes, curves: Mapping[str, Curve], poses, paths) -> None:
-    axes.set(title="(a) whole run, medians", aspect="equal")
+    axes.set(title="(a) whole run, medians", aspect="equal", xlabel="$x$ [m]", ylabel="$y$ [m]")
     for name, curve in curves.items():
         axes.plot(*np.median(paths[name], axis=1).T, color=curve.line.colour, linestyle=curve.line.dashes)
     axes.plot(*poses[:, :2].T, **REFERENCE)
 
 
-def _zoom(axes: Axes, curves: Mapping[str, Curve], poses, paths, step: int) -> None:
-    """Draw the stretch around one step: single runs, medians, and where everyone is at that step."""
+def _zoom(axes: Axes, curves: Mapping[str, Curve], poses, paths, step: int, every: int) -> None:
+    """Draw the stretch around one step: single runs, medians, and where everyone is at the same instants."""
+    axes.set(xlabel="$x$ [m]", ylabel="$y$ [m]")
     travelled = np.linalg.norm(np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]), axis=1).cumsum()
-    near = np.abs(travelled - travelled[step]) < 8 * ZOOM
+    near = np.flatnonzero(np.abs(travelled - travelled[step]) < 8 * ZOOM)
+    instants = near[(near - step) % every == 0]
+    dots = dict(marker="o", markersize=4, markeredgecolor="white", markeredgewidth=0.5, linestyle="none")
     for name, curve in curves.items():
-        path, colour = paths[name][near], curve.line.colour
-        axes.plot(*path[:, :THIN_RUNS].transpose(2, 0, 1), color=colour, linewidth=0.4, alpha=0.25)
-        axes.plot(*np.median(path, axis=1).T, color=colour, linestyle=curve.line.dashes)
+        path, colour, median = paths[name], curve.line.colour, np.median(paths[name], axis=1)
+        axes.plot(*path[near, :THIN_RUNS].transpose(2, 0, 1), color=colour, linewidth=0.4, alpha=0.25)
+        axes.plot(*median[near].T, color=colour, linestyle=curve.line.dashes)
+        axes.plot(*median[instants].T, color=colour, **dots, zorder=5)
     axes.plot(*poses[near, :2].T, **REFERENCE)
-    places = {name: np.median(path[step], axis=0) for name, path in paths.items()}
-    for name, place in places.items():
-        axes.plot(*place, "o", color=curves[name].line.colour, markersize=4.5, markeredgecolor="white", zorder=5)
-    axes.plot(*poses[step, :2], "o", color="0.15", markersize=4.5, markeredgecolor="white", zorder=4)
-    middle = np.median([poses[step, :2], *places.values()], axis=0)
+    axes.plot(*poses[instants, :2].T, color="0.15", **dots, zorder=4)
+    middle = np.median([poses[step, :2], *(np.median(path[step], axis=0) for path in paths.values())], axis=0)
     if step == 0:
         middle = middle + 2 * ZOOM * np.array([np.cos(poses[0, 2]), np.sin(poses[0, 2])]) + [0, 0.5 * ZOOM]
     # The longer side of the panel shows more, at the same scale.
@@ -190,13 +202,15 @@ def errors(problem: Problem, runs: Mapping[str, Any]) -> Figure:
         for limit in (-limits[coordinate], limits[coordinate]):
             row[0].axhline(limit, **LIMIT)
         row[0].set_ylabel(error_label(coordinate))
-    for axes, title in zip(panels[0], ("all controllers", "those that stay in $\\mathcal{E}$, magnified"), strict=False):
+    for axes, title in zip(
+        panels[0], ("all controllers", "those that stay in $\\mathcal{E}$, magnified"), strict=False
+    ):
         axes.set_title(title)
     for axes in panels[-1]:
         axes.set_xlabel("time [s]")
     keys = _keys(curves)
     for key, share in zip(keys, shares.values(), strict=True):
-        key.set_label(f"{key.get_label()} ({share:.0%} leave $\\mathcal{{E}}$)" if share else key.get_label())
+        key.set_label(f"{key.get_label()} ({100 * share:.0f} % leave $\\mathcal{{E}}$)" if share else key.get_label())
     _legend(figure, [*keys, Line2D([], [], label="limits of $\\mathcal{E}$", **LIMIT), *_band_keys()])
     return figure
 
@@ -312,8 +326,11 @@ def stress(problem: Problem, cases: Sequence[Mapping[str, Any]], boundary: Float
                 values = np.abs(case[kind][:shown, :, coordinate]) * TO_DISPLAY[coordinate]
                 _tail(axes, np.arange(len(values)) * dt, values, CONTROLLERS[name])
             axes.axhline(limits[coordinate], **LIMIT)
-            axes.text(0.95, 0.78, error_label(coordinate, absolute=True), transform=axes.transAxes, ha="right", va="top")
+            axes.text(
+                0.95, 0.78, error_label(coordinate, absolute=True), transform=axes.transAxes, ha="right", va="top"
+            )
             axes.set(xlim=(0, (shown - 1) * dt), ylim=(0, 1.2 * limits[coordinate]))
+            axes.locator_params(axis="x", nbins=4)
         for axes, plane in zip(row[3:], ((0, 1), (1, 2)), strict=True):
             _starts(axes, problem, case, boundary, plane)
         # A title reserves the line; the text itself runs on over the whole row.
@@ -357,17 +374,22 @@ def _verdict(problem: Problem, case: Mapping[str, Any]) -> str:
 
 
 def _stress_keys() -> list:
-    plain, tube = (CONTROLLERS[name] for name in STRESSED.values())
-    leaving = [
-        Line2D([], [], **MARKS[kind], color=CONTROLLERS[name].colour, linestyle="none", label="start from which it leaves")
-        for kind, name in STRESSED.items()
-    ]
+    lines = {kind: CONTROLLERS[name] for kind, name in STRESSED.items()}
     return [
-        Line2D([], [], color=plain.colour, linestyle=plain.dashes, label=f"{plain.label}: greatest"),
-        Line2D([], [], color=tube.colour, linestyle=tube.dashes, label=f"{tube.label}: greatest"),
-        Line2D([], [], color="0.35", linewidth=0.6, label="median and 95 % quantile"),
+        *(Line2D([], [], color=line.colour, linestyle=line.dashes, label=line.label) for line in lines.values()),
+        Line2D([], [], color="0.35", linewidth=1.2, label="greatest of all runs"),
+        Line2D([], [], color="0.35", linewidth=0.6, label="95 % quantile, median"),
+        *(
+            Line2D(
+                [],
+                [],
+                **MARKS[kind],
+                color=line.colour,
+                linestyle="none",
+                label=f"{line.label} leaves $\\mathcal{{E}}$",
+            )
+            for kind, line in lines.items()
+        ),
         Line2D([], [], label="limits of $\\mathcal{E}$", **LIMIT),
-        *leaving,
-        Line2D([], [], marker=".", color="0.7", markersize=4, linestyle="none", label="starts"),
         Patch(facecolor="0.95", edgecolor="0.4", label="feasible set, projected"),
     ]

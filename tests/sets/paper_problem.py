@@ -29,11 +29,15 @@ def corners(slowest: float = 0.2) -> list[tuple[float, float]]:
     return list(itertools.product((slowest, FASTEST), repeat=2))
 
 
+@functools.cache
+def regulator(slowest: float) -> np.ndarray:
+    centre = (slowest + FASTEST) / 2
+    return lqr_gain(transition(centre, centre), INPUT, *PAPER)
+
+
 def tube_gain(right: float, left: float, slowest: float = 0.2) -> np.ndarray:
     """Gain of eqs. (22)-(25): the regulator at the centre of the box, turning compensated in the first row."""
-    centre = (slowest + FASTEST) / 2
-    compensation = np.array([[0.0, -GRIP / TRACK * (right - left), 0.0], [0.0, 0.0, 0.0]])
-    return lqr_gain(transition(centre, centre), INPUT, *PAPER) + compensation
+    return regulator(slowest) + np.array([[0.0, -GRIP / TRACK * (right - left), 0.0], [0.0, 0.0, 0.0]])
 
 
 def tube_loop(right: float, left: float, slowest: float = 0.2) -> np.ndarray:

@@ -18,7 +18,7 @@ from scipy.spatial import ConvexHull
 
 from sets import frame
 from sets.polytope import Polytope, convex_hull, hull_vertices
-from tests.tolerances import SET_CHEBYSHEV, SET_DECIDED, SET_RELATIVE, SET_SAME_POINT
+from tests.tolerances import SET_CHEBYSHEV, SET_DECIDED, SET_NEAR_DUPLICATE, SET_RELATIVE, SET_SAME_POINT
 
 CASES = 1000
 LAWS = 7  # every law takes one case in seven; the kinds of cases recur with period 64, so it meets them all
@@ -428,21 +428,71 @@ def test_thin_turned_boxes_keep_their_vertices_down_to_a_relative_thickness_of_1
         assert len(box.vertices()) == 2**dimension and not box.is_flat()
 
 
-def test_near_duplicate_rows_change_the_set_no_more_than_they_differ():
+def test_unbounded_boxes_are_infinite_along_their_open_sides_only():
+    rng = np.random.default_rng(11)
+    for index in range(100):
+        dimension = 1 + index % 4
+        scales, shift = 10 ** rng.uniform(-6, 6, dimension), rng.normal(size=dimension) * rng.choice([0, 1, 10])
+        sides = rng.uniform(0.1, 2, (2, dimension))
+        sides[rng.random(sides.shape) < 0.3] = np.inf
+        box = Polytope.box((shift - sides[0]) * scales, (shift + sides[1]) * scales)
+        sparse = rng.normal(size=(10, dimension)) * (rng.random((10, dimension)) < 0.5)
+        directions = np.vstack([np.eye(dimension), -np.eye(dimension), sparse])
+        pieces = [
+            np.where(part > 0, np.where(part > 0, part, 1) * side, 0)
+            for part, side in ((directions * scales, sides[1]), (-directions * scales, sides[0]))
+        ]
+        expected = (pieces[0] + pieces[1]).sum(axis=1) + directions * scales @ shift
+        numbers, finite = box.support(directions), np.isfinite(expected)
+        np.testing.assert_array_equal(np.isfinite(numbers), finite)
+        error = abs(numbers[finite] - expected[finite])
+        assert (error <= SET_RELATIVE * 100 * (abs(directions[finite]) @ scales)).all()
+        assert box.is_bounded() == np.isfinite(sides).all()
+
+
+def test_near_duplicate_points_and_rows_change_the_set_no_more_than_they_differ():
     rng = np.random.default_rng(9)
-    for index in range(50):
+    for index in range(120):
         dimension, apart = 2 + index % 3, 10 ** rng.uniform(-16, -6)
         rows = rng.normal(size=(15, dimension))
         rows = np.vstack([rows / np.linalg.norm(rows, axis=1, keepdims=True), np.eye(dimension), -np.eye(dimension)])
-        limits, directions = np.ones(len(rows)), rng.normal(size=(20, dimension))
-        noisy = Polytope(np.vstack([rows, rows + apart * rng.normal(size=rows.shape)]), np.append(limits, limits))
-        reduced = noisy.reduce()
-        size = np.linalg.norm(directions, axis=1)
-        assert (abs(noisy.support(directions) - reduced.support(directions)) <= 10 * SET_RELATIVE * size).all()
-        assert (
-            abs(noisy.support(directions) - Polytope(rows, limits).support(directions))
-            <= 100 * (apart + SET_RELATIVE) * size
-        ).all()
+        near = np.vstack([rows + apart * rng.normal(size=rows.shape) for _ in range(5)])
+        directions, tolerance = rng.normal(size=(20, dimension)), 100 * (apart + SET_NEAR_DUPLICATE)
+        np.testing.assert_allclose(
+            Polytope.from_vertices(near).support(directions), (directions @ rows.T).max(axis=1), atol=tolerance
+        )
+        noisy, limits = Polytope(near, np.ones(len(near))), np.ones(len(rows))
+        np.testing.assert_allclose(
+            noisy.support(directions), Polytope(rows, limits).support(directions), atol=tolerance
+        )
+        np.testing.assert_allclose(
+            noisy.reduce().support(directions), noisy.support(directions), atol=100 * SET_NEAR_DUPLICATE
+        )
+
+
+def test_rows_that_touch_in_a_face_of_lower_dimension_are_redundant():
+    rng = np.random.default_rng(13)
+    for index in range(40):
+        dimension = 2 + index % 3
+        half, shift = rng.uniform(0.5, 2, dimension), 10 * rng.normal(size=dimension)
+        box = Polytope.box(shift - half, shift + half)
+        signs = rng.choice([-1.0, 1.0], size=(10, dimension)) * rng.uniform(0, 1, (10, dimension))
+        signs[np.arange(10), rng.integers(dimension, size=10)] *= rng.choice([0.0, 1.0], size=10)
+        touching = Polytope(signs, signs @ shift + abs(signs) @ half)
+        proper = (abs(signs) > 0).sum(axis=1) > 1
+        both = box.intersect(Polytope(touching.normals[proper], touching.offsets[proper]))
+        assert len(both.reduce().offsets) == 2 * dimension
+
+
+def test_an_invertible_image_of_an_unbounded_set_needs_no_vertices():
+    rng = np.random.default_rng(15)
+    cone, matrix = Polytope(-np.eye(3), np.zeros(3)), rng.normal(size=(3, 3))
+    inside = rng.uniform(0, 1, size=(20, 3))
+    image = cone.image(matrix)
+    assert image.contains(inside @ matrix.T, SET_RELATIVE).all()
+    assert not image.contains(-inside @ matrix.T).any()
+    with pytest.raises(ValueError, match="unbounded"):
+        cone.image(matrix[:2])
 
 
 def test_points_and_segments_are_sets():

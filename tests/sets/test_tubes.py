@@ -6,7 +6,7 @@ import itertools
 import numpy as np
 import pytest
 from paper_problem import GRIP, PERIOD, TRACK, U, W, corners, tube_gains, tube_loop, tube_loops
-from tolerances import LONG_TUBE, TUBE_GAIN_REACH, TUBE_HALF_WIDTH, TUBE_ROUNDING, TUBE_VOLUME
+from tolerances import LONG_TUBE, TUBE_GAIN_REACH, TUBE_HALF_WIDTH, TUBE_HALF_WIDTH_DEG, TUBE_ROUNDING, TUBE_VOLUME
 
 from sets.polytope import Polytope
 from sets.tubes import (
@@ -35,6 +35,13 @@ def paper(disturbance: Polytope = W, horizon: int = N) -> list[Section]:
     return paper_tube(NOMINAL, SLOPES, RANGES, disturbance, horizon)
 
 
+RANDOM = np.random.default_rng(7).uniform(-0.6, 0.6, size=(3, 3, 3))
+
+# the paper's loops make `hull` and `summed` equal up to rounding; the random ones keep them apart
+each_system = pytest.mark.parametrize(
+    ("loops", "disturbance"), [(LOOPS, W), (LOOPS, FLAT), (RANDOM, W)], ids=["box", "flat", "random"]
+)
+
 FAMILIES = {
     "paper": paper,
     "hull": functools.partial(hull_tube, LOOPS),
@@ -56,9 +63,9 @@ def width(disturbance: Polytope, rows: np.ndarray) -> np.ndarray:
     return np.max(rows @ disturbance.vertices().T, axis=1)
 
 
-def products(count: int):
-    """Yield every product of `count` vertex loops, the newest loop leftmost."""
-    for chosen in itertools.product(LOOPS, repeat=count):
+def products(loops: np.ndarray, count: int):
+    """Yield every product of `count` loops."""
+    for chosen in itertools.product(loops, repeat=count):
         yield functools.reduce(lambda product, loop: loop @ product, chosen, np.eye(3))
 
 
@@ -75,11 +82,12 @@ def along(schedule: np.ndarray) -> np.ndarray:
 
 
 def test_half_widths_equal_the_reference_numbers():
-    expected = {"paper": [0.020675, 0.038934, np.deg2rad(1.05251)], "hull": [0.020675, 0.036638, np.deg2rad(1.04106)]}
+    expected = {"paper": [0.020675, 0.038934, 1.05251], "hull": [0.020675, 0.036638, 1.04106]}
     for family, widths in expected.items():
-        section = FAMILIES[family](W, N)[N]
-        np.testing.assert_allclose(section.support(np.eye(3)), widths, rtol=0, atol=TUBE_HALF_WIDTH)
-        np.testing.assert_allclose(section.support(-np.eye(3)), widths, rtol=0, atol=TUBE_HALF_WIDTH)
+        for sign in (1, -1):
+            longitudinal, lateral, heading = FAMILIES[family](W, N)[N].support(sign * np.eye(3))
+            np.testing.assert_allclose([longitudinal, lateral], widths[:2], rtol=0, atol=TUBE_HALF_WIDTH)
+            assert np.rad2deg(heading) == pytest.approx(widths[2], rel=0, abs=TUBE_HALF_WIDTH_DEG)
 
 
 def test_volumes_equal_the_reference_numbers():
@@ -116,7 +124,7 @@ def test_each_tube_lies_inside_the_next_wider_one():
     for j in range(N + 1):
         assert (hull[j].support(rows) <= summed[j].support(rows) + TUBE_ROUNDING).all()
         assert (summed[j].support(rows) <= wide[j].support(rows) + TUBE_ROUNDING).all()
-    assert hull[N].polytope().volume() < summed[N].polytope().volume() < wide[N].polytope().volume()
+    assert summed[N].polytope().volume() < 0.95 * wide[N].polytope().volume()
 
 
 def test_the_tube_of_a_known_schedule_lies_inside_those_of_every_schedule():
@@ -127,12 +135,12 @@ def test_the_tube_of_a_known_schedule_lies_inside_those_of_every_schedule():
             assert (section.support(rows) <= wider.support(rows) + TUBE_ROUNDING).all()
 
 
-@pytest.mark.parametrize("disturbance", [W, FLAT], ids=["box", "flat"])
-def test_hull_is_the_greatest_reach_over_all_schedules(disturbance):
+@each_system
+def test_hull_is_the_greatest_reach_over_all_schedules(loops, disturbance):
     rows = directions(40)
-    for j, section in enumerate(hull_tube(LOOPS, disturbance, N)[1:], start=1):
+    for j, section in enumerate(hull_tube(loops, disturbance, N)[1:], start=1):
         reach = []
-        for schedule in itertools.product(LOOPS, repeat=j - 1):
+        for schedule in itertools.product(loops, repeat=j - 1):
             transported, total = rows, width(disturbance, rows)
             for loop in schedule:
                 transported = transported @ loop
@@ -141,15 +149,15 @@ def test_hull_is_the_greatest_reach_over_all_schedules(disturbance):
         np.testing.assert_allclose(section.support(rows), np.max(reach, axis=0), rtol=0, atol=TUBE_ROUNDING)
 
 
-@pytest.mark.parametrize("disturbance", [W, FLAT], ids=["box", "flat"])
-def test_summed_is_the_sum_of_the_hulls_of_all_products(disturbance):
+@each_system
+def test_summed_is_the_sum_of_the_hulls_of_all_products(loops, disturbance):
     rows = directions(40)
     total = np.zeros(len(rows))
-    clouds = propagated(LOOPS, disturbance, N - 1)
-    for j, section in enumerate(summed_tube(LOOPS, disturbance, N)):
+    clouds = propagated(loops, disturbance, N - 1)
+    for j, section in enumerate(summed_tube(loops, disturbance, N)):
         np.testing.assert_allclose(section.support(rows), total, rtol=0, atol=TUBE_ROUNDING)
         if j < N:
-            largest = np.max([width(disturbance, rows @ product) for product in products(j)], axis=0)
+            largest = np.max([width(disturbance, rows @ product) for product in products(loops, j)], axis=0)
             np.testing.assert_allclose(clouds[j].support(rows), largest, rtol=0, atol=TUBE_ROUNDING)
             total = total + largest
 
@@ -225,7 +233,7 @@ def test_shifted_plan_inclusion_holds_for_every_product(family):
     rows, sections = directions(200), FAMILIES[family](W, N)
     for j in range(N):
         room = sections[j + 1].support(rows) - sections[j].support(rows)
-        for product in products(j):
+        for product in products(LOOPS, j):
             assert (width(W, rows @ product) <= room + TUBE_ROUNDING).all()
 
 
