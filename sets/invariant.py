@@ -188,15 +188,17 @@ def few_facet_rpi(
         return None
     dual, wanted = normals / start.offsets[:, None], target * maximal.volume()
     volume, slope = _volume_and_slope(dual)
-    radius, growth = 0.0, 1e3  # far at first, with the normals as they are; small steps once these turn
+    radius, growth = 0.0, 1e3  # first the offsets alone, in ever smaller steps, then the normals turn as well
     for _ in range(MOVES):
         moved = _turned(loops, constraints, disturbance, dual, slope, radius) if radius else dual
         found = _refitted(loops, constraints, disturbance, moved, slope, growth)
         measured = (0.0, slope) if found is None else _volume_and_slope(found)
         if found is not None and measured[0] > volume * (1 + 1e-5):
             dual, (volume, slope), radius = found, measured, min(1.5 * radius, 0.2)
+        elif growth > 0.1:
+            growth /= 30
         else:
-            radius, growth = (0.4 * radius if radius else FIRST_RADIUS), 0.1
+            radius = 0.4 * radius if radius else FIRST_RADIUS
         if volume >= wanted or 0 < radius < LAST_RADIUS:
             break
     return Polytope(dual, np.ones(len(dual)))

@@ -52,3 +52,8 @@ TUBE_HALF_WIDTH_DEG = 0.5e-5  # and to five in degrees
 TUBE_VOLUME = 0.5e-9  # the reference volumes are printed to five digits
 TUBE_GAIN_REACH = 0.5e-4  # m/s; printed to four decimals
 LONG_TUBE = 0.5e-3  # m; printed to three decimals
+
+# sets/invariant.py, relative
+SUPPORT_PROGRAM = 1e-8  # linear programs against their answer in exact arithmetic
+MAXIMAL_SET = 1e-6  # the set is built for a disturbance wider by as much
+CLOSED_FORM = 1e-9

@@ -6,9 +6,10 @@ to within `COINCIDE` are drawn once, under a joint name, so that no curve hides 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -19,17 +20,20 @@ from matplotlib.patches import Patch
 from jaxtube.design.problem import Problem
 from jaxtube.error_dynamics import world_pose
 from jaxtube.experiments.metrics import TRANSIENT_S
+from jaxtube.experiments.stress_figures import leaves_error_set, stress
 from jaxtube.experiments.style import (
     CONTROLLERS,
     LIMIT,
     REFERENCE,
     TO_DISPLAY,
     Line,
-    draw_polygon,
+    bottom_legend,
     error_label,
     page_figure,
     styled,
 )
+
+__all__ = ["errors", "margins", "stress", "trajectories", "wheel_speeds"]
 
 COINCIDE = 1e-5
 """Errors closer than this, m and rad, are the same line on paper."""
@@ -38,18 +42,11 @@ QUANTILES = (0.0, 0.05, 0.5, 0.95, 1.0)
 THIN_RUNS = 30
 """Single runs drawn around a median path."""
 
-ZOOM = 0.5
-"""Half width of a magnified piece of the path, m."""
-
-DOT_SECONDS = 0.5
-"""Time between the dots on a magnified piece of the path."""
+SECONDS = {"start": 1.5, "apart": 0.4, "dots": 0.5}
+"""Of the path: length of the magnified start, half length of the other magnified stretch, time between dots."""
 
 FIRST_SECONDS = 3.0
 """What the magnified start of a run shows."""
-
-STRESSED = {"plain": "plain_mpc", "tube": "tube_mpc"}
-MARKS = {"plain": {"marker": "o", "markersize": 2.2, "markeredgewidth": 0}, "tube": {"marker": "x", "markersize": 2.6}}
-"""Marks of the starts whose run leaves E: a cross stays visible on a dot."""
 
 
 class Curve(NamedTuple):
@@ -78,11 +75,6 @@ def _coincide(first, second) -> bool:
     return first.shape == second.shape and np.allclose(first, second, rtol=0, atol=COINCIDE)
 
 
-def _outside(problem: Problem, errors: Float[np.ndarray, "steps+1 batch 3"]) -> np.ndarray:
-    """Tell which runs leave E; NaN is outside."""
-    return ~np.all(np.abs(errors) <= problem.error_set.offsets[:3], axis=(0, 2))
-
-
 def _band(axes: Axes, time, values: Float[np.ndarray, "times batch"], line: Line) -> None:
     """Draw median, 5 to 95 % band and the extremes of many runs."""
     least, low, median, high, greatest = np.quantile(values, QUANTILES, axis=1)
@@ -91,10 +83,6 @@ def _band(axes: Axes, time, values: Float[np.ndarray, "times batch"], line: Line
     # Edges tell apart bands that lie on each other.
     axes.plot(time, np.stack([low, high], axis=1), color=line.colour, linewidth=0.4)
     axes.plot(time, median, color=line.colour, linestyle=line.dashes, label=line.label)
-
-
-def _legend(figure: Figure, handles: list, columns: int = 3) -> None:
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
 
 
 def _keys(curves: Mapping[str, Curve]) -> list:
@@ -118,7 +106,10 @@ def trajectories(problem: Problem, runs: Mapping[str, Any]) -> Figure:
     """
     curves, reference = _curves(runs), problem.reference
     poses = reference.poses[: reference.steps + 1]
-    paths = {name: np.asarray(world_pose(c.errors, poses[:, None]))[..., :2] for name, c in curves.items()}
+    paths = {
+        name: np.asarray(world_pose(jnp.asarray(c.errors), jnp.asarray(poses[:, None])))[..., :2]
+        for name, c in curves.items()
+    }
     width, height = np.ptp(poses[:, :2], axis=0)
     figure = page_figure(3.7)
     panels = figure.subplot_mosaic(
@@ -127,20 +118,22 @@ def trajectories(problem: Problem, runs: Mapping[str, Any]) -> Figure:
     )
     _whole_path(panels["whole"], curves, poses, paths)
     lateral = np.max([np.abs(np.median(c.errors[..., 1], axis=1)) for c in curves.values()], axis=0)
-    settled = min(round(FIRST_SECONDS / reference.dt), reference.steps)
-    apart = settled + int(np.argmax(lateral[settled:]))
-    every = max(round(DOT_SECONDS / reference.dt), 1)
-    for panel, title, step in (
-        ("start", "(b) start", 0),
-        ("apart", f"(c) around $t = {apart * reference.dt:.1f}$ s", apart),
-    ):
-        _zoom(panels[panel], curves, poses, paths, step, every)
-        panels[panel].set_title(title)
-        panels["whole"].plot(*poses[step, :2], "s", markersize=7, markerfacecolor="none", color="0.15", zorder=5)
-        panels["whole"].annotate(title[1], poses[step, :2], xytext=(6, -9), textcoords="offset points")
+    seconds = {name: round(value / reference.dt) for name, value in SECONDS.items()}
+    apart = min(seconds["start"], reference.steps) + int(np.argmax(lateral[seconds["start"] :]))
+    stretches = {
+        "start": ("(b) start", 0, seconds["start"]),
+        "apart": (f"(c) around $t = {apart * reference.dt:.1f}$ s", apart - seconds["apart"], apart + seconds["apart"]),
+    }
+    for name, (title, first, last) in stretches.items():
+        stretch = np.arange(max(first, 0), min(last, reference.steps) + 1)
+        _zoom(panels[name], curves, poses, paths, stretch, max(seconds["dots"], 1))
+        panels[name].set_title(title)
+        place = tuple(poses[0 if name == "start" else apart, :2])
+        panels["whole"].plot(*place, marker="s", markersize=7, markerfacecolor="none", color="0.15", zorder=5)
+        panels["whole"].annotate(title[1], place, xytext=(6, -9), textcoords="offset points")
     keys = [Line2D([], [], label="Reference", **REFERENCE)]
     keys.append(
-        Line2D([], [], marker="o", color="0.15", linestyle="none", markersize=4, label=f"every {DOT_SECONDS} s")
+        Line2D([], [], marker="o", color="0.15", linestyle="none", markersize=4, label=f"every {SECONDS['dots']} s")
     )
     for key in (own := _keys(curves)):
         key.set_label(str(key.get_label()).replace(" = ", "\n= "))
@@ -156,26 +149,28 @@ def _whole_path(axes: Axes, curves: Mapping[str, Curve], poses, paths) -> None:
     axes.plot(*poses[:, :2].T, **REFERENCE)
 
 
-def _zoom(axes: Axes, curves: Mapping[str, Curve], poses, paths, step: int, every: int) -> None:
-    """Draw the stretch around one step: single runs, medians, and where everyone is at the same instants."""
+def _zoom(axes: Axes, curves: Mapping[str, Curve], poses, paths, stretch, every: int) -> None:
+    """Draw a stretch of the run: single runs, medians, and where everyone is at the same instants."""
     axes.set(xlabel="$x$ [m]", ylabel="$y$ [m]")
-    travelled = np.linalg.norm(np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]), axis=1).cumsum()
-    near = np.flatnonzero(np.abs(travelled - travelled[step]) < 8 * ZOOM)
-    instants = near[(near - step) % every == 0]
-    dots = dict(marker="o", markersize=4, markeredgecolor="white", markeredgewidth=0.5, linestyle="none")
+    # The longer side of the panel shows more than the stretch, so the lines go on beyond it.
+    around = np.arange(max(stretch[0] - len(stretch), 0), min(stretch[-1] + len(stretch), len(poses)))
+    instants = around[(around - stretch[0]) % every == 0]
+    dots: dict[str, Any] = dict(
+        marker="o", markersize=4, markeredgecolor="white", markeredgewidth=0.5, linestyle="none"
+    )
+    shown = [poses[stretch, :2]]
     for name, curve in curves.items():
         path, colour, median = paths[name], curve.line.colour, np.median(paths[name], axis=1)
-        axes.plot(*path[near, :THIN_RUNS].transpose(2, 0, 1), color=colour, linewidth=0.4, alpha=0.25)
-        axes.plot(*median[near].T, color=colour, linestyle=curve.line.dashes)
+        axes.plot(*path[around, :THIN_RUNS].transpose(2, 0, 1), color=colour, linewidth=0.4, alpha=0.25)
+        axes.plot(*median[around].T, color=colour, linestyle=curve.line.dashes)
         axes.plot(*median[instants].T, color=colour, **dots, zorder=5)
-    axes.plot(*poses[near, :2].T, **REFERENCE)
+        shown.append(median[stretch])
+    axes.plot(*poses[around, :2].T, **REFERENCE)
     axes.plot(*poses[instants, :2].T, color="0.15", **dots, zorder=4)
-    middle = np.median([poses[step, :2], *(np.median(path[step], axis=0) for path in paths.values())], axis=0)
-    if step == 0:
-        middle = middle + 2 * ZOOM * np.array([np.cos(poses[0, 2]), np.sin(poses[0, 2])]) + [0, 0.5 * ZOOM]
-    # The longer side of the panel shows more, at the same scale.
-    axes.set_xlim(*(middle[0] + ZOOM * np.array([-1, 1])), auto=True)
-    axes.set_ylim(*(middle[1] + ZOOM * np.array([-1, 1])), auto=True)
+    least, greatest = np.min(shown, axis=(0, 1)), np.max(shown, axis=(0, 1))
+    margin = 0.08 * np.max(greatest - least)
+    axes.set_xlim(least[0] - margin, greatest[0] + margin, auto=True)
+    axes.set_ylim(least[1] - margin, greatest[1] + margin, auto=True)
     axes.set_aspect("equal", adjustable="datalim")
 
 
@@ -188,7 +183,7 @@ def errors(problem: Problem, runs: Mapping[str, Any]) -> Figure:
         runs: as for `trajectories`.
     """
     curves = _curves(runs)
-    shares = {name: _outside(problem, curve.errors).mean() for name, curve in curves.items()}
+    shares = {name: leaves_error_set(problem, curve.errors).mean() for name, curve in curves.items()}
     inside = {name: curve for name, curve in curves.items() if not shares[name]}
     figure = page_figure(5.6)
     panels = figure.subplots(3, 2 if inside and len(inside) < len(curves) else 1, sharex=True, squeeze=False)
@@ -211,7 +206,7 @@ def errors(problem: Problem, runs: Mapping[str, Any]) -> Figure:
     keys = _keys(curves)
     for key, share in zip(keys, shares.values(), strict=True):
         key.set_label(f"{key.get_label()} ({100 * share:.0f} % leave $\\mathcal{{E}}$)" if share else key.get_label())
-    _legend(figure, [*keys, Line2D([], [], label="limits of $\\mathcal{E}$", **LIMIT), *_band_keys()])
+    bottom_legend(figure, [*keys, Line2D([], [], label="limits of $\\mathcal{E}$", **LIMIT), *_band_keys()])
     return figure
 
 
@@ -241,7 +236,7 @@ def wheel_speeds(problem: Problem, runs: Mapping[str, Any]) -> Figure:
     for axes in panels[1]:
         axes.set_xlabel("time [s]")
     keys = [*_keys(curves), Line2D([], [], label="Reference", **REFERENCE), *_band_keys()]
-    _legend(figure, keys)
+    bottom_legend(figure, keys)
     return figure
 
 
@@ -285,7 +280,7 @@ def margins(problem: Problem, runs: Mapping[str, Any]) -> Figure:
     keys.append(Patch(facecolor="white", edgecolor="0.4", label=f"after the first {TRANSIENT_S:.0f} s"))
     keys.append(Patch(color="0.5", alpha=0.15, linewidth=0, label="outside $\\mathcal{E}$"))
     keys.append(Line2D([], [], label="margin of the start", **REFERENCE))
-    _legend(figure, keys, columns=4)
+    bottom_legend(figure, keys, columns=4)
     return figure
 
 
@@ -305,91 +300,3 @@ def _box(axes: Axes, values: Float[np.ndarray, " runs"], place: float, look: dic
         whiskerprops={"color": colour},
         capprops={"color": colour},
     )
-
-
-@styled
-def stress(problem: Problem, cases: Sequence[Mapping[str, Any]], boundary: Float[np.ndarray, "k 3"]) -> Figure:
-    """Draw tube MPC against MPC without tube from starts all over the feasible set, one row a case.
-
-    Args:
-        problem: gives the limits and the period.
-        cases: each with `title` and the errors (steps+1, batch, 3) `tube` and `plain` from the same starts.
-        boundary: points on the boundary of the feasible set.
-    """
-    figure = page_figure(0.9 + 1.55 * len(cases))
-    panels = figure.subplots(len(cases), 5, sharex="col", sharey="col", squeeze=False, width_ratios=(1, 1, 1, 1.1, 1.1))
-    dt, limits = problem.reference.dt, problem.error_set.offsets[:3] * TO_DISPLAY
-    shown = round(max(FIRST_SECONDS, 1.2 * dt * max(_last_exit(problem, case) for case in cases)) / dt) + 1
-    for row, case in zip(panels, cases, strict=True):
-        for coordinate, axes in enumerate(row[:3]):
-            for kind, name in STRESSED.items():
-                values = np.abs(case[kind][:shown, :, coordinate]) * TO_DISPLAY[coordinate]
-                _tail(axes, np.arange(len(values)) * dt, values, CONTROLLERS[name])
-            axes.axhline(limits[coordinate], **LIMIT)
-            axes.text(
-                0.95, 0.78, error_label(coordinate, absolute=True), transform=axes.transAxes, ha="right", va="top"
-            )
-            axes.set(xlim=(0, (shown - 1) * dt), ylim=(0, 1.2 * limits[coordinate]))
-            axes.locator_params(axis="x", nbins=4)
-        for axes, plane in zip(row[3:], ((0, 1), (1, 2)), strict=True):
-            _starts(axes, problem, case, boundary, plane)
-        # A title reserves the line; the text itself runs on over the whole row.
-        row[0].set_title(" ")
-        row[0].text(0, 1.05, _verdict(problem, case), transform=row[0].transAxes, in_layout=False)
-    for axes, label in zip(panels[-1], ["time [s]"] * 3 + [f"start: {error_label(i)}" for i in (0, 1)], strict=True):
-        axes.set_xlabel(label)
-    _legend(figure, _stress_keys(), columns=4)
-    return figure
-
-
-def _last_exit(problem: Problem, case: Mapping[str, Any]) -> int:
-    """Return the last step at which a run is outside E, 0 where none ever is."""
-    limits = problem.error_set.offsets[:3]
-    outside = [~np.all(np.abs(case[kind]) <= limits, axis=(1, 2)) for kind in STRESSED]
-    return int(np.max(np.nonzero(np.any(outside, axis=0))[0], initial=0))
-
-
-def _tail(axes: Axes, time, values: Float[np.ndarray, "times batch"], line: Line) -> None:
-    """Draw the median, the 95 % quantile and the greatest of absolute errors, the band between the last two filled."""
-    median, high, greatest = np.quantile(values, (0.5, 0.95, 1.0), axis=1)
-    axes.fill_between(time, high, greatest, color=line.colour, alpha=0.25, linewidth=0)
-    axes.plot(time, np.stack([median, high], axis=1), color=line.colour, linewidth=0.6, linestyle=line.dashes)
-    axes.plot(time, greatest, color=line.colour, linestyle=line.dashes)
-
-
-def _starts(axes: Axes, problem: Problem, case: Mapping[str, Any], boundary, plane: tuple[int, int]) -> None:
-    """Mark the starts from which each controller leaves E, in the plane of two errors."""
-    starts, corners = (points[:, plane] * TO_DISPLAY[list(plane)] for points in (case["plain"][0], boundary))
-    draw_polygon(axes, corners, edgecolor="0.4", facecolor="0.95", linewidth=0.8)
-    axes.plot(*starts.T, ".", color="0.7", markersize=1.2, rasterized=True)
-    for kind, name in STRESSED.items():
-        left = starts[_outside(problem, case[kind])]
-        axes.plot(*left.T, **MARKS[kind], color=CONTROLLERS[name].colour, linestyle="none", rasterized=True)
-    axes.set_ylabel(error_label(plane[1]), labelpad=0)
-
-
-def _verdict(problem: Problem, case: Mapping[str, Any]) -> str:
-    counts = [f"{CONTROLLERS[STRESSED[k]].label} in {_outside(problem, case[k]).sum():,}" for k in STRESSED]
-    return f"{case['title']}:  $\\mathcal{{E}}$ left by {', by '.join(counts)} of {case['plain'].shape[1]:,} runs"
-
-
-def _stress_keys() -> list:
-    lines = {kind: CONTROLLERS[name] for kind, name in STRESSED.items()}
-    return [
-        *(Line2D([], [], color=line.colour, linestyle=line.dashes, label=line.label) for line in lines.values()),
-        Line2D([], [], color="0.35", linewidth=1.2, label="greatest of all runs"),
-        Line2D([], [], color="0.35", linewidth=0.6, label="95 % quantile, median"),
-        *(
-            Line2D(
-                [],
-                [],
-                **MARKS[kind],
-                color=line.colour,
-                linestyle="none",
-                label=f"{line.label} leaves $\\mathcal{{E}}$",
-            )
-            for kind, line in lines.items()
-        ),
-        Line2D([], [], label="limits of $\\mathcal{E}$", **LIMIT),
-        Patch(facecolor="0.95", edgecolor="0.4", label="feasible set, projected"),
-    ]

@@ -9,13 +9,12 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
-from tqdm import tqdm
-
 from jaxtube.design import Design, design, refuse_infeasible_start
 from jaxtube.experiments import closed_loop, metrics, run_folder, stress
 from jaxtube.experiments import design as design_command
 from jaxtube.experiments.claims import claims, table
 from jaxtube.experiments.options import Paper
+from jaxtube.experiments.progress import progress
 from jaxtube.experiments.run_folder import RunFolder
 from jaxtube.scenario import Scenario, load
 
@@ -34,7 +33,7 @@ def run(scenario: Scenario, options: Paper) -> int:
     loops = closed_loop.controllers(found)
     stress_runs = STRESS_RUNS * options.realisations
     total = (len(loops) + 1) * options.realisations + 6 * stress_runs
-    with tqdm(total=total, unit=" laps", desc="simulating", mininterval=0.5) as bar:
+    with progress(total, "simulating", "laps") as bar:
         starts = np.tile(found.problem.initial_error, (options.realisations, 1))
         plant = closed_loop.slipping_robot(found)
         laps = {
@@ -99,8 +98,10 @@ def _save_figures(found: Design, laps, robust: Design, stressed, deviations, fol
         "stress": lambda: figures.stress(robust.problem, _stress_cases(stressed), stressed.boundary),
         "stress_terminal_set": lambda: set_figures.terminal_set(robust),
     }
-    for name, draw in tqdm(drawings.items(), unit=" figures", desc="drawing"):
-        folder.save_figure(draw(), name)
+    with progress(len(drawings), "drawing", "figures") as bar:
+        for name, draw in drawings.items():
+            folder.save_figure(draw(), name)
+            bar.update()
 
 
 def _stress_cases(stressed: stress.Stress) -> list[dict]:

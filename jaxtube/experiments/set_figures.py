@@ -6,8 +6,6 @@ convex hull of the projected vertices. Ellipsoids {e : e^T P e <= c} project to 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -20,10 +18,11 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from scipy.spatial import ConvexHull
 
 from jaxtube.design import Design
+from jaxtube.design.tightening import ERROR_NAMES
 from jaxtube.experiments.metrics import tube_margins
 from jaxtube.experiments.style import (
-    LIMIT,
     ERRORS,
+    LIMIT,
     TO_DISPLAY,
     UNITS,
     Line,
@@ -33,7 +32,6 @@ from jaxtube.experiments.style import (
     styled,
 )
 from sets.polytope import Polytope
-from sets.tubes import Section
 
 PLANES = ((0, 1), (0, 2), (1, 2))
 TUBES = {
@@ -113,12 +111,11 @@ def _label_solid(axes: Axes3D, units, title: str) -> None:
     axes.set(xlabel=error_label(0, unit=units[0]), ylabel=error_label(1, unit=units[1]), title=title)
     axes.set_zlabel(error_label(2, unit=units[2]), labelpad=-4)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
-        axis.pane.set_visible(False)
         axis.set_major_locator(MaxNLocator(4))
         axis.set_tick_params(pad=-2)
     axes.xaxis.labelpad = axes.yaxis.labelpad = -4
     axes.set_proj_type("ortho")
-    axes.set_box_aspect(BOX, zoom=0.95)
+    axes.set_box_aspect(BOX)
     axes.view_init(elev=ELEVATION, azim=AZIMUTH)
 
 
@@ -145,7 +142,7 @@ def tightened_sets(design: Design) -> Figure:
         axes.axhline(whole * scale, **LIMIT)
         axes.set(xlabel="stage $j$", ylabel=error_label(coordinate, absolute=True), xlim=(-0.7, N + 0.7))
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-        axes.set_title(f"({'abc'[coordinate]})")
+        axes.set_title(f"({'abc'[coordinate]}) {ERROR_NAMES[coordinate]}")
     _draw_input_sets(panels[1, 0], panels[1, 1], design, window)
     keys = [
         Line2D([], [], label="limits of $\\mathcal{E}$ and $\\mathcal{U}$", **LIMIT),
@@ -183,7 +180,7 @@ def _draw_input_sets(whole: Axes, corner: Axes, design: Design, window: int) -> 
 
 @styled
 def terminal_set(design: Design) -> Figure:
-    """Draw the invariant sets, the constraint on e_N and the largest ellipsoid of the terminal cost, or why none exists.
+    """Draw the invariant sets, the constraint on e_N and an ellipsoid of the terminal cost, or why there is none.
 
     The ellipsoid is the largest level set of e^T P e inside the maximal invariant set.
     """
@@ -249,7 +246,9 @@ def _no_terminal_set(design: Design) -> Figure:
     axes.plot(reach, color=OUTSIDE, label="the worst that disturbances do to $e = 0$")
     axes.plot(len(reach) - 1, reach[-1], "o", color=OUTSIDE, markersize=4)
     axes.axhline(escape.offset, **LIMIT, label="constraint")
-    axes.set(xlabel=f"steps ({len(reach) - 1} pass the constraint)", ylabel=f"${_row_text(escape.normal)}$")
+    axes.set(
+        xlabel=f"steps ({len(reach) - 1} pass the constraint)", ylabel=f"${_row_text(escape.normal)}$, in m and rad"
+    )
     axes.legend(loc="lower right")
     return figure
 

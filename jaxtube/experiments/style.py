@@ -19,7 +19,7 @@ from scipy.spatial import ConvexHull
 PAGE_WIDTH = 7.16
 """Width of a page of two columns, inches."""
 
-SETTINGS = {
+SETTINGS: dict[Any, Any] = {
     "font.family": "STIXGeneral",
     "mathtext.fontset": "stix",
     "font.size": 9,
@@ -40,6 +40,7 @@ SETTINGS = {
     "grid.color": "0.9",
     "grid.linewidth": 0.5,
     "lines.linewidth": 1.2,
+    **{f"axes3d.{letter}axis.panecolor": "#ffffff00" for letter in "xyz"},
     # Journals ask for embedded TrueType; text stays text and rasterised clouds stay sharp.
     "pdf.fonttype": 42,
     "savefig.dpi": 300,
@@ -95,6 +96,11 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 def page_figure(height: float) -> Figure:
     """Return an empty figure over the width of the page, height in inches."""
     return PaperFigure(figsize=(PAGE_WIDTH, height), layout="constrained")
+
+
+def bottom_legend(figure: Figure, handles: list, columns: int = 3) -> None:
+    """Put one legend for all panels under them."""
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
 
 
 def error_label(coordinate: int, absolute: bool = False, unit: str = "") -> str:

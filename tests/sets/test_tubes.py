@@ -267,7 +267,7 @@ def test_support_numbers_of_many_windows_equal_those_of_their_sections():
 
 
 def test_support_along_inputs_is_the_greatest_over_gains_and_vertices():
-    section, gains = hull_tube(LOOPS, W, 3)[3], tube_gains()
+    section, gains = hull_tube(LOOPS, FLAT, 3)[3], tube_gains()
     values = [U.normals @ gain @ section.vertices().T for gain in gains]
     expected = np.max(values, axis=(0, 2))
     np.testing.assert_allclose(input_support(section, gains, U.normals), expected, rtol=0, atol=TUBE_ROUNDING)
