@@ -182,15 +182,3 @@ def terminal_margins(
         "admissible_inputs": min(room(last_input_set, gain) for gain in terminal_gains),
         "returns": min(room(next_terminal, loop) for loop in terminal_loops),
     }
-
-
-def whole_tube_margin(
-    invariant: Polytope,
-    terminal: Polytope,
-    loops: Float[np.ndarray, "horizon n n"],
-    disturbance: Float[np.ndarray, "w n"],
-) -> float:
-    """Return by how much e_N + R_N stays inside `invariant`: e_N in `terminal`, R_N along the schedule's loops."""
-    scale = np.linalg.norm(invariant.normals, axis=1)
-    rows, offsets = invariant.normals / scale[:, None], invariant.offsets / scale
-    return float(np.min(offsets - terminal.support(rows) - sequence_reach(loops, disturbance, rows)[0][-1]))

@@ -246,13 +246,13 @@ def hull(
     if points.shape[1] == 1:
         ends = np.array([points.argmax(), points.argmin()])
         return np.array([[1.0], [-1.0]]), points[ends, 0] * [1.0, -1.0], ends
-    for apart in (SAME, 100 * SAME):
+    for apart, options in ((SAME, None), (100 * SAME, "QJ")):
         distinct = _distinct(points, apart)
         try:
-            found = ConvexHull(points[distinct])
-        except QhullError:  # clusters of almost equal points can stop qhull
+            found = ConvexHull(points[distinct], qhull_options=options)
+        except QhullError:  # clusters of almost equal points can stop qhull, unless it may displace them by 1e-10
             continue
-        facets = found.equations[_distinct(found.equations, SAME)]
+        facets = found.equations[_distinct(found.equations, apart)]
         return facets[:, :-1], -facets[:, -1], distinct[found.vertices]
     raise ArithmeticError(f"hull of {len(points)} points not found: drop points closer than 1e-9 of their spread")
 

@@ -8,9 +8,8 @@
 * an outer bound of the minimal set that is itself invariant (fixed point on given facet normals);
 * an invariant set of few facets, grown inside the maximal one by linear programs in its normals and its offsets.
 
-In two dimensions or more. Every loop must be stable for one constant schedule at least and W must contain the origin.
-Then a non-empty closed invariant set contains the origin (take w = 0), hence everything reached from it: a reach that
-leaves proves emptiness.
+Every loop must be stable for one constant schedule at least and W must contain the origin. Then a non-empty closed
+invariant set contains the origin (take w = 0), hence everything reached from it: a reach that leaves proves emptiness.
 """
 
 from __future__ import annotations
@@ -104,7 +103,7 @@ def maximal_rpi(
 ) -> MaximalRpi:
     """Return the largest set O inside `constraints` with Phi_i O + (1 + INFLATION) W in O for all i.
 
-    `constraints` must be bounded with the origin inside; `disturbance` is the support function of W.
+    `constraints` must be bounded, in two dimensions or more; `disturbance` is the support function of W.
     Raises ValueError where the origin is not inside.
     """
     if np.any(constraints.offsets <= 0):
@@ -120,8 +119,7 @@ def maximal_rpi(
             escape = Escape(constraints.normals[root], float(constraints.offsets[root]), path)
             return MaximalRpi(None, escape, iteration)
         candidates = new.predecessors(loops, room)
-        hull = ConvexHull(rows.dual)
-        outside = np.max(candidates.dual @ _facet_points(hull).T, axis=1) > 1 + PRUNING
+        outside = np.max(candidates.dual @ _facet_points(ConvexHull(rows.dual)).T, axis=1) > 1 + PRUNING
         candidates = candidates.take(np.flatnonzero(outside))
         kept = ConvexHull(np.concatenate([rows.dual, candidates.dual])).vertices
         fresh = kept[kept >= len(rows.offsets)]
@@ -229,12 +227,11 @@ def _volume_and_slope(dual: Float[np.ndarray, "k n"]) -> tuple[float, Float[np.n
 def _turned(loops, constraints: Polytope, disturbance, dual, slope, radius: float) -> Float[np.ndarray, "k n"]:
     """Return rows c within `radius` that gain the most volume while c_k Phi_i y + h_W(c_k) <= 1 at every vertex y.
 
-    To first order, with h_W frozen: a vertex y on the facets s, and a row r = sum of weights w_s c_s, give
-    d(r y) = dr y - sum w_s dc_s y. Only rows that are nearly tight at y can be reached by a small move.
+    To first order, with h_W frozen, where a vertex y is on the facets s and a row r = sum w_s c_s is nearly tight:
+    d(r y) = dr y - sum w_s dc_s y.
     """
     k, n = dual.shape
-    simplices = ConvexHull(dual).simplices
-    inverses = np.linalg.inv(dual[simplices])
+    simplices, inverses = _simplices(dual)
     vertices = inverses.sum(axis=2)
     limits = constraints.normals / constraints.offsets[:, None]
     rows = np.concatenate([*(dual @ loop for loop in loops), limits])
@@ -249,12 +246,8 @@ def _turned(loops, constraints: Polytope, disturbance, dual, slope, radius: floa
     own = np.flatnonzero(row < k * len(loops))
     change[own, row[own] % k] += np.einsum("anm,am->an", loops[row[own] // k], vertices[at[own]])
     width = np.tile(radius * np.abs(dual).max(axis=0), k)
-    answer = linprog(
-        -slope.ravel(),
-        A_ub=csr_array(change.reshape(len(row), -1)),
-        b_ub=np.maximum(slack[row, at], 0),
-        bounds=np.stack([-width, width], axis=1),
-    )
+    limit, change = np.maximum(slack[row, at], 0), csr_array(change.reshape(len(row), -1))
+    answer = linprog(-slope.ravel(), A_ub=change, b_ub=limit, bounds=np.stack([-width, width], axis=1))
     return dual + answer.x.reshape(k, n) if answer.status == 0 else dual
 
 
@@ -263,29 +256,35 @@ def _refitted(loops, constraints: Polytope, disturbance, dual, slope, growth: fl
 
     Multipliers L >= 0, L dual = dual Phi_i, turn invariance into L b + h_W <= b; those of the tight rows are taken.
     """
-    k, v, steps = len(dual), len(loops), (1 + INFLATION) * disturbance(dual)
-    images = np.concatenate([dual @ loop for loop in loops])
+    v, steps, images = len(loops), (1 + INFLATION) * disturbance(dual), np.concatenate([dual @ loop for loop in loops])
     try:
-        offsets = np.max(dual @ _vertices(dual, np.ones(k)).T, axis=1)
-        invariance = _multipliers(dual, offsets, images) - np.tile(np.eye(k), (v, 1))
-        rows = np.concatenate([invariance, _multipliers(dual, offsets, constraints.normals)])
+        offsets = np.max(dual @ _facet_points(ConvexHull(dual)).T, axis=1)
+        scaled = dual / offsets[:, None]
+        invariance = _multipliers(scaled, images) / offsets - np.tile(np.eye(len(dual)), (v, 1))
+        rows = np.concatenate([invariance, _multipliers(scaled, constraints.normals) / offsets])
         bounds = np.concatenate([-np.tile(steps, v), constraints.offsets * (1 - BACK_OFF)])
         step = np.stack([offsets / (1 + growth), offsets * (1 + growth)], axis=1)
         answer = linprog(np.einsum("kn,kn->k", slope, dual), A_ub=rows, b_ub=bounds, bounds=step)
         return _restored(images, constraints, steps, dual, answer.x) if answer.status == 0 else None
-    except (QhullError, np.linalg.LinAlgError):
+    except QhullError:
         return None
 
 
-def _multipliers(normals, offsets, directions) -> Float[np.ndarray, "d k"]:
-    """Return L >= 0, L normals = directions, L offsets = support numbers: barycentres on the dual hull's facets."""
-    dual = normals / offsets[:, None]
-    hull = ConvexHull(dual)
-    simplices = hull.simplices[np.argmax(directions @ _facet_points(hull).T, axis=1)]
-    weights = np.linalg.solve(dual[simplices].transpose(0, 2, 1), directions[:, :, None])[..., 0]
-    multipliers = np.zeros((len(directions), len(offsets)))
-    np.put_along_axis(multipliers, simplices, np.maximum(weights, 0) / offsets[simplices], axis=1)
+def _multipliers(dual, directions) -> Float[np.ndarray, "d k"]:
+    """Return L >= 0 with L dual = directions and L 1 = support numbers: barycentres on facets of the dual hull."""
+    simplices, inverses = _simplices(dual)
+    weights = np.einsum("dn,fnm->dfm", directions, inverses)
+    hit = np.argmax(weights.min(axis=2), axis=1)  # the simplex the direction passes through: no weight is negative
+    multipliers, each = np.zeros((len(directions), len(dual))), np.arange(len(directions))
+    np.put_along_axis(multipliers, simplices[hit], np.maximum(weights[each, hit], 0), axis=1)
     return multipliers
+
+
+def _simplices(dual: Float[np.ndarray, "k n"]):
+    """Return the facets of the dual hull as n rows each, and the inverses of those; slivers left out."""
+    simplices = ConvexHull(dual).simplices
+    solid = np.abs(np.linalg.det(dual[simplices])) > 1e-12 * np.prod(np.abs(dual).max(axis=0))
+    return simplices[solid], np.linalg.inv(dual[simplices[solid]])
 
 
 def _restored(images, constraints: Polytope, steps, dual, offsets) -> Float[np.ndarray, "k n"] | None:

@@ -12,6 +12,11 @@ from tolerances import KKT
 
 REACHED = 1e-12  # coefficients below it are those of a row that no input reaches
 
+# Overrides that make designs of other kinds: the tube along the reference with the terminal gain in it; wheels too slow
+# for any terminal set, so that a plan that starts near the edge holds many rows.
+SEQUENCE = ("controller.terminal=T-A", "controller.tube=sequence", "reference.wheel_speed_min_mps=1.0")
+TIGHT = ("robot.wheel_speed_max_mps=2.2", "robot.wheel_speed_min_mps=0.5")
+
 
 def yaw_rate(problem, wheels):
     """Give the yaw rate of the prediction model at reference wheel speeds (right, left)."""

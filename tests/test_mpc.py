@@ -7,16 +7,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import PlainMpc, terminal_gain, tube_gain
+from oracles import SEQUENCE, TIGHT, PlainMpc, terminal_gain, tube_gain
 from tolerances import EXACT_SOLVER, KKT, LINEAR_PROGRAM, ROUNDING, SINGLE_KKT, SINGLE_PRECISION
 
 from jaxtube import mpc, qp
 from jaxtube.experiments import closed_loop
 
 BATCH = 256
-SEQUENCE = ("controller.terminal=T-A", "controller.tube=sequence", "reference.wheel_speed_min_mps=1.0")
-# Slow wheels leave no terminal set, and a plan that starts near the edge holds many rows.
-TIGHT = ("robot.wheel_speed_max_mps=2.2", "robot.wheel_speed_min_mps=0.5")
 ONE_SIDED = ("robot.wheel_speed_max_mps=2.2",)
 
 planned = jax.jit(mpc.plan)

@@ -57,3 +57,10 @@ LONG_TUBE = 0.5e-3  # m; printed to three decimals
 SUPPORT_PROGRAM = 1e-8  # linear programs against their answer in exact arithmetic
 MAXIMAL_SET = 1e-6  # the set is built for a disturbance wider by as much
 CLOSED_FORM = 1e-9
+
+# sets/certificate.py
+CERTIFICATE_MARGIN = 1e-9  # support numbers of polytopes against their vertices
+PRUNED_REACH = 1e-10  # relative; extreme directions are found after a joggle of 1e-11
+
+# jaxtube/experiments/figures.py
+DRAWN = 1e-9  # what is drawn against its source: a change of units

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -13,11 +12,16 @@ from jaxtube.design.terminal import Terminal, admissible_set
 from jaxtube.design.tightening import BACK_OFF, LocalGain, Windows, vertex_loops
 from sets import certificate as check
 from sets.certificate import Certificate
-from sets.invariant import maximal_rpi
+from sets.invariant import MaximalRpi, maximal_rpi
 from sets.lmi import TerminalCost, terminal_cost
 from sets.polytope import Polytope
 
 NEVER_RESET_STEPS = 20
+INCLUSIONS = {
+    "admissible_errors": "E_{N-1}",
+    "admissible_inputs": "U_{N-1}",
+    "returns": "the terminal constraint",
+}
 OBJECTIVES = ("trace_s", "trace_p", "logdet")
 
 
@@ -187,56 +191,78 @@ def _terminal(certificate, problem: Problem, tube_gain: LocalGain, terminal: Ter
 
 
 def _empty_terminal(certificate: Certificate, terminal: Terminal, loops, disturbance) -> None:
-    margin, sentence = -np.inf, "No invariant terminal set was found."
-    escape = terminal.maximal.escape
-    if escape is not None:
-        excess, _ = check.escape_excess(loops, disturbance, escape.normal, escape.offset, escape.loops)
-        # the set was sought for a slightly wider disturbance, so an escape may fall short: it proves nothing then
-        if excess > 0:
-            margin, steps = -excess, len(escape.loops) + 1
-            sentence = (
-                f"No invariant terminal set exists: in {steps} steps the origin goes {excess:.3g} past a constraint."
-            )
+    margin = _escape_margin(terminal.maximal, loops, disturbance)
+    sentence = "No invariant terminal set was found."
+    if terminal.maximal.escape is not None and margin > -np.inf:
+        steps = len(terminal.maximal.escape.loops) + 1
+        sentence = (
+            f"No invariant terminal set exists: in {steps} steps the origin goes {-margin:.3g} past a constraint."
+        )
     certificate.add("terminal_set_invariant", margin, "", f"{sentence} The run uses E - R_N at the last stage instead.")
 
 
+def _escape_margin(found: MaximalRpi, loops, disturbance) -> float:
+    """Return minus what the escape passes its constraint by, -inf where none does: then nothing is proved."""
+    if found.escape is None:
+        return -np.inf
+    excess, _ = check.escape_excess(loops, disturbance, found.escape.normal, found.escape.offset, found.escape.loops)
+    return -excess if excess > 0 else -np.inf
+
+
 def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal: Terminal, windows, bounds, W) -> None:
-    """Check the terminal inclusions of the shifted plan on the sets used, or for T-A the premises of the theorem."""
-    name = "plan_stays_feasible"
-    sets = [Polytope(bounds.terminal_normals, offsets) for offsets in bounds.terminal]
-    if terminal.kind == "T-A" and terminal.invariant is not None and not terminal.fallback:
-        rooms = map(partial(check.whole_tube_margin, terminal.invariant, disturbance=W), sets, windows.loops)
-        same = np.array_equal(tube_gain.vertices, terminal.gains.vertices)
-        certificate.add(
-            name,
-            min(rooms) if same and problem.scenario.controller.tube == "sequence" else -np.inf,
-            "Tube and terminal gain coincide, the tube follows the reference: Omega - R_N receives every shifted plan.",
-            "T-A needs one gain, the tube `sequence` and e_N in Omega - R_N: the shifted plan may miss it.",
-        )
-        return
-    N = problem.horizon
-    last_reach = _products(vertex_loops(problem, tube_gain), W, N - 1)
-    _, distinct, kinds = np.unique(bounds.terminal, axis=0, return_index=True, return_inverse=True)
-    kinds = distinct[kinds.reshape(-1)][windows.index]
-    margins = [
-        check.terminal_margins(
-            sets[now],
-            sets[following],
-            vertex_loops(problem, terminal.gains),
-            terminal.gains.vertices,
-            Polytope(problem.error_set.normals, bounds.errors[:, N - 1].min(axis=0)),
-            Polytope(problem.input_set.normals, bounds.inputs[:, N - 1].min(axis=0)),
-            last_reach,
-        )
-        for now, following in set(pairwise(kinds)) or {(kinds[0], kinds[0])}
-    ]
+    """Check the three terminal inclusions of the shifted plan on the sets used.
+
+    With the tube `sequence` from each step of the run to the next, else for every schedule in the box.
+    """
+    if problem.scenario.controller.tube == "sequence":
+        pairs = set(pairwise(windows.index)) or {(windows.index[0], windows.index[0])}
+        margins = [_margins_along(problem, terminal, windows, bounds, W, *pair) for pair in pairs]
+    else:
+        last_reach = _products(vertex_loops(problem, tube_gain), W, problem.horizon - 1)
+        margins = [_margins_anywhere(problem, terminal, bounds, last_reach)]
     worst = {key: min(margin[key] for margin in margins) for key in margins[0]}
-    failing = ", ".join(f"{key} by {-value:.3g}" for key, value in worst.items() if value < 0)
+    failing = ", ".join(f"{INCLUSIONS[key]} by {-value:.3g}" for key, value in worst.items() if value < 0)
     certificate.add(
-        name,
+        "plan_stays_feasible",
         min(worst.values()),
-        "From every plan the shifted one ends in the terminal constraint again: feasibility is recursive.",
-        f"The shifted plan may miss the terminal constraint ({failing}): feasibility is not recursive.",
+        "Shifted by a step and ended by the terminal gain, every plan is a plan again: feasibility is recursive.",
+        f"Shifted by a step and ended by the terminal gain, a plan may leave {failing}: recursive feasibility is not "
+        "shown.",
+    )
+
+
+def _margins_anywhere(problem: Problem, terminal: Terminal, bounds: Bounds, last_reach: Polytope) -> dict[str, float]:
+    """Return the margins of the terminal inclusions over the whole schedule box; all windows share their sets."""
+    last, constraint = problem.horizon - 1, Polytope(bounds.terminal_normals, bounds.terminal[0])
+    return check.terminal_margins(
+        constraint,
+        constraint,
+        vertex_loops(problem, terminal.gains),
+        terminal.gains.vertices,
+        Polytope(problem.error_set.normals, bounds.errors[0, last]),
+        Polytope(problem.input_set.normals, bounds.inputs[0, last]),
+        last_reach,
+    )
+
+
+def _margins_along(
+    problem, terminal: Terminal, windows: Windows, bounds: Bounds, W, now, following
+) -> dict[str, float]:
+    """Return the margins of the terminal inclusions from the step that has window `now` ahead to the next one."""
+    last, schedule = problem.horizon - 1, windows.schedules[following, -1]
+    transition, inputs = problem.model.matrices(schedule)
+    gain = terminal.gains.at(problem.model.weights(schedule))
+    points = W
+    for loop in windows.loops[now, 1:]:
+        points = points @ loop.T
+    return check.terminal_margins(
+        Polytope(bounds.terminal_normals, bounds.terminal[now]),
+        Polytope(bounds.terminal_normals, bounds.terminal[following]),
+        (transition + inputs @ gain)[None],
+        gain[None],
+        Polytope(problem.error_set.normals, bounds.errors[following, last]),
+        Polytope(problem.input_set.normals, bounds.inputs[following, last]),
+        Polytope.from_vertices(points),
     )
 
 
@@ -292,11 +318,8 @@ def _exists(certificate: Certificate, name: str, label: str, problem: Problem, g
     if found.polytope is not None:
         margin = check.invariance_margin(loops, W.vertices(), found.polytope)
         margin = min(margin, admissible.containment_margin(found.polytope) + check.ROUNDING)
-    elif found.escape is not None:
-        escape = found.escape
-        margin = -check.escape_excess(loops, W.vertices(), escape.normal, escape.offset, escape.loops)[0]
     else:
-        margin = -np.inf
+        margin = _escape_margin(found, loops, W.vertices())
     facets = 0 if found.polytope is None else len(found.polytope.offsets)
     certificate.add(
         name,

@@ -23,12 +23,15 @@ from jaxtube.experiments.metrics import TRANSIENT_S
 from jaxtube.experiments.stress_figures import leaves_error_set, stress
 from jaxtube.experiments.style import (
     CONTROLLERS,
+    ERRORS,
     LIMIT,
     REFERENCE,
     TO_DISPLAY,
     Line,
     bottom_legend,
     error_label,
+    line_keys,
+    mark_key,
     page_figure,
     styled,
 )
@@ -85,10 +88,6 @@ def _band(axes: Axes, time, values: Float[np.ndarray, "times batch"], line: Line
     axes.plot(time, median, color=line.colour, linestyle=line.dashes, label=line.label)
 
 
-def _keys(curves: Mapping[str, Curve]) -> list:
-    return [Line2D([], [], color=c.line.colour, linestyle=c.line.dashes, label=c.line.label) for c in curves.values()]
-
-
 def _band_keys() -> list:
     return [
         Patch(color="0.35", alpha=0.45, linewidth=0, label="5 % to 95 % of the runs"),
@@ -119,7 +118,8 @@ def trajectories(problem: Problem, runs: Mapping[str, Any]) -> Figure:
     _whole_path(panels["whole"], curves, poses, paths)
     lateral = np.max([np.abs(np.median(c.errors[..., 1], axis=1)) for c in curves.values()], axis=0)
     seconds = {name: round(value / reference.dt) for name, value in SECONDS.items()}
-    apart = min(seconds["start"], reference.steps) + int(np.argmax(lateral[seconds["start"] :]))
+    settled = min(seconds["start"], reference.steps)
+    apart = settled + int(np.argmax(lateral[settled:]))
     stretches = {
         "start": ("(b) start", 0, seconds["start"]),
         "apart": (f"(c) around $t = {apart * reference.dt:.1f}$ s", apart - seconds["apart"], apart + seconds["apart"]),
@@ -131,11 +131,8 @@ def trajectories(problem: Problem, runs: Mapping[str, Any]) -> Figure:
         place = tuple(poses[0 if name == "start" else apart, :2])
         panels["whole"].plot(*place, marker="s", markersize=7, markerfacecolor="none", color="0.15", zorder=5)
         panels["whole"].annotate(title[1], place, xytext=(6, -9), textcoords="offset points")
-    keys = [Line2D([], [], label="Reference", **REFERENCE)]
-    keys.append(
-        Line2D([], [], marker="o", color="0.15", linestyle="none", markersize=4, label=f"every {SECONDS['dots']} s")
-    )
-    for key in (own := _keys(curves)):
+    keys = [Line2D([], [], label="Reference", **REFERENCE), mark_key(f"every {SECONDS['dots']} s", "0.15")]
+    for key in (own := line_keys(curve.line for curve in curves.values())):
         key.set_label(str(key.get_label()).replace(" = ", "\n= "))
     panels["legend"].set_axis_off()
     panels["legend"].legend(handles=own + keys, loc="center left", borderaxespad=0)
@@ -155,9 +152,7 @@ def _zoom(axes: Axes, curves: Mapping[str, Curve], poses, paths, stretch, every:
     # The longer side of the panel shows more than the stretch, so the lines go on beyond it.
     around = np.arange(max(stretch[0] - len(stretch), 0), min(stretch[-1] + len(stretch), len(poses)))
     instants = around[(around - stretch[0]) % every == 0]
-    dots: dict[str, Any] = dict(
-        marker="o", markersize=4, markeredgecolor="white", markeredgewidth=0.5, linestyle="none"
-    )
+    dots: Any = {"marker": "o", "markersize": 4, "markeredgecolor": "white", "markeredgewidth": 0.5, "linestyle": ""}
     shown = [poses[stretch, :2]]
     for name, curve in curves.items():
         path, colour, median = paths[name], curve.line.colour, np.median(paths[name], axis=1)
@@ -197,13 +192,12 @@ def errors(problem: Problem, runs: Mapping[str, Any]) -> Figure:
         for limit in (-limits[coordinate], limits[coordinate]):
             row[0].axhline(limit, **LIMIT)
         row[0].set_ylabel(error_label(coordinate))
-    for axes, title in zip(
-        panels[0], ("all controllers", "those that stay in $\\mathcal{E}$, magnified"), strict=False
-    ):
+    titles = ("all controllers", "those that stay in $\\mathcal{E}$, magnified")
+    for axes, title in zip(panels[0], titles, strict=False):
         axes.set_title(title)
     for axes in panels[-1]:
         axes.set_xlabel("time [s]")
-    keys = _keys(curves)
+    keys = line_keys(curve.line for curve in curves.values())
     for key, share in zip(keys, shares.values(), strict=True):
         key.set_label(f"{key.get_label()} ({100 * share:.0f} % leave $\\mathcal{{E}}$)" if share else key.get_label())
     bottom_legend(figure, [*keys, Line2D([], [], label="limits of $\\mathcal{E}$", **LIMIT), *_band_keys()])
@@ -235,7 +229,11 @@ def wheel_speeds(problem: Problem, runs: Mapping[str, Any]) -> Figure:
     panels[0, 1].set_title(f"first {FIRST_SECONDS:.0f} s")
     for axes in panels[1]:
         axes.set_xlabel("time [s]")
-    keys = [*_keys(curves), Line2D([], [], label="Reference", **REFERENCE), *_band_keys()]
+    keys = [
+        *line_keys(curve.line for curve in curves.values()),
+        Line2D([], [], label="Reference", **REFERENCE),
+        *_band_keys(),
+    ]
     bottom_legend(figure, keys)
     return figure
 
@@ -264,29 +262,29 @@ def margins(problem: Problem, runs: Mapping[str, Any]) -> Figure:
     for coordinate, axes in enumerate(panels):
         for place, curve in enumerate(curves.values()):
             relative = 100 * (1 - np.abs(curve.errors[..., coordinate]) / limits[coordinate])
-            look = dict(color=curve.line.colour, linewidth=1.0)
-            _box(axes, relative.min(axis=0), place - 0.17, {**look, "facecolor": curve.line.colour})
+            _box(axes, relative.min(axis=0), place - 0.17, curve.line.colour, filled=True)
             if settled < len(relative):
-                _box(axes, relative[settled:].min(axis=0), place + 0.17, {**look, "facecolor": "white"})
+                _box(axes, relative[settled:].min(axis=0), place + 0.17, curve.line.colour, filled=False)
         axes.axvline(0, **LIMIT)
         axes.axvline(100 * (1 - np.abs(problem.initial_error[coordinate]) / limits[coordinate]), **REFERENCE)
         axes.set_xlim(right=104)
         axes.axvspan(min(axes.get_xlim()[0], -5), 0, color="0.5", alpha=0.15, linewidth=0)
         axes.margins(x=0)
-        axes.set_xlabel(f"margin in {error_label(coordinate).split(' ')[0]} [%]")
+        axes.set_xlabel(f"margin in ${ERRORS[coordinate]}$ [%]")
     panels[0].set_yticks(range(len(curves)), [curve.line.label.replace(" = ", "\n= ") for curve in curves.values()])
     panels[0].invert_yaxis()
-    keys = [Patch(facecolor="0.4", edgecolor="0.4", label="whole run")]
-    keys.append(Patch(facecolor="white", edgecolor="0.4", label=f"after the first {TRANSIENT_S:.0f} s"))
-    keys.append(Patch(color="0.5", alpha=0.15, linewidth=0, label="outside $\\mathcal{E}$"))
-    keys.append(Line2D([], [], label="margin of the start", **REFERENCE))
+    keys = [
+        Patch(facecolor="0.4", edgecolor="0.4", label="whole run"),
+        Patch(facecolor="white", edgecolor="0.4", label=f"after the first {TRANSIENT_S:.0f} s"),
+        Patch(color="0.5", alpha=0.15, linewidth=0, label="outside $\\mathcal{E}$"),
+        Line2D([], [], label="margin of the start", **REFERENCE),
+    ]
     bottom_legend(figure, keys, columns=4)
     return figure
 
 
-def _box(axes: Axes, values: Float[np.ndarray, " runs"], place: float, look: dict) -> None:
+def _box(axes: Axes, values: Float[np.ndarray, " runs"], place: float, colour: str, filled: bool) -> None:
     """Draw quartiles as a box, the median as a bar and the extremes as whiskers."""
-    colour = look["color"]
     axes.boxplot(
         values,
         positions=[place],
@@ -295,7 +293,7 @@ def _box(axes: Axes, values: Float[np.ndarray, " runs"], place: float, look: dic
         whis=(0, 100),
         patch_artist=True,
         manage_ticks=False,
-        boxprops={"facecolor": look["facecolor"], "edgecolor": colour, "linewidth": 0.9},
+        boxprops={"facecolor": colour if filled else "white", "edgecolor": colour, "linewidth": 0.9},
         medianprops={"color": "black", "linewidth": 1.2},
         whiskerprops={"color": colour},
         capprops={"color": colour},

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 
 import numpy as np
+
 from jaxtube.design import Design, design, refuse_infeasible_start
 from jaxtube.experiments import closed_loop, metrics, run_folder, stress
 from jaxtube.experiments import design as design_command

@@ -26,8 +26,11 @@ from jaxtube.experiments.style import (
     TO_DISPLAY,
     UNITS,
     Line,
+    bottom_legend,
     draw_polygon,
     error_label,
+    line_keys,
+    mark_key,
     page_figure,
     styled,
 )
@@ -38,7 +41,7 @@ TUBES = {
     "paper": Line("paper, eq. (27)", "#D55E00"),
     "summed": Line("summed", "#56B4E9"),
     "hull": Line("hull", "black", (0, (2, 1.5))),
-    "sequence": Line("sequence", "#009E73"),
+    "sequence": Line("sequence, widest window", "#009E73"),
 }
 """From the outermost to the innermost."""
 
@@ -52,6 +55,9 @@ BOX = (1.0, 1.0, 0.75)
 AZIMUTH, ELEVATION = -55, 20
 """The three-dimensional view: sides of the box, and where the viewer stands, deg."""
 
+FLAT = 1e-6
+"""Sets thinner than this share of the box are drawn as their corners."""
+
 SMOOTH = 1 - 1e-9
 """Triangles whose normals agree to this cosine are one facet: no edge is drawn between them."""
 
@@ -59,26 +65,40 @@ SMOOTH = 1 - 1e-9
 @styled
 def tube_sections(design: Design) -> Figure:
     """Draw the last section of the four tubes in three dimensions, and all sections projected onto the planes."""
-    tubes = {name: design.tubes[name] for name in TUBES if name in design.tubes}
-    corners = {name: [section.vertices() * IN_MILLIMETRES for section in tube[1:]] for name, tube in tubes.items()}
+    lines = {name: line for name, line in TUBES.items() if name in design.tubes}
+    corners = {name: [section.vertices() * IN_MILLIMETRES for section in design.tubes[name][1:]] for name in lines}
     figure = page_figure(6.0)
-    grid = figure.add_gridspec(2, 2)
-    solid: Axes3D = figure.add_subplot(grid[0, 0], projection="3d")  # pyright: ignore[reportAssignmentType]
+    last = f"R_{{{design.problem.horizon}}}"
+    solid, planes = _views(figure, SMALL_UNITS, f"${last}$", f"projections of $R_1, \\ldots, {last}$")
+    outermost = next(iter(corners.values()))[-1]
     for name, sections in reversed(corners.items()):
-        _draw_solid(solid, sections[-1], corners[next(iter(corners))][-1], TUBES[name])
-    _label_solid(solid, SMALL_UNITS, f"(a) $R_{{{design.problem.horizon}}}$")
-    for cell, plane, letter in zip((grid[0, 1], grid[1, 0], grid[1, 1]), PLANES, "bcd", strict=True):
-        axes = figure.add_subplot(cell)
+        _draw_solid(solid, sections[-1], outermost, lines[name])
+    for axes, plane in planes:
         for name, sections in corners.items():
             for section in sections:
-                last = section is sections[-1]
-                look = dict(edgecolor=TUBES[name].colour, linestyle=TUBES[name].dashes, linewidth=1.2 if last else 0.7)
-                draw_polygon(axes, section[:, plane], **look)
-        _label_plane(axes, plane, SMALL_UNITS)
-        axes.set_title(f"({letter}) projections of $R_1, \\ldots, R_{{{design.problem.horizon}}}$")
-    keys = [Line2D([], [], color=TUBES[n].colour, linestyle=TUBES[n].dashes, label=TUBES[n].label) for n in tubes]
-    figure.legend(handles=keys, loc="outside lower center", ncols=4)
+                _draw_projection(axes, section, plane, lines[name], 1.2 if section is sections[-1] else 0.7)
+    bottom_legend(figure, line_keys(lines.values()), columns=4)
     return figure
+
+
+def _views(figure: Figure, units, title: str, plane_title: str) -> tuple[Axes3D, list]:
+    """Return a three-dimensional panel, and three panels with the coordinate plane that each shows."""
+    grid = figure.add_gridspec(2, 2)
+    solid: Axes3D = figure.add_subplot(grid[0, 0], projection="3d")  # pyright: ignore[reportAssignmentType]
+    _label_solid(solid, units, f"(a) {title}")
+    planes = []
+    for cell, plane, letter in zip((grid[0, 1], grid[1, 0], grid[1, 1]), PLANES, "bcd", strict=True):
+        axes = figure.add_subplot(cell)
+        axes.set_xlabel(error_label(plane[0], unit=units[plane[0]]))
+        axes.set_ylabel(error_label(plane[1], unit=units[plane[1]]))
+        axes.set_title(f"({letter}) {plane_title}")
+        axes.margins(0.06)
+        planes.append((axes, plane))
+    return solid, planes
+
+
+def _draw_projection(axes: Axes, points: Float[np.ndarray, "v 3"], plane, line: Line, linewidth: float = 1.2) -> None:
+    draw_polygon(axes, points[:, plane], edgecolor=line.colour, linestyle=line.dashes, linewidth=linewidth)
 
 
 def _draw_solid(axes: Axes3D, points: Float[np.ndarray, "v 3"], largest: Float[np.ndarray, "k 3"], line: Line) -> None:
@@ -86,9 +106,14 @@ def _draw_solid(axes: Axes3D, points: Float[np.ndarray, "v 3"], largest: Float[n
 
     `largest` is the outermost set of the picture, which fills the box.
     """
-    middle, size = (largest.max(axis=0) + largest.min(axis=0)) / 2, np.ptp(largest, axis=0)
+    axes.auto_scale_xyz(*largest.T)
+    size = np.ptp(largest, axis=0)
     # Angles are those of the picture: what faces the viewer is found in the coordinates of the box.
-    hull = ConvexHull((points - middle) / size * BOX)
+    boxed = (points - points.mean(axis=0)) / np.where(size > 0, size, 1.0) * BOX
+    if np.linalg.matrix_rank(boxed, tol=FLAT) < 3:
+        axes.plot(*points.T, ".", color=line.colour)
+        return
+    hull = ConvexHull(boxed)
     azimuth, elevation = np.deg2rad([AZIMUTH, ELEVATION])
     towards = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
     normals = hull.equations[:, :3]
@@ -103,7 +128,6 @@ def _draw_solid(axes: Axes3D, points: Float[np.ndarray, "v 3"], largest: Float[n
     for collection in (faces, Line3DCollection(edges, color=line.colour, linestyle=line.dashes, linewidth=0.7)):
         collection.set_zorder(len(axes.collections))
         axes.add_collection3d(collection)
-    axes.auto_scale_xyz(*largest.T)
 
 
 def _label_solid(axes: Axes3D, units, title: str) -> None:
@@ -115,14 +139,8 @@ def _label_solid(axes: Axes3D, units, title: str) -> None:
         axis.set_tick_params(pad=-2)
     axes.xaxis.labelpad = axes.yaxis.labelpad = -4
     axes.set_proj_type("ortho")
-    axes.set_box_aspect(BOX)
+    axes.set_box_aspect(BOX, zoom=0.92)  # pyright: ignore[reportArgumentType]
     axes.view_init(elev=ELEVATION, azim=AZIMUTH)
-
-
-def _label_plane(axes: Axes, plane: tuple[int, int], units) -> None:
-    axes.set_xlabel(error_label(plane[0], unit=units[plane[0]]))
-    axes.set_ylabel(error_label(plane[1], unit=units[plane[1]]))
-    axes.margins(0.06)
 
 
 @styled
@@ -147,15 +165,12 @@ def tightened_sets(design: Design) -> Figure:
     keys = [
         Line2D([], [], label="limits of $\\mathcal{E}$ and $\\mathcal{U}$", **LIMIT),
         Line2D([], [], color=INSIDE, marker="o", markersize=3, label="bounds of $\\mathcal{E}_j$"),
-        Line2D(
-            [], [], color=OUTSIDE, marker="D", markersize=4, linestyle="none", label="reach of the constraint on $e_N$"
-        ),
+        mark_key("reach of the constraint on $e_N$", OUTSIDE, marker="D"),
         Patch(facecolor=INSIDE, edgecolor=INSIDE, alpha=0.4, label=f"$\\mathcal{{U}}_j$, $j = 0, \\ldots, {N - 1}$"),
     ]
     panels[1, 2].set_axis_off()
-    panels[1, 2].legend(
-        handles=keys, loc="center left", title=f"tube: {problem.scenario.controller.tube}", alignment="left"
-    )
+    title = f"tube: {problem.scenario.controller.tube}"
+    panels[1, 2].legend(handles=keys, loc="center left", title=title, alignment="left")
     return figure
 
 
@@ -171,8 +186,8 @@ def _draw_input_sets(whole: Axes, corner: Axes, design: Design, window: int) -> 
             draw_polygon(axes, points, edgecolor=INSIDE, linewidth=0.6)
         draw_polygon(axes, corners, edgecolor=LIMIT["color"], linestyle=LIMIT["linestyle"], linewidth=0.9)
     tips = np.stack([points[np.argmin(points[:, 0])] for points in (corners, tightened[-1])])
-    depth = np.ptp(tips[:, 0])
-    slope = np.ptp(corners[:, 1]) / np.ptp(corners[:, 0])
+    width, height = np.ptp(corners, axis=0)
+    depth, slope = max(np.ptp(tips[:, 0]), 0.01 * width), height / width
     corner.set(xlim=tips[0, 0] + depth * np.array([-0.2, 1.8]), ylim=tips[0, 1] + depth * slope * np.array([-1, 1]))
     whole.set_title("(d) $\\mathcal{U}_j$")
     corner.set_title("(e) $\\mathcal{U}_j$, left corner")
@@ -189,36 +204,29 @@ def terminal_set(design: Design) -> Figure:
         return _no_terminal_set(design)
     window = int(design.windows.index[0])
     constraint = Polytope(design.bounds.terminal_normals, design.bounds.terminal[window])
+    sets = {"maximal": maximal, "invariant": invariant, "constraint": constraint, "limits": design.problem.error_set}
+    corners = {name: polytope.vertices() * TO_DISPLAY for name, polytope in sets.items()}
+    facets = f"set of {len(invariant.offsets)} facets"
     lines = {
+        "limits": Line("$\\mathcal{E}$", LIMIT["color"], LIMIT["linestyle"]),
         "maximal": Line("largest invariant set", "#0072B2"),
-        "invariant": Line(f"set of {len(invariant.offsets)} facets", "#D55E00", (0, (3, 1.5))),
+        "invariant": Line(facets, "#D55E00", (0, (3, 1.5))),
         "constraint": Line("constraint on $e_N$", "#009E73"),
     }
-    polytopes = {"maximal": maximal, "invariant": invariant, "constraint": constraint}
+    ellipsoid = Line("level set of $e^\\top P\\,e$", "#CC79A7")
     shape = np.linalg.inv(design.cost.cost)
     reach = np.einsum("fi,ij,fj->f", maximal.normals, shape, maximal.normals)
-    ellipsoid = shape * np.min(maximal.offsets**2 / reach)
+    shape *= np.min(maximal.offsets**2 / reach)
     figure = page_figure(6.2)
-    grid = figure.add_gridspec(2, 2)
-    solid: Axes3D = figure.add_subplot(grid[0, 0], projection="3d")  # pyright: ignore[reportAssignmentType]
-    outer, inner = (polytope.vertices() * TO_DISPLAY for polytope in (invariant, constraint))
-    _draw_solid(solid, inner, outer, lines["constraint"])
-    _draw_solid(solid, outer, outer, lines["invariant"]._replace(dashes="-"))
-    _label_solid(solid, UNITS, f"(a) set of {len(invariant.offsets)} facets and constraint on $e_N$")
-    E = design.problem.error_set.vertices()
-    for cell, plane, letter in zip((grid[0, 1], grid[1, 0], grid[1, 1]), PLANES, "bcd", strict=True):
-        axes, scale = figure.add_subplot(cell), TO_DISPLAY[list(plane)]
-        draw_polygon(axes, E[:, plane] * scale, edgecolor=LIMIT["color"], linestyle=LIMIT["linestyle"], linewidth=0.9)
-        for name, polytope in polytopes.items():
-            look = dict(edgecolor=lines[name].colour, linestyle=lines[name].dashes, linewidth=1.2)
-            draw_polygon(axes, polytope.vertices()[:, plane] * scale, **look)
-        axes.plot(*(_ellipse(ellipsoid[np.ix_(plane, plane)]) * scale).T, color="#CC79A7")
-        _label_plane(axes, plane, UNITS)
-        axes.set_title(f"({letter}) projections")
-    keys = [Line2D([], [], label="$\\mathcal{E}$", **LIMIT)]
-    keys += [Line2D([], [], color=line.colour, linestyle=line.dashes, label=line.label) for line in lines.values()]
-    keys.append(Line2D([], [], color="#CC79A7", label="level set of $e^\\top P\\,e$"))
-    figure.legend(handles=keys, loc="outside lower center", ncols=5)
+    solid, planes = _views(figure, UNITS, f"{facets} and constraint on $e_N$", "projections")
+    _draw_solid(solid, corners["constraint"], corners["invariant"], lines["constraint"])
+    _draw_solid(solid, corners["invariant"], corners["invariant"], lines["invariant"]._replace(dashes="-"))
+    for axes, plane in planes:
+        for name, line in lines.items():
+            _draw_projection(axes, corners[name], plane, line)
+        curve = _ellipse(shape[np.ix_(plane, plane)]) * TO_DISPLAY[list(plane)]
+        axes.plot(*curve.T, color=ellipsoid.colour)
+    bottom_legend(figure, line_keys([*lines.values(), ellipsoid]), columns=5)
     return figure
 
 
@@ -267,7 +275,8 @@ def realisations_in_tube(design: Design, deviations: Float[np.ndarray, "horizon 
         design: gives the tube; for `sequence` the one along the widest window.
         deviations: e - e_nominal at stages 1..N, (m, m, rad).
     """
-    sections = design.tubes[design.problem.scenario.controller.tube][1:]
+    tube = design.problem.scenario.controller.tube
+    sections = design.tubes[tube][1:]
     outside = ~(tube_margins(design, deviations) >= 0)
     N = len(sections)
     stages = np.unique(np.linspace(0, N - 1, min(N, STAGES)).round().astype(int))
@@ -278,23 +287,12 @@ def realisations_in_tube(design: Design, deviations: Float[np.ndarray, "horizon 
         for axes, plane in zip(column, ((1, 2), (0, 1)), strict=True):
             for chosen, colour in ((~outside[stage], INSIDE), (outside[stage], OUTSIDE)):
                 axes.plot(*points[chosen][:, plane].T, ".", color=colour, markersize=1.5, alpha=0.6, rasterized=True)
-            draw_polygon(axes, corners[:, plane], edgecolor="0.1", linewidth=1.0)
+            draw_polygon(axes, corners[:, plane], edgecolor="0.1", linewidth=1.2)
             axes.set_xlabel(error_label(plane[0], unit=SMALL_UNITS[plane[0]]))
         column[0].set_title(f"$j = {stage + 1}$: {100 * outside[stage].mean():.1f} % outside")
     for axes, coordinate in zip(panels[:, 0], (2, 1), strict=True):
         axes.set_ylabel(error_label(coordinate, unit=SMALL_UNITS[coordinate]))
-    keys = [
-        Line2D([], [], marker="o", markersize=3, color=c, linestyle="none", label=f"deviation {where} $R_j$")
-        for c, where in ((INSIDE, "inside"), (OUTSIDE, "outside"))
-    ]
-    keys.append(
-        Line2D(
-            [],
-            [],
-            color="0.1",
-            linewidth=1.0,
-            label=f"$R_j$ of the tube {design.problem.scenario.controller.tube}, projected",
-        )
-    )
-    figure.legend(handles=keys, loc="outside lower center", ncols=3)
+    keys = [mark_key("deviation inside $R_j$", INSIDE), mark_key("deviation outside $R_j$", OUTSIDE)]
+    keys += line_keys([Line(f"$R_j$ (tube: {tube}), projected", "0.1")])
+    bottom_legend(figure, keys)
     return figure

@@ -21,6 +21,8 @@ from jaxtube.experiments.style import (
     bottom_legend,
     draw_polygon,
     error_label,
+    line_keys,
+    mark_key,
     page_figure,
     styled,
 )
@@ -29,7 +31,10 @@ FIRST_SECONDS = 3.0
 """What is shown of each run, or more where a run leaves E later."""
 
 STRESSED = {"plain": "plain_mpc", "tube": "tube_mpc"}
-MARKS = {"plain": {"marker": "o", "markersize": 2.2, "markeredgewidth": 0}, "tube": {"marker": "x", "markersize": 2.6}}
+MARKS: dict[str, dict[str, Any]] = {
+    "plain": {"marker": "o", "markersize": 2.2, "markeredgewidth": 0},
+    "tube": {"marker": "x", "markersize": 2.6},
+}
 """Marks of the starts whose run leaves E: a cross stays visible on a dot."""
 
 
@@ -50,7 +55,8 @@ def stress(problem: Problem, cases: Sequence[Mapping[str, Any]], boundary: Float
     figure = page_figure(0.9 + 1.55 * len(cases))
     panels = figure.subplots(len(cases), 5, sharex="col", sharey="col", squeeze=False, width_ratios=(1, 1, 1, 1.1, 1.1))
     dt, limits = problem.reference.dt, problem.error_set.offsets[:3] * TO_DISPLAY
-    shown = round(max(FIRST_SECONDS, 1.2 * dt * max(_last_exit(problem, case) for case in cases)) / dt) + 1
+    last_exit = max(_last_exit(problem, case) for case in cases)
+    shown = min(round(max(FIRST_SECONDS / dt, 1.2 * last_exit)) + 1, problem.reference.steps + 1)
     for row, case in zip(panels, cases, strict=True):
         for coordinate, axes in enumerate(row[:3]):
             for kind, name in STRESSED.items():
@@ -107,18 +113,11 @@ def _verdict(problem: Problem, case: Mapping[str, Any]) -> str:
 def _stress_keys() -> list:
     lines = {kind: CONTROLLERS[name] for kind, name in STRESSED.items()}
     return [
-        *(Line2D([], [], color=line.colour, linestyle=line.dashes, label=line.label) for line in lines.values()),
+        *line_keys(lines.values()),
         Line2D([], [], color="0.35", linewidth=1.2, label="greatest of all runs"),
         Line2D([], [], color="0.35", linewidth=0.6, label="95 % quantile, median"),
         *(
-            Line2D(
-                [],
-                [],
-                **MARKS[kind],
-                color=line.colour,
-                linestyle="none",
-                label=f"{line.label} leaves $\\mathcal{{E}}$",
-            )
+            mark_key(f"{line.label} leaves $\\mathcal{{E}}$", line.colour, **MARKS[kind])
             for kind, line in lines.items()
         ),
         Line2D([], [], label="limits of $\\mathcal{E}$", **LIMIT),

@@ -5,7 +5,7 @@ Colours are those of Okabe and Ito, which differ for colour-blind eyes and in pr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import wraps
 from typing import Any, NamedTuple
 
@@ -14,7 +14,9 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.spatial import ConvexHull
+from matplotlib.lines import Line2D
+
+from sets.polytope import hull_vertices
 
 PAGE_WIDTH = 7.16
 """Width of a page of two columns, inches."""
@@ -103,6 +105,16 @@ def bottom_legend(figure: Figure, handles: list, columns: int = 3) -> None:
     figure.legend(handles=handles, loc="outside lower center", ncols=columns)
 
 
+def line_keys(lines: Iterable[Line]) -> list[Line2D]:
+    """Return the legend's entries of lines."""
+    return [Line2D([], [], color=line.colour, linestyle=line.dashes, label=line.label) for line in lines]
+
+
+def mark_key(label: str, colour: str, **look) -> Line2D:
+    """Return the legend's entry of a mark without a line."""
+    return Line2D([], [], linestyle="none", color=colour, label=label, **{"marker": "o", "markersize": 4, **look})
+
+
 def error_label(coordinate: int, absolute: bool = False, unit: str = "") -> str:
     """Return the axis label of a tracking error, with its unit."""
     letter = f"|{ERRORS[coordinate]}|" if absolute else ERRORS[coordinate]
@@ -110,8 +122,10 @@ def error_label(coordinate: int, absolute: bool = False, unit: str = "") -> str:
 
 
 def outline(points: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "v 2"]:
-    """Return the corners of the convex hull of points in the plane, in order."""
-    return points[ConvexHull(points).vertices]
+    """Return the corners of the convex hull of points in the plane, in order; flat sets have two, or one."""
+    corners = hull_vertices(points)
+    away = corners - corners.mean(axis=0)
+    return corners[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]
 
 
 def draw_polygon(axes: Axes, points: Float[np.ndarray, "k 2"], **look) -> None:

@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
-from oracles import PlainMpc
+from oracles import TIGHT, PlainMpc
 from scipy.spatial import ConvexHull
 from tolerances import CLOSED_LOOP, LINEAR_PROGRAM
 
 from jaxtube.design.feasible import boundary, reach_of_ray, shortfall, spread_starts
 
 COUNT = 60
-TIGHT = ("robot.wheel_speed_max_mps=2.2", "robot.wheel_speed_min_mps=0.5")
 
 
 @pytest.fixture(scope="module", params=["robust", "tight"])

@@ -21,7 +21,7 @@ from sets.polytope import Polytope, convex_hull, hull_vertices
 from tests.tolerances import SET_CHEBYSHEV, SET_DECIDED, SET_NEAR_DUPLICATE, SET_RELATIVE, SET_SAME_POINT
 
 CASES = 1000
-LAWS = 7  # every law takes one case in seven; the kinds of cases recur with period 64, so it meets them all
+LAWS = 9  # every law takes one case in nine; the kinds of cases recur with period 64, so it meets them all
 
 
 @dataclass(frozen=True)
@@ -452,8 +452,8 @@ def test_unbounded_boxes_are_infinite_along_their_open_sides_only():
 
 def test_near_duplicate_points_and_rows_change_the_set_no_more_than_they_differ():
     rng = np.random.default_rng(9)
-    for index in range(120):
-        dimension, apart = 2 + index % 3, 10 ** rng.uniform(-16, -6)
+    for index in range(60):
+        dimension, apart = 2 + index % 3, 10.0 ** -(7 + index % 10)
         rows = rng.normal(size=(15, dimension))
         rows = np.vstack([rows / np.linalg.norm(rows, axis=1, keepdims=True), np.eye(dimension), -np.eye(dimension)])
         near = np.vstack([rows + apart * rng.normal(size=rows.shape) for _ in range(5)])
@@ -474,7 +474,7 @@ def test_rows_that_touch_in_a_face_of_lower_dimension_are_redundant():
     rng = np.random.default_rng(13)
     for index in range(40):
         dimension = 2 + index % 3
-        half, shift = rng.uniform(0.5, 2, dimension), 10 * rng.normal(size=dimension)
+        half, shift = rng.uniform(0.5, 2, dimension), 1000 * rng.normal(size=dimension)
         box = Polytope.box(shift - half, shift + half)
         signs = rng.choice([-1.0, 1.0], size=(10, dimension)) * rng.uniform(0, 1, (10, dimension))
         signs[np.arange(10), rng.integers(dimension, size=10)] *= rng.choice([0.0, 1.0], size=10)

@@ -1,0 +1,237 @@
+"""Laws of the certificate: every margin equals what enumeration, simulation or sampling finds, and broken sets fail."""
+
+import itertools
+import math
+
+import numpy as np
+import pytest
+from paper_problem import PAPER, U, W, terminal_gains, terminal_problem, tube_gains, tube_loops
+from tolerances import CERTIFICATE_MARGIN, PRUNED_REACH, TUBE_ROUNDING
+
+from sets.certificate import (
+    Certificate,
+    decrease_margin,
+    escape_excess,
+    invariance_margin,
+    nonempty_margin,
+    reach_supports,
+    sequence_reach,
+    terminal_margins,
+    whole_tube_margin,
+)
+from sets.invariant import maximal_rpi
+from sets.lmi import lqr_gain
+from sets.polytope import Polytope
+from sets.tubes import hull_tube, propagated, sequence_tube
+
+LOOPS = tube_loops()
+POINTS = W.vertices()
+RANDOM = np.random.default_rng(0).uniform(-0.5, 0.5, size=(2, 3, 3))
+UNEVEN = np.random.default_rng(1).uniform(-0.2, 1.0, size=(5, 3))  # a disturbance set without symmetry
+CUBE = Polytope.box(-np.ones(3), np.ones(3))
+
+
+def width(points: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    return np.max(rows @ points.T, axis=-1)
+
+
+def unpruned(loops: np.ndarray, points: np.ndarray, direction: np.ndarray, steps: int):
+    """Yield reach and greatest last term of j = 0..steps, over every product kept to the end."""
+    rows, sums = direction[None], np.zeros(1)
+    for _ in range(steps + 1):
+        terms = width(points, rows)
+        yield sums.max(), terms.max()
+        rows, sums = np.concatenate([rows @ loop for loop in loops]), np.tile(sums + terms, len(loops))
+
+
+@pytest.mark.parametrize("loops", [LOOPS, RANDOM], ids=["paper", "random"])
+def test_reach_equals_the_greatest_over_enumerated_products(loops):
+    direction = np.array([0.3, -1.0, 0.5])
+    reach, last = reach_supports(loops, UNEVEN, direction, 4)
+    for j in range(5):
+        totals, terms = [], []
+        for chosen in itertools.product(loops, repeat=max(j, 0)):
+            row, total = direction, 0.0
+            for loop in chosen:
+                total += width(UNEVEN, row)
+                row = row @ loop
+            totals.append(total)
+            terms.append(width(UNEVEN, row))
+        assert reach[j] == pytest.approx(max(totals), abs=TUBE_ROUNDING)
+        assert last[j] == pytest.approx(max(terms), abs=TUBE_ROUNDING)
+
+
+def test_pruning_does_not_change_the_reach():
+    for direction in np.array([[0.0, 1.0, 0.0], [0.2, -0.5, 1.0]]):
+        expected = np.array(list(unpruned(LOOPS, UNEVEN, direction, 8)))
+        found = np.transpose(reach_supports(LOOPS, UNEVEN, direction, 8))
+        np.testing.assert_allclose(found, expected, rtol=PRUNED_REACH)
+
+
+def test_reach_and_last_term_equal_those_of_the_tubes():
+    rows = np.random.default_rng(2).normal(size=(5, 3))
+    hull, clouds = hull_tube(LOOPS, W, 7), propagated(LOOPS, W, 7)
+    for row in rows:
+        reach, last = reach_supports(LOOPS, POINTS, row, 7)
+        np.testing.assert_allclose(reach, [section.support(row)[0] for section in hull], atol=TUBE_ROUNDING)
+        np.testing.assert_allclose(last, [cloud.support(row)[0] for cloud in clouds], atol=TUBE_ROUNDING)
+
+
+def test_reach_along_a_schedule_equals_the_sections_of_its_tube():
+    rng = np.random.default_rng(3)
+    loops, rows = LOOPS[rng.integers(4, size=6)], rng.normal(size=(7, 3))
+    reach, last = sequence_reach(loops, POINTS, rows)
+    expected = [section.support(rows) for section in sequence_tube(loops, W)]
+    np.testing.assert_allclose(reach, expected, rtol=0, atol=TUBE_ROUNDING)
+    product = np.eye(3)
+    for j in range(len(loops)):
+        product = loops[j] @ product if j else product
+        np.testing.assert_allclose(last[j], width(POINTS, rows @ product), rtol=0, atol=TUBE_ROUNDING)
+
+
+def test_reach_along_a_schedule_is_attained_by_the_best_of_all_disturbances():
+    rng = np.random.default_rng(4)
+    loops, rows = rng.uniform(-1, 1, size=(3, 3, 3)), rng.normal(size=(4, 3))
+    reach, _ = sequence_reach(loops, UNEVEN, rows)
+    ends = []
+    for chosen in itertools.product(UNEVEN, repeat=3):
+        state = np.zeros(3)
+        for loop, disturbance in zip(loops, chosen, strict=True):
+            state = loop @ state + disturbance
+        ends.append(state)
+    np.testing.assert_allclose(reach[3], width(np.array(ends), rows), rtol=0, atol=TUBE_ROUNDING)
+
+
+def test_the_escape_is_the_furthest_of_all_simulated_runs():
+    path, normal = (2, 0, 1, 1), np.array([0.4, 1.0, -0.2])
+    loops = np.random.default_rng(5).uniform(-1, 1, size=(3, 3, 3))
+    excess, state = escape_excess(loops, UNEVEN, normal, 0.7, path)
+    ends = []
+    for chosen in itertools.product(UNEVEN, repeat=len(path) + 1):
+        end = chosen[0]
+        for index, disturbance in zip(path, chosen[1:], strict=True):
+            end = loops[index] @ end + disturbance
+        ends.append(end)
+    assert excess == pytest.approx(np.max(ends @ normal) - 0.7, abs=TUBE_ROUNDING)
+    assert normal @ state - 0.7 == pytest.approx(excess, abs=TUBE_ROUNDING)
+    assert np.min(np.linalg.norm(ends - state, axis=1)) <= TUBE_ROUNDING
+
+
+def test_the_escape_of_an_empty_set_leaves_and_a_shortened_one_does_not():
+    loops, constraints = terminal_problem(0.2, False, "trace_p")
+    escape = maximal_rpi(loops, constraints, W.support).escape
+    assert escape is not None
+    assert escape_excess(loops, POINTS, escape.normal, escape.offset, escape.loops)[0] > 0
+    assert escape_excess(loops, POINTS, escape.normal, escape.offset, escape.loops[1:])[0] < 0
+
+
+def test_invariance_margin_is_the_least_room_of_images_of_vertices():
+    box = Polytope(CUBE.normals * np.array([[2.0], [1], [1], [1], [3], [1]]), CUBE.offsets)
+    scale = np.linalg.norm(box.normals, axis=1)
+    room = np.inf
+    for loop, vertex, disturbance in itertools.product(RANDOM, box.vertices(), 0.1 * UNEVEN):
+        room = min(room, np.min((box.offsets - box.normals @ (loop @ vertex + disturbance)) / scale))
+    assert invariance_margin(RANDOM, 0.1 * UNEVEN, box) == pytest.approx(room, abs=CERTIFICATE_MARGIN)
+
+
+def test_invariance_margin_tells_an_invariant_set_from_one_pushed_out():
+    loops, constraints = terminal_problem(0.2, True, "trace_p")
+    found = maximal_rpi(loops, constraints, W.support).polytope
+    assert found is not None
+    assert invariance_margin(loops, POINTS, found) >= 0
+    margins = []
+    for facet in range(len(found.offsets)):
+        pushed = found.offsets.copy()
+        pushed[facet] *= 1.05
+        margins.append(invariance_margin(loops, POINTS, Polytope(found.normals, pushed)))
+    assert np.mean(np.array(margins) < 0) > 0.5
+    assert invariance_margin(loops, 1.1 * POINTS, found) < 0
+
+
+def test_decrease_margin_bounds_the_decrease_along_every_loop():
+    rng = np.random.default_rng(6)
+    gains = terminal_gains(0.4, False, "trace_p")
+    loops, cost = terminal_problem(0.4, False, "trace_p")[0], np.diag([20.0, 60.0, 30.0])
+    states = rng.normal(size=(20000, 3))
+    states /= np.linalg.norm(states, axis=1, keepdims=True)
+
+    def form(matrix: np.ndarray, at: np.ndarray) -> np.ndarray:
+        return np.einsum("si,ij,sj->s", at, matrix, at)
+
+    Q, R = PAPER
+    decreases = [
+        form(cost, states) - form(cost, states @ loop.T) - form(Q, states) - form(R, states @ gain.T)
+        for loop, gain in zip(loops, gains, strict=True)
+    ]
+    margin = decrease_margin(loops, gains, cost, Q, R)
+    assert margin <= np.min(decreases)
+    assert margin == pytest.approx(np.min(decreases), abs=0.05)
+
+
+def test_decrease_margin_is_zero_for_the_riccati_cost():
+    A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.0], [0.1]])
+    gain = lqr_gain(A, B, np.eye(2), np.eye(1))
+    loop, cost = A + B @ gain, np.zeros((2, 2))
+    for _ in range(2000):
+        cost = np.eye(2) + gain.T @ gain + loop.T @ cost @ loop
+    margin = decrease_margin(loop[None], gain[None], cost, np.eye(2), np.eye(1))
+    assert margin == pytest.approx(0, abs=CERTIFICATE_MARGIN)
+
+
+def test_terminal_margins_are_the_least_room_over_vertices():
+    rng = np.random.default_rng(7)
+    terminal, following = (Polytope.from_vertices(size * rng.normal(size=(8, 3))) for size in (0.3, 1.0))
+    reach = Polytope.from_vertices(0.05 * UNEVEN)
+    errors, inputs = Polytope.box(-2 * np.ones(3), np.array([1.0, 3.0, 2.0])), U
+    gains = tube_gains()
+    points = (terminal.vertices()[:, None] + reach.vertices()[None]).reshape(-1, 3)
+
+    def room(polytope: Polytope, images: np.ndarray) -> float:
+        slack = polytope.offsets - images @ polytope.normals.T
+        return np.min(slack / np.linalg.norm(polytope.normals, axis=1))
+
+    found = terminal_margins(terminal, following, LOOPS, gains, errors, inputs, reach)
+    expected = {
+        "admissible_errors": room(errors, points),
+        "admissible_inputs": min(room(inputs, points @ gain.T) for gain in gains),
+        "returns": min(room(following, points @ loop.T) for loop in LOOPS),
+    }
+    assert found == pytest.approx(expected, abs=CERTIFICATE_MARGIN)
+
+
+def test_the_whole_tube_stays_inside_by_the_least_room_of_worst_runs():
+    rng = np.random.default_rng(8)
+    loops = rng.uniform(-0.7, 0.7, size=(3, 3, 3))
+    terminal = Polytope.from_vertices(0.3 * rng.normal(size=(8, 3)))
+    ends = []
+    for chosen in itertools.product(0.1 * UNEVEN, repeat=3):
+        state = np.zeros(3)
+        for loop, disturbance in zip(loops, chosen, strict=True):
+            state = loop @ state + disturbance
+        ends.append(state)
+    points = (terminal.vertices()[:, None] + np.array(ends)[None]).reshape(-1, 3)
+    outer = CUBE.scale(2.0)
+    room = np.min(outer.offsets - points @ outer.normals.T)
+    scaled = Polytope(3 * outer.normals, 3 * outer.offsets)
+    assert whole_tube_margin(scaled, terminal, loops, 0.1 * UNEVEN) == pytest.approx(room, abs=CERTIFICATE_MARGIN)
+
+
+def test_nonempty_margin_is_the_least_radius_and_negative_for_an_empty_set():
+    narrow = Polytope.box(np.array([-1.0, -0.2, -3.0]), np.array([1.0, 0.2, 3.0]))
+    empty = Polytope.box(np.zeros(3), np.array([1.0, -0.1, 1.0]))
+    assert nonempty_margin([CUBE, narrow]) == pytest.approx(0.2)
+    assert nonempty_margin([CUBE, empty]) < 0
+
+
+def test_a_certificate_holds_exactly_when_every_required_condition_does():
+    certificate = Certificate()
+    certificate.add("zero", 0.0, "yes", "no")
+    certificate.add("for information", -1.0, "yes", "no", required=False)
+    assert certificate.holds
+    assert certificate.failing == []
+    certificate.add("unknown", math.nan, "yes", "no")
+    certificate.add("missed", -1e-15, "yes", "no")
+    assert not certificate.holds
+    assert certificate.failing == ["unknown", "missed"]
+    assert [condition.sentence for condition in certificate.conditions.values()] == ["yes", "no", "no", "no"]
+    assert certificate.conditions["missed"].margin == -1e-15
