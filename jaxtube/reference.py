@@ -170,13 +170,15 @@ def _reference(
 
 def _read_path(path: Path) -> Float[np.ndarray, "3 rows"]:
     """Read and check a recorded path."""
-    with path.open(newline="") as file:
+    with path.open(newline="", encoding="utf-8-sig") as file:
         reader = csv.DictReader(file)
         header = [name.strip() for name in reader.fieldnames or ()]
         reader.fieldnames = header
         for column in COLUMNS:
             if column not in header:
-                raise ValueError(f"{path}: column {column} is missing from the header {header}; name it {column}")
+                raise ValueError(
+                    f"{path}: column {column} is missing from the header {header}; write the header {','.join(COLUMNS)}"
+                )
         rows = list(reader)
     if len(rows) < FEWEST_ROWS:
         raise ValueError(f"{path}: {len(rows)} rows of {COLUMNS[0]} are too few; record at least {FEWEST_ROWS}")

@@ -143,7 +143,7 @@ HEADER = "time_s,x_m,y_m"
 @pytest.mark.parametrize(
     "lines, duration, message",
     [
-        (["time_s,x_m,y", *GOOD], None, "column y_m is missing.*name it y_m"),
+        (["time_s,x_m,y", *GOOD], None, "column y_m is missing.*write the header time_s,x_m,y_m"),
         ([], None, "column time_s is missing"),
         ([HEADER, *GOOD[:3]], None, "3 rows of time_s.*at least 4"),
         ([HEADER, *GOOD[:4], GOOD[3], *GOOD[4:]], None, "time_s does not increase in line 6: 1.5 then 1.5; sort"),

@@ -131,18 +131,20 @@ def design(scenario: Scenario) -> Design:
 
 def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None = None) -> None:
     """Raise ScenarioError where the tube-MPC has no plan from the scenario's start."""
-    error = found.problem.initial_error if error is None else error
-    index = int(found.windows.index[0])
-    outside_limits = float(np.max(found.problem.error_set.normals @ error - found.problem.error_set.offsets))
-    missing = max(shortfall(found.tube_window, index, error), outside_limits)
-    if missing <= 1e-9:
-        return
-    E = found.problem.error_set
-    share = min(reach_of_ray(found.tube_window, index, error), 1 / np.max(E.normals @ error / E.offsets))
-    cure = f"start at most {share:.0%} as far away" if share > 0 else "no start has a plan"
-    initial = found.problem.scenario.initial
-    raise ScenarioError(
-        f"scenario: initial = ({initial.x_m} m, {initial.y_m} m, {initial.heading_deg} deg): the start lies outside "
-        f"the feasible set of the tube-MPC (constraints short by {missing:.3g}); {cure}; "
-        "lengthen controller.horizon or shrink [disturbance]"
-    )
+    problem, index = found.problem, int(found.windows.index[0])
+    error = problem.initial_error if error is None else error
+    section = problem.scenario.initial
+    start = f"scenario: initial = ({section.x_m} m, {section.y_m} m, {section.heading_deg} deg)"
+    largest = float(np.max(problem.error_set.normals @ error / problem.error_set.offsets))
+    if largest > 1:
+        raise ScenarioError(
+            f"{start}: the error of the start lies outside [constraints]; start at most {1 / largest:.0%} as far away"
+        )
+    missing = shortfall(found.tube_window, index, error)
+    if missing > 1e-9:
+        share = reach_of_ray(found.tube_window, index, error)
+        cure = f"start at most {share:.0%} as far away" if share > 0 else "no start has a plan"
+        raise ScenarioError(
+            f"{start}: lies outside the feasible set of the tube-MPC (constraints short by {missing:.3g}); {cure}; "
+            "lengthen controller.horizon or shrink [disturbance]"
+        )

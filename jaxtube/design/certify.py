@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from jaxtube.design.condense import Bounds
-from jaxtube.design.problem import Problem
+from jaxtube.design.problem import Problem, error_vector
 from jaxtube.design.terminal import Terminal, admissible_set
 from jaxtube.design.tightening import BACK_OFF, LocalGain, Windows, vertex_loops
 from sets import certificate as check
@@ -55,6 +55,13 @@ def certify(
         "The terminal cost does not decrease by the stage cost at some vertex.",
     )
     _coverage(certificate, problem, tube_gain, terminal, windows)
+    noise = error_vector(problem.scenario.noise)
+    certificate.add(
+        "true_error_in_e",
+        0.0 - float(noise.max()),
+        "The pose is measured exactly: constraints on the measured error are constraints on the true one.",
+        f"E bounds the measured error; the true one may lie outside by the pose noise, up to {noise.max():.3g}.",
+    )
     certificate.add(
         "solver_residual",
         BACK_OFF - residual,
@@ -232,15 +239,15 @@ def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal: Ter
 
 
 def _margins_anywhere(problem: Problem, terminal: Terminal, bounds: Bounds, last_reach: Polytope) -> dict[str, float]:
-    """Return the margins of the terminal inclusions over the whole schedule box; all windows share their sets."""
-    last, constraint = problem.horizon - 1, Polytope(bounds.terminal_normals, bounds.terminal[0])
+    """Return the margins of the terminal inclusions over the whole schedule box, from any window to any other."""
+    last = problem.horizon - 1
     return check.terminal_margins(
-        constraint,
-        constraint,
+        Polytope(bounds.terminal_normals, bounds.terminal.max(axis=0)),
+        Polytope(bounds.terminal_normals, bounds.terminal.min(axis=0)),
         vertex_loops(problem, terminal.gains),
         terminal.gains.vertices,
-        Polytope(problem.error_set.normals, bounds.errors[0, last]),
-        Polytope(problem.input_set.normals, bounds.inputs[0, last]),
+        Polytope(problem.error_set.normals, bounds.errors[:, last].min(axis=0)),
+        Polytope(problem.input_set.normals, bounds.inputs[:, last].min(axis=0)),
         last_reach,
     )
 
@@ -324,8 +331,10 @@ def _exists(certificate: Certificate, name: str, label: str, problem: Problem, g
     certificate.add(
         name,
         margin,
-        f"With {label} an invariant set ({facets} facets) inside the constraints exists over the whole box.",
-        f"With {label} no invariant set fits the constraints over the whole box: within {found.iterations + 1} "
-        f"steps the reach of the origin passes one by {-margin:.3g}.",
+        f"With {label} an invariant set ({facets} facets) inside the constraints exists at all four vertices.",
+        f"With {label} neither an invariant set nor a proof that there is none was found."
+        if margin == -np.inf
+        else f"With {label} no invariant set fits the constraints over the whole box: within {found.iterations + 1} "
+        f"steps the reach of the origin passes a constraint by {-margin:.3g}.",
         required=False,
     )

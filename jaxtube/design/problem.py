@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.model import Model, make_model
-from jaxtube.reference import Reference, from_file, lemniscate, two_circles, wheel_range
+from jaxtube.reference import Reference, from_file, lemniscate, two_circles
 from jaxtube.robot import Robot
 from jaxtube.scenario import Scenario, ScenarioError, check_reference_wheels, weight_matrix
 from sets.polytope import Polytope
@@ -95,8 +95,14 @@ def make_problem(scenario: Scenario) -> Problem:
         settings.model, settings.discretisation, settings.dt_s, robot.track_width, slip, (box[0], box[1])
     )
     reference = _reference(scenario)
-    slowest, fastest = wheel_range(reference)
-    check_reference_wheels(scenario, float(slowest.min()), float(fastest.max()))
+    slowest, fastest = (float(bound) for bound in (reference.wheels.min(), reference.wheels.max()))
+    if scenario.reference.shape == "file" and not box[0, 0] <= slowest <= fastest <= box[1, 0]:
+        raise ScenarioError(
+            f"scenario: reference.file = {scenario.reference.file}: the path asks the wheels for {slowest:.4g} to "
+            f"{fastest:.4g} m/s, outside the box [{box[0, 0]:.4g}, {box[1, 0]:.4g}]; smooth the recording, check its "
+            "units, or widen reference.wheel_speed_min_mps and wheel_speed_max_mps"
+        )
+    check_reference_wheels(scenario, slowest, fastest)
     error_bounds = error_vector(scenario.constraints)
     disturbance = error_vector(scenario.disturbance)
     return Problem(

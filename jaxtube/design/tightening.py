@@ -102,10 +102,14 @@ def make_tubes(problem: Problem, gain: LocalGain, windows: Windows) -> dict[str,
         found["paper"] = tubes.paper_tube(nominal, (right, left), (right_range, left_range), W, N)
     found["hull"] = tubes.hull_tube(loops, W, N)
     found["summed"] = tubes.summed_tube(loops, W, N)
-    lateral = np.broadcast_to([0.0, 1.0, 0.0], (len(windows.loops), 1, 3))
-    widest = int(np.argmax(tubes.sequence_support(windows.loops, W, lateral, N)))
-    found["sequence"] = tubes.sequence_tube(windows.loops[widest], W)
+    found["sequence"] = tubes.sequence_tube(windows.loops[widest_window(problem, windows)], W)
     return found
+
+
+def widest_window(problem: Problem, windows: Windows) -> int:
+    """Return the window whose `sequence` tube has the widest lateral reach: the one that is shown."""
+    lateral = np.broadcast_to([0.0, 1.0, 0.0], (len(windows.loops), 1, 3))
+    return int(np.argmax(tubes.sequence_support(windows.loops, problem.disturbance_set, lateral, problem.horizon)))
 
 
 def loop_slopes(problem: Problem, gain: LocalGain):

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from jaxtube.controllers import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.design import Design
 from jaxtube.design.problem import error_vector
+from jaxtube.design.tightening import widest_window
 from jaxtube.rollout import LinearPlant, SlippingRobot, Trajectory, follow_plan, realisation_keys, rollout
 
 BLOCK = 256
@@ -101,12 +102,19 @@ def model_residuals(design: Design, trajectory: Trajectory) -> Float[np.ndarray,
 
 
 def plan_deviations(design: Design, controller: TubeMpc, plant, trajectory: Trajectory, seed: int, every: int = 10):
-    """Return e - e_nominal (N, samples, 3) of plans made along the laps and followed to their end."""
+    """Return e - e_nominal (N, samples, 3) of plans made along the laps and followed to their end.
+
+    For the tube `sequence`, whose sections change with the window, only at steps that have the widest one ahead.
+    """
     horizon, steps = design.problem.horizon, design.problem.reference.steps
     count = min(trajectory.errors.shape[1], BLOCK)
     keys = realisation_keys(seed, 0, count)
     found = []
-    for step in range(0, max(steps - horizon, 1), every):
+    chosen = range(0, max(steps - horizon, 1), every)
+    if design.problem.scenario.controller.tube == "sequence":
+        widest = np.flatnonzero(design.windows.index == widest_window(design.problem, design.windows))
+        chosen = widest[widest < max(steps - horizon, 1)][:: max(len(widest) // len(chosen), 1)]
+    for step in chosen:
         errors = jnp.asarray(trajectory.errors[step, :count])
         deviations, planned = follow_plan(controller, plant, keys, errors, jnp.asarray(step))
         found.append(np.asarray(deviations)[:, np.asarray(planned)])

@@ -86,7 +86,8 @@ def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
     limits = problem.error_set.offsets[:3]
     errors = np.abs(trajectory.errors)
     # Counted as "not inside", so that NaN is a violation.
-    outside = ~np.all(errors <= limits, axis=(0, 2))
+    by_coordinate = ~np.all(errors <= limits, axis=0)
+    outside = by_coordinate.any(axis=1)
     # Of a run that is shorter than the transient the last sample remains.
     settled = min(round(TRANSIENT_S / problem.reference.dt), len(errors) - 1)
     status = trajectory.diagnostics.status
@@ -94,6 +95,7 @@ def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
         "realisations": errors.shape[1],
         "violation_share": float(outside.mean()),
         "violating_realisations": int(outside.sum()),
+        "violation_share_by_coordinate": dict(zip(COORDINATES, by_coordinate.mean(axis=0).tolist(), strict=True)),
         "max_error": {"whole_run": _spread(errors.max(axis=0)), "after_10_s": _spread(errors[settled:].max(axis=0))},
         "rms_error": {
             "whole_run": _spread(np.sqrt((errors**2).mean(axis=0))),
@@ -131,6 +133,7 @@ def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs
         "share_of_steps_outside": float(outside.any(axis=2).mean()),
         "share_of_steps_outside_by_coordinate": dict(zip(COORDINATES, outside.mean(axis=(0, 1)).tolist(), strict=True)),
         "largest": dict(zip(COORDINATES, (np.abs(residuals).max(axis=(0, 1)) * TO_DISPLAY).tolist(), strict=True)),
+        "allowed": dict(zip(COORDINATES, (widths * TO_DISPLAY).tolist(), strict=True)),
         "runs_with_every_w_inside": int(inside_runs.sum()),
         "margin": float(np.min(W.margin(residuals.reshape(-1, 3)))),
     }
@@ -140,6 +143,7 @@ def deviation_metrics(design: Design, deviations: Float[np.ndarray, "horizon sam
     """Return how many deviations from plans left the tube in use, and the smallest facet margin, stage by stage."""
     margins = tube_margins(design, deviations)
     return {
+        "plans": margins.shape[1],
         "samples": margins.size,
         "share_outside": float(np.mean(~(margins >= 0))),
         "share_outside_by_stage": np.mean(~(margins >= 0), axis=1),

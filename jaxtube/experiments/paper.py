@@ -71,7 +71,8 @@ def _metrics(found: Design, robust: Design, laps, other_restart, stressed, devia
         "plan_deviations": metrics.deviation_metrics(found, deviations),
         "stress": stress.metrics(robust, stressed),
         "stress_certificate": {
-            name: {"holds": c.holds, "margin": c.margin} for name, c in robust.certificate.conditions.items()
+            name: {"holds": c.holds, "margin": c.margin, "required": c.required}
+            for name, c in robust.certificate.conditions.items()
         },
     }
 
@@ -123,9 +124,8 @@ def _comparison(measured: dict) -> str:
         share, wheel = numbers["active_share"], numbers["wheel_speed_max_mps"]
         lines.append(f"{name:<15}{numbers['violation_share']:9.1%}{errors}{share:9.2%}{wheel:13.3f}")
     inside = measured["plan_deviations"]
-    lines.append(
-        f"plans followed to their end: {inside['share_outside']:.1%} of {inside['samples']} deviations leave R_j"
-    )
+    shares = ", ".join(f"{share:.1%}" for share in inside["share_outside_by_stage"])
+    lines.append(f"of {inside['plans']} plans followed to their end these shares leave R_1, R_2, ..: {shares}")
     return "\n".join(lines)
 
 

@@ -17,7 +17,6 @@ from sets.certificate import (
     reach_supports,
     sequence_reach,
     terminal_margins,
-    whole_tube_margin,
 )
 from sets.invariant import maximal_rpi
 from sets.lmi import lqr_gain
@@ -197,23 +196,6 @@ def test_terminal_margins_are_the_least_room_over_vertices():
         "returns": min(room(following, points @ loop.T) for loop in LOOPS),
     }
     assert found == pytest.approx(expected, abs=CERTIFICATE_MARGIN)
-
-
-def test_the_whole_tube_stays_inside_by_the_least_room_of_worst_runs():
-    rng = np.random.default_rng(8)
-    loops = rng.uniform(-0.7, 0.7, size=(3, 3, 3))
-    terminal = Polytope.from_vertices(0.3 * rng.normal(size=(8, 3)))
-    ends = []
-    for chosen in itertools.product(0.1 * UNEVEN, repeat=3):
-        state = np.zeros(3)
-        for loop, disturbance in zip(loops, chosen, strict=True):
-            state = loop @ state + disturbance
-        ends.append(state)
-    points = (terminal.vertices()[:, None] + np.array(ends)[None]).reshape(-1, 3)
-    outer = CUBE.scale(2.0)
-    room = np.min(outer.offsets - points @ outer.normals.T)
-    scaled = Polytope(3 * outer.normals, 3 * outer.offsets)
-    assert whole_tube_margin(scaled, terminal, loops, 0.1 * UNEVEN) == pytest.approx(room, abs=CERTIFICATE_MARGIN)
 
 
 def test_nonempty_margin_is_the_least_radius_and_negative_for_an_empty_set():
