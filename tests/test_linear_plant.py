@@ -4,10 +4,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from oracles import model
+from oracles import SEQUENCE, model
 from tolerances import AT_A_VERTEX, CLOSED_LOOP, INSIDE_TUBE
 
-from jaxtube.experiments import closed_loop
+from jaxtube.experiments import closed_loop, metrics
 from jaxtube.rollout import follow_plan, realisation_keys
 from sets.tubes import sequence_tube
 
@@ -99,3 +99,12 @@ def test_plan_deviations_of_a_run_leave_out_what_had_no_plan(robust_design, stre
     outside.errors[:, :100] = [5.0, 5.0, 0.0]
     found = closed_loop.plan_deviations(robust_design, loop, plant, outside, seed=11, every=100)
     assert found.shape == (robust_design.problem.horizon, 3 * (BATCH - 100), 3) and np.all(np.isfinite(found))
+
+
+def test_plan_deviations_of_the_tube_along_the_reference_are_judged_where_its_sections_hold(uncertified, edge_starts):
+    design = uncertified("paper", *SEQUENCE)
+    loop, plant = closed_loop.controllers(design)["tube_mpc"], closed_loop.linear_plant(design)
+    trajectory = closed_loop.simulate(loop, plant, edge_starts(design, BATCH), 12)
+    found = closed_loop.plan_deviations(design, loop, plant, trajectory, seed=12)
+    assert found.shape[1] >= 10 * BATCH
+    assert metrics.tube_margins(design, found).min() >= INSIDE_TUBE

@@ -136,15 +136,15 @@ def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None 
     section = problem.scenario.initial
     start = f"scenario: initial = ({section.x_m} m, {section.y_m} m, {section.heading_deg} deg)"
     largest = float(np.max(problem.error_set.normals @ error / problem.error_set.offsets))
-    if largest > 1:
-        raise ScenarioError(
-            f"{start}: the error of the start lies outside [constraints]; start at most {1 / largest:.0%} as far away"
-        )
     missing = shortfall(found.tube_window, index, error)
-    if missing > 1e-9:
-        share = reach_of_ray(found.tube_window, index, error)
-        cure = f"start at most {share:.0%} as far away" if share > 0 else "no start has a plan"
-        raise ScenarioError(
-            f"{start}: lies outside the feasible set of the tube-MPC (constraints short by {missing:.3g}); {cure}; "
-            "lengthen controller.horizon or shrink [disturbance]"
-        )
+    if largest <= 1 and missing <= 1e-9:
+        return
+    # Both cures in one: a start inside [constraints] alone might be refused again.
+    share = min(reach_of_ray(found.tube_window, index, error), 1 / largest)
+    cure = f"start at most {share:.0%} as far away" if share > 0 else "no start has a plan"
+    if largest > 1:
+        raise ScenarioError(f"{start}: the error of the start lies outside [constraints]; {cure}")
+    raise ScenarioError(
+        f"{start}: lies outside the feasible set of the tube-MPC (constraints short by {missing:.3g}); {cure}; "
+        "lengthen controller.horizon or shrink [disturbance]"
+    )

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from oracles import SEQUENCE, TIGHT, PlainMpc, model, tube_gain
+from oracles import SEQUENCE, TIGHT, PlainMpc, model, terminal_gain, tube_gain
 from scipy.linalg import solve_discrete_are
 from tolerances import CLOSED_LOOP, LINEAR_PROGRAM, ROUNDING
 
@@ -11,6 +11,7 @@ from jaxtube.design.feasible import boundary
 from jaxtube.design.problem import make_problem
 from jaxtube.error_dynamics import tracking_error
 from jaxtube.scenario import ScenarioError, load
+from sets.polytope import Polytope
 
 # -------------------------------------------------------------------------------------------------------- sets and data
 
@@ -96,6 +97,40 @@ def test_terminal_choices_lead_where_they_should(paper_design, robust_design, un
     np.testing.assert_array_equal(stand_in.terminal.constraint_normals, stand_in.problem.error_set.normals)
     left = stand_in.problem.error_set.offsets - R_N
     np.testing.assert_allclose(stand_in.terminal.constraint_offsets, np.tile(left, (len(stand_in.windows.loops), 1)))
+
+
+def test_a_terminal_set_for_gains_that_differ_receives_every_shifted_plan(robust_design):
+    """T-B, corner by corner: a last error, a disturbance carried through every product of N - 1 loops, every vertex."""
+    found, problem, carried = robust_design, robust_design.problem, robust_design.problem.disturbance_set.vertices()
+    pairs = [model(problem, wheels) for wheels in problem.model.vertices]
+    tube_loops = [
+        A + B @ tube_gain(found, wheels) for (A, B), wheels in zip(pairs, problem.model.vertices, strict=True)
+    ]
+    for _ in range(problem.horizon - 1):
+        carried = np.concatenate([carried @ loop.T for loop in tube_loops])
+    last = Polytope(found.bounds.terminal_normals, found.bounds.terminal[0])
+    errors = (last.vertices()[:, None] + carried).reshape(-1, 3)
+    E, U = Polytope(problem.error_set.normals, found.bounds.errors[0, -1]), found.bounds.inputs[0, -1]
+    assert E.contains(errors, CLOSED_LOOP).all()
+    for (A, B), gain in zip(pairs, found.cost.gains, strict=True):
+        assert np.all(errors @ gain.T @ problem.input_set.normals.T <= U + CLOSED_LOOP)
+        assert last.contains(errors @ (A + B @ gain).T, CLOSED_LOOP).all()
+
+
+def test_a_terminal_set_along_the_reference_receives_every_shifted_plan(uncertified):
+    """T-A: the disturbance is carried through the loops ahead, and the next step has its own terminal set."""
+    found = uncertified("paper", *SEQUENCE)
+    problem, N = found.problem, found.problem.horizon
+    for step in range(0, problem.reference.steps - 1, 3):
+        now, following = (found.bounds.terminal[found.windows.index[k]] for k in (step, step + 1))
+        carried = problem.disturbance_set.vertices()
+        for ahead in range(1, N + 1):
+            if ahead == N:
+                last = Polytope(found.bounds.terminal_normals, now).vertices()
+                carried = (last[:, None] + carried).reshape(-1, 3)
+            A, B = model(problem, problem.schedule[step + ahead])
+            carried = carried @ (A + B @ terminal_gain(found, problem.schedule[step + ahead])).T
+        assert Polytope(found.bounds.terminal_normals, following).contains(carried, CLOSED_LOOP).all()
 
 
 @pytest.mark.parametrize("name", ["robust", "sequence"])

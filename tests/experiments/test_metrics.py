@@ -54,6 +54,7 @@ def test_violations_count_every_run_that_is_not_inside_and_nan_is_not(paper_desi
     found = metrics.controller_metrics(paper_design, trajectory)
     assert found["realisations"] == RUNS and found["violating_realisations"] == 5
     assert found["violation_share"] == pytest.approx(5 / RUNS)
+    np.testing.assert_allclose(numbers(found["violation_share_by_coordinate"]), np.array([2, 3, 2]) / RUNS)
 
 
 @pytest.mark.parametrize(("span", "first"), [("whole_run", 0), ("after_10_s", 100)])
@@ -133,6 +134,7 @@ def test_disturbances_outside_W_are_counted_step_by_step(paper_design):
     residuals[4, 1, 2] = 0
     found = metrics.disturbance_metrics(paper_design, residuals)
     np.testing.assert_allclose(numbers(found["largest"]), [0.0075, 0.006, 0.6])
+    np.testing.assert_allclose(numbers(found["allowed"]), [0.005, 0.005, 0.2])
     assert found["margin"] == pytest.approx(-2 * widths[2])
 
 
@@ -142,7 +144,12 @@ def test_deviations_are_judged_by_the_section_of_their_stage(paper_design):
     mixtures = [generator.dirichlet(np.ones(len(s.vertices())), 50) @ s.vertices() for s in sections]
     deviations = np.stack(mixtures)
     found = metrics.deviation_metrics(paper_design, deviations)
-    assert found["samples"] == 250 and found["share_outside"] == 0 and np.all(found["margin_by_stage"] >= 0)
+    assert (
+        found["plans"] == 50
+        and found["samples"] == 250
+        and found["share_outside"] == 0
+        and np.all(found["margin_by_stage"] >= 0)
+    )
     # One tip of a section is outside the one before, and what is no number is outside.
     tip = sections[2].vertices()[np.argmax(sections[2].vertices()[:, 1])]
     deviations[1, 0], deviations[2, 0], deviations[4, 3] = tip, 0.999 * tip, np.nan

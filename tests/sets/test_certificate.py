@@ -26,6 +26,7 @@ from sets.tubes import hull_tube, propagated, sequence_tube
 LOOPS = tube_loops()
 POINTS = W.vertices()
 RANDOM = np.random.default_rng(0).uniform(-0.5, 0.5, size=(2, 3, 3))
+SPINNING = 0.9 * np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3, 3)))[0]  # three rotations that shrink
 UNEVEN = np.random.default_rng(1).uniform(-0.2, 1.0, size=(5, 3))  # a disturbance set without symmetry
 CUBE = Polytope.box(-np.ones(3), np.ones(3))
 
@@ -60,10 +61,11 @@ def test_reach_equals_the_greatest_over_enumerated_products(loops):
         assert last[j] == pytest.approx(max(terms), abs=TUBE_ROUNDING)
 
 
-def test_pruning_does_not_change_the_reach():
-    for direction in np.array([[0.0, 1.0, 0.0], [0.2, -0.5, 1.0]]):
-        expected = np.array(list(unpruned(LOOPS, UNEVEN, direction, 8)))
-        found = np.transpose(reach_supports(LOOPS, UNEVEN, direction, 8))
+@pytest.mark.parametrize(("loops", "steps"), [(LOOPS, 8), (SPINNING, 9)], ids=["paper", "spinning"])
+def test_pruning_does_not_change_the_reach(loops, steps):
+    for direction in np.random.default_rng(9).normal(size=(6, 3)):
+        expected = np.array(list(unpruned(loops, UNEVEN, direction, steps)))
+        found = np.transpose(reach_supports(loops, UNEVEN, direction, steps))
         np.testing.assert_allclose(found, expected, rtol=PRUNED_REACH)
 
 

@@ -191,6 +191,17 @@ def test_the_few_facet_set_is_invariant_and_large_inside_the_maximal_one(case, r
     assert share >= 0.85
 
 
+@pytest.mark.parametrize("facets", [12, 20, 30])
+@pytest.mark.parametrize("case", ["paper", "lateral trace_p"])
+def test_a_set_of_very_few_facets_is_invariant_and_admissible_or_not_given(case, facets):
+    loops, constraints = terminal_problem(*FOUND[case])
+    found = few_facet_rpi(loops, constraints, W.support, maximal(case).polytope, facets)
+    if found is not None:
+        assert len(found.offsets) <= facets
+        assert least_room(found, loops, W) >= 0
+        assert constraints.containment_margin(found) >= 0
+
+
 def test_the_few_facet_set_for_more_facets_than_needed_is_the_maximal_one():
     whole = maximal("lateral trace_p").polytope
     assert few_facet_rpi(*terminal_problem(*FOUND["lateral trace_p"]), W.support, whole, facets=100) is whole
