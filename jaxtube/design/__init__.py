@@ -139,8 +139,8 @@ def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None 
     missing = shortfall(found.tube_window, index, error)
     if largest <= 1 and missing <= 1e-9:
         return
-    # Both cures in one: a start inside [constraints] alone might be refused again.
-    share = min(reach_of_ray(found.tube_window, index, error), 1 / largest)
+    # Both limits at once: a start that is merely inside [constraints] might be refused again.
+    share = min(reach_of_ray(found.tube_window, index, error), 1 / max(largest, 1.0))
     cure = f"start at most {share:.0%} as far away" if share > 0 else "no start has a plan"
     if largest > 1:
         raise ScenarioError(f"{start}: the error of the start lies outside [constraints]; {cure}")

@@ -25,6 +25,7 @@ REQUIRED = [
     "plan_stays_feasible",
     "terminal_cost_decrease",
     "vertices_cover_schedule",
+    "true_error_in_e",
     "solver_residual",
 ]
 RESIDUAL = 1e-8

@@ -102,10 +102,11 @@ def test_the_maximal_set_equals_the_limit_of_a_slow_iteration(case):
     np.testing.assert_allclose(found.support(rows), slow.support(rows), rtol=MAXIMAL_SET)
 
 
-@pytest.mark.parametrize("case", [*EMPTY, "planar"])
+@pytest.mark.parametrize("case", [*EMPTY, "planar 3", "planar 5"])
 def test_emptiness_is_shown_by_a_run_from_the_origin_that_leaves(case):
-    if case == "planar":
-        loops, constraints, disturbance = PLANAR[0], PLANAR[1], PLANAR[2].scale(3.0)
+    if case.startswith("planar"):
+        loops, disturbance = PLANAR[0], PLANAR[2].scale(float(case[-1]))
+        constraints = Polytope(PLANAR[1].normals, np.array([1.0, 1.2, 1.0, 0.7]))
         found = maximal_rpi(loops, constraints, disturbance.support)
     else:
         (loops, constraints), disturbance, found = terminal_problem(*EMPTY[case]), W, maximal(case)
