@@ -116,6 +116,6 @@ def plan_deviations(design: Design, controller: TubeMpc, plant, trajectory: Traj
         chosen = widest[widest < max(steps - horizon, 1)][:: max(len(widest) // len(chosen), 1)]
     for step in chosen:
         errors = jnp.asarray(trajectory.errors[step, :count])
-        deviations, planned = follow_plan(controller, plant, keys, errors, jnp.asarray(step))
+        deviations, planned = follow_plan(controller, plant, keys, errors, jnp.asarray(int(step)))
         found.append(np.asarray(deviations)[:, np.asarray(planned)])
     return np.concatenate(found, axis=1)
