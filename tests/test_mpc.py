@@ -126,6 +126,7 @@ def test_an_error_that_no_input_can_bring_back_has_no_plan(uncertified):
     headings = np.linspace(0, 0.3, BATCH)
     beyond = np.where(np.arange(BATCH) % 2 == 0, 1e-6, -1e-6)
     starts = np.stack([np.zeros(BATCH), limit + beyond - ahead * headings, headings], axis=1)
+    starts[np.arange(BATCH) % 4 >= 2] *= -1
     solution, plans = plan_in_blocks(design, 0, starts)
     assert np.all(solution.status[beyond > 0] == qp.INFEASIBLE) and not plans[beyond > 0].any()
     assert np.any(plans[beyond < 0])
