@@ -16,7 +16,7 @@ from sets.invariant import MaximalRpi, maximal_rpi
 from sets.lmi import TerminalCost, terminal_cost
 from sets.polytope import Polytope
 
-NEVER_RESET_STEPS = 20
+NEVER_RESET_STEPS = 8
 INCLUSIONS = {
     "admissible_errors": "E_{N-1}",
     "admissible_inputs": "U_{N-1}",

@@ -109,11 +109,11 @@ def test_zero_order_hold_is_not_covered_by_its_vertices(uncertified, recertify):
 
 
 @pytest.mark.parametrize("kind", ["errors", "inputs"])
-@pytest.mark.parametrize("window", [0, -1])
+@pytest.mark.parametrize(("window", "stage"), [(0, 2), (-1, -1)])
 @pytest.mark.parametrize("sound", ["robust_design", "following"])
-def test_a_set_wider_by_a_millimetre_misses_reach_and_inclusion(sound, kind, window, recertify, request):
+def test_a_set_wider_by_a_millimetre_misses_reach_and_inclusion(sound, kind, window, stage, recertify, request):
     design = request.getfixturevalue(sound)
-    wider = changed(getattr(design.bounds, kind), (window, 3, 1), 1e-3)
+    wider = changed(getattr(design.bounds, kind), (window, stage, 1), 1e-3)
     certificate = recertify(design, bounds=dataclasses.replace(design.bounds, **{kind: wider}))
     assert certificate.failing == ["tightening_covers_reach", "shifted_plan_inclusion"]
     assert certificate.conditions["tightening_covers_reach"].margin == pytest.approx(-1e-3, rel=1e-3)
@@ -149,6 +149,14 @@ def test_the_last_error_and_input_set_must_receive_the_plan(robust_design, recer
         certificate = recertify(robust_design, bounds=dataclasses.replace(bounds, **{kind: narrower}))
         assert certificate.failing == ["plan_stays_feasible"]
         assert f"leave {name}_{{N-1}} by" in certificate.conditions["plan_stays_feasible"].sentence
+
+
+@pytest.mark.parametrize("window", [0, -1])
+def test_the_terminal_set_of_every_window_must_receive_the_plan(robust_design, window, recertify):
+    smaller = np.array(robust_design.bounds.terminal)
+    smaller[window] *= 0.7
+    certificate = recertify(robust_design, bounds=dataclasses.replace(robust_design.bounds, terminal=smaller))
+    assert certificate.failing == ["plan_stays_feasible"]
 
 
 def test_the_plan_must_end_in_the_terminal_set_of_the_next_step(following, recertify):

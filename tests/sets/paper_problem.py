@@ -26,7 +26,7 @@ def transition(right: float, left: float) -> np.ndarray:
 
 
 def corners(slowest: float = 0.2) -> list[tuple[float, float]]:
-    return list(itertools.product((slowest, FASTEST), repeat=2))
+    return list(itertools.product((slowest, FASTEST), (slowest, FASTEST)))
 
 
 @functools.cache

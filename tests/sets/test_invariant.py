@@ -33,9 +33,15 @@ def maximal(case: str):
     return maximal_rpi(*terminal_problem(*{**FOUND, **EMPTY}[case]), W.support)
 
 
+def given(found):
+    """Return what was found, where something must have been."""
+    assert found is not None
+    return found
+
+
 @functools.cache
 def few_facets(case: str) -> Polytope:
-    return few_facet_rpi(*terminal_problem(*FOUND[case]), W.support, maximal(case).polytope)
+    return given(few_facet_rpi(*terminal_problem(*FOUND[case]), W.support, given(maximal(case).polytope)))
 
 
 def by_program(polytope: Polytope, rows: np.ndarray) -> np.ndarray:
@@ -74,20 +80,20 @@ def slow_maximal(loops: np.ndarray, constraints: Polytope, disturbance: Polytope
 @each_found
 def test_the_maximal_set_is_admissible_and_no_vertex_loop_leaves_it(case):
     loops, constraints = terminal_problem(*FOUND[case])
-    found = maximal(case)
-    assert found.escape is None
-    assert constraints.containment_margin(found.polytope) >= -TUBE_ROUNDING
-    if len(found.polytope.offsets) < 100:
-        assert least_room(found.polytope, loops, W) >= -SUPPORT_PROGRAM
-    points = found.polytope.vertices()
+    assert maximal(case).escape is None
+    found = given(maximal(case).polytope)
+    assert constraints.containment_margin(found) >= -TUBE_ROUNDING
+    if len(found.offsets) < 100:
+        assert least_room(found, loops, W) >= -SUPPORT_PROGRAM
+    points = found.vertices()
     for loop in loops:
         reached = (points @ loop.T)[:, None] + W.vertices()[None]
-        assert found.polytope.contains(reached).all()
+        assert found.contains(reached).all()
 
 
 @pytest.mark.slow
 def test_the_maximal_set_of_the_paper_is_invariant_by_linear_programs():
-    assert least_room(maximal("paper").polytope, terminal_problem(*FOUND["paper"])[0], W) >= -SUPPORT_PROGRAM
+    assert least_room(given(maximal("paper").polytope), terminal_problem(*FOUND["paper"])[0], W) >= -SUPPORT_PROGRAM
 
 
 @pytest.mark.parametrize("case", ["lateral trace_p", "lateral logdet", "planar"])
@@ -96,7 +102,7 @@ def test_the_maximal_set_equals_the_limit_of_a_slow_iteration(case):
         loops, constraints, disturbance = PLANAR
     else:
         (loops, constraints), disturbance = terminal_problem(*FOUND[case]), W
-    found = maximal_rpi(loops, constraints, disturbance.support).polytope
+    found = given(maximal_rpi(loops, constraints, disturbance.support).polytope)
     slow = slow_maximal(loops, constraints, disturbance)
     rows = directions(loops.shape[1])
     np.testing.assert_allclose(found.support(rows), slow.support(rows), rtol=MAXIMAL_SET)
@@ -111,7 +117,7 @@ def test_emptiness_is_shown_by_a_run_from_the_origin_that_leaves(case):
     else:
         (loops, constraints), disturbance, found = terminal_problem(*EMPTY[case]), W, maximal(case)
     assert found.polytope is None
-    escape, points = found.escape, disturbance.vertices()
+    escape, points = given(found.escape), disturbance.vertices()
     member = np.all(constraints.normals == escape.normal, axis=1) & (constraints.offsets == escape.offset)
     assert member.any()
     row, worst = escape.normal, []
@@ -126,7 +132,7 @@ def test_emptiness_is_shown_by_a_run_from_the_origin_that_leaves(case):
 
 
 def test_the_iterations_that_prove_emptiness_are_those_the_reach_needs():
-    assert {case: len(maximal(case).escape.loops) for case in EMPTY} == {"trace_p": 140, "logdet": 227}
+    assert {case: len(given(maximal(case).escape).loops) for case in EMPTY} == {"trace_p": 140, "logdet": 227}
 
 
 def test_too_few_iterations_leave_the_question_open():
@@ -150,7 +156,7 @@ def two_scalars(first: float, second: float, steps: tuple[float, float]):
 def test_a_scalar_system_has_the_minimal_set_of_the_geometric_series(first):
     loops, box = two_scalars(first, -0.3, (0.2, 0.1))
     axes = np.vstack([np.eye(2), -np.eye(2)])
-    bound = minimal_rpi_bound(loops, box.support, axes)
+    bound = given(minimal_rpi_bound(loops, box.support, axes))
     expected = np.array([0.2 / (1 - abs(first)), 0.1 / 0.7]) * (1 + INFLATION)
     np.testing.assert_allclose(bound.support(axes), np.tile(expected, 2), rtol=CLOSED_FORM)
 
@@ -163,18 +169,19 @@ def test_a_scalar_system_has_an_invariant_set_exactly_where_its_minimal_one_fits
     found = maximal_rpi(loops, unit, box.support)
     if share > 1:
         assert found.polytope is None
-        reach = share * (1 - abs(first)) * sum(abs(first) ** m for m in range(len(found.escape.loops) + 1))
+        steps = len(given(found.escape).loops)
+        reach = share * (1 - abs(first)) * sum(abs(first) ** m for m in range(steps + 1))
         assert reach > 1
-        assert reach - share * (1 - abs(first)) * abs(first) ** len(found.escape.loops) <= 1 + INFLATION
+        assert reach - share * (1 - abs(first)) * abs(first) ** steps <= 1 + INFLATION
     else:
         rows = directions(2)
-        np.testing.assert_allclose(found.polytope.support(rows), unit.support(rows), rtol=CLOSED_FORM)
+        np.testing.assert_allclose(given(found.polytope).support(rows), unit.support(rows), rtol=CLOSED_FORM)
 
 
 def test_an_alternating_scalar_system_keeps_the_part_whose_image_stays():
     loops, box = two_scalars(-0.9, 0.3, (0.05, 0.1))
     constraints = Polytope.box(np.array([-1.0, -1.0]), np.array([2.0, 1.0]))
-    found = maximal_rpi(loops, constraints, box.support).polytope
+    found = given(maximal_rpi(loops, constraints, box.support).polytope)
     reach = found.support(np.array([[1.0, 0.0], [-1.0, 0.0]]))
     np.testing.assert_allclose(reach, [0.95 / 0.9, 1.0], rtol=2 * INFLATION)
 
@@ -186,8 +193,8 @@ def test_the_few_facet_set_is_invariant_and_large_inside_the_maximal_one(case, r
     assert len(found.offsets) <= 40
     assert least_room(found, loops, W) >= 0
     assert constraints.containment_margin(found) >= 0
-    assert maximal(case).polytope.containment_margin(found) >= 0
-    share = found.volume() / maximal(case).polytope.volume()
+    assert given(maximal(case).polytope).containment_margin(found) >= 0
+    share = found.volume() / given(maximal(case).polytope).volume()
     record_property("volume_share", share)
     assert share >= 0.85
 
@@ -196,7 +203,7 @@ def test_the_few_facet_set_is_invariant_and_large_inside_the_maximal_one(case, r
 @pytest.mark.parametrize("case", ["paper", "lateral trace_p"])
 def test_a_set_of_very_few_facets_is_invariant_and_admissible_or_not_given(case, facets):
     loops, constraints = terminal_problem(*FOUND[case])
-    found = few_facet_rpi(loops, constraints, W.support, maximal(case).polytope, facets)
+    found = few_facet_rpi(loops, constraints, W.support, given(maximal(case).polytope), facets)
     if found is not None:
         assert len(found.offsets) <= facets
         assert least_room(found, loops, W) >= 0
@@ -204,19 +211,19 @@ def test_a_set_of_very_few_facets_is_invariant_and_admissible_or_not_given(case,
 
 
 def test_the_few_facet_set_for_more_facets_than_needed_is_the_maximal_one():
-    whole = maximal("lateral trace_p").polytope
+    whole = given(maximal("lateral trace_p").polytope)
     assert few_facet_rpi(*terminal_problem(*FOUND["lateral trace_p"]), W.support, whole, facets=100) is whole
 
 
 def test_growth_stops_at_the_volume_asked_for():
-    problem, whole = terminal_problem(*FOUND["paper"]), maximal("paper").polytope
-    modest = few_facet_rpi(*problem, W.support, whole, target=0.5).volume() / whole.volume()
+    problem, whole = terminal_problem(*FOUND["paper"]), given(maximal("paper").polytope)
+    modest = given(few_facet_rpi(*problem, W.support, whole, target=0.5)).volume() / whole.volume()
     assert 0.5 <= modest < few_facets("paper").volume() / whole.volume()
 
 
 @functools.cache
 def minimal(case: str) -> Polytope:
-    return minimal_rpi_bound(terminal_problem(*FOUND[case])[0], W.support, few_facets(case).normals)
+    return given(minimal_rpi_bound(terminal_problem(*FOUND[case])[0], W.support, few_facets(case).normals))
 
 
 @each_found
