@@ -5,7 +5,7 @@
     metrics.json     plain numbers, units in the key; there once the run is complete
     NAME.png, NAME.pdf, NAME.npz
 
-Files appear complete or not at all: each is written under a temporary name, then renamed.
+Files appear complete or not at all.
 """
 
 import hashlib
@@ -27,6 +27,7 @@ import numpy as np
 
 from ..scenario import Scenario, to_toml
 from ..scenario.refusal import refusal
+from .atomic import write_atomically
 from .options import Options, command_line
 
 PACKAGES = ("jaxtube", "jax", "jaxlib", "numpy", "scipy", "cvxpy-base", "clarabel", "msgspec", "matplotlib")
@@ -61,15 +62,7 @@ class RunFolder:
         self._write(name, lambda file: file.write(f"{text}\n".encode()))
 
     def _write(self, name: str, write: Callable[[BinaryIO], Any]) -> None:
-        temporary = self.path / f".{name}.{os.getpid()}"
-        try:
-            with temporary.open("wb") as file:
-                write(file)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, self.path / name)
-        finally:
-            temporary.unlink(missing_ok=True)
+        write_atomically(self.path / name, write)
 
 
 def create(scenario: Scenario, options: Options) -> RunFolder:
