@@ -36,7 +36,7 @@ class TubeMpc:
 
     def initial(self, errors: Float[Array, "batch 3"]) -> mpc.MpcState:
         """Return the memory before the first step."""
-        return mpc.initial_state(errors, self.windows.plan_errors.shape[1])
+        return mpc.initial_state(errors, self.windows.linear.shape[1] // 2)
 
     def act(self, step, state: mpc.MpcState, errors: Float[Array, "batch 3"], reference_wheels: Float[Array, "2"]):
         """Return (inputs, next memory, diagnostics) of one step; see `mpc.act`."""

@@ -9,6 +9,9 @@ and u = g_0 + K(th) (e - e_nominal) (Gonzalez, Fiacchini, Guzman, Alamo 2009, eq
 
 Where the QP has no solution the last feasible plan goes on, u = g_j + K(th) (e - e_j), and after its end the terminal
 gain, u = Gamma(th) e: nothing raises, and every step says what it did.
+
+While no row is active the optimum is linear, g = G e, and so is what the rows see of it: a batch that meets all its
+bounds this way is answered without a solver. Only the others go to `qp.solve`.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
+from jaxtube.batched_ldl import matmul
 
 AnyArray = Array | np.ndarray  # a design holds numpy, a controller jax arrays
 
@@ -40,8 +44,9 @@ class Window(NamedTuple):
     check_errors: Float[AnyArray, "c 3"]
     check_lower: Float[AnyArray, " c"]
     check_upper: Float[AnyArray, " c"]
-    plan_errors: Float[AnyArray, "horizon 3 3"]  # e_j = plan_errors e + plan_inputs g, j = 0..N-1
-    plan_inputs: Float[AnyArray, "horizon 3 n"]
+    free_inputs: Float[AnyArray, "n 3"]  # G: without constraints g = G e
+    free_rows: Float[AnyArray, "m 3"]  # row_errors + rows G
+    free_scale: Float[AnyArray, ""]  # |H| |G| + |F|, row sum: what rounding in H G e + F e is proportional to
     tube_gain: Float[AnyArray, "2 3"]  # K(th_k)
     terminal_gain: Float[AnyArray, "2 3"]  # Gamma(th_k)
     transition: Float[AnyArray, "3 3"]  # A(th_k)
@@ -49,12 +54,20 @@ class Window(NamedTuple):
 
 
 class MpcState(NamedTuple):
-    """Memory of the controller: the last feasible plan, shifted to the present, and the nominal error."""
+    """Memory of the controller: the last plan, how much of it lies behind, and where the plan expects the error."""
 
     inputs: Float[Array, "batch horizon 2"]
-    errors: Float[Array, "batch horizon 3"]
-    left: Int[Array, " batch"]  # stages of the plan still ahead
+    stage: Int[Array, " batch"]  # of the plan's input that is due; the horizon: nothing is left
     nominal: Float[Array, "batch 3"]
+
+
+class Plan(NamedTuple):
+    """Inputs g_0 .. g_{N-1} of every instance, and what its QP came to."""
+
+    inputs: Float[Array, "batch horizon 2"]
+    status: Int[Array, " batch"]  # qp.SOLVED where there is a plan
+    residual: Float[Array, " batch"]
+    active: Bool[Array, " batch"]
 
 
 class Diagnostics(NamedTuple):
@@ -69,15 +82,10 @@ class Diagnostics(NamedTuple):
 def initial_state(errors: Float[Array, "batch 3"], horizon: int) -> MpcState:
     """Return the memory before the first step: no plan, nominal error = measured error."""
     batch = errors.shape[0]
-    return MpcState(
-        jnp.zeros((batch, horizon, 2), errors.dtype),
-        jnp.zeros((batch, horizon, 3), errors.dtype),
-        jnp.zeros(batch, jnp.int32),
-        errors,
-    )
+    return MpcState(jnp.zeros((batch, horizon, 2), errors.dtype), jnp.full(batch, horizon, jnp.int32), errors)
 
 
-def plan(window: Window, errors: Float[Array, "batch 3"]) -> tuple[qp.Solution, Bool[Array, " batch"]]:
+def plan(window: Window, errors: Float[Array, "batch 3"]) -> Plan:
     """Solve the QP of every instance from its own error.
 
     Args:
@@ -85,18 +93,72 @@ def plan(window: Window, errors: Float[Array, "batch 3"]) -> tuple[qp.Solution, 
         errors: start of each prediction, (m, m, rad).
 
     Returns:
-        (solution, whether it is a plan): solved, and the rows that no input reaches hold to the solver's tolerance.
+        The plans. An instance has one where it is solved and the rows that no input reaches hold to the solver's
+        tolerance. Its `residual` is that of the optimality conditions, or a bound on it.
     """
-    shift = errors @ window.row_errors.T
-    solution = qp.solve(
-        window.factors, errors @ window.linear.T, jnp.asarray(window.lower) - shift, jnp.asarray(window.upper) - shift
-    )
-    checks = errors @ window.check_errors.T
+    return jax.lax.cond(_all_free(window, errors), free_plan, constrained_plan, window, errors)
+
+
+def _all_free(window: Window, errors: Float[Array, "batch 3"]) -> Bool[Array, ""]:
+    """Return whether every instance meets all its rows without constraints, from the extremes of each row."""
+    slack, values = _slack(errors), matmul(window.free_rows, errors.T)
+    checks = matmul(window.check_errors, errors.T)
+    rows = jnp.all(window.lower <= values.min(axis=1)) & jnp.all(values.max(axis=1) <= window.upper)
+    lower, upper = window.check_lower - slack, window.check_upper + slack
+    return rows & jnp.all(lower <= checks.min(axis=1)) & jnp.all(checks.max(axis=1) <= upper)
+
+
+def _free(window: Window, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
+    return _within(window.lower, window.free_rows, errors, window.upper)
+
+
+def _admissible(window: Window, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
+    slack = _slack(errors)
+    return _within(window.check_lower - slack, window.check_errors, errors, window.check_upper + slack)
+
+
+def _slack(errors) -> float:
     # As exact as the rows of the QP: what an admissible plan meets with equality, it meets to rounding when shifted.
-    slack = qp.TOLERANCE[errors.dtype.itemsize]
-    missed = jnp.any((checks < window.check_lower - slack) | (checks > window.check_upper + slack), axis=1)
-    status = jnp.where(missed, qp.INFEASIBLE, solution.status)
-    return solution._replace(status=status), status == qp.SOLVED
+    return qp.TOLERANCE[errors.dtype.itemsize]
+
+
+def _within(lower, rows: Float[AnyArray, "m 3"], errors: Float[Array, "batch 3"], upper) -> Bool[Array, " batch"]:
+    values = _image(rows, errors)
+    return jnp.all((lower <= values) & (values <= upper), axis=1)
+
+
+def _image(matrix: Float[AnyArray, "m n"], vectors: Float[Array, "batch n"]) -> Float[Array, "batch m"]:
+    """Return matrix @ vector of every instance as a sum over few columns, which fuses with what is done to it next."""
+    return sum(vectors[:, i, None] * matrix[:, i] for i in range(matrix.shape[1]))
+
+
+def free_plan(window: Window, errors: Float[Array, "batch 3"]) -> Plan:
+    """Return the plans without constraints: the answer of every instance that meets all of them this way."""
+    batch, inputs = len(errors), _image(window.free_inputs, errors)
+    rounding = (inputs.shape[1] + 5) * jnp.finfo(errors.dtype).eps * window.free_scale
+    residual = rounding * jnp.max(jnp.abs(errors), axis=1)
+    solved = jnp.full(batch, qp.SOLVED, jnp.int32)
+    return Plan(inputs.reshape(batch, -1, 2), solved, residual, jnp.zeros(batch, bool))
+
+
+def constrained_plan(window: Window, errors: Float[Array, "batch 3"]) -> Plan:
+    """Return the plans of a batch of which some instance does not meet its constraints freely."""
+    shift = _image(window.row_errors, errors)
+    solution = qp.solve(window.factors, _image(window.linear, errors), window.lower - shift, window.upper - shift)
+    admissible = _admissible(window, errors)
+    # Data that are not numbers are no proof of anything; their residual is infinite.
+    excluded = ~admissible & jnp.isfinite(solution.residual)
+    status = jnp.where(excluded, qp.INFEASIBLE, solution.status)
+    active = (status == qp.SOLVED) & jnp.any(jnp.abs(solution.multipliers) > 0, axis=1)
+    solved = Plan(solution.x.reshape(len(errors), -1, 2), status, solution.residual, active)
+    # Not the solver's answer where there is a free one: no instance may depend on what others need.
+    free = admissible & _free(window, errors)
+    return _where(free, free_plan(window, errors), solved)
+
+
+def _where(chosen: Bool[Array, " batch"], one, other):
+    """Choose between two pytrees, instance by instance."""
+    return jax.tree.map(lambda a, b: jnp.where(jnp.expand_dims(chosen, tuple(range(1, a.ndim))), a, b), one, other)
 
 
 def act(
@@ -114,27 +176,38 @@ def act(
         (inputs (speed deficit m/s, yaw rate deficit rad/s), next memory, diagnostics).
     """
     start = errors if restart else state.nominal
-    solution, planned = plan(window, start)
-    horizon = state.inputs.shape[1]
-    inputs = solution.x.reshape(-1, horizon, 2)
-    predicted = jnp.einsum("jxe,be->bjx", window.plan_errors, start)
-    predicted = predicted + jnp.einsum("jxn,bn->bjx", window.plan_inputs, solution.x)
-    inputs = jnp.where(planned[:, None, None], inputs, state.inputs)
-    predicted = jnp.where(planned[:, None, None], predicted, state.errors)
-    left = jnp.where(planned, horizon, state.left)
+    return jax.lax.cond(_all_free(window, start), _act_freely, _act_constrained, window, state, start, errors)
 
-    followed = inputs[:, 0] + (errors - predicted[:, 0]) @ window.tube_gain.T
-    command = jnp.where((left > 0)[:, None], followed, errors @ window.terminal_gain.T)
-    planned_input = jnp.where((left > 0)[:, None], inputs[:, 0], start @ window.terminal_gain.T)
-    nominal = start @ window.transition.T + planned_input @ window.input_matrix.T
-    following = MpcState(
-        jnp.roll(inputs, -1, axis=1),
-        jnp.roll(predicted, -1, axis=1),
-        jnp.maximum(left - 1, 0),
-        nominal,
-    )
-    active = planned & jnp.any(jnp.abs(solution.multipliers) > 0, axis=1)
-    return command, following, Diagnostics(solution.status, solution.residual, active, ~planned)
+
+def _act_freely(window: Window, state: MpcState, start, errors):
+    """Act where every instance has just made a free plan."""
+    found = free_plan(window, start)
+    due = found.inputs[:, 0]
+    command = due + _image(window.tube_gain, errors - start)
+    following = MpcState(found.inputs, jnp.ones_like(state.stage), _expected(window, start, due))
+    return command, following, _diagnostics(found)
+
+
+def _act_constrained(window: Window, state: MpcState, start, errors):
+    """Act where some instance needs the solver, or its backup."""
+    found = constrained_plan(window, start)
+    fresh = MpcState(found.inputs, jnp.zeros_like(state.stage), start)
+    now = _where(found.status == qp.SOLVED, fresh, state)
+    horizon, deviation = now.inputs.shape[1], errors - now.nominal
+    due = jnp.take_along_axis(now.inputs, now.stage[:, None, None], axis=1, mode="clip")[:, 0]
+    planned = due, _image(window.tube_gain, deviation)
+    at_the_end = _image(window.terminal_gain, now.nominal), _image(window.terminal_gain, deviation)
+    due, feedback = _where(now.stage < horizon, planned, at_the_end)
+    following = MpcState(now.inputs, jnp.minimum(now.stage + 1, horizon), _expected(window, now.nominal, due))
+    return due + feedback, following, _diagnostics(found)
+
+
+def _expected(window: Window, nominal: Float[Array, "batch 3"], inputs: Float[Array, "batch 2"]):
+    return _image(window.transition, nominal) + _image(window.input_matrix, inputs)
+
+
+def _diagnostics(found: Plan) -> Diagnostics:
+    return Diagnostics(found.status, found.residual, found.active, found.status != qp.SOLVED)
 
 
 def no_diagnostics(errors: Float[Array, "batch 3"]) -> Diagnostics:

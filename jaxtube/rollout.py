@@ -13,12 +13,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Bool, Float, Int, Key
+from jaxtyping import Float, Int, Key
 
 from jaxtube import mpc
 from jaxtube import slip as slips
@@ -48,7 +48,8 @@ class Trajectory(NamedTuple):
 class SlippingRobot:
     """The nonlinear plant: exact motion over each period, slip drawn by a process, bounded noise on the measured pose.
 
-    `noise` holds half widths (m, m, rad) in the robot's frame; `process` and `random` are names of `jaxtube.slip`.
+    `noise` holds half widths (m, m, rad) in the robot's frame, None for an exact measurement; `process` and `random`
+    are names of `jaxtube.slip`.
     """
 
     robot: Robot
@@ -57,7 +58,7 @@ class SlippingRobot:
     reference_poses: Float[Array, "steps+1 3"]
     nominal_slip: Float[Array, "2"]
     relative_error: float
-    noise: Float[Array, "3"]
+    noise: Float[Array, "3"] | None = None
     process: str = "iid"
     random: str = "true"
 
@@ -68,6 +69,8 @@ class SlippingRobot:
 
     def measure(self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]) -> Float[Array, "batch 3"]:
         """Return the measured errors."""
+        if self.noise is None:
+            return errors
         return errors + jax.vmap(lambda key: slips.pose_noise(key, step, self.noise))(keys)
 
     def advance(self, keys, step, state, errors, inputs, controller):
@@ -80,6 +83,11 @@ class SlippingRobot:
             return slips.draw_slip(key, step, memory, positions, process, self.random)
 
         true, measured, state = jax.vmap(draw)(keys, state, places)
+        following, wheels, demanded = self.move(step, errors, inputs, true, measured, controller)
+        return following, state, wheels, demanded
+
+    def move(self, step, errors, inputs, true, measured, controller):
+        """Return (next errors, wheels, wheels before saturation) for given deviations of the two slips, in [-1, 1]."""
         true_slip = slips.deviated(self.nominal_slip, self.relative_error, true)
         measured_slip = slips.deviated(self.nominal_slip, self.relative_error, measured)
         reference = self.reference_wheels[step]
@@ -87,7 +95,7 @@ class SlippingRobot:
         demanded = wheel_commands(inputs, reference, compensated, self.robot.track_width)
         wheels = saturate(demanded, self.robot)
         following = advance(errors, wheels, true_slip, reference, self.robot.track_width, self.dt)
-        return following, state, wheels, demanded
+        return following, wheels, demanded
 
 
 # The stream of disturbances of the linear plant, beside those of `jaxtube.slip`.
@@ -134,6 +142,50 @@ class LinearPlant:
         return weights @ self.disturbance_vertices
 
 
+class LoopState(NamedTuple):
+    """A closed loop between two periods: true and measured errors, memory of the controller and of the plant."""
+
+    errors: Float[Array, "batch 3"]
+    measured: Float[Array, "batch 3"]
+    memory: Any
+    plant_memory: Any
+
+
+class Period(NamedTuple):
+    """What happened in one period: what was asked of the wheels, what they did, and how the controller found it."""
+
+    inputs: Float[Array, "batch 2"]
+    wheels: Float[Array, "batch 2"]
+    demanded: Float[Array, "batch 2"]
+    diagnostics: Diagnostics
+
+
+def begin(controller, plant, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> LoopState:
+    """Return the closed loop before its first period."""
+    measured = plant.measure(keys, 0, errors)
+    return LoopState(errors, measured, controller.initial(measured), plant.initial(keys, errors))
+
+
+def run_period(
+    controller, plant, keys: Key[Array, " batch"], step: Int[Array, ""], state: LoopState
+) -> tuple[LoopState, Period]:
+    """Run one period of the closed loop, the one that begins at `step`."""
+    inputs, memory, diagnostics = controller.act(step, state.memory, state.measured, plant.reference_wheels[step])
+    following, wheels, demanded = _apply(controller, plant, keys, step, state, inputs)
+    return following._replace(memory=memory), Period(inputs, wheels, demanded, diagnostics)
+
+
+def _apply(controller, plant, keys, step, state: LoopState, inputs):
+    """Let the plant run one period under virtual inputs, and measure; the controller's memory stays as it was."""
+    reference = plant.reference_wheels[step]
+    acting = cosine_free_input(inputs, state.measured[:, 2], reference) if controller.cosine_free else inputs
+    errors, plant_memory, wheels, demanded = plant.advance(
+        keys, step, state.plant_memory, state.errors, acting, controller
+    )
+    measured = plant.measure(keys, step + 1, errors)
+    return LoopState(errors, measured, state.memory, plant_memory), wheels, demanded
+
+
 @jax.jit
 def rollout(controller, plant, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> Trajectory:
     """Run every realisation through the whole reference.
@@ -147,57 +199,49 @@ def rollout(controller, plant, keys: Key[Array, " batch"], errors: Float[Array, 
     Returns:
         The trajectory. Nothing raises: a QP without solution is the diagnostics' to tell.
     """
-    steps = plant.reference_wheels.shape[0]
 
-    def period(carry, step):
-        errors, memory, plant_memory = carry
-        measured = plant.measure(keys, step, errors)
-        reference = plant.reference_wheels[step]
-        inputs, memory, diagnostics = controller.act(step, memory, measured, reference)
-        acting = cosine_free_input(inputs, measured[:, 2], reference) if controller.cosine_free else inputs
-        following, plant_memory, wheels, demanded = plant.advance(keys, step, plant_memory, errors, acting, controller)
-        return (following, memory, plant_memory), (errors, measured, inputs, wheels, demanded, diagnostics)
+    def period(state, step):
+        following, happened = run_period(controller, plant, keys, step, state)
+        return following, (state.errors, state.measured, *happened)
 
-    start = (errors, controller.initial(errors), plant.initial(keys, errors))
-    (last, _, _), (before, measured, *rest) = jax.lax.scan(period, start, jnp.arange(steps))
-    last_measured = plant.measure(keys, steps, last)
-    return Trajectory(jnp.concatenate([before, last[None]]), jnp.concatenate([measured, last_measured[None]]), *rest)
+    start, steps = begin(controller, plant, keys, errors), plant.reference_wheels.shape[0]
+    last, (before, measured, *rest) = jax.lax.scan(period, start, jnp.arange(steps))
+    return Trajectory(
+        jnp.concatenate([before, last.errors[None]]), jnp.concatenate([measured, last.measured[None]]), *rest
+    )
 
 
 @jax.jit
 def follow_plan(
-    controller: TubeMpc, plant, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"], step: Int[Array, ""]
-) -> tuple[Float[Array, "horizon batch 3"], Bool[Array, " batch"]]:
+    controller: TubeMpc, plant, keys: Key[Array, " batch"], state: LoopState, step: Int[Array, ""]
+) -> tuple[Float[Array, "horizon batch 3"], mpc.Plan]:
     """Plan once and follow the plan to its end, u = g_j + K(th) (e - e_nominal): what the tube is about.
 
     Args:
         controller: the tube-MPC whose plan, nominal model and tube gain are used.
         plant: any.
         keys: one key a realisation.
-        errors: tracking errors at `step`, (m, m, rad).
+        state: the closed loop at `step`; the plan starts at its measured errors.
         step: where along the reference, at least a horizon before its end.
 
     Returns:
-        (e - e_nominal after 1 .. N steps, to be compared with R_1 .. R_N; whether there was a plan to follow).
+        (e - e_nominal after 1 .. N steps, measured, to be compared with R_1 .. R_N; the plans, which are to be compared
+        only where there was one).
     """
-    horizon = controller.windows.plan_errors.shape[1]
-    solution, planned = mpc.plan(mpc.take_window(controller.windows, controller.index[step]), errors)
-    planned_inputs = jnp.moveaxis(solution.x.reshape(-1, horizon, 2), 1, 0)
+    found = mpc.plan(mpc.take_window(controller.windows, controller.index[step]), state.measured)
 
     def period(carry, ahead):
-        errors, nominal, memory = carry
-        offset, planned_input = ahead
+        state, nominal = carry
+        offset, planned = ahead
         window = mpc.take_window(controller.windows, controller.index[step + offset])
-        reference = plant.reference_wheels[step + offset]
-        inputs = planned_input + (errors - nominal) @ window.tube_gain.T
-        acting = cosine_free_input(inputs, errors[:, 2], reference) if controller.cosine_free else inputs
-        errors, memory, _, _ = plant.advance(keys, step + offset, memory, errors, acting, controller)
-        nominal = nominal @ window.transition.T + planned_input @ window.input_matrix.T
-        return (errors, nominal, memory), errors - nominal
+        inputs = planned + (state.measured - nominal) @ window.tube_gain.T
+        state, _, _ = _apply(controller, plant, keys, step + offset, state, inputs)
+        nominal = nominal @ window.transition.T + planned @ window.input_matrix.T
+        return (state, nominal), state.measured - nominal
 
-    start = (errors, errors, plant.initial(keys, errors))
-    _, deviations = jax.lax.scan(period, start, (jnp.arange(horizon), planned_inputs))
-    return deviations, planned
+    planned = jnp.moveaxis(found.inputs, 1, 0)
+    _, deviations = jax.lax.scan(period, (state, state.measured), (jnp.arange(len(planned)), planned))
+    return deviations, found
 
 
 def realisation_keys(seed: int, first: int, count: int) -> Key[Array, " count"]:

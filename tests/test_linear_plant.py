@@ -7,8 +7,9 @@ import pytest
 from oracles import SEQUENCE, model
 from tolerances import AT_A_VERTEX, CLOSED_LOOP, INSIDE_TUBE
 
+from jaxtube import qp
 from jaxtube.experiments import closed_loop, metrics
-from jaxtube.rollout import follow_plan, realisation_keys
+from jaxtube.rollout import begin, follow_plan, realisation_keys
 from sets.tubes import sequence_tube
 
 BATCH, STEPS = closed_loop.BLOCK, 300
@@ -57,7 +58,9 @@ def deviations(robust_design, stressed):
     keys, found = realisation_keys(11, 0, BATCH), []
     for step in (0, 1, 40, 113, 114, 115, 116, 230):
         starts = jnp.asarray(stressed["tube_mpc"].errors[step, :BATCH])
-        found.append((step, *map(np.asarray, follow_plan(loop, plant, keys, starts, jnp.asarray(step)))))
+        state = begin(loop, plant, keys, starts)
+        deviations, plans = follow_plan(loop, plant, keys, state, jnp.asarray(step))
+        found.append((step, np.asarray(deviations), np.asarray(plans.status) == qp.SOLVED))
     return found
 
 

@@ -77,20 +77,23 @@ def condense(problem: Problem, windows: Windows, terminal: Terminal, cost: Float
     row_errors, rows, lower, upper = _rows(problem, free, forced, bounds)
     reached = np.abs(rows).max(axis=(0, 2)) > UNREACHED
     weights_now = problem.model.weights(windows.schedules[:, 0])
+    row_errors_reached, rows_reached = row_errors[:, reached], rows[:, reached]
+    free_inputs = -np.linalg.solve(hessian, linear)
     with jax.enable_x64(True):
-        factors = _factorise(jnp.asarray(hessian), jnp.asarray(rows[:, reached]))
+        factors = _factorise(jnp.asarray(hessian), jnp.asarray(rows_reached))
         factors = jax.tree.map(np.asarray, factors)
     return Window(
         factors=factors,
         linear=linear,
-        row_errors=row_errors[:, reached],
+        row_errors=row_errors_reached,
         lower=lower[:, reached],
         upper=upper[:, reached],
         check_errors=row_errors[:, ~reached],
         check_lower=lower[:, ~reached],
         check_upper=upper[:, ~reached],
-        plan_errors=free[:, :N],
-        plan_inputs=forced[:, :N],
+        free_inputs=free_inputs,
+        free_rows=row_errors_reached + rows_reached @ free_inputs,
+        free_scale=_row_sum(np.abs(hessian) @ np.abs(free_inputs) + np.abs(linear)),
         tube_gain=windows.gains[:, 0],
         terminal_gain=terminal.gains.at(weights_now),
         transition=transitions[:, 0],
@@ -106,6 +109,10 @@ def residual_bound(problem: Problem, window: Window) -> float:
     widths = problem.error_set.support(np.eye(3))
     largest = float(np.max(np.abs(window.linear) @ widths))
     return qp.TOLERANCE[8] * max(1.0, largest) * float(np.max(window.factors.row_norms))
+
+
+def _row_sum(matrices: Float[np.ndarray, "windows n 3"]) -> Float[np.ndarray, " windows"]:
+    return matrices.sum(axis=2).max(axis=1)
 
 
 def _predictions(transitions, inputs):

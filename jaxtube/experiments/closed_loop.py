@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import partial
 
 import jax
@@ -9,11 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube import qp
 from jaxtube.controllers import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.design import Design
 from jaxtube.design.problem import error_vector
 from jaxtube.design.tightening import widest_window
-from jaxtube.rollout import LinearPlant, SlippingRobot, Trajectory, follow_plan, realisation_keys, rollout
+from jaxtube.rollout import LinearPlant, SlippingRobot, Trajectory, begin, follow_plan, realisation_keys, rollout
 
 BLOCK = 256
 """Realisations a call: fixed, so that the length of a run changes no result."""
@@ -29,14 +31,12 @@ def controllers(design: Design) -> dict:
     cosine_free = settings.input_map == "cosine_free"
     weights = problem.model.weights(problem.schedule[: problem.reference.steps])
     tube_window, plain_window = jax.tree.map(jnp.asarray, (design.tube_window, design.plain_window))
-    unconstrained = np.einsum(
-        "wan,wne->wae", np.swapaxes(design.plain_window.factors.optimum, 1, 2), design.plain_window.linear
-    )
+    unconstrained = design.plain_window.free_inputs[:, :2]
     return {
         "uncompensated": TrackingLaw(problem.robot.track_width, compensates=False),
         "compensated": TrackingLaw(problem.robot.track_width, compensates=True),
         "local_gain": ScheduledGain(jnp.asarray(design.tube_gain.at(weights)), cosine_free),
-        "equal_gain": ScheduledGain(jnp.asarray(unconstrained[design.windows.index, :2]), cosine_free),
+        "equal_gain": ScheduledGain(jnp.asarray(unconstrained[design.windows.index]), cosine_free),
         "plain_mpc": TubeMpc(plain_window, index, True, cosine_free),
         "tube_mpc": TubeMpc(tube_window, index, settings.restart, cosine_free),
     }
@@ -45,7 +45,7 @@ def controllers(design: Design) -> dict:
 def slipping_robot(design: Design, process: str | None = None, relative_error: float | None = None) -> SlippingRobot:
     """Return the nonlinear plant of the scenario, or with another slip process or slip error."""
     problem, slip = design.problem, design.problem.scenario.slip
-    steps = problem.reference.steps
+    steps, noise = problem.reference.steps, error_vector(problem.scenario.noise)
     return SlippingRobot(
         robot=problem.robot,
         dt=problem.reference.dt,
@@ -53,7 +53,7 @@ def slipping_robot(design: Design, process: str | None = None, relative_error: f
         reference_poses=jnp.asarray(problem.reference.poses[: steps + 1]),
         nominal_slip=jnp.array([slip.nominal_right, slip.nominal_left]),
         relative_error=slip.relative_error if relative_error is None else relative_error,
-        noise=jnp.asarray(error_vector(problem.scenario.noise)),
+        noise=jnp.asarray(noise) if noise.any() else None,
         process=process or slip.process,
         random=slip.random,
     )
@@ -61,8 +61,7 @@ def slipping_robot(design: Design, process: str | None = None, relative_error: f
 
 def exact_robot(design: Design) -> SlippingRobot:
     """Return the nonlinear plant whose slip is known exactly and whose pose is measured without noise."""
-    plant = slipping_robot(design, relative_error=0.0)
-    return SlippingRobot(**{**vars(plant), "noise": jnp.zeros(3)})
+    return dataclasses.replace(slipping_robot(design, relative_error=0.0), noise=None)
 
 
 def linear_plant(design: Design) -> LinearPlant:
@@ -116,6 +115,7 @@ def plan_deviations(design: Design, controller: TubeMpc, plant, trajectory: Traj
         chosen = widest[widest < max(steps - horizon, 1)][:: max(len(widest) // len(chosen), 1)]
     for step in chosen:
         errors = jnp.asarray(trajectory.errors[step, :count])
-        deviations, planned = follow_plan(controller, plant, keys, errors, jnp.asarray(int(step)))
-        found.append(np.asarray(deviations)[:, np.asarray(planned)])
+        state = begin(controller, plant, keys, errors)
+        deviations, plans = follow_plan(controller, plant, keys, state, jnp.asarray(int(step)))
+        found.append(np.asarray(deviations)[:, np.asarray(plans.status == qp.SOLVED)])
     return np.concatenate(found, axis=1)

@@ -46,11 +46,9 @@ def test_windows_are_the_stretches_of_the_reference(condensed):
     assert len(np.unique(windows.schedules.round(9), axis=0)) == len(windows.schedules)
 
 
-def test_predictions_are_those_of_a_step_by_step_simulation(condensed):
+def test_the_next_error_is_that_of_a_step_by_step_simulation(condensed):
     for window, schedules, error, inputs in samples(condensed, 1):
         w, expected = take(condensed, window), simulate_model(condensed.problem, schedules, error, inputs)
-        predicted = w.plan_errors @ error + w.plan_inputs @ inputs.ravel()
-        np.testing.assert_allclose(predicted, expected[:-1], atol=CLOSED_LOOP)
         step = w.transition @ error + w.input_matrix @ inputs[0]
         np.testing.assert_allclose(step, expected[1], atol=CLOSED_LOOP)
 
@@ -172,3 +170,13 @@ def test_the_static_laws_are_the_tubes_gain_and_the_mpc_without_constraints(robu
         first_inputs = -np.linalg.solve(qp.hessian, qp.linear)[:2]
         np.testing.assert_allclose(loops["local_gain"].gains[step], tube_gain(robust_design, wheels), atol=CLOSED_LOOP)
         np.testing.assert_allclose(loops["equal_gain"].gains[step], first_inputs, atol=CLOSED_LOOP)
+
+
+def test_the_free_plan_is_the_optimum_without_constraints(condensed):
+    for window, _, error, _ in samples(condensed, 5):
+        w = take(condensed, window)
+        inputs = w.free_inputs @ error
+        gradient = w.factors.hessian @ inputs + w.linear @ error
+        assert np.abs(gradient).max() <= 5 * np.finfo(float).eps * w.free_scale * np.abs(error).max()
+        rows = w.row_errors @ error + w.factors.rows * w.factors.row_norms[:, None] @ inputs
+        np.testing.assert_allclose(w.free_rows @ error, rows, atol=CLOSED_LOOP)
