@@ -213,22 +213,21 @@ def rollout(controller, plant, keys: Key[Array, " batch"], errors: Float[Array, 
 
 @jax.jit
 def follow_plan(
-    controller: TubeMpc, plant, keys: Key[Array, " batch"], state: LoopState, step: Int[Array, ""]
-) -> tuple[Float[Array, "horizon batch 3"], mpc.Plan]:
-    """Plan once and follow the plan to its end, u = g_j + K(th) (e - e_nominal): what the tube is about.
+    controller: TubeMpc, plant, keys: Key[Array, " batch"], state: LoopState, step: Int[Array, ""], found: mpc.Plan
+) -> Float[Array, "horizon batch 3"]:
+    """Follow plans to their end, u = g_j + K(th) (e - e_nominal), without planning again: what the tube is about.
 
     Args:
-        controller: the tube-MPC whose plan, nominal model and tube gain are used.
+        controller: the tube-MPC whose nominal model and tube gain are used.
         plant: any.
         keys: one key a realisation.
-        state: the closed loop at `step`; the plan starts at its measured errors.
+        state: the closed loop at `step`.
         step: where along the reference, at least a horizon before its end.
+        found: the plans, made from the measured errors at `step`.
 
     Returns:
-        (e - e_nominal after 1 .. N steps, measured, to be compared with R_1 .. R_N; the plans, which are to be compared
-        only where there was one).
+        e - e_nominal after 1 .. N steps, measured, to be compared with R_1 .. R_N where there was a plan.
     """
-    found = mpc.plan(mpc.take_window(controller.windows, controller.index[step]), state.measured)
 
     def period(carry, ahead):
         state, nominal = carry
@@ -241,7 +240,7 @@ def follow_plan(
 
     planned = jnp.moveaxis(found.inputs, 1, 0)
     _, deviations = jax.lax.scan(period, (state, state.measured), (jnp.arange(len(planned)), planned))
-    return deviations, found
+    return deviations
 
 
 def realisation_keys(seed: int, first: int, count: int) -> Key[Array, " count"]:

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube import qp
+from jaxtube import mpc, qp
 from jaxtube.controllers import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.design import Design
 from jaxtube.design.problem import error_vector
@@ -100,6 +100,9 @@ def model_residuals(design: Design, trajectory: Trajectory) -> Float[np.ndarray,
     return trajectory.measured[1:] - predicted - np.einsum("kij,kbj->kbi", inputs, trajectory.inputs)
 
 
+_planned = jax.jit(mpc.plan)
+
+
 def plan_deviations(design: Design, controller: TubeMpc, plant, trajectory: Trajectory, seed: int, every: int = 10):
     """Return e - e_nominal (N, samples, 3) of plans made along the laps and followed to their end.
 
@@ -116,6 +119,7 @@ def plan_deviations(design: Design, controller: TubeMpc, plant, trajectory: Traj
     for step in chosen:
         errors = jnp.asarray(trajectory.errors[step, :count])
         state = begin(controller, plant, keys, errors)
-        deviations, plans = follow_plan(controller, plant, keys, state, jnp.asarray(int(step)))
+        plans = _planned(mpc.take_window(controller.windows, controller.index[step]), state.measured)
+        deviations = follow_plan(controller, plant, keys, state, jnp.asarray(int(step)), plans)
         found.append(np.asarray(deviations)[:, np.asarray(plans.status == qp.SOLVED)])
     return np.concatenate(found, axis=1)
