@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,23 +16,25 @@ from jaxtyping import Float, Int
 
 from jaxtube.batched_ldl import matmul
 
+AnyArray = Any  # made with numpy, used on the device
+
 OUTSIDE = 1e-12
 
 
 class Facets(NamedTuple):
     """A polytope {x: normals x <= offsets} and the box around it; arrays may carry leading axes."""
 
-    normals: Float[Array, "f n"]
-    offsets: Float[Array, " f"]  # infinite for a row that is only padding
-    lower: Float[Array, " n"]
-    upper: Float[Array, " n"]
+    normals: Float[AnyArray, "f n"]
+    offsets: Float[AnyArray, " f"]  # infinite for a row that is only padding
+    lower: Float[AnyArray, " n"]
+    upper: Float[AnyArray, " n"]
 
 
 class Sections(NamedTuple):
     """The sections R_1 .. R_N of a tube, those of window `index[step]` being due at a step."""
 
     facets: Facets  # leading axes (windows, N)
-    index: Int[Array, " steps"]
+    index: Int[AnyArray, " steps"]
 
 
 @partial(

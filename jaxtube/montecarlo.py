@@ -34,6 +34,8 @@ WORST = 16
 """Laps kept by index, for each of the three sets ranked by."""
 
 RANKED = ("error", "disturbance", "tube")
+WORST_KEYS = ("worst_usage", "worst_lap")
+_JOIN = {"i": np.add, "f": np.maximum}
 
 Statistics = dict[str, np.ndarray]
 
@@ -75,7 +77,8 @@ class Run:
         """Start the computation of up to `blocks_per_dispatch` blocks; the arrays, blocks first, are ready later."""
         padded = [*blocks, *[blocks[-1]] * (self.blocks_per_dispatch - len(blocks))]
         mesh = Mesh(np.array(self.devices), ("devices",))
-        return _simulate(mesh, self.task, *(jnp.asarray(part) for part in _labels(padded, self.realisations)), validate)
+        words, counts, numbers = _labels(padded, self.realisations)
+        return _simulate(mesh, self.task, words, counts, numbers, validate)
 
     def collect(self, blocks: list[int], found: dict[str, Array]) -> list[tuple[int, Statistics]]:
         """Wait for a dispatch and return the statistics of its blocks."""
@@ -92,15 +95,11 @@ def merge(one: Statistics, other: Statistics) -> Statistics:
 
     Counts add up, extremes are maxima, and of the worst laps the worst remain, the earlier one first among equals.
     """
-    joined = {}
-    for name, value in one.items():
-        if name.startswith("worst/"):
-            rows = np.concatenate([value, other[name]])
-            joined[name] = rows[np.lexsort((rows["lap"], -rows["usage"]))][:WORST]
-        elif value.dtype.kind == "f":
-            joined[name] = np.maximum(value, other[name])
-        else:
-            joined[name] = value + other[name]
+    joined = {name: _JOIN[value.dtype.kind](value, other[name]) for name, value in one.items() if "worst" not in name}
+    for name in RANKED:
+        usage, laps = (np.concatenate([part[f"{key}/{name}"] for part in (one, other)]) for key in WORST_KEYS)
+        order = np.lexsort((laps, -usage))[:WORST]
+        joined |= dict(zip((f"{key}/{name}" for key in WORST_KEYS), (usage[order], laps[order]), strict=True))
     return joined
 
 
@@ -121,12 +120,12 @@ def _labels(blocks: list[int], realisations: int):
 
 def _statistics(block: int, arrays: dict[str, np.ndarray], place: int) -> Statistics:
     found = {name: value[place] for name, value in arrays.items()}
+    found = {name: value.astype(np.int64) if value.dtype.kind == "i" else value for name, value in found.items()}
     for name in RANKED:
-        usage, local = found.pop(f"worst_usage/{name}"), found.pop(f"worst_lap/{name}")
-        rows = np.zeros(len(usage), [("usage", usage.dtype), ("lap", np.int64)])
-        rows["usage"], rows["lap"] = usage, block * BLOCK + local.astype(np.int64)
-        found[f"worst/{name}"] = rows[usage > -np.inf]
-    return {name: value.astype(np.int64) if value.dtype.kind == "i" else value for name, value in found.items()}
+        usage, lap = (f"{key}/{name}" for key in WORST_KEYS)
+        counted = found[usage] > -np.inf
+        found[usage], found[lap] = found[usage][counted], block * BLOCK + found[lap][counted]
+    return found
 
 
 @partial(jax.jit, static_argnums=0)
@@ -136,7 +135,11 @@ def _simulate(mesh: Mesh, task: Task, words, counts, numbers, validate):
 
     @partial(jax.shard_map, mesh=mesh, in_specs=(same, spread, spread, spread, same), out_specs=spread, check_vma=False)
     def on_device(task, words, counts, numbers, validate):
-        return jax.lax.map(lambda block: simulate_block(task, *block, validate), (words, counts, numbers))
+        def one(block):
+            first, count, number = block
+            return simulate_block(task, first, count, number, validate)
+
+        return jax.lax.map(one, (words, counts, numbers))
 
     return on_device(task, words, counts, numbers, validate)
 

@@ -16,18 +16,19 @@ bounds this way is answered without a solver. Only the others go to `qp.solve`.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import functools
+import operator
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
 from jaxtube.batched_ldl import matmul
 
-AnyArray = Array | np.ndarray  # a design holds numpy, a controller jax arrays
+AnyArray = Any  # a design holds numpy, a controller jax arrays
 
 
 class Window(NamedTuple):
@@ -129,7 +130,7 @@ def _within(lower, rows: Float[AnyArray, "m 3"], errors: Float[Array, "batch 3"]
 
 def _image(matrix: Float[AnyArray, "m n"], vectors: Float[Array, "batch n"]) -> Float[Array, "batch m"]:
     """Return matrix @ vector of every instance as a sum over few columns, which fuses with what is done to it next."""
-    return sum(vectors[:, i, None] * matrix[:, i] for i in range(matrix.shape[1]))
+    return functools.reduce(operator.add, (vectors[:, i, None] * matrix[:, i] for i in range(matrix.shape[1])))
 
 
 def free_plan(window: Window, errors: Float[Array, "batch 3"]) -> Plan:

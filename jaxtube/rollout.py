@@ -69,9 +69,10 @@ class SlippingRobot:
 
     def measure(self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]) -> Float[Array, "batch 3"]:
         """Return the measured errors."""
-        if self.noise is None:
+        noise = self.noise
+        if noise is None:
             return errors
-        return errors + jax.vmap(lambda key: slips.pose_noise(key, step, self.noise))(keys)
+        return errors + jax.vmap(lambda key: slips.pose_noise(key, step, noise))(keys)
 
     def advance(self, keys, step, state, errors, inputs, controller):
         """Return (next errors, next memory, wheels, wheels before saturation) of one period."""
@@ -202,13 +203,12 @@ def rollout(controller, plant, keys: Key[Array, " batch"], errors: Float[Array, 
 
     def period(state, step):
         following, happened = run_period(controller, plant, keys, step, state)
-        return following, (state.errors, state.measured, *happened)
+        return following, (state.errors, state.measured, happened)
 
     start, steps = begin(controller, plant, keys, errors), plant.reference_wheels.shape[0]
-    last, (before, measured, *rest) = jax.lax.scan(period, start, jnp.arange(steps))
-    return Trajectory(
-        jnp.concatenate([before, last.errors[None]]), jnp.concatenate([measured, last.measured[None]]), *rest
-    )
+    last, (before, measured, happened) = jax.lax.scan(period, start, jnp.arange(steps))
+    errors, measured = jnp.concatenate([before, last.errors[None]]), jnp.concatenate([measured, last.measured[None]])
+    return Trajectory(errors, measured, *happened)
 
 
 @jax.jit

@@ -74,8 +74,9 @@ def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
     laps = Laps(
         jnp.zeros((len(EVENTS), batch), jnp.int32),
         jnp.zeros((horizon, len(STAGE_EVENTS), batch), jnp.int32),
-        *(jnp.zeros((3, batch), dtype) for _ in range(2)),
-        jnp.full((3, batch), -jnp.inf, dtype),
+        square=jnp.zeros((3, batch), dtype),
+        peak=jnp.zeros((3, batch), dtype),
+        usage=jnp.full((3, batch), -jnp.inf, dtype),
     )
     shapes = {
         "error_by_step": (steps, 3, histogram.BUCKETS),

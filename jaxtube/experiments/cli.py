@@ -2,7 +2,7 @@
 
     0  done        1  a checked metric is off        2  bad input
     3  an empty tightened set; an empty terminal set or a failed certificate under --require-certificate
-    4  interrupted
+    4  interrupted, or stopped by a full disk; the same command goes on
 
 Nothing heavy is imported before a command runs.
 """
@@ -31,6 +31,7 @@ DESCRIPTION = (
 DEFAULT_COMMAND = "paper"
 BAD_INPUT, EMPTY_SET, INTERRUPTED = 2, 3, 4
 SEED_LIMIT = 2**63
+REALISATIONS_LIMIT = 2**53
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -114,8 +115,9 @@ def _split(arguments: Iterable[str]) -> tuple[list[str], list[str]]:
 def _check(options: Options) -> None:
     if not 0 <= options.seed < SEED_LIMIT:
         raise _refusal(f"--seed = {options.seed}: is out of range; give a whole number from 0 to 2^63 - 1")
-    if getattr(options, "realisations", 1) < 1:
-        raise _refusal("--realisations: is below 1; simulate at least one run")
+    realisations = getattr(options, "realisations", 1)
+    if not (realisations >= 1 and realisations == int(min(realisations, REALISATIONS_LIMIT))):
+        raise _refusal(f"--realisations = {realisations}: is no whole number from 1 to 2^53; simulate at least one run")
     if Path(options.out).is_file():
         raise _refusal(f"--out = {options.out}: is a file; name a folder")
 
@@ -146,7 +148,10 @@ def _exit_code(error: ValueError) -> int | None:
     if isinstance(error, ScenarioError):
         return BAD_INPUT
     from ..design import EmptySetError
+    from .records import RecordsError
 
+    if isinstance(error, RecordsError):
+        return INTERRUPTED
     return EMPTY_SET if isinstance(error, EmptySetError) else None
 
 

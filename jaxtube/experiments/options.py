@@ -6,7 +6,7 @@ Every command takes a scenario, the folder of its run, a seed, and overrides of 
 import shlex
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, Literal
 
 from tyro.conf import Positional, Suppress, arg
 
@@ -58,6 +58,34 @@ class Design(Options):
 
 
 @dataclass(frozen=True)
+class Montecarlo(Options):
+    """Run laps by the million and check every period against the design; resumes where it was interrupted."""
+
+    command = module = "montecarlo"
+
+    realisations: Annotated[float, arg(metavar="COUNT")] = 1e5
+    """number of laps, such as 1e6"""
+    controller: Literal["tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated", "uncompensated"] = (
+        "tube_mpc"
+    )
+    """controller of the closed loop"""
+    plant: Literal["robot", "linear"] = "robot"
+    """the slipping robot, or the prediction model with w drawn in W"""
+    starts: Literal["scenario", "feasible"] = "scenario"
+    """the scenario's start, or uniform in the feasible set of the tube-MPC"""
+    chunk: Annotated[int, arg(metavar="BLOCKS")] = 1
+    """blocks that a device works through in one dispatch; changes no result"""
+    devices: Annotated[int, arg(metavar="COUNT", help_behavior_hint="(default: all; processors count as devices)")] = 0
+    """devices of this machine to use; changes no result"""
+    cluster: Annotated[str, arg(metavar="local:N|ADDRESS", help_behavior_hint="")] = ""
+    """workers that compute the blocks: N started here, or those of a Dask scheduler, such as tcp://host:8786"""
+    replay: Annotated[int, arg(metavar="LAP", help_behavior_hint="")] = -1
+    """draw this lap of the run, by its number, instead of running any"""
+    netcdf: bool = False
+    """also write statistics.nc, which opens in xarray"""
+
+
+@dataclass(frozen=True)
 class List(Options):
     """List the scenarios that come with the project (--scenario: only this one)."""
 
@@ -81,7 +109,7 @@ class Check(Options):
     """only the metrics that the design answers, without simulation"""
 
 
-COMMANDS: dict[str, type[Options]] = {kind.command: kind for kind in (Paper, Design, List, Check)}
+COMMANDS: dict[str, type[Options]] = {kind.command: kind for kind in (Paper, Design, Montecarlo, List, Check)}
 
 
 def title(scenario: str) -> str:

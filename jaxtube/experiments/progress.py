@@ -18,9 +18,16 @@ class _Lines:
         sys.stderr.flush()
 
 
-def progress(total: int, title: str, unit: str) -> tqdm:
-    """Return a tqdm bar on the standard error that counts `total` units."""
+def progress(total: int, title: str, unit: str, done: int = 0) -> tqdm:
+    """Return a tqdm bar on the standard error that counts `total` units, `done` of which an earlier run did."""
     if sys.stderr.isatty():
-        return tqdm(total=total, desc=title, unit=f" {unit}", mininterval=0.2)
-    line = f"{title}: {{n_fmt}} of {{total_fmt}} {unit}, {{elapsed}} gone, {{remaining}} left"
-    return tqdm(total=total, mininterval=SECONDS_BETWEEN_LINES, bar_format=line, file=_Lines())
+        return tqdm(total=total, initial=done, desc=title, unit=f" {unit}", mininterval=0.2)
+    line = f"{title}: {{n_fmt}} of {{total_fmt}} {unit}, {{rate_fmt}}, {{elapsed}} gone, {{remaining}} left{{postfix}}"
+    return tqdm(
+        total=total,
+        initial=done,
+        unit=f" {unit}",
+        mininterval=SECONDS_BETWEEN_LINES,
+        bar_format=line,
+        file=_Lines(),
+    )

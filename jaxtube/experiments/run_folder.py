@@ -52,6 +52,10 @@ class RunFolder:
         undated = {"CreationDate": None}
         self._write(f"{name}.pdf", lambda file: figure.savefig(file, format="pdf", metadata=undated))
 
+    def save_json(self, name: str, content: Mapping[str, Any]) -> None:
+        """Write NAME.json like metrics.json."""
+        self._write_json(f"{name}.json", _plain(content))
+
     def save_arrays(self, name: str, **arrays: Any) -> None:
         """Write arrays as NAME.npz."""
         plain = {key: np.asarray(value) for key, value in arrays.items()}
@@ -88,16 +92,22 @@ def _manifest(scenario_text: str, options: Options) -> dict[str, Any]:
         "seed": options.seed,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
-        "packages": {name: _version(name) for name in PACKAGES},
+        "packages": {name: version(name) for name in PACKAGES},
         "platform": {"system": platform.platform(), "machine": platform.machine(), "cpus": os.cpu_count()},
         "devices": [str(device) for device in sys.modules["jax"].devices()] if "jax" in sys.modules else [],
         "scenario_sha256": hashlib.sha256(scenario_text.encode()).hexdigest(),
-        "source_sha256": {name: _source_hash(_package_folder(name)) for name in ("jaxtube", "sets")},
+        "source_sha256": source_hashes(),
         "git_commit": _git_commit(),
     }
 
 
-def _version(package: str) -> str | None:
+def source_hashes() -> dict[str, str]:
+    """Return the SHA-256 of the code, by package."""
+    return {name: _source_hash(_package_folder(name)) for name in ("jaxtube", "sets")}
+
+
+def version(package: str) -> str | None:
+    """Return the installed version of a package."""
     try:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:

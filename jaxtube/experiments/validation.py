@@ -26,7 +26,7 @@ MAP_MARGIN_M = 0.4
 
 
 def make_task(design: Design, controller: str, plant: str, starts: str, seed: int) -> Task:
-    """Return the task of a run: `controller` by name, `plant` "robot" or "linear", `starts` "scenario" or "feasible"."""
+    """Return the task of a run; `controller`, `plant` and `starts` as the command `montecarlo` names them."""
     loop = closed_loop.controllers(design)[controller]
     makers = {"robot": closed_loop.slipping_robot, "linear": closed_loop.linear_plant}
     problem = design.problem
@@ -48,21 +48,21 @@ def make_checks(design: Design, controller) -> Checks:
     poses = reference.poses[: steps + 1]
     corner, size = poses[:, :2].min(axis=0) - MAP_MARGIN_M, np.ptp(poses[:, :2], axis=0) + 2 * MAP_MARGIN_M
     checks = Checks(
-        transitions=transitions,
-        input_matrices=inputs,
+        transitions=jnp.asarray(transitions),
+        input_matrices=jnp.asarray(inputs),
         disturbance=facets(problem.disturbance_set),
         error=facets(problem.error_set),
         input=facets(problem.input_set),
         tubes={name: sections(design, name) for name in design.tubes},
         tube=problem.scenario.controller.tube,
-        ultimate=ultimate_bound(design, controller, settled),
+        ultimate=jnp.asarray(ultimate_bound(design, controller, settled)),
         settled=settled,
-        poses=poses,
-        map_corner=corner,
-        map_cell=np.max(size / np.array(HEAT_CELLS[::-1])),
-        cost_errors=cost_of_errors(design),
-        error_weight=problem.error_weight,
-        input_weight=problem.input_weight,
+        poses=jnp.asarray(poses),
+        map_corner=jnp.asarray(corner),
+        map_cell=jnp.asarray(np.max(size / np.array(HEAT_CELLS[::-1]))),
+        cost_errors=jnp.asarray(cost_of_errors(design)),
+        error_weight=jnp.asarray(problem.error_weight),
+        input_weight=jnp.asarray(problem.input_weight),
     )
     return jax.tree.map(jnp.asarray, checks)
 

@@ -1,0 +1,161 @@
+"""`montecarlo`: laps by the million, every period checked, block by block into records that survive the process.
+
+Open the records, compute the blocks that are missing, join all of them, report. The statistics are the same bytes
+whatever was interrupted and wherever the blocks were computed; only `performance.json` tells one run from another.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import resource
+import time
+from collections.abc import Iterable, Iterator
+
+import jax
+import msgspec
+import numpy as np
+
+from jaxtube import montecarlo
+from jaxtube.design import Design, design, refuse_infeasible_start
+from jaxtube.experiments import montecarlo_report, replay, run_folder, validation
+from jaxtube.experiments.options import Montecarlo
+from jaxtube.experiments.progress import progress
+from jaxtube.experiments.records import Records
+from jaxtube.experiments.run_folder import RunFolder
+from jaxtube.montecarlo import BLOCK, TILE, Run, Statistics
+from jaxtube.scenario import Scenario
+from jaxtube.tally import EVENTS
+
+LEFT_E = EVENTS.index("e_outside_E")
+
+
+def run(scenario: Scenario, options: Montecarlo) -> int:
+    """Run the command."""
+    use_devices(options.devices)
+    found = design(scenario)
+    if options.starts == "scenario":
+        refuse_infeasible_start(found)
+    if options.replay >= 0:
+        return replay.run(found, options)
+    records = Records(options.folder / "records", identity(scenario, options), montecarlo.merge, BLOCK)
+    with records:
+        for line in records.damaged:
+            print(line)
+        missing = records.missing(int(options.realisations))
+        folder = run_folder.create(scenario, options)
+        performance = compute(found, options, records, missing)
+        statistics = records.merged()
+    save(found, options, folder, statistics, performance)
+    return 0
+
+
+def use_devices(count: int) -> None:
+    """Let every processor of this machine be a device of its own, unless JAX has already settled that."""
+    try:
+        jax.config.update("jax_num_cpu_devices", count or len(os.sched_getaffinity(0)))
+    except RuntimeError:
+        return
+
+
+def identity(scenario: Scenario, options: Montecarlo) -> dict:
+    """Return all that determines the statistics of a block."""
+    return {
+        "scenario": msgspec.to_builtins(scenario),
+        "seed": options.seed,
+        **{key: getattr(options, key) for key in ("controller", "plant", "starts")},
+        "tile_size": TILE,
+        "source_sha256": run_folder.source_hashes(),
+        "packages": {name: run_folder.version(name) for name in ("jax", "jaxlib", "numpy", "scipy", "clarabel")},
+        "backend": jax.default_backend(),
+        "bits": jax.dtypes.canonicalize_dtype(float).itemsize * 8,
+    }
+
+
+def compute(found: Design, options: Montecarlo, records: Records, missing: Iterator[int]) -> dict:
+    """Compute the missing blocks and record them; return what it took, nothing where nothing was missing."""
+    first = next(missing, None)
+    if first is None:
+        return {}
+    task = validation.make_task(found, options.controller, options.plant, options.starts, options.seed)
+    devices = tuple(jax.local_devices()[: options.devices or None])
+    local = Run(task, int(options.realisations), options.chunk, devices)
+    blocks, before, violations = itertools.chain([first], missing), records.laps, violating_laps(records.merged())
+    clock = [time.perf_counter()]
+    with progress(local.realisations, "simulating", "laps", before) as bar:
+        for block, statistics in computed(local, options, blocks):
+            replaced = records.laps
+            records.add(block, int(statistics["laps"]), statistics)
+            violations += violating_laps(statistics)
+            bar.set_postfix_str(f"{violations} left E", refresh=False)
+            bar.update(records.laps - replaced)
+            clock.append(time.perf_counter())
+    laps = records.laps - before
+    return {"laps": laps, "seconds": clock[-1] - clock[0], **_rate(clock, laps, local, options)}
+
+
+def computed(local: Run, options: Montecarlo, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
+    """Yield the statistics of blocks as they are ready, from this process or from a cluster."""
+    if not options.cluster:
+        return locally(local, blocks)
+    from jaxtube.experiments import cluster
+
+    return cluster.computed(local, options.cluster, blocks)
+
+
+def locally(local: Run, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
+    """Yield the statistics of blocks; while one dispatch is collected the next one is under way."""
+    source, pending = iter(blocks), None
+    while group := list(itertools.islice(source, local.blocks_per_dispatch)):
+        started = group, local.dispatch(group)
+        if pending:
+            yield from local.collect(*pending)
+        pending = started
+    if pending:
+        yield from local.collect(*pending)
+
+
+def violating_laps(statistics: Statistics) -> int:
+    """Return how many laps left E."""
+    return int(statistics["events"][LEFT_E, 1:].sum()) if statistics else 0
+
+
+def _rate(clock: list[float], laps: int, local: Run, options: Montecarlo) -> dict:
+    """Return laps a second after the first dispatch, which compiles, and the share of the time that checks take."""
+    start = min(local.blocks_per_dispatch, len(clock) - 1)
+    rest = max(laps - start * BLOCK, 0)
+    found = {
+        "first_dispatch_seconds": clock[start] - clock[0],
+        "laps_per_second": rest / (clock[-1] - clock[start]) if rest else None,
+        "peak_memory_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
+    }
+    return found if options.cluster else found | {"validation_share": validation_share(local)}
+
+
+def validation_share(local: Run) -> float:
+    """Return the share of the computing time that the checks take: the same laps with and without them, in turns."""
+    blocks = list(range(local.blocks_per_dispatch))
+    seconds = {True: np.inf, False: np.inf}
+    for validate in (True, False) * 3:
+        start = time.perf_counter()
+        jax.block_until_ready(local.dispatch(blocks, validate))
+        seconds[validate] = min(seconds[validate], time.perf_counter() - start)
+    return max(1 - seconds[False] / seconds[True], 0.0)
+
+
+def save(found: Design, options: Montecarlo, folder: RunFolder, statistics: Statistics, performance: dict) -> None:
+    """Write statistics, metrics and figures, and print the report."""
+    from jaxtube.experiments import montecarlo_figures
+
+    summary = montecarlo_report.summary(found, options, statistics)
+    folder.save_arrays("statistics", **statistics)
+    folder.save_metrics(summary)
+    if performance:
+        folder.save_json("performance", performance)
+    if options.netcdf:
+        from jaxtube.experiments import netcdf
+
+        netcdf.save(folder.path / "statistics.nc", statistics)
+    montecarlo_figures.draw(found, options, statistics, summary, folder)
+    print(montecarlo_report.text(options, summary, performance))
+    print(f"\nfigures, metrics.json, statistics.npz and the records are in {folder.path}/")

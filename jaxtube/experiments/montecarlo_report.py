@@ -1,0 +1,221 @@
+"""The report of a Monte Carlo run: shares with exact bounds, quantiles, extremes; the verdict on W comes first.
+
+Shares of laps have Clopper-Pearson intervals; shares of steps or plans, which depend on each other within a lap, have
+intervals over laps (`jaxtube.intervals`). All hold for the one sampling law of the run.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Int
+
+from jaxtube import histogram
+from jaxtube.design import Design
+from jaxtube.experiments import tube_reach
+from jaxtube.experiments.metrics import COORDINATES, TO_DISPLAY
+from jaxtube.experiments.options import Montecarlo
+from jaxtube.intervals import mean_interval, share_interval
+from jaxtube.montecarlo import RANKED, Statistics
+from jaxtube.scenario import Scenario
+from jaxtube.tally import EVENTS, STAGE_EVENTS
+
+CONFIDENCE = 0.95
+QUANTILES = {"median": 0.5, "p95": 0.95, "p999": 0.999}
+EVENT_WORDS = {
+    "w_outside_W": "w outside W",
+    "w_outside_longitudinal": "  longitudinal",
+    "w_outside_lateral": "  lateral",
+    "w_outside_heading": "  heading",
+    "e_outside_E": "e outside E",
+    "e_outside_longitudinal": "  longitudinal",
+    "e_outside_lateral": "  lateral",
+    "e_outside_heading": "  heading",
+    "u_outside_U": "u outside U",
+    "wheels_saturated": "wheels at their limits",
+    "qp_infeasible": "QP infeasible",
+    "qp_unsolved": "QP unsolved",
+    "row_active": "some row active",
+    "backup": "backup in use",
+    "outside_ultimate_bound": "outside the ultimate bound",
+    "not_finite": "not finite",
+}
+
+
+def summary(design: Design, options: Montecarlo, statistics: Statistics) -> dict:
+    """Return the numbers of a run, plain, with units in the keys: functions of design, options and statistics alone."""
+    problem, steps = design.problem, statistics["events"].shape[1] - 1
+    events = {name: _event(row, steps) for name, row in zip(EVENTS, statistics["events"], strict=True)}
+    return {
+        "law": law(problem.scenario, options),
+        "confidence": CONFIDENCE,
+        "laps": int(statistics["laps"]),
+        "steps_a_lap": steps,
+        "events": events,
+        "largest_excess": {
+            name: statistics[f"excess/{name}"] for name in ("disturbance", "error", "input")
+        },  # beyond each facet, in m, rad, m/s; negative inside
+        "plans": int(statistics["plans"]),
+        "tube": {
+            "used": problem.scenario.controller.tube,
+            "stages": [
+                {name: _share_of_plans(row) for name, row in zip(STAGE_EVENTS, stage, strict=True)}
+                for stage in statistics["stage_events"]
+            ],
+            "largest_excess_by_stage": {name: statistics[f"tube_excess/{name}"] for name in design.tubes},
+            "plans_outside_by_stage": {name: statistics[f"tube_outside/{name}"] for name in design.tubes},
+        },
+        "cost": {"increases": int(statistics["cost_increases"]), "largest_increase": float(statistics["cost_excess"])},
+        "peak_error": _quantiles(statistics["peak"]),
+        "rms_error_after_10_s": _quantiles(statistics["rms"]),
+        "disturbance": _quantiles(statistics["disturbance"]),
+        "worst": {
+            name: [
+                {"lap": int(lap), "usage": float(usage)}
+                for lap, usage in zip(statistics[f"worst_lap/{name}"], statistics[f"worst_usage/{name}"], strict=True)
+            ]
+            for name in RANKED
+        },
+        **({"reach": tube_reach.metrics(design, options.seed)} if options.plant == "linear" else {}),
+    }
+
+
+def law(scenario: Scenario, options: Montecarlo) -> str:
+    """Return the sampling law in words; every bound holds for it alone."""
+    where = "the scenario's start" if options.starts == "scenario" else "starts uniform in the feasible set"
+    if options.plant == "linear":
+        return f"{options.controller} on the linear model, w in W (half of the draws at its vertices), {where}"
+    slip = scenario.slip
+    varies = {"true": "true slip", "measured": "measured slip", "both": "true and measured slip"}[slip.random]
+    return (
+        f"{options.controller} on the slipping robot, {varies} {slip.process} within {slip.relative_error:.3g} of "
+        f"nominal, {where}"
+    )
+
+
+def _event(row: Int[np.ndarray, " counts"], steps: int) -> dict:
+    laps, total = int(row[1:].sum()), int(row.sum())
+    mean, low, high = mean_interval(row, steps, CONFIDENCE)
+    return {
+        "laps": laps,
+        "share_of_laps": laps / total,
+        "share_of_laps_interval": share_interval(laps, total, CONFIDENCE),
+        "steps": int(row @ np.arange(steps + 1)),
+        "share_of_steps": mean,
+        "share_of_steps_interval": (low, high),
+    }
+
+
+def _share_of_plans(row: Int[np.ndarray, " counts"]) -> dict:
+    mean, low, high = mean_interval(row, len(row) - 1, CONFIDENCE)
+    return {"share": mean, "interval": (low, high)}
+
+
+def _quantiles(counts: Int[np.ndarray, "3 buckets"]) -> dict:
+    found = {name: histogram.quantile(counts, share) * TO_DISPLAY for name, share in QUANTILES.items()}
+    return {name: dict(zip(COORDINATES, values.tolist(), strict=True)) for name, values in found.items()}
+
+
+def text(options: Montecarlo, found: dict, performance: dict) -> str:
+    """Return the report; the verdict on the tube's premise is its first line."""
+    parts = [verdict(found), f"law: {found['law']}; seed {options.seed}; {found['laps']:,} laps", _event_table(found)]
+    if found["plans"]:
+        parts.append(_tube_table(found))
+    if "reach" in found:
+        parts.append(tube_reach.table(found["reach"]))
+    parts += [_quantile_table(found), _worst(found)]
+    if performance:
+        parts.append(_performance(performance))
+    return "\n\n".join(parts)
+
+
+def verdict(found: dict) -> str:
+    """Return one line: does the disturbance the tube is built for hold, and was E kept."""
+    w, e, percent = found["events"]["w_outside_W"], found["events"]["e_outside_E"], f"{found['confidence']:.0%}"
+    if w["laps"]:
+        low, high = w["share_of_steps_interval"]
+        premise = f"w leaves W in {w['share_of_steps']:.2%} of the steps ({percent}: {low:.2%} to {high:.2%})"
+        parts = [
+            f"{name} {found['events'][f'w_outside_{name}']['share_of_steps']:.2%}"
+            for name in ("longitudinal", "lateral", "heading")
+        ]
+        premise += f" [{', '.join(parts)}]: the tube's premise does not hold here"
+    else:
+        premise = f"w stayed in W in every step ({percent}: in at most {_bound(w)} of the laps it would not)"
+    kept = f"{e['laps']:,} of {found['laps']:,} laps left E ({_interval(e['share_of_laps_interval'], e['laps'])})"
+    return f"{premise}; {kept}"
+
+
+def _bound(event: dict) -> str:
+    return f"{event['share_of_laps_interval'][1]:.3g}"
+
+
+def _interval(interval: tuple[float, float], events: int) -> str:
+    low, high = interval
+    return f"at most {high:.3g}" if not events else f"{low:.4g} to {high:.4g}"
+
+
+def _event_table(found: dict) -> str:
+    head = f"{'':<28}{'laps':>12}{'share of laps, interval':>30}{'share of steps':>16}{'interval':>26}"
+    lines = [head]
+    for name, event in found["events"].items():
+        laps = _interval(event["share_of_laps_interval"], event["laps"])
+        steps = _interval(event["share_of_steps_interval"], event["steps"])
+        share = f"{event['share_of_steps']:.4%}" if event["steps"] else "0"
+        lines.append(f"{EVENT_WORDS[name]:<28}{event['laps']:>12,}{laps:>30}{share:>16}{steps:>26}")
+    return "\n".join(lines)
+
+
+def _tube_table(found: dict) -> str:
+    tube = found["tube"]
+    lines = [
+        f"{found['plans']:,} plans followed to their end; share of them outside R_j of the tube `{tube['used']}`",
+        f"{'':<6}{'any facet':>12}{'interval':>24}{'longitudinal':>14}{'lateral':>12}{'heading':>12}",
+    ]
+    for j, stage in enumerate(tube["stages"], 1):
+        low, high = stage["outside"]["interval"]
+        shares = [stage[name]["share"] for name in STAGE_EVENTS]
+        interval = f"{low:.4%} to {high:.4%}"
+        lines.append(
+            f"R_{j:<4}{shares[0]:>12.4%}{interval:>24}" + f"{shares[1]:>14.4%}{shares[2]:>12.4%}{shares[3]:>12.4%}"
+        )
+    lines.append("largest excess over a facet, all stages (m or rad; negative: inside):")
+    worst = {name: float(np.max(values)) for name, values in tube["largest_excess_by_stage"].items()}
+    lines.append("  " + ", ".join(f"{name} {value:.3g}" for name, value in worst.items()))
+    cost = found["cost"]
+    lines.append(
+        f"the cost of the plan rose, against the certificate, in {cost['increases']:,} of {found['plans']:,} plans "
+        f"followed without disturbance for a step (largest change {cost['largest_increase']:.3g})"
+    )
+    return "\n".join(lines)
+
+
+def _quantile_table(found: dict) -> str:
+    lines = [f"{'':<26}" + "".join(f"{f'{name} {unit}':>18}" for unit in ("median", "99.9 %") for name in AXES)]
+    rows = {"largest error of a lap": "peak_error", "RMS error after 10 s": "rms_error_after_10_s", "w": "disturbance"}
+    for label, key in rows.items():
+        cells = [found[key][quantile][name] for quantile in ("median", "p999") for name in COORDINATES]
+        lines.append(f"{label:<26}" + "".join(f"{value:>18.5g}" for value in cells))
+    return "\n".join(lines)
+
+
+AXES = ("e_x [m]", "e_y [m]", "e_th [deg]")
+
+
+def _worst(found: dict) -> str:
+    names = {"error": "E", "disturbance": "W", "tube": "the tube"}
+    lines = ["worst laps, 1 being a facet (draw one with --replay LAP):"]
+    for key, label in names.items():
+        laps = ", ".join(f"{entry['lap']} ({entry['usage']:.4g})" for entry in found["worst"][key][:4])
+        lines.append(f"  {label:<9} {laps}")
+    return "\n".join(lines)
+
+
+def _performance(performance: dict) -> str:
+    parts = [f"{performance['laps']:,} laps in {performance['seconds']:.1f} s"]
+    parts.append(f"first dispatch, with compilation, {performance['first_dispatch_seconds']:.1f} s")
+    if performance["laps_per_second"]:
+        parts.append(f"then {performance['laps_per_second']:,.0f} laps a second")
+    if "validation_share" in performance:
+        parts.append(f"{performance['validation_share']:.0%} of the computing time spent in validation")
+    parts.append(f"peak memory {performance['peak_memory_bytes'] / 2**20:,.0f} MiB")
+    return "; ".join(parts)
