@@ -71,9 +71,10 @@ def factorise(P: Float[Array, "n n"], A: Float[Array, "m n"]) -> Factors:
     if P.ndim != 2 or A.ndim != 2 or P.shape != (A.shape[1],) * 2 or not len(A):
         raise ValueError(f"P, A: shapes {P.shape} and {A.shape}; give (n, n) and (m, n), m >= 1 (one zero row will do)")
     eps, (m, n) = jnp.finfo(A.dtype).eps, A.shape
-    norms = jnp.linalg.norm(A, axis=1)
+    norms = jnp.linalg.norm(jax.lax.stop_gradient(A), axis=1)
     is_zero = norms <= 64 * eps * jnp.max(norms)
-    norms = jnp.where(is_zero, 1.0, norms)
+    # The norm of a zero row has no derivative: the row is replaced before, not only after.
+    norms = jnp.where(is_zero, 1.0, jnp.linalg.norm(jnp.where(is_zero[:, None], 1.0, A), axis=1))
     unit = jnp.where(is_zero[:, None], 0.0, A / norms[:, None])
     root = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(P), jnp.eye(n, dtype=P.dtype), lower=True)
     gram = matmul(unit.T, unit)

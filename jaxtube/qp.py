@@ -14,10 +14,12 @@ P > 0 (n, n) and A (m, n) are shared; q (batch, n) and l, u (batch, m), infinite
 
 (2) to (5) gather the unsolved instances into blocks: their cost grows with the number of these. Whether they run is
 decided by the data of the whole batch, so do not vmap `solve`: give it a longer batch. It runs under jit and in scan.
+Its derivative, first order and reverse mode, is that on the active rows, whatever found them (`sensitivity`): one small
+product, and more for the instances with an active row alone.
 
 Notation: the letters of OSQP. Multipliers are positive at u and negative at l: P x + q + A' y = 0.
 Source: Stellato, Banjac, Goulart, Bemporad, Boyd, OSQP, Mathematical Programming Computation 2020, for the problem
-and (2); the modules `fixed_point` (2, 3), `interior_point` (4) and `farkas` (5) name theirs.
+and (2); the modules `fixed_point` (2, 3), `interior_point` (4), `farkas` (5) and `sensitivity` name theirs.
 """
 
 from collections.abc import Callable
@@ -27,9 +29,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, PyTree
 
-from jaxtube import farkas, fixed_point, interior_point
+from jaxtube import farkas, fixed_point, interior_point, sensitivity
 from jaxtube.batched_ldl import matmul
 from jaxtube.fixed_point import Factors, Instances, Iterate, factorise
 
@@ -84,9 +86,25 @@ def solve(
     SOLVED: `kkt_residual` <= tolerance max(1, |q|_inf), or <= the rounding error of P x if that is larger.
     INFEASIBLE: proved (see `farkas`), or l > u in some row. UNSOLVED: neither.
     x is the best iterate; it is zero and the residual infinite where the data are not numbers or l > u.
+    Reverse mode gives the derivative of x and of the multipliers with respect to q, l, u and, through `factorise`, to
+    P and A; it is zero where the instance is not SOLVED, and everywhere for the residual.
     """
     tolerance = TOLERANCE[q.dtype.itemsize] if tolerance is None else tolerance
     l, u = (jnp.broadcast_to(bound, (len(q), len(factors.rows))) for bound in (l, u))
+    return solve_batch(iterations, polish_steps, tolerance, factors, q, l, u)
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2))
+def solve_batch(
+    iterations: int,
+    polish_steps: int,
+    tolerance: float,
+    factors: Factors,
+    q: Float[Array, "batch n"],
+    l: Float[Array, "batch m"],
+    u: Float[Array, "batch m"],
+) -> Solution:
+    """Do what `solve` says."""
     x, row_values = matmul(q, factors.optimum), matmul(q, factors.optimum_rows)  # (1)
     residual = jnp.max(jnp.abs(matmul(x, factors.hessian) + q), axis=1)
     rounding = 2 * jnp.finfo(q.dtype).eps * jnp.max(jnp.abs(factors.hessian)) * jnp.max(jnp.abs(x), axis=1)
@@ -95,6 +113,46 @@ def solve(
     free = Solution(x, jnp.zeros_like(l), jnp.where(inside, SOLVED, UNSOLVED).astype(jnp.int32), residual)
     general = partial(solve_constrained, factors, Instances(q, l, u, limit), iterations, polish_steps, tolerance)
     return jax.lax.cond(jnp.all(inside), lambda free: free, general, free)
+
+
+def solve_and_remember(
+    iterations: int,
+    polish_steps: int,
+    tolerance: float,
+    factors: Factors,
+    q: Float[Array, "batch n"],
+    l: Float[Array, "batch m"],
+    u: Float[Array, "batch m"],
+) -> tuple[Solution, tuple]:
+    """Solve, and keep what the derivative needs."""
+    solution = solve(factors, q, l, u, iterations=iterations, polish_steps=polish_steps, tolerance=tolerance)
+    return solution, (factors, l, u, solution)
+
+
+def pull_back(
+    iterations: int, polish_steps: int, tolerance: float, saved: tuple, cotangent: Solution
+) -> tuple[Factors, Array, Array, Array]:
+    """Return the cotangents of factors, q, l and u; only the instances with an active row cost more than a product."""
+    factors, l, u, solution = saved
+    norms, zero, solved = factors.row_norms, jnp.zeros_like(l), solution.status == SOLVED
+    x_bar, y_bar = (jnp.where(solved[:, None], part, 0.0) for part in cotangent[:2])
+    constrained = solved & jnp.any(solution.multipliers != 0, axis=1)
+
+    def block(given, _):
+        x, y, l, u, x_bar, y_bar = given
+        y, l, u, y_bar = y * norms, l / norms, u / norms, y_bar / norms
+        at_lower, at_upper = sensitivity.active_rows(factors, x.T, y.T, l.T, u.T)
+        d, nu = sensitivity.adjoint(factors, at_lower | at_upper, x_bar.T, y_bar.T)
+        return d.T, jnp.where(at_lower, nu, 0.0).T / norms, jnp.where(at_upper, nu, 0.0).T / norms
+
+    free = jnp.where(solved[:, None], -matmul(x_bar, factors.optimum), 0.0)
+    given = solution.x, solution.multipliers, l, u, x_bar, y_bar
+    d, l_bar, u_bar = in_blocks(block, block_sizes()[0], constrained, given, (free, zero, zero))
+    shared = sensitivity.shared_cotangents(factors, solution.x, solution.multipliers, d, l_bar + u_bar)
+    return shared, -d, l_bar, u_bar
+
+
+solve_batch.defvjp(solve_and_remember, pull_back)
 
 
 def kkt_residual(
@@ -149,32 +207,48 @@ def solve_constrained(
     def refute(block, best):
         return best, proved(block, *farkas.elastic_multipliers(elastic, block.l, block.u, best.x, INTERIOR_ITERATIONS))
 
-    # A processor's caches hold 64 instances and it pays for every one; an accelerator pays for every block.
-    size, rare_size = (64, 32) if jax.default_backend() == "cpu" else (8192, 1024)
-    solution = in_blocks(split, size, factors, given, free)
-    solution = in_blocks(rescue, rare_size, factors, given, solution)
-    solution = in_blocks(refute, rare_size, factors, given, solution)  # (5)
+    size, rare_size = block_sizes()
+    solution = improve(split, size, factors, given, free)
+    solution = improve(rescue, rare_size, factors, given, solution)
+    solution = improve(refute, rare_size, factors, given, solution)  # (5)
     sound = jnp.isfinite(solution.residual)
     return solution._replace(
         x=jnp.where(sound[:, None], solution.x, 0.0), residual=jnp.where(sound, solution.residual, jnp.inf)
     )
 
 
-def in_blocks(method: Method, size: int, factors: Factors, given: Instances, solution: Solution) -> Solution:
+def block_sizes() -> tuple[int, int]:
+    """Return how many instances make a block, and how many where few are expected."""
+    # A processor's caches hold 64 instances and it pays for every one; an accelerator pays for every block.
+    return (64, 32) if jax.default_backend() == "cpu" else (8192, 1024)
+
+
+def improve(method: Method, size: int, factors: Factors, given: Instances, solution: Solution) -> Solution:
     """Apply a method once to every unsolved instance whose data are numbers, `size` of them at a time."""
-    batch, norms = len(given.q), factors.row_norms
+    norms = factors.row_norms
+
+    def block(given, now):
+        given = unit_rows(factors, given)
+        best, infeasible = method(given, Iterate(now.x.T, (now.multipliers * norms).T, now.residual))
+        status = jnp.where(best.residual <= given.limit, SOLVED, jnp.where(infeasible, INFEASIBLE, UNSOLVED))
+        return Solution(best.x.T, best.y.T / norms, status.astype(jnp.int32), best.residual)
+
+    pending = (solution.status == UNSOLVED) & jnp.isfinite(solution.residual)
+    return in_blocks(block, size, pending, given, solution)
+
+
+def in_blocks(
+    method: Callable[[PyTree, PyTree], PyTree], size: int, pending: Bool[Array, " batch"], given: PyTree, found: PyTree
+) -> PyTree:
+    """Replace what is found for the pending instances by method(given, found), `size` of them at a time."""
+    batch = len(pending)
     size = min(size, batch)
 
     def block(carry):
-        pending, solution = carry
+        pending, found = carry
         index = jnp.nonzero(pending, size=size, fill_value=batch)[0]
-        gathered, now = jax.tree.map(lambda a: jnp.take(a, index, axis=0, mode="clip"), (given, solution))
-        gathered = unit_rows(factors, gathered)
-        best, infeasible = method(gathered, Iterate(now.x.T, (now.multipliers * norms).T, now.residual))
-        status = jnp.where(best.residual <= gathered.limit, SOLVED, jnp.where(infeasible, INFEASIBLE, UNSOLVED))
-        found = Solution(best.x.T, best.y.T / norms, status.astype(jnp.int32), best.residual)
-        solution = jax.tree.map(lambda old, new: old.at[index].set(new, mode="drop"), solution, found)
-        return pending.at[index].set(False, mode="drop"), solution
+        new = method(*jax.tree.map(lambda a: jnp.take(a, index, axis=0, mode="clip"), (given, found)))
+        found = jax.tree.map(lambda old, new: old.at[index].set(new, mode="drop"), found, new)
+        return pending.at[index].set(False, mode="drop"), found
 
-    pending = (solution.status == UNSOLVED) & jnp.isfinite(solution.residual)
-    return jax.lax.while_loop(lambda carry: jnp.any(carry[0]), block, (pending, solution))[1]
+    return jax.lax.while_loop(lambda carry: jnp.any(carry[0]), block, (pending, found))[1]

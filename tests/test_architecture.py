@@ -20,12 +20,16 @@ LEVELS = (
     {"slip", "error_dynamics"},
     {"mpc", "baselines"},
     {"rollout"},
+    {"starts", "checks", "histogram", "intervals", "scripted"},
+    {"tally"},
     {"montecarlo", "falsify", "tune"},
     {"experiments"},
 )
 
 # The solver of quadratic programs, and the methods it is made of.
-SOLVER = tuple(f"jaxtube.{name}" for name in ("qp", "fixed_point", "batched_ldl", "interior_point", "farkas"))
+SOLVER = tuple(
+    f"jaxtube.{name}" for name in ("qp", "fixed_point", "batched_ldl", "interior_point", "farkas", "sensitivity")
+)
 
 
 class Import(NamedTuple):

@@ -64,3 +64,13 @@ PRUNED_REACH = 1e-10  # relative; extreme directions are found after a joggle of
 
 # jaxtube/experiments/figures.py
 DRAWN = 1e-9  # what is drawn against its source: a change of units
+
+# jaxtube/intervals.py
+SHARE_BOUND = 1e-10  # relative; bounds of a share against roots in many digits
+SHARE_COVERAGE = 1e-12  # exact sums of binomial probabilities
+SUM_OF_LAPS = 1e-3  # relative; widths of 1e-12 around means of order one
+
+# jaxtube/sensitivity.py
+SENSITIVITY = 1e-6  # relative; derivatives against differences and against unrolled iterations
+SENSITIVITY_EXCLUDED = 0.03  # of the solved instances: their active rows change within a difference, or are dependent
+SENSITIVITY_FLOAT32 = 1e-2  # relative, on the worst conditioned of the active rows

@@ -48,7 +48,8 @@ def table(found: dict) -> str:
     """Return the numbers of `metrics` as text."""
     lines = [
         "tubes against w in W and schedules that switch at will (`sequence`: along the reference)",
-        f"{'tube':<10}{'samples':>12}{'largest excess':>18}{'facets of R_N':>16}{'offset / exact reach, least, mean, most':>42}",
+        f"{'tube':<10}{'samples':>12}{'largest excess':>18}{'facets of R_N':>16}"
+        f"{'offset / exact reach, least, mean, most':>42}",
     ]
     for name, numbers in found.items():
         ratio = numbers["ratio_to_reach"]
@@ -107,7 +108,7 @@ def _excess(polytope: Polytope, points: Float[np.ndarray, "samples 3"]) -> Float
 
 
 def _ratios_along(design: Design, W: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, " facets"]:
-    """Return the ratios of the facets of `sequence`, all windows, to what their worst disturbances reach when played."""
+    """Return the ratios of the facets of `sequence`, all windows, to what their worst disturbances reach, played."""
     ratios = []
     for loops in design.windows.loops:
         facets = _unit_facets(sequence_tube(loops, design.problem.disturbance_set)[-1])
@@ -116,7 +117,7 @@ def _ratios_along(design: Design, W: Float[np.ndarray, "v 3"]) -> Float[np.ndarr
 
 
 def _worst_end(loops: Float[np.ndarray, "horizon 3 3"], W: Float[np.ndarray, "v 3"], normals: Float[np.ndarray, "f 3"]):
-    """Return where each direction's worst disturbances end: chosen backwards, argmax of [Phi .. Phi]^T c, then played."""
+    """Return where each direction's worst disturbances, argmax of w' [Phi .. Phi]^T c, end when they are played."""
     directions, choices = normals, []
     for loop in loops[::-1]:
         choices.append(W[np.argmax(directions @ W.T, axis=1)])
