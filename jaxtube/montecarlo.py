@@ -10,6 +10,8 @@ independently, so its statistics do not depend on chunk, devices or processes ei
 
 from __future__ import annotations
 
+import itertools
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -69,13 +71,24 @@ class Run:
     devices: tuple
 
     @property
-    def blocks_per_dispatch(self) -> int:
-        """Blocks that one call of `dispatch` takes."""
+    def at_once(self) -> int:
+        """Blocks that one dispatch takes."""
         return self.chunk * len(self.devices)
 
+    def computed(self, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
+        """Yield the statistics of blocks; while one dispatch is collected the next one is under way."""
+        source, pending = iter(blocks), None
+        while group := list(itertools.islice(source, self.at_once)):
+            started = group, self.dispatch(group)
+            if pending:
+                yield from self.collect(*pending)
+            pending = started
+        if pending:
+            yield from self.collect(*pending)
+
     def dispatch(self, blocks: list[int], validate: bool = True) -> dict[str, Array]:
-        """Start the computation of up to `blocks_per_dispatch` blocks; the arrays, blocks first, are ready later."""
-        padded = [*blocks, *[blocks[-1]] * (self.blocks_per_dispatch - len(blocks))]
+        """Start the computation of up to `at_once` blocks; the arrays, blocks first, are ready later."""
+        padded = [*blocks, *[blocks[-1]] * (self.at_once - len(blocks))]
         mesh = Mesh(np.array(self.devices), ("devices",))
         words, counts, numbers = _labels(padded, self.realisations)
         return _simulate(mesh, self.task, words, counts, numbers, validate)

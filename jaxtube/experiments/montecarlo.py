@@ -6,11 +6,12 @@ whatever was interrupted and wherever the blocks were computed; only `performanc
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import resource
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import jax
 import msgspec
@@ -80,39 +81,42 @@ def compute(found: Design, options: Montecarlo, records: Records, missing: Itera
     task = validation.make_task(found, options.controller, options.plant, options.starts, options.seed)
     devices = tuple(jax.local_devices()[: options.devices or None])
     local = Run(task, int(options.realisations), options.chunk, devices)
-    blocks, before, violations = itertools.chain([first], missing), records.laps, violating_laps(records.merged())
-    clock = [time.perf_counter()]
-    with progress(local.realisations, "simulating", "laps", before) as bar:
-        for block, statistics in computed(local, options, blocks):
-            replaced = records.laps
+    before, violations, seconds = records.laps, violating_laps(records.merged()), []
+    with contextlib.ExitStack() as stack:
+        source = stack.enter_context(connect(options.cluster, local)) if options.cluster else local
+        bar = stack.enter_context(progress(local.realisations, "simulating", "laps", before))
+        start = time.perf_counter()
+        for block, statistics in source.computed(itertools.chain([first], missing)):
+            recorded = records.laps
             records.add(block, int(statistics["laps"]), statistics)
             violations += violating_laps(statistics)
             bar.set_postfix_str(f"{violations} left E", refresh=False)
-            bar.update(records.laps - replaced)
-            clock.append(time.perf_counter())
-    laps = records.laps - before
-    return {"laps": laps, "seconds": clock[-1] - clock[0], **_rate(clock, laps, local, options)}
+            bar.update(records.laps - recorded)
+            seconds.append(time.perf_counter() - start)
+    return {
+        "laps": records.laps - before,
+        **rate(seconds, source.at_once),
+        **({} if options.cluster else {"validation_share": validation_share(local)}),
+        "peak_memory_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
+    }
 
 
-def computed(local: Run, options: Montecarlo, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
-    """Yield the statistics of blocks as they are ready, from this process or from a cluster."""
-    if not options.cluster:
-        return locally(local, blocks)
-    from jaxtube.experiments import cluster
+def connect(cluster: str, local: Run):
+    """Return the cluster that an option names, a context; its library is needed only here."""
+    from jaxtube.experiments.cluster import Cluster
 
-    return cluster.computed(local, options.cluster, blocks)
+    return Cluster(cluster, local)
 
 
-def locally(local: Run, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
-    """Yield the statistics of blocks; while one dispatch is collected the next one is under way."""
-    source, pending = iter(blocks), None
-    while group := list(itertools.islice(source, local.blocks_per_dispatch)):
-        started = group, local.dispatch(group)
-        if pending:
-            yield from local.collect(*pending)
-        pending = started
-    if pending:
-        yield from local.collect(*pending)
+def rate(seconds: list[float], at_once: int) -> dict:
+    """Return the time to the first results, which holds the compilation, and laps a second from there on.
+
+    `seconds` are those at which blocks were recorded; the last block, which may be partial, is not counted.
+    """
+    first = seconds[min(at_once, len(seconds)) - 1]
+    rest = len(seconds) - at_once - 1
+    speed = rest * BLOCK / (seconds[-2] - first) if rest > 0 else None
+    return {"seconds": seconds[-1], "first_results_seconds": first, "laps_per_second": speed}
 
 
 def violating_laps(statistics: Statistics) -> int:
@@ -120,21 +124,9 @@ def violating_laps(statistics: Statistics) -> int:
     return int(statistics["events"][LEFT_E, 1:].sum()) if statistics else 0
 
 
-def _rate(clock: list[float], laps: int, local: Run, options: Montecarlo) -> dict:
-    """Return laps a second after the first dispatch, which compiles, and the share of the time that checks take."""
-    start = min(local.blocks_per_dispatch, len(clock) - 1)
-    rest = max(laps - start * BLOCK, 0)
-    found = {
-        "first_dispatch_seconds": clock[start] - clock[0],
-        "laps_per_second": rest / (clock[-1] - clock[start]) if rest else None,
-        "peak_memory_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
-    }
-    return found if options.cluster else found | {"validation_share": validation_share(local)}
-
-
 def validation_share(local: Run) -> float:
     """Return the share of the computing time that the checks take: the same laps with and without them, in turns."""
-    blocks = list(range(local.blocks_per_dispatch))
+    blocks = list(range(local.at_once))
     seconds = {True: np.inf, False: np.inf}
     for validate in (True, False) * 3:
         start = time.perf_counter()

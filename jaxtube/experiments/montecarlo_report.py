@@ -212,7 +212,7 @@ def _worst(found: dict) -> str:
 
 def _performance(performance: dict) -> str:
     parts = [f"{performance['laps']:,} laps in {performance['seconds']:.1f} s"]
-    parts.append(f"first dispatch, with compilation, {performance['first_dispatch_seconds']:.1f} s")
+    parts.append(f"first results, with compilation, after {performance['first_results_seconds']:.1f} s")
     if performance["laps_per_second"]:
         parts.append(f"then {performance['laps_per_second']:,.0f} laps a second")
     if "validation_share" in performance:
