@@ -57,7 +57,9 @@ class Cluster:
         if strangers := sorted(worker for worker, found in versions.items() if found != _versions()):
             self.close()
             raise _refuse(name, f"{strangers[0]} has another version of jaxtube or jax", "install the same on all")
-        self._job = Job.of(run, pinned=name.startswith("local:"))
+        # A task of its own, not data put on a worker: should that worker be lost, the scheduler can make it again.
+        job = Job.of(run, pinned=name.startswith("local:"))
+        self._job = self._client.submit(_same, job, retries=RETRIES, pure=False)
         self.at_once = max(sum(self._client.nthreads().values()), 1)
 
     def _connect(self, name: str):
@@ -88,14 +90,12 @@ class Cluster:
 
     def computed(self, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
         """Yield the statistics of blocks as they are ready, in any order."""
-        # A task of its own, not data put on a worker: should that worker be lost, the scheduler can make it again.
-        job = self._client.submit(_same, self._job, retries=RETRIES)
         source, pending = iter(blocks), self._distributed.as_completed(with_results=True)
 
         def submit() -> bool:
             block = next(source, None)
             if block is not None:
-                pending.add(self._client.submit(compute, job, block, retries=RETRIES, pure=False))
+                pending.add(self._client.submit(compute, self._job, block, retries=RETRIES, pure=False))
             return block is not None
 
         for _ in range(IN_FLIGHT * self.at_once):
