@@ -173,7 +173,7 @@ def simulate_block(
     def tile(first):
         low = words[1] + first.astype(jnp.uint32) + jnp.arange(TILE, dtype=jnp.uint32)
         keys = jax.vmap(lambda word: realisation_key(task.seed_key, words[0], word))(low)
-        counted = validate & (first + jnp.arange(TILE) < count)
+        counted = validate & (first + jnp.arange(TILE, dtype=jnp.int32) < count)
         return run_laps(task, keys, counted, number, validate)
 
     sums, largest, usage = jax.lax.map(tile, jnp.arange(0, BLOCK, TILE, dtype=jnp.int32))

@@ -239,7 +239,8 @@ def follow_plan(
         return (state, nominal), state.measured - nominal
 
     planned = jnp.moveaxis(found.inputs, 1, 0)
-    _, deviations = jax.lax.scan(period, (state, state.measured), (jnp.arange(len(planned)), planned))
+    offsets = jnp.arange(len(planned), dtype=step.dtype)
+    _, deviations = jax.lax.scan(period, (state, state.measured), (offsets, planned))
     return deviations
 
 

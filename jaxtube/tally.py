@@ -47,7 +47,7 @@ EVENTS = (
 STAGE_EVENTS = ("outside", "longitudinal", "lateral", "heading")
 """Counted for every lap in plans that left the tube at a stage: some facet, or the box around the section."""
 PLANES = ((0, 1), (0, 2), (1, 2))
-CLOUD_CELLS, COVERAGE_CELLS, HEAT_CELLS = 48, 24, (72, 120)
+CLOUD_CELLS, COVERAGE_CELLS, HEAT_CELLS = 48, 24, (96, 96)
 
 
 class Tally(NamedTuple):
@@ -126,7 +126,7 @@ def observe(
     laps = tally.laps
     usage = jnp.stack([usage_e, usage_w, laps.usage[2]])
     laps = laps._replace(
-        events=laps.events + jnp.stack(flags),
+        events=laps.events + jnp.stack(flags).astype(jnp.int32),
         square=laps.square + jnp.where(settled, e * e, 0.0),
         peak=jnp.maximum(laps.peak, jnp.abs(e)),
         usage=jnp.maximum(laps.usage, usage),
@@ -165,7 +165,7 @@ def observe_plans(
         key = f"tube_excess/{name}"
         largest[key] = jnp.maximum(largest[key], _most(jnp.max(excess, axis=1), counted))
         if name == checks.tube:
-            stage_events = jnp.concatenate([outside[:, None], boxes], axis=1) & counted
+            stage_events = (jnp.concatenate([outside[:, None], boxes], axis=1) & counted).astype(jnp.int32)
             most = jnp.where(counted, jnp.max(usage, axis=0), -jnp.inf)
             laps = laps._replace(
                 stage_events=laps.stage_events + stage_events, usage=laps.usage.at[2].max(most, mode="drop")
@@ -254,7 +254,7 @@ def close(
         "peak": lap_histogram(laps.peak),
         "rms": lap_histogram(rms),
         "starts": _coverage(checks, starts, counts),
-        "starts_that_left": _coverage(checks, starts, counts * left),
+        "starts_that_left": _coverage(checks, starts, counts * left.astype(jnp.int32)),
     }, tally.largest
 
 

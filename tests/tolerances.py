@@ -74,3 +74,18 @@ SUM_OF_LAPS = 1e-3  # relative; widths of 1e-12 around means of order one
 SENSITIVITY = 1e-6  # relative; derivatives against differences and against unrolled iterations
 SENSITIVITY_EXCLUDED = 0.03  # of the solved instances: their active rows change within a difference, or are dependent
 SENSITIVITY_FLOAT32 = 1e-2  # relative, on the worst conditioned of the active rows
+
+# jaxtube/falsify.py
+FALSIFY_CLOSED_FORM = 1e-9  # relative; worst cases of linear loops against sums of support numbers
+FALSIFY_REPLAY = 1e-9  # m and rad; laps that are played again
+FALSIFY_SLOPE = 1e-6  # relative; central differences with steps of 1e-5
+
+# jaxtube/experiments/replay.py
+REPLAYED = 1e-9  # usage of a set by one lap alone against the same lap among others
+
+# jaxtube/montecarlo.py
+COUNTED = 1e-12  # beyond a facet by more is outside
+COUNTED_ROUNDING = 1e-10  # extremes, which are sums in another order; a lap's rounding grows over its steps
+SOLVED_ROUNDING = 1e-8  # the same where a solver of residual 1e-8 answers
+PLAN_OF_ORACLE = 1e-6  # relative; plans of the batched solver against an active-set method
+REACHED_FACET = 1e-9  # relative; offsets of facets against the exact reach

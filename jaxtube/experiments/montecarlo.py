@@ -19,7 +19,7 @@ import numpy as np
 
 from jaxtube import montecarlo
 from jaxtube.design import Design, design, refuse_infeasible_start
-from jaxtube.experiments import montecarlo_report, replay, run_folder, validation
+from jaxtube.experiments import montecarlo_report, netcdf, replay, run_folder, validation
 from jaxtube.experiments.options import Montecarlo
 from jaxtube.experiments.progress import progress
 from jaxtube.experiments.records import Records
@@ -34,6 +34,8 @@ LEFT_E = EVENTS.index("e_outside_E")
 def run(scenario: Scenario, options: Montecarlo) -> int:
     """Run the command."""
     use_devices(options.devices)
+    if options.netcdf:
+        netcdf.libraries()
     found = design(scenario)
     if options.starts == "scenario":
         refuse_infeasible_start(found)
@@ -145,8 +147,6 @@ def save(found: Design, options: Montecarlo, folder: RunFolder, statistics: Stat
     if performance:
         folder.save_json("performance", performance)
     if options.netcdf:
-        from jaxtube.experiments import netcdf
-
         netcdf.save(folder.path / "statistics.nc", statistics)
     montecarlo_figures.draw(found, options, statistics, summary, folder)
     print(montecarlo_report.text(options, summary, performance))

@@ -1,0 +1,166 @@
+"""A replayed lap is the lap of the run: its usage, its draws and its numbers are those that the run recorded."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tolerances import CLOSED_LOOP, REPLAYED
+
+from jaxtube import qp
+from jaxtube.experiments import closed_loop, lap_figure, laps, replay, validation
+from jaxtube.experiments.cli import main
+from jaxtube.experiments.set_figures import OUTSIDE
+from jaxtube.montecarlo import Run
+
+SEED, LAPS = 11, 24
+WORDS = ["montecarlo", "--controller", "local_gain", "--starts", "feasible", "--seed", str(SEED)]
+DEGREES = np.array([1.0, 1.0, np.rad2deg(1.0)])
+
+
+@pytest.fixture(scope="module")
+def found(uncertified):
+    return uncertified("paper")
+
+
+@pytest.fixture(scope="module")
+def task(found):
+    return validation.make_task(found, "local_gain", "robot", "feasible", SEED)
+
+
+@pytest.fixture
+def known(found, task, monkeypatch):
+    """Hand out the design and the task of these tests to the command, where it asks for them."""
+
+    def make_task(*arguments):
+        assert arguments == (found, "local_gain", "robot", "feasible", SEED)
+        return task
+
+    monkeypatch.setattr("jaxtube.experiments.montecarlo.design", lambda scenario: found)
+    monkeypatch.setattr("jaxtube.experiments.validation.make_task", make_task)
+
+
+@pytest.fixture(scope="module")
+def lap(found, task):
+    return laps.lap(found, task, SEED, 5)
+
+
+def test_the_worst_laps_use_again_what_the_run_recorded(found, task):
+    run = Run(task, LAPS, 1, tuple(jax.devices()[:1]))
+    ((_, statistics),) = run.collect([0], run.dispatch([0]))
+    for kind, used in (("error", lambda lap: lap.of_error_set), ("disturbance", lambda lap: lap.of_disturbance_set)):
+        worst = statistics[f"worst_lap/{kind}"][:2]
+        assert len(set(worst)) == 2 and max(worst) < LAPS
+        for number, usage in zip(worst, statistics[f"worst_usage/{kind}"], strict=False):
+            found_usage = used(laps.lap(found, task, SEED, int(number)))
+            assert found_usage.share.max() == pytest.approx(usage, abs=REPLAYED)
+            assert found_usage.outside.any() == (usage > 1 + REPLAYED)
+
+
+def test_the_slips_of_a_lap_move_the_robot_along_its_path(found, task, lap):
+    plant, controller = task.plant, task.controller
+    assert np.all(np.abs(lap.slips) <= 1) and np.all(lap.slips[:, 1] == 0) and np.std(lap.slips[:, 0]) > 0.5
+    now = [
+        jnp.asarray(lap.trajectory.errors[:-1]),
+        jnp.asarray(lap.trajectory.inputs),
+        *jnp.asarray(lap.slips.swapaxes(0, 1)),
+    ]
+    following, wheels, _ = jax.vmap(lambda step, *state: plant.move(step, *state, controller))(
+        jnp.arange(len(lap.slips)), *now
+    )
+    assert following == pytest.approx(lap.trajectory.errors[1:], abs=CLOSED_LOOP)
+    assert wheels == pytest.approx(lap.trajectory.wheels, abs=CLOSED_LOOP)
+
+
+def test_laps_beyond_four_thousand_million_are_laps_of_their_own(found, task, lap):
+    far = laps.lap(found, task, SEED, 2**32 + 5)
+    assert np.max(np.abs(far.trajectory.errors[0] - lap.trajectory.errors[0])) > 1e-3
+    again = laps.lap(found, task, SEED, 2**32 + 5)
+    assert np.array_equal(far.trajectory.errors, again.trajectory.errors)
+
+
+def test_usage_is_that_of_the_coordinate_furthest_out(found, lap):
+    for usage, limits, values in (
+        (lap.of_error_set, found.problem.error_set, lap.trajectory.errors[1:]),
+        (lap.of_disturbance_set, found.problem.disturbance_set, lap.disturbance),
+    ):
+        relative = np.abs(values) / limits.support(np.eye(3))
+        assert usage.share == pytest.approx(relative.max(axis=1))
+        assert np.array_equal(usage.by_coordinate, relative > 1 + REPLAYED)
+        assert np.array_equal(usage.outside, usage.by_coordinate.any(axis=1))
+
+
+def test_the_report_names_the_largest_values_and_when(found, lap):
+    text = replay.text(found, lap)
+    step = int(np.argmax(np.abs(lap.disturbance[:, 2])))
+    (row,) = [line.split() for line in text.splitlines() if line.startswith("w_th [deg]")]
+    assert float(row[2]) == pytest.approx(np.rad2deg(abs(lap.disturbance[step, 2])), rel=1e-4)
+    assert row[3] == "0.2" and float(row[5]) == pytest.approx((step + 1) * found.problem.reference.dt)
+    outside = int(lap.of_disturbance_set.outside.sum())
+    assert f"left in {outside} of {len(lap.disturbance)} periods" in text and outside > 0
+    assert "QPs" not in text and "reached in 0 of" in text
+    assert f"{len(lap.disturbance)} solved, 0 infeasible" in replay.text(found, lap._replace(plans=True))
+
+
+def test_qps_without_solution_and_wheels_at_their_limits_are_counted(found, lap):
+    status, wheels = lap.trajectory.diagnostics.status.copy(), lap.trajectory.demanded.copy()
+    status[:3], status[3], wheels[7:9] = qp.INFEASIBLE, qp.UNSOLVED, 9.0
+    diagnostics = lap.trajectory.diagnostics._replace(status=status)
+    text = replay.text(
+        found, lap._replace(plans=True, trajectory=lap.trajectory._replace(diagnostics=diagnostics, demanded=wheels))
+    )
+    assert "3 infeasible, 1 unsolved" in text and "reached in 2 of" in text
+
+
+def test_a_lap_is_drawn_with_its_errors_its_disturbances_and_their_limits(found, lap):
+    figure = lap_figure.draw(found.problem, lap)
+    panels = np.reshape(figure.axes, (3, 3))
+    worst = int(np.argmax(lap.of_error_set.share)) + 1
+    for i, limit in enumerate((0.3, 0.3, 20.0)):
+        curve, ring, *levels = panels[1, i].lines
+        assert curve.get_ydata() == pytest.approx(lap.trajectory.errors[:, i] * DEGREES[i])
+        assert ring.get_xydata()[0] == pytest.approx((worst * 0.1, lap.trajectory.errors[worst, i] * DEGREES[i]))
+        assert [level.get_ydata()[0] for level in levels] == pytest.approx([-limit, limit])
+    limits, outside = (5.0, 5.0, 0.2), lap.of_disturbance_set.by_coordinate
+    for i, axes in enumerate(panels[2]):
+        inside, beyond, *levels = axes.lines
+        assert len(inside.get_xdata()) + len(beyond.get_xdata()) == len(lap.disturbance)
+        assert len(beyond.get_xdata()) == outside[:, i].sum() and beyond.get_color() == OUTSIDE
+        assert np.all(np.abs(beyond.get_ydata()) > limits[i])
+        assert [level.get_ydata()[0] for level in levels] == pytest.approx([-limits[i], limits[i]])
+    assert panels[0, 1].lines[1].get_ydata() == pytest.approx(lap.trajectory.wheels[:, 0])
+    assert panels[0, 2].lines[1].get_ydata() == pytest.approx(10 * lap.slips[:, 0, 1])
+
+
+def test_a_lap_of_the_linear_plant_shows_its_inputs(found, task):
+    lap = laps.lap(found, dataclasses.replace(task, plant=closed_loop.linear_plant(found)), SEED, 0)
+    assert np.all(np.isnan(lap.trajectory.wheels)) and not lap.of_disturbance_set.outside.any()
+    assert lap.slips is None and "wheels" not in replay.text(found, lap)
+    panels = np.reshape(lap_figure.draw(found.problem, lap).axes, (3, 3))
+    for i in range(2):
+        assert panels[0, 1 + i].lines[0].get_ydata() == pytest.approx(lap.trajectory.inputs[:, i])
+
+
+def test_the_command_adds_to_the_folder_of_a_run_and_takes_nothing_away(known, lap, tmp_path, capsys):
+    before = {name: name.encode() for name in ("metrics.json", "manifest.json", "scenario.toml")}
+    for name, content in before.items():
+        (tmp_path / name).write_bytes(content)
+    words = [*WORDS, "--out", str(tmp_path)]
+    assert main([*words, "--replay", "5"]) == 0
+    assert {name: (tmp_path / name).read_bytes() for name in before} == before
+    assert {path.name for path in tmp_path.iterdir()} == set(before) | {
+        f"replay-5.{kind}" for kind in ("png", "pdf", "npz")
+    }
+    assert "lap 5; law: local_gain" in capsys.readouterr().out
+    saved = np.load(tmp_path / "replay-5.npz")
+    assert np.array_equal(saved["errors"], lap.trajectory.errors)
+    assert np.array_equal(saved["slip_deviations"], lap.slips)
+    assert main([*words, "--replay", str(2**64)]) == 2
+    assert "--replay" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_made_is_refused(known, tmp_path, capsys):
+    (tmp_path / "file").touch()
+    assert main([*WORDS, "--replay", "5", "--out", str(tmp_path / "file" / "run")]) == 2
+    assert "name a folder you may write to" in capsys.readouterr().err
