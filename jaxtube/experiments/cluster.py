@@ -125,7 +125,7 @@ class Job:
 
     def on(self, device) -> Run:
         """Return the run on one device."""
-        key = jax.random.wrap_key_data(self.key_data)
+        key = jax.random.wrap_key_data(jax.numpy.asarray(self.key_data))
         task = jax.device_put(dataclasses.replace(self.task, seed_key=key), device)
         return Run(task, self.realisations, 1, (device,))
 
