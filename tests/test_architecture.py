@@ -21,7 +21,8 @@ LEVELS = (
     {"mpc", "baselines"},
     {"rollout"},
     {"starts", "checks", "histogram", "intervals", "scripted"},
-    {"tally"},
+    {"tally", "usage"},
+    {"attack"},
     {"montecarlo", "falsify", "tune"},
     {"experiments"},
 )

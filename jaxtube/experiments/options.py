@@ -86,6 +86,38 @@ class Montecarlo(Options):
 
 
 @dataclass(frozen=True)
+class Falsify(Options):
+    """Search the smallest margins by gradient: slips, noise and start that drive a closed loop out of its limits."""
+
+    command = module = "falsify"
+
+    controller: Literal["tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated", "uncompensated"] = (
+        "tube_mpc"
+    )
+    """controller of the closed loop"""
+    plant: Literal["robot", "linear"] = "robot"
+    """the slipping robot, or the prediction model with w in W"""
+    target: Literal["error", "input", "tube", "all"] = "all"
+    """what is to be left: E, U and the wheel limits, or the tube around a plan (of tube_mpc)"""
+    starts: Literal["scenario", "feasible"] = "scenario"
+    """the scenario's start, or anywhere in the feasible set of the tube-MPC"""
+    seconds: Annotated[float, arg(metavar="SECONDS")] = 60.0
+    """time of the search, without compilation; as much again for drawn laps to compare with"""
+    replay: Annotated[str, arg(metavar="FILE.npz", help_behavior_hint="")] = ""
+    """play a worst case again that an earlier search saved, and draw it beside its file"""
+
+
+@dataclass(frozen=True)
+class Bench(Options):
+    """Measure laps a second on one device, on all of them, and on one and two workers of a cluster."""
+
+    command = module = "bench"
+
+    blocks: Annotated[int, arg(metavar="COUNT")] = 8
+    """blocks of 4,096 laps that each measurement times"""
+
+
+@dataclass(frozen=True)
 class List(Options):
     """List the scenarios that come with the project (--scenario: only this one)."""
 
@@ -109,7 +141,9 @@ class Check(Options):
     """only the metrics that the design answers, without simulation"""
 
 
-COMMANDS: dict[str, type[Options]] = {kind.command: kind for kind in (Paper, Design, Montecarlo, List, Check)}
+COMMANDS: dict[str, type[Options]] = {
+    kind.command: kind for kind in (Paper, Design, Montecarlo, Falsify, Bench, List, Check)
+}
 
 
 def title(scenario: str) -> str:

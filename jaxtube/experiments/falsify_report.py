@@ -1,0 +1,117 @@
+"""What `falsify` says of its search: the verdict, the table and the metrics."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxtube.experiments.falsify_setting import Setting
+from jaxtube.experiments.metrics import TRANSIENT_S
+from jaxtube.falsify import Search, Worst
+from jaxtube.usage import Limit, Sampled
+
+BEYOND = 1e-9
+"""Usage beyond 1 that is rounding."""
+
+ERRORS = (("longitudinal error", 1.0, "m"), ("lateral error", 1.0, "m"), ("heading error", np.rad2deg(1.0), "deg"))
+WHEELS = ("right wheel", "left wheel")
+
+
+NOTE = """usage: 1 on the facet, above 1 outside. By gradient: laps played with their derivative. Drawn laps: as many
+as fit into the time of the search; for limits that one lap answers, into the sum of their times."""
+
+
+class Row(NamedTuple):
+    """What came out for one limit."""
+
+    worst: Worst
+    search: Search
+    sampled: Sampled
+
+
+def facet(limit: Limit, name: str, worst: Worst) -> tuple[str, float, str]:
+    """Return (what the facet bounds, margin in its unit, the unit)."""
+    side = len(limit.offsets[0]) // 2
+    if name == "error":
+        coordinate, factor, unit = ERRORS[worst.facet % side]
+        offset = float(limit.offsets[0, worst.facet]) * factor
+        bound = f"<= {offset:.3g}" if worst.facet < side else f">= {-offset:.3g}"
+        return f"{coordinate} {bound} {unit}", worst.margin * factor, unit
+    if name == "tube":
+        stage = worst.step - worst.when
+        normal = np.asarray(limit.normals[stage - 1, worst.facet])
+        place = f"at stage {stage} of the plan of step {worst.when}, facet {worst.facet} of R_{stage}"
+        along = np.flatnonzero(np.abs(normal) > 1e-9 * np.max(np.abs(normal)))
+        if len(along) == 1:
+            coordinate, factor, unit = ERRORS[along[0]]
+            return f"{coordinate} {place}", worst.margin * factor, unit
+        rounded = " ".join(f"{entry:.2f}" for entry in normal)
+        return f"{place}, normal ({rounded})", worst.margin, "m and rad"
+    kind = " deficit" if name == "input" else ""
+    offset = float(limit.offsets[0, worst.facet])
+    bound = f"<= {offset:.3g}" if worst.facet < side else f">= {-offset:.3g}"
+    return f"{WHEELS[worst.facet % side]}{kind} {bound} m/s", worst.margin, "m/s"
+
+
+def violated(worst: Worst) -> bool:
+    """Tell whether the limit is left by more than rounding."""
+    return worst.usage > 1 + BEYOND
+
+
+def verdict(setting: Setting, rows: dict[str, Row]) -> str:
+    """Return one line: what was found, the worst first."""
+    ordered = sorted(rows, key=lambda name: -rows[name].worst.usage)
+    left = [name for name in ordered if violated(rows[name].worst)]
+    name = ordered[0]
+    what, margin, unit = facet(setting.limits(name)[name], name, rows[name].worst)
+    place = f"at step {rows[name].worst.step} ({what})"
+    if not left:
+        return f"no violation found; smallest margin {margin:.4g} {unit} of the limit `{name}` {place}"
+    others = f"; also of {', '.join(left[1:])}" if left[1:] else ""
+    kept = [name for name in ordered if name not in left]
+    kept = f"; none found of {', '.join(kept)}" if kept else ""
+    return f"violation found: {name} by {-margin:.4g} {unit} {place}{others}{kept}"
+
+
+def report(setting: Setting, rows: dict[str, Row]) -> str:
+    """Return the verdict and the table."""
+    lines = [verdict(setting, rows), ""]
+    lines.append(f"{'':<8}{'---------------- by gradient -----------------':>47}{'--- drawn laps ---':>24}")
+    lines.append(f"{'limit':<8}{'usage':>9}{'margin':>19}{'laps':>9}{'seconds':>10}{'usage':>12}{'laps':>12}  where")
+    for name, row in rows.items():
+        what, margin, unit = facet(setting.limits(name)[name], name, row.worst)
+        drawn = row.sampled
+        lines.append(
+            f"{name:<8}{row.worst.usage:9.4f}{f'{margin:.4g} {unit}':>19}{row.search.laps:9,}"
+            f"{row.search.seconds:10.1f}{drawn.usage(name):12.4f}{drawn.laps:12,}  step {row.worst.step}, {what}"
+        )
+    lines += ["", NOTE]
+    return "\n".join(lines)
+
+
+def metrics(setting: Setting, rows: dict[str, Row]) -> dict:
+    """Return the numbers of the search."""
+    settled = round(TRANSIENT_S / setting.found.problem.reference.dt)
+    found = {}
+    for name, row in rows.items():
+        what, margin, unit = facet(setting.limits(name)[name], name, row.worst)
+        found[name] = {
+            "violation": violated(row.worst),
+            "facet": what,
+            "step": row.worst.step,
+            "margin": margin,
+            "margin_unit": unit,
+            "usage": row.worst.usage,
+            "seconds": row.search.seconds,
+            "laps": row.search.laps,
+            "drawn_usage": row.sampled.usage(name),
+            "drawn_laps": row.sampled.laps,
+            "drawn_seconds": row.sampled.seconds,
+        }
+        if name != "tube":
+            reach = {"": row.search.reach[name], "drawn_": row.sampled.reach[name]}
+            found[name] |= {f"{which}usage_by_facet": each.max(axis=0) for which, each in reach.items()}
+            last = {which: each[min(settled, len(each) - 1) :].max(axis=0) for which, each in reach.items()}
+            found[name] |= {f"{which}usage_by_facet_after_10_s": each for which, each in last.items()}
+    return {"limits": found, "violation": any(violated(row.worst) for row in rows.values())}
