@@ -2,8 +2,12 @@
 
 import functools
 
-import jax
-import pytest
+from jaxtube.experiments import environment
+
+environment.compile_in_one_piece()
+
+import jax  # noqa: E402 -- it reads the environment
+import pytest  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")

@@ -67,6 +67,8 @@ class Cluster:
         try:
             if kind == "local":
                 workers = int(count)
+                if workers < 1:
+                    raise ValueError("no workers")
                 self._local = self._distributed.LocalCluster(
                     n_workers=workers, threads_per_worker=1, dashboard_address=None
                 )
