@@ -9,6 +9,7 @@ Nothing heavy is imported before a command runs.
 
 import contextlib
 import dataclasses
+import errno
 import importlib
 import inspect
 import io
@@ -45,6 +46,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Whoever read the output has enough of it, as `| head` does; the interpreter must not flush into that pipe.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        return _report(f"{error.strerror}; make room and run the same command again", INTERRUPTED)
     except ValueError as error:
         code = _exit_code(error)
         if code is None:
@@ -118,6 +123,9 @@ def _check(options: Options) -> None:
     realisations = getattr(options, "realisations", 1)
     if not (realisations >= 1 and realisations == int(min(realisations, REALISATIONS_LIMIT))):
         raise _refusal(f"--realisations = {realisations}: is no whole number from 1 to 2^53; simulate at least one run")
+    for name, least in (("chunk", 1), ("devices", 0)):
+        if (count := getattr(options, name, least)) < least:
+            raise _refusal(f"--{name} = {count}: is out of range; give a whole number from {least}")
     if Path(options.out).is_file():
         raise _refusal(f"--out = {options.out}: is a file; name a folder")
 

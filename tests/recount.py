@@ -1,0 +1,223 @@
+"""What recorded laps come to, counted once more in plain numpy: the oracle of the Monte Carlo statistics.
+
+Sets answer by their own support numbers and margins, buckets are found by bisection, plans come from an exact solver
+and cost what is summed up along their predicted errors. A `case` has a design, a task and the sets counted against.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from oracles import PlainMpc, model
+from tolerances import COUNTED
+
+from jaxtube import mpc, qp
+from jaxtube.experiments import closed_loop
+from jaxtube.histogram import BUCKETS, EDGES
+from jaxtube.montecarlo import WORST
+from jaxtube.rollout import LoopState, Trajectory, follow_plan
+from jaxtube.tally import CLOUD_CELLS, COVERAGE_CELLS, EVENTS, HEAT_CELLS, PLANES
+from sets.tubes import sequence_tube
+
+AXES = ("longitudinal", "lateral", "heading")
+
+
+def outside(polytope, points):
+    """Return whether points are outside a set, and outside its box by coordinate; (.., 4)."""
+    box = points <= polytope.support(np.eye(3)) + COUNTED
+    box &= -points <= polytope.support(-np.eye(3)) + COUNTED
+    return np.concatenate([~polytope.contains(points, COUNTED)[..., None], ~box], axis=-1)
+
+
+def excess(polytope, points):
+    scale = np.linalg.norm(polytope.normals, axis=1)
+    return (points @ polytope.normals.T - polytope.offsets) / scale
+
+
+def usage(polytope, points):
+    found = np.max(points @ polytope.normals.T / polytope.offsets, axis=-1)
+    return np.where(np.isnan(found), np.inf, found)
+
+
+def histogram(values):
+    """Count the last axis of |values| (laps, .., 3) by bucket."""
+    found = np.maximum(np.searchsorted(EDGES, np.abs(values), side="right") - 1, 0)
+    found[np.isnan(values)] = BUCKETS - 1
+    return np.stack([np.bincount(found[..., axis].ravel(), minlength=BUCKETS) for axis in range(3)])
+
+
+def by_lap(flags, largest):
+    """Count laps by how often each flag (times, laps, flags) was up."""
+    return np.stack([np.bincount(row, minlength=largest + 1) for row in flags.sum(axis=0).T])
+
+
+def flags_of(case, laps, w):
+    """Return every event at every step, (steps, laps, events) by name."""
+    sets, robot, e = case.sets, case.task.plant.robot, laps.errors[1:]
+    off_w, off_e = outside(sets["disturbance"], w), outside(sets["error"], e)
+    late = np.arange(1, len(e) + 1)[:, None] >= case.task.checks.settled
+    found = {
+        "w_outside_W": off_w[..., 0],
+        **{f"w_outside_{name}": off_w[..., 1 + i] for i, name in enumerate(AXES)},
+        "e_outside_E": off_e[..., 0],
+        **{f"e_outside_{name}": off_e[..., 1 + i] for i, name in enumerate(AXES)},
+        "u_outside_U": ~sets["input"].contains(laps.inputs, COUNTED),
+        "wheels_saturated": np.any(
+            (laps.demanded > robot.wheel_speed_max) | (laps.demanded < robot.wheel_speed_min), axis=-1
+        ),
+        "qp_infeasible": laps.diagnostics.status == qp.INFEASIBLE,
+        "qp_unsolved": laps.diagnostics.status == qp.UNSOLVED,
+        "row_active": laps.diagnostics.active,
+        "backup": laps.diagnostics.status != qp.SOLVED,
+        "outside_ultimate_bound": late & ~np.all(np.abs(e) <= case.task.checks.ultimate, axis=-1),
+        "not_finite": ~(np.isfinite(e).all(axis=-1) & np.isfinite(laps.inputs).all(axis=-1)),
+    }
+    assert set(found) == set(EVENTS)
+    return np.stack([found[name] for name in EVENTS], axis=-1)
+
+
+def positions(design, errors):
+    """Return the robots' places: the error is measured in the robot's own frame, from the robot to the reference."""
+    poses = design.problem.reference.poses[1 : len(errors) + 1, None]
+    heading = poses[..., 2] - errors[..., 2]
+    ahead = np.cos(heading) * errors[..., 0] - np.sin(heading) * errors[..., 1]
+    aside = np.sin(heading) * errors[..., 0] + np.cos(heading) * errors[..., 1]
+    return poses[..., :2] - np.stack([ahead, aside], axis=-1)
+
+
+def plane_counts(points, cells, reach):
+    grids = [(points[:, second], points[:, first], reach[[second, first]]) for first, second in PLANES]
+    return np.stack([np.histogram2d(y, x, cells, [[-r[0], r[0]], [-r[1], r[1]]])[0] for y, x, r in grids])
+
+
+def recount(case, laps: Trajectory, first: int) -> dict:
+    """Return the statistics of recorded laps, but those of plans."""
+    checks, sets, steps, count = case.task.checks, case.sets, *laps.inputs.shape[:2]
+    w, e = closed_loop.model_residuals(case.design, laps), laps.errors[1:]
+    flags = flags_of(case, laps, w)
+    late = e[checks.settled - 1 :]
+    corner, cell = np.asarray(checks.map_corner), float(checks.map_cell)
+    end, place = corner + cell * np.array(HEAT_CELLS[::-1]), positions(case.design, e).reshape(-1, 2)
+    starts, reach = laps.errors[0], sets["error"].support(np.eye(3))
+    left = flags[..., EVENTS.index("e_outside_E")].any(axis=0)
+    found = {
+        "laps": count,
+        "events": by_lap(flags, steps),
+        "excess/disturbance": np.nanmax(excess(sets["disturbance"], w), axis=(0, 1)),
+        "excess/error": np.nanmax(excess(sets["error"], e), axis=(0, 1)),
+        "excess/input": np.nanmax(excess(sets["input"], laps.inputs), axis=(0, 1)),
+        "error_by_step": np.stack([histogram(now) for now in e]),
+        "disturbance": histogram(w),
+        "peak": histogram(np.abs(e).max(axis=0)),
+        "rms": histogram(np.sqrt(np.mean(late**2, axis=0))),
+        "map": np.histogram2d(place[:, 1], place[:, 0], HEAT_CELLS, np.stack([corner, end], axis=1)[::-1])[0],
+        "starts": plane_counts(starts, COVERAGE_CELLS, reach),
+        "starts_that_left": plane_counts(starts[left], COVERAGE_CELLS, reach),
+    }
+    for name, polytope, points in (("error", sets["error"], e), ("disturbance", sets["disturbance"], w)):
+        found |= ranking(name, usage(polytope, points).max(axis=0), first)
+    return found
+
+
+def ranking(name, used, first):
+    order = np.lexsort((np.arange(len(used)), -used))[:WORST]
+    order = order[used[order] > -np.inf]
+    return {f"worst_usage/{name}": used[order], f"worst_lap/{name}": first + order}
+
+
+class Plans(NamedTuple):
+    """Plans of recorded laps at one step, by an exact solver; NaN where there is none."""
+
+    inputs: np.ndarray
+    cost: np.ndarray
+    expected: np.ndarray
+
+
+def best_plans(design, solver, step, errors) -> Plans:
+    """Solve every lap's own QP, and sum up what its plan costs along the predicted errors."""
+    problem, found = design.problem, []
+    qp, Q, R, P = solver.qp(step), problem.error_weight, problem.input_weight, design.cost.cost
+    A, B = model(problem, problem.schedule[step])
+    for error in errors:
+        answer = qp.plan(error) if np.isfinite(error).all() else None
+        if answer is None:
+            found.append((np.full((problem.horizon, 2), np.nan), np.nan, np.full(3, np.nan)))
+        else:
+            g, e = answer
+            cost = np.sum(e[:-1] @ Q * e[:-1]) + e[-1] @ P @ e[-1] + np.sum(g @ R * g)
+            found.append((g, cost, A @ error + B @ g[0]))
+    return Plans(*map(np.array, zip(*found, strict=True)))
+
+
+@jax.jit
+def slip_memory(controller, plant, keys, step):
+    """Return the plant's memory at a step: walks go on by themselves, wherever the robot is."""
+    rest, none = jnp.zeros((len(keys), 3)), jnp.zeros((len(keys), 2))
+    advance = lambda now, memory: plant.advance(keys, now, memory, rest, none, controller)[1]  # noqa: E731
+    return jax.lax.fori_loop(0, step, advance, plant.initial(keys, rest))
+
+
+def tube_sections(design, name, step):
+    if name == "sequence":
+        loops = design.windows.loops[design.windows.index[step]]
+        return [section.polytope() for section in sequence_tube(loops, design.problem.disturbance_set)[1:]]
+    return [section.polytope() for section in design.tubes[name][1:]]
+
+
+class Followed(NamedTuple):
+    """Plans of all laps made at one step and followed to their end; NaN where there is none."""
+
+    made: np.ndarray
+    deviations: np.ndarray
+    rise: np.ndarray  # of the cost one step later, plus what that step itself costs
+
+
+def follow(case, solver, laps: Trajectory, keys, step) -> Followed:
+    """Plan at a step of recorded laps, follow the plans, and plan again where they expect to be one step later."""
+    task, measured = case.task, laps.measured[step]
+    plans = best_plans(case.design, solver, step, measured)
+    later = best_plans(case.design, solver, step + 1, plans.expected)
+    memory = slip_memory(task.controller, task.plant, keys, step)
+    state = LoopState(jnp.asarray(laps.errors[step]), jnp.asarray(measured), (), memory)
+    given = mpc.Plan(jnp.nan_to_num(jnp.asarray(plans.inputs)), *[jnp.zeros(len(keys))] * 3)
+    deviations = np.asarray(follow_plan(task.controller, task.plant, keys, state, jnp.asarray(step), given))
+    Q, R, g = np.asarray(task.checks.error_weight), np.asarray(task.checks.input_weight), plans.inputs[:, 0]
+    rise = later.cost - plans.cost + np.sum(measured @ Q * measured, axis=1) + np.sum(g @ R * g, axis=1)
+    made = ~np.isnan(plans.cost)
+    return Followed(made, np.where(made[:, None], deviations, np.nan), rise)
+
+
+def recount_plans(case, laps: Trajectory, keys, stops, first: int) -> dict:
+    """Return what the plans made at the steps `stops` of recorded laps come to."""
+    design, solver = case.design, PlainMpc(case.design)
+    own, N = design.problem.scenario.controller.tube, design.problem.horizon
+    followed = {step: follow(case, solver, laps, keys, step) for step in stops}
+    made, rise = (np.stack([getattr(found, name) for found in followed.values()]) for name in ("made", "rise"))
+    found = {
+        "plans": made.sum(),
+        "cost_increases": np.sum(made & ~(rise <= 1e-9)),
+        "cost_excess": np.nanmax(rise),
+    }
+    for name in design.tubes:
+        pairs = [
+            list(zip(tube_sections(design, name, step), plans.deviations, strict=True))
+            for step, plans in followed.items()
+        ]
+        flags = np.array([[outside(section, points) for section, points in stop] for stop in pairs])
+        flags = flags & made[:, None, :, None]
+        most = np.array([[np.nanmax(excess(section, points)) for section, points in stop] for stop in pairs])
+        found[f"tube_outside/{name}"] = flags[..., 0].sum(axis=(0, 2))
+        found[f"tube_excess/{name}"] = most.max(axis=0)
+        if name == own:
+            used = np.array([[usage(section, points) for section, points in stop] for stop in pairs])
+            used = np.where(made[:, None], used, -np.inf).max(axis=(0, 1))
+            found["stage_events"] = np.stack([by_lap(flags[:, j], len(stops)) for j in range(N)])
+            found["cloud"] = sum(np.stack([cloud(section, points) for section, points in stop]) for stop in pairs)
+    return found | ranking("tube", used, first)
+
+
+def cloud(section, points):
+    """Count deviations in the three planes, twice as far as the section's box reaches."""
+    reach = np.maximum(section.support(np.eye(3)), section.support(-np.eye(3)))
+    return plane_counts(points, CLOUD_CELLS, 2 * reach)
