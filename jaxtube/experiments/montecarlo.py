@@ -95,6 +95,7 @@ def compute(found: Design, options: Montecarlo, records: Records, missing: Itera
             bar.set_postfix_str(f"{violations} left E", refresh=False)
             bar.update(records.laps - recorded)
             seconds.append(time.perf_counter() - start)
+    measured = not options.cluster and len(seconds) >= ENOUGH * local.at_once
     return {
         "laps": records.laps - before,
         **rate(seconds, source.at_once),
