@@ -18,7 +18,8 @@ import msgspec
 import numpy as np
 
 from jaxtube import montecarlo
-from jaxtube.design import Design, design, refuse_infeasible_start
+from jaxtube.design import Design, refuse_infeasible_start
+from jaxtube.design import design as make_design
 from jaxtube.experiments import montecarlo_report, netcdf, replay, run_folder, validation
 from jaxtube.experiments.options import Montecarlo
 from jaxtube.experiments.progress import progress
@@ -36,7 +37,7 @@ def run(scenario: Scenario, options: Montecarlo) -> int:
     use_devices(options.devices)
     if options.netcdf:
         netcdf.libraries()
-    found = design(scenario)
+    found = make_design(scenario)
     if options.starts == "scenario":
         refuse_infeasible_start(found)
     if options.replay >= 0:
@@ -75,12 +76,12 @@ def identity(scenario: Scenario, options: Montecarlo) -> dict:
     }
 
 
-def compute(found: Design, options: Montecarlo, records: Records, missing: Iterator[int]) -> dict:
+def compute(design: Design, options: Montecarlo, records: Records, missing: Iterator[int]) -> dict:
     """Compute the missing blocks and record them; return what it took, nothing where nothing was missing."""
     first = next(missing, None)
     if first is None:
         return {}
-    task = validation.make_task(found, options.controller, options.plant, options.starts, options.seed)
+    task = validation.make_task(design, options.controller, options.plant, options.starts, options.seed)
     devices = tuple(jax.local_devices()[: options.devices or None])
     local = Run(task, int(options.realisations), options.chunk, devices)
     before, violations, seconds = records.laps, violating_laps(records.merged()), []
@@ -95,17 +96,10 @@ def compute(found: Design, options: Montecarlo, records: Records, missing: Itera
             bar.set_postfix_str(f"{violations} left E", refresh=False)
             bar.update(records.laps - recorded)
             seconds.append(time.perf_counter() - start)
-    measured = not options.cluster and len(seconds) >= ENOUGH * local.at_once
-    return {
-        "laps": records.laps - before,
-        **rate(seconds, source.at_once),
-        **(
-            {}
-            if options.cluster or len(seconds) < ENOUGH * source.at_once
-            else {"validation_share": validation_share(local)}
-        ),
-        "peak_memory_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024,
-    }
+    found = {"laps": records.laps - before, **rate(seconds, source.at_once)}
+    if not options.cluster and len(seconds) >= ENOUGH * local.at_once:
+        found["validation_share"] = validation_share(local)
+    return found | {"peak_memory_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024}
 
 
 def connect(cluster: str, local: Run):
