@@ -49,9 +49,9 @@ class Sections(NamedTuple):
 class Checks:
     """What a run is measured against.
 
-    `ultimate` holds the half widths that bound the error once it has settled, `settled` the step from which that and
-    the RMS count. `map_corner` and `map_cell` lay the grid of the trajectory map. With windows as in the controller,
-    e^T cost_errors e + (F e)^T g + g^T H g / 2 is the whole cost of a plan.
+    `ultimate` holds the half widths that bound the measured error once it has settled, `settled` the step from which
+    that and the RMS count. `map_corner` and `map_cell` lay the grid of the trajectory map. With windows as in the
+    controller, e^T cost_errors e + (F e)^T g + g^T H g / 2 is the whole cost of a plan.
     """
 
     transitions: Float[Array, "steps 3 3"]

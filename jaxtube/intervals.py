@@ -8,7 +8,8 @@ Laps are independent; the steps of one lap are not, so that laps alone are count
 Notation: a bound fails with probability `risk` at most, an interval with `delta` = 1 - confidence; V is the sample
 variance, of divisor n - 1.
 Source: Clopper and Pearson, The use of confidence or fiducial limits, Biometrika 1934; Maurer and Pontil, Empirical
-Bernstein bounds and sample variance penalization, COLT 2009, theorem 4.
+Bernstein bounds and sample variance penalization, COLT 2009, theorem 11; Hoeffding, On the distribution of the number
+of successes in independent trials, Annals of Mathematical Statistics 1956 (binomial bounds where trials differ).
 """
 
 import math
@@ -44,7 +45,8 @@ def mean_interval(
     """Bound the expectation of the share of a lap's steps in which an event occurs; return the mean, low and high.
 
     histogram[i] laps had the event in i of their `largest` steps, i = 0 .. largest. low <= expectation <= high with
-    probability `confidence` at least, whatever the distribution, if the laps are independent and alike.
+    probability `confidence` at least, whatever the distribution, if the laps are independent. Where they are not alike,
+    the expectation is the average of theirs.
     Four bounds, each of risk delta / 4, are intersected: the two of Maurer and Pontil, and the two that follow from
     P(a lap has the event) / largest <= expectation <= P(a lap has the event). One lap alone gives 0 and 1.
     Raises ValueError for a histogram of another length, with a negative count or without laps.

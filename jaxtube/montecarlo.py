@@ -11,6 +11,7 @@ independently, so its statistics do not depend on chunk, devices or processes ei
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -118,9 +119,15 @@ def merge(one: Statistics, other: Statistics) -> Statistics:
 
 def plan_steps(steps: int, horizon: int) -> tuple[int, int]:
     """Return (plans in a lap, distance between them): about PLANS_SHARE of the states, all with a horizon ahead."""
-    room = max(steps - horizon, 1)
+    room = max(steps - horizon, 0)
     plans = min(max(round(PLANS_SHARE * steps), 1), room)
-    return plans, room // plans
+    return plans, room // max(plans, 1)
+
+
+def first_plan(tile: Int[Array, ""], distance: int) -> Int[Array, ""]:
+    """Return the step of a tile's first plan, 0 .. distance - 1, so that few tiles are spread over all of them."""
+    stride = next(s for s in range(max(round(0.618 * distance), 1), distance + 2) if math.gcd(s, distance) == 1)
+    return tile % distance * stride % distance
 
 
 def _labels(blocks: list[int], realisations: int):
@@ -166,17 +173,23 @@ def simulate_block(
         task: what every block needs.
         words: high and low 32 bits of the number of its first lap.
         count: its first laps that count.
-        number: of the block, modulo 2^31: it shifts the steps at which plans are followed.
+        number: of the block, modulo 2^31: it shifts the steps at which plans are followed, as the tile does.
         validate: whether periods are checked; without, all counts stay 0.
     """
 
-    def tile(first):
+    tiles = BLOCK // TILE
+
+    def tile(place):
+        first = place * TILE
         low = words[1] + first.astype(jnp.uint32) + jnp.arange(TILE, dtype=jnp.uint32)
         keys = jax.vmap(lambda word: realisation_key(task.seed_key, words[0], word))(low)
         counted = validate & (first + jnp.arange(TILE, dtype=jnp.int32) < count)
-        return run_laps(task, keys, counted, number, validate)
+        plans, distance = plan_steps(len(task.checks.transitions), task.checks.horizon)
+        shift = first_plan(number % max(distance, 1) * tiles + place, max(distance, 1))
+        stops = shift + distance * jnp.arange(plans, dtype=jnp.int32)
+        return run_laps(task, keys, counted, stops, validate)
 
-    sums, largest, usage = jax.lax.map(tile, jnp.arange(0, BLOCK, TILE, dtype=jnp.int32))
+    sums, largest, usage = jax.lax.map(tile, jnp.arange(tiles, dtype=jnp.int32))
     sums = jax.tree.map(lambda array: jnp.sum(array, axis=0, dtype=jnp.int32), sums)
     largest = jax.tree.map(lambda array: jnp.max(array, axis=0), largest)
     worst, laps = jax.lax.top_k(jnp.moveaxis(usage, 1, 0).reshape(len(RANKED), BLOCK), WORST)
@@ -184,14 +197,13 @@ def simulate_block(
     return sums | largest | ranked | {f"worst_lap/{name}": laps[i] for i, name in enumerate(RANKED)}
 
 
-def run_laps(task: Task, keys: Key[Array, " batch"], counted, number, validate):
-    """Run a tile of laps from start to end; return (sums, largest, by lap the usage of the sets ranked by)."""
+def run_laps(task: Task, keys: Key[Array, " batch"], counted, stops: Int[Array, " plans"], validate):
+    """Run a tile of laps from start to end; return (sums, largest, by lap the usage of the sets ranked by).
+
+    At `stops` plans are made and followed to their end, by a tube-MPC whose plans start at the measured error.
+    """
     controller, plant, checks = task.controller, task.plant, task.checks
-    steps, horizon = len(checks.transitions), task.checks.horizon
-    plans, distance = plan_steps(steps, horizon)
-    errors = task.starts.draw(keys)
-    # Plans are followed at `plans` steps of the lap, others in every block, so that all states have their turn.
-    stops = number % distance + distance * jnp.arange(plans, dtype=jnp.int32)
+    steps, plans, errors = len(checks.transitions), len(stops), task.starts.draw(keys)
     bounds = jnp.concatenate([jnp.zeros(1, jnp.int32), stops, jnp.full(1, steps, jnp.int32)])
 
     def period(step, carry):
@@ -203,12 +215,12 @@ def run_laps(task: Task, keys: Key[Array, " batch"], counted, number, validate):
     def stretch(carry, part):
         first, last, has_plan = part
         state, found = jax.lax.fori_loop(first, last, period, carry)
-        if isinstance(controller, TubeMpc):
+        if isinstance(controller, TubeMpc) and controller.restart:
             see = partial(follow_and_observe, task, keys, last, counted, state)
             found = jax.lax.cond(validate & has_plan, see, lambda found: found, found)
         return (state, found), None
 
-    start = begin(controller, plant, keys, errors), tally.empty(checks, horizon, len(errors), errors.dtype)
+    start = begin(controller, plant, keys, errors), tally.empty(checks, checks.horizon, len(errors), errors.dtype)
     parts = bounds[:-1], bounds[1:], jnp.arange(plans + 1) < plans
     (_, found), _ = jax.lax.scan(stretch, start, parts)
     usage = jnp.where(counted, found.laps.usage, -jnp.inf)

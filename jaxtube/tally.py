@@ -24,7 +24,7 @@ from jaxtube.error_dynamics import world_pose
 from jaxtube.rollout import LoopState, Period
 
 COST_ROUNDING = 1e-9
-"""A plan's cost that rises by less has not risen."""
+"""Share of a plan's cost, or of 1, that is rounding where two costs are compared."""
 EVENTS = (
     "w_outside_W",
     "w_outside_longitudinal",
@@ -62,6 +62,7 @@ class Laps(NamedTuple):
     """Numbers of each lap."""
 
     events: Int[Array, "events batch"]
+    plans: Int[Array, " batch"]  # followed to their end
     stage_events: Int[Array, "horizon 4 batch"]
     square: Float[Array, "3 batch"]  # sum of squared errors since they settled
     peak: Float[Array, "3 batch"]  # largest |error|
@@ -73,6 +74,7 @@ def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
     steps = len(checks.transitions)
     laps = Laps(
         jnp.zeros((len(EVENTS), batch), jnp.int32),
+        jnp.zeros(batch, jnp.int32),
         jnp.zeros((horizon, len(STAGE_EVENTS), batch), jnp.int32),
         square=jnp.zeros((3, batch), dtype),
         peak=jnp.zeros((3, batch), dtype),
@@ -84,7 +86,8 @@ def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
         "map": HEAT_CELLS,
         "cloud": (horizon, len(PLANES), CLOUD_CELLS, CLOUD_CELLS),
         "plans": (),
-        "cost_increases": (),
+        "next_plan_missing": (),
+        "cost_excesses": (),
         **{f"tube_outside/{name}": (horizon,) for name in checks.tubes},
     }
     facets = {"disturbance": checks.disturbance, "error": checks.error, "input": checks.input}
@@ -120,7 +123,7 @@ def observe(
         jnp.any(jnp.abs(happened.demanded - happened.wheels) > 0, axis=1),
         *(diagnostics.status == kind for kind in (qp.INFEASIBLE, qp.UNSOLVED)),
         *(diagnostics.active, diagnostics.backup),
-        settled & ~jnp.all(jnp.abs(e) <= checks.ultimate[:, None], axis=0),
+        settled & ~jnp.all(jnp.abs(after.measured.T) <= checks.ultimate[:, None], axis=0),
         ~jnp.isfinite(jnp.sum(e, axis=0) + jnp.sum(u, axis=0)),
     ]
     laps = tally.laps
@@ -153,7 +156,10 @@ def observe_plans(
     counted: Bool[Array, " batch"],
     tally: Tally,
 ) -> Tally:
-    """Count plans that were followed to their end, and the plans made where they expected to be one step later."""
+    """Count plans that were followed to their end, and whether the next plan costs less by what the stage cost.
+
+    `following` are the plans made where `found` expected the error one step later: V+ <= V - e'Qe - g_0'Rg_0.
+    """
     counted = counted & (found.status == qp.SOLVED)
     counts = counted.astype(jnp.int32)
     points = jnp.moveaxis(deviations, 2, 1)
@@ -168,21 +174,22 @@ def observe_plans(
             stage_events = (jnp.concatenate([outside[:, None], boxes], axis=1) & counted).astype(jnp.int32)
             most = jnp.where(counted, jnp.max(usage, axis=0), -jnp.inf)
             laps = laps._replace(
-                stage_events=laps.stage_events + stage_events, usage=laps.usage.at[2].max(most, mode="drop")
+                plans=laps.plans + counts,
+                stage_events=laps.stage_events + stage_events,
+                usage=laps.usage.at[2].max(most, mode="drop"),
             )
             sums["cloud"] = sums["cloud"].at[cloud_cells(facets, points)].add(counts, mode="drop")
     sums["plans"] += jnp.sum(counts, dtype=jnp.int32)
     index, later = controller.index[step], controller.index[step + 1]
     expected = expected_error(controller, step, state.measured, found)
     stage = _form(checks.error_weight, state.measured) + _form(checks.input_weight, found.inputs[:, 0])
-    increase = (
-        plan_cost(checks, controller, later, expected, following)
-        - plan_cost(checks, controller, index, state.measured, found)
-        + stage
-    )
+    cost = plan_cost(checks, controller, index, state.measured, found)
+    excess = plan_cost(checks, controller, later, expected, following) - cost + stage
     both = counted & (following.status == qp.SOLVED)
-    sums["cost_increases"] += jnp.sum(counted & ~(both & (increase <= COST_ROUNDING)), dtype=jnp.int32)
-    largest["cost_excess"] = jnp.maximum(largest["cost_excess"], _most(increase, both))
+    too_much = ~(excess <= COST_ROUNDING * jnp.maximum(cost, 1.0))
+    sums["next_plan_missing"] += jnp.sum(counted & ~both, dtype=jnp.int32)
+    sums["cost_excesses"] += jnp.sum(both & too_much, dtype=jnp.int32)
+    largest["cost_excess"] = jnp.maximum(largest["cost_excess"], _most(excess, both))
     return Tally(laps, sums, largest)
 
 
@@ -248,6 +255,7 @@ def close(
         "events": jnp.zeros((len(EVENTS), steps + 1), jnp.int32)
         .at[jnp.arange(len(EVENTS))[:, None], laps.events]
         .add(counts),
+        "plans_by_lap": jnp.zeros(plans_each + 1, jnp.int32).at[laps.plans].add(counts),
         "stage_events": jnp.zeros((*laps.stage_events.shape[:2], plans_each + 1), jnp.int32)
         .at[(*stages, laps.stage_events)]
         .add(counts),
@@ -255,7 +263,7 @@ def close(
         "rms": lap_histogram(rms),
         "starts": _coverage(checks, starts, counts),
         "starts_that_left": _coverage(checks, starts, counts * left.astype(jnp.int32)),
-    }, tally.largest
+    }, tally.largest | {"ultimate_bound": checks.ultimate}
 
 
 def _coverage(checks: Checks, starts: Float[Array, "batch 3"], counts: Int[Array, " batch"]):

@@ -57,6 +57,7 @@ def flags_of(case, laps, w):
     sets, robot, e = case.sets, case.task.plant.robot, laps.errors[1:]
     off_w, off_e = outside(sets["disturbance"], w), outside(sets["error"], e)
     late = np.arange(1, len(e) + 1)[:, None] >= case.task.checks.settled
+    settled = np.abs(laps.measured[1:])
     found = {
         "w_outside_W": off_w[..., 0],
         **{f"w_outside_{name}": off_w[..., 1 + i] for i, name in enumerate(AXES)},
@@ -70,7 +71,7 @@ def flags_of(case, laps, w):
         "qp_unsolved": laps.diagnostics.status == qp.UNSOLVED,
         "row_active": laps.diagnostics.active,
         "backup": laps.diagnostics.status != qp.SOLVED,
-        "outside_ultimate_bound": late & ~np.all(np.abs(e) <= case.task.checks.ultimate, axis=-1),
+        "outside_ultimate_bound": late & ~np.all(settled <= case.task.checks.ultimate, axis=-1),
         "not_finite": ~(np.isfinite(e).all(axis=-1) & np.isfinite(laps.inputs).all(axis=-1)),
     }
     assert set(found) == set(EVENTS)
@@ -170,7 +171,8 @@ class Followed(NamedTuple):
 
     made: np.ndarray
     deviations: np.ndarray
-    rise: np.ndarray  # of the cost one step later, plus what that step itself costs
+    excess: np.ndarray  # of the cost one step later and what the step itself costs over the cost before
+    cost: np.ndarray
 
 
 def follow(case, solver, laps: Trajectory, keys, step) -> Followed:
@@ -183,9 +185,9 @@ def follow(case, solver, laps: Trajectory, keys, step) -> Followed:
     given = mpc.Plan(jnp.nan_to_num(jnp.asarray(plans.inputs)), *[jnp.zeros(len(keys))] * 3)
     deviations = np.asarray(follow_plan(task.controller, task.plant, keys, state, jnp.asarray(step), given))
     Q, R, g = np.asarray(task.checks.error_weight), np.asarray(task.checks.input_weight), plans.inputs[:, 0]
-    rise = later.cost - plans.cost + np.sum(measured @ Q * measured, axis=1) + np.sum(g @ R * g, axis=1)
+    too_much = later.cost - plans.cost + np.sum(measured @ Q * measured, axis=1) + np.sum(g @ R * g, axis=1)
     made = ~np.isnan(plans.cost)
-    return Followed(made, np.where(made[:, None], deviations, np.nan), rise)
+    return Followed(made, np.where(made[:, None], deviations, np.nan), too_much, plans.cost)
 
 
 def recount_plans(case, laps: Trajectory, keys, stops, first: int) -> dict:
@@ -193,11 +195,15 @@ def recount_plans(case, laps: Trajectory, keys, stops, first: int) -> dict:
     design, solver = case.design, PlainMpc(case.design)
     own, N = design.problem.scenario.controller.tube, design.problem.horizon
     followed = {step: follow(case, solver, laps, keys, step) for step in stops}
-    made, rise = (np.stack([getattr(found, name) for found in followed.values()]) for name in ("made", "rise"))
+    made, most, cost = (
+        np.stack([getattr(found, name) for found in followed.values()]) for name in ("made", "excess", "cost")
+    )
     found = {
         "plans": made.sum(),
-        "cost_increases": np.sum(made & ~(rise <= 1e-9)),
-        "cost_excess": np.nanmax(rise),
+        "plans_by_lap": np.bincount(made.sum(axis=0), minlength=len(stops) + 1),
+        "next_plan_missing": np.sum(made & np.isnan(most)),
+        "cost_excesses": np.sum(made & (most > 1e-9 * np.maximum(cost, 1))),
+        "cost_excess": np.nanmax(most),
     }
     for name in design.tubes:
         pairs = [
@@ -215,6 +221,23 @@ def recount_plans(case, laps: Trajectory, keys, stops, first: int) -> dict:
             found["stage_events"] = np.stack([by_lap(flags[:, j], len(stops)) for j in range(N)])
             found["cloud"] = sum(np.stack([cloud(section, points) for section, points in stop]) for stop in pairs)
     return found | ranking("tube", used, first)
+
+
+def join(parts):
+    """Return what several parts of a block come to."""
+    joined = {}
+    for name in parts[0]:
+        if name.startswith("worst"):
+            usage, lap = (
+                np.concatenate([part[f"worst_{key}/{name.partition('/')[2]}"] for part in parts])
+                for key in ("usage", "lap")
+            )
+            order = np.lexsort((lap, -usage))[:WORST]
+            joined[name] = (usage if "usage" in name else lap)[order]
+        else:
+            values = [np.asarray(part[name]) for part in parts]
+            joined[name] = sum(values) if values[0].dtype.kind == "i" else np.max(values, axis=0)
+    return joined
 
 
 def cloud(section, points):

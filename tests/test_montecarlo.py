@@ -11,13 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from recount import recount, recount_plans
+from recount import join, recount, recount_plans
 from tolerances import COUNTED, COUNTED_ROUNDING, PLAN_OF_ORACLE, SOLVED_ROUNDING
 
 from jaxtube import montecarlo
 from jaxtube.design import Design, design
 from jaxtube.experiments import validation
-from jaxtube.montecarlo import RANKED, WORST, Run, merge, plan_steps
+from jaxtube.montecarlo import RANKED, WORST, Run, first_plan, merge, plan_steps
 from jaxtube.rollout import Trajectory, realisation_keys, rollout
 from jaxtube.scenario import load
 from jaxtube.tally import EVENTS
@@ -202,24 +202,40 @@ def test_no_lap_feels_a_companion_that_is_no_number(constrained, laps):
 def test_plans_followed_count_what_an_exact_solver_s_plans_do(poisoned, blocks, laps, block):
     count, first = (BLOCK, PARTIAL)[block], block * BLOCK
     assert plan_steps(30, poisoned.design.problem.horizon) == (3, 8)
-    keys, stops = realisation_keys(SEED, first, count), (block, block + 8, block + 16)
-    expected = recount_plans(poisoned, laps[block], keys, stops, first)
+    parts = []
+    for tile, begin in enumerate(range(0, count, TILE)):
+        end = min(begin + TILE, count)
+        some = jax.tree.map(lambda array, begin=begin, end=end: array[:, begin:end], laps[block])
+        keys, stop = realisation_keys(SEED, first + begin, end - begin), (block * BLOCK // TILE + tile) * 5 % 8
+        parts.append(recount_plans(poisoned, some, keys, (stop, stop + 8, stop + 16), first + begin))
+    expected = join(parts)
     check_same(blocks[block], expected, PLAN_OF_ORACLE)
     assert 0 < expected["plans"] < 3 * count
-    assert 0 < expected["cost_increases"] < expected["plans"] and expected["cost_excess"] > 0
+    assert (
+        0 < expected["cost_excesses"] < expected["plans"] > expected["next_plan_missing"] > 0
+        and expected["cost_excess"] > 0
+    )
     for name in poisoned.design.tubes:
         assert np.all((expected[f"tube_outside/{name}"] > 0) & (expected[f"tube_outside/{name}"] < expected["plans"]))
     assert np.all(expected["cloud"].sum(axis=(2, 3)) > 0.2 * expected["plans"])
 
 
-@pytest.mark.parametrize(("steps", "horizon"), [(300, 5), (300, 20), (30, 5), (6, 5), (5, 5), (10_000, 5)])
-def test_plans_of_many_blocks_begin_at_every_state_with_a_horizon_ahead(monkeypatch, steps, horizon):
+@pytest.mark.parametrize(("steps", "horizon"), [(300, 5), (300, 20), (30, 5), (6, 5), (10_000, 5)])
+def test_plans_of_many_tiles_begin_at_every_state_with_a_horizon_ahead(monkeypatch, steps, horizon):
     monkeypatch.setattr(montecarlo, "PLANS_SHARE", 0.01)
     plans, distance = plan_steps(steps, horizon)
     assert plans == max(round(steps / 100), 1) and distance >= 1
-    stops = sorted({block % distance + distance * i for block in range(distance) for i in range(plans)})
-    assert stops == list(range(plans * distance)) and len(stops) > steps - horizon - plans
-    assert stops[-1] + max(horizon, 1) <= max(steps, horizon)
+    first = [int(first_plan(jnp.asarray(tile, jnp.int32), distance)) for tile in range(distance)]
+    stops = sorted({stop + distance * i for stop in first for i in range(plans)})
+    assert stops == list(range(plans * distance)) and len(stops) >= steps - horizon - plans
+    assert stops[-1] + horizon <= steps
+    # Few tiles are spread out already.
+    assert distance < 16 or np.diff(sorted(first[:8])).max() < distance / 3
+
+
+@pytest.mark.parametrize("steps", [5, 4, 1])
+def test_no_plan_is_followed_where_the_reference_ends_before_it(steps):
+    assert plan_steps(steps, 5)[0] == 0
 
 
 @pytest.mark.slow
@@ -238,7 +254,10 @@ def test_while_w_stays_in_W_no_tube_and_no_E_is_left(uncertified):
         # The law says something only where deviations come close to the sets.
         assert joined[f"tube_excess/{name}"].max() > -1e-4
     assert joined["excess/disturbance"].max() <= COUNTED and joined["excess/error"].max() <= 0
-    assert joined["cost_increases"] == 0 and joined["events"][EVENTS.index("row_active"), 1:].sum() > 0
+    assert (
+        joined["cost_excesses"] == joined["next_plan_missing"] == 0
+        and joined["events"][EVENTS.index("row_active"), 1:].sum() > 0
+    )
     assert joined["events"][EVENTS.index("outside_ultimate_bound"), 1:].sum() == 0
 
 

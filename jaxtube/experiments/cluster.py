@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import os
 import threading
 from collections.abc import Iterable, Iterator
@@ -27,15 +28,12 @@ from jaxtube.scenario.refusal import refusal
 IN_FLIGHT = 3
 """Tasks handed out for each thread of the cluster: enough to keep it busy, few enough to hold in memory."""
 SECONDS_TO_CONNECT = 20
-RETRIES = 20
-"""How often a block is tried again when its worker is lost."""
+LOSSES = 20
+"""Workers that may be lost while they compute the same block, before the run gives up."""
 
 
 class Cluster:
-    """The workers that an option names; a context.
-
-    at_once: blocks that they computed at a time when they were met.
-    """
+    """The workers that an option names; a context."""
 
     def __init__(self, name: str, run: Run):
         """Connect.
@@ -45,7 +43,7 @@ class Cluster:
             run: what to compute; its devices and chunk do not count here.
 
         Raises:
-            ScenarioError: no such cluster, no Dask, or workers with other versions of the code.
+            ScenarioError: no such cluster, or no Dask; later, for a worker with another version of the code.
         """
         try:
             import distributed
@@ -53,17 +51,15 @@ class Cluster:
             raise _refuse(name, "needs Dask", "pip install 'jaxtube[cluster]'") from None
         self._distributed, self._name, self._local = distributed, name, None
         self._client = self._connect(name)
-        versions = self._client.run(_versions)
-        if strangers := sorted(worker for worker, found in versions.items() if found != _versions()):
-            self.close()
-            raise _refuse(name, f"{strangers[0]} has another version of jaxtube or jax", "install the same on all")
+        self._client.wait_for_workers(1)
         # A task of its own, not data put on a worker: should that worker be lost, the scheduler can make it again.
-        job = Job.of(run, pinned=name.startswith("local:"))
-        self._job = self._client.submit(_same, job, retries=RETRIES, pure=False)
-        self.at_once = max(sum(self._client.nthreads().values()), 1)
+        self._job = self._client.submit(_same, Job.of(run, pinned=name.startswith("local:")), pure=False)
 
     def _connect(self, name: str):
+        from dask.config import set as configure
+
         kind, _, count = name.partition(":")
+        configure({"distributed.scheduler.allowed-failures": LOSSES})
         try:
             if kind == "local":
                 workers = int(count)
@@ -92,19 +88,41 @@ class Cluster:
 
     def computed(self, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
         """Yield the statistics of blocks as they are ready, in any order."""
-        source, pending = iter(blocks), self._distributed.as_completed(with_results=True)
+        pending = self._distributed.as_completed(with_results=True, raise_errors=False)
+        source, under_way = iter(blocks), {}
 
-        def submit() -> bool:
-            block = next(source, None)
-            if block is not None:
-                pending.add(self._client.submit(compute, self._job, block, retries=RETRIES, pure=False))
-            return block is not None
+        def submit(block: int) -> None:
+            future = self._client.submit(compute, self._job, block, pure=False)
+            under_way[future] = block
+            pending.add(future)
 
-        for _ in range(IN_FLIGHT * self.at_once):
-            submit()
-        for _, result in pending:
-            submit()
-            yield result
+        def top_up() -> None:
+            # Workers come and go: how many there are is asked each time.
+            room = IN_FLIGHT * self.at_once - len(under_way)
+            for block in itertools.islice(source, max(room, 0)):
+                submit(block)
+
+        top_up()
+        for future, result in pending:
+            block = under_way.pop(future)
+            if future.status == "finished":
+                top_up()
+                yield result
+            elif isinstance(failure := future.exception(), self._distributed.KilledWorker):
+                submit(block)
+            elif isinstance(failure, StrangerError):
+                raise _refuse(self._name, str(failure), "install the same jaxtube and jax on all, of the same kind")
+            else:
+                raise failure
+
+    @property
+    def at_once(self) -> int:
+        """Blocks that the workers there are now compute at a time."""
+        return max(sum(self._client.nthreads().values()), 1)
+
+
+class StrangerError(RuntimeError):
+    """A worker that would compute other bits than this process."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +132,7 @@ class Job:
     task: Any
     key_data: np.ndarray
     realisations: int
-    bits: int
+    versions: dict[str, str]
     pinned: bool
 
     @classmethod
@@ -122,8 +140,7 @@ class Job:
         """Take a run apart."""
         task = dataclasses.replace(run.task, seed_key=None)
         arrays = jax.tree.map(np.asarray, task)
-        bits = jax.dtypes.canonicalize_dtype(float).itemsize * 8
-        return cls(arrays, np.asarray(jax.random.key_data(run.task.seed_key)), run.realisations, bits, pinned)
+        return cls(arrays, np.asarray(jax.random.key_data(run.task.seed_key)), run.realisations, _versions(), pinned)
 
     def on(self, device) -> Run:
         """Return the run on one device."""
@@ -149,7 +166,9 @@ def _run_of_thread(thread: int, job: Job) -> Run:
         # The threads that JAX is about to start inherit the processor of the one that starts them.
         processors = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, {processors[int(get_worker().name) % len(processors)]})
-    jax.config.update("jax_enable_x64", job.bits == 64)
+    jax.config.update("jax_enable_x64", job.versions["bits"] == "64")
+    if _versions() != job.versions:
+        raise StrangerError(f"{get_worker().address} has another version of jaxtube or jax, or other devices")
     devices = jax.local_devices()
     return job.on(devices[_threads.setdefault(thread, len(_threads)) % len(devices)])
 
@@ -158,8 +177,10 @@ def _same(job: Job) -> Job:
     return job
 
 
-def _versions() -> dict:
-    return source_hashes() | {name: version(name) or "" for name in ("jax", "jaxlib", "numpy")}
+def _versions() -> dict[str, str]:
+    packages = {name: version(name) or "" for name in ("jax", "jaxlib", "numpy")}
+    bits = str(jax.dtypes.canonicalize_dtype(float).itemsize * 8)
+    return source_hashes() | packages | {"backend": jax.default_backend(), "bits": bits}
 
 
 def _refuse(name: str, problem: str, cure: str) -> Exception:

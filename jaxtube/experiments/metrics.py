@@ -8,12 +8,19 @@ from jaxtyping import Float
 from jaxtube import qp
 from jaxtube.design import Design
 from jaxtube.design.problem import input_rows
+from jaxtube.reference import Reference
 from jaxtube.rollout import Trajectory
 from sets.polytope import Polytope
 from sets.tubes import Section, input_support, sequence_support
 
 TRANSIENT_S = 10.0
 """The first seconds, in which a run forgets its start."""
+
+
+def settled_step(reference: Reference) -> int:
+    """Return the step from which a run has settled; of one that is shorter than the transient, its last."""
+    return min(round(TRANSIENT_S / reference.dt), reference.steps)
+
 
 COORDINATES = ("longitudinal_m", "lateral_m", "heading_deg")
 TO_DISPLAY = np.array([1.0, 1.0, np.rad2deg(1.0)])
@@ -88,8 +95,7 @@ def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
     # Counted as "not inside", so that NaN is a violation.
     by_coordinate = ~np.all(errors <= limits, axis=0)
     outside = by_coordinate.any(axis=1)
-    # Of a run that is shorter than the transient the last sample remains.
-    settled = min(round(TRANSIENT_S / problem.reference.dt), len(errors) - 1)
+    settled = settled_step(problem.reference)
     status = trajectory.diagnostics.status
     return {
         "realisations": errors.shape[1],

@@ -7,11 +7,13 @@ whatever was interrupted and wherever the blocks were computed; only `performanc
 from __future__ import annotations
 
 import contextlib
+import hashlib
 import itertools
 import os
 import resource
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import jax
 import msgspec
@@ -41,13 +43,14 @@ def run(scenario: Scenario, options: Montecarlo) -> int:
     if options.starts == "scenario":
         refuse_infeasible_start(found)
     if options.replay >= 0:
-        return replay.run(found, options)
+        return replay.run(found, options, identity(scenario, options))
     records = Records(options.folder / "records", identity(scenario, options), montecarlo.merge, BLOCK)
     with records:
         for line in records.damaged:
             print(line)
         missing = records.missing(int(options.realisations))
         folder = run_folder.create(scenario, options)
+        folder.save_json("identity", identity(scenario, options))
         performance = compute(found, options, records, missing)
         statistics = records.merged()
     save(found, options, folder, statistics, performance)
@@ -64,8 +67,10 @@ def use_devices(count: int) -> None:
 
 def identity(scenario: Scenario, options: Montecarlo) -> dict:
     """Return all that determines the statistics of a block."""
+    file = scenario.reference.file
     return {
         "scenario": msgspec.to_builtins(scenario),
+        "reference_file_sha256": hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else "",
         "seed": options.seed,
         **{key: getattr(options, key) for key in ("controller", "plant", "starts")},
         "tile_size": TILE,
@@ -88,7 +93,7 @@ def compute(design: Design, options: Montecarlo, records: Records, missing: Iter
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(connect(options.cluster, local)) if options.cluster else local
         bar = stack.enter_context(progress(local.realisations, "simulating", "laps", before))
-        start = time.perf_counter()
+        start, at_once = time.perf_counter(), source.at_once
         for block, statistics in source.computed(itertools.chain([first], missing)):
             recorded = records.laps
             records.add(block, int(statistics["laps"]), statistics)
@@ -96,7 +101,7 @@ def compute(design: Design, options: Montecarlo, records: Records, missing: Iter
             bar.set_postfix_str(f"{violations} left E", refresh=False)
             bar.update(records.laps - recorded)
             seconds.append(time.perf_counter() - start)
-    found = {"laps": records.laps - before, **rate(seconds, source.at_once)}
+    found = {"laps": records.laps - before, **rate(seconds, at_once)}
     if not options.cluster and len(seconds) >= ENOUGH * local.at_once:
         found["validation_share"] = validation_share(local)
     return found | {"peak_memory_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024}
@@ -125,7 +130,7 @@ def violating_laps(statistics: Statistics) -> int:
     return int(statistics["events"][LEFT_E, 1:].sum()) if statistics else 0
 
 
-ENOUGH = 8
+ENOUGH = 20
 """Dispatches of a run that is long enough to be measured: the share of the checks takes four more."""
 
 

@@ -44,7 +44,6 @@ ROWS = {
     "qp_unsolved": "QP unsolved",
     "not_finite": "not finite",
 }
-WITHOUT_WHEELS, WITHOUT_PLANS = {"wheels_saturated"}, {"qp_infeasible", "qp_unsolved"}
 LARGEST_RUN = 1e9
 """Laps up to which the figure says what a run without violation proves."""
 
@@ -53,9 +52,8 @@ def draw(found: Design, options: Montecarlo, statistics: Statistics, summary: di
     """Draw the figures of a run into its folder; those that have nothing to show are left out."""
     task = validation.make_task(found, options.controller, options.plant, options.starts, options.seed)
     problem, plans, start = found.problem, summary["plans"], task.starts
-    left_out = (WITHOUT_WHEELS if options.plant == "linear" else set()) | (set() if plans else WITHOUT_PLANS)
     drawings = {
-        "violations": lambda: violations(summary, left_out),
+        "violations": lambda: violations(summary),
         "margins": lambda: margins(problem, statistics),
         "disturbance": lambda: disturbance(problem, statistics, summary),
         "map": lambda: heat_figures.trajectory_map(problem, task.checks, statistics["map"]),
@@ -122,9 +120,9 @@ class Row(NamedTuple):
     shares: dict[str, Share]
 
 
-def share_rows(summary: dict, left_out: set[str]) -> list[Row]:
+def share_rows(summary: dict) -> list[Row]:
     """Return what the chart of shares lists: W and E, stages of the tube in use, then the other events."""
-    events = [_event_row(summary, name) for name in ROWS if name not in left_out]
+    events = [_event_row(summary, name) for name in ROWS if name in summary["events"]]
     return [*events[:2], *_stage_rows(summary), *events[2:]]
 
 
@@ -140,7 +138,8 @@ def _stage_rows(summary: dict) -> list[Row]:
     stages, rows = [stage["outside"] for stage in summary["tube"]["stages"]], []
     for j in np.unique(np.linspace(1, len(stages), min(len(stages), STAGES)).round().astype(int)):
         share = Share(stages[j - 1]["share"], *stages[j - 1]["interval"])
-        rows.append(Row(f"outside $R_{{{j}}}$: {round(share.value * summary['plans']):,} plans", {"plans": share}))
+        count = summary["tube"]["plans_outside_by_stage"][summary["tube"]["used"]][j - 1]
+        rows.append(Row(f"outside $R_{{{j}}}$: {count:,} plans", {"plans": share}))
     return rows
 
 
@@ -152,14 +151,12 @@ LOOKS = {
 
 
 @styled
-def violations(summary: dict, left_out: set[str]) -> Figure:
+def violations(summary: dict) -> Figure:
     """Draw how often what must not happen did, with intervals, and what a run without it proves by its length.
 
-    Args:
-        summary: of the run.
-        left_out: events that this run cannot have.
+    Events that a run of this kind cannot have are not in its summary.
     """
-    rows = share_rows(summary, left_out)
+    rows = share_rows(summary)
     figure = page_figure(1.4 + 0.27 * len(rows))
     chart, proof = figure.subplots(1, 2, width_ratios=(1.9, 1))
     bounds = [share.high for row in rows for share in row.shares.values()]

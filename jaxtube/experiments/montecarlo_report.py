@@ -6,13 +6,14 @@ intervals over laps (`jaxtube.intervals`). All hold for the one sampling law of 
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 from jaxtyping import Int
 
 from jaxtube import histogram
 from jaxtube.design import Design
 from jaxtube.experiments import tube_reach
-from jaxtube.experiments.metrics import COORDINATES, TO_DISPLAY
+from jaxtube.experiments.metrics import COORDINATES, TO_DISPLAY, settled_step
 from jaxtube.experiments.options import Montecarlo
 from jaxtube.intervals import mean_interval, share_interval
 from jaxtube.montecarlo import RANKED, Statistics
@@ -44,29 +45,27 @@ EVENT_WORDS = {
 def summary(design: Design, options: Montecarlo, statistics: Statistics) -> dict:
     """Return the numbers of a run, plain, with units in the keys: functions of design, options and statistics alone."""
     problem, steps = design.problem, statistics["events"].shape[1] - 1
-    events = {name: _event(row, steps) for name, row in zip(EVENTS, statistics["events"], strict=True)}
+    settled = settled_step(problem.reference)
+    eligible = {"outside_ultimate_bound": steps + 1 - settled}
+    events = {
+        name: _event(row, eligible.get(name, steps))
+        for name, row in zip(EVENTS, statistics["events"], strict=True)
+        if name not in left_out(options, statistics)
+    }
     return {
         "law": law(problem.scenario, options),
         "confidence": CONFIDENCE,
         "laps": int(statistics["laps"]),
         "steps_a_lap": steps,
+        "settled_s": settled * problem.reference.dt,
         "events": events,
-        "largest_excess": {
-            name: statistics[f"excess/{name}"] for name in ("disturbance", "error", "input")
-        },  # beyond each facet, in m, rad, m/s; negative inside
+        # Beyond each facet, in m, rad, m/s; negative inside.
+        "largest_excess": {name: statistics[f"excess/{name}"] for name in ("disturbance", "error", "input")},
+        "ultimate_bound": dict(zip(COORDINATES, statistics["ultimate_bound"] * TO_DISPLAY, strict=True)),
         "plans": int(statistics["plans"]),
-        "tube": {
-            "used": problem.scenario.controller.tube,
-            "stages": [
-                {name: _share_of_plans(row) for name, row in zip(STAGE_EVENTS, stage, strict=True)}
-                for stage in statistics["stage_events"]
-            ],
-            "largest_excess_by_stage": {name: statistics[f"tube_excess/{name}"] for name in design.tubes},
-            "plans_outside_by_stage": {name: statistics[f"tube_outside/{name}"] for name in design.tubes},
-        },
-        "cost": {"increases": int(statistics["cost_increases"]), "largest_increase": float(statistics["cost_excess"])},
+        **(_plans(design, options, statistics) if statistics["plans"] else {}),
         "peak_error": _quantiles(statistics["peak"]),
-        "rms_error_after_10_s": _quantiles(statistics["rms"]),
+        "rms_error_settled": _quantiles(statistics["rms"]),
         "disturbance": _quantiles(statistics["disturbance"]),
         "worst": {
             name: [
@@ -79,20 +78,62 @@ def summary(design: Design, options: Montecarlo, statistics: Statistics) -> dict
     }
 
 
+def left_out(options: Montecarlo, statistics: Statistics) -> set[str]:
+    """Return the events that a run of this kind cannot have, so that nothing is said of them."""
+    missing = set() if options.controller.endswith("mpc") else {"qp_infeasible", "qp_unsolved", "row_active", "backup"}
+    missing |= {"wheels_saturated"} if options.plant == "linear" else set()
+    return missing | (set() if np.all(np.isfinite(statistics["ultimate_bound"])) else {"outside_ultimate_bound"})
+
+
+def _plans(design: Design, options: Montecarlo, statistics: Statistics) -> dict:
+    """Return what became of the plans that were followed: the tube in use by stage, all tubes, and the cost."""
+    checked = [name for name in design.tubes if f"tube_outside/{name}" in statistics]
+    conditions = design.certificate.conditions
+    promised = options.controller == "tube_mpc" and all(
+        conditions[name].holds for name in ("plan_stays_feasible", "terminal_cost_decrease") if name in conditions
+    )
+    planned = statistics["plans_by_lap"]
+    return {
+        "states_where_a_plan_was_asked_for": int(planned.sum()) * (len(planned) - 1),
+        "tube": {
+            "used": design.problem.scenario.controller.tube,
+            "stages": [
+                {name: _share_of_plans(row, planned) for name, row in zip(STAGE_EVENTS, stage, strict=True)}
+                for stage in statistics["stage_events"]
+            ],
+            "largest_excess_by_stage": {name: statistics[f"tube_excess/{name}"] for name in checked},
+            "plans_outside_by_stage": {name: statistics[f"tube_outside/{name}"] for name in checked},
+        },
+        "cost": {
+            "fell_by_less_than_the_stage": int(statistics["cost_excesses"]),
+            "no_plan_one_step_later": int(statistics["next_plan_missing"]),
+            "largest_excess": float(statistics["cost_excess"]),
+            "promised_by_the_certificate": promised,
+        },
+    }
+
+
 def law(scenario: Scenario, options: Montecarlo) -> str:
     """Return the sampling law in words; every bound holds for it alone."""
-    where = "the scenario's start" if options.starts == "scenario" else "starts uniform in the feasible set"
+    where = {
+        "scenario": "the scenario's start",
+        "feasible": "starts uniform in the hull of 400 boundary points of the feasible set",
+    }[options.starts]
     if options.plant == "linear":
         return f"{options.controller} on the linear model, w in W (half of the draws at its vertices), {where}"
-    slip = scenario.slip
+    slip, noise = scenario.slip, msgspec.structs.astuple(scenario.noise)
     varies = {"true": "true slip", "measured": "measured slip", "both": "true and measured slip"}[slip.random]
+    measured = "pose measured exactly"
+    if any(noise):
+        measured = f"pose noise uniform within {noise[0]:.3g} m, {noise[1]:.3g} m, {noise[2]:.3g} deg"
     return (
-        f"{options.controller} on the slipping robot, {varies} {slip.process} within {slip.relative_error:.3g} of "
-        f"nominal, {where}"
+        f"{options.controller} on the slipping robot, {varies} ({slip.process}) uniform within +-"
+        f"{slip.relative_error:.3g} of its nominal value, {measured}, {where}"
     )
 
 
 def _event(row: Int[np.ndarray, " counts"], steps: int) -> dict:
+    row = row[: steps + 1]
     laps, total = int(row[1:].sum()), int(row.sum())
     mean, low, high = mean_interval(row, steps, CONFIDENCE)
     return {
@@ -105,9 +146,11 @@ def _event(row: Int[np.ndarray, " counts"], steps: int) -> dict:
     }
 
 
-def _share_of_plans(row: Int[np.ndarray, " counts"]) -> dict:
-    mean, low, high = mean_interval(row, len(row) - 1, CONFIDENCE)
-    return {"share": mean, "interval": (low, high)}
+def _share_of_plans(row: Int[np.ndarray, " counts"], planned: Int[np.ndarray, " counts"]) -> dict:
+    """Return the share of plans in which an event occurred: a ratio of two means, each bounded at half the risk."""
+    half = 1 - (1 - CONFIDENCE) / 2
+    (mean, low, high), (plans, least, most) = (mean_interval(counts, len(row) - 1, half) for counts in (row, planned))
+    return {"share": mean / plans, "interval": (low / most, min(high / least, 1.0) if least else 1.0)}
 
 
 def _quantiles(counts: Int[np.ndarray, "3 buckets"]) -> dict:
@@ -129,7 +172,7 @@ def text(options: Montecarlo, found: dict, performance: dict) -> str:
 
 
 def verdict(found: dict) -> str:
-    """Return one line: does the disturbance the tube is built for hold, and was E kept."""
+    """Return one line: does the disturbance set hold, do plans keep to the tube, and was E kept."""
     w, e, percent = found["events"]["w_outside_W"], found["events"]["e_outside_E"], f"{found['confidence']:.0%}"
     if w["laps"]:
         low, high = w["share_of_steps_interval"]
@@ -142,7 +185,11 @@ def verdict(found: dict) -> str:
     else:
         premise = f"w stayed in W in every step ({percent}: in at most {_bound(w)} of the laps it would not)"
     kept = f"{e['laps']:,} of {found['laps']:,} laps left E ({_interval(e['share_of_laps_interval'], e['laps'])})"
-    return f"{premise}; {kept}"
+    if not found["plans"]:
+        return f"{premise}; {kept}"
+    stages = [stage["outside"]["share"] for stage in found["tube"]["stages"]]
+    followed = ", ".join(f"{share:.2%}" for share in stages)
+    return f"{premise}; plans leave R_1 .. R_{len(stages)} in {followed}; {kept}"
 
 
 def _bound(event: dict) -> str:
@@ -155,20 +202,27 @@ def _interval(interval: tuple[float, float], events: int) -> str:
 
 
 def _event_table(found: dict) -> str:
-    head = f"{'':<28}{'laps':>12}{'share of laps, interval':>30}{'share of steps':>16}{'interval':>26}"
-    lines = [head]
+    label = f"each at {found['confidence']:.0%} on its own"
+    lines = [f"{label:<28}{'laps':>12}{'share of laps, interval':>30}{'share of steps':>16}{'interval':>26}"]
     for name, event in found["events"].items():
         laps = _interval(event["share_of_laps_interval"], event["laps"])
         steps = _interval(event["share_of_steps_interval"], event["steps"])
         share = f"{event['share_of_steps']:.4%}" if event["steps"] else "0"
         lines.append(f"{EVENT_WORDS[name]:<28}{event['laps']:>12,}{laps:>30}{share:>16}{steps:>26}")
+    if "outside_ultimate_bound" in found["events"]:
+        bound = ", ".join(f"{value:.3g}" for value in found["ultimate_bound"].values())
+        lines.append(
+            f"ultimate bound ({bound}; m, m, deg): holds the measured error from {found['settled_s']:.3g} s on "
+            "while w is in W and no row is active"
+        )
     return "\n".join(lines)
 
 
 def _tube_table(found: dict) -> str:
     tube = found["tube"]
     lines = [
-        f"{found['plans']:,} plans followed to their end; share of them outside R_j of the tube `{tube['used']}`",
+        f"{found['plans']:,} plans from the measured error, followed to their end; share of them outside R_j of "
+        f"the tube `{tube['used']}`",
         f"{'':<6}{'any facet':>12}{'interval':>24}{'longitudinal':>14}{'lateral':>12}{'heading':>12}",
     ]
     for j, stage in enumerate(tube["stages"], 1):
@@ -181,20 +235,23 @@ def _tube_table(found: dict) -> str:
     lines.append("largest excess over a facet, all stages (m or rad; negative: inside):")
     worst = {name: float(np.max(values)) for name, values in tube["largest_excess_by_stage"].items()}
     lines.append("  " + ", ".join(f"{name} {value:.3g}" for name, value in worst.items()))
-    cost = found["cost"]
+    cost, asked = found["cost"], found["states_where_a_plan_was_asked_for"]
+    lines.append(f"there was no plan at {asked - found['plans']:,} of {asked:,} states")
+    promise = "promises more" if cost["promised_by_the_certificate"] else "makes no promise for this design"
     lines.append(
-        f"the cost of the plan rose, against the certificate, in {cost['increases']:,} of {found['plans']:,} plans "
-        f"followed without disturbance for a step (largest change {cost['largest_increase']:.3g})"
+        f"one undisturbed step later: no plan in {cost['no_plan_one_step_later']:,} cases, a cost that fell by less "
+        f"than that of the step in {cost['fell_by_less_than_the_stage']:,} (the certificate {promise})"
     )
     return "\n".join(lines)
 
 
 def _quantile_table(found: dict) -> str:
     lines = [f"{'':<26}" + "".join(f"{f'{name} {unit}':>18}" for unit in ("median", "99.9 %") for name in AXES)]
-    rows = {"largest error of a lap": "peak_error", "RMS error after 10 s": "rms_error_after_10_s", "w": "disturbance"}
+    settled = f"RMS error from {found['settled_s']:.3g} s on"
+    rows = {"largest error of a lap": "peak_error", settled: "rms_error_settled", "w, steps": "disturbance"}
     for label, key in rows.items():
         cells = [found[key][quantile][name] for quantile in ("median", "p999") for name in COORDINATES]
-        lines.append(f"{label:<26}" + "".join(f"{value:>18.5g}" for value in cells))
+        lines.append(f"{label:<26}" + "".join(f"{value:>18.3g}" for value in cells))
     return "\n".join(lines)
 
 
@@ -203,7 +260,7 @@ AXES = ("e_x [m]", "e_y [m]", "e_th [deg]")
 
 def _worst(found: dict) -> str:
     names = {"error": "E", "disturbance": "W", "tube": "the tube"}
-    lines = ["worst laps, 1 being a facet (draw one with --replay LAP):"]
+    lines = ["worst laps, 1 being a facet (--replay LAP draws one: errors, w and wheels):"]
     for key, label in names.items():
         laps = ", ".join(f"{entry['lap']} ({entry['usage']:.4g})" for entry in found["worst"][key][:4])
         lines.append(f"  {label:<9} {laps}")

@@ -20,6 +20,8 @@ NAMES = ("longitudinal", "lateral", "heading")
 DIMENSIONS = {
     "events": ("event", "steps_with_event"),
     "stage_events": ("stage", "stage_event", "plans_with_event"),
+    "plans_by_lap": ("plans_with_event",),
+    "ultimate_bound": ("coordinate",),
     "error_by_step": ("step", "coordinate", "bucket"),
     **{name: ("coordinate", "bucket") for name in ("disturbance", "peak", "rms")},
     "map": ("map_row", "map_column"),
@@ -43,8 +45,11 @@ EXPLANATIONS = {
     "starts_that_left": "those of them that left E",
     "laps": "laps of the run",
     "plans": "plans followed to their end",
-    "cost_increases": "plans whose cost rose",
-    "cost_excess": "largest rise of a plan's cost; negative: every one fell",
+    "plans_by_lap": "laps with so many plans",
+    "next_plan_missing": "plans without another one where they expected the error a step later",
+    "cost_excesses": "plans whose cost fell by less than that of the step",
+    "cost_excess": "largest V+ - V + cost of the step; negative: every cost fell by more",
+    "ultimate_bound": "half widths that hold the settled error while w is in W and no row is active",
 }
 
 

@@ -84,6 +84,14 @@ class Montecarlo(Options):
     netcdf: bool = False
     """also write statistics.nc, which opens in xarray"""
 
+    @property
+    def folder(self) -> Path:
+        """The folder of the run: one for each law that the options can name."""
+        chosen = [getattr(self, name) for name in ("controller", "plant", "starts")]
+        usual = [getattr(type(self), name) for name in ("controller", "plant", "starts")]
+        law = [f"-{value}" for value, default in zip(chosen, usual, strict=True) if value != default]
+        return Path(self.out) if self.out else Path(f"{super().folder}{''.join(law)}")
+
 
 @dataclass(frozen=True)
 class Falsify(Options):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from jaxtube.experiments import montecarlo_report, validation
 from jaxtube.experiments.laps import Lap, lap
 from jaxtube.experiments.metrics import TO_DISPLAY
 from jaxtube.experiments.options import Montecarlo
+from jaxtube.experiments.record_file import differences
 from jaxtube.experiments.run_folder import RunFolder
 from jaxtube.scenario.refusal import refusal
 
@@ -20,10 +22,11 @@ LAPS_LIMIT = 2**64
 WHEELS = ("right", "left")
 
 
-def run(design: Design, options: Montecarlo) -> int:
+def run(design: Design, options: Montecarlo, identity: dict[str, Any]) -> int:
     """Draw lap `options.replay` into the run's folder, beside what is there, and print what it used.
 
-    Raises: ScenarioError where the number is none of a lap, or the folder cannot be made or written to.
+    Raises: ScenarioError where the number is none of a lap, the folder holds a run of another identity, or it cannot
+        be made or written to.
     """
     from jaxtube.experiments import lap_figure
 
@@ -31,6 +34,10 @@ def run(design: Design, options: Montecarlo) -> int:
     if number >= LAPS_LIMIT:
         raise refusal("command line", "--replay", number, "is out of range", "give a lap's number below 2^64")
     folder, name = RunFolder(options.folder), f"replay-{number}"
+    recorded = folder.path / "identity.json"
+    if recorded.exists() and (found := differences(json.loads(recorded.read_text()), json.loads(json.dumps(identity)))):
+        problem, cure = f"{folder.path} holds another run: {found}", "give its options, or name another --out"
+        raise refusal("command line", "--replay", number, problem, cure)
     try:
         folder.path.mkdir(parents=True, exist_ok=True)
         task = validation.make_task(design, options.controller, options.plant, options.starts, options.seed)

@@ -84,10 +84,11 @@ def _sampled(design: Design, seed: int) -> tuple[dict[str, float], float]:
         for j, points in enumerate(_deviations(switched, W, generator)):
             for name, sections in shared.items():
                 excess[name] = max(excess[name], float(np.max(_excess(sections[j], points))))
-        window = part % len(windows)
-        known = np.broadcast_to(design.windows.loops[window][:, None], (N, PART, 3, 3))
+    for window, sections in enumerate(windows):
+        generator = np.random.default_rng([seed, SAMPLES // PART + window])
+        known = np.broadcast_to(design.windows.loops[window][:, None], (N, -(-SAMPLES // len(windows)), 3, 3))
         for j, points in enumerate(_deviations(known, W, generator)):
-            along = max(along, float(np.max(_excess(windows[window][j], points))))
+            along = max(along, float(np.max(_excess(sections[j], points))))
     return excess, along
 
 

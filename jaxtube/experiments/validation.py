@@ -12,7 +12,7 @@ from jaxtube.controllers import ScheduledGain, TubeMpc
 from jaxtube.design import Design
 from jaxtube.design.feasible import boundary
 from jaxtube.experiments import closed_loop
-from jaxtube.experiments.metrics import TRANSIENT_S
+from jaxtube.experiments.metrics import settled_step
 from jaxtube.montecarlo import Task
 from jaxtube.starts import FixedStart, uniform_start
 from jaxtube.tally import HEAT_CELLS
@@ -42,9 +42,9 @@ def make_task(design: Design, controller: str, plant: str, starts: str, seed: in
 def make_checks(design: Design, controller) -> Checks:
     """Return what the runs of a controller are measured against."""
     problem, reference = design.problem, design.problem.reference
-    steps = reference.steps
+    steps, tube = reference.steps, problem.scenario.controller.tube
     transitions, inputs = problem.model.matrices(problem.schedule[:steps])
-    settled = min(round(TRANSIENT_S / reference.dt), steps - 1)
+    settled = settled_step(reference)
     poses = reference.poses[: steps + 1]
     corner, size = poses[:, :2].min(axis=0) - MAP_MARGIN_M, np.ptp(poses[:, :2], axis=0) + 2 * MAP_MARGIN_M
     checks = Checks(
@@ -53,8 +53,8 @@ def make_checks(design: Design, controller) -> Checks:
         disturbance=facets(problem.disturbance_set),
         error=facets(problem.error_set),
         input=facets(problem.input_set),
-        tubes={name: sections(design, name) for name in design.tubes},
-        tube=problem.scenario.controller.tube,
+        tubes={name: sections(design, name) for name in design.tubes if name == tube or affordable(design, name)},
+        tube=tube,
         ultimate=jnp.asarray(ultimate_bound(design, controller, settled)),
         settled=settled,
         poses=jnp.asarray(poses),
@@ -73,6 +73,14 @@ def facets(polytope: Polytope) -> Facets:
     identity = np.eye(polytope.dimension)
     box = -polytope.support(-identity), polytope.support(identity)
     return Facets(polytope.normals / scale[:, None], polytope.offsets / scale, *box)
+
+
+WINDOWS_COMPARED = 32
+
+
+def affordable(design: Design, tube: str) -> bool:
+    """Return whether a tube that is not in use is checked as well: `sequence` has sections for every window."""
+    return tube != "sequence" or len(design.windows.loops) <= WINDOWS_COMPARED
 
 
 def sections(design: Design, tube: str) -> Sections:
@@ -99,28 +107,26 @@ def _stack(every: list[list[Facets]]) -> Facets:
 
 
 def ultimate_bound(design: Design, controller, settled: int) -> Float[np.ndarray, "3"]:
-    """Return half widths that hold the error from step `settled` on, whatever the start in E, while w is in W.
+    """Return half widths that hold the measured error from step `settled` on while w is in W and no row is active.
 
-    For a controller that is a linear gain as long as no row is active, along this reference; infinite for others.
+    From any start in E, along this reference; infinite for a controller that is no linear gain then.
     """
     problem, steps = design.problem, design.problem.reference.steps
-    if isinstance(controller, TubeMpc):
+    if isinstance(controller, TubeMpc) and controller.restart:
         gains = np.asarray(controller.windows.free_inputs)[np.asarray(controller.index), :2]
     elif isinstance(controller, ScheduledGain):
         gains = np.asarray(controller.gains)
     else:
         return np.full(3, np.inf)
     transitions, inputs = problem.model.matrices(problem.schedule[:steps])
-    loops = transitions + inputs @ gains
-    W = problem.disturbance_set
-    widest = np.zeros(3)
-    for end in range(settled, steps + 1):
-        directions, reach = np.eye(3), np.zeros(3)
-        for step in range(end - 1, -1, -1):
-            reach += W.support(directions)
-            directions = directions @ loops[step]
-        widest = np.maximum(widest, reach + problem.error_set.support(directions))
-    return widest
+    loops, W, ends = transitions + inputs @ gains, problem.disturbance_set, np.arange(settled, steps + 1)
+    # One row of directions for every end, all moved one step further back at a time.
+    directions, reach = np.tile(np.eye(3), (len(ends), 1, 1)), np.zeros((len(ends), 3))
+    for back in range(1, steps + 1):
+        live = ends >= back
+        reach[live] += W.support(directions[live].reshape(-1, 3)).reshape(-1, 3)
+        directions[live] = directions[live] @ loops[ends[live] - back]
+    return np.max(reach + problem.error_set.support(directions.reshape(-1, 3)).reshape(-1, 3), axis=0)
 
 
 def cost_of_errors(design: Design) -> Float[np.ndarray, "windows 3 3"]:

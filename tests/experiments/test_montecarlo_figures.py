@@ -38,13 +38,14 @@ def quiet(found):
     counts = {
         "events": events,
         "stage_events": stage_events,
+        "plans_by_lap": np.array([LAPS, *[0] * PLANS_EACH]),
         "error_by_step": np.tile(lap_histogram, (steps, 1, 1)),
         "disturbance": steps * lap_histogram,
         **{name: lap_histogram for name in ("peak", "rms")},
         "map": np.zeros(HEAT_CELLS, np.int64),
         "cloud": np.zeros((horizon, 3, CLOUD_CELLS, CLOUD_CELLS), np.int64),
         **{name: np.zeros((3, COVERAGE_CELLS, COVERAGE_CELLS), np.int64) for name in ("starts", "starts_that_left")},
-        **{name: np.int64(0) for name in ("plans", "cost_increases")},
+        **{name: np.int64(0) for name in ("plans", "next_plan_missing", "cost_excesses")},
         **{f"tube_outside/{name}": np.zeros(horizon, np.int64) for name in found.tubes},
         "laps": np.int64(LAPS),
     }
@@ -52,6 +53,7 @@ def quiet(found):
     extremes = {f"excess/{name}": -limits.offsets for name, limits in sets.items()}
     extremes |= {"excess/input": -found.problem.input_set.offsets, "cost_excess": -np.inf}
     extremes |= {f"tube_excess/{name}": np.full(horizon, -np.inf) for name in found.tubes}
+    extremes |= {"ultimate_bound": np.full(3, np.inf)}
     worst = {f"worst_usage/{name}": np.zeros(1) for name in RANKED} | {
         f"worst_lap/{name}": np.array([7]) for name in RANKED
     }
@@ -77,12 +79,13 @@ def eventful(found, quiet):
     s["events"][EVENTS.index("e_outside_E")] = np.bincount([5] * 3 + [0] * (LAPS - 3), minlength=steps + 1)
     s["excess/error"] = np.array([0.01, -0.2, -0.1, -0.3, -0.1, -0.2])
     s["excess/disturbance"] = np.full(6, 1.9)
-    s["plans"] = np.int64(PLANS_EACH * LAPS)
+    s["plans"], s["plans_by_lap"] = np.int64(PLANS_EACH * LAPS), np.array([*[0] * PLANS_EACH, LAPS])
     s["cloud"] = generator.multinomial(
         PLANS_EACH * LAPS - 6, np.full(CLOUD_CELLS**2, CLOUD_CELLS**-2.0), s["cloud"].shape[:2]
     )
     s["cloud"] = s["cloud"].reshape(quiet["cloud"].shape)
     s["stage_events"][1, 0] = [LAPS - 10, 4, 6, 0]
+    s["tube_outside/paper"][1] = 4 + 2 * 6
     s["map"][3, 5], s["map"][40, 100] = 2, 900
     s["starts"][:] = generator.integers(0, 4, s["starts"].shape)
     s["starts_that_left"][:, 2, 3], s["starts"][:, 2, 3] = 1, 4
@@ -163,8 +166,8 @@ def test_disturbances_outside_w_fill_the_share_that_was_counted(found, eventful,
 
 
 def test_shares_are_drawn_with_their_intervals_and_bounds_where_none_was_seen(eventful, summary):
-    rows = montecarlo_figures.share_rows(summary, set())
-    chart, proof = montecarlo_figures.violations(summary, set()).axes
+    rows = montecarlo_figures.share_rows(summary)
+    chart, proof = montecarlo_figures.violations(summary).axes
     labels = [label.get_text() for label in chart.get_yticklabels()]
     assert labels == [row.label for row in rows] and len(rows) == 7 + 5
     assert "40 laps" in labels[0] and "3 laps" in labels[1] and "$R_{2}$: 16 plans" in labels[3]
@@ -184,8 +187,8 @@ def test_shares_are_drawn_with_their_intervals_and_bounds_where_none_was_seen(ev
 
 
 def test_events_that_a_run_cannot_have_are_not_listed(found, quiet):
-    left_out = montecarlo_figures.WITHOUT_WHEELS | montecarlo_figures.WITHOUT_PLANS
-    labels = [row.label for row in montecarlo_figures.share_rows(summary_of(found, quiet), left_out)]
+    found_nothing = summary_of(found, quiet, controller="local_gain", plant="linear")
+    labels = [row.label for row in montecarlo_figures.share_rows(found_nothing)]
     assert len(labels) == 4 and not any(word in label for label in labels for word in ("QP", "wheels", "R_"))
 
 

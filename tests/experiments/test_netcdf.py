@@ -21,17 +21,22 @@ def statistics():
     shapes = {
         "events": (len(EVENTS), STEPS + 1),
         "stage_events": (HORIZON, len(STAGE_EVENTS), PLANS + 1),
+        "plans_by_lap": (PLANS + 1,),
         "error_by_step": (STEPS, 3, histogram.BUCKETS),
         **{name: (3, histogram.BUCKETS) for name in ("disturbance", "peak", "rms")},
         "map": HEAT_CELLS,
         "cloud": (HORIZON, 3, CLOUD_CELLS, CLOUD_CELLS),
         **{name: (3, COVERAGE_CELLS, COVERAGE_CELLS) for name in ("starts", "starts_that_left")},
-        **{name: () for name in ("plans", "cost_increases", "laps")},
+        **{name: () for name in ("plans", "next_plan_missing", "cost_excesses", "laps")},
         "tube_outside/paper": (HORIZON,),
         **{f"worst_lap/{name}": (i,) for i, name in enumerate(RANKED)},
     }
     extremes = {"excess/disturbance": (6,), "excess/error": (6,), "excess/input": (4,), "tube_excess/paper": (HORIZON,)}
-    extremes |= {"cost_excess": (), **{f"worst_usage/{name}": (i,) for i, name in enumerate(RANKED)}}
+    extremes |= {
+        "cost_excess": (),
+        "ultimate_bound": (3,),
+        **{f"worst_usage/{name}": (i,) for i, name in enumerate(RANKED)},
+    }
     counts = {name: np.asarray(generator.integers(0, 2**60, shape)) for name, shape in shapes.items()}
     found = counts | {name: np.asarray(generator.normal(size=shape)) for name, shape in extremes.items()}
     found["tube_excess/paper"][0] = -np.inf
