@@ -236,7 +236,7 @@ def join(parts):
             joined[name] = (usage if "usage" in name else lap)[order]
         else:
             values = [np.asarray(part[name]) for part in parts]
-            joined[name] = sum(values) if values[0].dtype.kind == "i" else np.max(values, axis=0)
+            joined[name] = np.max(values, axis=0) if "excess" in name and values[0].dtype.kind == "f" else sum(values)
     return joined
 
 

@@ -211,10 +211,7 @@ def test_plans_followed_count_what_an_exact_solver_s_plans_do(poisoned, blocks, 
     expected = join(parts)
     check_same(blocks[block], expected, PLAN_OF_ORACLE)
     assert 0 < expected["plans"] < 3 * count
-    assert (
-        0 < expected["cost_excesses"] < expected["plans"] > expected["next_plan_missing"] > 0
-        and expected["cost_excess"] > 0
-    )
+    assert 0 < expected["cost_excesses"] < expected["plans"] and expected["cost_excess"] > 0
     for name in poisoned.design.tubes:
         assert np.all((expected[f"tube_outside/{name}"] > 0) & (expected[f"tube_outside/{name}"] < expected["plans"]))
     assert np.all(expected["cloud"].sum(axis=(2, 3)) > 0.2 * expected["plans"])

@@ -95,7 +95,7 @@ def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
     # Counted as "not inside", so that NaN is a violation.
     by_coordinate = ~np.all(errors <= limits, axis=0)
     outside = by_coordinate.any(axis=1)
-    settled = settled_step(problem.reference)
+    settled = min(settled_step(problem.reference), len(errors) - 1)
     status = trajectory.diagnostics.status
     return {
         "realisations": errors.shape[1],

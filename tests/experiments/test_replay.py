@@ -37,7 +37,7 @@ def known(found, task, monkeypatch):
         assert arguments == (found, "local_gain", "robot", "feasible", SEED)
         return task
 
-    monkeypatch.setattr("jaxtube.experiments.montecarlo.design", lambda scenario: found)
+    monkeypatch.setattr("jaxtube.experiments.montecarlo.make_design", lambda scenario: found)
     monkeypatch.setattr("jaxtube.experiments.validation.make_task", make_task)
 
 
