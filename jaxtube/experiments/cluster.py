@@ -59,7 +59,8 @@ class Cluster:
         from dask.config import set as configure
 
         kind, _, count = name.partition(":")
-        configure({"distributed.scheduler.allowed-failures": LOSSES})
+        # The profiler of a worker looks at its threads a hundred times a second; blocks take a second each.
+        configure({"distributed.scheduler.allowed-failures": LOSSES, "distributed.worker.profile.enabled": False})
         try:
             if kind == "local":
                 workers = int(count)

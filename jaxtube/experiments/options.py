@@ -121,8 +121,8 @@ class Bench(Options):
 
     command = module = "bench"
 
-    blocks: Annotated[int, arg(metavar="COUNT")] = 8
-    """blocks of 4,096 laps that each measurement times"""
+    blocks: Annotated[int, arg(metavar="COUNT")] = 16
+    """blocks of 4,096 laps in each of three rounds"""
 
 
 @dataclass(frozen=True)
