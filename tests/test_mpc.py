@@ -218,6 +218,7 @@ def test_the_backup_follows_the_last_plan_then_the_terminal_gain(robust_design, 
 # ------------------------------------------------------------------------------------------------------ without reset
 
 
+@pytest.mark.slow
 def test_without_restart_the_nominal_trajectory_knows_nothing_of_disturbances(paper_design):
     """Eqs. (12)-(15), (31): u = g_0 + K(th) (e - e_nominal), and g_0 is a function of e_nominal alone."""
     controller = dataclasses.replace(closed_loop.controllers(paper_design)["tube_mpc"], restart=False)

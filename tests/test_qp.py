@@ -210,6 +210,7 @@ def test_a_hessian_that_is_not_positive_definite_is_unsolved():
     assert (solution.status == qp.UNSOLVED).all() and not solution.x.any()
 
 
+@pytest.mark.slow
 def test_a_scan_over_programs_with_fewer_rows_than_unknowns_is_exact():
     rng = np.random.default_rng(2)
     root, A = rng.normal(size=(3, 10, 10)), rng.normal(size=(3, 6, 10))

@@ -200,6 +200,7 @@ def test_rows_that_depend_on_each_other_share_the_derivative_of_one():
         np.testing.assert_allclose(mine[:, rows] + mine[:, copies] * scale, other[:, rows], atol=tol.SENSITIVITY)
 
 
+@pytest.mark.slow
 def test_float32_follows_float64():
     data, rng = programs(2), np.random.default_rng(6)
     data = [np.float32(part).astype(float) for part in data]
