@@ -92,5 +92,8 @@ def test_a_lost_worker_costs_nothing(local):
 @pytest.mark.slow
 def test_workers_with_other_code_are_refused(local, monkeypatch):
     monkeypatch.setattr(clusters, "source_hashes", lambda: {"jaxtube": "other"})
-    with pytest.raises(ValueError, match="has another version of jaxtube or jax; install the same on all"):
-        Cluster("local:1", local)
+    refused = pytest.raises(
+        ValueError, match="has another version of jaxtube or jax, or other devices; install the same"
+    )
+    with Cluster("local:1", local) as cluster, refused:
+        next(cluster.computed([0]))
