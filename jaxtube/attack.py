@@ -113,12 +113,15 @@ def climb(controller, plant, limits: Limits, vertices: Attack, now: Climb, cell:
     """
 
     def target(attack: Attack):
+        """Return the sum of what each instance aims at, and all usages."""
         script = {name: values for name, values in attack.items() if name != "start"}
         found = cells(controller, limits, play(controller, plant, None, attack["start"][0], script))
         return jnp.sum(values := jnp.take_along_axis(found, cell[None], axis=0)[0]), (values, found)
 
     gradient, (values, found) = jax.grad(target, has_aux=True)(now.candidate)
     following = _step(now, values, gradient, vertices)
+    # What is no number keeps no limit, and must not hide what the others did.
+    found = jnp.where(jnp.isnan(found), jnp.inf, found)
     return following, jnp.max(found, axis=1), jnp.argmax(found, axis=1), jnp.max(following.gain * following.length)
 
 

@@ -115,17 +115,9 @@ def solve_batch(
     return jax.lax.cond(jnp.all(inside), lambda free: free, general, free)
 
 
-def solve_and_remember(
-    iterations: int,
-    polish_steps: int,
-    tolerance: float,
-    factors: Factors,
-    q: Float[Array, "batch n"],
-    l: Float[Array, "batch m"],
-    u: Float[Array, "batch m"],
-) -> tuple[Solution, tuple]:
+def solve_and_remember(iterations: int, polish_steps: int, tolerance: float, factors: Factors, q, l, u):
     """Solve, and keep what the derivative needs."""
-    solution = solve(factors, q, l, u, iterations=iterations, polish_steps=polish_steps, tolerance=tolerance)
+    solution = solve_batch(iterations, polish_steps, tolerance, factors, q, l, u)
     return solution, (factors, l, u, solution)
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtube import usage
 from jaxtube.experiments import run_folder
 from jaxtube.experiments.falsify_report import Row, facet, metrics, report, violated
-from jaxtube.experiments.falsify_setting import Setting, make_setting, spread
+from jaxtube.experiments.falsify_setting import Setting, drawn_starts, make_setting
 from jaxtube.experiments.options import Falsify
 from jaxtube.experiments.progress import progress
 from jaxtube.experiments.run_folder import RunFolder
@@ -59,7 +59,7 @@ def limit_names(options: Falsify) -> list[str]:
 
 def search(setting: Setting, names: list[str], options: Falsify) -> dict[str, Row]:
     """Search each limit for its share of the time, then draw laps for as long as the searches took."""
-    pool, found, sampled = spread(setting.starts, options.seed), {}, {}
+    pool, found, sampled = drawn_starts(setting, options.seed), {}, {}
     with progress(2 * len(names), "searching", "limits") as bar:
         for name in names:
             given = setting.loop(name), setting.plant, setting.limits(name), setting.starts
@@ -104,6 +104,7 @@ def save(scenario: Scenario, options: Falsify, folder: RunFolder, name: str, wor
         limit=name,
         controller=options.controller,
         plant=options.plant,
+        starts=options.starts,
         **numbers,
         **{f"attack_{key}": values for key, values in worst.attack.items()},
         errors=lap.errors[:, 0],
@@ -122,7 +123,7 @@ def play_again(scenario: Scenario, options: Falsify) -> int:
         cure = f"give --scenario {path.parent / 'scenario.toml'}"
         raise refusal("command line", "--replay", str(path), "was found with another scenario", cure)
     name = str(saved["limit"])
-    setting = make_setting(scenario, str(saved["controller"]), str(saved["plant"]), "scenario", options.seed)
+    setting = make_setting(scenario, str(saved["controller"]), str(saved["plant"]), str(saved["starts"]), options.seed)
     attack = {key.removeprefix("attack_"): saved[key] for key in saved if key.startswith("attack_")}
     before = Worst(**{key: saved[key].item() for key in ("usage", "margin", "step", "facet", "when")}, attack=attack)
     worst = replayed(setting.loop(name), setting.plant, setting.limits(name)[name], name, before)

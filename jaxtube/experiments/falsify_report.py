@@ -21,6 +21,8 @@ WHEELS = ("right wheel", "left wheel")
 NOTE = """usage: 1 on the facet, above 1 outside. By gradient: laps played with their derivative. Drawn laps: as many
 as fit into the time of the search; for limits that one lap answers, into the sum of their times."""
 
+WIDEST = "Of the tube `sequence` only the plans with the widest window ahead were searched."
+
 
 class Row(NamedTuple):
     """What came out for one limit."""
@@ -87,6 +89,8 @@ def report(setting: Setting, rows: dict[str, Row]) -> str:
             f"{row.search.seconds:10.1f}{drawn.usage(name):12.4f}{drawn.laps:12,}  step {row.worst.step}, {what}"
         )
     lines += ["", NOTE]
+    if "tube" in rows and setting.found.problem.scenario.controller.tube == "sequence":
+        lines.append(WIDEST)
     return "\n".join(lines)
 
 

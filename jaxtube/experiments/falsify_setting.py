@@ -17,12 +17,17 @@ from jaxtube.design import Design, design, refuse_infeasible_start
 from jaxtube.design.feasible import boundary
 from jaxtube.design.tightening import widest_window
 from jaxtube.experiments import closed_loop
+from jaxtube.rollout import realisation_keys
 from jaxtube.scenario import Scenario, ScenarioError
+from jaxtube.starts import uniform_start
 from jaxtube.usage import Limit, Limits
 from sets.polytope import hull_vertices
 
 RAYS, INSIDE = 400, 0.999
 """Rays that probe the feasible set, and the share of it that starts may take: its very edge is a matter of rounding."""
+
+POOL = 4096
+"""Starts that drawn laps choose from."""
 
 
 class Setting(NamedTuple):
@@ -66,6 +71,12 @@ def make_setting(scenario: Scenario, controller: str, plant: str, starts: str, s
         del limits["wheels"]
     if isinstance(loop, TubeMpc):
         tube, windows = {"tube": tube_limit(found)}, followed_windows(found)
+        if not len(windows):
+            steps, horizon = found.problem.reference.steps, found.problem.horizon
+            raise ScenarioError(
+                f"scenario: reference.duration_s = {scenario.reference.duration_s}: {steps} steps are fewer than "
+                f"controller.horizon = {horizon}, so that no plan can be followed; run for longer"
+            )
     return Setting(found, loop, acting, limits, tube, windows, vertices)
 
 
@@ -93,18 +104,16 @@ def tube_limit(found: Design) -> Limit:
     return usage.tube_limit([(section.normals, section.offsets) for section in sections])
 
 
+def drawn_starts(setting: Setting, seed: int) -> Float[np.ndarray, "count 3"]:
+    """Return the pool that drawn laps start from: the one start, or starts uniform in the hull that is searched."""
+    if len(setting.starts) == 1:
+        return setting.starts
+    return np.asarray(uniform_start(setting.starts).draw(realisation_keys(seed, 0, POOL)))
+
+
 def followed_windows(found: Design) -> np.ndarray:
     """Return the steps at which a plan may begin that is judged: of the tube `sequence` those of its widest window."""
     steps = np.arange(found.problem.reference.steps - found.problem.horizon + 1)
     if found.problem.scenario.controller.tube != "sequence":
         return steps
     return steps[found.windows.index[steps] == widest_window(found.problem, found.windows)]
-
-
-def spread(vertices: Float[np.ndarray, "k 3"], seed: int, count: int = 4096) -> Float[np.ndarray, "count 3"]:
-    """Return starts in the hull of vertices: mixtures of three, half of them vertices themselves."""
-    generator = np.random.default_rng(seed)
-    weights = generator.dirichlet(np.ones(3), size=count)
-    weights[::2] = [1.0, 0.0, 0.0]
-    chosen = vertices[generator.integers(len(vertices), size=(count, 3))]
-    return np.einsum("ij,ijk->ik", weights, chosen)

@@ -11,6 +11,7 @@ import hashlib
 import itertools
 import os
 import resource
+import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -47,7 +48,7 @@ def run(scenario: Scenario, options: Montecarlo) -> int:
     records = Records(options.folder / "records", identity(scenario, options), montecarlo.merge, BLOCK)
     with records:
         for line in records.damaged:
-            print(line)
+            print(line, file=sys.stderr)
         missing = records.missing(int(options.realisations))
         folder = run_folder.create(scenario, options)
         folder.save_json("identity", identity(scenario, options))

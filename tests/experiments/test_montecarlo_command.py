@@ -160,7 +160,7 @@ def test_a_damaged_record_is_told_in_one_line_and_computed_again(undisturbed, qu
     content[len(content) // 2] ^= 1
     victim.write_bytes(content)
     assert run(tmp_path / "run") == 0
-    told = [line for line in capsys.readouterr().out.splitlines() if "is damaged" in line]
+    told = [line for line in capsys.readouterr().err.splitlines() if "is damaged" in line]
     assert len(told) == 1 and victim.name in told[0]
     assert statistics_of(tmp_path / "run") == statistics_of(undisturbed)
 
