@@ -3,23 +3,28 @@
     true     = nominal (1 + relative_error xi_true)
     measured = nominal (1 + relative_error xi_measured)        xi in [-1, 1]^2, (right, left)
 
-A process says how xi evolves: afresh at each step, constant, as a bounded random walk, or tied to the ground. Which of
-the two slips varies is `random`: "true", "measured" or "both" (then independently).
+A process says how xi evolves: afresh at each step, constant, as a bounded random walk, tied to the ground, at the
+extremes of its range, or against the robot. Which of the two slips varies is `random`: "true", "measured" or "both"
+(then independently, but for the adversary, who is one).
 
-Each number is a pure function of seed, realisation, purpose and step, or patch of ground, by `jax.random.fold_in`
-(Salmon, Moraes, Dror, Shaw 2011). All functions are for one realisation; the caller vmaps them.
+Each draw is a pure function of seed, realisation, purpose and step, or patch of ground, by `jax.random.fold_in`
+(Salmon, Moraes, Dror, Shaw 2011); what the adversary makes of its draw depends on the tracking error too. All functions
+are for one realisation; the caller vmaps them.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV (slip measurements vary by 10 %); the processes are new.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import DTypeLike
 from jaxtyping import Float, Key
+
+from jaxtube import adversary
 
 # Purposes: the streams of one realisation.
 TRUE_SLIP, MEASURED_SLIP, POSE_NOISE = 0, 1, 2
@@ -31,25 +36,35 @@ RANDOM_SLIPS = ("true", "measured", "both")
 State = tuple[Array, ...]
 
 
+class Situation(NamedTuple):
+    """What a process may look at when it chooses the deviation of one step."""
+
+    wheel_positions: Float[Array, "2 2"]  # contact points (right, left) by (x, y), m, world frame
+    errors: Float[Array, "3"]  # true tracking error, (m, m, rad)
+
+
 @dataclass(frozen=True)
 class Process:
     """How the deviation xi of one slip evolves, for both wheels.
 
     Attributes:
         initial: (key, dtype) -> state before the first step.
-        deviation: (key, step, state, wheel_positions) -> (xi (right, left) in [-1, 1], next state); the positions are
-            the wheels' contact points, (right, left) by (x, y), m, world frame. xi has their dtype.
+        deviation: (key, step, state, situation) -> (xi (right, left) in [-1, 1], next state); xi has the dtype of the
+            situation.
+        opposed: the true slip follows `deviation` and the measured one its negative, from the same draws: a measured
+            slip that is too large drives the wheel faster, a true one lets it lose more.
     """
 
     initial: Callable[[Key[Array, ""], DTypeLike], State]
     deviation: Callable[..., tuple[Float[Array, "2"], State]]
+    opposed: bool = False
 
 
 def iid() -> Process:
     """Draw each wheel afresh at each step, uniformly."""
 
-    def deviation(key, step, state, wheel_positions):
-        return _uniform(jax.random.fold_in(key, step), (2,), wheel_positions.dtype), state
+    def deviation(key, step, state, situation):
+        return _uniform(jax.random.fold_in(key, step), (2,), situation.errors.dtype), state
 
     return Process(_stateless, deviation)
 
@@ -57,8 +72,8 @@ def iid() -> Process:
 def constant() -> Process:
     """Draw each wheel once per realisation, uniformly."""
 
-    def deviation(key, step, state, wheel_positions):
-        return _uniform(jax.random.fold_in(key, START), (2,), wheel_positions.dtype), state
+    def deviation(key, step, state, situation):
+        return _uniform(jax.random.fold_in(key, START), (2,), situation.errors.dtype), state
 
     return Process(_stateless, deviation)
 
@@ -77,7 +92,7 @@ def walk(step_size: float = 0.1) -> Process:
     def initial(key, dtype):
         return (_uniform(jax.random.fold_in(key, START), (2,), dtype),)
 
-    def deviation(key, step, state, wheel_positions):
+    def deviation(key, step, state, situation):
         (xi,) = state
         moved = xi + step_size * _uniform(jax.random.fold_in(key, step), (2,), xi.dtype)
         return xi, (jnp.where(jnp.abs(moved) > 1.0, jnp.sign(moved) * 2.0 - moved, moved),)
@@ -96,17 +111,48 @@ def patches(patch_size: float = 1.0) -> Process:
     """
     _refuse_unless(patch_size > 0.0, "patch_size", patch_size, "give a positive length in m")
 
-    def deviation(key, step, state, wheel_positions):
+    def deviation(key, step, state, situation):
         def under(position):
             column, row = jnp.floor(position / patch_size).astype(jnp.int32)
             return _uniform(jax.random.fold_in(jax.random.fold_in(key, column), row), (), position.dtype)
 
-        return jax.vmap(under)(wheel_positions), state
+        return jax.vmap(under)(situation.wheel_positions), state
 
     return Process(_stateless, deviation)
 
 
-PROCESSES = {"iid": iid, "constant": constant, "walk": walk, "patches": patches}
+def vertex() -> Process:
+    """Draw each wheel afresh at each step, -1 or 1 with equal chance."""
+
+    def deviation(key, step, state, situation):
+        return jax.random.rademacher(jax.random.fold_in(key, step), (2,), situation.errors.dtype), state
+
+    return Process(_stateless, deviation)
+
+
+def adversarial() -> Process:
+    """Act against the robot, each realisation by a scheme of its own (`jaxtube.adversary`)."""
+
+    def initial(key, dtype):
+        return adversary.draw_scheme(jax.random.fold_in(key, START), dtype)
+
+    def deviation(key, step, state, situation):
+        right, left = situation.wheel_positions
+        track_width = jnp.hypot(right[0] - left[0], right[1] - left[1])
+        direction = adversary.pushed_direction(state, step, situation.errors)
+        return adversary.worst_vertex(direction, situation.errors, track_width), state
+
+    return Process(initial, deviation, opposed=True)
+
+
+PROCESSES = {
+    "iid": iid,
+    "constant": constant,
+    "walk": walk,
+    "patches": patches,
+    "vertex": vertex,
+    "adversarial": adversarial,
+}
 
 
 def realisation_key(seed_key: Key[Array, ""], index_high: Array | int, index_low: Array | int) -> Key[Array, ""]:
@@ -134,7 +180,7 @@ def initial_slip(run_key: Key[Array, ""], process: Process, dtype: DTypeLike = f
     Returns:
         The pair of states that `draw_slip` takes first.
     """
-    true_key, measured_key = jax.random.fold_in(run_key, TRUE_SLIP), jax.random.fold_in(run_key, MEASURED_SLIP)
+    true_key, measured_key = _slip_keys(run_key, process)
     return process.initial(true_key, dtype), process.initial(measured_key, dtype)
 
 
@@ -142,7 +188,7 @@ def draw_slip(
     run_key: Key[Array, ""],
     step: Array | int,
     state: tuple[State, State],
-    wheel_positions: Float[Array, "2 2"],
+    situation: Situation,
     process: Process,
     random: str,
 ) -> tuple[Float[Array, "2"], Float[Array, "2"], tuple[State, State]]:
@@ -152,7 +198,7 @@ def draw_slip(
         run_key: key of the realisation.
         step: number of the step, from 0.
         state: what `initial_slip` or the last step returned.
-        wheel_positions: contact points (right, left) by (x, y), m, world frame.
+        situation: where robot and wheels are.
         process: how deviations evolve.
         random: which slip varies, "true", "measured" or "both"; the other's deviation is 0.
 
@@ -163,13 +209,14 @@ def draw_slip(
         ValueError: when `random` is none of the three.
     """
     _refuse_unless(random in RANDOM_SLIPS, "random", random, f"choose one of {', '.join(RANDOM_SLIPS)}")
-    true_key, measured_key = jax.random.fold_in(run_key, TRUE_SLIP), jax.random.fold_in(run_key, MEASURED_SLIP)
+    true_key, measured_key = _slip_keys(run_key, process)
     true_state, measured_state = state
-    xi_true = xi_measured = jnp.zeros(2, wheel_positions.dtype)
+    xi_true = xi_measured = jnp.zeros(2, situation.errors.dtype)
     if random != "measured":
-        xi_true, true_state = process.deviation(true_key, step, true_state, wheel_positions)
+        xi_true, true_state = process.deviation(true_key, step, true_state, situation)
     if random != "true":
-        xi_measured, measured_state = process.deviation(measured_key, step, measured_state, wheel_positions)
+        xi_measured, measured_state = process.deviation(measured_key, step, measured_state, situation)
+        xi_measured = -xi_measured if process.opposed else xi_measured
     return xi_true, xi_measured, (true_state, measured_state)
 
 
@@ -202,6 +249,12 @@ def pose_noise(run_key: Key[Array, ""], step: Array | int, half_widths: Float[Ar
     """
     key = jax.random.fold_in(jax.random.fold_in(run_key, POSE_NOISE), step)
     return half_widths * _uniform(key, (3,), half_widths.dtype)
+
+
+def _slip_keys(run_key: Key[Array, ""], process: Process) -> tuple[Key[Array, ""], Key[Array, ""]]:
+    """Give the streams of the true and the measured slip: one for both where they are opposed."""
+    true_key = jax.random.fold_in(run_key, TRUE_SLIP)
+    return true_key, true_key if process.opposed else jax.random.fold_in(run_key, MEASURED_SLIP)
 
 
 def _uniform(key: Key[Array, ""], shape: tuple[int, ...], dtype: DTypeLike) -> Array:

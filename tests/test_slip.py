@@ -1,31 +1,35 @@
 """Laws of the random slips: drawn by index, uniform, bounded, each process true to its name."""
 
-from functools import partial
+from functools import cache, partial
+from typing import get_args, get_type_hints
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scipy.stats import kstest
+from scipy.stats import chisquare, kstest
 from tolerances import CORRELATION, LEAST_P_VALUE, ROUNDING
 
 from jaxtube import slip
+from jaxtube.scenario.tree import Slip
 
 SEED = jax.random.key(20)
-HERE = jnp.zeros((2, 2))
+HERE = slip.Situation(jnp.zeros((2, 2)), jnp.array([0.1, -0.2, 0.3]))
 PROCESSES = {name: make() for name, make in slip.PROCESSES.items()}
+UNIFORM = ("iid", "constant", "walk", "patches")
+DRAWN = (*UNIFORM, "vertex")  # and the adversary chooses
 
 
 @partial(jax.jit, static_argnames=("process", "random", "steps"))
-def one_run(process, random, steps, index_low, positions=HERE, index_high=0):
+def one_run(process, random, steps, index_low, situation=HERE, index_high=0):
     """Deviations (steps, 2) of the true and the measured slip of one realisation."""
     key = slip.realisation_key(SEED, index_high, index_low)
 
     def body(state, step):
-        true, measured, state = slip.draw_slip(key, step, state, positions, process, random)
+        true, measured, state = slip.draw_slip(key, step, state, situation, process, random)
         return state, (true, measured)
 
-    return jax.lax.scan(body, slip.initial_slip(key, process, positions.dtype), jnp.arange(steps))[1]
+    return jax.lax.scan(body, slip.initial_slip(key, process, situation.errors.dtype), jnp.arange(steps))[1]
 
 
 def many_runs(process, random, steps, count):
@@ -38,37 +42,52 @@ def is_uniform(samples, low=-1.0, high=1.0):
     return kstest(np.ravel(samples), "uniform", (low, high - low)).pvalue > LEAST_P_VALUE
 
 
-@pytest.fixture(scope="module", params=PROCESSES)
-def runs(request):
-    """A process and 3000 runs of 41 steps of it."""
-    return request.param, np.asarray(many_runs(PROCESSES[request.param], "both", 41, 3000))
+@cache
+def runs(name):
+    """3000 runs of 41 steps of a process."""
+    return np.asarray(many_runs(PROCESSES[name], "both", 41, 3000))
 
 
-def test_deviations_are_uniform_and_bounded_at_the_first_and_at_late_steps(runs):
-    _, deviations = runs
+@pytest.mark.parametrize("name", UNIFORM)
+def test_deviations_are_uniform_and_bounded_at_the_first_and_at_late_steps(name):
+    deviations = runs(name)
     assert np.all(np.abs(deviations) <= 1.0)
     for step in (0, 40):
         # One wheel a run, for on one patch both wheels share their slip.
         assert is_uniform(deviations[:, :, step, 0]) and is_uniform(deviations[:, :, step, 1])
 
 
-def test_true_and_measured_slips_are_independent(runs):
-    _, (true, measured) = runs
+@pytest.mark.parametrize("name", DRAWN)
+def test_true_and_measured_slips_are_independent(name):
+    true, measured = runs(name)
     assert abs(np.corrcoef(true[:, 7, 0], measured[:, 7, 0])[0, 1]) < CORRELATION
 
 
-def test_wheels_and_runs_are_independent(runs):
-    name, (true, _) = runs
+@pytest.mark.parametrize("name", DRAWN)
+def test_wheels_and_runs_are_independent(name):
+    true, _ = runs(name)
     assert abs(np.corrcoef(true[1:, 7, 0], true[:-1, 7, 0])[0, 1]) < CORRELATION
     if name != "patches":
         assert abs(np.corrcoef(true[:, 7, 0], true[:, 7, 1])[0, 1]) < CORRELATION
 
 
-def test_draws_do_not_depend_on_the_batch(runs):
-    name, (true, measured) = runs
-    alone = np.asarray(one_run(PROCESSES[name], "both", 41, 2345))
+@pytest.mark.parametrize("name", PROCESSES)
+def test_draws_do_not_depend_on_the_batch(name):
+    alone, among = np.asarray(one_run(PROCESSES[name], "both", 41, 2345)), runs(name)[:, 2345]
     # A walk adds numbers up, and compilers may fuse that; all else is the same bits.
-    np.testing.assert_allclose(alone, [true[2345], measured[2345]], rtol=0.0, atol=ROUNDING if name == "walk" else 0.0)
+    np.testing.assert_allclose(alone, among, rtol=0.0, atol=ROUNDING if name == "walk" else 0.0)
+
+
+@pytest.mark.parametrize("name", ["vertex", "adversarial"])
+def test_extreme_deviations_are_extreme(name):
+    np.testing.assert_array_equal(np.abs(runs(name)), 1.0)
+
+
+def test_each_vertex_comes_up_a_quarter_of_the_time():
+    true, measured = runs("vertex")
+    for deviations in (true, measured):
+        _, counts = np.unique(deviations.reshape(-1, 2), axis=0, return_counts=True)
+        assert len(counts) == 4 and chisquare(counts).pvalue > LEAST_P_VALUE
 
 
 @pytest.mark.parametrize("process", PROCESSES.values(), ids=PROCESSES)
@@ -80,8 +99,15 @@ def test_only_the_slip_that_is_random_deviates(process):
 
 @pytest.mark.parametrize("process", PROCESSES.values(), ids=PROCESSES)
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
-def test_dtype_is_the_positions(process, dtype):
-    assert all(array.dtype == dtype for array in one_run(process, "both", 3, 3, HERE.astype(dtype)))
+def test_dtype_is_that_of_the_situation(process, dtype):
+    here = jax.tree.map(lambda array: array.astype(dtype), HERE)
+    assert all(array.dtype == dtype for array in one_run(process, "both", 3, 3, here))
+
+
+def test_scenarios_can_name_every_process_and_no_other():
+    fields = get_type_hints(Slip)
+    assert set(get_args(fields["process"])) == set(PROCESSES)
+    assert set(get_args(fields["random"])) == set(slip.RANDOM_SLIPS)
 
 
 def test_realisations_around_2_to_the_31_and_2_to_the_32_are_distinct():
@@ -94,8 +120,9 @@ def test_realisations_around_2_to_the_31_and_2_to_the_32_are_distinct():
     assert len(set(first)) == len(indices)
 
 
-def test_iid_draws_forget_the_step_before():
-    true, _ = np.asarray(many_runs(PROCESSES["iid"], "true", 2, 3000))
+@pytest.mark.parametrize("name", ["iid", "vertex"])
+def test_fresh_draws_forget_the_step_before(name):
+    true, _ = runs(name)
     assert abs(np.corrcoef(true[:, 0, 0], true[:, 1, 0])[0, 1]) < CORRELATION
 
 
@@ -124,7 +151,8 @@ def test_patches_meet_the_same_slip_on_the_same_ground_at_any_time():
 
     def at(x, y, step=0, run_key=key):
         positions = jnp.array([[x, y], [x + 7.0, y]])
-        return np.asarray(slip.draw_slip(run_key, step, ((), ()), positions, process, "true")[0])
+        situation = HERE._replace(wheel_positions=positions)
+        return np.asarray(slip.draw_slip(run_key, step, ((), ()), situation, process, "true")[0])
 
     corners = (np.stack(np.meshgrid(np.arange(-6, 6), np.arange(-6, 6)), -1).reshape(-1, 2)) * size
     right, left = np.array([at(*corner) for corner in corners + 0.01]).T

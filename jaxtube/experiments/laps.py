@@ -81,7 +81,8 @@ def slip_deviations(
     def period(memory, now):
         step, error = now
         places = wheel_positions(world_pose(error, plant.reference_poses[step]), plant.robot.track_width)
-        true, measured, memory = slip.draw_slip(key, step, memory, places, process, plant.random)
+        situation = slip.Situation(places, error)
+        true, measured, memory = slip.draw_slip(key, step, memory, situation, process, plant.random)
         return memory, jnp.stack([true, measured])
 
     start = slip.initial_slip(key, process, errors.dtype)

@@ -126,8 +126,9 @@ def law(scenario: Scenario, options: Montecarlo) -> str:
     measured = "pose measured exactly"
     if any(noise):
         measured = f"pose noise uniform within {noise[0]:.3g} m, {noise[1]:.3g} m, {noise[2]:.3g} deg"
+    spread = "at" if slip.process in ("vertex", "adversarial") else "uniform within"
     return (
-        f"{options.controller} on the slipping robot, {varies} ({slip.process}) uniform within +-"
+        f"{options.controller} on the slipping robot, {varies} ({slip.process}) {spread} +-"
         f"{slip.relative_error:.3g} of its nominal value, {measured}, {where}"
     )
 
