@@ -3,9 +3,9 @@
     initial(errors) -> memory
     act(step, memory, errors, reference_wheels) -> (virtual inputs, next memory, diagnostics)
 
-`errors` are the measured ones, (batch, 3); virtual inputs (speed deficit m/s, yaw rate deficit rad/s) become wheels
-by eqs. (7)-(8) with the measured slip where the controller `compensates`, else with none; with `cosine_free` the speed
-deficit counts from V cos e_th. All are pytrees whose arrays run along the reference.
+`errors` are the measured ones, (batch, 3); virtual inputs (speed deficit m/s, yaw rate deficit rad/s), in the
+sense of the controller's `input_map`, become wheels by eqs. (7)-(8) with the measured slip where it `compensates`, else
+with none. All are pytrees whose arrays run along the reference.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, sections III and IV.
 """
@@ -23,7 +23,7 @@ from jaxtube import mpc
 from jaxtube.baselines import tracking_input
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["restart", "cosine_free"], data_fields=["windows", "index"])
+@partial(jax.tree_util.register_dataclass, meta_fields=["restart", "input_map"], data_fields=["windows", "index"])
 @dataclass(frozen=True)
 class TubeMpc:
     """The controller: windows along the reference, which one each step uses, and its two choices."""
@@ -31,7 +31,7 @@ class TubeMpc:
     windows: mpc.Window
     index: Int[Array, " steps"]
     restart: bool = True
-    cosine_free: bool = False
+    input_map: str = "paper"
     compensates = True
 
     def initial(self, errors: Float[Array, "batch 3"]) -> mpc.MpcState:
@@ -50,7 +50,7 @@ class TrackingLaw:
 
     track_width: float
     compensates: bool
-    cosine_free = False
+    input_map = "paper"
 
     def initial(self, errors: Float[Array, "batch 3"]) -> tuple[()]:
         """Return no memory."""
@@ -61,13 +61,13 @@ class TrackingLaw:
         return tracking_input(errors, reference_wheels, self.track_width), state, mpc.no_diagnostics(errors)
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["gains"], meta_fields=["cosine_free"])
+@partial(jax.tree_util.register_dataclass, data_fields=["gains"], meta_fields=["input_map"])
 @dataclass(frozen=True)
 class ScheduledGain:
     """The static law u = K(th_k) e with slip compensation: a tube's local gain without prediction."""
 
     gains: Float[Array, "steps 2 3"]
-    cosine_free: bool = False
+    input_map: str = "paper"
     compensates = True
 
     def initial(self, errors: Float[Array, "batch 3"]) -> tuple[()]:

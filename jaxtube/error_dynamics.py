@@ -106,21 +106,21 @@ def advance(
     return jnp.concatenate([position, heading[..., None]], axis=-1)
 
 
-def _chord(speed: Float[Array, "..."], yaw_rate: Float[Array, "..."], dt: float) -> Float[Array, "... 2"]:
-    """Give the displacement along an arc, in the frame at its start."""
-    half_turn = dt * yaw_rate / 2.0
-    length = dt * speed * _sinc(half_turn)
-    return jnp.stack([length * jnp.cos(half_turn), length * jnp.sin(half_turn)], axis=-1)
-
-
-def _sinc(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Give sin(x) / x with value and derivatives exact to rounding, also near zero."""
+def sinc(x: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Give sin(x) / x, x in rad, with value and derivatives exact to rounding, also near zero."""
     near = jnp.abs(x) < 0.3  # here the first term left out of the series is below 1e-16
     y = jnp.where(near, x, 0.0) ** 2
     series = 1.0 - y / 6.0 * (1.0 - y / 20.0 * (1.0 - y / 42.0 * (1.0 - y / 72.0 * (1.0 - y / 110.0))))
     # Both branches are differentiated, so the one not taken must stay finite.
     far = jnp.where(near, 1.0, x)
     return jnp.where(near, series, jnp.sin(far) / far)
+
+
+def _chord(speed: Float[Array, "..."], yaw_rate: Float[Array, "..."], dt: float) -> Float[Array, "... 2"]:
+    """Give the displacement along an arc, in the frame at its start."""
+    half_turn = dt * yaw_rate / 2.0
+    length = dt * speed * sinc(half_turn)
+    return jnp.stack([length * jnp.cos(half_turn), length * jnp.sin(half_turn)], axis=-1)
 
 
 def _rotate(vector: Float[Array, "... 2"], angle: Float[Array, "..."]) -> Float[Array, "... 2"]:

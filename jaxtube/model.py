@@ -3,11 +3,16 @@
     e+ = A(th) e + B(th) u + w,   th = (V_r, V_l) in Theta
     e_x' = Om e_y + u1            e_y' = -Om e_x + V e_th            e_th' = u2
 
-th, the schedule, is the pair of reference wheel speeds in m/s, Theta the box it lies in. Two choices make four models:
+th, the schedule, is the pair of reference wheel speeds in m/s, Theta the box it lies in. Two choices make four models,
+and a fifth is sampled from the start:
 
 * `paper` takes Om = ((1 - i_r) V_r - (1 - i_l) V_l) / b, the Jacobian at wheels that do not compensate their slip;
   `consistent` takes Om = (V_r - V_l) / b, the Jacobian of the dynamics under commands that do. They differ by T i Om.
 * `euler` is I + T (.), affine in the schedule; `zoh` is exact over a period with the inputs held, and not affine.
+* `exact_jacobian` is the Jacobian at 0 of the sampled robot under the input map `x_exact`, with A_ = T Om,
+  h = tan(A_ / 2) and c = T V h / (A_ / 2):
+
+      A = [[1, T Om, 0], [-2 h, 1 - h T Om, c], [0, 0, 1]],    B = [[T, 0], [-h T, c T / 2], [0, T]].
 
 Errors are (longitudinal m, lateral m, heading rad), inputs (speed deficit m/s, yaw rate deficit rad/s).
 
@@ -20,7 +25,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.linalg import expm
 
-MODELS = ("paper", "consistent")
+MODELS = ("paper", "consistent", "exact_jacobian")
 DISCRETISATIONS = ("euler", "zoh")
 # The sides, lower 0 or upper 1, of (V_r, V_l) at the four vertices in the order of eqs. (34)-(37).
 VERTEX_SIDES = np.array([[0, 1], [0, 0], [1, 0], [1, 1]])
@@ -34,7 +39,7 @@ class Model:
         dt: period, s.
         track_width: b, m.
         slip_factors: (right, left), what part of a wheel's speed counts in the yaw rate: 1 - nominal slip, or 1.
-        discretisation: "euler" or "zoh".
+        discretisation: "euler", "zoh" or, for the exact Jacobian, "exact".
         box: Theta as (lower, upper), each (right, left) in m/s.
     """
 
@@ -53,8 +58,10 @@ class Model:
             schedule: reference wheel speeds (right, left), m/s.
 
         Returns:
-            (A, B), with eigenvalues of modulus 1 and above; B depends on the schedule for `zoh` only.
+            (A, B), with eigenvalues of modulus 1 and above; B depends on the schedule but for `euler`.
         """
+        if self.discretisation == "exact":
+            return self._exact_pair(np.asarray(schedule, float))
         rates = self._continuous_pair(np.asarray(schedule, float)) * self.dt
         transition = expm(rates) if self.discretisation == "zoh" else np.eye(5) + rates
         return transition[..., :3, :3], transition[..., :3, 3:]
@@ -67,6 +74,50 @@ class Model:
         rates[..., 1, 2] = schedule.mean(axis=-1)
         rates[..., 0, 3] = rates[..., 2, 4] = 1.0
         return rates
+
+    def stretched(self, schedule: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 2"]:
+        """Give the wheel speeds times tan(x) / x, x = T Om / 2: in them the exact Jacobian's h and c are linear.
+
+        Args:
+            schedule: reference wheel speeds (right, left), m/s, that turn by less than half a turn a period.
+        """
+        turn = self.dt * schedule @ np.array([1.0, -1.0]) / self.track_width
+        return schedule * (np.sinc(turn / (2.0 * np.pi)) / np.cos(turn / 2.0))[..., None]
+
+    def turn_and_reach(self, stretched: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 2"]:
+        """Give (h, c) of the exact Jacobian from stretched wheel speeds: c +- b h is T times the right or left one."""
+        right, left = np.moveaxis(self.dt * stretched, -1, 0)
+        return np.stack([(right - left) / (2.0 * self.track_width), (right + left) / 2.0], axis=-1)
+
+    def stretched_box(
+        self, lower: Float[np.ndarray, "2"], upper: Float[np.ndarray, "2"]
+    ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
+        """Give a box around the stretched speeds of a box of positive wheel speeds, exact where that is a point.
+
+        Raises:
+            ValueError: where a speed is not positive.
+        """
+        if np.array_equal(lower, upper):
+            return self.stretched(lower), self.stretched(upper)
+        _refuse_unless(
+            bool(np.min(lower) > 0.0),
+            "box",
+            [lower.tolist(), upper.tolist()],
+            "the exact Jacobian needs positive wheel speeds; raise the lower ones",
+        )
+        # tan(x) / x is 1 at least and grows with |x|, so it is largest at one of the two turning corners.
+        turning = np.array([[lower[0], upper[1]], [upper[0], lower[1]]])
+        return lower, upper * float(np.max(self.stretched(turning) / turning))
+
+    def _exact_pair(self, schedule: Float[np.ndarray, "... 2"]):
+        h, c = np.moveaxis(self.turn_and_reach(self.stretched(schedule)), -1, 0)
+        T, turn = self.dt, self.dt * schedule @ np.array([1.0, -1.0]) / self.track_width
+        A, B = np.zeros((*h.shape, 3, 3)), np.zeros((*h.shape, 3, 2))
+        A[..., 0, 0] = A[..., 2, 2] = 1.0
+        A[..., 0, 1], A[..., 1, 0], A[..., 1, 1], A[..., 1, 2] = turn, -2.0 * h, 1.0 - h * turn, c
+        B[..., 0, 0] = B[..., 2, 1] = T
+        B[..., 1, 0], B[..., 1, 1] = -h * T, c * T / 2.0
+        return A, B
 
     @property
     def centre(self) -> Float[np.ndarray, "2"]:
@@ -93,10 +144,7 @@ class Model:
             Weights in the order of `vertices`: they sum to 1 and reproduce the schedule, hence `euler`'s A, exactly.
             They are non-negative for a schedule in the box, and extrapolate outside it.
         """
-        lower, upper = self.box
-        width = np.where(upper > lower, upper - lower, 1.0)
-        upper_share = ((np.asarray(schedule, float) - lower) / width)[..., None, :]
-        return np.where(VERTEX_SIDES == 1, upper_share, 1.0 - upper_share).prod(axis=-1)
+        return bilinear_weights(np.asarray(schedule, float), *self.box)
 
     @property
     def slopes(self) -> tuple[Float[np.ndarray, "3 3"], Float[np.ndarray, "3 3"]]:
@@ -123,6 +171,15 @@ class Model:
         return right, left
 
 
+def bilinear_weights(
+    points: Float[np.ndarray, "... 2"], lower: Float[np.ndarray, "2"], upper: Float[np.ndarray, "2"]
+) -> Float[np.ndarray, "... 4"]:
+    """Give the bilinear weights of the four corners of a box, in the order of `VERTEX_SIDES`; negative outside it."""
+    width = np.where(upper > lower, upper - lower, 1.0)
+    upper_share = ((points - lower) / width)[..., None, :]
+    return np.where(VERTEX_SIDES == 1, upper_share, 1.0 - upper_share).prod(axis=-1)
+
+
 def make_model(
     model: str,
     discretisation: str,
@@ -134,8 +191,8 @@ def make_model(
     """Make a prediction model.
 
     Args:
-        model: "paper" or "consistent".
-        discretisation: "euler" or "zoh".
+        model: "paper", "consistent" or "exact_jacobian".
+        discretisation: "euler" or "zoh"; the exact Jacobian is sampled already and does not read it.
         dt: period, s.
         track_width: m.
         nominal_slip: (right, left), in [0, 1).
@@ -171,7 +228,8 @@ def make_model(
         "give finite (right, left) speeds, the lower ones first",
     )
     slip_factors = 1.0 - slip if model == "paper" else np.ones(2)
-    return Model(dt, track_width, slip_factors, discretisation, (lower, upper))
+    sampling = "exact" if model == "exact_jacobian" else discretisation
+    return Model(dt, track_width, slip_factors, sampling, (lower, upper))
 
 
 def _refuse_unless(valid: bool, field: str, value: object, cure: str) -> None:

@@ -96,27 +96,6 @@ def wheel_commands(
     return (reference_wheels - wheel_deficits) / (1.0 - measured_slip)
 
 
-def cosine_free_input(
-    virtual_input: Float[Array, "... 2"], heading_error: Float[Array, "..."], reference_wheels: Float[Array, "... 2"]
-) -> Float[Array, "... 2"]:
-    """Give the virtual input whose speed deficit counts from V cos e_th, the reference's speed along the robot.
-
-    The longitudinal error then obeys e_x' = w e_y + u1 with the u1 passed in: no cosine remains to be linearised.
-
-    Args:
-        virtual_input: (V cos e_th - v m/s, yaw rate deficit rad/s).
-        heading_error: e_th, rad.
-        reference_wheels: wheel speeds of the reference (right, left), m/s.
-
-    Returns:
-        (V - v m/s, yaw rate deficit rad/s), to be passed to `wheel_commands`.
-    """
-    speed = (reference_wheels[..., 0] + reference_wheels[..., 1]) / 2.0
-    # 2 sin^2(e_th / 2) is 1 - cos e_th without its cancellation near zero.
-    lost_speed = speed * 2.0 * jnp.sin(heading_error / 2.0) ** 2
-    return jnp.stack(jnp.broadcast_arrays(virtual_input[..., 0] + lost_speed, virtual_input[..., 1]), axis=-1)
-
-
 def saturate(wheels: Float[Array, "... 2"], robot: Robot) -> Float[Array, "... 2"]:
     """Clip wheel speeds to the actuators' limits.
 

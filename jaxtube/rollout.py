@@ -2,9 +2,9 @@
 
     measured error -> controller -> virtual input -> wheels (eqs. (7)-(8), measured slip) -> plant -> next error
 
-A controller has `initial(errors)`, `act(step, state, errors, reference_wheels)`, `compensates` and `cosine_free`; a
-plant has `initial(keys, errors)`, `measure(keys, step, errors)` and `advance(...)`. The batch axis comes first
-everywhere, so that a controller can share matrices across it. Draws depend on key and step alone.
+A controller has `initial(errors)`, `act(step, state, errors, reference_wheels)`, `compensates` and `input_map`; a
+plant has `initial(keys, errors)`, `measure(keys, step, errors)`, `acting(...)` and `advance(...)`. The batch axis comes
+first everywhere, so that a controller can share matrices across it. Draws depend on key and step alone.
 
 Wheels follow Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (7)-(8).
 """
@@ -24,8 +24,9 @@ from jaxtube import mpc
 from jaxtube import slip as slips
 from jaxtube.controllers import TubeMpc
 from jaxtube.error_dynamics import advance, world_pose
+from jaxtube.input_maps import acting_input
 from jaxtube.mpc import Diagnostics
-from jaxtube.robot import Robot, cosine_free_input, saturate, wheel_commands, wheel_positions
+from jaxtube.robot import Robot, saturate, wheel_commands, wheel_positions
 
 
 class Trajectory(NamedTuple):
@@ -74,16 +75,21 @@ class SlippingRobot:
             return errors
         return errors + jax.vmap(lambda key: slips.pose_noise(key, step, noise))(keys)
 
+    def acting(self, step, inputs, measured, controller):
+        """Return the deficits (V - v, Om - om) that the controller's virtual inputs ask for."""
+        reference, track_width = self.reference_wheels[step], self.robot.track_width
+        return acting_input(controller.input_map, inputs, measured, reference, track_width, self.dt)
+
     def advance(self, keys, step, state, errors, inputs, controller):
         """Return (next errors, next memory, wheels, wheels before saturation) of one period."""
         process = slips.PROCESSES[self.process]()
         poses = world_pose(errors, self.reference_poses[step])
         places = wheel_positions(poses, self.robot.track_width)
 
-        def draw(key, memory, positions):
-            return slips.draw_slip(key, step, memory, positions, process, self.random)
+        def draw(key, memory, situation):
+            return slips.draw_slip(key, step, memory, situation, process, self.random)
 
-        true, measured, state = jax.vmap(draw)(keys, state, places)
+        true, measured, state = jax.vmap(draw)(keys, state, slips.Situation(places, errors))
         following, wheels, demanded = self.move(step, errors, inputs, true, measured, controller)
         return following, state, wheels, demanded
 
@@ -124,6 +130,10 @@ class LinearPlant:
     def measure(self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]) -> Float[Array, "batch 3"]:
         """Return the errors themselves."""
         return errors
+
+    def acting(self, step, inputs, measured, controller):
+        """Return the virtual inputs themselves: the model knows no other."""
+        return inputs
 
     def advance(self, keys, step, state, errors, inputs, controller):
         """Return (next errors, no memory, no wheels: NaN twice) of one period."""
@@ -178,8 +188,7 @@ def run_period(
 
 def _apply(controller, plant, keys, step, state: LoopState, inputs):
     """Let the plant run one period under virtual inputs, and measure; the controller's memory stays as it was."""
-    reference = plant.reference_wheels[step]
-    acting = cosine_free_input(inputs, state.measured[:, 2], reference) if controller.cosine_free else inputs
+    acting = plant.acting(step, inputs, state.measured, controller)
     errors, plant_memory, wheels, demanded = plant.advance(
         keys, step, state.plant_memory, state.errors, acting, controller
     )

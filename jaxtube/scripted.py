@@ -53,6 +53,10 @@ class ScriptedRobot:
         assert self.robot.noise is not None
         return errors + self.robot.noise * entry(self.script["noise"], step)
 
+    def acting(self, step, inputs, measured, controller):
+        """Return the deficits that virtual inputs ask for."""
+        return self.robot.acting(step, inputs, measured, controller)
+
     def advance(self, keys, step, state, errors, inputs, controller):
         """Return (next errors, no memory, wheels, wheels before saturation) of one period."""
         nominal = jnp.zeros_like(inputs)
@@ -83,6 +87,10 @@ class ScriptedLinearPlant:
     def measure(self, keys, step, errors: Float[Array, "batch 3"]) -> Float[Array, "batch 3"]:
         """Return the errors themselves."""
         return errors
+
+    def acting(self, step, inputs, measured, controller):
+        """Return the virtual inputs themselves."""
+        return inputs
 
     def advance(self, keys, step, state, errors, inputs, controller):
         """Return (next errors, no memory, no wheels: NaN twice) of one period."""
@@ -120,9 +128,9 @@ class PlanFollower:
     compensates = True
 
     @property
-    def cosine_free(self) -> bool:
-        """From what the speed deficit counts."""
-        return self.controller.cosine_free
+    def input_map(self) -> str:
+        """What the controller's virtual inputs mean."""
+        return self.controller.input_map
 
     def initial(self, errors: Float[Array, "batch 3"]) -> Following:
         """Return the memory before the first step."""

@@ -161,24 +161,28 @@ def terminal_margins(
     terminal: Polytope,
     next_terminal: Polytope,
     terminal_loops: Float[np.ndarray, "v n n"],
-    terminal_gains: Float[np.ndarray, "v m n"],
     last_error_set: Polytope,
-    last_input_set: Polytope,
+    last_input_rows: Float[np.ndarray, "g k n"],
+    last_input_offsets: Float[np.ndarray, " k"],
     last_reach: Polytope,
 ) -> dict[str, float]:
     """Return the margins of the three terminal inclusions for the shifted plan (module docstring, `terminal`).
 
     `next_terminal` is the constraint of the next step, the same one unless the tube follows the reference; `last_reach`
-    contains Psi w for every product of N - 1 loops; `last_error_set`, `last_input_set` are E_{N-1}, U_{N-1}.
+    contains Psi w for every product of N - 1 loops; `last_error_set` is E_{N-1}, and errors in U_{N-1} under each
+    terminal gain are those with rows e <= offsets.
     """
 
-    def room(polytope: Polytope, matrix: Float[np.ndarray, "k n"]) -> float:
-        scale = np.linalg.norm(polytope.normals, axis=1)
-        rows = polytope.normals / scale[:, None] @ matrix
-        return float(np.min(polytope.offsets / scale - terminal.support(rows) - last_reach.support(rows)))
+    def room(rows: Float[np.ndarray, "k n"], offsets: Float[np.ndarray, " k"]) -> float:
+        return float(np.min(offsets - terminal.support(rows) - last_reach.support(rows)))
 
+    def of_unit_rows(polytope: Polytope):
+        scale = np.linalg.norm(polytope.normals, axis=1)
+        return polytope.normals / scale[:, None], polytope.offsets / scale
+
+    normals, offsets = of_unit_rows(next_terminal)
     return {
-        "admissible_errors": room(last_error_set, np.eye(terminal.dimension)),
-        "admissible_inputs": min(room(last_input_set, gain) for gain in terminal_gains),
-        "returns": min(room(next_terminal, loop) for loop in terminal_loops),
+        "admissible_errors": room(*of_unit_rows(last_error_set)),
+        "admissible_inputs": min(room(rows, last_input_offsets) for rows in last_input_rows),
+        "returns": min(room(normals @ loop, offsets) for loop in terminal_loops),
     }

@@ -65,16 +65,6 @@ def test_a_wrong_slip_acts_as_the_closed_form_says(draws):
     )
 
 
-def test_cosine_free_input_counts_from_the_speed_along_the_robot(draws):
-    deficits, reference_wheels, _ = draws
-    heading_error = jnp.linspace(-3.0, 3.0, 500)
-    converted = robot.cosine_free_input(deficits, heading_error, reference_wheels)
-    speed = np.asarray(reference_wheels).mean(axis=-1) - np.asarray(converted)[:, 0]
-    along = np.asarray(reference_wheels).mean(axis=-1) * np.cos(heading_error)
-    np.testing.assert_allclose(along - speed, deficits[:, 0], atol=ROUNDING)
-    np.testing.assert_array_equal(converted[:, 1], deficits[:, 1])
-
-
 def test_saturation_clips_each_wheel_alone():
     saturated = robot.saturate(jnp.array([[4.0, 1.0], [-5.0, 3.0], [jnp.inf, -jnp.inf]]), ROBOT)
     np.testing.assert_array_equal(saturated, [[3.0, 1.0], [-3.0, 3.0], [3.0, -3.0]])
@@ -92,8 +82,7 @@ def test_wheels_stand_half_a_track_width_beside_the_robot():
 def test_leading_axes_broadcast():
     one, four = jnp.ones(2), jnp.ones((4, 2))
     for deficits, reference_wheels in ((one, four), (four, one)):
-        converted = robot.cosine_free_input(deficits, jnp.array(0.1), reference_wheels)
-        assert converted.shape == robot.wheel_commands(converted, reference_wheels, 0.1, TRACK_WIDTH).shape == (4, 2)
+        assert robot.wheel_commands(deficits, reference_wheels, 0.1, TRACK_WIDTH).shape == (4, 2)
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
@@ -103,7 +92,7 @@ def test_functions_keep_the_dtype_they_are_given_inside_jit(dtype):
     @jax.jit
     def everything(robot_):
         b = robot_.track_width
-        commands = robot.wheel_commands(robot.cosine_free_input(pair, pose[:, 2], pair), pair, pair, b)
+        commands = robot.wheel_commands(pair, pair, pair, b)
         return (
             robot.saturate(commands, robot_),
             robot.virtual_input(pair, pair, pair, b),

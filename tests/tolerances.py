@@ -89,3 +89,19 @@ COUNTED_ROUNDING = 1e-10  # extremes, which are sums in another order; a lap's r
 SOLVED_ROUNDING = 1e-8  # the same where a solver of residual 1e-8 answers
 PLAN_OF_ORACLE = 1e-6  # relative; plans of the batched solver against an active-set method
 REACHED_FACET = 1e-9  # relative; offsets of facets against the exact reach
+
+# sets/exact.py
+EXACT_ENCLOSURE = 2.0**-76  # a few steps of the grid of 2^-80 on which enclosures are rounded
+EXACT_AGAINST_FLOAT = 1e-9  # exact bounds against linear programs and vertices in float64
+EXACT_PULLED_FACET = 1e-12  # the same margins in float64, where a facet moves by a millionth
+EXACT_JACOBIAN = 1e-8  # central differences with steps of 1e-5
+EXACT_WHEEL_TRAVEL = 1e-3  # m; what a period's turn, at most 0.13 rad here, adds to the way of a wheel
+EXACT_ROUNDED_OFFSETS = 1e-14  # float64 offsets, sums of some ten terms below one
+
+# sets/interval.py, sets/plant.py, sets/disturbance.py
+INTERVAL_WIDTH = 1e-13  # of an enclosure at a point, numbers of order one
+RESIDUAL_ROUNDING = 1e-12  # m and rad; residuals against differences of numbers of order one
+INTEGRATED = 1e-10  # m and rad; one period against an integrator run at 1e-13
+NO_CAUSE = 1e-8  # m and rad; parts whose cause is absent: the gap always accepted, a few times
+W_TIGHTNESS = 0.85  # of a bound that an optimiser must reach
+REFERENCE_PART = 0.02  # relative; parts are bounded within 0.05 mm

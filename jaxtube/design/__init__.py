@@ -17,7 +17,7 @@ from jaxtube.design.certify import certify
 from jaxtube.design.condense import Bounds
 from jaxtube.design.feasible import reach_of_ray, shortfall
 from jaxtube.design.problem import Problem, make_problem
-from jaxtube.design.terminal import Terminal, make_terminal
+from jaxtube.design.terminal import Terminal, make_terminal, terminal_cost_and_gain
 from jaxtube.design.tightening import (
     EmptySetError,
     LocalGain,
@@ -32,7 +32,7 @@ from jaxtube.design.tightening import (
 from jaxtube.mpc import Window
 from jaxtube.scenario import Scenario, ScenarioError
 from sets.certificate import Certificate
-from sets.lmi import TerminalCost, terminal_cost
+from sets.lmi import TerminalCost
 from sets.tubes import Section
 
 __all__ = ["Design", "EmptySetError", "design", "refuse_infeasible_start"]
@@ -81,13 +81,11 @@ def design(scenario: Scenario) -> Design:
     problem = make_problem(scenario)
     settings = scenario.controller
     clock.lap("problem")
-    vertices = problem.model.matrices(problem.model.vertices)
     try:
-        cost = terminal_cost(*vertices, problem.error_weight, problem.input_weight, settings.lmi_objective)
+        cost, terminal_gain = terminal_cost_and_gain(problem)
     except (RuntimeError, ValueError) as error:
         raise ScenarioError(f"scenario: controller: {error}") from None
     clock.lap("lmi")
-    terminal_gain = LocalGain(cost.gains.mean(axis=0), cost.gains)
     local_gain = compensating_gain(problem)
     tube_gain = terminal_gain if settings.terminal == "T-A" else local_gain
     windows = make_windows(problem, tube_gain)
@@ -135,7 +133,7 @@ def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None 
     error = problem.initial_error if error is None else error
     section = problem.scenario.initial
     start = f"scenario: initial = ({section.x_m} m, {section.y_m} m, {section.heading_deg} deg)"
-    largest = float(np.max(problem.error_set.normals @ error / problem.error_set.offsets))
+    largest = float(np.max(problem.operating_set.normals @ error / problem.operating_set.offsets))
     missing = shortfall(found.tube_window, index, error)
     if largest <= 1 and missing <= 1e-9:
         return

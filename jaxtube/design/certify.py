@@ -9,7 +9,15 @@ import numpy as np
 from jaxtube.design.condense import Bounds
 from jaxtube.design.problem import Problem, error_vector
 from jaxtube.design.terminal import Terminal, admissible_set
-from jaxtube.design.tightening import BACK_OFF, LocalGain, Windows, vertex_loops
+from jaxtube.design.tightening import (
+    BACK_OFF,
+    LocalGain,
+    Windows,
+    coverage_gap,
+    gains_at_corners,
+    vertex_loops,
+    vertex_pairs,
+)
 from sets import certificate as check
 from sets.certificate import Certificate
 from sets.invariant import MaximalRpi, maximal_rpi
@@ -46,7 +54,7 @@ def certify(
     if not problem.scenario.controller.restart:
         _never_reset(certificate, problem, tube_gain, bounds)
     _terminal(certificate, problem, tube_gain, terminal, windows, bounds)
-    loops, gains = vertex_loops(problem, terminal.gains), terminal.gains.vertices
+    loops, gains = vertex_pairs(problem, terminal.gains)
     margin = check.decrease_margin(loops, gains, cost.cost, problem.error_weight, problem.input_weight)
     certificate.add(
         "terminal_cost_decrease",
@@ -68,7 +76,8 @@ def certify(
         f"Constraints are backed off by {BACK_OFF:.0e}, more than the {residual:.0e} a solved QP may miss them by.",
         f"Constraints are backed off by {BACK_OFF:.0e}, less than the {residual:.0e} a solved QP may miss them by.",
     )
-    _existence(certificate, problem, tube_gain, terminal, cost)
+    if not problem.scenario.controller.tracking_gains:
+        _existence(certificate, problem, tube_gain, terminal, cost)
     return certificate
 
 
@@ -76,15 +85,15 @@ def _tightened(problem: Problem, bounds: Bounds):
     """Yield the distinct tightened sets E_j (j = 1..N-1) and U_j (j = 0..N-1)."""
     for j in range(problem.horizon):
         for offsets in np.unique(bounds.errors[:, j], axis=0) if j else ():
-            yield "E", Polytope(problem.error_set.normals, offsets)
+            yield "E", Polytope(problem.operating_set.normals, offsets)
         for offsets in np.unique(bounds.inputs[:, j], axis=0):
-            yield "U", Polytope(problem.input_set.normals, offsets)
+            yield "U", Polytope(problem.input_rows.inputs, offsets)
 
 
 def _nonempty(certificate: Certificate, problem: Problem, bounds: Bounds) -> None:
     sets = list(_tightened(problem, bounds))
     for kind, name in (("E", "error_sets_not_empty"), ("U", "input_sets_not_empty")):
-        radius = check.nonempty_margin([polytope for k, polytope in sets if k == kind] or [problem.error_set])
+        radius = check.nonempty_margin([polytope for k, polytope in sets if k == kind] or [problem.operating_set])
         certificate.add(
             name,
             radius,
@@ -108,8 +117,8 @@ def _tube_margins(problem: Problem, gain: LocalGain, windows: Windows, bounds: B
     W = problem.disturbance_set.vertices()
     reach_margin = inclusion_margin = np.inf
     for directions, taken in (
-        (problem.error_set.normals[:, None], problem.error_set.offsets - bounds.errors),
-        (problem.input_set.normals[:, None, None] @ gain.vertices, problem.input_set.offsets - bounds.inputs),
+        (problem.operating_set.normals[:, None], problem.operating_set.offsets - bounds.errors),
+        (_rows_under_gains(problem, gain).swapaxes(0, 1), problem.input_rows.offsets - bounds.inputs),
     ):
         least, most = taken.min(axis=0), taken.max(axis=0)
         for row, along in enumerate(directions):
@@ -125,15 +134,15 @@ def _sequence_margins(problem: Problem, gain: LocalGain, windows: Windows, bound
     """Return the margins of reach and inclusion along the reference, from each step to the next."""
     N = problem.horizon
     W = problem.disturbance_set.vertices()
-    taken_errors = problem.error_set.offsets - bounds.errors
-    taken_inputs = problem.input_set.offsets - bounds.inputs
+    taken_errors = problem.operating_set.offsets - bounds.errors
+    taken_inputs = problem.input_rows.offsets - bounds.inputs
     reach_margin = inclusion_margin = np.inf
     for first, loops in enumerate(windows.loops):
         followers = np.unique(windows.index[1:][windows.index[:-1] == first])
         for j in range(N):
             for taken, rows in (
-                (taken_errors, problem.error_set.normals),
-                (taken_inputs, problem.input_set.normals @ windows.gains[first, j]),
+                (taken_errors, problem.operating_set.normals),
+                (taken_inputs, problem.input_rows.under(windows.gains[first, j])),
             ):
                 reach, last = check.sequence_reach(loops[: max(j, 1)], W, rows)
                 reach_margin = min(reach_margin, np.min(taken[first, j] - reach[j]))
@@ -162,8 +171,8 @@ def _never_reset(certificate: Certificate, problem: Problem, gain: LocalGain, bo
     """Compare what the first stage is tightened by with what a deviation that is never reset can reach."""
     loops, W = vertex_loops(problem, gain), problem.disturbance_set.vertices()
     first = min(1, problem.horizon - 1)
-    taken = (problem.error_set.offsets - bounds.errors[:, first]).min(axis=0)
-    reach = [check.reach_supports(loops, W, row, NEVER_RESET_STEPS)[0][-1] for row in problem.error_set.normals]
+    taken = (problem.operating_set.offsets - bounds.errors[:, first]).min(axis=0)
+    reach = [check.reach_supports(loops, W, row, NEVER_RESET_STEPS)[0][-1] for row in problem.operating_set.normals]
     margin = float(np.min(taken - reach))
     certificate.add(
         "nominal_error_never_reset",
@@ -245,9 +254,8 @@ def _margins_anywhere(problem: Problem, terminal: Terminal, bounds: Bounds, last
         Polytope(bounds.terminal_normals, bounds.terminal.max(axis=0)),
         Polytope(bounds.terminal_normals, bounds.terminal.min(axis=0)),
         vertex_loops(problem, terminal.gains),
-        terminal.gains.vertices,
-        Polytope(problem.error_set.normals, bounds.errors[:, last].min(axis=0)),
-        Polytope(problem.input_set.normals, bounds.inputs[:, last].min(axis=0)),
+        Polytope(problem.operating_set.normals, bounds.errors[:, last].min(axis=0)),
+        *_unit_input_rows(problem, _rows_under_gains(problem, terminal.gains), bounds.inputs[:, last].min(axis=0)),
         last_reach,
     )
 
@@ -266,11 +274,21 @@ def _margins_along(
         Polytope(bounds.terminal_normals, bounds.terminal[now]),
         Polytope(bounds.terminal_normals, bounds.terminal[following]),
         (transition + inputs @ gain)[None],
-        gain[None],
-        Polytope(problem.error_set.normals, bounds.errors[following, last]),
-        Polytope(problem.input_set.normals, bounds.inputs[following, last]),
+        Polytope(problem.operating_set.normals, bounds.errors[following, last]),
+        *_unit_input_rows(problem, problem.input_rows.under(gain)[None], bounds.inputs[following, last]),
         Polytope.from_vertices(points),
     )
+
+
+def _rows_under_gains(problem: Problem, gain: LocalGain):
+    """Return the input rows as rows on the error, one stack a gain at a corner of the regions."""
+    return problem.input_rows.under(gains_at_corners(problem, gain))
+
+
+def _unit_input_rows(problem: Problem, rows, offsets):
+    """Return rows on the error and their offsets in the units of rows of U of norm one."""
+    scale = np.linalg.norm(problem.input_rows.inputs, axis=1)
+    return rows / scale[:, None], offsets / scale
 
 
 def _products(loops, W, steps: int) -> Polytope:
@@ -283,22 +301,24 @@ def _products(loops, W, steps: int) -> Polytope:
 
 
 def _coverage(certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, windows: Windows) -> None:
-    """Check that loops in the box, the run's too, are mixtures of the vertex loops: not so for zero-order hold."""
-    lower, upper = problem.model.box
-    grid = np.stack(np.meshgrid(*np.linspace(lower, upper, 21).T), axis=-1).reshape(-1, 2)
-    transitions, inputs = problem.model.matrices(grid)
-    weights = problem.model.weights(grid)
-    used = problem.model.weights(windows.schedules)
-    run = tube_gain.at(used) - windows.gains, np.tensordot(used, vertex_loops(problem, tube_gain), 1) - windows.loops
-    worst = max(-float(used.min()), *(float(np.max(np.abs(difference))) for difference in run))
+    """Check that loops in the regions, the run's too, are mixtures of the corner loops: not so for zero-order hold."""
+    transitions, inputs = problem.model.matrices(windows.schedules)
+    gains = tube_gain.at(problem.model.weights(windows.schedules))
+    run = gains - windows.gains, transitions + inputs @ gains - windows.loops
+    worst = max(float(np.max(np.abs(difference))) for difference in run)
     for gain in (tube_gain, terminal.gains):
-        mixtures = np.tensordot(weights, vertex_loops(problem, gain), axes=1)
-        worst = max(worst, float(np.max(np.abs(transitions + inputs @ gain.at(weights) - mixtures))))
+        used = windows.schedules.reshape(-1, 2)
+        gaps = [coverage_gap(problem, gain, used, region) for region in problem.regions]
+        worst = max(worst, float(np.min(gaps, axis=0).max()))
+        for region in problem.regions:
+            grid = np.stack(np.meshgrid(*np.linspace(region[0], region[1], 21).T), axis=-1).reshape(-1, 2)
+            worst = max(worst, float(coverage_gap(problem, gain, grid, region).max()))
     certificate.add(
         "vertices_cover_schedule",
         check.ROUNDING - worst,
-        "Every loop inside the schedule box is a mixture of the four vertex loops.",
-        f"Loops inside the schedule box differ from mixtures of the vertex loops by {worst:.3g} (zero-order hold).",
+        "Every loop along the run and, on a grid, in the certified wheel speeds is a mixture of the corner loops.",
+        f"Some loop within the certified wheel speeds differs from mixtures of the corner loops by {worst:.3g} "
+        "(zero-order hold, or the exact Jacobian without tracking gains).",
     )
 
 

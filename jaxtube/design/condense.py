@@ -35,19 +35,20 @@ class Bounds:
     """Offsets of the sets the controller really uses, window by window (rows of E, U and the terminal constraint)."""
 
     errors: Float[np.ndarray, "windows horizon 6"]  # E_j, j = 0..N-1
-    inputs: Float[np.ndarray, "windows horizon 4"]  # U_j, j = 0..N-1
+    inputs: Float[np.ndarray, "windows horizon k"]  # U_j and the coupling's rows, j = 0..N-1
     terminal_normals: Float[np.ndarray, "facets 3"]
     terminal: Float[np.ndarray, "windows facets"]
 
 
 def tube_bounds(problem: Problem, tightening: Tightening, terminal: Terminal) -> Bounds:
-    """Return the tightened sets, backed off by the solver's residual."""
+    """Return the tightened sets, backed off for the solver's residual."""
     N = problem.horizon
+    back_off = BACK_OFF * np.arange(1, N + 1)[:, None]
     return Bounds(
-        problem.error_set.offsets - tightening.error_reach[:, :N] - BACK_OFF,
-        problem.input_set.offsets - tightening.input_reach - BACK_OFF,
+        problem.operating_set.offsets - tightening.error_reach[:, :N] - back_off,
+        problem.input_rows.offsets - tightening.input_reach - back_off,
         terminal.constraint_normals,
-        terminal.constraint_offsets - BACK_OFF * np.linalg.norm(terminal.constraint_normals, axis=1),
+        terminal.constraint_offsets - (N + 1) * BACK_OFF * np.linalg.norm(terminal.constraint_normals, axis=1),
     )
 
 
@@ -58,8 +59,8 @@ def plain_bounds(problem: Problem, windows: Windows, terminal: Terminal) -> Boun
     """
     count, N = len(windows.schedules), problem.horizon
     return Bounds(
-        np.broadcast_to(problem.error_set.offsets, (count, N, 6)),
-        np.broadcast_to(problem.input_set.offsets, (count, N, 4)),
+        np.broadcast_to(problem.operating_set.offsets, (count, N, 6)),
+        np.broadcast_to(problem.input_rows.offsets, (count, N, len(problem.input_rows.offsets))),
         terminal.constraint_normals,
         np.full(terminal.constraint_offsets.shape, np.inf),
     )
@@ -106,7 +107,7 @@ def residual_bound(problem: Problem, window: Window) -> float:
 
     The solver accepts a residual of its tolerance times max(1, |q|), on rows of unit norm.
     """
-    widths = problem.error_set.support(np.eye(3))
+    widths = problem.operating_set.support(np.eye(3))
     largest = float(np.max(np.abs(window.linear) @ widths))
     return qp.TOLERANCE[8] * max(1.0, largest) * float(np.max(window.factors.row_norms))
 
@@ -131,28 +132,28 @@ def _predictions(transitions, inputs):
 def _rows(problem: Problem, free, forced, bounds: Bounds):
     """Return (row_errors, rows, lower, upper): opposite rows of E and U become one row with two bounds."""
     count, N = len(free), problem.horizon
-    C_E, C_U = problem.error_set.normals[:3], problem.input_set.normals[:2]
-    selection = np.eye(2 * N).reshape(N, 2, 2 * N)
-    input_rows = np.einsum("kx,jxn->jkn", C_U, selection).reshape(2 * N, 2 * N)
+    k, n = len(problem.input_rows.offsets) // 2, 2 * N
+    C_E, D, C = problem.operating_set.normals[:3], problem.input_rows.inputs[:k], problem.input_rows.errors[:k]
+    selection = np.eye(n).reshape(N, 2, n)
     last = bounds.terminal_normals
     row_errors = [
         (C_E @ free[:, 1:N]).reshape(count, -1, 3),
-        np.zeros((count, 2 * N, 3)),
+        (C @ free[:, :N]).reshape(count, -1, 3),
         last @ free[:, N],
     ]
     rows = [
-        (C_E @ forced[:, 1:N]).reshape(count, -1, 2 * N),
-        np.broadcast_to(input_rows, (count, 2 * N, 2 * N)),
+        (C_E @ forced[:, 1:N]).reshape(count, -1, n),
+        (D @ selection + C @ forced[:, :N]).reshape(count, -1, n),
         last @ forced[:, N],
     ]
     lower = [
         -bounds.errors[:, 1:, 3:].reshape(count, -1),
-        -bounds.inputs[:, :, 2:].reshape(count, -1),
+        -bounds.inputs[:, :, k:].reshape(count, -1),
         np.full(bounds.terminal.shape, -np.inf),
     ]
     upper = [
         bounds.errors[:, 1:, :3].reshape(count, -1),
-        bounds.inputs[:, :, :2].reshape(count, -1),
+        bounds.inputs[:, :, :k].reshape(count, -1),
         bounds.terminal,
     ]
     return tuple(np.concatenate(parts, axis=1) for parts in (row_errors, rows, lower, upper))

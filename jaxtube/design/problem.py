@@ -1,29 +1,56 @@
 """From a scenario to the data of a control problem: reference, model, weights, and the sets E, U and W.
 
-    E: |e_x|, |e_y|, |e_th| bounded;   W: a box;   U: a parallelogram in p = u1 + (b/2) u2, q = u1 - (b/2) u2,
-    per wheel  V - (1 - i) v_max <= p, q <= V - (1 - i) v_min   for every reference speed V and slip i it may meet.
+    E: |e_x|, |e_y|, |e_th| bounded, for the true error; the controller keeps the measured one in `operating_set`
+    U: caps on u1, u2, or a parallelogram in p = u1 + (b/2) u2, q = u1 - (b/2) u2,
+       per wheel  V - (1 - i) v_max <= p, q <= V - (1 - i) v_min   for every reference speed V and slip i it may meet
+    W: a box that is assumed, or a bound computed for the slipping robot over all of these (`jaxtube.design.residual`)
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (7)-(8), (11), section IV.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.model import Model, make_model
+from jaxtube.design.residual import residual_bound
+from jaxtube.model import VERTEX_SIDES, Model, make_model
 from jaxtube.reference import Reference, from_file, lemniscate, two_circles
 from jaxtube.robot import Robot
 from jaxtube.scenario import Scenario, ScenarioError, check_reference_wheels, weight_matrix
+from sets.disturbance import DisturbanceBound
 from sets.polytope import Polytope
+
+MOST_VALUES = 64
+"""Pairs of wheel speeds along a path that are certified one by one: each is a loop of every set."""
+
+
+@dataclass(frozen=True, eq=False)
+class InputRows:
+    """Constraints  inputs u + errors e <= offsets  of one period; the second half of the rows is minus the first.
+
+    The rows of U, where e does not count, and with a coupling |e_x| / a + |u2| / b <= 1 its four.
+    """
+
+    inputs: Float[np.ndarray, "k 2"]
+    errors: Float[np.ndarray, "k 3"]
+    offsets: Float[np.ndarray, " k"]
+
+    def under(self, gains: Float[np.ndarray, "... 2 3"]) -> Float[np.ndarray, "... k 3"]:
+        """Return the rows on the error under u = K e."""
+        return self.inputs @ gains + self.errors
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """What a design starts from: the scenario as arrays in SI units and radians."""
+    """What a design starts from: the scenario as arrays in SI units and radians.
+
+    `regions` are boxes of wheel speeds, lower and upper (right, left) in m/s, over whose union sets and certificate
+    hold under arbitrary changes: the box of the reference, or the points that occur on its path.
+    """
 
     scenario: Scenario
     robot: Robot
@@ -33,14 +60,23 @@ class Problem:
     error_weight: Float[np.ndarray, "3 3"]
     input_weight: Float[np.ndarray, "2 2"]
     error_set: Polytope
+    operating_set: Polytope
     input_set: Polytope
+    input_rows: InputRows
     disturbance_set: Polytope
     initial_error: Float[np.ndarray, "3"]
+    regions: Float[np.ndarray, "m 2 2"]
+    residual: DisturbanceBound | None = None
 
     @property
     def schedule(self) -> Float[np.ndarray, "periods 2"]:
         """Reference wheel speeds (right, left) of every period, preview included, m/s."""
         return self.reference.wheels
+
+    @property
+    def corners(self) -> Float[np.ndarray, "4m 2"]:
+        """Schedules at the corners of the regions, m/s; repeated where a region is a point."""
+        return self.regions[:, VERTEX_SIDES, [0, 1]].reshape(-1, 2)
 
 
 def error_vector(section) -> Float[np.ndarray, "3"]:
@@ -103,9 +139,10 @@ def make_problem(scenario: Scenario) -> Problem:
             "units, or widen reference.wheel_speed_min_mps and wheel_speed_max_mps"
         )
     check_reference_wheels(scenario, slowest, fastest)
-    error_bounds = error_vector(scenario.constraints)
+    operating, noise = _operating_bounds(scenario), error_vector(scenario.noise)
     disturbance = error_vector(scenario.disturbance)
-    return Problem(
+    input_set = _input_set(scenario, robot)
+    problem = Problem(
         scenario=scenario,
         robot=robot,
         reference=reference,
@@ -113,11 +150,65 @@ def make_problem(scenario: Scenario) -> Problem:
         horizon=settings.horizon,
         error_weight=weight_matrix(settings.error_weight),
         input_weight=weight_matrix(settings.input_weight),
-        error_set=Polytope.box(-error_bounds, error_bounds),
-        input_set=input_polytope(robot, _input_bounds(scenario, robot)),
+        error_set=Polytope.box(-operating - noise, operating + noise),
+        operating_set=Polytope.box(-operating, operating),
+        input_set=input_set,
+        input_rows=_input_rows(scenario, input_set),
         disturbance_set=Polytope.box(-disturbance, disturbance),
         initial_error=_initial_error(scenario),
+        regions=_regions(scenario, reference, box),
     )
+    if scenario.disturbance.bound == "assumed":
+        return problem
+    bound = residual_bound(problem)
+    return replace(problem, residual=bound, disturbance_set=bound.polytope())
+
+
+def _operating_bounds(scenario: Scenario) -> Float[np.ndarray, "3"]:
+    """Return half widths of the measured error: the caps, where none is given what the noise leaves of E."""
+    left = error_vector(scenario.constraints) - error_vector(scenario.noise)
+    caps, operating = left.copy(), scenario.operating
+    for i, cap in enumerate((operating.longitudinal_m, operating.lateral_m, operating.heading_deg)):
+        if cap is not None:
+            caps[i] = np.deg2rad(cap) if i == 2 else cap
+    return np.minimum(caps, left)
+
+
+def _input_set(scenario: Scenario, robot: Robot) -> Polytope:
+    """Return U: the caps on u1 and u2 where they are given, else what the wheel limits allow of p and q."""
+    operating = scenario.operating
+    if operating.yaw_rate_deficit_radps is None:
+        return input_polytope(robot, _input_bounds(scenario, robot))
+    assert operating.speed_deficit_min_mps is not None and operating.speed_deficit_max_mps is not None
+    lower = [operating.speed_deficit_min_mps, -operating.yaw_rate_deficit_radps]
+    return Polytope.box(np.array(lower), np.array([operating.speed_deficit_max_mps, operating.yaw_rate_deficit_radps]))
+
+
+def _input_rows(scenario: Scenario, input_set: Polytope) -> InputRows:
+    operating, k = scenario.operating, len(input_set.offsets)
+    if operating.turning_longitudinal_m is None or operating.turning_yaw_rate_radps is None:
+        return InputRows(input_set.normals, np.zeros((k, 3)), input_set.offsets)
+    along, turning = 1 / operating.turning_longitudinal_m, 1 / operating.turning_yaw_rate_radps
+    inputs = np.array([[0.0, turning], [0.0, -turning]])
+    errors = np.array([[along, 0.0, 0.0]] * 2)
+    first, second = slice(None, k // 2), slice(k // 2, None)
+    return InputRows(
+        np.concatenate([input_set.normals[first], inputs, input_set.normals[second], -inputs]),
+        np.concatenate([np.zeros((k // 2, 3)), errors, np.zeros((k // 2, 3)), -errors]),
+        np.concatenate([input_set.offsets[first], [1.0, 1.0], input_set.offsets[second], [1.0, 1.0]]),
+    )
+
+
+def _regions(scenario: Scenario, reference: Reference, box) -> Float[np.ndarray, "m 2 2"]:
+    if scenario.reference.certified_for == "box":
+        return box[None]
+    values = np.unique(reference.wheels.round(12), axis=0)
+    if len(values) > MOST_VALUES:
+        raise ScenarioError(
+            f'scenario: reference.certified_for = "path": the path has {len(values)} different pairs of wheel speeds, '
+            f'more than {MOST_VALUES}; set reference.certified_for = "box"'
+        )
+    return np.stack([values, values], axis=1)
 
 
 def _reference(scenario: Scenario) -> Reference:
@@ -134,8 +225,8 @@ def _reference(scenario: Scenario) -> Reference:
 
 def _input_bounds(scenario: Scenario, robot: Robot) -> Float[np.ndarray, "2 2"]:
     """Return [[p_min, p_max], [q_min, q_max]] over the box of reference speeds and every slip, in m/s."""
-    cosine_free = scenario.controller.input_map == "cosine_free"
-    heading = np.deg2rad(scenario.constraints.heading_deg) if cosine_free else 0.0
+    maps_speed = scenario.controller.input_map != "paper"
+    heading = np.deg2rad(scenario.constraints.heading_deg) if maps_speed else 0.0
     error = scenario.slip.relative_error
     bounds = np.array(
         [

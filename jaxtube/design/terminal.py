@@ -20,9 +20,19 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.design.problem import Problem
-from jaxtube.design.tightening import BACK_OFF, LocalGain, Tightening, Windows, vertex_loops
+from jaxtube.design.tightening import (
+    BACK_OFF,
+    LocalGain,
+    Tightening,
+    Windows,
+    decoupled_gain,
+    gains_at_corners,
+    vertex_loops,
+    vertex_pairs,
+)
 from sets import tubes
 from sets.invariant import MaximalRpi, SupportFunction, few_facet_rpi, maximal_rpi
+from sets.lmi import TerminalCost, cost_of_gains, terminal_cost
 from sets.polytope import Polytope
 
 FACETS = 40
@@ -39,7 +49,7 @@ class Terminal:
 
     kind: str
     gains: LocalGain
-    loops: Float[np.ndarray, "4 3 3"]
+    loops: Float[np.ndarray, "v 3 3"]
     disturbance: tubes.Section  # W, or D for T-B
     admissible: Polytope  # what the invariant set must lie in: errors, and errors whose terminal input is admissible
     maximal: MaximalRpi
@@ -58,16 +68,30 @@ class Terminal:
 
 def admissible_set(
     problem: Problem,
-    gains: LocalGain,
+    gain: LocalGain,
     error_offsets: Float[np.ndarray, " 6"] | None = None,
-    input_offsets: Float[np.ndarray, " 4"] | None = None,
+    input_offsets: Float[np.ndarray, " k"] | None = None,
 ) -> Polytope:
-    """Return {e in E : Gamma_i e in U at every vertex}, with offsets of E and U tightened where given."""
-    E, U = problem.error_set, problem.input_set
-    rows = [E.normals, *(U.normals @ gain for gain in gains.vertices)]
-    input_offsets = U.offsets if input_offsets is None else input_offsets
-    offsets = [E.offsets if error_offsets is None else error_offsets, *([input_offsets] * len(gains.vertices))]
-    return Polytope(np.concatenate(rows), np.concatenate(offsets))
+    """Return {e in E : Gamma e in U at every corner}, with offsets of E and of the input rows tightened where given."""
+    E, rows = problem.operating_set, problem.input_rows
+    under = rows.under(np.unique(gains_at_corners(problem, gain), axis=0))
+    input_offsets = rows.offsets if input_offsets is None else input_offsets
+    offsets = [E.offsets if error_offsets is None else error_offsets, *([input_offsets] * len(under))]
+    return Polytope(np.concatenate([E.normals, *under]), np.concatenate(offsets))
+
+
+def terminal_cost_and_gain(problem: Problem) -> tuple[TerminalCost, LocalGain]:
+    """Return cost and gain of the terminal controller: the tracking gains where they are given, else those of the LMI.
+
+    Raises RuntimeError or ValueError where there is no such cost.
+    """
+    settings, weights = problem.scenario.controller, (problem.error_weight, problem.input_weight)
+    if settings.tracking_gains:
+        gain = decoupled_gain(problem, settings.tracking_gains)
+        P = cost_of_gains(*vertex_pairs(problem, gain), *weights)
+        return TerminalCost(P, gain.vertices, np.zeros((0, 0, 0)), "trace_p", float(np.trace(P))), gain
+    cost = terminal_cost(*problem.model.matrices(problem.model.vertices), *weights, settings.lmi_objective)
+    return cost, LocalGain(cost.gains.mean(axis=0), cost.gains)
 
 
 def make_terminal(
@@ -81,30 +105,32 @@ def make_terminal(
     if kind == "T-B":
         tube_loops = vertex_loops(problem, tube_gain)
         disturbance = tubes.propagated(tube_loops, problem.disturbance_set, N - 1)[-1]
-        last_errors = problem.error_set.offsets - tightening.error_reach[:, N - 1].max(axis=0)
-        last_inputs = problem.input_set.offsets - tightening.input_reach[:, N - 1].max(axis=0)
+        last_errors = problem.operating_set.offsets - tightening.error_reach[:, N - 1].max(axis=0)
+        last_inputs = problem.input_rows.offsets - tightening.input_reach[:, N - 1].max(axis=0)
         admissible = admissible_set(problem, gains, last_errors, last_inputs)
     # The constraints used on line are backed off, so what the plan must return to is smaller by as much: the set is
-    # built inside backed-off constraints, for a disturbance wider by twice the back-off.
+    # built inside backed-off constraints, for a disturbance that is wider by more than the last back-off.
+    back_off = (N + 2) * BACK_OFF
     inner = Polytope(
-        admissible.normals, admissible.offsets - BACK_OFF * (1 + np.linalg.norm(admissible.normals, axis=1))
+        admissible.normals, admissible.offsets - back_off * (1 + np.linalg.norm(admissible.normals, axis=1))
     )
-    maximal = _maximal(loops, inner, partial(_widened, disturbance))
+    widened = partial(_widened, disturbance, back_off)
+    maximal = _maximal(loops, inner, widened)
     invariant = None
     if maximal.polytope is not None:
-        invariant = few_facet_rpi(loops, inner, partial(_widened, disturbance), maximal.polytope, FACETS)
+        invariant = few_facet_rpi(loops, inner, widened, maximal.polytope, FACETS)
     constraint = _constraint(problem, kind, invariant, disturbance, windows, tightening)
     fallback = constraint is None
     normals, offsets = constraint or (
-        problem.error_set.normals,
-        problem.error_set.offsets - tightening.error_reach[:, N],
+        problem.operating_set.normals,
+        problem.operating_set.offsets - tightening.error_reach[:, N],
     )
     return Terminal(kind, gains, loops, disturbance, admissible, maximal, invariant, normals, offsets, fallback)
 
 
-def _widened(disturbance: tubes.Section, rows: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
-    """Return the support numbers of the disturbance and a ball of twice the back-off."""
-    return disturbance.support(rows) + 2 * BACK_OFF * np.linalg.norm(rows, axis=1)
+def _widened(disturbance: tubes.Section, by: float, rows: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+    """Return the support numbers of the disturbance and a ball."""
+    return disturbance.support(rows) + by * np.linalg.norm(rows, axis=1)
 
 
 def _maximal(loops, admissible: Polytope, disturbance: SupportFunction) -> MaximalRpi:

@@ -28,17 +28,16 @@ def controllers(design: Design) -> dict:
     """
     problem, index = design.problem, jnp.asarray(design.windows.index)
     settings = problem.scenario.controller
-    cosine_free = settings.input_map == "cosine_free"
     weights = problem.model.weights(problem.schedule[: problem.reference.steps])
     tube_window, plain_window = jax.tree.map(jnp.asarray, (design.tube_window, design.plain_window))
     unconstrained = design.plain_window.free_inputs[:, :2]
     return {
         "uncompensated": TrackingLaw(problem.robot.track_width, compensates=False),
         "compensated": TrackingLaw(problem.robot.track_width, compensates=True),
-        "local_gain": ScheduledGain(jnp.asarray(design.tube_gain.at(weights)), cosine_free),
-        "equal_gain": ScheduledGain(jnp.asarray(unconstrained[design.windows.index]), cosine_free),
-        "plain_mpc": TubeMpc(plain_window, index, True, cosine_free),
-        "tube_mpc": TubeMpc(tube_window, index, settings.restart, cosine_free),
+        "local_gain": ScheduledGain(jnp.asarray(design.tube_gain.at(weights)), settings.input_map),
+        "equal_gain": ScheduledGain(jnp.asarray(unconstrained[design.windows.index]), settings.input_map),
+        "plain_mpc": TubeMpc(plain_window, index, True, settings.input_map),
+        "tube_mpc": TubeMpc(tube_window, index, settings.restart, settings.input_map),
     }
 
 

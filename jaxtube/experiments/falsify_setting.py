@@ -82,7 +82,7 @@ def make_setting(scenario: Scenario, controller: str, plant: str, starts: str, s
 
 def feasible_vertices(found: Design, seed: int) -> Float[np.ndarray, "k 3"]:
     """Return the vertices of a polytope of starts from which the tube-MPC has a plan."""
-    points = boundary(found.tube_window, int(found.windows.index[0]), found.problem.error_set, RAYS, seed)
+    points = boundary(found.tube_window, int(found.windows.index[0]), found.problem.operating_set, RAYS, seed)
     return INSIDE * hull_vertices(points)
 
 

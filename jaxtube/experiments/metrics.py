@@ -30,13 +30,13 @@ def design_metrics(design: Design) -> dict:
     """Return the numbers of the sets, gains and certificate."""
     problem, terminal = design.problem, design.terminal
     maximal, invariant = terminal.maximal.polytope, terminal.invariant
-    U = problem.input_set.offsets
+    wheel_rows = input_rows(problem.robot.track_width)
     return {
         "lqr_gain": design.lqr_gain,
         "tube_half_widths": {name: tube_half_widths(design, name) for name in design.tubes},
         "tube_volume": {name: sections[-1].polytope().volume() for name, sections in design.tubes.items()},
         "input_support": {name: tube_input_support(design, name) for name in design.tubes},
-        "input_set_p_q": [[-U[2], U[0]], [-U[3], U[1]]],
+        "input_set_p_q": np.stack([-problem.input_set.support(-wheel_rows), problem.input_set.support(wheel_rows)], 1),
         "lmi_cost": design.cost.cost,
         "lmi_objective_value": design.cost.value,
         "terminal_gains": design.terminal.gains.vertices,

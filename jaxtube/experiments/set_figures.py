@@ -152,7 +152,7 @@ def tightened_sets(design: Design) -> Figure:
     panels = figure.subplots(2, 3)
     last = Polytope(bounds.terminal_normals, bounds.terminal[window])
     for coordinate, axes in enumerate(panels[0]):
-        scale, whole = TO_DISPLAY[coordinate], problem.error_set.offsets[coordinate]
+        scale, whole = TO_DISPLAY[coordinate], problem.operating_set.offsets[coordinate]
         left = bounds.errors[window, :, coordinate] * scale
         axes.stairs(left, np.arange(N + 1) - 0.5, baseline=None, color=INSIDE, linewidth=1.2)
         axes.plot(np.arange(N), left, "o", color=INSIDE, markersize=3)
@@ -178,7 +178,7 @@ def _draw_input_sets(whole: Axes, corner: Axes, design: Design, window: int) -> 
     """Draw U and the nested U_j, whole and magnified at the corner of the greatest forward demand."""
     bounds = design.bounds.inputs[window]
     corners = design.problem.input_set.vertices()
-    tightened = [Polytope(design.problem.input_set.normals, offsets).vertices() for offsets in bounds]
+    tightened = [Polytope(design.problem.input_rows.inputs, offsets).vertices() for offsets in bounds]
     for axes in (whole, corner):
         axes.set(xlabel="$u_1$ [m/s]", ylabel="$u_2$ [rad/s]")
         for points in tightened:
@@ -204,7 +204,12 @@ def terminal_set(design: Design) -> Figure:
         return _no_terminal_set(design)
     window = int(design.windows.index[0])
     constraint = Polytope(design.bounds.terminal_normals, design.bounds.terminal[window])
-    sets = {"maximal": maximal, "invariant": invariant, "constraint": constraint, "limits": design.problem.error_set}
+    sets = {
+        "maximal": maximal,
+        "invariant": invariant,
+        "constraint": constraint,
+        "limits": design.problem.operating_set,
+    }
     corners = {name: polytope.vertices() * TO_DISPLAY for name, polytope in sets.items()}
     facets = f"set of {len(invariant.offsets)} facets"
     lines = {

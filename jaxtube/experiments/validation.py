@@ -35,7 +35,7 @@ def make_task(design: Design, controller: str, plant: str, starts: str, seed: in
     else:
         first = int(design.windows.index[0])
         # The seed of the set's shape is fixed: the law that starts are drawn from is the scenario's alone.
-        start = uniform_start(boundary(design.tube_window, first, problem.error_set, RAYS, seed=0))
+        start = uniform_start(boundary(design.tube_window, first, problem.operating_set, RAYS, seed=0))
     return Task(loop, makers[plant](design), start, make_checks(design, loop), jax.random.key(seed))
 
 

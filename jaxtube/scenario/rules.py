@@ -19,6 +19,7 @@ Refuse = Callable[[str, str, str], NoReturn]
 
 # Wheel speeds on the edge of their box are inside it, and singular weights semidefinite, however they were rounded.
 EDGE_MPS = 1e-9
+EDGE_SHARE = 1e-9
 EIGENVALUE_ROUNDING = 1e-12
 
 ERROR_SIZE, INPUT_SIZE = 3, 2
@@ -30,6 +31,8 @@ def check(scenario: Scenario, refuse: Refuse) -> None:
         _check_order(getattr(scenario, section), section, refuse)
     _check_slip(scenario.slip, refuse)
     _check_weights(scenario.controller, refuse)
+    _check_operating(scenario, refuse)
+    _check_gains(scenario.controller, refuse)
     if scenario.reference.duration_s < scenario.controller.dt_s:
         problem = f"is shorter than one step, controller.dt_s = {scenario.controller.dt_s}"
         refuse("reference.duration_s", problem, "run for at least one step")
@@ -80,6 +83,33 @@ def _check_slip(slip: Slip, refuse: Refuse) -> None:
                 f"with slip.relative_error = {slip.relative_error} the slip reaches {largest:.6g}, a spinning wheel"
             )
             refuse(f"slip.nominal_{side}", problem, "keep nominal * (1 + relative_error) below 1")
+
+
+def _check_operating(scenario: Scenario, refuse: Refuse) -> None:
+    operating, noise = scenario.operating, scenario.noise
+    for name in ("longitudinal_m", "lateral_m", "heading_deg"):
+        limit, spread, cap = (getattr(section, name) for section in (scenario.constraints, noise, operating))
+        if spread >= limit:
+            refuse(f"noise.{name}", f"leaves nothing of constraints.{name} = {limit}", "reduce it or widen the limit")
+        if cap is not None and cap > (limit - spread) * (1 + EDGE_SHARE):
+            problem = f"with the noise of {spread} passes constraints.{name} = {limit}"
+            refuse(f"operating.{name}", problem, f"give at most {limit - spread:.6g}")
+    for names, cure in (
+        (("speed_deficit_min_mps", "speed_deficit_max_mps", "yaw_rate_deficit_radps"), "all three input caps or none"),
+        (("turning_longitudinal_m", "turning_yaw_rate_radps"), "both or none, with the three input caps"),
+    ):
+        given = [name for name in names if getattr(operating, name) is not None]
+        missing = [name for name in names if name not in given]
+        if given and (missing or operating.yaw_rate_deficit_radps is None):
+            refuse(f"operating.{given[0]}", "is not enough alone", f"give {cure}")
+
+
+def _check_gains(controller: Controller, refuse: Refuse) -> None:
+    if controller.tracking_gains and len(controller.tracking_gains) != 3:
+        refuse("controller.tracking_gains", "are not three", "give [k1, k2, k3]")
+    if controller.tracking_gains and (controller.terminal, controller.tube) != ("T-A", "sequence"):
+        problem = "are tube and terminal gain at once, which terminal T-A with tube sequence allows alone"
+        refuse("controller.tracking_gains", problem, 'set controller.terminal = "T-A" and controller.tube = "sequence"')
 
 
 def _check_weights(controller: Controller, refuse: Refuse) -> None:

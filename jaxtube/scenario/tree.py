@@ -13,6 +13,7 @@ import msgspec
 from .refusal import literal
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
+Negative = Annotated[float, msgspec.Meta(lt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 Fraction = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 HeadingBound = Annotated[float, msgspec.Meta(gt=0, lt=90)]
@@ -33,7 +34,11 @@ class Robot(Section, frozen=True):
 
 
 class Reference(Section, frozen=True):
-    """The reference path and the box that its wheel speeds keep; `file` is read for the shape "file" only."""
+    """The reference path and the box that its wheel speeds keep; `file` is read for the shape "file" only.
+
+    `certified_for` says over which wheel speeds sets and certificate hold: the whole "box", under arbitrary changes, or
+    those that occur on the "path", in any order.
+    """
 
     shape: Literal["two_circles", "lemniscate", "file"] = "two_circles"
     file: str = ""
@@ -42,16 +47,17 @@ class Reference(Section, frozen=True):
     duration_s: Positive = 30.0
     wheel_speed_min_mps: float = 0.2
     wheel_speed_max_mps: float = 1.5
+    certified_for: Literal["box", "path"] = "box"
 
 
 class Slip(Section, frozen=True):
     """Longitudinal slip of the wheels; `relative_error` bounds how far true and measured slip lie apart, relative to
-    the slip, and `random` says which of the two varies."""
+    the slip, `process` says how that evolves (`jaxtube.slip`), and `random` which of the two varies."""
 
     nominal_right: Fraction = 0.2
     nominal_left: Fraction = 0.2
     relative_error: Fraction = 0.1
-    process: Literal["iid", "constant", "walk", "patches"] = "iid"
+    process: Literal["iid", "constant", "walk", "patches", "vertex", "adversarial"] = "iid"
     random: Literal["true", "measured", "both"] = "true"
 
 
@@ -63,9 +69,27 @@ class Constraints(Section, frozen=True):
     heading_deg: HeadingBound = 20.0
 
 
-class Disturbance(Section, frozen=True):
-    """Half widths of the disturbance set W of one step, a box in the robot frame."""
+class Operating(Section, frozen=True):
+    """Where the controller may operate, inside constraints and wheel limits; a key left out sets no cap of its own.
 
+    Half widths of the measured error, bounds of the inputs u1 (speed deficit) and u2 (yaw rate deficit), and
+    |e_x| / turning_longitudinal_m + |u2| / turning_yaw_rate_radps <= 1: to turn hard only near the path.
+    """
+
+    longitudinal_m: Positive | None = None
+    lateral_m: Positive | None = None
+    heading_deg: HeadingBound | None = None
+    speed_deficit_min_mps: Negative | None = None
+    speed_deficit_max_mps: Positive | None = None
+    yaw_rate_deficit_radps: Positive | None = None
+    turning_longitudinal_m: Positive | None = None
+    turning_yaw_rate_radps: Positive | None = None
+
+
+class Disturbance(Section, frozen=True):
+    """The disturbance set W of one step: `assumed`, a box of these half widths in the robot frame, or `computed`."""
+
+    bound: Literal["assumed", "computed"] = "assumed"
     longitudinal_m: NonNegative = 0.005
     lateral_m: NonNegative = 0.005
     heading_deg: HeadingSpread = 0.2
@@ -80,16 +104,21 @@ class Noise(Section, frozen=True):
 
 
 class Controller(Section, frozen=True):
-    """The predictive controller; a weight is a list of diagonal entries or a symmetric matrix, a list of rows."""
+    """The predictive controller; a weight is a list of diagonal entries or a symmetric matrix, a list of rows.
+
+    `tracking_gains` (k1 1/s, k2 rad/(m s), k3 1/s) take the place of the gains from `lmi_objective`:
+    u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th.
+    """
 
     dt_s: Positive = 0.1
     horizon: Annotated[int, msgspec.Meta(ge=1)] = 5
     error_weight: Weight = (1.0, 1.0, 0.01)
     input_weight: Weight = (1.0, 1.0)
     tube: Literal["paper", "hull", "summed", "sequence"] = "paper"
-    model: Literal["paper", "consistent"] = "paper"
+    model: Literal["paper", "consistent", "exact_jacobian"] = "paper"
     discretisation: Literal["euler", "zoh"] = "euler"
-    input_map: Literal["paper", "cosine_free"] = "paper"
+    input_map: Literal["paper", "cosine_free", "x_exact"] = "paper"
+    tracking_gains: tuple[Positive, ...] = ()
     lmi_objective: Literal["trace_s", "trace_p", "logdet"] = "trace_s"
     terminal: Literal["paper", "T-A", "T-B"] = "paper"
     restart: bool = True
@@ -110,6 +139,7 @@ class Scenario(Section, frozen=True):
     reference: Reference = Reference()
     slip: Slip = Slip()
     constraints: Constraints = Constraints()
+    operating: Operating = Operating()
     disturbance: Disturbance = Disturbance()
     noise: Noise = Noise()
     controller: Controller = Controller()
@@ -117,9 +147,10 @@ class Scenario(Section, frozen=True):
 
 
 def to_toml(scenario: Scenario) -> str:
-    """Write a scenario as TOML with every key spelled out; reading it back gives an equal scenario."""
+    """Write a scenario as TOML with every key that has a value; reading it back gives an equal scenario."""
     tables = []
     for section in scenario.__struct_fields__:
         values = msgspec.structs.asdict(getattr(scenario, section))
-        tables.append("\n".join([f"[{section}]", *(f"{key} = {literal(value)}" for key, value in values.items())]))
+        lines = (f"{key} = {literal(value)}" for key, value in values.items() if value is not None)
+        tables.append("\n".join([f"[{section}]", *lines]))
     return "\n\n".join(tables) + "\n"

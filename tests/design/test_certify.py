@@ -292,5 +292,5 @@ def test_a_nominal_error_that_is_never_reset_needs_more_room(robust_design, rece
     assert certificate.failing == ["nominal_error_never_reset"]
     axes, loops = problem.error_set.normals, vertex_loops(problem, robust_design.tube_gain)
     reach = hull_tube(loops, problem.disturbance_set, 6)
-    missing = np.max(reach[6].support(axes) - reach[1].support(axes)) - BACK_OFF
+    missing = np.max(reach[6].support(axes) - reach[1].support(axes)) - 2 * BACK_OFF
     assert certificate.conditions["nominal_error_never_reset"].margin == pytest.approx(-missing, abs=CERTIFICATE_MARGIN)

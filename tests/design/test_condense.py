@@ -91,18 +91,18 @@ def plain_rows(found, window, schedules, error, inputs):
     limits, rows = problem.error_set.offsets[:3], []
     for j in range(1, problem.horizon):
         for axis in range(3):
-            left = limits[axis] - section_of(found, window, j).support(np.eye(3)[axis])[0] - BACK_OFF
+            left = limits[axis] - section_of(found, window, j).support(np.eye(3)[axis])[0] - (j + 1) * BACK_OFF
             rows.append((errors[j, axis], -left, left))
     b, U = problem.robot.track_width, problem.input_set.offsets
     for j in range(problem.horizon):
         for wheel, sign in enumerate((1, -1)):
             row = np.array([1, sign * b / 2])
-            upper = U[wheel] - input_reach(found, window, schedules, j, row) - BACK_OFF
-            lower = -U[2 + wheel] + input_reach(found, window, schedules, j, -row) + BACK_OFF
+            upper = U[wheel] - input_reach(found, window, schedules, j, row) - (j + 1) * BACK_OFF
+            lower = -U[2 + wheel] + input_reach(found, window, schedules, j, -row) + (j + 1) * BACK_OFF
             rows.append((row @ inputs[j], lower, upper))
-    terminal = found.terminal
+    terminal, last = found.terminal, (problem.horizon + 1) * BACK_OFF
     for row, offset in zip(terminal.constraint_normals, terminal.constraint_offsets[window], strict=True):
-        rows.append((row @ errors[-1], -np.inf, offset - BACK_OFF * np.linalg.norm(row)))
+        rows.append((row @ errors[-1], -np.inf, offset - last * np.linalg.norm(row)))
     return np.array(rows).T
 
 

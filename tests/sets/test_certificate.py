@@ -192,7 +192,9 @@ def test_terminal_margins_are_the_least_room_over_vertices():
         slack = polytope.offsets - images @ polytope.normals.T
         return np.min(slack / np.linalg.norm(polytope.normals, axis=1))
 
-    found = terminal_margins(terminal, following, LOOPS, gains, errors, inputs, reach)
+    scale = np.linalg.norm(inputs.normals, axis=1)
+    rows, offsets = inputs.normals / scale[:, None] @ gains, inputs.offsets / scale
+    found = terminal_margins(terminal, following, LOOPS, errors, rows, offsets, reach)
     expected = {
         "admissible_errors": room(errors, points),
         "admissible_inputs": min(room(inputs, points @ gain.T) for gain in gains),
