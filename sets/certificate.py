@@ -40,9 +40,10 @@ class Condition:
 
 @dataclass
 class Certificate:
-    """The conditions of a design by name, in the order in which they were checked."""
+    """The conditions of a design by name, in the order in which they were checked, and what they take for granted."""
 
     conditions: dict[str, Condition] = field(default_factory=dict)
+    assumptions: tuple[str, ...] = ()
 
     @property
     def holds(self) -> bool:

@@ -14,6 +14,7 @@ Notation and the parts of w: `sets.plant`. Source: the idea of a computed W foll
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -33,28 +34,31 @@ class Operation:
     Attributes:
         errors: measured (longitudinal m, lateral m, heading rad), boxes as (lower, upper), as below.
         inputs: (speed deficit m/s, yaw rate deficit rad/s).
-        schedule: reference wheel speeds (right, left), m/s.
+        schedules: reference wheel speeds (right, left), m/s: boxes any of which may apply, each (lower, upper).
         wheel_error: largest relative errors |d| of the ground speeds (right, left), d = (i - i_m) / (1 - i_m).
         noise: largest pose noise (m, m, rad).
         dt: period, s.
         track_width: m.
+        coupling: (a m, b rad/s) where |longitudinal error| / a + |yaw rate deficit| / b <= 1 holds as well, else None.
     """
 
     errors: Float[np.ndarray, "2 3"]
     inputs: Float[np.ndarray, "2 2"]
-    schedule: Float[np.ndarray, "2 2"]
+    schedules: Float[np.ndarray, "boxes 2 2"]
     wheel_error: Float[np.ndarray, "2"]
     noise: Float[np.ndarray, "3"]
     dt: float
     track_width: float
+    coupling: tuple[float, float] | None = None
 
     def __post_init__(self):
-        shapes = {"errors": (2, 3), "inputs": (2, 2), "schedule": (2, 2), "wheel_error": (2,), "noise": (3,)}
+        boxes = len(np.atleast_1d(self.schedules))
+        shapes = {"errors": (2, 3), "inputs": (2, 2), "schedules": (boxes, 2, 2), "wheel_error": (2,), "noise": (3,)}
         for name, shape in shapes.items():
             value = np.array(getattr(self, name), dtype=float)
-            if value.shape != shape or not np.isfinite(value).all():
+            if value.shape != shape or not np.isfinite(value).all() or not value.size:
                 raise ValueError(f"{name}: {value.tolist()} is not an array {shape} of finite numbers; give one")
-            if len(shape) == 2 and (value[0] > value[1]).any():
+            if len(shape) > 1 and (value[..., 0, :] > value[..., 1, :]).any():
                 raise ValueError(f"{name}: {value.tolist()} has crossed ends; give lower ends first")
             if len(shape) == 1 and (value < 0).any():
                 raise ValueError(f"{name}: {value.tolist()} has a negative entry; give magnitudes")
@@ -63,17 +67,54 @@ class Operation:
         for name in ("dt", "track_width"):
             if not 0 < getattr(self, name) < np.inf:
                 raise ValueError(f"{name}: {getattr(self, name)} is not positive and finite; give s or m")
+        if self.coupling is not None and not (min(self.coupling) > 0 and (self.errors[0, 0] == -self.errors[1, 0])):
+            raise ValueError(
+                f"coupling: {self.coupling} with longitudinal errors {self.errors[:, 0].tolist()}: give "
+                "positive numbers and symmetric errors"
+            )
 
     @property
     def period(self) -> Period:
         """Period, track width and g_y, the lateral part of a yaw kick."""
-        return Period(self.dt, self.track_width, float(self.dt * self.schedule.mean() / 2))
+        lower, upper = self.box[:, 5:7]
+        return Period(self.dt, self.track_width, float(self.dt * (lower + upper).mean() / 4))
 
     @property
     def box(self) -> Float[np.ndarray, "2 12"]:
-        """Ends of the twelve variables of `split_residual`."""
+        """Ends of the twelve variables of `split_residual`, the coupling left aside."""
         magnitudes = np.concatenate([self.wheel_error, self.noise])
-        return np.hstack([self.errors, self.inputs, self.schedule, np.stack([-magnitudes, magnitudes])])
+        schedule = np.stack([self.schedules[:, 0].min(axis=0), self.schedules[:, 1].max(axis=0)])
+        return np.hstack([self.errors, self.inputs, schedule, np.stack([-magnitudes, magnitudes])])
+
+    def pieces(self) -> Float[np.ndarray, "2 14 pieces"]:
+        """Return boxes in which  x = middle + share (reach + slope u2),  |share| <= 1, runs over the whole operation.
+
+        Variables: share in the place of the longitudinal error, the other eleven, and reach and slope, of equal ends.
+        The coupling is cut where its edges meet the caps, so that it is linear in u2 on each piece.
+        """
+        half = (self.errors[1, 0] - self.errors[0, 0]) / 2
+        turns, pieces = [self.inputs[0, 1], self.inputs[1, 1]], []
+        a, b = self.coupling or (1.0, 1.0)
+        if self.coupling is not None:
+            uncut = max(b * (1 - half / a), 0.0)
+            turns = np.unique(np.clip([*turns, 0.0, uncut, -uncut], max(turns[0], -b), min(turns[1], b)))
+        for low, high in pairwise(turns):
+            cut = self.coupling is not None and max(abs(low), abs(high)) > uncut
+            reach, slope = (a, -np.copysign(a / b, low + high)) if cut else (half, 0.0)
+            for schedule in self.schedules:
+                ends = self.box
+                ends[:, 0], ends[:, 4], ends[:, 5:7] = (-1.0, 1.0), (low, high), schedule
+                pieces.append(np.hstack([ends, [[reach, slope]] * 2]))
+        return np.stack(pieces, axis=2)
+
+    @property
+    def _middle(self) -> float:
+        return (self.errors[0, 0] + self.errors[1, 0]) / 2
+
+    def variables(self, piece) -> list:
+        """Return the twelve variables of `split_residual` from the fourteen of a piece."""
+        share, *others, reach, slope = piece
+        return [share * (reach + slope * others[3]) + self._middle, *others]
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +186,7 @@ def wheel_error_bound(
     return np.nextafter(np.abs(errors).max(axis=(0, 1)) * (1 + 8 * np.finfo(float).eps), np.inf)
 
 
-def disturbance_bound(operation: Operation, kinematics: Kinematics, tolerance: float = 0.01) -> DisturbanceBound:
+def disturbance_bound(operation: Operation, kinematics: Kinematics, tolerance: float = 0.003) -> DisturbanceBound:
     """Bound the disturbances of an operation.
 
     Args:
@@ -160,11 +201,13 @@ def disturbance_bound(operation: Operation, kinematics: Kinematics, tolerance: f
         ValueError: an angle may leave a quarter turn, in which the bounds hold.
     """
 
-    def outputs(variables):
-        parts = split_residual(kinematics, operation.period, variables)
+    period = operation.period
+
+    def outputs(piece):
+        parts = split_residual(kinematics, period, operation.variables(piece))
         return parts.yaw, *parts.rest, parts.right, parts.left
 
-    lower, upper = operation.box
+    lower, upper = operation.pieces()
     both_signs = [(output, sign, output) for output in (0, 1, 2) for sign in (1, -1)]
     ends = [(3, -1, 3), (4, -1, 4), (3, 1, 5), (4, 1, 6)]
     proved, found = suprema(outputs, lower, upper, both_signs + ends, tolerance)
@@ -197,11 +240,13 @@ def disturbance_parts(operation: Operation, kinematics: Kinematics) -> dict[str,
         ValueError: as `disturbance_bound`.
     """
 
-    def outputs(variables):
-        parts: Parts = split_residual(kinematics, operation.period, variables)
+    period = operation.period
+
+    def outputs(piece):
+        parts: Parts = split_residual(kinematics, period, operation.variables(piece))
         return parts.yaw, *(coordinate for cause in CAUSES for coordinate in getattr(parts, cause))
 
-    lower, upper = operation.box
+    lower, upper = operation.pieces()
     objectives = [(output, sign, output) for output in range(1 + 2 * len(CAUSES)) for sign in (1, -1)]
     proved, _ = suprema(outputs, lower, upper, objectives, tolerance=0.1, negligible=5e-5, most_cells=8000)
     widths = {cause: np.array([0.0, *proved[1 + 2 * i : 3 + 2 * i], 0.0]) for i, cause in enumerate(CAUSES)}

@@ -1,4 +1,4 @@
-"""The largest values of functions over a box, bounded rigorously by branch and bound.
+"""The largest values of functions over boxes, bounded rigorously by branch and bound.
 
     sup {f(x) : x in cell} <= f(c) + sum_i max {g (x_i - c_i) : x in cell, g in G_i},    G_i encloses df/dx_i there
 
@@ -43,18 +43,18 @@ class Cells:
 
 def suprema(
     function: Callable[[Sequence], Sequence],
-    lower: Float[np.ndarray, " variables"],
-    upper: Float[np.ndarray, " variables"],
+    lower: Float[np.ndarray, "variables boxes"],
+    upper: Float[np.ndarray, "variables boxes"],
     objectives: Sequence[tuple[int, int, int]],
     tolerance: float,
     negligible: float = 1e-9,
     most_cells: int = 100_000,
 ) -> tuple[Float[np.ndarray, " groups"], Float[np.ndarray, " groups"]]:
-    """Bound sup {sign f_output(x) : lower <= x <= upper} over every group of objectives.
+    """Bound sup {sign f_output(x) : lower <= x <= upper in some box} over every group of objectives.
 
     Args:
         function: takes the variables, floats or intervals or duals alike, and returns its outputs.
-        lower, upper: ends of the box; equal ends are allowed.
+        lower, upper: ends of the boxes; equal ends are allowed.
         objectives: (output, sign, group) of each; only the largest of a group counts.
         tolerance: relative gap at which a cell is done, positive.
         negligible: gap at which a cell is done anyway, in the unit of the outputs.
@@ -72,9 +72,9 @@ def suprema(
         raise ValueError(f"tolerance: {tolerance} is not positive; give a relative gap such as 0.01")
     output, sign, group = np.array(objectives).T
     found, proved = np.full((2, group.max() + 1), -np.inf)
-    count = len(output)
-    low, high = (np.repeat(end[:, None], count, axis=1) for end in (lower, upper))
-    cells = Cells(low, high, np.arange(count), np.full(count, np.inf))
+    boxes, count = lower.shape[1], len(output)
+    low, high = (np.tile(end, (1, count)) for end in (lower, upper))
+    cells = Cells(low, high, np.repeat(np.arange(count), boxes), np.full(count * boxes, np.inf))
     evaluated = 0
     while len(cells.objective):
         evaluated += len(cells.objective)

@@ -105,3 +105,6 @@ INTEGRATED = 1e-10  # m and rad; one period against an integrator run at 1e-13
 NO_CAUSE = 1e-8  # m and rad; parts whose cause is absent: the gap always accepted, a few times
 W_TIGHTNESS = 0.85  # of a bound that an optimiser must reach
 REFERENCE_PART = 0.02  # relative; parts are bounded within 0.05 mm
+
+# jaxtube/imperfect.py
+ARCS_OF_A_PERIOD = 1e-5  # m; positions while wheels change speed by 1 m/s, arcs of a sixteenth of a period

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 
 from jaxtube.design.condense import Bounds
+from jaxtube.design.fill import cap_shares
 from jaxtube.design.problem import Problem, error_vector
 from jaxtube.design.terminal import Terminal, admissible_set
 from jaxtube.design.tightening import (
@@ -20,6 +21,7 @@ from jaxtube.design.tightening import (
 )
 from sets import certificate as check
 from sets.certificate import Certificate
+from sets.disturbance import DisturbanceBound
 from sets.invariant import MaximalRpi, maximal_rpi
 from sets.lmi import TerminalCost, terminal_cost
 from sets.polytope import Polytope
@@ -42,7 +44,7 @@ def certify(
     bounds: Bounds,
     residual: float,
 ) -> Certificate:
-    """Re-check every condition of the guarantee but the disturbance bound, which only the plant can answer.
+    """Re-check every condition of the guarantee; the disturbance bound only where W was computed and not assumed.
 
     `residual` bounds by how much an accepted answer of the solver may miss a constraint from any error in E.
     """
@@ -63,22 +65,93 @@ def certify(
         "The terminal cost does not decrease by the stage cost at some vertex.",
     )
     _coverage(certificate, problem, tube_gain, terminal, windows)
-    noise = error_vector(problem.scenario.noise)
+    room = float(np.min(error_vector(problem.scenario.constraints) - problem.error_set.support(np.eye(3))))
     certificate.add(
         "true_error_in_e",
-        0.0 - float(noise.max()),
-        "The pose is measured exactly: constraints on the measured error are constraints on the true one.",
-        f"E bounds the measured error; the true one may lie outside by the pose noise, up to {noise.max():.3g}.",
+        room + check.ROUNDING,
+        "What the controller keeps of the measured error and the pose noise together lie in the error constraints.",
+        f"With the pose noise the true error may leave the error constraints by {-room:.3g}.",
     )
+    if problem.residual is not None:
+        _disturbance(certificate, problem, problem.residual)
     certificate.add(
         "solver_residual",
         BACK_OFF - residual,
         f"Constraints are backed off by {BACK_OFF:.0e}, more than the {residual:.0e} a solved QP may miss them by.",
         f"Constraints are backed off by {BACK_OFF:.0e}, less than the {residual:.0e} a solved QP may miss them by.",
     )
-    if not problem.scenario.controller.tracking_gains:
+    certificate.assumptions = assumptions(problem)
+    if problem.scenario.controller.tracking_gains:
+        _widest_tube(certificate, problem, terminal.gains)
+    else:
         _existence(certificate, problem, tube_gain, terminal, cost)
     return certificate
+
+
+def _disturbance(certificate: Certificate, problem: Problem, bound: DisturbanceBound) -> None:
+    """Check that W is as wide as its bound, and that the wheels can do all that may be asked of them."""
+    W = problem.disturbance_set
+    margin = float(np.min(W.offsets - bound.support(W.normals)))
+    found = np.array([bound.found_yaw / bound.yaw, *(bound.found_box / bound.box)])
+    certificate.add(
+        "disturbance_bound_proved",
+        margin + check.ROUNDING,
+        "W holds every disturbance of the slipping robot over everything certified, proved by interval arithmetic; "
+        f"disturbances found reach {found.min():.1%} to {found.max():.1%} of it.",
+        f"W is narrower than the proved bound by {-margin:.3g}.",
+    )
+    slip = problem.scenario.slip
+    grip = 1 - np.array([slip.nominal_right, slip.nominal_left]) * (1 + slip.relative_error)
+    least, greatest = bound.ground_speeds
+    room = float(
+        min(
+            np.min(grip * problem.robot.wheel_speed_max - greatest),
+            np.min(least - grip * problem.robot.wheel_speed_min),
+        )
+    )
+    certificate.add(
+        "wheel_limits",
+        room,
+        f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for; under every slip the wheels "
+        f"have {room:.3g} m/s to spare.",
+        f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for: {-room:.3g} m/s more than "
+        "the wheels can do under the greatest slip.",
+    )
+
+
+def _widest_tube(certificate: Certificate, problem: Problem, gain: LocalGain) -> None:
+    """Say, for information, how much of each cap the tube of the terminal gain fills, and which one binds."""
+    shares = cap_shares(problem, gain)
+    binding = max(shares, key=lambda name: shares[name])
+    listed = ", ".join(f"{name} {share:.1%}" for name, share in shares.items())
+    certificate.add(
+        "widest_tube_fits",
+        1 - shares[binding],
+        f"The tube of the terminal gain fills at its widest {shares[binding]:.1%} of the {binding}, which "
+        f"binds ({listed}).",
+        f"The tube of the terminal gain may outgrow the caps; the {binding} binds ({listed}).",
+        required=False,
+    )
+
+
+def assumptions(problem: Problem) -> tuple[str, ...]:
+    """Return what the guarantee takes for granted, in words."""
+    scenario, slip = problem.scenario, problem.scenario.slip
+    which = {"true": "or measured", "measured": "or true", "both": "and, on its own, measured"}[slip.random]
+    speeds = (
+        f"wheel speeds between {problem.model.box[0][0]:g} and {problem.model.box[1][0]:g} m/s, in any order"
+        if (scenario.reference.certified_for == "box")
+        else f"the {len(problem.regions)} pairs of wheel speeds of the path, in any order"
+    )
+    return (
+        f"slip {slip.random} {which} within {slip.relative_error:.0%} of its nominal value "
+        f"({slip.nominal_right:g} right, {slip.nominal_left:g} left), in any sequence",
+        f"pose measured within {scenario.noise.longitudinal_m:g} m, {scenario.noise.lateral_m:g} m, "
+        f"{scenario.noise.heading_deg:g} deg",
+        f"reference of {speeds}, known {problem.horizon} periods of {problem.model.dt:g} s ahead",
+        "slip, wheel speeds and reference constant over each period; wheels obey at once; no sideways slip",
+        "the first error has a plan" + (", and no disturbance leaves W" if problem.residual is None else ""),
+    )
 
 
 def _tightened(problem: Problem, bounds: Bounds):

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from jaxtube.scenario import ScenarioError
 from sets.disturbance import DisturbanceBound, Operation, disturbance_bound, wheel_error_bound
 from sets.plant import Kinematics
 
@@ -13,22 +14,24 @@ if TYPE_CHECKING:
     from jaxtube.design.problem import Problem
 
 
-def operations(problem: Problem) -> list[Operation]:
-    """Return where the robot works, one operation a region: measured errors, inputs, slip errors and noise."""
-    slip = problem.scenario.slip
-    nominal = np.array([slip.nominal_right, slip.nominal_left])
-    return [
-        Operation(
-            errors=_ends(problem.operating_set),
-            inputs=_ends(problem.input_set),
-            schedule=region,
-            wheel_error=wheel_error_bound(nominal, slip.relative_error, slip.random),
-            noise=problem.error_set.support(np.eye(3)) - problem.operating_set.support(np.eye(3)),
-            dt=problem.model.dt,
-            track_width=problem.model.track_width,
-        )
-        for region in problem.regions
-    ]
+def operation(problem: Problem) -> Operation:
+    """Return where the robot works: measured errors, inputs, certified wheel speeds, slip errors and noise."""
+    slip, caps = problem.scenario.slip, problem.scenario.operating
+    # The measured slip's error is the larger of the two single ones, so either may vary.
+    reading = "both" if slip.random == "both" else "measured"
+    coupling = None
+    if caps.turning_longitudinal_m is not None and caps.turning_yaw_rate_radps is not None:
+        coupling = caps.turning_longitudinal_m, caps.turning_yaw_rate_radps
+    return Operation(
+        errors=_ends(problem.operating_set),
+        inputs=_ends(problem.input_set),
+        schedules=problem.regions,
+        wheel_error=wheel_error_bound(np.array([slip.nominal_right, slip.nominal_left]), slip.relative_error, reading),
+        noise=problem.error_set.support(np.eye(3)) - problem.operating_set.support(np.eye(3)),
+        dt=problem.model.dt,
+        track_width=problem.model.track_width,
+        coupling=coupling,
+    )
 
 
 def kinematics(problem: Problem) -> Kinematics:
@@ -39,9 +42,15 @@ def kinematics(problem: Problem) -> Kinematics:
 
 
 def residual_bound(problem: Problem) -> DisturbanceBound:
-    """Return W for the robot itself, over the regions, the operating set, the inputs and the slip errors."""
-    (operation,) = operations(problem)
-    return disturbance_bound(operation, kinematics(problem))
+    """Return W for the robot itself, over everything that is certified.
+
+    Raises:
+        ScenarioError: where the operating set is so wide that angles leave a quarter turn.
+    """
+    try:
+        return disturbance_bound(operation(problem), kinematics(problem))
+    except ValueError as error:
+        raise ScenarioError(f'scenario: disturbance.bound = "computed": {error}; narrow [operating]') from None
 
 
 def _ends(polytope) -> np.ndarray:

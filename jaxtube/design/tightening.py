@@ -221,16 +221,21 @@ def tighten(problem: Problem, gain: LocalGain, windows: Windows, sections: list[
 
 ERROR_NAMES = ("longitudinal error", "lateral error", "heading error")
 WHEEL_NAMES = ("right wheel deficit", "left wheel deficit")
-CAP_NAMES = ("speed deficit", "yaw rate deficit", "turn to the left off the path", "turn to the right off the path")
+CAP_NAMES = ("speed deficit", "yaw rate deficit", "coupled cap, outwards", "coupled cap, inwards")
+
+
+def input_names(problem: Problem) -> tuple[str, ...]:
+    """Return the names of the input rows, one for each opposite pair."""
+    if problem.scenario.operating.yaw_rate_deficit_radps is None:
+        return WHEEL_NAMES
+    return CAP_NAMES[: len(problem.input_rows.offsets) // 2]
 
 
 def refuse_empty(problem: Problem, tightening: Tightening) -> None:
     """Raise EmptySetError for the first stage at which E_j or U_j has nothing left."""
-    capped = problem.scenario.operating.yaw_rate_deficit_radps is not None
-    names = CAP_NAMES[: len(problem.input_rows.offsets) // 2] if capped else WHEEL_NAMES
     checks = (
         ("E", problem.operating_set.offsets, tightening.error_reach[:, : problem.horizon], ERROR_NAMES),
-        ("U", problem.input_rows.offsets, tightening.input_reach, names),
+        ("U", problem.input_rows.offsets, tightening.input_reach, input_names(problem)),
     )
     for name, offsets, reach, coordinates in checks:
         left = offsets - reach

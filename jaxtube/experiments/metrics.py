@@ -132,16 +132,15 @@ def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs
     """Return how often and how far w(k) leaves W: per coordinate (W's half widths) and altogether."""
     W = design.problem.disturbance_set
     widths = W.support(np.eye(3))
-    outside = ~(np.abs(residuals) <= widths)
-    inside_runs = ~outside.any(axis=(0, 2))
+    outside, left = ~(np.abs(residuals) <= widths), ~(W.margin(residuals) >= 0)
     return {
-        "steps": int(outside[..., 0].size),
-        "share_of_steps_outside": float(outside.any(axis=2).mean()),
+        "steps": int(left.size),
+        "share_of_steps_outside": float(left.mean()),
         "share_of_steps_outside_by_coordinate": dict(zip(COORDINATES, outside.mean(axis=(0, 1)).tolist(), strict=True)),
         "largest": dict(zip(COORDINATES, (np.abs(residuals).max(axis=(0, 1)) * TO_DISPLAY).tolist(), strict=True)),
         "allowed": dict(zip(COORDINATES, (widths * TO_DISPLAY).tolist(), strict=True)),
-        "runs_with_every_w_inside": int(inside_runs.sum()),
-        "margin": float(np.min(W.margin(residuals.reshape(-1, 3)))),
+        "runs_with_every_w_inside": int(np.sum(~left.any(axis=0))),
+        "margin": float(np.min(W.margin(residuals))),
     }
 
 

@@ -116,6 +116,16 @@ class Falsify(Options):
 
 
 @dataclass(frozen=True)
+class Beyond(Options):
+    """Measure how imperfect the robot may be before a lap leaves W, and before it leaves what is certified."""
+
+    command = module = "beyond"
+
+    realisations: Annotated[int, arg(metavar="INT")] = 1024
+    """number of laps under each of four slip processes, at each level of each imperfection"""
+
+
+@dataclass(frozen=True)
 class Bench(Options):
     """Measure laps a second on one device, on all of them, and on one and two workers of a cluster."""
 
@@ -150,7 +160,7 @@ class Check(Options):
 
 
 COMMANDS: dict[str, type[Options]] = {
-    kind.command: kind for kind in (Paper, Design, Montecarlo, Falsify, Bench, List, Check)
+    kind.command: kind for kind in (Paper, Design, Montecarlo, Falsify, Beyond, Bench, List, Check)
 }
 
 

@@ -59,7 +59,7 @@ def operation(
     return Operation(
         errors=np.array([-np.array(errors), errors]),
         inputs=np.array(inputs),
-        schedule=np.array([[speeds[0]] * 2, [speeds[1]] * 2]),
+        schedules=np.array([[[speeds[0]] * 2, [speeds[1]] * 2]]),
         wheel_error=wheel_error_bound(SLIPS, relative_error, "measured"),
         noise=np.array(noise),
         dt=PERIOD,

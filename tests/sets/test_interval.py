@@ -223,7 +223,7 @@ CASES = {
 @pytest.mark.parametrize("tolerance", [0.1, 0.001])
 def test_suprema_lie_between_values_found_and_bounds(case, tolerance):
     function, lower, upper, supremum = CASES[case]
-    ends, objectives = (np.array(lower), np.array(upper)), [(0, 1, 0), (1, 1, 1)]
+    ends, objectives = (np.array([lower]).T, np.array([upper]).T), [(0, 1, 0), (1, 1, 1)]
     bound, found = suprema(lambda variables: [function(*variables), 0.0], *ends, objectives, tolerance)
     assert found[0] - 1e-14 <= supremum <= bound[0]
     assert bound[0] <= found[0] + tolerance * abs(found[0]) + 2e-9
@@ -231,7 +231,7 @@ def test_suprema_lie_between_values_found_and_bounds(case, tolerance):
 
 
 def test_a_group_has_the_largest_of_its_objectives():
-    lower, upper = np.array([-1.0]), np.array([2.0])
+    lower, upper = np.array([[-1.0, 0.5]]), np.array([[1.0, 2.0]])
     objectives = [(0, 1, 0), (0, -1, 0), (1, 1, 1), (1, -1, 2)]
     bound, _ = suprema(lambda x: [x[0] - 3.0, square(x[0])], lower, upper, objectives, 0.01)
     assert bound[0] == pytest.approx(4.0, rel=0.01)
@@ -241,10 +241,12 @@ def test_a_group_has_the_largest_of_its_objectives():
 
 def test_a_search_cut_short_bounds_all_the_same():
     function, lower, upper, supremum = CASES["inside"]
-    bound, found = suprema(lambda x: [function(*x)], np.array(lower), np.array(upper), [(0, 1, 0)], 1e-6, most_cells=5)
+    bound, found = suprema(
+        lambda x: [function(*x)], np.array([lower]).T, np.array([upper]).T, [(0, 1, 0)], 1e-6, most_cells=5
+    )
     assert found[0] <= supremum <= bound[0]
 
 
 def test_a_tolerance_that_is_not_positive_is_refused():
     with pytest.raises(ValueError, match="tolerance"):
-        suprema(lambda x: [x[0]], np.zeros(1), np.ones(1), [(0, 1, 0)], 0.0)
+        suprema(lambda x: [x[0]], np.zeros((1, 1)), np.ones((1, 1)), [(0, 1, 0)], 0.0)
