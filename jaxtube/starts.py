@@ -9,6 +9,7 @@ theorem V.2.1).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -33,13 +34,14 @@ class FixedStart:
         return jnp.broadcast_to(self.error, (len(keys), 3))
 
 
-@jax.tree_util.register_dataclass
+@partial(jax.tree_util.register_dataclass, data_fields=["triangles", "cumulative"], meta_fields=["edge"])
 @dataclass(frozen=True)
 class UniformStart:
-    """Initial errors uniform in a polytope; made by `uniform_start`."""
+    """Initial errors uniform in a polytope, or their projections from the origin on its edge; by `uniform_start`."""
 
     triangles: Float[Array, "simplices 3 3"]  # (corner, coordinate); the fourth corner is the origin
     cumulative: Float[Array, " simplices"]  # shares of the volume, summed up, without the last
+    edge: bool = False
 
     def draw(self, keys: Key[Array, " batch"]) -> Float[Array, "batch 3"]:
         """Return the initial errors."""
@@ -47,11 +49,13 @@ class UniformStart:
         draws = jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, INITIAL_ERROR), (4,), dtype))(keys)
         chosen = self.triangles[jnp.searchsorted(self.cumulative, draws[:, 0], side="right")]
         weights = jnp.diff(jnp.sort(draws[:, 1:], axis=1), prepend=0.0, axis=1)
+        if self.edge:
+            weights = weights / jnp.sum(weights, axis=1, keepdims=True)
         return jnp.sum(weights[:, :, None] * chosen, axis=1)
 
 
-def uniform_start(points: Float[np.ndarray, "k 3"]) -> UniformStart:
-    """Return starts uniform in the convex hull of points, which must contain the origin.
+def uniform_start(points: Float[np.ndarray, "k 3"], edge: bool = False) -> UniformStart:
+    """Return starts uniform in the convex hull of points, which must contain the origin, or projected on its edge.
 
     Raises:
         ValueError: where the origin lies outside the hull.
@@ -61,4 +65,4 @@ def uniform_start(points: Float[np.ndarray, "k 3"]) -> UniformStart:
         raise ValueError("starts: points do not surround the origin; give points on all sides of it")
     triangles = points[hull.simplices]
     shares = np.cumsum(np.abs(np.linalg.det(triangles)))
-    return UniformStart(jnp.asarray(triangles), jnp.asarray(shares[:-1] / shares[-1]))
+    return UniformStart(jnp.asarray(triangles), jnp.asarray(shares[:-1] / shares[-1]), edge)

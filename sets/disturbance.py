@@ -149,10 +149,10 @@ class DisturbanceBound:
         return hull_vertices(signs[:, :3] * self.box + kicks)
 
     def polytope(self) -> Polytope:
-        """Return W by its eight facets: the box, and the strip along the kicks."""
+        """Return W by its eight facets, rounded outwards: the box, and the strip along the kicks."""
         normals = np.vstack([np.eye(3), [0.0, 1.0, -self.lateral_per_yaw]])
         normals = np.vstack([normals, -normals])
-        return Polytope(normals, self.support(normals))
+        return Polytope(normals, np.nextafter(self.support(normals) * (1 + 8 * np.finfo(float).eps), np.inf))
 
 
 def wheel_error_bound(

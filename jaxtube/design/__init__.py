@@ -16,7 +16,8 @@ from jaxtube.design import condense
 from jaxtube.design.certify import certify
 from jaxtube.design.condense import Bounds
 from jaxtube.design.feasible import reach_of_ray, shortfall
-from jaxtube.design.problem import Problem, make_problem
+from jaxtube.design.problem import Problem
+from jaxtube.design.residual import complete_problem
 from jaxtube.design.terminal import Terminal, make_terminal, terminal_cost_and_gain
 from jaxtube.design.tightening import (
     EmptySetError,
@@ -78,7 +79,7 @@ def design(scenario: Scenario) -> Design:
         EmptySetError: where a tightened set E_j or U_j is empty.
     """
     clock = _Clock()
-    problem = make_problem(scenario)
+    problem = complete_problem(scenario)
     settings = scenario.controller
     clock.lap("problem")
     try:
@@ -133,8 +134,11 @@ def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None 
     error = problem.initial_error if error is None else error
     section = problem.scenario.initial
     start = f"scenario: initial = ({section.x_m} m, {section.y_m} m, {section.heading_deg} deg)"
-    largest = float(np.max(problem.operating_set.normals @ error / problem.operating_set.offsets))
-    missing = shortfall(found.tube_window, index, error)
+    noise = problem.error_set.support(np.eye(3)) - problem.operating_set.support(np.eye(3))
+    # What is measured of the start decides, and the feasible set is convex: the corners of the noise tell.
+    corners = error + noise * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T if noise.any() else error[None]
+    largest = float(np.max(corners @ problem.operating_set.normals.T / problem.operating_set.offsets))
+    missing = max(shortfall(found.tube_window, index, corner) for corner in corners)
     if largest <= 1 and missing <= 1e-9:
         return
     # Both limits at once: a start that is merely inside [constraints] might be refused again.

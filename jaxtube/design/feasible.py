@@ -10,8 +10,13 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linprog
 
+from jaxtube.design.problem import Problem
 from jaxtube.mpc import Window
+from jaxtube.scenario import ScenarioError
 from sets.polytope import Polytope
+
+EDGE = 1e-6
+"""Share by which starts keep off the edge of the feasible set, which linear programs find to about 1e-9."""
 
 
 def _constraints(window: Window, index: int):
@@ -64,6 +69,25 @@ def boundary(
     inside = np.max(directions @ error_set.normals.T / error_set.offsets, axis=1)
     reach = [min(reach_of_ray(window, index, d), 1 / most) for d, most in zip(directions, inside, strict=True)]
     return np.array(reach)[:, None] * directions
+
+
+def true_starts(window: Window, index: int, problem: Problem, count: int, seed: int = 0) -> Float[np.ndarray, "k 3"]:
+    """Return corners of a polytope of true errors from which there is a plan, whatever the noise of the pose.
+
+    The hull of `boundary`, which measured errors may fill, less the noise.
+
+    Raises:
+        ScenarioError: where no error has a plan.
+    """
+    if reach_of_ray(window, index, np.array([0.0, 0.0, 1.0])) <= 0:
+        raise ScenarioError(
+            "scenario: no start has a plan: not even the origin; see the failing conditions of `design`"
+        )
+    points = (1 - EDGE) * boundary(window, index, problem.operating_set, count, seed)
+    noise = problem.error_set.support(np.eye(3)) - problem.operating_set.support(np.eye(3))
+    if not noise.any():
+        return points
+    return Polytope.from_vertices(points).pontryagin_difference(Polytope.box(-noise, noise)).vertices()
 
 
 def spread_starts(

@@ -21,8 +21,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
-from jaxtube.design.problem import Problem, error_vector, make_problem
-from jaxtube.design.residual import kinematics, operation
+from jaxtube.design.problem import Problem, error_vector
+from jaxtube.design.residual import complete_problem, kinematics, operation
 from jaxtube.model import VERTEX_SIDES
 from jaxtube.scenario import Scenario
 from sets.plant import Period, split_residual
@@ -200,7 +200,7 @@ def optimise(problem: Problem, progress: Callable[[float], None] = lambda ratio:
         raise ValueError("optimise: no start leads to a bounded tube; lower slip.relative_error or the speed range")
     for _ in range(CORRECTIONS):
         scenario = _with(problem.scenario, best)
-        excess = wheel_excess(make_problem(scenario))
+        excess = wheel_excess(complete_problem(scenario))
         if excess <= 1:
             break
         # Corners miss the greatest ground speed by little: ask for that much less.
@@ -228,10 +228,10 @@ def _descend(search: _Search, start) -> tuple[np.ndarray, float]:
     start[-1] = np.log(first.caps.max())
 
     def slack(point):
-        shares = search.shares(point[:-1])
-        if shares is None:
+        found = search.shares(point[:-1])
+        if found is None:
             return unbounded
-        logs = np.log(np.maximum(np.concatenate([shares.caps, shares.limits]), 1e-9))
+        logs = np.log(np.maximum(np.concatenate([found.caps, found.limits]), 1e-9))
         logs[:rows] -= point[-1]
         return -logs
 
@@ -255,8 +255,9 @@ def _descend(search: _Search, start) -> tuple[np.ndarray, float]:
         options={"maxiter": 40, "ftol": 1e-4},
     )
     shares = search.shares(answer.x[:-1])
-    met = shares is not None and shares.limits.max() <= 1 + 10 * STEP
-    return answer.x[:-1], float(shares.caps.max()) if met else np.inf
+    if shares is None or shares.limits.max() > 1 + 10 * STEP:
+        return answer.x[:-1], np.inf
+    return answer.x[:-1], float(shares.caps.max())
 
 
 def _with(scenario: Scenario, logarithms) -> Scenario:

@@ -10,13 +10,12 @@ Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (7)-(8), (11), section IV.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.design.residual import residual_bound
 from jaxtube.model import VERTEX_SIDES, Model, make_model
 from jaxtube.reference import Reference, from_file, lemniscate, two_circles
 from jaxtube.robot import Robot
@@ -118,7 +117,7 @@ def input_polytope(robot: Robot, bounds: Float[np.ndarray, "2 2"]) -> Polytope:
 
 
 def make_problem(scenario: Scenario) -> Problem:
-    """Build the problem of a scenario.
+    """Build the problem of a scenario, with the disturbance set it assumes (`jaxtube.design.residual` computes one).
 
     Raises:
         ScenarioError: one line, where the reference leaves its box or the wheel limits leave no input.
@@ -142,7 +141,7 @@ def make_problem(scenario: Scenario) -> Problem:
     operating, noise = _operating_bounds(scenario), error_vector(scenario.noise)
     disturbance = error_vector(scenario.disturbance)
     input_set = _input_set(scenario, robot)
-    problem = Problem(
+    return Problem(
         scenario=scenario,
         robot=robot,
         reference=reference,
@@ -158,10 +157,6 @@ def make_problem(scenario: Scenario) -> Problem:
         initial_error=_initial_error(scenario),
         regions=_regions(scenario, reference, box),
     )
-    if scenario.disturbance.bound == "assumed":
-        return problem
-    bound = residual_bound(problem)
-    return replace(problem, residual=bound, disturbance_set=bound.polytope())
 
 
 def _operating_bounds(scenario: Scenario) -> Float[np.ndarray, "3"]:

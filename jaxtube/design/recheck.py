@@ -43,14 +43,7 @@ from sets.exact import (
     invariance_margin,
     mapped_rows,
 )
-from sets.exact_tube import (
-    ScheduleBox,
-    schedule_box,
-    sequence_margins,
-    vertex_feedbacks,
-    vertex_loops,
-    wheel_loops,
-)
+from sets.exact_tube import ScheduleBox, schedule_box, sequence_margins, vertex_feedbacks, vertex_loops, wheel_loops
 from sets.polytope import Polytope
 
 

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from dataclasses import replace
 
 import numpy as np
 
-from jaxtube.scenario import ScenarioError
-from sets.disturbance import DisturbanceBound, Operation, disturbance_bound, wheel_error_bound
+from jaxtube.design.problem import Problem, make_problem
+from jaxtube.scenario import Scenario, ScenarioError
+from sets.disturbance import Operation, disturbance_bound, wheel_error_bound
 from sets.plant import Kinematics
-
-if TYPE_CHECKING:
-    from jaxtube.design.problem import Problem
 
 
 def operation(problem: Problem) -> Operation:
@@ -41,16 +39,20 @@ def kinematics(problem: Problem) -> Kinematics:
     return Kinematics(settings.input_map, settings.model, settings.discretisation, (factors[0], factors[1]))
 
 
-def residual_bound(problem: Problem) -> DisturbanceBound:
-    """Return W for the robot itself, over everything that is certified.
+def complete_problem(scenario: Scenario) -> Problem:
+    """Build the problem of a scenario, W computed for the robot itself where the scenario asks for it.
 
     Raises:
-        ScenarioError: where the operating set is so wide that angles leave a quarter turn.
+        ScenarioError: as `make_problem`; where the operating set is so wide that angles leave a quarter turn.
     """
+    problem = make_problem(scenario)
+    if scenario.disturbance.bound == "assumed":
+        return problem
     try:
-        return disturbance_bound(operation(problem), kinematics(problem))
+        bound = disturbance_bound(operation(problem), kinematics(problem))
     except ValueError as error:
         raise ScenarioError(f'scenario: disturbance.bound = "computed": {error}; narrow [operating]') from None
+    return replace(problem, residual=bound, disturbance_set=bound.polytope())
 
 
 def _ends(polytope) -> np.ndarray:

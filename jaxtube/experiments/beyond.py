@@ -20,7 +20,7 @@ from jaxtube.design import Design, design, refuse_infeasible_start
 from jaxtube.experiments import closed_loop, run_folder
 from jaxtube.experiments.options import Beyond
 from jaxtube.experiments.progress import progress
-from jaxtube.imperfect import ImperfectRobot, Imperfections, shifted_preview
+from jaxtube.imperfect import Imperfections, ImperfectRobot, shifted_preview
 from jaxtube.rollout import Trajectory
 from jaxtube.scenario import Scenario
 
@@ -94,8 +94,11 @@ def run(scenario: Scenario, options: Beyond) -> int:
     refuse_infeasible_start(found)
     folder = run_folder.create(scenario, options)
     laps = Laps(found, options.realisations, options.seed)
-    with progress(0, "driving", "laps") as bar:
-        searches = {name: search(laps.at(name, bar.update), *levels(found, name)) for name in IMPERFECTIONS}
+    searches, planned = {}, {name: levels(found, name) for name in IMPERFECTIONS}
+    with progress(sum(most_tried(*each) for each in planned.values()), "driving", "levels") as bar:
+        for name, tried in planned.items():
+            searches[name] = search(laps.at(name, bar.update), *tried)
+            bar.total -= most_tried(*tried) - len(searches[name].usages)
     folder.save_metrics(metrics(searches, options.realisations))
     folder.save_figure(beyond_figures.usages(searches), "beyond")
     print(table(searches, options.realisations))
@@ -111,31 +114,34 @@ class Laps:
         self.design, self.seed = design, seed
         self.starts = np.tile(design.problem.initial_error, (realisations, 1))
         self.controller = closed_loop.controllers(design)["tube_mpc"]
-        self.ideal = {process: closed_loop.slipping_robot(design, process) for process in PROCESSES}
+        self.ideal = [closed_loop.slipping_robot(design, process) for process in PROCESSES]
 
-    def at(self, name: str, advanced: Callable[[int], Any] | None = None) -> Callable[[float], Usage]:
+    def at(self, name: str, tried: Callable[[], Any] | None = None) -> Callable[[float], Usage]:
         """Return the usage as a function of the level of one imperfection; of a preview the worse of its signs."""
 
         def usage(level: float) -> Usage:
-            if name != "preview":
-                return self.usage(Imperfections()._replace(**{name: level}), 0, advanced)
-            both = [self.usage(Imperfections(), sign * int(level), advanced) for sign in (-1, 1)]
-            return Usage(*(np.maximum(*pair) for pair in zip(*both, strict=True)))
+            if name == "preview":
+                both = [self.usage(Imperfections(), sign * int(level)) for sign in (-1, 1)]
+                found = Usage(*(np.maximum(*pair) for pair in zip(*both, strict=True)))
+            else:
+                found = self.usage(Imperfections()._replace(**{name: level}))
+            if tried:
+                tried()
+            return found
 
         return usage
 
-    def usage(self, imperfections: Imperfections, shift: int, advanced: Callable[[int], Any] | None = None) -> Usage:
+    def usage(self, imperfections: Imperfections, shift: int = 0) -> Usage:
         """Return what laps with these imperfections use, whose controller expects changes `shift` periods early."""
-        # Arrays of one type at every level: numbers would be, too, but -0.0 or a whole number another program.
+        # Arrays of one type: another mixture of numbers and arrays would be another program.
         level = Imperfections(*(jnp.asarray(each, float) for each in imperfections))
-        index = shifted_preview(self.controller.index, self.ideal["iid"].reference_wheels, shift)
+        index = shifted_preview(self.controller.index, self.ideal[0].reference_wheels, shift)
         controller = dataclasses.replace(self.controller, index=index)
-        used = []
-        for ideal in self.ideal.values():
-            plant = ImperfectRobot(ideal, level)
-            used.append(
-                lap_usage(self.design, closed_loop.simulate(controller, plant, self.starts, self.seed, advanced))
-            )
+        laps = (
+            closed_loop.simulate(controller, ImperfectRobot(ideal, level), self.starts, self.seed)
+            for ideal in self.ideal
+        )
+        used = [lap_usage(self.design, trajectory) for trajectory in laps]
         return Usage(*(np.array(each) for each in zip(*used, strict=True)))
 
 
@@ -158,6 +164,11 @@ def levels(design: Design, name: str) -> tuple[list[float], bool]:
     if imperfection.whole:
         return [float(level) for level in range(1, design.problem.horizon + 1)], True
     return [imperfection.most * 0.5**halved for halved in range(DOUBLINGS, -1, -1)], False
+
+
+def most_tried(levels: list[float], whole: bool) -> int:
+    """Return how many levels a search tries at most."""
+    return 1 + len(levels) + (0 if whole else 2 * HALVINGS)
 
 
 def search(usage: Callable[[float], Usage], levels: list[float], whole: bool) -> Search:

@@ -52,7 +52,7 @@ def _panel(axes: Axes, name: str, search: Search) -> None:
     axes.set(title=imperfection.title, xlabel=f"level [{imperfection.unit}]", ylim=(0, HIGHEST))
     if not imperfection.whole:
         least = min(level for level in search.usages if level > 0)
-        axes.set_xscale("symlog", linthresh=least, linscale=0.4)
+        axes.set_xscale("symlog", linthresh=4 * least, linscale=0.6)
     axes.set_xlim(0, max(search.usages))
 
 

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import textwrap
+import time
 
+import msgspec
 import numpy as np
 
 from jaxtube.design import Design, design, refuse_infeasible_start
+from jaxtube.design.optimise import STARTS, optimise
+from jaxtube.design.problem import make_problem
+from jaxtube.design.recheck import recheck
 from jaxtube.experiments import closed_loop, metrics, run_folder
 from jaxtube.experiments.options import Design as DesignOptions
-from jaxtube.scenario import Scenario
+from jaxtube.experiments.progress import progress
+from jaxtube.scenario import Scenario, ScenarioError
 from sets.certificate import Certificate
 
 CERTIFICATE_FAILED = 3
@@ -18,9 +24,13 @@ WIDTH = 110
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
     """Run the command; returns 3 where a certificate is required and fails."""
+    if options.optimise:
+        scenario = optimised(scenario)
     found = design(scenario)
     refuse_infeasible_start(found)
     folder = run_folder.create(scenario, options)
+    if scenario.controller.tracking_gains and found.terminal.invariant is not None:
+        add_exact_condition(found)
     starts = np.tile(found.problem.initial_error, (closed_loop.BLOCK, 1))
     loop = closed_loop.controllers(found)["local_gain"]
     trajectory = closed_loop.simulate(loop, closed_loop.slipping_robot(found), starts, options.seed)
@@ -30,6 +40,44 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     folder.save_metrics({**metrics.design_metrics(found), "disturbance": disturbance})
     print(f"\nwritten to {folder.path}/")
     return exit_code(found, options.require_certificate)
+
+
+def optimised(scenario: Scenario) -> Scenario:
+    """Return the scenario with the caps and gains the optimiser finds, and print them as lines of a scenario file."""
+    started = time.perf_counter()
+    try:
+        with progress(len(STARTS), "optimising", "starts") as bar:
+            best = optimise(make_problem(scenario), lambda ratio: _show(bar, ratio))
+    except ValueError as error:
+        raise ScenarioError(f"scenario: {error}") from None
+    caps = msgspec.structs.asdict(best.scenario.operating)
+    lines = ["[operating]", *(f"{name} = {value}" for name, value in caps.items() if value is not None)]
+    lines += ["", "[controller]", f"tracking_gains = {list(best.scenario.controller.tracking_gains)}"]
+    print("\n".join(lines))
+    seconds = time.perf_counter() - started
+    print(f"\nfound in {seconds:.1f} s; the tube fills about {best.ratio:.1%} of the caps at most\n")
+    return best.scenario
+
+
+def _show(bar, ratio: float) -> None:
+    bar.set_postfix_str(f"largest share {ratio:.3f}", refresh=False)
+    bar.update()
+
+
+def add_exact_condition(found: Design) -> None:
+    """Add the certificate's second check, by separate code in rational arithmetic."""
+    report = recheck(found)
+    sets = {
+        name: margin for name, margin in report.margins.items() if name not in ("schedules", "gains", "disturbance")
+    }
+    name, margin = min(sets.items(), key=lambda item: item[1])
+    found.certificate.add(
+        "checked_in_rationals",
+        float(margin) if report.holds else float(min(report.margins.values())),
+        f"Separate code in exact rational arithmetic proves {len(report.margins)} conditions once more; the tightest is "
+        f"{name}.",
+        f"Exact rational arithmetic does not confirm: {', '.join(report.failing)}.",
+    )
 
 
 def exit_code(found: Design, required: bool) -> int:

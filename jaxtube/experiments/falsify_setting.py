@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from jaxtube import attack, usage
 from jaxtube.controllers import TubeMpc
 from jaxtube.design import Design, design, refuse_infeasible_start
-from jaxtube.design.feasible import boundary
+from jaxtube.design.feasible import true_starts
 from jaxtube.design.tightening import widest_window
 from jaxtube.experiments import closed_loop
 from jaxtube.rollout import realisation_keys
@@ -82,7 +82,7 @@ def make_setting(scenario: Scenario, controller: str, plant: str, starts: str, s
 
 def feasible_vertices(found: Design, seed: int) -> Float[np.ndarray, "k 3"]:
     """Return the vertices of a polytope of starts from which the tube-MPC has a plan."""
-    points = boundary(found.tube_window, int(found.windows.index[0]), found.problem.operating_set, RAYS, seed)
+    points = true_starts(found.tube_window, int(found.windows.index[0]), found.problem, RAYS, seed)
     return INSIDE * hull_vertices(points)
 
 

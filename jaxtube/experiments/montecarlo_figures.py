@@ -225,7 +225,9 @@ def split_at(counts: Int[np.ndarray, " buckets"], limit: float, outside: int):
 def disturbance(problem: Problem, statistics: Statistics, summary: dict) -> Figure:
     """Draw how |w| is distributed in each coordinate, and how often it exceeds a size, against W."""
     limits = problem.disturbance_set.support(np.eye(3))
-    largest = limits + np.max(np.reshape(statistics["excess/disturbance"], (2, 3)), axis=0)
+    normals = validation.facets(problem.disturbance_set).normals
+    across = np.abs(normals).T == 1.0  # the two facets across each axis; W may have slanted ones besides
+    largest = limits + np.array([np.max(statistics["excess/disturbance"][facets]) for facets in across])
     figure = page_figure(4.4)
     panels = figure.subplots(2, 3, sharex="col")
     for i, column in enumerate(panels.T):

@@ -118,6 +118,7 @@ def law(scenario: Scenario, options: Montecarlo) -> str:
     where = {
         "scenario": "the scenario's start",
         "feasible": "starts uniform in the hull of 400 boundary points of the feasible set",
+        "edge": "starts on the hull of 400 boundary points of the feasible set",
     }[options.starts]
     if options.plant == "linear":
         return f"{options.controller} on the linear model, w in W (half of the draws at its vertices), {where}"

@@ -53,6 +53,8 @@ class Design(Options):
 
     command = module = "design"
 
+    optimise: bool = False
+    """first search the caps and tracking gains whose tube fills least of what it may use"""
     require_certificate: bool = False
     """exit with 3 when the terminal set is empty or the certificate fails"""
 
@@ -71,8 +73,8 @@ class Montecarlo(Options):
     """controller of the closed loop"""
     plant: Literal["robot", "linear"] = "robot"
     """the slipping robot, or the prediction model with w drawn in W"""
-    starts: Literal["scenario", "feasible"] = "scenario"
-    """the scenario's start, or uniform in the feasible set of the tube-MPC"""
+    starts: Literal["scenario", "feasible", "edge"] = "scenario"
+    """the scenario's start, or uniform in the feasible set of the tube-MPC, or on its edge"""
     chunk: Annotated[int, arg(metavar="BLOCKS")] = 1
     """blocks that a device works through in one dispatch; changes no result"""
     devices: Annotated[int, arg(metavar="COUNT", help_behavior_hint="(default: all; processors count as devices)")] = 0

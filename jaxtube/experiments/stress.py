@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.design import Design
-from jaxtube.design.feasible import boundary, spread_starts
+from jaxtube.design.feasible import spread_starts, true_starts
 from jaxtube.experiments import closed_loop
 from jaxtube.rollout import Trajectory
 
@@ -37,7 +37,7 @@ class Stress:
 def run(design: Design, count: int, seed: int, advanced=None) -> Stress:
     """Run tube-MPC and MPC without tube from the same starts, in each case."""
     first_window = int(design.windows.index[0])
-    points = boundary(design.tube_window, first_window, design.problem.operating_set, RAYS, seed)
+    points = true_starts(design.tube_window, first_window, design.problem, RAYS, seed)
     starts = spread_starts(points, count, seed)
     plants = {
         "linear_w_in_W": closed_loop.linear_plant(design),

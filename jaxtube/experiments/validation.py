@@ -10,7 +10,7 @@ from jaxtyping import Float
 from jaxtube.checks import Checks, Facets, Sections
 from jaxtube.controllers import ScheduledGain, TubeMpc
 from jaxtube.design import Design
-from jaxtube.design.feasible import boundary
+from jaxtube.design.feasible import true_starts
 from jaxtube.experiments import closed_loop
 from jaxtube.experiments.metrics import settled_step
 from jaxtube.montecarlo import Task
@@ -35,7 +35,7 @@ def make_task(design: Design, controller: str, plant: str, starts: str, seed: in
     else:
         first = int(design.windows.index[0])
         # The seed of the set's shape is fixed: the law that starts are drawn from is the scenario's alone.
-        start = uniform_start(boundary(design.tube_window, first, problem.operating_set, RAYS, seed=0))
+        start = uniform_start(true_starts(design.tube_window, first, problem, RAYS, seed=0), edge=starts == "edge")
     return Task(loop, makers[plant](design), start, make_checks(design, loop), jax.random.key(seed))
 
 

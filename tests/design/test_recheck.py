@@ -146,8 +146,8 @@ def of_errors(found: Design):
 
 
 def pulled(found: Design) -> Design:
-    """Pull in a facet that bounds the lateral error, and with it the constraint on the last predicted error."""
-    facet = np.argmax(found.terminal.invariant.normals[:, 1] * of_errors(found))
+    """Pull in a facet that bounds the heading error, and with it the constraint on the last predicted error."""
+    facet = np.argmax(found.terminal.invariant.normals[:, 2] * of_errors(found))
     assert np.array_equal(found.bounds.terminal_normals, found.terminal.invariant.normals)
     return used(faceted(found, np.arange(len(of_errors(found))) == facet, -0.02), "terminal", np.s_[:, facet], -0.02)
 

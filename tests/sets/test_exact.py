@@ -55,6 +55,19 @@ def test_bounds_are_exact_where_many_facets_meet():
         assert cube.bound(row) == sum(map(abs, row))
 
 
+def test_an_empty_set_is_bounded_by_its_rows():
+    crossed = Halfspaces(E[0], (1, 1, 1, -2, 1, 1))
+    assert crossed.bound(exact_row((1, 1, 0))) == 2
+    assert crossed.bound(exact_row((-3, 0, 0))) == -6
+
+
+def test_rows_on_inputs_and_errors_become_rows_on_the_error():
+    rng = np.random.default_rng(6)
+    inputs, errors = rng.normal(size=(4, 2)), rng.normal(size=(4, 3))
+    expected = np.vstack([inputs @ gain + errors for gain in floats(FEEDBACKS)])
+    np.testing.assert_allclose(floats(mapped_rows(inputs, errors, FEEDBACKS)), expected, rtol=EXACT_AGAINST_FLOAT)
+
+
 def test_open_and_malformed_polytopes_are_refused():
     with pytest.raises(ValueError, match="bound the direction"):
         Halfspaces(E[0][:5], np.ones(5)).bound(exact_row((0, 0, -1)))

@@ -1,171 +1,19 @@
-"""Laws of the exact tubes: enclosures hold many digits, and offsets used that miss a condition are named."""
+"""Laws of exact tubes along a schedule: margins are those of vertices, and offsets that miss one are named."""
 
-import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
 from itertools import product
 
-import mpmath
 import numpy as np
 import pytest
-from exact_problem import (
-    BOX,
-    DT,
-    FAST,
-    FEEDBACKS,
-    GAINS,
-    HORIZON,
-    LOOPS,
-    OMEGA,
-    POINTS,
-    SLOW,
-    STEP,
-    WIDTH,
-    E,
-    U,
-    W,
-    floats,
-    invariant,
-    maximal,
-)
-from tolerances import (
-    EXACT_AGAINST_FLOAT,
-    EXACT_ENCLOSURE,
-    EXACT_JACOBIAN,
-    EXACT_ROUNDED_OFFSETS,
-    EXACT_WHEEL_TRAVEL,
-)
+from exact_problem import DT, FAST, GAINS, HORIZON, POINTS, SLOW, STEP, WIDTH, E, U, W, floats, invariant
+from tolerances import EXACT_AGAINST_FLOAT, EXACT_ROUNDED_OFFSETS
 
-from sets.exact import ExactReport, exact_row, invariance_margin
-from sets.exact_tube import (
-    schedule_box,
-    sequence_margins,
-    tangent_ratio,
-    vertex_feedbacks,
-    vertex_loops,
-    wheel_loops,
-)
+from sets.exact import ExactReport
+from sets.exact_tube import schedule_box, sequence_margins, vertex_feedbacks, vertex_loops
 from sets.polytope import Polytope
 from sets.tubes import sequence_support
-
-# Enclosures
-
-
-@pytest.mark.parametrize("x", [0.0, 1e-9, 0.0272, -0.3, 0.77, 1.0, -1.0])
-def test_the_tangent_ratio_lies_in_its_enclosure_and_fills_it(x):
-    low, high = tangent_ratio(Fraction(x))
-    with mpmath.workdps(60):
-        value = mpmath.tan(x) / mpmath.mpf(x) if x else mpmath.mpf(1)
-        assert mpmath.mpf(low.numerator) / low.denominator <= value <= mpmath.mpf(high.numerator) / high.denominator
-    assert 0 <= high - low <= EXACT_ENCLOSURE
-
-
-def turn_and_advance(right: float, left: float):
-    V, x = (mpmath.mpf(right) + left) / 2, mpmath.mpf(DT) * (mpmath.mpf(right) - left) / (2 * mpmath.mpf(WIDTH))
-    return mpmath.tan(x), DT * V * (mpmath.tan(x) / x if x else 1)
-
-
-@pytest.mark.parametrize(
-    ("lower", "upper"), [((SLOW, SLOW), (FAST, FAST)), ((0.2, 0.2), (1.5, 1.5)), ((-1.0, 0.3), (0.5, 0.3))]
-)
-def test_the_schedule_box_is_the_range_over_all_wheel_speeds(lower, upper):
-    box = schedule_box(lower, upper, DT, WIDTH)
-    schedules = np.vstack([
-        np.random.default_rng(0).uniform(lower, upper, size=(300, 2)),
-        list(product(*zip(lower, upper, strict=True))),
-    ])  # fmt: skip
-    with mpmath.workdps(60):
-        found = np.array([turn_and_advance(*schedule) for schedule in schedules.tolist()])
-        for values, bounds in zip(found.T, (box.turn, box.advance), strict=True):
-            low, high = (mpmath.mpf(bound.numerator) / bound.denominator for bound in bounds)
-            assert low <= min(values)
-            assert max(values) <= high
-            assert max(min(values) - low, high - max(values)) <= EXACT_ENCLOSURE
-    rates = (schedules[:, 0] - schedules[:, 1]) / WIDTH
-    np.testing.assert_allclose(floats(box.yaw_rate), [rates.min(), rates.max()], rtol=EXACT_AGAINST_FLOAT)
-
-
-def test_a_reversed_box_a_long_period_and_what_is_not_a_number_are_refused():
-    with pytest.raises(ValueError, match="lower"):
-        schedule_box((1.0, 1.2), (1.1, 1.1), DT, WIDTH)
-    with pytest.raises(ValueError, match="dt"):
-        schedule_box((0.2, 0.2), (1.5, 1.5), 0.4, WIDTH)
-    with pytest.raises(ValueError, match="x: half a turn"):
-        tangent_ratio(Fraction(101, 100))
-    with pytest.raises(ValueError, match="upper"):
-        schedule_box((0.2, 0.2), (1.5, math.nan), DT, WIDTH)
-
-
-def test_loops_are_the_model_under_its_feedback_whatever_the_yaw_rate():
-    T, k = Fraction(DT), exact_row(GAINS)
-    for (h, c), loop in zip(product(BOX.turn, BOX.advance), LOOPS, strict=True):
-        for rate in (*BOX.yaw_rate, Fraction(7, 3)):
-            A = np.array([[1, T * rate, 0], [-2 * h, 1 - h * T * rate, c], [0, 0, 1]], dtype=object)
-            B = np.array([[T, 0], [-h * T, c * T / 2], [0, T]], dtype=object)
-            gain = np.array([[-k[0], -rate, 0], [0, -k[1], -k[2]]], dtype=object)
-            assert np.all(A + B @ gain == np.array(loop, dtype=object))
-    assert {feedback[0][1] for feedback in FEEDBACKS} == {-rate for rate in BOX.yaw_rate}
-
-
-def travels(loop) -> tuple[Fraction, Fraction]:
-    """Read p, q = c +- b h off a loop."""
-    h = -loop[1][0] / (2 - Fraction(DT) * Fraction(GAINS[0]))
-    c = loop[1][2] / (1 - Fraction(DT) * Fraction(GAINS[2]) / 2)
-    return c + Fraction(WIDTH) * h, c - Fraction(WIDTH) * h
-
-
-@pytest.mark.parametrize(
-    ("lower", "upper"), [((SLOW, SLOW), (FAST, FAST)), ((-0.5, 0.3), (0.5, 0.3)), ((0.2, 1.0), (0.4, 1.5))]
-)
-def test_loops_of_the_wheels_cover_every_schedule_of_the_box_closely(lower, upper):
-    vertices = [travels(loop) for loop in wheel_loops(GAINS, lower, upper, DT, WIDTH)]
-    corners = list(product(*zip(lower, upper, strict=True)))
-    schedules = np.vstack([np.random.default_rng(5).uniform(lower, upper, size=(100, 2)), corners])
-    found = []
-    for schedule in schedules:
-        found += [travels(loop) for loop in vertex_loops(GAINS, schedule_box(schedule, schedule, DT, WIDTH), DT)]
-    for inside, bounds in zip(zip(*found, strict=True), zip(*vertices, strict=True), strict=True):
-        assert min(bounds) <= min(inside) + Fraction(EXACT_ENCLOSURE)
-        assert max(inside) <= max(bounds) + Fraction(EXACT_ENCLOSURE)
-        assert min(inside) - min(bounds) <= EXACT_WHEEL_TRAVEL
-        assert max(bounds) - max(inside) <= EXACT_WHEEL_TRAVEL
-    assert len(set(vertices)) == 4
-
-
-def test_loops_of_the_wheels_leave_a_larger_invariant_set_than_turn_and_speed_apart():
-    loops = wheel_loops(GAINS, (SLOW, SLOW), (FAST, FAST), DT, WIDTH)
-    assert invariance_margin(OMEGA.normals, OMEGA.offsets, loops, W) > 0
-    assert maximal(floats(loops), 1e-10).volume() > OMEGA.volume()
-
-
-def sampled_step(error: np.ndarray, right: float, left: float) -> np.ndarray:
-    """Move robot and reference along their arcs for a period; the speed makes the first row of the model exact."""
-    V, rate = (right + left) / 2, (right - left) / WIDTH
-    speed_deficit = -GAINS[0] * error[0] - rate * error[1]
-    a = DT * (rate + GAINS[1] * error[1] + GAINS[2] * error[2])
-    chord = (
-        np.exp(1j * error[2]) * V * (np.exp(1j * DT * rate) - 1) / (1j * rate)
-        if rate
-        else DT * V * np.exp(1j * error[2])
-    )
-    planar = complex(error[0], error[1]) + chord  # the reference after the period, in the frame of the robot before
-    wanted = error[0] + DT * rate * error[1] + DT * speed_deficit
-    advanced = (np.exp(-1j * a) * planar).real - wanted  # T v sin(a)/a, what the robot covers in its new frame
-    moved = advanced / (np.sin(a) / a) * (np.exp(1j * a) - 1) / (1j * a) if a else advanced
-    after = np.exp(-1j * a) * (planar - moved)
-    return np.array([after.real, after.imag, error[2] + DT * rate - a])
-
-
-@pytest.mark.parametrize("wheels", [(FAST, SLOW), (SLOW, FAST), (1.3, 1.29)])
-def test_the_loop_is_the_jacobian_of_the_sampled_robot(wheels):
-    here = schedule_box(wheels, wheels, DT, WIDTH)
-    steps = 1e-5 * np.eye(3)
-    columns = [(sampled_step(step, *wheels) - sampled_step(-step, *wheels)) / 2e-5 for step in steps]
-    np.testing.assert_allclose(np.transpose(columns), floats(vertex_loops(GAINS, here, DT))[0], atol=EXACT_JACOBIAN)
-
-
-# Tubes along a schedule
 
 
 @dataclass(frozen=True)
@@ -187,16 +35,16 @@ SEQUENCE_LOOPS = floats([[vertex_loops(GAINS, box, DT)[0] for box in row] for ro
 SEQUENCE_GAINS = floats([[vertex_feedbacks(GAINS, box)[0] for box in row] for row in BOXES])
 
 
+def taken(rows: np.ndarray, steps: int) -> np.ndarray:
+    """Support numbers of R_steps, window by window."""
+    along = np.broadcast_to(rows, (len(BOXES), *rows.shape[-2:]))
+    return sequence_support(SEQUENCE_LOOPS, Polytope.from_vertices(POINTS), along, steps)
+
+
 @cache
 def used_sets(graded: bool) -> Used:
     """E - R_j, U - K R_j, Omega - R_N window by window, backed off by STEP, or by STEP more at every stage."""
-    omega, disturbance = invariant(STEP), Polytope.from_vertices(POINTS)
-
-    def taken(rows, steps):
-        return sequence_support(
-            SEQUENCE_LOOPS, disturbance, np.broadcast_to(rows, (len(BOXES), *rows.shape[-2:])), steps
-        )
-
+    omega = invariant(STEP)
     back = STEP * (np.arange(1, HORIZON + 2) if graded else np.ones(HORIZON + 1))
     errors = [E[1] - taken(E[0], j) - back[j] for j in range(HORIZON)]
     inputs = [U[1] - taken(U[0] @ SEQUENCE_GAINS[:, j], j) - back[j] for j in range(HORIZON)]
@@ -204,9 +52,12 @@ def used_sets(graded: bool) -> Used:
     return Used(np.stack(errors, axis=1), np.stack(inputs, axis=1), omega.normals, last)
 
 
-def margins(used: Used, slack=0, disturbance=W, boxes=BOXES, followers=FOLLOWERS, gains=GAINS):
+UNCOUPLED = U[0], np.zeros((4, 3)), U[1]
+
+
+def margins(used: Used, slack=0, disturbance=W, boxes=BOXES, followers=FOLLOWERS, gains=GAINS, input_set=UNCOUPLED):
     omega = invariant(STEP)
-    sets = E, (U[0], np.zeros((4, 3)), U[1]), (omega.normals, omega.offsets)
+    sets = E, input_set, (omega.normals, omega.offsets)
     return sequence_margins(boxes, followers, gains, DT, disturbance, *sets, used, slack)
 
 
@@ -223,6 +74,20 @@ def test_tubes_backed_off_further_at_every_stage_hold_without_slack():
     assert float(found["errors reach"]) == pytest.approx(STEP, abs=EXACT_AGAINST_FLOAT)
     assert float(found["errors shifted"]) == pytest.approx(STEP, abs=EXACT_AGAINST_FLOAT)
     assert float(found["inputs shifted"]) == pytest.approx(STEP, abs=EXACT_AGAINST_FLOAT)
+
+
+def test_rows_that_couple_input_and_error_lose_what_both_reach():
+    signs = np.array(list(product((-1.0, 1.0), repeat=2)))  # |e_x| / 0.3 + |u2| / 1.5 <= 1
+    D = np.vstack([U[0], signs[:, :1] * [0, 1 / 1.5]])
+    C = np.vstack([np.zeros((4, 3)), signs[:, 1:] * [1 / 0.3, 0, 0]])
+    offsets = np.concatenate([U[1], np.ones(4)])
+    inputs = [offsets - taken(D @ SEQUENCE_GAINS[:, j] + C, j) - (j + 1) * STEP for j in range(HORIZON)]
+    used = replace(used_sets(True), inputs=np.stack(inputs, axis=1))
+    found = margins(used, input_set=(D, C, offsets))
+    assert ExactReport(found).holds
+    for name in ("inputs reach", "inputs shifted"):
+        assert float(found[name]) == pytest.approx(STEP, abs=EXACT_AGAINST_FLOAT)
+    assert "inputs reach" in ExactReport(margins(used, input_set=(D, 1.001 * C, offsets))).failing
 
 
 def test_tubes_backed_off_once_hold_up_to_the_rounding_of_their_offsets():
