@@ -11,17 +11,18 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.design import Design, design, refuse_infeasible_start
-from jaxtube.experiments import closed_loop, run_folder
+from jaxtube.experiments import beyond_figures, closed_loop, run_folder
 from jaxtube.experiments.options import Beyond
 from jaxtube.experiments.progress import progress
 from jaxtube.imperfect import Imperfections, ImperfectRobot, shifted_preview
-from jaxtube.rollout import Trajectory
+from jaxtube.rollout import Trajectory, realisation_keys, rollout
 from jaxtube.scenario import Scenario
 
 PROCESSES = ("iid", "vertex", "constant", "adversarial")
@@ -88,8 +89,6 @@ class Search(NamedTuple):
 
 def run(scenario: Scenario, options: Beyond) -> int:
     """Run the command."""
-    from jaxtube.experiments import beyond_figures
-
     found = design(scenario)
     refuse_infeasible_start(found)
     folder = run_folder.create(scenario, options)
@@ -100,7 +99,7 @@ def run(scenario: Scenario, options: Beyond) -> int:
             searches[name] = search(laps.at(name, bar.update), *tried)
             bar.total -= most_tried(*tried) - len(searches[name].usages)
     folder.save_metrics(metrics(searches, options.realisations))
-    folder.save_figure(beyond_figures.usages(searches), "beyond")
+    folder.save_figure(beyond_figures.usages(panels(searches)), "beyond")
     print(table(searches, options.realisations))
     print(f"\nwritten to {folder.path}/")
     return 0
@@ -137,12 +136,16 @@ class Laps:
         level = Imperfections(*(jnp.asarray(each, float) for each in imperfections))
         index = shifted_preview(self.controller.index, self.ideal[0].reference_wheels, shift)
         controller = dataclasses.replace(self.controller, index=index)
-        laps = (
-            closed_loop.simulate(controller, ImperfectRobot(ideal, level), self.starts, self.seed)
-            for ideal in self.ideal
-        )
-        used = [lap_usage(self.design, trajectory) for trajectory in laps]
+        plants = [ImperfectRobot(ideal, level) for ideal in self.ideal]
+        used = [lap_usage(self.design, self._simulate(controller, plant)) for plant in plants]
         return Usage(*(np.array(each) for each in zip(*used, strict=True)))
+
+    def _simulate(self, controller, plant) -> Trajectory:
+        if len(self.starts) >= closed_loop.BLOCK:
+            return closed_loop.simulate(controller, plant, self.starts, self.seed)
+        # Without the padding of a block: a quick look stays quick.
+        keys = realisation_keys(self.seed, 0, len(self.starts))
+        return jax.tree.map(np.asarray, rollout(controller, plant, keys, jnp.asarray(self.starts)))
 
 
 def lap_usage(design: Design, trajectory: Trajectory) -> tuple:
@@ -229,6 +232,18 @@ def metrics(searches: dict[str, Search], realisations: int) -> dict:
             ],
         }
     return found
+
+
+def panels(searches: dict[str, Search]) -> list[beyond_figures.Panel]:
+    """Return what the figure shows of the searches."""
+    shown = []
+    for name, search in searches.items():
+        title, unit, *_, whole = IMPERFECTIONS[name]
+        error = np.array([usage.error.max(axis=0) for usage in search.usages.values()])
+        disturbance = np.array([usage.disturbance.max() for usage in search.usages.values()])
+        tried = np.array(list(search.usages))
+        shown.append(beyond_figures.Panel(title, unit, whole, tried, error, disturbance, search.violation))
+    return shown
 
 
 def table(searches: dict[str, Search], realisations: int) -> str:

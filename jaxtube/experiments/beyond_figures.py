@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxtube.experiments.beyond import IMPERFECTIONS, Search
 from jaxtube.experiments.style import LIMIT, Line, bottom_legend, line_keys, mark_key, page_figure, styled
 
 COORDINATES = (
@@ -22,38 +23,46 @@ HIGHEST = 2.0
 """Usage up to which is drawn: what lies far outside says nothing more."""
 
 
+class Panel(NamedTuple):
+    """What one panel shows: usages by level, 1 on the limit; `violation` is the first level with one."""
+
+    title: str
+    unit: str
+    whole: bool  # levels are whole numbers
+    levels: Float[np.ndarray, " levels"]  # increasing, from 0
+    error: Float[np.ndarray, "levels 3"]  # of E, by coordinate
+    disturbance: Float[np.ndarray, " levels"]  # of W
+    violation: float | None
+
+
 @styled
-def usages(searches: Mapping[str, Search]) -> Figure:
-    """Draw the usage by level, one panel an imperfection; a cross marks the first violation, 1 is the limit."""
+def usages(shown: Sequence[Panel]) -> Figure:
+    """Draw usages by level, one panel an imperfection; a cross marks the first violation."""
     figure = page_figure(4.2)
-    panels = figure.subplots(2, (len(searches) + 1) // 2, sharey=True, squeeze=False)
-    for axes, (name, search) in zip(panels.flat, searches.items(), strict=False):
-        _panel(axes, name, search)
+    panels = figure.subplots(2, (len(shown) + 1) // 2, sharey=True, squeeze=False)
+    for axes, panel in zip(panels.flat, shown, strict=False):
+        _draw(axes, panel)
     for axes in panels[:, 0]:
         axes.set_ylabel("greatest usage")
-    for axes in panels.flat[len(searches) :]:
+    for axes in panels.flat[len(shown) :]:
         axes.set_axis_off()
     keys = [*line_keys((*COORDINATES, DISTURBANCE)), mark_key("first violation", **_mark())]
     bottom_legend(figure, keys, columns=5)
     return figure
 
 
-def _panel(axes: Axes, name: str, search: Search) -> None:
-    imperfection = IMPERFECTIONS[name]
-    levels = np.array(list(search.usages))
-    error = np.array([usage.error.max(axis=0) for usage in search.usages.values()])
-    for values, line in zip(error.T, COORDINATES, strict=True):
-        axes.plot(levels, values, color=line.colour, linestyle=line.dashes)
-    disturbance = [usage.disturbance.max() for usage in search.usages.values()]
-    axes.plot(levels, disturbance, color=DISTURBANCE.colour, linestyle=DISTURBANCE.dashes)
+def _draw(axes: Axes, panel: Panel) -> None:
+    curves = [*panel.error.T, panel.disturbance]
+    for values, line in zip(curves, (*COORDINATES, DISTURBANCE), strict=True):
+        axes.plot(panel.levels, values, color=line.colour, linestyle=line.dashes)
     axes.axhline(1.0, **LIMIT)
-    if search.violation is not None:
-        axes.plot([search.violation], [1.0], **FAILED, zorder=3)
-    axes.set(title=imperfection.title, xlabel=f"level [{imperfection.unit}]", ylim=(0, HIGHEST))
-    if not imperfection.whole:
-        least = min(level for level in search.usages if level > 0)
-        axes.set_xscale("symlog", linthresh=4 * least, linscale=0.6)
-    axes.set_xlim(0, max(search.usages))
+    if panel.violation is not None:
+        axes.plot([panel.violation], [1.0], **FAILED, zorder=3)
+    axes.set(title=panel.title, xlabel=f"level [{panel.unit}]", ylim=(0, HIGHEST))
+    if not panel.whole and len(panel.levels) > 1:
+        axes.set_xscale("symlog", linthresh=4 * panel.levels[1], linscale=0.6)
+    if len(panel.levels) > 1:
+        axes.set_xlim(0, panel.levels[-1])
 
 
 def _mark() -> dict:

@@ -2,6 +2,8 @@
 
 import json
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from tolerances import CLOSED_LOOP
@@ -10,6 +12,7 @@ from jaxtube import qp
 from jaxtube.experiments import beyond, beyond_figures, closed_loop
 from jaxtube.experiments.beyond import IMPERFECTIONS, Laps, Usage, lap_usage, most_tried, search
 from jaxtube.experiments.cli import main, parse
+from jaxtube.experiments.options import Beyond
 from jaxtube.imperfect import Imperfections
 from jaxtube.mpc import Diagnostics
 from jaxtube.rollout import Trajectory
@@ -77,7 +80,9 @@ def test_the_usage_of_laps_is_that_of_their_worst_period(paper_design):
     steps, runs = problem.reference.steps, 5
     errors, measured = generator.normal(0.0, 0.1, (2, steps + 1, runs, 3))
     inputs, demanded = generator.normal(0.0, 0.5, (2, steps, runs, 2))
-    diagnostics = Diagnostics(generator.integers(0, 3, (steps, runs)), *np.zeros((3, steps, runs)))
+    diagnostics = jax.tree.map(
+        jnp.asarray, Diagnostics(generator.integers(0, 3, (steps, runs)), *np.zeros((3, steps, runs)))
+    )
     laps = Trajectory(errors, measured, inputs, demanded, demanded, diagnostics)
     error, disturbance, wheels, without_plan = lap_usage(paper_design, laps)
     np.testing.assert_allclose(error, np.abs(errors).max(axis=(0, 1)) / problem.error_set.offsets[:3])
@@ -135,15 +140,15 @@ def test_the_command_writes_levels_with_units_and_prints_a_table(tmp_path, capsy
 
 def test_the_options_of_the_command_are_those_of_its_module():
     options = parse(["beyond"])
-    assert options is not None and options.realisations == 1024 and str(options.folder) == "runs/beyond-paper"
+    assert isinstance(options, Beyond) and options.realisations == 1024 and str(options.folder) == "runs/beyond-paper"
 
 
 def test_the_figure_marks_first_violations_and_has_a_panel_an_imperfection():
     searches = {name: search(proportional(0.3, 0.1), LEVELS, whole=False) for name in IMPERFECTIONS}
     searches["delay"] = search(proportional(np.inf, np.inf), LEVELS, whole=False)
-    panels = beyond_figures.usages(searches).axes
+    panels = beyond_figures.usages(beyond.panels(searches)).axes
     assert [axes.get_title() for axes in panels] == [each.title for each in IMPERFECTIONS.values()]
     marks = [[line for line in axes.lines if line.get_marker() == "x"] for axes in panels]
     for name, crosses in zip(searches, marks, strict=True):
         first = searches[name].violation
-        assert [line.get_xdata()[0] for line in crosses] == ([] if first is None else [first])
+        assert [np.asarray(line.get_xdata())[0] for line in crosses] == ([] if first is None else [first])
