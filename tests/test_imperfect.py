@@ -89,10 +89,10 @@ def period():
     """(errors, motion) of some robots that turn, brake and slip differently."""
     generator = np.random.default_rng(7)
     errors = generator.uniform(-0.3, 0.3, (CASES, 3))
-    wheels, *commands = generator.uniform(0.5, 2.0, (3, CASES, 2))
-    slips = generator.uniform(0.1, 0.3, (2, CASES, 2))
-    instant, drift = generator.uniform(0.0, 1.0, CASES), generator.uniform(-1.0, 1.0, CASES)
-    return jax.tree.map(jnp.asarray, (errors, Motion(wheels, tuple(commands), tuple(slips), instant, drift)))
+    wheels, before, after = jnp.asarray(generator.uniform(0.5, 2.0, (3, CASES, 2)))
+    early, late = jnp.asarray(generator.uniform(0.1, 0.3, (2, CASES, 2)))
+    instant, drift = jnp.asarray(generator.uniform([[0.0], [-1.0]], 1.0, (2, CASES)))
+    return jnp.asarray(errors), Motion(wheels, (before, after), (early, late), instant, drift)
 
 
 drive = jax.jit(ImperfectRobot.drive)
@@ -164,7 +164,8 @@ def test_the_robot_starts_as_the_reference_drives(lap):
 
 def turned(ideal, trajectory, step):
     """By how much the robots turned in a period, and by how much they would under each pair of extreme slips."""
-    slips = np.array([deviated(0.2, 0.1, np.array(pair)) for pair in itertools.product((-1, 1), repeat=2)])
+    pairs = jnp.array(list(itertools.product((-1.0, 1.0), repeat=2)))
+    slips = deviated(ideal.nominal_slip, ideal.relative_error, pairs)
     ground, reference = trajectory.wheels[step, :, None] * (1 - slips), ideal.reference_wheels[step]
     lost = trajectory.errors[step + 1, :, 2] - trajectory.errors[step, :, 2]
     right, left = ground[..., 0], ground[..., 1]

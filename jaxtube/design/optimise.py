@@ -13,7 +13,7 @@ Source: new; sequential quadratic programming by Kraft 1988 (SLSQP of scipy) on 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -177,12 +177,17 @@ class Optimum:
     ratio: float
 
 
-def optimise(problem: Problem, progress: Callable[[float], None] = lambda ratio: None) -> Optimum:
+def optimise(
+    problem: Problem,
+    progress: Callable[[float], None] = lambda ratio: None,
+    starts: Sequence[tuple[float, ...]] = STARTS,
+) -> Optimum:
     """Find caps and tracking gains of least ratio within the limits of the scenario.
 
     Args:
         problem: its operating section and tracking gains are replaced; all else is kept.
         progress: is told the best ratio after each start.
+        starts: of the search, as `STARTS`; the optimum of a problem much like this one saves time.
 
     Returns:
         The best of all starts, an estimate: design the scenario to know its ratio and its certificate.
@@ -191,7 +196,7 @@ def optimise(problem: Problem, progress: Callable[[float], None] = lambda ratio:
         ValueError: where no start leads to a bounded tube.
     """
     search, best, least = _Search(problem), None, np.inf
-    for start in STARTS:
+    for start in starts:
         found, ratio = _descend(search, np.log(start))
         if ratio < least:
             best, least = found, ratio

@@ -21,7 +21,7 @@ def operation(problem: Problem) -> Operation:
     if caps.turning_longitudinal_m is not None and caps.turning_yaw_rate_radps is not None:
         coupling = caps.turning_longitudinal_m, caps.turning_yaw_rate_radps
     return Operation(
-        errors=_ends(problem.operating_set),
+        errors=problem.operating_set.offsets[:3] * np.array([[-1.0], [1.0]]),
         inputs=_ends(problem.input_set),
         schedules=problem.regions,
         wheel_error=wheel_error_bound(np.array([slip.nominal_right, slip.nominal_left]), slip.relative_error, reading),

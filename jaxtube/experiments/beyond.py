@@ -192,8 +192,8 @@ def search(usage: Callable[[float], Usage], levels: list[float], whole: bool) ->
         if all(any(fails(found) for found in usages.values()) for fails in kinds):
             break
         usages[level] = usage(level)
-    firsts = [_refine(usage, usages, fails, 0 if whole else HALVINGS) for fails in kinds]
-    return Search(dict(sorted(usages.items())), *firsts, levels[-1])
+    disturbance, violation = (_refine(usage, usages, fails, 0 if whole else HALVINGS) for fails in kinds)
+    return Search(dict(sorted(usages.items())), disturbance, violation, levels[-1])
 
 
 def _refine(usage, usages: dict[float, Usage], fails: Callable[[Usage], bool], halvings: int) -> float | None:
@@ -238,11 +238,13 @@ def panels(searches: dict[str, Search]) -> list[beyond_figures.Panel]:
     """Return what the figure shows of the searches."""
     shown = []
     for name, search in searches.items():
-        title, unit, *_, whole = IMPERFECTIONS[name]
+        kind = IMPERFECTIONS[name]
         error = np.array([usage.error.max(axis=0) for usage in search.usages.values()])
         disturbance = np.array([usage.disturbance.max() for usage in search.usages.values()])
         tried = np.array(list(search.usages))
-        shown.append(beyond_figures.Panel(title, unit, whole, tried, error, disturbance, search.violation))
+        shown.append(
+            beyond_figures.Panel(kind.title, kind.unit, kind.whole, tried, error, disturbance, search.violation)
+        )
     return shown
 
 

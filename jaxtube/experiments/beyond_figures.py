@@ -60,7 +60,9 @@ def _draw(axes: Axes, panel: Panel) -> None:
         axes.plot([panel.violation], [1.0], **FAILED, zorder=3)
     axes.set(title=panel.title, xlabel=f"level [{panel.unit}]", ylim=(0, HIGHEST))
     if not panel.whole and len(panel.levels) > 1:
-        axes.set_xscale("symlog", linthresh=4 * panel.levels[1], linscale=0.6)
+        linear = 4 * panel.levels[1]
+        axes.set_xscale("symlog", linthresh=linear, linscale=0.6)
+        axes.set_xticks([0.0, *(10.0**power for power in range(-4, 3) if 10.0**power >= linear)])
     if len(panel.levels) > 1:
         axes.set_xlim(0, panel.levels[-1])
 

@@ -74,8 +74,8 @@ def add_exact_condition(found: Design) -> None:
     found.certificate.add(
         "checked_in_rationals",
         float(margin) if report.holds else float(min(report.margins.values())),
-        f"Separate code in exact rational arithmetic proves {len(report.margins)} conditions once more; the tightest is "
-        f"{name}.",
+        f"Separate code in exact rational arithmetic proves {len(report.margins)} conditions once more; the "
+        f"tightest is {name}.",
         f"Exact rational arithmetic does not confirm: {', '.join(report.failing)}.",
     )
 

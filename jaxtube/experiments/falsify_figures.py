@@ -14,8 +14,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from jaxtube.design import Design
-from jaxtube.design.problem import Problem, input_rows
+from jaxtube.design.problem import Problem
 from jaxtube.error_dynamics import world_pose
+from jaxtube.experiments.falsify_report import CAPS
 from jaxtube.experiments.set_figures import IN_MILLIMETRES, SMALL_UNITS
 from jaxtube.experiments.style import (
     CONTROLLERS,
@@ -66,12 +67,14 @@ def _tracks(problem: Problem, name: str, played: Replay) -> list[Track]:
         return [Track(error_label(i), values[:, i], limits[i], -limits[i], (i, i + 3)) for i in range(3)]
     values = values_of(name, played)
     if name == "input":
-        values = values @ input_rows(problem.robot.track_width).T
-        bounds, what = problem.input_set.offsets, "wheel's deficit"
+        values, bounds = values @ problem.input_set.normals[:2].T, problem.input_set.offsets
+        labels = [f"{side} wheel's deficit [m/s]" for side in ("right", "left")]
+        if problem.scenario.operating.yaw_rate_deficit_radps is not None:
+            labels = [f"{what} [{unit}]" for what, unit in CAPS]
     else:
-        bounds, what = np.repeat([problem.robot.wheel_speed_max, -problem.robot.wheel_speed_min], 2), "wheel"
-    sides = enumerate(("right", "left"))
-    return [Track(f"{side} {what} [m/s]", values[:, i], bounds[i], -bounds[i + 2], (i, i + 2)) for i, side in sides]
+        bounds = np.repeat([problem.robot.wheel_speed_max, -problem.robot.wheel_speed_min], 2)
+        labels = [f"{side} wheel [m/s]" for side in ("right", "left")]
+    return [Track(label, values[:, i], bounds[i], -bounds[i + 2], (i, i + 2)) for i, label in enumerate(labels)]
 
 
 @styled

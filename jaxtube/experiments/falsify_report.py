@@ -16,9 +16,10 @@ BEYOND = 1e-9
 
 ERRORS = (("longitudinal error", 1.0, "m"), ("lateral error", 1.0, "m"), ("heading error", np.rad2deg(1.0), "deg"))
 WHEELS = ("right wheel", "left wheel")
+CAPS = (("speed deficit", "m/s"), ("yaw rate deficit", "rad/s"))
 
 
-NOTE = """usage: 1 on the facet, above 1 outside. By gradient: laps played with their derivative. Drawn laps: as many
+NOTE = """usage: 1 on the facet, above 1 outside; certified: what no lap can pass. By gradient: laps played with their derivative. Drawn laps: as many
 as fit into the time of the search; for limits that one lap answers, into the sum of their times."""
 
 WIDEST = "Of the tube `sequence` only the plans with the widest window ahead were searched."
@@ -50,10 +51,31 @@ def facet(limit: Limit, name: str, worst: Worst) -> tuple[str, float, str]:
             return f"{coordinate} {place}", worst.margin * factor, unit
         rounded = " ".join(f"{entry:.2f}" for entry in normal)
         return f"{place}, normal ({rounded})", worst.margin, "m and rad"
-    kind = " deficit" if name == "input" else ""
-    offset = float(limit.offsets[0, worst.facet])
+    coordinate, offset = worst.facet % side, float(limit.offsets[0, worst.facet])
     bound = f"<= {offset:.3g}" if worst.facet < side else f">= {-offset:.3g}"
-    return f"{WHEELS[worst.facet % side]}{kind} {bound} m/s", worst.margin, "m/s"
+    if name == "input" and np.count_nonzero(limit.normals[0, worst.facet]) == 1:
+        what, unit = CAPS[coordinate]
+        return f"{what} {bound} {unit}", worst.margin, unit
+    kind = " deficit" if name == "input" else ""
+    return f"{WHEELS[coordinate]}{kind} {bound} m/s", worst.margin, "m/s"
+
+
+def certified(setting: Setting, name: str) -> float:
+    """Return the usage of a limit that the certificate does not let a lap pass, infinite where there is none."""
+    found = setting.found
+    bound = found.problem.residual
+    if bound is None or not found.certificate.holds or setting.controller_name != "tube_mpc":
+        return np.inf
+    if name != "wheels":
+        return 1.0
+    slip, robot = found.problem.scenario.slip, found.problem.robot
+    grip = 1 - np.array([slip.nominal_right, slip.nominal_left]) * (1 + slip.relative_error)
+    ends = np.stack([bound.ground_speeds[0] / grip, bound.ground_speeds[1] / grip])
+    middle, half = (
+        (robot.wheel_speed_max + robot.wheel_speed_min) / 2,
+        (robot.wheel_speed_max - robot.wheel_speed_min) / 2,
+    )
+    return float(np.max(np.abs(ends - middle)) / half)
 
 
 def violated(worst: Worst) -> bool:
@@ -79,19 +101,25 @@ def verdict(setting: Setting, rows: dict[str, Row]) -> str:
 def report(setting: Setting, rows: dict[str, Row]) -> str:
     """Return the verdict and the table."""
     lines = [verdict(setting, rows), ""]
-    lines.append(f"{'':<8}{'---------------- by gradient -----------------':>47}{'--- drawn laps ---':>24}")
-    lines.append(f"{'limit':<8}{'usage':>9}{'margin':>19}{'laps':>9}{'seconds':>10}{'usage':>12}{'laps':>12}  where")
+    lines.append(f"{'':<18}{'---------------- by gradient -----------------':>47}{'--- drawn laps ---':>24}")
+    heads = f"{'certified':>10}{'usage':>9}{'margin':>19}{'laps':>9}{'seconds':>10}{'usage':>12}{'laps':>12}"
+    lines.append(f"{'limit':<8}{heads}  where")
     for name, row in rows.items():
         what, margin, unit = facet(setting.limits(name)[name], name, row.worst)
         drawn = row.sampled
         lines.append(
-            f"{name:<8}{row.worst.usage:9.4f}{f'{margin:.4g} {unit}':>19}{row.search.laps:9,}"
+            f"{name:<8}{_certified_words(setting, name):>10}{row.worst.usage:9.4f}{f'{margin:.4g} {unit}':>19}{row.search.laps:9,}"
             f"{row.search.seconds:10.1f}{drawn.usage(name):12.4f}{drawn.laps:12,}  step {row.worst.step}, {what}"
         )
     lines += ["", NOTE]
     if "tube" in rows and setting.found.problem.scenario.controller.tube == "sequence":
         lines.append(WIDEST)
     return "\n".join(lines)
+
+
+def _certified_words(setting: Setting, name: str) -> str:
+    usage = certified(setting, name)
+    return f"<= {usage:.4f}" if np.isfinite(usage) else "nothing"
 
 
 def metrics(setting: Setting, rows: dict[str, Row]) -> dict:
@@ -107,6 +135,7 @@ def metrics(setting: Setting, rows: dict[str, Row]) -> dict:
             "margin": margin,
             "margin_unit": unit,
             "usage": row.worst.usage,
+            "certified_usage": certified(setting, name),
             "seconds": row.search.seconds,
             "laps": row.search.laps,
             "drawn_usage": row.sampled.usage(name),

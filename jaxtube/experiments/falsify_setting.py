@@ -34,6 +34,7 @@ class Setting(NamedTuple):
     """A closed loop and what is searched of it."""
 
     found: Design
+    controller_name: str
     controller: Any
     plant: Any
     lap_limits: Limits
@@ -77,7 +78,7 @@ def make_setting(scenario: Scenario, controller: str, plant: str, starts: str, s
                 f"scenario: reference.duration_s = {scenario.reference.duration_s}: {steps} steps are fewer than "
                 f"controller.horizon = {horizon}, so that no plan can be followed; run for longer"
             )
-    return Setting(found, loop, acting, limits, tube, windows, vertices)
+    return Setting(found, controller, loop, acting, limits, tube, windows, vertices)
 
 
 def feasible_vertices(found: Design, seed: int) -> Float[np.ndarray, "k 3"]:

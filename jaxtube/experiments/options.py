@@ -118,6 +118,30 @@ class Falsify(Options):
 
 
 @dataclass(frozen=True)
+class Guarantee(Options):
+    """Attack a certified design by the million laps, and another one beside it; sets claims against what was seen."""
+
+    command = module = "guarantee"
+
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "certified"
+    """a scenario that `list` prints, or a file"""
+    against: Annotated[str, arg(metavar="NAME|FILE.toml")] = "paper"
+    """the scenario whose sets, gains and model are attacked on the same robot, path and slip"""
+    realisations: Annotated[float, arg(metavar="COUNT")] = 1e5
+    """number of laps of each design, such as 1e6: spread over five slip processes; the edge comes on top"""
+    devices: Annotated[int, arg(metavar="COUNT", help_behavior_hint="(default: all; processors count as devices)")] = 0
+    """devices of this machine to use; changes no result"""
+    require_certificate: bool = False
+    """exit with 3 when the certificate of the scenario fails"""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run: one for each pair of designs."""
+        usual = self.against == type(self).against
+        return super().folder if self.out or usual else Path(f"{super().folder}-{title(self.against)}")
+
+
+@dataclass(frozen=True)
 class Beyond(Options):
     """Measure how imperfect the robot may be before a lap leaves W, and before it leaves what is certified."""
 
@@ -162,7 +186,7 @@ class Check(Options):
 
 
 COMMANDS: dict[str, type[Options]] = {
-    kind.command: kind for kind in (Paper, Design, Montecarlo, Falsify, Beyond, Bench, List, Check)
+    kind.command: kind for kind in (Paper, Design, Montecarlo, Falsify, Guarantee, Beyond, Bench, List, Check)
 }
 
 

@@ -1,0 +1,190 @@
+"""The points of `maps`: a grid of conditions, computed by several processes, each saved as soon as it is known.
+
+A search starts from the optimum of the neighbour that lies one step closer to the scenario's own condition: along the
+speed range or the period first, then along the slip error. So the points form a tree, and those whose start is known
+are computed side by side. Their order changes no number: a start is a function of the grid alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxtube.design.guarantee import Condition, Guarantee, caps_and_gains, guarantee, under
+from jaxtube.experiments.atomic import write_atomically
+from jaxtube.experiments.progress import progress
+from jaxtube.scenario import Scenario
+
+DESIGNS = ("optimised", "weighted", "paper")
+"""In the order in which they are computed: the searches wait for each other, the others fill the gaps."""
+SLIP_ERRORS = 0.0, 0.3
+SLOWEST_MPS = 0.2
+"""Where the lower end of the speed range starts; it ends at the slowest wheel of the reference."""
+PERIODS_S = 0.05, 0.2
+
+
+class Point(NamedTuple):
+    """One design under one condition."""
+
+    design: str
+    condition: Condition
+
+
+Found = dict[Point, Guarantee]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Increasing values of the three conditions, and the scenario's own, which is among them."""
+
+    slip_errors: tuple[float, ...]
+    slowest_mps: tuple[float, ...]
+    periods_s: tuple[float, ...]
+    own: Condition
+
+    def conditions(self) -> list[Condition]:
+        """Return the conditions of both maps without repetitions, each after the one whose optimum it starts from."""
+        pairs = [(slowest, self.own.dt_s) for slowest in self.slowest_mps]
+        pairs += [(self.own.slowest_mps, period) for period in self.periods_s]
+        found = {Condition(error, *pair) for pair in pairs for error in self.slip_errors}
+        return sorted(found, key=lambda condition: (self._steps(condition), condition))
+
+    def points(self) -> list[Point]:
+        """Return all points, designs in the order of `DESIGNS`."""
+        return [Point(design, condition) for design in DESIGNS for condition in self.conditions()]
+
+    def towards_own(self, condition: Condition) -> Condition | None:
+        """Return the neighbour one step closer to the scenario's own condition, None for that one."""
+        for name, values in (
+            ("slowest_mps", self.slowest_mps),
+            ("dt_s", self.periods_s),
+            ("slip_error", self.slip_errors),
+        ):
+            here, own = values.index(getattr(condition, name)), values.index(getattr(self.own, name))
+            if here != own:
+                return condition._replace(**{name: values[here + (1 if own > here else -1)]})
+        return None
+
+    def _steps(self, condition: Condition) -> int:
+        values = (self.slip_errors, self.slowest_mps, self.periods_s)
+        places = zip(values, condition, self.own, strict=True)
+        return sum(abs(axis.index(here) - axis.index(own)) for axis, here, own in places)
+
+
+def make_grid(scenario: Scenario, slowest_wheel: float, count: int) -> Grid:
+    """Return a grid of `count` values along each axis, and the scenario's own.
+
+    Args:
+        scenario: gives slip error, lower end of the speed range and period.
+        slowest_wheel: of the reference, m/s: the speed range must hold it.
+        count: at least 2.
+    """
+    own = Condition(
+        scenario.slip.relative_error, scenario.reference.wheel_speed_min_mps, float(scenario.controller.dt_s)
+    )
+    top = max(np.floor(1e3 * slowest_wheel + 1e-6) / 1e3, own.slowest_mps)
+    axes = (
+        (np.linspace(*SLIP_ERRORS, count), own.slip_error),
+        (np.linspace(min(SLOWEST_MPS, own.slowest_mps), top, count), own.slowest_mps),
+        (np.geomspace(*PERIODS_S, count), own.dt_s),
+    )
+    rounded = [tuple(sorted({*np.round(values, 4).tolist(), float(extra)})) for values, extra in axes]
+    return Grid(rounded[0], rounded[1], rounded[2], own)
+
+
+def compute(scenario: Scenario, grid: Grid, file: Path) -> Found:
+    """Compute the points that the file does not hold, each appended to it at once, and return all.
+
+    Args:
+        scenario: gives all that the grid does not vary.
+        grid: the points.
+        file: JSON lines; a line that an interruption cut short is dropped.
+    """
+    found = _read(file)
+    open_points = [point for point in grid.points() if point not in found]
+    if not open_points:
+        return found
+    with file.open("a") as log, progress(len(grid.points()), "designing", "points", len(found)) as bar:
+
+        def keep(point: Point, result: Guarantee) -> None:
+            found[point] = result
+            log.write(json.dumps({"design": point.design, **point.condition._asdict(), **asdict(result)}) + "\n")
+            log.flush()
+            bar.update()
+
+        with _workers(len(open_points)) as workers:
+            _work_through(scenario, grid, open_points, found, workers, keep)
+    return found
+
+
+def _work_through(
+    scenario: Scenario,
+    grid: Grid,
+    waiting: list[Point],
+    found: Found,
+    workers: Executor,
+    keep: Callable[[Point, Guarantee], None],
+) -> None:
+    """Give the workers two points each whose start is known, and keep what comes back."""
+    running = {}
+    try:
+        while waiting or running:
+            for point in _ready(grid, waiting, found, 2 * _worker_count() - len(running)):
+                waiting.remove(point)
+                start = _start(scenario, grid, point, found)
+                running[workers.submit(guarantee, point.design, under(scenario, point.condition), start)] = point
+            for done in wait(running, return_when=FIRST_COMPLETED).done:
+                keep(running.pop(done), done.result())
+    except BaseException:
+        workers.shutdown(wait=False, cancel_futures=True)
+        raise
+
+
+def _ready(grid: Grid, waiting: Iterable[Point], found: Found, most: int) -> list[Point]:
+    """Return the first points of those whose start is known."""
+    ready = []
+    for point in waiting:
+        neighbour = grid.towards_own(point.condition)
+        if point.design != "optimised" or neighbour is None or point._replace(condition=neighbour) in found:
+            ready.append(point)
+    return ready[:most]
+
+
+def _start(scenario: Scenario, grid: Grid, point: Point, found: Found) -> tuple[float, ...] | None:
+    if point.design != "optimised":
+        return None
+    neighbour = grid.towards_own(point.condition)
+    return caps_and_gains(scenario) if neighbour is None else found[Point("optimised", neighbour)].caps_and_gains
+
+
+def _worker_count() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _workers(most: int) -> Executor:
+    # One thread each: the matrices are small, and threads that wait for each other made a search three times as long.
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    # Not forked: a fork copies the locks of JAX's threads.
+    return ProcessPoolExecutor(min(_worker_count(), most), get_context("spawn"))
+
+
+def _read(file: Path) -> Found:
+    """Return the points of a file, from which a line cut short is taken away."""
+    if not file.exists():
+        return {}
+    lines = [line for line in file.read_text().splitlines(keepends=True) if line.endswith("\n")]
+    write_atomically(file, lambda out: out.write("".join(lines).encode()))
+    found = {}
+    for record in map(json.loads, lines):
+        point = Point(record.pop("design"), Condition(*(record.pop(name) for name in Condition._fields)))
+        start = record.pop("caps_and_gains")
+        found[point] = Guarantee(**record, caps_and_gains=None if start is None else tuple(start))
+    return found

@@ -1,0 +1,91 @@
+"""The maximal robust control invariant set: errors that some input, chosen anew each step, keeps within all limits.
+
+    C_0 = E,    C_{k+1} = C_k  intersected over i with  {e : some u has  D u + C e <= d,  A_i e + B_i u + W in C_k}
+
+for a controller that knows the pair (A_i, B_i) of the present step and none of the later ones, whose order is
+arbitrary. Every C_k contains the maximal set for the pairs given and, all the more, for any larger family of pairs; the
+sequence has converged where C_{k+1} = C_k. Each predecessor is a polytope in (e, u) projected along u by its vertices.
+
+Source: Bertsekas and Rhodes 1971; Kerrigan 2000, chapter 2; Blanchini 1999.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from sets.polytope import Polytope
+
+SETTLED = 1e-3
+"""The sequence counts as converged where a step takes away no larger share of the volume."""
+STEPS = 30
+
+
+@dataclass(frozen=True)
+class ControlInvariant:
+    """C_k of the last step, None where it is empty; `volumes` of C_0 .. C_k, and whether they have settled."""
+
+    polytope: Polytope | None
+    volumes: tuple[float, ...]
+    settled: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """Constraints  inputs u + errors e <= offsets."""
+
+    inputs: Float[np.ndarray, "k m"]
+    errors: Float[np.ndarray, "k n"]
+    offsets: Float[np.ndarray, " k"]
+
+
+def control_invariant(
+    transitions: Float[np.ndarray, "v n n"],
+    inputs: Float[np.ndarray, "v n m"],
+    error_set: Polytope,
+    limits: Limits,
+    disturbance: Callable[[np.ndarray], np.ndarray],
+) -> ControlInvariant:
+    """Iterate C_k until it settles or `STEPS` are done.
+
+    Args:
+        transitions, inputs: the pairs (A_i, B_i).
+        error_set: bounded, 0 inside.
+        limits: bound the inputs from all sides.
+        disturbance: support function of W.
+
+    Returns:
+        A set that contains the maximal robust control invariant set; equal to it where the sequence ends exactly.
+
+    Raises:
+        ValueError: where the inputs are unbounded.
+    """
+    found, volumes = error_set, [error_set.volume()]
+    while len(volumes) <= STEPS:
+        target = Polytope(found.normals, found.offsets - disturbance(found.normals))
+        for A, B in zip(transitions, inputs, strict=True):
+            found = found.intersect(predecessor(A, B, target, found, limits))
+            if found.is_empty() or found.is_flat():
+                return ControlInvariant(None, (*volumes, 0.0), True)
+            found = found.reduce()
+        volumes.append(found.volume())
+        if volumes[-1] >= (1 - SETTLED) * volumes[-2]:
+            return ControlInvariant(found, tuple(volumes), True)
+    return ControlInvariant(found, tuple(volumes), False)
+
+
+def predecessor(
+    A: Float[np.ndarray, "n n"], B: Float[np.ndarray, "n m"], target: Polytope, within: Polytope, limits: Limits
+) -> Polytope:
+    """Return {e in `within` : some u has  D u + C e <= d  and  A e + B u in the target}."""
+    n, m = B.shape
+    rows = [
+        np.hstack([target.normals @ A, target.normals @ B]),
+        np.hstack([limits.errors, limits.inputs]),
+        np.hstack([within.normals, np.zeros((len(within.offsets), m))]),
+    ]
+    joint = Polytope(np.concatenate(rows), np.concatenate([target.offsets, limits.offsets, within.offsets]))
+    return joint.image(np.eye(n, n + m))
