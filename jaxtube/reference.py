@@ -136,6 +136,12 @@ def from_file(
     return _reference(np.append(positions[0], headings[0]), speeds, yaw_rates, dt, steps, track_width)
 
 
+def from_wheels(wheels: Float[np.ndarray, "periods 2"], dt: float, track_width: float) -> Reference:
+    """Build the reference of given wheel speeds (right, left), m/s, from the origin with heading 0, without preview."""
+    yaw_rates = wheels @ np.array([1.0, -1.0]) / track_width
+    return _reference(np.zeros(3), wheels.mean(axis=1), yaw_rates, dt, len(wheels), track_width)
+
+
 def wheel_range(reference: Reference) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
     """Give the least and the greatest reference speed of each wheel.
 

@@ -20,13 +20,13 @@ from jaxtyping import Float
 from sets.polytope import Polytope
 
 SETTLED = 1e-3
-"""The sequence counts as converged where a step takes away no larger share of the volume."""
+"""The sequence counts as converged where C_k lies in (1 + this) C_{k+1}: then that set is kept but for this share."""
 STEPS = 30
 
 
 @dataclass(frozen=True)
 class ControlInvariant:
-    """C_k of the last step, None where it is empty; `volumes` of C_0 .. C_k, and whether they have settled."""
+    """C_k of the last step, None where it is empty or flat; `volumes` of C_0 .. C_k, and whether they have settled."""
 
     polytope: Polytope | None
     volumes: tuple[float, ...]
@@ -65,6 +65,7 @@ def control_invariant(
     """
     found, volumes = error_set, [error_set.volume()]
     while len(volumes) <= STEPS:
+        last = found
         target = Polytope(found.normals, found.offsets - disturbance(found.normals))
         for A, B in zip(transitions, inputs, strict=True):
             found = found.intersect(predecessor(A, B, target, found, limits))
@@ -72,7 +73,7 @@ def control_invariant(
                 return ControlInvariant(None, (*volumes, 0.0), True)
             found = found.reduce()
         volumes.append(found.volume())
-        if volumes[-1] >= (1 - SETTLED) * volumes[-2]:
+        if np.all(last.support(found.normals) <= (1 + SETTLED) * found.offsets):
             return ControlInvariant(found, tuple(volumes), True)
     return ControlInvariant(found, tuple(volumes), False)
 

@@ -15,7 +15,7 @@ invariant set contains the origin (take w = 0), hence everything reached from it
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +27,8 @@ from scipy.spatial import ConvexHull, QhullError
 from sets.polytope import Polytope
 
 SupportFunction = Callable[[Float[np.ndarray, "k n"]], Float[np.ndarray, " k"]]
+Disturbance = SupportFunction | Sequence[SupportFunction]
+"""The support function of W, or one for each loop where W depends on which loop acts."""
 
 INFLATION = 1e-6
 """Sets are built for (1 + INFLATION) W, so that the invariance of the exact W holds with a margin above rounding."""
@@ -86,10 +88,10 @@ class _Rows:
             self.paths + other.paths,
         )
 
-    def predecessors(self, loops: Float[np.ndarray, "v n n"], room: Float[np.ndarray, " k"]) -> _Rows:
+    def predecessors(self, loops: Float[np.ndarray, "v n n"], room: Float[np.ndarray, "v k"]) -> _Rows:
         return _Rows(
             np.concatenate([self.normals @ loop for loop in loops]),
-            np.tile(room, len(loops)),
+            room.ravel(),
             np.tile(self.roots, len(loops)),
             [(*path, i) for i in range(len(loops)) for path in self.paths],
         )
@@ -98,13 +100,12 @@ class _Rows:
 def maximal_rpi(
     loops: Float[np.ndarray, "v n n"],
     constraints: Polytope,
-    disturbance: SupportFunction,
+    disturbance: Disturbance,
     max_iterations: int = 2000,
 ) -> MaximalRpi:
-    """Return the largest set O inside `constraints` with Phi_i O + (1 + INFLATION) W in O for all i.
+    """Return the largest set O inside `constraints` with Phi_i O + (1 + INFLATION) W_i in O for all i.
 
-    `constraints` must be bounded, in two dimensions or more; `disturbance` is the support function of W.
-    Raises ValueError where the origin is not inside.
+    `constraints` must be bounded, in two dimensions or more. Raises ValueError where the origin is not inside.
     """
     if np.any(constraints.offsets <= 0):
         raise ValueError(f"constraints: smallest offset {constraints.offsets.min():.3g}: the origin must lie inside")
@@ -112,9 +113,9 @@ def maximal_rpi(
     rows = _Rows(constraints.normals, constraints.offsets, np.arange(k), [()] * k)
     rows = new = rows.take(ConvexHull(rows.dual).vertices)
     for iteration in range(max_iterations):
-        room = new.offsets - (1 + INFLATION) * disturbance(new.normals)
+        room = new.offsets - (1 + INFLATION) * _steps(disturbance, new.normals, len(loops))
         if np.any(room <= 0):
-            worst = int(np.argmin(room))
+            worst = int(np.argmin(room.min(axis=0)))
             root, path = new.roots[worst], tuple(reversed(new.paths[worst]))
             escape = Escape(constraints.normals[root], float(constraints.offsets[root]), path)
             return MaximalRpi(None, escape, iteration)
@@ -130,6 +131,13 @@ def maximal_rpi(
     return MaximalRpi(None, None, max_iterations)
 
 
+def _steps(disturbance: Disturbance, normals: Float[np.ndarray, "k n"], loops: int) -> Float[np.ndarray, "v k"]:
+    """Return h_{W_i} along every normal, loop by loop."""
+    if callable(disturbance):
+        return np.broadcast_to(disturbance(normals), (loops, len(normals)))
+    return np.stack([support(normals) for support in disturbance])
+
+
 def _facet_points(hull: ConvexHull) -> Float[np.ndarray, "f n"]:
     """Return y_f with hull = {c : c y_f <= 1}: facets of the dual hull are the vertices of the set itself."""
     return hull.equations[:, :-1] / -hull.equations[:, -1:]
@@ -137,21 +145,22 @@ def _facet_points(hull: ConvexHull) -> Float[np.ndarray, "f n"]:
 
 def minimal_rpi_bound(
     loops: Float[np.ndarray, "v n n"],
-    disturbance: SupportFunction,
+    disturbance: Disturbance,
     normals: Float[np.ndarray, "k n"],
     max_iterations: int = 5000,
 ) -> Polytope | None:
     """Return an invariant outer bound {normals x <= b} of the minimal RPI set, or None where these normals carry none.
 
-    The monotone map b -> max_i h_{P(b)}(normals Phi_i) + (1 + INFLATION) h_W(normals) is iterated from below; where it
+    The monotone map b -> max_i h_{P(b)}(normals Phi_i) + (1 + INFLATION) h_{W_i}(normals) is iterated from below; where it
     settles P(b) is invariant, and every invariant set contains the minimal one. With these normals it is the smallest.
     """
-    steps = (1 + INFLATION) * disturbance(normals)
+    by_loop = (1 + INFLATION) * _steps(disturbance, normals, len(loops))
     images = np.concatenate([normals @ loop for loop in loops])
+    steps = by_loop.max(axis=0)
     offsets = steps.copy()
     for _ in range(max_iterations):
         points = _vertices(normals, offsets)
-        reach = np.max(images @ points.T, axis=1).reshape(len(loops), -1).max(axis=0) + steps
+        reach = np.max(np.max(images @ points.T, axis=1).reshape(len(loops), -1) + by_loop, axis=0)
         if not np.all(reach < 1e6 * steps.max()):
             return None
         if np.max(reach / offsets - 1) < 1e-3 * INFLATION * np.min(steps / offsets):

@@ -91,7 +91,7 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
 @pytest.mark.parametrize(
     ("words", "fragments"),
     [
-        (["papr"], ["papr", "paper, design, montecarlo, falsify, guarantee, beyond, bench, list, check"]),
+        (["papr"], ["papr", "paper, design, montecarlo, falsify, guarantee, maps, beyond, bench, list, check"]),
         (["paper", "else"], ["else"]),
         (["--seeed", "3"], ["--seeed", "did you mean --seed?"]),
         (["--seed"], ["--seed"]),
@@ -99,6 +99,8 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
         (["--seed", "-1"], ["--seed = -1", "from 0"]),
         (["--realisations", "0"], ["--realisations", "at least one"]),
         (["design", "--realisations", "3"], ["--realisations"]),
+        (["maps", "--points", "1"], ["--points = 1", "from 2"]),
+        (["maps", "--scenario", "paper"], ["operating", "no caps", "--scenario certified"]),
         (["--scenario", "no-such"], ['"no-such"', "choose one of", "paper"]),
         (["--scenario", "no-such.toml"], ["no-such.toml", "No such file"]),
         (["--controller.horizon", "0"], ["controller.horizon = 0", "whole number >= 1"]),

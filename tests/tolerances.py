@@ -108,3 +108,7 @@ REFERENCE_PART = 0.02  # relative; parts are bounded within 0.05 mm
 
 # jaxtube/imperfect.py
 ARCS_OF_A_PERIOD = 1e-5  # m; positions while wheels change speed by 1 m/s, arcs of a sixteenth of a period
+
+# sets/control_invariant.py, jaxtube/design/guarantee.py
+CONTROL_INVARIANT = 1e-7  # m, rad and units of the inputs; linear programs of numbers below one
+NEARBY_SEARCH = 0.02  # of the ratio; searches from different starts that end at the same optimum

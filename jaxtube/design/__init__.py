@@ -78,6 +78,10 @@ def design(scenario: Scenario) -> Design:
         ScenarioError: for data no controller can be built from, in one line.
         EmptySetError: where a tightened set E_j or U_j is empty.
     """
+    if scenario.operating.bands:
+        raise ScenarioError(
+            "scenario: operating.bands: only the command `design` knows gains and caps by speed; leave them out"
+        )
     clock = _Clock()
     problem = complete_problem(scenario)
     settings = scenario.controller

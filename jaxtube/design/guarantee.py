@@ -66,13 +66,17 @@ class Guarantee:
 
 
 def under(scenario: Scenario, condition: Condition) -> Scenario:
-    """Return the scenario under a condition: W computed, every order of wheel speeds in the box."""
-    change = msgspec.structs.replace
+    """Return the scenario under a condition: W computed, every order of wheel speeds in the box.
+
+    The path, which no ratio depends on, is followed for a whole number of periods.
+    """
+    change, T = msgspec.structs.replace, condition.dt_s
+    followed = {"certified_for": "box", "duration_s": max(round(scenario.reference.duration_s / T), 1) * T}
     return change(
         scenario,
         slip=change(scenario.slip, relative_error=condition.slip_error),
-        reference=change(scenario.reference, wheel_speed_min_mps=condition.slowest_mps, certified_for="box"),
-        controller=change(scenario.controller, dt_s=condition.dt_s),
+        reference=change(scenario.reference, wheel_speed_min_mps=condition.slowest_mps, **followed),
+        controller=change(scenario.controller, dt_s=T),
         disturbance=change(scenario.disturbance, bound="computed"),
     )
 

@@ -140,7 +140,7 @@ def make_problem(scenario: Scenario) -> Problem:
     check_reference_wheels(scenario, slowest, fastest)
     operating, noise = _operating_bounds(scenario), error_vector(scenario.noise)
     disturbance = error_vector(scenario.disturbance)
-    input_set = _input_set(scenario, robot)
+    input_set, input_rows = input_constraints(scenario, robot)
     return Problem(
         scenario=scenario,
         robot=robot,
@@ -152,7 +152,7 @@ def make_problem(scenario: Scenario) -> Problem:
         error_set=Polytope.box(-operating - noise, operating + noise),
         operating_set=Polytope.box(-operating, operating),
         input_set=input_set,
-        input_rows=_input_rows(scenario, input_set),
+        input_rows=input_rows,
         disturbance_set=Polytope.box(-disturbance, disturbance),
         initial_error=_initial_error(scenario),
         regions=_regions(scenario, reference, box),
@@ -167,6 +167,12 @@ def _operating_bounds(scenario: Scenario) -> Float[np.ndarray, "3"]:
         if cap is not None:
             caps[i] = np.deg2rad(cap) if i == 2 else cap
     return np.minimum(caps, left)
+
+
+def input_constraints(scenario: Scenario, robot: Robot) -> tuple[Polytope, InputRows]:
+    """Return U, and the rows on input and error that are U and the coupling."""
+    input_set = _input_set(scenario, robot)
+    return input_set, _input_rows(scenario, input_set)
 
 
 def _input_set(scenario: Scenario, robot: Robot) -> Polytope:

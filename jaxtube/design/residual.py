@@ -46,8 +46,15 @@ def complete_problem(scenario: Scenario) -> Problem:
         ScenarioError: as `make_problem`; where the operating set is so wide that angles leave a quarter turn.
     """
     problem = make_problem(scenario)
-    if scenario.disturbance.bound == "assumed":
-        return problem
+    return problem if scenario.disturbance.bound == "assumed" else with_computed_bound(problem)
+
+
+def with_computed_bound(problem: Problem) -> Problem:
+    """Return the problem with W computed for the robot itself, over all that is certified.
+
+    Raises:
+        ScenarioError: where the operating set is so wide that angles leave a quarter turn.
+    """
     try:
         bound = disturbance_bound(operation(problem), kinematics(problem))
     except ValueError as error:

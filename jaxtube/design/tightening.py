@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtube.design.problem import Problem
-from jaxtube.model import VERTEX_SIDES, bilinear_weights
+from jaxtube.model import VERTEX_SIDES, Model, bilinear_weights
 from sets import tubes
 from sets.lmi import lqr_gain
 from sets.tubes import Section
@@ -109,7 +109,7 @@ def vertex_pairs(problem: Problem, gain: LocalGain) -> tuple[Float[np.ndarray, "
     """Return loops and gains whose joint mixtures are to hold (A + B K, K) at every schedule in the regions."""
     model, gains = problem.model, gains_at_corners(problem, gain)
     if isinstance(gain, DecoupledGain) and model.discretisation == "exact":
-        loops = _distinct(np.concatenate([_exact_loops(problem, gain, region) for region in problem.regions]))
+        loops = _distinct(np.concatenate([_region_loops(problem, gain, region) for region in problem.regions]))
         gains = _distinct(gains)
         return np.repeat(loops, len(gains), axis=0), np.tile(gains, (len(loops), 1, 1))
     transitions, inputs = model.matrices(problem.corners)
@@ -127,14 +127,17 @@ def gains_at_corners(problem: Problem, gain: LocalGain) -> Float[np.ndarray, "4m
     return gain.at(problem.model.weights(problem.corners))
 
 
-def _exact_loops(problem: Problem, gain: LocalGain, region) -> Float[np.ndarray, "4 3 3"]:
-    """Return the loops of a decoupled gain at the corners of the box of stretched wheel speeds around a region."""
-    model, T = problem.model, problem.model.dt
-    corners = model.turn_and_reach(np.stack(model.stretched_box(*region))[VERTEX_SIDES, [0, 1]])
+def _region_loops(problem: Problem, gain: LocalGain, region) -> Float[np.ndarray, "4 3 3"]:
+    return exact_loops(problem.model, gain, np.stack(problem.model.stretched_box(*region))[VERTEX_SIDES, [0, 1]])
+
+
+def exact_loops(model: Model, gain: LocalGain, stretched: Float[np.ndarray, "v 2"]) -> Float[np.ndarray, "v 3 3"]:
+    """Return the loops of a decoupled gain under the exact Jacobian, affine in stretched wheel speeds."""
+    T = model.dt
     k1, k2, k3 = -gain.nominal[0, 0], -gain.nominal[1, 1], -gain.nominal[1, 2]
-    loops = np.zeros((4, 3, 3))
+    loops = np.zeros((len(stretched), 3, 3))
     loops[:, 0, 0], loops[:, 2, 1], loops[:, 2, 2] = 1 - T * k1, -T * k2, 1 - T * k3
-    for loop, (h, c) in zip(loops, corners, strict=True):
+    for loop, (h, c) in zip(loops, model.turn_and_reach(stretched), strict=True):
         loop[1] = -h * (2 - T * k1), 1 - c * T * k2 / 2, c * (1 - T * k3 / 2)
     return loops
 
@@ -144,7 +147,7 @@ def coverage_gap(problem: Problem, gain: LocalGain, schedules: Float[np.ndarray,
     model = problem.model
     if isinstance(gain, DecoupledGain) and model.discretisation == "exact":
         weights = bilinear_weights(model.stretched(schedules), *model.stretched_box(*region))
-        loops = _exact_loops(problem, gain, region)
+        loops = _region_loops(problem, gain, region)
     else:
         weights, corners = bilinear_weights(schedules, *region), region[VERTEX_SIDES, [0, 1]]
         transitions, inputs = model.matrices(corners)

@@ -123,7 +123,7 @@ def _check(options: Options) -> None:
     realisations = getattr(options, "realisations", 1)
     if not (realisations >= 1 and realisations == int(min(realisations, REALISATIONS_LIMIT))):
         raise _refusal(f"--realisations = {realisations}: is no whole number from 1 to 2^53; simulate at least one run")
-    for name, least in (("chunk", 1), ("devices", 0)):
+    for name, least in (("chunk", 1), ("devices", 0), ("points", 2)):
         if (count := getattr(options, name, least)) < least:
             raise _refusal(f"--{name} = {count}: is out of range; give a whole number from {least}")
     if Path(options.out).is_file():

@@ -24,6 +24,10 @@ WIDTH = 110
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
     """Run the command; returns 3 where a certificate is required and fails."""
+    if scenario.operating.bands:
+        from jaxtube.experiments import banded
+
+        return banded.run(scenario, options)
     if options.optimise:
         scenario = optimised(scenario)
     found = design(scenario)
@@ -122,9 +126,9 @@ def report(found: Design) -> str:
         )
     lines += ["  * the tube in use", "", *_terminal_lines(found)]
     lines += ["", f"certificate (terminal {terminal.kind}, tube {found.problem.scenario.controller.tube})"]
-    lines += _condition_lines(found.certificate, required=True)
+    lines += condition_lines(found.certificate, required=True)
     lines += ["", "for information"]
-    lines += _condition_lines(found.certificate, required=False)
+    lines += condition_lines(found.certificate, required=False)
     lines += ["", "assumed", *(f"  * {line}" for line in found.certificate.assumptions)]
     failing = ", ".join(found.certificate.failing)
     lines += ["", f"NOT CERTIFIED: {failing}" if failing else "CERTIFIED: every required condition holds"]
@@ -134,7 +138,8 @@ def report(found: Design) -> str:
     return "\n".join(lines)
 
 
-def _condition_lines(certificate: Certificate, required: bool) -> list[str]:
+def condition_lines(certificate: Certificate, required: bool) -> list[str]:
+    """Return the conditions of a certificate as lines."""
     lines = []
     for name, condition in certificate.conditions.items():
         if condition.required == required:

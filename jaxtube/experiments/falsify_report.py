@@ -19,8 +19,9 @@ WHEELS = ("right wheel", "left wheel")
 CAPS = (("speed deficit", "m/s"), ("yaw rate deficit", "rad/s"))
 
 
-NOTE = """usage: 1 on the facet, above 1 outside; certified: what no lap can pass. By gradient: laps played with their derivative. Drawn laps: as many
-as fit into the time of the search; for limits that one lap answers, into the sum of their times."""
+NOTE = """usage: 1 on the facet, above 1 outside; certified: what no lap can pass. By gradient: laps played with their
+derivative. Drawn laps: as many as fit into the time of the search; for limits that one lap answers, into the sum
+of their times."""
 
 WIDEST = "Of the tube `sequence` only the plans with the widest window ahead were searched."
 
@@ -108,8 +109,8 @@ def report(setting: Setting, rows: dict[str, Row]) -> str:
         what, margin, unit = facet(setting.limits(name)[name], name, row.worst)
         drawn = row.sampled
         lines.append(
-            f"{name:<8}{_certified_words(setting, name):>10}{row.worst.usage:9.4f}{f'{margin:.4g} {unit}':>19}{row.search.laps:9,}"
-            f"{row.search.seconds:10.1f}{drawn.usage(name):12.4f}{drawn.laps:12,}  step {row.worst.step}, {what}"
+            f"{name:<8}{_certified_words(setting, name):>10}{row.worst.usage:9.4f}{f'{margin:.4g} {unit}':>19}"
+            f"{row.search.laps:9,}{row.search.seconds:10.1f}{drawn.usage(name):12.4f}{drawn.laps:12,}  step {row.worst.step}, {what}"
         )
     lines += ["", NOTE]
     if "tube" in rows and setting.found.problem.scenario.controller.tube == "sequence":

@@ -12,7 +12,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -45,7 +45,7 @@ class Law(NamedTuple):
         return f"edge-{self.process}" if self.edge else self.process
 
     @property
-    def starts(self) -> str:
+    def starts(self) -> Literal["feasible", "edge"]:
         """Its starts as the command `montecarlo` names them."""
         return "edge" if self.edge else "feasible"
 

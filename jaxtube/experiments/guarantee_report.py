@@ -7,8 +7,10 @@ one law at a time: they hold for laps drawn by that law, and for no other.
 
 from __future__ import annotations
 
+import itertools
+import math
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterable
 from typing import NamedTuple
 
 from jaxtube.intervals import largest_share
@@ -26,7 +28,7 @@ VIOLATIONS = {
     "not_finite": "not a number",
 }
 SHOWN = tuple(VIOLATIONS)[:-1]
-CLAIM, LABEL, CELL = 29, 10, 34
+CLAIM, LABEL, CELL, WIDTH = 29, 10, 34, 110
 
 
 class Tested(NamedTuple):
@@ -51,23 +53,25 @@ class Count(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """A part of the guarantee: the conditions of the certificate it rests on, the first its own, and what refutes it.
+    """A part of the guarantee: conditions of the certificate that it needs, the first its own, and what refutes it.
 
-    `refuted` reads, from the summary of one law, (times seen, of how many, unit); None where laps cannot tell.
+    A claim on the robot needs a W that holds as well; one that is not is on the model. `refuted` reads, from the
+    summary of one law, (times seen, of how many, unit); None where laps cannot tell.
     """
 
     title: str
     conditions: tuple[str, ...]
+    on_robot: bool = True
     refuted: Callable[[dict], tuple[int, int, str]] | None = None
     scope: Callable[[Scenario], str] = lambda scenario: ""
 
 
 class Verdict(NamedTuple):
-    """What became of one claim of one design."""
+    """What became of one claim of one design: made, how far it goes, proved and how, and what laps have shown."""
 
     claimed: bool
+    scope: str
     certified: bool
-    claim: str
     proof: str
     seen: Count | None
 
@@ -77,6 +81,7 @@ def _laps_with(*events: str) -> Callable[[dict], tuple[int, int, str]]:
 
 
 def _plans_outside(law: dict) -> tuple[int, int, str]:
+    """Count, of the plans that were followed, those outside the tube at the stage where most of them are."""
     if not law["plans"]:
         return 0, 0, "plans"
     tube = law["tube"]
@@ -107,27 +112,25 @@ def _disturbance_set(scenario: Scenario) -> str:
 
 PREMISE = ("disturbance_bound_proved", "disturbance_in_w")
 RECURSION = ("plan_stays_feasible", "shifted_plan_inclusion", "tightening_covers_reach")
+TERMINAL = ("terminal_set_invariant", "terminal_set_admissible", "vertices_cover_schedule")
+RATIONALS = "checked_in_rationals"
 CLAIMS = (
-    Claim("W holds every disturbance of the robot", PREMISE, _laps_with("w_outside_W"), _disturbance_set),
-    Claim(
-        "an invariant terminal set exists over the certified wheel speeds",
-        ("terminal_set_invariant", "terminal_set_admissible", "vertices_cover_schedule"),
-    ),
-    Claim("a plan is followed by a plan", (*RECURSION, *PREMISE), _laps_with("qp_infeasible", "qp_unsolved")),
-    Claim("the tube holds the error around a plan", ("tightening_covers_reach", *PREMISE), _plans_outside),
-    Claim("the error stays in E", ("true_error_in_e", *RECURSION, *PREMISE), _laps_with("e_outside_E")),
-    Claim("inputs stay in U", ("input_sets_not_empty", *RECURSION, *PREMISE), _laps_with("u_outside_U")),
-    Claim("wheels stay within their limits", ("wheel_limits", *RECURSION, *PREMISE), _laps_with("wheels_saturated")),
-    Claim("the cost decreases", ("terminal_cost_decrease", "plan_stays_feasible"), _cost_excesses),
+    Claim("W holds every disturbance of the robot", PREMISE, False, _laps_with("w_outside_W"), _disturbance_set),
+    Claim("an invariant terminal set exists over the certified wheel speeds", TERMINAL, False),
+    Claim("a plan is followed by a plan", RECURSION, refuted=_laps_with("qp_infeasible", "qp_unsolved")),
+    Claim("the tube holds the error around a plan", ("tightening_covers_reach",), refuted=_plans_outside),
+    Claim("the error stays in E", ("true_error_in_e", *RECURSION), refuted=_laps_with("e_outside_E")),
+    Claim("inputs stay in U", ("input_sets_not_empty", *RECURSION), refuted=_laps_with("u_outside_U")),
+    Claim("wheels stay within their limits", ("wheel_limits", *RECURSION), refuted=_laps_with("wheels_saturated")),
+    Claim("the cost of the model decreases", ("terminal_cost_decrease", "plan_stays_feasible"), False, _cost_excesses),
     Claim("wheel speeds covered", ("vertices_cover_schedule", "terminal_set_invariant"), scope=_wheel_speeds),
-    Claim("slip error covered", ("disturbance_bound_proved",), scope=_slip_error),
-    Claim("checked in exact arithmetic", ("checked_in_rationals",)),
+    Claim("slip error covered", ("disturbance_bound_proved",), False, scope=_slip_error),
+    Claim("checked in exact arithmetic", (RATIONALS,), False),
 )
 WORDS = {
-    "disturbance_bound_proved": "W holds no proved bound",
-    "disturbance_in_w": "w leaves W",
+    "disturbance_bound_proved": "W is assumed, not proved",
     "plan_stays_feasible": "the next plan may not fit",
-    "checked_in_rationals": "in floating point only",
+    RATIONALS: "in floating point only",
     "terminal_set_invariant": "no invariant set",
 }
 
@@ -135,24 +138,33 @@ WORDS = {
 def judge(claim: Claim, design: Tested) -> Verdict:
     """Return whether a design makes a claim, whether its certificate proves it, and how often it was seen to fail."""
     known = design.certificate.conditions
-    # A design without caps of its own takes U from the wheel limits, so that the conditions on U are those on wheels.
+    # Without caps of its own a design takes U from the wheel limits: what keeps U then keeps the wheels.
     names = [name for name in claim.conditions if name in known or name != "wheel_limits"]
-    failing = [name for name in names if name not in known or not known[name].holds]
-    claimed = claim.conditions != ("checked_in_rationals",) or "checked_in_rationals" in known
-    if failing:
-        reasons = ", ".join(_reason(design.certificate, name) for name in failing)
-        proof = f"no: {reasons}"
-    else:
-        proof = f"yes, margin {known[names[0]].margin:.3g}"
+    failing = [name for name in names if not _holds(design, name)]
+    reasons = [_reason(design, name) for name in failing]
+    if claim.on_robot and not all(_holds(design, name) for name in PREMISE):
+        reasons.append("W does not hold")
+    proof = f"no: {', '.join(reasons)}" if reasons else f"yes, margin {known[names[0]].margin:.3g}"
+    other = known.get("invariant_set_for_tube_gain")
+    if claim.conditions == TERMINAL and other and not other.holds:
+        proof += f"; but not for the gain of the tube ({other.margin:.3g})"
+    claimed = claim.conditions != (RATIONALS,) or RATIONALS in known
     seen = count(claim.refuted, design.laws) if claim.refuted else None
-    return Verdict(claimed, not failing, claim.scope(design.scenario), proof, seen)
+    return Verdict(claimed, claim.scope(design.scenario), not reasons, proof, seen)
 
 
-def _reason(certificate: Certificate, name: str) -> str:
-    words = WORDS.get(name, name.replace("_", " "))
-    condition = certificate.conditions.get(name)
-    finite = condition is not None and abs(condition.margin) != float("inf")
-    return f"{words} ({condition.margin:.3g})" if condition and finite else words
+def _holds(design: Tested, name: str) -> bool:
+    condition = design.certificate.conditions.get(name)
+    return condition is not None and condition.holds
+
+
+def _reason(design: Tested, name: str) -> str:
+    """Say why a condition fails, with its margin where it has one."""
+    if name == "disturbance_in_w":
+        used = max(law["worst"]["disturbance"][0]["usage"] for law in design.laws.values())
+        return f"w goes {used:.3g} times as far as W"
+    words, condition = WORDS.get(name, name.replace("_", " ")), design.certificate.conditions.get(name)
+    return words if condition is None or math.isinf(condition.margin) else f"{words} ({condition.margin:.3g})"
 
 
 def count(refuted: Callable[[dict], tuple[int, int, str]], laws: dict[str, dict]) -> Count:
@@ -160,13 +172,13 @@ def count(refuted: Callable[[dict], tuple[int, int, str]], laws: dict[str, dict]
     found = {name: refuted(law) for name, law in laws.items()}
     worst = max(found, key=lambda name: found[name][0] / max(found[name][1], 1))
     seen, of, unit = found[worst]
-    totals = [sum(each[i] for each in found.values()) for i in range(2)]
-    return Count(totals[0], totals[1], unit, worst if seen else "", seen, of)
+    total, of_all = sum(each[0] for each in found.values()), sum(each[1] for each in found.values())
+    return Count(total, of_all, unit, worst if seen else "", seen, of)
 
 
-def violating(law: dict) -> tuple[int, int]:
-    """Return the least and the most laps that can have violated the guarantee."""
-    laps = [law["events"][name]["laps"] for name in VIOLATIONS]
+def violating(law: dict, events: Collection[str] = tuple(VIOLATIONS)) -> tuple[int, int]:
+    """Return the least and the most laps that can have had one of some events."""
+    laps = [law["events"][name]["laps"] for name in events]
     return max(laps), min(sum(laps), law["laps"])
 
 
@@ -220,27 +232,43 @@ def _metrics(design: Tested) -> dict:
 def cells(claim: Claim, design: Tested) -> tuple[str, str, str]:
     """Return in words what a design claims, what is certified of it, and what was seen."""
     verdict = judge(claim, design)
-    claimed = "no" if not verdict.claimed else f"yes: {verdict.claim}" if verdict.claim else "yes"
+    claimed = "no" if not verdict.claimed else f"yes: {verdict.scope}" if verdict.scope else "yes"
     return claimed, verdict.proof, _seen(verdict.seen) if verdict.seen else ""
 
 
 def _seen(count: Count) -> str:
     text = f"{count.seen:,} of {count.of:,} {count.unit}"
-    return f"{text}; worst: {count.worst}, {count.seen_there / count.of_there:.3g}" if count.seen else text
+    return f"{text}; most: {_percent(count.seen_there / count.of_there)}, {count.worst}" if count.seen else text
 
 
-def totals(design: Tested) -> tuple[str, str, str]:
-    """Return in words how much was tried, how many laps violated the guarantee, and the worst bound."""
+def _percent(share: float) -> str:
+    return f"{100 * share:.3g}%"
+
+
+def totals(design: Tested) -> tuple[str, ...]:
+    """Return in words the cells of TOTALS."""
     laws = design.laws
-    least, most = (sum(violating(law)[i] for law in laws.values()) for i in range(2))
-    violations = f"{least:,}" if least == most else f"{least:,} to {most:,}"
     worst = max(laws, key=lambda name: bound(laws[name]))
-    tried = f"{sum(law['laps'] for law in laws.values()):,} in {sum(map(steps, laws.values())):,} steps"
-    return tried, f"{violations} laps", f"{bound(laws[worst]):.3g} of the laps ({worst})"
+    return (
+        f"{sum(law['laps'] for law in laws.values()):,} in {sum(map(steps, laws.values())):,} steps",
+        _total(laws, tuple(VIOLATIONS)),
+        _total(laws, [name for name in VIOLATIONS if name != "w_outside_W"]),
+        f"{_percent(bound(laws[worst]))} ({worst})",
+    )
 
 
-TOTALS = ("laps tried", "that violate any of these", f"share, one law, at most ({CONFIDENCE:.0%})")
-HEADINGS = ("claimed", "certified", "seen")
+def _total(laws: dict[str, dict], events: Collection[str]) -> str:
+    least, most = (sum(violating(law, events)[i] for law in laws.values()) for i in range(2))
+    return f"{least:,}" if least == most else f"{least:,} to {most:,}"
+
+
+TOTALS = (
+    "laps tried",
+    "laps that violate any of it",
+    "laps that violate more than W",
+    f"violating share, worst law, at most ({CONFIDENCE:.0%})",
+)
+HEADINGS = ("claimed", "proved", "seen")
 
 
 def text(tested: list[Tested]) -> str:
@@ -253,22 +281,21 @@ def text(tested: list[Tested]) -> str:
 
 
 def _wrapped(part: str) -> list[str]:
-    return [line for row in part.split("\n") for line in (textwrap.wrap(row, 110) if len(row) > 110 else [row])]
+    return [line for row in part.split("\n") for line in (textwrap.wrap(row, WIDTH) if len(row) > WIDTH else [row])]
 
 
 def verdict(design: Tested) -> str:
     """Return one line: certified or not, and what the attack came to."""
-    failing = ", ".join(design.certificate.failing)
-    tried, violations, share = totals(design)
+    failing, (tried, violations, *_) = ", ".join(design.certificate.failing), totals(design)
     proved = f"NOT CERTIFIED ({failing})" if failing else "CERTIFIED"
-    return f"{design.name}: {proved}; {violations} of {tried} violate what is claimed"
+    return f"{design.name}: {proved}; {violations} laps of {tried} violate what is claimed"
 
 
 def claim_table(tested: list[Tested]) -> str:
-    """Return the claims side by side, three lines each: claimed, certified, seen."""
+    """Return the claims side by side, three lines each: claimed, proved, seen."""
     lines = [
         _row("claim", "", [design.name for design in tested]),
-        "-" * (CLAIM + LABEL + 2 + (CELL + 1) * len(tested)),
+        "-" * WIDTH,
     ]
     for claim in CLAIMS:
         found = [cells(claim, design) for design in tested]
@@ -283,29 +310,29 @@ def _rows(title: str, rows) -> str:
     lines = []
     for label, words in rows:
         if any(words):
-            columns = [textwrap.wrap(cell or "-", CELL) for cell in words]
-            for i in range(max(map(len, columns))):
-                lines.append((label if i == 0 else "", [column[i] if i < len(column) else "" for column in columns]))
+            columns = itertools.zip_longest(*(textwrap.wrap(cell or "-", CELL) for cell in words), fillvalue="")
+            lines += [(label if i == 0 else "", list(cells)) for i, cells in enumerate(columns)]
     titles = textwrap.wrap(title, CLAIM)
-    lines += [("", [""])] * (len(titles) - len(lines))
+    lines += [("", [])] * (len(titles) - len(lines))
     titles += [""] * (len(lines) - len(titles))
-    return "\n".join(_row(title, *line) for title, line in zip(titles, lines, strict=True))
+    return "\n".join(_row(part, label, cells) for part, (label, cells) in zip(titles, lines, strict=True))
 
 
-def _row(title: str, label: str, columns: list[str]) -> str:
+def _row(title: str, label: str, columns: Iterable[str]) -> str:
     return f"{title:<{CLAIM}} {label:<{LABEL}}{''.join(f' {column:<{CELL}}' for column in columns)}".rstrip()
 
 
 def law_table(design: Tested) -> str:
     """Return one line a law: laps in which each event occurred, rows active, greatest usage of W and E, the bound."""
-    head = f"{design.name:<17}{'laps':>9}{'steps':>12}"
-    head += "".join(f"{VIOLATIONS[name]:>8}" for name in SHOWN) + f"{'active':>8}{'W':>6}{'E':>6}{'at most':>9}"
+    head = f"{design.name:<16}{'laps':>11}{'steps':>8}{''.join(f'{VIOLATIONS[name]:>8}' for name in SHOWN)}"
+    head += f"{'active':>8}{'W':>6}{'E':>5}{'at most':>8}"
     lines = [head, "-" * len(head)]
     for name, law in design.laws.items():
         counts = "".join(f"{law['events'][event]['laps']:>8}" for event in SHOWN)
         active = f"{law['events']['row_active']['share_of_steps']:.2%}"
-        used = "".join(f"{law['worst'][kind][0]['usage']:>6.2f}" for kind in ("disturbance", "error"))
-        lines.append(f"{name:<17}{law['laps']:>9,}{steps(law):>12,}{counts}{active:>8}{used}{bound(law):>9.2g}")
+        w, e = (law["worst"][kind][0]["usage"] for kind in ("disturbance", "error"))
+        line = f"{name:<16}{law['laps']:>11,}{steps(law) / 1e6:>7.4g}M{counts}{active:>8}{w:>6.2f}{e:>5.2f}"
+        lines.append(f"{line}{_percent(bound(law)):>8}")
     return "\n".join(lines)
 
 
@@ -313,10 +340,10 @@ def legend() -> str:
     """Return what the columns mean."""
     return (
         "Laps by law: w outside W, e outside E, u outside U, wheels asked beyond their limits, QP infeasible, QP "
-        'unsolved; a lap with any of these violates the guarantee ("at most": their share among laps of the law, at '
-        f"{CONFIDENCE:.0%}, one-sided). active: share of steps with active rows. W, E: the most of each set that was "
-        "used, 1 being its edge. edge: the first second, from the edge of the feasible set; else whole laps, from all "
-        "over it."
+        "unsolved; a lap with any of these violates the guarantee. at most: the share of such laps among all that the "
+        f"law draws ({CONFIDENCE:.0%}, one-sided, Clopper-Pearson). active: share of steps with active rows. W, E: how "
+        "far w and e went, 1 being the edge of the set. edge-: the first second, from the edge of the feasible set; "
+        "the others: whole laps, from all over it."
     )
 
 
@@ -324,8 +351,11 @@ def markdown(tested: list[Tested]) -> str:
     """Return the same tables in Markdown."""
     head = ["claim", *(f"{design.name}: {heading}" for design in tested for heading in HEADINGS)]
     rows = [[claim.title, *(cell for each in tested for cell in cells(claim, each))] for claim in CLAIMS]
-    laps = ["laps: tried, violating, share of one law at most", *(cell for design in tested for cell in totals(design))]
-    parts = [*map(verdict, tested), _markdown_table(head, [*rows, laps])]
+    totalled = [totals(design) for design in tested]
+    rows += [
+        [title, *(c for cell in row for c in ("", "", cell))] for title, *row in zip(TOTALS, *totalled, strict=True)
+    ]
+    parts = [*map(verdict, tested), _markdown_table(head, rows)]
     parts += [_markdown_table(*_law_rows(design)) for design in tested]
     return "\n\n".join([*parts, legend(), *(design.note for design in tested if design.note)]) + "\n"
 
@@ -337,7 +367,7 @@ def _law_rows(design: Tested) -> tuple[list[str], list[list[str]]]:
         counts = [f"{law['events'][event]['laps']:,}" for event in VIOLATIONS]
         used = [f"{law['worst'][kind][0]['usage']:.4g}" for kind in ("disturbance", "error")]
         active = f"{law['events']['row_active']['share_of_steps']:.2%}"
-        rows.append([name, f"{law['laps']:,}", f"{steps(law):,}", *counts, active, *used, f"{bound(law):.3g}"])
+        rows.append([name, f"{law['laps']:,}", f"{steps(law):,}", *counts, active, *used, _percent(bound(law))])
     return head, rows
 
 

@@ -100,29 +100,51 @@ def make_grid(scenario: Scenario, slowest_wheel: float, count: int) -> Grid:
     return Grid(rounded[0], rounded[1], rounded[2], own)
 
 
-def compute(scenario: Scenario, grid: Grid, file: Path) -> Found:
-    """Compute the points that the file does not hold, each appended to it at once, and return all.
+class Log:
+    """A file of JSON lines that survives an interruption: a line cut short is dropped, and every new one is flushed."""
+
+    def __init__(self, path: Path):
+        lines = path.read_text().splitlines(keepends=True) if path.exists() else []
+        complete = [line for line in lines if line.endswith("\n")]
+        if lines != complete:
+            write_atomically(path, lambda file: file.write("".join(complete).encode()))
+        self.path, self.records = path, [json.loads(line) for line in complete]
+
+    def append(self, record: dict) -> None:
+        """Add a record to the file."""
+        with self.path.open("a") as file:
+            file.write(json.dumps(record) + "\n")
+        self.records.append(record)
+
+
+def compute(scenario: Scenario, grid: Grid, log: Log) -> Found:
+    """Compute the points that the log does not hold, each saved at once, and return all.
 
     Args:
         scenario: gives all that the grid does not vary.
         grid: the points.
-        file: JSON lines; a line that an interruption cut short is dropped.
+        log: of an earlier run of the same scenario, grid and code, or empty.
     """
-    found = _read(file)
-    open_points = [point for point in grid.points() if point not in found]
-    if not open_points:
+    found = dict(map(_from_record, log.records))
+    waiting = [point for point in grid.points() if point not in found]
+    if not waiting:
         return found
-    with file.open("a") as log, progress(len(grid.points()), "designing", "points", len(found)) as bar:
+    with progress(len(grid.points()), "designing", "points", len(found)) as bar, _workers(len(waiting)) as workers:
 
         def keep(point: Point, result: Guarantee) -> None:
             found[point] = result
-            log.write(json.dumps({"design": point.design, **point.condition._asdict(), **asdict(result)}) + "\n")
-            log.flush()
+            log.append({"design": point.design, **point.condition._asdict(), **asdict(result)})
             bar.update()
 
-        with _workers(len(open_points)) as workers:
-            _work_through(scenario, grid, open_points, found, workers, keep)
+        _work_through(scenario, grid, waiting, found, workers, keep)
     return found
+
+
+def _from_record(record: dict) -> tuple[Point, Guarantee]:
+    result = dict(record)
+    point = Point(result.pop("design"), Condition(*(result.pop(name) for name in Condition._fields)))
+    start = result.pop("caps_and_gains")
+    return point, Guarantee(**result, caps_and_gains=None if start is None else tuple(start))
 
 
 def _work_through(
@@ -174,17 +196,3 @@ def _workers(most: int) -> Executor:
     os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
     # Not forked: a fork copies the locks of JAX's threads.
     return ProcessPoolExecutor(min(_worker_count(), most), get_context("spawn"))
-
-
-def _read(file: Path) -> Found:
-    """Return the points of a file, from which a line cut short is taken away."""
-    if not file.exists():
-        return {}
-    lines = [line for line in file.read_text().splitlines(keepends=True) if line.endswith("\n")]
-    write_atomically(file, lambda out: out.write("".join(lines).encode()))
-    found = {}
-    for record in map(json.loads, lines):
-        point = Point(record.pop("design"), Condition(*(record.pop(name) for name in Condition._fields)))
-        start = record.pop("caps_and_gains")
-        found[point] = Guarantee(**record, caps_and_gains=None if start is None else tuple(start))
-    return found

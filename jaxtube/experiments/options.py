@@ -142,6 +142,20 @@ class Guarantee(Options):
 
 
 @dataclass(frozen=True)
+class Maps(Options):
+    """Map what can be guaranteed: over slip error, speed range and period, for three ways to choose a design."""
+
+    command = module = "maps"
+
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "certified"
+    """a scenario that `list` prints, or a file; it needs caps"""
+    points: Annotated[int, arg(metavar="COUNT")] = 5
+    """values along each axis, the scenario's own come on top"""
+    feasible: bool = False
+    """also the feasible set by the horizon, beside the largest control invariant set"""
+
+
+@dataclass(frozen=True)
 class Beyond(Options):
     """Measure how imperfect the robot may be before a lap leaves W, and before it leaves what is certified."""
 
@@ -186,7 +200,7 @@ class Check(Options):
 
 
 COMMANDS: dict[str, type[Options]] = {
-    kind.command: kind for kind in (Paper, Design, Montecarlo, Falsify, Guarantee, Beyond, Bench, List, Check)
+    kind.command: kind for kind in (Paper, Design, Montecarlo, Falsify, Guarantee, Maps, Beyond, Bench, List, Check)
 }
 
 

@@ -33,6 +33,7 @@ def check(scenario: Scenario, refuse: Refuse) -> None:
     _check_weights(scenario.controller, refuse)
     _check_operating(scenario, refuse)
     _check_gains(scenario.controller, refuse)
+    _check_bands(scenario, refuse)
     if scenario.reference.duration_s < scenario.controller.dt_s:
         problem = f"is shorter than one step, controller.dt_s = {scenario.controller.dt_s}"
         refuse("reference.duration_s", problem, "run for at least one step")
@@ -102,6 +103,21 @@ def _check_operating(scenario: Scenario, refuse: Refuse) -> None:
         missing = [name for name in names if name not in given]
         if given and (missing or operating.yaw_rate_deficit_radps is None):
             refuse(f"operating.{given[0]}", "is not enough alone", f"give {cure}")
+
+
+def _check_bands(scenario: Scenario, refuse: Refuse) -> None:
+    bands, controller = scenario.operating.bands, scenario.controller
+    ends = [scenario.reference.wheel_speed_min_mps, *(band.below_mps for band in bands)]
+    if bands and (sorted(set(ends)) != ends or ends[-1] < scenario.reference.wheel_speed_max_mps):
+        problem = f"end at {ends[1:]} m/s"
+        refuse("operating.bands", problem, "let below_mps grow up to reference.wheel_speed_max_mps")
+    if bands and (controller.model, scenario.disturbance.bound) != ("exact_jacobian", "computed"):
+        cure = 'set controller.model = "exact_jacobian" and disturbance.bound = "computed"'
+        refuse("operating.bands", "need a computed bound and the exact Jacobian", cure)
+    if bands and (controller.tracking_gains or scenario.operating.yaw_rate_deficit_radps is not None):
+        refuse(
+            "operating.bands", "bring their own caps and gains", "leave out input caps and controller.tracking_gains"
+        )
 
 
 def _check_gains(controller: Controller, refuse: Refuse) -> None:

@@ -69,11 +69,24 @@ class Constraints(Section, frozen=True):
     heading_deg: HeadingBound = 20.0
 
 
+class Band(Section, frozen=True):
+    """Caps and tracking gains for mean reference wheel speeds up to `below_mps`, above those of the band before."""
+
+    below_mps: Positive
+    speed_deficit_min_mps: Negative
+    speed_deficit_max_mps: Positive
+    yaw_rate_deficit_radps: Positive
+    turning_longitudinal_m: Positive
+    turning_yaw_rate_radps: Positive
+    tracking_gains: tuple[Positive, Positive, Positive]
+
+
 class Operating(Section, frozen=True):
     """Where the controller may operate, inside constraints and wheel limits; a key left out sets no cap of its own.
 
     Half widths of the measured error, bounds of the inputs u1 (speed deficit) and u2 (yaw rate deficit), and
-    |e_x| / turning_longitudinal_m + |u2| / turning_yaw_rate_radps <= 1: to turn hard only near the path.
+    |e_x| / turning_longitudinal_m + |u2| / turning_yaw_rate_radps <= 1: to turn hard only near the path. `bands` give
+    input caps and tracking gains by speed instead, for a scheduled tracking law that `design` certifies without MPC.
     """
 
     longitudinal_m: Positive | None = None
@@ -84,6 +97,7 @@ class Operating(Section, frozen=True):
     yaw_rate_deficit_radps: Positive | None = None
     turning_longitudinal_m: Positive | None = None
     turning_yaw_rate_radps: Positive | None = None
+    bands: tuple[Band, ...] = ()
 
 
 class Disturbance(Section, frozen=True):
@@ -150,7 +164,7 @@ def to_toml(scenario: Scenario) -> str:
     """Write a scenario as TOML with every key that has a value; reading it back gives an equal scenario."""
     tables = []
     for section in scenario.__struct_fields__:
-        values = msgspec.structs.asdict(getattr(scenario, section))
+        values = msgspec.to_builtins(getattr(scenario, section))
         lines = (f"{key} = {literal(value)}" for key, value in values.items() if value is not None)
         tables.append("\n".join([f"[{section}]", *lines]))
     return "\n\n".join(tables) + "\n"

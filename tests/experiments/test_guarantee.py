@@ -1,0 +1,292 @@
+"""Laws of the command `guarantee`: claims follow certificate and counts, laws share a program, nothing is lost."""
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxtube import montecarlo
+from jaxtube.experiments import guarantee as command
+from jaxtube.experiments import guarantee_report as report
+from jaxtube.experiments import montecarlo_report
+from jaxtube.experiments.cli import main
+from jaxtube.experiments.guarantee_attack import LAWS, PROCESSES, AnySlipRobot, laps_of_a_law, make_tasks, under
+from jaxtube.experiments.options import Montecarlo
+from jaxtube.experiments.run_folder import RunFolder
+from jaxtube.experiments.validation import make_task
+from jaxtube.montecarlo import BLOCK, Run
+from jaxtube.robot import Robot
+from jaxtube.rollout import SlippingRobot, realisation_keys
+from jaxtube.scenario import Scenario, ScenarioError, load
+from jaxtube.tally import EVENTS
+from sets.certificate import Certificate
+
+# ------------------------------------------------------------------------------------------------------- laws of attack
+
+
+@pytest.mark.parametrize("realisations", [1, BLOCK, 5 * BLOCK, 5 * BLOCK + 1, 10**5, 10**6])
+def test_laps_are_split_evenly_into_whole_blocks_and_no_more_than_needed(realisations):
+    laps = laps_of_a_law(realisations, BLOCK)
+    assert laps % BLOCK == 0 and laps >= BLOCK
+    assert len(PROCESSES) * (laps - BLOCK) < realisations <= len(PROCESSES) * laps
+
+
+def test_every_law_has_a_name_of_its_own():
+    assert len({law.name for law in LAWS}) == len(LAWS)
+    assert {law.process for law in LAWS if not law.edge} == set(PROCESSES)
+
+
+class Compensating:
+    """What a plant asks of a controller."""
+
+    compensates = True
+
+
+@pytest.mark.parametrize("process", PROCESSES)
+def test_a_robot_of_any_process_moves_as_the_robot_of_that_process_alone(process):
+    generator, steps, laps = np.random.default_rng(0), 4, 6
+    wheels = jnp.asarray(generator.uniform(1.0, 1.5, (steps, 2)))
+    poses = jnp.asarray(generator.normal(size=(steps + 1, 3)))
+    alone = SlippingRobot(
+        Robot(0.5, -3.0, 3.0), 0.1, wheels, poses, jnp.array([0.2, 0.15]), 0.3, jnp.full(3, 1e-3), process, "both"
+    )
+    every = AnySlipRobot(
+        dataclasses.replace(alone, process=PROCESSES[0]), jnp.asarray(PROCESSES.index(process), jnp.int32)
+    )
+    keys, states = realisation_keys(3, 0, laps), []
+    for robot in (alone, every):
+        errors = jnp.asarray(np.random.default_rng(1).normal(size=(laps, 3)))
+        memory = robot.initial(keys, errors)
+        for step in range(steps):
+            inputs = robot.measure(keys, step, errors)[:, :2] / 10
+            errors, memory, *_ = robot.advance(keys, step, memory, errors, inputs, Compensating)
+        states.append(np.asarray(errors))
+    np.testing.assert_array_equal(*states)
+
+
+# ----------------------------------------------------------------------------------------------------- the same robot
+
+
+def test_both_designs_drive_the_same_robot_and_keep_their_own_sets():
+    first = load("certified", ["slip.relative_error=0.07", "robot.wheel_speed_max_mps=2.9", "reference.radius_m=2.6"])
+    own = load("paper")
+    joined = command.same_robot(own, first, "paper")
+    for section in ("robot", "slip", "noise", "initial"):
+        assert getattr(joined, section) == getattr(first, section)
+    for section in ("constraints", "operating", "disturbance", "controller"):
+        assert getattr(joined, section) == getattr(own, section)
+    for key, source in {"radius_m": first, "speed_mps": first, "wheel_speed_min_mps": own}.items():
+        assert getattr(joined.reference, key) == getattr(source.reference, key)
+
+
+def test_a_path_that_the_other_design_does_not_cover_is_refused_in_one_line():
+    fast = load("certified", ["reference.speed_mps=1.45", "reference.wheel_speed_max_mps=1.6"])
+    with pytest.raises(ScenarioError, match=r"^--against paper: reference.speed_mps = 1.45: .*$"):
+        command.same_robot(load("paper"), fast, "paper")
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--scenario", "paper"], "--against = "),
+        (["--against", "no-such"], '"no-such"'),
+        (["--realisations", "0.5"], "--realisations = 0.5"),
+        (["--realisations", "0"], "--realisations = 0"),
+    ],
+)
+def test_bad_words_cost_one_line(words, named, capsys):
+    assert main(["guarantee", *words]) == 2
+    output = capsys.readouterr()
+    assert output.out == "" and output.err.count("\n") == 1 and named in output.err
+
+
+# ------------------------------------------------------------------------------------------------------- claims, tables
+
+HOLDING = (*report.PREMISE, *report.RECURSION, *report.TERMINAL, "true_error_in_e", "input_sets_not_empty")
+HOLDING += ("wheel_limits", "terminal_cost_decrease", report.RATIONALS)
+
+
+def law(laps=4096, steps=300, plans=8000, usage=0.9, **seen):
+    """Return the summary of a law: `seen` laps with an event, or cost and tube as counts of plans."""
+    events = {name: {"laps": seen.get(name, 0), "share_of_steps": 0.01} for name in EVENTS}
+    return {
+        "laps": laps,
+        "steps_a_lap": steps,
+        "events": events,
+        "plans": plans,
+        "tube": {"used": "sequence", "plans_outside_by_stage": {"sequence": np.array([0, seen.get("tube", 0)])}},
+        "cost": {"fell_by_less_than_the_stage": seen.get("cost", 0)},
+        "worst": {kind: [{"lap": 7, "usage": usage}] for kind in ("disturbance", "error")},
+    }
+
+
+def attacked(*failing, absent=(), laws=None, name="mine"):
+    certificate = Certificate()
+    for condition in dict.fromkeys(HOLDING):
+        if condition not in absent:
+            certificate.add(condition, -0.25 if condition in failing else 0.125, "", "")
+    return report.Tested(name, Scenario(), certificate, laws or {"iid": law(), "edge-vertex": law(steps=10)})
+
+
+def certified(design) -> set[str]:
+    return {claim.title for claim in report.CLAIMS if report.judge(claim, design).certified}
+
+
+TITLES = {claim.title for claim in report.CLAIMS}
+
+
+def test_where_every_condition_holds_every_claim_is_certified():
+    assert certified(attacked()) == TITLES
+
+
+@pytest.mark.parametrize("condition", report.PREMISE)
+@pytest.mark.parametrize("missing", [False, True])
+def test_without_a_disturbance_set_that_holds_nothing_is_certified_of_the_robot(condition, missing):
+    design = attacked(absent=[condition]) if missing else attacked(condition)
+    kept = certified(design)
+    assert kept <= {claim.title for claim in report.CLAIMS if not claim.on_robot}
+    assert "W holds every disturbance of the robot" not in kept
+
+
+@pytest.mark.parametrize("condition", sorted(set(HOLDING) - set(report.PREMISE)))
+def test_a_condition_that_fails_takes_its_claims_with_it_and_shows_its_margin(condition):
+    lost = TITLES - certified(attacked(condition))
+    assert lost == {claim.title for claim in report.CLAIMS if condition in claim.conditions} != set()
+    words = [report.cells(claim, attacked(condition))[1] for claim in report.CLAIMS if condition in claim.conditions]
+    assert all("(-0.25)" in each for each in words)
+
+
+def test_a_condition_that_was_never_checked_certifies_nothing():
+    """Except for the limits of the wheels where they are U itself."""
+    for condition in set(HOLDING) - {"wheel_limits"}:
+        assert certified(attacked(absent=[condition])) < TITLES
+    assert certified(attacked(absent=["wheel_limits"])) == TITLES
+    *_, exact = report.CLAIMS
+    assert not report.judge(exact, attacked(absent=[report.RATIONALS])).claimed
+
+
+def test_counts_add_up_over_the_laws_and_name_the_worst_by_its_share():
+    laws = {"iid": law(e_outside_E=3, tube=2), "vertex": law(laps=100, e_outside_E=2), "patches": law(cost=5, plans=9)}
+    design = attacked(laws=laws)
+    by_title = {claim.title: report.judge(claim, design).seen for claim in report.CLAIMS}
+    assert by_title["the error stays in E"] == report.Count(5, 8292, "laps", "vertex", 2, 100)
+    assert by_title["the tube holds the error around a plan"] == report.Count(2, 16009, "plans", "iid", 2, 8000)
+    assert by_title["the cost of the model decreases"] == report.Count(5, 16009, "plans", "patches", 5, 9)
+    assert by_title["inputs stay in U"] == report.Count(0, 8292, "laps", "", 0, 4096)
+    assert by_title["an invariant terminal set exists over the certified wheel speeds"] is None
+
+
+@pytest.mark.parametrize("event", report.VIOLATIONS)
+def test_each_event_alone_is_a_violation(event):
+    assert report.violating(law(**{event: 11})) == (11, 11)
+
+
+def test_violating_laps_lie_between_the_largest_count_and_the_sum_and_the_bound_takes_the_most():
+    one = law(laps=1000, e_outside_E=30, qp_infeasible=50)
+    assert report.violating(one) == (50, 80)
+    assert report.violating(law(laps=60, e_outside_E=30, qp_infeasible=50)) == (50, 60)
+    assert report.bound(one) == report.bound(law(laps=1000, u_outside_U=80)) > 0.08
+    # Clopper and Pearson without events: (1 - bound)^laps = 5 %.
+    assert (1 - report.bound(law(laps=1000))) ** 1000 == pytest.approx(0.05, rel=1e-12)
+
+
+def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
+    large = {
+        f"edge-{name}": law(laps=10**7, plans=10**9, w_outside_W=10**7, u_outside_U=9, usage=123.4)
+        for name in PROCESSES
+    }
+    designs = [attacked(*HOLDING, laws=large, name="the-other-one"), attacked()]
+    assert max(map(len, report.text(designs).splitlines())) <= report.WIDTH
+    assert "the-other-one: NOT CERTIFIED" in report.text(designs) and "\nmine: CERTIFIED; 0 laps" in report.text(
+        designs
+    )
+    for table in report.markdown(designs).split("\n\n"):
+        rows = [line for line in table.splitlines() if line.startswith("|")]
+        assert len({row.count("|") for row in rows}) <= 1
+    assert all(claim.title in report.markdown(designs) for claim in report.CLAIMS)
+
+
+def test_the_metrics_are_plain_and_hold_every_verdict(tmp_path):
+    RunFolder(tmp_path).save_metrics(report.metrics([attacked("true_error_in_e"), attacked(name="other")]))
+    found = json.loads((tmp_path / "metrics.json").read_text())["designs"]
+    assert [found[name]["certified"] for name in ("mine", "other")] == [False, True]
+    assert set(found["mine"]["claims"]) == TITLES
+    assert found["mine"]["claims"]["the error stays in E"]["seen"]["of"] == 8192
+    assert found["other"]["laws"]["iid"]["share_of_violating_laps_at_most"] == report.bound(law())
+
+
+# ---------------------------------------------------------------------------------------------------- the whole command
+
+SMALL, REFERENCE = 64, "reference.duration_s=2"
+WORDS = ["guarantee", "--scenario", "certified", "--against", "robust", "--realisations", "640", REFERENCE]
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """Let the command run small blocks on designs without their certificate; returns what makes those."""
+    make_design = command.make_design
+
+    def design(scenario):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("jaxtube.design.certify", lambda *sets: Certificate())
+            return make_design(scenario)
+
+    monkeypatch.setattr(command, "make_design", design)
+    for module in (montecarlo, command, command.blocks):
+        monkeypatch.setattr(module, "BLOCK", SMALL)
+    monkeypatch.setattr(montecarlo, "TILE", SMALL // 2)
+    return design
+
+
+@pytest.mark.slow
+def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(small, tmp_path, capsys, monkeypatch):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    assert main([*WORDS, "--out", str(whole)]) == 0
+    assert main([*WORDS, "--out", str(whole), "--require-certificate"]) == 3
+    computed, count = Run.computed, []
+
+    def interrupted(self, blocks):
+        for found in computed(self, blocks):
+            count.append(found[0])
+            if len(count) == 9:
+                raise KeyboardInterrupt
+            yield found
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "computed", interrupted)
+        assert main([*WORDS, "--out", str(parts)]) == 4
+    assert main([*WORDS, "--out", str(parts)]) == 0
+    for name in ("metrics.json", "guarantee.md"):
+        assert (whole / name).read_bytes() == (parts / name).read_bytes()
+    laws = json.loads((whole / "metrics.json").read_text())["designs"]["certified"]["laws"]
+    assert set(laws) == {each.name for each in LAWS} and all(each["laps"] == 128 for each in laws.values())
+
+    found = small(load("certified", [REFERENCE]))
+    for each_law in (LAWS[1], LAWS[-1]):
+        alone = under(found, each_law)
+        task = make_task(alone, "tube_mpc", "robot", each_law.starts, 0)
+        run = Run(task, 128, 1, tuple(jax.local_devices()[:1]))
+        statistics = montecarlo.merge(*(each for _, each in run.computed([0, 1])))
+        expected = montecarlo_report.summary(alone, Montecarlo(starts=each_law.starts), statistics)
+        assert laws[each_law.name]["law"] == expected["law"]
+        for event, each in expected["events"].items():
+            assert laws[each_law.name]["events"][event]["steps"] == each["steps"]
+        usage = laws[each_law.name]["worst"]["disturbance"][0]["usage"]
+        assert usage == pytest.approx(expected["worst"]["disturbance"][0]["usage"], rel=1e-9)
+
+
+@pytest.mark.slow
+def test_where_no_start_has_a_plan_laps_begin_at_the_scenario_s_start(uncertified, monkeypatch):
+    def nowhere(*sets, **settings):
+        raise ScenarioError("scenario: no start has a plan")
+
+    monkeypatch.setattr("jaxtube.experiments.validation.true_starts", nowhere)
+    found = uncertified("robust", REFERENCE)
+    tasks, why = make_tasks(found, 0)
+    assert why == "scenario: no start has a plan"
+    keys = realisation_keys(0, 0, 3)
+    for task in tasks.values():
+        np.testing.assert_array_equal(task.starts.draw(keys), np.tile(found.problem.initial_error, (3, 1)))

@@ -1,0 +1,168 @@
+"""Laws of `maps`: a grid that is a tree, points that survive an interruption, borders, and figures of any outcome."""
+
+import json
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from jaxtube.design.guarantee import Condition, Guarantee
+from jaxtube.experiments import maps, maps_figures, maps_points
+from jaxtube.experiments.cli import main
+from jaxtube.experiments.maps_points import DESIGNS, Grid, Log, Point, make_grid
+from jaxtube.scenario import load
+
+OWN = Condition(0.1, 1.224, 0.1)
+GRID = Grid((0.0, 0.1, 0.2), (0.3, 0.8, 1.224), (0.05, 0.1, 0.2), OWN)
+
+
+def invented(design: str, scenario, start) -> Guarantee:
+    """Return a ratio that grows with the slip error and with the speed range, and where the search started."""
+    error, slowest, period = (
+        scenario.slip.relative_error,
+        scenario.reference.wheel_speed_min_mps,
+        scenario.controller.dt_s,
+    )
+    if design == "paper" and period > 0.15:
+        return Guarantee(reason="none")
+    ratio = {"paper": 3.0, "weighted": 1.0, "optimised": 0.5}[design] + 2 * error + 0.5 * (1.224 - slowest) - 0.05
+    ends = None if design != "optimised" else (error, slowest, period, *(start or ())[:3])
+    return Guarantee(ratio, 1.0, "lateral error", "", "", ends)
+
+
+@pytest.fixture
+def in_threads(monkeypatch):
+    """Invent the points, in threads; returns the conditions asked for and the starts given."""
+    asked = []
+
+    def note(design, scenario, start):
+        asked.append((design, start))
+        return invented(design, scenario, start)
+
+    monkeypatch.setattr(maps_points, "guarantee", note)
+    monkeypatch.setattr(maps_points, "_workers", lambda most: ThreadPoolExecutor(2))
+    return asked
+
+
+@pytest.fixture
+def found(in_threads, tmp_path):
+    return maps_points.compute(load("certified"), GRID, Log(tmp_path / "points.jsonl"))
+
+
+def test_every_condition_starts_from_one_that_comes_before_it():
+    conditions = GRID.conditions()
+    assert len(conditions) == len(set(conditions)) == 3 * (3 + 3 - 1)
+    assert GRID.towards_own(conditions[0]) is None and conditions[0] == OWN
+    for place, condition in enumerate(conditions[1:], 1):
+        neighbour = GRID.towards_own(condition)
+        assert neighbour in conditions[:place]
+        assert sum(here != there for here, there in zip(condition, neighbour, strict=True)) == 1
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_the_grid_holds_the_scenarios_own_condition_and_the_reference(count):
+    scenario = load("certified")
+    grid = make_grid(scenario, 1.224, count)
+    assert grid.own == OWN
+    assert OWN.slip_error in grid.slip_errors and OWN.dt_s in grid.periods_s
+    assert grid.slowest_mps[0] == 0.2 and grid.slowest_mps[-1] == 1.224
+    assert (grid.slip_errors[0], grid.slip_errors[-1], grid.periods_s[0], grid.periods_s[-1]) == (0, 0.3, 0.05, 0.2)
+    assert all(count <= len(axis) <= count + 1 for axis in (grid.slip_errors, grid.slowest_mps, grid.periods_s))
+
+
+def test_each_search_starts_from_its_neighbours_optimum(found):
+    for condition in GRID.conditions():
+        start = found[Point("optimised", condition)].caps_and_gains
+        neighbour = GRID.towards_own(condition)
+        assert start is not None and start[:3] == condition
+        assert neighbour is None or start[3:] == neighbour
+
+
+def test_an_interrupted_run_goes_on_and_ends_with_the_same_points(found, in_threads, tmp_path):
+    lines = (tmp_path / "points.jsonl").read_text().splitlines(keepends=True)
+    assert len(lines) == len(GRID.points())
+    (tmp_path / "cut.jsonl").write_text("".join(lines[:10]) + lines[10][:25])
+    in_threads.clear()
+    resumed = maps_points.compute(load("certified"), GRID, Log(tmp_path / "cut.jsonl"))
+    assert resumed == found
+    assert len(in_threads) == len(lines) - 10
+    assert sorted((tmp_path / "cut.jsonl").read_text().splitlines()) == sorted(line.strip() for line in lines)
+
+
+def test_a_failure_of_the_program_ends_the_run_and_keeps_what_was_done(monkeypatch, in_threads, tmp_path):
+    def fail_late(design, scenario, start):
+        if design == "paper":
+            raise ZeroDivisionError
+        return invented(design, scenario, start)
+
+    monkeypatch.setattr(maps_points, "guarantee", fail_late)
+    log = Log(tmp_path / "points.jsonl")
+    with pytest.raises(ZeroDivisionError):
+        maps_points.compute(load("certified"), GRID, log)
+    kept = [record["design"] for record in Log(tmp_path / "points.jsonl").records]
+    assert kept == [record["design"] for record in log.records]
+    assert "optimised" in kept and "paper" not in kept
+
+
+def test_borders_are_those_of_the_ratio(found):
+    border = maps.borders(GRID, found)
+    # 0.5 + 2 r - 0.05 = 1 beyond the grid; 1 + 2 r - 0.05 = 1 at r = 0.025; 3 + ... never
+    assert border["optimised"]["largest_slip_error_computed"] == 0.2
+    assert border["weighted"]["largest_slip_error_computed"] == 0.0
+    assert border["weighted"]["largest_slip_error_interpolated"] == pytest.approx(0.025)
+    assert border["paper"]["largest_slip_error_computed"] is None
+    # 0.5 + 0.2 + 0.5 (1.224 - v) - 0.05 = 1 at v = 0.524
+    assert border["optimised"]["lowest_wheel_speed_mps_computed"] == 0.8
+    assert border["optimised"]["lowest_wheel_speed_mps_interpolated"] == pytest.approx(0.524)
+    assert "none: ratio 2.95 without slip error" in maps.report(GRID, border, found)
+
+
+def test_a_point_without_a_design_ends_what_is_guaranteed():
+    results = [Guarantee(0.5, 1.0), Guarantee(reason="none"), Guarantee(0.4, 1.0)]
+    assert maps._reach((0.0, 0.1, 0.2), results) == (0.0, 0.0)
+    assert maps._reach((0.0, 0.1), [Guarantee(0.5, 1.0), Guarantee(0.6, 1.1)]) == (0.0, 0.0)
+
+
+def test_the_ratio_map_shows_points_without_a_design_as_crosses(found):
+    figure = maps_figures.ratio_map(GRID, found, "dt_s")
+    marks = [[line.get_marker() for line in axes.lines] for axes in figure.axes[:3]]
+    assert [panel.count("x") for panel in marks] == [3, 0, 0]
+    nothing = dict.fromkeys(found, Guarantee(reason="none"))
+    maps_figures.ratio_map(GRID, nothing, "slowest_mps")
+
+
+def test_feasible_sets_are_drawn_with_and_without_a_largest_set():
+    corners = np.array(np.meshgrid(*[[-0.1, 0.1]] * 3)).reshape(3, -1).T
+    sets = {
+        "operating_volume": 0.008,
+        "control_invariant": {"volume": 0.006, "corners": (0.9 * corners).tolist(), "settled": True, "steps": 4},
+        "horizons": [
+            {"horizon": 1, "volume": 0.004, "corners": (0.8 * corners).tolist(), "certified": True},
+            {"horizon": 2, "volume": None, "reason": "E_1 is empty"},
+        ],
+    }
+    maps_figures.feasible_figure(sets, corners)
+    text = maps.feasible_report(sets)
+    assert "75.0% of the caps" in text and "50.0%" in text and "66.7%" in text and "E_1 is empty" in text
+    sets["control_invariant"] |= {"volume": 0.0, "corners": []}
+    maps_figures.feasible_figure(sets, corners)
+    assert "-" in maps.feasible_report(sets)
+
+
+def test_the_command_writes_figures_and_all_numbers(in_threads, tmp_path, capsys):
+    assert main(["maps", "--points", "2", "--out", str(tmp_path)]) == 0
+    names = {path.name for path in tmp_path.iterdir() if not path.name.startswith("points-")}
+    figures = {f"ratio_{name}.{kind}" for name in ("speed", "period") for kind in ("png", "pdf")}
+    assert names == figures | {"scenario.toml", "manifest.json", "metrics.json"}
+    metrics = json.loads((tmp_path / "metrics.json").read_text())
+    assert len(metrics["points"]) == len(DESIGNS) * 3 * (2 + 3 - 1)
+    assert all(point["holds"] == (point["ratio"] is not None and point["ratio"] < 1) for point in metrics["points"])
+    assert "optimised caps and gains" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_two_points_an_axis_show_the_order_of_the_designs(tmp_path):
+    assert main(["maps", "--points", "2", "--out", str(tmp_path)]) == 0
+    points = json.loads((tmp_path / "metrics.json").read_text())["points"]
+    own = {point["design"]: point for point in points if Condition(*(point[key] for key in Condition._fields)) == OWN}
+    assert own["optimised"]["ratio"] < own["weighted"]["ratio"] < own["paper"]["ratio"]
