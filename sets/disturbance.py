@@ -227,7 +227,7 @@ def disturbance_parts(operation: Operation, kinematics: Kinematics) -> dict[str,
         operation, kinematics: as for `disturbance_bound`.
 
     Returns:
-        By cause, bounds of differences that add up to w, within 10 % or 0.05 mm of their suprema unless a search was
+        By cause, bounds of differences that add up to w, within 2 % or 0.02 mm of their suprema unless a search was
         cut short (f the sampled plant without slip and noise, J its Jacobian at e = u = 0):
 
         * "bilinear"  f(e, u) - J (e, u) minus the same at u = 0: products of inputs with errors and inputs;
@@ -248,7 +248,7 @@ def disturbance_parts(operation: Operation, kinematics: Kinematics) -> dict[str,
 
     lower, upper = operation.pieces()
     objectives = [(output, sign, output) for output in range(1 + 2 * len(CAUSES)) for sign in (1, -1)]
-    proved, _ = suprema(outputs, lower, upper, objectives, tolerance=0.1, negligible=5e-5, most_cells=8000)
+    proved, _ = suprema(outputs, lower, upper, objectives, tolerance=0.02, negligible=2e-5, most_cells=20_000)
     widths = {cause: np.array([0.0, *proved[1 + 2 * i : 3 + 2 * i], 0.0]) for i, cause in enumerate(CAUSES)}
     widths["slip"][0] = proved[0]
     widths["noise"][1:] += [*operation.noise[:2], 2 * operation.noise[2]]

@@ -151,8 +151,8 @@ def minimal_rpi_bound(
 ) -> Polytope | None:
     """Return an invariant outer bound {normals x <= b} of the minimal RPI set, or None where these normals carry none.
 
-    The monotone map b -> max_i h_{P(b)}(normals Phi_i) + (1 + INFLATION) h_{W_i}(normals) is iterated from below; where it
-    settles P(b) is invariant, and every invariant set contains the minimal one. With these normals it is the smallest.
+    The monotone map b -> max_i h_{P(b)}(normals Phi_i) + (1 + INFLATION) h_{W_i}(normals) is iterated from below; where
+    it settles P(b) is invariant, and every invariant set contains the minimal one. With these normals it is smallest.
     """
     by_loop = (1 + INFLATION) * _steps(disturbance, normals, len(loops))
     images = np.concatenate([normals @ loop for loop in loops])

@@ -12,11 +12,13 @@ from jaxtube.design import Design, design, refuse_infeasible_start
 from jaxtube.design.optimise import STARTS, optimise
 from jaxtube.design.problem import make_problem
 from jaxtube.design.recheck import recheck
+from jaxtube.design.residual import kinematics, operation
 from jaxtube.experiments import closed_loop, metrics, run_folder
 from jaxtube.experiments.options import Design as DesignOptions
 from jaxtube.experiments.progress import progress
 from jaxtube.scenario import Scenario, ScenarioError
 from sets.certificate import Certificate
+from sets.disturbance import disturbance_parts
 
 CERTIFICATE_FAILED = 3
 WIDTH = 110
@@ -40,8 +42,9 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     trajectory = closed_loop.simulate(loop, closed_loop.slipping_robot(found), starts, options.seed)
     disturbance = metrics.disturbance_metrics(found, closed_loop.model_residuals(found, trajectory))
     add_disturbance_condition(found.certificate, disturbance, "the local gain")
-    print(report(found))
-    folder.save_metrics({**metrics.design_metrics(found), "disturbance": disturbance})
+    numbers = metrics.design_metrics(found)
+    print(report(found, numbers.get("ultimate_bound")))
+    folder.save_metrics({**numbers, "disturbance": disturbance})
     print(f"\nwritten to {folder.path}/")
     return exit_code(found, options.require_certificate)
 
@@ -113,8 +116,8 @@ def add_disturbance_condition(certificate: Certificate, disturbance: dict, loop:
         )
 
 
-def report(found: Design) -> str:
-    """Return the design as text: gains, tubes, terminal set, certificate."""
+def report(found: Design, ultimate: dict | None = None) -> str:
+    """Return the design as text: gains, tubes, terminal set, certificate, and the error that the tube's gain ends in."""
     terminal, N = found.terminal, found.problem.horizon
     lines = [f"LQR gain K^n   {np.array2string(found.lqr_gain, precision=6, suppress_small=True).replace(chr(10), '')}"]
     lines += ["", f"half widths of R_{N}        e_x [m]    e_y [m]    e_th [deg]   volume [m^2 rad]"]
@@ -124,11 +127,17 @@ def report(found: Design) -> str:
         lines.append(
             f"  {mark} {name:<18}{e_x:10.6f} {e_y:10.6f} {e_th:11.5f}   {sections[-1].polytope().volume():.4e}"
         )
-    lines += ["  * the tube in use", "", *_terminal_lines(found)]
+    lines += ["  * the tube in use", "", *_disturbance_lines(found), *_terminal_lines(found)]
     lines += ["", f"certificate (terminal {terminal.kind}, tube {found.problem.scenario.controller.tube})"]
     lines += condition_lines(found.certificate, required=True)
     lines += ["", "for information"]
     lines += condition_lines(found.certificate, required=False)
+    if ultimate:
+        x, y, heading = ultimate.values()
+        lines += [
+            "",
+            f"from some time on the tube's gain alone keeps |e| within {x:.4f} m, {y:.4f} m, {heading:.2f} deg",
+        ]
     lines += ["", "assumed", *(f"  * {line}" for line in found.certificate.assumptions)]
     failing = ", ".join(found.certificate.failing)
     lines += ["", f"NOT CERTIFIED: {failing}" if failing else "CERTIFIED: every required condition holds"]
@@ -147,6 +156,23 @@ def condition_lines(certificate: Certificate, required: bool) -> list[str]:
             lines.append(f"  {sign[required, condition.holds]:<6} {name:<32} margin {condition.margin:10.3g}")
             lines += textwrap.wrap(condition.sentence, WIDTH, initial_indent=" " * 9, subsequent_indent=" " * 9)
     return lines
+
+
+def _disturbance_lines(found: Design) -> list[str]:
+    """Return the computed W and what each cause adds to it, nothing where W is assumed."""
+    bound = found.problem.residual
+    if bound is None:
+        return []
+    parts = disturbance_parts(operation(found.problem), kinematics(found.problem))
+    rows = {"W": np.array([bound.yaw, *bound.box]), "really found": np.array([bound.found_yaw, *bound.found_box])}
+    rows |= {f"  {name} alone": widths for name, widths in parts.items()}
+    units = np.array([np.rad2deg(1.0), 1e3, 1e3, np.rad2deg(1.0)])
+    lines = [f"disturbance set {'yaw kick [deg]':>21}{'e_x [mm]':>11}{'e_y [mm]':>11}{'e_th [deg]':>13}"]
+    for name, widths in rows.items():
+        yaw, x, y, heading = widths * units
+        lines.append(f"  {name:<18}{yaw:>17.4f}{x:>11.3f}{y:>11.3f}{heading:>13.4f}")
+    shift = bound.lateral_per_yaw * 1e3 * np.deg2rad(1.0)
+    return [*lines, f"  half widths; a yaw kick of 1 deg also moves the robot sideways by {shift:.3f} mm", ""]
 
 
 def _terminal_lines(found: Design) -> list[str]:

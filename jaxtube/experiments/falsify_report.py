@@ -110,7 +110,8 @@ def report(setting: Setting, rows: dict[str, Row]) -> str:
         drawn = row.sampled
         lines.append(
             f"{name:<8}{_certified_words(setting, name):>10}{row.worst.usage:9.4f}{f'{margin:.4g} {unit}':>19}"
-            f"{row.search.laps:9,}{row.search.seconds:10.1f}{drawn.usage(name):12.4f}{drawn.laps:12,}  step {row.worst.step}, {what}"
+            f"{row.search.laps:9,}{row.search.seconds:10.1f}{drawn.usage(name):12.4f}{drawn.laps:12,}  "
+            f"step {row.worst.step}, {what}"
         )
     lines += ["", NOTE]
     if "tube" in rows and setting.found.problem.scenario.controller.tube == "sequence":

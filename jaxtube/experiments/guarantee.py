@@ -23,12 +23,12 @@ from jaxtube import histogram, montecarlo
 from jaxtube.checks import OUTSIDE
 from jaxtube.design import Design, EmptySetError
 from jaxtube.design import design as make_design
-from jaxtube.experiments import guarantee_report, montecarlo_report, run_folder
+from jaxtube.experiments import guarantee_claims, guarantee_report, montecarlo_report, run_folder
 from jaxtube.experiments import montecarlo as blocks
 from jaxtube.experiments.atomic import write_atomically
 from jaxtube.experiments.design import add_disturbance_condition, add_exact_condition, exit_code
 from jaxtube.experiments.guarantee_attack import EDGE_SECONDS, LAWS, Law, laps_of_a_law, make_tasks, under
-from jaxtube.experiments.guarantee_report import Tested
+from jaxtube.experiments.guarantee_claims import Tested
 from jaxtube.experiments.metrics import COORDINATES, TO_DISPLAY
 from jaxtube.experiments.options import Guarantee, Montecarlo, title
 from jaxtube.experiments.progress import progress
@@ -77,7 +77,7 @@ def save(folder: RunFolder, tested: list[Tested], performance: dict) -> None:
     markdown = guarantee_report.markdown(tested).encode()
     write_atomically(folder.path / "against.toml", lambda file: file.write(other))
     write_atomically(folder.path / "guarantee.md", lambda file: file.write(markdown))
-    folder.save_metrics(guarantee_report.metrics(tested))
+    folder.save_metrics(guarantee_claims.metrics(tested))
     print(guarantee_report.text(tested))
     if performance:
         folder.save_json("performance", performance)

@@ -31,7 +31,7 @@ TITLES = {
     "optimised": "(c) optimised caps and gains",
 }
 AXES = {"slowest_mps": "lowest reference wheel speed [m/s]", "dt_s": "period $T$ [s]"}
-LEVELS = (0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.25, 1.6, 2.2, 3.2, 5.0)
+LEVELS = (0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 1.8, 3.0, 5.0, 8.0)
 """Borders of the colours: blue below 1, orange above."""
 COLOURS = LinearSegmentedColormap.from_list("ratio", ["#0b3f78", "#2b7bba", "#d9e9f5", "#fde3cf", "#f2a268", "#a63f00"])
 HOLDS = {"marker": "o", "markersize": 3.5, "markerfacecolor": "black", "markeredgewidth": 0.7}
@@ -61,7 +61,8 @@ def ratio_map(grid: Grid, found: Found, axis: str) -> Figure:
     norm = BoundaryNorm(LEVELS, COLOURS.N, extend="both")
     for axes, (design, title) in zip(panels, TITLES.items(), strict=True):
         _draw_ratio(axes, grid, found, design, axis, values, norm)
-        axes.set(title=title, xlabel="slip error [%]")
+        axes.set_title(title, pad=8)
+        axes.set_xlabel("slip error [%]")
     panels[0].set_ylabel(AXES[axis])
     bar = figure.colorbar(ScalarMappable(norm, COLOURS), ax=panels, label="largest share of a cap", pad=0.015)
     bar.set_ticks(list(LEVELS))

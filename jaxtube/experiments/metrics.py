@@ -7,6 +7,7 @@ from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.design import Design
+from jaxtube.design.fill import cap_shares, ultimate_bound
 from jaxtube.design.problem import input_rows
 from jaxtube.reference import Reference
 from jaxtube.rollout import Trajectory
@@ -51,8 +52,36 @@ def design_metrics(design: Design) -> dict:
             for name, c in design.certificate.conditions.items()
         },
         "certified": design.certificate.holds,
+        "assumptions": list(design.certificate.assumptions),
+        **({} if problem.residual is None else _computed(design)),
         "design_seconds": design.seconds,
     }
+
+
+def _computed(design: Design) -> dict:
+    """Return the numbers of a computed W, and the share of each cap that the tube fills at its widest."""
+    bound = design.problem.residual
+    assert bound is not None
+    return {
+        "disturbance_bound": {
+            "yaw_deg": np.rad2deg(bound.yaw),
+            "lateral_per_yaw_m_per_rad": bound.lateral_per_yaw,
+            **dict(zip(COORDINATES, bound.box * TO_DISPLAY, strict=True)),
+            "found_share": [bound.found_yaw / bound.yaw, *(bound.found_box / np.maximum(bound.box, 1e-300))],
+            "ground_speed_range_mps": [bound.ground_speeds[0].min(), bound.ground_speeds[1].max()],
+        },
+        "cap_shares": cap_shares(design.problem, design.terminal.gains),
+        "ultimate_bound": _ultimate(design),
+    }
+
+
+def _ultimate(design: Design) -> dict | None:
+    """Return half widths that the tube's own gain ends within, None where there are none."""
+    try:
+        widths = ultimate_bound(design.problem, design.terminal.gains)
+    except ValueError:
+        return None
+    return dict(zip(COORDINATES, widths * TO_DISPLAY, strict=True))
 
 
 def _half_widths(polytope: Polytope) -> Float[np.ndarray, "3"]:

@@ -7,9 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tolerances import CLOSED_LOOP
 
 from jaxtube import montecarlo
 from jaxtube.experiments import guarantee as command
+from jaxtube.experiments import guarantee_claims as claims
 from jaxtube.experiments import guarantee_report as report
 from jaxtube.experiments import montecarlo_report
 from jaxtube.experiments.cli import main
@@ -23,6 +25,8 @@ from jaxtube.rollout import SlippingRobot, realisation_keys
 from jaxtube.scenario import Scenario, ScenarioError, load
 from jaxtube.tally import EVENTS
 from sets.certificate import Certificate
+
+REFERENCE = "reference.duration_s=2"
 
 # ------------------------------------------------------------------------------------------------------- laws of attack
 
@@ -45,26 +49,57 @@ class Compensating:
     compensates = True
 
 
-@pytest.mark.parametrize("process", PROCESSES)
-def test_a_robot_of_any_process_moves_as_the_robot_of_that_process_alone(process):
-    generator, steps, laps = np.random.default_rng(0), 4, 6
-    wheels = jnp.asarray(generator.uniform(1.0, 1.5, (steps, 2)))
-    poses = jnp.asarray(generator.normal(size=(steps + 1, 3)))
-    alone = SlippingRobot(
-        Robot(0.5, -3.0, 3.0), 0.1, wheels, poses, jnp.array([0.2, 0.15]), 0.3, jnp.full(3, 1e-3), process, "both"
+@jax.jit
+def driven(robot, keys, errors):
+    """Return the errors after the reference, under inputs that follow what is measured."""
+
+    def period(step, carry):
+        errors, memory = carry
+        inputs = robot.measure(keys, step, errors)[:, :2] / 10
+        following, memory, *_ = robot.advance(keys, step, memory, errors, inputs, Compensating)
+        return following, memory
+
+    return jax.lax.fori_loop(0, len(robot.reference_wheels), period, (errors, robot.initial(keys, errors)))[0]
+
+
+def test_a_robot_of_any_process_moves_as_the_robot_of_that_process_alone():
+    generator, steps, laps = np.random.default_rng(0), 12, 6
+    wheels, poses = (
+        jnp.asarray(generator.uniform(1.0, 1.5, (steps, 2))),
+        jnp.asarray(generator.normal(size=(steps + 1, 3))),
     )
-    every = AnySlipRobot(
-        dataclasses.replace(alone, process=PROCESSES[0]), jnp.asarray(PROCESSES.index(process), jnp.int32)
+    ideal = SlippingRobot(
+        Robot(0.5, -3.0, 3.0), 0.1, wheels, poses, jnp.array([0.2, 0.15]), 0.3, jnp.full(3, 1e-3), PROCESSES[0], "both"
     )
-    keys, states = realisation_keys(3, 0, laps), []
-    for robot in (alone, every):
-        errors = jnp.asarray(np.random.default_rng(1).normal(size=(laps, 3)))
-        memory = robot.initial(keys, errors)
-        for step in range(steps):
-            inputs = robot.measure(keys, step, errors)[:, :2] / 10
-            errors, memory, *_ = robot.advance(keys, step, memory, errors, inputs, Compensating)
-        states.append(np.asarray(errors))
-    np.testing.assert_array_equal(*states)
+    keys, errors, ends = realisation_keys(3, 0, laps), jnp.asarray(generator.normal(size=(laps, 3))), []
+    for number, process in enumerate(PROCESSES):
+        alone = driven(dataclasses.replace(ideal, process=process), keys, errors)
+        chosen = driven(AnySlipRobot(ideal, jnp.asarray(number, jnp.int32)), keys, errors)
+        np.testing.assert_allclose(chosen, alone, rtol=0, atol=CLOSED_LOOP)
+        ends.append(chosen)
+    assert len(np.unique(ends, axis=0)) == len(PROCESSES)
+
+
+def test_all_laws_of_one_kind_are_one_program(uncertified):
+    """What is compiled depends on structure and shapes alone."""
+    tasks, why = make_tasks(uncertified("robust", REFERENCE), 0)
+    kinds = {law: (jax.tree.structure(task), str(jax.tree.map(jnp.shape, task))) for law, task in tasks.items()}
+    assert why == "" and tuple(kinds) == LAWS
+    assert len(set(kinds.values())) == 2 == len({kinds[law] for law in LAWS if law.process == "vertex"})
+    assert len(tasks[LAWS[-1]].checks.transitions) == 10
+
+
+def test_where_no_start_has_a_plan_laps_begin_at_the_scenario_s_start(uncertified, monkeypatch):
+    def nowhere(*sets, **settings):
+        raise ScenarioError("scenario: no start has a plan")
+
+    monkeypatch.setattr("jaxtube.experiments.validation.true_starts", nowhere)
+    found = uncertified("robust", REFERENCE)
+    tasks, why = make_tasks(found, 0)
+    assert why == "scenario: no start has a plan"
+    keys = realisation_keys(0, 0, 3)
+    for task in tasks.values():
+        np.testing.assert_array_equal(task.starts.draw(keys), np.tile(found.problem.initial_error, (3, 1)))
 
 
 # ----------------------------------------------------------------------------------------------------- the same robot
@@ -105,8 +140,8 @@ def test_bad_words_cost_one_line(words, named, capsys):
 
 # ------------------------------------------------------------------------------------------------------- claims, tables
 
-HOLDING = (*report.PREMISE, *report.RECURSION, *report.TERMINAL, "true_error_in_e", "input_sets_not_empty")
-HOLDING += ("wheel_limits", "terminal_cost_decrease", report.RATIONALS)
+HOLDING = (*claims.PREMISE, *claims.RECURSION, *claims.TERMINAL, "true_error_in_e", "input_sets_not_empty")
+HOLDING += ("wheel_limits", "terminal_cost_decrease", claims.RATIONALS)
 
 
 def law(laps=4096, steps=300, plans=8000, usage=0.9, **seen):
@@ -128,34 +163,34 @@ def attacked(*failing, absent=(), laws=None, name="mine"):
     for condition in dict.fromkeys(HOLDING):
         if condition not in absent:
             certificate.add(condition, -0.25 if condition in failing else 0.125, "", "")
-    return report.Tested(name, Scenario(), certificate, laws or {"iid": law(), "edge-vertex": law(steps=10)})
+    return claims.Tested(name, Scenario(), certificate, laws or {"iid": law(), "edge-vertex": law(steps=10)})
 
 
 def certified(design) -> set[str]:
-    return {claim.title for claim in report.CLAIMS if report.judge(claim, design).certified}
+    return {claim.title for claim in claims.CLAIMS if claims.judge(claim, design).certified}
 
 
-TITLES = {claim.title for claim in report.CLAIMS}
+TITLES = {claim.title for claim in claims.CLAIMS}
 
 
 def test_where_every_condition_holds_every_claim_is_certified():
     assert certified(attacked()) == TITLES
 
 
-@pytest.mark.parametrize("condition", report.PREMISE)
+@pytest.mark.parametrize("condition", claims.PREMISE)
 @pytest.mark.parametrize("missing", [False, True])
 def test_without_a_disturbance_set_that_holds_nothing_is_certified_of_the_robot(condition, missing):
     design = attacked(absent=[condition]) if missing else attacked(condition)
     kept = certified(design)
-    assert kept <= {claim.title for claim in report.CLAIMS if not claim.on_robot}
+    assert kept <= {claim.title for claim in claims.CLAIMS if not claim.on_robot}
     assert "W holds every disturbance of the robot" not in kept
 
 
-@pytest.mark.parametrize("condition", sorted(set(HOLDING) - set(report.PREMISE)))
+@pytest.mark.parametrize("condition", sorted(set(HOLDING) - set(claims.PREMISE)))
 def test_a_condition_that_fails_takes_its_claims_with_it_and_shows_its_margin(condition):
     lost = TITLES - certified(attacked(condition))
-    assert lost == {claim.title for claim in report.CLAIMS if condition in claim.conditions} != set()
-    words = [report.cells(claim, attacked(condition))[1] for claim in report.CLAIMS if condition in claim.conditions]
+    assert lost == {claim.title for claim in claims.CLAIMS if condition in claim.conditions} != set()
+    words = [report.cells(claim, attacked(condition))[1] for claim in claims.CLAIMS if condition in claim.conditions]
     assert all("(-0.25)" in each for each in words)
 
 
@@ -164,33 +199,33 @@ def test_a_condition_that_was_never_checked_certifies_nothing():
     for condition in set(HOLDING) - {"wheel_limits"}:
         assert certified(attacked(absent=[condition])) < TITLES
     assert certified(attacked(absent=["wheel_limits"])) == TITLES
-    *_, exact = report.CLAIMS
-    assert not report.judge(exact, attacked(absent=[report.RATIONALS])).claimed
+    *_, exact = claims.CLAIMS
+    assert not claims.judge(exact, attacked(absent=[claims.RATIONALS])).claimed
 
 
 def test_counts_add_up_over_the_laws_and_name_the_worst_by_its_share():
     laws = {"iid": law(e_outside_E=3, tube=2), "vertex": law(laps=100, e_outside_E=2), "patches": law(cost=5, plans=9)}
     design = attacked(laws=laws)
-    by_title = {claim.title: report.judge(claim, design).seen for claim in report.CLAIMS}
-    assert by_title["the error stays in E"] == report.Count(5, 8292, "laps", "vertex", 2, 100)
-    assert by_title["the tube holds the error around a plan"] == report.Count(2, 16009, "plans", "iid", 2, 8000)
-    assert by_title["the cost of the model decreases"] == report.Count(5, 16009, "plans", "patches", 5, 9)
-    assert by_title["inputs stay in U"] == report.Count(0, 8292, "laps", "", 0, 4096)
+    by_title = {claim.title: claims.judge(claim, design).seen for claim in claims.CLAIMS}
+    assert by_title["the error stays in E"] == claims.Count(5, 8292, "laps", "vertex", 2, 100)
+    assert by_title["the tube holds the error around a plan"] == claims.Count(2, 16009, "plans", "iid", 2, 8000)
+    assert by_title["the cost of the model decreases"] == claims.Count(5, 16009, "plans", "patches", 5, 9)
+    assert by_title["inputs stay in U"] == claims.Count(0, 8292, "laps", "", 0, 4096)
     assert by_title["an invariant terminal set exists over the certified wheel speeds"] is None
 
 
-@pytest.mark.parametrize("event", report.VIOLATIONS)
+@pytest.mark.parametrize("event", claims.VIOLATIONS)
 def test_each_event_alone_is_a_violation(event):
-    assert report.violating(law(**{event: 11})) == (11, 11)
+    assert claims.violating(law(**{event: 11})) == (11, 11)
 
 
 def test_violating_laps_lie_between_the_largest_count_and_the_sum_and_the_bound_takes_the_most():
     one = law(laps=1000, e_outside_E=30, qp_infeasible=50)
-    assert report.violating(one) == (50, 80)
-    assert report.violating(law(laps=60, e_outside_E=30, qp_infeasible=50)) == (50, 60)
-    assert report.bound(one) == report.bound(law(laps=1000, u_outside_U=80)) > 0.08
+    assert claims.violating(one) == (50, 80)
+    assert claims.violating(law(laps=60, e_outside_E=30, qp_infeasible=50)) == (50, 60)
+    assert claims.bound(one) == claims.bound(law(laps=1000, u_outside_U=80)) > 0.08
     # Clopper and Pearson without events: (1 - bound)^laps = 5 %.
-    assert (1 - report.bound(law(laps=1000))) ** 1000 == pytest.approx(0.05, rel=1e-12)
+    assert (1 - claims.bound(law(laps=1000))) ** 1000 == pytest.approx(0.05, rel=1e-12)
 
 
 def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
@@ -206,21 +241,21 @@ def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
     for table in report.markdown(designs).split("\n\n"):
         rows = [line for line in table.splitlines() if line.startswith("|")]
         assert len({row.count("|") for row in rows}) <= 1
-    assert all(claim.title in report.markdown(designs) for claim in report.CLAIMS)
+    assert all(claim.title in report.markdown(designs) for claim in claims.CLAIMS)
 
 
 def test_the_metrics_are_plain_and_hold_every_verdict(tmp_path):
-    RunFolder(tmp_path).save_metrics(report.metrics([attacked("true_error_in_e"), attacked(name="other")]))
+    RunFolder(tmp_path).save_metrics(claims.metrics([attacked("true_error_in_e"), attacked(name="other")]))
     found = json.loads((tmp_path / "metrics.json").read_text())["designs"]
     assert [found[name]["certified"] for name in ("mine", "other")] == [False, True]
     assert set(found["mine"]["claims"]) == TITLES
     assert found["mine"]["claims"]["the error stays in E"]["seen"]["of"] == 8192
-    assert found["other"]["laws"]["iid"]["share_of_violating_laps_at_most"] == report.bound(law())
+    assert found["other"]["laws"]["iid"]["share_of_violating_laps_at_most"] == claims.bound(law())
 
 
 # ---------------------------------------------------------------------------------------------------- the whole command
 
-SMALL, REFERENCE = 64, "reference.duration_s=2"
+SMALL = 64
 WORDS = ["guarantee", "--scenario", "certified", "--against", "robust", "--realisations", "640", REFERENCE]
 
 
@@ -276,17 +311,3 @@ def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
             assert laws[each_law.name]["events"][event]["steps"] == each["steps"]
         usage = laws[each_law.name]["worst"]["disturbance"][0]["usage"]
         assert usage == pytest.approx(expected["worst"]["disturbance"][0]["usage"], rel=1e-9)
-
-
-@pytest.mark.slow
-def test_where_no_start_has_a_plan_laps_begin_at_the_scenario_s_start(uncertified, monkeypatch):
-    def nowhere(*sets, **settings):
-        raise ScenarioError("scenario: no start has a plan")
-
-    monkeypatch.setattr("jaxtube.experiments.validation.true_starts", nowhere)
-    found = uncertified("robust", REFERENCE)
-    tasks, why = make_tasks(found, 0)
-    assert why == "scenario: no start has a plan"
-    keys = realisation_keys(0, 0, 3)
-    for task in tasks.values():
-        np.testing.assert_array_equal(task.starts.draw(keys), np.tile(found.problem.initial_error, (3, 1)))

@@ -5,11 +5,8 @@ import pytest
 from scipy.optimize import linprog
 from tolerances import CONTROL_INVARIANT
 
-from sets import control_invariant as module
 from sets.control_invariant import SETTLED, Limits, control_invariant, predecessor
 from sets.polytope import Polytope
-
-COARSE = 0.03
 
 
 def decoupled(gain: float, disturbance: float):
@@ -66,14 +63,13 @@ def test_the_predecessor_holds_exactly_the_errors_that_have_an_input(switching):
     assert np.all(missing[inside] <= CONTROL_INVARIANT) and np.all(missing[~inside] >= -CONTROL_INVARIANT)
 
 
-def test_the_settled_set_is_kept_under_every_pair_and_lies_in_the_limits(switching, monkeypatch):
-    monkeypatch.setattr(module, "SETTLED", COARSE)
+def test_the_settled_set_is_kept_under_every_pair_and_lies_in_the_limits(switching):
     A, B, E, limits, W = switching
     found = control_invariant(A, B, E, limits, W.support)
     assert found.settled and found.polytope is not None
     assert np.all(np.diff(found.volumes) <= 0)
     assert E.containment_margin(found.polytope) >= -CONTROL_INVARIANT
-    target = found.polytope.scale(1 + COARSE).pontryagin_difference(W)
+    target = found.polytope.scale(1 + SETTLED).pontryagin_difference(W)
     corners = found.polytope.vertices()
     for transition, inputs in zip(A, B, strict=True):
         assert max(shortfall(transition, inputs, target, limits, corner) for corner in corners) <= CONTROL_INVARIANT
