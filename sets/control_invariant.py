@@ -1,6 +1,6 @@
 """The maximal robust control invariant set: errors that some input, chosen anew each step, keeps within all limits.
 
-    C_0 = E,    C_{k+1} = C_k  intersected over i with  {e : some u has  D u + C e <= d,  A_i e + B_i u + W in C_k}
+    C_0 = E,    C_{k+1} = the intersection over i of  {e in E : some u has  D u + C e <= d,  A_i e + B_i u + W in C_k}
 
 for a controller that knows the pair (A_i, B_i) of the present step and none of the later ones, whose order is
 arbitrary. Every C_k contains the maximal set for the pairs given and, all the more, for any larger family of pairs; the
@@ -19,7 +19,7 @@ from jaxtyping import Float
 
 from sets.polytope import Polytope
 
-SETTLED = 1e-2
+SETTLED = 1e-3
 """The sequence counts as converged where C_k lies in (1 + this) C_{k+1}: then that set is kept but for this share."""
 STEPS = 30
 
@@ -65,17 +65,17 @@ def control_invariant(
     """
     found, volumes = error_set, [error_set.volume()]
     while len(volumes) <= STEPS:
-        last = found
-        target = Polytope(found.normals, found.offsets - disturbance(found.normals))
-        for A, B in zip(transitions, inputs, strict=True):
-            try:
-                found = found.intersect(predecessor(A, B, target, found, limits))
-            except ArithmeticError:
-                # Facets that hardly differ, hundreds of them late in the sequence: what is known so far still holds.
-                return ControlInvariant(last, tuple(volumes), False)
-            if found.is_empty() or found.is_flat():
-                return ControlInvariant(None, (*volumes, 0.0), True)
-            found = found.reduce()
+        last, found = found, error_set
+        target = Polytope(last.normals, last.offsets - disturbance(last.normals))
+        try:
+            for A, B in zip(transitions, inputs, strict=True):
+                found = found.intersect(predecessor(A, B, target, error_set, limits))
+        except ArithmeticError:
+            # Hundreds of facets that hardly differ, late in the sequence: what is known so far still holds.
+            return ControlInvariant(last, tuple(volumes), False)
+        if found.is_empty() or found.is_flat():
+            return ControlInvariant(None, (*volumes, 0.0), True)
+        found = found.reduce()
         volumes.append(found.volume())
         if np.all(last.support(found.normals) <= (1 + SETTLED) * found.offsets):
             return ControlInvariant(found, tuple(volumes), True)

@@ -78,3 +78,11 @@ def test_a_fixed_start_is_the_same_for_all():
     np.testing.assert_array_equal(
         FixedStart(jnp.asarray(error)).draw(realisation_keys(0, 0, 5)), np.tile(error, (5, 1))
     )
+
+
+def test_starts_on_the_edge_are_projections_of_those_inside(points, draws):
+    hull = Polytope.from_vertices(points)
+    edge = np.asarray(jax.jit(uniform_start(points, edge=True).draw)(realisation_keys(7, 0, COUNT)))
+    np.testing.assert_allclose(np.max(edge @ hull.normals.T / hull.offsets, axis=1), 1.0, atol=1e3 * ROUNDING)
+    reach = np.max(draws @ hull.normals.T / hull.offsets, axis=1)
+    np.testing.assert_allclose(edge * reach[:, None], draws, atol=1e3 * ROUNDING)

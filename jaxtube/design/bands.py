@@ -23,6 +23,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxtube.design.certify import assumptions
 from jaxtube.design.problem import Problem, input_constraints, make_problem
 from jaxtube.design.residual import with_computed_bound
 from jaxtube.design.tightening import DecoupledGain, decoupled_gain, exact_loops
@@ -198,6 +199,7 @@ def _certify(problem: Problem, bands, found: MaximalRpi, shares) -> Certificate:
         f"Some loop of a band differs from mixtures of its corner loops by {gap:.3g}.",
     )
     wide = min(np.min(band.problem.disturbance_set.offsets - _supports(band)) for band in bands)
+    certificate.assumptions = assumptions(problem)
     certificate.add(
         "disturbance_bound_proved",
         float(wide) + check.ROUNDING,

@@ -148,9 +148,11 @@ def assumptions(problem: Problem) -> tuple[str, ...]:
         f"({slip.nominal_right:g} right, {slip.nominal_left:g} left), in any sequence",
         f"pose measured within {scenario.noise.longitudinal_m:g} m, {scenario.noise.lateral_m:g} m, "
         f"{scenario.noise.heading_deg:g} deg",
-        f"reference of {speeds}, known {problem.horizon} periods of {problem.model.dt:g} s ahead",
+        f"reference of {speeds}"
+        + ("" if scenario.operating.bands else f", known {problem.horizon} periods of {problem.model.dt:g} s ahead"),
         "slip, wheel speeds and reference constant over each period; wheels obey at once; no sideways slip",
-        "the first error has a plan" + (", and no disturbance leaves W" if problem.residual is None else ""),
+        ("the first error lies in the invariant set" if scenario.operating.bands else "the first error has a plan")
+        + (", and no disturbance leaves W" if scenario.disturbance.bound == "assumed" else ""),
     )
 
 

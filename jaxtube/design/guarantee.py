@@ -4,8 +4,8 @@
 
 below 1 the caps hold an invariant set. W is computed for the slipping robot, over every order of wheel speeds.
 
-* `paper`      the paper's weights, model and input map; its gain of section III-B or that of its LMI, its errors
-               within E alone under the wheel limits or within all caps of the scenario: whichever leaves least
+* `paper`      the paper's weights, model and input map; its gain of section III-B or that of its LMI, under the
+               wheel limits and E alone, if W is not hopeless there, or under all caps of the scenario: what leaves least
 * `weighted`   LMI gains of diag(1, 3, 1) and 0.3 I for the `consistent` model under `x_exact`, the scenario's caps,
                the objective that leaves least
 * `optimised`  caps and tracking gains of `jaxtube.design.optimise` for the exact Jacobian under `x_exact`
@@ -33,6 +33,8 @@ from jaxtube.scenario import Scenario
 
 ERROR_WEIGHT, INPUT_WEIGHT = (1.0, 3.0, 1.0), (0.3, 0.3)
 """Weights of `weighted`."""
+HOPELESS_M = 0.15
+"""A disturbance of so much in a single step, half of E, leaves no guarantee: its tube is not computed."""
 
 
 class Condition(NamedTuple):
@@ -128,6 +130,10 @@ def _paper(scenario: Scenario) -> Iterator:
     for limits, operating in (("wheel limits", usual.operating), ("caps", scenario.operating)):
         try:
             problem = complete_problem(change(scenario, controller=controller, operating=operating))
+            widest = float(np.max(problem.disturbance_set.support(np.eye(3)[:2])))
+            if widest > HOPELESS_M:
+                yield limits, ValueError(f"{limits}: disturbances of up to {widest:.3g} m in a step"), None
+                continue
             gains = {"LMI": terminal_cost_and_gain(problem)[1], "section III-B": compensating_gain(problem)}
         except (ValueError, RuntimeError) as error:
             yield limits, error, None

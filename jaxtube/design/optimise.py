@@ -193,8 +193,15 @@ def optimise(
         The best of all starts, an estimate: design the scenario to know its ratio and its certificate.
 
     Raises:
-        ValueError: where no start leads to a bounded tube.
+        ValueError: where no start leads to a bounded tube, or the scenario is of another kind.
     """
+    settings, bound = problem.scenario.controller, problem.scenario.disturbance.bound
+    kind = settings.model, settings.input_map, settings.tube, settings.terminal, bound
+    if kind != ("exact_jacobian", "x_exact", "sequence", "T-A", "computed"):
+        raise ValueError(
+            f"optimise: model, input_map, tube, terminal and disturbance.bound are {', '.join(kind)}; "
+            "set them to exact_jacobian, x_exact, sequence, T-A and computed, as the scenario `certified` does"
+        )
     search, best, least = _Search(problem), None, np.inf
     for start in starts:
         found, ratio = _descend(search, np.log(start))

@@ -15,7 +15,7 @@ from jaxtube.controllers import ScheduledGain
 from jaxtube.design.bands import BandedLaw, make_law
 from jaxtube.design.problem import error_vector
 from jaxtube.experiments import closed_loop, run_folder
-from jaxtube.experiments.design import condition_lines
+from jaxtube.experiments.conditions import condition_lines
 from jaxtube.experiments.options import Design as DesignOptions
 from jaxtube.experiments.progress import progress
 from jaxtube.reference import from_wheels
@@ -82,6 +82,7 @@ def report(law: BandedLaw) -> str:
         "certificate of the scheduled tracking law, without MPC",
     ]
     lines += condition_lines(law.certificate, required=True)
+    lines += ["", "assumed", *(f"  * {line}" for line in law.certificate.assumptions)]
     failing = ", ".join(law.certificate.failing)
     box = problem.model.box
     verdict = f"CERTIFIED for wheel speeds of {box[0][0]:g} to {box[1][0]:g} m/s in any order"

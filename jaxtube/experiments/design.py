@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 import time
 
 import msgspec
@@ -13,7 +12,8 @@ from jaxtube.design.optimise import STARTS, optimise
 from jaxtube.design.problem import make_problem
 from jaxtube.design.recheck import recheck
 from jaxtube.design.residual import kinematics, operation
-from jaxtube.experiments import closed_loop, metrics, run_folder
+from jaxtube.experiments import banded, closed_loop, metrics, run_folder
+from jaxtube.experiments.conditions import condition_lines
 from jaxtube.experiments.options import Design as DesignOptions
 from jaxtube.experiments.progress import progress
 from jaxtube.scenario import Scenario, ScenarioError
@@ -21,14 +21,11 @@ from sets.certificate import Certificate
 from sets.disturbance import disturbance_parts
 
 CERTIFICATE_FAILED = 3
-WIDTH = 110
 
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
     """Run the command; returns 3 where a certificate is required and fails."""
     if scenario.operating.bands:
-        from jaxtube.experiments import banded
-
         return banded.run(scenario, options)
     if options.optimise:
         scenario = optimised(scenario)
@@ -117,7 +114,7 @@ def add_disturbance_condition(certificate: Certificate, disturbance: dict, loop:
 
 
 def report(found: Design, ultimate: dict | None = None) -> str:
-    """Return the design as text: gains, tubes, terminal set, certificate, and the error that the tube's gain ends in."""
+    """Return the design as text: gains, tubes, W, terminal set, certificate, and what the tube's gain ends within."""
     terminal, N = found.terminal, found.problem.horizon
     lines = [f"LQR gain K^n   {np.array2string(found.lqr_gain, precision=6, suppress_small=True).replace(chr(10), '')}"]
     lines += ["", f"half widths of R_{N}        e_x [m]    e_y [m]    e_th [deg]   volume [m^2 rad]"]
@@ -145,17 +142,6 @@ def report(found: Design, ultimate: dict | None = None) -> str:
     parts = ", ".join(f"{name} {seconds:.2f}" for name, seconds in found.seconds.items())
     lines += ["", f"designed in {total:.2f} s ({parts})"]
     return "\n".join(lines)
-
-
-def condition_lines(certificate: Certificate, required: bool) -> list[str]:
-    """Return the conditions of a certificate as lines."""
-    lines = []
-    for name, condition in certificate.conditions.items():
-        if condition.required == required:
-            sign = {(True, True): "holds", (True, False): "FAILS", (False, True): "yes", (False, False): "no"}
-            lines.append(f"  {sign[required, condition.holds]:<6} {name:<32} margin {condition.margin:10.3g}")
-            lines += textwrap.wrap(condition.sentence, WIDTH, initial_indent=" " * 9, subsequent_indent=" " * 9)
-    return lines
 
 
 def _disturbance_lines(found: Design) -> list[str]:

@@ -126,7 +126,7 @@ def law_table(design: Tested) -> str:
         counts = "".join(f"{law['events'][event]['laps']:>8}" for event in SHOWN)
         active = f"{law['events']['row_active']['share_of_steps']:.2%}"
         w, e = (law["worst"][kind][0]["usage"] for kind in ("disturbance", "error"))
-        line = f"{name:<16}{law['laps']:>11,}{steps(law) / 1e6:>7.4g}M{counts}{active:>8}{w:>6.2f}{e:>5.2f}"
+        line = f"{name:<16}{law['laps']:>11,}{steps(law) / 1e6:>7.3g}M{counts}{active:>8}{w:>6.2f}{e:>5.2f}"
         lines.append(f"{line}{_percent(bound(law)):>8}")
     return "\n".join(lines)
 

@@ -156,6 +156,6 @@ def feasible_report(sets: dict) -> str:
             lines.append(f"{record['horizon']:7d}   none: {record['reason']}")
             continue
         of_largest = f"{record['volume'] / largest['volume']:.1%}" if largest["volume"] else "-"
-        certified = "yes" if record["certified"] else "no"
+        certified = f"no: {', '.join(record['failing'])}" if record["failing"] else "yes"
         lines.append(f"{record['horizon']:7d}{record['volume'] / whole:14.1%}{of_largest:>23}   {certified}")
     return "\n".join(lines)

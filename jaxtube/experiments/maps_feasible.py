@@ -31,7 +31,7 @@ DIRECTIONS = 600
 def feasible_sets(scenario: Scenario, log: Log) -> dict:
     """Return volumes and corners by horizon, those of C, and of E_op; each is saved in the log at once.
 
-    Horizons at which no design exists have no volume, but the reason.
+    Horizons at which no design exists have no volume, but the reason; `failing` names the conditions that fail.
     """
     known = {record["horizon"]: record for record in log.records}
     problem = complete_problem(scenario)
@@ -57,7 +57,7 @@ def _of_horizon(scenario: Scenario, horizon: int) -> dict:
         return {"volume": None, "reason": str(error)}
     window, problem = int(found.windows.index[0]), found.problem
     points = boundary(found.tube_window, window, problem.operating_set, DIRECTIONS)
-    return {**_hull(points), "certified": found.certificate.holds}
+    return {**_hull(points), "failing": found.certificate.failing}
 
 
 def _largest(problem: Problem) -> dict:

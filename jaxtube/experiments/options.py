@@ -149,7 +149,7 @@ class Maps(Options):
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "certified"
     """a scenario that `list` prints, or a file; it needs caps"""
-    points: Annotated[int, arg(metavar="COUNT")] = 5
+    points: Annotated[int, arg(metavar="COUNT")] = 4
     """values along each axis, the scenario's own come on top"""
     feasible: bool = False
     """also the feasible set by the horizon, beside the largest control invariant set"""

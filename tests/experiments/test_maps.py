@@ -137,7 +137,7 @@ def test_feasible_sets_are_drawn_with_and_without_a_largest_set():
         "operating_volume": 0.008,
         "control_invariant": {"volume": 0.006, "corners": (0.9 * corners).tolist(), "settled": True, "steps": 4},
         "horizons": [
-            {"horizon": 1, "volume": 0.004, "corners": (0.8 * corners).tolist(), "certified": True},
+            {"horizon": 1, "volume": 0.004, "corners": (0.8 * corners).tolist(), "failing": []},
             {"horizon": 2, "volume": None, "reason": "E_1 is empty"},
         ],
     }
