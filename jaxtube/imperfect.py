@@ -24,8 +24,8 @@ from jax import Array
 from jaxtyping import Float, Int, Key
 
 from jaxtube import slip as slips
-from jaxtube.error_dynamics import advance, sinc, tracking_error, world_pose
-from jaxtube.robot import body_velocity, saturate, wheel_commands, wheel_positions
+from jaxtube.error_dynamics import advance, sinc, tracking_error
+from jaxtube.robot import body_velocity, saturate, wheel_commands
 from jaxtube.rollout import SlippingRobot
 
 # The stream of the instants at which slips change, beside those of `jaxtube.slip`, `jaxtube.rollout` and the starts.
@@ -101,7 +101,7 @@ class ImperfectRobot:
     def advance(self, keys, step, state: Memory, errors, inputs, controller):
         """Return (next errors, next memory, commands within the limits, commands before saturation) of one period."""
         ideal, change = self.ideal, self.imperfections.slip_change
-        true, measured, slip_memory = self._draw(keys, step, state.slip, errors)
+        true, measured, slip_memory = ideal.draw(keys, step, state.slip, errors)
         _, commands, demanded = ideal.move(step, errors, inputs, true, measured, controller)
         instant = jax.vmap(lambda key: _instant(key, step, errors.dtype))(keys)
         deviations = true + change * (state.deviation - true), true
@@ -137,16 +137,6 @@ class ImperfectRobot:
         standing, reference = jnp.zeros_like(motion.wheels), ideal.reference_wheels[step]
         reference_pose = advance(errors, standing, 0.0, reference, ideal.robot.track_width, dt)
         return tracking_error(pose, reference_pose), wheels[-1]
-
-    def _draw(self, keys, step, state, errors):
-        """Draw the slips as the ideal robot does."""
-        ideal, process = self.ideal, slips.PROCESSES[self.ideal.process]()
-        places = wheel_positions(world_pose(errors, ideal.reference_poses[step]), ideal.robot.track_width)
-
-        def draw(key, memory, situation):
-            return slips.draw_slip(key, step, memory, situation, process, ideal.random)
-
-        return jax.vmap(draw)(keys, state, slips.Situation(places, errors))
 
 
 def shifted_preview(

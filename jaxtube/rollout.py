@@ -80,16 +80,20 @@ class SlippingRobot:
         reference, track_width = self.reference_wheels[step], self.robot.track_width
         return acting_input(controller.input_map, inputs, measured, reference, track_width, self.dt)
 
-    def advance(self, keys, step, state, errors, inputs, controller):
-        """Return (next errors, next memory, wheels, wheels before saturation) of one period."""
+    def draw(self, keys, step, state, errors):
+        """Return the deviations of true and measured slip of one period, in [-1, 1], and the next memory."""
         process = slips.PROCESSES[self.process]()
         poses = world_pose(errors, self.reference_poses[step])
         places = wheel_positions(poses, self.robot.track_width)
 
-        def draw(key, memory, situation):
+        def of_one(key, memory, situation):
             return slips.draw_slip(key, step, memory, situation, process, self.random)
 
-        true, measured, state = jax.vmap(draw)(keys, state, slips.Situation(places, errors))
+        return jax.vmap(of_one)(keys, state, slips.Situation(places, errors))
+
+    def advance(self, keys, step, state, errors, inputs, controller):
+        """Return (next errors, next memory, wheels, wheels before saturation) of one period."""
+        true, measured, state = self.draw(keys, step, state, errors)
         following, wheels, demanded = self.move(step, errors, inputs, true, measured, controller)
         return following, state, wheels, demanded
 

@@ -17,10 +17,11 @@ FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("
 # A module may import from its own row and from the rows above it.
 LEVELS = (
     {"robot"},
-    {"slip", "error_dynamics"},
+    {"error_dynamics", "adversary"},
+    {"slip", "input_maps"},
     {"mpc", "baselines"},
     {"rollout"},
-    {"starts", "checks", "histogram", "intervals", "scripted"},
+    {"imperfect", "starts", "checks", "histogram", "intervals", "scripted"},
     {"tally", "usage"},
     {"attack"},
     {"montecarlo", "falsify", "tune"},

@@ -5,7 +5,7 @@
 below 1 the caps hold an invariant set. W is computed for the slipping robot, over every order of wheel speeds.
 
 * `paper`      the paper's weights, model and input map; its gain of section III-B or that of its LMI, under the
-               wheel limits and E alone, if W is not hopeless there, or under all caps of the scenario: what leaves least
+               wheel limits and E alone, unless W is hopeless there, or under all caps of the scenario; what fills least
 * `weighted`   LMI gains of diag(1, 3, 1) and 0.3 I for the `consistent` model under `x_exact`, the scenario's caps,
                the objective that leaves least
 * `optimised`  caps and tracking gains of `jaxtube.design.optimise` for the exact Jacobian under `x_exact`
@@ -104,11 +104,14 @@ def guarantee(design: str, scenario: Scenario, start: Sequence[float] | None = N
     return _least({"paper": _paper, "weighted": _weighted}[design](scenario))
 
 
-def _least(candidates: Iterator[tuple[str, Problem | ValueError, LocalGain | None]]) -> Guarantee:
+def _least(candidates: Iterator[tuple[str, Problem | Exception, LocalGain | None]]) -> Guarantee:
     """Return the guarantee of the candidate of least ratio, or the reason of the last one where all fail."""
     best = Guarantee()
     for choice, problem, gain in candidates:
-        found = Guarantee(reason=str(problem)) if gain is None else _guarantee(choice, problem, gain)
+        if isinstance(problem, Problem) and gain is not None:
+            found = _guarantee(choice, problem, gain)
+        else:
+            found = Guarantee(reason=str(problem))
         if best.ratio is None or (found.ratio is not None and found.ratio < best.ratio):
             best = found
     return best

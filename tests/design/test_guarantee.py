@@ -43,6 +43,7 @@ def test_the_papers_ratio_is_the_least_of_its_gains_and_limits(certified):
     assert found.choice.startswith("caps") and not found.holds
 
 
+@pytest.mark.slow
 def test_weighted_gains_are_those_of_the_best_objective(certified):
     found = guarantee("weighted", under(certified, OWN._replace(slip_error=0.05)))
     settings = ["controller.tracking_gains=[]", 'controller.model="consistent"', "slip.relative_error=0.05"]
