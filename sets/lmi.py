@@ -23,11 +23,11 @@ import warnings
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
-import clarabel
 import numpy as np
 import scipy.linalg
 from jaxtyping import Float
-from scipy.sparse import csc_matrix
+
+from sets.lyapunov import scaled_to_decrease, stage_cost
 
 Objective = Literal["trace_s", "trace_p", "logdet"]
 
@@ -37,8 +37,6 @@ WEIGHT_FLOOR = 1e-6
 # trace S alone can drive S to a singular matrix, whose P and gains do not exist. This floor, relative to the Riccati
 # solutions, keeps P <= P_riccati / COST_FLOOR; its price is part of the gap that `optimality_gap` reports.
 COST_FLOOR = 1e-4
-# Surplus that covers the rounding of a float64 check; it costs the same share of the objective.
-ROUNDING_SURPLUS = 1e-7
 # The first that the solver reaches counts, without and with its chordal decomposition: each stalls on some data.
 SOLVER_TOLERANCES = (1e-10, 1e-9, 1e-8)
 # Any number gives a valid lower bound on the cost; more sharpen it.
@@ -90,45 +88,6 @@ def terminal_cost(
     return TerminalCost(P, gains, back.T @ Z @ back, objective, _value(P, objective))
 
 
-def cost_of_gains(
-    loops: Float[np.ndarray, "v n n"],
-    gains: Float[np.ndarray, "v m n"],
-    error_weight: Float[np.ndarray, "n n"],
-    input_weight: Float[np.ndarray, "m m"],
-) -> Float[np.ndarray, "n n"]:
-    """Compute the terminal cost of least trace for gains that are given: P - Phi_i^T P Phi_i >= Q + K_i^T R K_i.
-
-    Args: loops, gains: Phi_i = A_i + B_i K_i and K_i, u = +K e. error_weight: Q >= 0. input_weight: R > 0.
-    Returns: P, with the decrease exact in float64 for every pair, hence for every joint mixture of them.
-    Raises: RuntimeError where the solver finds none: the loops share no quadratic cost.
-    """
-    n = loops.shape[-1]
-    rows, columns = np.triu_indices(n)
-    order = np.lexsort((rows, columns))  # the solver stacks the upper triangle column by column
-    rows, columns = rows[order], columns[order]
-    scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
-    basis = np.zeros((len(rows), n, n))
-    basis[np.arange(len(rows)), rows, columns] = basis[np.arange(len(rows)), columns, rows] = 1.0
-    stage = _stage(gains, error_weight, input_weight)
-    decrease = basis[None] - np.einsum("vki,bkl,vlj->vbij", loops, basis, loops)
-    A = -(decrease[:, :, rows, columns] * scale).swapaxes(1, 2).reshape(-1, len(rows))
-    solve: Any = clarabel  # its stubs name none of these
-    settings = solve.DefaultSettings()
-    settings.verbose = False
-    solver = solve.DefaultSolver(
-        csc_matrix((len(rows), len(rows))),
-        np.trace(basis, axis1=1, axis2=2),
-        csc_matrix(A),
-        -(stage[:, rows, columns] * scale).ravel(),
-        [solve.PSDTriangleConeT(n)] * len(loops),
-        settings,
-    )
-    answer = solver.solve()
-    if str(answer.status) != "Solved":
-        raise RuntimeError(f"cost_of_gains: Clarabel reports {answer.status}; the loops share no quadratic cost")
-    return _scaled_to_decrease(np.tensordot(answer.x, basis, axes=1), loops, stage)
-
-
 def lqr_gain(
     A: Float[np.ndarray, "n n"],
     B: Float[np.ndarray, "n m"],
@@ -161,7 +120,7 @@ def decrease_margin(
     Returns: one margin a vertex, up to rounding of float64; the cost decreases by the stage cost where it is >= 0.
     Source: Gonzalez et al. 2009, eq. (32).
     """
-    return np.linalg.eigvalsh(_decrease(A, B, gains, cost) - _stage(gains, error_weight, input_weight))[:, 0]
+    return np.linalg.eigvalsh(_decrease(A, B, gains, cost) - stage_cost(gains, error_weight, input_weight))[:, 0]
 
 
 def optimality_gap(
@@ -260,16 +219,7 @@ def _goal(cp: Any, S: Any, T: np.ndarray, objective: Objective) -> tuple[Any, li
 
 def _repaired(A, B, gains, P, Q, R) -> np.ndarray:
     """Scale P by the smallest factor that makes the decrease exact for these gains: solvers miss it by about 1e-6."""
-    return _scaled_to_decrease(P, A + B @ gains, _stage(gains, Q, R))
-
-
-def _scaled_to_decrease(P: np.ndarray, loops, stage) -> np.ndarray:
-    try:
-        pairs = zip(stage, P - _transpose(loops) @ P @ loops, strict=True)
-        factor = max(scipy.linalg.eigh(least, decrease, eigvals_only=True)[-1] for least, decrease in pairs)
-    except np.linalg.LinAlgError:
-        raise RuntimeError("terminal cost: the solver's answer does not decrease; rescale the weights") from None
-    return P * factor * (1 + ROUNDING_SURPLUS)
+    return scaled_to_decrease(P, A + B @ gains, stage_cost(gains, Q, R))
 
 
 def _least_cost(A, B, Q, R) -> np.ndarray:
@@ -277,17 +227,13 @@ def _least_cost(A, B, Q, R) -> np.ndarray:
     P = np.broadcast_to(Q, A.shape)
     for _ in range(VALUE_ITERATIONS):
         gains = -np.linalg.solve(R + _transpose(B) @ P @ B, _transpose(B) @ P @ A)
-        P = P - _decrease(A, B, gains, P) + _stage(gains, Q, R)
+        P = P - _decrease(A, B, gains, P) + stage_cost(gains, Q, R)
     return P.mean(axis=0)
 
 
 def _decrease(A, B, gains, P) -> np.ndarray:
     Phi = A + B @ gains
     return P - _transpose(Phi) @ P @ Phi
-
-
-def _stage(gains, Q, R) -> np.ndarray:
-    return Q + _transpose(gains) @ R @ gains
 
 
 def _value(P: np.ndarray, objective: Objective) -> float:

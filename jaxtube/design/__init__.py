@@ -149,7 +149,7 @@ def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None 
     share = min(reach_of_ray(found.tube_window, index, error), 1 / max(largest, 1.0))
     cure = f"start at most {share:.0%} as far away" if share > 0 else "no start has a plan"
     if largest > 1:
-        raise ScenarioError(f"{start}: the error of the start lies outside [constraints]; {cure}")
+        raise ScenarioError(f"{start}: the error of the start lies outside [constraints] or [operating]; {cure}")
     raise ScenarioError(
         f"{start}: lies outside the feasible set of the tube-MPC (constraints short by {missing:.3g}); {cure}; "
         "lengthen controller.horizon or shrink [disturbance]"

@@ -2,37 +2,39 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
-from jaxtube.design.condense import Bounds
-from jaxtube.design.fill import cap_shares
-from jaxtube.design.problem import Problem, error_vector
-from jaxtube.design.terminal import Terminal, admissible_set
+from jaxtube.design.certify_robot import certify_robot, widest_tube_fits
+from jaxtube.design.condense import Bounds, tube_bounds
+from jaxtube.design.existence import escape_margin, say_what_exists
+from jaxtube.design.problem import Problem
+from jaxtube.design.terminal import Terminal, tube_support
 from jaxtube.design.tightening import (
     BACK_OFF,
     LocalGain,
     Windows,
     coverage_gap,
     gains_at_corners,
+    make_windows,
+    tighten,
     vertex_loops,
     vertex_pairs,
 )
 from sets import certificate as check
 from sets.certificate import Certificate
-from sets.disturbance import DisturbanceBound
-from sets.invariant import MaximalRpi, maximal_rpi
-from sets.lmi import TerminalCost, terminal_cost
+from sets.lmi import TerminalCost
 from sets.polytope import Polytope
 
 NEVER_RESET_STEPS = 8
+RANDOM_STEPS = 12
 INCLUSIONS = {
     "admissible_errors": "E_{N-1}",
     "admissible_inputs": "U_{N-1}",
     "returns": "the terminal constraint",
 }
-OBJECTIVES = ("trace_s", "trace_p", "logdet")
 
 
 def certify(
@@ -52,10 +54,12 @@ def certify(
     _nonempty(certificate, problem, bounds)
     sequence = problem.scenario.controller.tube == "sequence"
     margins = (_sequence_margins if sequence else _tube_margins)(problem, tube_gain, windows, bounds)
-    _reach_and_inclusion(certificate, *margins)
+    _reach_and_inclusion(certificate, *margins, residual)
     if not problem.scenario.controller.restart:
         _never_reset(certificate, problem, tube_gain, bounds)
-    _terminal(certificate, problem, tube_gain, terminal, windows, bounds)
+    _terminal(certificate, problem, tube_gain, terminal, windows, bounds, residual)
+    if terminal.kind == "T-A" and sequence and terminal.invariant is not None and not terminal.fallback:
+        _any_order(certificate, problem, tube_gain, terminal, terminal.invariant, residual)
     loops, gains = vertex_pairs(problem, terminal.gains)
     margin = check.decrease_margin(loops, gains, cost.cost, problem.error_weight, problem.input_weight)
     certificate.add(
@@ -65,95 +69,18 @@ def certify(
         "The terminal cost does not decrease by the stage cost at some vertex.",
     )
     _coverage(certificate, problem, tube_gain, terminal, windows)
-    room = float(np.min(error_vector(problem.scenario.constraints) - problem.error_set.support(np.eye(3))))
-    certificate.add(
-        "true_error_in_e",
-        room + check.ROUNDING,
-        "What the controller keeps of the measured error and the pose noise together lie in the error constraints.",
-        f"With the pose noise the true error may leave the error constraints by {-room:.3g}.",
-    )
-    if problem.residual is not None:
-        _disturbance(certificate, problem, problem.residual)
+    certify_robot(certificate, problem)
     certificate.add(
         "solver_residual",
         BACK_OFF - residual,
         f"Constraints are backed off by {BACK_OFF:.0e}, more than the {residual:.0e} a solved QP may miss them by.",
         f"Constraints are backed off by {BACK_OFF:.0e}, less than the {residual:.0e} a solved QP may miss them by.",
     )
-    certificate.assumptions = assumptions(problem)
     if problem.scenario.controller.tracking_gains:
-        _widest_tube(certificate, problem, terminal.gains)
+        widest_tube_fits(certificate, problem, terminal.gains)
     else:
-        _existence(certificate, problem, tube_gain, terminal, cost)
+        say_what_exists(certificate, problem, tube_gain, terminal, cost)
     return certificate
-
-
-def _disturbance(certificate: Certificate, problem: Problem, bound: DisturbanceBound) -> None:
-    """Check that W is as wide as its bound, and that the wheels can do all that may be asked of them."""
-    W = problem.disturbance_set
-    margin = float(np.min(W.offsets - bound.support(W.normals)))
-    found = np.array([bound.found_yaw / bound.yaw, *(bound.found_box / bound.box)])
-    certificate.add(
-        "disturbance_bound_proved",
-        margin + check.ROUNDING,
-        "W holds every disturbance of the slipping robot over everything certified, proved by interval arithmetic; "
-        f"disturbances found reach {found.min():.1%} to {found.max():.1%} of it.",
-        f"W is narrower than the proved bound by {-margin:.3g}.",
-    )
-    slip = problem.scenario.slip
-    grip = 1 - np.array([slip.nominal_right, slip.nominal_left]) * (1 + slip.relative_error)
-    least, greatest = bound.ground_speeds
-    room = float(
-        min(
-            np.min(grip * problem.robot.wheel_speed_max - greatest),
-            np.min(least - grip * problem.robot.wheel_speed_min),
-        )
-    )
-    certificate.add(
-        "wheel_limits",
-        room,
-        f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for; under every slip the wheels "
-        f"have {room:.3g} m/s to spare.",
-        f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for: {-room:.3g} m/s more than "
-        "the wheels can do under the greatest slip.",
-    )
-
-
-def _widest_tube(certificate: Certificate, problem: Problem, gain: LocalGain) -> None:
-    """Say, for information, how much of each cap the tube of the terminal gain fills, and which one binds."""
-    shares = cap_shares(problem, gain)
-    binding = max(shares, key=lambda name: shares[name])
-    listed = ", ".join(f"{name} {share:.1%}" for name, share in shares.items())
-    certificate.add(
-        "widest_tube_fits",
-        1 - shares[binding],
-        f"The tube of the terminal gain fills at its widest {shares[binding]:.1%} of the {binding}, which "
-        f"binds ({listed}).",
-        f"The tube of the terminal gain may outgrow the caps; the {binding} binds ({listed}).",
-        required=False,
-    )
-
-
-def assumptions(problem: Problem) -> tuple[str, ...]:
-    """Return what the guarantee takes for granted, in words."""
-    scenario, slip = problem.scenario, problem.scenario.slip
-    which = {"true": "or measured", "measured": "or true", "both": "and, on its own, measured"}[slip.random]
-    speeds = (
-        f"wheel speeds between {problem.model.box[0][0]:g} and {problem.model.box[1][0]:g} m/s, in any order"
-        if (scenario.reference.certified_for == "box")
-        else f"the {len(problem.regions)} pairs of wheel speeds of the path, in any order"
-    )
-    return (
-        f"slip {slip.random} {which} within {slip.relative_error:.0%} of its nominal value "
-        f"({slip.nominal_right:g} right, {slip.nominal_left:g} left), in any sequence",
-        f"pose measured within {scenario.noise.longitudinal_m:g} m, {scenario.noise.lateral_m:g} m, "
-        f"{scenario.noise.heading_deg:g} deg",
-        f"reference of {speeds}"
-        + ("" if scenario.operating.bands else f", known {problem.horizon} periods of {problem.model.dt:g} s ahead"),
-        "slip, wheel speeds and reference constant over each period; wheels obey at once; no sideways slip",
-        ("the first error lies in the invariant set" if scenario.operating.bands else "the first error has a plan")
-        + (", and no disturbance leaves W" if scenario.disturbance.bound == "assumed" else ""),
-    )
 
 
 def _tightened(problem: Problem, bounds: Bounds):
@@ -227,7 +154,8 @@ def _sequence_margins(problem: Problem, gain: LocalGain, windows: Windows, bound
     return reach_margin, inclusion_margin
 
 
-def _reach_and_inclusion(certificate: Certificate, reach_margin: float, inclusion_margin: float) -> None:
+def _reach_and_inclusion(certificate: Certificate, reach_margin: float, inclusion: float, residual: float) -> None:
+    inclusion_margin = inclusion - residual
     certificate.add(
         "tightening_covers_reach",
         reach_margin + check.ROUNDING,
@@ -258,7 +186,7 @@ def _never_reset(certificate: Certificate, problem: Problem, gain: LocalGain, bo
     )
 
 
-def _terminal(certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, windows, bounds: Bounds) -> None:
+def _terminal(certificate, problem: Problem, tube_gain, terminal: Terminal, windows, bounds, residual: float) -> None:
     W, D = problem.disturbance_set.vertices(), terminal.disturbance.vertices()
     label, loops = {"T-B": "D"}.get(terminal.kind, "W"), vertex_loops(problem, terminal.gains)
     if terminal.invariant is None:
@@ -278,11 +206,11 @@ def _terminal(certificate, problem: Problem, tube_gain: LocalGain, terminal: Ter
             "The terminal set lies in the error constraints and its terminal inputs in the input constraints.",
             f"The terminal set or its inputs leave the constraints by {-margin:.3g}.",
         )
-    _plan_stays_feasible(certificate, problem, tube_gain, terminal, windows, bounds, W)
+    _plan_stays_feasible(certificate, problem, tube_gain, terminal, windows, bounds, W, residual)
 
 
 def _empty_terminal(certificate: Certificate, terminal: Terminal, loops, disturbance) -> None:
-    margin = _escape_margin(terminal.maximal, loops, disturbance)
+    margin = escape_margin(terminal.maximal, loops, disturbance)
     sentence = "No invariant terminal set was found."
     if terminal.maximal.escape is not None and margin > -np.inf:
         steps = len(terminal.maximal.escape.loops) + 1
@@ -292,15 +220,7 @@ def _empty_terminal(certificate: Certificate, terminal: Terminal, loops, disturb
     certificate.add("terminal_set_invariant", margin, "", f"{sentence} The run uses E - R_N at the last stage instead.")
 
 
-def _escape_margin(found: MaximalRpi, loops, disturbance) -> float:
-    """Return minus what the escape passes its constraint by, -inf where none does: then nothing is proved."""
-    if found.escape is None:
-        return -np.inf
-    excess, _ = check.escape_excess(loops, disturbance, found.escape.normal, found.escape.offset, found.escape.loops)
-    return -excess if excess > 0 else -np.inf
-
-
-def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal: Terminal, windows, bounds, W) -> None:
+def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal, windows, bounds, W, residual) -> None:
     """Check the three terminal inclusions of the shifted plan on the sets used.
 
     With the tube `sequence` from each step of the run to the next, else for every schedule in the box.
@@ -311,7 +231,7 @@ def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal: Ter
     else:
         last_reach = _products(vertex_loops(problem, tube_gain), W, problem.horizon - 1)
         margins = [_margins_anywhere(problem, terminal, bounds, last_reach)]
-    worst = {key: min(margin[key] for margin in margins) for key in margins[0]}
+    worst = {key: min(margin[key] for margin in margins) - residual for key in margins[0]}
     failing = ", ".join(f"{INCLUSIONS[key]} by {-value:.3g}" for key, value in worst.items() if value < 0)
     certificate.add(
         "plan_stays_feasible",
@@ -319,6 +239,35 @@ def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal: Ter
         "Shifted by a step and ended by the terminal gain, every plan is a plan again: feasibility is recursive.",
         f"Shifted by a step and ended by the terminal gain, a plan may leave {failing}: recursive feasibility is not "
         "shown.",
+    )
+
+
+def _any_order(certificate, problem: Problem, gain: LocalGain, terminal: Terminal, omega: Polytope, residual) -> None:
+    """Check recursive feasibility along wheel speeds in random order, as it follows from the invariance of Omega.
+
+    With R_{N|k+1} + Psi W = Phi R_{N|k} + W, Psi the product of the N loops ahead, what is left of Omega once R_N is
+    taken off is mapped into what is left one step later, whatever wheel speeds come next.
+    """
+    random = np.random.default_rng(0)
+    chosen = problem.regions[random.integers(len(problem.regions), size=RANDOM_STEPS + problem.horizon)]
+    share = np.where(random.random((len(chosen), 1)) < 0.5, random.integers(0, 2, (len(chosen), 2)), random.random(2))
+    wheels = chosen[:, 0] + share * (chosen[:, 1] - chosen[:, 0])
+    elsewhere = replace(problem, reference=replace(problem.reference, wheels=wheels, steps=RANDOM_STEPS))
+    windows = make_windows(elsewhere, gain)
+    tightening = tighten(elsewhere, gain, windows, [], "sequence")
+    left = omega.offsets - tube_support(elsewhere, windows, tightening, omega.normals)
+    terminal = replace(terminal, constraint_normals=omega.normals, constraint_offsets=left)
+    bounds, W = tube_bounds(elsewhere, tightening, terminal), problem.disturbance_set.vertices()
+    reach, inclusion = _sequence_margins(elsewhere, gain, windows, bounds)
+    pairs = set(pairwise(windows.index))
+    returns = min(min(_margins_along(elsewhere, terminal, windows, bounds, W, *pair).values()) for pair in pairs)
+    margin = min(reach + check.ROUNDING, inclusion - residual, returns - residual, left.min())
+    certificate.add(
+        "any_order_of_wheel_speeds",
+        margin,
+        "Feasibility is recursive in any order of the certified wheel speeds, because the terminal set is invariant at "
+        f"every corner; checked along {RANDOM_STEPS} steps of random order.",
+        f"Along wheel speeds in random order a plan may miss its constraints one step later by {-margin:.3g}.",
     )
 
 
@@ -394,42 +343,4 @@ def _coverage(certificate, problem: Problem, tube_gain: LocalGain, terminal: Ter
         "Every loop along the run and, on a grid, in the certified wheel speeds is a mixture of the corner loops.",
         f"Some loop within the certified wheel speeds differs from mixtures of the corner loops by {worst:.3g} "
         "(zero-order hold, or the exact Jacobian without tracking gains).",
-    )
-
-
-def _existence(certificate: Certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, cost) -> None:
-    """Say, for information, for which gains an invariant set inside E and U exists at all over the whole box."""
-    _exists(certificate, "invariant_set_for_tube_gain", "the tube gain", problem, tube_gain)
-    vertices = problem.model.matrices(problem.model.vertices)
-    for objective in OBJECTIVES:
-        name, gain = f"terminal_set_for_{objective}", terminal.gains
-        if objective != cost.objective:
-            try:
-                gains = terminal_cost(*vertices, problem.error_weight, problem.input_weight, objective).gains
-            except RuntimeError as error:
-                certificate.add(name, -np.inf, "", f"No LMI gains for {objective}: {error}", required=False)
-                continue
-            gain = LocalGain(gains.mean(axis=0), gains)
-        _exists(certificate, name, f"the LMI gains of {objective}", problem, gain)
-
-
-def _exists(certificate: Certificate, name: str, label: str, problem: Problem, gain: LocalGain) -> None:
-    loops, W = vertex_loops(problem, gain), problem.disturbance_set
-    admissible = admissible_set(problem, gain)
-    found = maximal_rpi(loops, admissible, W.support)
-    if found.polytope is not None:
-        margin = check.invariance_margin(loops, W.vertices(), found.polytope)
-        margin = min(margin, admissible.containment_margin(found.polytope) + check.ROUNDING)
-    else:
-        margin = _escape_margin(found, loops, W.vertices())
-    facets = 0 if found.polytope is None else len(found.polytope.offsets)
-    certificate.add(
-        name,
-        margin,
-        f"With {label} an invariant set ({facets} facets) inside the constraints exists at all four vertices.",
-        f"With {label} neither an invariant set nor a proof that there is none was found."
-        if margin == -np.inf
-        else f"With {label} no invariant set fits the constraints over the whole box: within {found.iterations + 1} "
-        f"steps the reach of the origin passes a constraint by {-margin:.3g}.",
-        required=False,
     )

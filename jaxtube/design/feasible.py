@@ -15,6 +15,7 @@ from jaxtube.mpc import Window
 from jaxtube.scenario import ScenarioError
 from sets.polytope import Polytope
 
+EXACTLY = {"primal_feasibility_tolerance": 1e-9}
 EDGE = 1e-6
 """Share by which starts keep off the edge of the feasible set, which linear programs find to about 1e-9."""
 
@@ -42,6 +43,7 @@ def reach_of_ray(window: Window, index: int, direction: Float[np.ndarray, "3"]) 
         A_ub=np.column_stack([rows, errors @ direction]),
         b_ub=bounds,
         bounds=[(None, None)] * rows.shape[1] + [(0, None)],
+        options=EXACTLY,
     )
     return float(answer.x[-1]) if answer.status == 0 else 0.0
 
@@ -54,6 +56,7 @@ def shortfall(window: Window, index: int, error: Float[np.ndarray, "3"]) -> floa
         A_ub=np.column_stack([rows, -np.ones(len(rows))]),
         b_ub=bounds - errors @ error,
         bounds=[(None, None)] * rows.shape[1] + [(-1.0, None)],
+        options=EXACTLY,
     )
     return float(answer.x[-1]) if answer.status == 0 else np.inf
 

@@ -49,24 +49,24 @@ def widest_tube(problem: Problem, gain: LocalGain) -> Polytope | None:
 
 
 def ultimate_bound(problem: Problem, gain: LocalGain) -> Float[np.ndarray, "3"]:
-    """Return half widths (m, m, rad) of the measured error that the law u = K e ends within, whatever it meets.
+    """Return half widths (m, m, rad) of the measured error that the law u = K e ends within, once in the terminal set.
 
     Nested: within the widest tube errors and inputs are smaller than their caps, so W is smaller there, so is the tube
     of this W, and so on. Each set holds the error from some time on, as the one before attracts it.
 
     Raises:
-        ValueError: where not even the caps hold a tube, or W was not computed.
+        ValueError: where the tube outgrows a cap, or W was not computed.
     """
     if problem.residual is None:
         raise ValueError('disturbance.bound = "assumed": no bound shrinks with the errors; set it to "computed"')
+    if not max(cap_shares(problem, gain).values()) <= 1:
+        raise ValueError("the tube outgrows a cap: no ultimate bound; narrow slip.relative_error or the speeds")
     gains, widths = gains_at_corners(problem, gain), problem.operating_set.offsets[:3]
     for _ in range(NESTED):
         tube = widest_tube(problem, gain)
-        if tube is None or np.any(tube.support(np.eye(3)) > (1 + 1e-9) * widths):
-            raise ValueError("the tube outgrows the caps: no ultimate bound; narrow slip.relative_error or the speeds")
+        assert tube is not None
         before, widths = widths, np.minimum(tube.support(np.eye(3)), widths)
         reach = np.max([tube.support(np.concatenate([law, -law])) for law in gains], axis=0)
-        reach = np.minimum(reach, problem.input_set.support(np.concatenate([np.eye(2), -np.eye(2)])))
         smaller = replace(
             problem,
             operating_set=Polytope.box(-widths, widths),

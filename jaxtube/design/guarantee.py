@@ -22,7 +22,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from jaxtube.design.certify import OBJECTIVES
+from jaxtube.design.existence import OBJECTIVES
 from jaxtube.design.fill import cap_shares
 from jaxtube.design.optimise import NAMES, STARTS, optimise, wheel_excess
 from jaxtube.design.problem import Problem, make_problem

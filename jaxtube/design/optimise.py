@@ -22,7 +22,7 @@ from jaxtyping import Float
 from scipy.optimize import minimize
 
 from jaxtube.design.problem import Problem, error_vector
-from jaxtube.design.residual import complete_problem, kinematics, operation
+from jaxtube.design.residual import complete_problem, ground_speed_limits, kinematics, operation
 from jaxtube.model import VERTEX_SIDES
 from jaxtube.scenario import Scenario
 from sets.plant import Period, split_residual
@@ -70,8 +70,8 @@ class _Search:
         self.wheel_error = operation(problem).wheel_error
         self.corners = np.unique(problem.corners, axis=0)
         self.period = Period(T, problem.model.track_width, T * float(self.corners.mean()) / 2)
-        grip = 1 - np.array([slip.nominal_right, slip.nominal_left]) * (1 + slip.relative_error)
-        self.speed_limits = grip.min() * problem.robot.wheel_speed_min, grip.min() * problem.robot.wheel_speed_max
+        slowest, fastest = ground_speed_limits(problem)
+        self.speed_limits = float(slowest.max()), float(fastest.min())
         stretched = [problem.model.stretched_box(*region) for region in problem.regions]
         ends = np.array([np.stack(pair)[VERTEX_SIDES, [0, 1]] for pair in stretched]).reshape(-1, 2)
         self.h, self.c = problem.model.turn_and_reach(ends).T
@@ -224,9 +224,7 @@ def optimise(
 def wheel_excess(problem: Problem) -> float:
     """Return by what factor the greatest ground speed that may be commanded passes what the wheels can make of it."""
     assert problem.residual is not None
-    slip = problem.scenario.slip
-    grip = 1 - np.array([slip.nominal_right, slip.nominal_left]) * (1 + slip.relative_error)
-    return float(np.max(problem.residual.ground_speeds[1] / (grip * problem.robot.wheel_speed_max)))
+    return float(np.max(problem.residual.ground_speeds[1] / ground_speed_limits(problem)[1]))
 
 
 def _descend(search: _Search, start) -> tuple[np.ndarray, float]:

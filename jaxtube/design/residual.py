@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxtube.design.problem import Problem, make_problem
 from jaxtube.scenario import Scenario, ScenarioError
@@ -39,6 +40,15 @@ def kinematics(problem: Problem) -> Kinematics:
     return Kinematics(settings.input_map, settings.model, settings.discretisation, (factors[0], factors[1]))
 
 
+def ground_speed_limits(problem: Problem) -> Float[np.ndarray, "2 2"]:
+    """Return the (least, greatest) ground speeds (right, left), m/s, that the wheels reach under every slip measured."""
+    slip, robot = problem.scenario.slip, problem.robot
+    nominal = np.array([slip.nominal_right, slip.nominal_left])
+    most, least = 1 - nominal * (1 - slip.relative_error), 1 - nominal * (1 + slip.relative_error)
+    slowest = np.maximum(most * robot.wheel_speed_min, least * robot.wheel_speed_min)
+    return np.stack([slowest, least * robot.wheel_speed_max])
+
+
 def complete_problem(scenario: Scenario) -> Problem:
     """Build the problem of a scenario, W computed for the robot itself where the scenario asks for it.
 
@@ -57,6 +67,8 @@ def with_computed_bound(problem: Problem) -> Problem:
     """
     try:
         bound = disturbance_bound(operation(problem), kinematics(problem))
+        if not bound.yaw + bound.box[2] > 0:
+            raise ValueError("without slip error and noise W is flat; give one of them")
     except ValueError as error:
         raise ScenarioError(f'scenario: disturbance.bound = "computed": {error}; narrow [operating]') from None
     return replace(problem, residual=bound, disturbance_set=bound.polytope())

@@ -32,7 +32,8 @@ from jaxtube.design.tightening import (
 )
 from sets import tubes
 from sets.invariant import MaximalRpi, SupportFunction, few_facet_rpi, maximal_rpi
-from sets.lmi import TerminalCost, cost_of_gains, terminal_cost
+from sets.lmi import TerminalCost, terminal_cost
+from sets.lyapunov import cost_of_gains
 from sets.polytope import Polytope
 
 FACETS = 40
@@ -146,7 +147,7 @@ def _constraint(problem, kind, invariant: Polytope | None, disturbance, windows:
     if kind == "T-B":
         taken = np.broadcast_to(disturbance.support(invariant.normals), (len(windows.loops), len(invariant.offsets)))
     else:
-        taken = _tube_support(problem, windows, tightening, invariant.normals)
+        taken = tube_support(problem, windows, tightening, invariant.normals)
     offsets = invariant.offsets - taken
     least = Polytope(invariant.normals, offsets.min(axis=0))
     if least.is_empty():
@@ -158,7 +159,7 @@ def _constraint(problem, kind, invariant: Polytope | None, disturbance, windows:
     return invariant.normals, offsets
 
 
-def _tube_support(problem: Problem, windows: Windows, tightening: Tightening, normals) -> Float[np.ndarray, "w k"]:
+def tube_support(problem: Problem, windows: Windows, tightening: Tightening, normals) -> Float[np.ndarray, "w k"]:
     """Return the support numbers of R_N along any normals, window by window."""
     if tightening.sections is None:
         rows = np.broadcast_to(normals, (len(windows.loops), *normals.shape))

@@ -24,7 +24,7 @@ from sets.lmi import lqr_gain
 from sets.tubes import Section
 
 BACK_OFF = 1e-7
-"""What constraints are drawn in by for the solver, once more at every stage: ten times the residual it accepts, in the
+"""What constraints are drawn in by for the solver, once more at every stage: more than the residual it accepts, in the
 units of E and U. So a plan that misses its constraints by a residual still meets, shifted, those of a stage less."""
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxtube.design.residual import ground_speed_limits
 from jaxtube.experiments.falsify_setting import Setting
 from jaxtube.experiments.metrics import TRANSIENT_S
 from jaxtube.falsify import Search, Worst
@@ -69,9 +70,9 @@ def certified(setting: Setting, name: str) -> float:
         return np.inf
     if name != "wheels":
         return 1.0
-    slip, robot = found.problem.scenario.slip, found.problem.robot
-    grip = 1 - np.array([slip.nominal_right, slip.nominal_left]) * (1 + slip.relative_error)
-    ends = np.stack([bound.ground_speeds[0] / grip, bound.ground_speeds[1] / grip])
+    robot = found.problem.robot
+    grip = ground_speed_limits(found.problem)[1] / robot.wheel_speed_max
+    ends = bound.ground_speeds / grip
     middle, half = (
         (robot.wheel_speed_max + robot.wheel_speed_min) / 2,
         (robot.wheel_speed_max - robot.wheel_speed_min) / 2,

@@ -108,9 +108,12 @@ def _check_operating(scenario: Scenario, refuse: Refuse) -> None:
 def _check_bands(scenario: Scenario, refuse: Refuse) -> None:
     bands, controller = scenario.operating.bands, scenario.controller
     ends = [scenario.reference.wheel_speed_min_mps, *(band.below_mps for band in bands)]
-    if bands and (sorted(set(ends)) != ends or ends[-1] < scenario.reference.wheel_speed_max_mps):
+    fastest = scenario.reference.wheel_speed_max_mps
+    if bands and (sorted(set(ends)) != ends or not ends[-2] < fastest <= ends[-1]):
         problem = f"end at {ends[1:]} m/s"
         refuse("operating.bands", problem, "let below_mps grow up to reference.wheel_speed_max_mps")
+    if bands and scenario.reference.certified_for == "path":
+        refuse("operating.bands", "cover a box, not a path", 'set reference.certified_for = "box"')
     if bands and (controller.model, scenario.disturbance.bound) != ("exact_jacobian", "computed"):
         cure = 'set controller.model = "exact_jacobian" and disturbance.bound = "computed"'
         refuse("operating.bands", "need a computed bound and the exact Jacobian", cure)

@@ -35,7 +35,7 @@ RESIDUAL = 1e-8
 def recertify(monkeypatch):
     """Certify a design again with parts replaced, without the conditions that are for information."""
     module = importlib.import_module("jaxtube.design.certify")
-    monkeypatch.setattr(module, "_existence", lambda *sets: None)
+    monkeypatch.setattr(module, "say_what_exists", lambda *sets: None)
 
     def again(design: Design, residual: float = RESIDUAL, **replaced) -> Certificate:
         names = ("problem", "tube_gain", "cost", "windows", "terminal", "bounds")

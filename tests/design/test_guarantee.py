@@ -6,7 +6,7 @@ import pytest
 from tolerances import NEARBY_SEARCH
 
 from jaxtube.design import guarantee as module
-from jaxtube.design.certify import OBJECTIVES
+from jaxtube.design.existence import OBJECTIVES
 from jaxtube.design.fill import cap_shares
 from jaxtube.design.guarantee import Condition, Guarantee, caps_and_gains, guarantee, under
 from jaxtube.design.residual import complete_problem
