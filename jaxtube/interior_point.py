@@ -4,10 +4,11 @@
 
 P and G are shared by the batch, q and h are not; an infinite h drops its row. Each iteration
 (1) takes the affine direction, towards s y = 0, (2) sets the centring from the step that direction allows,
-(3) corrects for its second-order term, (4) moves by one step length for x, s and y.
+(3) corrects for its second-order term, as far as that is no larger than mu, (4) moves by one step for x, s and y.
 
 Notation: y >= 0 multipliers, mu = s'y / rows. The batch is the last axis.
-Source: Mehrotra, On the implementation of a primal-dual interior point method, SIAM J. Optimization 1992.
+Source: Mehrotra, On the implementation of a primal-dual interior point method, SIAM J. Optimization 1992; Cartis 2009
+(Optimization Methods and Software 24, 35-62) shows that without the bound in (3) it can cycle, as it did.
 """
 
 from typing import NamedTuple
@@ -20,7 +21,9 @@ from jaxtyping import Bool, Float
 from jaxtube import batched_ldl
 from jaxtube.batched_ldl import matmul
 
-TOWARDS_THE_BOUNDARY = 0.995
+# Cautious: bolder steps run into the boundary and stay there where more rows meet than there are unknowns.
+TOWARDS_THE_BOUNDARY = 0.9
+LEAST_CENTRING = 0.1
 
 
 class Program(NamedTuple):
@@ -98,8 +101,9 @@ def iterate(
     step = longest_step(state, ds, dy)
     mu = jnp.sum(jnp.where(kept, s * y, 0.0), axis=0) / count
     affine_mu = jnp.sum(jnp.where(kept, (s + step * ds) * (y + step * dy), 0.0), axis=0) / count
-    target = mu * jnp.minimum(affine_mu / mu, 1.0) ** 3  # (2)
-    dx, ds, dy = direction(s * y + ds * dy - target)  # (3)
+    target = mu * jnp.clip((affine_mu / mu) ** 3, LEAST_CENTRING, 1.0)  # (2)
+    # Without a bound the second-order term can throw an instance back and forth for ever.
+    dx, ds, dy = direction(s * y + jnp.clip(ds * dy, -mu, mu) - target)  # (3)
     step = longest_step(state, ds, dy)  # (4)
     x, s, y = x + step * dx, s + step * ds, y + step * dy
     # Beyond this mu the weights y / s differ by more than the floats resolve, and iterating on loses what was found.
@@ -109,6 +113,6 @@ def iterate(
 
 
 def longest_step(state: State, ds: Float[Array, "m batch"], dy: Float[Array, "m batch"]) -> Float[Array, " batch"]:
-    """Return the step, at most 1, that goes at most 0.995 of the way to where some s or y would be zero."""
+    """Return the step, at most 1, that goes at most 0.9 of the way to where some s or y would be zero."""
     shrink = jnp.maximum(jnp.max(-ds / state.s, 0), jnp.max(jnp.where(dy < 0, -dy / state.y, 0.0), 0))
     return TOWARDS_THE_BOUNDARY / jnp.maximum(shrink, TOWARDS_THE_BOUNDARY)

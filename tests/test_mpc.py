@@ -11,7 +11,9 @@ from oracles import SEQUENCE, TIGHT, PlainMpc, terminal_gain, tube_gain
 from tolerances import EXACT_SOLVER, KKT, LINEAR_PROGRAM, ROUNDING, SINGLE_KKT, SINGLE_PRECISION
 
 from jaxtube import mpc, qp
+from jaxtube.design import design
 from jaxtube.experiments import closed_loop
+from jaxtube.scenario import load
 
 BATCH = 256
 ONE_SIDED = ("robot.wheel_speed_max_mps=2.2",)
@@ -263,3 +265,22 @@ def test_ten_thousand_hard_qps_are_solved_or_flagged(uncertified, edge_starts, d
     assert found.errors.max() <= tolerance, str(found)
     assert np.mean(found.active > 0) >= 0.2 and np.sum(found.active >= 5) > 100, str(found)
     assert np.mean(found.status[found.feasible] == qp.SOLVED) >= least_share, str(found)
+
+
+# Measured errors on the edge of the feasible set from which a predictor-corrector method without safeguard cycles.
+CYCLING = np.array(
+    [
+        [-0.06755624, -0.19846809, -0.12548356],
+        [-0.07504854, -0.20960052, -0.09111139],
+        [-0.07696922, -0.21222436, -0.08290838],
+        [-0.05574496, -0.18295387, -0.17434202],
+        [-0.06699427, -0.19755656, -0.12807088],
+    ]
+)
+
+
+def test_plans_from_the_edge_of_a_certified_design_are_found():
+    found = design(load("certified"))
+    window = mpc.take_window(jax.tree.map(jnp.asarray, found.tube_window), found.windows.index[0])
+    plan = jax.jit(mpc.plan)(window, jnp.asarray(CYCLING))
+    np.testing.assert_array_equal(plan.status, qp.SOLVED)

@@ -63,7 +63,7 @@ class _Search:
     """One problem's shares as a function of the logarithms of caps and gains."""
 
     def __init__(self, problem: Problem):
-        scenario, slip, T = problem.scenario, problem.scenario.slip, problem.model.dt
+        scenario, T = problem.scenario, problem.model.dt
         self.problem, self.kinematics = problem, kinematics(problem)
         self.noise = error_vector(scenario.noise)
         self.error_limits = error_vector(scenario.constraints) - self.noise

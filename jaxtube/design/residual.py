@@ -41,7 +41,7 @@ def kinematics(problem: Problem) -> Kinematics:
 
 
 def ground_speed_limits(problem: Problem) -> Float[np.ndarray, "2 2"]:
-    """Return the (least, greatest) ground speeds (right, left), m/s, that the wheels reach under every slip measured."""
+    """Return the (least, greatest) ground speeds (right, left), m/s, that the wheels reach under every slip."""
     slip, robot = problem.scenario.slip, problem.robot
     nominal = np.array([slip.nominal_right, slip.nominal_left])
     most, least = 1 - nominal * (1 - slip.relative_error), 1 - nominal * (1 + slip.relative_error)
