@@ -55,7 +55,7 @@ STATUS_TEXT = {
     "better scaled P",
 }
 TOLERANCE = {8: 1e-9, 4: 5e-7}  # by bytes of a float
-INTERIOR_ITERATIONS = 25
+INTERIOR_ITERATIONS = 60
 
 
 class Solution(NamedTuple):

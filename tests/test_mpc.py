@@ -11,7 +11,7 @@ from oracles import SEQUENCE, TIGHT, PlainMpc, terminal_gain, tube_gain
 from tolerances import EXACT_SOLVER, KKT, LINEAR_PROGRAM, ROUNDING, SINGLE_KKT, SINGLE_PRECISION
 
 from jaxtube import mpc, qp
-from jaxtube.design import design
+from jaxtube.design import design as make_design
 from jaxtube.experiments import closed_loop
 from jaxtube.scenario import load
 
@@ -280,7 +280,7 @@ CYCLING = np.array(
 
 
 def test_plans_from_the_edge_of_a_certified_design_are_found():
-    found = design(load("certified"))
+    found = make_design(load("certified"))
     window = mpc.take_window(jax.tree.map(jnp.asarray, found.tube_window), found.windows.index[0])
     plan = jax.jit(mpc.plan)(window, jnp.asarray(CYCLING))
     np.testing.assert_array_equal(plan.status, qp.SOLVED)
