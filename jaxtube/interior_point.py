@@ -4,11 +4,11 @@
 
 P and G are shared by the batch, q and h are not; an infinite h drops its row. Each iteration
 (1) takes the affine direction, towards s y = 0, (2) sets the centring from the step that direction allows,
-(3) corrects for its second-order term, as far as that is no larger than mu, (4) moves by one step for x, s and y.
+(3) corrects for its second-order term, (4) moves by one step length for x, s and y; `Caution` bounds all three.
 
 Notation: y >= 0 multipliers, mu = s'y / rows. The batch is the last axis.
 Source: Mehrotra, On the implementation of a primal-dual interior point method, SIAM J. Optimization 1992; Cartis 2009
-(Optimization Methods and Software 24, 35-62) shows that without the bound in (3) it can cycle, as it did.
+(Optimization Methods and Software 24, 35-62) shows that without such bounds it can cycle, as it did.
 """
 
 from typing import NamedTuple
@@ -21,9 +21,19 @@ from jaxtyping import Bool, Float
 from jaxtube import batched_ldl
 from jaxtube.batched_ldl import matmul
 
-# Cautious: bolder steps run into the boundary and stay there where more rows meet than there are unknowns.
-TOWARDS_THE_BOUNDARY = 0.9
-LEAST_CENTRING = 0.1
+
+class Caution(NamedTuple):
+    """How far a step goes towards the boundary, the least centring, and the largest second-order term by mu."""
+
+    step: Float[Array, "*runs"] | float
+    centring: Float[Array, "*runs"] | float
+    correction: Float[Array, "*runs"] | float
+
+
+BOLD = Caution(0.995, 0.0, 1e9)
+"""Mehrotra's steps: few, but where more rows meet than there are unknowns they may run into the boundary and cycle."""
+CAUTIOUS = Caution(0.9, 0.1, 1.0)
+"""Steps that do not, and need more iterations."""
 
 
 class Program(NamedTuple):
@@ -55,6 +65,7 @@ def solve(
     h: Float[Array, "m batch"],
     start: Float[Array, "n batch"],
     iterations: int,
+    caution: Caution = BOLD,
 ) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"]]:
     """Take at most `iterations` steps from x = start; return x and y >= 0, zero on dropped rows.
 
@@ -69,7 +80,7 @@ def solve(
         return (carry[0] < iterations) & jnp.any(carry[1].moves)
 
     def body(carry):
-        return carry[0] + 1, iterate(shared, q, h, kept, carry[1])
+        return carry[0] + 1, iterate(shared, q, h, kept, carry[1], caution)
 
     state = jax.lax.while_loop(unfinished, body, (0, state))[1]
     return state.x, state.y
@@ -81,6 +92,7 @@ def iterate(
     h: Float[Array, "m batch"],
     kept: Bool[Array, "m batch"],
     state: State,
+    caution: Caution,
 ) -> State:
     """Take one predictor-corrector step; an instance that is done, or whose numbers leave the floats, stays."""
     (x, s, y, moves), P, G = state, shared.hessian, shared.rows
@@ -98,13 +110,13 @@ def iterate(
         return dx, ds, dy
 
     _, ds, dy = direction(s * y)  # (1)
-    step = longest_step(state, ds, dy)
+    step = longest_step(state, ds, dy, caution.step)
     mu = jnp.sum(jnp.where(kept, s * y, 0.0), axis=0) / count
     affine_mu = jnp.sum(jnp.where(kept, (s + step * ds) * (y + step * dy), 0.0), axis=0) / count
-    target = mu * jnp.clip((affine_mu / mu) ** 3, LEAST_CENTRING, 1.0)  # (2)
-    # Without a bound the second-order term can throw an instance back and forth for ever.
-    dx, ds, dy = direction(s * y + jnp.clip(ds * dy, -mu, mu) - target)  # (3)
-    step = longest_step(state, ds, dy)  # (4)
+    target = mu * jnp.clip((affine_mu / mu) ** 3, caution.centring, 1.0)  # (2)
+    most = caution.correction * mu
+    dx, ds, dy = direction(s * y + jnp.clip(ds * dy, -most, most) - target)  # (3)
+    step = longest_step(state, ds, dy, caution.step)  # (4)
     x, s, y = x + step * dx, s + step * ds, y + step * dy
     # Beyond this mu the weights y / s differ by more than the floats resolve, and iterating on loses what was found.
     moves &= mu > jnp.finfo(x.dtype).eps ** 0.75
@@ -112,7 +124,9 @@ def iterate(
     return jax.tree.map(lambda new, old: jnp.where(moves, new, old), State(x, s, y, moves), state)
 
 
-def longest_step(state: State, ds: Float[Array, "m batch"], dy: Float[Array, "m batch"]) -> Float[Array, " batch"]:
-    """Return the step, at most 1, that goes at most 0.9 of the way to where some s or y would be zero."""
+def longest_step(
+    state: State, ds: Float[Array, "m batch"], dy: Float[Array, "m batch"], share
+) -> Float[Array, " batch"]:
+    """Return the step, at most 1, that goes at most a share of the way to where some s or y would be zero."""
     shrink = jnp.maximum(jnp.max(-ds / state.s, 0), jnp.max(jnp.where(dy < 0, -dy / state.y, 0.0), 0))
-    return TOWARDS_THE_BOUNDARY / jnp.maximum(shrink, TOWARDS_THE_BOUNDARY)
+    return share / jnp.maximum(shrink, share)

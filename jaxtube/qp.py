@@ -189,9 +189,9 @@ def solve_constrained(
         best = fixed_point.polish(factors, block, best, x, y, polish_steps)  # (3)
         return best, fixed_point.crossing(block) | proved(block, jnp.maximum(y, 0.0), jnp.maximum(-y, 0.0))
 
-    def rescue(block, best):
+    def rescue(caution, block, best):
         h = jnp.concatenate([block.u, -block.l])
-        x, y = interior_point.solve(quadratic, block.q, h, best.x, INTERIOR_ITERATIONS)  # (4)
+        x, y = interior_point.solve(quadratic, block.q, h, best.x, INTERIOR_ITERATIONS, caution)  # (4)
         upper, lower = jnp.split(y, 2)
         best = fixed_point.polish(factors, block, best, x, upper - lower, polish_steps)
         return best, proved(block, upper, lower)
@@ -201,7 +201,13 @@ def solve_constrained(
 
     size, rare_size = block_sizes()
     solution = improve(split, size, factors, given, free)
-    solution = improve(rescue, rare_size, factors, given, solution)
+    # One program for both: the cautious method for what the bold one leaves.
+    cautions = jax.tree.map(lambda *each: jnp.array(each, A.dtype), interior_point.BOLD, interior_point.CAUTIOUS)
+    solution = jax.lax.scan(
+        lambda now, caution: (improve(partial(rescue, caution), rare_size, factors, given, now), None),
+        solution,
+        cautions,
+    )[0]
     solution = improve(refute, rare_size, factors, given, solution)  # (5)
     sound = jnp.isfinite(solution.residual)
     return solution._replace(

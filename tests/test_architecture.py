@@ -103,8 +103,10 @@ def test_sets_knows_neither_jax_nor_jaxtube():
 def test_inside_sets_everything_rests_on_polytope_alone():
     assert violations("sets.frame", "sets") == []
     assert violations("sets.polytope", "sets", allowed=("sets.frame",)) == []
-    for module in ("tubes", "invariant", "lmi", "certificate"):
+    for module in ("tubes", "invariant", "certificate"):
         assert violations(f"sets.{module}", "sets", allowed=("sets.polytope", f"sets.{module}")) == []
+    assert violations("sets.lmi", "sets", allowed=("sets.lyapunov",)) == []
+    assert violations("sets.exact", "sets") == violations("sets.interval", "sets") == []
 
 
 def test_design_alone_imports_sets_and_experiments_may_draw_them():

@@ -115,6 +115,7 @@ def test_a_period_is_that_of_the_world_frame(names, period):
         np.testing.assert_allclose(wheels, reached, atol=EXACT_ARCS)
 
 
+@pytest.mark.slow
 def test_positions_are_of_second_order_in_the_arcs_while_wheels_change_speed(period):
     plant = imperfect(slipping_robot(), lag=0.08)
     driven = [drive(dataclasses.replace(plant, arcs=arcs), 0, *period)[0] for arcs in (4, 8, 256)]
@@ -146,6 +147,7 @@ def test_without_imperfections_the_robot_is_the_ideal_one(lap):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=CLOSED_LOOP, err_msg=name)
 
 
+@pytest.mark.slow
 def test_with_a_delay_of_a_period_the_robot_drives_what_was_commanded_before(lap):
     ideal = slipping_robot(relative_error=0.0)
     found = lap(imperfect(ideal, delay=1.0))

@@ -27,7 +27,7 @@ def law():
 def test_the_law_is_certified(law):
     assert law.certificate.failing == []
     assert max(law.shares.values()) < 0.85
-    assert len(law.certificate.assumptions) == 5
+    assert len(law.certificate.assumptions) == 6
 
 
 def test_every_schedule_has_its_bands_gain(law):
