@@ -119,15 +119,15 @@ def _row(title: str, label: str, columns: Iterable[str]) -> str:
 
 def law_table(design: Tested) -> str:
     """Return one line a law: laps in which each event occurred, rows active, greatest usage of W and E, the bound."""
-    head = f"{design.name:<16}{'laps':>11}{'steps':>8}{''.join(f'{VIOLATIONS[name]:>8}' for name in SHOWN)}"
-    head += f"{'active':>8}{'W':>6}{'E':>5}{'at most':>8}"
+    head = f"{design.name:<16}{'laps':>9}{'steps':>8}{''.join(f'{VIOLATIONS[name]:>8}' for name in SHOWN)}"
+    head += f"{'active':>8}{'W':>6}{'E':>5}{'at most':>10}"
     lines = [head, "-" * len(head)]
     for name, law in design.laws.items():
         counts = "".join(f"{law['events'][event]['laps']:>8}" for event in SHOWN)
         active = f"{law['events']['row_active']['share_of_steps']:.2%}"
         w, e = (law["worst"][kind][0]["usage"] for kind in ("disturbance", "error"))
-        line = f"{name:<16}{law['laps']:>11,}{steps(law) / 1e6:>7.3g}M{counts}{active:>8}{w:>6.2f}{e:>5.2f}"
-        lines.append(f"{line}{_percent(bound(law)):>8}")
+        line = f"{name:<16}{law['laps']:>9,}{steps(law) / 1e6:>7.3g}M{counts}{active:>8}{w:>6.2f}{e:>5.2f}"
+        lines.append(f"{line}{_percent(bound(law)):>10}")
     return "\n".join(lines)
 
 
