@@ -250,7 +250,8 @@ def _any_order(certificate, problem: Problem, gain: LocalGain, terminal: Termina
     """
     random = np.random.default_rng(0)
     chosen = problem.regions[random.integers(len(problem.regions), size=RANDOM_STEPS + problem.horizon)]
-    share = np.where(random.random((len(chosen), 1)) < 0.5, random.integers(0, 2, (len(chosen), 2)), random.random(2))
+    corners, inside = random.integers(0, 2, (len(chosen), 2)), random.random((len(chosen), 2))
+    share = np.where(random.random((len(chosen), 1)) < 0.5, corners, inside)
     wheels = chosen[:, 0] + share * (chosen[:, 1] - chosen[:, 0])
     elsewhere = replace(problem, reference=replace(problem.reference, wheels=wheels, steps=RANDOM_STEPS))
     windows = make_windows(elsewhere, gain)

@@ -11,10 +11,10 @@ from jaxtube.design import design, refuse_infeasible_start
 from jaxtube.design.certify import certify
 from jaxtube.design.condense import residual_bound
 from jaxtube.design.feasible import boundary, shortfall, true_starts
-from jaxtube.design.fill import cap_shares
+from jaxtube.design.fill import cap_shares, ultimate_bound, widest_tube
 from jaxtube.design.optimise import STARTS, _Search, optimise
 from jaxtube.design.problem import make_problem
-from jaxtube.design.residual import complete_problem, kinematics, operation
+from jaxtube.design.residual import complete_problem, ground_speed_limits, kinematics, operation
 from jaxtube.design.terminal import admissible_set
 from jaxtube.design.tightening import decoupled_gain, vertex_loops, vertex_pairs
 from jaxtube.scenario import ScenarioError, load
@@ -163,6 +163,35 @@ def test_a_wider_bound_than_the_sets_were_made_for_fails(certified, part, change
     parts = [getattr(certified, name) for name in ("tube_gain", "cost", "windows", "terminal", "bounds")]
     residual = residual_bound(problem, certified.tube_window)
     assert certify(problem, *parts, residual).failing == [condition]
+
+
+def test_a_wider_w_than_the_sets_were_made_for_fails_in_any_order_too(certified):
+    wide = dataclasses.replace(certified.problem, disturbance_set=certified.problem.disturbance_set.scale(1.5))
+    parts = [getattr(certified, name) for name in ("tube_gain", "cost", "windows", "terminal", "bounds")]
+    small = dataclasses.replace(certified.terminal, invariant=certified.terminal.invariant.scale(0.5))
+    parts[3] = small
+    assert "any_order_of_wheel_speeds" in certify(wide, *parts, 0.0).failing
+
+
+def test_wheels_that_may_not_turn_slowly_bind_under_the_least_slip():
+    slow = complete_problem(load("certified"))
+    least = float(slow.residual.ground_speeds[0].min())
+    bound = least / (1 - 0.2 * 0.9)  # a ground speed of `least` asks this of a wheel whose measured slip is least
+    for factor, holds in ((1 - 1e-6, True), (1 + 1e-6, False)):
+        problem = make_problem(load("certified", [f"robot.wheel_speed_min_mps={factor * bound!r}"]))
+        assert (least >= ground_speed_limits(problem)[0].max()) == holds
+
+
+def test_the_nested_bound_is_that_of_the_reference():
+    path = complete_problem(load("certified", [*REFERENCE, "reference.certified_for=path"]))
+    gain = decoupled_gain(path, (3.0, 6.5, 6.5))
+    widths = ultimate_bound(path, gain)
+    np.testing.assert_allclose(widths, [20.6e-3, 56.4e-3, np.deg2rad(4.2)], rtol=0.06)
+    # With W of the first set alone, nothing nested, the tube is three times as wide.
+    assert widest_tube(path, gain).support(np.eye(3))[1] > 2 * widths[1]
+    capped = complete_problem(load("certified", ["operating.yaw_rate_deficit_radps=0.4"]))
+    with pytest.raises(ValueError, match="outgrows a cap"):
+        ultimate_bound(capped, decoupled_gain(capped, capped.scenario.controller.tracking_gains))
 
 
 def test_a_promise_beyond_the_constraints_fails(certified):
