@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Float, Int, Key
 
 from jaxtube import mpc
@@ -27,6 +28,9 @@ from jaxtube.error_dynamics import advance, world_pose
 from jaxtube.input_maps import acting_input
 from jaxtube.mpc import Diagnostics
 from jaxtube.robot import Robot, saturate, wheel_commands, wheel_positions
+
+DRAWN = "drawn"
+"""Name of what is drawn at random, for reverse mode to keep: to draw again costs more than all else in a period."""
 
 
 class Trajectory(NamedTuple):
@@ -73,7 +77,7 @@ class SlippingRobot:
         noise = self.noise
         if noise is None:
             return errors
-        return errors + jax.vmap(lambda key: slips.pose_noise(key, step, noise))(keys)
+        return errors + checkpoint_name(jax.vmap(lambda key: slips.pose_noise(key, step, noise))(keys), DRAWN)
 
     def acting(self, step, inputs, measured, controller):
         """Return the deficits (V - v, Om - om) that the controller's virtual inputs ask for."""
@@ -89,7 +93,7 @@ class SlippingRobot:
         def of_one(key, memory, situation):
             return slips.draw_slip(key, step, memory, situation, process, self.random)
 
-        return jax.vmap(of_one)(keys, state, slips.Situation(places, errors))
+        return checkpoint_name(jax.vmap(of_one)(keys, state, slips.Situation(places, errors)), DRAWN)
 
     def advance(self, keys, step, state, errors, inputs, controller):
         """Return (next errors, next memory, wheels, wheels before saturation) of one period."""

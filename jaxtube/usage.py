@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -19,7 +20,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from jaxtube import mpc, qp
-from jaxtube.rollout import LoopState, begin, follow_plan, rollout, run_period
+from jaxtube.rollout import DRAWN, LoopState, begin, follow_plan, rollout, run_period
 from jaxtube.scripted import PlanFollower, Script, deviation, scripted
 
 
@@ -56,17 +57,19 @@ def play(controller, plant, keys, errors: Float[Array, "batch 3"], script: Scrip
     """Run all realisations and return what limits look at, (steps, batch, n): after each period, or during it.
 
     `error` true tracking errors, `input` virtual inputs, `wheels` speeds asked for, `tube` deviations from a followed
-    plan. With a script its values take the place of draws, and reverse mode keeps one state a period.
+    plan; `backup` (steps, batch) says where there was no plan. With a script its values take the place of draws.
+    Reverse mode keeps the state and the draws of each period, and computes the rest again.
     """
     steps, script = len(plant.reference_wheels), script or {}
     of_period = {name: _of_period(values, steps, name) for name, values in script.items()}
 
-    @jax.checkpoint
+    @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(DRAWN))
     def period(state: LoopState, now):
         step, values = now
         acting = scripted(plant, {name: value[None] for name, value in values.items()}) if script else plant
         following, happened = run_period(controller, acting, keys, step, state)
         seen = {"error": following.errors, "input": happened.inputs, "wheels": happened.demanded}
+        seen["backup"] = happened.diagnostics.backup
         if isinstance(controller, PlanFollower):
             seen["tube"] = deviation(following.memory, following.measured)
         return following, seen

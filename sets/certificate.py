@@ -165,17 +165,17 @@ def terminal_margins(
     last_error_set: Polytope,
     last_input_rows: Float[np.ndarray, "g k n"],
     last_input_offsets: Float[np.ndarray, " k"],
-    last_reach: Polytope,
+    last_reach: Float[np.ndarray, "p n"],
 ) -> dict[str, float]:
     """Return the margins of the three terminal inclusions for the shifted plan (module docstring, `terminal`).
 
-    `next_terminal` is the constraint of the next step, the same one unless the tube follows the reference; `last_reach`
-    contains Psi w for every product of N - 1 loops; `last_error_set` is E_{N-1}, and errors in U_{N-1} under each
-    terminal gain are those with rows e <= offsets.
+    `next_terminal` is the constraint of the next step, the same one unless the tube follows the reference; the hull of
+    the points `last_reach`, flat or not, holds Psi w for every product of N - 1 loops; `last_error_set` is E_{N-1}, and
+    errors in U_{N-1} under each terminal gain are those with rows e <= offsets.
     """
 
     def room(rows: Float[np.ndarray, "k n"], offsets: Float[np.ndarray, " k"]) -> float:
-        return float(np.min(offsets - terminal.support(rows) - last_reach.support(rows)))
+        return float(np.min(offsets - terminal.support(rows) - np.max(rows @ last_reach.T, axis=1)))
 
     def of_unit_rows(polytope: Polytope):
         scale = np.linalg.norm(polytope.normals, axis=1)

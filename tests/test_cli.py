@@ -91,7 +91,7 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
 @pytest.mark.parametrize(
     ("words", "fragments"),
     [
-        (["papr"], ["papr", "paper, design, montecarlo, falsify, guarantee, maps, beyond, bench, list, check"]),
+        (["papr"], ["papr", "paper, design, montecarlo, falsify, guarantee, maps, beyond, tune, bench, list, check"]),
         (["paper", "else"], ["else"]),
         (["--seeed", "3"], ["--seeed", "did you mean --seed?"]),
         (["--seed"], ["--seed"]),

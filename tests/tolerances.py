@@ -112,3 +112,38 @@ ARCS_OF_A_PERIOD = 1e-5  # m; positions while wheels change speed by 1 m/s, arcs
 # sets/control_invariant.py, jaxtube/design/guarantee.py
 CONTROL_INVARIANT = 1e-7  # m, rad and units of the inputs; linear programs of numbers below one
 NEARBY_SEARCH = 0.02  # of the ratio; searches from different starts that end at the same optimum
+
+# jaxtube/tuning/descent.py
+ADAM_BY_HAND = 1e-13  # points of order one; the same sums in numpy
+DESCENT_OPTIMUM = 1e-8  # distance to the optimum of numbers of order one
+NOISY_OPTIMUM = 0.06  # distance after 400 steps under noise of deviation 0.3 in the gradient
+
+# jaxtube/tuning/tube.py, minimal.py, residual.py
+TUBE_LOOPS = 1e-14  # entries of loops and gains of order one to ten
+TUBE_REACH = 1e-9  # relative; sums of support numbers against vertices, of which those closer than 1e-10 are one
+TUBE_BOUND = 1e-7  # relative; where the iteration for the minimal set stops, tenfold
+TUBE_TIGHT = 1e-9  # relative; the fixed point itself, active facets found where that iteration stopped
+TUBE_SLOPE = 1e-6  # relative to the gradient; central differences with steps of 1e-4 of a twentieth of the gains
+TUBE_RESIDUAL = 1e-12  # m and rad; differences of numbers of order one
+
+# sets/lyapunov.py, jaxtube/tuning/gains.py, loop.py, objective.py
+ACTIVE_ROW = 1e-8  # m, rad and units of the inputs; distance from its bound below which a row is active
+LEAST_SLOPE = 0.05  # of the greatest of a gradient; below, the solver's residual of 1e-9 hides what differences tell
+LEAST_TRACE = 1e-6  # relative; what a semidefinite program's answer is known to
+CENTRED_SLOPE = 1e-8  # Newton decrement of the centred cost, whose objective is of order ten
+SCALED_COST = 1e-9  # relative; the same cost found with other weights
+CENTRED_CURVATURE = 1e-6  # relative; central differences with steps of a thousandth
+GAIN_MAPS = 1e-13  # entries of order one to ten, by differences of the same
+OBJECTIVE_SLOPE = 1e-6  # relative; central differences of fourth order, the host's parts solved again
+SAME_WINDOWS = 1e-9  # relative and absolute; the same sets and weights, support numbers by sums and by vertices
+SAME_LAPS = 1e-8  # m, rad and m/s; closed loops under windows that agree to rounding
+SAME_WEIGHTS = 1e-14  # relative; weights from their Cholesky factors
+SAME_VECTOR = 1e-7  # Cholesky factors of weights of condition number 1e6 and more
+
+# jaxtube/experiments/tune_parameter_figure.py
+SPREAD = 1e-9  # places of names, of order one, against a quadratic program
+SLOPES_KEPT = 0.7  # of the differences, that see the same rows active at all their points
+UNROLLED = 1e-6  # relative; 400 iterations of ADMM
+SAME_REDUCTION = 1e-12  # relative; means of numbers of order one
+SAME_STEEP = 1e-9  # relative; a difference of objectives
+NO_EFFORT = 1e-11  # m, rad and m/s; what rounding makes of zero in 40 steps, and the least root

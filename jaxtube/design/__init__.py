@@ -36,12 +36,12 @@ from sets.certificate import Certificate
 from sets.lmi import TerminalCost
 from sets.tubes import Section
 
-__all__ = ["Design", "EmptySetError", "design", "refuse_infeasible_start"]
+__all__ = ["Design", "EmptySetError", "Ingredients", "design", "finish", "prepare", "refuse_infeasible_start"]
 
 
 @dataclass(frozen=True, eq=False)
-class Design:
-    """Everything computed offline for one scenario."""
+class Ingredients:
+    """Gains, costs and sets of one problem: a design without its controllers and its certificate."""
 
     problem: Problem
     lqr_gain: Float[np.ndarray, "2 3"]  # K^n at the centre of the box
@@ -52,13 +52,19 @@ class Design:
     tightening: Tightening
     terminal: Terminal
     bounds: Bounds
+
+
+@dataclass(frozen=True, eq=False)
+class Design(Ingredients):
+    """Everything computed offline for one scenario."""
+
     tube_window: Window
     plain_window: Window
     certificate: Certificate
     seconds: dict[str, float] = field(default_factory=dict)
 
 
-class _Clock:
+class Clock:
     """Seconds by part."""
 
     def __init__(self):
@@ -82,10 +88,15 @@ def design(scenario: Scenario) -> Design:
         raise ScenarioError(
             "scenario: operating.bands: only the command `design` knows gains and caps by speed; leave them out"
         )
-    clock = _Clock()
+    clock = Clock()
     problem = complete_problem(scenario)
-    settings = scenario.controller
     clock.lap("problem")
+    return finish(prepare(problem, clock), clock)
+
+
+def prepare(problem: Problem, clock: Clock | None = None) -> Ingredients:
+    """Compute gains, tubes and terminal ingredients of a problem whose disturbance set is known; raises as `design`."""
+    settings, clock = problem.scenario.controller, clock or Clock()
     try:
         cost, terminal_gain = terminal_cost_and_gain(problem)
     except (RuntimeError, ValueError) as error:
@@ -106,29 +117,25 @@ def design(scenario: Scenario) -> Design:
     terminal = make_terminal(problem, tube_gain, terminal_gain, windows, tightening)
     clock.lap("terminal_set")
     bounds = condense.tube_bounds(problem, tightening, terminal)
-    tube_window = condense.condense(problem, windows, terminal, cost.cost, bounds)
-    plain_window = condense.condense(
-        problem, windows, terminal, cost.cost, condense.plain_bounds(problem, windows, terminal)
-    )
+    return Ingredients(problem, local_gain.nominal, tube_gain, cost, windows, sections, tightening, terminal, bounds)
+
+
+def finish(found: Ingredients, clock: Clock | None = None) -> Design:
+    """Condense the controllers of prepared ingredients and certify them."""
+    clock, problem, windows, terminal = clock or Clock(), found.problem, found.windows, found.terminal
+    P, untightened = found.cost.cost, condense.plain_bounds(problem, windows, terminal)
+    tube_window = condense.condense(problem, windows, terminal, P, found.bounds)
+    plain_window = condense.condense(problem, windows, terminal, P, untightened)
     clock.lap("condensing")
-    certificate = certify(
-        problem, tube_gain, cost, windows, terminal, bounds, condense.residual_bound(problem, tube_window)
-    )
+    residual = condense.residual_bound(problem, tube_window)
+    certificate = certify(problem, found.tube_gain, found.cost, windows, terminal, found.bounds, residual)
     clock.lap("certificate")
     return Design(
-        problem,
-        local_gain.nominal,
-        tube_gain,
-        cost,
-        windows,
-        sections,
-        tightening,
-        terminal,
-        bounds,
-        tube_window,
-        plain_window,
-        certificate,
-        clock.seconds,
+        **vars(found),
+        tube_window=tube_window,
+        plain_window=plain_window,
+        certificate=certificate,
+        seconds=clock.seconds,
     )
 
 

@@ -76,7 +76,7 @@ def certify(
         f"Constraints are backed off by {BACK_OFF:.0e}, more than the {residual:.0e} a solved QP may miss them by.",
         f"Constraints are backed off by {BACK_OFF:.0e}, less than the {residual:.0e} a solved QP may miss them by.",
     )
-    if problem.scenario.controller.tracking_gains:
+    if len(problem.given_gains):
         widest_tube_fits(certificate, problem, terminal.gains)
     else:
         say_what_exists(certificate, problem, tube_gain, terminal, cost)
@@ -272,7 +272,7 @@ def _any_order(certificate, problem: Problem, gain: LocalGain, terminal: Termina
     )
 
 
-def _margins_anywhere(problem: Problem, terminal: Terminal, bounds: Bounds, last_reach: Polytope) -> dict[str, float]:
+def _margins_anywhere(problem: Problem, terminal: Terminal, bounds: Bounds, last_reach) -> dict[str, float]:
     """Return the margins of the terminal inclusions over the whole schedule box, from any window to any other."""
     last = problem.horizon - 1
     return check.terminal_margins(
@@ -301,7 +301,7 @@ def _margins_along(
         (transition + inputs @ gain)[None],
         Polytope(problem.operating_set.normals, bounds.errors[following, last]),
         *_unit_input_rows(problem, problem.input_rows.under(gain)[None], bounds.inputs[following, last]),
-        Polytope.from_vertices(points),
+        points,
     )
 
 
@@ -316,13 +316,13 @@ def _unit_input_rows(problem: Problem, rows, offsets):
     return rows / scale[:, None], offsets / scale
 
 
-def _products(loops, W, steps: int) -> Polytope:
-    """Return the hull of Psi W over every product of `steps` loops, by enumeration of the products."""
+def _products(loops, W, steps: int) -> np.ndarray:
+    """Return the corners of the hull of Psi W over every product of `steps` loops, by enumeration of the products."""
     points = W
     for _ in range(steps):
         points = np.concatenate([points @ loop.T for loop in loops])
         points = Polytope.from_vertices(points).vertices()
-    return Polytope.from_vertices(points)
+    return points
 
 
 def _coverage(certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, windows: Windows) -> None:

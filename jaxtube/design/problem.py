@@ -10,7 +10,7 @@ Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (7)-(8), (11), section IV.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -71,6 +71,12 @@ class Problem:
     def schedule(self) -> Float[np.ndarray, "periods 2"]:
         """Reference wheel speeds (right, left) of every period, preview included, m/s."""
         return self.reference.wheels
+
+    @property
+    def given_gains(self) -> Float[np.ndarray, " kappa"]:
+        """The numbers of the gains that the scenario gives, none where they come from the terminal cost's LMI."""
+        settings = self.scenario.controller
+        return np.ravel(np.array(settings.tracking_gains or settings.vertex_gains, float))
 
     @property
     def corners(self) -> Float[np.ndarray, "4m 2"]:
@@ -157,6 +163,13 @@ def make_problem(scenario: Scenario) -> Problem:
         initial_error=_initial_error(scenario),
         regions=_regions(scenario, reference, box),
     )
+
+
+def with_controller(problem: Problem, scenario: Scenario) -> Problem:
+    """Return the problem with weights and gains of a scenario that has the same sets, model and reference."""
+    settings = scenario.controller
+    weights = weight_matrix(settings.error_weight), weight_matrix(settings.input_weight)
+    return replace(problem, scenario=scenario, error_weight=weights[0], input_weight=weights[1])
 
 
 def _operating_bounds(scenario: Scenario) -> Float[np.ndarray, "3"]:

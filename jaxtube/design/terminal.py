@@ -25,8 +25,8 @@ from jaxtube.design.tightening import (
     LocalGain,
     Tightening,
     Windows,
-    decoupled_gain,
     gains_at_corners,
+    given_gain,
     vertex_loops,
     vertex_pairs,
 )
@@ -82,13 +82,13 @@ def admissible_set(
 
 
 def terminal_cost_and_gain(problem: Problem) -> tuple[TerminalCost, LocalGain]:
-    """Return cost and gain of the terminal controller: the tracking gains where they are given, else those of the LMI.
+    """Return cost and gain of the terminal controller: the scenario's gains where it gives some, else those of the LMI.
 
     Raises RuntimeError or ValueError where there is no such cost.
     """
     settings, weights = problem.scenario.controller, (problem.error_weight, problem.input_weight)
-    if settings.tracking_gains:
-        gain = decoupled_gain(problem, settings.tracking_gains)
+    if len(problem.given_gains):
+        gain = given_gain(problem, problem.given_gains)
         P = cost_of_gains(*vertex_pairs(problem, gain), *weights)
         return TerminalCost(P, gain.vertices, np.zeros((0, 0, 0)), "trace_p", float(np.trace(P))), gain
     cost = terminal_cost(*problem.model.matrices(problem.model.vertices), *weights, settings.lmi_objective)

@@ -12,6 +12,7 @@ Windows are the distinct stretches of N schedules along the reference: on a circ
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -83,7 +84,7 @@ def compensating_gain(problem: Problem) -> LocalGain:
     return LocalGain(nominal, nominal + np.tensordot(model.vertices - model.centre, slopes, axes=1))
 
 
-def decoupled_gain(problem: Problem, gains: tuple[float, ...]) -> DecoupledGain:
+def decoupled_gain(problem: Problem, gains: Sequence[float] | Float[np.ndarray, "3"]) -> DecoupledGain:
     """Return the gain with k1 (1/s), k2 (rad/(m s)) and k3 (1/s)."""
     model, (k1, k2, k3) = problem.model, gains
 
@@ -94,6 +95,14 @@ def decoupled_gain(problem: Problem, gains: tuple[float, ...]) -> DecoupledGain:
         return law
 
     return DecoupledGain(at(model.centre), at(model.vertices))
+
+
+def given_gain(problem: Problem, numbers: Float[np.ndarray, " kappa"]) -> LocalGain:
+    """Return the gain of numbers in the order of `Problem.given_gains`: three decouple, 24 are the vertex gains."""
+    if len(numbers) == 3:
+        return decoupled_gain(problem, numbers)
+    vertices = np.reshape(numbers, (4, 2, 3))
+    return LocalGain(vertices.mean(axis=0), vertices)
 
 
 def vertex_loops(problem: Problem, gain: LocalGain) -> Float[np.ndarray, "v 3 3"]:

@@ -1,17 +1,27 @@
-"""`bench`: laps a second of the tube-MPC, checks included, by devices and by workers of a cluster, side by side."""
+"""`bench`: laps a second of the tube-MPC, checks included, by devices and by workers of a cluster, side by side.
+
+And what the gradient of a tuning objective costs, in the time of its value.
+"""
 
 from __future__ import annotations
 
 import time
 
 import jax
+import jax.numpy as jnp
 
-from jaxtube.design import design
-from jaxtube.experiments import montecarlo, run_folder, validation
+from jaxtube.design import Design, design
+from jaxtube.design.feasible import boundary, spread_starts
+from jaxtube.experiments import closed_loop, metrics, montecarlo, run_folder, validation
 from jaxtube.experiments.cluster import Cluster
 from jaxtube.experiments.options import Bench
 from jaxtube.montecarlo import BLOCK, Run
+from jaxtube.rollout import realisation_keys
 from jaxtube.scenario import Scenario
+from jaxtube.tuning.loop import fix
+from jaxtube.tuning.minimal import active_caps, limits
+from jaxtube.tuning.objective import Frozen, aim, objective
+from jaxtube.tuning.parameters import parameters
 
 
 def run(scenario: Scenario, options: Bench) -> int:
@@ -29,7 +39,10 @@ def run(scenario: Scenario, options: Bench) -> int:
     print(f"{'':<12}{'laps a second':>16}{'against one':>14}")
     for (kind, count), speed in speeds.items():
         print(f"{kind}: {count:<3}{speed:>16,.0f}{speed / speeds[kind, 1]:>13.2f}x")
-    folder.save_metrics({"laps_per_second": {f"{kind}_{count}": speed for (kind, count), speed in speeds.items()}})
+    numbers: dict = {"laps_per_second": {f"{kind}_{count}": speed for (kind, count), speed in speeds.items()}}
+    if len(found.problem.given_gains):
+        numbers["gradient"] = gradient_cost(found)
+    folder.save_metrics(numbers)
     return 0
 
 
@@ -47,3 +60,49 @@ def laps_per_second(source, blocks: int) -> float:
             pass
         seconds.append(time.perf_counter() - start)
     return blocks * BLOCK / min(seconds)
+
+
+LAPS = 1024
+
+
+def gradient_cost(found: Design) -> dict[str, dict[str, float]]:
+    """Time the tuning objective of whole laps against its value and gradient; print and return times and memory.
+
+    From the scenario's start, where hardly a row is active, and from the edge of the feasible set.
+    """
+    problem, within = found.problem, limits(found.problem)
+    chosen, fixed = parameters(problem), fix(found)
+    kappa, settings = jnp.asarray(problem.given_gains), problem.scenario.controller
+    loops, gains = fixed.maps.vertex_loops.at(kappa), fixed.maps.corner_gains.at(kappa)
+    active = active_caps(within, loops, jnp.asarray(fixed.generators), gains)
+    assert active is not None, "the tube of a design is bounded"
+    frozen = jax.tree.map(jnp.asarray, Frozen(fixed, active, within))
+    plant, target = closed_loop.slipping_robot(found), aim(problem.scenario, metrics.settled_step(problem.reference))
+
+    def value(vector, starts):
+        weights, keys = chosen.weights(vector), realisation_keys(0, 0, LAPS)
+        return objective(weights, frozen, plant, keys, starts, target, settings.restart, settings.input_map)
+
+    points = boundary(found.tube_window, int(found.windows.index[0]), problem.operating_set, 100)
+    vector, numbers = jnp.asarray(chosen.vector), {}
+    starts = {
+        "scenario": jnp.tile(jnp.asarray(problem.initial_error), (LAPS, 1)),
+        "edge": jnp.asarray(spread_starts(points, LAPS, 0, edge_share=1.0)),
+    }
+    programs = [jax.jit(of).lower(vector, starts["edge"]).compile() for of in (value, jax.value_and_grad(value))]
+    memory = programs[1].memory_analysis().temp_size_in_bytes / 2**20
+    print(f"{'starts':<12}{'value, s':>16}{'with gradient, s':>18}{'ratio':>8}{'memory, MiB':>14}")
+    for name, each in starts.items():
+        alone, both = (_least_seconds(program, vector, each) for program in programs)
+        print(f"{name:<12}{alone:>16.3f}{both:>18.3f}{both / alone:>8.2f}{memory:>14.0f}")
+        numbers[name] = {"value_s": alone, "with_gradient_s": both, "memory_mib": memory}
+    return numbers
+
+
+def _least_seconds(program, *arguments) -> float:
+    seconds = []
+    for _ in range(ROUNDS + 1):
+        start = time.perf_counter()
+        jax.block_until_ready(program(*arguments))
+        seconds.append(time.perf_counter() - start)
+    return min(seconds)

@@ -123,9 +123,17 @@ def _check(options: Options) -> None:
     realisations = getattr(options, "realisations", 1)
     if not (realisations >= 1 and realisations == int(min(realisations, REALISATIONS_LIMIT))):
         raise _refusal(f"--realisations = {realisations}: is no whole number from 1 to 2^53; simulate at least one run")
-    for name, least in (("chunk", 1), ("devices", 0), ("points", 2)):
+    for name, least in (
+        ("chunk", 1),
+        ("devices", 0),
+        ("points", 2),
+        ("evaluations", 1),
+        ("laps", 1),
+        ("held_out", 1),
+        ("patience", 1),
+    ):
         if (count := getattr(options, name, least)) < least:
-            raise _refusal(f"--{name} = {count}: is out of range; give a whole number from {least}")
+            raise _refusal(f"--{name.replace('_', '-')} = {count}: is out of range; give a whole number from {least}")
     if Path(options.out).is_file():
         raise _refusal(f"--out = {options.out}: is a file; name a folder")
 

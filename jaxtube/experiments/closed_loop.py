@@ -13,7 +13,7 @@ from jaxtyping import Float
 from jaxtube import mpc, qp
 from jaxtube.controllers import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.design import Design
-from jaxtube.design.problem import error_vector
+from jaxtube.design.problem import Problem, error_vector
 from jaxtube.design.tightening import widest_window
 from jaxtube.rollout import LinearPlant, SlippingRobot, Trajectory, begin, follow_plan, realisation_keys, rollout
 
@@ -43,7 +43,12 @@ def controllers(design: Design) -> dict:
 
 def slipping_robot(design: Design, process: str | None = None, relative_error: float | None = None) -> SlippingRobot:
     """Return the nonlinear plant of the scenario, or with another slip process or slip error."""
-    problem, slip = design.problem, design.problem.scenario.slip
+    return robot_of(design.problem, process, relative_error)
+
+
+def robot_of(problem: Problem, process: str | None = None, relative_error: float | None = None) -> SlippingRobot:
+    """Return the nonlinear plant of a problem, whatever its design."""
+    slip = problem.scenario.slip
     steps, noise = problem.reference.steps, error_vector(problem.scenario.noise)
     return SlippingRobot(
         robot=problem.robot,

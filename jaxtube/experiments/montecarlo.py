@@ -7,17 +7,14 @@ whatever was interrupted and wherever the blocks were computed; only `performanc
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import itertools
 import os
 import resource
 import sys
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import jax
-import msgspec
 import numpy as np
 
 from jaxtube import montecarlo
@@ -68,18 +65,7 @@ def use_devices(count: int) -> None:
 
 def identity(scenario: Scenario, options: Montecarlo) -> dict:
     """Return all that determines the statistics of a block."""
-    file = scenario.reference.file
-    return {
-        "scenario": msgspec.to_builtins(scenario),
-        "reference_file_sha256": hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else "",
-        "seed": options.seed,
-        **{key: getattr(options, key) for key in ("controller", "plant", "starts")},
-        "tile_size": TILE,
-        "source_sha256": run_folder.source_hashes(),
-        "packages": {name: run_folder.version(name) for name in ("jax", "jaxlib", "numpy", "scipy", "clarabel")},
-        "backend": jax.default_backend(),
-        "bits": jax.dtypes.canonicalize_dtype(float).itemsize * 8,
-    }
+    return run_folder.identity(scenario, options, ("controller", "plant", "starts")) | {"tile_size": TILE}
 
 
 def compute(design: Design, options: Montecarlo, records: Records, missing: Iterator[int]) -> dict:

@@ -166,6 +166,34 @@ class Beyond(Options):
 
 
 @dataclass(frozen=True)
+class Tune(Options):
+    """Tune weights and gains by gradients through laps and through the tube; what comes out is certified."""
+
+    command = module = "tune"
+
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "untuned"
+    """a scenario that `list` prints, or a file: where tuning starts, and under [tuning] what it aims at"""
+    variables: Literal["both", "weights", "gains", "diagonal"] = "both"
+    """what moves: Q, R and gains, or some of them; diagonal: those of Q and R"""
+    method: Literal["adam", "lbfgs"] = "adam"
+    """Adam, with fresh laps in every step, or L-BFGS-B on the same laps in all"""
+    evaluations: Annotated[int, arg(metavar="COUNT")] = 120
+    """gradients at most"""
+    laps: Annotated[int, arg(metavar="COUNT")] = 128
+    """laps in each evaluation"""
+    held_out: Annotated[int, arg(metavar="COUNT")] = 256
+    """laps, others than those, that judge every iterate"""
+    learning_rate: Annotated[float, arg(metavar="RATE")] = 0.1
+    """of Adam, in the logarithms of weights and gains"""
+    patience: Annotated[int, arg(metavar="COUNT")] = 40
+    """iterates without a better held-out objective after which to stop"""
+    compare: bool = False
+    """also tune weights and gains alone, search without gradients, and drive paths that tuning never saw"""
+    accept_uncertified: bool = False
+    """return the best iterate even if its certificate fails; it is labelled as such"""
+
+
+@dataclass(frozen=True)
 class Bench(Options):
     """Measure laps a second on one device, on all of them, and on one and two workers of a cluster."""
 
@@ -200,7 +228,8 @@ class Check(Options):
 
 
 COMMANDS: dict[str, type[Options]] = {
-    kind.command: kind for kind in (Paper, Design, Montecarlo, Falsify, Guarantee, Maps, Beyond, Bench, List, Check)
+    kind.command: kind
+    for kind in (Paper, Design, Montecarlo, Falsify, Guarantee, Maps, Beyond, Tune, Bench, List, Check)
 }
 
 

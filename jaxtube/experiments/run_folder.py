@@ -17,12 +17,13 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
 
+import msgspec
 import numpy as np
 
 from ..scenario import Scenario, to_toml
@@ -84,6 +85,21 @@ def create(scenario: Scenario, options: Options) -> RunFolder:
         problem = f"cannot be written to ({error.strerror})"
         raise refusal("command line", "--out", str(folder.path), problem, "name a folder you may write to") from None
     return folder
+
+
+def identity(scenario: Scenario, options: Options, names: Iterable[str]) -> dict[str, Any]:
+    """Return all that determines the numbers of a run: scenario, seed, the named options, code, packages, device."""
+    jax, file = sys.modules["jax"], scenario.reference.file
+    return {
+        "scenario": msgspec.to_builtins(scenario),
+        "reference_file_sha256": hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else "",
+        "seed": options.seed,
+        **{name: getattr(options, name) for name in names},
+        "source_sha256": source_hashes(),
+        "packages": {name: version(name) for name in ("jax", "jaxlib", "numpy", "scipy", "clarabel")},
+        "backend": jax.default_backend(),
+        "bits": jax.dtypes.canonicalize_dtype(float).itemsize * 8,
+    }
 
 
 def _manifest(scenario_text: str, options: Options) -> dict[str, Any]:

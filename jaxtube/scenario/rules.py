@@ -126,9 +126,14 @@ def _check_bands(scenario: Scenario, refuse: Refuse) -> None:
 def _check_gains(controller: Controller, refuse: Refuse) -> None:
     if controller.tracking_gains and len(controller.tracking_gains) != 3:
         refuse("controller.tracking_gains", "are not three", "give [k1, k2, k3]")
-    if controller.tracking_gains and (controller.terminal, controller.tube) != ("T-A", "sequence"):
-        problem = "are tube and terminal gain at once, which terminal T-A with tube sequence allows alone"
-        refuse("controller.tracking_gains", problem, 'set controller.terminal = "T-A" and controller.tube = "sequence"')
+    if controller.vertex_gains and [len(gain) for gain in controller.vertex_gains] != [INPUT_SIZE * ERROR_SIZE] * 4:
+        refuse("controller.vertex_gains", "are not four gains", "give four rows [k11, k12, k13, k21, k22, k23]")
+    if controller.vertex_gains and controller.tracking_gains:
+        refuse("controller.vertex_gains", "stand beside controller.tracking_gains", "leave out one of them")
+    for name in ("tracking_gains", "vertex_gains"):
+        if getattr(controller, name) and (controller.terminal, controller.tube) != ("T-A", "sequence"):
+            problem = "are tube and terminal gain at once, which terminal T-A with tube sequence allows alone"
+            refuse(f"controller.{name}", problem, 'set controller.terminal = "T-A" and controller.tube = "sequence"')
 
 
 def _check_weights(controller: Controller, refuse: Refuse) -> None:

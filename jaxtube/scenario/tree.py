@@ -121,7 +121,8 @@ class Controller(Section, frozen=True):
     """The predictive controller; a weight is a list of diagonal entries or a symmetric matrix, a list of rows.
 
     `tracking_gains` (k1 1/s, k2 rad/(m s), k3 1/s) take the place of the gains from `lmi_objective`:
-    u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th.
+    u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th. So do `vertex_gains`, of u = +K(th) e: K row by row at the vertices
+    (min, max), (min, min), (max, min), (max, max) of the box of wheel speeds (right, left), bilinear between them.
     """
 
     dt_s: Positive = 0.1
@@ -133,6 +134,7 @@ class Controller(Section, frozen=True):
     discretisation: Literal["euler", "zoh"] = "euler"
     input_map: Literal["paper", "cosine_free", "x_exact"] = "paper"
     tracking_gains: tuple[Positive, ...] = ()
+    vertex_gains: tuple[tuple[float, ...], ...] = ()
     lmi_objective: Literal["trace_s", "trace_p", "logdet"] = "trace_s"
     terminal: Literal["paper", "T-A", "T-B"] = "paper"
     restart: bool = True
@@ -146,8 +148,28 @@ class Initial(Section, frozen=True):
     heading_deg: float = 0.0
 
 
+class Tuning(Section, frozen=True):
+    """What `tune` minimises: a cost of each lap, its tail, the size of the tube, and soft margins.
+
+    A lap costs the sum of squares of RMS errors, once settled, and of the RMS effort, each over the value given here;
+    what has none is free. Effort is what the wheels are asked for beyond the reference under nominal slip. Its RMS over
+    all laps above `effort_limit_mps` costs steeply, and so does every limit that is used beyond `margin`, a share: by
+    the tube at its widest, or in the laps.
+    """
+
+    longitudinal_m: Positive | None = None
+    lateral_m: Positive | None = 0.005
+    heading_deg: Positive | None = None
+    effort_mps: Positive | None = None
+    effort_limit_mps: Positive | None = None
+    tail_share: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.1
+    tail_weight: NonNegative = 0.1
+    tube_weight: NonNegative = 0.1
+    margin: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.9
+
+
 class Scenario(Section, frozen=True):
-    """One experiment: robot, reference, slip, sets, controller and start."""
+    """One experiment: robot, reference, slip, sets, controller and start, and what tuning aims at."""
 
     robot: Robot = Robot()
     reference: Reference = Reference()
@@ -158,6 +180,7 @@ class Scenario(Section, frozen=True):
     noise: Noise = Noise()
     controller: Controller = Controller()
     initial: Initial = Initial()
+    tuning: Tuning = Tuning()
 
 
 def to_toml(scenario: Scenario) -> str:

@@ -194,7 +194,7 @@ def test_terminal_margins_are_the_least_room_over_vertices():
 
     scale = np.linalg.norm(inputs.normals, axis=1)
     rows, offsets = inputs.normals / scale[:, None] @ gains, inputs.offsets / scale
-    found = terminal_margins(terminal, following, LOOPS, errors, rows, offsets, reach)
+    found = terminal_margins(terminal, following, LOOPS, errors, rows, offsets, reach.vertices())
     expected = {
         "admissible_errors": room(errors, points),
         "admissible_inputs": min(room(inputs, points @ gain.T) for gain in gains),

@@ -1,0 +1,120 @@
+"""The closed loop as a function of weights and gains: designed on the host, differentiated on the device.
+
+    (Q, R, kappa)  ->  gains, loops, P  ->  tube, margins  ->  condensed QPs  ->  laps
+
+A design fixes what no derivative passes through: the terminal set, the reference, and the answer P about which the
+terminal cost is differentiated. All else is computed again from (Q, R, kappa) on the device, equal to the design's own.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float, Int
+
+from jaxtube.design import Ingredients
+from jaxtube.design.condense import Bounds, Cost, Gains, Prediction, predict, row_bounds, weigh, widths
+from jaxtube.design.terminal import FACETS
+from jaxtube.design.tightening import BACK_OFF
+from jaxtube.mpc import AnyArray, Window
+from jaxtube.tuning.gains import GainMaps, gain_maps, terminal_cost
+from jaxtube.tuning.tube import disturbance_generators, rows_under, sequence_reach, sequence_reaches
+
+ROOM = 0.02
+"""Share of a limit that the tube leaves at least: while tuned, a design without plans still has a closed loop."""
+
+
+class Weights(NamedTuple):
+    """What is tuned: Q, R and the numbers of the gains."""
+
+    error_weight: Float[AnyArray, "3 3"]
+    input_weight: Float[AnyArray, "2 2"]
+    kappa: Float[AnyArray, " kappa"]
+
+
+class Fixed(NamedTuple):
+    """What a design holds fixed while weights and gains move; of one shape for all designs of a scenario."""
+
+    maps: GainMaps
+    ahead: Prediction
+    generators: Float[AnyArray, "g 3"]  # of W
+    error_rows: Float[AnyArray, "6 3"]
+    error_offsets: Float[AnyArray, " 6"]
+    input_rows: Float[AnyArray, "k 2"]
+    input_error_rows: Float[AnyArray, "k 3"]
+    input_offsets: Float[AnyArray, " k"]
+    terminal_normals: Float[AnyArray, "facets 3"]
+    terminal_offsets: Float[AnyArray, "windows facets"]  # before the tube is taken off
+    terminal_cost: Float[AnyArray, "3 3"]
+    widths: Float[AnyArray, "3"]
+    index: Int[AnyArray, " steps"]
+
+
+def fix(design: Ingredients) -> Fixed:
+    """Take from a design (terminal T-A, tube `sequence`) what stays fixed; unused terminal rows are unbounded."""
+    problem, windows, terminal, rows = design.problem, design.windows, design.terminal, design.problem.input_rows
+    normals, offsets = terminal.constraint_normals, terminal.constraint_offsets
+    spare = max(FACETS - len(normals), 0)
+    normals = np.concatenate([normals, np.repeat(normals[:1], spare, axis=0)])
+    offsets = np.concatenate([offsets, np.full((len(offsets), spare), np.inf)], axis=1)
+    ahead = predict(problem, windows, normals)
+    generators = disturbance_generators(problem)
+    along = jnp.broadcast_to(normals, (len(windows.loops), *normals.shape))
+    taken = sequence_reach(jnp.asarray(windows.loops), jnp.asarray(generators), along, problem.horizon)
+    return Fixed(
+        maps=gain_maps(problem, windows.schedules),
+        ahead=ahead,
+        generators=generators,
+        error_rows=problem.operating_set.normals,
+        error_offsets=problem.operating_set.offsets,
+        input_rows=rows.inputs,
+        input_error_rows=rows.errors,
+        input_offsets=rows.offsets,
+        terminal_normals=normals,
+        terminal_offsets=offsets + np.asarray(taken),
+        terminal_cost=design.cost.cost,
+        widths=widths(problem),
+        index=windows.index,
+    )
+
+
+def tightened(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
+    """Return E_j, U_j and the terminal constraint as `condense.tube_bounds` does, at least ROOM of each limit left."""
+    gains, loops = fixed.maps.window_gains.at(kappa), fixed.maps.window_loops.at(kappa)
+    count, N = loops.shape[:2]
+    back_off = BACK_OFF * jnp.arange(1.0, N + 1)[:, None]
+    errors = sequence_reaches(
+        loops, fixed.generators, jnp.broadcast_to(fixed.error_rows, (count, N, *fixed.error_rows.shape))
+    )
+    under = rows_under(fixed.input_rows, fixed.input_error_rows, gains)
+    inputs = sequence_reaches(loops, fixed.generators, under)
+    along = jnp.broadcast_to(fixed.terminal_normals, (count, *fixed.terminal_normals.shape))
+    last = sequence_reach(loops, fixed.generators, along, N)
+    last = last + (N + 1) * BACK_OFF * jnp.linalg.norm(fixed.terminal_normals, axis=1)
+
+    def left(offsets, taken):
+        return jnp.maximum(offsets - taken, ROOM * offsets)
+
+    return Bounds(
+        left(fixed.error_offsets, errors + back_off),
+        left(fixed.input_offsets, inputs + back_off),
+        fixed.terminal_normals,
+        left(fixed.terminal_offsets, last),
+    )
+
+
+def terminal_weight(fixed: Fixed, weights: Weights) -> Float[Array, "3 3"]:
+    """Return P, which follows Q, R and the gains."""
+    loops, gains = fixed.maps.vertex_loops.at(weights.kappa), fixed.maps.vertex_gains.at(weights.kappa)
+    return terminal_cost(fixed.terminal_cost, loops, gains, weights.error_weight, weights.input_weight)
+
+
+def windows_of(fixed: Fixed, weights: Weights) -> Window:
+    """Return the condensed QPs along the reference."""
+    gains = fixed.maps.window_gains.at(weights.kappa)[:, 0]
+    cost = Cost(weights.error_weight, weights.input_weight, terminal_weight(fixed, weights))
+    bounds = row_bounds(tightened(fixed, weights.kappa), fixed.ahead)
+    return weigh(fixed.ahead, bounds, Gains(gains, gains), cost, fixed.widths)

@@ -1,0 +1,137 @@
+"""Reach of the tubes as a function of the local gains, differentiable: what `sets.tubes` computes by vertices.
+
+    W = {sum_i s_i g_i : |s_i| <= 1}        h_W(c) = sum_i |c g_i|        deviation+ = Phi deviation + w,  w in W
+    sequence   h_{R_j}(c) = sum over m = 1..j of h_W(c Phi_{j-1} ... Phi_m), the factor being I at m = j
+    summed     h_{R_j}(c) = sum over m < j of max h_W(c Psi_m) over the products Psi_m of m vertex loops
+
+W is symmetric, so is every section, and support numbers along rows are all that E and U lose. Every function follows
+the dtype of its arguments, works under `jit`, and has one derivative except where a product c g_i changes its sign or
+two maxima are equal; there it is one of a side, or their mean.
+
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (26)-(29); Chisci, Rossiter, Zappa 2001.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from jaxtube.design.problem import Problem
+from jaxtube.model import VERTEX_SIDES
+
+
+def disturbance_generators(problem: Problem) -> Float[np.ndarray, "g 3"]:
+    """Return the generators of a design's W: its three half widths, and a computed W's yaw kick (0, g_y, 1) first."""
+    residual = problem.residual
+    if residual is None:
+        return np.diag(problem.disturbance_set.support(np.eye(3)))
+    return np.vstack([residual.yaw * np.array([0.0, residual.lateral_per_yaw, 1.0]), np.diag(residual.box)])
+
+
+def support(generators: Float[Array, "g 3"], rows: Float[Array, "... 3"]) -> Float[Array, "..."]:
+    """Return the support numbers of W along the rows."""
+    return jnp.sum(jnp.abs(rows @ generators.T), axis=-1)
+
+
+def sequence_reach(
+    loops: Float[Array, "windows horizon 3 3"],
+    generators: Float[Array, "g 3"],
+    rows: Float[Array, "windows k 3"],
+    steps: int,
+) -> Float[Array, "windows k"]:
+    """Return the support numbers of the `sequence` section R_steps of many windows.
+
+    Args:
+        loops: A + B K along each window's schedule.
+        generators: of W.
+        rows: directions, by window.
+        steps: static, at most the horizon.
+    """
+    total = jnp.zeros_like(rows[..., 0])
+    for m in range(steps, 0, -1):
+        total = total + support(generators, rows)
+        rows = rows @ loops[:, m - 1]
+    return total
+
+
+def sequence_reaches(
+    loops: Float[Array, "windows horizon 3 3"],
+    generators: Float[Array, "g 3"],
+    rows: Float[Array, "windows stages k 3"],
+) -> Float[Array, "windows stages k"]:
+    """Return the support numbers of the `sequence` sections R_0 .. R_{stages-1}, each along its own rows.
+
+    Args:
+        loops: A + B K along each window's schedule.
+        generators: of W.
+        rows: those of E for every stage, or the input rows under each stage's gain (`rows_under`).
+    """
+    return jnp.stack([sequence_reach(loops, generators, rows[:, j], j) for j in range(rows.shape[1])], axis=1)
+
+
+def summed_reach(
+    loops: Float[Array, "v 3 3"], generators: Float[Array, "g 3"], rows: Float[Array, "k 3"], horizon: int
+) -> Float[Array, "horizon+1 k"]:
+    """Return the support numbers of the `summed` sections R_0 .. R_horizon along the rows.
+
+    Runs through all v^(horizon-1) products of vertex loops.
+    """
+    products, reach = rows[None], [jnp.zeros_like(rows[:, 0])]
+    for j in range(horizon):
+        if j > 0:
+            products = (products[None] @ loops[:, None]).reshape(-1, *rows.shape)
+        reach.append(reach[-1] + jnp.max(support(generators, products), axis=0))
+    return jnp.stack(reach)
+
+
+def summed_input_reach(
+    loops: Float[Array, "v 3 3"], generators: Float[Array, "g 3"], rows: Float[Array, "gains k 3"], horizon: int
+) -> Float[Array, "horizon+1 k"]:
+    """Return the support numbers of co u_i K_i R_0 .. co u_i K_i R_horizon along the input rows under K_1, K_2, ..."""
+    reach = summed_reach(loops, generators, rows.reshape(-1, 3), horizon)
+    return jnp.max(reach.reshape(horizon + 1, *rows.shape[:2]), axis=1)
+
+
+def rows_under(
+    inputs: Float[Array, "k 2"], errors: Float[Array, "k 3"], gains: Float[Array, "... 2 3"]
+) -> Float[Array, "... k 3"]:
+    """Return the rows  inputs u + errors e  on the error under u = K e."""
+    return inputs @ gains + errors
+
+
+def decoupled_gains(
+    transitions: Float[Array, "... 3 3"], dt: float, gains: Float[Array, "3"]
+) -> Float[Array, "... 2 3"]:
+    """Return K = [[-k1, -A_12 / T, 0], [0, -k2, -k3]].
+
+    Args:
+        transitions: A of the model at each schedule.
+        dt: s.
+        gains: k1 (1/s), k2 (rad/(m s)), k3 (1/s).
+    """
+    across = -transitions[..., 0, 1] / dt
+    k1, k2, k3 = (jnp.broadcast_to(k, across.shape) for k in gains)
+    zero = jnp.zeros_like(across)
+    return jnp.stack([jnp.stack([-k1, across, zero], axis=-1), jnp.stack([zero, -k2, -k3], axis=-1)], axis=-2)
+
+
+def decoupled_loops(turn_and_reach: Float[Array, "v 2"], dt: float, gains: Float[Array, "3"]) -> Float[Array, "v 3 3"]:
+    """Return the loops of decoupled gains under the exact Jacobian.
+
+    Args:
+        turn_and_reach: (h, c) of each loop, without unit and m.
+        dt: s.
+        gains: k1 (1/s), k2 (rad/(m s)), k3 (1/s).
+    """
+    h, c = turn_and_reach.T
+    k1, k2, k3 = (jnp.broadcast_to(dt * k, h.shape) for k in gains)
+    zero = jnp.zeros_like(h)
+    entries = (1.0 - k1, zero, zero, -h * (2.0 - k1), 1.0 - c * k2 / 2.0, c * (1.0 - k3 / 2.0), zero, -k2, 1.0 - k3)
+    return jnp.stack(entries, axis=-1).reshape(-1, 3, 3)
+
+
+def exact_corners(problem: Problem) -> Float[np.ndarray, "v 2"]:
+    """Return (h, c) at the corners of the stretched wheel speeds, whose loops hold those of every schedule."""
+    model = problem.model
+    boxes = [np.stack(model.stretched_box(*region))[VERTEX_SIDES, [0, 1]] for region in problem.regions]
+    return np.unique(model.turn_and_reach(np.concatenate(boxes)), axis=0)

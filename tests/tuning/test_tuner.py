@@ -1,0 +1,186 @@
+"""Laws of a scenario's tuner: what has no design, what an inspection depends on, and which draws it uses."""
+
+import dataclasses
+
+import jax
+import numpy as np
+import pytest
+import tuned
+
+from jaxtube.design import finish, prepare, refuse_infeasible_start
+from jaxtube.design.problem import with_controller
+from jaxtube.experiments import closed_loop
+from jaxtube.scenario import ScenarioError
+from jaxtube.tuning import tuner as tuners
+from jaxtube.tuning.objective import aim
+from jaxtube.tuning.parameters import parameters
+from jaxtube.tuning.tuner import COMPARED, HELD_OUT, NO_DESIGN, Tuner
+
+COMPILE_QUICKLY = {"xla_backend_optimization_level": 0}
+LAPS = 4  # held-out ones too: one shape, one compilation
+
+
+def make(problem):
+    plant = tuned.shortened(closed_loop.robot_of(problem), 12)
+    return Tuner(problem, plant, parameters(problem), aim(problem.scenario, 5), LAPS, LAPS)
+
+
+def fresh(tuner, **changes):
+    """Return a tuner that has seen nothing."""
+    return dataclasses.replace(tuner, **changes)
+
+
+@pytest.fixture(scope="module")
+def quick():
+    """Tuners compile their value with little effort."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("_played", "_value_and_gradient"):
+            static = ("restart", "input_map")
+            function = getattr(tuners, name).__wrapped__
+            patch.setattr(tuners, name, jax.jit(function, static_argnames=static, compiler_options=COMPILE_QUICKLY))
+        yield
+
+
+@pytest.fixture(scope="module")
+def tuner(quick):
+    return make(tuned.problem_of("decoupled"))
+
+
+def moved(tuner, **factors):
+    """Return the start with some parameters multiplied, those that count by their logarithms."""
+    point = tuner.parameters.vector.copy()
+    for name, factor in factors.items():
+        point[tuner.parameters.free_names.index(name)] += np.log(factor)
+    return point
+
+
+WITHOUT_DESIGN = {
+    "weak gains": dict(k1=1e-3, k2=1e-3, k3=1e-3),
+    "unbounded": dict(k2=0.02),
+    "unstable": dict(k1=3.0, k3=3.0),
+    "sets left empty": dict(k1=1.9),
+    "weights without end": dict(Q11=1e200),
+}
+
+
+@pytest.mark.parametrize("name", list(WITHOUT_DESIGN))
+def test_what_has_no_design_says_why_and_is_worth_no_design(tuner, name):
+    point = moved(tuner, **WITHOUT_DESIGN[name])
+    designed = tuner.designed(point)
+    assert designed.frozen is None and designed.reason
+    value, gradient = tuner.evaluate(point, 0)
+    assert value == tuner.value(point, 1) == NO_DESIGN and np.isfinite(NO_DESIGN)
+    np.testing.assert_array_equal(gradient, np.zeros_like(point))
+    inspected = tuner.inspect(point)
+    assert inspected.held_out == np.inf and not inspected.certified and inspected.failing == (designed.reason,)
+    assert inspected.laps is None and inspected.shares is None
+    with pytest.raises(ValueError, match="has no closed loop"):
+        tuner.controller(point)
+
+
+def test_reasons_tell_an_unbounded_tube_from_an_empty_set(tuner):
+    assert "share no quadratic cost" in tuner.designed(moved(tuner, **WITHOUT_DESIGN["unstable"])).reason
+    assert "is not bounded" in tuner.designed(moved(tuner, **WITHOUT_DESIGN["unbounded"])).reason
+    assert "U_3 is empty" in tuner.designed(moved(tuner, **WITHOUT_DESIGN["sets left empty"])).reason
+
+
+def test_an_inspection_is_a_function_of_the_point_alone(tuner):
+    point = moved(tuner, Q11=2.0, R22=0.5)
+    first = tuner.inspect(point)
+    tuner.inspect(tuner.parameters.vector)
+    tuner.value(point, 3)
+    for other in (tuner.inspect(point.copy()), fresh(tuner).inspect(point)):
+        assert (other.held_out, other.certified, other.failing) == (first.held_out, first.certified, first.failing)
+        jax.tree.map(np.testing.assert_array_equal, (other.laps, other.shares), (first.laps, first.shares))
+    assert tuner.compare(point, LAPS).held_out != first.held_out != tuner.value(point, 0)
+
+
+def test_a_point_that_changes_afterwards_is_another_point(tuner):
+    point = tuner.parameters.vector.copy()
+    value = tuner.value(point, 0)
+    point += 0.1
+    changed = tuner.value(point, 0)
+    assert changed != value
+    assert fresh(tuner).value(point, 0) == changed
+
+
+def test_values_are_functions_of_point_and_index_of_draws(tuner):
+    point = tuner.parameters.vector
+    values = [tuner.value(point, draws) for draws in (0, 1, 2, 0)]
+    assert len(set(values)) == 3 and values[0] == values[3]
+    assert fresh(tuner, seed=1).value(point, 0) != values[0]
+
+
+def test_no_two_uses_share_a_realisation(tuner, monkeypatch):
+    tuner, seen = fresh(tuner, laps=5, held_out=7), {}
+
+    def keys_of(keys):
+        seen.setdefault(name[0], []).extend(map(tuple, np.asarray(jax.random.key_data(keys)).tolist()))
+
+    def played(vector, frozen, plant, keys, *rest):
+        keys_of(keys)
+        return tuners.Laps(*np.zeros((5, len(keys))))._replace(errors=np.zeros((len(keys), 3)))
+
+    def value_and_gradient(vector, frozen, plant, keys, *rest):
+        keys_of(keys)
+        return 0.0, vector
+
+    monkeypatch.setattr(tuners, "_played", played)
+    monkeypatch.setattr(tuners, "_value_and_gradient", value_and_gradient)
+    point, name = tuner.parameters.vector, [""]
+    for draws in (0, 1, 2, 10**9):
+        name[0] = f"value {draws}"
+        tuner.value(point, draws)
+    name[0] = "held out"
+    tuner.inspect(point)
+    name[0] = "compared"
+    tuner.compare(point, 9)
+    assert [len(keys) for keys in seen.values()] == [5, 5, 5, 5, 10, 10]
+    everything = [key for keys in seen.values() for key in keys]
+    assert len(set(everything)) == len(everything)
+    # Descents draw the same laps for value and gradient.
+    name[0] = "gradient"
+    tuner.evaluate(point, 2)
+    assert seen["gradient"] == seen["value 2"]
+    assert HELD_OUT + 2**32 < COMPARED
+
+
+CERTIFIED = {
+    "the start": {},
+    "other weights": dict(Q11=3.0, R22=2.0),
+    "weaker gains": dict(k1=0.6),
+    "less": dict(k3=0.8),
+}
+
+
+@pytest.mark.parametrize("name", list(CERTIFIED))
+def test_is_certified_where_the_certificate_holds_and_the_start_has_a_plan(tuner, name):
+    point = moved(tuner, **CERTIFIED[name])
+    problem = with_controller(tuner.problem, tuner.parameters.scenario(tuner.problem.scenario, point))
+    design = finish(prepare(problem))
+    try:
+        refuse_infeasible_start(design)
+        has_a_plan = True
+    except ScenarioError:
+        has_a_plan = False
+    found = tuner.inspect(point)
+    assert found.certified == (design.certificate.holds and has_a_plan)
+    assert set(found.failing) == {*design.certificate.failing, *([] if has_a_plan else ["start_has_a_plan"])}
+    if name in ("the start", "other weights"):
+        assert found.certified
+
+
+def test_a_start_without_plan_is_not_certified(tuner):
+    outside = dataclasses.replace(tuner.problem, initial_error=0.99 * tuner.problem.operating_set.offsets[:3])
+    found = fresh(tuner, problem=outside).inspect(tuner.parameters.vector)
+    assert not found.certified and found.failing == ("start_has_a_plan",)
+
+
+@pytest.mark.slow
+def test_evaluation_is_the_value_and_the_slope_of_it(tuner):
+    point = tuner.parameters.vector
+    value, gradient = tuner.evaluate(point, 4)
+    assert value == pytest.approx(tuner.value(point, 4), rel=1e-12)
+    step, k = 1e-4, tuner.parameters.free_names.index("Q22")
+    ends = [tuner.value(point + sign * step * np.eye(len(point))[k], 4) for sign in (1, -1)]
+    assert gradient[k] == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-5)
