@@ -37,7 +37,8 @@ from sets.lyapunov import cost_of_gains
 from sets.polytope import Polytope
 
 FACETS = 40
-"""Facets that the invariant set used on line may have: every one of them is a row of every QP."""
+"""Facets that the invariant set used on line may have: every one of them is a row of every QP. Twice as many where so
+few carry none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,7 +120,8 @@ def make_terminal(
     maximal = _maximal(loops, inner, widened)
     invariant = None
     if maximal.polytope is not None:
-        invariant = few_facet_rpi(loops, inner, widened, maximal.polytope, FACETS)
+        sets = (few_facet_rpi(loops, inner, widened, maximal.polytope, facets) for facets in (FACETS, 2 * FACETS))
+        invariant = next((found for found in sets if found is not None), None)
     constraint = _constraint(problem, kind, invariant, disturbance, windows, tightening)
     fallback = constraint is None
     normals, offsets = constraint or (

@@ -5,6 +5,7 @@ And what the gradient of a tuning objective costs, in the time of its value.
 
 from __future__ import annotations
 
+import resource
 import time
 
 import jax
@@ -90,12 +91,16 @@ def gradient_cost(found: Design) -> dict[str, dict[str, float]]:
         "edge": jnp.asarray(spread_starts(points, LAPS, 0, edge_share=1.0)),
     }
     programs = [jax.jit(of).lower(vector, starts["edge"]).compile() for of in (value, jax.value_and_grad(value))]
-    memory = programs[1].memory_analysis().temp_size_in_bytes / 2**20
+    analysis = programs[1].memory_analysis()
+    assert analysis is not None
+    memory = analysis.temp_size_in_bytes / 2**20
     print(f"{'starts':<12}{'value, s':>16}{'with gradient, s':>18}{'ratio':>8}{'memory, MiB':>14}")
     for name, each in starts.items():
         alone, both = (_least_seconds(program, vector, each) for program in programs)
         print(f"{name:<12}{alone:>16.3f}{both:>18.3f}{both / alone:>8.2f}{memory:>14.0f}")
         numbers[name] = {"value_s": alone, "with_gradient_s": both, "memory_mib": memory}
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
+    print(f"memory: of the gradient's program beside its arguments; of the whole process {peak:.0f} MiB at most")
     return numbers
 
 

@@ -29,15 +29,15 @@ from jaxtube.tuning.tuner import COMPARED, Point, Tuner
 from sets.lmi import lqr_gain
 
 GRADIENT = 3
-"""Evaluations that a gradient counts for: what it costs at most."""
+"""What a gradient takes in evaluations: searches end at as many evaluations as gradients, and at as much time."""
 SPREAD, SIMPLEX = 1.0, 0.5
 """Standard deviation of a random search and size of a first simplex, in logarithms of weights and gains."""
 GRID = {"Q11": (0.1, 3.0, 4), "Q22": (10.0, 4.0, 5), "Q33": (0.1, 2.0, 2), "R11": (1.0, 0.0, 1), "R22": (0.3, 3.0, 5)}
 """Centre, decades and number of values of each diagonal entry: 200 points in all. R11 is the unit."""
-EFFORTS = (0.018, 0.021, 0.025, 0.034, 0.040)
-TUBES = (0.5, 2.0, 8.0)
+EFFORTS = (0.018, 0.022, 0.034, 0.040)
+TUBES = (1.0, 8.0)
 """Limits of effort, m/s, and weights of the tube along the front."""
-FRONT_SHARE = 3
+FRONT_SHARE = 4
 """Of the descent's budget, one part in this many for every point of the front."""
 
 
@@ -96,7 +96,10 @@ def searched(tuner: Tuner, log: Log, budget: int, seed: int) -> list[Entry]:
             "simplex search": nelder_mead(value["simplex"], start, budget, SIMPLEX),
         }
     for name, search in found.items():
-        entries.append(Entry(name, tuner, search.best, result(tuner, search.best), budget, "search"))
+        # Both are their own beginnings: a search of fewer evaluations asks for the same points.
+        for spent in (budget // GRADIENT, budget):
+            best = search.points[int(np.argmin(search.values[:spent]))]
+            entries.append(Entry(f"{name}, {spent}", tuner, best, result(tuner, best), spent, "search"))
     return entries
 
 
@@ -166,7 +169,7 @@ def grid(tuner: Tuner, log: Log, kappa: Float[np.ndarray, " kappa"], name: str) 
     stream = f"grid-{'-'.join(name.replace(chr(39), '').split())}"
 
     def compute(point):
-        played = other.played(point, COMPARED, tuner.held_out)
+        played = other.played(point, COMPARED, tuner.laps)
         if played is None:
             return {"spot": np.full(3, np.nan)}
         _, laps, shares = played

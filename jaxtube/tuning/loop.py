@@ -57,7 +57,7 @@ def fix(design: Ingredients) -> Fixed:
     """Take from a design (terminal T-A, tube `sequence`) what stays fixed; unused terminal rows are unbounded."""
     problem, windows, terminal, rows = design.problem, design.windows, design.terminal, design.problem.input_rows
     normals, offsets = terminal.constraint_normals, terminal.constraint_offsets
-    spare = max(FACETS - len(normals), 0)
+    spare = -len(normals) % FACETS
     normals = np.concatenate([normals, np.repeat(normals[:1], spare, axis=0)])
     offsets = np.concatenate([offsets, np.full((len(offsets), spare), np.inf)], axis=1)
     ahead = predict(problem, windows, normals)

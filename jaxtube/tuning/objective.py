@@ -30,7 +30,7 @@ from jaxtube.tuning.loop import Fixed, Weights, windows_of
 from jaxtube.tuning.minimal import ActiveFacets, Limits, cap_shares
 from jaxtube.usage import play
 
-STEEPNESS = 1e3
+STEEPNESS = 1e2
 """What the square of a limit's excess costs, as a share of the limit."""
 
 
