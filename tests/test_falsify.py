@@ -143,7 +143,7 @@ def test_the_reported_margin_is_that_of_a_world_frame_simulation(paper_design, s
     assert searched.reach["error"].max() == pytest.approx(worst.usage, abs=FALSIFY_REPLAY)
 
 
-@pytest.mark.parametrize("process", ["iid", "constant"])
+@pytest.mark.parametrize("process", ["iid", pytest.param("constant", marks=pytest.mark.slow)])
 def test_everything_bounded_is_searched_and_stays_within_bounds(gain, robot, error_limit, process):
     noise = jnp.array([0.01, 0.02, 0.03])
     plant = dataclasses.replace(robot, noise=noise, random="both", process=process)

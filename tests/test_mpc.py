@@ -279,6 +279,7 @@ CYCLING = np.array(
 )
 
 
+@pytest.mark.slow
 def test_plans_from_the_edge_of_a_certified_design_are_found():
     found = make_design(load("certified"))
     window = mpc.take_window(jax.tree.map(jnp.asarray, found.tube_window), found.windows.index[0])

@@ -82,7 +82,7 @@ def direction_of(part: int, data, rng):
 
 
 @pytest.mark.parametrize("part", range(5), ids=list("PAqlu"))
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_agrees_with_differences_of_an_exact_solver(seed, part):
     data, rng = programs(seed), np.random.default_rng(seed)
     bars = rng.normal(size=data[2].shape), rng.normal(size=data[3].shape)
@@ -216,6 +216,7 @@ def test_float32_follows_float64():
         assert error[alike].max() <= tol.SENSITIVITY_FLOAT32
 
 
+@pytest.mark.slow
 def test_a_scan_of_checkpoints_differentiates_a_closed_loop():
     fam, rng = family(0), np.random.default_rng(7)
     feedback = jnp.asarray(np.eye(3) + 0.1 * rng.normal(size=(3, 3)))

@@ -119,7 +119,6 @@ DESCENT_OPTIMUM = 1e-8  # distance to the optimum of numbers of order one
 NOISY_OPTIMUM = 0.06  # distance after 400 steps under noise of deviation 0.3 in the gradient
 
 # jaxtube/tuning/tube.py, minimal.py, residual.py
-TUBE_LOOPS = 1e-14  # entries of loops and gains of order one to ten
 TUBE_REACH = 1e-9  # relative; sums of support numbers against vertices, of which those closer than 1e-10 are one
 TUBE_BOUND = 1e-7  # relative; where the iteration for the minimal set stops, tenfold
 TUBE_TIGHT = 1e-9  # relative; the fixed point itself, active facets found where that iteration stopped

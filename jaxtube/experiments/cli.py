@@ -134,6 +134,8 @@ def _check(options: Options) -> None:
     ):
         if (count := getattr(options, name, least)) < least:
             raise _refusal(f"--{name.replace('_', '-')} = {count}: is out of range; give a whole number from {least}")
+    if not 0 < (rate := getattr(options, "learning_rate", 1.0)) < float("inf"):
+        raise _refusal(f"--learning-rate = {rate}: is out of range; give a positive number, such as 0.1")
     if Path(options.out).is_file():
         raise _refusal(f"--out = {options.out}: is a file; name a folder")
 

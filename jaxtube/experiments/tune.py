@@ -7,18 +7,21 @@ log/             every evaluation: a run that was killed goes on by the same com
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 
+from jaxtube.design import design
 from jaxtube.design.residual import complete_problem
 from jaxtube.experiments import closed_loop, metrics, run_folder, tune_compare, tune_report
 from jaxtube.experiments.atomic import write_atomically
+from jaxtube.experiments.design import add_exact_condition
 from jaxtube.experiments.options import Tune
 from jaxtube.experiments.tune_log import Log
 from jaxtube.experiments.tune_run import Descent, Judgement, descend
-from jaxtube.scenario import Scenario, ScenarioError, to_toml
+from jaxtube.scenario import Scenario, ScenarioError, load, to_toml
 from jaxtube.tuning.descent import Stop
 from jaxtube.tuning.objective import aim
 from jaxtube.tuning.parameters import Tuned, parameters
-from jaxtube.tuning.tuner import Tuner
+from jaxtube.tuning.tuner import Tuner, failing_conditions
 
 NOT_CERTIFIED, BROKEN_OFF = 3, 2
 SETTINGS = ("variables", "method", "evaluations", "laps", "held_out", "learning_rate", "patience")
@@ -28,10 +31,11 @@ def run(scenario: Scenario, options: Tune) -> int:
     """Run the command; returns 3 where no iterate is certified, 2 where the descent broke off."""
     tuner = make_tuner(scenario, options, options.variables)
     refuse_start_without_loop(tuner)
-    folder = run_folder.create(scenario, options)
     with Log(options.folder / "log", run_folder.identity(scenario, options, SETTINGS)) as log:
         for line in log.damaged:
             print(line, file=sys.stderr)
+        folder = run_folder.create(scenario, options)
+        tuned_file(options).unlink(missing_ok=True)  # an earlier run's; a replay writes its own again
         descent = tune(tuner, log, options)
         best = chosen(descent, options.accept_uncertified)
         if best is None:
@@ -39,7 +43,11 @@ def run(scenario: Scenario, options: Tune) -> int:
                 f"no iterate is certified: {tune_report.why_not(descent)}; {descent.outcome.sentence}", NOT_CERTIFIED
             )
         save(tuner, options, best)
-        summary = tune_report.summary(tuner, descent, best)
+        failing, verdict = certified_again(tuned_file(options))
+        if failing and not options.accept_uncertified:
+            tuned_file(options).unlink()
+            return _report(f"the best iterate does not certify when read back: {', '.join(failing)}", NOT_CERTIFIED)
+        summary = tune_report.summary(tuner, descent, best, verdict)
         print(summary.text)
         folder.save_arrays("iterates", **tune_report.arrays(tuner, descent))
         tune_report.draw(folder, tuner, descent, best)
@@ -106,7 +114,28 @@ def save(tuner: Tuner, options: Tune, found: Judgement) -> None:
     text = to_toml(tuner.parameters.scenario(tuner.problem.scenario, found.point))
     label = "certified" if found.certified else f"NOT CERTIFIED: {', '.join(found.failing)}"
     header = f"# Tuned from {options.scenario}; {label}.\n\n"
-    write_atomically(options.folder / "tuned.toml", lambda file: file.write((header + text).encode()))
+    write_atomically(tuned_file(options), lambda file: file.write((header + text).encode()))
+
+
+def tuned_file(options: Tune) -> Path:
+    """Return the file of the result."""
+    return options.folder / "tuned.toml"
+
+
+def certified_again(path: Path) -> tuple[tuple[str, ...], str]:
+    """Design the scenario that is returned as anybody would, and say what its certificate lacks, in a word and a line.
+
+    Gains that decouple are checked a second time, in rational arithmetic.
+    """
+    found = design(load(path))
+    if found.problem.scenario.controller.tracking_gains and found.terminal.invariant is not None:
+        add_exact_condition(found)
+    failing = failing_conditions(found)
+    if failing:
+        return failing, f"NOT CERTIFIED: {', '.join(failing)}"
+    second = found.certificate.conditions.get("checked_in_rationals")
+    twice = "; checked once more in rational arithmetic" if second is not None and second.holds else ""
+    return (), f"CERTIFIED: every required condition holds{twice}"
 
 
 def _report(line: str, code: int) -> int:

@@ -29,7 +29,8 @@ from jaxtube.tuning.tuner import COMPARED, Point, Tuner
 from sets.lmi import lqr_gain
 
 GRADIENT = 3
-"""What a gradient takes in evaluations: searches end at as many evaluations as gradients, and at as much time."""
+"""What a gradient takes in evaluations: searches are judged after as many as there were gradients, and after this many
+times as many."""
 SPREAD, SIMPLEX = 1.0, 0.5
 """Standard deviation of a random search and size of a first simplex, in logarithms of weights and gains."""
 GRID = {"Q11": (0.1, 3.0, 4), "Q22": (10.0, 4.0, 5), "Q33": (0.1, 2.0, 2), "R11": (1.0, 0.0, 1), "R22": (0.3, 3.0, 5)}

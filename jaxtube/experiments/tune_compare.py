@@ -33,7 +33,7 @@ from jaxtube.experiments.tune_run import Descent, Judgement
 from jaxtube.rollout import SlippingRobot
 from jaxtube.scenario import Scenario, ScenarioError, experiments_folder
 from jaxtube.scenario.tree import Reference
-from jaxtube.tuning.tuner import COMPARED, Tuner, failing_conditions
+from jaxtube.tuning.tuner import COMPARED, Tuner, certificate_lacks
 
 PATH_LAPS = 512
 RECORDED = experiments_folder() / "untuned" / "recorded.csv"
@@ -64,7 +64,7 @@ def run(folder: RunFolder, tuner: Tuner, log: Log, options: Tune, descent: Desce
     rows = [
         (path, name, *rms_interval(found.errors[:, 1]))
         for path, designs in paths.items()
-        for name, found in designs.items()
+        for name, found in sorted(designs.items(), key=lambda item: item[0] == "tuned")  # drawn last
     ]
     folder.save_figure(comparison_figure(rows), "comparison")
     tuned = entries[1].result
@@ -111,18 +111,22 @@ def _paths(scenario: Scenario, entries: list[Entry]) -> dict[str, dict[str, Driv
             print(f"{path}: not driven ({error})", file=sys.stderr)
             continue
         robot = closed_loop.robot_of(problem)
-        found[path] = {entry.name: _driven(entry, problem, robot) for entry in entries}
+        driven = {entry.name: _driven(entry, problem, robot) for entry in entries}
+        designs = {name: drive for name, drive in driven.items() if drive is not None}
+        if "start" in designs:
+            found[path] = designs
     return found
 
 
-def _driven(entry: Entry, problem: Problem, robot: SlippingRobot) -> Drive:
+def _driven(entry: Entry, problem: Problem, robot: SlippingRobot) -> Drive | None:
     tuner = dataclasses.replace(entry.tuner, problem=problem, plant=robot)
     if entry.static:
         laps, failing = static_laps(tuner, entry.point, COMPARED, PATH_LAPS), None
     else:
         played, ingredients = tuner.played(entry.point, COMPARED, PATH_LAPS), tuner.designed(entry.point).ingredients
-        assert played is not None and ingredients is not None
-        laps, failing = played[1], failing_conditions(ingredients) if entry.kind in ("start", "tuned") else None
+        if played is None or ingredients is None:
+            return None  # an empty set on this path: no closed loop
+        laps, failing = played[1], certificate_lacks(ingredients) if entry.kind in ("start", "tuned") else None
     return Drive(laps.errors, laps.effort, failing)
 
 
@@ -145,10 +149,11 @@ def table(entries: list[Entry]) -> list[str]:
     for entry in entries:
         name, found, evaluations = entry.name, entry.result, entry.evaluations
         width = "-" if found.half_widths is None else f"{100 * found.half_widths[1]:.2f} cm"
+        objective = "-" if entry.static else f"{found.objective:.4f}"
         above, low, high = difference(found.costs, tuned.costs).values()
         lines.append(
             f"  {name:<18}{evaluations:>12}{1e3 * found.rms(1):>7.3f} mm{found.overall_effort:>10.5f}{width:>10}"
-            f"{'yes' if found.certified else 'no':>11}{found.objective:>12.4f}{above:>12.4f} ({low:.4f} to {high:.4f})"
+            f"{'yes' if found.certified else 'no':>11}{objective:>12}{above:>12.4f} ({low:.4f} to {high:.4f})"
         )
     return lines
 

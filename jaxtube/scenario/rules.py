@@ -33,6 +33,7 @@ def check(scenario: Scenario, refuse: Refuse) -> None:
     _check_weights(scenario.controller, refuse)
     _check_operating(scenario, refuse)
     _check_gains(scenario.controller, refuse)
+    _check_vertex_gains(scenario, refuse)
     _check_bands(scenario, refuse)
     if scenario.reference.duration_s < scenario.controller.dt_s:
         problem = f"is shorter than one step, controller.dt_s = {scenario.controller.dt_s}"
@@ -126,14 +127,23 @@ def _check_bands(scenario: Scenario, refuse: Refuse) -> None:
 def _check_gains(controller: Controller, refuse: Refuse) -> None:
     if controller.tracking_gains and len(controller.tracking_gains) != 3:
         refuse("controller.tracking_gains", "are not three", "give [k1, k2, k3]")
-    if controller.vertex_gains and [len(gain) for gain in controller.vertex_gains] != [INPUT_SIZE * ERROR_SIZE] * 4:
-        refuse("controller.vertex_gains", "are not four gains", "give four rows [k11, k12, k13, k21, k22, k23]")
-    if controller.vertex_gains and controller.tracking_gains:
-        refuse("controller.vertex_gains", "stand beside controller.tracking_gains", "leave out one of them")
     for name in ("tracking_gains", "vertex_gains"):
         if getattr(controller, name) and (controller.terminal, controller.tube) != ("T-A", "sequence"):
             problem = "are tube and terminal gain at once, which terminal T-A with tube sequence allows alone"
             refuse(f"controller.{name}", problem, 'set controller.terminal = "T-A" and controller.tube = "sequence"')
+
+
+def _check_vertex_gains(scenario: Scenario, refuse: Refuse) -> None:
+    controller, gains = scenario.controller, scenario.controller.vertex_gains
+    if gains and [len(gain) for gain in gains] != [INPUT_SIZE * ERROR_SIZE] * 4:
+        refuse("controller.vertex_gains", "are not four gains", "give four rows [k11, k12, k13, k21, k22, k23]")
+    if gains and (controller.tracking_gains or scenario.operating.bands):
+        refuse("controller.vertex_gains", "stand beside tracking gains or operating.bands", "leave out one of them")
+    affine = controller.model != "exact_jacobian" and controller.discretisation == "euler"
+    if gains and not affine and scenario.reference.certified_for == "box":
+        problem = "give loops that four vertices cover for a model affine in the wheel speeds alone"
+        cure = 'set model = "consistent" and discretisation = "euler", or reference.certified_for = "path"'
+        refuse("controller.vertex_gains", problem, cure)
 
 
 def _check_weights(controller: Controller, refuse: Refuse) -> None:

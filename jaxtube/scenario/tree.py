@@ -153,8 +153,8 @@ class Tuning(Section, frozen=True):
 
     A lap costs the sum of squares of RMS errors, once settled, and of the RMS effort, each over the value given here;
     what has none is free. Effort is what the wheels are asked for beyond the reference under nominal slip. Its RMS over
-    all laps above `effort_limit_mps` costs steeply, and so does every limit that is used beyond `margin`, a share: by
-    the tube at its widest, or in the laps.
+    all laps above `effort_limit_mps` costs steeply, and so does what is used beyond `margin`, a share: of every cap by
+    the tube at its widest, of the error caps and of the greatest wheel speed in the laps.
     """
 
     longitudinal_m: Positive | None = None

@@ -263,7 +263,7 @@ class _Watch:
         iterate, certified = Iterate(self.iteration, self.point, float(found.held_out)), bool(found.certified)
         if math.isfinite(iterate.held_out) and _rank(iterate) < _rank(self.best[certified]):
             self.best[certified] = iterate
-        best = min(self.best.values(), key=_rank)
+        best = self.best[True] or self.best[False]  # what would be returned
         if self.iteration - (best.iteration if best else 0) >= self.patience:
             least = f"{best.held_out:.4g} of iteration {best.iteration}" if best else "any finite number"
             problem = f"held-out value is not below {least} after {self.patience} more"

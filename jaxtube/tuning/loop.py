@@ -24,7 +24,7 @@ from jaxtube.tuning.gains import GainMaps, gain_maps, terminal_cost
 from jaxtube.tuning.tube import disturbance_generators, rows_under, sequence_reach, sequence_reaches
 
 ROOM = 0.02
-"""Share of a limit that the tube leaves at least: while tuned, a design without plans still has a closed loop."""
+"""Share of a row's limit that the tube leaves at least where there is no plan; a design that has one is far from it."""
 
 
 class Weights(NamedTuple):
@@ -36,7 +36,7 @@ class Weights(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """What a design holds fixed while weights and gains move; of one shape for all designs of a scenario."""
+    """What a design holds fixed while weights and gains move; of two shapes at most for all designs of a scenario."""
 
     maps: GainMaps
     ahead: Prediction

@@ -135,6 +135,9 @@ def controller_laps(
 def objective(
     weights: Weights, frozen: Frozen, plant, keys, starts, aim: Aim, restart: bool, input_map: str
 ) -> Float[Array, ""]:
-    """Return J of the tube-MPC with these weights and gains; differentiable in them."""
+    """Return J of the tube-MPC with these weights and gains; differentiable in them, the terminal set held.
+
+    Where slips jump with the robot's place (`patches`, `adversarial`) the derivative is that between the jumps.
+    """
     laps = controller_laps(weights, frozen, plant, keys, starts, aim, restart, input_map)
     return total_cost(laps, tube_shares(frozen, weights.kappa), aim)

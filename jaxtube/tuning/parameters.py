@@ -28,7 +28,7 @@ Tuned = Literal["both", "weights", "gains", "diagonal"]
 """What moves: Q, R and gains; Q and R; the gains; the diagonals of Q and R alone."""
 
 LEAST_PIVOT = 1e-6
-"""Share of its largest entry to which the diagonal of a weight is raised, so that a singular one has a logarithm."""
+"""Share of its largest entry to which the eigenvalues of a weight are raised, so that a singular one has a factor."""
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["start", "scales"], meta_fields=["names", "moves"])
@@ -109,8 +109,8 @@ def _product(entries: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
 
 
 def _factor(weight: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " k"]:
-    raised = weight + np.diag(np.maximum(LEAST_PIVOT * np.abs(weight).max() - np.diag(weight), 0.0))
-    lower = np.linalg.cholesky(raised)
+    missing = LEAST_PIVOT * np.abs(weight).max() - np.linalg.eigvalsh(weight)[0]
+    lower = np.linalg.cholesky(weight + max(missing, 0.0) * np.eye(len(weight)))
     lower[np.diag_indices(len(weight))] = np.log(np.diag(lower))
     return lower[np.tril_indices(len(weight))]
 

@@ -17,7 +17,6 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube.design.problem import Problem
-from jaxtube.model import VERTEX_SIDES
 
 
 def disturbance_generators(problem: Problem) -> Float[np.ndarray, "g 3"]:
@@ -97,41 +96,3 @@ def rows_under(
 ) -> Float[Array, "... k 3"]:
     """Return the rows  inputs u + errors e  on the error under u = K e."""
     return inputs @ gains + errors
-
-
-def decoupled_gains(
-    transitions: Float[Array, "... 3 3"], dt: float, gains: Float[Array, "3"]
-) -> Float[Array, "... 2 3"]:
-    """Return K = [[-k1, -A_12 / T, 0], [0, -k2, -k3]].
-
-    Args:
-        transitions: A of the model at each schedule.
-        dt: s.
-        gains: k1 (1/s), k2 (rad/(m s)), k3 (1/s).
-    """
-    across = -transitions[..., 0, 1] / dt
-    k1, k2, k3 = (jnp.broadcast_to(k, across.shape) for k in gains)
-    zero = jnp.zeros_like(across)
-    return jnp.stack([jnp.stack([-k1, across, zero], axis=-1), jnp.stack([zero, -k2, -k3], axis=-1)], axis=-2)
-
-
-def decoupled_loops(turn_and_reach: Float[Array, "v 2"], dt: float, gains: Float[Array, "3"]) -> Float[Array, "v 3 3"]:
-    """Return the loops of decoupled gains under the exact Jacobian.
-
-    Args:
-        turn_and_reach: (h, c) of each loop, without unit and m.
-        dt: s.
-        gains: k1 (1/s), k2 (rad/(m s)), k3 (1/s).
-    """
-    h, c = turn_and_reach.T
-    k1, k2, k3 = (jnp.broadcast_to(dt * k, h.shape) for k in gains)
-    zero = jnp.zeros_like(h)
-    entries = (1.0 - k1, zero, zero, -h * (2.0 - k1), 1.0 - c * k2 / 2.0, c * (1.0 - k3 / 2.0), zero, -k2, 1.0 - k3)
-    return jnp.stack(entries, axis=-1).reshape(-1, 3, 3)
-
-
-def exact_corners(problem: Problem) -> Float[np.ndarray, "v 2"]:
-    """Return (h, c) at the corners of the stretched wheel speeds, whose loops hold those of every schedule."""
-    model = problem.model
-    boxes = [np.stack(model.stretched_box(*region))[VERTEX_SIDES, [0, 1]] for region in problem.regions]
-    return np.unique(model.turn_and_reach(np.concatenate(boxes)), axis=0)

@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.controllers import TubeMpc
-from jaxtube.design import EmptySetError, Ingredients, finish, prepare, refuse_infeasible_start
+from jaxtube.design import Design, Ingredients, finish, prepare, refuse_infeasible_start
 from jaxtube.design.problem import Problem, with_controller
 from jaxtube.rollout import SlippingRobot, realisation_keys
 from jaxtube.scenario import ScenarioError
@@ -97,11 +97,12 @@ class Tuner:
             problem = with_controller(self.problem, self.parameters.scenario(self.problem.scenario, point))
             found = prepare(problem)
             fixed, within = fix(found), limits(problem)
-        except (ScenarioError, EmptySetError, np.linalg.LinAlgError, ValueError) as error:
-            return Designed(point, None, None, str(error))
-        kappa = jnp.asarray(problem.given_gains)
-        loops, gains = fixed.maps.vertex_loops.at(kappa), fixed.maps.corner_gains.at(kappa)
-        active = active_caps(within, loops, jnp.asarray(fixed.generators), gains)
+            kappa = jnp.asarray(problem.given_gains)
+            loops, gains = fixed.maps.vertex_loops.at(kappa), fixed.maps.corner_gains.at(kappa)
+            active = active_caps(within, loops, jnp.asarray(fixed.generators), gains)
+        # Refused scenarios, empty sets and linear algebra raise ValueErrors, hulls and solvers the others.
+        except (ArithmeticError, RuntimeError, ValueError) as error:
+            return Designed(point, None, None, str(error).splitlines()[0])
         if active is None:
             return Designed(point, found, None, "the tube of the gains is not bounded")
         return Designed(point, found, jax.tree.map(jnp.asarray, Frozen(fixed, active, within)))
@@ -158,7 +159,7 @@ class Tuner:
         designed, played = self.designed(point), self.played(point, first, count)
         if designed.ingredients is None or played is None:
             return Inspected(np.inf, False, (designed.reason,), None, None)
-        failing = failing_conditions(designed.ingredients)
+        failing = certificate_lacks(designed.ingredients)
         return Inspected(played[0], not failing, failing, *played[1:])
 
     def controller(self, point: Point) -> TubeMpc:
@@ -184,9 +185,16 @@ class Tuner:
         return self._batches(play, first, count)
 
 
-def failing_conditions(found: Ingredients) -> tuple[str, ...]:
+def certificate_lacks(found: Ingredients) -> tuple[str, ...]:
+    """Return what the certificate of prepared ingredients lacks, itself where it cannot be computed."""
+    try:
+        return failing_conditions(finish(found))
+    except (ArithmeticError, RuntimeError, ValueError) as error:
+        return (f"certificate_computed ({error})",)
+
+
+def failing_conditions(design: Design) -> tuple[str, ...]:
     """Return the names of the conditions that a design lacks, the start's plan among them."""
-    design = finish(found)
     try:
         refuse_infeasible_start(design)
     except ScenarioError:

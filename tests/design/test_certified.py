@@ -42,7 +42,14 @@ def reference():
     return complete_problem(load("certified", REFERENCE))
 
 
-@pytest.mark.parametrize("name, ratio", [("certified", 0.60), ("certified_20", 1.0), ("certified_30", 1.0)])
+@pytest.mark.parametrize(
+    "name, ratio",
+    [
+        ("certified", 0.60),
+        pytest.param("certified_20", 1.0, marks=pytest.mark.slow),
+        pytest.param("certified_30", 1.0, marks=pytest.mark.slow),
+    ],
+)
 def test_the_scenarios_are_certified_and_the_papers_start_has_a_plan(name, ratio):
     found = design(load(name))
     assert found.certificate.failing == []

@@ -10,6 +10,7 @@ import time
 
 import numpy as np
 import pytest
+import stand_ins
 
 from jaxtube.design import design
 from jaxtube.experiments import tune_report
@@ -23,6 +24,7 @@ WORDS = ("tune", "reference.duration_s=3", GAINS, "--laps", "4", "--held-out", "
 def small(patch):
     """Few laps to compare, no time for figures."""
     patch.setattr(tune_report, "COMPARED_LAPS", 4)
+    patch.setattr(tune_report.result, "__defaults__", (4,))
     patch.setattr(tune_report, "draw", lambda *arguments: None)
 
 
@@ -34,12 +36,19 @@ def files(folder):
     return {name: (folder / name).read_bytes() for name in ("tuned.toml", "metrics.json", "iterates.npz")}
 
 
+@pytest.fixture(scope="module", params=["stand-ins", pytest.param("true", marks=pytest.mark.slow)])
+def laps(request):
+    """Give what makes laps those asked for: true ones take a minute to compile."""
+    return (lambda patch: None) if request.param == "true" else stand_ins.patch_tuner
+
+
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
+def undisturbed(tmp_path_factory, laps):
     """The folder of a run that nothing disturbed."""
     folder = tmp_path_factory.mktemp("undisturbed")
     with pytest.MonkeyPatch.context() as patch:
         small(patch)
+        laps(patch)
         assert run(folder) == 0
     return folder
 
@@ -59,6 +68,8 @@ def test_what_is_returned_is_the_best_certified_iterate_and_certifies_again(undi
     assert design(found).certificate.holds
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("laps", ["true"], indirect=True)
 def test_the_objective_falls(undisturbed):
     with np.load(undisturbed / "iterates.npz") as iterates:
         held_out = iterates["held_out"]
@@ -66,7 +77,8 @@ def test_the_objective_falls(undisturbed):
     assert held_out[-1] < held_out[0]
 
 
-def test_the_same_command_again_computes_nothing_and_says_the_same(undisturbed, tmp_path, quick, monkeypatch):
+def test_the_same_command_again_computes_nothing_and_says_the_same(undisturbed, laps, tmp_path, quick, monkeypatch):
+    laps(monkeypatch)
     shutil.copytree(undisturbed, tmp_path / "run")
     monkeypatch.setattr("jaxtube.tuning.tuner.Tuner.evaluate", None)
     monkeypatch.setattr("jaxtube.tuning.tuner.Tuner.inspect", None)
@@ -76,7 +88,8 @@ def test_the_same_command_again_computes_nothing_and_says_the_same(undisturbed, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", [1, 4])
-def test_an_interrupted_run_ends_at_the_same_bits(undisturbed, tmp_path, quick, kept):
+def test_an_interrupted_run_ends_at_the_same_bits(undisturbed, laps, tmp_path, quick, monkeypatch, kept):
+    laps(monkeypatch)
     folder = tmp_path / "run"
     shutil.copytree(undisturbed / "log", folder / "log")
     for entry in sorted((folder / "log").glob("*.record"), key=lambda path: path.stat().st_mtime_ns)[kept:]:

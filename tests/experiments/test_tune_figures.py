@@ -226,9 +226,15 @@ def parameters():
     return lower @ lower.swapaxes(1, 2), inputs, np.exp(np.outer(i / 40, [0.2, 0.4, 0.39])), (i >= 10) & (i != 25)
 
 
-def test_weights_and_gains_are_drawn_and_named_at_the_ends_of_their_lines(parameters):
+@pytest.fixture(scope="module")
+def drawn_parameters(parameters):
     error, inputs, gains, certified = parameters
-    shown = panels(parameter_figure(error, inputs, gains, ["k1", "k2", "k3"], certified))
+    return parameter_figure(error, inputs, gains, ["k1", "k2", "k3"], certified)
+
+
+def test_weights_and_gains_are_drawn_and_named_at_the_ends_of_their_lines(parameters, drawn_parameters):
+    error, inputs, gains, _ = parameters
+    shown = panels(drawn_parameters)
     pairs = [(0, 1), (0, 2), (1, 2)]
     diagonals = [np.sqrt(error[:, i, i] * error[:, j, j]) for i, j in pairs]
     sources = {
@@ -250,9 +256,9 @@ def test_weights_and_gains_are_drawn_and_named_at_the_ends_of_their_lines(parame
         assert axes.get_yscale() == ("linear" if name.startswith("off") else "log")
 
 
-def test_iterates_that_are_not_certified_are_shaded(parameters):
+def test_iterates_that_are_not_certified_are_shaded(parameters, drawn_parameters):
     *given, certified = parameters
-    for axes in parameter_figure(*given, ["k1", "k2", "k3"], certified).axes:
+    for axes in drawn_parameters.axes:
         assert [patch.get_x() + 0.5 for patch in axes.patches] == pytest.approx(np.flatnonzero(~certified))
     certain = parameter_figure(*given, ["k1", "k2", "k3"], np.ones(50, bool))
     assert not certain.legends
@@ -351,22 +357,21 @@ def test_a_strip_for_tubes_without_bound_is_there_only_if_one_has_none(groups):
     bounded = [group._replace(tube=np.nan_to_num(group.tube, nan=0.3)) for group in groups[2:]]
     tube = front_figure(bounded, LIMIT).axes[1]
     assert not tube.patches and not tube.get_title(loc="right")
-    unbounded = [group._replace(tube=np.full_like(group.tube, np.nan)) for group in groups[2:]]
-    assert_readable(front_figure(unbounded, None))
 
 
-def test_names_stand_close_to_their_marks_inside_the_panel(groups, front, few):
-    for figure in (front, few):
-        figure.draw_without_rendering()
-        for axes in figure.axes:
-            names = [text for text in axes.texts if isinstance(text, Annotation)]
-            assert sorted(text.get_text() for text in names) == sorted(group.name for group in groups[2:])
-            for text in names:
-                box = Text.get_window_extent(text)
-                assert axes.bbox.contains(*box.min) and axes.bbox.contains(*box.max)
-                nearest = np.clip(axes.transData.transform(text.xy), box.min, box.max)
-                gap = np.linalg.norm(nearest - axes.transData.transform(text.xy)) * 72 / figure.dpi
-                assert 5 < gap < 60
+@pytest.mark.parametrize("name", ["front", pytest.param("few", marks=pytest.mark.slow)])
+def test_names_stand_close_to_their_marks_inside_the_panel(groups, name, request):
+    figure = request.getfixturevalue(name)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        names = [text for text in axes.texts if isinstance(text, Annotation)]
+        assert sorted(text.get_text() for text in names) == sorted(group.name for group in groups[2:])
+        for text in names:
+            box = Text.get_window_extent(text)
+            assert axes.bbox.contains(*box.min) and axes.bbox.contains(*box.max)
+            nearest = np.clip(axes.transData.transform(text.xy), box.min, box.max)
+            gap = np.linalg.norm(nearest - axes.transData.transform(text.xy)) * 72 / figure.dpi
+            assert 5 < gap < 60
 
 
 ROWS = [
@@ -398,21 +403,30 @@ def test_means_within_a_decade_are_seen_from_zero():
     assert comparison_figure(wide).axes[0].get_xscale() == "log"
 
 
-def test_texts_keep_apart_and_axes_tell_units(cloud, laps, parameters, front, few):
-    error, inputs, gains, certified = parameters
-    vertex_names = [f"K{v}_{i}{j}" for v, i, j in itertools.product("1234", "12", "123")]
-    vertex_gains = np.random.default_rng(8).normal(size=(50, 24)) / 5
+def test_texts_keep_apart_and_axes_tell_units(cloud, laps, drawn_parameters, front):
     before, after = (Polytope.from_vertices(cloud * HALF_WIDTHS * size) for size in (2.1, 0.46))
     for figure in (
         learning_figure({"Adam": curve()}, LIMIT),
-        learning_figure({"gradient": curve(), "BFGS": curve(40, 4)}, None),
         tube_figure(before, after, HALF_WIDTHS),
         error_figure(*laps, 0.1, 100),
-        parameter_figure(error, inputs, gains, ["k1", "k2", "k3"], certified),
+        drawn_parameters,
+        front,
+        comparison_figure(ROWS),
+    ):
+        assert_readable(figure)
+
+
+@pytest.mark.slow
+def test_texts_keep_apart_in_fuller_and_emptier_figures(parameters, groups, few):
+    error, inputs, gains, certified = parameters
+    vertex_names = [f"K{v}_{i}{j}" for v, i, j in itertools.product("1234", "12", "123")]
+    vertex_gains = np.random.default_rng(8).normal(size=(50, 24)) / 5
+    unbounded = [group._replace(tube=np.full_like(group.tube, np.nan)) for group in groups[2:]]
+    for figure in (
+        learning_figure({"gradient": curve(), "BFGS": curve(40, 4)}, None),
         parameter_figure(error, inputs, vertex_gains, vertex_names, certified),
         parameter_figure(error * np.eye(3), inputs, gains, ["k1", "k2", "k3"], certified),
-        front,
         few,
-        comparison_figure(ROWS),
+        front_figure(unbounded, None),
     ):
         assert_readable(figure)

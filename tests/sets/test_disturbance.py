@@ -41,7 +41,12 @@ MODELS = [
     ("paper", "zoh"),
 ]
 PAIRS = [Kinematics(name, *model, GRIP) for name in INPUT_MAPS for model in MODELS]
-each_pair = pytest.mark.parametrize("kinematics", PAIRS, ids=lambda k: f"{k.input_map}-{k.model}-{k.discretisation}")
+QUICK = [PAIRS[3], PAIRS[7], PAIRS[10]]  # every map, and models of every kind
+each_pair = pytest.mark.parametrize(
+    "kinematics",
+    [pair if pair in QUICK else pytest.param(pair, marks=pytest.mark.slow) for pair in PAIRS],
+    ids=lambda k: f"{k.input_map}-{k.model}-{k.discretisation}",
+)
 each_map = pytest.mark.parametrize("input_map", INPUT_MAPS)
 
 
@@ -224,13 +229,13 @@ def test_no_sample_of_many_lies_outside():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kinematics", [PAIRS[3], PAIRS[7], PAIRS[10]], ids=INPUT_MAPS)
+@pytest.mark.parametrize("kinematics", QUICK, ids=INPUT_MAPS)
 def test_no_sample_of_ten_million_lies_outside(kinematics):
     for seed in range(40):
         assert_holds(bound_of(kinematics), EIGHT, kinematics, *samples(EIGHT, 250_000, seed))
 
 
-@pytest.mark.parametrize("kinematics", [PAIRS[3], PAIRS[7], PAIRS[10]], ids=INPUT_MAPS)
+@pytest.mark.parametrize("kinematics", QUICK, ids=INPUT_MAPS)
 def test_no_local_maximum_lies_outside_and_the_best_come_close(kinematics):
     bound = bound_of(kinematics)
     low, high = (end[:, None] for end in EIGHT.box)

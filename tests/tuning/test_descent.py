@@ -187,11 +187,11 @@ def test_an_iterate_of_each_kind_may_be_missing():
 
 
 @pytest.mark.parametrize("descend, settings", [(adam, ADAM), (lbfgs, LBFGS)])
-def test_patience_ends_the_descent(descend, settings):
-    held_out = [5.0, 4.0, 6.0, 3.0, 3.0, 7.0, np.nan, 2.0]
+def test_patience_with_what_would_be_returned_ends_the_descent(descend, settings):
+    held_out = [5.0, 4.0, 6.0, 3.0, 1.0, 7.0, np.nan, 2.0]
     outcome = descend(
         lambda x, draws: (rosen(x), rosen_der(x)),
-        lambda iteration, point: Seen(held_out[iteration], iteration % 2 == 0),
+        lambda iteration, point: Seen(held_out[iteration], iteration % 2 == 1),
         np.array([-1.2, 1.0]),
         NAMES,
         **settings | {"patience": 3},

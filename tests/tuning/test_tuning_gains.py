@@ -61,7 +61,7 @@ def cost_at(maps, numbers):
     return loops, gains, np.asarray(error_weight), np.asarray(input_weight)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_the_terminal_costs_slope_is_that_of_solving_it_again(problem, maps, seed):
     rng = np.random.default_rng(seed)
     roots = rng.normal(size=(3, 3)), rng.normal(size=(2, 2))
@@ -76,5 +76,4 @@ def test_the_terminal_costs_slope_is_that_of_solving_it_again(problem, maps, see
         solved = lambda at: (cost_of_gains(*cost_at(maps, at)),)  # noqa: E731
         expected, _ = tuned.fourth_order(solved, numbers, direction, STEP)
         wrong = np.abs(sizes[k] * slope[:, :, k] - expected).max()
-        # Of a slope that is no rounding error of the cost itself.
-        assert wrong <= tol.OBJECTIVE_SLOPE * max(np.abs(expected).max(), tol.LEAST_SLOPE * np.abs(found).max())
+        assert wrong <= tol.OBJECTIVE_SLOPE * np.abs(expected).max()

@@ -18,7 +18,7 @@ from jaxtube.design.problem import with_controller
 from jaxtube.experiments import closed_loop
 from jaxtube.rollout import realisation_keys, rollout
 from jaxtube.tuning.loop import ROOM, Weights, fix, tightened, windows_of
-from jaxtube.tuning.parameters import parameters
+from jaxtube.tuning.parameters import LEAST_PIVOT, parameters
 
 COMPILE_QUICKLY = {"xla_backend_optimization_level": 0}
 LAPS, STEPS = 16, 30
@@ -69,6 +69,7 @@ def with_spare_rows(window, like):
     return jax.tree.map(lambda *pair: padded(*pair, mode="edge"), window, like)._replace(**bounds)
 
 
+@pytest.mark.slow
 def test_laps_are_those_of_the_design_rows_active_or_not(loop):
     design, fixed, windows = loop
     settings = design.problem.scenario.controller
@@ -131,7 +132,9 @@ def test_the_scenario_of_a_vector_holds_its_weights_which_are_positive_definite(
         assert (weights.kappa > 0).all()
     # And back again: the vector is the only one with these weights.
     np.testing.assert_allclose(parameters(again).weights(parameters(again).vector).kappa, weights.kappa, rtol=1e-13)
-    np.testing.assert_allclose(parameters(again).vector[:9], vector[:9], rtol=0, atol=tol.SAME_VECTOR)
+    least = [np.linalg.eigvalsh(weight)[0] / np.abs(weight).max() for weight in weights[:2]]
+    if min(least) > LEAST_PIVOT:  # a weight closer to a singular one is raised
+        np.testing.assert_allclose(parameters(again).vector[:9], vector[:9], rtol=0, atol=tol.SAME_VECTOR)
 
 
 def test_only_what_is_tuned_moves(problem):

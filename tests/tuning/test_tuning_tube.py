@@ -2,36 +2,22 @@
 
 import itertools
 from dataclasses import replace
+from functools import cache
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tolerances import (
-    TUBE_BOUND,
-    TUBE_LOOPS,
-    TUBE_REACH,
-    TUBE_RESIDUAL,
-    TUBE_SLOPE,
-    TUBE_TIGHT,
-)
+import tuned
+from tolerances import TUBE_BOUND, TUBE_REACH, TUBE_RESIDUAL, TUBE_SLOPE, TUBE_TIGHT
 
 import sets.invariant
 from jaxtube.design import fill
 from jaxtube.design.optimise import _Search
-from jaxtube.design.residual import complete_problem, kinematics, operation
-from jaxtube.design.tightening import (
-    DecoupledGain,
-    LocalGain,
-    decoupled_gain,
-    exact_loops,
-    gains_at_corners,
-    make_windows,
-    tighten,
-    vertex_loops,
-)
-from jaxtube.scenario import load
+from jaxtube.design.residual import kinematics, operation
+from jaxtube.design.tightening import given_gain, make_windows, tighten, vertex_loops
 from jaxtube.tuning import minimal, residual, tube
+from jaxtube.tuning.gains import Affine, gain_maps
 from sets import tubes
 from sets.plant import split_residual
 
@@ -39,18 +25,18 @@ SEEDS = (0, 1, 2)
 
 
 @pytest.fixture(scope="module")
-def certified():
-    """Decoupled gains, a computed W: a yaw kick and a box."""
-    return complete_problem(load("certified"))
+def decoupled():
+    """Three decoupled gains, a computed W: a yaw kick and a box."""
+    return tuned.problem_of("decoupled")
 
 
 @pytest.fixture(scope="module")
-def robust():
+def vertices():
     """Four free vertex gains, W a box."""
-    return complete_problem(load("robust"))
+    return tuned.problem_of("vertices")
 
 
-@pytest.fixture(scope="module", params=["certified", "robust"])
+@pytest.fixture(scope="module", params=list(tuned.SCENARIOS))
 def problem(request):
     return request.getfixturevalue(request.param)
 
@@ -64,34 +50,33 @@ def drawn(problem, seed):
         centre = np.tile([[-2.5, 0.0, 0.0], [0.0, -2.6, -3.0]], (4, 1, 1))
         centre[:, 0, 1] = -problem.model.matrices(problem.corners)[0][:, 0, 1] / problem.model.dt
     size = 0.05 * np.abs(centre).max(axis=-1, keepdims=True)
-    return centre + size * rng.uniform(-1, 1, centre.shape), size * rng.uniform(-1, 1, centre.shape)
+    numbers, direction = centre + size * rng.uniform(-1, 1, centre.shape), size * rng.uniform(-1, 1, centre.shape)
+    return numbers.ravel(), direction.ravel()
 
 
-def gain_of(problem, numbers):
-    if problem.residual is not None:
-        return decoupled_gain(problem, tuple(numbers))
-    return LocalGain(numbers.mean(axis=0), numbers)
+def quick_for(kind):
+    """Leave the other problem to the slow tests."""
+    cases = [each if each == kind else pytest.param(each, marks=pytest.mark.slow) for each in tuned.SCENARIOS]
+    return pytest.mark.parametrize("problem", cases, indirect=True)
+
+
+@cache
+def maps_of(problem):
+    """Give all gains and loops of a problem as functions of the tuned numbers."""
+    return gain_maps(problem, make_windows(problem, given_gain(problem, problem.given_gains)).schedules)
+
+
+def distinct(matrices: Affine):
+    """Leave out those matrices that are others for all numbers."""
+    everything = np.concatenate([matrices.constant[None], matrices.slopes]).swapaxes(0, 1)
+    first = np.unique(everything.reshape(len(everything), -1), axis=0, return_index=True)[1]
+    return Affine(matrices.constant[first], matrices.slopes[:, first])
 
 
 def loops_and_gains(problem, numbers):
     """Give vertex loops and gains as functions of the tuned numbers."""
-    numbers = jnp.asarray(numbers)
-    transitions, inputs = (jnp.asarray(matrix) for matrix in problem.model.matrices(problem.corners))
-    if problem.residual is None:
-        return transitions + inputs @ numbers, numbers
-    T = problem.model.dt
-    loops = tube.decoupled_loops(jnp.asarray(tube.exact_corners(problem)), T, numbers)
-    return loops, tube.decoupled_gains(transitions, T, numbers)
-
-
-def windows_under(problem, schedules, numbers):
-    """Give loops and gains along windows as functions of the tuned numbers."""
-    transitions, inputs = (jnp.asarray(matrix) for matrix in problem.model.matrices(schedules))
-    if problem.residual is None:
-        gains = jnp.tensordot(jnp.asarray(problem.model.weights(schedules)), numbers, axes=1)
-    else:
-        gains = tube.decoupled_gains(transitions, problem.model.dt, numbers)
-    return transitions + inputs @ gains, gains
+    maps = maps_of(problem)
+    return distinct(maps.vertex_loops).at(jnp.asarray(numbers)), maps.corner_gains.at(jnp.asarray(numbers))
 
 
 def under(problem, gains):
@@ -99,7 +84,7 @@ def under(problem, gains):
     return tube.rows_under(jnp.asarray(rows.inputs), jnp.asarray(rows.errors), gains)
 
 
-def reaches(problem, schedules, numbers, kind):
+def reaches(problem, numbers, kind):
     """Give what the tube takes from E and U at every stage: the differentiable `tighten`."""
     W, rows = jnp.asarray(tube.disturbance_generators(problem)), jnp.asarray(problem.operating_set.normals)
     N = problem.horizon
@@ -107,14 +92,15 @@ def reaches(problem, schedules, numbers, kind):
         loops, gains = loops_and_gains(problem, numbers)
         errors = tube.summed_reach(loops, W, rows, N)
         return errors, tube.summed_input_reach(loops, W, under(problem, gains), N)[:N]
-    loops, gains = windows_under(problem, schedules, numbers)
+    maps = maps_of(problem)
+    loops, gains = maps.window_loops.at(numbers), maps.window_gains.at(numbers)
     along = jnp.broadcast_to(rows, (len(loops), N + 1, *rows.shape))
     return tube.sequence_reaches(loops, W, along), tube.sequence_reaches(loops, W, under(problem, gains))
 
 
 def tightened(problem, numbers, kind):
     """Give the same from `tighten` itself, stages of the shared sections once."""
-    gain = gain_of(problem, numbers)
+    gain = given_gain(problem, numbers)
     windows = make_windows(problem, gain)
     sections = tubes.summed_tube(vertex_loops(problem, gain), problem.disturbance_set, problem.horizon)
     found = tighten(problem, gain, windows, sections, kind)
@@ -137,27 +123,17 @@ def test_generators_have_the_support_numbers_of_w(problem):
     np.testing.assert_allclose(found, problem.disturbance_set.support(rows), rtol=TUBE_REACH)
 
 
-def test_decoupled_loops_and_gains_are_those_of_the_design(certified):
-    numbers, _ = drawn(certified, 0)
-    gain = decoupled_gain(certified, tuple(numbers))
-    assert isinstance(gain, DecoupledGain)
-    loops, gains = loops_and_gains(certified, numbers)
-    np.testing.assert_allclose(gains, gains_at_corners(certified, gain), atol=TUBE_LOOPS)
-    for loop in vertex_loops(certified, gain):
-        assert np.abs(loops - loop).max(axis=(1, 2)).min() < TUBE_LOOPS
-    assert len(loops) == len(vertex_loops(certified, gain))
-    stretched = certified.model.stretched(certified.corners)
-    there = tube.decoupled_loops(jnp.asarray(certified.model.turn_and_reach(stretched)), 0.1, jnp.asarray(numbers))
-    np.testing.assert_allclose(there, exact_loops(certified.model, gain, stretched), atol=TUBE_LOOPS)
-    windows = make_windows(certified, gain)
-    loops, gains = windows_under(certified, windows.schedules, jnp.asarray(numbers))
-    np.testing.assert_allclose(loops, windows.loops, atol=TUBE_LOOPS)
-    np.testing.assert_allclose(gains, windows.gains, atol=TUBE_LOOPS)
-
-
-@pytest.mark.parametrize("kind", ["sequence", "summed"])
+@pytest.mark.parametrize(
+    ("problem", "kind"),
+    [
+        ("decoupled", "sequence"),
+        ("vertices", "summed"),
+        pytest.param("decoupled", "summed", marks=pytest.mark.slow),
+        pytest.param("vertices", "sequence", marks=pytest.mark.slow),
+    ],
+    indirect=["problem"],
+)
 def test_reaches_and_their_slopes_are_those_of_the_tightening(problem, kind):
-    schedules = make_windows(problem, gain_of(problem, drawn(problem, 0)[0])).schedules
     rng = np.random.default_rng(9)
     weights = [rng.uniform(0.5, 1.5, array.shape) for array in tightened(problem, drawn(problem, 0)[0], kind)]
 
@@ -165,7 +141,7 @@ def test_reaches_and_their_slopes_are_those_of_the_tightening(problem, kind):
         return sum((weight * array).sum() for weight, array in zip(weights, arrays, strict=True))
 
     def objective(numbers):
-        arrays = reaches(problem, schedules, numbers, kind)
+        arrays = reaches(problem, numbers, kind)
         return weighted(arrays), arrays
 
     evaluate = jax.jit(jax.grad(objective, has_aux=True))
@@ -201,9 +177,10 @@ def shares_of(problem):
 
 
 def shares_of_design(problem, numbers):
-    return np.array(list(fill.cap_shares(problem, gain_of(problem, numbers)).values()))
+    return np.array(list(fill.cap_shares(problem, given_gain(problem, numbers)).values()))
 
 
+@quick_for("decoupled")
 def test_shares_of_caps_and_their_slopes_are_those_of_the_design(problem, monkeypatch):
     find, shares = shares_of(problem)
     points = [drawn(problem, seed) for seed in SEEDS]
@@ -221,6 +198,7 @@ def test_shares_of_caps_and_their_slopes_are_those_of_the_design(problem, monkey
         np.testing.assert_allclose(slope, expected, rtol=0, atol=TUBE_SLOPE * np.abs(expected).max())
 
 
+@quick_for("vertices")
 def test_offsets_are_a_fixed_point_that_holds_the_reach_along_any_direction(problem):
     numbers, _ = drawn(problem, 4)
     loops, gains = loops_and_gains(problem, numbers)
@@ -238,9 +216,9 @@ def test_offsets_are_a_fixed_point_that_holds_the_reach_along_any_direction(prob
     np.testing.assert_allclose(found, bound.support(directions), rtol=TUBE_TIGHT)
 
 
-def test_a_wider_w_widens_the_bound_as_its_slope_says(certified):
-    loops, gains = loops_and_gains(certified, drawn(certified, 0)[0])
-    W, limits = jnp.asarray(tube.disturbance_generators(certified)), minimal.limits(certified)
+def test_a_wider_w_widens_the_bound_as_its_slope_says(decoupled):
+    loops, gains = loops_and_gains(decoupled, drawn(decoupled, 0)[0])
+    W, limits = jnp.asarray(tube.disturbance_generators(decoupled)), minimal.limits(decoupled)
     active = minimal.active_caps(limits, loops, W, gains)
     assert active is not None
     shares = jax.jit(lambda W: minimal.cap_shares(active, limits, loops, W, gains))
@@ -261,8 +239,8 @@ def caps_of(numbers):
     return residual.Caps(numbers[:3], numbers[3:5], numbers[5], numbers[6:8])
 
 
-def test_the_residual_and_its_slopes_are_those_at_corners_of_the_operating_set(certified):
-    search, corners = _Search(certified), residual.corners(certified)
+def test_the_residual_and_its_slopes_are_those_at_corners_of_the_operating_set(decoupled):
+    search, corners = _Search(decoupled), residual.corners(decoupled)
     weights = np.array([[0.0, 1.0, 2.0], [3.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 7.0]])
 
     def expected(numbers):
@@ -276,16 +254,15 @@ def test_the_residual_and_its_slopes_are_those_at_corners_of_the_operating_set(c
     evaluate = jax.jit(jax.grad(weighted, has_aux=True))
     for seed in SEEDS:
         rng = np.random.default_rng(seed)
-        own = numbers_of(residual.caps(certified))
+        own = numbers_of(residual.caps(decoupled))
         numbers, direction = own * rng.uniform(0.8, 1.1, 8), 0.05 * own * rng.uniform(-1, 1, 8)
         slope, generators = evaluate(jnp.asarray(numbers))
         np.testing.assert_allclose(generators, expected(numbers), rtol=0, atol=TUBE_RESIDUAL)
         assert_slope_agrees(slope, lambda at: (weights * expected(at)).sum(), numbers, direction)
 
 
-@pytest.mark.parametrize("name", ["certified", "robust"])
-def test_the_residual_of_every_input_map_is_the_plants_where_nothing_couples(name, request):
-    problem = request.getfixturevalue(name)
+@quick_for("decoupled")
+def test_the_residual_of_every_input_map_is_the_plants_where_nothing_couples(problem):
     corners, caps = residual.corners(problem), replace(residual.caps(problem), coupling=None)
     (x, y, heading), (slower, faster), turning = caps.errors, caps.speeds, caps.turning
     schedules, noise = np.unique(problem.corners, axis=0), np.asarray(corners.noise)
@@ -305,19 +282,18 @@ def test_caps_of_inputs_are_what_the_gain_asks_for_at_corners_of_the_errors(prob
     np.testing.assert_allclose(residual.input_caps(gains, jnp.asarray(widths)), expected, rtol=TUBE_REACH)
 
 
-def test_single_precision_stays_single(certified):
-    find, _ = shares_of(certified)
-    numbers = drawn(certified, 0)[0]
+def test_single_precision_stays_single(decoupled):
+    find, _ = shares_of(decoupled)
+    numbers = drawn(decoupled, 0)[0]
     single = lambda tree: jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), tree)  # noqa: E731
-    W, limits, rows = single((tube.disturbance_generators(certified), minimal.limits(certified), np.eye(3)))
-    loops, gains = single(loops_and_gains(certified, numbers))
-    corners, caps = single((residual.corners(certified), residual.caps(certified)))
+    W, limits, rows = single((tube.disturbance_generators(decoupled), minimal.limits(decoupled), np.eye(3)))
+    loops, gains = single(loops_and_gains(decoupled, numbers))
+    corners, caps = single((residual.corners(decoupled), residual.caps(decoupled)))
     shapes = (
         jax.eval_shape(lambda: tube.summed_reach(loops, W, rows, 3)),
         jax.eval_shape(lambda: tube.sequence_reach(loops[None], W, rows[None], 3)),
         jax.eval_shape(minimal.cap_shares, find(numbers), limits, loops, W, gains),
         jax.eval_shape(residual.residual_generators, corners, caps),
-        jax.eval_shape(lambda: tube.decoupled_gains(corners.transitions, 0.1, single(numbers))),
-        jax.eval_shape(lambda: tube.decoupled_loops(single(tube.exact_corners(certified)), 0.1, single(numbers))),
+        jax.eval_shape(single(maps_of(decoupled)).vertex_loops.at, single(numbers)),
     )
     assert {leaf.dtype for leaf in jax.tree.leaves(shapes)} == {jnp.dtype("float32")}

@@ -1,6 +1,7 @@
 """What the tests of tuning share: problems whose scenario gives its gains, and points around them."""
 
 import dataclasses
+from functools import cache
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +27,7 @@ VERTICES = (
 SCENARIOS = {"decoupled": ("certified", AIM), "vertices": ("robust", (*VERTICES, *AIM))}
 
 
+@cache
 def problem_of(kind: str):
     """Complete the problem of three decoupled gains, or of 24 vertex gains."""
     name, overrides = SCENARIOS[kind]
