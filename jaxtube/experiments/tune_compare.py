@@ -6,7 +6,8 @@
 * a full grid over diagonal Q and R, with the start's gains and with the tuned ones;
 * a front: the descent again under other limits of effort and other weights of the tube, from the tuned design on.
 
-All are compared on laps that none of them saw, pairs of laps under the same draws.
+Designs are compared on laps that none of them saw, pairs of laps under the same draws; a grid's best is picked on such
+laps, in its favour, and the front shows the laps that chose its points. Certificates of grids are not asked for.
 """
 
 from __future__ import annotations
@@ -142,8 +143,9 @@ def table(entries: list[Entry]) -> list[str]:
     """Return the comparison as lines."""
     tuned = entries[1].result
     lines = [
-        f"{COMPARED_LAPS} laps, the same draws for all; cost above the tuned design's with 95 % interval over pairs",
-        f"  {'design':<18}{'evaluations':>12}{'lateral':>10}{'effort':>10}{'tube e_y':>10}{'certified':>11}"
+        f"{COMPARED_LAPS} laps, the same draws for all; cost of a lap above the tuned design's, 95 % interval over pairs;",
+        f"a gradient counts for {GRADIENT} evaluations",
+        f"  {'design':<20}{'evaluations':>12}{'lateral':>10}{'effort':>10}{'tube e_y':>10}{'certified':>11}"
         f"{'objective':>12}{'cost above the tuned':>30}",
     ]
     for entry in entries:
@@ -152,7 +154,7 @@ def table(entries: list[Entry]) -> list[str]:
         objective = "-" if entry.static else f"{found.objective:.4f}"
         above, low, high = difference(found.costs, tuned.costs).values()
         lines.append(
-            f"  {name:<18}{evaluations:>12}{1e3 * found.rms(1):>7.3f} mm{found.overall_effort:>10.5f}{width:>10}"
+            f"  {name:<20}{evaluations:>12}{1e3 * found.rms(1):>7.3f} mm{found.overall_effort:>10.5f}{width:>10}"
             f"{'yes' if found.certified else 'no':>11}{objective:>12}{above:>12.4f} ({low:.4f} to {high:.4f})"
         )
     return lines
@@ -182,7 +184,7 @@ def path_lines(paths: dict[str, dict[str, Drive]]) -> list[str]:
             less = f"{fall:.1%} less ({low:.1%} to {high:.1%})" if name != "start" else ""
             state = {None: "", (): "certified"}.get(found.failing, f"not certified ({', '.join(found.failing or ())})")
             lines.append(
-                f"    {name:<16}{1e3 * found.lateral:>7.3f} mm{found.overall_effort:>10.5f} m/s   {less:<32}{state}"
+                f"    {name:<20}{1e3 * found.lateral:>7.3f} mm{found.overall_effort:>10.5f} m/s   {less:<32}{state}"
             )
     return lines
 

@@ -241,7 +241,7 @@ def comparison_figure(rows: Sequence[tuple[str, str, float, float, float]], conf
     axes.tick_params(axis="y", length=0)
     axes.grid(False, axis="y")
     axes.set(ylim=(place + ROW, HEADING / 2))
-    axes.set_xlabel(f"mean of the lateral RMS once settled, {100 * confidence:g} % interval [mm]")
+    axes.set_xlabel(f"lateral RMS once settled, {100 * confidence:g} % interval [mm]")
     if spans_decade(np.array([row[2] for row in rows])):
         axes.set_xscale("log")
         plain_ticks(axes.xaxis)
