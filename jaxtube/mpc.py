@@ -39,6 +39,7 @@ class Window(NamedTuple):
 
     factors: qp.Factors
     linear: Float[AnyArray, "n 3"]  # q = linear e
+    cost_unit: Float[AnyArray, ""]  # what the QP's cost is divided by
     row_errors: Float[AnyArray, "m 3"]  # lower <= row_errors e + rows g <= upper
     lower: Float[AnyArray, " m"]
     upper: Float[AnyArray, " m"]

@@ -208,7 +208,8 @@ def plan_cost(checks: Checks, controller, index, errors: Float[Array, "batch 3"]
     window = mpc.take_window(controller.windows, index)
     inputs = found.inputs.reshape(len(errors), -1)
     linear = jnp.sum(matmul(errors, window.linear.T) * inputs, axis=1)
-    return _form(checks.cost_errors[index], errors) + linear + _form(window.factors.hessian, inputs) / 2
+    of_inputs = linear + _form(window.factors.hessian, inputs) / 2
+    return _form(checks.cost_errors[index], errors) + window.cost_unit * of_inputs
 
 
 def _form(matrix: Float[Array, "n n"], vectors: Float[Array, "batch n"]) -> Float[Array, " batch"]:

@@ -163,6 +163,7 @@ def weigh(
     return Window(
         factors=jax.vmap(qp.factorise)(hessian, jnp.asarray(ahead.rows)),
         linear=linear,
+        cost_unit=jnp.full(len(linear), size),
         row_errors=ahead.row_errors,
         lower=bounds.lower,
         upper=bounds.upper,

@@ -143,7 +143,7 @@ def table(entries: list[Entry]) -> list[str]:
     """Return the comparison as lines."""
     tuned = entries[1].result
     lines = [
-        f"{COMPARED_LAPS} laps, the same draws for all; cost of a lap above the tuned design's, 95 % interval over pairs;",
+        f"{COMPARED_LAPS} laps, the same draws for all; a lap's cost above the tuned one's, 95 % interval over pairs;",
         f"a gradient counts for {GRADIENT} evaluations",
         f"  {'design':<20}{'evaluations':>12}{'lateral':>10}{'effort':>10}{'tube e_y':>10}{'certified':>11}"
         f"{'objective':>12}{'cost above the tuned':>30}",
