@@ -30,7 +30,7 @@ from jaxtube.experiments.tune_baselines import GRADIENT, Entry, Spots, spots_of,
 from jaxtube.experiments.tune_front_figure import Group, Kind, comparison_figure, front_figure
 from jaxtube.experiments.tune_log import Log
 from jaxtube.experiments.tune_report import COMPARED_LAPS, CONFIDENCE, Result, numbers_of, reduction, result
-from jaxtube.experiments.tune_run import Descent, Judgement
+from jaxtube.experiments.tune_run import Descent, Judgement, pooled
 from jaxtube.rollout import SlippingRobot
 from jaxtube.scenario import Scenario, ScenarioError, experiments_folder
 from jaxtube.scenario.tree import Reference
@@ -90,16 +90,6 @@ class Drive(NamedTuple):
     errors: Float[np.ndarray, "laps 3"]  # RMS once settled (m, m, rad)
     effort: Float[np.ndarray, " laps"]  # RMS, m/s
     failing: tuple[str, ...] | None
-
-    @property
-    def lateral(self) -> float:
-        """RMS lateral error over all laps once settled, m."""
-        return float(np.sqrt(np.mean(self.errors[:, 1] ** 2)))
-
-    @property
-    def overall_effort(self) -> float:
-        """RMS effort over all laps, m/s."""
-        return float(np.sqrt(np.mean(self.effort**2)))
 
 
 def _paths(scenario: Scenario, entries: list[Entry]) -> dict[str, dict[str, Drive]]:
@@ -184,7 +174,7 @@ def path_lines(paths: dict[str, dict[str, Drive]]) -> list[str]:
             less = f"{fall:.1%} less ({low:.1%} to {high:.1%})" if name != "start" else ""
             state = {None: "", (): "certified"}.get(found.failing, f"not certified ({', '.join(found.failing or ())})")
             lines.append(
-                f"    {name:<20}{1e3 * found.lateral:>7.3f} mm{found.overall_effort:>10.5f} m/s   {less:<32}{state}"
+                f"    {name:<20}{1e3 * pooled(found.errors[:, 1]):>7.3f} mm{pooled(found.effort):>10.5f} m/s   {less:<32}{state}"
             )
     return lines
 
@@ -192,8 +182,8 @@ def path_lines(paths: dict[str, dict[str, Drive]]) -> list[str]:
 def _numbers(found: Drive, start: Drive) -> dict:
     fall = reduction(start.errors[:, 1], found.errors[:, 1])
     return {
-        "lateral_m": found.lateral,
-        "effort_mps": found.overall_effort,
+        "lateral_m": pooled(found.errors[:, 1]),
+        "effort_mps": pooled(found.effort),
         "lateral_reduction": dict(zip(("share", "low", "high"), fall, strict=True)),
         "certified": None if found.failing is None else not found.failing,
         "failing": list(found.failing or ()),

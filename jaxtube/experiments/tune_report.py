@@ -14,7 +14,7 @@ from jaxtube.design.fill import widest_tube
 from jaxtube.experiments import tune_figures
 from jaxtube.experiments.run_folder import RunFolder
 from jaxtube.experiments.tune_parameter_figure import parameter_figure
-from jaxtube.experiments.tune_run import Descent, Judgement
+from jaxtube.experiments.tune_run import Descent, Judgement, pooled
 from jaxtube.tuning.loop import Weights
 from jaxtube.tuning.objective import lap_costs
 from jaxtube.tuning.tuner import COMPARED, Point, Tuner
@@ -42,12 +42,12 @@ class Result(NamedTuple):
 
     def rms(self, coordinate: int) -> float:
         """RMS error of a coordinate over all laps, once settled."""
-        return float(np.sqrt(np.mean(self.errors[:, coordinate] ** 2)))
+        return pooled(self.errors[:, coordinate])
 
     @property
     def overall_effort(self) -> float:
         """RMS effort over all laps, m/s."""
-        return float(np.sqrt(np.mean(self.effort**2)))
+        return pooled(self.effort)
 
 
 class Summary(NamedTuple):
@@ -57,9 +57,9 @@ class Summary(NamedTuple):
     numbers: dict
 
 
-def result(tuner: Tuner, point: Point, laps: int = COMPARED_LAPS) -> Result:
+def result(tuner: Tuner, point: Point) -> Result:
     """Run a point on the laps of the comparison."""
-    found = tuner.compare(point, laps)
+    found = tuner.compare(point, COMPARED_LAPS)
     assert found.laps is not None and found.shares is not None
     ingredients = tuner.designed(point).ingredients
     assert ingredients is not None

@@ -22,6 +22,11 @@ Point = Float[np.ndarray, " free"]
 METHODS = {"adam": "Adam", "lbfgs": "L-BFGS-B"}
 
 
+def pooled(values: Float[np.ndarray, " laps"]) -> float:
+    """Return the RMS over all laps of RMS values of each."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
 class Judgement(NamedTuple):
     """What laps and a design say of a point; the arrays of its laps are empty where nothing could be played."""
 
@@ -39,12 +44,12 @@ class Judgement(NamedTuple):
     @property
     def lateral(self) -> float:
         """RMS lateral error over all laps once settled, m."""
-        return float(np.sqrt(np.mean(self.errors[:, 1] ** 2)))
+        return pooled(self.errors[:, 1])
 
     @property
     def overall_effort(self) -> float:
         """RMS effort over all laps, m/s."""
-        return float(np.sqrt(np.mean(self.effort**2)))
+        return pooled(self.effort)
 
 
 @dataclass(frozen=True, eq=False)

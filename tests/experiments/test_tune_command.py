@@ -24,7 +24,6 @@ WORDS = ("tune", "reference.duration_s=3", GAINS, "--laps", "4", "--held-out", "
 def small(patch):
     """Few laps to compare, no time for figures."""
     patch.setattr(tune_report, "COMPARED_LAPS", 4)
-    patch.setattr(tune_report.result, "__defaults__", (4,))
     patch.setattr(tune_report, "draw", lambda *arguments: None)
 
 
