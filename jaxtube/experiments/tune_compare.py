@@ -173,9 +173,8 @@ def path_lines(paths: dict[str, dict[str, Drive]]) -> list[str]:
             fall, low, high = reduction(designs["start"].errors[:, 1], found.errors[:, 1])
             less = f"{fall:.1%} less ({low:.1%} to {high:.1%})" if name != "start" else ""
             state = {None: "", (): "certified"}.get(found.failing, f"not certified ({', '.join(found.failing or ())})")
-            lines.append(
-                f"    {name:<20}{1e3 * pooled(found.errors[:, 1]):>7.3f} mm{pooled(found.effort):>10.5f} m/s   {less:<32}{state}"
-            )
+            lateral, effort = 1e3 * pooled(found.errors[:, 1]), pooled(found.effort)
+            lines.append(f"    {name:<20}{lateral:>7.3f} mm{effort:>10.5f} m/s   {less:<32}{state}")
     return lines
 
 
