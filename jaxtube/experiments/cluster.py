@@ -60,6 +60,7 @@ class Cluster:
 
         kind, _, count = name.partition(":")
         # The profiler of a worker looks at its threads a hundred times a second; blocks take a second each.
+        # A client that fails to connect would stay the process's default, and xarray would ask it for its locks.
         configure({"distributed.scheduler.allowed-failures": LOSSES, "distributed.worker.profile.enabled": False})
         try:
             if kind == "local":
@@ -69,8 +70,8 @@ class Cluster:
                 self._local = self._distributed.LocalCluster(
                     n_workers=workers, threads_per_worker=1, dashboard_address=None
                 )
-                return self._distributed.Client(self._local)
-            return self._distributed.Client(name, timeout=SECONDS_TO_CONNECT)
+                return self._distributed.Client(self._local, set_as_default=False)
+            return self._distributed.Client(name, timeout=SECONDS_TO_CONNECT, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             problem = f"cannot be reached ({error or type(error).__name__})"
             raise _refuse(name, problem, "write local:N, or the address of a running scheduler") from None
@@ -89,7 +90,7 @@ class Cluster:
 
     def computed(self, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
         """Yield the statistics of blocks as they are ready, in any order."""
-        pending = self._distributed.as_completed(with_results=True, raise_errors=False)
+        pending = self._distributed.as_completed(loop=self._client.loop, with_results=True, raise_errors=False)
         source, under_way = iter(blocks), {}
 
         def submit(block: int) -> None:

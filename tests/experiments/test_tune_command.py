@@ -13,7 +13,7 @@ import pytest
 import stand_ins
 
 from jaxtube.design import design
-from jaxtube.experiments import tune_report
+from jaxtube.experiments import tune, tune_report
 from jaxtube.experiments.cli import main
 from jaxtube.scenario import load
 
@@ -162,3 +162,19 @@ def test_metrics_hold_start_and_result(undisturbed):
     assert (
         found["lateral_reduction"]["low"] <= found["lateral_reduction"]["share"] <= found["lateral_reduction"]["high"]
     )
+
+
+def test_what_does_not_certify_when_read_back_is_not_returned(tmp_path, quick, monkeypatch, capsys):
+    stand_ins.patch_tuner(monkeypatch)
+    monkeypatch.setattr(tune, "certified_again", lambda path: (("some_condition",), "NOT CERTIFIED: some_condition"))
+    assert run(tmp_path) == tune.NOT_CERTIFIED
+    assert "does not certify when read back: some_condition" in refused(capsys)
+    assert not (tmp_path / "tuned.toml").exists()
+
+
+def test_the_result_of_an_earlier_run_does_not_outlive_a_run_without_one(tmp_path, quick, monkeypatch):
+    stand_ins.patch_tuner(monkeypatch)
+    (tmp_path / "tuned.toml").write_text("# of an earlier run\n")
+    paper = "controller.tracking_gains=[0.951249,0.936687,1.305797]"
+    assert run(tmp_path, paper, "--evaluations", "1") == tune.NOT_CERTIFIED
+    assert not (tmp_path / "tuned.toml").exists()
