@@ -27,7 +27,7 @@ from scipy.spatial import ConvexHull
 
 from jaxtube.design.fill import RING
 from jaxtube.design.problem import Problem
-from jaxtube.tuning.tube import rows_under, support
+from jaxtube.tuning.tube import largest, rows_under, support
 from sets.invariant import INFLATION, minimal_rpi_bound
 
 FLAT = 1e-12
@@ -186,4 +186,4 @@ def cap_shares(
     normals = cap_normals(limits, gains)
     shares = minimal_reach(active, loops, generators, normals, normals[:-RING])
     errors, inputs = shares[:6].reshape(-1, 3), shares[6:].reshape(-1, len(limits.offsets) // 2)
-    return jnp.concatenate([jnp.max(errors, axis=0), jnp.max(inputs, axis=0)])
+    return jnp.concatenate([largest(errors), largest(inputs)])

@@ -27,6 +27,7 @@ from jaxtube.design.residual import operation
 from jaxtube.error_dynamics import advance
 from jaxtube.input_maps import acting_input
 from jaxtube.robot import wheel_commands
+from jaxtube.tuning.tube import largest
 
 HEADINGS, EDGE = 5, 5
 """Heading errors of the grid, and points along each edge that the coupling cuts."""
@@ -107,7 +108,7 @@ def caps(problem: Problem) -> Caps:
 
 def input_caps(gains: Float[Array, "v 2 3"], errors: Float[Array, "3"]) -> Float[Array, "2"]:
     """Return the reach of u = K e over |e| <= errors and all gains, (m/s, rad/s)."""
-    return jnp.max(jnp.abs(gains) @ errors, axis=0)
+    return largest(jnp.abs(gains) @ errors)
 
 
 def residual_generators(corners: Corners, caps: Caps) -> Float[Array, "4 3"]:
@@ -130,7 +131,7 @@ def residual_bound(corners: Corners, caps: Caps) -> tuple[Float[Array, ""], Floa
     predicted = predicted + jnp.einsum("pnm,pm->pn", corners.inputs[schedule], inputs)
     rest = after - predicted
     sideways = rest[:, 1] - corners.lateral_per_yaw * kick
-    return jnp.max(jnp.abs(kick)), jnp.stack([jnp.max(jnp.abs(rest[:, 0])), jnp.max(jnp.abs(sideways))])
+    return largest(jnp.abs(kick)), largest(jnp.abs(jnp.stack([rest[:, 0], sideways], axis=1)))
 
 
 def _grid(corners: Corners, caps: Caps):

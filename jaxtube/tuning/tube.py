@@ -6,7 +6,7 @@
 
 W is symmetric, so is every section, and support numbers along rows are all that E and U lose. Every function follows
 the dtype of its arguments, works under `jit`, and has one derivative except where a product c g_i changes its sign or
-two maxima are equal; there it is one of a side, or their mean.
+two maxima are equal; there it is that of a side.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (26)-(29); Chisci, Rossiter, Zappa 2001.
 """
@@ -30,6 +30,15 @@ def disturbance_generators(problem: Problem) -> Float[np.ndarray, "g 3"]:
 def support(generators: Float[Array, "g 3"], rows: Float[Array, "... 3"]) -> Float[Array, "..."]:
     """Return the support numbers of W along the rows."""
     return jnp.sum(jnp.abs(rows @ generators.T), axis=-1)
+
+
+def largest(values: Float[Array, "n *k"]) -> Float[Array, "*k"]:
+    """Return the largest values along the first axis, each with the derivative of one entry that attains it.
+
+    That of `jnp.max` counts the entries that are equal, and mirror images always are: where a compiled program computes
+    them twice, rounded in two ways, it can find one and count two.
+    """
+    return jnp.take_along_axis(values, jnp.argmax(values, axis=0)[None], axis=0)[0]
 
 
 def sequence_reach(
@@ -79,7 +88,7 @@ def summed_reach(
     for j in range(horizon):
         if j > 0:
             products = (products[None] @ loops[:, None]).reshape(-1, *rows.shape)
-        reach.append(reach[-1] + jnp.max(support(generators, products), axis=0))
+        reach.append(reach[-1] + largest(support(generators, products)))
     return jnp.stack(reach)
 
 
@@ -88,7 +97,7 @@ def summed_input_reach(
 ) -> Float[Array, "horizon+1 k"]:
     """Return the support numbers of co u_i K_i R_0 .. co u_i K_i R_horizon along the input rows under K_1, K_2, ..."""
     reach = summed_reach(loops, generators, rows.reshape(-1, 3), horizon)
-    return jnp.max(reach.reshape(horizon + 1, *rows.shape[:2]), axis=1)
+    return largest(jnp.moveaxis(reach.reshape(horizon + 1, *rows.shape[:2]), 1, 0))
 
 
 def rows_under(
