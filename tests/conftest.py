@@ -13,6 +13,11 @@ jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 
 
+def pytest_configure(config):
+    """Compile quickly what runs once or twice; long tests compile as users do."""
+    jax.config.update("jax_disable_most_optimizations", config.option.markexpr == "not slow")
+
+
 # Designs and closed loops that several files look at: computed once, and compiled once for one shape.
 
 

@@ -13,17 +13,14 @@ from tube_programs import BATCH, Family, easy, family, hard
 
 from jaxtube import batched_ldl, farkas, fixed_point, qp
 
-# For what runs once or twice, compiling takes longer than running.
-COMPILE_QUICKLY = {"xla_backend_optimization_level": 0}
-
-solve = {np.float64: jax.jit(qp.solve), np.float32: jax.jit(qp.solve, compiler_options=COMPILE_QUICKLY)}
+solve = jax.jit(qp.solve)
 factorise = jax.jit(qp.factorise)
 
 
 def answer(P, A, q, l, u, dtype: type = np.float64) -> qp.Solution:
     """Solve, the batch repeated up to the common size, and give the answers of the first len(q) as numpy arrays."""
     arrays = [jnp.asarray(np.resize(a, (BATCH, a.shape[1])), dtype) for a in (q, l, u)]
-    solution = solve[dtype](factorise(jnp.asarray(P, dtype), jnp.asarray(A, dtype)), *arrays)
+    solution = solve(factorise(jnp.asarray(P, dtype), jnp.asarray(A, dtype)), *arrays)
     return jax.tree.map(lambda a: np.asarray(a)[: len(q)], solution)
 
 
@@ -221,7 +218,7 @@ def test_a_scan_over_programs_with_fewer_rows_than_unknowns_is_exact():
         factors, q = given
         return None, qp.solve(factors, q, jnp.asarray(-bound), jnp.asarray(bound))
 
-    scan = jax.jit(lambda *given: jax.lax.scan(step, None, given)[1], compiler_options=COMPILE_QUICKLY)
+    scan = jax.jit(lambda *given: jax.lax.scan(step, None, given)[1])
     solution = scan(stack, jnp.asarray(q))
     assert (solution.status == qp.SOLVED).all()
     for k in range(3):

@@ -15,16 +15,13 @@ COUNT = 400  # one shape for nearly all tests, so that one compilation serves th
 STEP = 1e-5
 DIFFERENCE = {2: -1 / 12, 1: 8 / 12, -1: -8 / 12, -2: 1 / 12}  # weights of a central difference of fourth order
 
-# For what runs once or twice, compiling takes longer than running.
-COMPILE_QUICKLY = {"xla_backend_optimization_level": 0}
-
 
 def loss(data, x_bar, y_bar):
     solution = qp.solve(qp.factorise(*data[:2]), *data[2:])
     return jnp.sum(solution.x * x_bar) + jnp.sum(solution.multipliers * y_bar), solution
 
 
-compiled_gradient = jax.jit(jax.grad(loss, has_aux=True), compiler_options=COMPILE_QUICKLY)
+compiled_gradient = jax.jit(jax.grad(loss, has_aux=True))
 
 
 def gradient(data, x_bar, y_bar=None, *, dtype: type = np.float64) -> tuple[list[np.ndarray], qp.Solution]:
@@ -117,7 +114,7 @@ def test_agrees_with_unrolled_iterations():
         x, y = fixed_point.admm(factors, given, jnp.zeros_like(given.q), 600)
         return jnp.sum(x.T * x_bar), fixed_point.residual(factors, given, x, y)
 
-    iterate = jax.jit(jax.grad(unrolled, has_aux=True), compiler_options=COMPILE_QUICKLY)
+    iterate = jax.jit(jax.grad(unrolled, has_aux=True))
     # The product of an infinite bound with its cotangent, zero, would be NaN.
     arrays = [jnp.asarray(np.maximum(part, -1e6)) for part in data]
     kept = (solution.status == qp.SOLVED) & (np.asarray(iterate(arrays, x_bar)[1]) < tol.QP_ORACLE)
@@ -233,7 +230,7 @@ def test_a_scan_of_checkpoints_differentiates_a_closed_loop():
         final, trace = jax.lax.scan(jax.checkpoint(step), start, jax.vmap(qp.factorise)(P, A))
         return jnp.sum(final**2), trace
 
-    run = jax.jit(jax.value_and_grad(cost, has_aux=True), compiler_options=COMPILE_QUICKLY)
+    run = jax.jit(jax.value_and_grad(cost, has_aux=True))
     bound = rng.uniform(0.05, 0.3, len(fam.A))
     data = [jnp.asarray(part) for part in (*stack, fam.gradient.T, -bound, bound)]
     (_, trace), found = run(data)

@@ -17,7 +17,6 @@ from jaxtube.tuning.objective import aim
 from jaxtube.tuning.parameters import parameters
 from jaxtube.tuning.tuner import COMPARED, HELD_OUT, NO_DESIGN, Tuner
 
-COMPILE_QUICKLY = {"xla_backend_optimization_level": 0}
 LAPS = 4  # held-out ones too: one shape, one compilation
 
 
@@ -33,13 +32,7 @@ def fresh(tuner, **changes):
 
 @pytest.fixture(scope="module")
 def true_laps():
-    """Tuners compile their value with little effort."""
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("_played", "_value_and_gradient"):
-            static = ("restart", "input_map")
-            function = getattr(tuners, name).__wrapped__
-            patch.setattr(tuners, name, jax.jit(function, static_argnames=static, compiler_options=COMPILE_QUICKLY))
-        yield
+    """Tuners run their laps."""
 
 
 @pytest.fixture(scope="module")

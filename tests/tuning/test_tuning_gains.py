@@ -21,7 +21,7 @@ def follow(numbers, found, maps):
     return cost, cost
 
 
-cost_and_slope = jax.jit(jax.jacfwd(follow, has_aux=True), compiler_options={"xla_backend_optimization_level": 0})
+cost_and_slope = jax.jit(jax.jacfwd(follow, has_aux=True))
 
 
 @pytest.fixture(scope="module", params=list(tuned.SCENARIOS))

@@ -20,12 +20,11 @@ from jaxtube.rollout import realisation_keys, rollout
 from jaxtube.tuning.loop import ROOM, Weights, fix, tightened, windows_of
 from jaxtube.tuning.parameters import LEAST_PIVOT, parameters
 
-COMPILE_QUICKLY = {"xla_backend_optimization_level": 0}
 LAPS, STEPS = 16, 30
 PARTS = "errors", "inputs", "terminal"
 
-condensed = jax.jit(windows_of, compiler_options=COMPILE_QUICKLY)
-drive = jax.jit(rollout.__wrapped__, compiler_options=COMPILE_QUICKLY)
+condensed = jax.jit(windows_of)
+drive = jax.jit(rollout.__wrapped__)
 
 
 @pytest.fixture(scope="module", params=["decoupled", pytest.param("vertices", marks=pytest.mark.slow)])

@@ -24,7 +24,6 @@ from jaxtube.tuning.tuner import Tuner
 from jaxtube.usage import play
 from sets.lyapunov import cost_of_gains
 
-COMPILE_QUICKLY = {"xla_backend_optimization_level": 0}
 STEP = 2e-4  # of an entry, or of the size of its matrix; the differences are of fourth order
 LAPS = 4
 
@@ -63,7 +62,7 @@ def watched_play(controller, plant, keys, starts, *, told, widths, margin):
 class Loop:
     """The objective of laps of some steps, compiled once for all points, keys and starts."""
 
-    def __init__(self, kind: str, steps: int, compiler_options=None):
+    def __init__(self, kind: str, steps: int):
         problem = tuned.problem_of(kind)
         self.parameters = parameters(problem)
         settled = min(100, steps // 3)
@@ -79,7 +78,7 @@ class Loop:
                 patch.setattr(objective, "play", partial(watched, told=told))
                 return objective.objective(weights, *arguments), told[0]
 
-        self.evaluate = jax.jit(jax.value_and_grad(evaluate, has_aux=True), compiler_options=compiler_options)
+        self.evaluate = jax.jit(jax.value_and_grad(evaluate, has_aux=True))
 
     def random_point(self, seed: int):
         """Draw a point that has a design, and starts: the scenario's, and others at the edge of the feasible set."""
@@ -187,7 +186,7 @@ def check_slopes(loop: Loop, points: int, every: int = 1):
 @pytest.fixture(scope="module")
 def short():
     """Laps of 15 steps."""
-    return Loop("decoupled", 15, COMPILE_QUICKLY)
+    return Loop("decoupled", 15)
 
 
 def test_derivatives_are_differences_with_the_host_solved_again(short):
@@ -227,7 +226,7 @@ def test_a_lap_without_plans_leaves_the_derivatives_of_the_others_finite(short):
 
 @pytest.mark.slow
 def test_agrees_with_unrolled_iterations(monkeypatch):
-    loop = Loop("decoupled", 4, COMPILE_QUICKLY)
+    loop = Loop("decoupled", 4)
     point, frozen, drawn = loop.random_point(1)
     weights = loop.parameters.weights(jnp.asarray(point))
     (value, pattern), slope = loop.evaluate(weights, frozen, *drawn)
@@ -242,7 +241,7 @@ def test_agrees_with_unrolled_iterations(monkeypatch):
         return qp.Solution(x.T, y.T / factors.row_norms, status, fixed_point.residual(factors, given, x, y))
 
     monkeypatch.setattr(qp, "solve", unrolled)
-    again = Loop("decoupled", 4, COMPILE_QUICKLY)
+    again = Loop("decoupled", 4)
     (expected, of_unrolled), expected_slope = again.evaluate(weights, frozen, *drawn)
     np.testing.assert_array_equal(of_unrolled[:, :2], pattern[:, :2])
     assert value == pytest.approx(float(expected), rel=tol.UNROLLED)
@@ -260,8 +259,8 @@ def law():
     return problem, ScheduledGain(gains, problem.scenario.controller.input_map), aim
 
 
-run_laps = jax.jit(objective.run_laps, compiler_options=COMPILE_QUICKLY)
-drive = jax.jit(rollout.__wrapped__, compiler_options=COMPILE_QUICKLY)
+run_laps = jax.jit(objective.run_laps)
+drive = jax.jit(rollout.__wrapped__)
 
 
 def root_mean_square(values, axis=0):
