@@ -57,11 +57,17 @@ class Escape:
 
 @dataclass(frozen=True)
 class MaximalRpi:
-    """The maximal robust positively invariant set, or the escape that proves it empty (neither: undecided)."""
+    """The maximal robust positively invariant set, or the escape that proves it empty (neither: undecided).
+
+    roots, paths: of every row of the polytope, the constraint whose predecessor it is and the loops on the way: the row
+        is proportional to  c Phi_{i1} .. Phi_{im} x <= d - sum over l < m of (1 + INFLATION) h_W(c Phi_{i1} .. Phi_{il}).
+    """
 
     polytope: Polytope | None
     escape: Escape | None
     iterations: int
+    roots: tuple[int, ...] = ()
+    paths: tuple[tuple[int, ...], ...] = ()
 
 
 @dataclass
@@ -125,7 +131,8 @@ def maximal_rpi(
         kept = ConvexHull(np.concatenate([rows.dual, candidates.dual])).vertices
         fresh = kept[kept >= len(rows.offsets)]
         if len(fresh) == 0:
-            return MaximalRpi(Polytope(rows.dual, np.ones(len(rows.offsets))), None, iteration)
+            found = Polytope(rows.dual, np.ones(len(rows.offsets)))
+            return MaximalRpi(found, None, iteration, tuple(rows.roots.tolist()), tuple(rows.paths))
         joined = rows.join(candidates)
         new, rows = joined.take(fresh), joined.take(kept)
     return MaximalRpi(None, None, max_iterations)

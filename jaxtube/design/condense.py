@@ -134,6 +134,14 @@ def predict(problem: Problem, windows: Windows, terminal_normals: Float[np.ndarr
     return Prediction(free, forced, *kept, checks, reached, unreached, transitions[:, 0], inputs[:, 0])
 
 
+def with_terminal_rows(ahead: Prediction, normals: Float[AnyArray, "facets 3"]) -> Prediction:
+    """Return the prediction with other terminal normals, as many, all of them reached; differentiable in them."""
+    rest = slice(ahead.rows.shape[1] - len(normals))
+    row_errors = jnp.concatenate([ahead.row_errors[:, rest], normals @ ahead.free[:, -1]], axis=1)
+    rows = jnp.concatenate([ahead.rows[:, rest], normals @ ahead.forced[:, -1]], axis=1)
+    return ahead._replace(row_errors=row_errors, rows=rows)
+
+
 def row_bounds(bounds: Bounds, ahead: Prediction) -> RowBounds:
     """Return the bounds in the order of the rows: opposite rows of E and U are one row with two bounds."""
     count, k = len(bounds.inputs), bounds.inputs.shape[2] // 2

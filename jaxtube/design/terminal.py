@@ -36,9 +36,9 @@ from sets.lmi import TerminalCost, terminal_cost
 from sets.lyapunov import cost_of_gains
 from sets.polytope import Polytope
 
-FACETS = 40
-"""Facets that the invariant set used on line may have: every one of them is a row of every QP. Twice as many where so
-few carry none."""
+TRIED = (1, 2)
+"""Facets that the invariant set used on line may have, times `terminal_facets`: every one of them is a row of every QP,
+so it is twice as many only where so few carry none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +112,7 @@ def make_terminal(
         admissible = admissible_set(problem, gains, last_errors, last_inputs)
     # The constraints used on line are backed off, so what the plan must return to is smaller by as much: the set is
     # built inside backed-off constraints, for a disturbance that is wider by more than the last back-off.
-    back_off = (N + 2) * BACK_OFF
+    back_off = set_back_off(problem)
     inner = Polytope(
         admissible.normals, admissible.offsets - back_off * (1 + np.linalg.norm(admissible.normals, axis=1))
     )
@@ -120,7 +120,8 @@ def make_terminal(
     maximal = _maximal(loops, inner, widened)
     invariant = None
     if maximal.polytope is not None:
-        sets = (few_facet_rpi(loops, inner, widened, maximal.polytope, facets) for facets in (FACETS, 2 * FACETS))
+        counts = (problem.scenario.controller.terminal_facets * times for times in TRIED)
+        sets = (few_facet_rpi(loops, inner, widened, maximal.polytope, facets) for facets in counts)
         invariant = next((found for found in sets if found is not None), None)
     constraint = _constraint(problem, kind, invariant, disturbance, windows, tightening)
     fallback = constraint is None
@@ -129,6 +130,11 @@ def make_terminal(
         problem.operating_set.offsets - tightening.error_reach[:, N],
     )
     return Terminal(kind, gains, loops, disturbance, admissible, maximal, invariant, normals, offsets, fallback)
+
+
+def set_back_off(problem: Problem) -> float:
+    """Return by how much the invariant set stays inside the limits, and the disturbance is widened."""
+    return (problem.horizon + 2) * BACK_OFF
 
 
 def _widened(disturbance: tubes.Section, by: float, rows: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:

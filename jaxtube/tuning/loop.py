@@ -2,8 +2,9 @@
 
     (Q, R, kappa)  ->  gains, loops, P  ->  tube, margins  ->  condensed QPs  ->  laps
 
-A design fixes what no derivative passes through: the terminal set, the reference, and the answer P about which the
-terminal cost is differentiated. All else is computed again from (Q, R, kappa) on the device, equal to the design's own.
+A design fixes what no derivative passes through: the reference, the history of the terminal set, and the answer P about
+which the terminal cost is differentiated. All else is computed again from (Q, R, kappa) on the device, equal to the
+design's own.
 """
 
 from __future__ import annotations
@@ -16,11 +17,21 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from jaxtube.design import Ingredients
-from jaxtube.design.condense import Bounds, Cost, Gains, Prediction, predict, row_bounds, weigh, widths
-from jaxtube.design.terminal import FACETS
+from jaxtube.design.condense import (
+    Bounds,
+    Cost,
+    Gains,
+    Prediction,
+    predict,
+    row_bounds,
+    weigh,
+    widths,
+    with_terminal_rows,
+)
 from jaxtube.design.tightening import BACK_OFF
 from jaxtube.mpc import AnyArray, Window
 from jaxtube.tuning.gains import GainMaps, gain_maps, terminal_cost
+from jaxtube.tuning.terminal import TerminalRows, terminal_rows, terminal_set
 from jaxtube.tuning.tube import disturbance_generators, rows_under, sequence_reach, sequence_reaches
 
 ROOM = 0.02
@@ -46,24 +57,31 @@ class Fixed(NamedTuple):
     input_rows: Float[AnyArray, "k 2"]
     input_error_rows: Float[AnyArray, "k 3"]
     input_offsets: Float[AnyArray, " k"]
-    terminal_normals: Float[AnyArray, "facets 3"]
-    terminal_offsets: Float[AnyArray, "windows facets"]  # before the tube is taken off
+    terminal_rows: TerminalRows
     terminal_cost: Float[AnyArray, "3 3"]
     widths: Float[AnyArray, "3"]
     index: Int[AnyArray, " steps"]
 
 
 def fix(design: Ingredients) -> Fixed:
-    """Take from a design (terminal T-A, tube `sequence`) what stays fixed; unused terminal rows are unbounded."""
+    """Take from a design (terminal T-A, tube `sequence`) what stays fixed; unused terminal rows are unbounded.
+
+    Raises:
+        ValueError: where no input reaches a terminal row, so that it is no row of the plan.
+    """
     problem, windows, terminal, rows = design.problem, design.windows, design.terminal, design.problem.input_rows
-    normals, offsets = terminal.constraint_normals, terminal.constraint_offsets
-    spare = -len(normals) % FACETS
-    normals = np.concatenate([normals, np.repeat(normals[:1], spare, axis=0)])
-    offsets = np.concatenate([offsets, np.full((len(offsets), spare), np.inf)], axis=1)
-    ahead = predict(problem, windows, normals)
+    normals, offsets = terminal.constraint_normals, terminal.constraint_offsets[0]
     generators = disturbance_generators(problem)
-    along = jnp.broadcast_to(normals, (len(windows.loops), *normals.shape))
-    taken = sequence_reach(jnp.asarray(windows.loops), jnp.asarray(generators), along, problem.horizon)
+    taken = sequence_reach(
+        jnp.asarray(windows.loops[:1]), jnp.asarray(generators), jnp.asarray(normals)[None], problem.horizon
+    )
+    spare = -len(normals) % problem.scenario.controller.terminal_facets
+    normals = np.concatenate([normals, np.repeat(normals[:1], spare, axis=0)])
+    offsets = np.concatenate([offsets + np.asarray(taken)[0], np.full(spare, np.inf)])
+    ahead = predict(problem, windows, normals)
+    count = len(ahead.reached) + len(ahead.unreached)
+    if np.any(ahead.unreached >= count - len(normals)):
+        raise ValueError("controller.horizon: no input reaches a terminal row; lengthen it")
     return Fixed(
         maps=gain_maps(problem, windows.schedules),
         ahead=ahead,
@@ -73,8 +91,7 @@ def fix(design: Ingredients) -> Fixed:
         input_rows=rows.inputs,
         input_error_rows=rows.errors,
         input_offsets=rows.offsets,
-        terminal_normals=normals,
-        terminal_offsets=offsets + np.asarray(taken),
+        terminal_rows=terminal_rows(design, normals, offsets),
         terminal_cost=design.cost.cost,
         widths=widths(problem),
         index=windows.index,
@@ -91,9 +108,16 @@ def tightened(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
     )
     under = rows_under(fixed.input_rows, fixed.input_error_rows, gains)
     inputs = sequence_reaches(loops, fixed.generators, under)
-    along = jnp.broadcast_to(fixed.terminal_normals, (count, *fixed.terminal_normals.shape))
-    last = sequence_reach(loops, fixed.generators, along, N)
-    last = last + (N + 1) * BACK_OFF * jnp.linalg.norm(fixed.terminal_normals, axis=1)
+    normals, offsets = terminal_set(
+        fixed.terminal_rows,
+        fixed.maps.vertex_loops.at(kappa),
+        fixed.maps.corner_gains.at(kappa),
+        fixed.generators,
+        (fixed.error_rows, fixed.error_offsets),
+        (fixed.input_rows, fixed.input_error_rows, fixed.input_offsets),
+    )
+    last = sequence_reach(loops, fixed.generators, jnp.broadcast_to(normals, (count, *normals.shape)), N)
+    last = last + (N + 1) * BACK_OFF * jnp.linalg.norm(normals, axis=1)
 
     def left(offsets, taken):
         return jnp.maximum(offsets - taken, ROOM * offsets)
@@ -101,8 +125,8 @@ def tightened(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
     return Bounds(
         left(fixed.error_offsets, errors + back_off),
         left(fixed.input_offsets, inputs + back_off),
-        fixed.terminal_normals,
-        left(fixed.terminal_offsets, last),
+        normals,
+        left(offsets, last),
     )
 
 
@@ -116,5 +140,6 @@ def windows_of(fixed: Fixed, weights: Weights) -> Window:
     """Return the condensed QPs along the reference."""
     gains = fixed.maps.window_gains.at(weights.kappa)[:, 0]
     cost = Cost(weights.error_weight, weights.input_weight, terminal_weight(fixed, weights))
-    bounds = row_bounds(tightened(fixed, weights.kappa), fixed.ahead)
-    return weigh(fixed.ahead, bounds, Gains(gains, gains), cost, fixed.widths)
+    bounds = tightened(fixed, weights.kappa)
+    ahead = with_terminal_rows(fixed.ahead, bounds.terminal_normals)
+    return weigh(ahead, row_bounds(bounds, ahead), Gains(gains, gains), cost, fixed.widths)

@@ -23,8 +23,12 @@ VERTICES = (
     'controller.terminal="T-A"',
     'controller.tube="sequence"',
     f"controller.vertex_gains={VERTEX_GAINS}",
+    "controller.terminal_facets=300",
 )
-SCENARIOS = {"decoupled": ("certified", AIM), "vertices": ("robust", (*VERTICES, *AIM))}
+SCENARIOS = {
+    "decoupled": ("certified", AIM),
+    "vertices": ("robust", (*VERTICES, *AIM)),
+}
 
 
 @cache
