@@ -175,8 +175,8 @@ class Tune(Options):
     """a scenario that `list` prints, or a file: where tuning starts, and under [tuning] what it aims at"""
     variables: Literal["both", "weights", "gains", "diagonal"] = "both"
     """what moves: Q, R and gains, or some of them; diagonal: those of Q and R"""
-    method: Literal["adam", "lbfgs"] = "adam"
-    """Adam, with fresh laps in every step, or L-BFGS-B on the same laps in all"""
+    method: Literal["lbfgs", "adam"] = "lbfgs"
+    """L-BFGS-B on the same laps in every evaluation, or Adam with fresh ones in each"""
     evaluations: Annotated[int, arg(metavar="COUNT")] = 120
     """gradients at most"""
     laps: Annotated[int, arg(metavar="COUNT")] = 128

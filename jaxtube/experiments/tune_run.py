@@ -75,7 +75,7 @@ def descend(
     Clipping keeps the first steps of an uncertified start, where soft margins are steep, from deciding all later ones.
     """
     judged: list[Judgement] = []
-    values: list[float] = []
+    values: dict[bytes, float] = {}
     best = np.inf
 
     def evaluate(point: Point, draws: int) -> tuple[float, Point]:
@@ -84,9 +84,9 @@ def descend(
             return {"value": value, "gradient": gradient}
 
         answer = log.remember(name, {"point": point, "draws": draws}, compute)
-        values.append(float(answer["value"]))
+        value = values[point.tobytes()] = float(answer["value"])
         bar.update()
-        return values[-1], answer["gradient"]
+        return value, answer["gradient"]
 
     def inspect(iteration: int, point: Point) -> Judgement:
         nonlocal best
@@ -114,11 +114,9 @@ def descend(
         else:
             outcome = lbfgs(evaluate, inspect, start, names, budget=budget, patience=patience)
         bar.total = bar.n
-    # Adam evaluates an iterate to leave it: the last one has no value of its own.
-    objective = np.full(len(judged), np.nan)
-    if method == "adam":
-        objective[: len(values)] = values[: len(judged)]
-        objective[objective >= NO_DESIGN] = np.nan
+    # An iterate is evaluated when it is left, if not before: the last one may have no value.
+    objective = np.array([values.get(each.point.tobytes(), np.nan) for each in judged])
+    objective[objective >= NO_DESIGN] = np.nan
     return Descent(METHODS[method], outcome, judged, objective)
 
 

@@ -61,8 +61,8 @@ def terminal_rows(
     of_inputs = len(problem.input_rows.offsets)
     limits = len(problem.operating_set.offsets) + len(gains) * of_inputs
     roots, paths = limits + np.arange(len(normals)), np.full((len(normals), LONGEST), -1)
-    whole = terminal.invariant is not None and terminal.invariant is maximal.polytope
-    if whole and not terminal.fallback and max(map(len, maximal.paths)) <= LONGEST:
+    whole = terminal.invariant is maximal.polytope and not terminal.fallback
+    if maximal.polytope is not None and whole and max(map(len, maximal.paths)) <= LONGEST:
         # Sets are made of distinct gains and loops: the first of equal ones stands for all.
         corner = np.unique(gains, axis=0, return_index=True)[1]
         pair = np.unique(vertex_pairs(problem, terminal.gains)[0].reshape(-1, 9), axis=0, return_index=True)[1]

@@ -18,7 +18,19 @@ from jaxtube.experiments.cli import main
 from jaxtube.scenario import load
 
 GAINS = "controller.tracking_gains=[3.0,6.5,6.5]"
-WORDS = ("tune", "reference.duration_s=3", GAINS, "--laps", "4", "--held-out", "4", "--evaluations", "3")
+WORDS = (
+    "tune",
+    "reference.duration_s=3",
+    GAINS,
+    "--laps",
+    "4",
+    "--held-out",
+    "4",
+    "--evaluations",
+    "3",
+    "--method",
+    "adam",
+)
 
 
 def small(patch):
@@ -98,9 +110,10 @@ def test_an_interrupted_run_ends_at_the_same_bits(undisturbed, laps, tmp_path, q
 
 
 @pytest.mark.slow
-def test_a_killed_run_ends_at_the_same_bits(tmp_path):
+@pytest.mark.parametrize("method", ["adam", "lbfgs"])
+def test_a_killed_run_ends_at_the_same_bits(tmp_path, method):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
-    command = [sys.executable, "-m", "jaxtube.experiments", *WORDS, "--out"]
+    command = [sys.executable, "-m", "jaxtube.experiments", *WORDS, "--method", method, "--out"]
     subprocess.run([*command, str(whole)], check=True, capture_output=True)
     for kept in (1, 3):
         process = subprocess.Popen([*command, str(killed)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
