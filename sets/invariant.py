@@ -60,7 +60,7 @@ class MaximalRpi:
     """The maximal robust positively invariant set, or the escape that proves it empty (neither: undecided).
 
     roots, paths: of every row of the polytope, the constraint whose predecessor it is and the loops on the way: the row
-        is proportional to  c Phi_{i1} .. Phi_{im} x <= d - sum over l < m of (1 + INFLATION) h_W(c Phi_{i1} .. Phi_{il}).
+        is  c Phi_{i1} .. Phi_{im} x <= d - (1 + INFLATION) sum over l < m of h_W(c Phi_{i1} .. Phi_{il}),  scaled.
     """
 
     polytope: Polytope | None

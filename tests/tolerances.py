@@ -127,7 +127,7 @@ TUBE_RESIDUAL = 1e-12  # m and rad; differences of numbers of order one
 
 # sets/lyapunov.py, jaxtube/tuning/gains.py, loop.py, objective.py
 ACTIVE_ROW = 1e-8  # m, rad and units of the inputs; distance from its bound below which a row is active
-LEAST_SLOPE = 0.05  # of the greatest of a gradient; below, the solver's residual of 1e-9 hides what differences tell
+LEAST_SLOPE = 0.01  # of the greatest of a gradient; below, rounding hides what differences tell
 LEAST_TRACE = 1e-6  # relative; what a semidefinite program's answer is known to
 CENTRED_SLOPE = 1e-8  # Newton decrement of the centred cost, whose objective is of order ten
 SCALED_COST = 1e-9  # relative; the same cost found with other weights
@@ -148,3 +148,4 @@ SAME_STEEP = 1e-9  # relative; a difference of objectives
 NO_EFFORT = 1e-11  # m, rad and m/s; what rounding makes of zero in 40 steps, and the least root
 SAME_TERMINAL_ROWS = 1e-9  # of rows of unit offset
 SAME_TERMINAL_SET = 1e-6  # relative, for gains a ten-thousandth apart: rows come and go where they cut this little
+NO_PRODUCT = 1e-15  # of rows and generators, below which its sign is rounding

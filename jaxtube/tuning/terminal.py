@@ -3,7 +3,7 @@
 Every row of the maximal set is the predecessor, along a path of loops, of an error limit or of an input limit under a
 gain: with r such a limit's row, d its offset and W widened,
 
-    (c / o) e <= 1,   c = r Phi_{i1} .. Phi_{im},   o = d - (1 + INFLATION) sum over l < m of h_W(r Phi_{i1} .. Phi_{il})
+    c e <= o,    c = r Phi_{i1} .. Phi_{im},    o = d - (1 + INFLATION) sum over l < m of h_W(r Phi_{i1} .. Phi_{il})
 
 Paths are recorded by the design and held: the set is then smooth in the gains, and is the design's own as long as no
 row comes or goes, which is where it cuts nothing. A set of fewer facets than the maximal one has no such history: its

@@ -55,6 +55,14 @@ class Inspected:
     shares: Float[np.ndarray, " caps"] | None
 
 
+def freeze(found: Ingredients) -> Frozen | None:
+    """Return what an evaluation holds of a design, None where the tube of its gains is not bounded; raises as `fix`."""
+    fixed, within, kappa = fix(found), limits(found.problem), jnp.asarray(found.problem.given_gains)
+    loops, gains = fixed.maps.vertex_loops.at(kappa), fixed.maps.corner_gains.at(kappa)
+    active = active_caps(within, loops, jnp.asarray(fixed.generators), gains)
+    return None if active is None else jax.tree.map(jnp.asarray, Frozen(fixed, active, within))
+
+
 @partial(jax.jit, static_argnames=("restart", "input_map"))
 def _played(vector, frozen, plant, keys, starts, parameters, aim, restart, input_map):
     return controller_laps(parameters.weights(vector), frozen, plant, keys, starts, aim, restart, input_map)
@@ -94,18 +102,12 @@ class Tuner:
     @np.errstate(all="ignore")  # far from any design numbers overflow, and what comes of them is refused
     def _designed(self, point: Point) -> Designed:
         try:
-            problem = with_controller(self.problem, self.parameters.scenario(self.problem.scenario, point))
-            found = prepare(problem)
-            fixed, within = fix(found), limits(problem)
-            kappa = jnp.asarray(problem.given_gains)
-            loops, gains = fixed.maps.vertex_loops.at(kappa), fixed.maps.corner_gains.at(kappa)
-            active = active_caps(within, loops, jnp.asarray(fixed.generators), gains)
+            found = prepare(with_controller(self.problem, self.parameters.scenario(self.problem.scenario, point)))
+            frozen = freeze(found)
         # Refused scenarios, empty sets and linear algebra raise ValueErrors, hulls and solvers the others.
         except (ArithmeticError, RuntimeError, ValueError) as error:
             return Designed(point, None, None, str(error).splitlines()[0])
-        if active is None:
-            return Designed(point, found, None, "the tube of the gains is not bounded")
-        return Designed(point, found, jax.tree.map(jnp.asarray, Frozen(fixed, active, within)))
+        return Designed(point, found, frozen, "" if frozen else "the tube of the gains is not bounded")
 
     def keys(self, first: int, count: int):
         """Return the keys of `count` realisations."""

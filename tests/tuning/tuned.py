@@ -4,9 +4,11 @@ import dataclasses
 from functools import cache
 
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 
 from jaxtube import mpc
+from jaxtube.design.problem import with_controller
 from jaxtube.design.residual import complete_problem
 from jaxtube.scenario import load
 from jaxtube.tuning.loop import Weights
@@ -30,11 +32,14 @@ SCENARIOS = {
     "vertices": ("robust", (*VERTICES, *AIM)),
 }
 
+FIRM = {"firm": ("tuned", AIM)}
+"""Gains whose terminal set has predecessors of its limits among its rows."""
+
 
 @cache
 def problem_of(kind: str):
     """Complete the problem of three decoupled gains, or of 24 vertex gains."""
-    name, overrides = SCENARIOS[kind]
+    name, overrides = (SCENARIOS | FIRM)[kind]
     return complete_problem(load(name, overrides))
 
 
@@ -59,6 +64,19 @@ def entries(weights: Weights):
 def weights_of(numbers) -> Weights:
     """Return weights and gains of their entries."""
     return Weights(_symmetric(numbers[:6], 3), _symmetric(numbers[6:9], 2), jnp.asarray(numbers[9:]))
+
+
+def problem_with(problem, weights: Weights):
+    """Return the problem with these weights and gains."""
+    error, inputs = (tuple(map(tuple, np.asarray(part).tolist())) for part in weights[:2])
+    kappa = np.asarray(weights.kappa)
+    gains = (
+        {"tracking_gains": tuple(kappa.tolist())}
+        if len(kappa) == 3
+        else {"vertex_gains": tuple(map(tuple, kappa.reshape(4, 6).tolist()))}
+    )
+    settings = msgspec.structs.replace(problem.scenario.controller, error_weight=error, input_weight=inputs, **gains)
+    return with_controller(problem, msgspec.structs.replace(problem.scenario, controller=settings))
 
 
 def _symmetric(lower, n):
