@@ -147,5 +147,5 @@ SAME_REDUCTION = 1e-12  # relative; means of numbers of order one
 SAME_STEEP = 1e-9  # relative; a difference of objectives
 NO_EFFORT = 1e-11  # m, rad and m/s; what rounding makes of zero in 40 steps, and the least root
 SAME_TERMINAL_ROWS = 1e-9  # of rows of unit offset
-SAME_TERMINAL_SET = 1e-6  # relative, for gains a ten-thousandth apart: rows come and go where they cut this little
+SAME_TERMINAL_SET = 1e-8  # relative, for gains a ten-thousandth apart: what is of second order
 NO_PRODUCT = 1e-15  # of rows and generators, below which its sign is rounding

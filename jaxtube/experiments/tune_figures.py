@@ -63,21 +63,27 @@ class Curve(NamedTuple):
         eligible = np.where(self.certified & np.isfinite(self.held_out), self.held_out, np.inf)
         return int(np.argmin(eligible)) if np.isfinite(eligible).any() else None
 
+    @property
+    def close(self) -> Bool[np.ndarray, " iterates"]:
+        """Certified iterates whose held-out objective is at most twice the returned one's."""
+        best = np.nan if self.returned is None else self.held_out[self.returned]
+        return self.certified & (self.held_out <= 2 * best)
+
 
 @styled
 def learning_figure(curves: Mapping[str, Curve], effort_limit: float | None) -> Figure:
     """Draw objectives, lateral errors and effort by iteration.
 
-    Where objectives span more than a decade, another panel magnifies those of the certified iterates.
+    Where objectives span more than a decade, another panel magnifies those of certified iterates close to the best.
 
     Args:
         curves: by the name of the run, which may be empty; four at most.
         effort_limit: of the RMS, m/s.
     """
     objectives = np.concatenate([values for curve in curves.values() for values in curve[1:5]])
-    certified = [values[curve.certified] for curve in curves.values() for values in curve[2:5]]
+    close = np.concatenate([values[curve.close] for curve in curves.values() for values in curve[2:5]])
     wide = spans_decade(objectives)
-    magnified = wide and np.isfinite(np.concatenate(certified)).any()
+    magnified = wide and np.isfinite(close).any()
     figure = page_figure(4.1 + 0.15 * len(curves))
     panels = figure.subplot_mosaic(
         [["cost", "lateral"], ["certified" if magnified else "cost", "effort"]], sharex=True, width_ratios=(1.25, 1)
@@ -93,8 +99,8 @@ def learning_figure(curves: Mapping[str, Curve], effort_limit: float | None) -> 
     if wide:
         panels["cost"].set_yscale("log")
     if magnified:
-        _show(panels["certified"], np.concatenate(certified))
-        panels["certified"].set(title="the same, magnified at the certified iterates", ylabel="objective [–]")
+        _show(panels["certified"], close)
+        panels["certified"].set(title="the same, magnified close to the best", ylabel="objective [–]")
     panels["cost"].set(title="objective", ylabel="objective [–]")
     panels["lateral"].set(title="lateral error once settled", ylabel="RMS of $e_y$ [mm]")
     panels["effort"].set(title="effort", ylabel="RMS of effort [m/s]")

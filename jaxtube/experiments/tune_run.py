@@ -72,7 +72,8 @@ def descend(
 ) -> Descent:
     """Run one descent from the tuner's start; `better(judgement)` is told of every certified iterate that is the best.
 
-    Clipping keeps the first steps of an uncertified start, where soft margins are steep, from deciding all later ones.
+    Adam's gradients are clipped: else the first steps of an uncertified start, where soft margins are steep, decide
+    all later ones.
     """
     judged: list[Judgement] = []
     values: dict[bytes, float] = {}

@@ -123,7 +123,8 @@ class Controller(Section, frozen=True):
     `tracking_gains` (k1 1/s, k2 rad/(m s), k3 1/s) take the place of the gains from `lmi_objective`:
     u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th. So do `vertex_gains`, of u = +K(th) e: K row by row at the vertices
     (min, max), (min, min), (max, min), (max, max) of the box of wheel speeds (right, left), bilinear between them.
-    The terminal set is the maximal invariant one where that has `terminal_facets` or fewer, else one of that many.
+    The terminal set is the maximal invariant one where that has `terminal_facets` or fewer, else one of that many, or
+    of up to twice as many where so few carry none.
     """
 
     dt_s: Positive = 0.1
@@ -138,7 +139,7 @@ class Controller(Section, frozen=True):
     vertex_gains: tuple[tuple[float, ...], ...] = ()
     lmi_objective: Literal["trace_s", "trace_p", "logdet"] = "trace_s"
     terminal: Literal["paper", "T-A", "T-B"] = "paper"
-    terminal_facets: Annotated[int, msgspec.Meta(ge=8)] = 40
+    terminal_facets: Annotated[int, msgspec.Meta(ge=8, le=1000)] = 40
     restart: bool = True
 
 

@@ -135,7 +135,7 @@ def controller_laps(
 def objective(
     weights: Weights, frozen: Frozen, plant, keys, starts, aim: Aim, restart: bool, input_map: str
 ) -> Float[Array, ""]:
-    """Return J of the tube-MPC with these weights and gains; differentiable in them, the terminal set held.
+    """Return J of the tube-MPC with these weights and gains; differentiable in them.
 
     Where slips jump with the robot's place (`patches`, `adversarial`) the derivative is that between the jumps.
     """

@@ -5,9 +5,10 @@ gain: with r such a limit's row, d its offset and W widened,
 
     c e <= o,    c = r Phi_{i1} .. Phi_{im},    o = d - (1 + INFLATION) sum over l < m of h_W(r Phi_{i1} .. Phi_{il})
 
-Paths are recorded by the design and held: the set is then smooth in the gains, and is the design's own as long as no
-row comes or goes, which is where it cuts nothing. A set of fewer facets than the maximal one has no such history: its
-rows are held as they are.
+Paths are recorded by the design and held: the set is then smooth in the gains but where some product of a row and a
+generator of W is zero, and is the design's own as long as no row comes or goes, which is where it cuts nothing, and no
+two coincide; there the derivative is that of a side. A set of fewer facets than the maximal one has no such history:
+its rows are held as they are.
 
 Source: Gilbert and Tan 1991; Blanchini 1999.
 """
@@ -22,11 +23,12 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from jaxtube.design import Ingredients
-from jaxtube.design.terminal import set_back_off
+from jaxtube.design.terminal import Terminal, set_back_off
 from jaxtube.design.tightening import gains_at_corners, vertex_pairs
 from jaxtube.mpc import AnyArray
 from jaxtube.tuning.tube import rows_under, support
 from sets.invariant import INFLATION
+from sets.polytope import Polytope
 
 LONGEST = 20
 """Loops on the longest path that is followed; a set with a longer one is held."""
@@ -58,27 +60,31 @@ def terminal_rows(
     """
     problem, terminal, maximal = found.problem, found.terminal, found.terminal.maximal
     gains = gains_at_corners(problem, terminal.gains)
-    of_inputs = len(problem.input_rows.offsets)
-    limits = len(problem.operating_set.offsets) + len(gains) * of_inputs
-    roots, paths = limits + np.arange(len(normals)), np.full((len(normals), LONGEST), -1)
-    whole = terminal.invariant is maximal.polytope and not terminal.fallback
-    if maximal.polytope is not None and whole and max(map(len, maximal.paths)) <= LONGEST:
+    of_errors, of_inputs = len(problem.operating_set.offsets), len(problem.input_rows.offsets)
+    roots = of_errors + len(gains) * of_inputs + np.arange(len(normals))
+    paths = np.full((len(normals), LONGEST), -1)
+    followed = _followed(terminal)
+    if followed is not None:
         # Sets are made of distinct gains and loops: the first of equal ones stands for all.
         corner = np.unique(gains, axis=0, return_index=True)[1]
         pair = np.unique(vertex_pairs(problem, terminal.gains)[0].reshape(-1, 9), axis=0, return_index=True)[1]
-        which = _positions(normals[np.isfinite(offsets)], maximal.polytope.normals)
-        for row, at in enumerate(which):
-            limit, path = maximal.roots[at] - len(problem.operating_set.offsets), maximal.paths[at]
-            own = limits - len(gains) * of_inputs + corner[limit // of_inputs] * of_inputs + limit % of_inputs
-            roots[row] = maximal.roots[at] if limit < 0 else own
-            paths[row, : len(path)] = np.sort(pair)[list(path)]
+        where = {normal.tobytes(): at for at, normal in enumerate(followed.normals)}
+        for row in np.flatnonzero(np.isfinite(offsets)):
+            at = where[normals[row].tobytes()]
+            root, path = maximal.roots[at], list(maximal.paths[at])
+            if root >= of_errors:
+                gain, limit = divmod(root - of_errors, of_inputs)
+                root = of_errors + corner[gain] * of_inputs + limit
+            roots[row], paths[row, : len(path)] = root, np.sort(pair)[path]
     return TerminalRows(roots, paths, normals, offsets, np.array(set_back_off(problem)))
 
 
-def _positions(rows: Float[np.ndarray, "m 3"], among: Float[np.ndarray, "n 3"]) -> list[int]:
-    """Return where rows stand, equal to the last bit, among others."""
-    where = {row.tobytes(): position for position, row in enumerate(among)}
-    return [where[row.tobytes()] for row in rows]
+def _followed(terminal: Terminal) -> Polytope | None:
+    """Return the terminal set where it is the maximal one, in use, and its paths are not too long."""
+    maximal = terminal.maximal
+    if terminal.fallback or terminal.invariant is not maximal.polytope or max(map(len, maximal.paths)) > LONGEST:
+        return None
+    return maximal.polytope
 
 
 def terminal_set(

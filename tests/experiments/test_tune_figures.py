@@ -118,12 +118,14 @@ def test_without_certified_iterate_none_is_returned_and_nothing_is_magnified():
     assert all(len(marks(axes, "*")) == 0 for axes in figure.axes)
 
 
-def test_the_magnified_panel_holds_the_certified_iterates_and_their_bands_alone():
+def test_the_magnified_panel_holds_the_certified_iterates_close_to_the_best_and_their_bands_alone():
     run = curve()
     shown = panels(learning_figure({"Adam": run}, LIMIT))
-    low, high = shown["the same, magnified at the certified iterates"].get_ylim()
-    assert low < run.low[run.certified].min() and run.high[run.certified].max() < high < run.held_out[0] / 100
-    for name in ("objective", "the same, magnified at the certified iterates"):
+    low, high = shown["the same, magnified close to the best"].get_ylim()
+    close = run.certified & (run.held_out <= 2 * run.held_out[run.returned])
+    assert low < run.low[close].min() and run.high[close].max() < high < run.held_out[0] / 100
+    assert 1 < close.sum() < run.certified.sum()
+    for name in ("objective", "the same, magnified close to the best"):
         (band,) = [band for band in shown[name].collections if isinstance(band, FillBetweenPolyCollection)]
         ordinates = np.concatenate([path.vertices[:, 1] for path in band.get_paths()])
         finite = np.isfinite(run.low)

@@ -165,8 +165,8 @@ def slopes(loop: Loop, seed: int, every: int):
 
 
 def entry_sizes(weights):
-    """Return the scale of every entry: sqrt(M_ii M_jj) of a weight, of vertex gains the largest of a row's kind."""
-    roots = [np.sqrt(np.diag(part)) for part in weights[:2]]
+    """Return the scale of every entry: of a weight what it takes to make it singular, of gains their own size."""
+    roots = [1 / np.sqrt(np.diag(np.linalg.inv(part))) for part in weights[:2]]
     of_weights = [np.outer(root, root)[np.tril_indices(len(root))] for root in roots]
     kappa = np.abs(np.asarray(weights.kappa))
     return np.concatenate([*of_weights, np.maximum(kappa, 0.1 * kappa.max())])
@@ -210,6 +210,21 @@ def test_derivatives_along_every_direction_are_differences_with_the_host_solved_
 @pytest.mark.parametrize(("kind", "points", "every"), [("decoupled", 10, 1), ("firm", 25, 1), ("vertices", 15, 5)])
 def test_derivatives_of_whole_laps_are_differences_with_the_host_solved_again(kind, points, every):
     check_slopes(Loop(kind, 300), points, every)
+
+
+@pytest.mark.slow
+def test_the_slope_of_the_terminal_set_counts(monkeypatch):
+    loop = Loop("firm", 15)
+    point, frozen, drawn = loop.random_point(0)
+    weights = loop.parameters.weights(jnp.asarray(point))
+    slope = loop.evaluate(weights, frozen, *drawn)[1].kappa
+
+    def held(*arguments):
+        return jax.lax.stop_gradient(terminal.terminal_set(*arguments))
+
+    monkeypatch.setattr("jaxtube.tuning.loop.terminal_set", held)
+    other = Loop("firm", 15).evaluate(weights, frozen, *drawn)[1].kappa
+    assert np.abs(slope - other).max() > 1e-2 * np.abs(slope).max()
 
 
 def test_a_lap_without_plans_counts_its_backups_and_has_the_derivative_of_its_terminal_gain(short):

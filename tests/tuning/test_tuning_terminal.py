@@ -12,7 +12,10 @@ import tuned
 
 from jaxtube.design import prepare
 from jaxtube.design.problem import with_controller
-from jaxtube.tuning.loop import fix
+from jaxtube.design.residual import complete_problem
+from jaxtube.scenario import load
+from jaxtube.tuning import terminal
+from jaxtube.tuning.loop import fix, tightened
 from jaxtube.tuning.parameters import parameters
 from jaxtube.tuning.terminal import LONGEST, terminal_set
 from sets.polytope import Polytope
@@ -50,25 +53,26 @@ def bounded(found):
 
 
 CASES = {
-    "no predecessors": ("decoupled", None),
-    "decoupled": ("decoupled", (1.4, 6.7, 4.8)),
-    "vertices": ("vertices", None),
+    "limits alone": ("decoupled", None, 0),
+    "decoupled": ("decoupled", (1.4, 6.7, 4.8), 3),
+    "vertices": ("vertices", None, 3),
 }
+"""Problem, gains, and how long the longest path is at least."""
 
 
 @pytest.fixture(scope="module", params=list(CASES))
 def case(request):
-    """A design of the problem's gains or of firm ones, and what tuning holds of it."""
-    kind, kappa = CASES[request.param]
+    """A design, what tuning holds of it, and how long its longest path is at least."""
+    kind, kappa, longest = CASES[request.param]
     problem = tuned.problem_of(kind)
     kappa = problem.given_gains if kappa is None else np.array(kappa)
     problem = with_facets(problem, 300)
     found = made(problem, kappa)
-    return problem, kappa, found, fix(found)
+    return problem, kappa, found, fix(found), longest
 
 
 def test_the_rows_are_those_of_the_design(case):
-    _, kappa, found, fixed = case
+    _, kappa, found, fixed, _ = case
     invariant = found.terminal.invariant
     rows = bounded(rows_at(fixed, jnp.asarray(kappa)))
     np.testing.assert_allclose(
@@ -76,17 +80,17 @@ def test_the_rows_are_those_of_the_design(case):
     )
 
 
-def test_predecessors_are_followed(case, request):
-    _, _, found, fixed = case
+def test_predecessors_are_followed(case):
+    _, _, found, fixed, longest = case
     lengths = (fixed.terminal_rows.paths >= 0).sum(axis=1)
     assert lengths.max() == max(map(len, found.terminal.maximal.paths)) <= LONGEST
-    assert (lengths.max() > 1) == ("no predecessors" not in request.node.name)
+    assert lengths.max() >= longest and (longest or not lengths.any())
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_for_gains_near_by_the_set_is_the_one_that_is_made_again(case, seed):
-    """A row that comes or goes cuts nothing there, so the sets agree to second order and the slopes are equal."""
-    problem, kappa, _, fixed = case
+    """A row that comes or goes cuts nothing there: the sets agree to second order at least."""
+    problem, kappa, _, fixed, _ = case
     rng = np.random.default_rng(seed)
     there = kappa * (1 + 1e-4 * rng.standard_normal(len(kappa)))
     again = made(problem, there).terminal.invariant
@@ -98,17 +102,47 @@ def test_for_gains_near_by_the_set_is_the_one_that_is_made_again(case, seed):
 
 def test_every_row_is_necessary_for_whatever_gains(case):
     """Rows are predecessors of limits, which no invariant set inside the limits passes."""
-    problem, kappa, _, fixed = case
+    problem, kappa, _, fixed, _ = case
     there = kappa * (1 + 0.02 * np.random.default_rng(9).standard_normal(len(kappa)))
     maximal = made(problem, there).terminal.maximal.polytope
     assert np.max(maximal.support(bounded(rows_at(fixed, jnp.asarray(there))))) <= 1 + tol.SAME_TERMINAL_ROWS
 
 
-def test_a_set_of_few_facets_is_held(case):
-    problem, kappa, found, _ = case
-    few = made(with_facets(problem, len(found.terminal.maximal.roots) - 2), kappa)
-    assert few.terminal.invariant is not few.terminal.maximal.polytope
-    fixed = fix(few)
+def test_equal_gains_at_all_vertices_are_followed_from_the_first():
+    problem = tuned.problem_of("vertices")
+    kappa = np.tile(np.mean(tuned.VERTEX_GAINS, axis=0).round(2), 4)
+    found = made(problem, kappa)
+    rows = bounded(rows_at(fix(found), jnp.asarray(kappa)))
+    assert found.terminal.invariant is found.terminal.maximal.polytope
+    np.testing.assert_allclose(rows, found.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS)
+
+
+def assert_held(found, kappa):
+    """The rows are those of the design whatever the gains."""
+    fixed = fix(found)
     for there in (kappa, 1.1 * kappa):
         rows = bounded(rows_at(fixed, jnp.asarray(there)))
-        np.testing.assert_allclose(rows, few.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS)
+        np.testing.assert_allclose(rows, found.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS)
+
+
+def test_a_set_of_few_facets_is_held(case):
+    problem, kappa, found, *_ = case
+    few = made(with_facets(problem, len(found.terminal.maximal.roots) - 2), kappa)
+    assert few.terminal.invariant is not few.terminal.maximal.polytope
+    assert_held(few, kappa)
+
+
+def test_a_set_with_a_longer_history_is_held(monkeypatch):
+    problem = tuned.problem_of("vertices")
+    monkeypatch.setattr(terminal, "LONGEST", 2)
+    assert_held(made(problem, problem.given_gains), problem.given_gains)
+
+
+def test_what_takes_the_place_of_an_empty_set_is_held():
+    problem = complete_problem(load("untuned"))
+    kappa = problem.given_gains
+    found = made(problem, kappa)
+    assert found.terminal.fallback
+    bounds = jax.jit(lambda *of: tightened(*of).terminal)(fix(found), jnp.asarray(kappa))
+    np.testing.assert_allclose(bounds[:, :6], found.bounds.terminal, rtol=0, atol=tol.SAME_TERMINAL_ROWS)
+    assert np.isinf(bounds[:, 6:]).all()
