@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from jaxtube.design import design
+from jaxtube.design.problem import Problem
 from jaxtube.design.residual import complete_problem
 from jaxtube.experiments import closed_loop, metrics, run_folder, tune_compare, tune_report
 from jaxtube.experiments.atomic import write_atomically
@@ -112,7 +113,7 @@ def chosen(descent: Descent, accept_uncertified: bool) -> Judgement | None:
 def save(tuner: Tuner, options: Tune, found: Judgement) -> None:
     """Write an iterate as a scenario."""
     text = to_toml(tuner.parameters.scenario(tuner.problem.scenario, found.point))
-    label = "certified" if found.certified else f"NOT CERTIFIED: {', '.join(found.failing)}"
+    label = f"certified{assumption(tuner.problem)}" if found.certified else f"NOT CERTIFIED: {', '.join(found.failing)}"
     header = f"# Tuned from {options.scenario}; {label}.\n\n"
     write_atomically(tuned_file(options), lambda file: file.write((header + text).encode()))
 
@@ -135,7 +136,14 @@ def certified_again(path: Path) -> tuple[tuple[str, ...], str]:
         return failing, f"NOT CERTIFIED: {', '.join(failing)}"
     second = found.certificate.conditions.get("checked_in_rationals")
     twice = "; checked once more in rational arithmetic" if second is not None and second.holds else ""
-    return (), f"CERTIFIED: every required condition holds{twice}"
+    return (), f"CERTIFIED{assumption(found.problem)}: every required condition holds{twice}"
+
+
+def assumption(problem: Problem) -> str:
+    """Return what a certificate takes for granted where W is assumed, nothing where it is computed."""
+    if problem.residual is not None:
+        return ""
+    return ' for the linear model with w in W, which is assumed (disturbance.bound = "computed" bounds the robot\'s w)'
 
 
 def _report(line: str, code: int) -> int:

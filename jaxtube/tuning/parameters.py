@@ -84,8 +84,8 @@ def parameters(problem: Problem, tuned: Tuned = "both") -> Parameters:
     kappa = problem.given_gains
     if not len(kappa):
         raise ValueError(
-            "controller.tracking_gains and controller.vertex_gains are empty: no gains to tune; give one of them with "
-            'controller.terminal = "T-A" and controller.tube = "sequence", as the scenario `untuned` does'
+            "controller.tracking_gains and controller.vertex_gains are empty: no gains to tune; start from a copy of "
+            "the scenario `untuned`, which has gains, caps and a computed W"
         )
     decoupled = len(kappa) == 3
     scales = np.empty(0) if decoupled else np.maximum(np.abs(kappa), 0.1 * np.abs(kappa).max())

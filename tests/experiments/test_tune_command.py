@@ -15,7 +15,7 @@ import stand_ins
 from jaxtube.design import design
 from jaxtube.experiments import tune, tune_report
 from jaxtube.experiments.cli import main
-from jaxtube.scenario import load
+from jaxtube.scenario import experiments_folder, load
 
 GAINS = "controller.tracking_gains=[3.0,6.5,6.5]"
 WORDS = (
@@ -135,7 +135,7 @@ def refused(capsys):
 @pytest.mark.parametrize(
     "words, told",
     [
-        (["--scenario", "paper"], "no gains to tune; give one of them"),
+        (["--scenario", "paper"], "no gains to tune; start from a copy of the scenario `untuned`"),
         (["controller.tracking_gains=[0.01,0.01,0.01]"], "tuning cannot start"),
         (["--laps", "0"], "--laps = 0: is out of range"),
         (["tuning.margin=0"], "tuning.margin = 0"),
@@ -191,3 +191,12 @@ def test_the_result_of_an_earlier_run_does_not_outlive_a_run_without_one(tmp_pat
     paper = "controller.tracking_gains=[0.951249,0.936687,1.305797]"
     assert run(tmp_path, paper, "--evaluations", "1") == tune.NOT_CERTIFIED
     assert not (tmp_path / "tuned.toml").exists()
+
+
+def test_a_certificate_for_an_assumed_w_is_one_for_the_linear_model_and_says_so(tmp_path):
+    path = tmp_path / "assumed.toml"
+    text = (experiments_folder() / "tuned" / "scenario.toml").read_text()
+    path.write_text(text.replace('bound = "computed"', 'bound = "assumed"'))
+    failing, verdict = tune.certified_again(path)
+    assert not failing and verdict.startswith("CERTIFIED for the linear model with w in W, which is assumed")
+    assert tune.certified_again(experiments_folder() / "tuned" / "scenario.toml")[1].startswith("CERTIFIED: every")
