@@ -23,12 +23,16 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
+from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
 from jaxtube.batched_ldl import matmul
 
 AnyArray = Any  # a design holds numpy, a controller jax arrays
+
+ACTED = "acted"
+"""Name of what `act` returns, for reverse mode to keep: else a step is solved again."""
 
 
 class Window(NamedTuple):
@@ -178,7 +182,10 @@ def act(
         (inputs (speed deficit m/s, yaw rate deficit rad/s), next memory, diagnostics).
     """
     start = errors if restart else state.nominal
-    return jax.lax.cond(_all_free(window, start), _act_freely, _act_constrained, window, state, start, errors)
+    # The derivative of a conditional keeps what any branch does: the rows of every instance, even if none is active.
+    constrained = jax.checkpoint(_act_constrained)
+    found = jax.lax.cond(_all_free(window, start), _act_freely, constrained, window, state, start, errors)
+    return jax.tree.map(functools.partial(checkpoint_name, name=ACTED), found)
 
 
 def _act_freely(window: Window, state: MpcState, start, errors):

@@ -33,7 +33,7 @@ from jaxtyping import Bool, Float, Int, PyTree
 
 from jaxtube import farkas, fixed_point, interior_point, sensitivity
 from jaxtube.batched_ldl import matmul
-from jaxtube.fixed_point import Factors, Instances, Iterate, factorise
+from jaxtube.fixed_point import Factors, Instances, Iterate
 
 __all__ = [
     "INFEASIBLE",
@@ -65,6 +65,16 @@ class Solution(NamedTuple):
     multipliers: Float[Array, "batch m"]
     status: Int[Array, " batch"]
     residual: Float[Array, " batch"]
+
+
+def factorise(P: Float[Array, "n n"], A: Float[Array, "m n"]) -> Factors:
+    """Prepare what the batch shares, as `fixed_point.factorise`; differentiable in what the answer depends on.
+
+    The rest makes the solver fast: its cotangents are zero, and reverse mode need not add them up.
+    """
+    factors = fixed_point.factorise(P, A)
+    fast = jax.tree.map(jax.lax.stop_gradient, factors)
+    return fast._replace(hessian=factors.hessian, rows=factors.rows, row_norms=factors.row_norms)
 
 
 Method = Callable[[Instances, Iterate], tuple[Iterate, Bool[Array, " batch"]]]

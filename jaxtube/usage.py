@@ -58,12 +58,12 @@ def play(controller, plant, keys, errors: Float[Array, "batch 3"], script: Scrip
 
     `error` true tracking errors, `input` virtual inputs, `wheels` speeds asked for, `tube` deviations from a followed
     plan; `backup` (steps, batch) says where there was no plan. With a script its values take the place of draws.
-    Reverse mode keeps the state and the draws of each period, and computes the rest again.
+    Reverse mode keeps the state, the draws and the answers of each period, and computes the rest again.
     """
     steps, script = len(plant.reference_wheels), script or {}
     of_period = {name: _of_period(values, steps, name) for name, values in script.items()}
 
-    @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(DRAWN))
+    @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(DRAWN, mpc.ACTED))
     def period(state: LoopState, now):
         step, values = now
         acting = scripted(plant, {name: value[None] for name, value in values.items()}) if script else plant

@@ -109,7 +109,7 @@ def test_agrees_with_unrolled_iterations():
     solution = gradient(data, x_bar)[1]
 
     def unrolled(data, x_bar):
-        factors = qp.factorise(data[0], data[1])
+        factors = fixed_point.factorise(data[0], data[1])
         given = qp.unit_rows(factors, fixed_point.Instances(data[2], data[3], data[4], data[2][:, 0]))
         x, y = fixed_point.admm(factors, given, jnp.zeros_like(given.q), 600)
         return jnp.sum(x.T * x_bar), fixed_point.residual(factors, given, x, y)
