@@ -73,7 +73,7 @@ def gradient_cost(found: Design) -> dict[str, dict[str, float]]:
     problem, settings = found.problem, found.problem.scenario.controller
     chosen, frozen = parameters(problem), freeze(found)
     assert frozen is not None, "the tube of a design is bounded"
-   plant, target = closed_loop.slipping_robot(found), aim(problem.scenario, metrics.settled_step(problem.reference))
+    plant, target = closed_loop.slipping_robot(found), aim(problem.scenario, metrics.settled_step(problem.reference))
 
     def value(vector, starts):
         weights, keys = chosen.weights(vector), realisation_keys(0, 0, LAPS)
