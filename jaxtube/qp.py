@@ -56,6 +56,8 @@ STATUS_TEXT = {
 }
 TOLERANCE = {8: 1e-9, 4: 5e-7}  # by bytes of a float
 INTERIOR_ITERATIONS = 60
+RESCUE_STEPS = 64
+"""Newton steps after (4): where a row misses its bound by 1e-8 they try several active sets before they settle."""
 
 
 class Solution(NamedTuple):
@@ -203,7 +205,7 @@ def solve_constrained(
         h = jnp.concatenate([block.u, -block.l])
         x, y = interior_point.solve(quadratic, block.q, h, best.x, INTERIOR_ITERATIONS, caution)  # (4)
         upper, lower = jnp.split(y, 2)
-        best = fixed_point.polish(factors, block, best, x, upper - lower, polish_steps)
+        best = fixed_point.polish(factors, block, best, x, upper - lower, RESCUE_STEPS)
         return best, proved(block, upper, lower)
 
     def refute(block, best):
