@@ -98,6 +98,20 @@ def fix(design: Ingredients) -> Fixed:
     )
 
 
+def terminal_set_of(
+    fixed: Fixed, kappa: Float[Array, " kappa"]
+) -> tuple[Float[Array, "facets 3"], Float[Array, " facets"]]:
+    """Return normals and offsets of the terminal set, before the tube is taken off."""
+    return terminal_set(
+        fixed.terminal_rows,
+        fixed.maps.vertex_loops.at(kappa),
+        fixed.maps.corner_gains.at(kappa),
+        fixed.generators,
+        (fixed.error_rows, fixed.error_offsets),
+        (fixed.input_rows, fixed.input_error_rows, fixed.input_offsets),
+    )
+
+
 def tightened(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
     """Return E_j, U_j and the terminal constraint as `condense.tube_bounds` does, at least ROOM of each limit left."""
     gains, loops = fixed.maps.window_gains.at(kappa), fixed.maps.window_loops.at(kappa)
@@ -108,14 +122,7 @@ def tightened(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
     )
     under = rows_under(fixed.input_rows, fixed.input_error_rows, gains)
     inputs = sequence_reaches(loops, fixed.generators, under)
-    normals, offsets = terminal_set(
-        fixed.terminal_rows,
-        fixed.maps.vertex_loops.at(kappa),
-        fixed.maps.corner_gains.at(kappa),
-        fixed.generators,
-        (fixed.error_rows, fixed.error_offsets),
-        (fixed.input_rows, fixed.input_error_rows, fixed.input_offsets),
-    )
+    normals, offsets = terminal_set_of(fixed, kappa)
     last = sequence_reach(loops, fixed.generators, jnp.broadcast_to(normals, (count, *normals.shape)), N)
     last = last + (N + 1) * BACK_OFF * jnp.linalg.norm(normals, axis=1)
 

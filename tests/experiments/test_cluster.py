@@ -4,6 +4,7 @@ import dataclasses
 import os
 import signal
 
+import distributed
 import jax
 import numpy as np
 import pytest
@@ -50,6 +51,8 @@ def test_what_is_no_cluster_costs_one_line(known, tmp_path, capsys, name):
     lines = [line for line in output.err.splitlines() if not line.startswith("simulating")]
     assert len(lines) == 1 and lines[0].startswith(f'command line: --cluster = "{name}": ') and not output.out
     assert "local:N" in lines[0]
+    with pytest.raises(ValueError, match="No clients found"):  # no broken one is left for others to find
+        distributed.default_client()
 
 
 def test_a_job_is_the_run_as_plain_arrays(local):

@@ -15,9 +15,9 @@ from jaxtube.design.problem import with_controller
 from jaxtube.design.residual import complete_problem
 from jaxtube.scenario import load
 from jaxtube.tuning import terminal
-from jaxtube.tuning.loop import fix, tightened
+from jaxtube.tuning.loop import fix, terminal_set_of, tightened
 from jaxtube.tuning.parameters import parameters
-from jaxtube.tuning.terminal import LONGEST, terminal_set
+from jaxtube.tuning.terminal import LONGEST
 from sets.polytope import Polytope
 
 
@@ -33,16 +33,7 @@ def with_facets(problem, count):
     return replace(problem, scenario=msgspec.structs.replace(problem.scenario, controller=settings))
 
 
-@jax.jit
-def rows_at(fixed, kappa):
-    return terminal_set(
-        fixed.terminal_rows,
-        fixed.maps.vertex_loops.at(kappa),
-        fixed.maps.corner_gains.at(kappa),
-        fixed.generators,
-        (fixed.error_rows, fixed.error_offsets),
-        (fixed.input_rows, fixed.input_error_rows, fixed.input_offsets),
-    )
+rows_at = jax.jit(terminal_set_of)
 
 
 def bounded(found):
