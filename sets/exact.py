@@ -6,7 +6,7 @@ direction; the multipliers are then solved for, and their signs read, as integer
     multipliers >= 0,  multipliers H = d      =>      d x <= multipliers h   for every x with H x <= h
 
 Margins are in the units of the offsets; those >= 0 prove their condition, without any tolerance.
-Source: Farkas 1902 (multipliers). Loops of decoupled gains and tubes along a schedule: `sets.exact_tube`.
+Source: Farkas 1902 (multipliers). Loops of decoupled gains and tubes along a schedule: `sets.robot.exact_tube`.
 """
 
 from __future__ import annotations

@@ -24,8 +24,8 @@ def pytest_configure(config):
 @pytest.fixture(scope="session")
 def paper_design():
     """The design of the scenario `paper`, with its certificate."""
-    from jaxtube.design import design
     from jaxtube.scenario import load
+    from jaxtube.synthesis.design import design
 
     return design(load("paper"))
 
@@ -33,8 +33,8 @@ def paper_design():
 @pytest.fixture(scope="session")
 def robust_design():
     """The design of the scenario `robust`, with its certificate."""
-    from jaxtube.design import design
     from jaxtube.scenario import load
+    from jaxtube.synthesis.design import design
 
     return design(load("robust"))
 
@@ -42,14 +42,14 @@ def robust_design():
 @pytest.fixture(scope="session")
 def uncertified():
     """Design a scenario under overrides without the certificate, which takes longer than all the rest."""
-    from jaxtube.design import design
     from jaxtube.scenario import load
+    from jaxtube.synthesis.design import design
     from sets.certificate import Certificate
 
     @functools.cache
     def make(name, *overrides):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("jaxtube.design.certify", lambda *sets: Certificate())
+            patch.setattr("jaxtube.synthesis.design.certify", lambda *sets: Certificate())
             return design(load(name, overrides))
 
     return make
@@ -58,7 +58,7 @@ def uncertified():
 @pytest.fixture(scope="session")
 def edge_starts():
     """Starts of a design's tube-MPC, most of them close to the edge of its feasible set."""
-    from jaxtube.design.feasible import boundary, spread_starts
+    from jaxtube.synthesis.feasible import boundary, spread_starts
 
     def draw(design, count, edge_share=0.5):
         points = boundary(design.tube_window, int(design.windows.index[0]), design.problem.error_set, 200, seed=3)
@@ -70,7 +70,7 @@ def edge_starts():
 @pytest.fixture(scope="session")
 def stressed(robust_design, edge_starts):
     """Tube-MPC and MPC without tube from the same 512 starts, on the linear plant of `robust` with w in W."""
-    from jaxtube.experiments import closed_loop
+    from jaxtube.simulation import closed_loop
 
     loops, plant = closed_loop.controllers(robust_design), closed_loop.linear_plant(robust_design)
     starts = edge_starts(robust_design, 512)
@@ -82,7 +82,7 @@ def paper_laps(paper_design):
     """256 laps of the paper's tube-MPC on the slipping robot."""
     import numpy as np
 
-    from jaxtube.experiments import closed_loop
+    from jaxtube.simulation import closed_loop
 
     starts = np.tile(paper_design.problem.initial_error, (closed_loop.BLOCK, 1))
     loop = closed_loop.controllers(paper_design)["tube_mpc"]

@@ -12,12 +12,13 @@ import numpy as np
 from oracles import PlainMpc, model
 from tolerances import COUNTED
 
-from jaxtube import mpc, qp
-from jaxtube.experiments import closed_loop
-from jaxtube.histogram import BUCKETS, EDGES
-from jaxtube.montecarlo import WORST
-from jaxtube.rollout import LoopState, Trajectory, follow_plan
-from jaxtube.tally import CLOUD_CELLS, COVERAGE_CELLS, EVENTS, HEAT_CELLS, PLANES
+from jaxtube import qp
+from jaxtube.control import mpc
+from jaxtube.simulation import closed_loop
+from jaxtube.simulation.rollout import LoopState, Trajectory, follow_plan
+from jaxtube.statistics.histogram import BUCKETS, EDGES
+from jaxtube.statistics.run import WORST
+from jaxtube.statistics.tally import CLOUD_CELLS, COVERAGE_CELLS, EVENTS, HEAT_CELLS, PLANES
 from sets.tubes import sequence_tube
 
 AXES = ("longitudinal", "lateral", "heading")

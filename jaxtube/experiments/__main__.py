@@ -2,8 +2,8 @@
 
 import sys
 
-from . import environment
-from .cli import main
+from jaxtube.experiments import environment
+from jaxtube.experiments.cli import main
 
 if __name__ == "__main__":
     environment.use_float64()

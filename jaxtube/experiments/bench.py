@@ -11,14 +11,18 @@ import time
 import jax
 import jax.numpy as jnp
 
-from jaxtube.design import Design, design
-from jaxtube.design.feasible import boundary, spread_starts
-from jaxtube.experiments import closed_loop, metrics, montecarlo, run_folder, validation
-from jaxtube.experiments.cluster import Cluster
+from jaxtube.experiments.montecarlo import command as montecarlo
 from jaxtube.experiments.options import Bench
-from jaxtube.montecarlo import BLOCK, Run
-from jaxtube.rollout import realisation_keys
+from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.cluster import Cluster
+from jaxtube.plant.reference import settled_step
 from jaxtube.scenario import Scenario
+from jaxtube.simulation import closed_loop
+from jaxtube.simulation.rollout import realisation_keys
+from jaxtube.statistics import task as validation
+from jaxtube.statistics.run import BLOCK, Run
+from jaxtube.synthesis.design import Design, design
+from jaxtube.synthesis.feasible import boundary, spread_starts
 from jaxtube.tuning.objective import aim, objective
 from jaxtube.tuning.parameters import parameters
 from jaxtube.tuning.tuner import freeze
@@ -73,7 +77,7 @@ def gradient_cost(found: Design) -> dict[str, dict[str, float]]:
     problem, settings = found.problem, found.problem.scenario.controller
     chosen, frozen = parameters(problem), freeze(found)
     assert frozen is not None, "the tube of a design is bounded"
-    plant, target = closed_loop.slipping_robot(found), aim(problem.scenario, metrics.settled_step(problem.reference))
+    plant, target = closed_loop.slipping_robot(found), aim(problem.scenario, settled_step(problem.reference))
 
     def value(vector, starts):
         weights, keys = chosen.weights(vector), realisation_keys(0, 0, LAPS)

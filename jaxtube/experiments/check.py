@@ -20,8 +20,8 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from ..scenario import Scenario, ScenarioError, experiments_folder, find, load, names
-from .options import COMMANDS, Check, title
+from jaxtube.experiments.options import COMMANDS, Check, title
+from jaxtube.scenario import Scenario, ScenarioError, experiments_folder, find, load, names
 
 MISSING = object()
 

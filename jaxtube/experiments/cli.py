@@ -23,7 +23,7 @@ from pathlib import Path
 import tyro
 from tyro.extras import subcommand_type_from_defaults
 
-from .options import COMMANDS, PROGRAM, Options
+from jaxtube.experiments.options import COMMANDS, PROGRAM, Options
 
 DESCRIPTION = (
     "Robust tube MPC of a wheeled robot that slips. Without a command: paper. "
@@ -89,7 +89,7 @@ def parse(arguments: Sequence[str]) -> Options | None:
 
 def run(options: Options) -> int:
     """Load the scenario, where one is given, and run the command's own module."""
-    from ..scenario import ScenarioError, load
+    from jaxtube.scenario import ScenarioError, load
 
     scenario = load(options.scenario, options.overrides) if options.scenario else None
     try:
@@ -155,18 +155,18 @@ def _sentence(box: str) -> str:
 
 
 def _refusal(text: str) -> ValueError:
-    from ..scenario import ScenarioError
+    from jaxtube.scenario import ScenarioError
 
     return ScenarioError(f"command line: {text}")
 
 
 def _exit_code(error: ValueError) -> int | None:
-    from ..scenario import ScenarioError
+    from jaxtube.scenario import ScenarioError
 
     if isinstance(error, ScenarioError):
         return BAD_INPUT
-    from ..design import EmptySetError
-    from .records import RecordsError
+    from jaxtube.experiments.run.records import RecordsError
+    from jaxtube.synthesis.design import EmptySetError
 
     if isinstance(error, RecordsError):
         return INTERRUPTED

@@ -1,7 +1,7 @@
 """`list`: the scenarios that come with the project, each with the first comment of its file."""
 
-from ..scenario import Scenario, find, load, names
-from .options import Options
+from jaxtube.experiments.options import Options
+from jaxtube.scenario import Scenario, find, load, names
 
 
 def run(scenario: Scenario | None, options: Options) -> int:

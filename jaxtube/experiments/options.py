@@ -39,7 +39,7 @@ class Options:
 class Paper(Options):
     """Reproduce the paper's comparison of controllers (the default command)."""
 
-    command = module = "paper"
+    command, module = "paper", "paper.command"
 
     realisations: Annotated[int, arg(metavar="INT")] = 256
     """number of simulated runs of each controller"""
@@ -51,7 +51,7 @@ class Paper(Options):
 class Design(Options):
     """Compute tubes, gains and terminal set of a scenario, and check their certificate."""
 
-    command = module = "design"
+    command, module = "design", "design.command"
 
     optimise: bool = False
     """first search the caps and tracking gains whose tube fills least of what it may use"""
@@ -63,7 +63,7 @@ class Design(Options):
 class Montecarlo(Options):
     """Run laps by the million and check every period against the design; resumes where it was interrupted."""
 
-    command = module = "montecarlo"
+    command, module = "montecarlo", "montecarlo.command"
 
     realisations: Annotated[float, arg(metavar="COUNT")] = 1e5
     """number of laps, such as 1e6"""
@@ -99,7 +99,7 @@ class Montecarlo(Options):
 class Falsify(Options):
     """Search the smallest margins by gradient: slips, noise and start that drive a closed loop out of its limits."""
 
-    command = module = "falsify"
+    command, module = "falsify", "falsify.command"
 
     controller: Literal["tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated", "uncompensated"] = (
         "tube_mpc"
@@ -121,7 +121,7 @@ class Falsify(Options):
 class Guarantee(Options):
     """Attack a certified design by the million laps, and another one beside it; sets claims against what was seen."""
 
-    command = module = "guarantee"
+    command, module = "guarantee", "guarantee.command"
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "certified"
     """a scenario that `list` prints, or a file"""
@@ -145,7 +145,7 @@ class Guarantee(Options):
 class Maps(Options):
     """Map what can be guaranteed: over slip error, speed range and period, for three ways to choose a design."""
 
-    command = module = "maps"
+    command, module = "maps", "maps.command"
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "certified"
     """a scenario that `list` prints, or a file; it needs caps"""
@@ -159,7 +159,7 @@ class Maps(Options):
 class Beyond(Options):
     """Measure how imperfect the robot may be before a lap leaves W, and before it leaves what is certified."""
 
-    command = module = "beyond"
+    command, module = "beyond", "beyond.command"
 
     realisations: Annotated[int, arg(metavar="INT")] = 1024
     """number of laps under each of four slip processes, at each level of each imperfection"""
@@ -169,7 +169,7 @@ class Beyond(Options):
 class Tune(Options):
     """Tune weights and gains by gradients through laps and through the tube; what comes out is certified."""
 
-    command = module = "tune"
+    command, module = "tune", "tune.command"
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "untuned"
     """a scenario that `list` prints, or a file: where tuning starts, and under [tuning] what it aims at"""

@@ -52,7 +52,7 @@ class Reference(Section, frozen=True):
 
 class Slip(Section, frozen=True):
     """Longitudinal slip of the wheels; `relative_error` bounds how far true and measured slip lie apart, relative to
-    the slip, `process` says how that evolves (`jaxtube.slip`), and `random` which of the two varies."""
+    the slip, `process` says how that evolves (`jaxtube.plant.slip`), and `random` which of the two varies."""
 
     nominal_right: Fraction = 0.2
     nominal_left: Fraction = 0.2

@@ -17,9 +17,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from jaxtube.design.problem import Problem
-from jaxtube.design.tightening import LocalGain, gains_at_corners, given_gain, vertex_pairs
-from jaxtube.mpc import AnyArray
+from jaxtube.control.mpc import AnyArray
+from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.tightening import LocalGain, gains_at_corners, given_gain, vertex_pairs
 from sets import lyapunov
 
 

@@ -16,8 +16,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxtube.design import Ingredients
-from jaxtube.design.condense import (
+from jaxtube.control.mpc import AnyArray, Window
+from jaxtube.synthesis.condense import (
     Bounds,
     Cost,
     Gains,
@@ -28,8 +28,8 @@ from jaxtube.design.condense import (
     widths,
     with_terminal_rows,
 )
-from jaxtube.design.tightening import BACK_OFF
-from jaxtube.mpc import AnyArray, Window
+from jaxtube.synthesis.design import Ingredients
+from jaxtube.synthesis.tightening import BACK_OFF
 from jaxtube.tuning.gains import GainMaps, gain_maps, terminal_cost
 from jaxtube.tuning.terminal import TerminalRows, terminal_rows, terminal_set
 from jaxtube.tuning.tube import disturbance_generators, rows_under, sequence_reach, sequence_reaches

@@ -25,8 +25,8 @@ from jax import Array
 from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull
 
-from jaxtube.design.fill import RING
-from jaxtube.design.problem import Problem
+from jaxtube.synthesis.certificate.fill import RING
+from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.tube import largest, rows_under, support
 from sets.invariant import INFLATION, minimal_rpi_bound
 

@@ -22,13 +22,13 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from jaxtube.controllers import TubeMpc
-from jaxtube.mpc import AnyArray
-from jaxtube.rollout import SlippingRobot
+from jaxtube.control.laws import TubeMpc
+from jaxtube.control.mpc import AnyArray
 from jaxtube.scenario import Scenario
+from jaxtube.simulation.rollout import SlippingRobot
+from jaxtube.simulation.usage import play
 from jaxtube.tuning.loop import Fixed, Weights, windows_of
 from jaxtube.tuning.minimal import ActiveFacets, Limits, cap_shares
-from jaxtube.usage import play
 
 STEEPNESS = 1e2
 """What the square of a limit's excess costs, as a share of the limit."""

@@ -19,9 +19,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from jaxtube.design.problem import Problem
-from jaxtube.mpc import AnyArray
+from jaxtube.control.mpc import AnyArray
 from jaxtube.scenario import Scenario
+from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.loop import Weights
 
 Tuned = Literal["both", "weights", "gains", "diagonal"]

@@ -7,7 +7,7 @@ Measured errors e_m, inputs u, schedules th, wheel errors d and pose noise n run
 some points between. The residual of the exact sampled robot comes from `error_dynamics` and `input_maps`. An estimate
 from within: a design computes and certifies a rigorous bound.
 
-Source: as `sets.disturbance`, whose bound is proved by intervals.
+Source: as `sets.robot.disturbance`, whose bound is proved by intervals.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from jaxtube.design.problem import Problem
-from jaxtube.design.residual import operation
-from jaxtube.error_dynamics import advance
-from jaxtube.input_maps import acting_input
-from jaxtube.robot import wheel_commands
+from jaxtube.plant.error_dynamics import advance
+from jaxtube.plant.input_maps import acting_input
+from jaxtube.plant.robot import wheel_commands
+from jaxtube.synthesis.disturbance import operation
+from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.tube import largest
 
 HEADINGS, EDGE = 5, 5

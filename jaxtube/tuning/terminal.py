@@ -22,10 +22,10 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxtube.design import Ingredients
-from jaxtube.design.terminal import Terminal, set_back_off
-from jaxtube.design.tightening import gains_at_corners, vertex_pairs
-from jaxtube.mpc import AnyArray
+from jaxtube.control.mpc import AnyArray
+from jaxtube.synthesis.design import Ingredients
+from jaxtube.synthesis.terminal import Terminal, set_back_off
+from jaxtube.synthesis.tightening import gains_at_corners, vertex_pairs
 from jaxtube.tuning.tube import rows_under, support
 from sets.invariant import INFLATION
 from sets.polytope import Polytope

@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from jaxtube.design.problem import Problem
+from jaxtube.synthesis.problem import Problem
 
 
 def disturbance_generators(problem: Problem) -> Float[np.ndarray, "g 3"]:

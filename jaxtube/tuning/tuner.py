@@ -16,11 +16,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.controllers import TubeMpc
-from jaxtube.design import Design, Ingredients, finish, prepare, refuse_infeasible_start
-from jaxtube.design.problem import Problem, with_controller
-from jaxtube.rollout import SlippingRobot, realisation_keys
+from jaxtube.control.laws import TubeMpc
 from jaxtube.scenario import ScenarioError
+from jaxtube.simulation.rollout import SlippingRobot, realisation_keys
+from jaxtube.synthesis.design import Design, Ingredients, finish, prepare, refuse_infeasible_start
+from jaxtube.synthesis.problem import Problem, with_controller
 from jaxtube.tuning.loop import fix, windows_of
 from jaxtube.tuning.minimal import active_caps, limits
 from jaxtube.tuning.objective import Aim, Frozen, Laps, controller_laps, objective, run_laps, total_cost, tube_shares

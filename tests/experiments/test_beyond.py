@@ -8,13 +8,15 @@ import pytest
 from tolerances import CLOSED_LOOP
 
 from jaxtube import qp
-from jaxtube.experiments import beyond, beyond_figures, closed_loop
-from jaxtube.experiments.beyond import IMPERFECTIONS, Laps, Usage, lap_usage, most_tried, search
+from jaxtube.control.mpc import Diagnostics
+from jaxtube.experiments.beyond import command as beyond
+from jaxtube.experiments.beyond import figures as beyond_figures
+from jaxtube.experiments.beyond.command import IMPERFECTIONS, Laps, Usage, lap_usage, most_tried, search
 from jaxtube.experiments.cli import main, parse
 from jaxtube.experiments.options import Beyond
-from jaxtube.imperfect import Imperfections
-from jaxtube.mpc import Diagnostics
-from jaxtube.rollout import Trajectory
+from jaxtube.plant.imperfect import Imperfections
+from jaxtube.simulation import closed_loop
+from jaxtube.simulation.rollout import Trajectory
 
 COUNT = len(beyond.PROCESSES)
 LEVELS = [0.5**halved for halved in range(8, -1, -1)]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxtube.experiments.claims import Claim, claims, table
+from jaxtube.experiments.paper.claims import Claim, claims, table
 
 NAMES = ("longitudinal_m", "lateral_m", "heading_deg")
 

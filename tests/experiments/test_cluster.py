@@ -9,12 +9,12 @@ import jax
 import numpy as np
 import pytest
 
-from jaxtube.experiments import cluster as clusters
-from jaxtube.experiments import montecarlo as command
-from jaxtube.experiments import validation
 from jaxtube.experiments.cli import main
-from jaxtube.experiments.cluster import Cluster, Job
-from jaxtube.montecarlo import BLOCK, Run
+from jaxtube.experiments.montecarlo import command
+from jaxtube.experiments.run import cluster as clusters
+from jaxtube.experiments.run.cluster import Cluster, Job
+from jaxtube.statistics import task as validation
+from jaxtube.statistics.run import BLOCK, Run
 
 pytest.importorskip("distributed")
 
@@ -30,7 +30,7 @@ def design(uncertified):
 @pytest.fixture
 def known(monkeypatch, design):
     monkeypatch.setattr(command, "make_design", lambda scenario: dataclasses.replace(design))
-    monkeypatch.setattr("jaxtube.experiments.montecarlo_figures.draw", lambda *arguments: None)
+    monkeypatch.setattr("jaxtube.experiments.montecarlo.figures.draw", lambda *arguments: None)
     monkeypatch.setattr(clusters, "SECONDS_TO_CONNECT", 1)
 
 

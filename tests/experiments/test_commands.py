@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from tolerances import CLOSED_LOOP, WORLD_FRAME
 
-from jaxtube.design import design as compute
-from jaxtube.design.problem import make_problem
-from jaxtube.experiments import closed_loop
 from jaxtube.experiments.cli import main
-from jaxtube.experiments.design import exit_code
+from jaxtube.experiments.design.command import exit_code
+from jaxtube.simulation import closed_loop
+from jaxtube.synthesis.design import design as compute
+from jaxtube.synthesis.problem import make_problem
 from sets.certificate import Certificate
 
 REALISATIONS = 4
@@ -34,8 +34,8 @@ def known_designs(monkeypatch, paper_design, robust_design):
                 return dataclasses.replace(known, problem=make_problem(scenario), certificate=certificate)
         return compute(scenario)
 
-    monkeypatch.setattr("jaxtube.experiments.design.design", design)
-    monkeypatch.setattr("jaxtube.experiments.paper.design", design)
+    monkeypatch.setattr("jaxtube.experiments.design.command.design", design)
+    monkeypatch.setattr("jaxtube.experiments.paper.command.design", design)
 
 
 def run(folder, *words):
@@ -135,8 +135,8 @@ def test_the_design_command_writes_what_was_designed(tmp_path, capsys, known_des
 @pytest.fixture(scope="module")
 def paper_run(tmp_path_factory, paper_design, robust_design):
     """(exit code, folder, metrics) of `paper` with few realisations."""
-    pytest.importorskip("jaxtube.experiments.figures")
-    pytest.importorskip("jaxtube.experiments.set_figures")
+    pytest.importorskip("jaxtube.experiments.figures.laps")
+    pytest.importorskip("jaxtube.experiments.figures.sets")
     folder = tmp_path_factory.mktemp("paper")
     with pytest.MonkeyPatch.context() as patch:
         designs = {"paper": paper_design, "robust": robust_design}
@@ -147,7 +147,7 @@ def paper_run(tmp_path_factory, paper_design, robust_design):
             assert known.problem.scenario == scenario
             return dataclasses.replace(known, certificate=Certificate(dict(known.certificate.conditions)))
 
-        patch.setattr("jaxtube.experiments.paper.design", design)
+        patch.setattr("jaxtube.experiments.paper.command.design", design)
         code = run(folder, "paper", "--realisations", str(REALISATIONS))
     return code, folder, metrics_of(folder)
 

@@ -9,21 +9,19 @@ import numpy as np
 import pytest
 from tolerances import CLOSED_LOOP
 
-from jaxtube import montecarlo
-from jaxtube.experiments import guarantee as command
-from jaxtube.experiments import guarantee_claims as claims
-from jaxtube.experiments import guarantee_report as report
-from jaxtube.experiments import montecarlo_report
 from jaxtube.experiments.cli import main
-from jaxtube.experiments.guarantee_attack import LAWS, PROCESSES, AnySlipRobot, laps_of_a_law, make_tasks, under
+from jaxtube.experiments.guarantee import claims, command, report
+from jaxtube.experiments.guarantee.attack import LAWS, PROCESSES, AnySlipRobot, laps_of_a_law, make_tasks, under
+from jaxtube.experiments.montecarlo import report as montecarlo_report
 from jaxtube.experiments.options import Montecarlo
-from jaxtube.experiments.run_folder import RunFolder
-from jaxtube.experiments.validation import make_task
-from jaxtube.montecarlo import BLOCK, Run
-from jaxtube.robot import Robot
-from jaxtube.rollout import SlippingRobot, realisation_keys
+from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.plant.robot import Robot
 from jaxtube.scenario import Scenario, ScenarioError, load
-from jaxtube.tally import EVENTS
+from jaxtube.simulation.rollout import SlippingRobot, realisation_keys
+from jaxtube.statistics import run as montecarlo
+from jaxtube.statistics.run import BLOCK, Run
+from jaxtube.statistics.tally import EVENTS
+from jaxtube.statistics.task import make_task
 from sets.certificate import Certificate
 
 REFERENCE = "reference.duration_s=2"
@@ -93,7 +91,7 @@ def test_where_no_start_has_a_plan_laps_begin_at_the_scenario_s_start(uncertifie
     def nowhere(*sets, **settings):
         raise ScenarioError("scenario: no start has a plan")
 
-    monkeypatch.setattr("jaxtube.experiments.validation.true_starts", nowhere)
+    monkeypatch.setattr("jaxtube.statistics.task.true_starts", nowhere)
     found = uncertified("robust", REFERENCE)
     tasks, why = make_tasks(found, 0)
     assert why == "scenario: no start has a plan"
@@ -266,7 +264,7 @@ def small(monkeypatch):
 
     def design(scenario):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("jaxtube.design.certify", lambda *sets: Certificate())
+            patch.setattr("jaxtube.synthesis.design.certify", lambda *sets: Certificate())
             return make_design(scenario)
 
     monkeypatch.setattr(command, "make_design", design)
@@ -274,7 +272,7 @@ def small(monkeypatch):
         monkeypatch.setattr(module, "BLOCK", SMALL)
     monkeypatch.setattr(montecarlo, "TILE", SMALL // 2)
     # Whoever edits the code while this runs would have the records refused.
-    monkeypatch.setattr("jaxtube.experiments.run_folder.source_hashes", dict)
+    monkeypatch.setattr("jaxtube.experiments.run.folder.source_hashes", dict)
     return design
 
 

@@ -6,11 +6,13 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 
-from jaxtube.design.guarantee import Condition, Guarantee
-from jaxtube.experiments import maps, maps_figures, maps_points
 from jaxtube.experiments.cli import main
-from jaxtube.experiments.maps_points import DESIGNS, Grid, Log, Point, make_grid
+from jaxtube.experiments.maps import command as maps
+from jaxtube.experiments.maps import figures as maps_figures
+from jaxtube.experiments.maps import points as maps_points
+from jaxtube.experiments.maps.points import DESIGNS, Grid, Log, Point, make_grid
 from jaxtube.scenario import load
+from jaxtube.synthesis.ratio import Condition, Guarantee
 
 OWN = Condition(0.1, 1.224, 0.1)
 GRID = Grid((0.0, 0.1, 0.2), (0.3, 0.8, 1.224), (0.05, 0.1, 0.2), OWN)

@@ -8,9 +8,11 @@ from oracles import TIGHT, model
 from tolerances import CLOSED_LOOP, PAPER_GAIN, ROUNDING
 
 from jaxtube import qp
-from jaxtube.experiments import closed_loop, metrics, stress
-from jaxtube.mpc import Diagnostics
-from jaxtube.rollout import Trajectory
+from jaxtube.control.mpc import Diagnostics
+from jaxtube.experiments.paper import stress
+from jaxtube.experiments.run import metrics
+from jaxtube.simulation import closed_loop
+from jaxtube.simulation.rollout import Trajectory
 from sets.tubes import sequence_tube
 
 STEPS, RUNS = 300, 12

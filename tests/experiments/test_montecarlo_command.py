@@ -15,14 +15,15 @@ import jax
 import numpy as np
 import pytest
 
-from jaxtube import histogram, montecarlo
-from jaxtube.design import design as designed
-from jaxtube.experiments import montecarlo as command
-from jaxtube.experiments import montecarlo_report
 from jaxtube.experiments.cli import main
-from jaxtube.intervals import mean_interval, share_interval
+from jaxtube.experiments.montecarlo import command
+from jaxtube.experiments.montecarlo import report as montecarlo_report
 from jaxtube.scenario import load
-from jaxtube.tally import EVENTS
+from jaxtube.statistics import histogram
+from jaxtube.statistics import run as montecarlo
+from jaxtube.statistics.intervals import mean_interval, share_interval
+from jaxtube.statistics.tally import EVENTS
+from jaxtube.synthesis.design import design as designed
 from sets.certificate import Certificate
 
 BLOCK, TILE, BLOCKS = 64, 32, 10
@@ -36,7 +37,7 @@ def small(patch, design):
     for module in (montecarlo, command):
         patch.setattr(module, "BLOCK", BLOCK)
         patch.setattr(module, "TILE", TILE)
-    patch.setattr("jaxtube.experiments.montecarlo_figures.draw", lambda *arguments: None)
+    patch.setattr("jaxtube.experiments.montecarlo.figures.draw", lambda *arguments: None)
 
 
 @pytest.fixture
@@ -275,6 +276,6 @@ if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     jax.config.update("jax_numpy_dtype_promotion", "strict")
     with pytest.MonkeyPatch.context() as context:
-        context.setattr("jaxtube.design.certify", lambda *sets: Certificate())
+        context.setattr("jaxtube.synthesis.design.certify", lambda *sets: Certificate())
         small(context, designed(load("robust", OVERRIDES)))
         sys.exit(run(*sys.argv[1:]))

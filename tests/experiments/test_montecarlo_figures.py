@@ -9,12 +9,15 @@ from matplotlib.collections import QuadMesh
 from matplotlib.text import Annotation
 from tolerances import DRAWN
 
-from jaxtube import histogram
-from jaxtube.experiments import heat_figures, montecarlo_figures, montecarlo_report, validation
+from jaxtube.experiments.montecarlo import figures as montecarlo_figures
+from jaxtube.experiments.montecarlo import heat_figures
+from jaxtube.experiments.montecarlo import report as montecarlo_report
 from jaxtube.experiments.options import Montecarlo
-from jaxtube.intervals import share_interval
-from jaxtube.montecarlo import RANKED
-from jaxtube.tally import CLOUD_CELLS, COVERAGE_CELLS, EVENTS, HEAT_CELLS, STAGE_EVENTS
+from jaxtube.statistics import histogram
+from jaxtube.statistics import task as validation
+from jaxtube.statistics.intervals import share_interval
+from jaxtube.statistics.run import RANKED
+from jaxtube.statistics.tally import CLOUD_CELLS, COVERAGE_CELLS, EVENTS, HEAT_CELLS, STAGE_EVENTS
 
 LAPS, PLANS_EACH = 40, 3
 MILLIMETRES = np.array([1e3, 1e3, np.rad2deg(1.0)])
@@ -248,7 +251,7 @@ def test_coverage_tells_where_laps_started_and_what_share_left_e(found, eventful
 
 
 def test_a_run_in_which_nothing_was_counted_is_drawn_without_tube_and_starts(found, quiet, task, monkeypatch):
-    monkeypatch.setattr("jaxtube.experiments.validation.make_task", lambda *arguments: task)
+    monkeypatch.setattr("jaxtube.statistics.task.make_task", lambda *arguments: task)
     drawn = {}
 
     def save_figure(figure, name):

@@ -5,11 +5,11 @@ import sys
 import numpy as np
 import pytest
 
-from jaxtube import histogram
-from jaxtube.experiments import netcdf
-from jaxtube.montecarlo import RANKED
+from jaxtube.experiments.montecarlo import netcdf
 from jaxtube.scenario import ScenarioError
-from jaxtube.tally import CLOUD_CELLS, COVERAGE_CELLS, EVENTS, HEAT_CELLS, STAGE_EVENTS
+from jaxtube.statistics import histogram
+from jaxtube.statistics.run import RANKED
+from jaxtube.statistics.tally import CLOUD_CELLS, COVERAGE_CELLS, EVENTS, HEAT_CELLS, STAGE_EVENTS
 
 STEPS, HORIZON, PLANS = 6, 4, 2
 

@@ -9,10 +9,12 @@ import pytest
 from tolerances import CLOSED_LOOP, REPLAYED
 
 from jaxtube import qp
-from jaxtube.experiments import closed_loop, lap_figure, laps, replay, validation
 from jaxtube.experiments.cli import main
-from jaxtube.experiments.set_figures import OUTSIDE
-from jaxtube.montecarlo import Run
+from jaxtube.experiments.figures.sets import OUTSIDE
+from jaxtube.experiments.montecarlo import lap_figure, replay
+from jaxtube.simulation import closed_loop, laps
+from jaxtube.statistics import task as validation
+from jaxtube.statistics.run import Run
 
 SEED, LAPS = 11, 24
 WORDS = ["montecarlo", "--controller", "local_gain", "--starts", "feasible", "--seed", str(SEED)]
@@ -37,8 +39,8 @@ def known(found, task, monkeypatch):
         assert arguments == (found, "local_gain", "robot", "feasible", SEED)
         return task
 
-    monkeypatch.setattr("jaxtube.experiments.montecarlo.make_design", lambda scenario: found)
-    monkeypatch.setattr("jaxtube.experiments.validation.make_task", make_task)
+    monkeypatch.setattr("jaxtube.experiments.montecarlo.command.make_design", lambda scenario: found)
+    monkeypatch.setattr("jaxtube.statistics.task.make_task", make_task)
 
 
 @pytest.fixture(scope="module")

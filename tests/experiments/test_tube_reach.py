@@ -8,7 +8,7 @@ import pytest
 from oracles import model, tube_gain
 from tolerances import COUNTED, REACHED_FACET
 
-from jaxtube.experiments import tube_reach
+from jaxtube.experiments.montecarlo import tube_reach
 from sets.tubes import Section
 
 TUBES = ("paper", "hull", "summed", "sequence")

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 import stand_ins
 
-from jaxtube.design import design
-from jaxtube.experiments import tune, tune_report
 from jaxtube.experiments.cli import main
+from jaxtube.experiments.tune import command as tune
+from jaxtube.experiments.tune import report as tune_report
 from jaxtube.scenario import experiments_folder, load
+from jaxtube.synthesis.design import design
 
 GAINS = "controller.tracking_gains=[3.0,6.5,6.5]"
 WORDS = (

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from tolerances import ROUNDING
 
-from jaxtube.design.problem import make_problem
-from jaxtube.experiments.tune_baselines import GRID, Spots
-from jaxtube.experiments.tune_compare import difference, grid_lines, rms_interval, unseen_paths
-from jaxtube.experiments.tune_report import Result, reduction
+from jaxtube.experiments.tune.baselines import GRID, Spots
+from jaxtube.experiments.tune.compare import difference, grid_lines, rms_interval, unseen_paths
+from jaxtube.experiments.tune.report import Result, reduction
 from jaxtube.scenario import load
+from jaxtube.synthesis.problem import make_problem
 
 LATERAL = np.abs(np.random.default_rng(0).normal(5e-3, 1e-3, 400))
 

@@ -10,7 +10,7 @@ from matplotlib.text import Annotation, Text
 from quadprog import solve_qp
 from tolerances import DRAWN, SPREAD
 
-from jaxtube.experiments.tune_figures import (
+from jaxtube.experiments.tune.figures import (
     AFTER,
     BEFORE,
     Curve,
@@ -20,8 +20,8 @@ from jaxtube.experiments.tune_figures import (
     spans_decade,
     tube_figure,
 )
-from jaxtube.experiments.tune_front_figure import Group, comparison_figure, front_figure
-from jaxtube.experiments.tune_parameter_figure import parameter_figure, spread
+from jaxtube.experiments.tune.front_figure import Group, comparison_figure, front_figure
+from jaxtube.experiments.tune.parameter_figure import parameter_figure, spread
 from sets.polytope import Polytope
 
 CENTIMETRES = np.array([1e2, 1e2, np.rad2deg(1.0)])

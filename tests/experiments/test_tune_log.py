@@ -12,8 +12,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from jaxtube.experiments.records import RecordsError
-from jaxtube.experiments.tune_log import Log
+from jaxtube.experiments.run.records import RecordsError
+from jaxtube.experiments.tune.log import Log
 from jaxtube.scenario import ScenarioError
 from jaxtube.tuning.descent import adam, lbfgs
 from jaxtube.tuning.search import nelder_mead, random_search

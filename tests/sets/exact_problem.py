@@ -8,9 +8,9 @@ from itertools import product
 import numpy as np
 
 from sets.exact import exact_row
-from sets.exact_tube import schedule_box, vertex_feedbacks, vertex_loops
 from sets.invariant import maximal_rpi
 from sets.polytope import Polytope
+from sets.robot.exact_tube import schedule_box, vertex_feedbacks, vertex_loops
 
 DT, WIDTH, GAINS, HORIZON = 0.1, 0.5, (3.0, 6.5, 6.5), 5
 SLOW, FAST = 1.224, 1.496

@@ -23,8 +23,8 @@ from sets.exact import (
     mapped_rows,
     smallest_pivot,
 )
-from sets.exact_tube import schedule_box, vertex_feedbacks, vertex_loops
 from sets.polytope import Polytope
+from sets.robot.exact_tube import schedule_box, vertex_feedbacks, vertex_loops
 
 # Bounds over polytopes
 

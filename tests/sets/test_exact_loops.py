@@ -11,7 +11,7 @@ from exact_problem import BOX, DT, FAST, FEEDBACKS, GAINS, LOOPS, OMEGA, SLOW, W
 from tolerances import EXACT_AGAINST_FLOAT, EXACT_ENCLOSURE, EXACT_JACOBIAN, EXACT_WHEEL_TRAVEL
 
 from sets.exact import exact_row, invariance_margin
-from sets.exact_tube import schedule_box, tangent_ratio, vertex_loops, wheel_loops
+from sets.robot.exact_tube import schedule_box, tangent_ratio, vertex_loops, wheel_loops
 
 
 @pytest.mark.parametrize("x", [0.0, 1e-9, 0.0272, -0.3, 0.77, 1.0, -1.0])

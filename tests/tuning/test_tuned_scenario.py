@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from jaxtube.design import design
-from jaxtube.design.fill import widest_tube
-from jaxtube.design.tightening import LocalGain
 from jaxtube.scenario import load
+from jaxtube.synthesis.certificate.fill import widest_tube
+from jaxtube.synthesis.design import design
+from jaxtube.synthesis.tightening import LocalGain
 from sets.lmi import terminal_cost
 
 LATERAL = np.array([[0.0, 1.0, 0.0]])

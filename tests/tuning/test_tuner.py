@@ -8,10 +8,10 @@ import pytest
 import stand_ins
 import tuned
 
-from jaxtube.design import finish, prepare, refuse_infeasible_start
-from jaxtube.design.problem import with_controller
-from jaxtube.experiments import closed_loop
 from jaxtube.scenario import ScenarioError
+from jaxtube.simulation import closed_loop
+from jaxtube.synthesis.design import finish, prepare, refuse_infeasible_start
+from jaxtube.synthesis.problem import with_controller
 from jaxtube.tuning import tuner as tuners
 from jaxtube.tuning.objective import aim
 from jaxtube.tuning.parameters import parameters

@@ -7,7 +7,7 @@ import pytest
 import tolerances as tol
 import tuned
 
-from jaxtube.design.tightening import gains_at_corners, given_gain, make_windows, vertex_pairs
+from jaxtube.synthesis.tightening import gains_at_corners, given_gain, make_windows, vertex_pairs
 from jaxtube.tuning.gains import gain_maps, terminal_cost
 from sets.lyapunov import cost_of_gains
 

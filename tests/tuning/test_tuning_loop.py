@@ -11,12 +11,12 @@ import tuned
 from msgspec.structs import replace
 
 from jaxtube import qp
-from jaxtube.controllers import TubeMpc
-from jaxtube.design import finish, prepare
-from jaxtube.design.feasible import boundary
-from jaxtube.design.problem import with_controller
-from jaxtube.experiments import closed_loop
-from jaxtube.rollout import realisation_keys, rollout
+from jaxtube.control.laws import TubeMpc
+from jaxtube.simulation import closed_loop
+from jaxtube.simulation.rollout import realisation_keys, rollout
+from jaxtube.synthesis.design import finish, prepare
+from jaxtube.synthesis.feasible import boundary
+from jaxtube.synthesis.problem import with_controller
 from jaxtube.tuning.loop import ROOM, Weights, fix, tightened, windows_of
 from jaxtube.tuning.parameters import LEAST_PIVOT, parameters
 

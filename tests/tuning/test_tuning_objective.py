@@ -10,18 +10,20 @@ import pytest
 import tolerances as tol
 import tuned
 
-from jaxtube import fixed_point, mpc, qp
-from jaxtube.controllers import ScheduledGain, TubeMpc
-from jaxtube.design import finish, prepare
-from jaxtube.design.feasible import boundary
-from jaxtube.experiments import closed_loop
-from jaxtube.rollout import realisation_keys, rollout
+from jaxtube import qp
+from jaxtube.control import mpc
+from jaxtube.control.laws import ScheduledGain, TubeMpc
+from jaxtube.qp import fixed_point
+from jaxtube.simulation import closed_loop
+from jaxtube.simulation.rollout import realisation_keys, rollout
+from jaxtube.simulation.usage import play
+from jaxtube.synthesis.design import finish, prepare
+from jaxtube.synthesis.feasible import boundary
 from jaxtube.tuning import minimal, objective, terminal, tube
 from jaxtube.tuning.loop import tightened
 from jaxtube.tuning.minimal import limits
 from jaxtube.tuning.parameters import parameters
 from jaxtube.tuning.tuner import Tuner, freeze
-from jaxtube.usage import play
 from sets.lyapunov import cost_of_gains
 
 STEP = 5e-5  # of an entry, or of the size of its matrix; the differences are of fourth order

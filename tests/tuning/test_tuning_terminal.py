@@ -10,10 +10,10 @@ import pytest
 import tolerances as tol
 import tuned
 
-from jaxtube.design import prepare
-from jaxtube.design.problem import with_controller
-from jaxtube.design.residual import complete_problem
 from jaxtube.scenario import load
+from jaxtube.synthesis.design import prepare
+from jaxtube.synthesis.disturbance import complete_problem
+from jaxtube.synthesis.problem import with_controller
 from jaxtube.tuning import terminal
 from jaxtube.tuning.loop import fix, terminal_set_of, tightened
 from jaxtube.tuning.parameters import parameters

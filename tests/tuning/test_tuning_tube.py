@@ -12,14 +12,14 @@ import tuned
 from tolerances import TUBE_BOUND, TUBE_REACH, TUBE_RESIDUAL, TUBE_SLOPE, TUBE_TIGHT
 
 import sets.invariant
-from jaxtube.design import fill
-from jaxtube.design.optimise import _Search
-from jaxtube.design.residual import kinematics, operation
-from jaxtube.design.tightening import given_gain, make_windows, tighten, vertex_loops
+from jaxtube.synthesis.certificate import fill
+from jaxtube.synthesis.disturbance import kinematics, operation
+from jaxtube.synthesis.optimise import _Search
+from jaxtube.synthesis.tightening import given_gain, make_windows, tighten, vertex_loops
 from jaxtube.tuning import minimal, residual, tube
 from jaxtube.tuning.gains import Affine, gain_maps
 from sets import tubes
-from sets.plant import split_residual
+from sets.robot.plant import split_residual
 
 SEEDS = (0, 1, 2)
 

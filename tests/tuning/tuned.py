@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 
-from jaxtube import mpc
-from jaxtube.design.problem import with_controller
-from jaxtube.design.residual import complete_problem
+from jaxtube.control import mpc
 from jaxtube.scenario import load
+from jaxtube.synthesis.disturbance import complete_problem
+from jaxtube.synthesis.problem import with_controller
 from jaxtube.tuning.loop import Weights
 from jaxtube.tuning.parameters import parameters
 

@@ -1,0 +1,138 @@
+"""The closed loops that put a guarantee to the test: sampling laws of the slip, and starts all over the feasible set.
+
+    laps     the whole reference, starts uniform in the feasible set
+    edge     its first second, starts on the edge of that set, where constraints bind
+
+All laws of one kind are one program, which compiles once: which process draws the slips is data. A lap meets the draws
+that the command `montecarlo` gives the lap of its number under that process and those starts.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import partial
+from typing import Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import msgspec
+from jax import Array
+from jaxtyping import Float, Int, Key
+
+from jaxtube.plant import slip as slips
+from jaxtube.plant.error_dynamics import world_pose
+from jaxtube.plant.robot import wheel_positions
+from jaxtube.simulation.rollout import SlippingRobot
+from jaxtube.statistics import task as validation
+from jaxtube.statistics.run import Task
+from jaxtube.synthesis.design import Design
+
+PROCESSES = ("iid", "vertex", "constant", "adversarial", "patches")
+EDGE_PROCESSES = ("vertex", "adversarial")
+EDGE_SECONDS = 1.0
+
+
+class Law(NamedTuple):
+    """How laps are drawn: the process of the slips, and whether they start on the edge of the feasible set."""
+
+    process: str
+    edge: bool = False
+
+    @property
+    def name(self) -> str:
+        """Its name in tables and folders."""
+        return f"edge-{self.process}" if self.edge else self.process
+
+    @property
+    def starts(self) -> Literal["feasible", "edge"]:
+        """Its starts as the command `montecarlo` names them."""
+        return "edge" if self.edge else "feasible"
+
+
+LAWS = (*map(Law, PROCESSES), *(Law(process, edge=True) for process in EDGE_PROCESSES))
+
+
+def laps_of_a_law(realisations: int, block: int) -> int:
+    """Return the laps of each law: an equal share of those asked for over the processes, up to whole blocks."""
+    return -(-realisations // (len(PROCESSES) * block)) * block
+
+
+@partial(jax.tree_util.register_dataclass, data_fields=["ideal", "chosen"], meta_fields=[])
+@dataclass(frozen=True)
+class AnySlipRobot:
+    """The slipping robot whose process, one of PROCESSES, is chosen by its number."""
+
+    ideal: SlippingRobot
+    chosen: Int[Array, ""]
+
+    @property
+    def reference_wheels(self) -> Float[Array, "steps 2"]:
+        """The reference, m/s."""
+        return self.ideal.reference_wheels
+
+    def initial(self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> tuple:
+        """Return the memories of all processes."""
+        robots = (dataclasses.replace(self.ideal, process=name) for name in PROCESSES)
+        return tuple(robot.initial(keys, errors) for robot in robots)
+
+    def measure(self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]) -> Float[Array, "batch 3"]:
+        """Return the measured errors."""
+        return self.ideal.measure(keys, step, errors)
+
+    def acting(self, step, inputs, measured, controller):
+        """Return the deficits (V - v, Om - om) that the controller's virtual inputs ask for."""
+        return self.ideal.acting(step, inputs, measured, controller)
+
+    def advance(self, keys, step, state: tuple, errors, inputs, controller):
+        """Return (next errors, next memory, wheels, wheels before saturation) of one period."""
+        ideal = self.ideal
+        places = wheel_positions(world_pose(errors, ideal.reference_poses[step]), ideal.robot.track_width)
+        branches = [partial(self._draw, number, keys, step) for number in range(len(PROCESSES))]
+        true, measured, state = jax.lax.switch(self.chosen, branches, state, slips.Situation(places, errors))
+        following, wheels, demanded = ideal.move(step, errors, inputs, true, measured, controller)
+        return following, state, wheels, demanded
+
+    def _draw(self, number: int, keys, step, state: tuple, situations):
+        process = slips.PROCESSES[PROCESSES[number]]()
+
+        def draw(key, memory, situation):
+            return slips.draw_slip(key, step, memory, situation, process, self.ideal.random)
+
+        true, measured, after = jax.vmap(draw)(keys, state[number], situations)
+        return true, measured, (*state[:number], after, *state[number + 1 :])
+
+
+def under(found: Design, law: Law) -> Design:
+    """Return a design whose scenario has the law's process, for laps on the edge with the first second alone."""
+    problem, windows = found.problem, found.windows
+    scenario, reference = problem.scenario, problem.reference
+    slip = msgspec.structs.replace(scenario.slip, process=law.process)
+    scenario = msgspec.structs.replace(scenario, slip=slip)
+    if law.edge:
+        reference = dataclasses.replace(reference, steps=min(round(EDGE_SECONDS / reference.dt), reference.steps))
+        windows = dataclasses.replace(windows, index=windows.index[: reference.steps])
+    return dataclasses.replace(
+        found, problem=dataclasses.replace(problem, scenario=scenario, reference=reference), windows=windows
+    )
+
+
+def make_tasks(found: Design, seed: int) -> tuple[dict[Law, Task], str]:
+    """Return what every law's blocks need, and why starts are not spread, "" where they are."""
+    tasks, why = {}, ""
+    for edge in (False, True):
+        alike = [law for law in LAWS if law.edge == edge]
+        task, why = _task(under(found, alike[0]), alike[0], seed)
+        # The name of a process is part of a program: it is one name for all.
+        ideal = dataclasses.replace(task.plant, process=PROCESSES[0])
+        for law in alike:
+            chosen = jnp.asarray(PROCESSES.index(law.process), jnp.int32)
+            tasks[law] = dataclasses.replace(task, plant=AnySlipRobot(ideal, chosen))
+    return tasks, why
+
+
+def _task(found: Design, law: Law, seed: int) -> tuple[Task, str]:
+    try:
+        return validation.make_task(found, "tube_mpc", "robot", law.starts, seed), ""
+    except ValueError as error:
+        return validation.make_task(found, "tube_mpc", "robot", "scenario", seed), str(error)

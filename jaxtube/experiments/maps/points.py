@@ -1,0 +1,198 @@
+"""The points of `maps`: a grid of conditions, computed by several processes, each saved as soon as it is known.
+
+A search starts from the optimum of the neighbour that lies one step closer to the scenario's own condition: along the
+speed range or the period first, then along the slip error. So the points form a tree, and those whose start is known
+are computed side by side. Their order changes no number: a start is a function of the grid alone.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
+from dataclasses import asdict, dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxtube.experiments.run.atomic import write_atomically
+from jaxtube.experiments.run.progress import progress
+from jaxtube.scenario import Scenario
+from jaxtube.synthesis.ratio import Condition, Guarantee, caps_and_gains, guarantee, under
+
+DESIGNS = ("optimised", "weighted", "paper")
+"""In the order in which they are computed: the searches wait for each other, the others fill the gaps."""
+SLIP_ERRORS = 0.0, 0.3
+SLOWEST_MPS = 0.2
+"""Where the lower end of the speed range starts; it ends at the slowest wheel of the reference."""
+PERIODS_S = 0.05, 0.2
+
+
+class Point(NamedTuple):
+    """One design under one condition."""
+
+    design: str
+    condition: Condition
+
+
+Found = dict[Point, Guarantee]
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Increasing values of the three conditions, and the scenario's own, which is among them."""
+
+    slip_errors: tuple[float, ...]
+    slowest_mps: tuple[float, ...]
+    periods_s: tuple[float, ...]
+    own: Condition
+
+    def conditions(self) -> list[Condition]:
+        """Return the conditions of both maps without repetitions, each after the one whose optimum it starts from."""
+        pairs = [(slowest, self.own.dt_s) for slowest in self.slowest_mps]
+        pairs += [(self.own.slowest_mps, period) for period in self.periods_s]
+        found = {Condition(error, *pair) for pair in pairs for error in self.slip_errors}
+        return sorted(found, key=lambda condition: (self._steps(condition), condition))
+
+    def points(self) -> list[Point]:
+        """Return all points, designs in the order of `DESIGNS`."""
+        return [Point(design, condition) for design in DESIGNS for condition in self.conditions()]
+
+    def towards_own(self, condition: Condition) -> Condition | None:
+        """Return the neighbour one step closer to the scenario's own condition, None for that one."""
+        for name, values in (
+            ("slowest_mps", self.slowest_mps),
+            ("dt_s", self.periods_s),
+            ("slip_error", self.slip_errors),
+        ):
+            here, own = values.index(getattr(condition, name)), values.index(getattr(self.own, name))
+            if here != own:
+                return condition._replace(**{name: values[here + (1 if own > here else -1)]})
+        return None
+
+    def _steps(self, condition: Condition) -> int:
+        values = (self.slip_errors, self.slowest_mps, self.periods_s)
+        places = zip(values, condition, self.own, strict=True)
+        return sum(abs(axis.index(here) - axis.index(own)) for axis, here, own in places)
+
+
+def make_grid(scenario: Scenario, slowest_wheel: float, count: int) -> Grid:
+    """Return a grid of `count` values along each axis, and the scenario's own.
+
+    Args:
+        scenario: gives slip error, lower end of the speed range and period.
+        slowest_wheel: of the reference, m/s: the speed range must hold it.
+        count: at least 2.
+    """
+    own = Condition(
+        scenario.slip.relative_error, scenario.reference.wheel_speed_min_mps, float(scenario.controller.dt_s)
+    )
+    top = max(np.floor(1e3 * slowest_wheel + 1e-6) / 1e3, own.slowest_mps)
+    axes = (
+        (np.linspace(*SLIP_ERRORS, count), own.slip_error),
+        (np.linspace(min(SLOWEST_MPS, own.slowest_mps), top, count), own.slowest_mps),
+        (np.geomspace(*PERIODS_S, count), own.dt_s),
+    )
+    rounded = [tuple(sorted({*np.round(values, 4).tolist(), float(extra)})) for values, extra in axes]
+    return Grid(rounded[0], rounded[1], rounded[2], own)
+
+
+class Log:
+    """A file of JSON lines that survives an interruption: a line cut short is dropped, and every new one is flushed."""
+
+    def __init__(self, path: Path):
+        lines = path.read_text().splitlines(keepends=True) if path.exists() else []
+        complete = [line for line in lines if line.endswith("\n")]
+        if lines != complete:
+            write_atomically(path, lambda file: file.write("".join(complete).encode()))
+        self.path, self.records = path, [json.loads(line) for line in complete]
+
+    def append(self, record: dict) -> None:
+        """Add a record to the file."""
+        with self.path.open("a") as file:
+            file.write(json.dumps(record) + "\n")
+        self.records.append(record)
+
+
+def compute(scenario: Scenario, grid: Grid, log: Log) -> Found:
+    """Compute the points that the log does not hold, each saved at once, and return all.
+
+    Args:
+        scenario: gives all that the grid does not vary.
+        grid: the points.
+        log: of an earlier run of the same scenario, grid and code, or empty.
+    """
+    found = dict(map(_from_record, log.records))
+    waiting = [point for point in grid.points() if point not in found]
+    if not waiting:
+        return found
+    with progress(len(grid.points()), "designing", "points", len(found)) as bar, _workers(len(waiting)) as workers:
+
+        def keep(point: Point, result: Guarantee) -> None:
+            found[point] = result
+            log.append({"design": point.design, **point.condition._asdict(), **asdict(result)})
+            bar.update()
+
+        _work_through(scenario, grid, waiting, found, workers, keep)
+    return found
+
+
+def _from_record(record: dict) -> tuple[Point, Guarantee]:
+    result = dict(record)
+    point = Point(result.pop("design"), Condition(*(result.pop(name) for name in Condition._fields)))
+    start = result.pop("caps_and_gains")
+    return point, Guarantee(**result, caps_and_gains=None if start is None else tuple(start))
+
+
+def _work_through(
+    scenario: Scenario,
+    grid: Grid,
+    waiting: list[Point],
+    found: Found,
+    workers: Executor,
+    keep: Callable[[Point, Guarantee], None],
+) -> None:
+    """Give the workers two points each whose start is known, and keep what comes back."""
+    running = {}
+    try:
+        while waiting or running:
+            for point in _ready(grid, waiting, found, 2 * _worker_count() - len(running)):
+                waiting.remove(point)
+                start = _start(scenario, grid, point, found)
+                running[workers.submit(guarantee, point.design, under(scenario, point.condition), start)] = point
+            for done in wait(running, return_when=FIRST_COMPLETED).done:
+                keep(running.pop(done), done.result())
+    except BaseException:
+        workers.shutdown(wait=False, cancel_futures=True)
+        raise
+
+
+def _ready(grid: Grid, waiting: Iterable[Point], found: Found, most: int) -> list[Point]:
+    """Return the first points of those whose start is known."""
+    ready = []
+    for point in waiting:
+        neighbour = grid.towards_own(point.condition)
+        if point.design != "optimised" or neighbour is None or point._replace(condition=neighbour) in found:
+            ready.append(point)
+    return ready[:most]
+
+
+def _start(scenario: Scenario, grid: Grid, point: Point, found: Found) -> tuple[float, ...] | None:
+    if point.design != "optimised":
+        return None
+    neighbour = grid.towards_own(point.condition)
+    return caps_and_gains(scenario) if neighbour is None else found[Point("optimised", neighbour)].caps_and_gains
+
+
+def _worker_count() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _workers(most: int) -> Executor:
+    # One thread each: the matrices are small, and threads that wait for each other made a search three times as long.
+    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    # Not forked: a fork copies the locks of JAX's threads.
+    return ProcessPoolExecutor(min(_worker_count(), most), get_context("spawn"))

@@ -1,0 +1,151 @@
+"""`montecarlo`: laps by the million, every period checked, block by block into records that survive the process.
+
+Open the records, compute the blocks that are missing, join all of them, report. The statistics are the same bytes
+whatever was interrupted and wherever the blocks were computed; only `performance.json` tells one run from another.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import resource
+import sys
+import time
+from collections.abc import Iterator
+
+import jax
+import numpy as np
+
+from jaxtube.experiments.montecarlo import netcdf, replay
+from jaxtube.experiments.montecarlo import report as montecarlo_report
+from jaxtube.experiments.options import Montecarlo
+from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.progress import progress
+from jaxtube.experiments.run.records import Records
+from jaxtube.scenario import Scenario
+from jaxtube.statistics import run as montecarlo
+from jaxtube.statistics import task as validation
+from jaxtube.statistics.run import BLOCK, TILE, Run, Statistics
+from jaxtube.statistics.tally import EVENTS
+from jaxtube.synthesis.design import Design, refuse_infeasible_start
+from jaxtube.synthesis.design import design as make_design
+
+LEFT_E = EVENTS.index("e_outside_E")
+
+
+def run(scenario: Scenario, options: Montecarlo) -> int:
+    """Run the command."""
+    use_devices(options.devices)
+    if options.netcdf:
+        netcdf.libraries()
+    found = make_design(scenario)
+    if options.starts == "scenario":
+        refuse_infeasible_start(found)
+    if options.replay >= 0:
+        return replay.run(found, options, identity(scenario, options))
+    records = Records(options.folder / "records", identity(scenario, options), montecarlo.merge, BLOCK)
+    with records:
+        for line in records.damaged:
+            print(line, file=sys.stderr)
+        missing = records.missing(int(options.realisations))
+        folder = run_folder.create(scenario, options)
+        folder.save_json("identity", identity(scenario, options))
+        performance = compute(found, options, records, missing)
+        statistics = records.merged()
+    save(found, options, folder, statistics, performance)
+    return 0
+
+
+def use_devices(count: int) -> None:
+    """Let every processor of this machine be a device of its own, unless JAX has already settled that."""
+    try:
+        jax.config.update("jax_num_cpu_devices", count or len(os.sched_getaffinity(0)))
+    except RuntimeError:
+        return
+
+
+def identity(scenario: Scenario, options: Montecarlo) -> dict:
+    """Return all that determines the statistics of a block."""
+    return run_folder.identity(scenario, options, ("controller", "plant", "starts")) | {"tile_size": TILE}
+
+
+def compute(design: Design, options: Montecarlo, records: Records, missing: Iterator[int]) -> dict:
+    """Compute the missing blocks and record them; return what it took, nothing where nothing was missing."""
+    first = next(missing, None)
+    if first is None:
+        return {}
+    task = validation.make_task(design, options.controller, options.plant, options.starts, options.seed)
+    devices = tuple(jax.local_devices()[: options.devices or None])
+    local = Run(task, int(options.realisations), options.chunk, devices)
+    before, violations, seconds = records.laps, violating_laps(records.merged()), []
+    with contextlib.ExitStack() as stack:
+        source = stack.enter_context(connect(options.cluster, local)) if options.cluster else local
+        bar = stack.enter_context(progress(local.realisations, "simulating", "laps", before))
+        start, at_once = time.perf_counter(), source.at_once
+        for block, statistics in source.computed(itertools.chain([first], missing)):
+            recorded = records.laps
+            records.add(block, int(statistics["laps"]), statistics)
+            violations += violating_laps(statistics)
+            bar.set_postfix_str(f"{violations} left E", refresh=False)
+            bar.update(records.laps - recorded)
+            seconds.append(time.perf_counter() - start)
+    found = {"laps": records.laps - before, **rate(seconds, at_once)}
+    if not options.cluster and len(seconds) >= ENOUGH * local.at_once:
+        found["validation_share"] = validation_share(local)
+    return found | {"peak_memory_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024}
+
+
+def connect(cluster: str, local: Run):
+    """Return the cluster that an option names, a context; its library is needed only here."""
+    from jaxtube.experiments.run.cluster import Cluster
+
+    return Cluster(cluster, local)
+
+
+def rate(seconds: list[float], at_once: int) -> dict:
+    """Return the time to the first results, which holds the compilation, and laps a second from there on.
+
+    `seconds` are those at which blocks were recorded; the last block, which may be partial, is not counted.
+    """
+    first = seconds[min(at_once, len(seconds)) - 1]
+    rest = len(seconds) - at_once - 1
+    speed = rest * BLOCK / (seconds[-2] - first) if rest > 0 else None
+    return {"seconds": seconds[-1], "first_results_seconds": first, "laps_per_second": speed}
+
+
+def violating_laps(statistics: Statistics) -> int:
+    """Return how many laps left E."""
+    return int(statistics["events"][LEFT_E, 1:].sum()) if statistics else 0
+
+
+ENOUGH = 20
+"""Dispatches of a run that is long enough to be measured: the share of the checks takes four more."""
+
+
+def validation_share(local: Run) -> float:
+    """Return the share of the computing time that the checks take: the same laps with and without them, in turns."""
+    blocks = list(range(local.at_once))
+    seconds = {True: np.inf, False: np.inf}
+    for validate in (True, False) * 2:
+        start = time.perf_counter()
+        jax.block_until_ready(local.dispatch(blocks, validate))
+        seconds[validate] = min(seconds[validate], time.perf_counter() - start)
+    return max(1 - seconds[False] / seconds[True], 0.0)
+
+
+def save(found: Design, options: Montecarlo, folder: RunFolder, statistics: Statistics, performance: dict) -> None:
+    """Write statistics, metrics and figures, and print the report."""
+    from jaxtube.experiments.montecarlo import figures as montecarlo_figures
+
+    summary = montecarlo_report.summary(found, options, statistics)
+    folder.save_arrays("statistics", **statistics)
+    folder.save_metrics(summary)
+    if performance:
+        folder.save_json("performance", performance)
+    if options.netcdf:
+        netcdf.save(folder.path / "statistics.nc", statistics)
+    montecarlo_figures.draw(found, options, statistics, summary, folder)
+    print(montecarlo_report.text(options, summary, performance))
+    print(f"\nfigures, metrics.json, statistics.npz and the records are in {folder.path}/")

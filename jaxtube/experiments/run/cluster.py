@@ -1,0 +1,189 @@
+"""Blocks on the workers of a Dask cluster: a block is a task, and its statistics come back to the one writer.
+
+    local:N          N workers on this machine, each on a processor of its own
+    tcp://HOST:8786  the workers of a running scheduler
+
+What a worker needs travels as arrays, so that all compute with the same bits; blocks of a lost worker are computed
+again by others. A worker runs as many blocks at a time as it has threads, each thread on a device of its own.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import itertools
+import os
+import threading
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from jaxtube.experiments.run.folder import source_hashes, version
+from jaxtube.scenario.refusal import refusal
+from jaxtube.statistics.run import Run, Statistics
+
+IN_FLIGHT = 3
+"""Tasks handed out for each thread of the cluster: enough to keep it busy, few enough to hold in memory."""
+SECONDS_TO_CONNECT = 20
+LOSSES = 20
+"""Workers that may be lost while they compute the same block, before the run gives up."""
+
+
+class Cluster:
+    """The workers that an option names; a context."""
+
+    def __init__(self, name: str, run: Run):
+        """Connect.
+
+        Args:
+            name: "local:N" or the address of a scheduler.
+            run: what to compute; its devices and chunk do not count here.
+
+        Raises:
+            ScenarioError: no such cluster, or no Dask; later, for a worker with another version of the code.
+        """
+        try:
+            import distributed
+        except ImportError:
+            raise _refuse(name, "needs Dask", "pip install 'jaxtube[cluster]'") from None
+        self._distributed, self._name, self._local = distributed, name, None
+        self._client = self._connect(name)
+        self._client.wait_for_workers(1)
+        # A task of its own, not data put on a worker: should that worker be lost, the scheduler can make it again.
+        self._job = self._client.submit(_same, Job.of(run, pinned=name.startswith("local:")), pure=False)
+
+    def _connect(self, name: str):
+        from dask.config import set as configure
+
+        kind, _, count = name.partition(":")
+        # The profiler of a worker looks at its threads a hundred times a second; blocks take a second each.
+        # A client that fails to connect would stay the process's default, and xarray would ask it for its locks.
+        configure({"distributed.scheduler.allowed-failures": LOSSES, "distributed.worker.profile.enabled": False})
+        try:
+            if kind == "local":
+                workers = int(count)
+                if workers < 1:
+                    raise ValueError("no workers")
+                self._local = self._distributed.LocalCluster(
+                    n_workers=workers, threads_per_worker=1, dashboard_address=None
+                )
+                return self._distributed.Client(self._local, set_as_default=False)
+            return self._distributed.Client(name, timeout=SECONDS_TO_CONNECT, set_as_default=False)
+        except (OSError, ValueError, TimeoutError) as error:
+            problem = f"cannot be reached ({error or type(error).__name__})"
+            raise _refuse(name, problem, "write local:N, or the address of a running scheduler") from None
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the scheduler; end the workers that were started here."""
+        self._client.close()
+        if self._local:
+            self._local.close()
+
+    def computed(self, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
+        """Yield the statistics of blocks as they are ready, in any order."""
+        pending = self._distributed.as_completed(loop=self._client.loop, with_results=True, raise_errors=False)
+        source, under_way = iter(blocks), {}
+
+        def submit(block: int) -> None:
+            future = self._client.submit(compute, self._job, block, pure=False)
+            under_way[future] = block
+            pending.add(future)
+
+        def top_up() -> None:
+            # Workers come and go: how many there are is asked each time.
+            room = IN_FLIGHT * self.at_once - len(under_way)
+            for block in itertools.islice(source, max(room, 0)):
+                submit(block)
+
+        top_up()
+        for future, result in pending:
+            block = under_way.pop(future)
+            if future.status == "finished":
+                top_up()
+                yield result
+            elif isinstance(failure := future.exception(), self._distributed.KilledWorker):
+                submit(block)
+            elif isinstance(failure, StrangerError):
+                raise _refuse(self._name, str(failure), "install the same jaxtube and jax on all, of the same kind")
+            else:
+                raise failure
+
+    @property
+    def at_once(self) -> int:
+        """Blocks that the workers there are now compute at a time."""
+        return max(sum(self._client.nthreads().values()), 1)
+
+
+class StrangerError(RuntimeError):
+    """A worker that would compute other bits than this process."""
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A run as plain arrays, which every worker turns into the same program."""
+
+    task: Any
+    key_data: np.ndarray
+    realisations: int
+    versions: dict[str, str]
+    pinned: bool
+
+    @classmethod
+    def of(cls, run: Run, pinned: bool) -> Job:
+        """Take a run apart."""
+        task = dataclasses.replace(run.task, seed_key=None)
+        arrays = jax.tree.map(np.asarray, task)
+        return cls(arrays, np.asarray(jax.random.key_data(run.task.seed_key)), run.realisations, _versions(), pinned)
+
+    def on(self, device) -> Run:
+        """Return the run on one device."""
+        key = jax.random.wrap_key_data(jax.numpy.asarray(self.key_data))
+        task = jax.device_put(dataclasses.replace(self.task, seed_key=key), device)
+        return Run(task, self.realisations, 1, (device,))
+
+
+def compute(job: Job, block: int) -> tuple[int, Statistics]:
+    """Compute one block in a thread of a worker."""
+    [found] = _run_of_thread(threading.get_ident(), job).computed([block])
+    return found
+
+
+_threads: dict[int, int] = {}
+
+
+@functools.lru_cache(maxsize=64)
+def _run_of_thread(thread: int, job: Job) -> Run:
+    from distributed import get_worker
+
+    if job.pinned:
+        # The threads that JAX is about to start inherit the processor of the one that starts them.
+        processors = sorted(os.sched_getaffinity(0))
+        os.sched_setaffinity(0, {processors[int(get_worker().name) % len(processors)]})
+    jax.config.update("jax_enable_x64", job.versions["bits"] == "64")
+    if _versions() != job.versions:
+        raise StrangerError(f"{get_worker().address} has another version of jaxtube or jax, or other devices")
+    devices = jax.local_devices()
+    return job.on(devices[_threads.setdefault(thread, len(_threads)) % len(devices)])
+
+
+def _same(job: Job) -> Job:
+    return job
+
+
+def _versions() -> dict[str, str]:
+    packages = {name: version(name) or "" for name in ("jax", "jaxlib", "numpy")}
+    bits = str(jax.dtypes.canonicalize_dtype(float).itemsize * 8)
+    return source_hashes() | packages | {"backend": jax.default_backend(), "bits": bits}
+
+
+def _refuse(name: str, problem: str, cure: str) -> Exception:
+    return refusal("command line", "--cluster", name, problem, cure)

@@ -1,0 +1,184 @@
+"""The numbers of a run: what `metrics.json` holds, plain and with units in the keys."""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxtube import qp
+from jaxtube.plant.reference import settled_step
+from jaxtube.simulation.rollout import Trajectory
+from jaxtube.synthesis.certificate.fill import cap_shares, ultimate_bound
+from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.problem import input_rows
+from sets.polytope import Polytope
+from sets.tubes import Section, input_support, sequence_support
+
+COORDINATES = ("longitudinal_m", "lateral_m", "heading_deg")
+TO_DISPLAY = np.array([1.0, 1.0, np.rad2deg(1.0)])
+
+
+def design_metrics(design: Design) -> dict:
+    """Return the numbers of the sets, gains and certificate."""
+    problem, terminal = design.problem, design.terminal
+    maximal, invariant = terminal.maximal.polytope, terminal.invariant
+    wheel_rows = input_rows(problem.robot.track_width)
+    return {
+        "lqr_gain": design.lqr_gain,
+        "tube_half_widths": {name: tube_half_widths(design, name) for name in design.tubes},
+        "tube_volume": {name: sections[-1].polytope().volume() for name, sections in design.tubes.items()},
+        "input_support": {name: tube_input_support(design, name) for name in design.tubes},
+        "input_set_p_q": np.stack([-problem.input_set.support(-wheel_rows), problem.input_set.support(wheel_rows)], 1),
+        "lmi_cost": design.cost.cost,
+        "lmi_objective_value": design.cost.value,
+        "terminal_gains": design.terminal.gains.vertices,
+        "terminal_half_widths": None if maximal is None else _half_widths(maximal),
+        "terminal_facets": None if invariant is None else len(invariant.offsets),
+        "terminal_facets_maximal": None if maximal is None else len(maximal.offsets),
+        "terminal_volume_share": design.terminal.volume_share,
+        "terminal_constraint_facets": len(terminal.constraint_normals),
+        "terminal_fallback": bool(terminal.fallback),
+        "certificate": {
+            name: {"holds": c.holds, "margin": c.margin, "required": c.required, "sentence": c.sentence}
+            for name, c in design.certificate.conditions.items()
+        },
+        "certified": design.certificate.holds,
+        "assumptions": list(design.certificate.assumptions),
+        **({} if problem.residual is None else _computed(design)),
+        "design_seconds": design.seconds,
+    }
+
+
+def _computed(design: Design) -> dict:
+    """Return the numbers of a computed W, and the share of each cap that the tube fills at its widest."""
+    bound = design.problem.residual
+    assert bound is not None
+    return {
+        "disturbance_bound": {
+            "yaw_deg": np.rad2deg(bound.yaw),
+            "lateral_per_yaw_m_per_rad": bound.lateral_per_yaw,
+            **dict(zip(COORDINATES, bound.box * TO_DISPLAY, strict=True)),
+            "found_share": [bound.found_yaw / bound.yaw, *(bound.found_box / np.maximum(bound.box, 1e-300))],
+            "ground_speed_range_mps": [bound.ground_speeds[0].min(), bound.ground_speeds[1].max()],
+        },
+        "cap_shares": cap_shares(design.problem, design.terminal.gains),
+        "ultimate_bound": _ultimate(design),
+    }
+
+
+def _ultimate(design: Design) -> dict | None:
+    """Return half widths that the tube's own gain ends within, None where there are none."""
+    try:
+        widths = ultimate_bound(design.problem, design.terminal.gains)
+    except ValueError:
+        return None
+    return dict(zip(COORDINATES, widths * TO_DISPLAY, strict=True))
+
+
+def _half_widths(polytope: Polytope) -> Float[np.ndarray, "3"]:
+    """Return the half widths (m, m, deg) of the smallest symmetric box that holds a set."""
+    return np.maximum(polytope.support(np.eye(3)), polytope.support(-np.eye(3))) * TO_DISPLAY
+
+
+def tube_half_widths(design: Design, name: str) -> Float[np.ndarray, "horizon+1 3"]:
+    """Return the half widths (m, m, deg) of R_0 .. R_N; for `sequence` the largest along the reference."""
+    if name != "sequence":
+        return np.stack([section.support(np.eye(3)) for section in design.tubes[name]]) * TO_DISPLAY
+    loops, W = design.windows.loops, design.problem.disturbance_set
+    rows = np.broadcast_to(np.eye(3), (len(loops), 3, 3))
+    widths = [sequence_support(loops, W, rows, j).max(axis=0) for j in range(design.problem.horizon + 1)]
+    return np.stack(widths) * TO_DISPLAY
+
+
+def tube_input_support(design: Design, name: str) -> Float[np.ndarray, " horizon+1"]:
+    """Return the largest support number of K R_j along p and q, j = 0..N, over the gains that may act, m/s."""
+    rows = input_rows(design.problem.robot.track_width)
+    rows = np.vstack([rows, -rows])
+    gains = design.tube_gain.vertices
+    if name == "sequence":
+        loops, W = design.windows.loops, design.problem.disturbance_set
+        directions = rows @ design.windows.gains
+        last = design.problem.horizon - 1
+        return np.array([sequence_support(loops, W, directions[:, min(j, last)], j).max() for j in range(last + 2)])
+    return np.array([_largest(section, gains, rows) for section in design.tubes[name]])
+
+
+def _largest(section: Section, gains, rows) -> float:
+    return float(np.max(input_support(section, gains, rows)))
+
+
+def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
+    """Return the numbers of one controller over its realisations."""
+    problem = design.problem
+    limits = problem.error_set.offsets[:3]
+    errors = np.abs(trajectory.errors)
+    # Counted as "not inside", so that NaN is a violation.
+    by_coordinate = ~np.all(errors <= limits, axis=0)
+    outside = by_coordinate.any(axis=1)
+    settled = min(settled_step(problem.reference), len(errors) - 1)
+    status = trajectory.diagnostics.status
+    return {
+        "realisations": errors.shape[1],
+        "violation_share": float(outside.mean()),
+        "violating_realisations": int(outside.sum()),
+        "violation_share_by_coordinate": dict(zip(COORDINATES, by_coordinate.mean(axis=0).tolist(), strict=True)),
+        "max_error": {"whole_run": _spread(errors.max(axis=0)), "after_10_s": _spread(errors[settled:].max(axis=0))},
+        "rms_error": {
+            "whole_run": _spread(np.sqrt((errors**2).mean(axis=0))),
+            "after_10_s": _spread(np.sqrt((errors[settled:] ** 2).mean(axis=0))),
+        },
+        "wheel_speed_max_mps": float(np.max(np.abs(trajectory.wheels))),
+        "wheel_speed_mean_mps": float(np.mean(trajectory.wheels)),
+        "saturated_share": float(np.mean(np.any(trajectory.demanded != trajectory.wheels, axis=2))),
+        "qp_status": {
+            "solved": int(np.sum(status == qp.SOLVED)),
+            "infeasible": int(np.sum(status == qp.INFEASIBLE)),
+            "unsolved": int(np.sum(status == qp.UNSOLVED)),
+        },
+        "qp_residual_max": float(np.max(trajectory.diagnostics.residual)),
+        "active_share": float(np.mean(trajectory.diagnostics.active)),
+        "backup_share": float(np.mean(trajectory.diagnostics.backup)),
+    }
+
+
+def _spread(values: Float[np.ndarray, "runs 3"]) -> dict:
+    """Return median and 95 % quantile over realisations, and the worst one, by coordinate."""
+    shown = values * TO_DISPLAY
+    statistics = {"median": np.median(shown, axis=0), "p95": np.quantile(shown, 0.95, axis=0), "worst": shown.max(0)}
+    return {name: dict(zip(COORDINATES, found.tolist(), strict=True)) for name, found in statistics.items()}
+
+
+def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs 3"]) -> dict:
+    """Return how often and how far w(k) leaves W: per coordinate (W's half widths) and altogether."""
+    W = design.problem.disturbance_set
+    widths = W.support(np.eye(3))
+    outside, left = ~(np.abs(residuals) <= widths), ~(W.margin(residuals) >= 0)
+    return {
+        "steps": int(left.size),
+        "share_of_steps_outside": float(left.mean()),
+        "share_of_steps_outside_by_coordinate": dict(zip(COORDINATES, outside.mean(axis=(0, 1)).tolist(), strict=True)),
+        "largest": dict(zip(COORDINATES, (np.abs(residuals).max(axis=(0, 1)) * TO_DISPLAY).tolist(), strict=True)),
+        "allowed": dict(zip(COORDINATES, (widths * TO_DISPLAY).tolist(), strict=True)),
+        "runs_with_every_w_inside": int(np.sum(~left.any(axis=0))),
+        "margin": float(np.min(W.margin(residuals))),
+    }
+
+
+def deviation_metrics(design: Design, deviations: Float[np.ndarray, "horizon samples 3"]) -> dict:
+    """Return how many deviations from plans left the tube in use, and the smallest facet margin, stage by stage."""
+    margins = tube_margins(design, deviations)
+    return {
+        "plans": margins.shape[1],
+        "samples": margins.size,
+        "share_outside": float(np.mean(~(margins >= 0))),
+        "share_outside_by_stage": np.mean(~(margins >= 0), axis=1),
+        "margin_by_stage": margins.min(axis=1),
+    }
+
+
+def tube_margins(
+    design: Design, deviations: Float[np.ndarray, "horizon samples 3"]
+) -> Float[np.ndarray, "horizon samples"]:
+    """Return the facet margin of every deviation in its section R_j, j = 1..N (`sequence`: the widest one's)."""
+    sections = design.tubes[design.problem.scenario.controller.tube][1:]
+    return np.stack([section.polytope().margin(points) for section, points in zip(sections, deviations, strict=True)])

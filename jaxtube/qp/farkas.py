@@ -1,0 +1,74 @@
+# ruff: noqa: E741 -- l and u are the letters of the problem
+"""Prove that l <= A x <= u has no solution, for a batch of bounds l, u and one A with rows of unit 2-norm.
+
+(1) Elastic problem: minimise t subject to l - t <= A x <= u + t and t >= -1. It always has interior points, so that the
+    interior point method is safe; where its optimum is positive its multipliers y_u, y_l >= 0 add up to one.
+(2) Check, whatever (1) returned: every x inside the bounds has l'y_l - u'y_u <= -g'x with g = A'(y_u - y_l), and
+    x'H x <= S, where H = sum_i a_i a_i' / (1 + max(l_i^2, u_i^2)) + I / X^2 over the rows with two finite bounds and
+    S = their number + 1. So there is none if l'y_l - u'y_u > sqrt(S g' H^-1 g).
+
+The proof excludes every x with |x|_2 <= X. Where the two-sided rows bound x by themselves this is no restriction.
+Source: Boyd and Vandenberghe, Convex Optimization 2004, sections 5.8 (alternatives) and 11.4 (phase I).
+"""
+
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, Float
+
+from jaxtube.qp import batched_ldl, interior_point
+from jaxtube.qp.batched_ldl import matmul
+
+LARGEST_NORM = {8: 1e6, 4: 1e2}  # X, by bytes of a float: I / X^2 must stay above the rounding of H
+
+
+def elastic_program(hessian: Float[Array, "n n"], rows: Float[Array, "m n"]) -> interior_point.Program:
+    """Prepare problem (1) in (x, t); a very small multiple of `hessian` as its cost makes the answer unique."""
+    m, n = rows.shape
+    cost = jnp.finfo(rows.dtype).eps ** 0.66 * hessian / jnp.max(jnp.abs(hessian))
+    both = jnp.concatenate([rows, -rows, jnp.zeros_like(rows[:1])])
+    both = jnp.concatenate([both, -jnp.ones((2 * m + 1, 1), rows.dtype)], axis=1)
+    return interior_point.program(jnp.zeros((n + 1, n + 1), rows.dtype).at[:n, :n].set(cost), both)
+
+
+def elastic_multipliers(
+    program: interior_point.Program,
+    l: Float[Array, "m batch"],
+    u: Float[Array, "m batch"],
+    start: Float[Array, "n batch"],
+    iterations: int,
+) -> tuple[Float[Array, "m batch"], Float[Array, "m batch"]]:
+    """Solve (1) and return y_u, y_l >= 0, zero where the bound is infinite."""
+    m, n = l.shape[0], start.shape[0]
+    row_values = matmul(program.rows[:m, :n], start)
+    violation = jnp.max(jnp.maximum(row_values - u, l - row_values), axis=0)
+    begin = jnp.concatenate([start, jnp.maximum(violation, 0.0)[None] + 1.0])
+    q = jnp.zeros_like(begin).at[n].set(1.0)
+    h = jnp.concatenate([u, -l, jnp.ones_like(u[:1])])
+    y = interior_point.solve(program, q, h, begin, iterations)[1]
+    return y[:m], y[m : 2 * m]
+
+
+def excludes(
+    rows: Float[Array, "m n"],
+    l: Float[Array, "m batch"],
+    u: Float[Array, "m batch"],
+    upper: Float[Array, "m batch"],
+    lower: Float[Array, "m batch"],
+    tolerance: float,
+) -> Bool[Array, " batch"]:
+    """Check (2) for multipliers >= 0 of the upper and lower bounds; true only with a margin far above rounding."""
+    identity = jnp.eye(rows.shape[1], dtype=rows.dtype) / LARGEST_NORM[rows.dtype.itemsize] ** 2
+    two_sided = jnp.isfinite(l) & jnp.isfinite(u)
+    weights = jnp.where(two_sided, 1 / (1 + jnp.maximum(l * l, u * u)), 0.0)
+    packed = batched_ldl.pack(identity)[:, None] + matmul(batched_ldl.pair_products(rows), weights)
+    size = jnp.sum(upper + lower, axis=0)
+    upper, lower = upper / size, lower / size
+    g = matmul(rows.T, upper - lower)
+    ldl = batched_ldl.factorise(packed)
+    length = jnp.sum(g * batched_ldl.solve(ldl, g), axis=0)
+    largest = jnp.sqrt((1 + jnp.sum(two_sided, axis=0).astype(g.dtype)) * jnp.maximum(length, 0.0))
+    from_below = jnp.where(lower > 0, lower * l, 0.0)
+    from_above = jnp.where(upper > 0, upper * u, 0.0)
+    margin = tolerance * jnp.maximum(1.0, jnp.sum(jnp.abs(from_below) + jnp.abs(from_above), axis=0))
+    positive = jnp.all(ldl.inverse_pivots > 0, axis=0)
+    return positive & (jnp.sum(from_below - from_above, axis=0) > largest + margin)

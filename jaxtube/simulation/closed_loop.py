@@ -1,0 +1,138 @@
+"""Closed loops of a design: its controllers and plants on the device, run in blocks with progress."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from jaxtube import qp
+from jaxtube.control import mpc
+from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
+from jaxtube.simulation.rollout import (
+    LinearPlant,
+    SlippingRobot,
+    Trajectory,
+    begin,
+    follow_plan,
+    realisation_keys,
+    rollout,
+)
+from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.problem import Problem, error_vector
+from jaxtube.synthesis.tightening import widest_window
+
+BLOCK = 256
+"""Realisations a call: fixed, so that the length of a run changes no result."""
+
+
+def controllers(design: Design) -> dict:
+    """Return the controllers compared, by name.
+
+    `local_gain` is the tube's u = K(th) e; `equal_gain` the static law that the MPC is while no row is active.
+    """
+    problem, index = design.problem, jnp.asarray(design.windows.index)
+    settings = problem.scenario.controller
+    weights = problem.model.weights(problem.schedule[: problem.reference.steps])
+    tube_window, plain_window = jax.tree.map(jnp.asarray, (design.tube_window, design.plain_window))
+    unconstrained = design.plain_window.free_inputs[:, :2]
+    return {
+        "uncompensated": TrackingLaw(problem.robot.track_width, compensates=False),
+        "compensated": TrackingLaw(problem.robot.track_width, compensates=True),
+        "local_gain": ScheduledGain(jnp.asarray(design.tube_gain.at(weights)), settings.input_map),
+        "equal_gain": ScheduledGain(jnp.asarray(unconstrained[design.windows.index]), settings.input_map),
+        "plain_mpc": TubeMpc(plain_window, index, True, settings.input_map),
+        "tube_mpc": TubeMpc(tube_window, index, settings.restart, settings.input_map),
+    }
+
+
+def slipping_robot(design: Design, process: str | None = None, relative_error: float | None = None) -> SlippingRobot:
+    """Return the nonlinear plant of the scenario, or with another slip process or slip error."""
+    return robot_of(design.problem, process, relative_error)
+
+
+def robot_of(problem: Problem, process: str | None = None, relative_error: float | None = None) -> SlippingRobot:
+    """Return the nonlinear plant of a problem, whatever its design."""
+    slip = problem.scenario.slip
+    steps, noise = problem.reference.steps, error_vector(problem.scenario.noise)
+    return SlippingRobot(
+        robot=problem.robot,
+        dt=problem.reference.dt,
+        reference_wheels=jnp.asarray(problem.schedule[:steps]),
+        reference_poses=jnp.asarray(problem.reference.poses[: steps + 1]),
+        nominal_slip=jnp.array([slip.nominal_right, slip.nominal_left]),
+        relative_error=slip.relative_error if relative_error is None else relative_error,
+        noise=jnp.asarray(noise) if noise.any() else None,
+        process=process or slip.process,
+        random=slip.random,
+    )
+
+
+def exact_robot(design: Design) -> SlippingRobot:
+    """Return the nonlinear plant whose slip is known exactly and whose pose is measured without noise."""
+    return dataclasses.replace(slipping_robot(design, relative_error=0.0), noise=None)
+
+
+def linear_plant(design: Design) -> LinearPlant:
+    """Return the prediction model along the reference with w drawn in W."""
+    problem = design.problem
+    schedule = problem.schedule[: problem.reference.steps]
+    transitions, inputs = problem.model.matrices(schedule)
+    vertices = problem.disturbance_set.vertices()
+    return LinearPlant(*(jnp.asarray(array) for array in (schedule, transitions, inputs, vertices)))
+
+
+def simulate(controller, plant, starts: Float[np.ndarray, "runs 3"], seed: int, advanced=None) -> Trajectory:
+    """Run one closed loop a start, realisation i from starts[i], and return numpy arrays (time, realisation, ..).
+
+    `advanced(count)` is called after each block. The last block is padded with its own last start.
+    """
+    blocks = []
+    for first in range(0, len(starts), BLOCK):
+        chosen = starts[first : first + BLOCK]
+        padded = np.concatenate([chosen, np.repeat(chosen[-1:], BLOCK - len(chosen), axis=0)])
+        trajectory = rollout(controller, plant, realisation_keys(seed, first, BLOCK), jnp.asarray(padded))
+        blocks.append(jax.tree.map(partial(_first, len(chosen)), trajectory))
+        if advanced:
+            advanced(len(chosen))
+    return jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=1), *blocks)
+
+
+def _first(count: int, array) -> np.ndarray:
+    return np.asarray(array)[:, :count]
+
+
+def model_residuals(design: Design, trajectory: Trajectory) -> Float[np.ndarray, "steps runs 3"]:
+    """Return w(k) = e(k+1) - A(th_k) e(k) - B u(k) of the measured errors."""
+    transitions, inputs = design.problem.model.matrices(design.problem.schedule[: design.problem.reference.steps])
+    predicted = np.einsum("kij,kbj->kbi", transitions, trajectory.measured[:-1])
+    return trajectory.measured[1:] - predicted - np.einsum("kij,kbj->kbi", inputs, trajectory.inputs)
+
+
+_planned = jax.jit(mpc.plan)
+
+
+def plan_deviations(design: Design, controller: TubeMpc, plant, trajectory: Trajectory, seed: int, every: int = 10):
+    """Return e - e_nominal (N, samples, 3) of plans made along the laps and followed to their end.
+
+    For the tube `sequence`, whose sections change with the window, only at steps that have the widest one ahead.
+    """
+    horizon, steps = design.problem.horizon, design.problem.reference.steps
+    count = min(trajectory.errors.shape[1], BLOCK)
+    keys = realisation_keys(seed, 0, count)
+    found = []
+    chosen = range(0, max(steps - horizon, 1), every)
+    if design.problem.scenario.controller.tube == "sequence":
+        widest = np.flatnonzero(design.windows.index == widest_window(design.problem, design.windows))
+        chosen = widest[widest < max(steps - horizon, 1)][:: max(len(widest) // len(chosen), 1)]
+    for step in chosen:
+        errors = jnp.asarray(trajectory.errors[step, :count])
+        state = begin(controller, plant, keys, errors)
+        plans = _planned(mpc.take_window(controller.windows, controller.index[step]), state.measured)
+        deviations = follow_plan(controller, plant, keys, state, jnp.asarray(int(step)), plans)
+        found.append(np.asarray(deviations)[:, np.asarray(plans.status == qp.SOLVED)])
+    return np.concatenate(found, axis=1)

@@ -1,0 +1,89 @@
+"""One lap of a run again, from its number alone, with what it used of E and W.
+
+    w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k)  of the measured errors;    usage: 1 on a facet, more outside
+
+Every draw is a function of seed, lap and step, so that the lap is the one of the run, whatever ran beside it there.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Bool, Float, Key
+
+from jaxtube.control.laws import TubeMpc
+from jaxtube.plant import slip
+from jaxtube.plant.error_dynamics import world_pose
+from jaxtube.plant.robot import wheel_positions
+from jaxtube.simulation import closed_loop
+from jaxtube.simulation.rollout import SlippingRobot, Trajectory, realisation_keys, rollout
+from jaxtube.statistics.checks import Facets, judge
+from jaxtube.statistics.run import Task
+from jaxtube.synthesis.design import Design
+
+
+class Usage(NamedTuple):
+    """What a lap used of a set, after each period."""
+
+    outside: Bool[np.ndarray, " steps"]
+    by_coordinate: Bool[np.ndarray, "steps 3"]  # outside the box around the set
+    share: Float[np.ndarray, " steps"]  # 1 on a facet, more outside
+
+
+class Lap(NamedTuple):
+    """One lap; time comes first, and there is no axis of realisations."""
+
+    number: int
+    plans: bool  # the controller solves QPs
+    trajectory: Trajectory
+    disturbance: Float[np.ndarray, "steps 3"]  # w, (m, m, rad)
+    slips: Float[np.ndarray, "steps 2 2"] | None  # deviations of (true, measured) slip, (right, left), in [-1, 1]
+    of_error_set: Usage
+    of_disturbance_set: Usage
+
+
+def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
+    """Simulate lap `number`, from 0 to 2^64 - 1, of the run of a task and seed."""
+    keys = realisation_keys(seed, number, 1)
+    batch = jax.tree.map(np.asarray, rollout(task.controller, task.plant, keys, task.starts.draw(keys)))
+    trajectory = jax.tree.map(lambda array: array[:, 0], batch)
+    disturbance = closed_loop.model_residuals(design, batch)[:, 0]
+    slips = None
+    if isinstance(task.plant, SlippingRobot):
+        slips = np.asarray(slip_deviations(task.plant, keys[0], jnp.asarray(trajectory.errors)))
+    return Lap(
+        number,
+        isinstance(task.controller, TubeMpc),
+        trajectory,
+        disturbance,
+        slips,
+        _usage(task.checks.error, trajectory.errors[1:]),
+        _usage(task.checks.disturbance, disturbance),
+    )
+
+
+def _usage(facets: Facets, points: Float[np.ndarray, "steps 3"]) -> Usage:
+    outside, boxes, _, share = jax.tree.map(np.asarray, judge(facets, jnp.asarray(points.T)))
+    return Usage(outside, boxes.T, share)
+
+
+@jax.jit
+def slip_deviations(
+    plant: SlippingRobot, key: Key[Array, ""], errors: Float[Array, "steps+1 3"]
+) -> Float[Array, "steps 2 2"]:
+    """Return the deviations of the true and of the measured slip, (right, left), along the true errors of a lap."""
+    process = slip.PROCESSES[plant.process]()
+
+    def period(memory, now):
+        step, error = now
+        places = wheel_positions(world_pose(error, plant.reference_poses[step]), plant.robot.track_width)
+        situation = slip.Situation(places, error)
+        true, measured, memory = slip.draw_slip(key, step, memory, situation, process, plant.random)
+        return memory, jnp.stack([true, measured])
+
+    start = slip.initial_slip(key, process, errors.dtype)
+    return jax.lax.scan(period, start, (jnp.arange(len(errors) - 1), errors[:-1]))[1]

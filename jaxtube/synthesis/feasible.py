@@ -1,0 +1,112 @@
+"""Where the MPC has a plan: the feasible set of initial errors, probed by linear programs.
+
+F = {e : some g meets  lower <= row_errors e + rows g <= upper}  is convex; rays from the origin reach its boundary,
+and the hull of the points reached lies inside it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from jaxtyping import Float
+from scipy.optimize import linprog
+
+from jaxtube.control.mpc import Window
+from jaxtube.scenario import ScenarioError
+from jaxtube.synthesis.problem import Problem
+from sets.polytope import Polytope
+
+EXACTLY = {"primal_feasibility_tolerance": 1e-9}
+EDGE = 1e-6
+"""Share by which starts keep off the edge of the feasible set, which linear programs find to about 1e-9."""
+
+
+def _constraints(window: Window, index: int):
+    """Return (errors, rows, bounds) of the one-sided rows  errors e + rows g <= bounds  of one window."""
+    errors = np.concatenate([window.row_errors[index], window.check_errors[index]])
+    rows = window.factors.rows[index] * window.factors.row_norms[index][:, None]
+    rows = np.concatenate([rows, np.zeros((len(errors) - len(rows), rows.shape[1]))])
+    lower = np.concatenate([window.lower[index], window.check_lower[index]])
+    upper = np.concatenate([window.upper[index], window.check_upper[index]])
+    above, below = np.isfinite(upper), np.isfinite(lower)
+    return (
+        np.concatenate([errors[above], -errors[below]]),
+        np.concatenate([rows[above], -rows[below]]),
+        np.concatenate([upper[above], -lower[below]]),
+    )
+
+
+def reach_of_ray(window: Window, index: int, direction: Float[np.ndarray, "3"]) -> float:
+    """Return the largest t with t * direction in F, 0 where even the origin is outside."""
+    errors, rows, bounds = _constraints(window, index)
+    answer = linprog(
+        np.append(np.zeros(rows.shape[1]), -1.0),
+        A_ub=np.column_stack([rows, errors @ direction]),
+        b_ub=bounds,
+        bounds=[(None, None)] * rows.shape[1] + [(0, None)],
+        options=EXACTLY,
+    )
+    return float(answer.x[-1]) if answer.status == 0 else 0.0
+
+
+def shortfall(window: Window, index: int, error: Float[np.ndarray, "3"]) -> float:
+    """Return by how much the rows must give way before `error` has a plan; <= 0 where it has one."""
+    errors, rows, bounds = _constraints(window, index)
+    answer = linprog(
+        np.append(np.zeros(rows.shape[1]), 1.0),
+        A_ub=np.column_stack([rows, -np.ones(len(rows))]),
+        b_ub=bounds - errors @ error,
+        bounds=[(None, None)] * rows.shape[1] + [(-1.0, None)],
+        options=EXACTLY,
+    )
+    return float(answer.x[-1]) if answer.status == 0 else np.inf
+
+
+def boundary(
+    window: Window, index: int, error_set: Polytope, count: int, seed: int = 0
+) -> Float[np.ndarray, "count 3"]:
+    """Return points on the boundary of F along `count` random directions, E being scaled to a cube for the draw.
+
+    Their convex hull lies in F.
+    """
+    directions = np.random.default_rng(seed).normal(size=(count, 3)) * error_set.support(np.eye(3))
+    inside = np.max(directions @ error_set.normals.T / error_set.offsets, axis=1)
+    reach = [min(reach_of_ray(window, index, d), 1 / most) for d, most in zip(directions, inside, strict=True)]
+    return np.array(reach)[:, None] * directions
+
+
+def true_starts(window: Window, index: int, problem: Problem, count: int, seed: int = 0) -> Float[np.ndarray, "k 3"]:
+    """Return corners of a polytope of true errors from which there is a plan, whatever the noise of the pose.
+
+    The hull of `boundary`, which measured errors may fill, less the noise.
+
+    Raises:
+        ScenarioError: where no error has a plan.
+    """
+    if reach_of_ray(window, index, np.array([0.0, 0.0, 1.0])) <= 0:
+        raise ScenarioError(
+            "scenario: no start has a plan: not even the origin; see the failing conditions of `design`"
+        )
+    points = (1 - EDGE) * boundary(window, index, problem.operating_set, count, seed)
+    noise = problem.error_set.support(np.eye(3)) - problem.operating_set.support(np.eye(3))
+    if not noise.any():
+        return points
+    return Polytope.from_vertices(points).pontryagin_difference(Polytope.box(-noise, noise)).vertices()
+
+
+def spread_starts(
+    points: Float[np.ndarray, "k 3"], count: int, seed: int, edge_share: float = 0.5
+) -> Float[np.ndarray, "count 3"]:
+    """Draw starts in the hull of boundary points that contains the origin: a share close to the edge, the rest inside.
+
+    Each is a random mixture of three neighbouring boundary points, scaled towards the origin; start i is a function of
+    (seed, i) alone.
+    """
+    starts = np.empty((count, 3))
+    for i in range(count):
+        generator = np.random.default_rng([seed, i])
+        first = generator.integers(len(points))
+        near = np.argsort(np.linalg.norm(points - points[first], axis=1))[:3]
+        mixture = generator.dirichlet(np.ones(3)) @ points[near]
+        edge = generator.random() < edge_share
+        starts[i] = mixture * (0.999 if edge else generator.random() ** (1 / 3))
+    return starts

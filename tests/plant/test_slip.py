@@ -1,0 +1,200 @@
+"""Laws of the random slips: drawn by index, uniform, bounded, each process true to its name."""
+
+from functools import cache, partial
+from typing import get_args, get_type_hints
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy.stats import chisquare, kstest
+from tolerances import CORRELATION, LEAST_P_VALUE, ROUNDING
+
+from jaxtube.plant import slip
+from jaxtube.scenario.tree import Slip
+
+SEED = jax.random.key(20)
+HERE = slip.Situation(jnp.zeros((2, 2)), jnp.array([0.1, -0.2, 0.3]))
+PROCESSES = {name: make() for name, make in slip.PROCESSES.items()}
+UNIFORM = ("iid", "constant", "walk", "patches")
+DRAWN = (*UNIFORM, "vertex")  # and the adversary chooses
+
+
+@partial(jax.jit, static_argnames=("process", "random", "steps"))
+def one_run(process, random, steps, index_low, situation=HERE, index_high=0):
+    """Deviations (steps, 2) of the true and the measured slip of one realisation."""
+    key = slip.realisation_key(SEED, index_high, index_low)
+
+    def body(state, step):
+        true, measured, state = slip.draw_slip(key, step, state, situation, process, random)
+        return state, (true, measured)
+
+    return jax.lax.scan(body, slip.initial_slip(key, process, situation.errors.dtype), jnp.arange(steps))[1]
+
+
+def many_runs(process, random, steps, count):
+    """Deviations (runs, steps, 2) of the true and the measured slip."""
+    return jax.jit(jax.vmap(lambda i: one_run(process, random, steps, i)))(jnp.arange(count, dtype=jnp.uint32))
+
+
+def is_uniform(samples, low=-1.0, high=1.0):
+    """Whether the Kolmogorov-Smirnov test lets independent samples pass as uniform."""
+    return kstest(np.ravel(samples), "uniform", (low, high - low)).pvalue > LEAST_P_VALUE
+
+
+@cache
+def runs(name):
+    """3000 runs of 41 steps of a process."""
+    return np.asarray(many_runs(PROCESSES[name], "both", 41, 3000))
+
+
+@pytest.mark.parametrize("name", UNIFORM)
+def test_deviations_are_uniform_and_bounded_at_the_first_and_at_late_steps(name):
+    deviations = runs(name)
+    assert np.all(np.abs(deviations) <= 1.0)
+    for step in (0, 40):
+        # One wheel a run, for on one patch both wheels share their slip.
+        assert is_uniform(deviations[:, :, step, 0]) and is_uniform(deviations[:, :, step, 1])
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_true_and_measured_slips_are_independent(name):
+    true, measured = runs(name)
+    assert abs(np.corrcoef(true[:, 7, 0], measured[:, 7, 0])[0, 1]) < CORRELATION
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_wheels_and_runs_are_independent(name):
+    true, _ = runs(name)
+    assert abs(np.corrcoef(true[1:, 7, 0], true[:-1, 7, 0])[0, 1]) < CORRELATION
+    if name != "patches":
+        assert abs(np.corrcoef(true[:, 7, 0], true[:, 7, 1])[0, 1]) < CORRELATION
+
+
+@pytest.mark.parametrize("name", PROCESSES)
+def test_draws_do_not_depend_on_the_batch(name):
+    alone, among = np.asarray(one_run(PROCESSES[name], "both", 41, 2345)), runs(name)[:, 2345]
+    # A walk adds numbers up, and compilers may fuse that; all else is the same bits.
+    np.testing.assert_allclose(alone, among, rtol=0.0, atol=ROUNDING if name == "walk" else 0.0)
+
+
+@pytest.mark.parametrize("name", ["vertex", "adversarial"])
+def test_extreme_deviations_are_extreme(name):
+    np.testing.assert_array_equal(np.abs(runs(name)), 1.0)
+
+
+def test_each_vertex_comes_up_a_quarter_of_the_time():
+    true, measured = runs("vertex")
+    for deviations in (true, measured):
+        _, counts = np.unique(deviations.reshape(-1, 2), axis=0, return_counts=True)
+        assert len(counts) == 4 and chisquare(counts).pvalue > LEAST_P_VALUE
+
+
+@pytest.mark.parametrize("process", PROCESSES.values(), ids=PROCESSES)
+def test_only_the_slip_that_is_random_deviates(process):
+    both = np.asarray(one_run(process, "both", 5, 3))
+    for random, (true, measured) in {"true": (1, 0), "measured": (0, 1), "both": (1, 1)}.items():
+        np.testing.assert_array_equal(one_run(process, random, 5, 3), [both[0] * true, both[1] * measured])
+
+
+@pytest.mark.parametrize("process", PROCESSES.values(), ids=PROCESSES)
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_dtype_is_that_of_the_situation(process, dtype):
+    here = jax.tree.map(lambda array: array.astype(dtype), HERE)
+    assert all(array.dtype == dtype for array in one_run(process, "both", 3, 3, here))
+
+
+def test_scenarios_can_name_every_process_and_no_other():
+    fields = get_type_hints(Slip)
+    assert set(get_args(fields["process"])) == set(PROCESSES)
+    assert set(get_args(fields["random"])) == set(slip.RANDOM_SLIPS)
+
+
+def test_realisations_around_2_to_the_31_and_2_to_the_32_are_distinct():
+    indices = [0, 1, 2**31 - 1, 2**31, 2**31 + 1, 2**32 - 1, 2**32, 2**32 + 1, 2**33, 2**63]
+    words = [divmod(index, 2**32) for index in indices]
+    first = [
+        tuple(np.ravel(one_run(PROCESSES["iid"], "both", 1, jnp.uint32(low), index_high=jnp.uint32(high))))
+        for high, low in words
+    ]
+    assert len(set(first)) == len(indices)
+
+
+@pytest.mark.parametrize("name", ["iid", "vertex"])
+def test_fresh_draws_forget_the_step_before(name):
+    true, _ = runs(name)
+    assert abs(np.corrcoef(true[:, 0, 0], true[:, 1, 0])[0, 1]) < CORRELATION
+
+
+def test_constant_is_constant_in_a_run():
+    true, measured = np.asarray(many_runs(PROCESSES["constant"], "both", 20, 10))
+    for deviations in (true, measured):
+        np.testing.assert_array_equal(deviations, np.broadcast_to(deviations[:, :1], deviations.shape))
+
+
+@pytest.mark.parametrize("step_size", [0.1, 1.5])
+def test_walk_takes_uniform_steps_and_is_reflected(step_size):
+    true, _ = np.asarray(many_runs(slip.walk(step_size), "true", 30, 2000))
+    moves = true[:, 1:] - true[:, :-1]
+    assert np.all(np.abs(true) <= 1.0) and np.all(np.abs(moves) <= step_size + ROUNDING)
+    assert is_uniform(true[:, -1])
+    if step_size < 1.0:
+        far_from_walls = np.abs(true[:, 7]) < 1.0 - step_size
+        assert is_uniform(moves[:, 7][far_from_walls], -step_size, step_size)
+        # Reflection, not clipping: nobody sticks to a wall.
+        assert not np.any(np.abs(true) == 1.0)
+
+
+def test_patches_meet_the_same_slip_on_the_same_ground_at_any_time():
+    process, size = slip.patches(0.5), 0.5
+    key = slip.realisation_key(SEED, 0, 5)
+
+    def at(x, y, step=0, run_key=key):
+        positions = jnp.array([[x, y], [x + 7.0, y]])
+        situation = HERE._replace(wheel_positions=positions)
+        return np.asarray(slip.draw_slip(run_key, step, ((), ()), situation, process, "true")[0])
+
+    corners = (np.stack(np.meshgrid(np.arange(-6, 6), np.arange(-6, 6)), -1).reshape(-1, 2)) * size
+    right, left = np.array([at(*corner) for corner in corners + 0.01]).T
+    assert len(set(right)) == len(corners)  # every patch its own slip, those of negative index too
+    later = np.array([at(*corner, step=99) for corner in corners + 0.49])
+    np.testing.assert_array_equal(later, np.stack([right, left], -1))
+    # The left wheel, 7 m to the side, finds what the right wheel finds there: the ground is one.
+    assert at(0.1 + 7.0, 0.1)[0] == at(0.1, 0.1)[1]
+    assert at(0.1, 0.1, run_key=slip.realisation_key(SEED, 0, 6))[0] != at(0.1, 0.1)[0]
+
+
+def test_pose_noise_is_uniform_in_its_box_and_new_at_each_step():
+    half_widths = jnp.array([0.001, 0.002, 0.0])
+    draw = jax.vmap(lambda i, step: slip.pose_noise(slip.realisation_key(SEED, 0, i), step, half_widths), (0, None))
+    now, next_ = (np.asarray(draw(jnp.arange(3000), step)) for step in (0, 1))
+    assert is_uniform(now[:, 0], -0.001, 0.001) and is_uniform(now[:, 1], -0.002, 0.002) and np.all(now[:, 2] == 0.0)
+    assert abs(np.corrcoef(now[:, 0], next_[:, 0])[0, 1]) < CORRELATION
+    assert abs(np.corrcoef(now[:, 0], now[:, 1])[0, 1]) < CORRELATION
+
+
+def test_noise_and_slips_use_different_streams():
+    key = slip.realisation_key(SEED, 0, 9)
+    noise = np.asarray(slip.pose_noise(key, 0, jnp.ones(3)))
+    drawn = np.ravel(one_run(PROCESSES["iid"], "both", 1, 9))
+    assert len({*noise, *drawn}) == 7
+
+
+def test_deviated_slip_spans_the_relative_error():
+    slips = slip.deviated(jnp.array([0.2, 0.1]), 0.1, jnp.array([[1.0, -1.0], [0.0, 0.5]]))
+    np.testing.assert_allclose(slips, [[0.22, 0.09], [0.2, 0.105]], atol=ROUNDING)
+
+
+@pytest.mark.parametrize(
+    "refused, message",
+    [
+        (lambda: slip.walk(0.0), r"slip: step_size = 0.0 .*\(0, 2\]"),
+        (lambda: slip.walk(float("nan")), "slip: step_size = nan"),
+        (lambda: slip.patches(-1.0), "slip: patch_size = -1.0 .*positive"),
+        (lambda: one_run(PROCESSES["iid"], "neither", 1, 0), "slip: random = 'neither' .*true, measured, both"),
+    ],
+)
+def test_bad_settings_are_refused_in_one_line(refused, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        refused()
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,302 @@
+"""Laws of a design's certificate: sound designs pass, and one thing broken fails exactly the conditions it breaks."""
+
+import dataclasses
+import importlib
+
+import numpy as np
+import pytest
+from oracles import SEQUENCE
+from tolerances import CERTIFICATE_MARGIN
+
+from jaxtube.scenario import load
+from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.tightening import BACK_OFF, LocalGain, vertex_loops
+from sets.certificate import Certificate
+from sets.tubes import hull_tube
+
+REQUIRED = [
+    "error_sets_not_empty",
+    "input_sets_not_empty",
+    "terminal_constraint_not_empty",
+    "tightening_covers_reach",
+    "shifted_plan_inclusion",
+    "terminal_set_invariant",
+    "terminal_set_admissible",
+    "plan_stays_feasible",
+    "terminal_cost_decrease",
+    "vertices_cover_schedule",
+    "true_error_in_e",
+    "solver_residual",
+]
+RESIDUAL = 1e-8
+
+
+@pytest.fixture
+def recertify(monkeypatch):
+    """Certify a design again with parts replaced, without the conditions that are for information."""
+    module = importlib.import_module("jaxtube.synthesis.certificate.certify")
+    monkeypatch.setattr(module, "say_what_exists", lambda *sets: None)
+
+    def again(design: Design, residual: float = RESIDUAL, **replaced) -> Certificate:
+        names = ("problem", "tube_gain", "cost", "windows", "terminal", "bounds")
+        return module.certify(*({name: getattr(design, name) for name in names} | replaced).values(), residual)
+
+    return again
+
+
+@pytest.fixture(scope="module")
+def following(uncertified) -> Design:
+    """A design of kind T-A: one gain, and the tube of the known reference."""
+    return uncertified("paper", *SEQUENCE)
+
+
+def but_in_any_order(certificate) -> list[str]:
+    """Names of what fails, the condition that repeats others along wheel speeds in random order left out."""
+    return [name for name in certificate.failing if name != "any_order_of_wheel_speeds"]
+
+
+def changed(array: np.ndarray, where, by: float) -> np.ndarray:
+    copy = np.array(array)
+    copy[where] += by
+    return copy
+
+
+def turned(gain: LocalGain, by: float) -> LocalGain:
+    return dataclasses.replace(gain, vertices=changed(gain.vertices, (0, 1, 1), by))
+
+
+# ------------------------------------------------------------------------------------------------------- sound designs
+
+
+def test_a_design_with_the_tube_of_sums_and_its_own_terminal_gains_is_certified(robust_design):
+    certificate = robust_design.certificate
+    assert certificate.failing == []
+    assert certificate.holds
+    assert [name for name, condition in certificate.conditions.items() if condition.required] == REQUIRED
+
+
+def test_a_design_along_the_known_reference_is_certified(following, recertify):
+    certificate = recertify(following)
+    assert certificate.failing == []
+    assert [name for name in certificate.conditions if name != "any_order_of_wheel_speeds"] == REQUIRED
+
+
+def test_every_margin_of_a_certified_design_is_finite(robust_design, following, recertify):
+    for certificate in (robust_design.certificate, recertify(following)):
+        margins = [condition.margin for condition in certificate.conditions.values()]
+        assert np.isfinite(margins).all()
+
+
+def test_the_papers_own_design_may_lose_its_plan(paper_design):
+    assert paper_design.certificate.failing == ["plan_stays_feasible"]
+    assert paper_design.certificate.conditions["plan_stays_feasible"].margin < -0.01
+
+
+def test_the_papers_certificate_says_for_which_gains_a_terminal_set_exists(paper_design):
+    conditions = paper_design.certificate.conditions
+    exists = {name: condition.holds for name, condition in conditions.items() if not condition.required}
+    assert exists == {
+        "invariant_set_for_tube_gain": False,
+        "terminal_set_for_trace_s": True,
+        "terminal_set_for_trace_p": False,
+        "terminal_set_for_logdet": False,
+    }
+
+
+def test_zero_order_hold_is_not_covered_by_its_vertices(uncertified, recertify):
+    design = uncertified("paper", "controller.discretisation=zoh", "controller.tube=hull")
+    certificate = recertify(design)
+    assert "vertices_cover_schedule" in certificate.failing
+    assert "zero-order hold" in certificate.conditions["vertices_cover_schedule"].sentence
+
+
+# ---------------------------------------------------------------------------------- one thing broken in a sound design
+
+
+@pytest.mark.parametrize("kind", ["errors", "inputs"])
+@pytest.mark.parametrize(("window", "stage"), [(0, 2), (-1, -1)])
+@pytest.mark.parametrize("sound", ["robust_design", "following"])
+def test_a_set_wider_by_a_millimetre_misses_reach_and_inclusion(sound, kind, window, stage, recertify, request):
+    design = request.getfixturevalue(sound)
+    wider = changed(getattr(design.bounds, kind), (window, stage, 1), 1e-3)
+    certificate = recertify(design, bounds=dataclasses.replace(design.bounds, **{kind: wider}))
+    assert certificate.failing == ["tightening_covers_reach", "shifted_plan_inclusion"]
+    assert certificate.conditions["tightening_covers_reach"].margin == pytest.approx(-1e-3, rel=1e-3)
+    assert not certificate.holds
+
+
+@pytest.mark.parametrize("kind", ["errors", "inputs"])
+@pytest.mark.parametrize("window", [0, -1])
+@pytest.mark.parametrize("sound", ["robust_design", "following"])
+def test_a_stage_narrower_by_a_millimetre_breaks_the_inclusion_alone(sound, kind, window, recertify, request):
+    design = request.getfixturevalue(sound)
+    narrower = changed(getattr(design.bounds, kind), (window, 2, 0), -1e-3)
+    certificate = recertify(design, bounds=dataclasses.replace(design.bounds, **{kind: narrower}))
+    assert certificate.failing == ["shifted_plan_inclusion"]
+    assert certificate.conditions["shifted_plan_inclusion"].margin == pytest.approx(-1e-3, rel=1e-3)
+
+
+@pytest.mark.parametrize("window", [0, -1])
+@pytest.mark.parametrize("sound", ["robust_design", "following"])
+def test_a_terminal_facet_pushed_out_loses_the_plan(sound, window, recertify, request):
+    design = request.getfixturevalue(sound)
+    pushed = np.array(design.bounds.terminal)
+    pushed[window] *= 1.02
+    certificate = recertify(design, bounds=dataclasses.replace(design.bounds, terminal=pushed))
+    assert certificate.failing == ["plan_stays_feasible"]
+
+
+def test_the_last_error_and_input_set_must_receive_the_plan(robust_design, recertify):
+    bounds = robust_design.bounds
+    for kind, name in (("errors", "E"), ("inputs", "U")):
+        narrower = np.array(getattr(bounds, kind))
+        narrower[:, -1] *= 0.5
+        certificate = recertify(robust_design, bounds=dataclasses.replace(bounds, **{kind: narrower}))
+        assert certificate.failing == ["plan_stays_feasible"]
+        assert f"leave {name}_{{N-1}} by" in certificate.conditions["plan_stays_feasible"].sentence
+
+
+@pytest.mark.parametrize("window", [0, -1])
+def test_the_terminal_set_of_every_window_must_receive_the_plan(robust_design, window, recertify):
+    smaller = np.array(robust_design.bounds.terminal)
+    smaller[window] *= 0.7
+    certificate = recertify(robust_design, bounds=dataclasses.replace(robust_design.bounds, terminal=smaller))
+    assert certificate.failing == ["plan_stays_feasible"]
+
+
+def test_the_plan_must_end_in_the_terminal_set_of_the_next_step(following, recertify):
+    windows = following.windows
+    step = int(np.flatnonzero(np.diff(windows.index))[0])
+    both = windows.index[step : step + 2]
+    for window, failing in ((both[0], []), (both[1], ["plan_stays_feasible"])):
+        smaller = np.array(following.bounds.terminal)
+        smaller[window] *= 0.7
+        certificate = recertify(
+            following,
+            bounds=dataclasses.replace(following.bounds, terminal=smaller),
+            windows=dataclasses.replace(windows, index=both),
+        )
+        assert certificate.failing == failing
+
+
+@pytest.mark.parametrize("sound", ["robust_design", "following"])
+def test_a_larger_invariant_set_leaves_the_constraints(sound, recertify, request):
+    design = request.getfixturevalue(sound)
+    larger = dataclasses.replace(design.terminal, invariant=design.terminal.invariant.scale(1.02))
+    assert but_in_any_order(recertify(design, terminal=larger)) == ["terminal_set_admissible"]
+
+
+def test_a_smaller_set_is_not_invariant(robust_design, recertify):
+    smaller = dataclasses.replace(robust_design.terminal, invariant=robust_design.terminal.invariant.scale(0.4))
+    assert recertify(robust_design, terminal=smaller).failing == ["terminal_set_invariant"]
+
+
+@pytest.mark.parametrize("sound", ["robust_design", "following"])
+def test_a_lower_terminal_cost_does_not_decrease(sound, recertify, request):
+    design = request.getfixturevalue(sound)
+    cost = dataclasses.replace(design.cost, cost=0.99 * design.cost.cost)
+    certificate = recertify(design, cost=cost)
+    assert certificate.failing == ["terminal_cost_decrease"]
+    assert certificate.conditions["terminal_cost_decrease"].margin < -1e-3
+
+
+def test_a_changed_tube_gain_is_not_the_one_of_the_tightening_and_of_the_run(robust_design, recertify):
+    certificate = recertify(robust_design, tube_gain=turned(robust_design.tube_gain, 0.05))
+    assert "vertices_cover_schedule" in certificate.failing
+    assert "tightening_covers_reach" in certificate.failing
+
+
+@pytest.mark.parametrize("sound", ["robust_design", "following"])
+def test_a_changed_terminal_gain_fails_what_rests_on_it(sound, recertify, request):
+    design = request.getfixturevalue(sound)
+    terminal = dataclasses.replace(design.terminal, gains=turned(design.terminal.gains, 0.5))
+    failing = but_in_any_order(recertify(design, terminal=terminal))
+    assert failing == ["terminal_set_invariant", "plan_stays_feasible", "terminal_cost_decrease"]
+
+
+def test_sets_made_for_the_known_reference_do_not_serve_every_schedule(following, recertify):
+    scenario = load("paper", [*SEQUENCE[:1], "controller.tube=summed", *SEQUENCE[2:]])
+    problem = dataclasses.replace(following.problem, scenario=scenario)
+    assert "plan_stays_feasible" in recertify(following, problem=problem).failing
+
+
+@pytest.mark.parametrize("sound", ["robust_design", "following"])
+def test_a_wider_disturbance_is_more_than_the_sets_were_made_for(sound, recertify, request):
+    design = request.getfixturevalue(sound)
+    problem = dataclasses.replace(design.problem, disturbance_set=design.problem.disturbance_set.scale(1.05))
+    failing = but_in_any_order(recertify(design, problem=problem))
+    assert failing == ["tightening_covers_reach", "shifted_plan_inclusion", "plan_stays_feasible"]
+
+
+def test_the_set_must_be_invariant_for_the_disturbance_of_the_plan(robust_design, recertify):
+    wider = dataclasses.replace(
+        robust_design.terminal, disturbance=robust_design.terminal.disturbance.image(1.05 * np.eye(3))
+    )
+    assert recertify(robust_design, terminal=wider).failing == ["terminal_set_invariant"]
+
+
+@pytest.mark.parametrize("part", ["loops", "gains"])
+def test_loops_and_gains_of_the_run_must_be_those_of_the_vertices(part, robust_design, recertify):
+    windows = robust_design.windows
+    other = changed(getattr(windows, part), (-1, 0, 0, 1), 1e-3)
+    certificate = recertify(robust_design, windows=dataclasses.replace(windows, **{part: other}))
+    assert certificate.failing == ["vertices_cover_schedule"]
+
+
+def test_a_schedule_outside_the_box_is_not_covered(robust_design, recertify):
+    lower, upper = robust_design.problem.model.box
+    model = dataclasses.replace(robust_design.problem.model, box=(lower, upper - 0.1))
+    problem = dataclasses.replace(robust_design.problem, model=model)
+    assert "vertices_cover_schedule" in recertify(robust_design, problem=problem).failing
+
+
+def test_a_solver_that_misses_constraints_by_more_than_the_back_off_fails(robust_design, recertify):
+    failing = recertify(robust_design, residual=2e-7).failing
+    assert failing == ["shifted_plan_inclusion", "solver_residual"]
+
+
+def test_an_empty_tightened_set_fails(robust_design, recertify):
+    bounds = robust_design.bounds
+    for kind, name in (("errors", "error_sets_not_empty"), ("inputs", "input_sets_not_empty")):
+        emptied = np.array(getattr(bounds, kind))
+        emptied[:, -1] = -0.1
+        certificate = recertify(robust_design, bounds=dataclasses.replace(bounds, **{kind: emptied}))
+        assert certificate.failing == [name, "plan_stays_feasible"]
+    emptied = dataclasses.replace(bounds, terminal=np.full_like(bounds.terminal, -0.1))
+    assert "terminal_constraint_not_empty" in recertify(robust_design, bounds=emptied).failing
+
+
+# ---------------------------------------------------------------------------------------------- no terminal set at all
+
+
+def test_an_empty_terminal_set_is_reported_with_the_run_that_shows_it(uncertified, recertify):
+    design = uncertified("paper", "controller.lmi_objective=trace_p")
+    assert design.terminal.invariant is None
+    condition = recertify(design).conditions["terminal_set_invariant"]
+    assert not condition.holds
+    assert -1e-2 < condition.margin < 0
+    assert f"in {len(design.terminal.maximal.escape.loops) + 1} steps" in condition.sentence
+
+
+def test_a_run_that_does_not_leave_proves_nothing(uncertified, recertify):
+    design = uncertified("paper", "controller.lmi_objective=trace_p")
+    shown = design.terminal.maximal.escape
+    for escape in (None, dataclasses.replace(shown, loops=shown.loops[1:])):
+        maximal = dataclasses.replace(design.terminal.maximal, escape=escape)
+        condition = recertify(design, terminal=dataclasses.replace(design.terminal, maximal=maximal)).conditions[
+            "terminal_set_invariant"
+        ]
+        assert condition.margin == -np.inf
+        assert not condition.holds
+        assert condition.sentence.startswith("No invariant terminal set was found.")
+
+
+def test_a_nominal_error_that_is_never_reset_needs_more_room(robust_design, recertify, monkeypatch):
+    monkeypatch.setattr(importlib.import_module("jaxtube.synthesis.certificate.certify"), "NEVER_RESET_STEPS", 6)
+    problem = dataclasses.replace(robust_design.problem, scenario=load("robust", ["controller.restart=false"]))
+    certificate = recertify(robust_design, problem=problem)
+    assert certificate.failing == ["nominal_error_never_reset"]
+    axes, loops = problem.error_set.normals, vertex_loops(problem, robust_design.tube_gain)
+    reach = hull_tube(loops, problem.disturbance_set, 6)
+    missing = np.max(reach[6].support(axes) - reach[1].support(axes)) - 2 * BACK_OFF
+    assert certificate.conditions["nominal_error_never_reset"].margin == pytest.approx(-missing, abs=CERTIFICATE_MARGIN)
