@@ -1,16 +1,19 @@
-"""Certificate: every condition a tube-MPC guarantee needs, re-checked by code that shares none with the construction.
+"""Certificate: every condition a tube-MPC guarantee needs, re-checked by code that shares none with
+the construction.
 
-The construction works with support numbers of hulls and dual points; here reach is summed along explicit products of
-loops, inclusions are linear programs over the polytopes actually used on line, and decrease is an eigenvalue. With
-r_j(c) = (offset of the untightened set) - (offset used at stage j), all read off the sets the controller really uses:
+The construction works with support numbers of hulls and dual points; here reach is summed along
+explicit products of loops, inclusions are linear programs over the polytopes actually used on line,
+and decrease is an eigenvalue. With r_j(c) = (offset of the untightened set) - (offset used at stage
+j), all read off the sets the controller really uses:
 
     reach      r_j(c) >= max over products of  sum_{m<j} h_W(Psi_m^T c)
     inclusion  r_{j+1}(c) >= r_j(c) + max over products of  h_W(Psi_j^T c)        (the shifted plan stays admissible)
     terminal   e_N in T, Psi the last N - 1 loops, w in W:  e_N + Psi w in E_{N-1},  Gamma (e_N + Psi w) in U_{N-1},
                (A_i + B_i Gamma_i)(e_N + Psi w) in the next T;   or, one gain throughout:  T + R_N in the invariant set
 
-Every condition keeps its margin (>= 0 where it holds; negative: by how much it fails) and a plain sentence.
-Sources: Chisci, Rossiter, Zappa 2001 (restarted tubes); Gonzalez, Fiacchini, Guzman, Alamo 2009, section III.
+Every condition keeps its margin (>= 0 where it holds; negative: by how much it fails) and a plain
+sentence. Sources: Chisci, Rossiter, Zappa 2001 (restarted tubes); Gonzalez, Fiacchini, Guzman,
+Alamo 2009, section III.
 """
 
 from __future__ import annotations
@@ -25,12 +28,14 @@ from scipy.spatial import ConvexHull
 from sets.polytope import Polytope
 
 ROUNDING = 1e-12
-"""Float64 slack, relative to the quantity compared, granted where a condition holds with equality by construction."""
+"""Float64 slack, relative to the quantity compared, granted where a condition holds with equality
+by construction."""
 
 
 @dataclass(frozen=True)
 class Condition:
-    """One condition: whether it holds, by what margin, what that means; only `required` ones decide the guarantee."""
+    """One condition: whether it holds, by what margin, what that means; only `required` ones decide
+    the guarantee."""
 
     holds: bool
     margin: float
@@ -40,7 +45,8 @@ class Condition:
 
 @dataclass
 class Certificate:
-    """The conditions of a design by name, in the order in which they were checked, and what they take for granted."""
+    """The conditions of a design by name, in the order in which they were checked, and what they
+    take for granted."""
 
     conditions: dict[str, Condition] = field(default_factory=dict)
     assumptions: tuple[str, ...] = ()
@@ -53,23 +59,35 @@ class Certificate:
     @property
     def failing(self) -> list[str]:
         """Names of the required conditions that fail."""
-        return [name for name, condition in self.conditions.items() if condition.required and not condition.holds]
+        return [
+            name
+            for name, condition in self.conditions.items()
+            if condition.required and not condition.holds
+        ]
 
-    def add(self, name: str, margin: float, if_true: str, if_false: str, required: bool = True) -> None:
+    def add(
+        self, name: str, margin: float, if_true: str, if_false: str, required: bool = True
+    ) -> None:
         """Record a condition that holds exactly when its margin is not negative (NaN never holds)."""
         holds = bool(margin >= 0)
-        self.conditions[name] = Condition(holds, float(margin), if_true if holds else if_false, required)
+        self.conditions[name] = Condition(
+            holds, float(margin), if_true if holds else if_false, required
+        )
 
 
 def nonempty_margin(polytopes: Iterable[Polytope]) -> float:
-    """Return the smallest radius of a ball inside any of the sets; negative or -inf where one is empty."""
+    """Return the smallest radius of a ball inside any of the sets; negative or -inf where one is
+    empty."""
     return min(polytope.chebyshev()[1] for polytope in polytopes)
 
 
 def _transported(
-    loops: Float[np.ndarray, "v n n"], directions: Float[np.ndarray, "k n"], sums: Float[np.ndarray, " k"]
+    loops: Float[np.ndarray, "v n n"],
+    directions: Float[np.ndarray, "k n"],
+    sums: Float[np.ndarray, " k"],
 ):
-    """Return directions and sums one loop earlier; only extreme ones can carry a maximum of a convex function."""
+    """Return directions and sums one loop earlier; only extreme ones can carry a maximum of a
+    convex function."""
     directions = np.concatenate([directions @ loop for loop in loops])
     sums = np.tile(sums, len(loops))
     if len(sums) > 4000:
@@ -81,9 +99,13 @@ def _transported(
 
 
 def reach_supports(
-    loops: Float[np.ndarray, "v n n"], disturbance: Float[np.ndarray, "w n"], direction: Float[np.ndarray, " n"], steps
+    loops: Float[np.ndarray, "v n n"],
+    disturbance: Float[np.ndarray, "w n"],
+    direction: Float[np.ndarray, " n"],
+    steps,
 ) -> tuple[Float[np.ndarray, " steps+1"], Float[np.ndarray, " steps+1"]]:
-    """Return, for j = 0..steps, the reach of j steps along `direction` and the largest h_W(Psi_j^T direction).
+    """Return, for j = 0..steps, the reach of j steps along `direction` and the largest h_W(Psi_j^T
+    direction).
 
     Maxima over every product of j vertex loops; `disturbance` holds the vertices of W.
     """
@@ -97,9 +119,12 @@ def reach_supports(
 
 
 def sequence_reach(
-    loops: Float[np.ndarray, "horizon n n"], disturbance: Float[np.ndarray, "w n"], directions: Float[np.ndarray, "k n"]
+    loops: Float[np.ndarray, "horizon n n"],
+    disturbance: Float[np.ndarray, "w n"],
+    directions: Float[np.ndarray, "k n"],
 ) -> tuple[Float[np.ndarray, "horizon+1 k"], Float[np.ndarray, "horizon k"]]:
-    """Return reach by simulation of worst cases along one schedule: h_{R_j}, and h_W([loops[j] .. loops[1]]^T c).
+    """Return reach by simulation of worst cases along one schedule: h_{R_j}, and h_W([loops[j] ..
+    loops[1]]^T c).
 
     The matrices Psi are formed forwards, one disturbance instant at a time.
     """
@@ -124,9 +149,11 @@ def escape_excess(
     offset: float,
     path: tuple[int, ...],
 ) -> tuple[float, Float[np.ndarray, " n"]]:
-    """Simulate the worst disturbances from the origin along `path`: return (normal x - offset, x) at its end.
+    """Simulate the worst disturbances from the origin along `path`: return (normal x - offset, x)
+    at its end.
 
-    A positive excess proves that no invariant set fits: it would contain the origin and with it this x.
+    A positive excess proves that no invariant set fits: it would contain the origin and with it
+    this x.
     """
     transported = [normal]
     for index in reversed(path):
@@ -141,7 +168,8 @@ def escape_excess(
 def invariance_margin(
     loops: Float[np.ndarray, "v n n"], disturbance: Float[np.ndarray, "w n"], polytope: Polytope
 ) -> float:
-    """Return the least of h - h_O(H Phi_i) - h_W(H) over unit facets and vertices; >= 0 exactly when invariant."""
+    """Return the least of h - h_O(H Phi_i) - h_W(H) over unit facets and vertices; >= 0 exactly
+    when invariant."""
     scale = np.linalg.norm(polytope.normals, axis=1)
     normals, offsets = polytope.normals / scale[:, None], polytope.offsets / scale
     steps = np.max(normals @ disturbance.T, axis=1)
@@ -149,10 +177,13 @@ def invariance_margin(
 
 
 def decrease_margin(loops, gains, cost, error_weight, input_weight) -> float:
-    """Return the least eigenvalue of P - Phi_i^T P Phi_i - Q - Gamma_i^T R Gamma_i over the vertices."""
+    """Return the least eigenvalue of P - Phi_i^T P Phi_i - Q - Gamma_i^T R Gamma_i over the
+    vertices."""
     return float(
         min(
-            np.linalg.eigvalsh(cost - loop.T @ cost @ loop - error_weight - gain.T @ input_weight @ gain)[0]
+            np.linalg.eigvalsh(
+                cost - loop.T @ cost @ loop - error_weight - gain.T @ input_weight @ gain
+            )[0]
             for loop, gain in zip(loops, gains, strict=True)
         )
     )
@@ -167,11 +198,13 @@ def terminal_margins(
     last_input_offsets: Float[np.ndarray, " k"],
     last_reach: Float[np.ndarray, "p n"],
 ) -> dict[str, float]:
-    """Return the margins of the three terminal inclusions for the shifted plan (module docstring, `terminal`).
+    """Return the margins of the three terminal inclusions for the shifted plan (module docstring,
+    `terminal`).
 
-    `next_terminal` is the constraint of the next step, the same one unless the tube follows the reference; the hull of
-    the points `last_reach`, flat or not, holds Psi w for every product of N - 1 loops; `last_error_set` is E_{N-1}, and
-    errors in U_{N-1} under each terminal gain are those with rows e <= offsets.
+    `next_terminal` is the constraint of the next step, the same one unless the tube follows the
+    reference; the hull of the points `last_reach`, flat or not, holds Psi w for every product of N
+    - 1 loops; `last_error_set` is E_{N-1}, and errors in U_{N-1} under each terminal gain are those
+    with rows e <= offsets.
     """
 
     def room(rows: Float[np.ndarray, "k n"], offsets: Float[np.ndarray, " k"]) -> float:

@@ -1,10 +1,12 @@
-"""The maximal robust control invariant set: errors that some input, chosen anew each step, keeps within all limits.
+"""The maximal robust control invariant set: errors that some input, chosen anew each step, keeps
+within all limits.
 
     C_0 = E,    C_{k+1} = the intersection over i of  {e in E : some u has  D u + C e <= d,  A_i e + B_i u + W in C_k}
 
-for a controller that knows the pair (A_i, B_i) of the present step and none of the later ones, whose order is
-arbitrary. Every C_k contains the maximal set for the pairs given and, all the more, for any larger family of pairs; the
-sequence has converged where C_{k+1} = C_k. Each predecessor is a polytope in (e, u) projected along u by its vertices.
+for a controller that knows the pair (A_i, B_i) of the present step and none of the later ones,
+whose order is arbitrary. Every C_k contains the maximal set for the pairs given and, all the more,
+for any larger family of pairs; the sequence has converged where C_{k+1} = C_k. Each predecessor is
+a polytope in (e, u) projected along u by its vertices.
 
 Source: Bertsekas and Rhodes 1971; Kerrigan 2000, chapter 2; Blanchini 1999.
 """
@@ -20,13 +22,15 @@ from jaxtyping import Float
 from sets.polytope import Polytope
 
 SETTLED = 1e-3
-"""The sequence counts as converged where C_k lies in (1 + this) C_{k+1}: then that set is kept but for this share."""
+"""The sequence counts as converged where C_k lies in (1 + this) C_{k+1}: then that set is kept but
+for this share."""
 STEPS = 30
 
 
 @dataclass(frozen=True)
 class ControlInvariant:
-    """C_k of the last step, None where it is empty or flat; `volumes` of C_0 .. C_k, and whether they have settled."""
+    """C_k of the last step, None where it is empty or flat; `volumes` of C_0 .. C_k, and whether
+    they have settled."""
 
     polytope: Polytope | None
     volumes: tuple[float, ...]
@@ -58,7 +62,8 @@ def control_invariant(
         disturbance: support function of W.
 
     Returns:
-        A set that contains the maximal robust control invariant set; equal to it where the sequence ends exactly.
+        A set that contains the maximal robust control invariant set; equal to it where the sequence
+        ends exactly.
 
     Raises:
         ValueError: where the inputs are unbounded.
@@ -71,7 +76,8 @@ def control_invariant(
             for A, B in zip(transitions, inputs, strict=True):
                 found = found.intersect(predecessor(A, B, target, error_set, limits))
         except ArithmeticError:
-            # Hundreds of facets that hardly differ, late in the sequence: what is known so far still holds.
+            # Hundreds of facets that hardly differ, late in the sequence: what is known so far
+            # still holds.
             return ControlInvariant(last, tuple(volumes), False)
         if found.is_empty() or found.is_flat():
             return ControlInvariant(None, (*volumes, 0.0), True)
@@ -83,7 +89,11 @@ def control_invariant(
 
 
 def predecessor(
-    A: Float[np.ndarray, "n n"], B: Float[np.ndarray, "n m"], target: Polytope, within: Polytope, limits: Limits
+    A: Float[np.ndarray, "n n"],
+    B: Float[np.ndarray, "n m"],
+    target: Polytope,
+    within: Polytope,
+    limits: Limits,
 ) -> Polytope:
     """Return {e in `within` : some u has  D u + C e <= d  and  A e + B u in the target}."""
     n, m = B.shape
@@ -92,5 +102,7 @@ def predecessor(
         np.hstack([limits.errors, limits.inputs]),
         np.hstack([within.normals, np.zeros((len(within.offsets), m))]),
     ]
-    joint = Polytope(np.concatenate(rows), np.concatenate([target.offsets, limits.offsets, within.offsets]))
+    joint = Polytope(
+        np.concatenate(rows), np.concatenate([target.offsets, limits.offsets, within.offsets])
+    )
     return joint.image(np.eye(n, n + m))

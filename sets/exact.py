@@ -1,12 +1,14 @@
 """Exact re-check of a certificate: every decision is taken in rational arithmetic.
 
-Every float handed in stands for the binary rational it is. Floats only propose which rows of a polytope bound a
-direction; the multipliers are then solved for, and their signs read, as integers over a common denominator:
+Every float handed in stands for the binary rational it is. Floats only propose which rows of a
+polytope bound a direction; the multipliers are then solved for, and their signs read, as integers
+over a common denominator:
 
     multipliers >= 0,  multipliers H = d      =>      d x <= multipliers h   for every x with H x <= h
 
 Margins are in the units of the offsets; those >= 0 prove their condition, without any tolerance.
-Source: Farkas 1902 (multipliers). Loops of decoupled gains and tubes along a schedule: `sets.robot.exact_tube`.
+Source: Farkas 1902 (multipliers). Loops of decoupled gains and tubes along a schedule:
+`sets.robot.exact_tube`.
 """
 
 from __future__ import annotations
@@ -69,8 +71,15 @@ def _cross(a: Integers, b: Integers) -> Integers:
 
 def mapped_rows(inputs: NumberRows, errors: NumberRows, gains: Sequence[Matrix]) -> list[Row]:
     """Return D K + C for every gain: rows D u + C e under u = K e as rows on e."""
-    pairs = [(exact_row(D, "inputs"), C) for D, C in zip(inputs, exact_rows(errors, "errors"), strict=True)]
-    return [tuple(a + c for a, c in zip(times(D, gain), C, strict=True)) for gain in gains for D, C in pairs]
+    pairs = [
+        (exact_row(D, "inputs"), C)
+        for D, C in zip(inputs, exact_rows(errors, "errors"), strict=True)
+    ]
+    return [
+        tuple(a + c for a, c in zip(times(D, gain), C, strict=True))
+        for gain in gains
+        for D, C in pairs
+    ]
 
 
 def _common_integers(row: Row) -> tuple[Integers, int]:
@@ -80,7 +89,8 @@ def _common_integers(row: Row) -> tuple[Integers, int]:
 
 
 class _Corner(NamedTuple):
-    """The point in which three rows meet, and whose multiples of `sides` their multipliers are, all as integers."""
+    """The point in which three rows meet, and whose multiples of `sides` their multipliers are, all
+    as integers."""
 
     sides: tuple[Integers, ...]
     point: Integers
@@ -101,17 +111,21 @@ class Halfspaces:
     """{x in R^3 : normals x <= offsets}, with proved upper bounds of linear functions over it."""
 
     def __init__(self, normals: NumberRows, offsets: Numbers):
-        """Keep the rows as rationals, and as floats the triples of rows that meet in a corner of the set."""
+        """Keep the rows as rationals, and as floats the triples of rows that meet in a corner of
+        the set."""
         self.normals, self.offsets = exact_rows(normals, "normals"), exact_row(offsets, "offsets")
         if len(self.normals) != len(self.offsets):
-            raise ValueError(f"offsets: {len(self.offsets)} for {len(self.normals)} normals: give one a row")
+            raise ValueError(
+                f"offsets: {len(self.offsets)} for {len(self.normals)} normals: give one a row"
+            )
         triples, inverses = _spanning(self.normals)
         rows, limits = np.array(self.normals, dtype=float), np.array(self.offsets, dtype=float)
         points = np.einsum("tij,tj->ti", inverses, limits[triples])
         size = np.abs(points) @ np.abs(rows).T + np.abs(limits)
         met = np.flatnonzero(np.all(points @ rows.T - limits <= PROPOSED * size, axis=1))
         self._triples, self._inverses, self._points = triples, inverses, points
-        # Triples that meet in a corner of the set come first; an empty set has none, but bounds all the same.
+        # Triples that meet in a corner of the set come first; an empty set has none, but bounds all
+        # the same.
         self._tried = met, np.arange(len(triples))
         flat, self._normal_share = _common_integers(tuple(a for row in self.normals for a in row))
         self._rows = [flat[i : i + 3] for i in range(0, len(flat), 3)]
@@ -119,18 +133,23 @@ class Halfspaces:
         self._corners: dict[int, _Corner] = {}
 
     def bound(self, row: Row) -> Fraction:
-        """Return a proved upper bound of row x over the set: the maximum itself, but for what rounding may reorder.
+        """Return a proved upper bound of row x over the set: the maximum itself, but for what
+        rounding may reorder.
 
-        Floats order the triples by the bound they promise; the first whose exact multipliers have no negative sign
-        is taken. Raises ValueError where no triple bounds the direction.
+        Floats order the triples by the bound they promise; the first whose exact multipliers have
+        no negative sign is taken. Raises ValueError where no triple bounds the direction.
         """
         integers, share = _common_integers(row)
-        for triple in chain.from_iterable(self._proposed(np.array(row, dtype=float), tried) for tried in self._tried):
+        for triple in chain.from_iterable(
+            self._proposed(np.array(row, dtype=float), tried) for tried in self._tried
+        ):
             corner = self._corner(triple)
             if corner.determinant and min(_dot(integers, side) for side in corner.sides) >= 0:
                 scale = share * corner.determinant * self._offset_share
                 return Fraction(self._normal_share * _dot(integers, corner.point), scale)
-        raise ValueError(f"normals: no three rows bound the direction {[float(a) for a in row]}: close the polytope")
+        raise ValueError(
+            f"normals: no three rows bound the direction {[float(a) for a in row]}: close the polytope"
+        )
 
     def _proposed(self, direction: np.ndarray, tried: np.ndarray) -> list[int]:
         """Return which of these triples may bound a direction, those that promise least first."""
@@ -139,7 +158,8 @@ class Halfspaces:
         return proposed[np.argsort(self._points[proposed] @ direction)].tolist()
 
     def _corner(self, index: int) -> _Corner:
-        """Solve for the corner of a triple by Cramer's rule: multipliers = row . sides / determinant."""
+        """Solve for the corner of a triple by Cramer's rule: multipliers = row . sides /
+        determinant."""
         if index not in self._corners:
             triple = self._triples[index].tolist()
             a, b, c = (self._rows[i] for i in triple)
@@ -148,7 +168,10 @@ class Halfspaces:
             if determinant < 0:
                 sides, determinant = tuple(tuple(-s for s in side) for side in sides), -determinant
             limits = [self._limits[i] for i in triple]
-            point = tuple(sum(h * s for h, s in zip(limits, along, strict=True)) for along in zip(*sides, strict=True))
+            point = tuple(
+                sum(h * s for h, s in zip(limits, along, strict=True))
+                for along in zip(*sides, strict=True)
+            )
             self._corners[index] = _Corner(sides, point, determinant)
         return self._corners[index]
 
@@ -157,7 +180,9 @@ def _widest(points: Matrix, row: Row) -> Fraction:
     return max(dot(point, row) for point in points)
 
 
-def containment_margin(normals: NumberRows, offsets: Numbers, rows: NumberRows, bounds: Numbers) -> Fraction:
+def containment_margin(
+    normals: NumberRows, offsets: Numbers, rows: NumberRows, bounds: Numbers
+) -> Fraction:
     """Return the least of bounds - rows x over the polytope {normals x <= offsets}."""
     polytope = Halfspaces(normals, offsets)
     limits = exact_row(bounds, "bounds")
@@ -167,11 +192,15 @@ def containment_margin(normals: NumberRows, offsets: Numbers, rows: NumberRows, 
 def invariance_margin(
     normals: NumberRows, offsets: Numbers, loops: Sequence[Matrix], disturbance_vertices: NumberRows
 ) -> Fraction:
-    """Return the least of h_i - h_W(c_i) - max c_i Phi x over facets and loops; >= 0 proves Phi Omega + W in Omega.
+    """Return the least of h_i - h_W(c_i) - max c_i Phi x over facets and loops; >= 0 proves Phi
+    Omega + W in Omega.
 
     It then holds for every Phi in the hull of `loops`. W is the hull of its vertices.
     """
-    polytope, points = Halfspaces(normals, offsets), exact_rows(disturbance_vertices, "disturbance_vertices")
+    polytope, points = (
+        Halfspaces(normals, offsets),
+        exact_rows(disturbance_vertices, "disturbance_vertices"),
+    )
     return min(
         offset - _widest(points, normal) - polytope.bound(times(normal, loop))
         for normal, offset in zip(polytope.normals, polytope.offsets, strict=True)
@@ -183,9 +212,11 @@ def invariance_margin(
 
 
 def smallest_pivot(matrix: Matrix) -> Fraction:
-    """Return the smallest pivot of L D L^T; it is >= 0 exactly when the symmetric matrix is positive semidefinite.
+    """Return the smallest pivot of L D L^T; it is >= 0 exactly when the symmetric matrix is
+    positive semidefinite.
 
-    A zero pivot with other entries in its column counts as minus the largest of them. Ends at the first negative one.
+    A zero pivot with other entries in its column counts as minus the largest of them. Ends at the
+    first negative one.
     """
     if any(matrix[i][j] != matrix[j][i] for i in range(len(matrix)) for j in range(i)):
         raise ValueError("matrix: not symmetric: give the symmetric part")
@@ -196,7 +227,9 @@ def smallest_pivot(matrix: Matrix) -> Fraction:
         if pivots[-1] < 0:
             break
         scale = 1 / pivot if pivot else Fraction(0)
-        rows = [[a - row[0] * scale * b for a, b in zip(row[1:], column, strict=True)] for row in rest]
+        rows = [
+            [a - row[0] * scale * b for a, b in zip(row[1:], column, strict=True)] for row in rest
+        ]
     return min(pivots)
 
 
@@ -213,16 +246,20 @@ def decrease_pivot(
     error_weight: NumberRows,
     input_weight: Sequence[Sequence[float]] | Float[np.ndarray, "2 2"],
 ) -> Fraction:
-    """Return the smallest pivot of P, R and P - Phi^T P Phi - Q - K^T R K over all pairs of a loop and a feedback.
+    """Return the smallest pivot of P, R and P - Phi^T P Phi - Q - K^T R K over all pairs of a loop
+    and a feedback.
 
-    Where it is >= 0 the cost decreases for every Phi and K in their hulls, since the difference is concave in them.
+    Where it is >= 0 the cost decreases for every Phi and K in their hulls, since the difference is
+    concave in them.
     """
     P, Q = exact_rows(cost, "cost"), exact_rows(error_weight, "error_weight")
     R = tuple(exact_row(row, "input_weight") for row in input_weight)
     pivots = [smallest_pivot(P), smallest_pivot(R)]
     for loop, feedback in product(loops, feedbacks):
         taken = zip(P, _form(P, loop), Q, _form(R, feedback), strict=True)
-        left = tuple(tuple(p - a - q - b for p, a, q, b in zip(*rows, strict=True)) for rows in taken)
+        left = tuple(
+            tuple(p - a - q - b for p, a, q, b in zip(*rows, strict=True)) for rows in taken
+        )
         pivots.append(smallest_pivot(left))
     return min(pivots)
 

@@ -1,10 +1,12 @@
-"""Frames x = centre + basis y in which a polytope {x : H x <= h} is {y : p_i y <= 1}, has interior and is of unit size.
+"""Frames x = centre + basis y in which a polytope {x : H x <= h} is {y : p_i y <= 1}, has interior
+and is of unit size.
 
-A frame absorbs flat directions, bad scales and offsets far from the origin. The hull of the polar points p_i and 0 then
-answers everything: its vertices are the rows that are not redundant, its facets that miss 0 are the vertices of the
-set, its facets through 0 are the rays along which the set is unbounded (Ziegler 1995, Lectures on Polytopes, ch. 2).
-Flat directions are found one linear program at a time, by facial reduction (Borwein and Wolkowicz 1981, J. Austral.
-Math. Soc. 30, 369-380).
+A frame absorbs flat directions, bad scales and offsets far from the origin. The hull of the polar
+points p_i and 0 then answers everything: its vertices are the rows that are not redundant, its
+facets that miss 0 are the vertices of the set, its facets through 0 are the rays along which the
+set is unbounded (Ziegler 1995, Lectures on Polytopes, ch. 2). Flat directions are found one linear
+program at a time, by facial reduction (Borwein and Wolkowicz 1981, J. Austral. Math. Soc. 30,
+369-380).
 """
 
 from __future__ import annotations
@@ -31,7 +33,8 @@ HULL_DIMENSION = 4  # above it vertices may explode: the support function goes b
 class Frame:
     """Coordinates x = centre + basis y of the affine hull in which the set is {y : polar y <= 1}.
 
-    `rows` are the facets behind `polar` and `slacks` their h - H centre; the `equalities` hold on the whole set.
+    `rows` are the facets behind `polar` and `slacks` their h - H centre; the `equalities` hold on
+    the whole set.
     """
 
     centre: Float[np.ndarray, " n"]
@@ -43,20 +46,24 @@ class Frame:
 
     @cached_property
     def isotropic(self):
-        """Isotropic coordinates of 0 and the polar points, the map to them, and the lines of the set."""
+        """Isotropic coordinates of 0 and the polar points, the map to them, and the lines of the
+        set."""
         return flatten(np.vstack([np.zeros(self.polar.shape[1]), self.polar]))
 
     @cached_property
     def generators(self):
         """Vertices, rays and lines whose sum is the set, each (count, d)."""
         points, _, _ = _dual(self.polar)
-        # a second pass about the middle of the first one's vertices, for a deepest point can lie at one end of the set
+        # a second pass about the middle of the first one's vertices, for a deepest point can lie at
+        # one end of the set
         middle = points.sum(axis=0) / (len(points) + 1)
         points, rays, lines = _dual(self.polar / (1 - self.polar @ middle)[:, None])
         points = points + middle
         excess = (self.polar @ points.T - 1) / np.linalg.norm(self.polar, axis=1)[:, None]
         if excess.max(initial=0.0) > FLAT * np.linalg.norm(points, axis=1).max():
-            raise ArithmeticError("vertices violate their rows: rescale the coordinates of the polytope")
+            raise ArithmeticError(
+                "vertices violate their rows: rescale the coordinates of the polytope"
+            )
         return points, rays, lines
 
     @cached_property
@@ -64,10 +71,13 @@ class Frame:
         """Positions in `rows` of the rows that are not redundant."""
         corners = hull(self.isotropic[0])[2]
         candidates = corners[corners > 0] - 1
-        return candidates[np.array([self._supports_facet(self.polar[i]) for i in candidates], dtype=bool)]
+        return candidates[
+            np.array([self._supports_facet(self.polar[i]) for i in candidates], dtype=bool)
+        ]
 
     def _supports_facet(self, row):
-        """Tell whether a row touches the set in more than a face of lower dimension, which rounding makes a facet."""
+        """Tell whether a row touches the set in more than a face of lower dimension, which rounding
+        makes a facet."""
         points, rays, lines = self.generators
         length, size = np.linalg.norm(row), np.linalg.norm(points, axis=1).max()
         touching = points[abs(points @ row - 1) <= FLAT * size * length]
@@ -76,7 +86,8 @@ class Frame:
         return len(touching) > 0 and np.linalg.matrix_rank(face, tol=FLAT * size) >= len(row) - 1
 
     def support(self, directions):
-        """Return h_P(d) = d centre + max {d basis y : polar y <= 1}; rays within 1e-9 of right angles to d stay out."""
+        """Return h_P(d) = d centre + max {d basis y : polar y <= 1}; rays within 1e-9 of right
+        angles to d stay out."""
         local = directions @ self.basis
         if self.basis.shape[1] > HULL_DIMENSION:
             highest = [self._support_by_program(row) for row in local.reshape(-1, local.shape[-1])]
@@ -98,7 +109,8 @@ class Frame:
 
 
 def find_frame(normals: Float[np.ndarray, "m n"], offsets: Float[np.ndarray, " m"]) -> Frame | None:
-    """Return the frame of {x : normals x <= offsets}, None if empty: it sheds equalities until there is interior."""
+    """Return the frame of {x : normals x <= offsets}, None if empty: it sheds equalities until
+    there is interior."""
     sizes, dimension = np.linalg.norm(normals, axis=1), normals.shape[1]
     if not sizes.all():
         return None
@@ -106,7 +118,9 @@ def find_frame(normals: Float[np.ndarray, "m n"], offsets: Float[np.ndarray, " m
     rows, equalities = np.arange(len(unit)), np.zeros(0, dtype=int)
     centre, basis, extent = np.zeros(dimension), np.eye(dimension), np.zeros(dimension)
     while basis.shape[1]:
-        centre, basis, extent, depth, doubt, tight = _deepest(unit[rows], heights[rows], centre, basis, extent)
+        centre, basis, extent, depth, doubt, tight = _deepest(
+            unit[rows], heights[rows], centre, basis, extent
+        )
         if depth < -doubt:
             return None
         if depth > doubt or not tight.size:
@@ -124,11 +138,12 @@ def find_frame(normals: Float[np.ndarray, "m n"], offsets: Float[np.ndarray, " m
 
 
 def _deepest(unit, heights, centre, basis, extent):
-    """Move the centre to the deepest point, in coordinates rescaled until its depth is plain to see.
+    """Move the centre to the deepest point, in coordinates rescaled until its depth is plain to
+    see.
 
-    Return with it the basis, the extent of what was computed with so far, the depth, the depth below which it may be
-    rounding, and the rows that bind: their multipliers are positive and sum to zero with their normals, so at depth
-    zero each of them holds with equality on the whole set.
+    Return with it the basis, the extent of what was computed with so far, the depth, the depth
+    below which it may be rounding, and the rows that bind: their multipliers are positive and sum
+    to zero with their normals, so at depth zero each of them holds with equality on the whole set.
     """
     for _ in range(3):
         slacks, local = heights - unit @ centre, unit @ basis
@@ -149,11 +164,13 @@ def _deepest(unit, heights, centre, basis, extent):
 
 
 def _column_scales(rows, slacks):
-    """Return the s that bring the entries of rows s y <= slacks near to one size, rows being free to scale.
+    """Return the s that bring the entries of rows s y <= slacks near to one size, rows being free
+    to scale.
 
-    Rows and columns of [rows, slacks] are in turn divided by the root mean square of their entries (Sinkhorn 1967, Am.
-    Math. Mon. 74, 402-405), so that the large ones decide. Entries small in their row and their column do not count:
-    rounding has no say, and the iteration converges for every pattern, as its limit with all entries one shows.
+    Rows and columns of [rows, slacks] are in turn divided by the root mean square of their entries
+    (Sinkhorn 1967, Am. Math. Mon. 74, 402-405), so that the large ones decide. Entries small in
+    their row and their column do not count: rounding has no say, and the iteration converges for
+    every pattern, as its limit with all entries one shows.
     """
     table = abs(np.column_stack([rows, slacks]))
     scales = np.ones(table.shape[1])
@@ -174,9 +191,11 @@ def _column_scales(rows, slacks):
 def solve(
     cost: Float[np.ndarray, " n"], rows: Float[np.ndarray, "m n"], limits: Float[np.ndarray, " m"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]:
-    """Minimise cost x over rows x <= limits; return x and the multipliers, optimal to 1e-8 by their own residuals.
+    """Minimise cost x over rows x <= limits; return x and the multipliers, optimal to 1e-8 by their
+    own residuals.
 
-    The program must be feasible and bounded; ArithmeticError if no method of the solver gets that far.
+    The program must be feasible and bounded; ArithmeticError if no method of the solver gets that
+    far.
     """
     options = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
     for method in ("highs", "highs-ds", "highs-ipm"):
@@ -192,14 +211,19 @@ def solve(
         )
         if misfit <= 1e-8:
             return solution, multipliers
-    raise ArithmeticError("linear program not solved to 1e-8: rescale the coordinates of the polytope")
+    raise ArithmeticError(
+        "linear program not solved to 1e-8: rescale the coordinates of the polytope"
+    )
 
 
 def recedes(rows: Float[np.ndarray, "m n"], cost: Float[np.ndarray, " n"]) -> bool:
-    """Tell whether cost x falls along a ray of rows x <= 0, hence without bound over rows x <= limits if not empty."""
+    """Tell whether cost x falls along a ray of rows x <= 0, hence without bound over rows x <=
+    limits if not empty."""
     rows = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), np.finfo(float).tiny)
     cube = np.vstack([np.eye(len(cost)), -np.eye(len(cost))])
-    solution, _ = solve(cost, np.vstack([rows, cube]), np.append(np.zeros(len(rows)), np.ones(len(cube))))
+    solution, _ = solve(
+        cost, np.vstack([rows, cube]), np.append(np.zeros(len(rows)), np.ones(len(cube)))
+    )
     return bool(cost @ solution < -FLAT)
 
 
@@ -219,20 +243,30 @@ def _dual(polar):
 def flatten(
     points: Float[np.ndarray, "k n"],
 ) -> tuple[Float[np.ndarray, "k d"], Float[np.ndarray, "d n"], Float[np.ndarray, "e n"]]:
-    """Return isotropic coordinates of a cloud in its affine hull, the map x -> coordinates, and the hull's normals."""
+    """Return isotropic coordinates of a cloud in its affine hull, the map x -> coordinates, and the
+    hull's normals."""
     extent, reach = np.ptp(points, axis=0), abs(points).max(axis=0)
-    constant = extent <= np.maximum(ROUNDING * reach, 4 * np.finfo(float).eps * reach.max(initial=0.0))
+    constant = extent <= np.maximum(
+        ROUNDING * reach, 4 * np.finfo(float).eps * reach.max(initial=0.0)
+    )
     scale = np.where(constant, extent.max(initial=0.0) or 1.0, extent)
     scaled = np.where(constant, 0.0, (points - points.mean(axis=0)) / scale)
     _, spread, axes = np.linalg.svd(np.linalg.qr(scaled, mode="r"))
     doubt = max(FLAT, ROUNDING * (reach / scale).max(initial=0.0))
     rank = int((spread > doubt * spread.max(initial=0.0)).sum())
     spread = spread[:rank] / np.sqrt(len(points))
-    return scaled @ axes[:rank].T / spread, axes[:rank] / scale / spread[:, None], axes[rank:] / scale
+    return (
+        scaled @ axes[:rank].T / spread,
+        axes[:rank] / scale / spread[:, None],
+        axes[rank:] / scale,
+    )
 
 
-def product(left: Float[np.ndarray, "m k"], right: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "m n"]:
-    """Multiply, and take for zero the entries that are mere rounding: in badly scaled coordinates they would bind."""
+def product(
+    left: Float[np.ndarray, "m k"], right: Float[np.ndarray, "k n"]
+) -> Float[np.ndarray, "m n"]:
+    """Multiply, and take for zero the entries that are mere rounding: in badly scaled coordinates
+    they would bind."""
     result = left @ right
     return np.where(abs(result) <= ROUNDING * (abs(left) @ abs(right)), 0.0, result)
 
@@ -240,7 +274,8 @@ def product(left: Float[np.ndarray, "m k"], right: Float[np.ndarray, "k n"]) -> 
 def hull(
     points: Float[np.ndarray, "k d"],
 ) -> tuple[Float[np.ndarray, "f d"], Float[np.ndarray, " f"], Int[np.ndarray, " v"]]:
-    """Return facets a y <= b of a cloud that is not flat, and its extreme points; qhull begins at dimension two."""
+    """Return facets a y <= b of a cloud that is not flat, and its extreme points; qhull begins at
+    dimension two."""
     if points.shape[1] == 0:
         return np.zeros((1, 0)), np.ones(1), np.zeros(1, dtype=int)
     if points.shape[1] == 1:
@@ -250,11 +285,15 @@ def hull(
         distinct = _distinct(points, apart)
         try:
             found = ConvexHull(points[distinct], qhull_options=options)
-        except QhullError:  # clusters of almost equal points can stop qhull, unless it may displace them by 1e-10
+        except (
+            QhullError
+        ):  # clusters of almost equal points can stop qhull, unless it may displace them by 1e-10
             continue
         facets = found.equations[_distinct(found.equations, apart)]
         return facets[:, :-1], -facets[:, -1], distinct[found.vertices]
-    raise ArithmeticError(f"hull of {len(points)} points not found: drop points closer than 1e-9 of their spread")
+    raise ArithmeticError(
+        f"hull of {len(points)} points not found: drop points closer than 1e-9 of their spread"
+    )
 
 
 def _distinct(points, apart):

@@ -3,10 +3,11 @@
     Interval   [lower, upper]        every operation encloses the exact results for all members of its operands
     Dual       (value, gradient)     derivatives by the chain rule, over float arrays or over intervals alike
 
-Float64 rounds each +, -, *, / to nearest, so a step outwards by 2^-52 of the result holds the exact one; TINY covers
-underflow. Library sines are not correctly rounded: numpy's are within 4 units in the last place, and so are the series
-below, within 8; UNITS are granted to all. Angles stay within a quarter turn, where each function here is monotone in
-the angle or in its magnitude, so that its values at the ends enclose it.
+Float64 rounds each +, -, *, / to nearest, so a step outwards by 2^-52 of the result holds the exact
+one; TINY covers underflow. Library sines are not correctly rounded: numpy's are within 4 units in
+the last place, and so are the series below, within 8; UNITS are granted to all. Angles stay within
+a quarter turn, where each function here is monotone in the angle or in its magnitude, so that its
+values at the ends enclose it.
 
 Source: Moore, Kearfott, Cloud 2009, Introduction to Interval Analysis.
 """
@@ -21,7 +22,8 @@ from jaxtyping import Float
 
 EPSILON = 2.0**-52
 TINY = 1e-300
-"""Above every error of underflow, yet a normal number, so that products of it cost no more than others."""
+"""Above every error of underflow, yet a normal number, so that products of it cost no more than
+others."""
 UNITS = 16
 """Units in the last place granted to functions of an angle."""
 QUARTER_TURN = np.pi / 2
@@ -92,11 +94,14 @@ class Interval:
     @property
     def magnitudes(self) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
         """Least and largest absolute value of the members."""
-        return np.maximum(np.maximum(self.lower, -self.upper), 0.0), np.maximum(-self.lower, self.upper)
+        return np.maximum(np.maximum(self.lower, -self.upper), 0.0), np.maximum(
+            -self.lower, self.upper
+        )
 
 
 class Dual:
-    """Values with their gradients: value (cells,), gradient (variables, cells), both float arrays or both intervals."""
+    """Values with their gradients: value (cells,), gradient (variables, cells), both float arrays
+    or both intervals."""
 
     __slots__ = ("gradient", "value")
     __array_ufunc__ = None
@@ -122,13 +127,19 @@ class Dual:
 
     def __mul__(self, other) -> Dual:
         if isinstance(other, Dual):
-            return Dual(self.value * other.value, self.value * other.gradient + other.value * self.gradient)
+            return Dual(
+                self.value * other.value, self.value * other.gradient + other.value * self.gradient
+            )
         return Dual(self.value * other, self.gradient * other)
 
     __radd__, __rmul__ = __add__, __mul__
 
     def __truediv__(self, other) -> Dual:
-        return self * reciprocal(other) if isinstance(other, Dual) else Dual(self.value / other, self.gradient / other)
+        return (
+            self * reciprocal(other)
+            if isinstance(other, Dual)
+            else Dual(self.value / other, self.gradient / other)
+        )
 
     def __rtruediv__(self, other) -> Dual:
         return reciprocal(self) * other
@@ -156,7 +167,9 @@ def _even_increasing(function, x: Interval) -> Interval:
 def _angle(x: Interval) -> Interval:
     if np.any(x.lower < -QUARTER_TURN) or np.any(x.upper > QUARTER_TURN):
         low, high = np.min(x.lower), np.max(x.upper)
-        raise ValueError(f"angle: [{low:.3f}, {high:.3f}] rad leaves +-pi/2; shrink errors, inputs, schedule or dt")
+        raise ValueError(
+            f"angle: [{low:.3f}, {high:.3f}] rad leaves +-pi/2; shrink errors, inputs, schedule or dt"
+        )
     return x
 
 
@@ -173,7 +186,8 @@ def _inverted(_, x: Interval) -> Interval:
 
 
 def _function(on_floats, enclose, derivative: Any = None):
-    """Make a function of floats, intervals and duals from its values, its enclosure and its derivative."""
+    """Make a function of floats, intervals and duals from its values, its enclosure and its
+    derivative."""
 
     def function(x):
         if isinstance(x, Dual):
@@ -184,10 +198,11 @@ def _function(on_floats, enclose, derivative: Any = None):
 
 
 def _series(x: Float[np.ndarray, "..."], ratio: Callable[[int], float]) -> Float[np.ndarray, "..."]:
-    """Give 1 - r_1 y (1 - r_2 y (1 - ...)), y = x^2, with r_k = ratio(k), to 8 units in the last place.
+    """Give 1 - r_1 y (1 - r_2 y (1 - ...)), y = x^2, with r_k = ratio(k), to 8 units in the last
+    place.
 
-    Within a quarter turn r_k y is below 0.2 for k > 1, so that each level damps the rounding of the one below it, and
-    the terms left out are below 1e-17 of the sum.
+    Within a quarter turn r_k y is below 0.2 for k > 1, so that each level damps the rounding of the
+    one below it, and the terms left out are below 1e-17 of the sum.
     """
     y, total = x * x, 1.0
     for k in range(12, 0, -1):
@@ -231,16 +246,23 @@ cos = _function(np.cos, _even_decreasing, lambda x: -sin(x))
 sinc = _function(_sinc, _even_decreasing, lambda x: sinc_slope(x))  # sin x / x
 sinc_curvature = _function(_sinc_curvature, _even_increasing)
 sinc_slope = _function(_sinc_slope, _decreasing, sinc_curvature)
-sine_excess = _function(_sine_excess, _decreasing, lambda x: square(sin(x * 0.5)) * -2.0)  # sin x - x
+sine_excess = _function(
+    _sine_excess, _decreasing, lambda x: square(sin(x * 0.5)) * -2.0
+)  # sin x - x
 lag_slope = _function(_lag_slope, _even_decreasing)
 lag = _function(_lag, _increasing, lag_slope)  # (x - sin x) / x^2
 
 
 def sinc_change(x, step):
-    """Give sinc(x + step) - sinc(x); over intervals it is zero where the step is, and so are its derivatives in x."""
+    """Give sinc(x + step) - sinc(x); over intervals it is zero where the step is, and so are its
+    derivatives in x."""
     if isinstance(x, Dual):
         value, end = sinc_change(x.value, step.value), sinc_slope(x.value + step.value)
-        return Dual(value, _change(sinc_slope, sinc_curvature, x.value, step.value) * x.gradient + end * step.gradient)
+        return Dual(
+            value,
+            _change(sinc_slope, sinc_curvature, x.value, step.value) * x.gradient
+            + end * step.gradient,
+        )
     return _change(sinc, sinc_slope, x, step)
 
 

@@ -1,15 +1,19 @@
-"""Robust positively invariant sets of x+ = Phi_i x + w, w in W, for every vertex loop Phi_i, by pruning in the dual.
+"""Robust positively invariant sets of x+ = Phi_i x + w, w in W, for every vertex loop Phi_i, by
+pruning in the dual.
 
     O = {x : c_k x <= 1}   <->   dual points c_k;   a row c is implied by O exactly when c lies in the hull of the c_k
     predecessor of a row:  c x <= 1  becomes  (c Phi_i) x <= 1 - h_W(c)
 
-* the maximal set inside given constraints (Gilbert and Tan 1991; Kolmanovsky and Gilbert 1998; Blanchini 1999), or the
-  proof that there is none: a product of loops and disturbances that carries the origin out of the constraints;
+* the maximal set inside given constraints (Gilbert and Tan 1991; Kolmanovsky and Gilbert 1998;
+  Blanchini 1999), or the proof that there is none: a product of loops and disturbances that carries
+  the origin out of the constraints;
 * an outer bound of the minimal set that is itself invariant (fixed point on given facet normals);
-* an invariant set of few facets, grown inside the maximal one by linear programs in its normals and its offsets.
+* an invariant set of few facets, grown inside the maximal one by linear programs in its normals and
+  its offsets.
 
-Every loop must be stable for one constant schedule at least and W must contain the origin. Then a non-empty closed
-invariant set contains the origin (take w = 0), hence everything reached from it: a reach that leaves proves emptiness.
+Every loop must be stable for one constant schedule at least and W must contain the origin. Then a
+non-empty closed invariant set contains the origin (take w = 0), hence everything reached from it: a
+reach that leaves proves emptiness.
 """
 
 from __future__ import annotations
@@ -31,23 +35,29 @@ Disturbance = SupportFunction | Sequence[SupportFunction]
 """The support function of W, or one for each loop where W depends on which loop acts."""
 
 INFLATION = 1e-6
-"""Sets are built for (1 + INFLATION) W, so that the invariance of the exact W holds with a margin above rounding."""
+"""Sets are built for (1 + INFLATION) W, so that the invariance of the exact W holds with a margin
+above rounding."""
 
 PRUNING = 1e-9
-"""A row that cuts less than this share of the set is taken as implied; far below what INFLATION leaves."""
+"""A row that cuts less than this share of the set is taken as implied; far below what INFLATION
+leaves."""
 
 BACK_OFF = 1e-5
-"""Few-facet sets stay this share inside the constraints: room to repair what a linear program's tolerance leaves."""
+"""Few-facet sets stay this share inside the constraints: room to repair what a linear program's
+tolerance leaves."""
 
 MOVES, FIRST_RADIUS, LAST_RADIUS = 40, 0.05, 2e-3
-"""Moves of the facets at most; how far a normal may turn at first, as a share of the largest, and where that ends."""
+"""Moves of the facets at most; how far a normal may turn at first, as a share of the largest, and
+where that ends."""
 
 
 @dataclass(frozen=True)
 class Escape:
-    """Proof that no invariant set exists: the reach of the origin along `loops` passes `normal` x <= `offset`.
+    """Proof that no invariant set exists: the reach of the origin along `loops` passes `normal` x
+    <= `offset`.
 
-    `loops` are vertex indices in the order in which they act; the reach is the sum of h_W over the transported normals.
+    `loops` are vertex indices in the order in which they act; the reach is the sum of h_W over the
+    transported normals.
     """
 
     normal: Float[np.ndarray, " n"]
@@ -57,7 +67,8 @@ class Escape:
 
 @dataclass(frozen=True)
 class MaximalRpi:
-    """The maximal robust positively invariant set, or the escape that proves it empty (neither: undecided).
+    """The maximal robust positively invariant set, or the escape that proves it empty (neither:
+    undecided).
 
     roots, paths: of every row of the polytope, the constraint whose predecessor it is and the loops on the way: the row
         is  c Phi_{i1} .. Phi_{im} x <= d - (1 + INFLATION) sum over l < m of h_W(c Phi_{i1} .. Phi_{il}),  scaled.
@@ -84,7 +95,12 @@ class _Rows:
         return self.normals / self.offsets[:, None]
 
     def take(self, index: np.ndarray) -> _Rows:
-        return _Rows(self.normals[index], self.offsets[index], self.roots[index], [self.paths[i] for i in index])
+        return _Rows(
+            self.normals[index],
+            self.offsets[index],
+            self.roots[index],
+            [self.paths[i] for i in index],
+        )
 
     def join(self, other: _Rows) -> _Rows:
         return _Rows(
@@ -94,7 +110,9 @@ class _Rows:
             self.paths + other.paths,
         )
 
-    def predecessors(self, loops: Float[np.ndarray, "v n n"], room: Float[np.ndarray, "v k"]) -> _Rows:
+    def predecessors(
+        self, loops: Float[np.ndarray, "v n n"], room: Float[np.ndarray, "v k"]
+    ) -> _Rows:
         return _Rows(
             np.concatenate([self.normals @ loop for loop in loops]),
             room.ravel(),
@@ -109,12 +127,16 @@ def maximal_rpi(
     disturbance: Disturbance,
     max_iterations: int = 2000,
 ) -> MaximalRpi:
-    """Return the largest set O inside `constraints` with Phi_i O + (1 + INFLATION) W_i in O for all i.
+    """Return the largest set O inside `constraints` with Phi_i O + (1 + INFLATION) W_i in O for all
+    i.
 
-    `constraints` must be bounded, in two dimensions or more. Raises ValueError where the origin is not inside.
+    `constraints` must be bounded, in two dimensions or more. Raises ValueError where the origin is
+    not inside.
     """
     if np.any(constraints.offsets <= 0):
-        raise ValueError(f"constraints: smallest offset {constraints.offsets.min():.3g}: the origin must lie inside")
+        raise ValueError(
+            f"constraints: smallest offset {constraints.offsets.min():.3g}: the origin must lie inside"
+        )
     k = len(constraints.offsets)
     rows = _Rows(constraints.normals, constraints.offsets, np.arange(k), [()] * k)
     rows = new = rows.take(ConvexHull(rows.dual).vertices)
@@ -126,7 +148,9 @@ def maximal_rpi(
             escape = Escape(constraints.normals[root], float(constraints.offsets[root]), path)
             return MaximalRpi(None, escape, iteration)
         candidates = new.predecessors(loops, room)
-        outside = np.max(candidates.dual @ _facet_points(ConvexHull(rows.dual)).T, axis=1) > 1 + PRUNING
+        outside = (
+            np.max(candidates.dual @ _facet_points(ConvexHull(rows.dual)).T, axis=1) > 1 + PRUNING
+        )
         candidates = candidates.take(np.flatnonzero(outside))
         kept = ConvexHull(np.concatenate([rows.dual, candidates.dual])).vertices
         fresh = kept[kept >= len(rows.offsets)]
@@ -138,7 +162,9 @@ def maximal_rpi(
     return MaximalRpi(None, None, max_iterations)
 
 
-def _steps(disturbance: Disturbance, normals: Float[np.ndarray, "k n"], loops: int) -> Float[np.ndarray, "v k"]:
+def _steps(
+    disturbance: Disturbance, normals: Float[np.ndarray, "k n"], loops: int
+) -> Float[np.ndarray, "v k"]:
     """Return h_{W_i} along every normal, loop by loop."""
     if callable(disturbance):
         return np.broadcast_to(disturbance(normals), (loops, len(normals)))
@@ -146,7 +172,8 @@ def _steps(disturbance: Disturbance, normals: Float[np.ndarray, "k n"], loops: i
 
 
 def _facet_points(hull: ConvexHull) -> Float[np.ndarray, "f n"]:
-    """Return y_f with hull = {c : c y_f <= 1}: facets of the dual hull are the vertices of the set itself."""
+    """Return y_f with hull = {c : c y_f <= 1}: facets of the dual hull are the vertices of the set
+    itself."""
     return hull.equations[:, :-1] / -hull.equations[:, -1:]
 
 
@@ -156,10 +183,12 @@ def minimal_rpi_bound(
     normals: Float[np.ndarray, "k n"],
     max_iterations: int = 5000,
 ) -> Polytope | None:
-    """Return an invariant outer bound {normals x <= b} of the minimal RPI set, or None where these normals carry none.
+    """Return an invariant outer bound {normals x <= b} of the minimal RPI set, or None where these
+    normals carry none.
 
-    The monotone map b -> max_i h_{P(b)}(normals Phi_i) + (1 + INFLATION) h_{W_i}(normals) is iterated from below; where
-    it settles P(b) is invariant, and every invariant set contains the minimal one. With these normals it is smallest.
+    The monotone map b -> max_i h_{P(b)}(normals Phi_i) + (1 + INFLATION) h_{W_i}(normals) is
+    iterated from below; where it settles P(b) is invariant, and every invariant set contains the
+    minimal one. With these normals it is smallest.
     """
     by_loop = (1 + INFLATION) * _steps(disturbance, normals, len(loops))
     images = np.concatenate([normals @ loop for loop in loops])
@@ -176,7 +205,9 @@ def minimal_rpi_bound(
     return None
 
 
-def _vertices(normals: Float[np.ndarray, "k n"], offsets: Float[np.ndarray, " k"]) -> Float[np.ndarray, "v n"]:
+def _vertices(
+    normals: Float[np.ndarray, "k n"], offsets: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "v n"]:
     return _facet_points(ConvexHull(normals / offsets[:, None]))
 
 
@@ -188,11 +219,13 @@ def few_facet_rpi(
     facets: int = 40,
     target: float = 0.95,
 ) -> Polytope | None:
-    """Return an invariant set of at most `facets` facets inside `maximal`, grown towards `target` of its volume.
+    """Return an invariant set of at most `facets` facets inside `maximal`, grown towards `target`
+    of its volume.
 
-    The smallest invariant set on normals spread over the rows of the maximal one is enlarged by pairs of linear
-    programs: one turns the normals, to first order; one finds the best offsets of the turned normals, exactly. Every
-    set on the way is invariant. Returns None where the chosen normals carry no invariant set inside `constraints`.
+    The smallest invariant set on normals spread over the rows of the maximal one is enlarged by
+    pairs of linear programs: one turns the normals, to first order; one finds the best offsets of
+    the turned normals, exactly. Every set on the way is invariant. Returns None where the chosen
+    normals carry no invariant set inside `constraints`.
     """
     if len(maximal.offsets) <= facets:
         return maximal
@@ -202,7 +235,10 @@ def few_facet_rpi(
         return None
     dual, wanted = normals / start.offsets[:, None], target * maximal.volume()
     volume, slope = _volume_and_slope(dual)
-    radius, growth = 0.0, 1e3  # first the offsets alone, in ever smaller steps, then the normals turn as well
+    radius, growth = (
+        0.0,
+        1e3,
+    )  # first the offsets alone, in ever smaller steps, then the normals turn as well
     for _ in range(MOVES):
         moved = _turned(loops, constraints, disturbance, dual, slope, radius) if radius else dual
         found = _refitted(loops, constraints, disturbance, moved, slope, growth)
@@ -230,7 +266,8 @@ def _spread(points: Float[np.ndarray, "k n"], count: int) -> Float[np.ndarray, "
 
 
 def _volume_and_slope(dual: Float[np.ndarray, "k n"]) -> tuple[float, Float[np.ndarray, "k n"]]:
-    """Return the volume of {dual x <= 1} and its derivative: a cone over facet k has dV / dc_k = -n cone centre."""
+    """Return the volume of {dual x <= 1} and its derivative: a cone over facet k has dV / dc_k = -n
+    cone centre."""
     hull = ConvexHull(_facet_points(ConvexHull(dual)))
     n = dual.shape[1]
     corners = hull.points[hull.simplices]
@@ -240,11 +277,14 @@ def _volume_and_slope(dual: Float[np.ndarray, "k n"]) -> tuple[float, Float[np.n
     return float(cones.sum()), slope
 
 
-def _turned(loops, constraints: Polytope, disturbance, dual, slope, radius: float) -> Float[np.ndarray, "k n"]:
-    """Return rows c within `radius` that gain the most volume while c_k Phi_i y + h_W(c_k) <= 1 at every vertex y.
+def _turned(
+    loops, constraints: Polytope, disturbance, dual, slope, radius: float
+) -> Float[np.ndarray, "k n"]:
+    """Return rows c within `radius` that gain the most volume while c_k Phi_i y + h_W(c_k) <= 1 at
+    every vertex y.
 
-    To first order, with h_W frozen, where a vertex y is on the facets s and a row r = sum w_s c_s is nearly tight:
-    d(r y) = dr y - sum w_s dc_s y.
+    To first order, with h_W frozen, where a vertex y is on the facets s and a row r = sum w_s c_s
+    is nearly tight: d(r y) = dr y - sum w_s dc_s y.
     """
     k, n = dual.shape
     simplices, inverses = _simplices(dual)
@@ -263,16 +303,25 @@ def _turned(loops, constraints: Polytope, disturbance, dual, slope, radius: floa
     change[own, row[own] % k] += np.einsum("anm,am->an", loops[row[own] // k], vertices[at[own]])
     width = np.tile(radius * np.abs(dual).max(axis=0), k)
     limit, change = np.maximum(slack[row, at], 0), csr_array(change.reshape(len(row), -1))
-    answer = linprog(-slope.ravel(), A_ub=change, b_ub=limit, bounds=np.stack([-width, width], axis=1))
+    answer = linprog(
+        -slope.ravel(), A_ub=change, b_ub=limit, bounds=np.stack([-width, width], axis=1)
+    )
     return dual + answer.x.reshape(k, n) if answer.status == 0 else dual
 
 
-def _refitted(loops, constraints: Polytope, disturbance, dual, slope, growth: float) -> Float[np.ndarray, "k n"] | None:
+def _refitted(
+    loops, constraints: Polytope, disturbance, dual, slope, growth: float
+) -> Float[np.ndarray, "k n"] | None:
     """Return the rows scaled to offsets b that make {dual x <= b} invariant and large, or None.
 
-    Multipliers L >= 0, L dual = dual Phi_i, turn invariance into L b + h_W <= b; those of the tight rows are taken.
+    Multipliers L >= 0, L dual = dual Phi_i, turn invariance into L b + h_W <= b; those of the tight
+    rows are taken.
     """
-    v, steps, images = len(loops), (1 + INFLATION) * disturbance(dual), np.concatenate([dual @ loop for loop in loops])
+    v, steps, images = (
+        len(loops),
+        (1 + INFLATION) * disturbance(dual),
+        np.concatenate([dual @ loop for loop in loops]),
+    )
     try:
         offsets = np.max(dual @ _facet_points(ConvexHull(dual)).T, axis=1)
         scaled = dual / offsets[:, None]
@@ -287,24 +336,31 @@ def _refitted(loops, constraints: Polytope, disturbance, dual, slope, growth: fl
 
 
 def _multipliers(dual, directions) -> Float[np.ndarray, "d k"]:
-    """Return L >= 0 with L dual = directions and L 1 = support numbers: barycentres on facets of the dual hull."""
+    """Return L >= 0 with L dual = directions and L 1 = support numbers: barycentres on facets of
+    the dual hull."""
     simplices, inverses = _simplices(dual)
     weights = np.einsum("dn,fnm->dfm", directions, inverses)
-    hit = np.argmax(weights.min(axis=2), axis=1)  # the simplex the direction passes through: no weight is negative
+    hit = np.argmax(
+        weights.min(axis=2), axis=1
+    )  # the simplex the direction passes through: no weight is negative
     multipliers, each = np.zeros((len(directions), len(dual))), np.arange(len(directions))
     np.put_along_axis(multipliers, simplices[hit], np.maximum(weights[each, hit], 0), axis=1)
     return multipliers
 
 
 def _simplices(dual: Float[np.ndarray, "k n"]):
-    """Return the facets of the dual hull as n rows each, and the inverses of those; slivers left out."""
+    """Return the facets of the dual hull as n rows each, and the inverses of those; slivers left
+    out."""
     simplices = ConvexHull(dual).simplices
     solid = np.abs(np.linalg.det(dual[simplices])) > 1e-12 * np.prod(np.abs(dual).max(axis=0))
     return simplices[solid], np.linalg.inv(dual[simplices[solid]])
 
 
-def _restored(images, constraints: Polytope, steps, dual, offsets) -> Float[np.ndarray, "k n"] | None:
-    """Return the rows with offsets repaired to invariance in float64 (a solver's answer misses it by 1e-7), or None."""
+def _restored(
+    images, constraints: Polytope, steps, dual, offsets
+) -> Float[np.ndarray, "k n"] | None:
+    """Return the rows with offsets repaired to invariance in float64 (a solver's answer misses it
+    by 1e-7), or None."""
     for _ in range(100):
         points = _vertices(dual, offsets)
         tight = np.max(dual @ points.T, axis=1)

@@ -1,14 +1,17 @@
-"""A quadratic cost for gains that are given: one Lyapunov inequality a loop, one semidefinite program for all.
+"""A quadratic cost for gains that are given: one Lyapunov inequality a loop, one semidefinite
+program for all.
 
     D_i(P) = P - Phi_i^T P Phi_i - (Q + K_i^T R K_i) >= 0,    small trace P
 
-Of the answers the centred one is taken, which keeps off all the inequalities and depends smoothly on the data:
+Of the answers the centred one is taken, which keeps off all the inequalities and depends smoothly
+on the data:
 
     minimise  trace P / trace of the mean stage cost  -  CENTRING  sum_i log det D_i(P)
 
 Its trace exceeds the least one by CENTRING v n mean stage costs at most (v loops, n states).
-Notation: Phi_i = A_i + B_i K_i the loops, Q error weight, R input weight, P cost; u = +K e throughout.
-Source: Boyd, Vandenberghe, Convex Optimization 2004, sections 9.6 and 11.2 (Newton's method, barrier).
+Notation: Phi_i = A_i + B_i K_i the loops, Q error weight, R input weight, P cost; u = +K e
+throughout. Source: Boyd, Vandenberghe, Convex Optimization 2004, sections 9.6 and 11.2 (Newton's
+method, barrier).
 """
 
 from __future__ import annotations
@@ -34,11 +37,13 @@ def cost_of_gains(
     error_weight: Float[np.ndarray, "n n"],
     input_weight: Float[np.ndarray, "m m"],
 ) -> Float[np.ndarray, "n n"]:
-    """Compute the terminal cost for gains that are given: P - Phi_i^T P Phi_i > Q + K_i^T R K_i, centred.
+    """Compute the terminal cost for gains that are given: P - Phi_i^T P Phi_i > Q + K_i^T R K_i,
+    centred.
 
-    Args: loops, gains: Phi_i = A_i + B_i K_i and K_i, u = +K e. error_weight: Q > 0. input_weight: R > 0.
-    Returns: P, which decreases by more than the stage cost for every pair, hence for every joint mixture of them.
-    Raises: RuntimeError where the solver finds none: the loops share no quadratic cost.
+    Args: loops, gains: Phi_i = A_i + B_i K_i and K_i, u = +K e. error_weight: Q > 0. input_weight:
+    R > 0. Returns: P, which decreases by more than the stage cost for every pair, hence for every
+    joint mixture of them. Raises: RuntimeError where the solver finds none: the loops share no
+    quadratic cost.
     """
     stage = stage_cost(gains, error_weight, input_weight)
     P = (1 + LIFT) * scaled_to_decrease(_least_trace(loops, stage), loops, stage)
@@ -47,16 +52,21 @@ def cost_of_gains(
         step = -np.linalg.solve(curvature, slope)
         decrement = float(-slope @ step)
         # Damped while far from the centre, where the full step could leave the inequalities.
-        P = P + np.tensordot(step, symmetric_basis(len(P)), axes=1) / (1 + np.sqrt(decrement / CENTRING))
+        P = P + np.tensordot(step, symmetric_basis(len(P)), axes=1) / (
+            1 + np.sqrt(decrement / CENTRING)
+        )
         if decrement <= NEWTON_DECREMENT * CENTRING:
             return P
-    raise RuntimeError("cost_of_gains: Newton's method does not reach the centre; rescale the weights")
+    raise RuntimeError(
+        "cost_of_gains: Newton's method does not reach the centre; rescale the weights"
+    )
 
 
 def centring(
     P: Float[Any, "n n"], loops: Float[Any, "v n n"], stage: Float[Any, "v n n"], xp: Any = np
 ) -> tuple[Float[Any, " k"], Float[Any, "k k"]]:
-    """Return slope and curvature of what the centred cost minimises, in the coordinates of `symmetric_basis`.
+    """Return slope and curvature of what the centred cost minimises, in the coordinates of
+    `symmetric_basis`.
 
     `xp` is numpy or a module with the same functions, to which the arrays belong.
     """
@@ -100,17 +110,24 @@ def _least_trace(loops, stage) -> Float[np.ndarray, "n n"]:
     answer = solver.solve()
     # What is not exact is scaled, centred and checked afterwards.
     if str(answer.status) not in ("Solved", "AlmostSolved"):
-        raise RuntimeError(f"cost_of_gains: Clarabel reports {answer.status}; the loops share no quadratic cost")
+        raise RuntimeError(
+            f"cost_of_gains: Clarabel reports {answer.status}; the loops share no quadratic cost"
+        )
     return np.tensordot(answer.x, basis, axes=1)
 
 
 def scaled_to_decrease(P: np.ndarray, loops, stage) -> np.ndarray:
-    """Scale P by the smallest factor that makes the decrease exact in float64; RuntimeError where none does."""
+    """Scale P by the smallest factor that makes the decrease exact in float64; RuntimeError where
+    none does."""
     try:
         pairs = zip(stage, P - np.swapaxes(loops, -1, -2) @ P @ loops, strict=True)
-        factor = max(scipy.linalg.eigh(least, decrease, eigvals_only=True)[-1] for least, decrease in pairs)
+        factor = max(
+            scipy.linalg.eigh(least, decrease, eigvals_only=True)[-1] for least, decrease in pairs
+        )
     except np.linalg.LinAlgError:
-        raise RuntimeError("terminal cost: the solver's answer does not decrease; rescale the weights") from None
+        raise RuntimeError(
+            "terminal cost: the solver's answer does not decrease; rescale the weights"
+        ) from None
     return P * factor * (1 + ROUNDING_SURPLUS)
 
 

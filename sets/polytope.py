@@ -1,11 +1,12 @@
-"""Polytopes {x : H x <= h} whose operations are exact and reduce to the support function h_P(d) = max {d x : x in P}.
+"""Polytopes {x : H x <= h} whose operations are exact and reduce to the support function h_P(d) =
+max {d x : x in P}.
 
-Support numbers answer inclusion, P contains Q if and only if h_Q(H_i) <= h_i for all rows, and the Pontryagin
-difference, P - Q = {x : H x <= h - h_Q(H)} (Kolmanovsky and Gilbert 1998, Math. Probl. Eng. 4, section 2). Vertices
-serve sums, hulls and singular images.
+Support numbers answer inclusion, P contains Q if and only if h_Q(H_i) <= h_i for all rows, and the
+Pontryagin difference, P - Q = {x : H x <= h - h_Q(H)} (Kolmanovsky and Gilbert 1998, Math. Probl.
+Eng. 4, section 2). Vertices serve sums, hulls and singular images.
 
-A set thinner than 1e-9 of its width, or than the rounding of its own data, is flat; results are exact to 1e-9 of the
-set's size.
+A set thinner than 1e-9 of its width, or than the rounding of its own data, is flat; results are
+exact to 1e-9 of the set's size.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from sets.frame import Frame, find_frame, flatten, hull, product, recedes, solve
 
 @dataclass(frozen=True, eq=False)
 class Polytope:
-    """The set {x : normals x <= offsets}; rows `0 x <= h >= 0` and rows with offset +inf are dropped."""
+    """The set {x : normals x <= offsets}; rows `0 x <= h >= 0` and rows with offset +inf are
+    dropped."""
 
     normals: Float[np.ndarray, "facets dimension"]
     offsets: Float[np.ndarray, " facets"]
@@ -31,38 +33,49 @@ class Polytope:
     def __post_init__(self):
         normals, offsets = np.array(self.normals, dtype=float), np.array(self.offsets, dtype=float)
         if normals.ndim != 2 or normals.shape[1] == 0 or offsets.shape != normals.shape[:1]:
-            raise ValueError(f"normals {normals.shape}, offsets {offsets.shape}: give (facets, dimension), (facets,)")
+            raise ValueError(
+                f"normals {normals.shape}, offsets {offsets.shape}: give (facets, dimension), (facets,)"
+            )
         if not np.isfinite(normals).all():
             raise ValueError("normals: NaN or infinite entry; give finite facet normals")
         if np.isnan(offsets).any() or (offsets == -np.inf).any():
-            raise ValueError("offsets: NaN or -inf entry; give finite offsets, or +inf for a row that does not bind")
+            raise ValueError(
+                "offsets: NaN or -inf entry; give finite offsets, or +inf for a row that does not bind"
+            )
         binds = (offsets < np.inf) & (normals.any(axis=1) | (offsets < 0))
         for name, value in (("normals", normals[binds]), ("offsets", offsets[binds])):
             value.flags.writeable = False
             object.__setattr__(self, name, value)
 
     @staticmethod
-    def box(lower: Float[np.ndarray, " dimension"], upper: Float[np.ndarray, " dimension"]) -> Polytope:
-        """Build {x : lower <= x <= upper}; infinite bounds do not bind, crossed bounds give the empty set."""
+    def box(
+        lower: Float[np.ndarray, " dimension"], upper: Float[np.ndarray, " dimension"]
+    ) -> Polytope:
+        """Build {x : lower <= x <= upper}; infinite bounds do not bind, crossed bounds give the
+        empty set."""
         lower, upper = np.broadcast_arrays(np.atleast_1d(lower), np.atleast_1d(upper))
         identity = np.eye(lower.size)
         return Polytope(np.vstack([identity, -identity]), np.concatenate([upper, -lower]))
 
     @staticmethod
     def from_vertices(points: Float[np.ndarray, "points dimension"]) -> Polytope:
-        """Build the convex hull of points; directions in which they are flat become two opposite rows."""
+        """Build the convex hull of points; directions in which they are flat become two opposite
+        rows."""
         points = _cloud(points)
         if not len(points):
             return Polytope(np.zeros((1, points.shape[1])), -np.ones(1))
         coordinates, inverse, flat = flatten(points)
         facets = product(hull(coordinates)[0], inverse)
         normals = np.vstack([facets, flat])
-        normals = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)
+        normals = normals / np.maximum(
+            np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny
+        )
         # support numbers of the cloud itself, so that the rounding of its hull cuts no point off
         numbers, constants = np.split(points @ normals.T, [len(facets)], axis=1)
         level = constants.mean(axis=0)
         return Polytope(
-            np.vstack([normals, -normals[len(facets) :]]), np.concatenate([numbers.max(axis=0), level, -level])
+            np.vstack([normals, -normals[len(facets) :]]),
+            np.concatenate([numbers.max(axis=0), level, -level]),
         )
 
     @property
@@ -74,8 +87,11 @@ class Polytope:
     def _frame(self) -> Frame | None:
         return find_frame(self.normals, self.offsets)
 
-    def support(self, directions: Float[np.ndarray, "*directions dimension"]) -> Float[np.ndarray, "*directions"]:
-        """Return max {d x : x in P} for each direction d: exact, +inf where unbounded, -inf if P is empty."""
+    def support(
+        self, directions: Float[np.ndarray, "*directions dimension"]
+    ) -> Float[np.ndarray, "*directions"]:
+        """Return max {d x : x in P} for each direction d: exact, +inf where unbounded, -inf if P is
+        empty."""
         directions = self._checked("directions", directions)
         if not np.isfinite(directions).all():
             raise ValueError("directions: NaN or infinite entry; give finite directions")
@@ -103,17 +119,19 @@ class Polytope:
         return float(size / abs(np.linalg.det(inverse)))
 
     def chebyshev(self) -> tuple[Float[np.ndarray, " dimension"], float]:
-        """Return a centre and the radius of a largest ball in P; the ball is inside, for the radius is its margin.
+        """Return a centre and the radius of a largest ball in P; the ball is inside, for the radius
+        is its margin.
 
-        Flat: radius 0 about a point of P. Balls without bound: radius inf. Empty: radius -inf and no centre (NaN).
+        Flat: radius 0 about a point of P. Balls without bound: radius inf. Empty: radius -inf and
+        no centre (NaN).
         """
         frame = self._frame
         if frame is None:
             return np.full(self.dimension, np.nan), -np.inf
         if frame.equalities.size:
             return frame.centre, 0.0
-        # in units of the radius about the frame's centre the ball's weight in every row is at most one; solvers drop
-        # coefficients below 1e-9, and a larger weight only asks for more room
+        # in units of the radius about the frame's centre the ball's weight in every row is at most
+        # one; solvers drop coefficients below 1e-9, and a larger weight only asks for more room
         distances = frame.slacks / np.linalg.norm(self.normals[frame.rows], axis=1)
         weights = np.maximum(distances.min(initial=np.inf) / distances, 2e-9)
         _, inverse, _ = frame.isotropic
@@ -122,7 +140,8 @@ class Polytope:
         if recedes(weighted, cost):
             return frame.centre, np.inf
         solution, _ = solve(cost, weighted, np.ones(len(weighted)))
-        # the step back costs 1e-9 of the radius and gives far rows the room that the solver's tolerance took
+        # the step back costs 1e-9 of the radius and gives far rows the room that the solver's
+        # tolerance took
         centre = frame.centre + (1 - 1e-9) * (frame.basis @ (solution[:-1] @ inverse))
         return centre, float(self.margin(centre))
 
@@ -142,12 +161,16 @@ class Polytope:
     def contains(
         self, points: Float[np.ndarray, "*points dimension"], tolerance: float = 0.0
     ) -> Bool[np.ndarray, "*points"]:
-        """Tell which points satisfy H x <= h + tolerance ||H_i||; a NaN is outside every proper subset."""
+        """Tell which points satisfy H x <= h + tolerance ||H_i||; a NaN is outside every proper
+        subset."""
         slack = self.offsets - self._checked("points", points) @ self.normals.T
         return (slack >= -tolerance * np.linalg.norm(self.normals, axis=1)).all(axis=-1)
 
-    def margin(self, points: Float[np.ndarray, "*points dimension"]) -> Float[np.ndarray, "*points"]:
-        """Return min_i (h_i - H_i x) / ||H_i||: the distance to the nearest facet plane, negative outside."""
+    def margin(
+        self, points: Float[np.ndarray, "*points dimension"]
+    ) -> Float[np.ndarray, "*points"]:
+        """Return min_i (h_i - H_i x) / ||H_i||: the distance to the nearest facet plane, negative
+        outside."""
         return self._least(self.offsets - self._checked("points", points) @ self.normals.T)
 
     def containment_margin(self, other: Polytope) -> float:
@@ -155,15 +178,21 @@ class Polytope:
 
         It is +inf if other is empty and -inf if other is unbounded along one of the rows.
         """
-        return float(self._least(self.offsets - other.support(self._checked("normals", self.normals, other))))
+        return float(
+            self._least(self.offsets - other.support(self._checked("normals", self.normals, other)))
+        )
 
     def intersect(self, other: Polytope) -> Polytope:
         """Return the points in both sets."""
         self._checked("other.normals", other.normals)
-        return Polytope(np.vstack([self.normals, other.normals]), np.concatenate([self.offsets, other.offsets]))
+        return Polytope(
+            np.vstack([self.normals, other.normals]), np.concatenate([self.offsets, other.offsets])
+        )
 
     def preimage(
-        self, matrix: Float[np.ndarray, "dimension k"], shift: Float[np.ndarray, " dimension"] | None = None
+        self,
+        matrix: Float[np.ndarray, "dimension k"],
+        shift: Float[np.ndarray, " dimension"] | None = None,
     ) -> Polytope:
         """Return {x : matrix x + shift in P}: exact for every matrix, no vertices."""
         matrix = np.asarray(matrix, dtype=float)
@@ -173,10 +202,13 @@ class Polytope:
                 f"matrix {matrix.shape}, shift {shift.shape}: give ({self.dimension}, k), ({self.dimension},)"
             )
         size = abs(self.offsets) + abs(self.normals) @ abs(shift)
-        return Polytope(product(self.normals, matrix), _difference(self.offsets, self.normals @ shift, size))
+        return Polytope(
+            product(self.normals, matrix), _difference(self.offsets, self.normals @ shift, size)
+        )
 
     def image(self, matrix: Float[np.ndarray, "k dimension"]) -> Polytope:
-        """Return {matrix x : x in P}: exact, by the inverse where it is well conditioned, else by the vertices.
+        """Return {matrix x : x in P}: exact, by the inverse where it is well conditioned, else by
+        the vertices.
 
         Raises ValueError if the set is unbounded and its vertices are needed.
         """
@@ -186,20 +218,30 @@ class Polytope:
         square = matrix.shape[0] == matrix.shape[1] and rows.all() and columns.all()
         if not square or np.linalg.cond(scaled := matrix / rows / columns) > 1e6:
             return Polytope.from_vertices(self.vertices() @ matrix.T)
-        return Polytope(product(self.normals / columns, np.linalg.inv(scaled)) / rows[:, 0], self.offsets)
+        return Polytope(
+            product(self.normals / columns, np.linalg.inv(scaled)) / rows[:, 0], self.offsets
+        )
 
     def minkowski_sum(self, other: Polytope) -> Polytope:
-        """Return {x + y : x in P, y in other}: exact, by the hull of all sums of vertices; both bounded."""
+        """Return {x + y : x in P, y in other}: exact, by the hull of all sums of vertices; both
+        bounded."""
         self._checked("other.normals", other.normals)
         sums = self.vertices()[:, None, :] + other.vertices()[None, :, :]
         return Polytope.from_vertices(sums.reshape(-1, self.dimension))
 
-    def pontryagin_difference(self, other: Polytope | Callable[[np.ndarray], np.ndarray]) -> Polytope:
-        """Return {x : x + other in P}, exact, of a polytope or of any set given by its support function."""
+    def pontryagin_difference(
+        self, other: Polytope | Callable[[np.ndarray], np.ndarray]
+    ) -> Polytope:
+        """Return {x : x + other in P}, exact, of a polytope or of any set given by its support
+        function."""
         support = other.support if isinstance(other, Polytope) else other
         axes = np.vstack([np.eye(self.dimension), -np.eye(self.dimension)])
         numbers = np.asarray(support(np.vstack([self.normals, axes])), dtype=float)
-        extent = np.where(np.isfinite(numbers), abs(numbers), 0.0)[-len(axes) :].reshape(2, -1).max(axis=0)
+        extent = (
+            np.where(np.isfinite(numbers), abs(numbers), 0.0)[-len(axes) :]
+            .reshape(2, -1)
+            .max(axis=0)
+        )
         size = abs(self.offsets) + abs(self.normals) @ extent
         offsets = _difference(self.offsets, numbers[: -len(axes)], size)
         if (offsets == -np.inf).any():
@@ -209,13 +251,16 @@ class Polytope:
     def scale(self, factor: float) -> Polytope:
         """Return {factor x : x in P} for factor >= 0; factor 0 gives the origin alone."""
         if not 0 <= factor < np.inf:
-            raise ValueError(f"factor {factor}: give a finite factor >= 0 (a reflection is image(-identity))")
+            raise ValueError(
+                f"factor {factor}: give a finite factor >= 0 (a reflection is image(-identity))"
+            )
         if factor == 0 and not self.is_empty():
             return Polytope.box(np.zeros(self.dimension), np.zeros(self.dimension))
         return Polytope(self.normals, self.offsets * (factor or 1.0))
 
     def reduce(self) -> Polytope:
-        """Return the same set by rows of which none is redundant; implicit equalities become two opposite rows."""
+        """Return the same set by rows of which none is redundant; implicit equalities become two
+        opposite rows."""
         frame = self._frame
         if frame is None:
             return Polytope.from_vertices(np.zeros((0, self.dimension)))
@@ -232,7 +277,9 @@ class Polytope:
     def _checked(self, name, value, owner=None):
         value, dimension = np.asarray(value, dtype=float), (owner or self).dimension
         if value.ndim == 0 or value.shape[-1] != dimension:
-            raise ValueError(f"{name}: shape {value.shape}; the last axis must have the set's dimension {dimension}")
+            raise ValueError(
+                f"{name}: shape {value.shape}; the last axis must have the set's dimension {dimension}"
+            )
         return value
 
 
@@ -243,19 +290,25 @@ def convex_hull(polytopes: Sequence[Polytope]) -> Polytope:
     return Polytope.from_vertices(np.vstack([polytope.vertices() for polytope in polytopes]))
 
 
-def hull_vertices(points: Float[np.ndarray, "points dimension"]) -> Float[np.ndarray, "vertices dimension"]:
-    """Return the extreme points of a cloud, flat clouds included; points closer than 1e-10 of its size are one."""
+def hull_vertices(
+    points: Float[np.ndarray, "points dimension"],
+) -> Float[np.ndarray, "vertices dimension"]:
+    """Return the extreme points of a cloud, flat clouds included; points closer than 1e-10 of its
+    size are one."""
     points = _cloud(points)
     return points[hull(flatten(points)[0])[2]] if len(points) else points
 
 
 def _difference(left, right, size):
-    """Subtract, and take for zero what rounding leaves of two equal numbers that came from terms of the given size."""
+    """Subtract, and take for zero what rounding leaves of two equal numbers that came from terms of
+    the given size."""
     return np.where(abs(left - right) <= 1e-12 * size, 0.0, left - right)
 
 
 def _cloud(points):
     points = np.asarray(points, dtype=float)
     if points.ndim != 2 or points.shape[1] == 0 or not np.isfinite(points).all():
-        raise ValueError(f"points: shape {points.shape}; give finite points of shape (points, dimension)")
+        raise ValueError(
+            f"points: shape {points.shape}; give finite points of shape (points, dimension)"
+        )
     return points

@@ -2,10 +2,11 @@
 
     sup {f(x) : x in cell} <= f(c) + sum_i max {g (x_i - c_i) : x in cell, g in G_i},    G_i encloses df/dx_i there
 
-The centre c lies at an end of the cell along monotone variables, where the bound is exact, else where both ends bound
-alike (Baumann 1988, BIT 28, "Optimal centered forms"). Values at such centres are values of f, hence bounds from below.
-A cell is done once its bound exceeds the largest value found by no more than the tolerance; others are halved along the
-variable that contributes most. All objectives and all their cells are worked on in one batch.
+The centre c lies at an end of the cell along monotone variables, where the bound is exact, else
+where both ends bound alike (Baumann 1988, BIT 28, "Optimal centered forms"). Values at such centres
+are values of f, hence bounds from below. A cell is done once its bound exceeds the largest value
+found by no more than the tolerance; others are halved along the variable that contributes most. All
+objectives and all their cells are worked on in one batch.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ class Cells:
     bound: Float[np.ndarray, " cells"]
 
     def __getitem__(self, chosen) -> Cells:
-        return Cells(self.lower[:, chosen], self.upper[:, chosen], self.objective[chosen], self.bound[chosen])
+        return Cells(
+            self.lower[:, chosen], self.upper[:, chosen], self.objective[chosen], self.bound[chosen]
+        )
 
     def halves(self, variable: Int[np.ndarray, " cells"]) -> Cells:
         """Return both halves of every cell, cut along its variable."""
@@ -50,7 +53,8 @@ def suprema(
     negligible: float = 1e-9,
     most_cells: int = 100_000,
 ) -> tuple[Float[np.ndarray, " groups"], Float[np.ndarray, " groups"]]:
-    """Bound sup {sign f_output(x) : lower <= x <= upper in some box} over every group of objectives.
+    """Bound sup {sign f_output(x) : lower <= x <= upper in some box} over every group of
+    objectives.
 
     Args:
         function: takes the variables, floats or intervals or duals alike, and returns its outputs.
@@ -58,10 +62,12 @@ def suprema(
         objectives: (output, sign, group) of each; only the largest of a group counts.
         tolerance: relative gap at which a cell is done, positive.
         negligible: gap at which a cell is done anyway, in the unit of the outputs.
-        most_cells: number of cells after which the search stops; the bounds hold all the same, only less tightly.
+        most_cells: number of cells after which the search stops; the bounds hold all the same, only
+            less tightly.
 
     Returns:
-        (bounds, values found) of every group: its supremum lies between the value found and the bound.
+        (bounds, values found) of every group: its supremum lies between the value found and the
+        bound.
 
     Raises:
         ValueError: tolerance not positive, or an operation of the function refuses the box.
@@ -69,7 +75,9 @@ def suprema(
     Source: Moore, Kearfott, Cloud 2009, Introduction to Interval Analysis, chapters 5, 6.
     """
     if not tolerance > 0:
-        raise ValueError(f"tolerance: {tolerance} is not positive; give a relative gap such as 0.01")
+        raise ValueError(
+            f"tolerance: {tolerance} is not positive; give a relative gap such as 0.01"
+        )
     output, sign, group = np.array(objectives).T
     found, proved = np.full((2, group.max() + 1), -np.inf)
     boxes, count = lower.shape[1], len(output)
@@ -84,7 +92,9 @@ def suprema(
         np.maximum.at(found, own, values)
         gap = tolerance * np.abs(found[own]) + negligible
         cells, spread = _collapsed(cells, gradient)
-        done = (cells.bound <= found[own] + gap) | (spread.max(axis=0) == 0) | (evaluated > most_cells)
+        done = (
+            (cells.bound <= found[own] + gap) | (spread.max(axis=0) == 0) | (evaluated > most_cells)
+        )
         np.maximum.at(proved, own[done], cells.bound[done])
         cells = cells[~done].halves(spread[:, ~done].argmax(axis=0))
     return proved, found
@@ -99,25 +109,43 @@ def _mean_value_form(function, cells: Cells, output, sign):
     corner = np.where(gradient.lower + gradient.upper > 0, cells.upper, cells.lower)
     at_points = _values(function, np.hstack([centre, corner]), np.tile(output, 2), np.tile(sign, 2))
     rises = (gradient * (Interval(cells.lower, cells.upper) - centre)).upper
-    rounding = (variables + 1) * EPSILON * (np.abs(at_points.upper[:count]) + np.abs(rises).sum(axis=0))
+    rounding = (
+        (variables + 1) * EPSILON * (np.abs(at_points.upper[:count]) + np.abs(rises).sum(axis=0))
+    )
     bound = at_points.upper[:count] + rises.sum(axis=0) + 2.0 * rounding
-    return at_points.lower.reshape(2, count).max(axis=0), gradient, np.minimum(np.minimum(bound, value), cells.bound)
+    return (
+        at_points.lower.reshape(2, count).max(axis=0),
+        gradient,
+        np.minimum(np.minimum(bound, value), cells.bound),
+    )
 
 
-def _derivatives(function, cells: Cells, output, sign) -> tuple[Float[np.ndarray, " cells"], Interval]:
-    """Return an upper bound of each cell's objective and the enclosure of its gradient, by interval arithmetic."""
+def _derivatives(
+    function, cells: Cells, output, sign
+) -> tuple[Float[np.ndarray, " cells"], Interval]:
+    """Return an upper bound of each cell's objective and the enclosure of its gradient, by interval
+    arithmetic."""
     variables, count = cells.lower.shape
     seeds = np.broadcast_to(np.eye(variables)[:, :, None], (variables, variables, count))
     boxes = zip(cells.lower, cells.upper, seeds, strict=True)
-    results = function([Dual(Interval(low, high), Interval(seed, seed)) for low, high, seed in boxes])
-    value, lower, upper = np.zeros(count), np.zeros((variables, count)), np.zeros((variables, count))
+    results = function(
+        [Dual(Interval(low, high), Interval(seed, seed)) for low, high, seed in boxes]
+    )
+    value, lower, upper = (
+        np.zeros(count),
+        np.zeros((variables, count)),
+        np.zeros((variables, count)),
+    )
     for index, result in enumerate(results):
         for direction in (1, -1):
             chosen = (output == index) & (sign == direction)
             if isinstance(result, Dual) and chosen.any():
                 signed = result * float(direction)
                 value[chosen] = signed.value.upper[chosen]
-                lower[:, chosen], upper[:, chosen] = signed.gradient.lower[:, chosen], signed.gradient.upper[:, chosen]
+                lower[:, chosen], upper[:, chosen] = (
+                    signed.gradient.lower[:, chosen],
+                    signed.gradient.upper[:, chosen],
+                )
     return value, Interval(lower, upper)
 
 
@@ -132,8 +160,11 @@ def _values(function, points: Float[np.ndarray, "variables points"], output, sig
     return Interval(np.where(sign > 0, lower, -upper), np.where(sign > 0, upper, -lower))
 
 
-def _collapsed(cells: Cells, gradient: Interval) -> tuple[Cells, Float[np.ndarray, "variables cells"]]:
-    """Return the cells shrunk to the ends that hold their suprema, and what each variable can still contribute."""
+def _collapsed(
+    cells: Cells, gradient: Interval
+) -> tuple[Cells, Float[np.ndarray, "variables cells"]]:
+    """Return the cells shrunk to the ends that hold their suprema, and what each variable can still
+    contribute."""
     lower = np.where(gradient.lower >= 0, cells.upper, cells.lower)
     upper = np.where((gradient.upper <= 0) & (gradient.lower < 0), cells.lower, cells.upper)
     up, down = np.maximum(gradient.upper, 0.0), np.maximum(-gradient.lower, 0.0)

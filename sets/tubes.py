@@ -1,4 +1,5 @@
-"""Tubes: sets that hold the deviation from a plan, j steps ahead, under every admissible disturbance and schedule.
+"""Tubes: sets that hold the deviation from a plan, j steps ahead, under every admissible
+disturbance and schedule.
 
     R_0 = {0},    R_1 = W,    deviation+ = Phi(th) deviation + w,    w in W,    Phi(th) = A(th) + B K(th)
 
@@ -7,11 +8,11 @@
 * `summed`    S_0 = W, S_{j+1} = co u_i Phi_i S_j, R_{j+1} = R_j + S_j
 * `sequence`  R_{j+1|k} = Phi(th_{k+j}) R_{j|k} + W along the known schedule
 
-Every section is a Minkowski sum of convex hulls of point clouds, so its support function is a sum of maxima and no
-facet is ever needed.
+Every section is a Minkowski sum of convex hulls of point clouds, so its support function is a sum
+of maxima and no facet is ever needed.
 
-Sources: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (26)-(29) (`paper`, tightening); Chisci, Rossiter, Zappa 2001
-(restarted tubes).
+Sources: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (26)-(29) (`paper`, tightening); Chisci,
+Rossiter, Zappa 2001 (restarted tubes).
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ from sets.polytope import Polytope, hull_vertices
 
 @dataclass(frozen=True)
 class Section:
-    """One tube section: the Minkowski sum of the convex hulls of its terms (no term: the origin alone)."""
+    """One tube section: the Minkowski sum of the convex hulls of its terms (no term: the origin
+    alone)."""
 
     terms: tuple[Float[np.ndarray, "points n"], ...]
     dimension: int
@@ -36,7 +38,9 @@ class Section:
     def support(self, directions: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
         """Return the support numbers along the rows of `directions`, exact up to rounding."""
         directions = np.atleast_2d(directions)
-        return sum((np.max(directions @ term.T, axis=1) for term in self.terms), np.zeros(len(directions)))
+        return sum(
+            (np.max(directions @ term.T, axis=1) for term in self.terms), np.zeros(len(directions))
+        )
 
     def vertices(self) -> Float[np.ndarray, "v n"]:
         """Return the extreme points, by one planar hull a term."""
@@ -56,16 +60,25 @@ class Section:
         return Section(self.terms + other.terms, self.dimension)
 
 
-def _all_sums(left: Float[np.ndarray, "k n"], right: Float[np.ndarray, "l n"]) -> Float[np.ndarray, "kl n"]:
+def _all_sums(
+    left: Float[np.ndarray, "k n"], right: Float[np.ndarray, "l n"]
+) -> Float[np.ndarray, "kl n"]:
     return (left[:, None] + right[None]).reshape(-1, left.shape[1])
 
 
-def _hull_of_images(matrices: Sequence[Float[np.ndarray, "n n"]], points: Float[np.ndarray, "k n"]) -> Section:
-    return Section((hull_vertices(np.concatenate([points @ matrix.T for matrix in matrices])),), points.shape[1])
+def _hull_of_images(
+    matrices: Sequence[Float[np.ndarray, "n n"]], points: Float[np.ndarray, "k n"]
+) -> Section:
+    return Section(
+        (hull_vertices(np.concatenate([points @ matrix.T for matrix in matrices])),),
+        points.shape[1],
+    )
 
 
 def _start(disturbance: Polytope) -> tuple[Section, Section]:
-    return Section((), disturbance.dimension), Section((disturbance.vertices(),), disturbance.dimension)
+    return Section((), disturbance.dimension), Section(
+        (disturbance.vertices(),), disturbance.dimension
+    )
 
 
 def paper_tube(
@@ -75,9 +88,11 @@ def paper_tube(
     disturbance: Polytope,
     horizon: int,
 ) -> list[Section]:
-    """Return R_0 .. R_N of eq. (27) (Gonzalez et al. 2009), for Phi(th) = nominal_loop + sum_m dV_m slopes[m].
+    """Return R_0 .. R_N of eq. (27) (Gonzalez et al. 2009), for Phi(th) = nominal_loop + sum_m dV_m
+    slopes[m].
 
-    `ranges[m]` bounds dV_m; each parameter is treated on its own, which is why this tube contains `hull`.
+    `ranges[m]` bounds dV_m; each parameter is treated on its own, which is why this tube contains
+    `hull`.
     """
     origin, step = _start(disturbance)
     sections = [origin, step]
@@ -92,8 +107,11 @@ def paper_tube(
     return sections[: horizon + 1]
 
 
-def hull_tube(loops: Float[np.ndarray, "v n n"], disturbance: Polytope, horizon: int) -> list[Section]:
-    """Return R_0 .. R_N with R_{j+1} = co u_i Phi_i R_j + W, the smallest convex tube for arbitrary schedules."""
+def hull_tube(
+    loops: Float[np.ndarray, "v n n"], disturbance: Polytope, horizon: int
+) -> list[Section]:
+    """Return R_0 .. R_N with R_{j+1} = co u_i Phi_i R_j + W, the smallest convex tube for arbitrary
+    schedules."""
     origin, step = _start(disturbance)
     sections = [origin, step]
     for _ in range(1, horizon):
@@ -101,18 +119,24 @@ def hull_tube(loops: Float[np.ndarray, "v n n"], disturbance: Polytope, horizon:
     return sections[: horizon + 1]
 
 
-def propagated(loops: Float[np.ndarray, "v n n"], disturbance: Polytope, steps: int) -> list[Section]:
-    """Return S_0 .. S_steps, S_j the convex hull of Psi_j W over every product Psi_j of j vertex loops."""
+def propagated(
+    loops: Float[np.ndarray, "v n n"], disturbance: Polytope, steps: int
+) -> list[Section]:
+    """Return S_0 .. S_steps, S_j the convex hull of Psi_j W over every product Psi_j of j vertex
+    loops."""
     clouds = [_start(disturbance)[1]]
     for _ in range(steps):
         clouds.append(_hull_of_images(list(loops), clouds[-1].vertices()))
     return clouds
 
 
-def summed_tube(loops: Float[np.ndarray, "v n n"], disturbance: Polytope, horizon: int) -> list[Section]:
+def summed_tube(
+    loops: Float[np.ndarray, "v n n"], disturbance: Polytope, horizon: int
+) -> list[Section]:
     """Return R_0 .. R_N with R_{j+1} = R_j + S_j.
 
-    Contains `hull`, and by construction R_{j+1} contains R_j + Psi_j W for every product Psi_j of j vertex loops.
+    Contains `hull`, and by construction R_{j+1} contains R_j + Psi_j W for every product Psi_j of j
+    vertex loops.
     """
     sections = [_start(disturbance)[0]]
     for cloud in propagated(loops, disturbance, max(horizon - 1, 0))[:horizon]:
@@ -150,5 +174,6 @@ def sequence_support(
 def input_support(
     section: Section, gains: Float[np.ndarray, "v m n"], directions: Float[np.ndarray, "k m"]
 ) -> Float[np.ndarray, " k"]:
-    """Return the support numbers of co u_i K_i R, what the tube controller may add to the planned input."""
+    """Return the support numbers of co u_i K_i R, what the tube controller may add to the planned
+    input."""
     return np.max([section.support(directions @ gain) for gain in gains], axis=0)

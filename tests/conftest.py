@@ -18,7 +18,8 @@ def pytest_configure(config):
     jax.config.update("jax_disable_most_optimizations", config.option.markexpr == "not slow")
 
 
-# Designs and closed loops that several files look at: computed once, and compiled once for one shape.
+# Designs and closed loops that several files look at: computed once, and compiled once for one
+# shape.
 
 
 @pytest.fixture(scope="session")
@@ -41,7 +42,8 @@ def robust_design():
 
 @pytest.fixture(scope="session")
 def uncertified():
-    """Design a scenario under overrides without the certificate, which takes longer than all the rest."""
+    """Design a scenario under overrides without the certificate, which takes longer than all the
+    rest."""
     from jaxtube.scenario import load
     from jaxtube.synthesis.design import design
     from sets.certificate import Certificate
@@ -61,7 +63,9 @@ def edge_starts():
     from jaxtube.synthesis.feasible import boundary, spread_starts
 
     def draw(design, count, edge_share=0.5):
-        points = boundary(design.tube_window, int(design.windows.index[0]), design.problem.error_set, 200, seed=3)
+        points = boundary(
+            design.tube_window, int(design.windows.index[0]), design.problem.error_set, 200, seed=3
+        )
         return spread_starts(points, count, 4, edge_share)
 
     return draw
@@ -69,12 +73,16 @@ def edge_starts():
 
 @pytest.fixture(scope="session")
 def stressed(robust_design, edge_starts):
-    """Tube-MPC and MPC without tube from the same 512 starts, on the linear plant of `robust` with w in W."""
+    """Tube-MPC and MPC without tube from the same 512 starts, on the linear plant of `robust` with
+    w in W."""
     from jaxtube.simulation import closed_loop
 
     loops, plant = closed_loop.controllers(robust_design), closed_loop.linear_plant(robust_design)
     starts = edge_starts(robust_design, 512)
-    return {name: closed_loop.simulate(loops[name], plant, starts, 5) for name in ("tube_mpc", "plain_mpc")}
+    return {
+        name: closed_loop.simulate(loops[name], plant, starts, 5)
+        for name in ("tube_mpc", "plain_mpc")
+    }
 
 
 @pytest.fixture(scope="session")

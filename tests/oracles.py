@@ -1,7 +1,9 @@
-"""Independent oracles of the closed-loop tests, in plain numpy: model, gains, the MPC's QP, and exact solvers for it.
+"""Independent oracles of the closed-loop tests, in plain numpy: model, gains, the MPC's QP, and
+exact solvers for it.
 
-Nothing here uses the condensed matrices of the design, nor the batched solver. The QP is built by simulating unit
-vectors step by step and solved by DAQP, an exact dual active-set method; whether it has a solution is a linear program.
+Nothing here uses the condensed matrices of the design, nor the batched solver. The QP is built by
+simulating unit vectors step by step and solved by DAQP, an exact dual active-set method; whether it
+has a solution is a linear program.
 """
 
 import daqp
@@ -12,9 +14,14 @@ from tolerances import KKT
 
 REACHED = 1e-12  # coefficients below it are those of a row that no input reaches
 
-# Overrides that make designs of other kinds: the tube along the reference with the terminal gain in it; wheels too slow
-# for any terminal set, so that a plan that starts near the edge holds many rows.
-SEQUENCE = ("controller.terminal=T-A", "controller.tube=sequence", "reference.wheel_speed_min_mps=1.0")
+# Overrides that make designs of other kinds: the tube along the reference with the terminal gain in
+# it; wheels too slow for any terminal set, so that a plan that starts near the edge holds many
+# rows.
+SEQUENCE = (
+    "controller.terminal=T-A",
+    "controller.tube=sequence",
+    "reference.wheel_speed_min_mps=1.0",
+)
 TIGHT = ("robot.wheel_speed_max_mps=2.2", "robot.wheel_speed_min_mps=0.5")
 
 
@@ -40,16 +47,20 @@ def model(problem, wheels):
 
 
 def terminal_gain(design, wheels):
-    """Give Gamma(th): bilinear in the wheel speeds between (min, max), (min, min), (max, min), (max, max)."""
+    """Give Gamma(th): bilinear in the wheel speeds between (min, max), (min, min), (max, min),
+    (max, max)."""
     reference = design.problem.scenario.reference
     width = reference.wheel_speed_max_mps - reference.wheel_speed_min_mps
     right, left = (np.asarray(wheels) - reference.wheel_speed_min_mps) / width
     shares = [(1 - right) * left, (1 - right) * (1 - left), right * (1 - left), right * left]
-    return sum(share * gain for share, gain in zip(shares, design.terminal.gains.vertices, strict=True))
+    return sum(
+        share * gain for share, gain in zip(shares, design.terminal.gains.vertices, strict=True)
+    )
 
 
 def tube_gain(design, wheels):
-    """Give K(th): for T-A the terminal gain, else K^n + K^r dV_r + K^l dV_l, which cancels the first rows of A."""
+    """Give K(th): for T-A the terminal gain, else K^n + K^r dV_r + K^l dV_l, which cancels the
+    first rows of A."""
     problem = design.problem
     if problem.scenario.controller.terminal == "T-A":
         return terminal_gain(design, wheels)
@@ -70,7 +81,8 @@ def simulate_model(problem, schedule, error, inputs):
 
 
 class PlainQp:
-    """The QP of one step along the reference: minimise 1/2 g'Hg + (Fe)'g subject to G g <= h - S e, one-sided rows."""
+    """The QP of one step along the reference: minimise 1/2 g'Hg + (Fe)'g subject to G g <= h - S e,
+    one-sided rows."""
 
     def __init__(self, design, step, with_tube=True):
         problem, window = design.problem, design.windows.index[step]
@@ -78,18 +90,26 @@ class PlainQp:
         schedule = problem.schedule[step : step + N]
         units = np.eye(3 + 2 * N)
         # Column by column: the error at every stage that one unit of start or input causes.
-        plans = [simulate_model(problem, schedule, unit[:3], unit[3:].reshape(N, 2)) for unit in units]
+        plans = [
+            simulate_model(problem, schedule, unit[:3], unit[3:].reshape(N, 2)) for unit in units
+        ]
         self.predictions = np.moveaxis(plans, 0, -1)
         inputs = np.concatenate([np.zeros((2 * N, 3)), np.eye(2 * N)], axis=1).reshape(N, 2, -1)
         weights = [problem.error_weight] * N + [design.cost.cost]
-        cost = sum(2 * stage.T @ Q @ stage for Q, stage in zip(weights, self.predictions, strict=True))
+        cost = sum(
+            2 * stage.T @ Q @ stage for Q, stage in zip(weights, self.predictions, strict=True)
+        )
         cost = cost + sum(2 * stage.T @ problem.input_weight @ stage for stage in inputs)
         # DAQP reads a matrix as it lies in memory, whatever its strides.
         self.hessian, self.linear = np.ascontiguousarray(cost[3:, 3:]), cost[3:, :3]
         E, U = problem.error_set.normals, problem.input_set.normals
         rows = [E @ stage for stage in self.predictions[1:N]] + [U @ stage for stage in inputs]
         if with_tube:
-            offsets = [*design.bounds.errors[window, 1:], *design.bounds.inputs[window], design.bounds.terminal[window]]
+            offsets = [
+                *design.bounds.errors[window, 1:],
+                *design.bounds.inputs[window],
+                design.bounds.terminal[window],
+            ]
             rows.append(design.bounds.terminal_normals @ self.predictions[N])
         else:
             offsets = [problem.error_set.offsets] * (N - 1) + [problem.input_set.offsets] * N
@@ -108,15 +128,27 @@ class PlainQp:
             return None
         G, h = np.ascontiguousarray(self.rows[self.reached]), limits[self.reached]
         answer, _, flag, info = daqp.solve(
-            self.hessian, self.linear @ error, G, h, np.full(len(h), -1e30), primal_tol=1e-11, dual_tol=1e-12
+            self.hessian,
+            self.linear @ error,
+            G,
+            h,
+            np.full(len(h), -1e30),
+            primal_tol=1e-11,
+            dual_tol=1e-12,
         )
         return (np.array(answer), np.array(info["lam"])) if flag == 1 else None
 
     def shortfall(self, error):
-        """Give by how much the rows must give way before there is a plan: at most 0 where there is one."""
+        """Give by how much the rows must give way before there is a plan: at most 0 where there is
+        one."""
         columns = np.column_stack([self.rows, -np.ones(len(self.rows))])
         cost = np.eye(columns.shape[1])[-1]
-        answer = linprog(cost, columns, self.limits(error), bounds=[(None, None)] * (len(cost) - 1) + [(-1, None)])
+        answer = linprog(
+            cost,
+            columns,
+            self.limits(error),
+            bounds=[(None, None)] * (len(cost) - 1) + [(-1, None)],
+        )
         assert answer.status == 0
         return answer.fun
 

@@ -1,7 +1,9 @@
-"""What recorded laps come to, counted once more in plain numpy: the oracle of the Monte Carlo statistics.
+"""What recorded laps come to, counted once more in plain numpy: the oracle of the Monte Carlo
+statistics.
 
-Sets answer by their own support numbers and margins, buckets are found by bisection, plans come from an exact solver
-and cost what is summed up along their predicted errors. A `case` has a design, a task and the sets counted against.
+Sets answer by their own support numbers and margins, buckets are found by bisection, plans come
+from an exact solver and cost what is summed up along their predicted errors. A `case` has a design,
+a task and the sets counted against.
 """
 
 from typing import NamedTuple
@@ -66,7 +68,8 @@ def flags_of(case, laps, w):
         **{f"e_outside_{name}": off_e[..., 1 + i] for i, name in enumerate(AXES)},
         "u_outside_U": ~sets["input"].contains(laps.inputs, COUNTED),
         "wheels_saturated": np.any(
-            (laps.demanded > robot.wheel_speed_max) | (laps.demanded < robot.wheel_speed_min), axis=-1
+            (laps.demanded > robot.wheel_speed_max) | (laps.demanded < robot.wheel_speed_min),
+            axis=-1,
         ),
         "qp_infeasible": laps.diagnostics.status == qp.INFEASIBLE,
         "qp_unsolved": laps.diagnostics.status == qp.UNSOLVED,
@@ -80,7 +83,8 @@ def flags_of(case, laps, w):
 
 
 def positions(design, errors):
-    """Return the robots' places: the error is measured in the robot's own frame, from the robot to the reference."""
+    """Return the robots' places: the error is measured in the robot's own frame, from the robot to
+    the reference."""
     poses = design.problem.reference.poses[1 : len(errors) + 1, None]
     heading = poses[..., 2] - errors[..., 2]
     ahead = np.cos(heading) * errors[..., 0] - np.sin(heading) * errors[..., 1]
@@ -89,8 +93,12 @@ def positions(design, errors):
 
 
 def plane_counts(points, cells, reach):
-    grids = [(points[:, second], points[:, first], reach[[second, first]]) for first, second in PLANES]
-    return np.stack([np.histogram2d(y, x, cells, [[-r[0], r[0]], [-r[1], r[1]]])[0] for y, x, r in grids])
+    grids = [
+        (points[:, second], points[:, first], reach[[second, first]]) for first, second in PLANES
+    ]
+    return np.stack(
+        [np.histogram2d(y, x, cells, [[-r[0], r[0]], [-r[1], r[1]]])[0] for y, x, r in grids]
+    )
 
 
 def recount(case, laps: Trajectory, first: int) -> dict:
@@ -100,7 +108,10 @@ def recount(case, laps: Trajectory, first: int) -> dict:
     flags = flags_of(case, laps, w)
     late = e[checks.settled - 1 :]
     corner, cell = np.asarray(checks.map_corner), float(checks.map_cell)
-    end, place = corner + cell * np.array(HEAT_CELLS[::-1]), positions(case.design, e).reshape(-1, 2)
+    end, place = (
+        corner + cell * np.array(HEAT_CELLS[::-1]),
+        positions(case.design, e).reshape(-1, 2),
+    )
     starts, reach = laps.errors[0], sets["error"].support(np.eye(3))
     left = flags[..., EVENTS.index("e_outside_E")].any(axis=0)
     found = {
@@ -113,11 +124,16 @@ def recount(case, laps: Trajectory, first: int) -> dict:
         "disturbance": histogram(w),
         "peak": histogram(np.abs(e).max(axis=0)),
         "rms": histogram(np.sqrt(np.mean(late**2, axis=0))),
-        "map": np.histogram2d(place[:, 1], place[:, 0], HEAT_CELLS, np.stack([corner, end], axis=1)[::-1])[0],
+        "map": np.histogram2d(
+            place[:, 1], place[:, 0], HEAT_CELLS, np.stack([corner, end], axis=1)[::-1]
+        )[0],
         "starts": plane_counts(starts, COVERAGE_CELLS, reach),
         "starts_that_left": plane_counts(starts[left], COVERAGE_CELLS, reach),
     }
-    for name, polytope, points in (("error", sets["error"], e), ("disturbance", sets["disturbance"], w)):
+    for name, polytope, points in (
+        ("error", sets["error"], e),
+        ("disturbance", sets["disturbance"], w),
+    ):
         found |= ranking(name, usage(polytope, points).max(axis=0), first)
     return found
 
@@ -163,7 +179,10 @@ def slip_memory(controller, plant, keys, step):
 def tube_sections(design, name, step):
     if name == "sequence":
         loops = design.windows.loops[design.windows.index[step]]
-        return [section.polytope() for section in sequence_tube(loops, design.problem.disturbance_set)[1:]]
+        return [
+            section.polytope()
+            for section in sequence_tube(loops, design.problem.disturbance_set)[1:]
+        ]
     return [section.polytope() for section in design.tubes[name][1:]]
 
 
@@ -172,21 +191,35 @@ class Followed(NamedTuple):
 
     made: np.ndarray
     deviations: np.ndarray
-    excess: np.ndarray  # of the cost one step later and what the step itself costs over the cost before
+    excess: (
+        np.ndarray
+    )  # of the cost one step later and what the step itself costs over the cost before
     cost: np.ndarray
 
 
 def follow(case, solver, laps: Trajectory, keys, step) -> Followed:
-    """Plan at a step of recorded laps, follow the plans, and plan again where they expect to be one step later."""
+    """Plan at a step of recorded laps, follow the plans, and plan again where they expect to be one
+    step later."""
     task, measured = case.task, laps.measured[step]
     plans = best_plans(case.design, solver, step, measured)
     later = best_plans(case.design, solver, step + 1, plans.expected)
     memory = slip_memory(task.controller, task.plant, keys, step)
     state = LoopState(jnp.asarray(laps.errors[step]), jnp.asarray(measured), (), memory)
     given = mpc.Plan(jnp.nan_to_num(jnp.asarray(plans.inputs)), *[jnp.zeros(len(keys))] * 3)
-    deviations = np.asarray(follow_plan(task.controller, task.plant, keys, state, jnp.asarray(step), given))
-    Q, R, g = np.asarray(task.checks.error_weight), np.asarray(task.checks.input_weight), plans.inputs[:, 0]
-    too_much = later.cost - plans.cost + np.sum(measured @ Q * measured, axis=1) + np.sum(g @ R * g, axis=1)
+    deviations = np.asarray(
+        follow_plan(task.controller, task.plant, keys, state, jnp.asarray(step), given)
+    )
+    Q, R, g = (
+        np.asarray(task.checks.error_weight),
+        np.asarray(task.checks.input_weight),
+        plans.inputs[:, 0],
+    )
+    too_much = (
+        later.cost
+        - plans.cost
+        + np.sum(measured @ Q * measured, axis=1)
+        + np.sum(g @ R * g, axis=1)
+    )
     made = ~np.isnan(plans.cost)
     return Followed(made, np.where(made[:, None], deviations, np.nan), too_much, plans.cost)
 
@@ -197,7 +230,8 @@ def recount_plans(case, laps: Trajectory, keys, stops, first: int) -> dict:
     own, N = design.problem.scenario.controller.tube, design.problem.horizon
     followed = {step: follow(case, solver, laps, keys, step) for step in stops}
     made, most, cost = (
-        np.stack([getattr(found, name) for found in followed.values()]) for name in ("made", "excess", "cost")
+        np.stack([getattr(found, name) for found in followed.values()])
+        for name in ("made", "excess", "cost")
     )
     found = {
         "plans": made.sum(),
@@ -213,14 +247,20 @@ def recount_plans(case, laps: Trajectory, keys, stops, first: int) -> dict:
         ]
         flags = np.array([[outside(section, points) for section, points in stop] for stop in pairs])
         flags = flags & made[:, None, :, None]
-        most = np.array([[np.nanmax(excess(section, points)) for section, points in stop] for stop in pairs])
+        most = np.array(
+            [[np.nanmax(excess(section, points)) for section, points in stop] for stop in pairs]
+        )
         found[f"tube_outside/{name}"] = flags[..., 0].sum(axis=(0, 2))
         found[f"tube_excess/{name}"] = most.max(axis=0)
         if name == own:
-            used = np.array([[usage(section, points) for section, points in stop] for stop in pairs])
+            used = np.array(
+                [[usage(section, points) for section, points in stop] for stop in pairs]
+            )
             used = np.where(made[:, None], used, -np.inf).max(axis=(0, 1))
             found["stage_events"] = np.stack([by_lap(flags[:, j], len(stops)) for j in range(N)])
-            found["cloud"] = sum(np.stack([cloud(section, points) for section, points in stop]) for stop in pairs)
+            found["cloud"] = sum(
+                np.stack([cloud(section, points) for section, points in stop]) for stop in pairs
+            )
     return found | ranking("tube", used, first)
 
 
@@ -237,7 +277,11 @@ def join(parts):
             joined[name] = (usage if "usage" in name else lap)[order]
         else:
             values = [np.asarray(part[name]) for part in parts]
-            joined[name] = np.max(values, axis=0) if "excess" in name and values[0].dtype.kind == "f" else sum(values)
+            joined[name] = (
+                np.max(values, axis=0)
+                if "excess" in name and values[0].dtype.kind == "f"
+                else sum(values)
+            )
     return joined
 
 

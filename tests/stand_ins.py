@@ -8,7 +8,10 @@ from jaxtube.tuning.objective import Laps
 
 def played(vector, frozen, plant, keys, *rest):
     """Return, for `tuner._played`, numbers that differ between points and between keys."""
-    drawn = [np.random.default_rng(key).uniform(1e-3, 2e-3, 5) for key in np.asarray(jax.random.key_data(keys))]
+    drawn = [
+        np.random.default_rng(key).uniform(1e-3, 2e-3, 5)
+        for key in np.asarray(jax.random.key_data(keys))
+    ]
     numbers = np.array(drawn) * (2.0 + np.sin(np.sum(np.asarray(vector))))
     return Laps(numbers[:, :3], *numbers[:, 3:].T, *np.zeros((2, len(keys))))
 

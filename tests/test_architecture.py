@@ -1,4 +1,5 @@
-"""The order of imports, read from the syntax trees: `sets` stands alone, and nothing points upwards."""
+"""The order of imports, read from the syntax trees: `sets` stands alone, and nothing points
+upwards."""
 
 import ast
 import graphlib
@@ -24,7 +25,8 @@ LEVELS = (
 
 
 class Import(NamedTuple):
-    """One imported name, such as `jaxtube.plant.robot.Robot`, and whether it is imported inside a function."""
+    """One imported name, such as `jaxtube.plant.robot.Robot`, and whether it is imported inside a
+    function."""
 
     name: str
     inside_function: bool
@@ -38,7 +40,9 @@ def module_name(path: Path) -> str:
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
 
-def imports(tree: ast.AST, module: str, is_package: bool, inside_function: bool = False) -> Iterator[Import]:
+def imports(
+    tree: ast.AST, module: str, is_package: bool, inside_function: bool = False
+) -> Iterator[Import]:
     """Yield every import of a module, at any depth, with relative names resolved."""
     for node in ast.iter_child_nodes(tree):
         if isinstance(node, ast.Import):
@@ -61,13 +65,15 @@ GRAPH = {module_name(path): imports_of(path) for path in FILES}
 
 
 def violations(importers: str, *forbidden: str, allowed: tuple[str, ...] = ()) -> list[str]:
-    """List "importer -> imported" for imports of a forbidden module by modules of a package, save the allowed ones."""
+    """List "importer -> imported" for imports of a forbidden module by modules of a package, save
+    the allowed ones."""
     return [
         f"{module} -> {entry.name}"
         for module, entries in GRAPH.items()
         if f"{module}.".startswith(f"{importers}.")
         for entry in entries
-        if any(entry.within(name) for name in forbidden) and not any(entry.within(name) for name in allowed)
+        if any(entry.within(name) for name in forbidden)
+        and not any(entry.within(name) for name in allowed)
     ]
 
 
@@ -79,8 +85,13 @@ def test_imports_are_found_wherever_they_stand():
     )
     found = set(imports(ast.parse(source), "p.q.r", is_package=False))
     outside = {"a.b", "p.q.d.e", "p.f.g", "p.q.h", "l"}
-    assert found == {Import(name, False) for name in outside} | {Import("i", True), Import("j.k", True)}
-    assert list(imports(ast.parse("from .d import e"), "p.q", is_package=True)) == [Import("p.q.d.e", False)]
+    assert found == {Import(name, False) for name in outside} | {
+        Import("i", True),
+        Import("j.k", True),
+    }
+    assert list(imports(ast.parse("from .d import e"), "p.q", is_package=True)) == [
+        Import("p.q.d.e", False)
+    ]
     assert Import("jaxtube.qp.solve", False).within("jaxtube.qp")
     assert not Import("jaxtyping.Float", False).within("jax")
 
@@ -93,7 +104,9 @@ def test_inside_sets_everything_rests_on_polytope_alone():
     assert violations("sets.frame", "sets") == []
     assert violations("sets.polytope", "sets", allowed=("sets.frame",)) == []
     for module in ("tubes", "invariant", "certificate"):
-        assert violations(f"sets.{module}", "sets", allowed=("sets.polytope", f"sets.{module}")) == []
+        assert (
+            violations(f"sets.{module}", "sets", allowed=("sets.polytope", f"sets.{module}")) == []
+        )
     assert violations("sets.lmi", "sets", allowed=("sets.lyapunov",)) == []
     assert violations("sets.exact", "sets") == violations("sets.interval", "sets") == []
 
@@ -119,7 +132,12 @@ def test_nothing_outside_experiments_imports_experiments():
 
 
 def test_cvxpy_is_imported_inside_functions_of_the_lmi_alone():
-    users = {(module, entry.inside_function) for module in GRAPH for entry in GRAPH[module] if entry.within("cvxpy")}
+    users = {
+        (module, entry.inside_function)
+        for module in GRAPH
+        for entry in GRAPH[module]
+        if entry.within("cvxpy")
+    }
     assert users <= {("sets.lmi", True)}
 
 
@@ -139,7 +157,10 @@ def test_no_modules_import_each_other():
     def defining_module(entry: Import) -> str | None:
         return max((name for name in GRAPH if entry.within(name)), key=len, default=None)
 
-    edges = {module: {defining_module(entry) for entry in entries} - {None} for module, entries in GRAPH.items()}
+    edges = {
+        module: {defining_module(entry) for entry in entries} - {None}
+        for module, entries in GRAPH.items()
+    }
     assert list(graphlib.TopologicalSorter(edges).static_order())
 
 
@@ -150,5 +171,9 @@ def test_the_package_is_marked_as_typed(package):
 
 def test_sets_imports_and_works_where_jax_is_absent():
     modules = [name for name in GRAPH if name.split(".")[0] == "sets"]
-    blocked = "import sys; sys.modules['jax'] = sys.modules['jaxlib'] = sys.modules['jaxtube'] = None; "
-    subprocess.run([sys.executable, "-c", blocked + f"import {', '.join(modules)}"], check=True, cwd=ROOT)
+    blocked = (
+        "import sys; sys.modules['jax'] = sys.modules['jaxlib'] = sys.modules['jaxtube'] = None; "
+    )
+    subprocess.run(
+        [sys.executable, "-c", blocked + f"import {', '.join(modules)}"], check=True, cwd=ROOT
+    )

@@ -25,7 +25,9 @@ SET_SAME_POINT = 1e-8  # distance below which brute force takes two vertices for
 # Controllers, closed loops and design.
 CLOSED_LOOP = 1e-12  # float64 sums in another order, over one step or over a batch of other size
 WORLD_FRAME = 1e-8  # 300 steps against an integrator run at 1e-12
-EXACT_SOLVER = 1e-6  # first inputs of the batched solver, residual 1e-8, against an active-set method
+EXACT_SOLVER = (
+    1e-6  # first inputs of the batched solver, residual 1e-8, against an active-set method
+)
 SINGLE_PRECISION = 1e-4  # the same in float32
 KKT = 1e-8
 SINGLE_KKT = 2e-5  # the same in float32
@@ -39,7 +41,9 @@ QP_SHARE = 0.999  # of the feasible instances solved, and of the infeasible ones
 QP_RESIDUAL = 1e-8
 QP_ANSWER = 1e-6
 QP_ROUNDING = 1e-11
-QP_EDGE = 1e-5  # relative distance from the edge of the feasible set at which both sides are told apart
+QP_EDGE = (
+    1e-5  # relative distance from the edge of the feasible set at which both sides are told apart
+)
 QP_POLISHED = 0.9  # of the constrained instances, made exact by Newton steps after ADMM
 QP_SHARE_FLOAT32 = 0.9
 QP_ANSWER_FLOAT32 = 1e-4
@@ -72,7 +76,9 @@ SUM_OF_LAPS = 1e-3  # relative; widths of 1e-12 around means of order one
 
 # jaxtube/sensitivity.py
 SENSITIVITY = 1e-6  # relative; derivatives against differences and against unrolled iterations
-SENSITIVITY_EXCLUDED = 0.03  # of the solved instances: their active rows change within a difference, or are dependent
+SENSITIVITY_EXCLUDED = (
+    0.03  # of the solved instances: their active rows change within a difference, or are dependent
+)
 SENSITIVITY_FLOAT32 = 1e-2  # relative, on the worst conditioned of the active rows
 
 # jaxtube/falsify.py
@@ -85,7 +91,9 @@ REPLAYED = 1e-9  # usage of a set by one lap alone against the same lap among ot
 
 # jaxtube/montecarlo.py
 COUNTED = 1e-12  # beyond a facet by more is outside
-COUNTED_ROUNDING = 1e-10  # extremes, which are sums in another order; a lap's rounding grows over its steps
+COUNTED_ROUNDING = (
+    1e-10  # extremes, which are sums in another order; a lap's rounding grows over its steps
+)
 SOLVED_ROUNDING = 1e-8  # the same where a solver of residual 1e-8 answers
 PLAN_OF_ORACLE = 1e-6  # relative; plans of the batched solver against an active-set method
 REACHED_FACET = 1e-9  # relative; offsets of facets against the exact reach
@@ -95,7 +103,9 @@ EXACT_ENCLOSURE = 2.0**-76  # a few steps of the grid of 2^-80 on which enclosur
 EXACT_AGAINST_FLOAT = 1e-9  # exact bounds against linear programs and vertices in float64
 EXACT_PULLED_FACET = 1e-12  # the same margins in float64, where a facet moves by a millionth
 EXACT_JACOBIAN = 1e-8  # central differences with steps of 1e-5
-EXACT_WHEEL_TRAVEL = 1e-3  # m; what a period's turn, at most 0.13 rad here, adds to the way of a wheel
+EXACT_WHEEL_TRAVEL = (
+    1e-3  # m; what a period's turn, at most 0.13 rad here, adds to the way of a wheel
+)
 EXACT_ROUNDED_OFFSETS = 1e-14  # float64 offsets, sums of some ten terms below one
 
 # sets/interval.py, sets/plant.py, sets/disturbance.py
@@ -107,7 +117,9 @@ W_TIGHTNESS = 0.85  # of a bound that an optimiser must reach
 REFERENCE_PART = 0.02  # relative; parts are bounded within 0.05 mm
 
 # jaxtube/imperfect.py
-ARCS_OF_A_PERIOD = 1e-5  # m; positions while wheels change speed by 1 m/s, arcs of a sixteenth of a period
+ARCS_OF_A_PERIOD = (
+    1e-5  # m; positions while wheels change speed by 1 m/s, arcs of a sixteenth of a period
+)
 
 # sets/control_invariant.py, jaxtube/design/guarantee.py
 CONTROL_INVARIANT = 1e-7  # m, rad and units of the inputs; linear programs of numbers below one
@@ -121,19 +133,25 @@ NOISY_OPTIMUM = 0.06  # distance after 400 steps under noise of deviation 0.3 in
 # jaxtube/tuning/tube.py, minimal.py, residual.py
 TUBE_REACH = 1e-9  # relative; sums of support numbers against vertices, of which those closer than 1e-10 are one
 TUBE_BOUND = 1e-7  # relative; where the iteration for the minimal set stops, tenfold
-TUBE_TIGHT = 1e-9  # relative; the fixed point itself, active facets found where that iteration stopped
+TUBE_TIGHT = (
+    1e-9  # relative; the fixed point itself, active facets found where that iteration stopped
+)
 TUBE_SLOPE = 1e-6  # relative to the gradient; central differences with steps of 1e-4 of a twentieth of the gains
 TUBE_RESIDUAL = 1e-12  # m and rad; differences of numbers of order one
 
 # sets/lyapunov.py, jaxtube/tuning/gains.py, loop.py, objective.py
-ACTIVE_ROW = 1e-8  # m, rad and units of the inputs; distance from its bound below which a row is active
+ACTIVE_ROW = (
+    1e-8  # m, rad and units of the inputs; distance from its bound below which a row is active
+)
 LEAST_SLOPE = 0.01  # of the greatest of a gradient; below, rounding hides what differences tell
 LEAST_TRACE = 1e-6  # relative; what a semidefinite program's answer is known to
 CENTRED_SLOPE = 1e-8  # Newton decrement of the centred cost, whose objective is of order ten
 SCALED_COST = 1e-9  # relative; the same cost found with other weights
 CENTRED_CURVATURE = 1e-6  # relative; central differences with steps of a thousandth
 GAIN_MAPS = 1e-13  # entries of order one to ten, by differences of the same
-OBJECTIVE_SLOPE = 1e-6  # relative; central differences of fourth order, the host's parts solved again
+OBJECTIVE_SLOPE = (
+    1e-6  # relative; central differences of fourth order, the host's parts solved again
+)
 SAME_WINDOWS = 1e-9  # relative and absolute; the same sets and weights, support numbers by sums and by vertices
 SAME_LAPS = 1e-8  # m, rad and m/s; closed loops under windows that agree to rounding
 SAME_WEIGHTS = 1e-14  # relative; weights from their Cholesky factors

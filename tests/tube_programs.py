@@ -1,4 +1,5 @@
-"""Random quadratic programs of the shape that a tube controller solves, for the tests of the solver."""
+"""Random quadratic programs of the shape that a tube controller solves, for the tests of the
+solver."""
 
 from typing import NamedTuple
 
@@ -10,7 +11,8 @@ HORIZON, DT = 5, 0.1
 
 
 class Family(NamedTuple):
-    """Programs of a tube controller: q = gradient @ e, bounds = lower - offset @ e, upper - offset @ e."""
+    """Programs of a tube controller: q = gradient @ e, bounds = lower - offset @ e, upper - offset
+    @ e."""
 
     P: np.ndarray
     A: np.ndarray
@@ -26,7 +28,8 @@ class Family(NamedTuple):
 
 
 def family(seed: int) -> Family:
-    """A robot with random speed, turning either way; state box, wheel limits and a random terminal polytope."""
+    """A robot with random speed, turning either way; state box, wheel limits and a random terminal
+    polytope."""
     rng = np.random.default_rng(seed)
     speed = rng.uniform(0.2, 1.5)
     turn = rng.choice([-1, 1]) * speed / 2.5
@@ -41,17 +44,25 @@ def family(seed: int) -> Family:
         drift.append(model @ drift[-1])
     weights = [weight] * HORIZON + [terminal]
     P = 2 * (np.eye(2 * HORIZON) + sum(g.T @ w @ g for g, w in zip(reach, weights, strict=True)))
-    gradient = np.sum([2 * g.T @ w @ d for g, w, d in zip(reach, weights, drift, strict=True)], axis=0)
+    gradient = np.sum(
+        [2 * g.T @ w @ d for g, w, d in zip(reach, weights, drift, strict=True)], axis=0
+    )
     box = np.array([0.28, 0.27, np.deg2rad(18)])
     states = [
-        (reach[j][i], drift[j][i], -box[i], box[i]) for j in range(1, HORIZON) for i in range(3) if reach[j][i].any()
+        (reach[j][i], drift[j][i], -box[i], box[i])
+        for j in range(1, HORIZON)
+        for i in range(3)
+        if reach[j][i].any()
     ]
     wheels = np.kron(np.eye(HORIZON), [[1, 0.25], [1, -0.25]])
     normals = rng.normal(size=(FACETS, 3))
     normals = np.vstack([np.eye(3), -np.eye(3), normals / np.linalg.norm(normals, axis=1)[:, None]])
     heights = 0.2 * np.abs(normals).max(axis=1) * np.r_[np.ones(6), rng.uniform(1, 1.4, FACETS)]
     rows = [*states, *((w, np.zeros(3), -0.7, 2.4) for w in wheels)]
-    rows += [(a @ reach[HORIZON], a @ drift[HORIZON], -np.inf, b) for a, b in zip(normals, heights, strict=True)]
+    rows += [
+        (a @ reach[HORIZON], a @ drift[HORIZON], -np.inf, b)
+        for a, b in zip(normals, heights, strict=True)
+    ]
     A, offset, lower, upper = (np.array(part) for part in zip(*rows, strict=True))
     is_input = (np.arange(len(A)) >= len(states)) & (np.arange(len(A)) < len(states) + len(wheels))
     return Family(P, A, gradient, offset, lower, upper, is_input)

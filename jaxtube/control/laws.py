@@ -3,9 +3,10 @@
     initial(errors) -> memory
     act(step, memory, errors, reference_wheels) -> (virtual inputs, next memory, diagnostics)
 
-`errors` are the measured ones, (batch, 3); virtual inputs (speed deficit m/s, yaw rate deficit rad/s), in the
-sense of the controller's `input_map`, become wheels by eqs. (7)-(8) with the measured slip where it `compensates`, else
-with none. All are pytrees whose arrays run along the reference.
+`errors` are the measured ones, (batch, 3); virtual inputs (speed deficit m/s, yaw rate deficit
+rad/s), in the sense of the controller's `input_map`, become wheels by eqs. (7)-(8) with the
+measured slip where it `compensates`, else with none. All are pytrees whose arrays run along the
+reference.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, sections III and IV.
 """
@@ -23,7 +24,11 @@ from jaxtube.control import mpc
 from jaxtube.control.tracking import tracking_input
 
 
-@partial(jax.tree_util.register_dataclass, meta_fields=["restart", "input_map"], data_fields=["windows", "index"])
+@partial(
+    jax.tree_util.register_dataclass,
+    meta_fields=["restart", "input_map"],
+    data_fields=["windows", "index"],
+)
 @dataclass(frozen=True)
 class TubeMpc:
     """The controller: windows along the reference, which one each step uses, and its two choices."""
@@ -38,7 +43,13 @@ class TubeMpc:
         """Return the memory before the first step."""
         return mpc.initial_state(errors, self.windows.linear.shape[1] // 2)
 
-    def act(self, step, state: mpc.MpcState, errors: Float[Array, "batch 3"], reference_wheels: Float[Array, "2"]):
+    def act(
+        self,
+        step,
+        state: mpc.MpcState,
+        errors: Float[Array, "batch 3"],
+        reference_wheels: Float[Array, "2"],
+    ):
         """Return (inputs, next memory, diagnostics) of one step; see `mpc.act`."""
         return mpc.act(mpc.take_window(self.windows, self.index[step]), state, errors, self.restart)
 
@@ -56,9 +67,15 @@ class TrackingLaw:
         """Return no memory."""
         return ()
 
-    def act(self, step, state, errors: Float[Array, "batch 3"], reference_wheels: Float[Array, "2"]):
+    def act(
+        self, step, state, errors: Float[Array, "batch 3"], reference_wheels: Float[Array, "2"]
+    ):
         """Return (inputs, no memory, diagnostics without QP) of one step."""
-        return tracking_input(errors, reference_wheels, self.track_width), state, mpc.no_diagnostics(errors)
+        return (
+            tracking_input(errors, reference_wheels, self.track_width),
+            state,
+            mpc.no_diagnostics(errors),
+        )
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["gains"], meta_fields=["input_map"])
@@ -74,6 +91,8 @@ class ScheduledGain:
         """Return no memory."""
         return ()
 
-    def act(self, step, state, errors: Float[Array, "batch 3"], reference_wheels: Float[Array, "2"]):
+    def act(
+        self, step, state, errors: Float[Array, "batch 3"], reference_wheels: Float[Array, "2"]
+    ):
         """Return (inputs, no memory, diagnostics without QP) of one step."""
         return errors @ self.gains[step].T, state, mpc.no_diagnostics(errors)

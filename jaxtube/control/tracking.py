@@ -2,13 +2,14 @@
 
     u1 = -k1 e_x        u2 = -k2 e_y - k3 e_th        k1 = k3 = 2 zeta a        k2 = (a^2 - Om^2) / V
 
-The linearised tracking error with V and Om frozen then has the poles of (s + 2 zeta a)(s^2 + 2 zeta a s + a^2).
-Whether slip is compensated is decided by the slip handed to `robot.wheel_commands`: the measured one, or 0.0.
+The linearised tracking error with V and Om frozen then has the poles of (s + 2 zeta a)(s^2 + 2 zeta
+a s + a^2). Whether slip is compensated is decided by the slip handed to `robot.wheel_commands`: the
+measured one, or 0.0.
 
 zeta is the damping, a the bandwidth in rad/s, V and Om the reference's speed and yaw rate.
 
-Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV and its references [1] and [15], with zeta = 1 and
-a = 0.6 rad/s. The paper does not print the gains; these place the poles above.
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV and its references [1] and [15], with
+zeta = 1 and a = 0.6 rad/s. The paper does not print the gains; these place the poles above.
 """
 
 import jax.numpy as jnp
@@ -17,7 +18,8 @@ from jaxtyping import Float
 
 from jaxtube.plant.robot import body_velocity
 
-# A reference that stands cannot steer its lateral error away: below this speed, m/s, the gain stops growing.
+# A reference that stands cannot steer its lateral error away: below this speed, m/s, the gain stops
+# growing.
 SLOWEST_REFERENCE = 0.01
 
 
@@ -42,7 +44,9 @@ def tracking_input(
     """
     velocity = body_velocity(reference_wheels, 0.0, track_width)
     V, Om = velocity[..., 0], velocity[..., 1]
-    steering_speed = jnp.where(V < 0.0, jnp.minimum(V, -SLOWEST_REFERENCE), jnp.maximum(V, SLOWEST_REFERENCE))
+    steering_speed = jnp.where(
+        V < 0.0, jnp.minimum(V, -SLOWEST_REFERENCE), jnp.maximum(V, SLOWEST_REFERENCE)
+    )
     k1 = k3 = 2.0 * damping * bandwidth
     k2 = (bandwidth**2 - Om**2) / steering_speed
     e_x, e_y, e_th = error[..., 0], error[..., 1], error[..., 2]

@@ -1,4 +1,5 @@
-"""`python -m jaxtube.experiments`: sets what jax has to be told before it is imported, then runs the command line."""
+"""`python -m jaxtube.experiments`: sets what jax has to be told before it is imported, then runs
+the command line."""
 
 import sys
 

@@ -47,9 +47,13 @@ def run(scenario: Scenario | None, options: Check) -> int:
 
     Raises: ScenarioError for a scenario without expected metrics that was asked for by name.
     """
-    chosen = options.names or ((options.scenario,) if scenario else tuple(filter(_has_claims, names())))
+    chosen = options.names or (
+        (options.scenario,) if scenario else tuple(filter(_has_claims, names()))
+    )
     if not chosen:
-        raise ScenarioError(f"{experiments_folder()}: no scenario has an expected.toml; name a scenario that has one")
+        raise ScenarioError(
+            f"{experiments_folder()}: no scenario has an expected.toml; name a scenario that has one"
+        )
     verdicts = Counter(verdict for name in chosen for verdict in _check(name, options))
     print(f"{verdicts['ok']} ok, {verdicts['off']} off, {verdicts['skipped']} skipped")
     return 1 if verdicts["off"] else 0
@@ -67,7 +71,8 @@ def resolve(metrics: Any, path: str) -> Any:
 
 
 def holds(actual: Any, metric: Metric) -> bool:
-    """Say whether a metric is the expected one: numbers within the tolerance, anything else equal and of one type."""
+    """Say whether a metric is the expected one: numbers within the tolerance, anything else equal
+    and of one type."""
     if type(actual) in (int, float) and type(metric.value) in (int, float):
         return abs(actual - metric.value) <= metric.tolerance
     return type(actual) is type(metric.value) and actual == metric.value
@@ -86,12 +91,18 @@ def _read_claims(name: str) -> tuple[Metric, ...]:
     try:
         claims = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Claims).metric
     except OSError as error:
-        raise ScenarioError(f"{path}: cannot be read ({error.strerror}); write the expected metrics there") from None
+        raise ScenarioError(
+            f"{path}: cannot be read ({error.strerror}); write the expected metrics there"
+        ) from None
     except ValueError as error:
-        raise ScenarioError(f"{path}: {error}; give path, value, tolerance and provenance of each [[metric]]") from None
+        raise ScenarioError(
+            f"{path}: {error}; give path, value, tolerance and provenance of each [[metric]]"
+        ) from None
     for metric in claims:
         if isinstance(metric.value, float) and not math.isfinite(metric.value):
-            raise ScenarioError(f"{path}: {metric.path} = {metric.value}: is not finite; give a finite number")
+            raise ScenarioError(
+                f"{path}: {metric.path} = {metric.value}: is not finite; give a finite number"
+            )
     return claims
 
 
@@ -103,11 +114,14 @@ def _check(name: str, options: Check) -> list[str]:
 
 
 def _replay(command: str, name: str, options: Check) -> Any:
-    """Run a command on a scenario and return its metrics; an empty table when the run did not end well."""
+    """Run a command on a scenario and return its metrics; an empty table when the run did not end
+    well."""
     out = Path(options.out or "runs") / f"check-{title(name)}" / command
     kind = COMMANDS[command]
     settings = kind(scenario=name, out=str(out), seed=options.seed, overrides=options.overrides)
-    code = importlib.import_module(f"{__package__}.{kind.module}").run(load(name, options.overrides), settings)
+    code = importlib.import_module(f"{__package__}.{kind.module}").run(
+        load(name, options.overrides), settings
+    )
     if code:
         print(f"{name}: {command} ended with exit code {code}")
         return {}
@@ -119,7 +133,12 @@ def _judge(name: str, claim: Metric, results: dict[str, Any]) -> str:
         verdict, found = "skipped", "not run"
     else:
         actual = resolve(results[claim.command], claim.path)
-        verdict, found = "ok" if holds(actual, claim) else "off", "missing" if actual is MISSING else str(actual)
+        verdict, found = (
+            "ok" if holds(actual, claim) else "off",
+            "missing" if actual is MISSING else str(actual),
+        )
     bound = f" +- {claim.tolerance:g}" if claim.tolerance else ""
-    print(f"{verdict:8}{name}  {claim.path}  {found}  expected {claim.value}{bound}  ({claim.provenance})")
+    print(
+        f"{verdict:8}{name}  {claim.path}  {found}  expected {claim.value}{bound}  ({claim.provenance})"
+    )
     return verdict

@@ -1,4 +1,5 @@
-"""The command line: reads the options, runs one command, and turns what it raises into an exit code and one line.
+"""The command line: reads the options, runs one command, and turns what it raises into an exit code
+and one line.
 
     0  done        1  a checked metric is off        2  bad input
     3  an empty tightened set; an empty terminal set or a failed certificate under --require-certificate
@@ -36,14 +37,16 @@ REALISATIONS_LIMIT = 2**53
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command and return its exit code; bad input costs one line on the standard error, never a traceback."""
+    """Run one command and return its exit code; bad input costs one line on the standard error,
+    never a traceback."""
     try:
         options = parse(sys.argv[1:] if arguments is None else arguments)
         return run(options) if options else 0
     except KeyboardInterrupt:
         return _report("interrupted; run the same command again", INTERRUPTED)
     except BrokenPipeError:
-        # Whoever read the output has enough of it, as `| head` does; the interpreter must not flush into that pipe.
+        # Whoever read the output has enough of it, as `| head` does; the interpreter must not flush
+        # into that pipe.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as error:
@@ -58,7 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parse(arguments: Sequence[str]) -> Options | None:
-    """Read the words after the program's name; None when they asked for help, which is then on the standard output.
+    """Read the words after the program's name; None when they asked for help, which is then on the
+    standard output.
 
     Raises: ScenarioError, one line.
     """
@@ -119,10 +123,14 @@ def _split(arguments: Iterable[str]) -> tuple[list[str], list[str]]:
 
 def _check(options: Options) -> None:
     if not 0 <= options.seed < SEED_LIMIT:
-        raise _refusal(f"--seed = {options.seed}: is out of range; give a whole number from 0 to 2^63 - 1")
+        raise _refusal(
+            f"--seed = {options.seed}: is out of range; give a whole number from 0 to 2^63 - 1"
+        )
     realisations = getattr(options, "realisations", 1)
     if not (realisations >= 1 and realisations == int(min(realisations, REALISATIONS_LIMIT))):
-        raise _refusal(f"--realisations = {realisations}: is no whole number from 1 to 2^53; simulate at least one run")
+        raise _refusal(
+            f"--realisations = {realisations}: is no whole number from 1 to 2^53; simulate at least one run"
+        )
     for name, least in (
         ("chunk", 1),
         ("devices", 0),
@@ -133,18 +141,25 @@ def _check(options: Options) -> None:
         ("patience", 1),
     ):
         if (count := getattr(options, name, least)) < least:
-            raise _refusal(f"--{name.replace('_', '-')} = {count}: is out of range; give a whole number from {least}")
+            raise _refusal(
+                f"--{name.replace('_', '-')} = {count}: is out of range; give a whole number from {least}"
+            )
     if not 0 < (rate := getattr(options, "learning_rate", 1.0)) < float("inf"):
-        raise _refusal(f"--learning-rate = {rate}: is out of range; give a positive number, such as 0.1")
+        raise _refusal(
+            f"--learning-rate = {rate}: is out of range; give a positive number, such as 0.1"
+        )
     if Path(options.out).is_file():
         raise _refusal(f"--out = {options.out}: is a file; name a folder")
 
 
 def _sentence(box: str) -> str:
-    """Reduce the box that the parser draws around its message to what is wrong and the nearest right word."""
+    """Reduce the box that the parser draws around its message to what is wrong and the nearest
+    right word."""
     lines = [re.sub(r"\x1b\[[0-9;]*m|[|│╭╮╰╯]", "", line).strip() for line in box.splitlines()[1:]]
     groups = itertools.groupby(lines, lambda line: set(line) <= set("-+─"))
-    first, *paragraphs = [list(group) for ruled, group in groups if not ruled] or [["not understood"]]
+    first, *paragraphs = [list(group) for ruled, group in groups if not ruled] or [
+        ["not understood"]
+    ]
     sentences = [" ".join(first).rstrip(".")]
     for heading, *others in paragraphs:
         if heading.startswith("Available"):

@@ -22,11 +22,14 @@ class Options:
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "paper"
     """a scenario that `list` prints, or a file"""
-    out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: runs/COMMAND-SCENARIO)")] = ""
+    out: Annotated[
+        str, arg(metavar="DIR", help_behavior_hint="(default: runs/COMMAND-SCENARIO)")
+    ] = ""
     """folder of the run"""
     seed: Annotated[int, arg(metavar="INT")] = 0
     """seed of every random draw"""
-    # Not tuple[str, ...]: to check that default, the parser would load a library that takes a third of the help's time.
+    # Not tuple[str, ...]: to check that default, the parser would load a library that takes a third
+    # of the help's time.
     overrides: Suppress[tuple] = ()
 
     @property
@@ -61,15 +64,16 @@ class Design(Options):
 
 @dataclass(frozen=True)
 class Montecarlo(Options):
-    """Run laps by the million and check every period against the design; resumes where it was interrupted."""
+    """Run laps by the million and check every period against the design; resumes where it was
+    interrupted."""
 
     command, module = "montecarlo", "montecarlo.command"
 
     realisations: Annotated[float, arg(metavar="COUNT")] = 1e5
     """number of laps, such as 1e6"""
-    controller: Literal["tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated", "uncompensated"] = (
-        "tube_mpc"
-    )
+    controller: Literal[
+        "tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated", "uncompensated"
+    ] = "tube_mpc"
     """controller of the closed loop"""
     plant: Literal["robot", "linear"] = "robot"
     """the slipping robot, or the prediction model with w drawn in W"""
@@ -77,10 +81,13 @@ class Montecarlo(Options):
     """the scenario's start, or uniform in the feasible set of the tube-MPC, or on its edge"""
     chunk: Annotated[int, arg(metavar="BLOCKS")] = 1
     """blocks that a device works through in one dispatch; changes no result"""
-    devices: Annotated[int, arg(metavar="COUNT", help_behavior_hint="(default: all; processors count as devices)")] = 0
+    devices: Annotated[
+        int, arg(metavar="COUNT", help_behavior_hint="(default: all; processors count as devices)")
+    ] = 0
     """devices of this machine to use; changes no result"""
     cluster: Annotated[str, arg(metavar="local:N|ADDRESS", help_behavior_hint="")] = ""
-    """workers that compute the blocks: N started here, or those of a Dask scheduler, such as tcp://host:8786"""
+    """workers that compute the blocks: N started here, or those of a Dask scheduler, such as
+    tcp://host:8786"""
     replay: Annotated[int, arg(metavar="LAP", help_behavior_hint="")] = -1
     """draw this lap of the run, by its number, instead of running any"""
     netcdf: bool = False
@@ -91,19 +98,22 @@ class Montecarlo(Options):
         """The folder of the run: one for each law that the options can name."""
         chosen = [getattr(self, name) for name in ("controller", "plant", "starts")]
         usual = [getattr(type(self), name) for name in ("controller", "plant", "starts")]
-        law = [f"-{value}" for value, default in zip(chosen, usual, strict=True) if value != default]
+        law = [
+            f"-{value}" for value, default in zip(chosen, usual, strict=True) if value != default
+        ]
         return Path(self.out) if self.out else Path(f"{super().folder}{''.join(law)}")
 
 
 @dataclass(frozen=True)
 class Falsify(Options):
-    """Search the smallest margins by gradient: slips, noise and start that drive a closed loop out of its limits."""
+    """Search the smallest margins by gradient: slips, noise and start that drive a closed loop out
+    of its limits."""
 
     command, module = "falsify", "falsify.command"
 
-    controller: Literal["tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated", "uncompensated"] = (
-        "tube_mpc"
-    )
+    controller: Literal[
+        "tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated", "uncompensated"
+    ] = "tube_mpc"
     """controller of the closed loop"""
     plant: Literal["robot", "linear"] = "robot"
     """the slipping robot, or the prediction model with w in W"""
@@ -119,7 +129,8 @@ class Falsify(Options):
 
 @dataclass(frozen=True)
 class Guarantee(Options):
-    """Attack a certified design by the million laps, and another one beside it; sets claims against what was seen."""
+    """Attack a certified design by the million laps, and another one beside it; sets claims against
+    what was seen."""
 
     command, module = "guarantee", "guarantee.command"
 
@@ -128,8 +139,11 @@ class Guarantee(Options):
     against: Annotated[str, arg(metavar="NAME|FILE.toml")] = "paper"
     """the scenario whose sets, gains and model are attacked on the same robot, path and slip"""
     realisations: Annotated[float, arg(metavar="COUNT")] = 1e5
-    """number of laps of each design, such as 1e6: spread over five slip processes; the edge comes on top"""
-    devices: Annotated[int, arg(metavar="COUNT", help_behavior_hint="(default: all; processors count as devices)")] = 0
+    """number of laps of each design, such as 1e6: spread over five slip processes; the edge comes
+    on top"""
+    devices: Annotated[
+        int, arg(metavar="COUNT", help_behavior_hint="(default: all; processors count as devices)")
+    ] = 0
     """devices of this machine to use; changes no result"""
     require_certificate: bool = False
     """exit with 3 when the certificate of the scenario fails"""
@@ -138,12 +152,15 @@ class Guarantee(Options):
     def folder(self) -> Path:
         """The folder of the run: one for each pair of designs."""
         usual = self.against == type(self).against
-        return super().folder if self.out or usual else Path(f"{super().folder}-{title(self.against)}")
+        return (
+            super().folder if self.out or usual else Path(f"{super().folder}-{title(self.against)}")
+        )
 
 
 @dataclass(frozen=True)
 class Maps(Options):
-    """Map what can be guaranteed: over slip error, speed range and period, for three ways to choose a design."""
+    """Map what can be guaranteed: over slip error, speed range and period, for three ways to choose
+    a design."""
 
     command, module = "maps", "maps.command"
 
@@ -157,7 +174,8 @@ class Maps(Options):
 
 @dataclass(frozen=True)
 class Beyond(Options):
-    """Measure how imperfect the robot may be before a lap leaves W, and before it leaves what is certified."""
+    """Measure how imperfect the robot may be before a lap leaves W, and before it leaves what is
+    certified."""
 
     command, module = "beyond", "beyond.command"
 
@@ -167,12 +185,14 @@ class Beyond(Options):
 
 @dataclass(frozen=True)
 class Tune(Options):
-    """Tune weights and gains by gradients through laps and through the tube; what comes out is certified."""
+    """Tune weights and gains by gradients through laps and through the tube; what comes out is
+    certified."""
 
     command, module = "tune", "tune.command"
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "untuned"
-    """a scenario that `list` prints, or a file: where tuning starts, and under [tuning] what it aims at"""
+    """a scenario that `list` prints, or a file: where tuning starts, and under [tuning] what it
+    aims at"""
     variables: Literal["both", "weights", "gains", "diagonal"] = "both"
     """what moves: Q, R and gains, or some of them; diagonal: those of Q and R"""
     method: Literal["lbfgs", "adam"] = "lbfgs"
@@ -188,7 +208,8 @@ class Tune(Options):
     patience: Annotated[int, arg(metavar="COUNT")] = 40
     """iterates without a better held-out objective after which to stop"""
     compare: bool = False
-    """also tune weights and gains alone, search without gradients, and drive paths that tuning never saw"""
+    """also tune weights and gains alone, search without gradients, and drive paths that tuning
+    never saw"""
     accept_uncertified: bool = False
     """return the best iterate even if its certificate fails; it is labelled as such"""
 
@@ -209,7 +230,9 @@ class List(Options):
 
     command, module = "list", "listing"
 
-    scenario: Annotated[str, arg(metavar="NAME|FILE.toml", help_behavior_hint="(default: all)")] = ""
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml", help_behavior_hint="(default: all)")] = (
+        ""
+    )
     """a scenario, or a file"""
 
 
@@ -219,7 +242,9 @@ class Check(Options):
 
     command = module = "check"
 
-    names: Positional[Annotated[tuple[str, ...], arg(metavar="[NAME|FILE.toml ...]", help_behavior_hint="")]] = ()
+    names: Positional[
+        Annotated[tuple[str, ...], arg(metavar="[NAME|FILE.toml ...]", help_behavior_hint="")]
+    ] = ()
     """scenarios with an expected.toml beside them; none: all that come with the project"""
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml", help_behavior_hint="")] = ""
     """the same as one NAME"""
@@ -229,12 +254,25 @@ class Check(Options):
 
 COMMANDS: dict[str, type[Options]] = {
     kind.command: kind
-    for kind in (Paper, Design, Montecarlo, Falsify, Guarantee, Maps, Beyond, Tune, Bench, List, Check)
+    for kind in (
+        Paper,
+        Design,
+        Montecarlo,
+        Falsify,
+        Guarantee,
+        Maps,
+        Beyond,
+        Tune,
+        Bench,
+        List,
+        Check,
+    )
 }
 
 
 def title(scenario: str) -> str:
-    """Name a scenario in a folder's name: its own name, or that of its file, or of the folder of a scenario.toml."""
+    """Name a scenario in a folder's name: its own name, or that of its file, or of the folder of a
+    scenario.toml."""
     path = Path(scenario)
     if path.suffix != ".toml":
         return scenario

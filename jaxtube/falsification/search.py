@@ -1,17 +1,20 @@
-"""Search for violations: all bounded uncertainties at once, moved by the gradient of the whole closed loop.
+"""Search for violations: all bounded uncertainties at once, moved by the gradient of the whole
+closed loop.
 
     maximise  n_i (x_k - c) / (h_i - n_i c)   over the start and every deviation, for one facet i and one step k
 
-is the usage of a limit: 1 on its facet, above 1 outside. For one facet at one step it is close to linear in the
-uncertainties, so each instance of a batch has a target of its own and climbs by the steps of `attack`, while every lap
-played is judged at all facets and steps, whatever its target was. Rounds take turns:
+is the usage of a limit: 1 on its facet, above 1 outside. For one facet at one step it is close to
+linear in the uncertainties, so each instance of a batch has a target of its own and climbs by the
+steps of `attack`, while every lap played is judged at all facets and steps, whatever its target
+was. Rounds take turns:
 
 (1) explore: targets spread over facets and steps, from vertices at random;
 (2) polish: the worst facets and steps of the last round, from the laps that reached them;
-(3) enumerate, for plans that are followed: every sequence of vertices in the window of the worst one, where few.
+(3) enumerate, for plans that are followed: every sequence of vertices in the window of the worst
+  one, where few.
 
-Source: Abbas, Winn, Fainekos, Julius, Functional gradient descent method for metric temporal logic specifications,
-American Control Conference 2014, for falsification by gradients of a margin.
+Source: Abbas, Winn, Fainekos, Julius, Functional gradient descent method for metric temporal logic
+specifications, American Control Conference 2014, for falsification by gradients of a margin.
 """
 
 from __future__ import annotations
@@ -26,7 +29,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.falsification.climb import Attack, Uncertainty, begun, climb, mean_attack, uncertainties, vertex_attack
+from jaxtube.falsification.climb import (
+    Attack,
+    Uncertainty,
+    begun,
+    climb,
+    mean_attack,
+    uncertainties,
+    vertex_attack,
+)
 from jaxtube.plant.scripted import PlanFollower
 from jaxtube.simulation.rollout import LinearPlant, SlippingRobot
 from jaxtube.simulation.usage import Limit, Limits, replay, values_of
@@ -48,7 +59,8 @@ class Worst:
     Attributes:
         usage: 1 on the facet, above 1 outside.
         margin: offset - normal x in the unit of the facet; negative outside.
-        step: of errors and tubes the number of periods after which it is met, of inputs and wheels the period itself.
+        step: of errors and tubes the number of periods after which it is met, of inputs and wheels
+            the period itself.
         facet: row of the limit; of a tube, of stage step - when, counted from 1.
         when: step of the plan that is followed; 0 for the other limits.
         attack: by name, time first: `start` (1, 3), and the entries of a script.
@@ -82,7 +94,8 @@ class Search:
 
 
 class _Round(NamedTuple):
-    """What a round begins with: attacks, the cell each aims at, and the step of the plan each follows."""
+    """What a round begins with: attacks, the cell each aims at, and the step of the plan each
+    follows."""
 
     attack: Attack
     cell: Int[np.ndarray, " batch"]
@@ -101,24 +114,42 @@ class _Found(NamedTuple):
 class _Searcher:
     """One search on its way."""
 
-    def __init__(self, controller, plant, limits: Limits, sets: dict[str, Uncertainty], aims, windows, seed, batch):
+    def __init__(
+        self,
+        controller,
+        plant,
+        limits: Limits,
+        sets: dict[str, Uncertainty],
+        aims,
+        windows,
+        seed,
+        batch,
+    ):
         self.controller, self.plant, self.limits, self.sets = controller, plant, limits, sets
         self.vertices = {name: jnp.asarray(each.vertices) for name, each in sets.items()}
         self.windows, self.generator, self.batch = windows, np.random.default_rng(seed), batch
         steps = len(plant.reference_wheels)
         self.shapes = {
-            name: (len(limits[name].offsets) if name == "tube" else steps, limits[name].offsets.shape[1])
+            name: (
+                len(limits[name].offsets) if name == "tube" else steps,
+                limits[name].offsets.shape[1],
+            )
             for name in sorted(limits)
         }
         ends = np.cumsum([stages * facets for stages, facets in self.shapes.values()])
-        self.slices = {name: slice(a, b) for name, a, b in zip(self.shapes, [0, *ends[:-1]], ends, strict=True)}
+        self.slices = {
+            name: slice(a, b) for name, a, b in zip(self.shapes, [0, *ends[:-1]], ends, strict=True)
+        }
         # One facet after the other, so that a grid over the cells covers facets and steps.
         cells = {
-            name: np.arange(s.start, s.stop).reshape(self.shapes[name]).T.ravel() for name, s in self.slices.items()
+            name: np.arange(s.start, s.stop).reshape(self.shapes[name]).T.ravel()
+            for name, s in self.slices.items()
         }
         self.aims = np.concatenate([cells[name] for name in aims])
         self.found: dict[str, _Found] = {}
-        self.search = Search({}, {name: np.full(shape, -np.inf) for name, shape in self.shapes.items()})
+        self.search = Search(
+            {}, {name: np.full(shape, -np.inf) for name, shape in self.shapes.items()}
+        )
 
     def warm_up(self) -> None:
         """Compile."""
@@ -162,7 +193,11 @@ class _Searcher:
         self.polished = lambda: self._worst_cells(best, member, played)
 
     def _loop(self, when):
-        return PlanFollower(self.controller, jnp.asarray(when, jnp.int32)) if "tube" in self.limits else self.controller
+        return (
+            PlanFollower(self.controller, jnp.asarray(when, jnp.int32))
+            if "tube" in self.limits
+            else self.controller
+        )
 
     def _judge(self, best, member, played: _Round) -> None:
         self.search.laps += self.batch
@@ -172,33 +207,53 @@ class _Searcher:
             cell = cells.start + int(np.argmax(best[cells]))
             if name not in self.found or best[cell] > self.found[name].usage:
                 index = int(member[cell])
-                attack = {key: np.asarray(values)[:, index : index + 1] for key, values in played.attack.items()}
+                attack = {
+                    key: np.asarray(values)[:, index : index + 1]
+                    for key, values in played.attack.items()
+                }
                 self.found[name] = _Found(float(best[cell]), cell, int(played.when[index]), attack)
                 self.search.course.append((self._elapsed(), name, float(best[cell])))
 
     def _grid(self) -> tuple[np.ndarray, np.ndarray]:
         """Return cells spread evenly over facets and steps, and windows at random."""
-        places = (np.arange(self.batch) + self.generator.random(self.batch)) * len(self.aims) / self.batch
+        places = (
+            (np.arange(self.batch) + self.generator.random(self.batch))
+            * len(self.aims)
+            / self.batch
+        )
         return self.aims[places.astype(int)], self.generator.choice(self.windows, self.batch)
 
     def _worst_cells(self, best, member, played: _Round) -> _Round:
         """Return the laps that reached the worst cells, each with its cell as its target."""
         cell = np.resize(self.aims[np.argsort(-best[self.aims])], self.batch)
         index = member[cell]
-        return _Round({name: values[:, index] for name, values in played.attack.items()}, cell, played.when[index])
+        return _Round(
+            {name: values[:, index] for name, values in played.attack.items()},
+            cell,
+            played.when[index],
+        )
 
     def _enumerated(self) -> Iterator[_Round]:
-        """Yield all sequences of vertices in the window of the worst plan, a batch at a time, where they are few."""
+        """Yield all sequences of vertices in the window of the worst plan, a batch at a time, where
+        they are few."""
         found, horizon = self.found["tube"], self.shapes["tube"][0]
-        names = [name for name, each in self.sets.items() if name not in ("start", "noise") and each.times > 1]
+        names = [
+            name
+            for name, each in self.sets.items()
+            if name not in ("start", "noise") and each.times > 1
+        ]
         counts = [len(self.sets[name].vertices) for name in names for _ in range(horizon)]
         total = int(np.prod(counts))
         if not names or total > ENUMERATED:
             return
         for first in range(0, total, self.batch):
             picks = np.stack(np.unravel_index(np.arange(first, first + self.batch) % total, counts))
-            attack = {name: np.repeat(values, self.batch, axis=1) for name, values in found.attack.items()}
-            for name, pick in zip(names, picks.reshape(len(names), horizon, self.batch), strict=True):
+            attack = {
+                name: np.repeat(values, self.batch, axis=1) for name, values in found.attack.items()
+            }
+            for name, pick in zip(
+                names, picks.reshape(len(names), horizon, self.batch), strict=True
+            ):
                 attack[name][found.when : found.when + horizon] = self.sets[name].vertices[pick]
             alike = (np.full(self.batch, number) for number in (found.cell, found.when))
             yield _Round({name: jnp.asarray(values) for name, values in attack.items()}, *alike)
@@ -209,7 +264,11 @@ class _Searcher:
     def _confirmed(self, name: str) -> Worst:
         found = self.found[name]
         stage, facet = divmod(found.cell - self.slices[name].start, self.shapes[name][1])
-        step = stage + (0 if name in ("input", "wheels") else 1) + (found.when if name == "tube" else 0)
+        step = (
+            stage
+            + (0 if name in ("input", "wheels") else 1)
+            + (found.when if name == "tube" else 0)
+        )
         # What comes later plays no part: it is left at the mean.
         attack = {key: np.array(values[:, 0]) for key, values in found.attack.items()}
         for key, values in attack.items():
@@ -231,14 +290,16 @@ def falsify(
     seed: int = 0,
     batch: int = 256,
 ) -> Search:
-    """Search for the smallest margins of a closed loop over everything bounded that its plant would draw.
+    """Search for the smallest margins of a closed loop over everything bounded that its plant would
+    draw.
 
     Args:
         controller: any; for the limit `tube` a TubeMpc whose plans restart at the measured error.
         plant: the slipping robot or the linear plant; its law of drawing gives way to its bounds.
-        limits: by name (module `usage`): some of `error`, `input` and `wheels`, or `tube` alone, since following a plan
-            is another closed loop.
-        starts: vertices of the polytope of initial errors, (m, m, rad); a single one fixes the start.
+        limits: by name (module `usage`): some of `error`, `input` and `wheels`, or `tube` alone,
+            since following a plan is another closed loop.
+        starts: vertices of the polytope of initial errors, (m, m, rad); a single one fixes the
+            start.
         aims: limits that are aimed at, all unless given; every limit is judged.
         windows: steps at which the plan that is followed may begin; all unless given.
         seconds: after which the search ends at the latest, compilation not counted.
@@ -246,31 +307,43 @@ def falsify(
         batch: laps played at once.
 
     Returns:
-        The worst cases, each with the usage and margin of its replay. A positive margin proves nothing.
+        The worst cases, each with the usage and margin of its replay. A positive margin proves
+        nothing.
 
     Raises:
-        ValueError: one line, for a slip process that is not searched or limits that do not go together or with the
-            plant.
+        ValueError: one line, for a slip process that is not searched or limits that do not go
+            together or with the plant.
     """
     if not limits or ("tube" in limits and len(limits) > 1):
-        raise ValueError(f"limits = {sorted(limits)}: give some of `error`, `input` and `wheels`, or `tube` alone")
+        raise ValueError(
+            f"limits = {sorted(limits)}: give some of `error`, `input` and `wheels`, or `tube` alone"
+        )
     if "wheels" in limits and isinstance(plant, LinearPlant):
-        raise ValueError("limits = `wheels`: the linear plant has none; leave it out or give the slipping robot")
+        raise ValueError(
+            "limits = `wheels`: the linear plant has none; leave it out or give the slipping robot"
+        )
     sets = uncertainties(plant, starts)
     if "tube" not in limits:
         windows = np.zeros(1, int)
     elif windows is None:
         windows = np.arange(len(plant.reference_wheels) - len(limits["tube"].offsets) + 1)
-    searcher = _Searcher(controller, plant, limits, sets, aims or sorted(limits), windows, seed, batch)
+    searcher = _Searcher(
+        controller, plant, limits, sets, aims or sorted(limits), windows, seed, batch
+    )
     searcher.warm_up()
     return searcher.run(seconds)
 
 
 def replayed(controller, plant, limit: Limit, name: str, worst: Worst) -> Worst:
     """Return a worst case with the usage and margin of its replay."""
-    values = values_of(name, replay(controller, plant, worst.attack, name, worst.when))[worst.step - worst.when]
+    values = values_of(name, replay(controller, plant, worst.attack, name, worst.when))[
+        worst.step - worst.when
+    ]
     stage = worst.step - worst.when - 1 if name == "tube" else 0
-    normal, offset = np.asarray(limit.normals[stage, worst.facet]), float(limit.offsets[stage, worst.facet])
+    normal, offset = (
+        np.asarray(limit.normals[stage, worst.facet]),
+        float(limit.offsets[stage, worst.facet]),
+    )
     margin = float(offset - normal @ values)
     usage = 1 - margin / (offset - float(normal @ np.asarray(limit.centre)))
     return Worst(usage, margin, worst.step, worst.facet, worst.when, worst.attack)

@@ -1,6 +1,7 @@
 """What `falsify` searches: the closed loop of a design, its limits, and the starts.
 
-Tubes are judged at plans that restart at the measured error, for which their growing sections are meant.
+Tubes are judged at plans that restart at the measured error, for which their growing sections are
+meant.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from jaxtube.synthesis.tightening import widest_window
 from sets.polytope import hull_vertices
 
 RAYS, INSIDE = 400, 0.999
-"""Rays that probe the feasible set, and the share of it that starts may take: its very edge is a matter of rounding."""
+"""Rays that probe the feasible set, and the share of it that starts may take: its very edge is a
+matter of rounding."""
 
 POOL = 4096
 """Starts that drawn laps choose from."""
@@ -48,10 +50,16 @@ class Setting(NamedTuple):
 
     def loop(self, name: str):
         """Return the controller on which one limit is searched."""
-        return dataclasses.replace(self.controller, restart=True) if name == "tube" else self.controller
+        return (
+            dataclasses.replace(self.controller, restart=True)
+            if name == "tube"
+            else self.controller
+        )
 
 
-def make_setting(scenario: Scenario, controller: str, plant: str, starts: str, seed: int) -> Setting:
+def make_setting(
+    scenario: Scenario, controller: str, plant: str, starts: str, seed: int
+) -> Setting:
     """Design a scenario and set up what is searched.
 
     Raises:
@@ -61,8 +69,14 @@ def make_setting(scenario: Scenario, controller: str, plant: str, starts: str, s
     if starts == "scenario":
         refuse_infeasible_start(found)
     loop = closed_loop.controllers(found)[controller]
-    acting = closed_loop.linear_plant(found) if plant == "linear" else closed_loop.slipping_robot(found)
-    vertices = found.problem.initial_error[None] if starts == "scenario" else feasible_vertices(found, seed)
+    acting = (
+        closed_loop.linear_plant(found) if plant == "linear" else closed_loop.slipping_robot(found)
+    )
+    vertices = (
+        found.problem.initial_error[None]
+        if starts == "scenario"
+        else feasible_vertices(found, seed)
+    )
     try:
         attack.uncertainties(acting, vertices)
     except ValueError as error:
@@ -101,19 +115,23 @@ def lap_limits(found: Design) -> Limits:
 
 def tube_limit(found: Design) -> Limit:
     """Return R_1 .. R_N of the tube in use; of `sequence` those of the widest window."""
-    sections = [section.polytope() for section in found.tubes[found.problem.scenario.controller.tube][1:]]
+    sections = [
+        section.polytope() for section in found.tubes[found.problem.scenario.controller.tube][1:]
+    ]
     return usage.tube_limit([(section.normals, section.offsets) for section in sections])
 
 
 def drawn_starts(setting: Setting, seed: int) -> Float[np.ndarray, "count 3"]:
-    """Return the pool that drawn laps start from: the one start, or starts uniform in the hull that is searched."""
+    """Return the pool that drawn laps start from: the one start, or starts uniform in the hull that
+    is searched."""
     if len(setting.starts) == 1:
         return setting.starts
     return np.asarray(uniform_start(setting.starts).draw(realisation_keys(seed, 0, POOL)))
 
 
 def followed_windows(found: Design) -> np.ndarray:
-    """Return the steps at which a plan may begin that is judged: of the tube `sequence` those of its widest window."""
+    """Return the steps at which a plan may begin that is judged: of the tube `sequence` those of
+    its widest window."""
     steps = np.arange(found.problem.reference.steps - found.problem.horizon + 1)
     if found.problem.scenario.controller.tube != "sequence":
         return steps

@@ -1,13 +1,16 @@
-"""An adversary that sets the slips to their extremes so that the tracking error moves furthest along a direction.
+"""An adversary that sets the slips to their extremes so that the tracking error moves furthest
+along a direction.
 
     q_1 = e_x,  q_2 = e_y + tau e_th;    j = 1 where weight |q_1| > |q_2|, else 2;    n = +-grad q_j
 
-By eq. (4) the rate n e' holds -n_x v - t w with t = n_th + n_y e_x - n_x e_y. Ground speed that the right wheel loses
-thus adds n_x / 2 + t / b to it, and the left wheel n_x / 2 - t / b: each wheel has a best extreme of its own.
+By eq. (4) the rate n e' holds -n_x v - t w with t = n_th + n_y e_x - n_x e_y. Ground speed that the
+right wheel loses thus adds n_x / 2 + t / b to it, and the left wheel n_x / 2 - t / b: each wheel
+has a best extreme of its own.
 
-Feedback alone is short-sighted, and no single scheme is the worst of all loops. So each realisation draws one: a third
-each of them push e_x only, the lateral error only, or what is larger by a weight; a third each push outwards, keep one
-sign, or alternate it with a period of 2 to 120 steps, which finds loops that resonate.
+Feedback alone is short-sighted, and no single scheme is the worst of all loops. So each realisation
+draws one: a third each of them push e_x only, the lateral error only, or what is larger by a
+weight; a third each push outwards, keep one sign, or alternate it with a period of 2 to 120 steps,
+which finds loops that resonate.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(2) and (4); the schemes are new.
 """
@@ -48,8 +51,12 @@ def draw_scheme(key: Key[Array, ""], dtype: DTypeLike = float) -> Scheme:
     """
     # One draw for all: a generator of its own for each would take most of a rollout's compilation.
     target, timing, lead, weight, half_period, offset, side = jax.random.uniform(key, (7,), dtype)
-    weight = jnp.where(target < 1 / 3, 0.0, jnp.where(target < 2 / 3, ALWAYS, 4.0 ** (2.0 * weight - 1.0)))
-    half_period, offset = (1 + (LONGEST_HALF_PERIOD * each).astype(jnp.int32) for each in (half_period, offset))
+    weight = jnp.where(
+        target < 1 / 3, 0.0, jnp.where(target < 2 / 3, ALWAYS, 4.0 ** (2.0 * weight - 1.0))
+    )
+    half_period, offset = (
+        1 + (LONGEST_HALF_PERIOD * each).astype(jnp.int32) for each in (half_period, offset)
+    )
     return Scheme(
         lead=4.0 ** (2.0 * lead - 1.0),
         speed_weight=weight,
@@ -60,7 +67,9 @@ def draw_scheme(key: Key[Array, ""], dtype: DTypeLike = float) -> Scheme:
     )
 
 
-def pushed_direction(scheme: Scheme, step: Array | int, errors: Float[Array, "3"]) -> Float[Array, "3"]:
+def pushed_direction(
+    scheme: Scheme, step: Array | int, errors: Float[Array, "3"]
+) -> Float[Array, "3"]:
     """Give the direction n along which the adversary pushes the tracking error at one step.
 
     Args:
@@ -83,7 +92,8 @@ def pushed_direction(scheme: Scheme, step: Array | int, errors: Float[Array, "3"
 def worst_vertex(
     direction: Float[Array, "3"], errors: Float[Array, "3"], track_width: Float[Array, ""] | float
 ) -> Float[Array, "2"]:
-    """Give the extreme deviation of the true slip that drives the tracking error furthest along a direction.
+    """Give the extreme deviation of the true slip that drives the tracking error furthest along a
+    direction.
 
     Args:
         direction: n, of any length.
@@ -91,8 +101,8 @@ def worst_vertex(
         track_width: m.
 
     Returns:
-        xi (right, left) in {-1, 1}; while both wheels roll forwards, no other in [-1, 1] lets n e' be greater. Where
-        the measured slip deviates instead, -xi does this.
+        xi (right, left) in {-1, 1}; while both wheels roll forwards, no other in [-1, 1] lets n e'
+        be greater. Where the measured slip deviates instead, -xi does this.
     """
     n_x, n_y, n_th = direction
     e_x, e_y, _ = errors

@@ -3,14 +3,17 @@
     e   = Rot(phi)^T (p_ref - p),  e_th = phi_ref - phi
     e_x' = w e_y + V cos e_th - v        e_y' = -w e_x + V sin e_th        e_th' = Om - w
 
-With wheels, slips and reference held over a period T both robot and reference run along circular arcs: each moves by a
-chord of length T v sinc(T w / 2) in the direction T w / 2 ahead of its heading, so that
+With wheels, slips and reference held over a period T both robot and reference run along circular
+arcs: each moves by a chord of length T v sinc(T w / 2) in the direction T w / 2 ahead of its
+heading, so that
 
     e+ = Rot(-T w) [ e + Rot(e_th) chord(V, Om) - chord(v, w) ],   e_th+ = e_th + T (Om - w).
 
-(x, y, phi) is a pose in the world frame, v, w the body's and V, Om the reference's speed and yaw rate.
+(x, y, phi) is a pose in the world frame, v, w the body's and V, Om the reference's speed and yaw
+rate.
 
-Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (3)-(4); the arcs are the exact solution of eqs. (2) and (4).
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (3)-(4); the arcs are the exact solution of
+eqs. (2) and (4).
 """
 
 import jax.numpy as jnp
@@ -20,7 +23,9 @@ from jaxtyping import Float
 from jaxtube.plant.robot import body_velocity
 
 
-def tracking_error(pose: Float[Array, "... 3"], reference_pose: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+def tracking_error(
+    pose: Float[Array, "... 3"], reference_pose: Float[Array, "... 3"]
+) -> Float[Array, "... 3"]:
     """Give the tracking error, eq. (3).
 
     Args:
@@ -28,15 +33,18 @@ def tracking_error(pose: Float[Array, "... 3"], reference_pose: Float[Array, "..
         reference_pose: the same of the reference.
 
     Returns:
-        (longitudinal m, lateral m, heading rad) of the reference as seen from the robot: positive when the reference is
-        ahead, to the left, turned to the left. The heading error is not wrapped.
+        (longitudinal m, lateral m, heading rad) of the reference as seen from the robot: positive
+        when the reference is ahead, to the left, turned to the left. The heading error is not
+        wrapped.
     """
     difference = reference_pose - pose
     position = _rotate(difference[..., :2], -pose[..., 2])
     return jnp.concatenate([position, difference[..., 2:]], axis=-1)
 
 
-def world_pose(error: Float[Array, "... 3"], reference_pose: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
+def world_pose(
+    error: Float[Array, "... 3"], reference_pose: Float[Array, "... 3"]
+) -> Float[Array, "... 3"]:
     """Give the robot's pose from its tracking error, the exact inverse of `tracking_error`.
 
     Args:
@@ -85,7 +93,8 @@ def advance(
     track_width: float,
     dt: float,
 ) -> Float[Array, "... 3"]:
-    """Give the tracking error one period later, wheels, slip and reference held: exact, no integration error.
+    """Give the tracking error one period later, wheels, slip and reference held: exact, no
+    integration error.
 
     Args:
         error: (longitudinal m, lateral m, heading rad) in the robot frame.
@@ -96,7 +105,8 @@ def advance(
         dt: length of the period, s.
 
     Returns:
-        The error in the robot's frame at the end of the period; smooth in every argument, also on straight lines.
+        The error in the robot's frame at the end of the period; smooth in every argument, also on
+        straight lines.
     """
     v, w = _split(body_velocity(wheels, slip, track_width))
     V, Om = _split(body_velocity(reference_wheels, 0.0, track_width))
@@ -110,13 +120,17 @@ def sinc(x: Float[Array, "..."]) -> Float[Array, "..."]:
     """Give sin(x) / x, x in rad, with value and derivatives exact to rounding, also near zero."""
     near = jnp.abs(x) < 0.3  # here the first term left out of the series is below 1e-16
     y = jnp.where(near, x, 0.0) ** 2
-    series = 1.0 - y / 6.0 * (1.0 - y / 20.0 * (1.0 - y / 42.0 * (1.0 - y / 72.0 * (1.0 - y / 110.0))))
+    series = 1.0 - y / 6.0 * (
+        1.0 - y / 20.0 * (1.0 - y / 42.0 * (1.0 - y / 72.0 * (1.0 - y / 110.0)))
+    )
     # Both branches are differentiated, so the one not taken must stay finite.
     far = jnp.where(near, 1.0, x)
     return jnp.where(near, series, jnp.sin(far) / far)
 
 
-def _chord(speed: Float[Array, "..."], yaw_rate: Float[Array, "..."], dt: float) -> Float[Array, "... 2"]:
+def _chord(
+    speed: Float[Array, "..."], yaw_rate: Float[Array, "..."], dt: float
+) -> Float[Array, "... 2"]:
     """Give the displacement along an arc, in the frame at its start."""
     half_turn = dt * yaw_rate / 2.0
     length = dt * speed * sinc(half_turn)

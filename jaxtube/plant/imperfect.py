@@ -1,15 +1,18 @@
-"""A robot with imperfections that no certificate knows: a slipping robot whose period is not what the model assumes.
+"""A robot with imperfections that no certificate knows: a slipping robot whose period is not what
+the model assumes.
 
     travel of a wheel    int_0^t speed,  speed' = clip((command - speed) / lag, +-1 / sluggishness)
     body                 x' = v cos phi - y~ sin phi,  y' = v sin phi + y~ cos phi,  phi' = om,   y~ = sideslip zeta v
     error                e_x' = om e_y + V cos e_th - v,   e_y' = -om e_x + V sin e_th - y~,   e_th' = Om - om
 
-v, om follow from the wheels and the true slips by eqs. (1)-(2), y~ is the body's own lateral velocity, positive to the
-left, zeta in [-1, 1] its share of the moment. The period is cut where a late command arrives, where the slip changes,
-and into equal arcs. How far the wheels travel along each arc is exact, hence the heading too; within an arc the turn is
-taken as uniform, which is an approximation only while the wheels still change speed.
+v, om follow from the wheels and the true slips by eqs. (1)-(2), y~ is the body's own lateral
+velocity, positive to the left, zeta in [-1, 1] its share of the moment. The period is cut where a
+late command arrives, where the slip changes, and into equal arcs. How far the wheels travel along
+each arc is exact, hence the heading too; within an arc the turn is taken as uniform, which is an
+approximation only while the wheels still change speed.
 
-Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(4), for the ideal robot; the imperfections are new.
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(4), for the ideal robot; the
+imperfections are new.
 """
 
 from __future__ import annotations
@@ -28,7 +31,8 @@ from jaxtube.plant.error_dynamics import advance, sinc, tracking_error
 from jaxtube.plant.robot import body_velocity, saturate, wheel_commands
 from jaxtube.simulation.rollout import SlippingRobot
 
-# The stream of the instants at which slips change, beside those of `jaxtube.plant.slip`, the rollout and the starts.
+# The stream of the instants at which slips change, beside those of `jaxtube.plant.slip`, the
+# rollout and the starts.
 INSTANT = 5
 ARCS = 16
 
@@ -38,7 +42,9 @@ class Imperfections(NamedTuple):
 
     lag: Float[Array, ""] | float = 0.0  # time constant of the wheels, s
     delay: Float[Array, ""] | float = 0.0  # by which commands arrive late, in periods, 0 to 1
-    sluggishness: Float[Array, ""] | float = 0.0  # 1 / (limit of a wheel's acceleration), s^2/m: 0 is no limit
+    sluggishness: Float[Array, ""] | float = (
+        0.0  # 1 / (limit of a wheel's acceleration), s^2/m: 0 is no limit
+    )
     sideslip: Float[Array, ""] | float = 0.0  # greatest lateral velocity of the body, by its speed
     slip_change: Float[Array, ""] | float = (
         0.0  # share of the last period's slip error that lasts into this one, 0 to 1
@@ -58,20 +64,28 @@ class Motion(NamedTuple):
     """What drives the robot through one period."""
 
     wheels: Float[Array, "batch 2"]  # speeds at its start, m/s
-    commands: tuple[Float[Array, "batch 2"], Float[Array, "batch 2"]]  # followed before and after the delay, m/s
-    slips: tuple[Float[Array, "batch 2"], Float[Array, "batch 2"]]  # true slips before and after the instant
+    commands: tuple[
+        Float[Array, "batch 2"], Float[Array, "batch 2"]
+    ]  # followed before and after the delay, m/s
+    slips: tuple[
+        Float[Array, "batch 2"], Float[Array, "batch 2"]
+    ]  # true slips before and after the instant
     instant: Float[Array, " batch"]  # at which the slip changes, in periods
     drift: Float[Array, " batch"]  # zeta
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["ideal", "imperfections"], meta_fields=["arcs"])
+@partial(
+    jax.tree_util.register_dataclass, data_fields=["ideal", "imperfections"], meta_fields=["arcs"]
+)
 @dataclass(frozen=True)
 class ImperfectRobot:
-    """The nonlinear plant with imperfections: draws, noise and wheel limits are those of the ideal one.
+    """The nonlinear plant with imperfections: draws, noise and wheel limits are those of the ideal
+    one.
 
-    The levels are data: a loop compiles once for all of them. Before its first period the robot drives as the reference
-    does, under the nominal slip. The body drifts to the side that the slip error of the moment turns it to, zeta = half
-    the difference (left - right) of its deviations: what pushes the heading error also pushes the lateral one.
+    The levels are data: a loop compiles once for all of them. Before its first period the robot
+    drives as the reference does, under the nominal slip. The body drifts to the side that the slip
+    error of the moment turns it to, zeta = half the difference (left - right) of its deviations:
+    what pushes the heading error also pushes the lateral one.
     """
 
     ideal: SlippingRobot
@@ -86,11 +100,15 @@ class ImperfectRobot:
     def initial(self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> Memory:
         """Return the memory of slips and wheels."""
         ideal, none = self.ideal, jnp.zeros_like(errors[:, :2])
-        commands = wheel_commands(none, ideal.reference_wheels[0], ideal.nominal_slip, ideal.robot.track_width)
+        commands = wheel_commands(
+            none, ideal.reference_wheels[0], ideal.nominal_slip, ideal.robot.track_width
+        )
         wheels = saturate(commands, ideal.robot)
         return Memory(ideal.initial(keys, errors), wheels, wheels, none)
 
-    def measure(self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]) -> Float[Array, "batch 3"]:
+    def measure(
+        self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]
+    ) -> Float[Array, "batch 3"]:
         """Return the measured errors."""
         return self.ideal.measure(keys, step, errors)
 
@@ -99,13 +117,16 @@ class ImperfectRobot:
         return self.ideal.acting(step, inputs, measured, controller)
 
     def advance(self, keys, step, state: Memory, errors, inputs, controller):
-        """Return (next errors, next memory, commands within the limits, commands before saturation) of one period."""
+        """Return (next errors, next memory, commands within the limits, commands before saturation)
+        of one period."""
         ideal, change = self.ideal, self.imperfections.slip_change
         true, measured, slip_memory = ideal.draw(keys, step, state.slip, errors)
         _, commands, demanded = ideal.move(step, errors, inputs, true, measured, controller)
         instant = jax.vmap(lambda key: _instant(key, step, errors.dtype))(keys)
         deviations = true + change * (state.deviation - true), true
-        before, after = (slips.deviated(ideal.nominal_slip, ideal.relative_error, each) for each in deviations)
+        before, after = (
+            slips.deviated(ideal.nominal_slip, ideal.relative_error, each) for each in deviations
+        )
         slip_error = jnp.clip(true - measured, -1.0, 1.0)
         drift = (slip_error[:, 1] - slip_error[:, 0]) / 2.0
         motion = Motion(state.wheels, (state.command, commands), (before, after), instant, drift)
@@ -123,34 +144,44 @@ class ImperfectRobot:
             motion: what drives the robot.
 
         Returns:
-            (tracking errors, wheel speeds m/s) at the end of the period: exact without lag and limit of acceleration,
-            else with a heading error that is exact and positions to second order in the length of the arcs.
+            (tracking errors, wheel speeds m/s) at the end of the period: exact without lag and
+            limit of acceleration, else with a heading error that is exact and positions to second
+            order in the length of the arcs.
         """
         ideal, level, dt = self.ideal, self.imperfections, self.ideal.dt
         times = _breakpoints(motion.instant, level.delay, self.arcs, errors.dtype) * dt
-        travel, wheels = _wheel_travel(motion.wheels, motion.commands, level.delay * dt, times, level)
+        travel, wheels = _wheel_travel(
+            motion.wheels, motion.commands, level.delay * dt, times, level
+        )
         middle = (times[1:] + times[:-1]) / 2.0
         slip = jnp.where((middle < motion.instant * dt)[..., None], *motion.slips)
-        pose = _path(jnp.diff(travel, axis=0), slip, level.sideslip * motion.drift, ideal.robot.track_width)
-        # In the frame of the robot at the start: there the reference stands at the error, and ends where a robot that
-        # does not move would see it.
+        pose = _path(
+            jnp.diff(travel, axis=0), slip, level.sideslip * motion.drift, ideal.robot.track_width
+        )
+        # In the frame of the robot at the start: there the reference stands at the error, and ends
+        # where a robot that does not move would see it.
         standing, reference = jnp.zeros_like(motion.wheels), ideal.reference_wheels[step]
         reference_pose = advance(errors, standing, 0.0, reference, ideal.robot.track_width, dt)
         return tracking_error(pose, reference_pose), wheels[-1]
 
 
 def shifted_preview(
-    index: Int[Array, " steps"], reference_wheels: Float[Array, "steps 2"], shift: Int[Array, ""] | int
+    index: Int[Array, " steps"],
+    reference_wheels: Float[Array, "steps 2"],
+    shift: Int[Array, ""] | int,
 ) -> Int[Array, " steps"]:
-    """Give the windows of a controller that expects each change of the reference some steps off its time.
+    """Give the windows of a controller that expects each change of the reference some steps off its
+    time.
 
-    The present reference is always right. What is wrong lies ahead: the window is that of the step `shift` later, or of
-    the last one before the reference changes. A change is expected too early by that many steps, and again and again
-    for the next step, until it comes; too late (`shift` below 0), so that it comes unannounced.
+    The present reference is always right. What is wrong lies ahead: the window is that of the step
+    `shift` later, or of the last one before the reference changes. A change is expected too early
+    by that many steps, and again and again for the next step, until it comes; too late (`shift`
+    below 0), so that it comes unannounced.
 
     Args:
         index: window of each step.
-        reference_wheels: what is driven, m/s. One that changes at every step leaves nothing to be wrong about.
+        reference_wheels: what is driven, m/s. One that changes at every step leaves nothing to be
+            wrong about.
         shift: steps.
 
     Returns:
@@ -158,7 +189,10 @@ def shifted_preview(
     """
     changes = jnp.any(jnp.diff(reference_wheels, axis=0) != 0.0, axis=1)
     run = jnp.cumsum(jnp.concatenate([jnp.zeros(1, bool), changes]))
-    first, last = jnp.searchsorted(run, run, side="left"), jnp.searchsorted(run, run, side="right") - 1
+    first, last = (
+        jnp.searchsorted(run, run, side="left"),
+        jnp.searchsorted(run, run, side="right") - 1,
+    )
     steps = jnp.arange(len(index), dtype=first.dtype)
     return index[jnp.clip(steps + shift, first, last)]
 
@@ -168,20 +202,34 @@ def _instant(key: Key[Array, ""], step, dtype) -> Float[Array, ""]:
     return jax.random.uniform(key, (), dtype)
 
 
-def _breakpoints(instant: Float[Array, " batch"], delay, arcs: int, dtype) -> Float[Array, "arcs+3 batch"]:
+def _breakpoints(
+    instant: Float[Array, " batch"], delay, arcs: int, dtype
+) -> Float[Array, "arcs+3 batch"]:
     """Give the ends of the arcs, in periods: equal ones, cut at the delay and at the instant."""
-    even = jnp.broadcast_to(jnp.linspace(0.0, 1.0, arcs + 1, dtype=dtype)[:, None], (arcs + 1, len(instant)))
+    even = jnp.broadcast_to(
+        jnp.linspace(0.0, 1.0, arcs + 1, dtype=dtype)[:, None], (arcs + 1, len(instant))
+    )
     return _inserted(_inserted(even, jnp.full_like(instant, delay)), instant)
 
 
-def _inserted(ordered: Float[Array, "times batch"], time: Float[Array, " batch"]) -> Float[Array, "times+1 batch"]:
+def _inserted(
+    ordered: Float[Array, "times batch"], time: Float[Array, " batch"]
+) -> Float[Array, "times+1 batch"]:
     """Insert a time between the first and the last of increasing ones: much faster than sorting."""
-    return jnp.clip(time, jnp.concatenate([ordered[:1], ordered]), jnp.concatenate([ordered, ordered[-1:]]))
+    return jnp.clip(
+        time, jnp.concatenate([ordered[:1], ordered]), jnp.concatenate([ordered, ordered[-1:]])
+    )
 
 
-def _wheel_travel(wheels, commands, delay, times: Float[Array, "times batch"], level: Imperfections):
-    """Return (travel since the start m, speeds m/s) of wheels that follow one command until the delay, then another."""
-    earlier, later = jnp.minimum(times, delay)[..., None], jnp.maximum(times - delay, 0.0)[..., None]
+def _wheel_travel(
+    wheels, commands, delay, times: Float[Array, "times batch"], level: Imperfections
+):
+    """Return (travel since the start m, speeds m/s) of wheels that follow one command until the
+    delay, then another."""
+    earlier, later = (
+        jnp.minimum(times, delay)[..., None],
+        jnp.maximum(times - delay, 0.0)[..., None],
+    )
     travel, reached = _follow(wheels, commands[0], earlier, level)
     _, at_delay = _follow(wheels, commands[0], jnp.full_like(wheels, delay), level)
     more, speeds = _follow(at_delay, commands[1], later, level)
@@ -189,9 +237,11 @@ def _wheel_travel(wheels, commands, delay, times: Float[Array, "times batch"], l
 
 
 def _follow(wheels, command, time, level: Imperfections):
-    """Return (travel, speed) after some time: at the limit of acceleration first, exponentially from there on."""
+    """Return (travel, speed) after some time: at the limit of acceleration first, exponentially
+    from there on."""
     gap, least = command - wheels, jnp.finfo(wheels.dtype).tiny
-    # Both quotients are 0 / least where nothing limits: no time is spent at the limit, or no time has passed.
+    # Both quotients are 0 / least where nothing limits: no time is spent at the limit, or no time
+    # has passed.
     ramp = jnp.minimum(time, jnp.maximum(level.sluggishness * jnp.abs(gap) - level.lag, 0.0))
     left = gap - jnp.sign(gap) * ramp / jnp.maximum(level.sluggishness, least)
     closed = -jnp.expm1(-(time - ramp) / jnp.maximum(level.lag, least))
@@ -200,13 +250,18 @@ def _follow(wheels, command, time, level: Imperfections):
 
 
 def _path(travel, slip, sideslip: Float[Array, " batch"], track_width) -> Float[Array, "batch 3"]:
-    """Return the pose after arcs, in the frame of its start, from how far the wheels travel along each of them."""
+    """Return the pose after arcs, in the frame of its start, from how far the wheels travel along
+    each of them."""
     moved = body_velocity(travel, slip, track_width)
     forwards, turn = moved[..., 0] * sinc(moved[..., 1] / 2.0), moved[..., 1]
     heading = jnp.cumsum(turn, axis=0)
     c, s = jnp.cos(heading - turn / 2.0), jnp.sin(heading - turn / 2.0)
     sideways = sideslip * forwards
     return jnp.stack(
-        [jnp.sum(c * forwards - s * sideways, axis=0), jnp.sum(s * forwards + c * sideways, axis=0), heading[-1]],
+        [
+            jnp.sum(c * forwards - s * sideways, axis=0),
+            jnp.sum(s * forwards + c * sideways, axis=0),
+            heading[-1],
+        ],
         axis=-1,
     )

@@ -1,11 +1,13 @@
-"""Input maps: what the controller's virtual inputs mean, as speed and yaw rate commanded to the robot.
+"""Input maps: what the controller's virtual inputs mean, as speed and yaw rate commanded to the
+robot.
 
     paper         v = V - u1                                                         om = Om - u2
     cosine_free   v = V cos e_th - u1                                                om = Om - u2
     x_exact       T v sinc(a) = cos a e_x + sin a e_y + T V s cos psi - (e_x + T Om e_y + T u1),   om = Om - u2
 
-with a = T om, A = T Om, s = sinc(A / 2) and psi = e_th + A / 2 - a. Over a period without slip error `x_exact` gives
-e_x+ = e_x + T Om e_y + T u1 and e_th+ = e_th + T u2 exactly: the lateral error alone stays nonlinear,
+with a = T om, A = T Om, s = sinc(A / 2) and psi = e_th + A / 2 - a. Over a period without slip
+error `x_exact` gives e_x+ = e_x + T Om e_y + T u1 and e_th+ = e_th + T u2 exactly: the lateral
+error alone stays nonlinear,
 
     e_y+ = e_y - tan(a / 2) (e_x + e_x+) + T V s sin(e_th + T u2 / 2) / cos(a / 2).
 
@@ -22,7 +24,8 @@ from jaxtube.plant.error_dynamics import sinc
 from jaxtube.plant.robot import body_velocity
 
 LEAST_SINC = 0.1
-"""Floor of sinc(a) where `x_exact` divides by it: met beyond 2.8 rad of turn a period, where no map makes sense."""
+"""Floor of sinc(a) where `x_exact` divides by it: met beyond 2.8 rad of turn a period, where no map
+makes sense."""
 
 
 def acting_input(
@@ -47,7 +50,9 @@ def acting_input(
         (V - v m/s, Om - om rad/s), to be passed to `wheel_commands`; finite for finite arguments.
     """
     reference = body_velocity(reference_wheels, 0.0, track_width)
-    columns = (array[..., i] for array in (virtual_input, error, reference) for i in range(array.shape[-1]))
+    columns = (
+        array[..., i] for array in (virtual_input, error, reference) for i in range(array.shape[-1])
+    )
     u1, u2, e_x, e_y, e_th, V, Om = jnp.broadcast_arrays(*columns)
     return jnp.stack([INPUT_MAPS[input_map](u1, u2, (e_x, e_y, e_th), V, Om, dt), u2], axis=-1)
 
@@ -65,7 +70,11 @@ def _x_exact(u1, u2, error, V, Om, dt):
     e_x, e_y, e_th = error
     A, a = dt * Om, dt * (Om - u2)
     along = e_th + A / 2.0 - a
-    travelled = -2.0 * jnp.sin(a / 2.0) ** 2 * e_x + (jnp.sin(a) - A) * e_y + dt * V * sinc(A / 2.0) * jnp.cos(along)
+    travelled = (
+        -2.0 * jnp.sin(a / 2.0) ** 2 * e_x
+        + (jnp.sin(a) - A) * e_y
+        + dt * V * sinc(A / 2.0) * jnp.cos(along)
+    )
     return V - (travelled / dt - u1) / jnp.maximum(sinc(a), LEAST_SINC)
 
 

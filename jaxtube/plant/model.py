@@ -3,18 +3,21 @@
     e+ = A(th) e + B(th) u + w,   th = (V_r, V_l) in Theta
     e_x' = Om e_y + u1            e_y' = -Om e_x + V e_th            e_th' = u2
 
-th, the schedule, is the pair of reference wheel speeds in m/s, Theta the box it lies in. Two choices make four models,
-and a fifth is sampled from the start:
+th, the schedule, is the pair of reference wheel speeds in m/s, Theta the box it lies in. Two
+choices make four models, and a fifth is sampled from the start:
 
-* `paper` takes Om = ((1 - i_r) V_r - (1 - i_l) V_l) / b, the Jacobian at wheels that do not compensate their slip;
-  `consistent` takes Om = (V_r - V_l) / b, the Jacobian of the dynamics under commands that do. They differ by T i Om.
-* `euler` is I + T (.), affine in the schedule; `zoh` is exact over a period with the inputs held, and not affine.
-* `exact_jacobian` is the Jacobian at 0 of the sampled robot under the input map `x_exact`, with A_ = T Om,
-  h = tan(A_ / 2) and c = T V h / (A_ / 2):
+* `paper` takes Om = ((1 - i_r) V_r - (1 - i_l) V_l) / b, the Jacobian at wheels that do not
+  compensate their slip; `consistent` takes Om = (V_r - V_l) / b, the Jacobian of the dynamics under
+  commands that do. They differ by T i Om.
+* `euler` is I + T (.), affine in the schedule; `zoh` is exact over a period with the inputs held,
+  and not affine.
+* `exact_jacobian` is the Jacobian at 0 of the sampled robot under the input map `x_exact`, with A_
+  = T Om, h = tan(A_ / 2) and c = T V h / (A_ / 2):
 
       A = [[1, T Om, 0], [-2 h, 1 - h T Om, c], [0, 0, 1]],    B = [[T, 0], [-h T, c T / 2], [0, T]].
 
-Errors are (longitudinal m, lateral m, heading rad), inputs (speed deficit m/s, yaw rate deficit rad/s).
+Errors are (longitudinal m, lateral m, heading rad), inputs (speed deficit m/s, yaw rate deficit
+rad/s).
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (6), (9)-(10), (16)-(25), (34)-(37).
 """
@@ -38,7 +41,8 @@ class Model:
     Attributes:
         dt: period, s.
         track_width: b, m.
-        slip_factors: (right, left), what part of a wheel's speed counts in the yaw rate: 1 - nominal slip, or 1.
+        slip_factors: (right, left), what part of a wheel's speed counts in the yaw rate: 1 -
+            nominal slip, or 1.
         discretisation: "euler", "zoh" or, for the exact Jacobian, "exact".
         box: Theta as (lower, upper), each (right, left) in m/s.
     """
@@ -58,7 +62,8 @@ class Model:
             schedule: reference wheel speeds (right, left), m/s.
 
         Returns:
-            (A, B), with eigenvalues of modulus 1 and above; B depends on the schedule but for `euler`.
+            (A, B), with eigenvalues of modulus 1 and above; B depends on the schedule but for
+            `euler`.
         """
         if self.discretisation == "exact":
             return self._exact_pair(np.asarray(schedule, float))
@@ -66,7 +71,9 @@ class Model:
         transition = expm(rates) if self.discretisation == "zoh" else np.eye(5) + rates
         return transition[..., :3, :3], transition[..., :3, 3:]
 
-    def _continuous_pair(self, schedule: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 5 5"]:
+    def _continuous_pair(
+        self, schedule: Float[np.ndarray, "... 2"]
+    ) -> Float[np.ndarray, "... 5 5"]:
         """Give the rates of (error, held input), eq. (6)."""
         yaw_rate = schedule * self.slip_factors @ np.array([1.0, -1.0]) / self.track_width
         rates = np.zeros((*schedule.shape[:-1], 5, 5))
@@ -76,23 +83,27 @@ class Model:
         return rates
 
     def stretched(self, schedule: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 2"]:
-        """Give the wheel speeds times tan(x) / x, x = T Om / 2: in them the exact Jacobian's h and c are linear.
+        """Give the wheel speeds times tan(x) / x, x = T Om / 2: in them the exact Jacobian's h and
+        c are linear.
 
         Args:
-            schedule: reference wheel speeds (right, left), m/s, that turn by less than half a turn a period.
+            schedule: reference wheel speeds (right, left), m/s, that turn by less than half a turn
+                a period.
         """
         turn = self.dt * schedule @ np.array([1.0, -1.0]) / self.track_width
         return schedule * (np.sinc(turn / (2.0 * np.pi)) / np.cos(turn / 2.0))[..., None]
 
     def turn_and_reach(self, stretched: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 2"]:
-        """Give (h, c) of the exact Jacobian from stretched wheel speeds: c +- b h is T times the right or left one."""
+        """Give (h, c) of the exact Jacobian from stretched wheel speeds: c +- b h is T times the
+        right or left one."""
         right, left = np.moveaxis(self.dt * stretched, -1, 0)
         return np.stack([(right - left) / (2.0 * self.track_width), (right + left) / 2.0], axis=-1)
 
     def stretched_box(
         self, lower: Float[np.ndarray, "2"], upper: Float[np.ndarray, "2"]
     ) -> tuple[Float[np.ndarray, "2"], Float[np.ndarray, "2"]]:
-        """Give a box around the stretched speeds of a box of positive wheel speeds, exact where that is a point.
+        """Give a box around the stretched speeds of a box of positive wheel speeds, exact where
+        that is a point.
 
         Raises:
             ValueError: where a speed is not positive.
@@ -105,7 +116,8 @@ class Model:
             [lower.tolist(), upper.tolist()],
             "the exact Jacobian needs positive wheel speeds; raise the lower ones",
         )
-        # tan(x) / x is 1 at least and grows with |x|, so it is largest at one of the two turning corners.
+        # tan(x) / x is 1 at least and grows with |x|, so it is largest at one of the two turning
+        # corners.
         turning = np.array([[lower[0], upper[1]], [upper[0], lower[1]]])
         return lower, upper * float(np.max(self.stretched(turning) / turning))
 
@@ -131,7 +143,8 @@ class Model:
 
     @property
     def vertices(self) -> Float[np.ndarray, "4 2"]:
-        """Schedules at the four corners: (min, max), (min, min), (max, min), (max, max), as in eqs. (34)-(37)."""
+        """Schedules at the four corners: (min, max), (min, min), (max, min), (max, max), as in eqs.
+        (34)-(37)."""
         return np.stack(self.box)[VERTEX_SIDES, [0, 1]]
 
     def weights(self, schedule: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 4"]:
@@ -141,8 +154,9 @@ class Model:
             schedule: reference wheel speeds (right, left), m/s.
 
         Returns:
-            Weights in the order of `vertices`: they sum to 1 and reproduce the schedule, hence `euler`'s A, exactly.
-            They are non-negative for a schedule in the box, and extrapolate outside it.
+            Weights in the order of `vertices`: they sum to 1 and reproduce the schedule, hence
+            `euler`'s A, exactly. They are non-negative for a schedule in the box, and extrapolate
+            outside it.
         """
         return bilinear_weights(np.asarray(schedule, float), *self.box)
 
@@ -161,10 +175,12 @@ class Model:
         return right, left
 
     def compensating_gains(self) -> tuple[Float[np.ndarray, "2 3"], Float[np.ndarray, "2 3"]]:
-        """Give the gains (K_r, K_l) per m/s of wheel speed that cancel the first rows of A_r and A_l, eq. (24).
+        """Give the gains (K_r, K_l) per m/s of wheel speed that cancel the first rows of A_r and
+        A_l, eq. (24).
 
         Returns:
-            Gains for u = +K e: A_r + B K_r and A_l + B K_l of `euler` have zeros but in the row of the lateral error.
+            Gains for u = +K e: A_r + B K_r and A_l + B K_l of `euler` have zeros but in the row of
+            the lateral error.
         """
         right, left = np.zeros((2, 2, 3))
         right[0, 1], left[0, 1] = self.slip_factors / self.track_width * np.array([-1.0, 1.0])
@@ -174,7 +190,8 @@ class Model:
 def bilinear_weights(
     points: Float[np.ndarray, "... 2"], lower: Float[np.ndarray, "2"], upper: Float[np.ndarray, "2"]
 ) -> Float[np.ndarray, "... 4"]:
-    """Give the bilinear weights of the four corners of a box, in the order of `VERTEX_SIDES`; negative outside it."""
+    """Give the bilinear weights of the four corners of a box, in the order of `VERTEX_SIDES`;
+    negative outside it."""
     width = np.where(upper > lower, upper - lower, 1.0)
     upper_share = ((points - lower) / width)[..., None, :]
     return np.where(VERTEX_SIDES == 1, upper_share, 1.0 - upper_share).prod(axis=-1)
@@ -192,7 +209,8 @@ def make_model(
 
     Args:
         model: "paper", "consistent" or "exact_jacobian".
-        discretisation: "euler" or "zoh"; the exact Jacobian is sampled already and does not read it.
+        discretisation: "euler" or "zoh"; the exact Jacobian is sampled already and does not read
+            it.
         dt: period, s.
         track_width: m.
         nominal_slip: (right, left), in [0, 1).
@@ -214,7 +232,9 @@ def make_model(
         f"choose one of {', '.join(DISCRETISATIONS)}",
     )
     _refuse_unless(0.0 < dt < np.inf, "dt", dt, "give a positive number of seconds")
-    _refuse_unless(0.0 < track_width < np.inf, "track_width", track_width, "give a positive length in m")
+    _refuse_unless(
+        0.0 < track_width < np.inf, "track_width", track_width, "give a positive length in m"
+    )
     _refuse_unless(
         slip.shape == (2,) and bool(np.all((slip >= 0.0) & (slip < 1.0))),
         "nominal_slip",
@@ -222,7 +242,8 @@ def make_model(
         "give (right, left) in [0, 1)",
     )
     _refuse_unless(
-        lower.shape == upper.shape == (2,) and bool(np.all(np.isfinite([lower, upper])) and np.all(lower <= upper)),
+        lower.shape == upper.shape == (2,)
+        and bool(np.all(np.isfinite([lower, upper])) and np.all(lower <= upper)),
         "box",
         [lower.tolist(), upper.tolist()],
         "give finite (right, left) speeds, the lower ones first",

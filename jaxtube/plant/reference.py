@@ -2,11 +2,11 @@
 
     p_{k+1} = p_k + Rot(phi_k) chord(V_k, Om_k)        phi_{k+1} = phi_k + T Om_k
 
-where the chord of the arc has length T V sinc(T Om / 2) and direction T Om / 2. Wheels are (right, left) in m/s, poses
-(x m, y m, heading rad) in the world frame; headings are not wrapped.
+where the chord of the arc has length T V sinc(T Om / 2) and direction T Om / 2. Wheels are (right,
+left) in m/s, poses (x m, y m, heading rad) in the world frame; headings are not wrapped.
 
-Source: the eight of Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV, read as two circles; Bernoulli's lemniscate
-by Gauss's lemniscate functions, cl(u) = cn(sqrt(2) u | 1/2).
+Source: the eight of Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV, read as two circles;
+Bernoulli's lemniscate by Gauss's lemniscate functions, cl(u) = cn(sqrt(2) u | 1/2).
 """
 
 import csv
@@ -31,7 +31,8 @@ class Reference:
 
     Attributes:
         wheels: speeds (right, left) held over each period, m/s.
-        poses: (x m, y m, heading rad) at the periods' ends, world frame; wheels k lead from pose k to pose k + 1.
+        poses: (x m, y m, heading rad) at the periods' ends, world frame; wheels k lead from pose k
+            to pose k + 1.
         dt: length of a period, s.
         steps: periods of the run, without the preview.
     """
@@ -47,11 +48,14 @@ TRANSIENT_S = 10.0
 
 
 def settled_step(reference: Reference) -> int:
-    """Return the step from which a run has settled; of one that is shorter than the transient, its last."""
+    """Return the step from which a run has settled; of one that is shorter than the transient, its
+    last."""
     return min(round(TRANSIENT_S / reference.dt), reference.steps)
 
 
-def two_circles(radius: float, speed: float, duration: float, dt: float, preview: int, track_width: float) -> Reference:
+def two_circles(
+    radius: float, speed: float, duration: float, dt: float, preview: int, track_width: float
+) -> Reference:
     """Build the eight of two tangent circles, left one first, from the origin with heading 0.
 
     Args:
@@ -63,24 +67,31 @@ def two_circles(radius: float, speed: float, duration: float, dt: float, preview
         track_width: m.
 
     Returns:
-        A reference that turns left while floor(k V T / (2 pi R)) is even, right while it is odd: it changes circle at
-        the first sample past the origin.
+        A reference that turns left while floor(k V T / (2 pi R)) is even, right while it is odd: it
+        changes circle at the first sample past the origin.
 
     Raises:
-        ValueError: for a setting that is not positive, or a duration that is no whole number of periods.
+        ValueError: for a setting that is not positive, or a duration that is no whole number of
+            periods.
     """
     _refuse_unless_positive(radius=radius, speed=speed, track_width=track_width)
     steps = _whole_steps(duration, dt)
     # Rounding must not add a step to a circle that closes at a sample.
     circles_done = np.floor(np.arange(steps + preview) * speed * dt / (2.0 * np.pi * radius) + 1e-9)
     yaw_rates = np.where(circles_done % 2 == 0, speed / radius, -speed / radius)
-    return _reference(np.zeros(3), np.full_like(yaw_rates, speed), yaw_rates, dt, steps, track_width)
+    return _reference(
+        np.zeros(3), np.full_like(yaw_rates, speed), yaw_rates, dt, steps, track_width
+    )
 
 
-def lemniscate(radius: float, speed: float, duration: float, dt: float, preview: int, track_width: float) -> Reference:
-    """Build Bernoulli's lemniscate at constant speed, left lobe first, from its crossing at the origin with heading 0.
+def lemniscate(
+    radius: float, speed: float, duration: float, dt: float, preview: int, track_width: float
+) -> Reference:
+    """Build Bernoulli's lemniscate at constant speed, left lobe first, from its crossing at the
+    origin with heading 0.
 
-    With half-width a the heading after the arc length s is 3 (pi/4 - arctan cl(s/a)), its rate at most 3 V / a.
+    With half-width a the heading after the arc length s is 3 (pi/4 - arctan cl(s/a)), its rate at
+    most 3 V / a.
 
     Args:
         radius: tightest radius of curvature, m, a third of the half-width a.
@@ -91,11 +102,12 @@ def lemniscate(radius: float, speed: float, duration: float, dt: float, preview:
         track_width: m.
 
     Returns:
-        A reference with the lemniscate's exact headings at the samples; its arcs leave the curve by less than
-        0.3 (V T)^2 / R in each eight, for steps V T below R / 10.
+        A reference with the lemniscate's exact headings at the samples; its arcs leave the curve by
+        less than 0.3 (V T)^2 / R in each eight, for steps V T below R / 10.
 
     Raises:
-        ValueError: for a setting that is not positive, or a duration that is no whole number of periods.
+        ValueError: for a setting that is not positive, or a duration that is no whole number of
+            periods.
     """
     _refuse_unless_positive(radius=radius, speed=speed, track_width=track_width)
     steps = _whole_steps(duration, dt)
@@ -103,7 +115,9 @@ def lemniscate(radius: float, speed: float, duration: float, dt: float, preview:
     _, cosine_lemniscate, _, _ = ellipj(np.sqrt(2.0) * lengths / (3.0 * radius), 0.5)
     headings = 3.0 * (np.pi / 4.0 - np.arctan(cosine_lemniscate))
     yaw_rates = np.diff(headings) / dt
-    return _reference(np.zeros(3), np.full_like(yaw_rates, speed), yaw_rates, dt, steps, track_width)
+    return _reference(
+        np.zeros(3), np.full_like(yaw_rates, speed), yaw_rates, dt, steps, track_width
+    )
 
 
 def from_file(
@@ -112,18 +126,21 @@ def from_file(
     """Build a reference along a recorded path, through cubic splines in time.
 
     Args:
-        path: CSV file with the header time_s,x_m,y_m; time increasing, the robot always moving forwards.
+        path: CSV file with the header time_s,x_m,y_m; time increasing, the robot always moving
+            forwards.
         dt: s.
-        preview: periods known beyond the run; past the end of the recording the last wheel speeds are held.
+        preview: periods known beyond the run; past the end of the recording the last wheel speeds
+            are held.
         track_width: m.
         duration: of the run, s, a whole number of periods; by default as long as the recording.
 
     Returns:
-        A reference that starts at the recorded pose and has the spline's headings and chord lengths at the samples.
+        A reference that starts at the recorded pose and has the spline's headings and chord lengths
+        at the samples.
 
     Raises:
-        ValueError: in one line, for a missing column, too few rows, a bad number, time that does not increase, a stop
-            or a reversal in the path, or a duration longer than the recording.
+        ValueError: in one line, for a missing column, too few rows, a bad number, time that does
+            not increase, a stop or a reversal in the path, or a duration longer than the recording.
     """
     _refuse_unless_positive(track_width=track_width, dt=dt)
     time, x, y = _read_path(Path(path))
@@ -136,17 +153,24 @@ def from_file(
         )
     samples = time[0] + dt * np.arange(min(steps + preview, recorded_steps) + 1)
     positions = np.stack([CubicSpline(time, x)(samples), CubicSpline(time, y)(samples)], axis=-1)
-    velocities = np.stack([CubicSpline(time, x)(samples, 1), CubicSpline(time, y)(samples, 1)], axis=-1)
+    velocities = np.stack(
+        [CubicSpline(time, x)(samples, 1), CubicSpline(time, y)(samples, 1)], axis=-1
+    )
     headings = _path_headings(path, samples, velocities)
     turns = np.diff(headings)
-    speeds = np.linalg.norm(np.diff(positions, axis=0), axis=-1) / (dt * np.sinc(turns / (2.0 * np.pi)))
+    speeds = np.linalg.norm(np.diff(positions, axis=0), axis=-1) / (
+        dt * np.sinc(turns / (2.0 * np.pi))
+    )
     held = (0, steps + preview - len(turns))
     speeds, yaw_rates = np.pad(speeds, held, "edge"), np.pad(turns / dt, held, "edge")
-    return _reference(np.append(positions[0], headings[0]), speeds, yaw_rates, dt, steps, track_width)
+    return _reference(
+        np.append(positions[0], headings[0]), speeds, yaw_rates, dt, steps, track_width
+    )
 
 
 def from_wheels(wheels: Float[np.ndarray, "periods 2"], dt: float, track_width: float) -> Reference:
-    """Build the reference of given wheel speeds (right, left), m/s, from the origin with heading 0, without preview."""
+    """Build the reference of given wheel speeds (right, left), m/s, from the origin with heading 0,
+    without preview."""
     yaw_rates = wheels @ np.array([1.0, -1.0]) / track_width
     return _reference(np.zeros(3), wheels.mean(axis=1), yaw_rates, dt, len(wheels), track_width)
 
@@ -158,7 +182,8 @@ def wheel_range(reference: Reference) -> tuple[Float[np.ndarray, "2"], Float[np.
         reference: any.
 
     Returns:
-        (lower, upper), each (right, left) in m/s: the tightest box of schedules that holds the reference.
+        (lower, upper), each (right, left) in m/s: the tightest box of schedules that holds the
+        reference.
     """
     return reference.wheels.min(axis=0), reference.wheels.max(axis=0)
 
@@ -196,8 +221,15 @@ def _read_path(path: Path) -> Float[np.ndarray, "3 rows"]:
                 )
         rows = list(reader)
     if len(rows) < FEWEST_ROWS:
-        raise ValueError(f"{path}: {len(rows)} rows of {COLUMNS[0]} are too few; record at least {FEWEST_ROWS}")
-    columns = np.array([[_number(path, column, line, row) for line, row in enumerate(rows, 2)] for column in COLUMNS])
+        raise ValueError(
+            f"{path}: {len(rows)} rows of {COLUMNS[0]} are too few; record at least {FEWEST_ROWS}"
+        )
+    columns = np.array(
+        [
+            [_number(path, column, line, row) for line, row in enumerate(rows, 2)]
+            for column in COLUMNS
+        ]
+    )
     stalled = np.flatnonzero(np.diff(columns[0]) <= 0.0)
     if stalled.size:
         k = stalled[0]
@@ -222,7 +254,9 @@ def _number(path: Path, column: str, line: int, row: dict[str, str]) -> float:
 
 
 def _path_headings(
-    path: str | Path, samples: Float[np.ndarray, "periods+1"], velocities: Float[np.ndarray, "periods+1 2"]
+    path: str | Path,
+    samples: Float[np.ndarray, "periods+1"],
+    velocities: Float[np.ndarray, "periods+1 2"],
 ) -> Float[np.ndarray, "periods+1"]:
     """Give the unwrapped directions of motion of a path that neither stops nor reverses."""
     speeds = np.linalg.norm(velocities, axis=-1)
@@ -258,4 +292,6 @@ def _refuse_unless_positive(**values: float) -> None:
     """Refuse a setting that is not a positive number."""
     for field, value in values.items():
         if not (np.isfinite(value) and value > 0.0):
-            raise ValueError(f"reference: {field} = {value!r} is not usable; give a positive number")
+            raise ValueError(
+                f"reference: {field} = {value!r} is not usable; give a positive number"
+            )

@@ -1,11 +1,12 @@
-"""A robot on two driven wheels (or tracks) that slip: wheel commands, body velocity and virtual inputs.
+"""A robot on two driven wheels (or tracks) that slip: wheel commands, body velocity and virtual
+inputs.
 
     v = (v_r (1 - i_r) + v_l (1 - i_l)) / 2        w = (v_r (1 - i_r) - v_l (1 - i_l)) / b
     u1 = V - v                                     u2 = Om - w
 
-Wheels are (right v_r, left v_l) in m/s, slips (right i_r, left i_l) without unit (0.2: a fifth of the wheel's travel is
-lost), b the track width in m; V, Om are speed and yaw rate of the reference. All arrays end in the coordinate and
-broadcast over leading axes.
+Wheels are (right v_r, left v_l) in m/s, slips (right i_r, left i_l) without unit (0.2: a fifth of
+the wheel's travel is lost), b the track width in m; V, Om are speed and yaw rate of the reference.
+All arrays end in the coordinate and broadcast over leading axes.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(2), (5), (7)-(8).
 """
@@ -67,10 +68,12 @@ def virtual_input(
         track_width: m.
 
     Returns:
-        (speed deficit m/s, yaw rate deficit rad/s); positive: slower, turning less to the left than the reference.
-        Exact inverse of `wheel_commands` for the same slip.
+        (speed deficit m/s, yaw rate deficit rad/s); positive: slower, turning less to the left than
+        the reference. Exact inverse of `wheel_commands` for the same slip.
     """
-    return body_velocity(reference_wheels, 0.0, track_width) - body_velocity(wheels, slip, track_width)
+    return body_velocity(reference_wheels, 0.0, track_width) - body_velocity(
+        wheels, slip, track_width
+    )
 
 
 def wheel_commands(
@@ -84,7 +87,8 @@ def wheel_commands(
     Args:
         virtual_input: (speed deficit m/s, yaw rate deficit rad/s).
         reference_wheels: wheel speeds of the reference (right, left), m/s.
-        measured_slip: slips (right, left) the controller believes in, below 1; 0.0 for no compensation.
+        measured_slip: slips (right, left) the controller believes in, below 1; 0.0 for no
+            compensation.
         track_width: m.
 
     Returns:

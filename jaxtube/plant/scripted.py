@@ -1,9 +1,11 @@
-"""Plants whose uncertainties are given instead of drawn, and a controller that follows one plan to its end.
+"""Plants whose uncertainties are given instead of drawn, and a controller that follows one plan to
+its end.
 
-A script is a mapping from the name of an uncertainty to its values, time first, realisations next: `true` and
-`measured` deviations of the slips (times, batch, 2) and the pose `noise` (steps + 1, batch, 3), all in [-1, 1], for the
-slipping robot; the `disturbance` w (steps, batch, 3) in W for the linear plant. What is not named does not vary; beyond
-its last time a script goes on with its last value, so that one entry is a constant.
+A script is a mapping from the name of an uncertainty to its values, time first, realisations next:
+`true` and `measured` deviations of the slips (times, batch, 2) and the pose `noise` (steps + 1,
+batch, 3), all in [-1, 1], for the slipping robot; the `disturbance` w (steps, batch, 3) in W for
+the linear plant. What is not named does not vary; beyond its last time a script goes on with its
+last value, so that one entry is a constant.
 """
 
 from __future__ import annotations
@@ -62,9 +64,12 @@ class ScriptedRobot:
         """Return (next errors, no memory, wheels, wheels before saturation) of one period."""
         nominal = jnp.zeros_like(inputs)
         true, measured = (
-            entry(self.script[name], step) if name in self.script else nominal for name in ("true", "measured")
+            entry(self.script[name], step) if name in self.script else nominal
+            for name in ("true", "measured")
         )
-        following, wheels, demanded = self.robot.move(step, errors, inputs, true, measured, controller)
+        following, wheels, demanded = self.robot.move(
+            step, errors, inputs, true, measured, controller
+        )
         return following, state, wheels, demanded
 
 
@@ -101,13 +106,20 @@ class ScriptedLinearPlant:
         return following, state, no_wheels, no_wheels
 
 
-def scripted(plant: SlippingRobot | LinearPlant, script: Script) -> ScriptedRobot | ScriptedLinearPlant:
+def scripted(
+    plant: SlippingRobot | LinearPlant, script: Script
+) -> ScriptedRobot | ScriptedLinearPlant:
     """Return a plant that meets what the script says instead of what it would draw."""
-    return ScriptedRobot(plant, script) if isinstance(plant, SlippingRobot) else ScriptedLinearPlant(plant, script)
+    return (
+        ScriptedRobot(plant, script)
+        if isinstance(plant, SlippingRobot)
+        else ScriptedLinearPlant(plant, script)
+    )
 
 
 class Following(NamedTuple):
-    """Memory of a plan that is followed; `deviates` where the next measured error is to be compared with `nominal`."""
+    """Memory of a plan that is followed; `deviates` where the next measured error is to be compared
+    with `nominal`."""
 
     controller: mpc.MpcState
     plan: Float[Array, "batch horizon 2"]
@@ -119,9 +131,11 @@ class Following(NamedTuple):
 @partial(jax.tree_util.register_dataclass, data_fields=["controller", "when"], meta_fields=[])
 @dataclass(frozen=True)
 class PlanFollower:
-    """A tube-MPC that follows the plan made at step `when` to its end, u = g_j + K(th) (e - e_nominal).
+    """A tube-MPC that follows the plan made at step `when` to its end, u = g_j + K(th) (e -
+    e_nominal).
 
-    Before and after it acts as ever; an instance that has no plan then follows none. `controller.restart` must be true.
+    Before and after it acts as ever; an instance that has no plan then follows none.
+    `controller.restart` must be true.
     """
 
     controller: TubeMpc
@@ -138,16 +152,26 @@ class PlanFollower:
         memory, none = self.controller.initial(errors), jnp.zeros(len(errors), bool)
         return Following(memory, memory.inputs, none, errors, none)
 
-    def act(self, step, state: Following, errors: Float[Array, "batch 3"], reference_wheels: Float[Array, "2"]):
+    def act(
+        self,
+        step,
+        state: Following,
+        errors: Float[Array, "batch 3"],
+        reference_wheels: Float[Array, "2"],
+    ):
         """Return (inputs, next memory, diagnostics) of one step."""
-        inputs, memory, diagnostics = self.controller.act(step, state.controller, errors, reference_wheels)
+        inputs, memory, diagnostics = self.controller.act(
+            step, state.controller, errors, reference_wheels
+        )
         window = mpc.take_window(self.controller.windows, self.controller.index[step])
         stage, horizon = jnp.asarray(step, self.when.dtype) - self.when, state.plan.shape[1]
         now = stage == 0
         plan = jnp.where(now[:, None, None], memory.inputs, state.plan)
         planned = jnp.where(now, diagnostics.status == qp.SOLVED, state.planned)
         nominal = jnp.where(now[:, None], errors, state.nominal)
-        due = jnp.take_along_axis(plan, jnp.clip(stage, 0, horizon - 1)[:, None, None], axis=1)[:, 0]
+        due = jnp.take_along_axis(plan, jnp.clip(stage, 0, horizon - 1)[:, None, None], axis=1)[
+            :, 0
+        ]
         follows = planned & (stage >= 0) & (stage < horizon)
         inputs = jnp.where(follows[:, None], due + (errors - nominal) @ window.tube_gain.T, inputs)
         expected = nominal @ window.transition.T + due @ window.input_matrix.T

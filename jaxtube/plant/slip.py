@@ -1,17 +1,19 @@
-"""Random slips and pose noise of one realisation, drawn by index so that no batch or chunk changes them.
+"""Random slips and pose noise of one realisation, drawn by index so that no batch or chunk changes
+them.
 
     true     = nominal (1 + relative_error xi_true)
     measured = nominal (1 + relative_error xi_measured)        xi in [-1, 1]^2, (right, left)
 
-A process says how xi evolves: afresh at each step, constant, as a bounded random walk, tied to the ground, at the
-extremes of its range, or against the robot. Which of the two slips varies is `random`: "true", "measured" or "both"
-(then independently, but for the adversary, who is one).
+A process says how xi evolves: afresh at each step, constant, as a bounded random walk, tied to the
+ground, at the extremes of its range, or against the robot. Which of the two slips varies is
+`random`: "true", "measured" or "both" (then independently, but for the adversary, who is one).
 
-Each draw is a pure function of seed, realisation, purpose and step, or patch of ground, by `jax.random.fold_in`
-(Salmon, Moraes, Dror, Shaw 2011); what the adversary makes of its draw depends on the tracking error too. All functions
-are for one realisation; the caller vmaps them.
+Each draw is a pure function of seed, realisation, purpose and step, or patch of ground, by
+`jax.random.fold_in` (Salmon, Moraes, Dror, Shaw 2011); what the adversary makes of its draw depends
+on the tracking error too. All functions are for one realisation; the caller vmaps them.
 
-Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV (slip measurements vary by 10 %); the processes are new.
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV (slip measurements vary by 10 %); the
+processes are new.
 """
 
 from collections.abc import Callable
@@ -49,10 +51,11 @@ class Process:
 
     Attributes:
         initial: (key, dtype) -> state before the first step.
-        deviation: (key, step, state, situation) -> (xi (right, left) in [-1, 1], next state); xi has the dtype of the
-            situation.
-        opposed: the true slip follows `deviation` and the measured one its negative, from the same draws: a measured
-            slip that is too large drives the wheel faster, a true one lets it lose more.
+        deviation: (key, step, state, situation) -> (xi (right, left) in [-1, 1], next state); xi
+            has the dtype of the situation.
+        opposed: the true slip follows `deviation` and the measured one its negative, from the same
+            draws: a measured slip that is too large drives the wheel faster, a true one lets it
+            lose more.
     """
 
     initial: Callable[[Key[Array, ""], DTypeLike], State]
@@ -101,7 +104,8 @@ def walk(step_size: float = 0.1) -> Process:
 
 
 def patches(patch_size: float = 1.0) -> Process:
-    """Tie the slip to the ground: square patches, each with its own deviation for whatever wheel stands on it.
+    """Tie the slip to the ground: square patches, each with its own deviation for whatever wheel
+    stands on it.
 
     Args:
         patch_size: side of a patch, m, positive.
@@ -114,7 +118,9 @@ def patches(patch_size: float = 1.0) -> Process:
     def deviation(key, step, state, situation):
         def under(position):
             column, row = jnp.floor(position / patch_size).astype(jnp.int32)
-            return _uniform(jax.random.fold_in(jax.random.fold_in(key, column), row), (), position.dtype)
+            return _uniform(
+                jax.random.fold_in(jax.random.fold_in(key, column), row), (), position.dtype
+            )
 
         return jax.vmap(under)(situation.wheel_positions), state
 
@@ -125,7 +131,9 @@ def vertex() -> Process:
     """Draw each wheel afresh at each step, -1 or 1 with equal chance."""
 
     def deviation(key, step, state, situation):
-        return jax.random.rademacher(jax.random.fold_in(key, step), (2,), situation.errors.dtype), state
+        return jax.random.rademacher(
+            jax.random.fold_in(key, step), (2,), situation.errors.dtype
+        ), state
 
     return Process(_stateless, deviation)
 
@@ -155,13 +163,16 @@ PROCESSES = {
 }
 
 
-def realisation_key(seed_key: Key[Array, ""], index_high: Array | int, index_low: Array | int) -> Key[Array, ""]:
+def realisation_key(
+    seed_key: Key[Array, ""], index_high: Array | int, index_low: Array | int
+) -> Key[Array, ""]:
     """Give the key of one realisation.
 
     Args:
         seed_key: key of the whole experiment.
         index_high: index of the realisation divided by 2^32, rounded down.
-        index_low: the remainder. Two words, because `fold_in` takes its number modulo 2^32 without a word.
+        index_low: the remainder. Two words, because `fold_in` takes its number modulo 2^32 without
+            a word.
 
     Returns:
         A key that depends on seed and index alone.
@@ -169,7 +180,9 @@ def realisation_key(seed_key: Key[Array, ""], index_high: Array | int, index_low
     return jax.random.fold_in(jax.random.fold_in(seed_key, index_high), index_low)
 
 
-def initial_slip(run_key: Key[Array, ""], process: Process, dtype: DTypeLike = float) -> tuple[State, State]:
+def initial_slip(
+    run_key: Key[Array, ""], process: Process, dtype: DTypeLike = float
+) -> tuple[State, State]:
     """Start the true and the measured slip of one realisation.
 
     Args:
@@ -208,14 +221,18 @@ def draw_slip(
     Raises:
         ValueError: when `random` is none of the three.
     """
-    _refuse_unless(random in RANDOM_SLIPS, "random", random, f"choose one of {', '.join(RANDOM_SLIPS)}")
+    _refuse_unless(
+        random in RANDOM_SLIPS, "random", random, f"choose one of {', '.join(RANDOM_SLIPS)}"
+    )
     true_key, measured_key = _slip_keys(run_key, process)
     true_state, measured_state = state
     xi_true = xi_measured = jnp.zeros(2, situation.errors.dtype)
     if random != "measured":
         xi_true, true_state = process.deviation(true_key, step, true_state, situation)
     if random != "true":
-        xi_measured, measured_state = process.deviation(measured_key, step, measured_state, situation)
+        xi_measured, measured_state = process.deviation(
+            measured_key, step, measured_state, situation
+        )
         xi_measured = -xi_measured if process.opposed else xi_measured
     return xi_true, xi_measured, (true_state, measured_state)
 
@@ -236,7 +253,9 @@ def deviated(
     return nominal_slip * (1.0 + relative_error * xi)
 
 
-def pose_noise(run_key: Key[Array, ""], step: Array | int, half_widths: Float[Array, "3"]) -> Float[Array, "3"]:
+def pose_noise(
+    run_key: Key[Array, ""], step: Array | int, half_widths: Float[Array, "3"]
+) -> Float[Array, "3"]:
     """Draw the noise of one pose measurement.
 
     Args:

@@ -1,14 +1,18 @@
 # ruff: noqa: E741 -- l and u are the letters of the problem
-"""Prove that l <= A x <= u has no solution, for a batch of bounds l, u and one A with rows of unit 2-norm.
+"""Prove that l <= A x <= u has no solution, for a batch of bounds l, u and one A with rows of unit
+2-norm.
 
-(1) Elastic problem: minimise t subject to l - t <= A x <= u + t and t >= -1. It always has interior points, so that the
-    interior point method is safe; where its optimum is positive its multipliers y_u, y_l >= 0 add up to one.
-(2) Check, whatever (1) returned: every x inside the bounds has l'y_l - u'y_u <= -g'x with g = A'(y_u - y_l), and
-    x'H x <= S, where H = sum_i a_i a_i' / (1 + max(l_i^2, u_i^2)) + I / X^2 over the rows with two finite bounds and
-    S = their number + 1. So there is none if l'y_l - u'y_u > sqrt(S g' H^-1 g).
+(1) Elastic problem: minimise t subject to l - t <= A x <= u + t and t >= -1. It always has interior
+    points, so that the interior point method is safe; where its optimum is positive its multipliers
+    y_u, y_l >= 0 add up to one.
+(2) Check, whatever (1) returned: every x inside the bounds has l'y_l - u'y_u <= -g'x with g =
+    A'(y_u - y_l), and x'H x <= S, where H = sum_i a_i a_i' / (1 + max(l_i^2, u_i^2)) + I / X^2 over
+    the rows with two finite bounds and S = their number + 1. So there is none if l'y_l - u'y_u >
+    sqrt(S g' H^-1 g).
 
-The proof excludes every x with |x|_2 <= X. Where the two-sided rows bound x by themselves this is no restriction.
-Source: Boyd and Vandenberghe, Convex Optimization 2004, sections 5.8 (alternatives) and 11.4 (phase I).
+The proof excludes every x with |x|_2 <= X. Where the two-sided rows bound x by themselves this is
+no restriction. Source: Boyd and Vandenberghe, Convex Optimization 2004, sections 5.8 (alternatives)
+and 11.4 (phase I).
 """
 
 import jax.numpy as jnp
@@ -21,8 +25,11 @@ from jaxtube.qp.batched_ldl import matmul
 LARGEST_NORM = {8: 1e6, 4: 1e2}  # X, by bytes of a float: I / X^2 must stay above the rounding of H
 
 
-def elastic_program(hessian: Float[Array, "n n"], rows: Float[Array, "m n"]) -> interior_point.Program:
-    """Prepare problem (1) in (x, t); a very small multiple of `hessian` as its cost makes the answer unique."""
+def elastic_program(
+    hessian: Float[Array, "n n"], rows: Float[Array, "m n"]
+) -> interior_point.Program:
+    """Prepare problem (1) in (x, t); a very small multiple of `hessian` as its cost makes the
+    answer unique."""
     m, n = rows.shape
     cost = jnp.finfo(rows.dtype).eps ** 0.66 * hessian / jnp.max(jnp.abs(hessian))
     both = jnp.concatenate([rows, -rows, jnp.zeros_like(rows[:1])])
@@ -56,7 +63,8 @@ def excludes(
     lower: Float[Array, "m batch"],
     tolerance: float,
 ) -> Bool[Array, " batch"]:
-    """Check (2) for multipliers >= 0 of the upper and lower bounds; true only with a margin far above rounding."""
+    """Check (2) for multipliers >= 0 of the upper and lower bounds; true only with a margin far
+    above rounding."""
     identity = jnp.eye(rows.shape[1], dtype=rows.dtype) / LARGEST_NORM[rows.dtype.itemsize] ** 2
     two_sided = jnp.isfinite(l) & jnp.isfinite(u)
     weights = jnp.where(two_sided, 1 / (1 + jnp.maximum(l * l, u * u)), 0.0)
@@ -69,6 +77,8 @@ def excludes(
     largest = jnp.sqrt((1 + jnp.sum(two_sided, axis=0).astype(g.dtype)) * jnp.maximum(length, 0.0))
     from_below = jnp.where(lower > 0, lower * l, 0.0)
     from_above = jnp.where(upper > 0, upper * u, 0.0)
-    margin = tolerance * jnp.maximum(1.0, jnp.sum(jnp.abs(from_below) + jnp.abs(from_above), axis=0))
+    margin = tolerance * jnp.maximum(
+        1.0, jnp.sum(jnp.abs(from_below) + jnp.abs(from_above), axis=0)
+    )
     positive = jnp.all(ldl.inverse_pivots > 0, axis=0)
     return positive & (jnp.sum(from_below - from_above, axis=0) > largest + margin)

@@ -1,19 +1,20 @@
 # ruff: noqa: E741 -- l and u are the letters of the problem
-"""ADMM and an active-set Newton method for batches of quadratic programs, both on one fixed-point equation.
+"""ADMM and an active-set Newton method for batches of quadratic programs, both on one fixed-point
+equation.
 
     minimise over x   1/2 x' P x + q' x   subject to   l <= A x <= u     has the answer x with multipliers y where
     P x + q + A' y = 0   and   A x = clip(A x + y / rho, l, u)   for any rho > 0.
 
 ADMM, over-relaxed, on the one vector v = A x + y / rho:
     z = clip(v, l, u),   x = K (rho A' (2 z - v) - q),   v <- v + alpha (A x - z),   y = rho (v - z).
-Newton (semismooth): the rows with v outside [l, u] become equations, the others lose their multiplier; the equations
-are solved by augmented Lagrangian passes, so that their penalty leaves no error. It converges in a few steps or not
-at all: the iterate of smallest residual is kept.
+Newton (semismooth): the rows with v outside [l, u] become equations, the others lose their
+multiplier; the equations are solved by augmented Lagrangian passes, so that their penalty leaves no
+error. It converges in a few steps or not at all: the iterate of smallest residual is kept.
 
-Notation: rows of A have unit 2-norm, K = (P + rho A' A)^-1, the batch is the last axis.
-Source: Stellato, Banjac, Goulart, Bemporad, Boyd, OSQP, Mathematical Programming Computation 2020; rho of the fastest
-guaranteed rate: Giselsson and Boyd, IEEE Transactions on Automatic Control 2017; Newton: Hintermueller, Ito, Kunisch,
-SIAM J. Optimization 2002.
+Notation: rows of A have unit 2-norm, K = (P + rho A' A)^-1, the batch is the last axis. Source:
+Stellato, Banjac, Goulart, Bemporad, Boyd, OSQP, Mathematical Programming Computation 2020; rho of
+the fastest guaranteed rate: Giselsson and Boyd, IEEE Transactions on Automatic Control 2017;
+Newton: Hintermueller, Ito, Kunisch, SIAM J. Optimization 2002.
 """
 
 from typing import NamedTuple
@@ -27,7 +28,10 @@ from jaxtube.qp import batched_ldl
 from jaxtube.qp.batched_ldl import matmul
 
 RELAXATION = 1.7  # alpha
-PENALTY = {8: 5e4, 4: 1e1}  # over rho, by bytes of a float: fast convergence against rounding of the multipliers
+PENALTY = {
+    8: 5e4,
+    4: 1e1,
+}  # over rho, by bytes of a float: fast convergence against rounding of the multipliers
 PASSES = 3
 
 
@@ -46,7 +50,8 @@ class Factors(NamedTuple):
 
 
 class Instances(NamedTuple):
-    """What differs over the batch; the bounds belong to unit rows, `limit` is the residual that is accepted."""
+    """What differs over the batch; the bounds belong to unit rows, `limit` is the residual that is
+    accepted."""
 
     q: Float[Array, "n batch"]
     l: Float[Array, "m batch"]
@@ -65,20 +70,27 @@ class Iterate(NamedTuple):
 def factorise(P: Float[Array, "n n"], A: Float[Array, "m n"]) -> Factors:
     """Prepare what the batch shares, once; vmap it for a stack of programs and slice the stack.
 
-    P must be symmetric positive definite (if it is not, every answer is UNSOLVED). A row shorter than 64 eps of the
-    longest counts as zero: it only tests whether 0 is in [l, u]. Raises ValueError where shapes do not fit.
+    P must be symmetric positive definite (if it is not, every answer is UNSOLVED). A row shorter
+    than 64 eps of the longest counts as zero: it only tests whether 0 is in [l, u]. Raises
+    ValueError where shapes do not fit.
     """
     if P.ndim != 2 or A.ndim != 2 or P.shape != (A.shape[1],) * 2 or not len(A):
-        raise ValueError(f"P, A: shapes {P.shape} and {A.shape}; give (n, n) and (m, n), m >= 1 (one zero row will do)")
+        raise ValueError(
+            f"P, A: shapes {P.shape} and {A.shape}; give (n, n) and (m, n), m >= 1 (one zero row will do)"
+        )
     eps, (m, n) = jnp.finfo(A.dtype).eps, A.shape
     norms = jnp.linalg.norm(jax.lax.stop_gradient(A), axis=1)
     is_zero = norms <= 64 * eps * jnp.max(norms)
     # The norm of a zero row has no derivative: the row is replaced before, not only after.
     norms = jnp.where(is_zero, 1.0, jnp.linalg.norm(jnp.where(is_zero[:, None], 1.0, A), axis=1))
     unit = jnp.where(is_zero[:, None], 0.0, A / norms[:, None])
-    root = jax.scipy.linalg.solve_triangular(jnp.linalg.cholesky(P), jnp.eye(n, dtype=P.dtype), lower=True)
+    root = jax.scipy.linalg.solve_triangular(
+        jnp.linalg.cholesky(P), jnp.eye(n, dtype=P.dtype), lower=True
+    )
     gram = matmul(unit.T, unit)
-    spectrum = jnp.linalg.eigvalsh(matmul(root, matmul(gram, root.T)))  # nonzero part: that of A P^-1 A'
+    spectrum = jnp.linalg.eigvalsh(
+        matmul(root, matmul(gram, root.T))
+    )  # nonzero part: that of A P^-1 A'
     smallest = jnp.min(jnp.where(spectrum > m * eps * spectrum[-1], spectrum, jnp.inf))
     rho = jnp.where(spectrum[-1] > 0, 2 / jnp.sqrt(smallest * spectrum[-1]), 1.0)
     optimum = -matmul(root.T, root)
@@ -98,23 +110,32 @@ def factorise(P: Float[Array, "n n"], A: Float[Array, "m n"]) -> Factors:
 def residual(
     factors: Factors, given: Instances, x: Float[Array, "n batch"], y: Float[Array, "m batch"]
 ) -> Float[Array, " batch"]:
-    """Return max(|P x + q + A'y|_inf, |A x - clip(A x + y, l, u)|_inf); infinite where NaN or bounds that cross."""
+    """Return max(|P x + q + A'y|_inf, |A x - clip(A x + y, l, u)|_inf); infinite where NaN or
+    bounds that cross."""
     row_values = matmul(factors.rows, x)
     stationarity = matmul(factors.hessian, x) + given.q + matmul(factors.rows.T, y)
     distance = row_values - jnp.clip(row_values + y, given.l, given.u)
-    largest = jnp.maximum(jnp.max(jnp.abs(stationarity), axis=0), jnp.max(jnp.abs(distance), axis=0))
+    largest = jnp.maximum(
+        jnp.max(jnp.abs(stationarity), axis=0), jnp.max(jnp.abs(distance), axis=0)
+    )
     return jnp.where(jnp.isnan(largest) | crossing(given), jnp.inf, largest)
 
 
 def crossing(given: Instances) -> Bool[Array, " batch"]:
-    """Return whether the bounds of some row leave no number between them; clip would silently take the upper one."""
+    """Return whether the bounds of some row leave no number between them; clip would silently take
+    the upper one."""
     return jnp.any((given.l > given.u) | (given.l == jnp.inf) | (given.u == -jnp.inf), axis=0)
 
 
 def better(
-    factors: Factors, given: Instances, best: Iterate, x: Float[Array, "n batch"], y: Float[Array, "m batch"]
+    factors: Factors,
+    given: Instances,
+    best: Iterate,
+    x: Float[Array, "n batch"],
+    y: Float[Array, "m batch"],
 ) -> Iterate:
-    """Return, instance by instance, the guess x, y or the `best` so far, whichever has the smaller residual."""
+    """Return, instance by instance, the guess x, y or the `best` so far, whichever has the smaller
+    residual."""
     guess = Iterate(x, y, residual(factors, given, x, y))
     wins = guess.residual < best.residual
     return jax.tree.map(lambda new, old: jnp.where(wins, new, old), guess, best)
@@ -146,7 +167,8 @@ def polish(
     y: Float[Array, "m batch"],
     steps: int,
 ) -> Iterate:
-    """Take Newton steps from x, y; return the best of `best`, of x, y and of the steps, never worse than `best`."""
+    """Take Newton steps from x, y; return the best of `best`, of x, y and of the steps, never worse
+    than `best`."""
     A, P, rho = factors.rows, factors.hessian, factors.rho
     penalty = rho * PENALTY[x.dtype.itemsize]
 
@@ -156,7 +178,9 @@ def polish(
         active = (v < given.l) | (v > given.u)
         bound = jnp.clip(v, given.l, given.u)
         weights = jnp.where(active, penalty, 0.0)
-        ldl = batched_ldl.factorise(factors.packed_hessian[:, None] + matmul(factors.pair_products, weights))
+        ldl = batched_ldl.factorise(
+            factors.packed_hessian[:, None] + matmul(factors.pair_products, weights)
+        )
 
         def correct(_, guess):
             x, y = guess

@@ -3,12 +3,15 @@
     minimise over x   1/2 x' P x + q' x   subject to   G x + s = h,  s >= 0
 
 P and G are shared by the batch, q and h are not; an infinite h drops its row. Each iteration
-(1) takes the affine direction, towards s y = 0, (2) sets the centring from the step that direction allows,
-(3) corrects for its second-order term, (4) moves by one step length for x, s and y; `Caution` bounds all three.
+(1) takes the affine direction, towards s y = 0, (2) sets the centring from the step that direction
+  allows,
+(3) corrects for its second-order term, (4) moves by one step length for x, s and y; `Caution`
+  bounds all three.
 
-Notation: y >= 0 multipliers, mu = s'y / rows. The batch is the last axis.
-Source: Mehrotra, On the implementation of a primal-dual interior point method, SIAM J. Optimization 1992; Cartis 2009
-(Optimization Methods and Software 24, 35-62) shows that without such bounds it can cycle, as it did.
+Notation: y >= 0 multipliers, mu = s'y / rows. The batch is the last axis. Source: Mehrotra, On the
+implementation of a primal-dual interior point method, SIAM J. Optimization 1992; Cartis 2009
+(Optimization Methods and Software 24, 35-62) shows that without such bounds it can cycle, as it
+did.
 """
 
 from typing import NamedTuple
@@ -23,7 +26,8 @@ from jaxtube.qp.batched_ldl import matmul
 
 
 class Caution(NamedTuple):
-    """How far a step goes towards the boundary, the least centring, and the largest second-order term by mu."""
+    """How far a step goes towards the boundary, the least centring, and the largest second-order
+    term by mu."""
 
     step: Float[Array, "*runs"] | float
     centring: Float[Array, "*runs"] | float
@@ -31,7 +35,8 @@ class Caution(NamedTuple):
 
 
 BOLD = Caution(0.995, 0.0, 1e9)
-"""Mehrotra's steps: few, but where more rows meet than there are unknowns they may run into the boundary and cycle."""
+"""Mehrotra's steps: few, but where more rows meet than there are unknowns they may run into the
+boundary and cycle."""
 CAUTIOUS = Caution(0.9, 0.1, 1.0)
 """Steps that do not, and need more iterations."""
 
@@ -69,7 +74,8 @@ def solve(
 ) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"]]:
     """Take at most `iterations` steps from x = start; return x and y >= 0, zero on dropped rows.
 
-    No status: the caller checks the residual. An instance without a solution ends with large y, most often a proof.
+    No status: the caller checks the residual. An instance without a solution ends with large y,
+    most often a proof.
     """
     kept = jnp.isfinite(h)
     h = jnp.where(kept, h, 0.0)
@@ -94,11 +100,14 @@ def iterate(
     state: State,
     caution: Caution,
 ) -> State:
-    """Take one predictor-corrector step; an instance that is done, or whose numbers leave the floats, stays."""
+    """Take one predictor-corrector step; an instance that is done, or whose numbers leave the
+    floats, stays."""
     (x, s, y, moves), P, G = state, shared.hessian, shared.rows
     count = jnp.maximum(jnp.sum(kept, axis=0), 1).astype(x.dtype)
     weights = jnp.where(kept, y / s, 0.0)
-    ldl = batched_ldl.factorise(shared.packed_hessian[:, None] + matmul(shared.pair_products, weights))
+    ldl = batched_ldl.factorise(
+        shared.packed_hessian[:, None] + matmul(shared.pair_products, weights)
+    )
     dual_residual = matmul(P, x) + q + matmul(G.T, y)
     primal_residual = matmul(G, x) + s - h
 
@@ -118,7 +127,8 @@ def iterate(
     dx, ds, dy = direction(s * y + jnp.clip(ds * dy, -most, most) - target)  # (3)
     step = longest_step(state, ds, dy, caution.step)  # (4)
     x, s, y = x + step * dx, s + step * ds, y + step * dy
-    # Beyond this mu the weights y / s differ by more than the floats resolve, and iterating on loses what was found.
+    # Beyond this mu the weights y / s differ by more than the floats resolve, and iterating on
+    # loses what was found.
     moves &= mu > jnp.finfo(x.dtype).eps ** 0.75
     moves &= jnp.all(jnp.isfinite(x), 0) & jnp.all(s > 0, 0) & jnp.all(y >= 0, 0)
     return jax.tree.map(lambda new, old: jnp.where(moves, new, old), State(x, s, y, moves), state)
@@ -127,6 +137,9 @@ def iterate(
 def longest_step(
     state: State, ds: Float[Array, "m batch"], dy: Float[Array, "m batch"], share
 ) -> Float[Array, " batch"]:
-    """Return the step, at most 1, that goes at most a share of the way to where some s or y would be zero."""
-    shrink = jnp.maximum(jnp.max(-ds / state.s, 0), jnp.max(jnp.where(dy < 0, -dy / state.y, 0.0), 0))
+    """Return the step, at most 1, that goes at most a share of the way to where some s or y would
+    be zero."""
+    shrink = jnp.maximum(
+        jnp.max(-ds / state.s, 0), jnp.max(jnp.where(dy < 0, -dy / state.y, 0.0), 0)
+    )
     return share / jnp.maximum(shrink, share)

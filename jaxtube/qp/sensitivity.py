@@ -1,20 +1,23 @@
 # ruff: noqa: E741 -- l and u are the letters of the problem
-"""Derivative of the answers of a batch of quadratic programs with respect to their data, in reverse mode.
+"""Derivative of the answers of a batch of quadratic programs with respect to their data, in reverse
+mode.
 
     P x + q + A' y = 0,    a_i x = b_i on the active rows (b = u where y > 0, l where y < 0),    y_i = 0 on the others
 
-determine x and y, and their derivative as long as the active rows stay the same. Cotangents x_bar, y_bar become
+determine x and y, and their derivative as long as the active rows stay the same. Cotangents x_bar,
+y_bar become
 (1) d and nu, the answer and the multipliers of one more program:
     minimise over d   1/2 d' P d - x_bar' d   subject to   a_i d = y_bar_i on the active rows;
 (2) q_bar = -d,   b_bar = nu,   P_bar = -(d x' + x d') / 2,   A_bar = -(y d' + nu x'), summed over the batch.
 
-Where a row is about to become active or to leave, x has one derivative on either side: a row that is active with a
-multiplier of zero counts as inactive. Where active rows depend on each other the multipliers, and the derivative of x
-with respect to the bounds, are not unique: nu of least norm is taken.
+Where a row is about to become active or to leave, x has one derivative on either side: a row that
+is active with a multiplier of zero counts as inactive. Where active rows depend on each other the
+multipliers, and the derivative of x with respect to the bounds, are not unique: nu of least norm is
+taken.
 
-Notation: that of `fixed_point`. P is symmetric, and so is P_bar.
-Source: Fiacco, Sensitivity analysis for nonlinear programming using penalty methods, Mathematical Programming 1976,
-theorem 2.1; Amos and Kolter, OptNet, ICML 2017, equations (6) to (8).
+Notation: that of `fixed_point`. P is symmetric, and so is P_bar. Source: Fiacco, Sensitivity
+analysis for nonlinear programming using penalty methods, Mathematical Programming 1976, theorem
+2.1; Amos and Kolter, OptNet, ICML 2017, equations (6) to (8).
 """
 
 import jax
@@ -26,8 +29,9 @@ from jaxtube.qp import batched_ldl
 from jaxtube.qp.batched_ldl import matmul
 from jaxtube.qp.fixed_point import Factors
 
-# Over rho, by bytes of a float. Each pass divides the error by about PENALTY times the least eigenvalue of A P^-1 A'
-# on the active rows, over rho; there is no good guess to begin with, so that penalty and passes exceed those of polish.
+# Over rho, by bytes of a float. Each pass divides the error by about PENALTY times the least
+# eigenvalue of A P^-1 A' on the active rows, over rho; there is no good guess to begin with, so
+# that penalty and passes exceed those of polish.
 PENALTY = {8: 1e6, 4: 1e3}
 PASSES = 6
 
@@ -41,7 +45,8 @@ def active_rows(
 ) -> tuple[Bool[Array, "m batch"], Bool[Array, "m batch"]]:
     """Return which rows are active at l and which at u, for answers x with multipliers y.
 
-    The smaller of distance to the bound and multiplier counts as zero: y alone may be a rounding error anywhere.
+    The smaller of distance to the bound and multiplier counts as zero: y alone may be a rounding
+    error anywhere.
     """
     v = matmul(factors.rows, x) + y / factors.rho
     return v < l, v > u
@@ -53,10 +58,13 @@ def adjoint(
     x_bar: Float[Array, "n batch"],
     y_bar: Float[Array, "m batch"],
 ) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"]]:
-    """Solve (1) by augmented Lagrangian passes, so that their penalty leaves no error; return d and nu."""
+    """Solve (1) by augmented Lagrangian passes, so that their penalty leaves no error; return d and
+    nu."""
     A, P = factors.rows, factors.hessian
     weights = jnp.where(active, factors.rho * PENALTY[x_bar.dtype.itemsize], 0.0)
-    ldl = batched_ldl.factorise(factors.packed_hessian[:, None] + matmul(factors.pair_products, weights))
+    ldl = batched_ldl.factorise(
+        factors.packed_hessian[:, None] + matmul(factors.pair_products, weights)
+    )
 
     def correct(_, guess):
         d, nu = guess
@@ -74,9 +82,11 @@ def shared_cotangents(
     d: Float[Array, "batch n"],
     nu: Float[Array, "batch m"],
 ) -> Factors:
-    """Return P_bar and A_bar of (2), as cotangents of `factors`; the batch is first, the rows are the caller's.
+    """Return P_bar and A_bar of (2), as cotangents of `factors`; the batch is first, the rows are
+    the caller's.
 
-    What else `factors` holds speeds the solver up and leaves the answer as it is: its cotangent is zero.
+    What else `factors` holds speeds the solver up and leaves the answer as it is: its cotangent is
+    zero.
     """
     half = matmul(d.T, x) / -2
     rows_bar = jax.lax.cond(

@@ -1,4 +1,5 @@
-"""Find, read and override a scenario file; every refusal is one line with file, key, value and cure."""
+"""Find, read and override a scenario file; every refusal is one line with file, key, value and
+cure."""
 
 import difflib
 import math
@@ -14,7 +15,13 @@ from . import rules
 from .refusal import literal, refusal
 from .tree import Scenario
 
-WORDS = {"int": "a whole number", "float": "a number", "str": "text", "bool": "true or false", "array": "a list"}
+WORDS = {
+    "int": "a whole number",
+    "float": "a number",
+    "str": "text",
+    "bool": "true or false",
+    "array": "a list",
+}
 
 
 def load(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
@@ -23,8 +30,8 @@ def load(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     Args:
         name_or_path: a name that `names` lists, or a path that ends in `.toml`.
         overrides: texts such as `controller.horizon=7`; values are TOML, bare words are strings.
-    Returns: the validated scenario. A relative `reference.file` starts at the scenario file, or at the current folder
-        where it is overridden, and is made absolute.
+    Returns: the validated scenario. A relative `reference.file` starts at the scenario file, or at
+        the current folder where it is overridden, and is made absolute.
     Raises: ScenarioError, one line.
     """
     path = find(name_or_path)
@@ -33,7 +40,9 @@ def load(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
 
     def raise_refusal(key: str, value: Any, problem: str, cure: str) -> NoReturn:
         by_override = any(f"{name}.".startswith(f"{key.split('[')[0]}.") for name in overridden)
-        raise refusal("override" if by_override else str(name_or_path), key, value, problem, cure) from None
+        raise refusal(
+            "override" if by_override else str(name_or_path), key, value, problem, cure
+        ) from None
 
     def refuse(key: str, problem: str, cure: str) -> NoReturn:
         section, name = key.split(".")
@@ -56,7 +65,8 @@ def names() -> list[str]:
 
 
 def experiments_folder() -> Path:
-    """Find the folder of the scenarios: inside an installed package, or beside it in a source checkout."""
+    """Find the folder of the scenarios: inside an installed package, or beside it in a source
+    checkout."""
     package = Path(__file__).parents[1]
     installed = package / "experiments" / "data"
     return installed if installed.is_dir() else package.parent / "experiments"
@@ -82,13 +92,17 @@ def _read(path: Path, source: str) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise refusal(source, "scenario", str(path), f"cannot be read ({reason})", "give a readable file") from None
+        raise refusal(
+            source, "scenario", str(path), f"cannot be read ({reason})", "give a readable file"
+        ) from None
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         number, line = _where(str(error), text)
         problem = re.sub(r" \(at .*\)$", "", str(error))
-        raise refusal(source, f"line {number}", line, f"not TOML ({problem})", "correct this line") from None
+        raise refusal(
+            source, f"line {number}", line, f"not TOML ({problem})", "correct this line"
+        ) from None
 
 
 def _where(message: str, text: str) -> tuple[int, str]:
@@ -104,7 +118,9 @@ def _override(tree: dict[str, Any], overrides: Iterable[str]) -> set[str]:
     for text in overrides:
         key, equals, value = (part.strip() for part in text.partition("="))
         if not key or not equals:
-            raise refusal("override", key or "key", value, "no key and value", "write controller.horizon=7")
+            raise refusal(
+                "override", key or "key", value, "no key and value", "write controller.horizon=7"
+            )
         section, dot, name = key.partition(".")
         table = tree.setdefault(section, {}) if dot else tree
         if isinstance(table, dict):
@@ -114,7 +130,8 @@ def _override(tree: dict[str, Any], overrides: Iterable[str]) -> set[str]:
 
 
 def _value(key: str, text: str) -> Any:
-    """Read a value as TOML; what is no TOML is a string, and so is a bare word such as true where a string belongs."""
+    """Read a value as TOML; what is no TOML is a string, and so is a bare word such as true where a
+    string belongs."""
     try:
         values = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
@@ -128,7 +145,9 @@ def _absolute(scenario: Scenario, folder: Path) -> Scenario:
     if not reference.file:
         return scenario
     file = str(Path.cwd() / folder / reference.file)
-    return msgspec.structs.replace(scenario, reference=msgspec.structs.replace(reference, file=file))
+    return msgspec.structs.replace(
+        scenario, reference=msgspec.structs.replace(reference, file=file)
+    )
 
 
 def _non_finite(node: Any, key: str = "") -> Iterator[tuple[str, float]]:
@@ -143,7 +162,8 @@ def _non_finite(node: Any, key: str = "") -> Iterator[tuple[str, float]]:
 
 
 def _explain(message: str, tree: dict[str, Any]) -> tuple[str, Any, str, str]:
-    """Turn msgspec's "Expected `int`, got `str` - at `$.controller.horizon`" into key, value, problem and cure."""
+    """Turn msgspec's "Expected `int`, got `str` - at `$.controller.horizon`" into key, value,
+    problem and cure."""
     text, _, place = message.partition(" - at `$")
     key = place.strip("`.")
     value: Any = tree
@@ -170,7 +190,11 @@ def _requirement(text: str) -> str:
 
 def _suggest(key: str) -> str:
     sections = Scenario.__struct_fields__
-    known = [f"{section}.{name}" for section in sections for name in getattr(Scenario(), section).__struct_fields__]
+    known = [
+        f"{section}.{name}"
+        for section in sections
+        for name in getattr(Scenario(), section).__struct_fields__
+    ]
     same_name = [other for other in known if other.split(".")[1] == key.split(".")[-1]]
     close = same_name or difflib.get_close_matches(key, [*sections, *known], n=1, cutoff=0.6)
     return f"did you mean {close[0]}?" if close else f"the sections are {', '.join(sections)}"

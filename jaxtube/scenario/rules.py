@@ -1,8 +1,9 @@
 """Laws that the type of a single key cannot state: between keys, on the weights, on the reference.
 
-Two circles of radius r at speed V ask the wheels for V (1 +- b / (2 r)); both speeds lie in the reference's box.
-A slip i that is off by a share d keeps the wheel turning the robot while i (1 + d) < 1.
-Weights are symmetric, that of the error positive semidefinite, that of the inputs positive definite.
+Two circles of radius r at speed V ask the wheels for V (1 +- b / (2 r)); both speeds lie in the
+reference's box. A slip i that is off by a share d keeps the wheel turning the robot while i (1 + d)
+< 1. Weights are symmetric, that of the error positive semidefinite, that of the inputs positive
+definite.
 """
 
 from collections.abc import Callable
@@ -17,7 +18,8 @@ from .tree import Controller, Reference, Scenario, Slip, Weight
 
 Refuse = Callable[[str, str, str], NoReturn]
 
-# Wheel speeds on the edge of their box are inside it, and singular weights semidefinite, however they were rounded.
+# Wheel speeds on the edge of their box are inside it, and singular weights semidefinite, however
+# they were rounded.
 EDGE_MPS = 1e-9
 EDGE_SHARE = 1e-9
 EIGENVALUE_ROUNDING = 1e-12
@@ -26,7 +28,8 @@ ERROR_SIZE, INPUT_SIZE = 3, 2
 
 
 def check(scenario: Scenario, refuse: Refuse) -> None:
-    """Refuse the first key that breaks a law between keys: calls `refuse(key, problem, cure)`, which raises."""
+    """Refuse the first key that breaks a law between keys: calls `refuse(key, problem, cure)`,
+    which raises."""
     for section in ("robot", "reference"):
         _check_order(getattr(scenario, section), section, refuse)
     _check_slip(scenario.slip, refuse)
@@ -50,7 +53,9 @@ def weight_matrix(weight: Weight) -> Float[np.ndarray, "n n"]:
         return np.diag(np.array(weight, dtype=float))
     if all(isinstance(row, tuple) and len(row) == len(weight) for row in weight):
         return np.array(weight, dtype=float)
-    raise ValueError(f"weight = {weight}: neither diagonal entries nor a square matrix; give n numbers or n rows of n")
+    raise ValueError(
+        f"weight = {weight}: neither diagonal entries nor a square matrix; give n numbers or n rows of n"
+    )
 
 
 def check_reference_wheels(
@@ -81,24 +86,34 @@ def _check_slip(slip: Slip, refuse: Refuse) -> None:
     for side in ("right", "left"):
         largest = getattr(slip, f"nominal_{side}") * (1 + slip.relative_error)
         if largest >= 1:
-            problem = (
-                f"with slip.relative_error = {slip.relative_error} the slip reaches {largest:.6g}, a spinning wheel"
-            )
+            problem = f"with slip.relative_error = {slip.relative_error} the slip reaches {largest:.6g}, a spinning wheel"
             refuse(f"slip.nominal_{side}", problem, "keep nominal * (1 + relative_error) below 1")
 
 
 def _check_operating(scenario: Scenario, refuse: Refuse) -> None:
     operating, noise = scenario.operating, scenario.noise
     for name in ("longitudinal_m", "lateral_m", "heading_deg"):
-        limit, spread, cap = (getattr(section, name) for section in (scenario.constraints, noise, operating))
+        limit, spread, cap = (
+            getattr(section, name) for section in (scenario.constraints, noise, operating)
+        )
         if spread >= limit:
-            refuse(f"noise.{name}", f"leaves nothing of constraints.{name} = {limit}", "reduce it or widen the limit")
+            refuse(
+                f"noise.{name}",
+                f"leaves nothing of constraints.{name} = {limit}",
+                "reduce it or widen the limit",
+            )
         if cap is not None and cap > (limit - spread) * (1 + EDGE_SHARE):
             problem = f"with the noise of {spread} passes constraints.{name} = {limit}"
             refuse(f"operating.{name}", problem, f"give at most {limit - spread:.6g}")
     for names, cure in (
-        (("speed_deficit_min_mps", "speed_deficit_max_mps", "yaw_rate_deficit_radps"), "all three input caps or none"),
-        (("turning_longitudinal_m", "turning_yaw_rate_radps"), "both or none, with the three input caps"),
+        (
+            ("speed_deficit_min_mps", "speed_deficit_max_mps", "yaw_rate_deficit_radps"),
+            "all three input caps or none",
+        ),
+        (
+            ("turning_longitudinal_m", "turning_yaw_rate_radps"),
+            "both or none, with the three input caps",
+        ),
     ):
         given = [name for name in names if getattr(operating, name) is not None]
         missing = [name for name in names if name not in given]
@@ -118,9 +133,13 @@ def _check_bands(scenario: Scenario, refuse: Refuse) -> None:
     if bands and (controller.model, scenario.disturbance.bound) != ("exact_jacobian", "computed"):
         cure = 'set controller.model = "exact_jacobian" and disturbance.bound = "computed"'
         refuse("operating.bands", "need a computed bound and the exact Jacobian", cure)
-    if bands and (controller.tracking_gains or scenario.operating.yaw_rate_deficit_radps is not None):
+    if bands and (
+        controller.tracking_gains or scenario.operating.yaw_rate_deficit_radps is not None
+    ):
         refuse(
-            "operating.bands", "bring their own caps and gains", "leave out input caps and controller.tracking_gains"
+            "operating.bands",
+            "bring their own caps and gains",
+            "leave out input caps and controller.tracking_gains",
         )
 
 
@@ -128,17 +147,32 @@ def _check_gains(controller: Controller, refuse: Refuse) -> None:
     if controller.tracking_gains and len(controller.tracking_gains) != 3:
         refuse("controller.tracking_gains", "are not three", "give [k1, k2, k3]")
     for name in ("tracking_gains", "vertex_gains"):
-        if getattr(controller, name) and (controller.terminal, controller.tube) != ("T-A", "sequence"):
+        if getattr(controller, name) and (controller.terminal, controller.tube) != (
+            "T-A",
+            "sequence",
+        ):
             problem = "are tube and terminal gain at once, which terminal T-A with tube sequence allows alone"
-            refuse(f"controller.{name}", problem, 'set controller.terminal = "T-A" and controller.tube = "sequence"')
+            refuse(
+                f"controller.{name}",
+                problem,
+                'set controller.terminal = "T-A" and controller.tube = "sequence"',
+            )
 
 
 def _check_vertex_gains(scenario: Scenario, refuse: Refuse) -> None:
     controller, gains = scenario.controller, scenario.controller.vertex_gains
     if gains and [len(gain) for gain in gains] != [INPUT_SIZE * ERROR_SIZE] * 4:
-        refuse("controller.vertex_gains", "are not four gains", "give four rows [k11, k12, k13, k21, k22, k23]")
+        refuse(
+            "controller.vertex_gains",
+            "are not four gains",
+            "give four rows [k11, k12, k13, k21, k22, k23]",
+        )
     if gains and (controller.tracking_gains or scenario.operating.bands):
-        refuse("controller.vertex_gains", "stand beside tracking gains or operating.bands", "leave out one of them")
+        refuse(
+            "controller.vertex_gains",
+            "stand beside tracking gains or operating.bands",
+            "leave out one of them",
+        )
     affine = controller.model != "exact_jacobian" and controller.discretisation == "euler"
     if gains and not affine and scenario.reference.certified_for == "box":
         problem = "give loops that four vertices cover for a model affine in the wheel speeds alone"
@@ -158,15 +192,27 @@ def _check_weight(name: str, weight: Weight, size: int, definite: bool, refuse: 
     except ValueError:
         matrix = np.empty((0, 0))
     if matrix.shape != (size, size):
-        refuse(key, "has the wrong shape", f"give {size} diagonal entries or {size} rows of {size} numbers")
+        refuse(
+            key,
+            "has the wrong shape",
+            f"give {size} diagonal entries or {size} rows of {size} numbers",
+        )
     if (matrix != matrix.T).any():
         refuse(key, "is not symmetric", "give a symmetric matrix")
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     rounding = EIGENVALUE_ROUNDING * np.abs(matrix).max()
     if definite and smallest <= rounding:
-        refuse(key, f"is not positive definite, its smallest eigenvalue is {smallest:.6g}", "raise its diagonal")
+        refuse(
+            key,
+            f"is not positive definite, its smallest eigenvalue is {smallest:.6g}",
+            "raise its diagonal",
+        )
     if smallest < -rounding:
-        refuse(key, f"is not positive semidefinite, its smallest eigenvalue is {smallest:.6g}", "raise its diagonal")
+        refuse(
+            key,
+            f"is not positive semidefinite, its smallest eigenvalue is {smallest:.6g}",
+            "raise its diagonal",
+        )
 
 
 def _check_shape(scenario: Scenario, refuse: Refuse) -> None:
@@ -175,7 +221,9 @@ def _check_shape(scenario: Scenario, refuse: Refuse) -> None:
         _check_file(reference.file, refuse)
     if reference.shape == "two_circles":
         turn = scenario.robot.track_width_m / (2 * reference.radius_m)
-        _check_wheels(reference, reference.speed_mps * (1 - turn), reference.speed_mps * (1 + turn), refuse)
+        _check_wheels(
+            reference, reference.speed_mps * (1 - turn), reference.speed_mps * (1 + turn), refuse
+        )
 
 
 def _check_wheels(reference: Reference, slowest: float, fastest: float, refuse: Refuse) -> None:
@@ -185,14 +233,24 @@ def _check_wheels(reference: Reference, slowest: float, fastest: float, refuse: 
             f"the reference wheels run {slowest:.6g} to {fastest:.6g} m/s, outside "
             f"[reference.wheel_speed_min_mps, reference.wheel_speed_max_mps] = [{low:.6g}, {high:.6g}]"
         )
-        refuse("reference.speed_mps", problem, "change the speed, turn less sharply, or widen the box")
+        refuse(
+            "reference.speed_mps", problem, "change the speed, turn less sharply, or widen the box"
+        )
 
 
 def _check_file(file: str, refuse: Refuse) -> None:
     if not file:
-        refuse("reference.file", 'is empty, and reference.shape is "file"', "name the file, or choose another shape")
+        refuse(
+            "reference.file",
+            'is empty, and reference.shape is "file"',
+            "name the file, or choose another shape",
+        )
     try:
         Path(file).open("rb").close()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
-        refuse("reference.file", f"cannot be read ({reason})", "name a readable file, relative to the scenario file")
+        refuse(
+            "reference.file",
+            f"cannot be read ({reason})",
+            "name a readable file, relative to the scenario file",
+        )

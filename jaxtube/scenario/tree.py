@@ -1,9 +1,11 @@
 """The keys of a scenario, their types, bounds and defaults.
 
-Every key carries its unit and every default is the value of the paper's experiment: an empty file is that experiment.
-Lengths in metres, speeds in metres a second, angles in degrees; a slip is a fraction of the wheel speed.
+Every key carries its unit and every default is the value of the paper's experiment: an empty file
+is that experiment. Lengths in metres, speeds in metres a second, angles in degrees; a slip is a
+fraction of the wheel speed.
 
-Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV; radius, speed and duration are read off its figures.
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV; radius, speed and duration are read off
+its figures.
 """
 
 from typing import Annotated, Literal
@@ -34,10 +36,11 @@ class Robot(Section, frozen=True):
 
 
 class Reference(Section, frozen=True):
-    """The reference path and the box that its wheel speeds keep; `file` is read for the shape "file" only.
+    """The reference path and the box that its wheel speeds keep; `file` is read for the shape
+    "file" only.
 
-    `certified_for` says over which wheel speeds sets and certificate hold: the whole "box", under arbitrary changes, or
-    those that occur on the "path", in any order.
+    `certified_for` says over which wheel speeds sets and certificate hold: the whole "box", under
+    arbitrary changes, or those that occur on the "path", in any order.
     """
 
     shape: Literal["two_circles", "lemniscate", "file"] = "two_circles"
@@ -51,8 +54,9 @@ class Reference(Section, frozen=True):
 
 
 class Slip(Section, frozen=True):
-    """Longitudinal slip of the wheels; `relative_error` bounds how far true and measured slip lie apart, relative to
-    the slip, `process` says how that evolves (`jaxtube.plant.slip`), and `random` which of the two varies."""
+    """Longitudinal slip of the wheels; `relative_error` bounds how far true and measured slip lie
+    apart, relative to the slip, `process` says how that evolves (`jaxtube.plant.slip`), and
+    `random` which of the two varies."""
 
     nominal_right: Fraction = 0.2
     nominal_left: Fraction = 0.2
@@ -70,7 +74,8 @@ class Constraints(Section, frozen=True):
 
 
 class Band(Section, frozen=True):
-    """Caps and tracking gains for mean reference wheel speeds up to `below_mps`, above those of the band before."""
+    """Caps and tracking gains for mean reference wheel speeds up to `below_mps`, above those of the
+    band before."""
 
     below_mps: Positive
     speed_deficit_min_mps: Negative
@@ -82,11 +87,13 @@ class Band(Section, frozen=True):
 
 
 class Operating(Section, frozen=True):
-    """Where the controller may operate, inside constraints and wheel limits; a key left out sets no cap of its own.
+    """Where the controller may operate, inside constraints and wheel limits; a key left out sets no
+    cap of its own.
 
-    Half widths of the measured error, bounds of the inputs u1 (speed deficit) and u2 (yaw rate deficit), and
-    |e_x| / turning_longitudinal_m + |u2| / turning_yaw_rate_radps <= 1: to turn hard only near the path. `bands` give
-    input caps and tracking gains by speed instead, for a scheduled tracking law that `design` certifies without MPC.
+    Half widths of the measured error, bounds of the inputs u1 (speed deficit) and u2 (yaw rate
+    deficit), and |e_x| / turning_longitudinal_m + |u2| / turning_yaw_rate_radps <= 1: to turn hard
+    only near the path. `bands` give input caps and tracking gains by speed instead, for a scheduled
+    tracking law that `design` certifies without MPC.
     """
 
     longitudinal_m: Positive | None = None
@@ -101,7 +108,8 @@ class Operating(Section, frozen=True):
 
 
 class Disturbance(Section, frozen=True):
-    """The disturbance set W of one step: `assumed`, a box of these half widths in the robot frame, or `computed`."""
+    """The disturbance set W of one step: `assumed`, a box of these half widths in the robot frame,
+    or `computed`."""
 
     bound: Literal["assumed", "computed"] = "assumed"
     longitudinal_m: NonNegative = 0.005
@@ -118,7 +126,8 @@ class Noise(Section, frozen=True):
 
 
 class Controller(Section, frozen=True):
-    """The predictive controller; a weight is a list of diagonal entries or a symmetric matrix, a list of rows.
+    """The predictive controller; a weight is a list of diagonal entries or a symmetric matrix, a
+    list of rows.
 
     `tracking_gains` (k1 1/s, k2 rad/(m s), k3 1/s) take the place of the gains from `lmi_objective`:
     u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th. So do `vertex_gains`, of u = +K(th) e: K row by row at the vertices
@@ -154,10 +163,11 @@ class Initial(Section, frozen=True):
 class Tuning(Section, frozen=True):
     """What `tune` minimises: a cost of each lap, its tail, the size of the tube, and soft margins.
 
-    A lap costs the sum of squares of RMS errors, once settled, and of the RMS effort, each over the value given here;
-    what has none is free. Effort is what the wheels are asked for beyond the reference under nominal slip. Its RMS over
-    all laps above `effort_limit_mps` costs steeply, and so does what is used beyond `margin`, a share: of every cap by
-    the tube at its widest, of the error caps and of the greatest wheel speed in the laps.
+    A lap costs the sum of squares of RMS errors, once settled, and of the RMS effort, each over the
+    value given here; what has none is free. Effort is what the wheels are asked for beyond the
+    reference under nominal slip. Its RMS over all laps above `effort_limit_mps` costs steeply, and
+    so does what is used beyond `margin`, a share: of every cap by the tube at its widest, of the
+    error caps and of the greatest wheel speed in the laps.
     """
 
     longitudinal_m: Positive | None = None
@@ -187,7 +197,8 @@ class Scenario(Section, frozen=True):
 
 
 def to_toml(scenario: Scenario) -> str:
-    """Write a scenario as TOML with every key that has a value; reading it back gives an equal scenario."""
+    """Write a scenario as TOML with every key that has a value; reading it back gives an equal
+    scenario."""
     tables = []
     for section in scenario.__struct_fields__:
         values = msgspec.to_builtins(getattr(scenario, section))

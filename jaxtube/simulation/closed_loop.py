@@ -33,7 +33,8 @@ BLOCK = 256
 def controllers(design: Design) -> dict:
     """Return the controllers compared, by name.
 
-    `local_gain` is the tube's u = K(th) e; `equal_gain` the static law that the MPC is while no row is active.
+    `local_gain` is the tube's u = K(th) e; `equal_gain` the static law that the MPC is while no row
+    is active.
     """
     problem, index = design.problem, jnp.asarray(design.windows.index)
     settings = problem.scenario.controller
@@ -44,18 +45,24 @@ def controllers(design: Design) -> dict:
         "uncompensated": TrackingLaw(problem.robot.track_width, compensates=False),
         "compensated": TrackingLaw(problem.robot.track_width, compensates=True),
         "local_gain": ScheduledGain(jnp.asarray(design.tube_gain.at(weights)), settings.input_map),
-        "equal_gain": ScheduledGain(jnp.asarray(unconstrained[design.windows.index]), settings.input_map),
+        "equal_gain": ScheduledGain(
+            jnp.asarray(unconstrained[design.windows.index]), settings.input_map
+        ),
         "plain_mpc": TubeMpc(plain_window, index, True, settings.input_map),
         "tube_mpc": TubeMpc(tube_window, index, settings.restart, settings.input_map),
     }
 
 
-def slipping_robot(design: Design, process: str | None = None, relative_error: float | None = None) -> SlippingRobot:
+def slipping_robot(
+    design: Design, process: str | None = None, relative_error: float | None = None
+) -> SlippingRobot:
     """Return the nonlinear plant of the scenario, or with another slip process or slip error."""
     return robot_of(design.problem, process, relative_error)
 
 
-def robot_of(problem: Problem, process: str | None = None, relative_error: float | None = None) -> SlippingRobot:
+def robot_of(
+    problem: Problem, process: str | None = None, relative_error: float | None = None
+) -> SlippingRobot:
     """Return the nonlinear plant of a problem, whatever its design."""
     slip = problem.scenario.slip
     steps, noise = problem.reference.steps, error_vector(problem.scenario.noise)
@@ -73,7 +80,8 @@ def robot_of(problem: Problem, process: str | None = None, relative_error: float
 
 
 def exact_robot(design: Design) -> SlippingRobot:
-    """Return the nonlinear plant whose slip is known exactly and whose pose is measured without noise."""
+    """Return the nonlinear plant whose slip is known exactly and whose pose is measured without
+    noise."""
     return dataclasses.replace(slipping_robot(design, relative_error=0.0), noise=None)
 
 
@@ -86,8 +94,11 @@ def linear_plant(design: Design) -> LinearPlant:
     return LinearPlant(*(jnp.asarray(array) for array in (schedule, transitions, inputs, vertices)))
 
 
-def simulate(controller, plant, starts: Float[np.ndarray, "runs 3"], seed: int, advanced=None) -> Trajectory:
-    """Run one closed loop a start, realisation i from starts[i], and return numpy arrays (time, realisation, ..).
+def simulate(
+    controller, plant, starts: Float[np.ndarray, "runs 3"], seed: int, advanced=None
+) -> Trajectory:
+    """Run one closed loop a start, realisation i from starts[i], and return numpy arrays (time,
+    realisation, ..).
 
     `advanced(count)` is called after each block. The last block is padded with its own last start.
     """
@@ -95,7 +106,9 @@ def simulate(controller, plant, starts: Float[np.ndarray, "runs 3"], seed: int, 
     for first in range(0, len(starts), BLOCK):
         chosen = starts[first : first + BLOCK]
         padded = np.concatenate([chosen, np.repeat(chosen[-1:], BLOCK - len(chosen), axis=0)])
-        trajectory = rollout(controller, plant, realisation_keys(seed, first, BLOCK), jnp.asarray(padded))
+        trajectory = rollout(
+            controller, plant, realisation_keys(seed, first, BLOCK), jnp.asarray(padded)
+        )
         blocks.append(jax.tree.map(partial(_first, len(chosen)), trajectory))
         if advanced:
             advanced(len(chosen))
@@ -108,18 +121,25 @@ def _first(count: int, array) -> np.ndarray:
 
 def model_residuals(design: Design, trajectory: Trajectory) -> Float[np.ndarray, "steps runs 3"]:
     """Return w(k) = e(k+1) - A(th_k) e(k) - B u(k) of the measured errors."""
-    transitions, inputs = design.problem.model.matrices(design.problem.schedule[: design.problem.reference.steps])
+    transitions, inputs = design.problem.model.matrices(
+        design.problem.schedule[: design.problem.reference.steps]
+    )
     predicted = np.einsum("kij,kbj->kbi", transitions, trajectory.measured[:-1])
-    return trajectory.measured[1:] - predicted - np.einsum("kij,kbj->kbi", inputs, trajectory.inputs)
+    return (
+        trajectory.measured[1:] - predicted - np.einsum("kij,kbj->kbi", inputs, trajectory.inputs)
+    )
 
 
 _planned = jax.jit(mpc.plan)
 
 
-def plan_deviations(design: Design, controller: TubeMpc, plant, trajectory: Trajectory, seed: int, every: int = 10):
+def plan_deviations(
+    design: Design, controller: TubeMpc, plant, trajectory: Trajectory, seed: int, every: int = 10
+):
     """Return e - e_nominal (N, samples, 3) of plans made along the laps and followed to their end.
 
-    For the tube `sequence`, whose sections change with the window, only at steps that have the widest one ahead.
+    For the tube `sequence`, whose sections change with the window, only at steps that have the
+    widest one ahead.
     """
     horizon, steps = design.problem.horizon, design.problem.reference.steps
     count = min(trajectory.errors.shape[1], BLOCK)
@@ -127,12 +147,16 @@ def plan_deviations(design: Design, controller: TubeMpc, plant, trajectory: Traj
     found = []
     chosen = range(0, max(steps - horizon, 1), every)
     if design.problem.scenario.controller.tube == "sequence":
-        widest = np.flatnonzero(design.windows.index == widest_window(design.problem, design.windows))
+        widest = np.flatnonzero(
+            design.windows.index == widest_window(design.problem, design.windows)
+        )
         chosen = widest[widest < max(steps - horizon, 1)][:: max(len(widest) // len(chosen), 1)]
     for step in chosen:
         errors = jnp.asarray(trajectory.errors[step, :count])
         state = begin(controller, plant, keys, errors)
-        plans = _planned(mpc.take_window(controller.windows, controller.index[step]), state.measured)
+        plans = _planned(
+            mpc.take_window(controller.windows, controller.index[step]), state.measured
+        )
         deviations = follow_plan(controller, plant, keys, state, jnp.asarray(int(step)), plans)
         found.append(np.asarray(deviations)[:, np.asarray(plans.status == qp.SOLVED)])
     return np.concatenate(found, axis=1)

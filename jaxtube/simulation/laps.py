@@ -2,7 +2,8 @@
 
     w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k)  of the measured errors;    usage: 1 on a facet, more outside
 
-Every draw is a function of seed, lap and step, so that the lap is the one of the run, whatever ran beside it there.
+Every draw is a function of seed, lap and step, so that the lap is the one of the run, whatever ran
+beside it there.
 """
 
 from __future__ import annotations
@@ -41,7 +42,9 @@ class Lap(NamedTuple):
     plans: bool  # the controller solves QPs
     trajectory: Trajectory
     disturbance: Float[np.ndarray, "steps 3"]  # w, (m, m, rad)
-    slips: Float[np.ndarray, "steps 2 2"] | None  # deviations of (true, measured) slip, (right, left), in [-1, 1]
+    slips: (
+        Float[np.ndarray, "steps 2 2"] | None
+    )  # deviations of (true, measured) slip, (right, left), in [-1, 1]
     of_error_set: Usage
     of_disturbance_set: Usage
 
@@ -49,7 +52,9 @@ class Lap(NamedTuple):
 def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
     """Simulate lap `number`, from 0 to 2^64 - 1, of the run of a task and seed."""
     keys = realisation_keys(seed, number, 1)
-    batch = jax.tree.map(np.asarray, rollout(task.controller, task.plant, keys, task.starts.draw(keys)))
+    batch = jax.tree.map(
+        np.asarray, rollout(task.controller, task.plant, keys, task.starts.draw(keys))
+    )
     trajectory = jax.tree.map(lambda array: array[:, 0], batch)
     disturbance = closed_loop.model_residuals(design, batch)[:, 0]
     slips = None
@@ -75,12 +80,15 @@ def _usage(facets: Facets, points: Float[np.ndarray, "steps 3"]) -> Usage:
 def slip_deviations(
     plant: SlippingRobot, key: Key[Array, ""], errors: Float[Array, "steps+1 3"]
 ) -> Float[Array, "steps 2 2"]:
-    """Return the deviations of the true and of the measured slip, (right, left), along the true errors of a lap."""
+    """Return the deviations of the true and of the measured slip, (right, left), along the true
+    errors of a lap."""
     process = slip.PROCESSES[plant.process]()
 
     def period(memory, now):
         step, error = now
-        places = wheel_positions(world_pose(error, plant.reference_poses[step]), plant.robot.track_width)
+        places = wheel_positions(
+            world_pose(error, plant.reference_poses[step]), plant.robot.track_width
+        )
         situation = slip.Situation(places, error)
         true, measured, memory = slip.draw_slip(key, step, memory, situation, process, plant.random)
         return memory, jnp.stack([true, measured])

@@ -1,10 +1,12 @@
 """Closed loops: any controller on any plant, all realisations at once, scanned over time.
 
-    measured error -> controller -> virtual input -> wheels (eqs. (7)-(8), measured slip) -> plant -> next error
+    measured error -> controller -> virtual input -> wheels (eqs. (7)-(8), measured slip) -> plant
+    -> next error
 
-A controller has `initial(errors)`, `act(step, state, errors, reference_wheels)`, `compensates` and `input_map`; a
-plant has `initial(keys, errors)`, `measure(keys, step, errors)`, `acting(...)` and `advance(...)`. The batch axis comes
-first everywhere, so that a controller can share matrices across it. Draws depend on key and step alone.
+A controller has `initial(errors)`, `act(step, state, errors, reference_wheels)`, `compensates` and
+`input_map`; a plant has `initial(keys, errors)`, `measure(keys, step, errors)`, `acting(...)` and
+`advance(...)`. The batch axis comes first everywhere, so that a controller can share matrices
+across it. Draws depend on key and step alone.
 
 Wheels follow Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (7)-(8).
 """
@@ -30,7 +32,8 @@ from jaxtube.plant.input_maps import acting_input
 from jaxtube.plant.robot import Robot, saturate, wheel_commands, wheel_positions
 
 DRAWN = "drawn"
-"""Name of what is drawn at random, for reverse mode to keep: to draw again costs more than all else in a period."""
+"""Name of what is drawn at random, for reverse mode to keep: to draw again costs more than all else
+in a period."""
 
 
 class Trajectory(NamedTuple):
@@ -46,15 +49,24 @@ class Trajectory(NamedTuple):
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["robot", "dt", "reference_wheels", "reference_poses", "nominal_slip", "relative_error", "noise"],
+    data_fields=[
+        "robot",
+        "dt",
+        "reference_wheels",
+        "reference_poses",
+        "nominal_slip",
+        "relative_error",
+        "noise",
+    ],
     meta_fields=["process", "random"],
 )
 @dataclass(frozen=True)
 class SlippingRobot:
-    """The nonlinear plant: exact motion over each period, slip drawn by a process, bounded noise on the measured pose.
+    """The nonlinear plant: exact motion over each period, slip drawn by a process, bounded noise on
+    the measured pose.
 
-    `noise` holds half widths (m, m, rad) in the robot's frame, None for an exact measurement; `process` and `random`
-    are names of `jaxtube.plant.slip`.
+    `noise` holds half widths (m, m, rad) in the robot's frame, None for an exact measurement;
+    `process` and `random` are names of `jaxtube.plant.slip`.
     """
 
     robot: Robot
@@ -72,12 +84,16 @@ class SlippingRobot:
         process = slips.PROCESSES[self.process]()
         return jax.vmap(lambda key: slips.initial_slip(key, process, errors.dtype))(keys)
 
-    def measure(self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]) -> Float[Array, "batch 3"]:
+    def measure(
+        self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]
+    ) -> Float[Array, "batch 3"]:
         """Return the measured errors."""
         noise = self.noise
         if noise is None:
             return errors
-        return errors + checkpoint_name(jax.vmap(lambda key: slips.pose_noise(key, step, noise))(keys), DRAWN)
+        return errors + checkpoint_name(
+            jax.vmap(lambda key: slips.pose_noise(key, step, noise))(keys), DRAWN
+        )
 
     def acting(self, step, inputs, measured, controller):
         """Return the deficits (V - v, Om - om) that the controller's virtual inputs ask for."""
@@ -85,7 +101,8 @@ class SlippingRobot:
         return acting_input(controller.input_map, inputs, measured, reference, track_width, self.dt)
 
     def draw(self, keys, step, state, errors):
-        """Return the deviations of true and measured slip of one period, in [-1, 1], and the next memory."""
+        """Return the deviations of true and measured slip of one period, in [-1, 1], and the next
+        memory."""
         process = slips.PROCESSES[self.process]()
         poses = world_pose(errors, self.reference_poses[step])
         places = wheel_positions(poses, self.robot.track_width)
@@ -93,7 +110,9 @@ class SlippingRobot:
         def of_one(key, memory, situation):
             return slips.draw_slip(key, step, memory, situation, process, self.random)
 
-        return checkpoint_name(jax.vmap(of_one)(keys, state, slips.Situation(places, errors)), DRAWN)
+        return checkpoint_name(
+            jax.vmap(of_one)(keys, state, slips.Situation(places, errors)), DRAWN
+        )
 
     def advance(self, keys, step, state, errors, inputs, controller):
         """Return (next errors, next memory, wheels, wheels before saturation) of one period."""
@@ -102,7 +121,8 @@ class SlippingRobot:
         return following, state, wheels, demanded
 
     def move(self, step, errors, inputs, true, measured, controller):
-        """Return (next errors, wheels, wheels before saturation) for given deviations of the two slips, in [-1, 1]."""
+        """Return (next errors, wheels, wheels before saturation) for given deviations of the two
+        slips, in [-1, 1]."""
         true_slip = slips.deviated(self.nominal_slip, self.relative_error, true)
         measured_slip = slips.deviated(self.nominal_slip, self.relative_error, measured)
         reference = self.reference_wheels[step]
@@ -124,7 +144,8 @@ DISTURBANCE = 3
 )
 @dataclass(frozen=True)
 class LinearPlant:
-    """The prediction model itself with w drawn in W: a vertex in half of the steps, inside W in the others."""
+    """The prediction model itself with w drawn in W: a vertex in half of the steps, inside W in the
+    others."""
 
     reference_wheels: Float[Array, "steps 2"]
     transitions: Float[Array, "steps 3 3"]
@@ -135,7 +156,9 @@ class LinearPlant:
         """Return no memory."""
         return ()
 
-    def measure(self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]) -> Float[Array, "batch 3"]:
+    def measure(
+        self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]
+    ) -> Float[Array, "batch 3"]:
         """Return the errors themselves."""
         return errors
 
@@ -146,13 +169,18 @@ class LinearPlant:
     def advance(self, keys, step, state, errors, inputs, controller):
         """Return (next errors, no memory, no wheels: NaN twice) of one period."""
         disturbances = jax.vmap(lambda key: self.disturbance(key, step))(keys)
-        following = errors @ self.transitions[step].T + inputs @ self.input_matrices[step].T + disturbances
+        following = (
+            errors @ self.transitions[step].T + inputs @ self.input_matrices[step].T + disturbances
+        )
         no_wheels = jnp.full_like(inputs, jnp.nan)
         return following, state, no_wheels, no_wheels
 
     def disturbance(self, key: Key[Array, ""], step) -> Float[Array, "3"]:
-        """Draw one w: weights on the vertices that are exponential (uniform on the simplex) or all on one vertex."""
-        side, inside = jax.random.split(jax.random.fold_in(jax.random.fold_in(key, DISTURBANCE), step))
+        """Draw one w: weights on the vertices that are exponential (uniform on the simplex) or all
+        on one vertex."""
+        side, inside = jax.random.split(
+            jax.random.fold_in(jax.random.fold_in(key, DISTURBANCE), step)
+        )
         count, dtype = self.disturbance_vertices.shape[0], self.disturbance_vertices.dtype
         index = jax.random.randint(side, (), 0, 2 * count)
         mixed = jax.random.exponential(inside, (count,), dtype)
@@ -162,7 +190,8 @@ class LinearPlant:
 
 
 class LoopState(NamedTuple):
-    """A closed loop between two periods: true and measured errors, memory of the controller and of the plant."""
+    """A closed loop between two periods: true and measured errors, memory of the controller and of
+    the plant."""
 
     errors: Float[Array, "batch 3"]
     measured: Float[Array, "batch 3"]
@@ -171,7 +200,8 @@ class LoopState(NamedTuple):
 
 
 class Period(NamedTuple):
-    """What happened in one period: what was asked of the wheels, what they did, and how the controller found it."""
+    """What happened in one period: what was asked of the wheels, what they did, and how the
+    controller found it."""
 
     inputs: Float[Array, "batch 2"]
     wheels: Float[Array, "batch 2"]
@@ -179,7 +209,9 @@ class Period(NamedTuple):
     diagnostics: Diagnostics
 
 
-def begin(controller, plant, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> LoopState:
+def begin(
+    controller, plant, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]
+) -> LoopState:
     """Return the closed loop before its first period."""
     measured = plant.measure(keys, 0, errors)
     return LoopState(errors, measured, controller.initial(measured), plant.initial(keys, errors))
@@ -189,13 +221,16 @@ def run_period(
     controller, plant, keys: Key[Array, " batch"], step: Int[Array, ""], state: LoopState
 ) -> tuple[LoopState, Period]:
     """Run one period of the closed loop, the one that begins at `step`."""
-    inputs, memory, diagnostics = controller.act(step, state.memory, state.measured, plant.reference_wheels[step])
+    inputs, memory, diagnostics = controller.act(
+        step, state.memory, state.measured, plant.reference_wheels[step]
+    )
     following, wheels, demanded = _apply(controller, plant, keys, step, state, inputs)
     return following._replace(memory=memory), Period(inputs, wheels, demanded, diagnostics)
 
 
 def _apply(controller, plant, keys, step, state: LoopState, inputs):
-    """Let the plant run one period under virtual inputs, and measure; the controller's memory stays as it was."""
+    """Let the plant run one period under virtual inputs, and measure; the controller's memory stays
+    as it was."""
     acting = plant.acting(step, inputs, state.measured, controller)
     errors, plant_memory, wheels, demanded = plant.advance(
         keys, step, state.plant_memory, state.errors, acting, controller
@@ -205,7 +240,9 @@ def _apply(controller, plant, keys, step, state: LoopState, inputs):
 
 
 @jax.jit
-def rollout(controller, plant, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> Trajectory:
+def rollout(
+    controller, plant, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]
+) -> Trajectory:
     """Run every realisation through the whole reference.
 
     Args:
@@ -224,15 +261,24 @@ def rollout(controller, plant, keys: Key[Array, " batch"], errors: Float[Array, 
 
     start, steps = begin(controller, plant, keys, errors), plant.reference_wheels.shape[0]
     last, (before, measured, happened) = jax.lax.scan(period, start, jnp.arange(steps))
-    errors, measured = jnp.concatenate([before, last.errors[None]]), jnp.concatenate([measured, last.measured[None]])
+    errors, measured = (
+        jnp.concatenate([before, last.errors[None]]),
+        jnp.concatenate([measured, last.measured[None]]),
+    )
     return Trajectory(errors, measured, *happened)
 
 
 @jax.jit
 def follow_plan(
-    controller: TubeMpc, plant, keys: Key[Array, " batch"], state: LoopState, step: Int[Array, ""], found: mpc.Plan
+    controller: TubeMpc,
+    plant,
+    keys: Key[Array, " batch"],
+    state: LoopState,
+    step: Int[Array, ""],
+    found: mpc.Plan,
 ) -> Float[Array, "horizon batch 3"]:
-    """Follow plans to their end, u = g_j + K(th) (e - e_nominal), without planning again: what the tube is about.
+    """Follow plans to their end, u = g_j + K(th) (e - e_nominal), without planning again: what the
+    tube is about.
 
     Args:
         controller: the tube-MPC whose nominal model and tube gain are used.
@@ -243,7 +289,8 @@ def follow_plan(
         found: the plans, made from the measured errors at `step`.
 
     Returns:
-        e - e_nominal after 1 .. N steps, measured, to be compared with R_1 .. R_N where there was a plan.
+        e - e_nominal after 1 .. N steps, measured, to be compared with R_1 .. R_N where there was a
+        plan.
     """
 
     def period(carry, ahead):
@@ -262,8 +309,12 @@ def follow_plan(
 
 
 def realisation_keys(seed: int, first: int, count: int) -> Key[Array, " count"]:
-    """Return the keys of realisations first .. first + count - 1: functions of seed and index alone."""
+    """Return the keys of realisations first .. first + count - 1: functions of seed and index
+    alone."""
     seed_key = jax.random.key(seed)
     indices = [first + i for i in range(count)]
-    words = [jnp.array(word, jnp.uint32) for word in ([i >> 32 for i in indices], [i & 0xFFFFFFFF for i in indices])]
+    words = [
+        jnp.array(word, jnp.uint32)
+        for word in ([i >> 32 for i in indices], [i & 0xFFFFFFFF for i in indices])
+    ]
     return jax.vmap(lambda high, low: slips.realisation_key(seed_key, high, low))(*words)

@@ -1,9 +1,9 @@
 """Initial errors of the realisations: one for all, or drawn uniformly from a convex set of errors.
 
-A convex polytope that contains the origin is the union of the simplices that its facets, cut into triangles, span with
-the origin. A simplex is drawn with probability proportional to its volume, then a point in it: the ordered gaps of
-three uniform numbers are uniform weights of its four corners (Devroye, Non-Uniform Random Variate Generation, 1986,
-theorem V.2.1).
+A convex polytope that contains the origin is the union of the simplices that its facets, cut into
+triangles, span with the origin. A simplex is drawn with probability proportional to its volume,
+then a point in it: the ordered gaps of three uniform numbers are uniform weights of its four
+corners (Devroye, Non-Uniform Random Variate Generation, 1986, theorem V.2.1).
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from jax import Array
 from jaxtyping import Float, Key
 from scipy.spatial import ConvexHull
 
-# The stream of a realisation's initial error, beside those of `jaxtube.plant.slip` and `jaxtube.simulation.rollout`.
+# The stream of a realisation's initial error, beside those of `jaxtube.plant.slip` and
+# `jaxtube.simulation.rollout`.
 INITIAL_ERROR = 4
 
 
@@ -34,19 +35,26 @@ class FixedStart:
         return jnp.broadcast_to(self.error, (len(keys), 3))
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["triangles", "cumulative"], meta_fields=["edge"])
+@partial(
+    jax.tree_util.register_dataclass, data_fields=["triangles", "cumulative"], meta_fields=["edge"]
+)
 @dataclass(frozen=True)
 class UniformStart:
-    """Initial errors uniform in a polytope, or their projections from the origin on its edge; by `uniform_start`."""
+    """Initial errors uniform in a polytope, or their projections from the origin on its edge; by
+    `uniform_start`."""
 
-    triangles: Float[Array, "simplices 3 3"]  # (corner, coordinate); the fourth corner is the origin
+    triangles: Float[
+        Array, "simplices 3 3"
+    ]  # (corner, coordinate); the fourth corner is the origin
     cumulative: Float[Array, " simplices"]  # shares of the volume, summed up, without the last
     edge: bool = False
 
     def draw(self, keys: Key[Array, " batch"]) -> Float[Array, "batch 3"]:
         """Return the initial errors."""
         dtype = self.triangles.dtype
-        draws = jax.vmap(lambda key: jax.random.uniform(jax.random.fold_in(key, INITIAL_ERROR), (4,), dtype))(keys)
+        draws = jax.vmap(
+            lambda key: jax.random.uniform(jax.random.fold_in(key, INITIAL_ERROR), (4,), dtype)
+        )(keys)
         chosen = self.triangles[jnp.searchsorted(self.cumulative, draws[:, 0], side="right")]
         weights = jnp.diff(jnp.sort(draws[:, 1:], axis=1), prepend=0.0, axis=1)
         if self.edge:
@@ -55,14 +63,17 @@ class UniformStart:
 
 
 def uniform_start(points: Float[np.ndarray, "k 3"], edge: bool = False) -> UniformStart:
-    """Return starts uniform in the convex hull of points, which must contain the origin, or projected on its edge.
+    """Return starts uniform in the convex hull of points, which must contain the origin, or
+    projected on its edge.
 
     Raises:
         ValueError: where the origin lies outside the hull.
     """
     hull = ConvexHull(points)
     if np.any(hull.equations[:, -1] > 0):
-        raise ValueError("starts: points do not surround the origin; give points on all sides of it")
+        raise ValueError(
+            "starts: points do not surround the origin; give points on all sides of it"
+        )
     triangles = points[hull.simplices]
     shares = np.cumsum(np.abs(np.linalg.det(triangles)))
     return UniformStart(jnp.asarray(triangles), jnp.asarray(shares[:-1] / shares[-1]), edge)

@@ -1,9 +1,11 @@
-"""How far closed loops use their limits: laps that are drawn, given by a script, or played again one by one.
+"""How far closed loops use their limits: laps that are drawn, given by a script, or played again
+one by one.
 
     usage = n (x - c) / (h - n c)        1 on the facet n x = h, above 1 outside, 0 at the centre c
 
-Limits have names: `error` true tracking errors (m, m, rad), `input` virtual inputs (m/s, rad/s), `wheels` speeds asked
-for before saturation (right, left) m/s, and `tube` deviations from a plan that is followed to its end.
+Limits have names: `error` true tracking errors (m, m, rad), `input` virtual inputs (m/s, rad/s),
+`wheels` speeds asked for before saturation (right, left) m/s, and `tube` deviations from a plan
+that is followed to its end.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from jaxtube.simulation.rollout import DRAWN, LoopState, begin, follow_plan, rol
 
 
 class Limit(NamedTuple):
-    """Facets normals x <= offsets about a centre: the same at every step (one stage), or R_1 .. R_N of a tube."""
+    """Facets normals x <= offsets about a centre: the same at every step (one stage), or R_1 .. R_N
+    of a tube."""
 
     normals: Float[Array, "stages facets n"]
     offsets: Float[Array, "stages facets"]
@@ -34,16 +37,23 @@ class Limit(NamedTuple):
 
 
 def limit(normals, offsets, centre=None) -> Limit:
-    """Return the limit of one set {x : normals x <= offsets}; its centre, the origin unless given, lies inside."""
-    normals, offsets = np.atleast_3d(np.asarray(normals, float)[None]), np.asarray(offsets, float)[None]
+    """Return the limit of one set {x : normals x <= offsets}; its centre, the origin unless given,
+    lies inside."""
+    normals, offsets = (
+        np.atleast_3d(np.asarray(normals, float)[None]),
+        np.asarray(offsets, float)[None],
+    )
     centre = np.zeros(normals.shape[-1]) if centre is None else np.asarray(centre, float)
     if not np.all(offsets > normals @ centre):
-        raise ValueError(f"centre = {centre.tolist()}: lies outside the limit; give a point inside every facet")
+        raise ValueError(
+            f"centre = {centre.tolist()}: lies outside the limit; give a point inside every facet"
+        )
     return Limit(jnp.asarray(normals), jnp.asarray(offsets), jnp.asarray(centre))
 
 
 def tube_limit(sections: list[tuple[np.ndarray, np.ndarray]]) -> Limit:
-    """Return the limit on deviations from a plan from (normals, offsets) of R_1 .. R_N, padded to equal length."""
+    """Return the limit on deviations from a plan from (normals, offsets) of R_1 .. R_N, padded to
+    equal length."""
     facets = max(len(offsets) for _, offsets in sections)
     normals, offsets = np.zeros((len(sections), facets, 3)), np.ones((len(sections), facets))
     for j, (rows, bounds) in enumerate(sections):
@@ -54,12 +64,16 @@ def tube_limit(sections: list[tuple[np.ndarray, np.ndarray]]) -> Limit:
 Limits = dict[str, Limit]
 
 
-def play(controller, plant, keys, errors: Float[Array, "batch 3"], script: Script | None = None) -> dict[str, Array]:
-    """Run all realisations and return what limits look at, (steps, batch, n): after each period, or during it.
+def play(
+    controller, plant, keys, errors: Float[Array, "batch 3"], script: Script | None = None
+) -> dict[str, Array]:
+    """Run all realisations and return what limits look at, (steps, batch, n): after each period, or
+    during it.
 
-    `error` true tracking errors, `input` virtual inputs, `wheels` speeds asked for, `tube` deviations from a followed
-    plan; `backup` (steps, batch) says where there was no plan. With a script its values take the place of draws.
-    Reverse mode keeps the state, the draws and the answers of each period, and computes the rest again.
+    `error` true tracking errors, `input` virtual inputs, `wheels` speeds asked for, `tube`
+    deviations from a followed plan; `backup` (steps, batch) says where there was no plan. With a
+    script its values take the place of draws. Reverse mode keeps the state, the draws and the
+    answers of each period, and computes the rest again.
     """
     steps, script = len(plant.reference_wheels), script or {}
     of_period = {name: _of_period(values, steps, name) for name, values in script.items()}
@@ -67,7 +81,11 @@ def play(controller, plant, keys, errors: Float[Array, "batch 3"], script: Scrip
     @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(DRAWN, mpc.ACTED))
     def period(state: LoopState, now):
         step, values = now
-        acting = scripted(plant, {name: value[None] for name, value in values.items()}) if script else plant
+        acting = (
+            scripted(plant, {name: value[None] for name, value in values.items()})
+            if script
+            else plant
+        )
         following, happened = run_period(controller, acting, keys, step, state)
         seen = {"error": following.errors, "input": happened.inputs, "wheels": happened.demanded}
         seen["backup"] = happened.diagnostics.backup
@@ -79,19 +97,26 @@ def play(controller, plant, keys, errors: Float[Array, "batch 3"], script: Scrip
     return jax.lax.scan(period, state, (jnp.arange(steps), of_period))[1]
 
 
-def _of_period(values: Float[Array, "times batch n"], steps: int, name: str) -> Float[Array, "steps batch n"]:
+def _of_period(
+    values: Float[Array, "times batch n"], steps: int, name: str
+) -> Float[Array, "steps batch n"]:
     if name == "noise":  # a period ends with the next measurement
         return values[1:]
     return jnp.broadcast_to(values, (steps, *values.shape[1:]))
 
 
-def usages(controller, limits: Limits, seen: dict[str, Array]) -> dict[str, Float[Array, "stages facets batch"]]:
+def usages(
+    controller, limits: Limits, seen: dict[str, Array]
+) -> dict[str, Float[Array, "stages facets batch"]]:
     """Return the usage of every facet at every step, or at every stage of the followed plan."""
     found = {}
     for name, each in limits.items():
         values = seen[name]
         if name == "tube":
-            stages = controller.when + jnp.arange(len(each.offsets), dtype=controller.when.dtype)[:, None]
+            stages = (
+                controller.when
+                + jnp.arange(len(each.offsets), dtype=controller.when.dtype)[:, None]
+            )
             values = jnp.take_along_axis(values, stages[:, :, None], axis=0, mode="clip")
         away = values - each.centre
         room = each.offsets - jnp.sum(each.normals * each.centre, axis=2)
@@ -101,7 +126,8 @@ def usages(controller, limits: Limits, seen: dict[str, Array]) -> dict[str, Floa
 
 
 class Replay(NamedTuple):
-    """One attack played on its own: the lap, and for the tube the deviations from its plan after 1 .. N steps."""
+    """One attack played on its own: the lap, and for the tube the deviations from its plan after 1
+    .. N steps."""
 
     trajectory: Any
     deviations: Float[np.ndarray, "horizon 3"] | None
@@ -110,14 +136,19 @@ class Replay(NamedTuple):
 def replay(controller, plant, attack: dict[str, np.ndarray], name: str, when: int = 0) -> Replay:
     """Play one attack by `rollout`, and for the limit `tube` by `follow_plan` from its step on.
 
-    The lap of a tube's attack is that of the controller up to the plan; what follows it there is another future.
+    The lap of a tube's attack is that of the controller up to the plan; what follows it there is
+    another future.
     """
     script = {key: jnp.asarray(values)[:, None] for key, values in attack.items() if key != "start"}
     acting = scripted(plant, script)
-    trajectory = jax.tree.map(np.asarray, rollout(controller, acting, None, jnp.asarray(attack["start"])))
+    trajectory = jax.tree.map(
+        np.asarray, rollout(controller, acting, None, jnp.asarray(attack["start"]))
+    )
     if name != "tube":
         return Replay(trajectory, None)
-    errors, measured = (jnp.asarray(array[when]) for array in (trajectory.errors, trajectory.measured))
+    errors, measured = (
+        jnp.asarray(array[when]) for array in (trajectory.errors, trajectory.measured)
+    )
     found = _plan(controller, jnp.asarray(when), measured)
     if int(found.status[0]) != qp.SOLVED:
         return Replay(trajectory, np.zeros((found.inputs.shape[1], 3)))
@@ -132,7 +163,8 @@ def _plan(controller, step, measured):
 
 
 def values_of(name: str, found: Replay) -> Float[np.ndarray, "steps n"]:
-    """Return what a limit looks at, entry k after period k; of inputs and wheels during it, of a tube at stage k."""
+    """Return what a limit looks at, entry k after period k; of inputs and wheels during it, of a
+    tube at stage k."""
     lap = found.trajectory
     if name == "tube":
         assert found.deviations is not None
@@ -142,7 +174,8 @@ def values_of(name: str, found: Replay) -> Float[np.ndarray, "steps n"]:
 
 @dataclass(frozen=True)
 class Sampled:
-    """The worst of many drawn laps: greatest usage by step and facet, how many laps, and the seconds they took."""
+    """The worst of many drawn laps: greatest usage by step and facet, how many laps, and the
+    seconds they took."""
 
     reach: dict[str, Float[np.ndarray, "stages facets"]]
     laps: int
@@ -172,13 +205,18 @@ def sample(
     batch: int = 256,
     laps: int | None = None,
 ) -> Sampled:
-    """Draw laps by the plant's own law and keep the extremes alone: what a search has to beat in the same time.
+    """Draw laps by the plant's own law and keep the extremes alone: what a search has to beat in
+    the same time.
 
     Args:
         starts: a pool of initial errors from which each lap draws its own.
         laps: after which it ends if the time is not up before; others as for `falsify`.
     """
-    generator, key, pool = np.random.default_rng(seed), jax.random.key(seed), jnp.asarray(starts, float)
+    generator, key, pool = (
+        np.random.default_rng(seed),
+        jax.random.key(seed),
+        jnp.asarray(starts, float),
+    )
     windows = np.zeros(1, int) if windows is None else np.asarray(windows)
 
     def draw(index):
@@ -191,5 +229,7 @@ def sample(
     begun, count = time.perf_counter(), 0
     while time.perf_counter() - begun < seconds and (laps is None or count < laps):
         count += batch
-        reach = {name: np.maximum(reach[name], value) for name, value in draw(count // batch).items()}
+        reach = {
+            name: np.maximum(reach[name], value) for name, value in draw(count // batch).items()
+        }
     return Sampled(reach, count, time.perf_counter() - begun)

@@ -1,6 +1,8 @@
-"""What closed loops are measured against: sets as facets, tubes along the reference, the model and the plan's cost.
+"""What closed loops are measured against: sets as facets, tubes along the reference, the model and
+the plan's cost.
 
-A point is outside a set when it is more than 1e-12 (m, rad, m/s) beyond a facet; what is no number is outside.
+A point is outside a set when it is more than 1e-12 (m, rad, m/s) beyond a facet; what is no number
+is outside.
 """
 
 from __future__ import annotations
@@ -49,9 +51,10 @@ class Sections(NamedTuple):
 class Checks:
     """What a run is measured against.
 
-    `ultimate` holds the half widths that bound the measured error once it has settled, `settled` the step from which
-    that and the RMS count. `map_corner` and `map_cell` lay the grid of the trajectory map. With windows as in the
-    controller, e^T cost_errors e + (F e)^T g + g^T H g / 2 is the whole cost of a plan.
+    `ultimate` holds the half widths that bound the measured error once it has settled, `settled`
+    the step from which that and the RMS count. `map_corner` and `map_cell` lay the grid of the
+    trajectory map. With windows as in the controller, e^T cost_errors e + (F e)^T g + g^T H g / 2
+    is the whole cost of a plan.
     """
 
     transitions: Float[Array, "steps 3 3"]
@@ -77,13 +80,16 @@ class Checks:
 
 
 def judge(facets: Facets, points: Float[Array, "n batch"]):
-    """Return (outside, outside the box by coordinate, excess over each facet, usage) of points, the batch last.
+    """Return (outside, outside the box by coordinate, excess over each facet, usage) of points, the
+    batch last.
 
     The usage is 1 on a facet and more outside, relative to the facet's distance from the origin.
     """
     excess = matmul(facets.normals, points) - facets.offsets[:, None]
     outside = ~jnp.all(excess <= OUTSIDE, axis=0)
-    boxes = ~((points <= facets.upper[:, None] + OUTSIDE) & (points >= facets.lower[:, None] - OUTSIDE))
+    boxes = ~(
+        (points <= facets.upper[:, None] + OUTSIDE) & (points >= facets.lower[:, None] - OUTSIDE)
+    )
     scale = jnp.where((facets.offsets > 0) & jnp.isfinite(facets.offsets), facets.offsets, 1.0)
     usage = jnp.max(1 + excess / scale[:, None], axis=0)
     return outside, boxes, excess, jnp.where(jnp.isnan(usage), jnp.inf, usage)

@@ -1,15 +1,16 @@
-"""Finite-sample confidence intervals for the share of laps with an event and for the mean share of steps in a lap.
+"""Finite-sample confidence intervals for the share of laps with an event and for the mean share of
+steps in a lap.
 
     share p of laps, k of n with the event:   P(K >= k | low) = risk,   P(K <= k | high) = risk,   K binomial(n, p)
     mean mu of X in [0, 1], one X a lap:      |mean - mu| <= sqrt(2 V ln(2 / risk) / n) + 7 ln(2 / risk) / (3 (n - 1))
 
 Laps are independent; the steps of one lap are not, so that laps alone are counted as trials.
 
-Notation: a bound fails with probability `risk` at most, an interval with `delta` = 1 - confidence; V is the sample
-variance, of divisor n - 1.
-Source: Clopper and Pearson, The use of confidence or fiducial limits, Biometrika 1934; Maurer and Pontil, Empirical
-Bernstein bounds and sample variance penalization, COLT 2009, theorem 11; Hoeffding, On the distribution of the number
-of successes in independent trials, Annals of Mathematical Statistics 1956 (binomial bounds where trials differ).
+Notation: a bound fails with probability `risk` at most, an interval with `delta` = 1 - confidence;
+V is the sample variance, of divisor n - 1. Source: Clopper and Pearson, The use of confidence or
+fiducial limits, Biometrika 1934; Maurer and Pontil, Empirical Bernstein bounds and sample variance
+penalization, COLT 2009, theorem 11; Hoeffding, On the distribution of the number of successes in
+independent trials, Annals of Mathematical Statistics 1956 (binomial bounds where trials differ).
 """
 
 import math
@@ -21,13 +22,15 @@ from scipy import special
 
 
 def share_interval(events: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Bound the probability of an event that occurred in `events` of `trials` independent trials; return low, high.
+    """Bound the probability of an event that occurred in `events` of `trials` independent trials;
+    return low, high.
 
-    Exact (Clopper-Pearson), to 1e-9 of each bound for as many as 1e12 trials. Each bound has the risk delta / 2. Where
-    the event occurred never, or always, the other bound is trivial and this one has the whole risk delta: 0 and
-    1 - delta^(1 / trials), or delta^(1 / trials) and 1. So low and high each fail with probability delta at most, but
-    both together, over all outcomes, with up to 3 / 2 delta: whoever needs less asks for a higher confidence.
-    Raises ValueError for counts that do not fit and for a confidence outside (0, 1).
+    Exact (Clopper-Pearson), to 1e-9 of each bound for as many as 1e12 trials. Each bound has the
+    risk delta / 2. Where the event occurred never, or always, the other bound is trivial and this
+    one has the whole risk delta: 0 and 1 - delta^(1 / trials), or delta^(1 / trials) and 1. So low
+    and high each fail with probability delta at most, but both together, over all outcomes, with up
+    to 3 / 2 delta: whoever needs less asks for a higher confidence. Raises ValueError for counts
+    that do not fit and for a confidence outside (0, 1).
     """
     events, trials = operator.index(events), operator.index(trials)
     if trials < 1:
@@ -42,14 +45,16 @@ def share_interval(events: int, trials: int, confidence: float = 0.95) -> tuple[
 def mean_interval(
     histogram: Int[np.ndarray, " values"], largest: int, confidence: float = 0.95
 ) -> tuple[float, float, float]:
-    """Bound the expectation of the share of a lap's steps in which an event occurs; return the mean, low and high.
+    """Bound the expectation of the share of a lap's steps in which an event occurs; return the
+    mean, low and high.
 
-    histogram[i] laps had the event in i of their `largest` steps, i = 0 .. largest. low <= expectation <= high with
-    probability `confidence` at least, whatever the distribution, if the laps are independent. Where they are not alike,
-    the expectation is the average of theirs.
-    Four bounds, each of risk delta / 4, are intersected: the two of Maurer and Pontil, and the two that follow from
-    P(a lap has the event) / largest <= expectation <= P(a lap has the event). One lap alone gives 0 and 1.
-    Raises ValueError for a histogram of another length, with a negative count or without laps.
+    histogram[i] laps had the event in i of their `largest` steps, i = 0 .. largest. low <=
+    expectation <= high with probability `confidence` at least, whatever the distribution, if the
+    laps are independent. Where they are not alike, the expectation is the average of theirs. Four
+    bounds, each of risk delta / 4, are intersected: the two of Maurer and Pontil, and the two that
+    follow from P(a lap has the event) / largest <= expectation <= P(a lap has the event). One lap
+    alone gives 0 and 1. Raises ValueError for a histogram of another length, with a negative count
+    or without laps.
     """
     counts = checked_counts(histogram, largest)
     delta, laps = risk_of(confidence), sum(counts)
@@ -60,13 +65,16 @@ def mean_interval(
         return mean, 0.0, 1.0
     variance = (laps * squares - total**2) / (laps * (laps - 1) * largest**2)
     risk = delta / 4
-    width = math.sqrt(2 * variance * math.log(2 / risk) / laps) + 7 * math.log(2 / risk) / (3 * (laps - 1))
+    width = math.sqrt(2 * variance * math.log(2 / risk) / laps) + 7 * math.log(2 / risk) / (
+        3 * (laps - 1)
+    )
     low = max(mean - width, least_share(laps - counts[0], laps, risk) / largest)
     return mean, low, min(mean + width, largest_share(laps - counts[0], laps, risk))
 
 
 def least_share(events: int, trials: int, risk: float) -> float:
-    """Return the lower bound of Clopper and Pearson: it exceeds the probability with probability `risk` at most."""
+    """Return the lower bound of Clopper and Pearson: it exceeds the probability with probability
+    `risk` at most."""
     if events == 0:
         return 0.0
     if events == trials:
@@ -77,7 +85,8 @@ def least_share(events: int, trials: int, risk: float) -> float:
 
 
 def largest_share(events: int, trials: int, risk: float) -> float:
-    """Return the upper bound of Clopper and Pearson: it is below the probability with probability `risk` at most."""
+    """Return the upper bound of Clopper and Pearson: it is below the probability with probability
+    `risk` at most."""
     if events == 0:
         return -math.expm1(math.log(risk) / trials)
     if events == trials:
@@ -90,11 +99,14 @@ def largest_share(events: int, trials: int, risk: float) -> float:
 def newton_step(a: float, b: float, x: float, excess: float) -> float:
     """Return excess / density of the beta distribution at x.
 
-    The inverse incomplete beta function of SciPy is wrong by up to 2e-8 at 1e9 trials, the function itself by 1e-11.
+    The inverse incomplete beta function of SciPy is wrong by up to 2e-8 at 1e9 trials, the function
+    itself by 1e-11.
     """
     if x == 1.0:
         return 0.0
-    return excess * math.exp(special.betaln(a, b) - (a - 1) * math.log(x) - (b - 1) * math.log1p(-x))
+    return excess * math.exp(
+        special.betaln(a, b) - (a - 1) * math.log(x) - (b - 1) * math.log1p(-x)
+    )
 
 
 def risk_of(confidence: float) -> float:
@@ -105,7 +117,8 @@ def risk_of(confidence: float) -> float:
 
 
 def checked_counts(histogram: Int[np.ndarray, " values"], largest: int) -> list[int]:
-    """Return the histogram as Python integers, whose sums are exact; refuse what is no histogram of 0 .. largest."""
+    """Return the histogram as Python integers, whose sums are exact; refuse what is no histogram of
+    0 .. largest."""
     if largest < 1:
         raise ValueError(f"largest: {largest}; give the number of steps of a lap, at least one")
     if histogram.shape != (largest + 1,) or histogram.dtype.kind not in "iu":
@@ -115,5 +128,7 @@ def checked_counts(histogram: Int[np.ndarray, " values"], largest: int) -> list[
         )
     counts = histogram.tolist()
     if min(counts) < 0 or sum(counts) == 0:
-        raise ValueError(f"histogram: least {min(counts)}, sum {sum(counts)}; give counts >= 0 of at least one lap")
+        raise ValueError(
+            f"histogram: least {min(counts)}, sum {sum(counts)}; give counts >= 0 of at least one lap"
+        )
     return counts

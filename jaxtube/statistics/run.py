@@ -1,11 +1,13 @@
-"""Monte Carlo of closed loops: laps by the million, every period checked, and nothing kept but counts and extremes.
+"""Monte Carlo of closed loops: laps by the million, every period checked, and nothing kept but
+counts and extremes.
 
     block   BLOCK laps, the unit of records and of identity; block i holds the laps i BLOCK .. (i+1) BLOCK - 1
     tile    TILE laps that run side by side; few enough for a processor's cache
     chunk   blocks that a device works through in one dispatch; any number, it changes no bit of the statistics
 
-Every draw is a function of seed, lap, step and purpose. A block is one program of fixed shape that the devices run
-independently, so its statistics do not depend on chunk, devices or processes either.
+Every draw is a function of seed, lap, step and purpose. A block is one program of fixed shape that
+the devices run independently, so its statistics do not depend on chunk, devices or processes
+either.
 """
 
 from __future__ import annotations
@@ -47,7 +49,8 @@ Statistics = dict[str, np.ndarray]
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Task:
-    """What every block needs: the closed loop, where it starts, what it is measured against, and the seed's key."""
+    """What every block needs: the closed loop, where it starts, what it is measured against, and
+    the seed's key."""
 
     controller: Any
     plant: Any
@@ -78,7 +81,8 @@ class Run:
         return self.chunk * len(self.devices)
 
     def computed(self, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
-        """Yield the statistics of blocks; while one dispatch is collected the next one is under way."""
+        """Yield the statistics of blocks; while one dispatch is collected the next one is under
+        way."""
         source, pending = iter(blocks), None
         while group := list(itertools.islice(source, self.at_once)):
             started = group, self.dispatch(group)
@@ -89,7 +93,8 @@ class Run:
             yield from self.collect(*pending)
 
     def dispatch(self, blocks: list[int], validate: bool = True) -> dict[str, Array]:
-        """Start the computation of up to `at_once` blocks; the arrays, blocks first, are ready later."""
+        """Start the computation of up to `at_once` blocks; the arrays, blocks first, are ready
+        later."""
         padded = [*blocks, *[blocks[-1]] * (self.at_once - len(blocks))]
         mesh = Mesh(np.array(self.devices), ("devices",))
         words, counts, numbers = _labels(padded, self.realisations)
@@ -108,31 +113,47 @@ class Run:
 def merge(one: Statistics, other: Statistics) -> Statistics:
     """Join the statistics of two ranges of blocks; associative and commutative to the bit.
 
-    Counts add up, extremes are maxima, and of the worst laps the worst remain, the earlier one first among equals.
+    Counts add up, extremes are maxima, and of the worst laps the worst remain, the earlier one
+    first among equals.
     """
-    joined = {name: _JOIN[value.dtype.kind](value, other[name]) for name, value in one.items() if "worst" not in name}
+    joined = {
+        name: _JOIN[value.dtype.kind](value, other[name])
+        for name, value in one.items()
+        if "worst" not in name
+    }
     for name in RANKED:
-        usage, laps = (np.concatenate([part[f"{key}/{name}"] for part in (one, other)]) for key in WORST_KEYS)
+        usage, laps = (
+            np.concatenate([part[f"{key}/{name}"] for part in (one, other)]) for key in WORST_KEYS
+        )
         order = np.lexsort((laps, -usage))[:WORST]
-        joined |= dict(zip((f"{key}/{name}" for key in WORST_KEYS), (usage[order], laps[order]), strict=True))
+        joined |= dict(
+            zip((f"{key}/{name}" for key in WORST_KEYS), (usage[order], laps[order]), strict=True)
+        )
     return joined
 
 
 def plan_steps(steps: int, horizon: int) -> tuple[int, int]:
-    """Return (plans in a lap, distance between them): about PLANS_SHARE of the states, all with a horizon ahead."""
+    """Return (plans in a lap, distance between them): about PLANS_SHARE of the states, all with a
+    horizon ahead."""
     room = max(steps - horizon, 0)
     plans = min(max(round(PLANS_SHARE * steps), 1), room)
     return plans, room // max(plans, 1)
 
 
 def first_plan(tile: Int[Array, ""], distance: int) -> Int[Array, ""]:
-    """Return the step of a tile's first plan, 0 .. distance - 1, so that few tiles are spread over all of them."""
-    stride = next(s for s in range(max(round(0.618 * distance), 1), distance + 2) if math.gcd(s, distance) == 1)
+    """Return the step of a tile's first plan, 0 .. distance - 1, so that few tiles are spread over
+    all of them."""
+    stride = next(
+        s
+        for s in range(max(round(0.618 * distance), 1), distance + 2)
+        if math.gcd(s, distance) == 1
+    )
     return tile % distance * stride % distance
 
 
 def _labels(blocks: list[int], realisations: int):
-    """Return the first lap of each block as two words, how many laps count, and the block's number for its plans."""
+    """Return the first lap of each block as two words, how many laps count, and the block's number
+    for its plans."""
     first = [block * BLOCK for block in blocks]
     words = np.array([[lap >> 32, lap & 0xFFFFFFFF] for lap in first], np.uint32)
     counts = np.array([max(0, min(BLOCK, realisations - lap)) for lap in first], np.int32)
@@ -141,7 +162,10 @@ def _labels(blocks: list[int], realisations: int):
 
 def _statistics(block: int, arrays: dict[str, np.ndarray], place: int) -> Statistics:
     found = {name: value[place] for name, value in arrays.items()}
-    found = {name: value.astype(np.int64) if value.dtype.kind == "i" else value for name, value in found.items()}
+    found = {
+        name: value.astype(np.int64) if value.dtype.kind == "i" else value
+        for name, value in found.items()
+    }
     for name in RANKED:
         usage, lap = (f"{key}/{name}" for key in WORST_KEYS)
         counted = found[usage] > -np.inf
@@ -154,7 +178,13 @@ def _simulate(mesh: Mesh, task: Task, words, counts, numbers, validate):
     """Run blocks, spread over the devices; each device works through its own one after the other."""
     spread, same = PartitionSpec("devices"), PartitionSpec()
 
-    @partial(jax.shard_map, mesh=mesh, in_specs=(same, spread, spread, spread, same), out_specs=spread, check_vma=False)
+    @partial(
+        jax.shard_map,
+        mesh=mesh,
+        in_specs=(same, spread, spread, spread, same),
+        out_specs=spread,
+        check_vma=False,
+    )
     def on_device(task, words, counts, numbers, validate):
         def one(block):
             first, count, number = block
@@ -166,7 +196,11 @@ def _simulate(mesh: Mesh, task: Task, words, counts, numbers, validate):
 
 
 def simulate_block(
-    task: Task, words: UInt32[Array, "2"], count: Int[Array, ""], number: Int[Array, ""], validate: Bool[Array, ""]
+    task: Task,
+    words: UInt32[Array, "2"],
+    count: Int[Array, ""],
+    number: Int[Array, ""],
+    validate: Bool[Array, ""],
 ) -> dict[str, Array]:
     """Return the statistics of one block, its laps numbered from 0 in the lists of the worst.
 
@@ -174,7 +208,8 @@ def simulate_block(
         task: what every block needs.
         words: high and low 32 bits of the number of its first lap.
         count: its first laps that count.
-        number: of the block, modulo 2^31: it shifts the steps at which plans are followed, as the tile does.
+        number: of the block, modulo 2^31: it shifts the steps at which plans are followed, as the
+            tile does.
         validate: whether periods are checked; without, all counts stay 0.
     """
 
@@ -198,10 +233,14 @@ def simulate_block(
     return sums | largest | ranked | {f"worst_lap/{name}": laps[i] for i, name in enumerate(RANKED)}
 
 
-def run_laps(task: Task, keys: Key[Array, " batch"], counted, stops: Int[Array, " plans"], validate):
-    """Run a tile of laps from start to end; return (sums, largest, by lap the usage of the sets ranked by).
+def run_laps(
+    task: Task, keys: Key[Array, " batch"], counted, stops: Int[Array, " plans"], validate
+):
+    """Run a tile of laps from start to end; return (sums, largest, by lap the usage of the sets
+    ranked by).
 
-    At `stops` plans are made and followed to their end, by a tube-MPC whose plans start at the measured error.
+    At `stops` plans are made and followed to their end, by a tube-MPC whose plans start at the
+    measured error.
     """
     controller, plant, checks = task.controller, task.plant, task.checks
     steps, plans, errors = len(checks.transitions), len(stops), task.starts.draw(keys)
@@ -221,15 +260,21 @@ def run_laps(task: Task, keys: Key[Array, " batch"], counted, stops: Int[Array, 
             found = jax.lax.cond(validate & has_plan, see, lambda found: found, found)
         return (state, found), None
 
-    start = begin(controller, plant, keys, errors), tally.empty(checks, checks.horizon, len(errors), errors.dtype)
+    start = (
+        begin(controller, plant, keys, errors),
+        tally.empty(checks, checks.horizon, len(errors), errors.dtype),
+    )
     parts = bounds[:-1], bounds[1:], jnp.arange(plans + 1) < plans
     (_, found), _ = jax.lax.scan(stretch, start, parts)
     usage = jnp.where(counted, found.laps.usage, -jnp.inf)
     return *tally.close(checks, errors, plans, counted, found), usage
 
 
-def follow_and_observe(task: Task, keys, step, counted, state: LoopState, found: tally.Tally) -> tally.Tally:
-    """Plan, follow the plan, plan once more where the first one expects to be a step later, and count what is seen."""
+def follow_and_observe(
+    task: Task, keys, step, counted, state: LoopState, found: tally.Tally
+) -> tally.Tally:
+    """Plan, follow the plan, plan once more where the first one expects to be a step later, and
+    count what is seen."""
     controller = task.controller
 
     def planned(errors, at):
@@ -240,4 +285,6 @@ def follow_and_observe(task: Task, keys, step, counted, state: LoopState, found:
     _, plans = jax.lax.scan(planned, state.measured, jnp.stack([step, step + 1]))
     first, following = (jax.tree.map(lambda array, i=i: array[i], plans) for i in range(2))
     deviations = follow_plan(controller, task.plant, keys, state, step, first)
-    return tally.observe_plans(task.checks, controller, step, state, deviations, first, following, counted, found)
+    return tally.observe_plans(
+        task.checks, controller, step, state, deviations, first, following, counted, found
+    )

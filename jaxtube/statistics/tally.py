@@ -1,11 +1,12 @@
-"""What is counted while closed loops run: every period of every lap against the sets that a design promises.
+"""What is counted while closed loops run: every period of every lap against the sets that a design
+promises.
 
     w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k) in W,     e(k+1) in E,     u(k) in U,     wheels within their limits,
     QP solved,     and for plans followed to their end     e - e_nominal in R_j,  j = 1..N
 
-w and the tube are those of the measured errors, which is what the controller works with; E holds the true ones. Counts
-are whole numbers and extremes are maxima, so tallies of any parts of a run join to the same bits in any order. Whatever
-is no number is counted as outside.
+w and the tube are those of the measured errors, which is what the controller works with; E holds
+the true ones. Counts are whole numbers and extremes are maxima, so tallies of any parts of a run
+join to the same bits in any order. Whatever is no number is counted as outside.
 """
 
 from __future__ import annotations
@@ -47,13 +48,15 @@ EVENTS = (
 )
 """Counted for every lap in steps, 0 .. steps."""
 STAGE_EVENTS = ("outside", "longitudinal", "lateral", "heading")
-"""Counted for every lap in plans that left the tube at a stage: some facet, or the box around the section."""
+"""Counted for every lap in plans that left the tube at a stage: some facet, or the box around the
+section."""
 PLANES = ((0, 1), (0, 2), (1, 2))
 CLOUD_CELLS, COVERAGE_CELLS, HEAT_CELLS = 48, 24, (96, 96)
 
 
 class Tally(NamedTuple):
-    """What one tile of laps has come to so far; `laps` fields run over its laps, the others are joined already."""
+    """What one tile of laps has come to so far; `laps` fields run over its laps, the others are
+    joined already."""
 
     laps: Laps
     sums: dict[str, Int[Array, "*shape"]]
@@ -138,12 +141,16 @@ def observe(
     )
     counts, axes = counted.astype(jnp.int32), jnp.arange(3)[:, None]
     sums = tally.sums | {
-        "error_by_step": tally.sums["error_by_step"].at[step, axes, histogram.bucket(e)].add(counts),
+        "error_by_step": tally.sums["error_by_step"]
+        .at[step, axes, histogram.bucket(e)]
+        .add(counts),
         "disturbance": tally.sums["disturbance"].at[axes, histogram.bucket(w)].add(counts),
         "map": tally.sums["map"].at[map_cells(checks, step, after.errors)].add(counts, mode="drop"),
     }
     found = {"excess/disturbance": excess_w, "excess/error": excess_e, "excess/input": excess_u}
-    largest = tally.largest | {name: jnp.maximum(tally.largest[name], _most(found[name], counted)) for name in found}
+    largest = tally.largest | {
+        name: jnp.maximum(tally.largest[name], _most(found[name], counted)) for name in found
+    }
     return Tally(laps, sums, largest)
 
 
@@ -158,22 +165,28 @@ def observe_plans(
     counted: Bool[Array, " batch"],
     tally: Tally,
 ) -> Tally:
-    """Count plans that were followed to their end, and whether the next plan costs less by what the stage cost.
+    """Count plans that were followed to their end, and whether the next plan costs less by what the
+    stage cost.
 
-    `following` are the plans made where `found` expected the error one step later: V+ <= V - e'Qe - g_0'Rg_0.
+    `following` are the plans made where `found` expected the error one step later: V+ <= V - e'Qe -
+    g_0'Rg_0.
     """
     counted = counted & (found.status == qp.SOLVED)
     counts = counted.astype(jnp.int32)
     points = jnp.moveaxis(deviations, 2, 1)
     sums, largest, laps = dict(tally.sums), dict(tally.largest), tally.laps
     for name, sections in checks.tubes.items():
-        facets = jax.tree.map(lambda array, index=sections.index[step]: array[index], sections.facets)
+        facets = jax.tree.map(
+            lambda array, index=sections.index[step]: array[index], sections.facets
+        )
         outside, boxes, excess, usage = jax.vmap(judge)(facets, points)
         sums[f"tube_outside/{name}"] += jnp.sum(outside & counted, axis=1, dtype=jnp.int32)
         key = f"tube_excess/{name}"
         largest[key] = jnp.maximum(largest[key], _most(jnp.max(excess, axis=1), counted))
         if name == checks.tube:
-            stage_events = (jnp.concatenate([outside[:, None], boxes], axis=1) & counted).astype(jnp.int32)
+            stage_events = (jnp.concatenate([outside[:, None], boxes], axis=1) & counted).astype(
+                jnp.int32
+            )
             most = jnp.where(counted, jnp.max(usage, axis=0), -jnp.inf)
             laps = laps._replace(
                 plans=laps.plans + counts,
@@ -184,7 +197,9 @@ def observe_plans(
     sums["plans"] += jnp.sum(counts, dtype=jnp.int32)
     index, later = controller.index[step], controller.index[step + 1]
     expected = expected_error(controller, step, state.measured, found)
-    stage = _form(checks.error_weight, state.measured) + _form(checks.input_weight, found.inputs[:, 0])
+    stage = _form(checks.error_weight, state.measured) + _form(
+        checks.input_weight, found.inputs[:, 0]
+    )
     cost = plan_cost(checks, controller, index, state.measured, found)
     excess = plan_cost(checks, controller, later, expected, following) - cost + stage
     both = counted & (following.status == qp.SOLVED)
@@ -199,7 +214,9 @@ def _most(values: Float[Array, "... batch"], counted: Bool[Array, " batch"]) -> 
     return jnp.max(values, axis=-1, where=counted & ~jnp.isnan(values), initial=-jnp.inf)
 
 
-def expected_error(controller, step, errors: Float[Array, "batch 3"], found: mpc.Plan) -> Float[Array, "batch 3"]:
+def expected_error(
+    controller, step, errors: Float[Array, "batch 3"], found: mpc.Plan
+) -> Float[Array, "batch 3"]:
     """Return A e + B g_0, where a plan expects the error one step later."""
     window = mpc.take_window(controller.windows, controller.index[step])
     return matmul(errors, window.transition.T) + matmul(found.inputs[:, 0], window.input_matrix.T)
@@ -219,14 +236,16 @@ def _form(matrix: Float[Array, "n n"], vectors: Float[Array, "batch n"]) -> Floa
 
 
 def map_cells(checks: Checks, step, errors: Float[Array, "batch 3"]):
-    """Return (row, column) of the robots' positions on the trajectory map; out of range where they are off it."""
+    """Return (row, column) of the robots' positions on the trajectory map; out of range where they
+    are off it."""
     position = world_pose(errors, checks.poses[step + 1])[:, :2]
     column, row = _cells((position - checks.map_corner) / checks.map_cell).T
     return row, column
 
 
 def cloud_cells(facets: Facets, points: Float[Array, "horizon 3 batch"]):
-    """Return the cells of deviations in the three planes, which reach twice as far as the section's box."""
+    """Return the cells of deviations in the three planes, which reach twice as far as the section's
+    box."""
     width = 2 * jnp.maximum(facets.upper, -facets.lower)[:, :, None]
     cells = _cells((points / jnp.where(width > 0, width, 1.0) + 1) / 2 * CLOUD_CELLS)
     first, second = (jnp.stack([cells[:, plane[i]] for plane in PLANES], axis=1) for i in range(2))
@@ -241,7 +260,11 @@ def _cells(places: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
 
 
 def close(
-    checks: Checks, starts: Float[Array, "batch 3"], plans_each: int, counted: Bool[Array, " batch"], tally: Tally
+    checks: Checks,
+    starts: Float[Array, "batch 3"],
+    plans_each: int,
+    counted: Bool[Array, " batch"],
+    tally: Tally,
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return (sums, largest) of a tile whose laps have ended."""
     laps, counts, steps = tally.laps, counted.astype(jnp.int32), len(checks.transitions)
@@ -249,10 +272,17 @@ def close(
     axes = jnp.arange(3)[:, None]
 
     def lap_histogram(values):
-        return jnp.zeros((3, histogram.BUCKETS), jnp.int32).at[axes, histogram.bucket(values)].add(counts)
+        return (
+            jnp.zeros((3, histogram.BUCKETS), jnp.int32)
+            .at[axes, histogram.bucket(values)]
+            .add(counts)
+        )
 
     left = laps.events[EVENTS.index("e_outside_E")] > 0
-    stages = jnp.arange(len(laps.stage_events))[:, None, None], jnp.arange(len(STAGE_EVENTS))[None, :, None]
+    stages = (
+        jnp.arange(len(laps.stage_events))[:, None, None],
+        jnp.arange(len(STAGE_EVENTS))[None, :, None],
+    )
     return tally.sums | {
         "laps": jnp.sum(counts, dtype=jnp.int32),
         "events": jnp.zeros((len(EVENTS), steps + 1), jnp.int32)

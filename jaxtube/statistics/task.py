@@ -1,4 +1,5 @@
-"""From a design to a Monte Carlo task: closed loop, starts, and the sets that every period is checked against."""
+"""From a design to a Monte Carlo task: closed loop, starts, and the sets that every period is
+checked against."""
 
 from __future__ import annotations
 
@@ -26,7 +27,8 @@ MAP_MARGIN_M = 0.4
 
 
 def make_task(design: Design, controller: str, plant: str, starts: str, seed: int) -> Task:
-    """Return the task of a run; `controller`, `plant` and `starts` as the command `montecarlo` names them."""
+    """Return the task of a run; `controller`, `plant` and `starts` as the command `montecarlo`
+    names them."""
     loop = closed_loop.controllers(design)[controller]
     makers = {"robot": closed_loop.slipping_robot, "linear": closed_loop.linear_plant}
     problem = design.problem
@@ -34,8 +36,11 @@ def make_task(design: Design, controller: str, plant: str, starts: str, seed: in
         start = FixedStart(jnp.asarray(problem.initial_error))
     else:
         first = int(design.windows.index[0])
-        # The seed of the set's shape is fixed: the law that starts are drawn from is the scenario's alone.
-        start = uniform_start(true_starts(design.tube_window, first, problem, RAYS, seed=0), edge=starts == "edge")
+        # The seed of the set's shape is fixed: the law that starts are drawn from is the scenario's
+        # alone.
+        start = uniform_start(
+            true_starts(design.tube_window, first, problem, RAYS, seed=0), edge=starts == "edge"
+        )
     return Task(loop, makers[plant](design), start, make_checks(design, loop), jax.random.key(seed))
 
 
@@ -46,14 +51,21 @@ def make_checks(design: Design, controller) -> Checks:
     transitions, inputs = problem.model.matrices(problem.schedule[:steps])
     settled = settled_step(reference)
     poses = reference.poses[: steps + 1]
-    corner, size = poses[:, :2].min(axis=0) - MAP_MARGIN_M, np.ptp(poses[:, :2], axis=0) + 2 * MAP_MARGIN_M
+    corner, size = (
+        poses[:, :2].min(axis=0) - MAP_MARGIN_M,
+        np.ptp(poses[:, :2], axis=0) + 2 * MAP_MARGIN_M,
+    )
     checks = Checks(
         transitions=jnp.asarray(transitions),
         input_matrices=jnp.asarray(inputs),
         disturbance=facets(problem.disturbance_set),
         error=facets(problem.error_set),
         input=facets(problem.input_set),
-        tubes={name: sections(design, name) for name in design.tubes if name == tube or affordable(design, name)},
+        tubes={
+            name: sections(design, name)
+            for name in design.tubes
+            if name == tube or affordable(design, name)
+        },
         tube=tube,
         ultimate=jnp.asarray(ultimate_bound(design, controller, settled)),
         settled=settled,
@@ -79,7 +91,8 @@ WINDOWS_COMPARED = 32
 
 
 def affordable(design: Design, tube: str) -> bool:
-    """Return whether a tube that is not in use is checked as well: `sequence` has sections for every window."""
+    """Return whether a tube that is not in use is checked as well: `sequence` has sections for
+    every window."""
     return tube != "sequence" or len(design.windows.loops) <= WINDOWS_COMPARED
 
 
@@ -87,7 +100,10 @@ def sections(design: Design, tube: str) -> Sections:
     """Return R_1 .. R_N of a tube, for every window along the reference where they depend on it."""
     W, windows = design.problem.disturbance_set, design.windows
     if tube == "sequence":
-        every = [[facets(section.polytope()) for section in sequence_tube(loops, W)[1:]] for loops in windows.loops]
+        every = [
+            [facets(section.polytope()) for section in sequence_tube(loops, W)[1:]]
+            for loops in windows.loops
+        ]
         return Sections(_stack(every), windows.index)
     every = [[facets(section.polytope()) for section in design.tubes[tube][1:]]]
     return Sections(_stack(every), np.zeros_like(windows.index))
@@ -100,16 +116,20 @@ def _stack(every: list[list[Facets]]) -> Facets:
     def padded(section: Facets) -> Facets:
         missing = most - len(section.offsets)
         normals = np.pad(section.normals, ((0, missing), (0, 0)))
-        return section._replace(normals=normals, offsets=np.pad(section.offsets, (0, missing), constant_values=np.inf))
+        return section._replace(
+            normals=normals, offsets=np.pad(section.offsets, (0, missing), constant_values=np.inf)
+        )
 
     stacked = [jax.tree.map(lambda *arrays: np.stack(arrays), *map(padded, row)) for row in every]
     return jax.tree.map(lambda *arrays: np.stack(arrays), *stacked)
 
 
 def ultimate_bound(design: Design, controller, settled: int) -> Float[np.ndarray, "3"]:
-    """Return half widths that hold the measured error from step `settled` on while w is in W and no row is active.
+    """Return half widths that hold the measured error from step `settled` on while w is in W and no
+    row is active.
 
-    From any start in E, along this reference; infinite for a controller that is no linear gain then.
+    From any start in E, along this reference; infinite for a controller that is no linear gain
+    then.
     """
     problem, steps = design.problem, design.problem.reference.steps
     if isinstance(controller, TubeMpc) and controller.restart:
@@ -119,14 +139,20 @@ def ultimate_bound(design: Design, controller, settled: int) -> Float[np.ndarray
     else:
         return np.full(3, np.inf)
     transitions, inputs = problem.model.matrices(problem.schedule[:steps])
-    loops, W, ends = transitions + inputs @ gains, problem.disturbance_set, np.arange(settled, steps + 1)
+    loops, W, ends = (
+        transitions + inputs @ gains,
+        problem.disturbance_set,
+        np.arange(settled, steps + 1),
+    )
     # One row of directions for every end, all moved one step further back at a time.
     directions, reach = np.tile(np.eye(3), (len(ends), 1, 1)), np.zeros((len(ends), 3))
     for back in range(1, steps + 1):
         live = ends >= back
         reach[live] += W.support(directions[live].reshape(-1, 3)).reshape(-1, 3)
         directions[live] = directions[live] @ loops[ends[live] - back]
-    return np.max(reach + problem.error_set.support(directions.reshape(-1, 3)).reshape(-1, 3), axis=0)
+    return np.max(
+        reach + problem.error_set.support(directions.reshape(-1, 3)).reshape(-1, 3), axis=0
+    )
 
 
 def cost_of_errors(design: Design) -> Float[np.ndarray, "windows 3 3"]:

@@ -1,15 +1,17 @@
-"""Gains, caps and disturbance sets by speed: a scheduled tracking law, certified over a wide range of wheel speeds.
+"""Gains, caps and disturbance sets by speed: a scheduled tracking law, certified over a wide range
+of wheel speeds.
 
     u = K_m(th) e,    K_m = [[-k1, -Om, 0], [0, -k2, -k3]]        for mean wheel speeds V in band m
 
-With one gain and one W for all speeds a slow robot is asked to correct what only a fast one suffers. Here each band has
-its own: W_m bounds the disturbances over the band alone, under the band's caps. One invariant set holds for all, under
-arbitrary changes of speed:
+With one gain and one W for all speeds a slow robot is asked to correct what only a fast one
+suffers. Here each band has its own: W_m bounds the disturbances over the band alone, under the
+band's caps. One invariant set holds for all, under arbitrary changes of speed:
 
     Phi Omega + W_m in Omega    for every loop Phi of band m,     Omega in E_op,     u in the caps of band m on Omega.
 
-A band is a polygon of wheel speeds v. Stretched by tan(x) / x in [1, f], x = T Om / 2, it lies in the hull of v and f v
-over its corners, in which the loops of the exact Jacobian are affine. W_m is bounded over boxes that cover the polygon.
+A band is a polygon of wheel speeds v. Stretched by tan(x) / x in [1, f], x = T Om / 2, it lies in
+the hull of v and f v over its corners, in which the loops of the exact Jacobian are affine. W_m is
+bounded over boxes that cover the polygon.
 
 Source: new.
 """
@@ -41,7 +43,8 @@ SAMPLES = 200
 
 @dataclass(frozen=True, eq=False)
 class Band:
-    """One band: the problem under its caps (regions: boxes that cover it), its gain and what its loops are hulls of."""
+    """One band: the problem under its caps (regions: boxes that cover it), its gain and what its
+    loops are hulls of."""
 
     corners: Float[np.ndarray, "p 2"]
     problem: Problem
@@ -56,7 +59,8 @@ class Band:
 
 @dataclass(frozen=True, eq=False)
 class BandedLaw:
-    """The scheduled law: its bands from slow to fast, the invariant set, shares of the caps, certificate, seconds."""
+    """The scheduled law: its bands from slow to fast, the invariant set, shares of the caps,
+    certificate, seconds."""
 
     problem: Problem
     bands: tuple[Band, ...]
@@ -84,7 +88,10 @@ def make_law(scenario: Scenario) -> BandedLaw:
         ScenarioError: as `make_problem`, or where W cannot be bounded.
     """
     started, problem = time.perf_counter(), make_problem(scenario)
-    lower = [scenario.reference.wheel_speed_min_mps, *(band.below_mps for band in scenario.operating.bands)]
+    lower = [
+        scenario.reference.wheel_speed_min_mps,
+        *(band.below_mps for band in scenario.operating.bands),
+    ]
     bands = tuple(_band(problem, m, lower[m], lower[m + 1]) for m in range(len(lower) - 1))
     loops = np.concatenate([band.loops for band in bands])
     supports = [band.problem.disturbance_set.support for band in bands for _ in band.loops]
@@ -99,17 +106,23 @@ def make_law(scenario: Scenario) -> BandedLaw:
 def _band(problem: Problem, index: int, slowest: float, fastest: float) -> Band:
     """Return the band of mean wheel speeds between two ends."""
     settings = problem.scenario.operating.bands[index]
-    names = [name for name in settings.__struct_fields__ if name not in ("below_mps", "tracking_gains")]
+    names = [
+        name for name in settings.__struct_fields__ if name not in ("below_mps", "tracking_gains")
+    ]
     operating = msgspec.structs.replace(
         problem.scenario.operating, bands=(), **{name: getattr(settings, name) for name in names}
     )
     scenario = msgspec.structs.replace(problem.scenario, operating=operating)
     model, (low, high) = problem.model, problem.model.box
     strip = np.array([[0.5, 0.5], [-0.5, -0.5]])
-    corners = Polytope.box(low, high).intersect(Polytope(strip, np.array([fastest, -slowest]))).vertices()
+    corners = (
+        Polytope.box(low, high).intersect(Polytope(strip, np.array([fastest, -slowest]))).vertices()
+    )
     input_set, input_rows = input_constraints(scenario, problem.robot)
     regions = _cover(low, high, slowest, fastest)
-    mine = replace(problem, scenario=scenario, input_set=input_set, input_rows=input_rows, regions=regions)
+    mine = replace(
+        problem, scenario=scenario, input_set=input_set, input_rows=input_rows, regions=regions
+    )
     mine = with_computed_bound(mine)
     gain = decoupled_gain(problem, settings.tracking_gains)
     farthest = float(np.max(model.stretched(corners) / corners))
@@ -118,10 +131,17 @@ def _band(problem: Problem, index: int, slowest: float, fastest: float) -> Band:
 
 
 def _cover(low, high, slowest: float, fastest: float) -> Float[np.ndarray, "m 2 2"]:
-    """Return boxes whose union holds every pair of wheel speeds in [low, high] with a mean between two ends."""
+    """Return boxes whose union holds every pair of wheel speeds in [low, high] with a mean between
+    two ends."""
     count = max(int(np.ceil(COVER * (high[0] - low[0]) / (fastest - slowest))), 1)
     edges = np.linspace(low[0], high[0], count + 1)
-    cells = np.array([[[edges[i], edges[j]], [edges[i + 1], edges[j + 1]]] for i in range(count) for j in range(count)])
+    cells = np.array(
+        [
+            [[edges[i], edges[j]], [edges[i + 1], edges[j + 1]]]
+            for i in range(count)
+            for j in range(count)
+        ]
+    )
     means = cells.mean(axis=2)
     return cells[(means[:, 0] <= fastest) & (means[:, 1] >= slowest)]
 
@@ -135,10 +155,16 @@ def _admissible(problem: Problem, bands) -> Polytope:
 
 
 def _shares(problem: Problem, bands, loops, supports, caps: Polytope) -> dict[str, float]:
-    """Return the share of E_op's caps, and of the input caps of every band, that the law's tube fills at its widest."""
+    """Return the share of E_op's caps, and of the input caps of every band, that the law's tube
+    fills at its widest."""
     E, angles = problem.operating_set, 2 * np.pi * np.arange(RING) / RING
-    ring = np.stack([np.zeros(RING), *(np.stack([np.cos(angles), np.sin(angles)]) / E.offsets[1:3, None])], axis=1)
-    bound = minimal_rpi_bound(loops, supports, np.concatenate([caps.normals / caps.offsets[:, None], ring]))
+    ring = np.stack(
+        [np.zeros(RING), *(np.stack([np.cos(angles), np.sin(angles)]) / E.offsets[1:3, None])],
+        axis=1,
+    )
+    bound = minimal_rpi_bound(
+        loops, supports, np.concatenate([caps.normals / caps.offsets[:, None], ring])
+    )
     names = ["longitudinal error", "lateral error", "heading error"]
     names += [f"inputs of band {m + 1}" for m in range(len(bands))]
     if bound is None:
@@ -163,7 +189,8 @@ def _certify(problem: Problem, bands, found: MaximalRpi, shares) -> Certificate:
         )
     else:
         margins = [
-            check.invariance_margin(band.loops, band.problem.disturbance_set.vertices(), omega) for band in bands
+            check.invariance_margin(band.loops, band.problem.disturbance_set.vertices(), omega)
+            for band in bands
         ]
         certificate.add(
             "invariant_set",
@@ -216,14 +243,18 @@ def _supports(band: Band) -> Float[np.ndarray, " k"]:
 
 
 def coverage_gap(band: Band) -> float:
-    """Return by how much loops at sampled wheel speeds miss those of their stretched speeds, or these the corners'."""
+    """Return by how much loops at sampled wheel speeds miss those of their stretched speeds, or
+    these the corners'."""
     shares = np.random.default_rng(0).dirichlet(np.ones(len(band.corners)), SAMPLES)
     points = np.concatenate([band.corners, shares @ band.corners])
     model = band.problem.model
     farthest = float(np.max(model.stretched(band.corners) / band.corners))
     hull = Polytope.from_vertices(np.concatenate([band.corners, farthest * band.corners]))
     lower, upper = band.problem.regions[:, 0], band.problem.regions[:, 1]
-    inside = np.all((points[:, None] >= lower - check.ROUNDING) & (points[:, None] <= upper + check.ROUNDING), axis=2)
+    inside = np.all(
+        (points[:, None] >= lower - check.ROUNDING) & (points[:, None] <= upper + check.ROUNDING),
+        axis=2,
+    )
     if not inside.any(axis=1).all():
         return np.inf
     stretched, (A, B) = model.stretched(points), model.matrices(points)

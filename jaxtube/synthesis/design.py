@@ -1,7 +1,8 @@
-"""Design: from a scenario to gains, tubes, terminal set, condensed controllers and their certificate.
+"""Design: from a scenario to gains, tubes, terminal set, condensed controllers and their
+certificate.
 
-The only package of jaxtube that uses `sets`. Everything here is offline, numpy float64; `tube_mpc`, `plain_mpc` and the
-other controllers it returns are pytrees for the device.
+The only package of jaxtube that uses `sets`. Everything here is offline, numpy float64; `tube_mpc`,
+`plain_mpc` and the other controllers it returns are pytrees for the device.
 """
 
 from __future__ import annotations
@@ -36,7 +37,15 @@ from sets.certificate import Certificate
 from sets.lmi import TerminalCost
 from sets.tubes import Section
 
-__all__ = ["Design", "EmptySetError", "Ingredients", "design", "finish", "prepare", "refuse_infeasible_start"]
+__all__ = [
+    "Design",
+    "EmptySetError",
+    "Ingredients",
+    "design",
+    "finish",
+    "prepare",
+    "refuse_infeasible_start",
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +104,8 @@ def design(scenario: Scenario) -> Design:
 
 
 def prepare(problem: Problem, clock: Clock | None = None) -> Ingredients:
-    """Compute gains, tubes and terminal ingredients of a problem whose disturbance set is known; raises as `design`."""
+    """Compute gains, tubes and terminal ingredients of a problem whose disturbance set is known;
+    raises as `design`."""
     settings, clock = problem.scenario.controller, clock or Clock()
     try:
         cost, terminal_gain = terminal_cost_and_gain(problem)
@@ -117,18 +127,35 @@ def prepare(problem: Problem, clock: Clock | None = None) -> Ingredients:
     terminal = make_terminal(problem, tube_gain, terminal_gain, windows, tightening)
     clock.lap("terminal_set")
     bounds = condense.tube_bounds(problem, tightening, terminal)
-    return Ingredients(problem, local_gain.nominal, tube_gain, cost, windows, sections, tightening, terminal, bounds)
+    return Ingredients(
+        problem,
+        local_gain.nominal,
+        tube_gain,
+        cost,
+        windows,
+        sections,
+        tightening,
+        terminal,
+        bounds,
+    )
 
 
 def finish(found: Ingredients, clock: Clock | None = None) -> Design:
     """Condense the controllers of prepared ingredients and certify them."""
-    clock, problem, windows, terminal = clock or Clock(), found.problem, found.windows, found.terminal
+    clock, problem, windows, terminal = (
+        clock or Clock(),
+        found.problem,
+        found.windows,
+        found.terminal,
+    )
     P, untightened = found.cost.cost, condense.plain_bounds(problem, windows, terminal)
     tube_window = condense.condense(problem, windows, terminal, P, found.bounds)
     plain_window = condense.condense(problem, windows, terminal, P, untightened)
     clock.lap("condensing")
     residual = condense.residual_bound(problem, tube_window)
-    certificate = certify(problem, found.tube_gain, found.cost, windows, terminal, found.bounds, residual)
+    certificate = certify(
+        problem, found.tube_gain, found.cost, windows, terminal, found.bounds, residual
+    )
     clock.lap("certificate")
     return Design(
         **vars(found),
@@ -146,9 +173,16 @@ def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None 
     section = problem.scenario.initial
     start = f"scenario: initial = ({section.x_m} m, {section.y_m} m, {section.heading_deg} deg)"
     noise = problem.error_set.support(np.eye(3)) - problem.operating_set.support(np.eye(3))
-    # What is measured of the start decides, and the feasible set is convex: the corners of the noise tell.
-    corners = error + noise * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T if noise.any() else error[None]
-    largest = float(np.max(corners @ problem.operating_set.normals.T / problem.operating_set.offsets))
+    # What is measured of the start decides, and the feasible set is convex: the corners of the
+    # noise tell.
+    corners = (
+        error + noise * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+        if noise.any()
+        else error[None]
+    )
+    largest = float(
+        np.max(corners @ problem.operating_set.normals.T / problem.operating_set.offsets)
+    )
     missing = max(shortfall(found.tube_window, index, corner) for corner in corners)
     if largest <= 1 and missing <= 1e-9:
         return
@@ -156,7 +190,9 @@ def refuse_infeasible_start(found: Design, error: Float[np.ndarray, "3"] | None 
     share = min(reach_of_ray(found.tube_window, index, error), 1 / max(largest, 1.0))
     cure = f"start at most {share:.0%} as far away" if share > 0 else "no start has a plan"
     if largest > 1:
-        raise ScenarioError(f"{start}: the error of the start lies outside [constraints] or [operating]; {cure}")
+        raise ScenarioError(
+            f"{start}: the error of the start lies outside [constraints] or [operating]; {cure}"
+        )
     raise ScenarioError(
         f"{start}: lies outside the feasible set of the tube-MPC (constraints short by {missing:.3g}); {cure}; "
         "lengthen controller.horizon or shrink [disturbance]"

@@ -17,11 +17,13 @@ from sets.polytope import Polytope
 
 EXACTLY = {"primal_feasibility_tolerance": 1e-9}
 EDGE = 1e-6
-"""Share by which starts keep off the edge of the feasible set, which linear programs find to about 1e-9."""
+"""Share by which starts keep off the edge of the feasible set, which linear programs find to about
+1e-9."""
 
 
 def _constraints(window: Window, index: int):
-    """Return (errors, rows, bounds) of the one-sided rows  errors e + rows g <= bounds  of one window."""
+    """Return (errors, rows, bounds) of the one-sided rows  errors e + rows g <= bounds  of one
+    window."""
     errors = np.concatenate([window.row_errors[index], window.check_errors[index]])
     rows = window.factors.rows[index] * window.factors.row_norms[index][:, None]
     rows = np.concatenate([rows, np.zeros((len(errors) - len(rows), rows.shape[1]))])
@@ -64,18 +66,25 @@ def shortfall(window: Window, index: int, error: Float[np.ndarray, "3"]) -> floa
 def boundary(
     window: Window, index: int, error_set: Polytope, count: int, seed: int = 0
 ) -> Float[np.ndarray, "count 3"]:
-    """Return points on the boundary of F along `count` random directions, E being scaled to a cube for the draw.
+    """Return points on the boundary of F along `count` random directions, E being scaled to a cube
+    for the draw.
 
     Their convex hull lies in F.
     """
     directions = np.random.default_rng(seed).normal(size=(count, 3)) * error_set.support(np.eye(3))
     inside = np.max(directions @ error_set.normals.T / error_set.offsets, axis=1)
-    reach = [min(reach_of_ray(window, index, d), 1 / most) for d, most in zip(directions, inside, strict=True)]
+    reach = [
+        min(reach_of_ray(window, index, d), 1 / most)
+        for d, most in zip(directions, inside, strict=True)
+    ]
     return np.array(reach)[:, None] * directions
 
 
-def true_starts(window: Window, index: int, problem: Problem, count: int, seed: int = 0) -> Float[np.ndarray, "k 3"]:
-    """Return corners of a polytope of true errors from which there is a plan, whatever the noise of the pose.
+def true_starts(
+    window: Window, index: int, problem: Problem, count: int, seed: int = 0
+) -> Float[np.ndarray, "k 3"]:
+    """Return corners of a polytope of true errors from which there is a plan, whatever the noise of
+    the pose.
 
     The hull of `boundary`, which measured errors may fill, less the noise.
 
@@ -90,16 +99,19 @@ def true_starts(window: Window, index: int, problem: Problem, count: int, seed: 
     noise = problem.error_set.support(np.eye(3)) - problem.operating_set.support(np.eye(3))
     if not noise.any():
         return points
-    return Polytope.from_vertices(points).pontryagin_difference(Polytope.box(-noise, noise)).vertices()
+    return (
+        Polytope.from_vertices(points).pontryagin_difference(Polytope.box(-noise, noise)).vertices()
+    )
 
 
 def spread_starts(
     points: Float[np.ndarray, "k 3"], count: int, seed: int, edge_share: float = 0.5
 ) -> Float[np.ndarray, "count 3"]:
-    """Draw starts in the hull of boundary points that contains the origin: a share close to the edge, the rest inside.
+    """Draw starts in the hull of boundary points that contains the origin: a share close to the
+    edge, the rest inside.
 
-    Each is a random mixture of three neighbouring boundary points, scaled towards the origin; start i is a function of
-    (seed, i) alone.
+    Each is a random mixture of three neighbouring boundary points, scaled towards the origin; start
+    i is a function of (seed, i) alone.
     """
     starts = np.empty((count, 3))
     for i in range(count):

@@ -1,13 +1,16 @@
-"""The optimiser of a certified design: caps and tracking gains under which the tube fills least of what it may use.
+"""The optimiser of a certified design: caps and tracking gains under which the tube fills least of
+what it may use.
 
     minimise  max  h_R(row) / offset  over the rows of E_op, U and the coupling,    R the minimal RPI set of the gains
 
-over the caps of the measured error, of the inputs, of |e_x| / a + |u2| / b <= 1, and (k1, k2, k3). Wider caps admit a
-wider disturbance set W, narrower ones leave less room for it: the optimum is where all constraints that matter bind
-alike. On the way W is estimated at corners of the operating set and R in two parts, e_x alone (decoupled) and
-(e_y, e_th) driven by it; what comes out is designed and certified as any other scenario, by rigorous bounds.
+over the caps of the measured error, of the inputs, of |e_x| / a + |u2| / b <= 1, and (k1, k2, k3).
+Wider caps admit a wider disturbance set W, narrower ones leave less room for it: the optimum is
+where all constraints that matter bind alike. On the way W is estimated at corners of the operating
+set and R in two parts, e_x alone (decoupled) and (e_y, e_th) driven by it; what comes out is
+designed and certified as any other scenario, by rigorous bounds.
 
-Source: new; sequential quadratic programming by Kraft 1988 (SLSQP of scipy) on logarithms of all quantities.
+Source: new; sequential quadratic programming by Kraft 1988 (SLSQP of scipy) on logarithms of all
+quantities.
 """
 
 from __future__ import annotations
@@ -23,7 +26,12 @@ from scipy.optimize import minimize
 
 from jaxtube.plant.model import VERTEX_SIDES
 from jaxtube.scenario import Scenario
-from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits, kinematics, operation
+from jaxtube.synthesis.disturbance import (
+    complete_problem,
+    ground_speed_limits,
+    kinematics,
+    operation,
+)
 from jaxtube.synthesis.problem import Problem, error_vector
 from sets.robot.plant import Period, split_residual
 
@@ -41,11 +49,13 @@ STARTS = (
     (0.105, 0.29, 17.0, 0.35, 0.80, 0.90, 0.14, 1.05, 9.5, 7.0, 9.0),
     (0.125, 0.145, 18.5, 0.31, 0.80, 1.30, 0.126, 1.44, 9.5, 11.0, 6.0),
 )
-"""Starts of the search: caps in the order of `NAMES` (the least speed deficit by its size), k1, k2, k3."""
+"""Starts of the search: caps in the order of `NAMES` (the least speed deficit by its size), k1, k2,
+k3."""
 DIRECTIONS = 120
 """Facets of the polygon around the minimal RPI set in (e_y, e_th)."""
 START_STEPS, START_TURN = 2, 1 / 3
-"""Caps exceed the start by this many steps of W, and leave it this share of the yaw rate deficit to turn with."""
+"""Caps exceed the start by this many steps of W, and leave it this share of the yaw rate deficit to
+turn with."""
 STEP = 1e-4
 CORRECTIONS = 3
 """Repetitions at most, where the rigorous bound of the ground speeds passes what corners showed."""
@@ -75,7 +85,9 @@ class _Search:
         stretched = [problem.model.stretched_box(*region) for region in problem.regions]
         ends = np.array([np.stack(pair)[VERTEX_SIDES, [0, 1]] for pair in stretched]).reshape(-1, 2)
         self.h, self.c = problem.model.turn_and_reach(ends).T
-        self.yaw_rate = float(np.max(np.abs(self.corners @ [1.0, -1.0]))) / problem.model.track_width
+        self.yaw_rate = (
+            float(np.max(np.abs(self.corners @ [1.0, -1.0]))) / problem.model.track_width
+        )
         angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         self.directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
@@ -90,7 +102,14 @@ class _Search:
         r_x, points = w_x / (1 - abs(1 - self.period.dt * k1)), reach
         r_y, r_th = points.max(axis=0)
         r_1, r_2 = k1 * r_x + self.yaw_rate * r_y, float(np.max(points @ [k2, k3]))
-        filled = [r_x / x, r_y / y, r_th / heading, r_1 / min(slower, faster), r_2 / turning, r_x / a + r_2 / b]
+        filled = [
+            r_x / x,
+            r_y / y,
+            r_th / heading,
+            r_1 / min(slower, faster),
+            r_2 / turning,
+            r_x / a + r_2 / b,
+        ]
         start = np.abs(self.problem.initial_error)
         widths = np.array([w_x, w_y + self.period.lateral_per_yaw * yaw, w_th + yaw])
         limits = [
@@ -103,12 +122,24 @@ class _Search:
         return Shares(np.array(filled), np.array(limits))
 
     def disturbance(self, caps):
-        """Return (yaw kick, box of the rest, (least, greatest) ground speed) at corners of the operating set."""
+        """Return (yaw kick, box of the rest, (least, greatest) ground speed) at corners of the
+        operating set."""
         x, y, heading, slower, faster, turning, a, b = caps
         coupled = _coupled_corners(x, turning, a, b)
-        axes = [np.arange(len(coupled)), [-y, y], np.linspace(-heading, heading, 5), [-slower, faster]]
-        axes += [np.arange(len(self.corners)), *([-error, error] for error in self.wheel_error), [-1.0, 1.0]]
-        at, e_y, e_th, u1, corner, d_r, d_l, side = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
+        axes = [
+            np.arange(len(coupled)),
+            [-y, y],
+            np.linspace(-heading, heading, 5),
+            [-slower, faster],
+        ]
+        axes += [
+            np.arange(len(self.corners)),
+            *([-error, error] for error in self.wheel_error),
+            [-1.0, 1.0],
+        ]
+        at, e_y, e_th, u1, corner, d_r, d_l, side = (
+            grid.ravel() for grid in np.meshgrid(*axes, indexing="ij")
+        )
         (e_x, u2), (V_r, V_l) = coupled[at.astype(int)].T, self.corners[corner.astype(int)].T
         n_x, n_y, n_th = (side * width for width in self.noise)
         variables = e_x, e_y, e_th, u1, u2, V_r, V_l, d_r, d_l, n_x, n_y, n_th
@@ -119,14 +150,20 @@ class _Search:
         return float(np.max(np.abs(parts.yaw))), box, speeds
 
     def lateral(self, k1, k2, k3, yaw, w_x, w_y, w_th) -> Float[np.ndarray, "points 2"] | None:
-        """Return corners of a polygon around the minimal RPI set in (e_y, e_th), None where it does not settle."""
+        """Return corners of a polygon around the minimal RPI set in (e_y, e_th), None where it does
+        not settle."""
         T, directions = self.period.dt, self.directions
         if not abs(1 - T * k1) < 1:
             return None
         drift = np.max(np.abs(self.h)) * abs(2 - T * k1) * w_x / (1 - abs(1 - T * k1))
         kick = np.abs(directions @ [self.period.lateral_per_yaw, 1.0])
         steps = yaw * kick + np.abs(directions) @ [w_y + drift, w_th]
-        loops = np.array([[[1 - c * T * k2 / 2, c * (1 - T * k3 / 2)], [-T * k2, 1 - T * k3]] for c in self.extreme_c])
+        loops = np.array(
+            [
+                [[1 - c * T * k2 / 2, c * (1 - T * k3 / 2)], [-T * k2, 1 - T * k3]]
+                for c in self.extreme_c
+            ]
+        )
         images = directions @ loops
         offsets = steps.copy()
         for _ in range(500):
@@ -153,14 +190,20 @@ def _caps(logarithms) -> Float[np.ndarray, " 8"]:
 
 
 def _coupled_corners(x: float, turning: float, a: float, b: float) -> Float[np.ndarray, "points 2"]:
-    """Return corners of {|e_x| <= x, |u2| <= turning, |e_x| / a + |u2| / b <= 1}, and points along its cut edges."""
-    last_x, last_turn = max(min(x, a * (1 - turning / b)), 0.0), max(min(turning, b * (1 - x / a)), 0.0)
+    """Return corners of {|e_x| <= x, |u2| <= turning, |e_x| / a + |u2| / b <= 1}, and points along
+    its cut edges."""
+    last_x, last_turn = (
+        max(min(x, a * (1 - turning / b)), 0.0),
+        max(min(turning, b * (1 - x / a)), 0.0),
+    )
     along = np.linspace(0.0, 1.0, 5)[:, None]
     edge = (1 - along) * [last_x, min(turning, b)] + along * [min(x, a), last_turn]
     return np.concatenate([edge * signs for signs in itertools.product((-1, 1), repeat=2)])
 
 
-def _corners(directions: Float[np.ndarray, "k 2"], offsets: Float[np.ndarray, " k"]) -> Float[np.ndarray, "k 2"]:
+def _corners(
+    directions: Float[np.ndarray, "k 2"], offsets: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "k 2"]:
     """Return the points where neighbouring sides of a polygon meet."""
     following, next_offsets = np.roll(directions, -1, axis=0), np.roll(offsets, -1)
     determinant = directions[:, 0] * following[:, 1] - directions[:, 1] * following[:, 0]
@@ -190,7 +233,8 @@ def optimise(
         starts: of the search, as `STARTS`; the optimum of a problem much like this one saves time.
 
     Returns:
-        The best of all starts, an estimate: design the scenario to know its ratio and its certificate.
+        The best of all starts, an estimate: design the scenario to know its ratio and its
+        certificate.
 
     Raises:
         ValueError: where no start leads to a bounded tube, or the scenario is of another kind.
@@ -209,7 +253,9 @@ def optimise(
             best, least = found, ratio
         progress(least)
     if best is None:
-        raise ValueError("optimise: no start leads to a bounded tube; lower slip.relative_error or the speed range")
+        raise ValueError(
+            "optimise: no start leads to a bounded tube; lower slip.relative_error or the speed range"
+        )
     for _ in range(CORRECTIONS):
         scenario = _with(problem.scenario, best)
         excess = wheel_excess(complete_problem(scenario))
@@ -222,13 +268,15 @@ def optimise(
 
 
 def wheel_excess(problem: Problem) -> float:
-    """Return by what factor the greatest ground speed that may be commanded passes what the wheels can make of it."""
+    """Return by what factor the greatest ground speed that may be commanded passes what the wheels
+    can make of it."""
     assert problem.residual is not None
     return float(np.max(problem.residual.ground_speeds[1] / ground_speed_limits(problem)[1]))
 
 
 def _descend(search: _Search, start) -> tuple[np.ndarray, float]:
-    """Run the nonlinear program from one start; return (logarithms, ratio), ratio infinite where limits are missed."""
+    """Run the nonlinear program from one start; return (logarithms, ratio), ratio infinite where
+    limits are missed."""
     top = np.log(0.999 / search.period.dt)
     start = np.append(np.minimum(start, [np.inf] * 8 + [top] * 3), 0.0)
     first = search.shares(start[:-1])
@@ -289,4 +337,6 @@ def _with(scenario: Scenario, logarithms) -> Scenario:
 def _rounded(value: float) -> float:
     """Return a number of four significant digits, never larger in size."""
     unit = 10.0 ** (np.floor(np.log10(abs(value))) - 3)
-    return float(np.format_float_positional(np.trunc(value / unit) * unit, 4, unique=False, fractional=False))
+    return float(
+        np.format_float_positional(np.trunc(value / unit) * unit, 4, unique=False, fractional=False)
+    )

@@ -1,9 +1,12 @@
-"""From a scenario to the data of a control problem: reference, model, weights, and the sets E, U and W.
+"""From a scenario to the data of a control problem: reference, model, weights, and the sets E, U
+and W.
 
-    E: |e_x|, |e_y|, |e_th| bounded, for the true error; the controller keeps the measured one in `operating_set`
+    E: |e_x|, |e_y|, |e_th| bounded, for the true error; the controller keeps the measured one in
+        `operating_set`
     U: caps on u1, u2, or a parallelogram in p = u1 + (b/2) u2, q = u1 - (b/2) u2,
        per wheel  V - (1 - i) v_max <= p, q <= V - (1 - i) v_min   for every reference speed V and slip i it may meet
-    W: a box that is assumed, or a bound computed for the slipping robot over all of these (`synthesis.disturbance`)
+    W: a box that is assumed, or a bound computed for the slipping robot over all of these
+        (`synthesis.disturbance`)
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (7)-(8), (11), section IV.
 """
@@ -47,8 +50,9 @@ class InputRows:
 class Problem:
     """What a design starts from: the scenario as arrays in SI units and radians.
 
-    `regions` are boxes of wheel speeds, lower and upper (right, left) in m/s, over whose union sets and certificate
-    hold under arbitrary changes: the box of the reference, or the points that occur on its path.
+    `regions` are boxes of wheel speeds, lower and upper (right, left) in m/s, over whose union sets
+    and certificate hold under arbitrary changes: the box of the reference, or the points that occur
+    on its path.
     """
 
     scenario: Scenario
@@ -74,7 +78,8 @@ class Problem:
 
     @property
     def given_gains(self) -> Float[np.ndarray, " kappa"]:
-        """The numbers of the gains that the scenario gives, none where they come from the terminal cost's LMI."""
+        """The numbers of the gains that the scenario gives, none where they come from the terminal
+        cost's LMI."""
         settings = self.scenario.controller
         return np.ravel(np.array(settings.tracking_gains or settings.vertex_gains, float))
 
@@ -90,7 +95,8 @@ def error_vector(section) -> Float[np.ndarray, "3"]:
 
 
 def input_rows(track_width: float) -> Float[np.ndarray, "2 2"]:
-    """Return the matrix that takes (u1, u2) to (p, q), the deficits of the right and the left wheel, m/s."""
+    """Return the matrix that takes (u1, u2) to (p, q), the deficits of the right and the left
+    wheel, m/s."""
     return np.array([[1.0, track_width / 2], [1.0, -track_width / 2]])
 
 
@@ -101,13 +107,15 @@ def wheel_deficit_bounds(
     slip_range: tuple[float, float],
     heading_range: float = 0.0,
 ) -> tuple[float, float]:
-    """Return (least, greatest) p that the wheel limits allow for every reference speed and slip in the ranges.
+    """Return (least, greatest) p that the wheel limits allow for every reference speed and slip in
+    the ranges.
 
     Args:
         robot: the limits.
         slowest, fastest: reference wheel speeds, m/s; equal ones follow a known reference.
         slip_range: least and greatest slip.
-        heading_range: bound of the heading error, rad, where the input map is cosine-free and adds V (cos e_th - 1).
+        heading_range: bound of the heading error, rad, where the input map is cosine-free and adds
+            V (cos e_th - 1).
     """
     lost = fastest * (1 - np.cos(heading_range))
     grips = [1 - slip for slip in slip_range]
@@ -123,17 +131,32 @@ def input_polytope(robot: Robot, bounds: Float[np.ndarray, "2 2"]) -> Polytope:
 
 
 def make_problem(scenario: Scenario) -> Problem:
-    """Build the problem of a scenario, with the disturbance set it assumes (`synthesis.disturbance` computes one).
+    """Build the problem of a scenario, with the disturbance set it assumes (`synthesis.disturbance`
+    computes one).
 
     Raises:
-        ScenarioError: one line, where the reference leaves its box or the wheel limits leave no input.
+        ScenarioError: one line, where the reference leaves its box or the wheel limits leave no
+            input.
     """
     settings = scenario.controller
-    robot = Robot(scenario.robot.track_width_m, scenario.robot.wheel_speed_min_mps, scenario.robot.wheel_speed_max_mps)
-    box = np.repeat([[scenario.reference.wheel_speed_min_mps], [scenario.reference.wheel_speed_max_mps]], 2, axis=1)
+    robot = Robot(
+        scenario.robot.track_width_m,
+        scenario.robot.wheel_speed_min_mps,
+        scenario.robot.wheel_speed_max_mps,
+    )
+    box = np.repeat(
+        [[scenario.reference.wheel_speed_min_mps], [scenario.reference.wheel_speed_max_mps]],
+        2,
+        axis=1,
+    )
     slip = np.array([scenario.slip.nominal_right, scenario.slip.nominal_left])
     model = make_model(
-        settings.model, settings.discretisation, settings.dt_s, robot.track_width, slip, (box[0], box[1])
+        settings.model,
+        settings.discretisation,
+        settings.dt_s,
+        robot.track_width,
+        slip,
+        (box[0], box[1]),
     )
     reference = _reference(scenario)
     slowest, fastest = (float(bound) for bound in (reference.wheels.min(), reference.wheels.max()))
@@ -166,14 +189,16 @@ def make_problem(scenario: Scenario) -> Problem:
 
 
 def with_controller(problem: Problem, scenario: Scenario) -> Problem:
-    """Return the problem with weights and gains of a scenario that has the same sets, model and reference."""
+    """Return the problem with weights and gains of a scenario that has the same sets, model and
+    reference."""
     settings = scenario.controller
     weights = weight_matrix(settings.error_weight), weight_matrix(settings.input_weight)
     return replace(problem, scenario=scenario, error_weight=weights[0], input_weight=weights[1])
 
 
 def _operating_bounds(scenario: Scenario) -> Float[np.ndarray, "3"]:
-    """Return half widths of the measured error: the caps, where none is given what the noise leaves of E."""
+    """Return half widths of the measured error: the caps, where none is given what the noise leaves
+    of E."""
     left = error_vector(scenario.constraints) - error_vector(scenario.noise)
     caps, operating = left.copy(), scenario.operating
     for i, cap in enumerate((operating.longitudinal_m, operating.lateral_m, operating.heading_deg)):
@@ -189,13 +214,19 @@ def input_constraints(scenario: Scenario, robot: Robot) -> tuple[Polytope, Input
 
 
 def _input_set(scenario: Scenario, robot: Robot) -> Polytope:
-    """Return U: the caps on u1 and u2 where they are given, else what the wheel limits allow of p and q."""
+    """Return U: the caps on u1 and u2 where they are given, else what the wheel limits allow of p
+    and q."""
     operating = scenario.operating
     if operating.yaw_rate_deficit_radps is None:
         return input_polytope(robot, _input_bounds(scenario, robot))
-    assert operating.speed_deficit_min_mps is not None and operating.speed_deficit_max_mps is not None
+    assert (
+        operating.speed_deficit_min_mps is not None and operating.speed_deficit_max_mps is not None
+    )
     lower = [operating.speed_deficit_min_mps, -operating.yaw_rate_deficit_radps]
-    return Polytope.box(np.array(lower), np.array([operating.speed_deficit_max_mps, operating.yaw_rate_deficit_radps]))
+    return Polytope.box(
+        np.array(lower),
+        np.array([operating.speed_deficit_max_mps, operating.yaw_rate_deficit_radps]),
+    )
 
 
 def _input_rows(scenario: Scenario, input_set: Polytope) -> InputRows:
@@ -209,7 +240,9 @@ def _input_rows(scenario: Scenario, input_set: Polytope) -> InputRows:
     return InputRows(
         np.concatenate([input_set.normals[first], inputs, input_set.normals[second], -inputs]),
         np.concatenate([np.zeros((k // 2, 3)), errors, np.zeros((k // 2, 3)), -errors]),
-        np.concatenate([input_set.offsets[first], [1.0, 1.0], input_set.offsets[second], [1.0, 1.0]]),
+        np.concatenate(
+            [input_set.offsets[first], [1.0, 1.0], input_set.offsets[second], [1.0, 1.0]]
+        ),
     )
 
 
@@ -230,15 +263,25 @@ def _reference(scenario: Scenario) -> Reference:
     track_width, preview = scenario.robot.track_width_m, settings.horizon + 1
     try:
         if section.shape == "file":
-            return from_file(Path(section.file), settings.dt_s, preview, track_width, section.duration_s)
+            return from_file(
+                Path(section.file), settings.dt_s, preview, track_width, section.duration_s
+            )
         shape = {"two_circles": two_circles, "lemniscate": lemniscate}[section.shape]
-        return shape(section.radius_m, section.speed_mps, section.duration_s, settings.dt_s, preview, track_width)
+        return shape(
+            section.radius_m,
+            section.speed_mps,
+            section.duration_s,
+            settings.dt_s,
+            preview,
+            track_width,
+        )
     except ValueError as error:
         raise ScenarioError(f"scenario: {error}") from None
 
 
 def _input_bounds(scenario: Scenario, robot: Robot) -> Float[np.ndarray, "2 2"]:
-    """Return [[p_min, p_max], [q_min, q_max]] over the box of reference speeds and every slip, in m/s."""
+    """Return [[p_min, p_max], [q_min, q_max]] over the box of reference speeds and every slip, in
+    m/s."""
     maps_speed = scenario.controller.input_map != "paper"
     heading = np.deg2rad(scenario.constraints.heading_deg) if maps_speed else 0.0
     error = scenario.slip.relative_error
@@ -264,7 +307,8 @@ def _input_bounds(scenario: Scenario, robot: Robot) -> Float[np.ndarray, "2 2"]:
 
 
 def _initial_error(scenario: Scenario) -> Float[np.ndarray, "3"]:
-    """Return the tracking error of the start, eq. (3), the reference being at the origin of its own frame."""
+    """Return the tracking error of the start, eq. (3), the reference being at the origin of its own
+    frame."""
     start = scenario.initial
     heading = np.deg2rad(start.heading_deg)
     turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])

@@ -1,8 +1,10 @@
-"""Whether anything can be guaranteed at one slip error, speed range and period, for three ways to choose a design.
+"""Whether anything can be guaranteed at one slip error, speed range and period, for three ways to
+choose a design.
 
     ratio = max  h_R(row) / offset  over the rows of E_op, U and the coupling,    R the minimal RPI set of the gain
 
-below 1 the caps hold an invariant set. W is computed for the slipping robot, over every order of wheel speeds.
+below 1 the caps hold an invariant set. W is computed for the slipping robot, over every order of
+wheel speeds.
 
 * `paper`      the paper's weights, model and input map; its gain of section III-B or that of its LMI, under the
                wheel limits and E alone, unless W is hopeless there, or under all caps of the scenario; what fills least
@@ -10,7 +12,8 @@ below 1 the caps hold an invariant set. W is computed for the slipping robot, ov
                the objective that leaves least
 * `optimised`  caps and tracking gains of `jaxtube.synthesis.optimise` for the exact Jacobian under `x_exact`
 
-Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, sections III-B, III-E and IV, for `paper`; the others are new.
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, sections III-B, III-E and IV, for `paper`; the
+others are new.
 """
 
 from __future__ import annotations
@@ -34,11 +37,13 @@ from jaxtube.synthesis.tightening import LocalGain, compensating_gain, decoupled
 ERROR_WEIGHT, INPUT_WEIGHT = (1.0, 3.0, 1.0), (0.3, 0.3)
 """Weights of `weighted`."""
 HOPELESS_M = 0.15
-"""A disturbance of so much in a single step, half of E, leaves no guarantee: its tube is not computed."""
+"""A disturbance of so much in a single step, half of E, leaves no guarantee: its tube is not
+computed."""
 
 
 class Condition(NamedTuple):
-    """What a guarantee is asked for: slip error, least wheel speed of the reference in m/s, period in s."""
+    """What a guarantee is asked for: slip error, least wheel speed of the reference in m/s, period
+    in s."""
 
     slip_error: float
     slowest_mps: float
@@ -47,11 +52,12 @@ class Condition(NamedTuple):
 
 @dataclass(frozen=True)
 class Guarantee:
-    """The least ratio of one way to choose a design; without a ratio none was found, for the reason given.
+    """The least ratio of one way to choose a design; without a ratio none was found, for the reason
+    given.
 
-    `wheels` is the greatest ground speed that may be commanded, as a share of what the wheels can do under every slip.
-    `caps_and_gains`, of `optimised`, start a search nearby; they are those of the search's own start where none was
-    found.
+    `wheels` is the greatest ground speed that may be commanded, as a share of what the wheels can
+    do under every slip. `caps_and_gains`, of `optimised`, start a search nearby; they are those of
+    the search's own start where none was found.
     """
 
     ratio: float | None = None
@@ -64,7 +70,12 @@ class Guarantee:
     @property
     def holds(self) -> bool:
         """Whether an invariant set lies inside all caps, and the wheels can do what it may ask for."""
-        return self.ratio is not None and self.wheels is not None and self.ratio < 1 and self.wheels <= 1
+        return (
+            self.ratio is not None
+            and self.wheels is not None
+            and self.ratio < 1
+            and self.wheels <= 1
+        )
 
 
 def under(scenario: Scenario, condition: Condition) -> Scenario:
@@ -73,7 +84,10 @@ def under(scenario: Scenario, condition: Condition) -> Scenario:
     The path, which no ratio depends on, is followed for a whole number of periods.
     """
     change, T = msgspec.structs.replace, condition.dt_s
-    followed = {"certified_for": "box", "duration_s": max(round(scenario.reference.duration_s / T), 1) * T}
+    followed = {
+        "certified_for": "box",
+        "duration_s": max(round(scenario.reference.duration_s / T), 1) * T,
+    }
     return change(
         scenario,
         slip=change(scenario.slip, relative_error=condition.slip_error),
@@ -84,7 +98,8 @@ def under(scenario: Scenario, condition: Condition) -> Scenario:
 
 
 def caps_and_gains(scenario: Scenario) -> tuple[float, ...] | None:
-    """Return the scenario's own caps and tracking gains as a start of the search, None where any is missing."""
+    """Return the scenario's own caps and tracking gains as a start of the search, None where any is
+    missing."""
     caps = [getattr(scenario.operating, name) for name in NAMES]
     if None in caps or not scenario.controller.tracking_gains:
         return None
@@ -97,7 +112,8 @@ def guarantee(design: str, scenario: Scenario, start: Sequence[float] | None = N
     Args:
         design: "paper", "weighted" or "optimised".
         scenario: gives conditions and, but for "optimised", caps.
-        start: caps and gains that the search starts from, None for those of `optimise`; only "optimised" asks.
+        start: caps and gains that the search starts from, None for those of `optimise`; only
+            "optimised" asks.
     """
     if design == "optimised":
         return _optimised(scenario, start)
@@ -105,7 +121,8 @@ def guarantee(design: str, scenario: Scenario, start: Sequence[float] | None = N
 
 
 def _least(candidates: Iterator[tuple[str, Problem | Exception, LocalGain | None]]) -> Guarantee:
-    """Return the guarantee of the candidate of least ratio, or the reason of the last one where all fail."""
+    """Return the guarantee of the candidate of least ratio, or the reason of the last one where all
+    fail."""
     best = Guarantee()
     for choice, problem, gain in candidates:
         if isinstance(problem, Problem) and gain is not None:
@@ -122,22 +139,34 @@ def _guarantee(choice: str, problem: Problem, gain: LocalGain) -> Guarantee:
     binding = max(shares, key=lambda name: shares[name])
     if not np.isfinite(shares[binding]):
         return Guarantee(reason="the loops have no bounded tube")
-    # Without caps U is what the wheel limits leave, to the last: its box of inputs would count too much.
-    wheels = 1.0 if problem.scenario.operating.yaw_rate_deficit_radps is None else wheel_excess(problem)
+    # Without caps U is what the wheel limits leave, to the last: its box of inputs would count too
+    # much.
+    wheels = (
+        1.0 if problem.scenario.operating.yaw_rate_deficit_radps is None else wheel_excess(problem)
+    )
     return Guarantee(shares[binding], wheels, binding, choice)
 
 
 def _paper(scenario: Scenario) -> Iterator:
     change, usual = msgspec.structs.replace, Scenario()
-    controller = change(usual.controller, dt_s=scenario.controller.dt_s, horizon=scenario.controller.horizon)
+    controller = change(
+        usual.controller, dt_s=scenario.controller.dt_s, horizon=scenario.controller.horizon
+    )
     for limits, operating in (("wheel limits", usual.operating), ("caps", scenario.operating)):
         try:
             problem = complete_problem(change(scenario, controller=controller, operating=operating))
             widest = float(np.max(problem.disturbance_set.support(np.eye(3)[:2])))
             if widest > HOPELESS_M:
-                yield limits, ValueError(f"{limits}: disturbances of up to {widest:.3g} m in a step"), None
+                yield (
+                    limits,
+                    ValueError(f"{limits}: disturbances of up to {widest:.3g} m in a step"),
+                    None,
+                )
                 continue
-            gains = {"LMI": terminal_cost_and_gain(problem)[1], "section III-B": compensating_gain(problem)}
+            gains = {
+                "LMI": terminal_cost_and_gain(problem)[1],
+                "section III-B": compensating_gain(problem),
+            }
         except (ValueError, RuntimeError) as error:
             yield limits, error, None
             continue
@@ -147,7 +176,12 @@ def _paper(scenario: Scenario) -> Iterator:
 
 def _weighted(scenario: Scenario) -> Iterator:
     change = msgspec.structs.replace
-    settings = {"model": "consistent", "discretisation": "euler", "input_map": "x_exact", "tracking_gains": ()}
+    settings = {
+        "model": "consistent",
+        "discretisation": "euler",
+        "input_map": "x_exact",
+        "tracking_gains": (),
+    }
     weights = {"error_weight": ERROR_WEIGHT, "input_weight": INPUT_WEIGHT}
     scenario = change(scenario, controller=change(scenario.controller, **settings, **weights))
     try:
@@ -167,7 +201,12 @@ def _weighted(scenario: Scenario) -> Iterator:
 def _optimised(scenario: Scenario, start: Sequence[float] | None) -> Guarantee:
     """Search near the start; where that leads to nothing, from the optimiser's own."""
     change = msgspec.structs.replace
-    settings = {"model": "exact_jacobian", "input_map": "x_exact", "tracking_gains": (), "terminal": "T-A"}
+    settings = {
+        "model": "exact_jacobian",
+        "input_map": "x_exact",
+        "tracking_gains": (),
+        "terminal": "T-A",
+    }
     scenario = change(scenario, controller=change(scenario.controller, **settings, tube="sequence"))
     reason = ""
     for starts in ([tuple(start)], STARTS) if start is not None else (STARTS,):

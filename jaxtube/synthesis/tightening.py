@@ -7,7 +7,8 @@
 
 Rows that couple input and error, D u + C e <= d, lose the support numbers of (D K_i + C) R_j.
 
-Windows are the distinct stretches of N schedules along the reference: on a circle all steps share one.
+Windows are the distinct stretches of N schedules along the reference: on a circle all steps share
+one.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ from sets.lmi import lqr_gain
 from sets.tubes import Section
 
 BACK_OFF = 1e-7
-"""What constraints are drawn in by for the solver, once more at every stage: more than the residual it accepts, in the
-units of E and U. So a plan that misses its constraints by a residual still meets, shifted, those of a stage less."""
+"""What constraints are drawn in by for the solver, once more at every stage: more than the residual
+it accepts, in the units of E and U. So a plan that misses its constraints by a residual still
+meets, shifted, those of a stage less."""
 
 
 class EmptySetError(ValueError):
@@ -47,9 +49,11 @@ class LocalGain:
 
 @dataclass(frozen=True, eq=False)
 class DecoupledGain(LocalGain):
-    """u1 = -k1 e_x - Om e_y, u2 = -k2 e_y - k3 e_th, with T Om the model's own A_12: e_x+ = (1 - T k1) e_x + w_x.
+    """u1 = -k1 e_x - Om e_y, u2 = -k2 e_y - k3 e_th, with T Om the model's own A_12: e_x+ = (1 - T
+    k1) e_x + w_x.
 
-    Under the exact Jacobian the closed loop depends on h and c alone, and affinely: on the stretched wheel speeds.
+    Under the exact Jacobian the closed loop depends on h and c alone, and affinely: on the
+    stretched wheel speeds.
     """
 
 
@@ -67,8 +71,9 @@ class Windows:
 class Tightening:
     """Support numbers of the tube that the controller uses, window by window.
 
-    `error_reach[w, j]` along the rows of E for R_j, `input_reach[w, j]` along the input rows under u = K e for R_j;
-    `sections` are the R_j themselves where all windows share them, None for `sequence`.
+    `error_reach[w, j]` along the rows of E for R_j, `input_reach[w, j]` along the input rows under
+    u = K e for R_j; `sections` are the R_j themselves where all windows share them, None for
+    `sequence`.
     """
 
     error_reach: Float[np.ndarray, "windows horizon+1 6"]
@@ -84,7 +89,9 @@ def compensating_gain(problem: Problem) -> LocalGain:
     return LocalGain(nominal, nominal + np.tensordot(model.vertices - model.centre, slopes, axes=1))
 
 
-def decoupled_gain(problem: Problem, gains: Sequence[float] | Float[np.ndarray, "3"]) -> DecoupledGain:
+def decoupled_gain(
+    problem: Problem, gains: Sequence[float] | Float[np.ndarray, "3"]
+) -> DecoupledGain:
     """Return the gain with k1 (1/s), k2 (rad/(m s)) and k3 (1/s)."""
     model, (k1, k2, k3) = problem.model, gains
 
@@ -98,7 +105,8 @@ def decoupled_gain(problem: Problem, gains: Sequence[float] | Float[np.ndarray, 
 
 
 def given_gain(problem: Problem, numbers: Float[np.ndarray, " kappa"]) -> LocalGain:
-    """Return the gain of numbers in the order of `Problem.given_gains`: three decouple, 24 are the vertex gains."""
+    """Return the gain of numbers in the order of `Problem.given_gains`: three decouple, 24 are the
+    vertex gains."""
     if len(numbers) == 3:
         return decoupled_gain(problem, numbers)
     vertices = np.reshape(numbers, (4, 2, 3))
@@ -106,19 +114,25 @@ def given_gain(problem: Problem, numbers: Float[np.ndarray, " kappa"]) -> LocalG
 
 
 def vertex_loops(problem: Problem, gain: LocalGain) -> Float[np.ndarray, "v 3 3"]:
-    """Return loops whose mixtures are to hold A + B K at every schedule in the regions (`vertices_cover_schedule`).
+    """Return loops whose mixtures are to hold A + B K at every schedule in the regions
+    (`vertices_cover_schedule`).
 
-    Those at the corners of each region; of a decoupled gain under the exact Jacobian, those at the corners of
-    the stretched wheel speeds.
+    Those at the corners of each region; of a decoupled gain under the exact Jacobian, those at the
+    corners of the stretched wheel speeds.
     """
     return _distinct(vertex_pairs(problem, gain)[0])
 
 
-def vertex_pairs(problem: Problem, gain: LocalGain) -> tuple[Float[np.ndarray, "v 3 3"], Float[np.ndarray, "v 2 3"]]:
-    """Return loops and gains whose joint mixtures are to hold (A + B K, K) at every schedule in the regions."""
+def vertex_pairs(
+    problem: Problem, gain: LocalGain
+) -> tuple[Float[np.ndarray, "v 3 3"], Float[np.ndarray, "v 2 3"]]:
+    """Return loops and gains whose joint mixtures are to hold (A + B K, K) at every schedule in the
+    regions."""
     model, gains = problem.model, gains_at_corners(problem, gain)
     if isinstance(gain, DecoupledGain) and model.discretisation == "exact":
-        loops = _distinct(np.concatenate([_region_loops(problem, gain, region) for region in problem.regions]))
+        loops = _distinct(
+            np.concatenate([_region_loops(problem, gain, region) for region in problem.regions])
+        )
         gains = _distinct(gains)
         return np.repeat(loops, len(gains), axis=0), np.tile(gains, (len(loops), 1, 1))
     transitions, inputs = model.matrices(problem.corners)
@@ -132,16 +146,22 @@ def _distinct(matrices: Float[np.ndarray, "v m n"]) -> Float[np.ndarray, "w m n"
 
 
 def gains_at_corners(problem: Problem, gain: LocalGain) -> Float[np.ndarray, "4m 2 3"]:
-    """Return the gains at the corners of the regions, whose mixtures hold every gain that is used there."""
+    """Return the gains at the corners of the regions, whose mixtures hold every gain that is used
+    there."""
     return gain.at(problem.model.weights(problem.corners))
 
 
 def _region_loops(problem: Problem, gain: LocalGain, region) -> Float[np.ndarray, "4 3 3"]:
-    return exact_loops(problem.model, gain, np.stack(problem.model.stretched_box(*region))[VERTEX_SIDES, [0, 1]])
+    return exact_loops(
+        problem.model, gain, np.stack(problem.model.stretched_box(*region))[VERTEX_SIDES, [0, 1]]
+    )
 
 
-def exact_loops(model: Model, gain: LocalGain, stretched: Float[np.ndarray, "v 2"]) -> Float[np.ndarray, "v 3 3"]:
-    """Return the loops of a decoupled gain under the exact Jacobian, affine in stretched wheel speeds."""
+def exact_loops(
+    model: Model, gain: LocalGain, stretched: Float[np.ndarray, "v 2"]
+) -> Float[np.ndarray, "v 3 3"]:
+    """Return the loops of a decoupled gain under the exact Jacobian, affine in stretched wheel
+    speeds."""
     T = model.dt
     k1, k2, k3 = -gain.nominal[0, 0], -gain.nominal[1, 1], -gain.nominal[1, 2]
     loops = np.zeros((len(stretched), 3, 3))
@@ -152,7 +172,8 @@ def exact_loops(model: Model, gain: LocalGain, stretched: Float[np.ndarray, "v 2
 
 
 def coverage_gap(problem: Problem, gain: LocalGain, schedules: Float[np.ndarray, "k 2"], region):
-    """Return by how much A + B K at each schedule misses the mixtures of the corner loops of a region (k numbers)."""
+    """Return by how much A + B K at each schedule misses the mixtures of the corner loops of a
+    region (k numbers)."""
     model = problem.model
     if isinstance(gain, DecoupledGain) and model.discretisation == "exact":
         weights = bilinear_weights(model.stretched(schedules), *model.stretched_box(*region))
@@ -178,9 +199,11 @@ def make_windows(problem: Problem, gain: LocalGain) -> Windows:
 
 
 def make_tubes(problem: Problem, gain: LocalGain, windows: Windows) -> dict[str, list[Section]]:
-    """Return the sections R_0 .. R_N of the four tubes; `sequence` along the window with the widest lateral reach.
+    """Return the sections R_0 .. R_N of the four tubes; `sequence` along the window with the widest
+    lateral reach.
 
-    `paper` is left out where eq. (27) does not apply, that is where the loop is not affine in the schedule.
+    `paper` is left out where eq. (27) does not apply, that is where the loop is not affine in the
+    schedule.
     """
     W, N = problem.disturbance_set, problem.horizon
     loops = vertex_loops(problem, gain)
@@ -199,7 +222,11 @@ def make_tubes(problem: Problem, gain: LocalGain, windows: Windows) -> dict[str,
 def widest_window(problem: Problem, windows: Windows) -> int:
     """Return the window whose `sequence` tube has the widest lateral reach: the one that is shown."""
     lateral = np.broadcast_to([0.0, 1.0, 0.0], (len(windows.loops), 1, 3))
-    return int(np.argmax(tubes.sequence_support(windows.loops, problem.disturbance_set, lateral, problem.horizon)))
+    return int(
+        np.argmax(
+            tubes.sequence_support(windows.loops, problem.disturbance_set, lateral, problem.horizon)
+        )
+    )
 
 
 def loop_slopes(problem: Problem, gain: LocalGain):
@@ -214,20 +241,27 @@ def loop_slopes(problem: Problem, gain: LocalGain):
     return None if np.max(np.abs(corners @ fitted - loops)) > 1e-12 else fitted.reshape(3, 3, 3)
 
 
-def tighten(problem: Problem, gain: LocalGain, windows: Windows, sections: list[Section], tube: str) -> Tightening:
+def tighten(
+    problem: Problem, gain: LocalGain, windows: Windows, sections: list[Section], tube: str
+) -> Tightening:
     """Return the support numbers that E and U lose at every stage, window by window."""
     error_rows, rows = problem.operating_set.normals, problem.input_rows
     count, N, k = len(windows.schedules), problem.horizon, len(problem.input_rows.offsets)
     if tube != "sequence":
         under = rows.under(gains_at_corners(problem, gain))
         errors = np.stack([section.support(error_rows) for section in sections])
-        inputs = np.stack([np.max([section.support(each) for each in under], axis=0) for section in sections[:N]])
+        inputs = np.stack(
+            [np.max([section.support(each) for each in under], axis=0) for section in sections[:N]]
+        )
         shared = np.broadcast_to(errors, (count, N + 1, 6)), np.broadcast_to(inputs, (count, N, k))
         return Tightening(*shared, sections)
     W = problem.disturbance_set
     along = np.broadcast_to(error_rows, (count, 6, 3))
     errors = [tubes.sequence_support(windows.loops, W, along, j) for j in range(N + 1)]
-    inputs = [tubes.sequence_support(windows.loops, W, rows.under(windows.gains[:, j]), j) for j in range(N)]
+    inputs = [
+        tubes.sequence_support(windows.loops, W, rows.under(windows.gains[:, j]), j)
+        for j in range(N)
+    ]
     return Tightening(np.stack(errors, axis=1), np.stack(inputs, axis=1), None)
 
 
@@ -246,7 +280,12 @@ def input_names(problem: Problem) -> tuple[str, ...]:
 def refuse_empty(problem: Problem, tightening: Tightening) -> None:
     """Raise EmptySetError for the first stage at which E_j or U_j has nothing left."""
     checks = (
-        ("E", problem.operating_set.offsets, tightening.error_reach[:, : problem.horizon], ERROR_NAMES),
+        (
+            "E",
+            problem.operating_set.offsets,
+            tightening.error_reach[:, : problem.horizon],
+            ERROR_NAMES,
+        ),
         ("U", problem.input_rows.offsets, tightening.input_reach, input_names(problem)),
     )
     for name, offsets, reach, coordinates in checks:

@@ -1,10 +1,12 @@
-"""Gains and loops as affine functions of the numbers that are tuned, and the terminal cost that follows them.
+"""Gains and loops as affine functions of the numbers that are tuned, and the terminal cost that
+follows them.
 
     K(th) = K_0(th) + sum_i kappa_i K_i(th),     Phi = A + B K likewise
 
-kappa are (k1, k2, k3) of a decoupled gain, or all entries of the four vertex gains. The terminal cost P(kappa, Q, R) is
-the centred one of `sets.lyapunov`: where its slope F(P; kappa, Q, R) vanishes, so that by the implicit function theorem
-one Newton step from the answer, its curvature held fixed, has the answer's value and its derivative.
+kappa are (k1, k2, k3) of a decoupled gain, or all entries of the four vertex gains. The terminal
+cost P(kappa, Q, R) is the centred one of `sets.lyapunov`: where its slope F(P; kappa, Q, R)
+vanishes, so that by the implicit function theorem one Newton step from the answer, its curvature
+held fixed, has the answer's value and its derivative.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ class Affine(NamedTuple):
 
 
 class GainMaps(NamedTuple):
-    """All gains and loops of a design: along its windows, at the corners of its regions, and in pairs as vertices."""
+    """All gains and loops of a design: along its windows, at the corners of its regions, and in
+    pairs as vertices."""
 
     window_gains: Affine  # (windows, horizon, 2, 3)
     window_loops: Affine  # (windows, horizon, 3, 3)
@@ -58,7 +61,10 @@ def gain_maps(problem: Problem, schedules: Float[np.ndarray, "windows horizon 2"
     size = len(problem.given_gains)
     constants, units = everything(np.zeros(size)), [everything(unit) for unit in np.eye(size)]
     return GainMaps(
-        *(Affine(constant, np.stack([unit[i] for unit in units]) - constant) for i, constant in enumerate(constants))
+        *(
+            Affine(constant, np.stack([unit[i] for unit in units]) - constant)
+            for i, constant in enumerate(constants)
+        )
     )
 
 
@@ -69,7 +75,8 @@ def terminal_cost(
     error_weight: Float[Array, "3 3"],
     input_weight: Float[Array, "2 2"],
 ) -> Float[Array, "3 3"]:
-    """Return `found`, the centred terminal cost of these very data, with its derivative with respect to them."""
+    """Return `found`, the centred terminal cost of these very data, with its derivative with
+    respect to them."""
     stage = error_weight + jnp.swapaxes(gains, 1, 2) @ input_weight @ gains
     slope, curvature = lyapunov.centring(jnp.asarray(found), loops, stage, jnp)
     step = jnp.linalg.solve(jax.lax.stop_gradient(curvature), slope)

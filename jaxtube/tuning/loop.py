@@ -1,10 +1,11 @@
-"""The closed loop as a function of weights and gains: designed on the host, differentiated on the device.
+"""The closed loop as a function of weights and gains: designed on the host, differentiated on the
+device.
 
     (Q, R, kappa)  ->  gains, loops, P  ->  tube, margins  ->  condensed QPs  ->  laps
 
-A design fixes what no derivative passes through: the reference, the history of the terminal set, and the answer P about
-which the terminal cost is differentiated. All else is computed again from (Q, R, kappa) on the device, equal to the
-design's own.
+A design fixes what no derivative passes through: the reference, the history of the terminal set,
+and the answer P about which the terminal cost is differentiated. All else is computed again from
+(Q, R, kappa) on the device, equal to the design's own.
 """
 
 from __future__ import annotations
@@ -35,7 +36,8 @@ from jaxtube.tuning.terminal import TerminalRows, terminal_rows, terminal_set
 from jaxtube.tuning.tube import disturbance_generators, rows_under, sequence_reach, sequence_reaches
 
 ROOM = 0.02
-"""Share of a row's limit that the tube leaves at least where there is no plan; a design that has one is far from it."""
+"""Share of a row's limit that the tube leaves at least where there is no plan; a design that has
+one is far from it."""
 
 
 class Weights(NamedTuple):
@@ -47,7 +49,8 @@ class Weights(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """What a design holds fixed while weights and gains move; of two shapes at most for all designs of a scenario."""
+    """What a design holds fixed while weights and gains move; of two shapes at most for all designs
+    of a scenario."""
 
     maps: GainMaps
     ahead: Prediction
@@ -64,16 +67,25 @@ class Fixed(NamedTuple):
 
 
 def fix(design: Ingredients) -> Fixed:
-    """Take from a design (terminal T-A, tube `sequence`) what stays fixed; unused terminal rows are unbounded.
+    """Take from a design (terminal T-A, tube `sequence`) what stays fixed; unused terminal rows are
+    unbounded.
 
     Raises:
         ValueError: where no input reaches a terminal row, so that it is no row of the plan.
     """
-    problem, windows, terminal, rows = design.problem, design.windows, design.terminal, design.problem.input_rows
+    problem, windows, terminal, rows = (
+        design.problem,
+        design.windows,
+        design.terminal,
+        design.problem.input_rows,
+    )
     normals, offsets = terminal.constraint_normals, terminal.constraint_offsets[0]
     generators = disturbance_generators(problem)
     taken = sequence_reach(
-        jnp.asarray(windows.loops[:1]), jnp.asarray(generators), jnp.asarray(normals)[None], problem.horizon
+        jnp.asarray(windows.loops[:1]),
+        jnp.asarray(generators),
+        jnp.asarray(normals)[None],
+        problem.horizon,
     )
     spare = -len(normals) % problem.scenario.controller.terminal_facets
     normals = np.concatenate([normals, np.repeat(normals[:1], spare, axis=0)])
@@ -113,17 +125,22 @@ def terminal_set_of(
 
 
 def tightened(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
-    """Return E_j, U_j and the terminal constraint as `condense.tube_bounds` does, at least ROOM of each limit left."""
+    """Return E_j, U_j and the terminal constraint as `condense.tube_bounds` does, at least ROOM of
+    each limit left."""
     gains, loops = fixed.maps.window_gains.at(kappa), fixed.maps.window_loops.at(kappa)
     count, N = loops.shape[:2]
     back_off = BACK_OFF * jnp.arange(1.0, N + 1)[:, None]
     errors = sequence_reaches(
-        loops, fixed.generators, jnp.broadcast_to(fixed.error_rows, (count, N, *fixed.error_rows.shape))
+        loops,
+        fixed.generators,
+        jnp.broadcast_to(fixed.error_rows, (count, N, *fixed.error_rows.shape)),
     )
     under = rows_under(fixed.input_rows, fixed.input_error_rows, gains)
     inputs = sequence_reaches(loops, fixed.generators, under)
     normals, offsets = terminal_set_of(fixed, kappa)
-    last = sequence_reach(loops, fixed.generators, jnp.broadcast_to(normals, (count, *normals.shape)), N)
+    last = sequence_reach(
+        loops, fixed.generators, jnp.broadcast_to(normals, (count, *normals.shape)), N
+    )
     last = last + (N + 1) * BACK_OFF * jnp.linalg.norm(normals, axis=1)
 
     def left(offsets, taken):
@@ -139,8 +156,13 @@ def tightened(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
 
 def terminal_weight(fixed: Fixed, weights: Weights) -> Float[Array, "3 3"]:
     """Return P, which follows Q, R and the gains."""
-    loops, gains = fixed.maps.vertex_loops.at(weights.kappa), fixed.maps.vertex_gains.at(weights.kappa)
-    return terminal_cost(fixed.terminal_cost, loops, gains, weights.error_weight, weights.input_weight)
+    loops, gains = (
+        fixed.maps.vertex_loops.at(weights.kappa),
+        fixed.maps.vertex_gains.at(weights.kappa),
+    )
+    return terminal_cost(
+        fixed.terminal_cost, loops, gains, weights.error_weight, weights.input_weight
+    )
 
 
 def windows_of(fixed: Fixed, weights: Weights) -> Window:

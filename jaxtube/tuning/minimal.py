@@ -2,14 +2,15 @@
 
     b_k = max_i h_{P(b)}(n_k Phi_i) + (1 + INFLATION) h_W(n_k),        P(b) = {x : n_k x <= b_k for all k}
 
-At the least fixed point one loop i(k) attains each maximum, at a vertex of P(b) where three facets s(k) meet. By
-duality n_k Phi_i(k) = lambda_k N_s(k) with lambda_k >= 0, hence
+At the least fixed point one loop i(k) attains each maximum, at a vertex of P(b) where three facets
+s(k) meet. By duality n_k Phi_i(k) = lambda_k N_s(k) with lambda_k >= 0, hence
 
     b = L b + (1 + INFLATION) h_W(N),        h_{P(b)}(c) = mu b_s,   mu N_s = c
 
-with L the lambda_k in the columns s(k). Loops and facets are found once, offline (`active_facets`), and held: then b is
-a smooth function of loops, normals and W, and by the envelope theorem its derivative is that of the bound itself, as
-long as no other loop or vertex attains a maximum as well.
+with L the lambda_k in the columns s(k). Loops and facets are found once, offline (`active_facets`),
+and held: then b is a smooth function of loops, normals and W, and by the envelope theorem its
+derivative is that of the bound itself, as long as no other loop or vertex attains a maximum as
+well.
 
 Source: the bound is that of `sets.invariant`; linear programming duality.
 """
@@ -31,13 +32,15 @@ from jaxtube.tuning.tube import largest, rows_under, support
 from sets.invariant import INFLATION, minimal_rpi_bound
 
 FLAT = 1e-12
-"""Facets of the dual hull of a smaller determinant, as a share of its box, are slivers and meet in no vertex."""
+"""Facets of the dual hull of a smaller determinant, as a share of its box, are slivers and meet in
+no vertex."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ActiveFacets:
-    """What attains the maxima: the loop and three facets for each normal, and three facets for each direction."""
+    """What attains the maxima: the loop and three facets for each normal, and three facets for each
+    direction."""
 
     loop: Int[Array, " k"]
     facets: Int[Array, "k 3"]
@@ -50,7 +53,8 @@ def active_facets(
     normals: Float[np.ndarray, "k 3"],
     directions: Float[np.ndarray, "d 3"],
 ) -> ActiveFacets | None:
-    """Find the bound on the given normals, and what attains its maxima and its support numbers along directions.
+    """Find the bound on the given normals, and what attains its maxima and its support numbers
+    along directions.
 
     Args:
         loops: closed loops any of which may act.
@@ -61,7 +65,9 @@ def active_facets(
     Returns:
         None where these normals carry no bound, as of unstable loops.
     """
-    loops, generators, normals = (np.asarray(array, float) for array in (loops, generators, normals))
+    loops, generators, normals = (
+        np.asarray(array, float) for array in (loops, generators, normals)
+    )
     bound = minimal_rpi_bound(loops, lambda rows: np.abs(rows @ generators.T).sum(axis=1), normals)
     if bound is None:
         return None
@@ -77,7 +83,8 @@ def active_facets(
 def _supporting_facets(dual: Float[np.ndarray, "k 3"], rows: Float[np.ndarray, "r 3"]):
     """Return the facets of {dual x <= 1} whose cone holds each row, and the row's support number.
 
-    A row may lie in the common face of several cones: the one it is deepest in, to rounding, has no negative weight.
+    A row may lie in the common face of several cones: the one it is deepest in, to rounding, has no
+    negative weight.
     """
     simplices = ConvexHull(dual).simplices
     solid = np.abs(np.linalg.det(dual[simplices])) > FLAT * np.prod(np.abs(dual).max(axis=0))
@@ -110,7 +117,9 @@ def minimal_reach(
 ) -> Float[Array, " d"]:
     """Return the support numbers of the bound along the directions, its active facets held."""
     offsets = minimal_offsets(active, loops, generators, normals)
-    return jnp.sum(_multipliers(normals, active.directions, directions) * offsets[active.directions], axis=-1)
+    return jnp.sum(
+        _multipliers(normals, active.directions, directions) * offsets[active.directions], axis=-1
+    )
 
 
 def _multipliers(
@@ -142,14 +151,20 @@ def limits(problem: Problem) -> Limits:
 
 
 def cap_normals(limits: Limits, gains: Float[Array, "v 2 3"]) -> Float[Array, "facets 3"]:
-    """Return the facet normals of the bound: the rows of all caps over their offsets, and a ring of RING facets.
+    """Return the facet normals of the bound: the rows of all caps over their offsets, and a ring of
+    RING facets.
 
-    Those of the inputs move with the gains; the ring lies in the plane of lateral and heading error.
+    Those of the inputs move with the gains; the ring lies in the plane of lateral and heading
+    error.
     """
     box = jnp.diag(1.0 / limits.widths)
     under = rows_under(limits.inputs, limits.errors, gains) / limits.offsets[:, None]
     angles = jnp.asarray(2 * np.pi * np.arange(RING) / RING, dtype=gains.dtype)
-    ring = [jnp.zeros_like(angles), jnp.cos(angles) / limits.widths[1], jnp.sin(angles) / limits.widths[2]]
+    ring = [
+        jnp.zeros_like(angles),
+        jnp.cos(angles) / limits.widths[1],
+        jnp.sin(angles) / limits.widths[2],
+    ]
     return jnp.concatenate([box, -box, under.reshape(-1, 3), jnp.stack(ring, axis=1)])
 
 
@@ -159,7 +174,8 @@ def active_caps(
     generators: Float[Array, "g 3"],
     gains: Float[Array, "w 2 3"],
 ) -> ActiveFacets | None:
-    """Find what `cap_shares` holds, None where no bound was found; offline, anew wherever the gains have moved."""
+    """Find what `cap_shares` holds, None where no bound was found; offline, anew wherever the gains
+    have moved."""
     normals = np.asarray(jax.jit(cap_normals)(limits, gains))
     return active_facets(np.asarray(loops), np.asarray(generators), normals, normals[:-RING])
 

@@ -2,8 +2,9 @@
 
     Q = L_Q L_Q^T,   R = L_R L_R^T,   L lower triangular with exp(.) on its diagonal
 
-Decoupled gains k1, k2, k3 > 0 count by their logarithms, the entries of vertex gains in units of their own size at the
-start. What is not tuned keeps its value: weights, gains, or all off the diagonals.
+Decoupled gains k1, k2, k3 > 0 count by their logarithms, the entries of vertex gains in units of
+their own size at the start. What is not tuned keeps its value: weights, gains, or all off the
+diagonals.
 """
 
 from __future__ import annotations
@@ -28,10 +29,15 @@ Tuned = Literal["both", "weights", "gains", "diagonal"]
 """What moves: Q, R and gains; Q and R; the gains; the diagonals of Q and R alone."""
 
 LEAST_PIVOT = 1e-6
-"""Share of its largest entry to which the eigenvalues of a weight are raised, so that a singular one has a factor."""
+"""Share of its largest entry to which the eigenvalues of a weight are raised, so that a singular
+one has a factor."""
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["start", "scales"], meta_fields=["names", "moves"])
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["start", "scales"],
+    meta_fields=["names", "moves"],
+)
 @dataclass(frozen=True, eq=False)
 class Parameters:
     """A vector's meaning: all parameters of a start, and which of them move."""
@@ -69,8 +75,15 @@ class Parameters:
         error, inputs, kappa = (np.asarray(part) for part in self.weights(jnp.asarray(vector)))
         vertices = {"vertex_gains": _rows(kappa.reshape(4, 6))} if len(self.scales) else {}
         tracking = {} if len(self.scales) else {"tracking_gains": tuple(kappa.tolist())}
-        changed = {"error_weight": _rows(error), "input_weight": _rows(inputs), **vertices, **tracking}
-        return msgspec.structs.replace(scenario, controller=msgspec.structs.replace(scenario.controller, **changed))
+        changed = {
+            "error_weight": _rows(error),
+            "input_weight": _rows(inputs),
+            **vertices,
+            **tracking,
+        }
+        return msgspec.structs.replace(
+            scenario, controller=msgspec.structs.replace(scenario.controller, **changed)
+        )
 
 
 def parameters(problem: Problem, tuned: Tuned = "both") -> Parameters:
@@ -90,13 +103,26 @@ def parameters(problem: Problem, tuned: Tuned = "both") -> Parameters:
     decoupled = len(kappa) == 3
     scales = np.empty(0) if decoupled else np.maximum(np.abs(kappa), 0.1 * np.abs(kappa).max())
     start = np.concatenate(
-        [_factor(problem.error_weight), _factor(problem.input_weight), np.log(kappa) if decoupled else kappa / scales]
+        [
+            _factor(problem.error_weight),
+            _factor(problem.input_weight),
+            np.log(kappa) if decoupled else kappa / scales,
+        ]
     )
-    letters = ["k1", "k2", "k3"] if decoupled else [f"K{v}_{i}{j}" for v in "1234" for i in "12" for j in "123"]
+    letters = (
+        ["k1", "k2", "k3"]
+        if decoupled
+        else [f"K{v}_{i}{j}" for v in "1234" for i in "12" for j in "123"]
+    )
     names = (*_entries("Q", 3), *_entries("R", 2), *letters)
     of_weights = np.arange(len(start)) < 9
     diagonal = np.isin(names, ["Q11", "Q22", "Q33", "R11", "R22"])
-    free = {"both": of_weights | ~of_weights, "weights": of_weights, "gains": ~of_weights, "diagonal": diagonal}[tuned]
+    free = {
+        "both": of_weights | ~of_weights,
+        "weights": of_weights,
+        "gains": ~of_weights,
+        "diagonal": diagonal,
+    }[tuned]
     return Parameters(start, scales, names, tuple(free.tolist()))
 
 

@@ -1,11 +1,13 @@
-"""The disturbance set W as a function of the caps, differentiable: greatest residuals at corners of the operating set.
+"""The disturbance set W as a function of the caps, differentiable: greatest residuals at corners of
+the operating set.
 
     w = e_m+ - A(th) e_m - B(th) u = kappa (0, g_y, 1) + rest        kappa = T (g_r d_r - g_l d_l) / b
     W = {sigma (0, g_y, 1) : |sigma| <= max |kappa|} + box           box = (max |rest|, 0) + noise (1, 1, 2)
 
-Measured errors e_m, inputs u, schedules th, wheel errors d and pose noise n run through the corners of their sets and
-some points between. The residual of the exact sampled robot comes from `error_dynamics` and `input_maps`. An estimate
-from within: a design computes and certifies a rigorous bound.
+Measured errors e_m, inputs u, schedules th, wheel errors d and pose noise n run through the corners
+of their sets and some points between. The residual of the exact sampled robot comes from
+`error_dynamics` and `input_maps`. An estimate from within: a design computes and certifies a
+rigorous bound.
 
 Source: as `sets.robot.disturbance`, whose bound is proved by intervals.
 """
@@ -58,7 +60,8 @@ class Caps:
 )
 @dataclass(frozen=True)
 class Corners:
-    """What the caps leave as it is: robot, slip errors, noise, and the model at the corners of the schedule.
+    """What the caps leave as it is: robot, slip errors, noise, and the model at the corners of the
+    schedule.
 
     Attributes:
         schedules: reference wheel speeds (right, left), m/s.
@@ -103,7 +106,9 @@ def caps(problem: Problem) -> Caps:
     lower, upper = where.inputs
     coupling = None if where.coupling is None else jnp.asarray(where.coupling)
     speeds = jnp.asarray([-lower[0], upper[0]])
-    return Caps(jnp.asarray(where.errors[1]), speeds, jnp.asarray(max(-lower[1], upper[1])), coupling)
+    return Caps(
+        jnp.asarray(where.errors[1]), speeds, jnp.asarray(max(-lower[1], upper[1])), coupling
+    )
 
 
 def input_caps(gains: Float[Array, "v 2 3"], errors: Float[Array, "3"]) -> Float[Array, "2"]:
@@ -138,7 +143,9 @@ def _grid(corners: Corners, caps: Caps):
     """Return errors, inputs, which schedule, wheel errors and noise at every point."""
     coupled, ends = _coupled_corners(caps), jnp.asarray([-1.0, 1.0], dtype=caps.errors.dtype)
     sizes = len(coupled), 2, HEADINGS, 2, len(corners.schedules), 2, 2, 2
-    at, lateral, heading, speed, schedule, right, left, side = np.indices(sizes).reshape(len(sizes), -1)
+    at, lateral, heading, speed, schedule, right, left, side = np.indices(sizes).reshape(
+        len(sizes), -1
+    )
     headings = jnp.linspace(-1.0, 1.0, HEADINGS, dtype=caps.errors.dtype) * caps.errors[2]
     errors = [coupled[at, 0], ends[lateral] * caps.errors[1], headings[heading]]
     inputs = [(ends * caps.speeds)[speed], coupled[at, 1]]

@@ -1,11 +1,12 @@
-"""Searches without gradients, at a given number of evaluations: what descent by gradients has to beat.
+"""Searches without gradients, at a given number of evaluations: what descent by gradients has to
+beat.
 
     minimise  f(x)   over x in R^n, with f called `budget` times, no more and no less.
 
 A value that is not finite counts as +inf.
 
-Source: random search: Bergstra, Bengio 2012; simplex: Nelder, Mead 1965, with the coefficients of Gao, Han 2012
-(scipy), begun anew around its best point whenever it has collapsed.
+Source: random search: Bergstra, Bengio 2012; simplex: Nelder, Mead 1965, with the coefficients of
+Gao, Han 2012 (scipy), begun anew around its best point whenever it has collapsed.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ EvaluateValue = Callable[[Point], float]
 
 @dataclass(frozen=True, eq=False)
 class Found:
-    """All points of a search in the order of their evaluation, and the value of each, +inf where it was not finite."""
+    """All points of a search in the order of their evaluation, and the value of each, +inf where it
+    was not finite."""
 
     points: Float[np.ndarray, "budget parameters"]
     values: Float[np.ndarray, " budget"]
@@ -40,7 +42,9 @@ class Found:
         return float(self.values.min())
 
 
-def random_search(evaluate_value: EvaluateValue, start: Point, scales: Point, budget: int, seed: int) -> Found:
+def random_search(
+    evaluate_value: EvaluateValue, start: Point, scales: Point, budget: int, seed: int
+) -> Found:
     """Evaluate the start, then points drawn around it (see `random_point`).
 
     Raises: ValueError for a budget below one.
@@ -52,7 +56,8 @@ def random_search(evaluate_value: EvaluateValue, start: Point, scales: Point, bu
 
 
 def random_point(start: Point, scales: Point, seed: int, index: int) -> Point:
-    """Return point `index` of a random search, a function of seed and index alone: N(start, diag(scales^2)).
+    """Return point `index` of a random search, a function of seed and index alone: N(start,
+    diag(scales^2)).
 
     Point 0 is the start itself. Around the logarithm of a weight this is a log-normal weight.
     """
@@ -62,7 +67,8 @@ def random_point(start: Point, scales: Point, seed: int, index: int) -> Point:
 
 
 def nelder_mead(evaluate_value: EvaluateValue, start: Point, budget: int, size: float) -> Found:
-    """Search by the adaptive simplex method, from the start and its neighbours at `size` along each axis.
+    """Search by the adaptive simplex method, from the start and its neighbours at `size` along each
+    axis.
 
     Returns: the search; its first point is the start.
 
@@ -74,16 +80,26 @@ def nelder_mead(evaluate_value: EvaluateValue, start: Point, budget: int, size: 
     while record.left:
         centre = record.found().best if record.values else start
         simplex = np.vstack([centre, centre + size * np.eye(len(start))])
-        options = {"adaptive": True, "initial_simplex": simplex, "maxfev": record.left, "xatol": 0.0, "fatol": 0.0}
-        # Differences of infinite values are not numbers; the method only asks whether they are small.
+        options = {
+            "adaptive": True,
+            "initial_simplex": simplex,
+            "maxfev": record.left,
+            "xatol": 0.0,
+            "fatol": 0.0,
+        }
+        # Differences of infinite values are not numbers; the method only asks whether they are
+        # small.
         with np.errstate(invalid="ignore"):
             minimize(record, start, method="Nelder-Mead", options=options)
         size *= -0.5  # neighbours on the other side, and closer
     return record.found()
 
 
-def log_grid(centre: Point, decades: float | Point, shape: Sequence[int]) -> Float[np.ndarray, "points parameters"]:
-    """Return the points of a full factorial grid of positive parameters, the last one varying fastest.
+def log_grid(
+    centre: Point, decades: float | Point, shape: Sequence[int]
+) -> Float[np.ndarray, "points parameters"]:
+    """Return the points of a full factorial grid of positive parameters, the last one varying
+    fastest.
 
     Args:
         centre: positive; on the grid wherever a parameter's number of values is odd.
@@ -93,7 +109,9 @@ def log_grid(centre: Point, decades: float | Point, shape: Sequence[int]) -> Flo
     Raises: ValueError for a centre that is not positive, or a shape that does not fit it.
     """
     if len(shape) != len(centre) or min(shape, default=0) < 1:
-        raise ValueError(f"shape = {tuple(shape)}: does not fit {len(centre)} parameters; count one value or more each")
+        raise ValueError(
+            f"shape = {tuple(shape)}: does not fit {len(centre)} parameters; count one value or more each"
+        )
     if not np.all(np.isfinite(centre) & (centre > 0)):
         raise ValueError(f"centre = {centre}: has no logarithm; give positive numbers")
     steps = [np.linspace(-1.0, 1.0, count) if count > 1 else np.zeros(1) for count in shape]
@@ -106,7 +124,9 @@ class _Record:
 
     def __init__(self, evaluate_value: EvaluateValue, budget: int) -> None:
         if budget < 1:
-            raise ValueError(f"budget = {budget}: leaves nothing to compare; allow one evaluation or more")
+            raise ValueError(
+                f"budget = {budget}: leaves nothing to compare; allow one evaluation or more"
+            )
         self._evaluate_value, self._budget = evaluate_value, budget
         self.points: list[Point] = []
         self.values: list[float] = []

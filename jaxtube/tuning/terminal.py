@@ -1,14 +1,15 @@
-"""The terminal set as a function of the local gains, differentiable where it is the maximal invariant one.
+"""The terminal set as a function of the local gains, differentiable where it is the maximal
+invariant one.
 
-Every row of the maximal set is the predecessor, along a path of loops, of an error limit or of an input limit under a
-gain: with r such a limit's row, d its offset and W widened,
+Every row of the maximal set is the predecessor, along a path of loops, of an error limit or of an
+input limit under a gain: with r such a limit's row, d its offset and W widened,
 
     c e <= o,    c = r Phi_{i1} .. Phi_{im},    o = d - (1 + INFLATION) sum over l < m of h_W(r Phi_{i1} .. Phi_{il})
 
-Paths are recorded by the design and held: the set is then smooth in the gains but where some product of a row and a
-generator of W is zero, and is the design's own as long as no row comes or goes, which is where it cuts nothing, and no
-two coincide; there the derivative is that of a side. A set of fewer facets than the maximal one has no such history:
-its rows are held as they are.
+Paths are recorded by the design and held: the set is then smooth in the gains but where some
+product of a row and a generator of W is zero, and is the design's own as long as no row comes or
+goes, which is where it cuts nothing, and no two coincide; there the derivative is that of a side. A
+set of fewer facets than the maximal one has no such history: its rows are held as they are.
 
 Source: Gilbert and Tan 1991; Blanchini 1999.
 """
@@ -37,8 +38,8 @@ LONGEST = 20
 class TerminalRows(NamedTuple):
     """Where the terminal rows come from.
 
-    `roots` counts the rows of E, those of the inputs under the gains at all corners, then the held ones; `paths` are
-    loops among the vertex pairs, -1 where a path has ended.
+    `roots` counts the rows of E, those of the inputs under the gains at all corners, then the held
+    ones; `paths` are loops among the vertex pairs, -1 where a path has ended.
     """
 
     roots: Int[AnyArray, " facets"]
@@ -49,7 +50,9 @@ class TerminalRows(NamedTuple):
 
 
 def terminal_rows(
-    found: Ingredients, normals: Float[np.ndarray, "facets 3"], offsets: Float[np.ndarray, " facets"]
+    found: Ingredients,
+    normals: Float[np.ndarray, "facets 3"],
+    offsets: Float[np.ndarray, " facets"],
 ) -> TerminalRows:
     """Return the history of a design's terminal rows, in their order.
 
@@ -67,7 +70,9 @@ def terminal_rows(
     if followed is not None:
         # Sets are made of distinct gains and loops: the first of equal ones stands for all.
         corner = np.unique(gains, axis=0, return_index=True)[1]
-        pair = np.unique(vertex_pairs(problem, terminal.gains)[0].reshape(-1, 9), axis=0, return_index=True)[1]
+        pair = np.unique(
+            vertex_pairs(problem, terminal.gains)[0].reshape(-1, 9), axis=0, return_index=True
+        )[1]
         where = {normal.tobytes(): at for at, normal in enumerate(followed.normals)}
         for row in np.flatnonzero(np.isfinite(offsets)):
             at = where[normals[row].tobytes()]
@@ -82,7 +87,11 @@ def terminal_rows(
 def _followed(terminal: Terminal) -> Polytope | None:
     """Return the terminal set where it is the maximal one, in use, and its paths are not too long."""
     maximal = terminal.maximal
-    if terminal.fallback or terminal.invariant is not maximal.polytope or max(map(len, maximal.paths)) > LONGEST:
+    if (
+        terminal.fallback
+        or terminal.invariant is not maximal.polytope
+        or max(map(len, maximal.paths)) > LONGEST
+    ):
         return None
     return maximal.polytope
 
@@ -114,6 +123,8 @@ def terminal_set(
         loop = jnp.asarray(rows.paths)[:, step]
         reach = support(generators, normals) + rows.back_off * jnp.linalg.norm(normals, axis=1)
         offsets = jnp.where(loop < 0, offsets, offsets - (1.0 + INFLATION) * reach)
-        normals = jnp.where(loop[:, None] < 0, normals, jnp.einsum("fn,fnm->fm", normals, loops[loop]))
+        normals = jnp.where(
+            loop[:, None] < 0, normals, jnp.einsum("fn,fnm->fm", normals, loops[loop])
+        )
     size = jnp.where(rows.roots < len(own), offsets, 1.0)
     return normals / size[:, None], offsets / size

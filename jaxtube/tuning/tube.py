@@ -1,12 +1,13 @@
-"""Reach of the tubes as a function of the local gains, differentiable: what `sets.tubes` computes by vertices.
+"""Reach of the tubes as a function of the local gains, differentiable: what `sets.tubes` computes
+by vertices.
 
     W = {sum_i s_i g_i : |s_i| <= 1}        h_W(c) = sum_i |c g_i|        deviation+ = Phi deviation + w,  w in W
     sequence   h_{R_j}(c) = sum over m = 1..j of h_W(c Phi_{j-1} ... Phi_m), the factor being I at m = j
     summed     h_{R_j}(c) = sum over m < j of max h_W(c Psi_m) over the products Psi_m of m vertex loops
 
-W is symmetric, so is every section, and support numbers along rows are all that E and U lose. Every function follows
-the dtype of its arguments, works under `jit`, and has one derivative except where a product c g_i changes its sign or
-two maxima are equal; there it is that of a side.
+W is symmetric, so is every section, and support numbers along rows are all that E and U lose. Every
+function follows the dtype of its arguments, works under `jit`, and has one derivative except where
+a product c g_i changes its sign or two maxima are equal; there it is that of a side.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (26)-(29); Chisci, Rossiter, Zappa 2001.
 """
@@ -20,11 +21,14 @@ from jaxtube.synthesis.problem import Problem
 
 
 def disturbance_generators(problem: Problem) -> Float[np.ndarray, "g 3"]:
-    """Return the generators of a design's W: its three half widths, and a computed W's yaw kick (0, g_y, 1) first."""
+    """Return the generators of a design's W: its three half widths, and a computed W's yaw kick (0,
+    g_y, 1) first."""
     residual = problem.residual
     if residual is None:
         return np.diag(problem.disturbance_set.support(np.eye(3)))
-    return np.vstack([residual.yaw * np.array([0.0, residual.lateral_per_yaw, 1.0]), np.diag(residual.box)])
+    return np.vstack(
+        [residual.yaw * np.array([0.0, residual.lateral_per_yaw, 1.0]), np.diag(residual.box)]
+    )
 
 
 def support(generators: Float[Array, "g 3"], rows: Float[Array, "... 3"]) -> Float[Array, "..."]:
@@ -33,10 +37,11 @@ def support(generators: Float[Array, "g 3"], rows: Float[Array, "... 3"]) -> Flo
 
 
 def largest(values: Float[Array, "n *k"]) -> Float[Array, "*k"]:
-    """Return the largest values along the first axis, each with the derivative of one entry that attains it.
+    """Return the largest values along the first axis, each with the derivative of one entry that
+    attains it.
 
-    That of `jnp.max` counts the entries that are equal, and mirror images always are: where a compiled program computes
-    them twice, rounded in two ways, it can find one and count two.
+    That of `jnp.max` counts the entries that are equal, and mirror images always are: where a
+    compiled program computes them twice, rounded in two ways, it can find one and count two.
     """
     return jnp.take_along_axis(values, jnp.argmax(values, axis=0)[None], axis=0)[0]
 
@@ -67,18 +72,24 @@ def sequence_reaches(
     generators: Float[Array, "g 3"],
     rows: Float[Array, "windows stages k 3"],
 ) -> Float[Array, "windows stages k"]:
-    """Return the support numbers of the `sequence` sections R_0 .. R_{stages-1}, each along its own rows.
+    """Return the support numbers of the `sequence` sections R_0 .. R_{stages-1}, each along its own
+    rows.
 
     Args:
         loops: A + B K along each window's schedule.
         generators: of W.
         rows: those of E for every stage, or the input rows under each stage's gain (`rows_under`).
     """
-    return jnp.stack([sequence_reach(loops, generators, rows[:, j], j) for j in range(rows.shape[1])], axis=1)
+    return jnp.stack(
+        [sequence_reach(loops, generators, rows[:, j], j) for j in range(rows.shape[1])], axis=1
+    )
 
 
 def summed_reach(
-    loops: Float[Array, "v 3 3"], generators: Float[Array, "g 3"], rows: Float[Array, "k 3"], horizon: int
+    loops: Float[Array, "v 3 3"],
+    generators: Float[Array, "g 3"],
+    rows: Float[Array, "k 3"],
+    horizon: int,
 ) -> Float[Array, "horizon+1 k"]:
     """Return the support numbers of the `summed` sections R_0 .. R_horizon along the rows.
 
@@ -93,9 +104,13 @@ def summed_reach(
 
 
 def summed_input_reach(
-    loops: Float[Array, "v 3 3"], generators: Float[Array, "g 3"], rows: Float[Array, "gains k 3"], horizon: int
+    loops: Float[Array, "v 3 3"],
+    generators: Float[Array, "g 3"],
+    rows: Float[Array, "gains k 3"],
+    horizon: int,
 ) -> Float[Array, "horizon+1 k"]:
-    """Return the support numbers of co u_i K_i R_0 .. co u_i K_i R_horizon along the input rows under K_1, K_2, ..."""
+    """Return the support numbers of co u_i K_i R_0 .. co u_i K_i R_horizon along the input rows
+    under K_1, K_2, ..."""
     reach = summed_reach(loops, generators, rows.reshape(-1, 3), horizon)
     return largest(jnp.moveaxis(reach.reshape(horizon + 1, *rows.shape[:2]), 1, 0))
 

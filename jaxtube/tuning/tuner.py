@@ -1,7 +1,9 @@
-"""One scenario's tuning: designs, values, gradients and held-out results of points, by index of their draws.
+"""One scenario's tuning: designs, values, gradients and held-out results of points, by index of
+their draws.
 
-A point is designed on the host (sets, certificate) and then played on the device. Draws i are the realisations
-i n .. (i + 1) n - 1 of the seed; those held out, and those of the final comparison, begin where no draw reaches.
+A point is designed on the host (sets, certificate) and then played on the device. Draws i are the
+realisations i n .. (i + 1) n - 1 of the seed; those held out, and those of the final comparison,
+begin where no draw reaches.
 """
 
 from __future__ import annotations
@@ -23,11 +25,21 @@ from jaxtube.synthesis.design import Design, Ingredients, finish, prepare, refus
 from jaxtube.synthesis.problem import Problem, with_controller
 from jaxtube.tuning.loop import fix, windows_of
 from jaxtube.tuning.minimal import active_caps, limits
-from jaxtube.tuning.objective import Aim, Frozen, Laps, controller_laps, objective, run_laps, total_cost, tube_shares
+from jaxtube.tuning.objective import (
+    Aim,
+    Frozen,
+    Laps,
+    controller_laps,
+    objective,
+    run_laps,
+    total_cost,
+    tube_shares,
+)
 from jaxtube.tuning.parameters import Parameters
 
 HELD_OUT, COMPARED = 2**40, 2**41
-"""First realisations of the laps that decide when to stop, and of those that results are reported for."""
+"""First realisations of the laps that decide when to stop, and of those that results are reported
+for."""
 NO_DESIGN = 1e6
 """Objective where there is no design to play: finite, so that a line search turns back."""
 
@@ -36,7 +48,8 @@ Point = Float[np.ndarray, " free"]
 
 @dataclass(frozen=True, eq=False)
 class Designed:
-    """A point with its ingredients and what an evaluation holds fixed; `reason` says why there are none."""
+    """A point with its ingredients and what an evaluation holds fixed; `reason` says why there are
+    none."""
 
     point: Point
     ingredients: Ingredients | None
@@ -56,7 +69,8 @@ class Inspected:
 
 
 def freeze(found: Ingredients) -> Frozen | None:
-    """Return what an evaluation holds of a design, None where the tube of its gains is not bounded; raises as `fix`."""
+    """Return what an evaluation holds of a design, None where the tube of its gains is not bounded;
+    raises as `fix`."""
     fixed, within, kappa = fix(found), limits(found.problem), jnp.asarray(found.problem.given_gains)
     loops, gains = fixed.maps.vertex_loops.at(kappa), fixed.maps.corner_gains.at(kappa)
     active = active_caps(within, loops, jnp.asarray(fixed.generators), gains)
@@ -65,7 +79,9 @@ def freeze(found: Ingredients) -> Frozen | None:
 
 @partial(jax.jit, static_argnames=("restart", "input_map"))
 def _played(vector, frozen, plant, keys, starts, parameters, aim, restart, input_map):
-    return controller_laps(parameters.weights(vector), frozen, plant, keys, starts, aim, restart, input_map)
+    return controller_laps(
+        parameters.weights(vector), frozen, plant, keys, starts, aim, restart, input_map
+    )
 
 
 @partial(jax.jit, static_argnames=("restart", "input_map"))
@@ -99,15 +115,24 @@ class Tuner:
             self._last = self._designed(np.array(point, float))
         return self._last
 
-    @np.errstate(all="ignore")  # far from any design numbers overflow, and what comes of them is refused
+    @np.errstate(
+        all="ignore"
+    )  # far from any design numbers overflow, and what comes of them is refused
     def _designed(self, point: Point) -> Designed:
         try:
-            found = prepare(with_controller(self.problem, self.parameters.scenario(self.problem.scenario, point)))
+            found = prepare(
+                with_controller(
+                    self.problem, self.parameters.scenario(self.problem.scenario, point)
+                )
+            )
             frozen = freeze(found)
-        # Refused scenarios, empty sets and linear algebra raise ValueErrors, hulls and solvers the others.
+        # Refused scenarios, empty sets and linear algebra raise ValueErrors, hulls and solvers the
+        # others.
         except (ArithmeticError, RuntimeError, ValueError) as error:
             return Designed(point, None, None, str(error).splitlines()[0])
-        return Designed(point, found, frozen, "" if frozen else "the tube of the gains is not bounded")
+        return Designed(
+            point, found, frozen, "" if frozen else "the tube of the gains is not bounded"
+        )
 
     def keys(self, first: int, count: int):
         """Return the keys of `count` realisations."""
@@ -119,20 +144,33 @@ class Tuner:
 
     def _arguments(self, first: int):
         settings = self.problem.scenario.controller
-        chosen = self.plant, self.keys(first, self.laps), self.starts(self.laps), self.parameters, self.aim
+        chosen = (
+            self.plant,
+            self.keys(first, self.laps),
+            self.starts(self.laps),
+            self.parameters,
+            self.aim,
+        )
         return *chosen, settings.restart, settings.input_map
 
     def _batches(self, play: Callable[[int], Any], first: int, count: int):
-        """Return play(first), play(first + laps), .. joined and cut to a count: one shape, one compilation."""
-        batches = [jax.tree.map(np.asarray, play(start)) for start in range(first, first + count, self.laps)]
+        """Return play(first), play(first + laps), .. joined and cut to a count: one shape, one
+        compilation."""
+        batches = [
+            jax.tree.map(np.asarray, play(start))
+            for start in range(first, first + count, self.laps)
+        ]
         return jax.tree.map(lambda *arrays: np.concatenate(arrays)[:count], *batches)
 
     def evaluate(self, point: Point, draws: int) -> tuple[float, Point]:
-        """Return objective and gradient over the draws of an index; NO_DESIGN and 0 where there is nothing to play."""
+        """Return objective and gradient over the draws of an index; NO_DESIGN and 0 where there is
+        nothing to play."""
         frozen = self.designed(point).frozen
         if frozen is None:
             return NO_DESIGN, np.zeros_like(point)
-        value, gradient = _value_and_gradient(jnp.asarray(point), frozen, *self._arguments(draws * self.laps))
+        value, gradient = _value_and_gradient(
+            jnp.asarray(point), frozen, *self._arguments(draws * self.laps)
+        )
         return float(value), np.asarray(gradient)
 
     def value(self, point: Point, draws: int) -> float:
@@ -140,13 +178,20 @@ class Tuner:
         played = self.played(point, draws * self.laps, self.laps)
         return NO_DESIGN if played is None else played[0]
 
-    def played(self, point: Point, first: int, count: int) -> tuple[float, Laps, Float[np.ndarray, " caps"]] | None:
-        """Return objective, laps and the tube's shares of the caps over given draws, None without a closed loop."""
+    def played(
+        self, point: Point, first: int, count: int
+    ) -> tuple[float, Laps, Float[np.ndarray, " caps"]] | None:
+        """Return objective, laps and the tube's shares of the caps over given draws, None without a
+        closed loop."""
         frozen = self.designed(point).frozen
         if frozen is None:
             return None
-        shares = np.asarray(_shares(frozen, jnp.asarray(self.parameters.weights(jnp.asarray(point)).kappa)))
-        laps = self._batches(lambda at: _played(jnp.asarray(point), frozen, *self._arguments(at)), first, count)
+        shares = np.asarray(
+            _shares(frozen, jnp.asarray(self.parameters.weights(jnp.asarray(point)).kappa))
+        )
+        laps = self._batches(
+            lambda at: _played(jnp.asarray(point), frozen, *self._arguments(at)), first, count
+        )
         return float(total_cost(laps, jnp.asarray(shares), self.aim)), laps, shares
 
     def inspect(self, point: Point) -> Inspected:
@@ -182,13 +227,21 @@ class Tuner:
         within = jax.tree.map(jnp.asarray, limits(self.problem))
 
         def play(at: int) -> Laps:
-            return _laps(controller, self.plant, self.keys(at, self.laps), self.starts(self.laps), within, self.aim)
+            return _laps(
+                controller,
+                self.plant,
+                self.keys(at, self.laps),
+                self.starts(self.laps),
+                within,
+                self.aim,
+            )
 
         return self._batches(play, first, count)
 
 
 def certificate_lacks(found: Ingredients) -> tuple[str, ...]:
-    """Return what the certificate of prepared ingredients lacks, itself where it cannot be computed."""
+    """Return what the certificate of prepared ingredients lacks, itself where it cannot be
+    computed."""
     try:
         return failing_conditions(finish(found))
     except (ArithmeticError, RuntimeError, ValueError) as error:

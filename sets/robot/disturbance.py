@@ -1,14 +1,16 @@
-"""The set W that holds every disturbance of the nonlinear, sampled, slipping robot over an operating set.
+"""The set W that holds every disturbance of the nonlinear, sampled, slipping robot over an
+operating set.
 
     w = e_m+ - A(th) e_m - B(th) u  in  W = {sigma (0, g_y, 1) : |sigma| <= yaw} + box        whenever
 
-measured errors e_m, inputs u and reference wheel speeds th lie in their boxes, wheel errors satisfy |d| <= D and pose
-noise |n| <= nu now and after. A yaw kick sigma also moves the robot sideways by g_y sigma, g_y = T V / 2 at the centre
-of the schedule, which is why W is a segment plus a box and not a larger box. The bounds are proved by interval
-arithmetic rounded outwards, and come with the largest values really found.
+measured errors e_m, inputs u and reference wheel speeds th lie in their boxes, wheel errors satisfy
+|d| <= D and pose noise |n| <= nu now and after. A yaw kick sigma also moves the robot sideways by
+g_y sigma, g_y = T V / 2 at the centre of the schedule, which is why W is a segment plus a box and
+not a larger box. The bounds are proved by interval arithmetic rounded outwards, and come with the
+largest values really found.
 
-Notation and the parts of w: `sets.robot.plant`. Source: the idea of a computed W follows Gonzalez, Fiacchini, Guzman,
-Alamo 2009, section III, where W is given; the bound itself is new.
+Notation and the parts of w: `sets.robot.plant`. Source: the idea of a computed W follows Gonzalez,
+Fiacchini, Guzman, Alamo 2009, section III, where W is given; the bound itself is new.
 """
 
 from __future__ import annotations
@@ -32,14 +34,18 @@ class Operation:
     """Where the robot works; lower ends first, points allowed.
 
     Attributes:
-        errors: measured (longitudinal m, lateral m, heading rad), boxes as (lower, upper), as below.
+        errors: measured (longitudinal m, lateral m, heading rad), boxes as (lower, upper), as
+            below.
         inputs: (speed deficit m/s, yaw rate deficit rad/s).
-        schedules: reference wheel speeds (right, left), m/s: boxes any of which may apply, each (lower, upper).
-        wheel_error: largest relative errors |d| of the ground speeds (right, left), d = (i - i_m) / (1 - i_m).
+        schedules: reference wheel speeds (right, left), m/s: boxes any of which may apply, each
+            (lower, upper).
+        wheel_error: largest relative errors |d| of the ground speeds (right, left), d = (i - i_m) /
+            (1 - i_m).
         noise: largest pose noise (m, m, rad).
         dt: period, s.
         track_width: m.
-        coupling: (a m, b rad/s) where |longitudinal error| / a + |yaw rate deficit| / b <= 1 holds as well, else None.
+        coupling: (a m, b rad/s) where |longitudinal error| / a + |yaw rate deficit| / b <= 1 holds
+            as well, else None.
     """
 
     errors: Float[np.ndarray, "2 3"]
@@ -53,21 +59,35 @@ class Operation:
 
     def __post_init__(self):
         boxes = len(np.atleast_1d(self.schedules))
-        shapes = {"errors": (2, 3), "inputs": (2, 2), "schedules": (boxes, 2, 2), "wheel_error": (2,), "noise": (3,)}
+        shapes = {
+            "errors": (2, 3),
+            "inputs": (2, 2),
+            "schedules": (boxes, 2, 2),
+            "wheel_error": (2,),
+            "noise": (3,),
+        }
         for name, shape in shapes.items():
             value = np.array(getattr(self, name), dtype=float)
             if value.shape != shape or not np.isfinite(value).all() or not value.size:
-                raise ValueError(f"{name}: {value.tolist()} is not an array {shape} of finite numbers; give one")
+                raise ValueError(
+                    f"{name}: {value.tolist()} is not an array {shape} of finite numbers; give one"
+                )
             if len(shape) > 1 and (value[..., 0, :] > value[..., 1, :]).any():
-                raise ValueError(f"{name}: {value.tolist()} has crossed ends; give lower ends first")
+                raise ValueError(
+                    f"{name}: {value.tolist()} has crossed ends; give lower ends first"
+                )
             if len(shape) == 1 and (value < 0).any():
                 raise ValueError(f"{name}: {value.tolist()} has a negative entry; give magnitudes")
             value.flags.writeable = False
             object.__setattr__(self, name, value)
         for name in ("dt", "track_width"):
             if not 0 < getattr(self, name) < np.inf:
-                raise ValueError(f"{name}: {getattr(self, name)} is not positive and finite; give s or m")
-        if self.coupling is not None and not (min(self.coupling) > 0 and (self.errors[0, 0] == -self.errors[1, 0])):
+                raise ValueError(
+                    f"{name}: {getattr(self, name)} is not positive and finite; give s or m"
+                )
+        if self.coupling is not None and not (
+            min(self.coupling) > 0 and (self.errors[0, 0] == -self.errors[1, 0])
+        ):
             raise ValueError(
                 f"coupling: {self.coupling} with longitudinal errors {self.errors[:, 0].tolist()}: give "
                 "positive numbers and symmetric errors"
@@ -89,15 +109,18 @@ class Operation:
     def pieces(self) -> Float[np.ndarray, "2 14 pieces"]:
         """Return boxes in which  x = middle + share (reach + slope u2),  |share| <= 1, runs over the whole operation.
 
-        Variables: share in the place of the longitudinal error, the other eleven, and reach and slope, of equal ends.
-        The coupling is cut where its edges meet the caps, so that it is linear in u2 on each piece.
+        Variables: share in the place of the longitudinal error, the other eleven, and reach and
+        slope, of equal ends. The coupling is cut where its edges meet the caps, so that it is
+        linear in u2 on each piece.
         """
         half = (self.errors[1, 0] - self.errors[0, 0]) / 2
         turns, pieces = [self.inputs[0, 1], self.inputs[1, 1]], []
         a, b = self.coupling or (1.0, 1.0)
         if self.coupling is not None:
             uncut = max(b * (1 - half / a), 0.0)
-            turns = np.unique(np.clip([*turns, 0.0, uncut, -uncut], max(turns[0], -b), min(turns[1], b)))
+            turns = np.unique(
+                np.clip([*turns, 0.0, uncut, -uncut], max(turns[0], -b), min(turns[1], b))
+            )
         for low, high in pairwise(turns):
             cut = self.coupling is not None and max(abs(low), abs(high)) > uncut
             reach, slope = (a, -np.copysign(a / b, low + high)) if cut else (half, 0.0)
@@ -126,7 +149,8 @@ class DisturbanceBound:
         lateral_per_yaw: g_y, m/rad.
         box: half widths (m, m, rad).
         ground_speeds: commanded ones, (lower, upper) by (right, left), m/s.
-        found_yaw, found_box, found_ground_speeds: the same numbers, really reached: the bounds lie between them and W.
+        found_yaw, found_box, found_ground_speeds: the same numbers, really reached: the bounds lie
+            between them and W.
     """
 
     yaw: float
@@ -152,7 +176,9 @@ class DisturbanceBound:
         """Return W by its eight facets, rounded outwards: the box, and the strip along the kicks."""
         normals = np.vstack([np.eye(3), [0.0, 1.0, -self.lateral_per_yaw]])
         normals = np.vstack([normals, -normals])
-        return Polytope(normals, np.nextafter(self.support(normals) * (1 + 8 * np.finfo(float).eps), np.inf))
+        return Polytope(
+            normals, np.nextafter(self.support(normals) * (1 + 8 * np.finfo(float).eps), np.inf)
+        )
 
 
 def wheel_error_bound(
@@ -163,7 +189,8 @@ def wheel_error_bound(
     Args:
         nominal_slip: i0 of each wheel.
         relative_error: r, not negative.
-        random: which slip lies in i0 (1 +- r), the other being i0: "true" i, "measured" i_m; or "both" do.
+        random: which slip lies in i0 (1 +- r), the other being i0: "true" i, "measured" i_m; or
+            "both" do.
 
     Raises:
         ValueError: a slip may reach 1, or an argument is out of range.
@@ -174,9 +201,13 @@ def wheel_error_bound(
     if random not in READINGS:
         raise ValueError(f"random: {random!r} is unknown; choose one of {', '.join(READINGS)}")
     if not 0 <= relative_error < np.inf:
-        raise ValueError(f"relative_error: {relative_error} is negative or not finite; give a share such as 0.1")
+        raise ValueError(
+            f"relative_error: {relative_error} is negative or not finite; give a share such as 0.1"
+        )
     if not (np.abs(nominal_slip) * (1 + relative_error) < 1).all():
-        raise ValueError(f"nominal_slip: {nominal_slip} (1 + {relative_error}) reaches 1; lower one of them")
+        raise ValueError(
+            f"nominal_slip: {nominal_slip} (1 + {relative_error}) reaches 1; lower one of them"
+        )
     ends = nominal_slip * (1 + relative_error * np.array([[-1.0], [1.0]]))
     fixed = np.stack([nominal_slip] * 2)
     true = fixed if random == "measured" else ends
@@ -186,16 +217,20 @@ def wheel_error_bound(
     return np.nextafter(np.abs(errors).max(axis=(0, 1)) * (1 + 8 * np.finfo(float).eps), np.inf)
 
 
-def disturbance_bound(operation: Operation, kinematics: Kinematics, tolerance: float = 0.003) -> DisturbanceBound:
+def disturbance_bound(
+    operation: Operation, kinematics: Kinematics, tolerance: float = 0.003
+) -> DisturbanceBound:
     """Bound the disturbances of an operation.
 
     Args:
         operation: where the robot works.
         kinematics: input map and model.
-        tolerance: gap between bounds and values found at which a bound is good enough, relative, positive.
+        tolerance: gap between bounds and values found at which a bound is good enough, relative,
+            positive.
 
     Returns:
-        W, which holds every w of the operation: proved by intervals, up to the rounding of its own facets.
+        W, which holds every w of the operation: proved by intervals, up to the rounding of its own
+        facets.
 
     Raises:
         ValueError: an angle may leave a quarter turn, in which the bounds hold.
@@ -217,18 +252,23 @@ def disturbance_bound(operation: Operation, kinematics: Kinematics, tolerance: f
         bounds.append((float(values[0]), box, np.array([-values[3:5], values[5:7]])))
     (yaw, box, speeds), (found_yaw, found_box, found_speeds) = bounds
     box = np.nextafter(box, np.inf)
-    return DisturbanceBound(yaw, operation.period.lateral_per_yaw, box, speeds, found_yaw, found_box, found_speeds)
+    return DisturbanceBound(
+        yaw, operation.period.lateral_per_yaw, box, speeds, found_yaw, found_box, found_speeds
+    )
 
 
-def disturbance_parts(operation: Operation, kinematics: Kinematics) -> dict[str, Float[np.ndarray, "4"]]:
+def disturbance_parts(
+    operation: Operation, kinematics: Kinematics
+) -> dict[str, Float[np.ndarray, "4"]]:
     """Bound what each cause adds to W alone, as half widths (yaw rad, x m, y m, heading rad).
 
     Args:
         operation, kinematics: as for `disturbance_bound`.
 
     Returns:
-        By cause, bounds of differences that add up to w, within 2 % or 0.02 mm of their suprema unless a search was
-        cut short (f the sampled plant without slip and noise, J its Jacobian at e = u = 0):
+        By cause, bounds of differences that add up to w, within 2 % or 0.02 mm of their suprema
+        unless a search was cut short (f the sampled plant without slip and noise, J its Jacobian at
+        e = u = 0):
 
         * "bilinear"  f(e, u) - J (e, u) minus the same at u = 0: products of inputs with errors and inputs;
         * "sine"      f(e, 0) - J (e, 0): sine and cosine of the heading error;
@@ -247,9 +287,16 @@ def disturbance_parts(operation: Operation, kinematics: Kinematics) -> dict[str,
         return parts.yaw, *(coordinate for cause in CAUSES for coordinate in getattr(parts, cause))
 
     lower, upper = operation.pieces()
-    objectives = [(output, sign, output) for output in range(1 + 2 * len(CAUSES)) for sign in (1, -1)]
-    proved, _ = suprema(outputs, lower, upper, objectives, tolerance=0.02, negligible=2e-5, most_cells=20_000)
-    widths = {cause: np.array([0.0, *proved[1 + 2 * i : 3 + 2 * i], 0.0]) for i, cause in enumerate(CAUSES)}
+    objectives = [
+        (output, sign, output) for output in range(1 + 2 * len(CAUSES)) for sign in (1, -1)
+    ]
+    proved, _ = suprema(
+        outputs, lower, upper, objectives, tolerance=0.02, negligible=2e-5, most_cells=20_000
+    )
+    widths = {
+        cause: np.array([0.0, *proved[1 + 2 * i : 3 + 2 * i], 0.0])
+        for i, cause in enumerate(CAUSES)
+    }
     widths["slip"][0] = proved[0]
     widths["noise"][1:] += [*operation.noise[:2], 2 * operation.noise[2]]
     return widths
@@ -260,7 +307,9 @@ def residual(
     kinematics: Kinematics,
     points: Float[np.ndarray, "samples 12"],
     next_noise: Float[np.ndarray, "samples 3"],
-) -> tuple[Float[np.ndarray, "samples 3"], Float[np.ndarray, " samples"], Float[np.ndarray, "samples 2"]]:
+) -> tuple[
+    Float[np.ndarray, "samples 3"], Float[np.ndarray, " samples"], Float[np.ndarray, "samples 2"]
+]:
     """Evaluate disturbances, as the bounds do.
 
     Args:
@@ -270,7 +319,8 @@ def residual(
         next_noise: noise of the measurement after the period (m, m, rad).
 
     Returns:
-        w (m, m, rad), yaw kicks, rad, and commanded ground speeds (right, left), m/s; exact up to rounding.
+        w (m, m, rad), yaw kicks, rad, and commanded ground speeds (right, left), m/s; exact up to
+        rounding.
     """
     parts = split_residual(kinematics, operation.period, points.T)
     plane = parts.rest.x, parts.rest.y + operation.period.lateral_per_yaw * parts.yaw

@@ -4,24 +4,26 @@
     f:  z+ = e^{-ia} z + T V S(A) e^{i (e_th + A - a)} - T v S(a),   e_th+ = e_th + A - a,    a = T w,  A = T Om
         S(a) = (1 - e^{-ia}) / (ia) = sinc(a/2) e^{-ia/2}
 
-Commands (v, w) come from the measured error e_m and the inputs (u1, u2) by an input map; all have w = Om - u2:
+Commands (v, w) come from the measured error e_m and the inputs (u1, u2) by an input map; all have w
+= Om - u2:
 
     paper         v = V - u1
     cosine_free   v = V cos e_th - u1
     x_exact       v such that e_x+ = e_x + T Om e_y + T u1 without slip and noise
 
-Ground speeds g_r = v + b w/2, g_l = v - b w/2 act as g_r (1 - d_r), g_l (1 - d_l). The heading this adds is the yaw
-kick kappa = T (w - w_a) = T (g_r d_r - g_l d_l) / b. With f(e, u) the plant without slip and noise, and J its Jacobian
-at e = u = 0,
+Ground speeds g_r = v + b w/2, g_l = v - b w/2 act as g_r (1 - d_r), g_l (1 - d_l). The heading this
+adds is the yaw kick kappa = T (w - w_a) = T (g_r d_r - g_l d_l) / b. With f(e, u) the plant without
+slip and noise, and J its Jacobian at e = u = 0,
 
     w = kappa (0, g_y, 1) + bilinear + sine + sampling + slip + noise
     sine = f(e, 0) - J (e, 0)      bilinear = f(e, u) - J (e, u) - sine      sampling = (J - [A B]) (e, u)
     slip = f(e, v_a, w_a) - f(e, v, w) - kappa (0, g_y, 1)                   noise = the rest, n+ left out
 
-and each part is written so that its enclosure by intervals vanishes with its cause. Every function takes floats,
-intervals and duals alike. All angles stay within a quarter turn.
+and each part is written so that its enclosure by intervals vanishes with its cause. Every function
+takes floats, intervals and duals alike. All angles stay within a quarter turn.
 
-Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (2)-(6), (9)-(10); the arcs solve eqs. (2) and (4) exactly.
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (2)-(6), (9)-(10); the arcs solve eqs. (2) and
+(4) exactly.
 """
 
 from __future__ import annotations
@@ -43,8 +45,8 @@ class Kinematics:
 
     Attributes:
         input_map: one of INPUT_MAPS.
-        model: "paper" takes Om = (f_r V_r - f_l V_l) / b, "consistent" the same with f = 1; "exact_jacobian" is the
-            Jacobian of the sampled plant under `x_exact`.
+        model: "paper" takes Om = (f_r V_r - f_l V_l) / b, "consistent" the same with f = 1;
+            "exact_jacobian" is the Jacobian of the sampled plant under `x_exact`.
         discretisation: "euler" or "zoh", inputs held; of no effect on "exact_jacobian".
         slip_factors: (f_r, f_l), 1 - nominal slip; of effect on "paper" only.
     """
@@ -55,10 +57,16 @@ class Kinematics:
     slip_factors: tuple[float, float] = (1.0, 1.0)
 
     def __post_init__(self):
-        choices = (("input_map", INPUT_MAPS), ("model", MODELS), ("discretisation", DISCRETISATIONS))
+        choices = (
+            ("input_map", INPUT_MAPS),
+            ("model", MODELS),
+            ("discretisation", DISCRETISATIONS),
+        )
         for name, allowed in choices:
             if getattr(self, name) not in allowed:
-                raise ValueError(f"{name}: {getattr(self, name)!r} is unknown; choose one of {', '.join(allowed)}")
+                raise ValueError(
+                    f"{name}: {getattr(self, name)!r} is unknown; choose one of {', '.join(allowed)}"
+                )
 
     def predicts_like(self, other: Kinematics) -> bool:
         """Tell whether both choose the same model, by name."""
@@ -75,7 +83,8 @@ class Period(NamedTuple):
 
 
 class Vector(NamedTuple):
-    """A plane vector whose coordinates are floats, intervals or duals; a coordinate that is always zero may be 0.0."""
+    """A plane vector whose coordinates are floats, intervals or duals; a coordinate that is always
+    zero may be 0.0."""
 
     x: Any
     y: Any
@@ -121,12 +130,13 @@ def split_residual(kinematics: Kinematics, period: Period, variables: Iterable) 
 
     Args:
         kinematics, period: what maps, predicts and measures.
-        variables: measured error (m, m, rad), inputs (m/s, rad/s), reference wheel speeds (right, left), m/s, wheel
-            errors d (right, left), pose noise n (m, m, rad): twelve numbers of one kind.
+        variables: measured error (m, m, rad), inputs (m/s, rad/s), reference wheel speeds (right,
+            left), m/s, wheel errors d (right, left), pose noise n (m, m, rad): twelve numbers of
+            one kind.
 
     Returns:
-        The parts; with the noise n+ of the next measurement, w = rest + yaw (0, g_y) + n+ in the plane, and in heading
-        w = yaw - n + n+ exactly.
+        The parts; with the noise n+ of the next measurement, w = rest + yaw (0, g_y) + n+ in the
+        plane, and in heading w = yaw - n + n+ exactly.
 
     Raises:
         ValueError: an angle of an interval may leave a quarter turn.
@@ -139,19 +149,28 @@ def split_residual(kinematics: Kinematics, period: Period, variables: Iterable) 
     if kinematics.input_map == "x_exact":
         bilinear, sine, Tv = _x_exact(z, heading, u1 * T, m, A, L)
     else:
-        bilinear, sine, Tv = _direct(z, heading, u1 * T, m, A, L, kinematics.input_map == "cosine_free")
+        bilinear, sine, Tv = _direct(
+            z, heading, u1 * T, m, A, L, kinematics.input_map == "cosine_free"
+        )
     sampling = _sampling(kinematics, period, (x, y, heading, u1, u2), V_r, V_l)
 
     right, left = Tv + a * (0.5 * b), Tv - a * (0.5 * b)
     kick, brake = (right * d_r - left * d_l) / b, (right * d_r + left * d_l) * 0.5
     # where the reference goes, in the frame of a robot that turned by a
     reference = polar(L * sinc(A * 0.5), heading + m - A * 0.5)
-    turn = z.turned(kick * 0.5 - a).plus(reference.turned(kick * 0.5)).crosswise().scaled(sin(kick * 0.5) * 2.0)
+    turn = (
+        z.turned(kick * 0.5 - a)
+        .plus(reference.turned(kick * 0.5))
+        .crosswise()
+        .scaled(sin(kick * 0.5) * 2.0)
+    )
     way = arc(a - kick).scaled(brake).plus(arc_change(a, -kick).scaled(-Tv))
     slip = turn.plus(way).plus(Vector(0.0, kick * -g_y))
 
     shift = Vector(-n_x, -n_y).turned(kick - a)
-    noise = shift.plus(reference.turned(kick - n_th * 0.5).crosswise().scaled(sin(n_th * 0.5) * -2.0))
+    noise = shift.plus(
+        reference.turned(kick - n_th * 0.5).crosswise().scaled(sin(n_th * 0.5) * -2.0)
+    )
     return Parts(kick, bilinear, sine, sampling, slip, noise, right / T, left / T)
 
 
@@ -169,11 +188,14 @@ def arc_change(angle, step) -> Vector:
     """Return S(a + step) - S(a)."""
     half, change = angle * 0.5, step * 0.5
     length = polar(sinc_change(half, change), -half - change)
-    return length.plus(polar(sinc(half) * sin(change * 0.5) * -2.0, -half - change * 0.5).crosswise())
+    return length.plus(
+        polar(sinc(half) * sin(change * 0.5) * -2.0, -half - change * 0.5).crosswise()
+    )
 
 
 def _x_exact(z: Vector, heading, Tu1, m, A, L) -> tuple[Vector, Vector, Any]:
-    """Return (bilinear, sine, T v) of `x_exact`, from e_y+ = e_y - tan(a/2) q + L s sin(e_th + m/2) / cos(a/2).
+    """Return (bilinear, sine, T v) of `x_exact`, from e_y+ = e_y - tan(a/2) q + L s sin(e_th + m/2)
+    / cos(a/2).
 
     q = e_x + e_x+; the Jacobian has A and e_th + m/2 in the place of a and the sine.
     """
@@ -181,22 +203,36 @@ def _x_exact(z: Vector, heading, Tu1, m, A, L) -> tuple[Vector, Vector, Any]:
     secant_a, secant_A = 1.0 / cos(a * 0.5), 1.0 / cos(A * 0.5)
     q = z.x * 2.0 + A * z.y + Tu1
     tangents = sin(m * 0.5) * secant_a * secant_A  # tan(A/2) - tan(a/2)
-    secants = sin((A - m * 0.5) * 0.5) * sin(m * 0.25) * -2.0 * secant_a * secant_A  # 1/cos(a/2) - 1/cos(A/2)
-    sines = sine_excess(m * 0.25) * 2.0 - sin(m * 0.25) * square(sin((heading + m * 0.25) * 0.5)) * 4.0
+    secants = (
+        sin((A - m * 0.5) * 0.5) * sin(m * 0.25) * -2.0 * secant_a * secant_A
+    )  # 1/cos(a/2) - 1/cos(A/2)
+    sines = (
+        sine_excess(m * 0.25) * 2.0 - sin(m * 0.25) * square(sin((heading + m * 0.25) * 0.5)) * 4.0
+    )
     bilinear = tangents * q + length * (secants * sin(heading + m * 0.5) + secant_A * sines)
     sine = length * secant_A * sine_excess(heading)
-    ahead = length * cos(heading + A * 0.5 - a) - square(sin(a * 0.5)) * 2.0 * z.x + (sine_excess(a) - m) * z.y - Tu1
+    ahead = (
+        length * cos(heading + A * 0.5 - a)
+        - square(sin(a * 0.5)) * 2.0 * z.x
+        + (sine_excess(a) - m) * z.y
+        - Tu1
+    )
     return Vector(0.0, bilinear), Vector(0.0, sine), ahead * secant_a / sinc(a * 0.5)
 
 
 def _direct(z: Vector, heading, Tu1, m, A, L, cosine_free: bool) -> tuple[Vector, Vector, Any]:
-    """Return (bilinear, sine, T v) of `cosine_free`, and of `paper`, which drives L (1 - cos e_th) further."""
+    """Return (bilinear, sine, T v) of `cosine_free`, and of `paper`, which drives L (1 - cos e_th)
+    further."""
     versine = square(sin(heading * 0.5)) * 2.0  # 1 - cos e_th
     change, chord = arc_change(A, -m), polar(sinc(A * 0.5), A * -0.5)
-    swing = polar(sinc(A * 0.5) * sin(m * 0.5) * 2.0, (m - A) * 0.5).crosswise()  # (e^{im} - 1) S(A)
+    swing = polar(
+        sinc(A * 0.5) * sin(m * 0.5) * 2.0, (m - A) * 0.5
+    ).crosswise()  # (e^{im} - 1) S(A)
     sway = swing.plus(change.scaled(-1.0))
     drift = Vector(m * -lag(A), m * square(sinc(A * 0.5)) * -0.5)  # -im R(A), R of the Jacobian
-    reference = sway.plus(drift).plus(sway.scaled(-versine)).plus(swing.crosswise().scaled(sin(heading)))
+    reference = (
+        sway.plus(drift).plus(sway.scaled(-versine)).plus(swing.crosswise().scaled(sin(heading)))
+    )
     turn = z.turned(m * 0.5 - A).crosswise().scaled(sin(m * 0.5) * 2.0)
     bilinear = turn.plus(change.scaled(Tu1)).plus(reference.scaled(L))
     sine = chord.crosswise().scaled(L * sine_excess(heading))
@@ -215,12 +251,19 @@ def _sampling(kinematics: Kinematics, period: Period, terms: Sequence, V_r, V_l)
     x, y, heading, u1, u2 = terms
     L = (V_r + V_l) * 0.5 * period.dt
     terms = x, y, heading * L, u1, u2 * L
-    pairs = zip(plane_rows(jacobian, period, V_r, V_l), plane_rows(kinematics, period, V_r, V_l), strict=True)
-    return Vector(*(sum((p - q) * term for p, q, term in zip(*rows, terms, strict=True)) for rows in pairs))
+    pairs = zip(
+        plane_rows(jacobian, period, V_r, V_l),
+        plane_rows(kinematics, period, V_r, V_l),
+        strict=True,
+    )
+    return Vector(
+        *(sum((p - q) * term for p, q, term in zip(*rows, terms, strict=True)) for rows in pairs)
+    )
 
 
 def plane_rows(kinematics: Kinematics, period: Period, V_r, V_l) -> tuple[Sequence, Sequence]:
-    """Return the first two rows of [A B], columns (e_x, e_y, L e_th, u1, L u2), L = T V; the third is (0, 0, 1, 0, T).
+    """Return the first two rows of [A B], columns (e_x, e_y, L e_th, u1, L u2), L = T V; the third
+    is (0, 0, 1, 0, T).
 
     The way L stands apart because it cancels where models are compared.
 
@@ -241,4 +284,10 @@ def plane_rows(kinematics: Kinematics, period: Period, V_r, V_l) -> tuple[Sequen
     if kinematics.discretisation == "euler":
         return (1.0, A, 0.0, T, 0.0), (-A, 1.0, 1.0, 0.0, 0.0)
     S = arc(A)  # and R(A) = (1 - S) / (iA) = sinc(A/2)^2 / 2 - i lag(A)
-    return (cos(A), sin(A), -S.y, S.x * T, lag(A) * T), (-sin(A), cos(A), S.x, S.y * T, square(sinc(A * 0.5)) * 0.5 * T)
+    return (cos(A), sin(A), -S.y, S.x * T, lag(A) * T), (
+        -sin(A),
+        cos(A),
+        S.x,
+        S.y * T,
+        square(sinc(A * 0.5)) * 0.5 * T,
+    )

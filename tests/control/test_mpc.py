@@ -1,4 +1,5 @@
-"""Laws of the tube-MPC on line: exact answers, honest status, the guarantee on the linear plant, and the backup."""
+"""Laws of the tube-MPC on line: exact answers, honest status, the guarantee on the linear plant,
+and the backup."""
 
 import dataclasses
 from typing import NamedTuple
@@ -38,7 +39,8 @@ def recorded(trajectory, count, seed, steps=None):
 
 
 def compare_recorded(design, trajectory, chosen, with_tube=True):
-    """Return (error of each input against DAQP, number of active rows) of recorded QPs; all must have a plan."""
+    """Return (error of each input against DAQP, number of active rows) of recorded QPs; all must
+    have a plan."""
     plain, errors, active = PlainMpc(design, with_tube), [], []
     for step, run in zip(*chosen, strict=True):
         inputs, multipliers = plain.qp(step).solve(trajectory.measured[step, run])
@@ -47,7 +49,8 @@ def compare_recorded(design, trajectory, chosen, with_tube=True):
     return np.array(errors), np.array(active)
 
 
-# ------------------------------------------------------------------------------------------------------ exact answers
+# ------------------------------------------------------------------------------------------------------
+# exact answers
 
 
 def test_inputs_of_the_papers_laps_are_those_of_an_exact_solver(paper_design, paper_laps):
@@ -57,25 +60,34 @@ def test_inputs_of_the_papers_laps_are_those_of_an_exact_solver(paper_design, pa
 
 
 @pytest.mark.parametrize("name", ["tube_mpc", "plain_mpc"])
-def test_inputs_from_the_edge_of_the_feasible_set_are_those_of_an_exact_solver(robust_design, stressed, name):
+def test_inputs_from_the_edge_of_the_feasible_set_are_those_of_an_exact_solver(
+    robust_design, stressed, name
+):
     trajectory = stressed[name]
     steps, runs = recorded(trajectory, 600, 2, steps=6)
     solved = trajectory.diagnostics.status[steps, runs] == qp.SOLVED
-    errors, active = compare_recorded(robust_design, trajectory, (steps[solved], runs[solved]), name == "tube_mpc")
+    errors, active = compare_recorded(
+        robust_design, trajectory, (steps[solved], runs[solved]), name == "tube_mpc"
+    )
     assert errors.max() <= EXACT_SOLVER
     assert trajectory.diagnostics.residual[steps, runs][solved].max() <= KKT
     np.testing.assert_array_equal(trajectory.diagnostics.active[steps, runs][solved], active > 0)
 
 
 def hard_starts(design, edge_starts, count, seed):
-    """Starts at the edge of the feasible set of step 0, a third of them pushed beyond it by up to 30 %."""
+    """Starts at the edge of the feasible set of step 0, a third of them pushed beyond it by up to
+    30 %."""
     starts = edge_starts(design, count, edge_share=1.0)
     generator = np.random.default_rng(seed)
-    return starts * np.where(generator.random(count) < 1 / 3, 1 + 0.3 * generator.random(count), 1.0)[:, None]
+    return (
+        starts
+        * np.where(generator.random(count) < 1 / 3, 1 + 0.3 * generator.random(count), 1.0)[:, None]
+    )
 
 
 class Comparison(NamedTuple):
-    """Batched plans beside the exact solver's, instance by instance; errors and active rows where both have a plan."""
+    """Batched plans beside the exact solver's, instance by instance; errors and active rows where
+    both have a plan."""
 
     errors: np.ndarray
     active: np.ndarray
@@ -83,7 +95,10 @@ class Comparison(NamedTuple):
     status: np.ndarray
 
     def __str__(self):
-        counts = [np.bincount(self.status[chosen], minlength=3).tolist() for chosen in (self.feasible, ~self.feasible)]
+        counts = [
+            np.bincount(self.status[chosen], minlength=3).tolist()
+            for chosen in (self.feasible, ~self.feasible)
+        ]
         return (
             f"solved, infeasible, unsolved: {counts[0]} of the feasible and {counts[1]} of the infeasible ones; "
             f"worst error {self.errors.max(initial=0):.2g}; by active rows {np.bincount(self.active).tolist()}"
@@ -91,7 +106,8 @@ class Comparison(NamedTuple):
 
 
 def compare_plans(design, step, starts, dtype=float, residual=KKT):
-    """Compare plans with the exact solver; whatever is claimed, that there is a plan or none, must be true."""
+    """Compare plans with the exact solver; whatever is claimed, that there is a plan or none, must
+    be true."""
     problem = PlainMpc(design).qp(step)
     found = plan_in_blocks(design, step, starts, dtype)
     plans = found.status == qp.SOLVED
@@ -112,12 +128,16 @@ def compare_plans(design, step, starts, dtype=float, residual=KKT):
 
 
 @pytest.mark.parametrize("overrides", [TIGHT, ONE_SIDED])
-def test_plans_with_many_active_rows_are_exact_and_infeasible_ones_are_flagged(uncertified, edge_starts, overrides):
+def test_plans_with_many_active_rows_are_exact_and_infeasible_ones_are_flagged(
+    uncertified, edge_starts, overrides
+):
     design = uncertified("robust", *overrides)
     found = compare_plans(design, 0, hard_starts(design, edge_starts, 2 * BATCH, 6))
     assert found.errors.max() <= EXACT_SOLVER, str(found)
     assert np.mean(found.active > 0) >= 0.2 and found.active.max() >= 5, str(found)
-    assert np.sum(~found.feasible) > BATCH / 8 and np.all(found.status[~found.feasible] != qp.UNSOLVED), str(found)
+    assert np.sum(~found.feasible) > BATCH / 8 and np.all(
+        found.status[~found.feasible] != qp.UNSOLVED
+    ), str(found)
     assert np.mean(found.status[found.feasible] == qp.SOLVED) >= 0.999, str(found)
 
 
@@ -135,28 +155,43 @@ def test_an_error_that_no_input_can_bring_back_has_no_plan(uncertified):
     assert np.any(status[beyond < 0] == qp.SOLVED)
 
 
-# ---------------------------------------------------------------------------------------------------------- guarantee
+# ----------------------------------------------------------------------------------------------------------
+# guarantee
 
 
 def check_guarantee(design, tube, plain):
     limits = design.problem.error_set.offsets[:3]
     assert np.all(np.abs(tube.errors) <= limits)
     assert np.all(tube.diagnostics.status == qp.SOLVED) and not tube.diagnostics.backup.any()
-    assert np.all(tube.inputs @ design.problem.input_set.normals.T <= design.problem.input_set.offsets)
+    assert np.all(
+        tube.inputs @ design.problem.input_set.normals.T <= design.problem.input_set.offsets
+    )
     leaving = np.any(np.abs(plain.errors) > limits, axis=(0, 2))
     assert 0 < leaving.sum() < leaving.size
 
 
-def test_with_w_in_W_the_tube_mpc_keeps_E_and_a_plan_for_ever_and_mpc_without_tube_does_not(robust_design, stressed):
+def test_with_w_in_W_the_tube_mpc_keeps_E_and_a_plan_for_ever_and_mpc_without_tube_does_not(
+    robust_design, stressed
+):
     assert robust_design.certificate.holds
     check_guarantee(robust_design, stressed["tube_mpc"], stressed["plain_mpc"])
 
 
-def test_the_guarantee_holds_with_the_terminal_gain_in_the_tube_along_the_reference(uncertified, edge_starts):
+def test_the_guarantee_holds_with_the_terminal_gain_in_the_tube_along_the_reference(
+    uncertified, edge_starts
+):
     design = uncertified("paper", *SEQUENCE)
-    loops, plant, starts = closed_loop.controllers(design), closed_loop.linear_plant(design), edge_starts(design, 512)
+    loops, plant, starts = (
+        closed_loop.controllers(design),
+        closed_loop.linear_plant(design),
+        edge_starts(design, 512),
+    )
     check_guarantee(
-        design, *(closed_loop.simulate(loops[name], plant, starts, 7) for name in ("tube_mpc", "plain_mpc"))
+        design,
+        *(
+            closed_loop.simulate(loops[name], plant, starts, 7)
+            for name in ("tube_mpc", "plain_mpc")
+        ),
     )
 
 
@@ -165,15 +200,20 @@ def test_the_guarantee_holds_in_thousands_of_runs(robust_design, uncertified, ed
     for design in (robust_design, uncertified("paper", *SEQUENCE)):
         loops, plant = closed_loop.controllers(design), closed_loop.linear_plant(design)
         starts = edge_starts(design, 2000, edge_share=0.8)
-        check_guarantee(design, *(closed_loop.simulate(loops[n], plant, starts, 8) for n in ("tube_mpc", "plain_mpc")))
+        check_guarantee(
+            design,
+            *(closed_loop.simulate(loops[n], plant, starts, 8) for n in ("tube_mpc", "plain_mpc")),
+        )
 
 
-# ------------------------------------------------------------------------------------------------------------- backup
+# -------------------------------------------------------------------------------------------------------------
+# backup
 
 
 @pytest.fixture(scope="module")
 def disturbed(robust_design, edge_starts):
-    """The tube-MPC of `robust` under ten times W; many starts are beyond its feasible set, one is not a number."""
+    """The tube-MPC of `robust` under ten times W; many starts are beyond its feasible set, one is
+    not a number."""
     loops, plant = closed_loop.controllers(robust_design), closed_loop.linear_plant(robust_design)
     plant = dataclasses.replace(plant, disturbance_vertices=10 * plant.disturbance_vertices)
     starts = edge_starts(robust_design, BATCH)
@@ -187,13 +227,17 @@ def test_without_a_plan_the_status_says_so_and_inputs_stay_finite(disturbed):
     assert np.mean(status[0, 1 : BATCH // 4] == qp.INFEASIBLE) > 0.5
     assert np.all(status[0, BATCH // 4 :] == qp.SOLVED)
     np.testing.assert_array_equal(backup, status != qp.SOLVED)
-    assert np.all(np.isfinite(disturbed.inputs[:, 1:])) and np.all(np.isfinite(disturbed.errors[:, 1:]))
+    assert np.all(np.isfinite(disturbed.inputs[:, 1:])) and np.all(
+        np.isfinite(disturbed.errors[:, 1:])
+    )
     recovered = backup.any(axis=0) & ~backup[-1]
     assert recovered.sum() > BATCH / 4
 
 
 def test_a_start_that_is_not_a_number_is_never_taken_for_a_plan(disturbed):
-    assert np.all(disturbed.diagnostics.status[:, 0] == qp.UNSOLVED) and np.all(disturbed.diagnostics.backup[:, 0])
+    assert np.all(disturbed.diagnostics.status[:, 0] == qp.UNSOLVED) and np.all(
+        disturbed.diagnostics.backup[:, 0]
+    )
     assert np.all(disturbed.diagnostics.status[:, 1:] != qp.UNSOLVED)
 
 
@@ -218,26 +262,35 @@ def test_the_backup_follows_the_last_plan_then_the_terminal_gain(robust_design, 
     assert used["plan"] > 100 and used["gain"] > 20
 
 
-# ------------------------------------------------------------------------------------------------------ without reset
+# ------------------------------------------------------------------------------------------------------
+# without reset
 
 
 @pytest.mark.slow
 def test_without_restart_the_nominal_trajectory_knows_nothing_of_disturbances(paper_design):
-    """Eqs. (12)-(15), (31): u = g_0 + K(th) (e - e_nominal), and g_0 is a function of e_nominal alone."""
-    controller = dataclasses.replace(closed_loop.controllers(paper_design)["tube_mpc"], restart=False)
+    """Eqs. (12)-(15), (31): u = g_0 + K(th) (e - e_nominal), and g_0 is a function of e_nominal
+    alone."""
+    controller = dataclasses.replace(
+        closed_loop.controllers(paper_design)["tube_mpc"], restart=False
+    )
     starts = np.tile(paper_design.problem.initial_error, (BATCH, 1))
-    trajectory = closed_loop.simulate(controller, closed_loop.slipping_robot(paper_design), starts, 10)
+    trajectory = closed_loop.simulate(
+        controller, closed_loop.slipping_robot(paper_design), starts, 10
+    )
     problem, plain, nominal = paper_design.problem, PlainMpc(paper_design), starts[0]
     for step, wheels in enumerate(problem.schedule[: problem.reference.steps]):
         inputs, errors = plain.qp(step).plan(nominal)
-        expected = inputs[0] + (trajectory.measured[step] - nominal) @ tube_gain(paper_design, wheels).T
+        expected = (
+            inputs[0] + (trajectory.measured[step] - nominal) @ tube_gain(paper_design, wheels).T
+        )
         np.testing.assert_allclose(trajectory.inputs[step], expected, atol=EXACT_SOLVER)
         nominal = errors[1]
     assert np.abs(nominal).max() < 1e-3 < np.abs(trajectory.errors[-1]).max()
     assert np.ptp(trajectory.errors[-1, :, 1]) > 1e-3
 
 
-# ------------------------------------------------------------------------------------------------------- ten thousand
+# -------------------------------------------------------------------------------------------------------
+# ten thousand
 
 
 @pytest.mark.slow
@@ -251,7 +304,9 @@ def test_ten_thousand_recorded_qps_are_solved_exactly(paper_design, paper_laps):
     ("dtype", "residual", "tolerance", "least_share"),
     [(np.float64, KKT, EXACT_SOLVER, 0.999), (np.float32, SINGLE_KKT, SINGLE_PRECISION, 0.9)],
 )
-def test_ten_thousand_hard_qps_are_solved_or_flagged(uncertified, edge_starts, dtype, residual, tolerance, least_share):
+def test_ten_thousand_hard_qps_are_solved_or_flagged(
+    uncertified, edge_starts, dtype, residual, tolerance, least_share
+):
     cases = [("robust", ()), ("robust", TIGHT), ("robust", ONE_SIDED), ("paper", SEQUENCE)]
     comparisons = []
     for name, overrides in cases:
@@ -259,7 +314,8 @@ def test_ten_thousand_hard_qps_are_solved_or_flagged(uncertified, edge_starts, d
         steps = np.unique(design.windows.index, return_index=True)[1]
         starts = hard_starts(design, edge_starts, 10 * BATCH, 12).reshape(len(steps), -1, 3)
         comparisons += [
-            compare_plans(design, step, block, dtype, residual) for step, block in zip(steps, starts, strict=True)
+            compare_plans(design, step, block, dtype, residual)
+            for step, block in zip(steps, starts, strict=True)
         ]
     found = Comparison(*(np.concatenate(parts) for parts in zip(*comparisons, strict=True)))
     assert len(found.status) >= 10_000
@@ -268,7 +324,8 @@ def test_ten_thousand_hard_qps_are_solved_or_flagged(uncertified, edge_starts, d
     assert np.mean(found.status[found.feasible] == qp.SOLVED) >= least_share, str(found)
 
 
-# Measured errors on the edge of the feasible set from which a predictor-corrector method without safeguard cycles.
+# Measured errors on the edge of the feasible set from which a predictor-corrector method without
+# safeguard cycles.
 CYCLING = np.array(
     [
         [-0.06755624, -0.19846809, -0.12548356],

@@ -20,12 +20,16 @@ def closed_loop_rate(error, reference_wheels, compensated_slip, slip, **tuning):
 
 @pytest.mark.parametrize("damping, bandwidth", [(1.0, 0.6), (0.7, 1.5)])
 @pytest.mark.parametrize("reference_wheels", [(1.496, 1.224), (1.0, 1.0), (0.3, 1.2), (-0.8, -1.0)])
-def test_frozen_loop_with_slip_compensation_has_the_designed_poles(damping, bandwidth, reference_wheels):
+def test_frozen_loop_with_slip_compensation_has_the_designed_poles(
+    damping, bandwidth, reference_wheels
+):
     slip = jnp.array([0.2, 0.15])
     matrix = jax.jacobian(closed_loop_rate)(
         jnp.zeros(3), jnp.array(reference_wheels), slip, slip, damping=damping, bandwidth=bandwidth
     )
-    designed = np.polymul([1.0, 2 * damping * bandwidth], [1.0, 2 * damping * bandwidth, bandwidth**2])
+    designed = np.polymul(
+        [1.0, 2 * damping * bandwidth], [1.0, 2 * damping * bandwidth, bandwidth**2]
+    )
     np.testing.assert_allclose(np.poly(np.asarray(matrix)), designed, atol=1e2 * ROUNDING)
 
 
@@ -51,12 +55,15 @@ def test_a_standing_reference_gives_finite_inputs_and_gradients(speed):
     wheels, error = jnp.array([speed + 0.1, speed - 0.1]), jnp.array([0.1, 0.2, 0.3])
     inputs = baselines.tracking_input(error, wheels, TRACK_WIDTH)
     slopes = jax.jacobian(baselines.tracking_input, argnums=(0, 1))(error, wheels, TRACK_WIDTH)
-    # The gain is at most that at the slowest reference speed: 0.2 / 0.01 on 0.2 m, plus 1.2 on 0.3 rad.
+    # The gain is at most that at the slowest reference speed: 0.2 / 0.01 on 0.2 m, plus 1.2 on 0.3
+    # rad.
     assert np.all(np.abs(inputs) < 4.5)
     assert all(np.all(np.isfinite(slope)) for slope in slopes)
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_dtype_and_leading_axes_are_kept(dtype):
-    inputs = jax.jit(baselines.tracking_input)(jnp.ones((4, 1, 3), dtype), jnp.ones((5, 2), dtype), TRACK_WIDTH)
+    inputs = jax.jit(baselines.tracking_input)(
+        jnp.ones((4, 1, 3), dtype), jnp.ones((5, 2), dtype), TRACK_WIDTH
+    )
     assert inputs.shape == (4, 5, 2) and inputs.dtype == dtype

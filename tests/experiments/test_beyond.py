@@ -1,4 +1,5 @@
-"""Laws of the command `beyond`: levels are bracketed, violations named, and the ideal robot is the one known."""
+"""Laws of the command `beyond`: levels are bracketed, violations named, and the ideal robot is the
+one known."""
 
 import json
 
@@ -11,7 +12,14 @@ from jaxtube import qp
 from jaxtube.control.mpc import Diagnostics
 from jaxtube.experiments.beyond import command as beyond
 from jaxtube.experiments.beyond import figures as beyond_figures
-from jaxtube.experiments.beyond.command import IMPERFECTIONS, Laps, Usage, lap_usage, most_tried, search
+from jaxtube.experiments.beyond.command import (
+    IMPERFECTIONS,
+    Laps,
+    Usage,
+    lap_usage,
+    most_tried,
+    search,
+)
 from jaxtube.experiments.cli import main, parse
 from jaxtube.experiments.options import Beyond
 from jaxtube.plant.imperfect import Imperfections
@@ -33,7 +41,8 @@ def proportional(violation, disturbance):
     return lambda level: usage(error=level / violation, disturbance=level / disturbance)
 
 
-# --------------------------------------------------------------------------------------------------------------- search
+# ---------------------------------------------------------------------------------------------------------------
+# search
 
 
 @pytest.mark.parametrize(("violation", "disturbance"), [(0.7, 0.01), (0.3, 0.9), (0.11, 0.111)])
@@ -70,10 +79,14 @@ def test_violations_are_named_with_the_slips_under_which_they_occur():
         "wheel speed (iid, vertex, constant, adversarial)",
         "no plan (constant)",
     ]
-    assert usage(disturbance=np.nan).leaves_disturbance_set and not usage(disturbance=1.0).leaves_disturbance_set
+    assert (
+        usage(disturbance=np.nan).leaves_disturbance_set
+        and not usage(disturbance=1.0).leaves_disturbance_set
+    )
 
 
-# -------------------------------------------------------------------------------------------------------- usage of sets
+# --------------------------------------------------------------------------------------------------------
+# usage of sets
 
 
 def test_the_usage_of_laps_is_that_of_their_worst_period(paper_design):
@@ -81,12 +94,17 @@ def test_the_usage_of_laps_is_that_of_their_worst_period(paper_design):
     steps, runs = problem.reference.steps, 5
     errors, measured = generator.normal(0.0, 0.1, (2, steps + 1, runs, 3))
     inputs, demanded = generator.normal(0.0, 0.5, (2, steps, runs, 2))
-    status, none = jnp.asarray(generator.integers(0, 3, (steps, runs))), jnp.zeros((steps, runs), bool)
+    status, none = (
+        jnp.asarray(generator.integers(0, 3, (steps, runs))),
+        jnp.zeros((steps, runs), bool),
+    )
     diagnostics = Diagnostics(status, jnp.zeros((steps, runs)), none, none)
     seen, asked = jnp.asarray(measured), jnp.asarray(demanded)
     laps = Trajectory(jnp.asarray(errors), seen, jnp.asarray(inputs), asked, asked, diagnostics)
     error, disturbance, wheels, without_plan = lap_usage(paper_design, laps)
-    np.testing.assert_allclose(error, np.abs(errors).max(axis=(0, 1)) / problem.error_set.offsets[:3])
+    np.testing.assert_allclose(
+        error, np.abs(errors).max(axis=(0, 1)) / problem.error_set.offsets[:3]
+    )
     w, W = closed_loop.model_residuals(paper_design, laps).reshape(-1, 3), problem.disturbance_set
     for share, inside in ((disturbance * 1.001, True), (disturbance * 0.999, False)):
         assert np.all(W.normals @ w.T <= share * W.offsets[:, None]) == inside
@@ -95,11 +113,15 @@ def test_the_usage_of_laps_is_that_of_their_worst_period(paper_design):
 
 
 @pytest.mark.slow
-def test_laps_of_the_ideal_robot_are_those_known_and_imperfection_uses_more(paper_design, monkeypatch):
+def test_laps_of_the_ideal_robot_are_those_known_and_imperfection_uses_more(
+    paper_design, monkeypatch
+):
     monkeypatch.setattr(beyond, "PROCESSES", ("iid",))
     laps = Laps(paper_design, 16, 0)
     starts = np.tile(paper_design.problem.initial_error, (16, 1))
-    known = closed_loop.simulate(laps.controller, closed_loop.slipping_robot(paper_design, "iid"), starts, 0)
+    known = closed_loop.simulate(
+        laps.controller, closed_loop.slipping_robot(paper_design, "iid"), starts, 0
+    )
     found, expected = laps.usage(Imperfections()), lap_usage(paper_design, known)
     for one, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(one[0], other, atol=CLOSED_LOOP)
@@ -108,7 +130,8 @@ def test_laps_of_the_ideal_robot_are_those_known_and_imperfection_uses_more(pape
     np.testing.assert_array_equal(laps.at("preview")(0.0).error, found.error)
 
 
-# -------------------------------------------------------------------------------------------------------------- command
+# --------------------------------------------------------------------------------------------------------------
+# command
 
 
 @pytest.fixture
@@ -134,14 +157,22 @@ def test_the_command_writes_levels_with_units_and_prints_a_table(tmp_path, capsy
         levels = [entry[imperfection.key] for entry in found[name]["levels"]]
         assert levels[0] == 0 and levels == sorted(levels)
     text = capsys.readouterr().out
-    assert [imperfection.title for imperfection in IMPERFECTIONS.values() if imperfection.title not in text] == []
+    assert [
+        imperfection.title
+        for imperfection in IMPERFECTIONS.values()
+        if imperfection.title not in text
+    ] == []
     names = {"beyond.png", "beyond.pdf", "metrics.json", "manifest.json", "scenario.toml"}
     assert {path.name for path in tmp_path.iterdir()} == names
 
 
 def test_the_options_of_the_command_are_those_of_its_module():
     options = parse(["beyond"])
-    assert isinstance(options, Beyond) and options.realisations == 1024 and str(options.folder) == "runs/beyond-paper"
+    assert (
+        isinstance(options, Beyond)
+        and options.realisations == 1024
+        and str(options.folder) == "runs/beyond-paper"
+    )
 
 
 def test_the_figure_marks_first_violations_and_has_a_panel_an_imperfection():
@@ -152,4 +183,6 @@ def test_the_figure_marks_first_violations_and_has_a_panel_an_imperfection():
     marks = [[line for line in axes.lines if line.get_marker() == "x"] for axes in panels]
     for name, crosses in zip(searches, marks, strict=True):
         first = searches[name].violation
-        assert [np.asarray(line.get_xdata())[0] for line in crosses] == ([] if first is None else [first])
+        assert [np.asarray(line.get_xdata())[0] for line in crosses] == (
+            [] if first is None else [first]
+        )

@@ -24,15 +24,25 @@ def controller(size, **changes):
 
 def made_up_metrics():
     """Metrics of a run in which every claim of the paper is true."""
-    conditions = ["error_sets_not_empty", "input_sets_not_empty", "plan_stays_feasible", "invariant_set_for_tube_gain"]
+    conditions = [
+        "error_sets_not_empty",
+        "input_sets_not_empty",
+        "plan_stays_feasible",
+        "invariant_set_for_tube_gain",
+    ]
     conditions += ["terminal_set_invariant", "terminal_cost_decrease"]
-    conditions += [f"terminal_set_for_{objective}" for objective in ("trace_s", "trace_p", "logdet")]
+    conditions += [
+        f"terminal_set_for_{objective}" for objective in ("trace_s", "trace_p", "logdet")
+    ]
     stressed = {"runs": 40, "runs_outside_E": 0, "runs_with_infeasible_QP": 0}
     left_behind = dict(zip(NAMES, [1.0, 0.0, 0.0], strict=True))
     return {
         "controllers": {
             "uncompensated": controller(
-                0.25, violation_share=1.0, violation_share_by_coordinate=left_behind, wheel_speed_mean_mps=1.65
+                0.25,
+                violation_share=1.0,
+                violation_share_by_coordinate=left_behind,
+                wheel_speed_mean_mps=1.65,
             ),
             "compensated": controller(0.2),
             "local_gain": controller(0.15),
@@ -48,7 +58,9 @@ def made_up_metrics():
             "largest": dict.fromkeys(NAMES, 0.1),
             "allowed": dict.fromkeys(NAMES, 0.2),
         },
-        "stress": {"linear_w_in_W": {"tube_mpc": stressed, "plain_mpc": stressed | {"runs_outside_E": 7}}},
+        "stress": {
+            "linear_w_in_W": {"tube_mpc": stressed, "plain_mpc": stressed | {"runs_outside_E": 7}}
+        },
         "stress_certificate": {
             "plan_stays_feasible": {"holds": True, "required": True},
             "terminal_set_for_logdet": {"holds": False, "required": False},
@@ -69,15 +81,22 @@ def change(measured, path, value):
 
 def test_in_a_run_as_the_paper_describes_it_every_claim_is_reproduced():
     found = verdicts(made_up_metrics())
-    # What the paper puts down to prediction is never more than partly so: no lap tells prediction from gain.
+    # What the paper puts down to prediction is never more than partly so: no lap tells prediction
+    # from gain.
     advantage = [claim for claim in found if claim.startswith("the advantage")]
     assert [found.pop(claim) for claim in advantage] == ["in part"]
     assert set(found.values()) == {"reproduced"} and len(found) == 12
 
 
-OUTSIDE, SMALLEST, TERMINAL = "controllers.uncompensated", "MPC has the smallest", "a terminal region"
+OUTSIDE, SMALLEST, TERMINAL = (
+    "controllers.uncompensated",
+    "MPC has the smallest",
+    "a terminal region",
+)
 LONGITUDINAL = f"{OUTSIDE}.violation_share_by_coordinate.longitudinal_m"
-CONDITIONS = [f"certificate.{name}.holds" for name in ("terminal_set_invariant", "terminal_cost_decrease")]
+CONDITIONS = [
+    f"certificate.{name}.holds" for name in ("terminal_set_invariant", "terminal_cost_decrease")
+]
 FEASIBLE = "certificate.plan_stays_feasible.holds"
 RMS = "controllers.compensated.rms_error"
 PEAK = f"{OUTSIDE}.max_error.whole_run"
@@ -85,7 +104,10 @@ IN_W = "stress.linear_w_in_W.tube_mpc"
 
 
 def peak(median, worst):
-    return {f"{PEAK}.median": dict.fromkeys(NAMES, median), f"{PEAK}.worst": dict.fromkeys(NAMES, worst)}
+    return {
+        f"{PEAK}.median": dict.fromkeys(NAMES, median),
+        f"{PEAK}.worst": dict.fromkeys(NAMES, worst),
+    }
 
 
 @pytest.mark.parametrize(
@@ -100,14 +122,38 @@ def peak(median, worst):
         ("without slip compensation e_y", peak(0.3, 0.4), "not reproduced"),
         ("both compensating", {"controllers.tube_mpc.violation_share": 0.1}, "not reproduced"),
         ("both compensating", {"controllers.compensated.violation_share": 0.1}, "not reproduced"),
-        (f"{SMALLEST} largest error, whole run", {"controllers.tube_mpc.max_error": errors_of(0.21)}, "not reproduced"),
-        (f"{SMALLEST} largest error, after 10", {"controllers.tube_mpc.max_error": errors_of(0.2)}, "not reproduced"),
-        (f"{SMALLEST} RMS error, after", {f"{RMS}.after_10_s": errors_of(0.01)["after_10_s"]}, "not reproduced"),
+        (
+            f"{SMALLEST} largest error, whole run",
+            {"controllers.tube_mpc.max_error": errors_of(0.21)},
+            "not reproduced",
+        ),
+        (
+            f"{SMALLEST} largest error, after 10",
+            {"controllers.tube_mpc.max_error": errors_of(0.2)},
+            "not reproduced",
+        ),
+        (
+            f"{SMALLEST} RMS error, after",
+            {f"{RMS}.after_10_s": errors_of(0.01)["after_10_s"]},
+            "not reproduced",
+        ),
         ("wheel speeds rise", {"controllers.tube_mpc.wheel_speed_mean_mps": 1.6}, "not reproduced"),
-        ("wheel speeds rise", {"controllers.compensated.wheel_speed_mean_mps": 1.6}, "not reproduced"),
+        (
+            "wheel speeds rise",
+            {"controllers.compensated.wheel_speed_mean_mps": 1.6},
+            "not reproduced",
+        ),
         ("wheel speeds rise", {f"{OUTSIDE}.wheel_speed_mean_mps": 1.3}, "not reproduced"),
-        ("the tightened sets", {"certificate.input_sets_not_empty.margin": -0.01}, "not reproduced"),
-        ("the tightened sets", {"certificate.error_sets_not_empty.margin": -0.01}, "not reproduced"),
+        (
+            "the tightened sets",
+            {"certificate.input_sets_not_empty.margin": -0.01},
+            "not reproduced",
+        ),
+        (
+            "the tightened sets",
+            {"certificate.error_sets_not_empty.margin": -0.01},
+            "not reproduced",
+        ),
         (TERMINAL, {CONDITIONS[0]: False}, "in part"),
         (TERMINAL, {CONDITIONS[1]: False}, "in part"),
         (TERMINAL, dict.fromkeys(CONDITIONS, False), "in part"),
@@ -116,7 +162,11 @@ def peak(median, worst):
         ("the advantage", {"controllers.local_gain.rms_error": errors_of(0.05)}, "not reproduced"),
         ("the tube keeps", {f"{IN_W}.runs_outside_E": 1}, "not reproduced"),
         ("the tube keeps", {f"{IN_W}.runs_with_infeasible_QP": 1}, "not reproduced"),
-        ("the tube keeps", {"stress_certificate.plan_stays_feasible.holds": False}, "not reproduced"),
+        (
+            "the tube keeps",
+            {"stress_certificate.plan_stays_feasible.holds": False},
+            "not reproduced",
+        ),
     ],
 )
 def test_every_verdict_follows_from_its_numbers_and_from_no_others(claim, changes, verdict):
@@ -135,18 +185,28 @@ def test_every_verdict_follows_from_its_numbers_and_from_no_others(claim, change
 def test_without_recursive_feasibility_of_its_own_the_papers_tube_and_terminal_set_do_part_of_what_is_claimed():
     measured, before = made_up_metrics(), verdicts(made_up_metrics())
     change(measured, FEASIBLE, False)
-    changed = {name: verdict for name, verdict in verdicts(measured).items() if verdict != before[name]}
+    changed = {
+        name: verdict for name, verdict in verdicts(measured).items() if verdict != before[name]
+    }
     assert set(changed.values()) == {"in part"} and len(changed) == 2
     for condition in CONDITIONS:
         change(measured, condition, False)
-    assert [v for name, v in verdicts(measured).items() if name.startswith(TERMINAL)] == ["not reproduced"]
+    assert [v for name, v in verdicts(measured).items() if name.startswith(TERMINAL)] == [
+        "not reproduced"
+    ]
 
 
 def test_only_coordinates_that_differ_decide_which_error_is_smaller():
     measured = made_up_metrics()
     same, better, worse = 0.1, 0.05, 0.3
-    for values, verdict in (([better, worse, better], "in part"), ([better, same, same], "reproduced")):
-        spans = {span: {"median": dict(zip(NAMES, values, strict=True))} for span in ("whole_run", "after_10_s")}
+    for values, verdict in (
+        ([better, worse, better], "in part"),
+        ([better, same, same], "reproduced"),
+    ):
+        spans = {
+            span: {"median": dict(zip(NAMES, values, strict=True))}
+            for span in ("whole_run", "after_10_s")
+        }
         measured["controllers"]["tube_mpc"]["rms_error"] = errors_of(same) | spans
         assert {v for name, v in verdicts(measured).items() if "RMS" in name} == {verdict}
 

@@ -1,4 +1,5 @@
-"""Laws of the command line: exit codes, one line for bad input, complete run folders, claims really compared."""
+"""Laws of the command line: exit codes, one line for bad input, complete run folders, claims really
+compared."""
 
 import json
 import math
@@ -17,7 +18,11 @@ from jaxtube.experiments.run import folder as run_folder
 from jaxtube.scenario import Scenario, load
 
 # The fake design writes this; the claims of the tests are made against it.
-METRICS = {"half_widths_m": [[0.0], [0.5, 0.25]], "terminal": {"facets": 269, "exists": True}, "volume": float("nan")}
+METRICS = {
+    "half_widths_m": [[0.0], [0.5, 0.25]],
+    "terminal": {"facets": 269, "exists": True},
+    "volume": float("nan"),
+}
 
 
 def replace_module(monkeypatch, name: str, **contents) -> None:
@@ -28,7 +33,8 @@ def replace_module(monkeypatch, name: str, **contents) -> None:
 
 @pytest.fixture
 def fake_runs(monkeypatch):
-    """Replace the design and the paper run by ones that write METRICS; returns the options each was run with."""
+    """Replace the design and the paper run by ones that write METRICS; returns the options each was
+    run with."""
     calls = []
 
     def run(scenario, options):
@@ -56,7 +62,8 @@ def error_line(capsys, *words) -> str:
     return output.err
 
 
-# ------------------------------------------------------------------------------------------------------------ words
+# ------------------------------------------------------------------------------------------------------------
+# words
 
 
 def test_the_default_command_is_the_paper():
@@ -65,15 +72,31 @@ def test_the_default_command_is_the_paper():
 
 
 def test_the_three_forms_of_an_override_are_one():
-    for words in (["controller.horizon=7"], ["--controller.horizon=7"], ["--controller.horizon", "7"]):
+    for words in (
+        ["controller.horizon=7"],
+        ["--controller.horizon=7"],
+        ["--controller.horizon", "7"],
+    ):
         assert parse(["design", *words, "--seed", "3"]) == command_options.Design(
             seed=3, overrides=("controller.horizon=7",)
         )
-    assert parse(["--initial.x_m", "-0.1"]) == command_options.Paper(overrides=("initial.x_m=-0.1",))
+    assert parse(["--initial.x_m", "-0.1"]) == command_options.Paper(
+        overrides=("initial.x_m=-0.1",)
+    )
 
 
 def test_the_written_command_line_reads_back_as_the_same_options():
-    words = ["check", "a", "b c.toml", "--seed", "3", "--quick", "--out", "some where", "controller.horizon=7"]
+    words = [
+        "check",
+        "a",
+        "b c.toml",
+        "--seed",
+        "3",
+        "--quick",
+        "--out",
+        "some where",
+        "controller.horizon=7",
+    ]
     options = parse(words)
     assert options is not None
     written = shlex.split(command_options.command_line(options))
@@ -81,7 +104,8 @@ def test_the_written_command_line_reads_back_as_the_same_options():
 
 
 @pytest.mark.parametrize(
-    ("scenario", "title"), [("paper", "paper"), ("a/mine.toml", "mine"), ("wet/scenario.toml", "wet")]
+    ("scenario", "title"),
+    [("paper", "paper"), ("a/mine.toml", "mine"), ("wet/scenario.toml", "wet")],
 )
 def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title):
     assert str(command_options.Design(scenario=scenario).folder) == f"runs/design-{title}"
@@ -91,7 +115,13 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
 @pytest.mark.parametrize(
     ("words", "fragments"),
     [
-        (["papr"], ["papr", "paper, design, montecarlo, falsify, guarantee, maps, beyond, tune, bench, list, check"]),
+        (
+            ["papr"],
+            [
+                "papr",
+                "paper, design, montecarlo, falsify, guarantee, maps, beyond, tune, bench, list, check",
+            ],
+        ),
         (["paper", "else"], ["else"]),
         (["--seeed", "3"], ["--seeed", "did you mean --seed?"]),
         (["--seed"], ["--seed"]),
@@ -117,7 +147,9 @@ def test_bad_input_ends_with_2_and_one_line_that_names_it(words, fragments, caps
 def test_an_out_folder_that_cannot_be_is_bad_input(tmp_path, capsys, fake_runs):
     (tmp_path / "file").write_text("")
     assert "is a file" in error_line(capsys, "design", "--out", str(tmp_path / "file"))
-    assert "cannot be written to" in error_line(capsys, "design", "--out", str(tmp_path / "file" / "below"))
+    assert "cannot be written to" in error_line(
+        capsys, "design", "--out", str(tmp_path / "file" / "below")
+    )
 
 
 @pytest.mark.parametrize("words", [["--help"], ["-h"], ["paper", "--help"], ["check", "--help"]])
@@ -134,12 +166,15 @@ def test_help_imports_nothing_heavy():
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
-# ------------------------------------------------------------------------------------------------------- exit codes
+# -------------------------------------------------------------------------------------------------------
+# exit codes
 
 
 @pytest.mark.parametrize("code", [0, 3])
 def test_the_exit_code_is_that_of_the_command(code, monkeypatch):
-    replace_module(monkeypatch, "jaxtube.experiments.design.command", run=lambda scenario, options: code)
+    replace_module(
+        monkeypatch, "jaxtube.experiments.design.command", run=lambda scenario, options: code
+    )
     assert main(["design"]) == code
 
 
@@ -181,10 +216,16 @@ def test_the_process_computes_in_float64_and_ends_with_the_exit_code(tmp_path):
         "import runpy\n"
         "runpy.run_module('jaxtube.experiments', run_name='__main__', alter_sys=True)\n"
     )
-    assert subprocess.run([sys.executable, tmp_path / "jaxtube_probe.py"], capture_output=True).returncode == 3
+    assert (
+        subprocess.run(
+            [sys.executable, tmp_path / "jaxtube_probe.py"], capture_output=True
+        ).returncode
+        == 3
+    )
 
 
-# ------------------------------------------------------------------------------------------------------- run folder
+# -------------------------------------------------------------------------------------------------------
+# run folder
 
 
 def test_a_run_folder_says_what_was_asked_and_what_came_out(tmp_path, fake_runs):
@@ -199,7 +240,11 @@ def test_a_run_folder_says_what_was_asked_and_what_came_out(tmp_path, fake_runs)
     assert len(manifest["source_sha256"]["sets"]) == 64
     metrics = json.loads((folder / "metrics.json").read_text())
     assert metrics == {**METRICS, "volume": None}
-    assert sorted(path.name for path in folder.iterdir()) == ["manifest.json", "metrics.json", "scenario.toml"]
+    assert sorted(path.name for path in folder.iterdir()) == [
+        "manifest.json",
+        "metrics.json",
+        "scenario.toml",
+    ]
 
 
 def test_a_new_run_takes_the_metrics_of_the_last_one_away(tmp_path, fake_runs):
@@ -212,7 +257,11 @@ def test_a_new_run_takes_the_metrics_of_the_last_one_away(tmp_path, fake_runs):
 def test_metrics_are_plain_finite_and_sorted(tmp_path):
     folder = run_folder.create(Scenario(), command_options.Design(out=str(tmp_path)))
     folder.save_metrics(
-        {"b": np.float32(0.5), "a": {1: np.array([1.0, np.inf])}, "c": (np.int64(2), np.bool_(True), -math.inf)}
+        {
+            "b": np.float32(0.5),
+            "a": {1: np.array([1.0, np.inf])},
+            "c": (np.int64(2), np.bool_(True), -math.inf),
+        }
     )
     text = (tmp_path / "metrics.json").read_text()
     assert json.loads(text) == {"a": {"1": [1.0, None]}, "b": 0.5, "c": [2, True, None]}
@@ -245,7 +294,8 @@ def test_figures_are_png_and_pdf_and_repeat_bit_by_bit(tmp_path):
     assert contents[0][0].startswith(b"\x89PNG") and contents[0][1].startswith(b"%PDF")
 
 
-# --------------------------------------------------------------------------------------------------- list and check
+# ---------------------------------------------------------------------------------------------------
+# list and check
 
 
 def test_list_prints_each_scenario_with_its_first_comment(capsys):
@@ -281,13 +331,20 @@ def test_dotted_paths_go_through_tables_and_lists():
         (True, True, 0.0, True),
     ],
 )
-def test_a_claim_holds_within_its_tolerance_and_for_its_own_type_alone(actual, expected, tolerance, verdict):
-    assert holds(actual, Metric(path="x", value=expected, tolerance=tolerance, provenance="")) is verdict
+def test_a_claim_holds_within_its_tolerance_and_for_its_own_type_alone(
+    actual, expected, tolerance, verdict
+):
+    assert (
+        holds(actual, Metric(path="x", value=expected, tolerance=tolerance, provenance=""))
+        is verdict
+    )
 
 
 def write_claims(folder, *claims: str) -> str:
     (folder / "scenario.toml").write_text("")
-    (folder / "expected.toml").write_text("".join(f'[[metric]]\n{claim}\nprovenance = "by hand"\n' for claim in claims))
+    (folder / "expected.toml").write_text(
+        "".join(f'[[metric]]\n{claim}\nprovenance = "by hand"\n' for claim in claims)
+    )
     return str(folder / "scenario.toml")
 
 
@@ -304,29 +361,53 @@ def test_check_replays_the_runs_that_its_claims_need(tmp_path, capsys, fake_runs
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == ["ok", "ok", "2"]
     assert {options.command for _, options in fake_runs} == {"design", "paper"}
-    assert {(scenario.controller.horizon, options.seed) for scenario, options in fake_runs} == {(7, 9)}
+    assert {(scenario.controller.horizon, options.seed) for scenario, options in fake_runs} == {
+        (7, 9)
+    }
 
 
 def test_check_ends_with_1_when_a_metric_is_off_or_missing(tmp_path, capsys, fake_runs):
     missing = 'path = "terminal.volume"\nvalue = 1.0\ntolerance = 1e9'
-    assert check(tmp_path, write_claims(tmp_path, FACETS, FACETS.replace("269", "270"), missing)) == 1
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["ok", "off", "off", "1"]
+    assert (
+        check(tmp_path, write_claims(tmp_path, FACETS, FACETS.replace("269", "270"), missing)) == 1
+    )
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
+        "ok",
+        "off",
+        "off",
+        "1",
+    ]
 
 
 def test_quick_check_runs_the_design_alone(tmp_path, capsys, fake_runs):
     assert check(tmp_path, "--quick", write_claims(tmp_path, FACETS, WIDTH)) == 0
-    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["ok", "skipped", "1"]
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == [
+        "ok",
+        "skipped",
+        "1",
+    ]
     assert [options.command for _, options in fake_runs] == ["design"]
 
 
-def test_check_counts_the_metrics_of_a_run_that_ended_badly_as_off(tmp_path, monkeypatch, capsys, fake_runs):
-    monkeypatch.setattr(sys.modules["jaxtube.experiments.design.command"], "run", lambda scenario, options: 3)
+def test_check_counts_the_metrics_of_a_run_that_ended_badly_as_off(
+    tmp_path, monkeypatch, capsys, fake_runs
+):
+    monkeypatch.setattr(
+        sys.modules["jaxtube.experiments.design.command"], "run", lambda scenario, options: 3
+    )
     assert check(tmp_path, write_claims(tmp_path, FACETS)) == 1
     assert "exit code 3" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
-    "claim", ['path = "a"', 'path = "a"\nvalue = nan', 'path = "a"\nvalue = 1\ntolerance = -1', "path = ", 'pth = "a"']
+    "claim",
+    [
+        'path = "a"',
+        'path = "a"\nvalue = nan',
+        'path = "a"\nvalue = 1\ntolerance = -1',
+        "path = ",
+        'pth = "a"',
+    ],
 )
 def test_claims_that_cannot_be_read_are_bad_input(claim, tmp_path, capsys):
     assert "expected.toml: " in error_line(capsys, "check", write_claims(tmp_path, claim))

@@ -1,4 +1,5 @@
-"""Laws of the cluster: the same bytes from any workers, also when one is lost; what is no cluster costs one line."""
+"""Laws of the cluster: the same bytes from any workers, also when one is lost; what is no cluster
+costs one line."""
 
 import dataclasses
 import os
@@ -41,17 +42,31 @@ def local(design):
 
 
 def as_bytes(found):
-    return {block: {name: value.tobytes() for name, value in statistics.items()} for block, statistics in found}
+    return {
+        block: {name: value.tobytes() for name, value in statistics.items()}
+        for block, statistics in found
+    }
 
 
-@pytest.mark.parametrize("name", ["nonsense", "tcp://127.0.0.1:1", "local:two", "local:0", "local:-1"])
+@pytest.mark.parametrize(
+    "name", ["nonsense", "tcp://127.0.0.1:1", "local:two", "local:0", "local:-1"]
+)
 def test_what_is_no_cluster_costs_one_line(known, tmp_path, capsys, name):
-    assert main([*WORDS, "--realisations", "10", "--out", str(tmp_path / "run"), "--cluster", name]) == 2
+    assert (
+        main([*WORDS, "--realisations", "10", "--out", str(tmp_path / "run"), "--cluster", name])
+        == 2
+    )
     output = capsys.readouterr()
     lines = [line for line in output.err.splitlines() if not line.startswith("simulating")]
-    assert len(lines) == 1 and lines[0].startswith(f'command line: --cluster = "{name}": ') and not output.out
+    assert (
+        len(lines) == 1
+        and lines[0].startswith(f'command line: --cluster = "{name}": ')
+        and not output.out
+    )
     assert "local:N" in lines[0]
-    with pytest.raises(ValueError, match="No clients found"):  # no broken one is left for others to find
+    with pytest.raises(
+        ValueError, match="No clients found"
+    ):  # no broken one is left for others to find
         distributed.default_client()
 
 
@@ -65,7 +80,11 @@ def test_a_job_is_the_run_as_plain_arrays(local):
         if one is local.task.seed_key:
             one, other = jax.random.key_data(one), jax.random.key_data(other)
         one, other = np.asarray(one), np.asarray(other)
-        assert one.dtype == other.dtype and one.shape == other.shape and one.tobytes() == other.tobytes()
+        assert (
+            one.dtype == other.dtype
+            and one.shape == other.shape
+            and one.tobytes() == other.tobytes()
+        )
 
 
 @pytest.mark.slow
@@ -74,7 +93,9 @@ def test_the_workers_of_this_machine_give_the_same_bytes(known, tmp_path):
     assert main([*words, "--out", str(tmp_path / "alone")]) == 0
     assert main([*words, "--out", str(tmp_path / "cluster"), "--cluster", "local:2"]) == 0
     for name in ("statistics.npz", "metrics.json"):
-        assert (tmp_path / "alone" / name).read_bytes() == (tmp_path / "cluster" / name).read_bytes()
+        assert (tmp_path / "alone" / name).read_bytes() == (
+            tmp_path / "cluster" / name
+        ).read_bytes()
 
 
 @pytest.mark.slow
@@ -96,7 +117,8 @@ def test_a_lost_worker_costs_nothing(local):
 def test_workers_with_other_code_are_refused(local, monkeypatch):
     monkeypatch.setattr(clusters, "source_hashes", lambda: {"jaxtube": "other"})
     refused = pytest.raises(
-        ValueError, match="has another version of jaxtube or jax, or other devices; install the same"
+        ValueError,
+        match="has another version of jaxtube or jax, or other devices; install the same",
     )
     with Cluster("local:1", local) as cluster, refused:
         next(cluster.computed([0]))

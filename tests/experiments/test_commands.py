@@ -1,4 +1,5 @@
-"""Laws of the commands `design` and `paper`: exit codes, complete run folders, numbers that are those computed."""
+"""Laws of the commands `design` and `paper`: exit codes, complete run folders, numbers that are
+those computed."""
 
 import dataclasses
 import json
@@ -25,13 +26,19 @@ FIGURES |= {"tube_sections", "tightened_sets", "terminal_set", "stress_terminal_
 
 @pytest.fixture
 def known_designs(monkeypatch, paper_design, robust_design):
-    """Hand out the session's designs, fresh certificate and all, where a scenario differs in its start at most."""
+    """Hand out the session's designs, fresh certificate and all, where a scenario differs in its
+    start at most."""
 
     def design(scenario):
         for known in (paper_design, robust_design):
-            if msgspec.structs.replace(scenario, initial=known.problem.scenario.initial) == known.problem.scenario:
+            if (
+                msgspec.structs.replace(scenario, initial=known.problem.scenario.initial)
+                == known.problem.scenario
+            ):
                 certificate = Certificate(dict(known.certificate.conditions))
-                return dataclasses.replace(known, problem=make_problem(scenario), certificate=certificate)
+                return dataclasses.replace(
+                    known, problem=make_problem(scenario), certificate=certificate
+                )
         return compute(scenario)
 
     monkeypatch.setattr("jaxtube.experiments.design.command.design", design)
@@ -52,12 +59,25 @@ def refusal(capsys):
     return output.err
 
 
-# ----------------------------------------------------------------------------------------------------------- exit codes
+# -----------------------------------------------------------------------------------------------------------
+# exit codes
 
 
 @pytest.mark.parametrize("command", ["design", "paper"])
-def test_a_start_outside_the_feasible_set_ends_with_2_and_leaves_no_folder(command, tmp_path, capsys, known_designs):
-    assert run(tmp_path / "run", command, "--scenario", "robust", "initial.y_m=-0.29", "initial.heading_deg=-15") == 2
+def test_a_start_outside_the_feasible_set_ends_with_2_and_leaves_no_folder(
+    command, tmp_path, capsys, known_designs
+):
+    assert (
+        run(
+            tmp_path / "run",
+            command,
+            "--scenario",
+            "robust",
+            "initial.y_m=-0.29",
+            "initial.heading_deg=-15",
+        )
+        == 2
+    )
     assert "outside the feasible set" in refusal(capsys)
     assert not (tmp_path / "run").exists()
 
@@ -77,7 +97,10 @@ def test_a_failed_certificate_is_reported_and_ends_with_3_only_on_request(
     found = metrics_of(tmp_path)
     assert not found["certified"] and not found["certificate"]["disturbance_in_w"]["holds"]
     text = capsys.readouterr().out
-    assert "certificate (terminal paper, tube paper)" in text and "NOT CERTIFIED: plan_stays_feasible" in text
+    assert (
+        "certificate (terminal paper, tube paper)" in text
+        and "NOT CERTIFIED: plan_stays_feasible" in text
+    )
     for name, condition in found["certificate"].items():
         assert name in text
         assert condition["sentence"].split()[-1] in text
@@ -91,27 +114,46 @@ def test_a_certificate_that_holds_meets_the_request(robust_design):
 
 
 def test_simulated_laps_refute_that_w_lies_in_W_and_never_prove_it(tmp_path):
-    """A real design from the command line, small: slip that is known exactly leaves only what was linearised."""
-    words = ("controller.horizon=2", "reference.wheel_speed_min_mps=1.2", "slip.relative_error=0", "initial.x_m=0")
+    """A real design from the command line, small: slip that is known exactly leaves only what was
+    linearised."""
+    words = (
+        "controller.horizon=2",
+        "reference.wheel_speed_min_mps=1.2",
+        "slip.relative_error=0",
+        "initial.x_m=0",
+    )
     wider = ("initial.y_m=0.01", "disturbance.lateral_m=0.01", "disturbance.longitudinal_m=0.01")
-    assert run(tmp_path, "design", "--scenario", "robust", "--require-certificate", *words, *wider) == 3
+    assert (
+        run(tmp_path, "design", "--scenario", "robust", "--require-certificate", *words, *wider)
+        == 3
+    )
     found = metrics_of(tmp_path)
-    assert {name for name, c in found["certificate"].items() if c["required"] and not c["holds"]} == {
-        "disturbance_bound_proved"
-    }
+    assert {
+        name for name, c in found["certificate"].items() if c["required"] and not c["holds"]
+    } == {"disturbance_bound_proved"}
     assert found["disturbance"]["share_of_steps_outside"] == 0 <= found["disturbance"]["margin"]
 
 
-# --------------------------------------------------------------------------------------------------------------- design
+# ---------------------------------------------------------------------------------------------------------------
+# design
 
 
 def check_design_metrics(found, design):
     np.testing.assert_allclose(found["lqr_gain"], design.lqr_gain, rtol=CLOSED_LOOP)
-    assert set(found["tube_half_widths"]) == set(found["tube_volume"]) == set(found["input_support"]) == TUBES
+    assert (
+        set(found["tube_half_widths"])
+        == set(found["tube_volume"])
+        == set(found["input_support"])
+        == TUBES
+    )
     N = design.problem.horizon
     assert {np.shape(widths) for widths in found["tube_half_widths"].values()} == {(N + 1, 3)}
     assert {np.shape(support) for support in found["input_support"].values()} == {(N + 1,)}
-    assert np.shape(found["input_set_p_q"]) == (2, 2) and np.shape(found["terminal_gains"]) == (4, 2, 3)
+    assert np.shape(found["input_set_p_q"]) == (2, 2) and np.shape(found["terminal_gains"]) == (
+        4,
+        2,
+        3,
+    )
     np.testing.assert_allclose(found["lmi_cost"], design.cost.cost, rtol=CLOSED_LOOP)
     assert found["terminal_facets"] == len(design.terminal.invariant.offsets)
     assert len(found["terminal_half_widths"]) == 3
@@ -119,17 +161,30 @@ def check_design_metrics(found, design):
     assert all(seconds >= 0 for seconds in found["design_seconds"].values())
 
 
-def test_the_design_command_writes_what_was_designed(tmp_path, capsys, known_designs, robust_design):
+def test_the_design_command_writes_what_was_designed(
+    tmp_path, capsys, known_designs, robust_design
+):
     assert run(tmp_path, "design", "--scenario", "robust") == 0
     found = metrics_of(tmp_path)
     check_design_metrics(found, robust_design)
-    assert found["disturbance"]["steps"] == closed_loop.BLOCK * robust_design.problem.reference.steps
-    assert {path.name for path in tmp_path.iterdir()} == {"metrics.json", "manifest.json", "scenario.toml"}
+    assert (
+        found["disturbance"]["steps"] == closed_loop.BLOCK * robust_design.problem.reference.steps
+    )
+    assert {path.name for path in tmp_path.iterdir()} == {
+        "metrics.json",
+        "manifest.json",
+        "scenario.toml",
+    }
     text = capsys.readouterr().out
-    assert "* summed" in text and f"{found['terminal_facets']} facets" in text and str(tmp_path) in text
+    assert (
+        "* summed" in text
+        and f"{found['terminal_facets']} facets" in text
+        and str(tmp_path) in text
+    )
 
 
-# ---------------------------------------------------------------------------------------------------------------- paper
+# ----------------------------------------------------------------------------------------------------------------
+# paper
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +200,9 @@ def paper_run(tmp_path_factory, paper_design, robust_design):
         def design(scenario):
             known = by_tube[scenario.controller.tube]
             assert known.problem.scenario == scenario
-            return dataclasses.replace(known, certificate=Certificate(dict(known.certificate.conditions)))
+            return dataclasses.replace(
+                known, certificate=Certificate(dict(known.certificate.conditions))
+            )
 
         patch.setattr("jaxtube.experiments.paper.command.design", design)
         code = run(folder, "paper", "--realisations", str(REALISATIONS))
@@ -173,9 +230,15 @@ def test_the_metrics_of_the_paper_command_are_complete(paper_run, paper_design):
         assert 0 <= numbers["violation_share"] <= 1 and 0 <= numbers["active_share"] <= 1
         for kind in ("max_error", "rms_error"):
             assert set(numbers[kind]) == {"whole_run", "after_10_s"}
-            assert all(set(spread) == {"median", "p95", "worst"} for spread in numbers[kind].values())
+            assert all(
+                set(spread) == {"median", "p95", "worst"} for spread in numbers[kind].values()
+            )
         assert 1 < numbers["wheel_speed_max_mps"] <= 3
-        assert numbers["qp_status"] == {"solved": REALISATIONS * steps, "infeasible": 0, "unsolved": 0}
+        assert numbers["qp_status"] == {
+            "solved": REALISATIONS * steps,
+            "infeasible": 0,
+            "unsolved": 0,
+        }
     assert found["other_restart"]["restart"] is False
     assert found["disturbance"]["steps"] == REALISATIONS * steps
     assert found["plan_deviations"]["samples"] > 0
@@ -188,10 +251,22 @@ def test_the_metrics_of_the_paper_command_are_complete(paper_run, paper_design):
 @pytest.mark.slow
 def test_under_stress_on_the_linear_plant_the_guarantee_holds(paper_run):
     _, _, found = paper_run
-    tube, plain = found["stress"]["linear_w_in_W"]["tube_mpc"], found["stress"]["linear_w_in_W"]["plain_mpc"]
+    tube, plain = (
+        found["stress"]["linear_w_in_W"]["tube_mpc"],
+        found["stress"]["linear_w_in_W"]["plain_mpc"],
+    )
     assert tube["runs"] == tube["runs_with_every_w_in_W"] == 40 * REALISATIONS
-    assert tube["runs_outside_E"] == tube["infeasible_QPs"] == tube["unsolved_QPs"] == 0 < plain["runs_outside_E"]
-    assert all(runs["tube_mpc"]["runs_outside_E_with_every_w_in_W"] == 0 for runs in found["stress"].values())
+    assert (
+        tube["runs_outside_E"]
+        == tube["infeasible_QPs"]
+        == tube["unsolved_QPs"]
+        == 0
+        < plain["runs_outside_E"]
+    )
+    assert all(
+        runs["tube_mpc"]["runs_outside_E_with_every_w_in_W"] == 0
+        for runs in found["stress"].values()
+    )
 
 
 @pytest.mark.slow
@@ -202,7 +277,12 @@ def test_the_noise_free_laps_are_the_ones_with_exact_slip(paper_run, paper_desig
         for name in laps:
             assert laps[name].shape == (301, 3)
             np.testing.assert_array_equal(laps[name][0], paper_design.problem.initial_error)
-        loop, start = closed_loop.controllers(paper_design)["tube_mpc"], paper_design.problem.initial_error[None]
-        lap = closed_loop.simulate(loop, closed_loop.exact_robot(paper_design), start, 0).errors[:, 0]
+        loop, start = (
+            closed_loop.controllers(paper_design)["tube_mpc"],
+            paper_design.problem.initial_error[None],
+        )
+        lap = closed_loop.simulate(loop, closed_loop.exact_robot(paper_design), start, 0).errors[
+            :, 0
+        ]
         np.testing.assert_allclose(laps["tube_mpc"], lap, atol=WORLD_FRAME)
         assert np.abs(laps["tube_mpc"][-1]).max() < 0.01 < np.abs(laps["uncompensated"]).max()

@@ -1,4 +1,5 @@
-"""Figures hold the data they claim to show: what is drawn is read back from the axes and compared with its source."""
+"""Figures hold the data they claim to show: what is drawn is read back from the axes and compared
+with its source."""
 
 import dataclasses
 import types
@@ -34,8 +35,13 @@ def runs(found):
     steps = found.problem.reference.steps
 
     def run(spread):
-        errors = generator.uniform(-spread, spread, (steps + 1, RUNS, 1)) * found.problem.error_set.offsets[:3]
-        return types.SimpleNamespace(errors=errors, wheels=generator.uniform(1.0, 2.0, (steps, RUNS, 2)))
+        errors = (
+            generator.uniform(-spread, spread, (steps + 1, RUNS, 1))
+            * found.problem.error_set.offsets[:3]
+        )
+        return types.SimpleNamespace(
+            errors=errors, wheels=generator.uniform(1.0, 2.0, (steps, RUNS, 2))
+        )
 
     invented = {"uncompensated": run(0.9), "compensated": run(0.5), "plain_mpc": run(0.2)}
     invented["uncompensated"].errors[150, :4, 0] = 0.31
@@ -44,7 +50,9 @@ def runs(found):
 
 def line_of(axes, name):
     """Return the ordinates of a controller's labelled line, its median."""
-    (line,) = [line for line in axes.lines if str(line.get_label()).startswith(CONTROLLERS[name].label)]
+    (line,) = [
+        line for line in axes.lines if str(line.get_label()).startswith(CONTROLLERS[name].label)
+    ]
     return np.asarray(line.get_ydata())
 
 
@@ -70,7 +78,9 @@ def test_errors_are_drawn_with_the_limits_of_e_medians_inside_bands(found, runs)
         assert {round(level, 9) for level in levels(axes)} == {-limit, limit}
         bands = [band for band in axes.collections if isinstance(band, FillBetweenPolyCollection)]
         assert len(bands) == 6
-        for name, band in zip(("uncompensated", "compensated", "tube_mpc"), bands[1::2], strict=True):
+        for name, band in zip(
+            ("uncompensated", "compensated", "tube_mpc"), bands[1::2], strict=True
+        ):
             values = runs[name].errors[..., coordinate] * DEGREES[coordinate]
             median = line_of(axes, name)
             assert median == pytest.approx(np.median(values, axis=1), abs=DRAWN)
@@ -98,8 +108,12 @@ def test_controllers_that_coincide_are_drawn_once_under_both_names(found, runs):
 def test_paths_are_the_reference_where_errors_vanish(found):
     steps = found.problem.reference.steps
     poses = found.problem.reference.poses[: steps + 1]
-    still = types.SimpleNamespace(errors=np.zeros((steps + 1, RUNS, 3)), wheels=np.zeros((steps, RUNS, 2)))
-    ahead = types.SimpleNamespace(errors=still.errors - np.array([0.2, 0.0, 0.0]), wheels=still.wheels)
+    still = types.SimpleNamespace(
+        errors=np.zeros((steps + 1, RUNS, 3)), wheels=np.zeros((steps, RUNS, 2))
+    )
+    ahead = types.SimpleNamespace(
+        errors=still.errors - np.array([0.2, 0.0, 0.0]), wheels=still.wheels
+    )
     whole = figures.trajectories(found.problem, {"uncompensated": ahead, "tube_mpc": still}).axes[0]
     forward = np.column_stack([np.cos(poses[:, 2]), np.sin(poses[:, 2])])
     assert whole.lines[0].get_xydata() == pytest.approx(poses[:, :2] + 0.2 * forward, abs=DRAWN)
@@ -112,7 +126,9 @@ def test_wheel_speeds_are_drawn_with_those_of_the_reference(found, runs):
     for wheel, axes in enumerate(panels[:, 0]):
         expected = np.median(runs["compensated"].wheels[..., wheel], axis=1)
         assert line_of(axes, "compensated") == pytest.approx(expected, abs=DRAWN)
-        assert axes.lines[-1].get_ydata() == pytest.approx(found.problem.schedule[:steps, wheel], abs=DRAWN)
+        assert axes.lines[-1].get_ydata() == pytest.approx(
+            found.problem.schedule[:steps, wheel], abs=DRAWN
+        )
 
 
 def test_margins_are_those_of_the_worst_step(found, runs):
@@ -129,7 +145,11 @@ def test_margins_are_those_of_the_worst_step(found, runs):
 def test_stress_counts_and_marks_the_runs_outside(found, runs):
     generator = np.random.default_rng(5)
     boundary = generator.normal(size=(60, 3))
-    case = {"title": "invented", "plain": runs["uncompensated"].errors, "tube": runs["compensated"].errors}
+    case = {
+        "title": "invented",
+        "plain": runs["uncompensated"].errors,
+        "tube": runs["compensated"].errors,
+    }
     axes = figures.stress(found.problem, [case], boundary).axes
     (title,) = [text.get_text() for text in axes[0].texts if "invented" in text.get_text()]
     assert "MPC without tube in 4, by Tube MPC in 0 of 7 runs" in title
@@ -159,7 +179,10 @@ def test_tightened_bounds_are_those_of_the_controller(found):
         expected = found.bounds.errors[0, :, coordinate] * DEGREES[coordinate]
         assert axes[coordinate].lines[0].get_ydata() == pytest.approx(expected)
         farthest = linprog(
-            -np.eye(3)[coordinate], found.bounds.terminal_normals, found.bounds.terminal[0], bounds=(None, None)
+            -np.eye(3)[coordinate],
+            found.bounds.terminal_normals,
+            found.bounds.terminal[0],
+            bounds=(None, None),
         )
         last = axes[coordinate].lines[1].get_ydata()
         assert last == pytest.approx(-farthest.fun * DEGREES[coordinate], abs=LINEAR_PROGRAM)
@@ -172,7 +195,11 @@ def test_tightened_bounds_are_those_of_the_controller(found):
 def test_terminal_polygons_reach_as_far_as_the_sets_and_hold_the_ellipsoid(found):
     axes = set_figures.terminal_set(found).axes[1]
     maximal = found.terminal.maximal.polytope
-    for index, polytope in ((0, found.problem.error_set), (1, maximal), (2, found.terminal.invariant)):
+    for index, polytope in (
+        (0, found.problem.error_set),
+        (1, maximal),
+        (2, found.terminal.invariant),
+    ):
         assert patches_extent(axes, index)[1] == pytest.approx(polytope.support(np.eye(3)[:2]))
     curve = axes.lines[0].get_xydata()
     assert np.all(curve.max(axis=0) <= maximal.support(np.eye(3)[:2]) + DRAWN)
@@ -183,7 +210,9 @@ def test_terminal_polygons_reach_as_far_as_the_sets_and_hold_the_ellipsoid(found
 
 def test_a_design_without_terminal_set_shows_how_it_escapes(found):
     escape = Escape(np.array([0.0, 1.0, 0.0]), 0.05, (0, 3, 1, 2, 0, 0, 3, 3, 1, 2))
-    terminal = dataclasses.replace(found.terminal, maximal=MaximalRpi(None, escape, 10), invariant=None)
+    terminal = dataclasses.replace(
+        found.terminal, maximal=MaximalRpi(None, escape, 10), invariant=None
+    )
     (axes,) = set_figures.terminal_set(dataclasses.replace(found, terminal=terminal)).axes
     assert "No invariant terminal set" in axes.get_title()
     W = terminal.disturbance.vertices()

@@ -1,4 +1,5 @@
-"""Laws of the command `guarantee`: claims follow certificate and counts, laws share a program, nothing is lost."""
+"""Laws of the command `guarantee`: claims follow certificate and counts, laws share a program,
+nothing is lost."""
 
 import dataclasses
 import json
@@ -11,7 +12,14 @@ from tolerances import CLOSED_LOOP
 
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.guarantee import claims, command, report
-from jaxtube.experiments.guarantee.attack import LAWS, PROCESSES, AnySlipRobot, laps_of_a_law, make_tasks, under
+from jaxtube.experiments.guarantee.attack import (
+    LAWS,
+    PROCESSES,
+    AnySlipRobot,
+    laps_of_a_law,
+    make_tasks,
+    under,
+)
 from jaxtube.experiments.montecarlo import report as montecarlo_report
 from jaxtube.experiments.options import Montecarlo
 from jaxtube.experiments.run.folder import RunFolder
@@ -26,7 +34,8 @@ from sets.certificate import Certificate
 
 REFERENCE = "reference.duration_s=2"
 
-# ------------------------------------------------------------------------------------------------------- laws of attack
+# -------------------------------------------------------------------------------------------------------
+# laws of attack
 
 
 @pytest.mark.parametrize("realisations", [1, BLOCK, 5 * BLOCK, 5 * BLOCK + 1, 10**5, 10**6])
@@ -57,7 +66,9 @@ def driven(robot, keys, errors):
         following, memory, *_ = robot.advance(keys, step, memory, errors, inputs, Compensating)
         return following, memory
 
-    return jax.lax.fori_loop(0, len(robot.reference_wheels), period, (errors, robot.initial(keys, errors)))[0]
+    return jax.lax.fori_loop(
+        0, len(robot.reference_wheels), period, (errors, robot.initial(keys, errors))
+    )[0]
 
 
 def test_a_robot_of_any_process_moves_as_the_robot_of_that_process_alone():
@@ -67,9 +78,21 @@ def test_a_robot_of_any_process_moves_as_the_robot_of_that_process_alone():
         jnp.asarray(generator.normal(size=(steps + 1, 3))),
     )
     ideal = SlippingRobot(
-        Robot(0.5, -3.0, 3.0), 0.1, wheels, poses, jnp.array([0.2, 0.15]), 0.3, jnp.full(3, 1e-3), PROCESSES[0], "both"
+        Robot(0.5, -3.0, 3.0),
+        0.1,
+        wheels,
+        poses,
+        jnp.array([0.2, 0.15]),
+        0.3,
+        jnp.full(3, 1e-3),
+        PROCESSES[0],
+        "both",
     )
-    keys, errors, ends = realisation_keys(3, 0, laps), jnp.asarray(generator.normal(size=(laps, 3))), []
+    keys, errors, ends = (
+        realisation_keys(3, 0, laps),
+        jnp.asarray(generator.normal(size=(laps, 3))),
+        [],
+    )
     for number, process in enumerate(PROCESSES):
         alone = driven(dataclasses.replace(ideal, process=process), keys, errors)
         chosen = driven(AnySlipRobot(ideal, jnp.asarray(number, jnp.int32)), keys, errors)
@@ -81,9 +104,16 @@ def test_a_robot_of_any_process_moves_as_the_robot_of_that_process_alone():
 def test_all_laws_of_one_kind_are_one_program(uncertified):
     """What is compiled depends on structure and shapes alone."""
     tasks, why = make_tasks(uncertified("robust", REFERENCE), 0)
-    kinds = {law: (jax.tree.structure(task), str(jax.tree.map(jnp.shape, task))) for law, task in tasks.items()}
+    kinds = {
+        law: (jax.tree.structure(task), str(jax.tree.map(jnp.shape, task)))
+        for law, task in tasks.items()
+    }
     assert why == "" and tuple(kinds) == LAWS
-    assert len(set(kinds.values())) == 2 == len({kinds[law] for law in LAWS if law.process == "vertex"})
+    assert (
+        len(set(kinds.values()))
+        == 2
+        == len({kinds[law] for law in LAWS if law.process == "vertex"})
+    )
     assert len(tasks[LAWS[-1]].checks.transitions) == 10
 
 
@@ -97,14 +127,20 @@ def test_where_no_start_has_a_plan_laps_begin_at_the_scenario_s_start(uncertifie
     assert why == "scenario: no start has a plan"
     keys = realisation_keys(0, 0, 3)
     for task in tasks.values():
-        np.testing.assert_array_equal(task.starts.draw(keys), np.tile(found.problem.initial_error, (3, 1)))
+        np.testing.assert_array_equal(
+            task.starts.draw(keys), np.tile(found.problem.initial_error, (3, 1))
+        )
 
 
-# ----------------------------------------------------------------------------------------------------- the same robot
+# -----------------------------------------------------------------------------------------------------
+# the same robot
 
 
 def test_both_designs_drive_the_same_robot_and_keep_their_own_sets():
-    first = load("certified", ["slip.relative_error=0.07", "robot.wheel_speed_max_mps=2.9", "reference.radius_m=2.6"])
+    first = load(
+        "certified",
+        ["slip.relative_error=0.07", "robot.wheel_speed_max_mps=2.9", "reference.radius_m=2.6"],
+    )
     own = load("paper")
     joined = command.same_robot(own, first, "paper")
     for section in ("robot", "slip", "noise", "initial"):
@@ -136,9 +172,16 @@ def test_bad_words_cost_one_line(words, named, capsys):
     assert output.out == "" and output.err.count("\n") == 1 and named in output.err
 
 
-# ------------------------------------------------------------------------------------------------------- claims, tables
+# -------------------------------------------------------------------------------------------------------
+# claims, tables
 
-HOLDING = (*claims.PREMISE, *claims.RECURSION, *claims.TERMINAL, "true_error_in_e", "input_sets_not_empty")
+HOLDING = (
+    *claims.PREMISE,
+    *claims.RECURSION,
+    *claims.TERMINAL,
+    "true_error_in_e",
+    "input_sets_not_empty",
+)
 HOLDING += ("wheel_limits", "terminal_cost_decrease", claims.RATIONALS)
 
 
@@ -150,7 +193,10 @@ def law(laps=4096, steps=300, plans=8000, usage=0.9, **seen):
         "steps_a_lap": steps,
         "events": events,
         "plans": plans,
-        "tube": {"used": "sequence", "plans_outside_by_stage": {"sequence": np.array([0, seen.get("tube", 0)])}},
+        "tube": {
+            "used": "sequence",
+            "plans_outside_by_stage": {"sequence": np.array([0, seen.get("tube", 0)])},
+        },
         "cost": {"fell_by_less_than_the_stage": seen.get("cost", 0)},
         "worst": {kind: [{"lap": 7, "usage": usage}] for kind in ("disturbance", "error")},
     }
@@ -161,7 +207,9 @@ def attacked(*failing, absent=(), laws=None, name="mine"):
     for condition in dict.fromkeys(HOLDING):
         if condition not in absent:
             certificate.add(condition, -0.25 if condition in failing else 0.125, "", "")
-    return claims.Tested(name, Scenario(), certificate, laws or {"iid": law(), "edge-vertex": law(steps=10)})
+    return claims.Tested(
+        name, Scenario(), certificate, laws or {"iid": law(), "edge-vertex": law(steps=10)}
+    )
 
 
 def certified(design) -> set[str]:
@@ -187,8 +235,14 @@ def test_without_a_disturbance_set_that_holds_nothing_is_certified_of_the_robot(
 @pytest.mark.parametrize("condition", sorted(set(HOLDING) - set(claims.PREMISE)))
 def test_a_condition_that_fails_takes_its_claims_with_it_and_shows_its_margin(condition):
     lost = TITLES - certified(attacked(condition))
-    assert lost == {claim.title for claim in claims.CLAIMS if condition in claim.conditions} != set()
-    words = [report.cells(claim, attacked(condition))[1] for claim in claims.CLAIMS if condition in claim.conditions]
+    assert (
+        lost == {claim.title for claim in claims.CLAIMS if condition in claim.conditions} != set()
+    )
+    words = [
+        report.cells(claim, attacked(condition))[1]
+        for claim in claims.CLAIMS
+        if condition in claim.conditions
+    ]
     assert all("(-0.25)" in each for each in words)
 
 
@@ -202,12 +256,20 @@ def test_a_condition_that_was_never_checked_certifies_nothing():
 
 
 def test_counts_add_up_over_the_laws_and_name_the_worst_by_its_share():
-    laws = {"iid": law(e_outside_E=3, tube=2), "vertex": law(laps=100, e_outside_E=2), "patches": law(cost=5, plans=9)}
+    laws = {
+        "iid": law(e_outside_E=3, tube=2),
+        "vertex": law(laps=100, e_outside_E=2),
+        "patches": law(cost=5, plans=9),
+    }
     design = attacked(laws=laws)
     by_title = {claim.title: claims.judge(claim, design).seen for claim in claims.CLAIMS}
     assert by_title["the error stays in E"] == claims.Count(5, 8292, "laps", "vertex", 2, 100)
-    assert by_title["the tube holds the error around a plan"] == claims.Count(2, 16009, "plans", "iid", 2, 8000)
-    assert by_title["the cost of the model decreases"] == claims.Count(5, 16009, "plans", "patches", 5, 9)
+    assert by_title["the tube holds the error around a plan"] == claims.Count(
+        2, 16009, "plans", "iid", 2, 8000
+    )
+    assert by_title["the cost of the model decreases"] == claims.Count(
+        5, 16009, "plans", "patches", 5, 9
+    )
     assert by_title["inputs stay in U"] == claims.Count(0, 8292, "laps", "", 0, 4096)
     assert by_title["an invariant terminal set exists over the certified wheel speeds"] is None
 
@@ -233,9 +295,9 @@ def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
     }
     designs = [attacked(*HOLDING, laws=large, name="the-other-one"), attacked()]
     assert max(map(len, report.text(designs).splitlines())) <= report.WIDTH
-    assert "the-other-one: NOT CERTIFIED" in report.text(designs) and "\nmine: CERTIFIED; 0 laps" in report.text(
+    assert "the-other-one: NOT CERTIFIED" in report.text(
         designs
-    )
+    ) and "\nmine: CERTIFIED; 0 laps" in report.text(designs)
     for table in report.markdown(designs).split("\n\n"):
         rows = [line for line in table.splitlines() if line.startswith("|")]
         assert len({row.count("|") for row in rows}) <= 1
@@ -243,7 +305,9 @@ def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
 
 
 def test_the_metrics_are_plain_and_hold_every_verdict(tmp_path):
-    RunFolder(tmp_path).save_metrics(claims.metrics([attacked("true_error_in_e"), attacked(name="other")]))
+    RunFolder(tmp_path).save_metrics(
+        claims.metrics([attacked("true_error_in_e"), attacked(name="other")])
+    )
     found = json.loads((tmp_path / "metrics.json").read_text())["designs"]
     assert [found[name]["certified"] for name in ("mine", "other")] == [False, True]
     assert set(found["mine"]["claims"]) == TITLES
@@ -251,15 +315,26 @@ def test_the_metrics_are_plain_and_hold_every_verdict(tmp_path):
     assert found["other"]["laws"]["iid"]["share_of_violating_laps_at_most"] == claims.bound(law())
 
 
-# ---------------------------------------------------------------------------------------------------- the whole command
+# ----------------------------------------------------------------------------------------------------
+# the whole command
 
 SMALL = 64
-WORDS = ["guarantee", "--scenario", "certified", "--against", "robust", "--realisations", "640", REFERENCE]
+WORDS = [
+    "guarantee",
+    "--scenario",
+    "certified",
+    "--against",
+    "robust",
+    "--realisations",
+    "640",
+    REFERENCE,
+]
 
 
 @pytest.fixture
 def small(monkeypatch):
-    """Let the command run small blocks on designs without their certificate; returns what makes those."""
+    """Let the command run small blocks on designs without their certificate; returns what makes
+    those."""
     make_design = command.make_design
 
     def design(scenario):
@@ -277,7 +352,9 @@ def small(monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(small, tmp_path, capsys, monkeypatch):
+def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
+    small, tmp_path, capsys, monkeypatch
+):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert main([*WORDS, "--out", str(whole)]) == 0
     assert main([*WORDS, "--out", str(whole), "--require-certificate"]) == 3
@@ -297,11 +374,18 @@ def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
     for name in ("metrics.json", "guarantee.md"):
         assert (whole / name).read_bytes() == (parts / name).read_bytes()
     laws = json.loads((whole / "metrics.json").read_text())["designs"]["certified"]["laws"]
-    assert set(laws) == {each.name for each in LAWS} and all(each["laps"] == 128 for each in laws.values())
+    assert set(laws) == {each.name for each in LAWS} and all(
+        each["laps"] == 128 for each in laws.values()
+    )
 
     attacking = LAWS[-1]
     alone = under(small(load("certified", [REFERENCE])), attacking)
-    run = Run(make_task(alone, "tube_mpc", "robot", attacking.starts, 0), 128, 1, tuple(jax.local_devices()[:1]))
+    run = Run(
+        make_task(alone, "tube_mpc", "robot", attacking.starts, 0),
+        128,
+        1,
+        tuple(jax.local_devices()[:1]),
+    )
     statistics = montecarlo.merge(*(each for _, each in run.computed([0, 1])))
     expected = montecarlo_report.summary(alone, Montecarlo(starts=attacking.starts), statistics)
     assert laws[attacking.name]["law"] == expected["law"]

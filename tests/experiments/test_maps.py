@@ -1,4 +1,5 @@
-"""Laws of `maps`: a grid that is a tree, points that survive an interruption, borders, and figures of any outcome."""
+"""Laws of `maps`: a grid that is a tree, points that survive an interruption, borders, and figures
+of any outcome."""
 
 import json
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +20,8 @@ GRID = Grid((0.0, 0.1, 0.2), (0.3, 0.8, 1.224), (0.05, 0.1, 0.2), OWN)
 
 
 def invented(design: str, scenario, start) -> Guarantee:
-    """Return a ratio that grows with the slip error and with the speed range, and where the search started."""
+    """Return a ratio that grows with the slip error and with the speed range, and where the search
+    started."""
     error, slowest, period = (
         scenario.slip.relative_error,
         scenario.reference.wheel_speed_min_mps,
@@ -27,7 +29,12 @@ def invented(design: str, scenario, start) -> Guarantee:
     )
     if design == "paper" and period > 0.15:
         return Guarantee(reason="none")
-    ratio = {"paper": 3.0, "weighted": 1.0, "optimised": 0.5}[design] + 2 * error + 0.5 * (1.224 - slowest) - 0.05
+    ratio = (
+        {"paper": 3.0, "weighted": 1.0, "optimised": 0.5}[design]
+        + 2 * error
+        + 0.5 * (1.224 - slowest)
+        - 0.05
+    )
     ends = None if design != "optimised" else (error, slowest, period, *(start or ())[:3])
     return Guarantee(ratio, 1.0, "lateral error", "", "", ends)
 
@@ -68,8 +75,16 @@ def test_the_grid_holds_the_scenarios_own_condition_and_the_reference(count):
     assert grid.own == OWN
     assert OWN.slip_error in grid.slip_errors and OWN.dt_s in grid.periods_s
     assert grid.slowest_mps[0] == 0.2 and grid.slowest_mps[-1] == 1.224
-    assert (grid.slip_errors[0], grid.slip_errors[-1], grid.periods_s[0], grid.periods_s[-1]) == (0, 0.3, 0.05, 0.2)
-    assert all(count <= len(axis) <= count + 1 for axis in (grid.slip_errors, grid.slowest_mps, grid.periods_s))
+    assert (grid.slip_errors[0], grid.slip_errors[-1], grid.periods_s[0], grid.periods_s[-1]) == (
+        0,
+        0.3,
+        0.05,
+        0.2,
+    )
+    assert all(
+        count <= len(axis) <= count + 1
+        for axis in (grid.slip_errors, grid.slowest_mps, grid.periods_s)
+    )
 
 
 def test_each_search_starts_from_its_neighbours_optimum(found):
@@ -88,10 +103,14 @@ def test_an_interrupted_run_goes_on_and_ends_with_the_same_points(found, in_thre
     resumed = maps_points.compute(load("certified"), GRID, Log(tmp_path / "cut.jsonl"))
     assert resumed == found
     assert len(in_threads) == len(lines) - 10
-    assert sorted((tmp_path / "cut.jsonl").read_text().splitlines()) == sorted(line.strip() for line in lines)
+    assert sorted((tmp_path / "cut.jsonl").read_text().splitlines()) == sorted(
+        line.strip() for line in lines
+    )
 
 
-def test_a_failure_of_the_program_ends_the_run_and_keeps_what_was_done(monkeypatch, in_threads, tmp_path):
+def test_a_failure_of_the_program_ends_the_run_and_keeps_what_was_done(
+    monkeypatch, in_threads, tmp_path
+):
     def fail_late(design, scenario, start):
         if design == "paper":
             raise ZeroDivisionError
@@ -137,7 +156,12 @@ def test_feasible_sets_are_drawn_with_and_without_a_largest_set():
     corners = np.array(np.meshgrid(*[[-0.1, 0.1]] * 3)).reshape(3, -1).T
     sets = {
         "operating_volume": 0.008,
-        "control_invariant": {"volume": 0.006, "corners": (0.9 * corners).tolist(), "settled": True, "steps": 4},
+        "control_invariant": {
+            "volume": 0.006,
+            "corners": (0.9 * corners).tolist(),
+            "settled": True,
+            "steps": 4,
+        },
         "horizons": [
             {"horizon": 1, "volume": 0.004, "corners": (0.8 * corners).tolist(), "failing": []},
             {"horizon": 2, "volume": None, "reason": "E_1 is empty"},
@@ -145,7 +169,12 @@ def test_feasible_sets_are_drawn_with_and_without_a_largest_set():
     }
     maps_figures.feasible_figure(sets, corners)
     text = maps.feasible_report(sets)
-    assert "75.0% of the caps" in text and "50.0%" in text and "66.7%" in text and "E_1 is empty" in text
+    assert (
+        "75.0% of the caps" in text
+        and "50.0%" in text
+        and "66.7%" in text
+        and "E_1 is empty" in text
+    )
     sets["control_invariant"] |= {"volume": 0.0, "corners": []}
     maps_figures.feasible_figure(sets, corners)
     assert "-" in maps.feasible_report(sets)
@@ -158,7 +187,10 @@ def test_the_command_writes_figures_and_all_numbers(in_threads, tmp_path, capsys
     assert names == figures | {"scenario.toml", "manifest.json", "metrics.json"}
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert len(metrics["points"]) == len(DESIGNS) * 3 * (2 + 3 - 1)
-    assert all(point["holds"] == (point["ratio"] is not None and point["ratio"] < 1) for point in metrics["points"])
+    assert all(
+        point["holds"] == (point["ratio"] is not None and point["ratio"] < 1)
+        for point in metrics["points"]
+    )
     assert "optimised caps and gains" in capsys.readouterr().out
 
 
@@ -166,5 +198,9 @@ def test_the_command_writes_figures_and_all_numbers(in_threads, tmp_path, capsys
 def test_two_points_an_axis_show_the_order_of_the_designs(tmp_path):
     assert main(["maps", "--points", "2", "--out", str(tmp_path)]) == 0
     points = json.loads((tmp_path / "metrics.json").read_text())["points"]
-    own = {point["design"]: point for point in points if Condition(*(point[key] for key in Condition._fields)) == OWN}
+    own = {
+        point["design"]: point
+        for point in points
+        if Condition(*(point[key] for key in Condition._fields)) == OWN
+    }
     assert own["optimised"]["ratio"] < own["weighted"]["ratio"] < own["paper"]["ratio"]

@@ -28,12 +28,22 @@ def made_up(seed=0):
     # Larger at the start than later, so that the transient matters.
     errors[100:] *= 0.5
     demanded = generator.uniform(0.5, 1.9, (STEPS, RUNS, 2))
-    status = generator.choice([qp.SOLVED, qp.INFEASIBLE, qp.UNSOLVED], p=[0.9, 0.06, 0.04], size=(STEPS, RUNS))
+    status = generator.choice(
+        [qp.SOLVED, qp.INFEASIBLE, qp.UNSOLVED], p=[0.9, 0.06, 0.04], size=(STEPS, RUNS)
+    )
     diagnostics = Diagnostics(
-        status, generator.uniform(0, 1e-8, status.shape), generator.random(status.shape) < 0.2, status != qp.SOLVED
+        status,
+        generator.uniform(0, 1e-8, status.shape),
+        generator.random(status.shape) < 0.2,
+        status != qp.SOLVED,
     )
     return Trajectory(
-        errors, errors.copy(), generator.normal(size=(STEPS, RUNS, 2)), np.minimum(demanded, 1.8), demanded, diagnostics
+        errors,
+        errors.copy(),
+        generator.normal(size=(STEPS, RUNS, 2)),
+        np.minimum(demanded, 1.8),
+        demanded,
+        diagnostics,
     )
 
 
@@ -41,7 +51,8 @@ def numbers(values):
     return [values[name] for name in NAMES]
 
 
-# ---------------------------------------------------------------------------------------------------------- controllers
+# ----------------------------------------------------------------------------------------------------------
+# controllers
 
 
 def test_violations_count_every_run_that_is_not_inside_and_nan_is_not(paper_design):
@@ -56,7 +67,9 @@ def test_violations_count_every_run_that_is_not_inside_and_nan_is_not(paper_desi
     found = metrics.controller_metrics(paper_design, trajectory)
     assert found["realisations"] == RUNS and found["violating_realisations"] == 5
     assert found["violation_share"] == pytest.approx(5 / RUNS)
-    np.testing.assert_allclose(numbers(found["violation_share_by_coordinate"]), np.array([2, 3, 2]) / RUNS)
+    np.testing.assert_allclose(
+        numbers(found["violation_share_by_coordinate"]), np.array([2, 3, 2]) / RUNS
+    )
 
 
 @pytest.mark.parametrize(("span", "first"), [("whole_run", 0), ("after_10_s", 100)])
@@ -74,7 +87,9 @@ def test_errors_are_summed_up_run_by_run(paper_design, span, first):
         # The 95 % quantile of 12 values lies 0.45 of the way from the eleventh to the twelfth.
         p95 = ordered[10] + 0.45 * (ordered[11] - ordered[10])
         for statistic, expected in (("median", median), ("p95", p95), ("worst", ordered[-1])):
-            np.testing.assert_allclose(numbers(found[key][span][statistic]), expected, rtol=1e2 * ROUNDING)
+            np.testing.assert_allclose(
+                numbers(found[key][span][statistic]), expected, rtol=1e2 * ROUNDING
+            )
 
 
 def test_wheels_and_status_are_counted(paper_design):
@@ -82,7 +97,9 @@ def test_wheels_and_status_are_counted(paper_design):
     trajectory.wheels[3, 4, 1] = -2.5
     found = metrics.controller_metrics(paper_design, trajectory)
     assert found["wheel_speed_max_mps"] == 2.5
-    assert found["wheel_speed_mean_mps"] == pytest.approx(trajectory.wheels.sum() / (STEPS * RUNS * 2))
+    assert found["wheel_speed_mean_mps"] == pytest.approx(
+        trajectory.wheels.sum() / (STEPS * RUNS * 2)
+    )
     clipped = (trajectory.demanded > 1.8).any(axis=2)
     clipped[3, 4] = True
     assert found["saturated_share"] == pytest.approx(clipped.mean())
@@ -91,21 +108,28 @@ def test_wheels_and_status_are_counted(paper_design):
         "solved": status.count(0), "infeasible": status.count(1), "unsolved": status.count(2)
     }  # fmt: skip
     assert sum(found["qp_status"].values()) == STEPS * RUNS
-    assert found["active_share"] == pytest.approx(trajectory.diagnostics.active.sum() / (STEPS * RUNS))
+    assert found["active_share"] == pytest.approx(
+        trajectory.diagnostics.active.sum() / (STEPS * RUNS)
+    )
     assert found["backup_share"] == pytest.approx(1 - status.count(0) / len(status))
     assert found["qp_residual_max"] == trajectory.diagnostics.residual.max()
 
 
 def test_a_run_shorter_than_the_transient_is_judged_by_where_it_ends(paper_design):
     whole = made_up()
-    short = type(whole)(*(array[:31] for array in whole[:5]), Diagnostics(*(array[:30] for array in whole.diagnostics)))
+    short = type(whole)(
+        *(array[:31] for array in whole[:5]),
+        Diagnostics(*(array[:30] for array in whole.diagnostics)),
+    )
     found = metrics.controller_metrics(paper_design, short)
     np.testing.assert_allclose(
-        numbers(found["max_error"]["after_10_s"]["worst"]), np.abs(short.errors[-1] * DEGREES).max(axis=0)
+        numbers(found["max_error"]["after_10_s"]["worst"]),
+        np.abs(short.errors[-1] * DEGREES).max(axis=0),
     )
 
 
-# --------------------------------------------------------------------------------------------------------- disturbances
+# ---------------------------------------------------------------------------------------------------------
+# disturbances
 
 
 def test_residuals_are_what_the_model_does_not_predict(paper_design):
@@ -131,7 +155,9 @@ def test_disturbances_outside_W_are_counted_step_by_step(paper_design):
     found = metrics.disturbance_metrics(paper_design, residuals)
     steps = STEPS * RUNS
     assert found["steps"] == steps and found["share_of_steps_outside"] == pytest.approx(3 / steps)
-    np.testing.assert_allclose(numbers(found["share_of_steps_outside_by_coordinate"]), np.array([1, 1, 2]) / steps)
+    np.testing.assert_allclose(
+        numbers(found["share_of_steps_outside_by_coordinate"]), np.array([1, 1, 2]) / steps
+    )
     assert found["runs_with_every_w_inside"] == RUNS - 2
     residuals[4, 1, 2] = 0
     found = metrics.disturbance_metrics(paper_design, residuals)
@@ -143,7 +169,9 @@ def test_disturbances_outside_W_are_counted_step_by_step(paper_design):
 def test_deviations_are_judged_by_the_section_of_their_stage(paper_design):
     sections = paper_design.tubes["paper"][1:]
     generator = np.random.default_rng(2)
-    mixtures = [generator.dirichlet(np.ones(len(s.vertices())), 50) @ s.vertices() for s in sections]
+    mixtures = [
+        generator.dirichlet(np.ones(len(s.vertices())), 50) @ s.vertices() for s in sections
+    ]
     deviations = np.stack(mixtures)
     found = metrics.deviation_metrics(paper_design, deviations)
     assert (
@@ -162,49 +190,83 @@ def test_deviations_are_judged_by_the_section_of_their_stage(paper_design):
     assert found["margin_by_stage"][1] == pytest.approx(expected) and expected < 0
 
 
-# --------------------------------------------------------------------------------------------------------------- design
+# ---------------------------------------------------------------------------------------------------------------
+# design
 
 
 def test_design_metrics_are_the_known_numbers_of_the_paper(paper_design):
     found = metrics.design_metrics(paper_design)
-    np.testing.assert_allclose(found["lqr_gain"], [[-0.951249, 0, 0], [0, -0.936687, -1.305797]], atol=PAPER_GAIN)
-    np.testing.assert_allclose(found["tube_half_widths"]["paper"][-1], [0.020675, 0.038934, 1.05251], atol=1e-5)
-    np.testing.assert_allclose(found["tube_half_widths"]["hull"][-1], [0.020675, 0.036638, 1.04106], atol=1e-5)
+    np.testing.assert_allclose(
+        found["lqr_gain"], [[-0.951249, 0, 0], [0, -0.936687, -1.305797]], atol=PAPER_GAIN
+    )
+    np.testing.assert_allclose(
+        found["tube_half_widths"]["paper"][-1], [0.020675, 0.038934, 1.05251], atol=1e-5
+    )
+    np.testing.assert_allclose(
+        found["tube_half_widths"]["hull"][-1], [0.020675, 0.036638, 1.04106], atol=1e-5
+    )
     assert found["tube_volume"]["paper"] == pytest.approx(9.8017e-05, rel=1e-4)
     assert found["tube_volume"]["hull"] == pytest.approx(9.1322e-05, rel=1e-4)
-    np.testing.assert_allclose(found["input_support"]["paper"], [0, 0.0175, 0.0378, 0.0606, 0.0856, 0.1124], atol=6e-5)
+    np.testing.assert_allclose(
+        found["input_support"]["paper"], [0, 0.0175, 0.0378, 0.0606, 0.0856, 0.1124], atol=6e-5
+    )
     np.testing.assert_allclose(found["input_set_p_q"], [[-0.84, 2.54]] * 2, atol=ROUNDING)
-    assert set(found["tube_volume"]) == set(found["tube_half_widths"]) == {"paper", "hull", "summed", "sequence"}
+    assert (
+        set(found["tube_volume"])
+        == set(found["tube_half_widths"])
+        == {"paper", "hull", "summed", "sequence"}
+    )
     for tube in found["tube_half_widths"].values():
         assert tube.shape == (6, 3) and np.all(tube[0] == 0) and np.all(np.diff(tube, axis=0) > 0)
-    assert found["terminal_facets_maximal"] >= found["terminal_facets"] and 0 < found["terminal_volume_share"] <= 1
+    assert (
+        found["terminal_facets_maximal"] >= found["terminal_facets"]
+        and 0 < found["terminal_volume_share"] <= 1
+    )
     np.testing.assert_array_less(found["terminal_half_widths"], LIMITS * DEGREES * (1 + ROUNDING))
     assert found["certified"] == paper_design.certificate.holds
-    assert all({"holds", "margin", "required", "sentence"} == set(c) for c in found["certificate"].values())
+    assert all(
+        {"holds", "margin", "required", "sentence"} == set(c) for c in found["certificate"].values()
+    )
 
 
 def test_the_widest_section_along_the_reference_is_reported_for_the_sequence_tube(paper_design):
     W = paper_design.problem.disturbance_set
     tubes = [sequence_tube(loops, W) for loops in paper_design.windows.loops]
-    expected = np.max([[section.support(np.eye(3)) for section in tube] for tube in tubes], axis=0) * DEGREES
-    np.testing.assert_allclose(metrics.tube_half_widths(paper_design, "sequence"), expected, atol=CLOSED_LOOP)
+    expected = (
+        np.max([[section.support(np.eye(3)) for section in tube] for tube in tubes], axis=0)
+        * DEGREES
+    )
+    np.testing.assert_allclose(
+        metrics.tube_half_widths(paper_design, "sequence"), expected, atol=CLOSED_LOOP
+    )
 
 
 def test_where_there_is_no_terminal_set_its_numbers_are_missing(uncertified):
     found = metrics.design_metrics(uncertified("robust", *TIGHT))
-    assert found["terminal_facets"] is None and found["terminal_volume_share"] is None and found["terminal_fallback"]
+    assert (
+        found["terminal_facets"] is None
+        and found["terminal_volume_share"] is None
+        and found["terminal_fallback"]
+    )
     assert found["terminal_constraint_facets"] == 6
 
 
-# --------------------------------------------------------------------------------------------------------------- stress
+# ---------------------------------------------------------------------------------------------------------------
+# stress
 
 
 def test_stress_metrics_tell_runs_apart_by_whether_every_w_was_in_W(paper_design):
-    """Four runs of the model itself: quiet; a kick out of W; out of E by its start; without plans for a while."""
+    """Four runs of the model itself: quiet; a kick out of W; out of E by its start; without plans
+    for a while."""
     problem = paper_design.problem
     errors, status = np.zeros((STEPS + 1, 4, 3)), np.zeros((STEPS, 4), int)
     errors[0, 2, 1] = 0.35
-    status[50:53, 3], status[70:75, 3], status[299, 1], status[10, 1] = qp.INFEASIBLE, qp.INFEASIBLE, qp.UNSOLVED, 1
+    status[50:53, 3], status[70:75, 3], status[299, 1], status[10, 1] = (
+        qp.INFEASIBLE,
+        qp.INFEASIBLE,
+        qp.UNSOLVED,
+        1,
+    )
     for step in range(STEPS):
         errors[step + 1] = errors[step] @ model(problem, problem.schedule[step])[0].T
         errors[step + 1, 1, 0] += 0.4 * (step == 20)
@@ -212,7 +274,9 @@ def test_stress_metrics_tell_runs_apart_by_whether_every_w_was_in_W(paper_design
     active[:5, 0], active[20:26, 2] = True, True
     no_wheels = np.full((STEPS, 4, 2), np.nan)
     diagnostics = Diagnostics(status, np.zeros(status.shape), active, status != 0)
-    trajectory = Trajectory(errors, errors, np.zeros((STEPS, 4, 2)), no_wheels, no_wheels, diagnostics)
+    trajectory = Trajectory(
+        errors, errors, np.zeros((STEPS, 4, 2)), no_wheels, no_wheels, diagnostics
+    )
     runs = SimpleNamespace(runs={"case": {"tube_mpc": trajectory}})
     found = stress.metrics(paper_design, runs)["case"]["tube_mpc"]
     outside = ~np.all(np.abs(errors) <= LIMITS, axis=(0, 2))

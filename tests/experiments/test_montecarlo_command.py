@@ -1,4 +1,5 @@
-"""Laws of the command `montecarlo`: the verdict comes first, nothing is lost, and what fails costs one line."""
+"""Laws of the command `montecarlo`: the verdict comes first, nothing is lost, and what fails costs
+one line."""
 
 import dataclasses
 import errno
@@ -71,7 +72,8 @@ def undisturbed(tmp_path_factory, uncertified):
     return folder
 
 
-# ----------------------------------------------------------------------------------------------------- what is reported
+# -----------------------------------------------------------------------------------------------------
+# what is reported
 
 
 def test_the_metrics_are_those_of_the_statistics(undisturbed):
@@ -81,7 +83,12 @@ def test_the_metrics_are_those_of_the_statistics(undisturbed):
     laps, steps = BLOCKS * BLOCK, 30
     assert found["laps"] == statistics["laps"] == laps and found["steps_a_lap"] == steps
     # A static gain solves no QP: nothing is said of any.
-    assert set(found["events"]) == set(EVENTS) - {"qp_infeasible", "qp_unsolved", "row_active", "backup"}
+    assert set(found["events"]) == set(EVENTS) - {
+        "qp_infeasible",
+        "qp_unsolved",
+        "row_active",
+        "backup",
+    }
     for name in found["events"].keys() - {"outside_ultimate_bound"}:
         row = statistics["events"][EVENTS.index(name)]
         event = found["events"][name]
@@ -91,10 +98,15 @@ def test_the_metrics_are_those_of_the_statistics(undisturbed):
         assert event["share_of_laps_interval"] == list(share_interval(event["laps"], laps, 0.95))
         assert event["share_of_steps_interval"] == list(mean_interval(row, steps, 0.95)[1:])
     assert found["events"]["w_outside_W"]["laps"] == laps
-    peaks, degrees = found["peak_error"]["p95"], np.rad2deg(histogram.quantile(statistics["peak"], 0.95)[2])
+    peaks, degrees = (
+        found["peak_error"]["p95"],
+        np.rad2deg(histogram.quantile(statistics["peak"], 0.95)[2]),
+    )
     assert peaks["heading_deg"] == pytest.approx(degrees, rel=1e-12)
     assert peaks["lateral_m"] == histogram.quantile(statistics["peak"], 0.95)[1]
-    assert [worst["lap"] for worst in found["worst"]["error"]] == statistics["worst_lap/error"].tolist()
+    assert [worst["lap"] for worst in found["worst"]["error"]] == statistics[
+        "worst_lap/error"
+    ].tolist()
     assert found["largest_excess"]["error"] == statistics["excess/error"].tolist()
     assert found["plans"] == 0 and "reach" not in found
     assert found["law"] == (
@@ -111,16 +123,26 @@ def test_the_first_line_is_the_verdict(undisturbed, quick, tmp_path, capsys):
     found = json.loads((tmp_path / "run" / "metrics.json").read_text())
     share = found["events"]["w_outside_W"]["share_of_steps"]
     assert first == montecarlo_report.verdict(found)
-    assert first.startswith(f"w leaves W in {share:.2%} of the steps (95%: ") and "premise does not hold" in first
+    assert (
+        first.startswith(f"w leaves W in {share:.2%} of the steps (95%: ")
+        and "premise does not hold" in first
+    )
     assert first.endswith(f"of {BLOCKS * BLOCK} laps left E (at most 0.00467)") and second == ""
     assert statistics_of(tmp_path / "run") == statistics_of(undisturbed)
-    assert (tmp_path / "run" / "metrics.json").read_bytes() == (undisturbed / "metrics.json").read_bytes()
+    assert (tmp_path / "run" / "metrics.json").read_bytes() == (
+        undisturbed / "metrics.json"
+    ).read_bytes()
 
 
 def test_a_verdict_without_violations_bounds_them():
     laps = {"laps": 0, "share_of_laps_interval": (0.0, 2.9957e-6)}
     line = montecarlo_report.verdict(
-        {"events": {"w_outside_W": laps, "e_outside_E": laps}, "laps": 10**6, "confidence": 0.95, "plans": 0}
+        {
+            "events": {"w_outside_W": laps, "e_outside_E": laps},
+            "laps": 10**6,
+            "confidence": 0.95,
+            "plans": 0,
+        }
     )
     assert line == (
         "w stayed in W in every step (95%: in at most 3e-06 of the laps it would not); "
@@ -128,7 +150,8 @@ def test_a_verdict_without_violations_bounds_them():
     )
 
 
-# -------------------------------------------------------------------------------------------- interrupted and continued
+# --------------------------------------------------------------------------------------------
+# interrupted and continued
 
 
 def test_more_realisations_continue_a_run(undisturbed, quick, tmp_path, monkeypatch):
@@ -154,7 +177,9 @@ def test_fewer_realisations_than_recorded_are_refused(undisturbed, quick, tmp_pa
     assert "command line: --realisations = 5" in refused(capsys)
 
 
-def test_a_damaged_record_is_told_in_one_line_and_computed_again(undisturbed, quick, tmp_path, capsys):
+def test_a_damaged_record_is_told_in_one_line_and_computed_again(
+    undisturbed, quick, tmp_path, capsys
+):
     shutil.copytree(undisturbed, tmp_path / "run")
     victim = sorted((tmp_path / "run" / "records").glob("blocks-*.record"))[4]
     content = bytearray(victim.read_bytes())
@@ -174,16 +199,22 @@ def test_a_damaged_record_is_told_in_one_line_and_computed_again(undisturbed, qu
         (("slip.process=walk",), "scenario.slip.process = "),
     ],
 )
-def test_another_run_is_refused_and_leaves_the_folder_alone(undisturbed, quick, tmp_path, capsys, words, named):
+def test_another_run_is_refused_and_leaves_the_folder_alone(
+    undisturbed, quick, tmp_path, capsys, words, named
+):
     shutil.copytree(undisturbed, tmp_path / "run")
     before = {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
     assert run(tmp_path / "run", BLOCKS * BLOCK, *words) == 2
     line = refused(capsys)
     assert line.startswith("command line: --out = ") and named in line
-    assert before == {path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()}
+    assert before == {
+        path: path.read_bytes() for path in (tmp_path / "run").rglob("*") if path.is_file()
+    }
 
 
-def test_a_full_disk_ends_with_4_and_the_same_command_goes_on(undisturbed, quick, tmp_path, capsys, monkeypatch):
+def test_a_full_disk_ends_with_4_and_the_same_command_goes_on(
+    undisturbed, quick, tmp_path, capsys, monkeypatch
+):
     calls, works = [], os.fsync
 
     def full(descriptor):
@@ -196,14 +227,19 @@ def test_a_full_disk_ends_with_4_and_the_same_command_goes_on(undisturbed, quick
         patch.setattr(os, "fsync", full)
         assert run(tmp_path) == 4
     line = refused(capsys)
-    assert "No space left on device" in line and "laps recorded there are safe; run the same command again" in line
+    assert (
+        "No space left on device" in line
+        and "laps recorded there are safe; run the same command again" in line
+    )
     assert 0 < len(list((tmp_path / "records").glob("blocks-*.record"))) < BLOCKS
     assert run(tmp_path) == 0
     assert statistics_of(tmp_path) == statistics_of(undisturbed)
 
 
 @pytest.mark.parametrize("written", ["scenario.toml", "statistics.npz", "metrics.json"])
-def test_a_disk_that_is_full_elsewhere_costs_one_line_too(undisturbed, quick, tmp_path, capsys, monkeypatch, written):
+def test_a_disk_that_is_full_elsewhere_costs_one_line_too(
+    undisturbed, quick, tmp_path, capsys, monkeypatch, written
+):
     """Whatever file it is, the records stay and the run goes on."""
     shutil.copytree(undisturbed, tmp_path / "run")
     works = os.replace
@@ -222,7 +258,9 @@ def test_a_disk_that_is_full_elsewhere_costs_one_line_too(undisturbed, quick, tm
 
 
 @pytest.mark.slow
-def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bytes(tmp_path, quick, uncertified):
+def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bytes(
+    tmp_path, quick, uncertified
+):
     random, count = np.random.default_rng(os.getpid()), 200 * BLOCK
     environment = os.environ | {
         "JAX_COMPILATION_CACHE_DIR": str(tmp_path / "cache"),
@@ -231,7 +269,9 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bytes(tmp_path,
     records, killed = tmp_path / "killed" / "records", 0
     for _ in range(5):
         words = [sys.executable, __file__, str(tmp_path / "killed"), str(count)]
-        child = subprocess.Popen(words, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        child = subprocess.Popen(
+            words, env=environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
         before = set(records.glob("blocks-*.record"))
         while child.poll() is None and set(records.glob("blocks-*.record")) == before:
             time.sleep(0.01)
@@ -248,7 +288,8 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bytes(tmp_path,
     )
 
 
-# ------------------------------------------------------------------------------------------------------------ bad words
+# ------------------------------------------------------------------------------------------------------------
+# bad words
 
 
 @pytest.mark.parametrize(

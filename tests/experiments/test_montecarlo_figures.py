@@ -1,4 +1,5 @@
-"""What the figures of a Monte Carlo run show is what was counted: read back from the axes, against the statistics."""
+"""What the figures of a Monte Carlo run show is what was counted: read back from the axes, against
+the statistics."""
 
 import dataclasses
 import types
@@ -31,7 +32,8 @@ def found(uncertified):
 
 @pytest.fixture(scope="module")
 def quiet(found):
-    """Statistics of laps in which nothing happened: no error, no disturbance, nothing outside, no plan."""
+    """Statistics of laps in which nothing happened: no error, no disturbance, nothing outside, no
+    plan."""
     steps, horizon = found.problem.reference.steps, found.problem.horizon
     lap_histogram = np.zeros((3, histogram.BUCKETS), np.int64)
     lap_histogram[:, 0] = LAPS
@@ -47,7 +49,10 @@ def quiet(found):
         **{name: lap_histogram for name in ("peak", "rms")},
         "map": np.zeros(HEAT_CELLS, np.int64),
         "cloud": np.zeros((horizon, 3, CLOUD_CELLS, CLOUD_CELLS), np.int64),
-        **{name: np.zeros((3, COVERAGE_CELLS, COVERAGE_CELLS), np.int64) for name in ("starts", "starts_that_left")},
+        **{
+            name: np.zeros((3, COVERAGE_CELLS, COVERAGE_CELLS), np.int64)
+            for name in ("starts", "starts_that_left")
+        },
         **{name: np.int64(0) for name in ("plans", "next_plan_missing", "cost_excesses")},
         **{f"tube_outside/{name}": np.zeros(horizon, np.int64) for name in found.tubes},
         "laps": np.int64(LAPS),
@@ -68,7 +73,9 @@ def eventful(found, quiet):
     """Invented statistics: w, e, plans and starts that leave their sets, in known numbers."""
     generator, steps = np.random.default_rng(4), found.problem.reference.steps
     s = {name: np.array(value) for name, value in quiet.items()}
-    s["error_by_step"] = generator.multinomial(LAPS, np.full(histogram.BUCKETS, 1 / histogram.BUCKETS), (steps, 3))
+    s["error_by_step"] = generator.multinomial(
+        LAPS, np.full(histogram.BUCKETS, 1 / histogram.BUCKETS), (steps, 3)
+    )
     s["disturbance"] = s["error_by_step"].sum(axis=0)
     limits = found.problem.disturbance_set.support(np.eye(3))
     for i, name in enumerate(("longitudinal", "lateral", "heading")):
@@ -77,9 +84,13 @@ def eventful(found, quiet):
         outside = int(s["disturbance"][i, first:].sum() + s["disturbance"][i, first - 1] // 2)
         laps_outside = np.full(LAPS, outside // LAPS)
         laps_outside[: outside % LAPS] += 1
-        s["events"][EVENTS.index(f"w_outside_{name}")] = np.bincount(laps_outside, minlength=steps + 1)
+        s["events"][EVENTS.index(f"w_outside_{name}")] = np.bincount(
+            laps_outside, minlength=steps + 1
+        )
     s["events"][EVENTS.index("w_outside_W")] = np.bincount([steps] * LAPS, minlength=steps + 1)
-    s["events"][EVENTS.index("e_outside_E")] = np.bincount([5] * 3 + [0] * (LAPS - 3), minlength=steps + 1)
+    s["events"][EVENTS.index("e_outside_E")] = np.bincount(
+        [5] * 3 + [0] * (LAPS - 3), minlength=steps + 1
+    )
     s["excess/error"] = np.array([0.01, -0.2, -0.1, -0.3, -0.1, -0.2])
     s["excess/disturbance"] = np.full(6, 1.9)
     s["plans"], s["plans_by_lap"] = np.int64(PLANS_EACH * LAPS), np.array([*[0] * PLANS_EACH, LAPS])
@@ -157,7 +168,8 @@ def test_disturbances_outside_w_fill_the_share_that_was_counted(found, eventful,
     for i, name in enumerate(("longitudinal", "lateral", "heading")):
         density, exceedance = figure.axes[i], figure.axes[3 + i]
         areas = [
-            float(np.sum(stairs.get_data().values * np.diff(stairs.get_data().edges))) for stairs in density.patches[:2]
+            float(np.sum(stairs.get_data().values * np.diff(stairs.get_data().edges)))
+            for stairs in density.patches[:2]
         ]
         share = summary["events"][f"w_outside_{name}"]["share_of_steps"]
         assert 0 < share < 1 and areas == pytest.approx([1 - share, share])
@@ -174,7 +186,11 @@ def test_shares_are_drawn_with_their_intervals_and_bounds_where_none_was_seen(ev
     labels = [label.get_text() for label in chart.get_yticklabels()]
     assert labels == [row.label for row in rows] and len(rows) == 7 + 5
     assert "40 laps" in labels[0] and "3 laps" in labels[1] and "$R_{2}$: 16 plans" in labels[3]
-    dots = [line.get_xdata()[0] for line in chart.lines if len(line.get_xdata()) == 1 and line.get_marker() != "|"]
+    dots = [
+        line.get_xdata()[0]
+        for line in chart.lines
+        if len(line.get_xdata()) == 1 and line.get_marker() != "|"
+    ]
     expected = [share.value for row in rows for share in row.shares.values() if share.value]
     assert dots == pytest.approx(expected) and 3 / LAPS in dots and 16 / (PLANS_EACH * LAPS) in dots
     whiskers = [line.get_xdata() for line in chart.lines if len(line.get_xdata()) == 2]
@@ -192,7 +208,9 @@ def test_shares_are_drawn_with_their_intervals_and_bounds_where_none_was_seen(ev
 def test_events_that_a_run_cannot_have_are_not_listed(found, quiet):
     found_nothing = summary_of(found, quiet, controller="local_gain", plant="linear")
     labels = [row.label for row in montecarlo_figures.share_rows(found_nothing)]
-    assert len(labels) == 4 and not any(word in label for label in labels for word in ("QP", "wheels", "R_"))
+    assert len(labels) == 4 and not any(
+        word in label for label in labels for word in ("QP", "wheels", "R_")
+    )
 
 
 def test_clouds_hold_what_was_counted_around_the_section_of_their_stage(found, eventful, summary):
@@ -206,9 +224,14 @@ def test_clouds_hold_what_was_counted_around_the_section_of_their_stage(found, e
             (mesh,) = meshes(axes)
             assert np.array_equal(cells(mesh), counts)
             assert extent(axes.patches[0])[1] == pytest.approx(reach[list(plane)])
-            assert np.asarray(mesh.get_coordinates()[-1, -1]) == pytest.approx(2 * reach[list(plane)])
+            assert np.asarray(mesh.get_coordinates()[-1, -1]) == pytest.approx(
+                2 * reach[list(plane)]
+            )
             assert "5 % beyond" in axes.texts[0].get_text()
-    assert "13.3 % outside" in panels[0, 1].get_title() and ": none outside" in panels[0, 0].get_title()
+    assert (
+        "13.3 % outside" in panels[0, 1].get_title()
+        and ": none outside" in panels[0, 0].get_title()
+    )
 
 
 def test_a_tube_longer_than_a_row_goes_on_in_the_next(found, eventful, summary):
@@ -217,7 +240,8 @@ def test_a_tube_longer_than_a_row_goes_on_in_the_next(found, eventful, summary):
     longer = dict(eventful, cloud=np.concatenate([eventful["cloud"], eventful["cloud"][:1]]))
     known = dict(summary, tube=dict(summary["tube"], stages=stages))
     panels = np.reshape(
-        heat_figures.tube_cloud(dataclasses.replace(found, tubes=tubes), longer, known).axes[:30], (6, 5)
+        heat_figures.tube_cloud(dataclasses.replace(found, tubes=tubes), longer, known).axes[:30],
+        (6, 5),
     )
     assert "$j = 6$: 13.3 %" in panels[3, 0].get_title()
     assert np.array_equal(cells(meshes(panels[3, 0])[0]), eventful["cloud"][0, 0])
@@ -246,11 +270,15 @@ def test_coverage_tells_where_laps_started_and_what_share_left_e(found, eventful
         assert shares[2, 3] == pytest.approx(25.0) and np.count_nonzero(shares) == 1
         limits, drawn = np.array([0.3, 0.3, 20.0])[list(plane)], above.patches
         assert extent(drawn[0])[1] == pytest.approx(limits)
-        assert extent(drawn[1])[1] == pytest.approx(hull[:, plane].max(axis=0) * DEGREES[list(plane)])
+        assert extent(drawn[1])[1] == pytest.approx(
+            hull[:, plane].max(axis=0) * DEGREES[list(plane)]
+        )
     assert figure.axes[4].get_title().startswith("3 of 40 laps left")
 
 
-def test_a_run_in_which_nothing_was_counted_is_drawn_without_tube_and_starts(found, quiet, task, monkeypatch):
+def test_a_run_in_which_nothing_was_counted_is_drawn_without_tube_and_starts(
+    found, quiet, task, monkeypatch
+):
     monkeypatch.setattr("jaxtube.statistics.task.make_task", lambda *arguments: task)
     drawn = {}
 
@@ -260,22 +288,32 @@ def test_a_run_in_which_nothing_was_counted_is_drawn_without_tube_and_starts(fou
 
     folder = types.SimpleNamespace(save_figure=save_figure)
     options = Montecarlo(controller="local_gain")
-    montecarlo_figures.draw(found, options, quiet, summary_of(found, quiet, controller="local_gain"), folder)
+    montecarlo_figures.draw(
+        found, options, quiet, summary_of(found, quiet, controller="local_gain"), folder
+    )
     assert set(drawn) == {"violations", "margins", "disturbance", "map", "worst"}
     assert drawn["worst"].get_suptitle().startswith("Lap 7:")
-    assert not any("QP" in label.get_text() for label in drawn["violations"].axes[0].get_yticklabels())
+    assert not any(
+        "QP" in label.get_text() for label in drawn["violations"].axes[0].get_yticklabels()
+    )
 
 
 def test_nothing_counted_breaks_no_colours(found, quiet):
     summary = summary_of(found, quiet)
-    heat_figures.coverage(found.problem, quiet, summary, np.random.default_rng(1).normal(size=(9, 3))).canvas.draw()
+    heat_figures.coverage(
+        found.problem, quiet, summary, np.random.default_rng(1).normal(size=(9, 3))
+    ).canvas.draw()
 
 
 def test_the_grid_of_the_map_is_that_of_the_checks(found, task):
-    axes = heat_figures.trajectory_map(found.problem, task.checks, np.ones(HEAT_CELLS, np.int64)).axes[0]
+    axes = heat_figures.trajectory_map(
+        found.problem, task.checks, np.ones(HEAT_CELLS, np.int64)
+    ).axes[0]
     poses = found.problem.reference.poses[: found.problem.reference.steps + 1, :2]
     corners = meshes(axes)[0].get_coordinates().reshape(-1, 2)[:, ::-1]
-    assert np.all(corners.min(axis=0) < poses.min(axis=0)) and np.all(corners.max(axis=0) > poses.max(axis=0))
+    assert np.all(corners.min(axis=0) < poses.min(axis=0)) and np.all(
+        corners.max(axis=0) > poses.max(axis=0)
+    )
 
 
 def test_a_flat_disturbance_set_is_drawn(uncertified, eventful, summary):

@@ -31,14 +31,23 @@ def statistics():
         "tube_outside/paper": (HORIZON,),
         **{f"worst_lap/{name}": (i,) for i, name in enumerate(RANKED)},
     }
-    extremes = {"excess/disturbance": (6,), "excess/error": (6,), "excess/input": (4,), "tube_excess/paper": (HORIZON,)}
+    extremes = {
+        "excess/disturbance": (6,),
+        "excess/error": (6,),
+        "excess/input": (4,),
+        "tube_excess/paper": (HORIZON,),
+    }
     extremes |= {
         "cost_excess": (),
         "ultimate_bound": (3,),
         **{f"worst_usage/{name}": (i,) for i, name in enumerate(RANKED)},
     }
-    counts = {name: np.asarray(generator.integers(0, 2**60, shape)) for name, shape in shapes.items()}
-    found = counts | {name: np.asarray(generator.normal(size=shape)) for name, shape in extremes.items()}
+    counts = {
+        name: np.asarray(generator.integers(0, 2**60, shape)) for name, shape in shapes.items()
+    }
+    found = counts | {
+        name: np.asarray(generator.normal(size=shape)) for name, shape in extremes.items()
+    }
     found["tube_excess/paper"][0] = -np.inf
     return found
 
@@ -55,10 +64,15 @@ def test_statistics_come_back_bit_by_bit_under_named_coordinates(statistics, tmp
             back = dataset[name.replace("/", "_")]
             assert back.dtype == value.dtype and np.array_equal(back.values, value)
         events, later = dataset["events"], dataset["error_by_step"]
-        assert np.array_equal(events.sel(event="e_outside_E"), statistics["events"][EVENTS.index("e_outside_E")])
+        assert np.array_equal(
+            events.sel(event="e_outside_E"), statistics["events"][EVENTS.index("e_outside_E")]
+        )
         heading = later.sel(coordinate="heading", step=STEPS)
         assert np.array_equal(heading, statistics["error_by_step"][-1, 2])
-        assert heading.bucket.values[9] == histogram.EDGES[9] and heading.bucket_upper.values[9] == histogram.EDGES[10]
+        assert (
+            heading.bucket.values[9] == histogram.EDGES[9]
+            and heading.bucket_upper.values[9] == histogram.EDGES[10]
+        )
         cloud = dataset["cloud"].sel(stage=2, plane="lateral,heading")
         assert np.array_equal(cloud, statistics["cloud"][1, 2])
         assert dataset["tube_outside_paper"].dims == ("stage",)

@@ -1,4 +1,5 @@
-"""Laws of the records of a long run: the statistics are the same bytes whatever happened; what is damaged is found."""
+"""Laws of the records of a long run: the statistics are the same bytes whatever happened; what is
+damaged is found."""
 
 import errno
 import os
@@ -18,12 +19,18 @@ from jaxtube.experiments.run.records import Records, RecordsError
 from jaxtube.scenario import ScenarioError
 
 BLOCK_SIZE = 8
-IDENTITY = {"seed": 3, "scenario": {"controller": {"horizon": 5, "weights": [1.0, 2.0]}, "name": "paper"}}
+IDENTITY = {
+    "seed": 3,
+    "scenario": {"controller": {"horizon": 5, "weights": [1.0, 2.0]}, "name": "paper"},
+}
 
 
 def statistics(block, laps):
-    """Draw what a block might give: a sum of floats, counts, a maximum, and the two largest values with their lap."""
-    values = np.random.default_rng((7, block)).standard_normal(BLOCK_SIZE)[:laps] * 10.0 ** (block % 7)
+    """Draw what a block might give: a sum of floats, counts, a maximum, and the two largest values
+    with their lap."""
+    values = np.random.default_rng((7, block)).standard_normal(BLOCK_SIZE)[:laps] * 10.0 ** (
+        block % 7
+    )
     numbered = np.stack([values, block * BLOCK_SIZE + np.arange(laps)], axis=1)
     return {
         "sum": np.array(values.sum()),
@@ -55,7 +62,9 @@ def continued(folder, realisations, blocks=None):
     """Record some of the missing blocks, or all, and return the statistics."""
     with opened(folder) as run:
         for block in list(run.missing(realisations)) if blocks is None else blocks:
-            run.add(block, laps_of(block, realisations), statistics(block, laps_of(block, realisations)))
+            run.add(
+                block, laps_of(block, realisations), statistics(block, laps_of(block, realisations))
+            )
         return as_bytes(run.merged())
 
 
@@ -79,7 +88,8 @@ def quick(monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
-# ---------------------------------------------------------------------------------------------------- the same bytes
+# ----------------------------------------------------------------------------------------------------
+# the same bytes
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -91,7 +101,11 @@ def test_any_order_and_any_interruptions_give_the_same_files(tmp_path, small, qu
     while missing:
         with opened(tmp_path / "often") as run:
             missing = list(run.missing(realisations))
-        continued(tmp_path / "often", realisations, random.permutation(missing)[: random.integers(1, 40)].tolist())
+        continued(
+            tmp_path / "often",
+            realisations,
+            random.permutation(missing)[: random.integers(1, 40)].tolist(),
+        )
     assert continued(tmp_path / "often", realisations) == undisturbed
     assert files(tmp_path / "often") == files(tmp_path / "once")
     with opened(tmp_path / "often") as run:
@@ -142,7 +156,9 @@ def test_a_killed_process_loses_no_block_that_it_said_was_recorded(tmp_path):
     blocks, told, killed = 3 * 64 + 9, set(), 0
     random = np.random.default_rng(0)
     for _ in range(5):
-        with subprocess.Popen([sys.executable, __file__, str(tmp_path / "run"), str(blocks)], stdout=-1) as child:
+        with subprocess.Popen(
+            [sys.executable, __file__, str(tmp_path / "run"), str(blocks)], stdout=-1
+        ) as child:
             assert child.stdout
             said = [child.stdout.readline()]
             time.sleep(random.uniform(0, 0.1))
@@ -154,15 +170,20 @@ def test_a_killed_process_loses_no_block_that_it_said_was_recorded(tmp_path):
             assert run.damaged == []
             assert told.isdisjoint(run.missing(blocks * BLOCK_SIZE))
     assert killed >= 3
-    assert continued(tmp_path / "run", blocks * BLOCK_SIZE) == continued(tmp_path / "once", blocks * BLOCK_SIZE)
+    assert continued(tmp_path / "run", blocks * BLOCK_SIZE) == continued(
+        tmp_path / "once", blocks * BLOCK_SIZE
+    )
 
 
-# -------------------------------------------------------------------------------------------------------- compaction
+# --------------------------------------------------------------------------------------------------------
+# compaction
 
 
 def test_files_stay_few(tmp_path, quick):
     count = 64 * 64 + 70
-    with Records(tmp_path, IDENTITY, lambda first, second: {"n": first["n"] + second["n"]}, 1) as run:
+    with Records(
+        tmp_path, IDENTITY, lambda first, second: {"n": first["n"] + second["n"]}, 1
+    ) as run:
         for block in run.missing(count):
             run.add(block, 1, {"n": np.array(1)})
         assert run.laps == run.merged()["n"] == count and list(run.missing(count)) == []
@@ -181,7 +202,8 @@ def test_a_partial_block_stays_a_file_of_its_own(tmp_path, small, quick):
     assert len(files(tmp_path)) == 1
 
 
-# -------------------------------------------------------------------------------------------------- what is missing
+# --------------------------------------------------------------------------------------------------
+# what is missing
 
 
 @pytest.mark.parametrize("first", [1, 7, 8, 9, 31, 32, 33, 100])
@@ -200,7 +222,8 @@ def test_fewer_realisations_than_recorded_are_refused(tmp_path, small, quick, as
     with opened(tmp_path) as run, pytest.raises(ScenarioError) as caught:
         run.missing(asked)
     assert re.search(
-        rf"--realisations = {asked}: .*36.*; ask for at least 36, or name another --out$", str(caught.value)
+        rf"--realisations = {asked}: .*36.*; ask for at least 36, or name another --out$",
+        str(caught.value),
     )
     assert "\n" not in str(caught.value)
 
@@ -213,7 +236,9 @@ def test_a_block_between_missing_ones_is_not_asked_for_again(tmp_path, quick):
             run.missing(8 * BLOCK_SIZE - 1)
 
 
-@pytest.mark.parametrize(("block", "laps"), [(-1, 8), (0, 0), (0, 9), (1, 8), (2, 3), (2, 2), (5, 8)])
+@pytest.mark.parametrize(
+    ("block", "laps"), [(-1, 8), (0, 0), (0, 9), (1, 8), (2, 3), (2, 2), (5, 8)]
+)
 def test_a_block_is_counted_once_and_within_its_size(tmp_path, small, quick, block, laps):
     continued(tmp_path, 9 * BLOCK_SIZE, [1, 4, 5, 6, 7])
     with opened(tmp_path) as run:
@@ -233,13 +258,17 @@ def test_statistics_are_integers_or_floats(tmp_path, array):
     assert files(tmp_path) == {}
 
 
-# ------------------------------------------------------------------------------------------------------------ damage
+# ------------------------------------------------------------------------------------------------------------
+# damage
 
 
 def damages(content):
     """Yield a name and what is left of a file's bytes."""
     for position in [*range(0, len(content), 41), *range(90), len(content) - 1]:
-        yield f"bit of byte {position}", content[:position] + bytes([content[position] ^ 32]) + content[position + 1 :]
+        yield (
+            f"bit of byte {position}",
+            content[:position] + bytes([content[position] ^ 32]) + content[position + 1 :],
+        )
     for length in [0, 1, 77, 78, 79, *range(100, len(content), 97), len(content) - 1]:
         yield f"cut to {length}", content[:length]
     yield "longer", content + b"\0"
@@ -268,7 +297,12 @@ def test_damage_is_found_and_loses_that_record_alone(tmp_path, small, quick, vic
 def test_a_record_under_another_name_is_damaged(tmp_path, quick):
     continued(tmp_path, BLOCK_SIZE)
     path = tmp_path / records._name(range(1))
-    for name in (records._name(range(1, 2)), "blocks-1-1.record", records._name(range(1, 65)), "blocks-.record"):
+    for name in (
+        records._name(range(1, 2)),
+        "blocks-1-1.record",
+        records._name(range(1, 65)),
+        "blocks-.record",
+    ):
         shutil.copy(path, tmp_path / name)
     (tmp_path / "notes.txt").write_text("mine")
     with opened(tmp_path) as run:
@@ -283,26 +317,36 @@ def test_damage_during_the_run_is_told_and_the_next_run_repairs_it(tmp_path, qui
             run.add(block, BLOCK_SIZE, statistics(block, BLOCK_SIZE))
         (tmp_path / "run" / records._name(range(1, 2))).write_bytes(b"")
         with pytest.raises(
-            RecordsError, match="was damaged meanwhile; the 16 laps recorded there are safe; run the same"
+            RecordsError,
+            match="was damaged meanwhile; the 16 laps recorded there are safe; run the same",
         ):
             run.merged()
-    assert continued(tmp_path / "run", 3 * BLOCK_SIZE) == continued(tmp_path / "once", 3 * BLOCK_SIZE)
+    assert continued(tmp_path / "run", 3 * BLOCK_SIZE) == continued(
+        tmp_path / "once", 3 * BLOCK_SIZE
+    )
 
 
-# ---------------------------------------------------------------------------------------------------------- refusals
+# ----------------------------------------------------------------------------------------------------------
+# refusals
 
 
 def test_records_of_another_run_are_refused_and_left_alone(tmp_path, quick):
     continued(tmp_path / "records", 3 * BLOCK_SIZE)
     (tmp_path / "records" / "blocks-junk.record").write_bytes(b"")
     before = files(tmp_path / "records")
-    other = {"seed": 4, "scenario": {"controller": {"horizon": 7, "weights": [1.0, 3.0]}, "plant": "s" * 90}}
+    other = {
+        "seed": 4,
+        "scenario": {"controller": {"horizon": 7, "weights": [1.0, 3.0]}, "plant": "s" * 90},
+    }
     with pytest.raises(ScenarioError) as caught:
         opened(tmp_path / "records", other)
     line = str(caught.value)
     assert line.startswith("command line: --out = ") and "\n" not in line
     assert "seed = 3 there, 4 here; scenario.controller.horizon = 5 there, 7 here; " in line
-    assert "scenario.controller.weights.1 = 2.0 there, 3.0 here; and 2 more; name another --out, or delete" in line
+    assert (
+        "scenario.controller.weights.1 = 2.0 there, 3.0 here; and 2 more; name another --out, or delete"
+        in line
+    )
     assert files(tmp_path / "records") == before
     with opened(tmp_path / "records") as run:
         assert run.laps == 3 * BLOCK_SIZE
@@ -312,7 +356,11 @@ def test_records_of_another_run_are_refused_and_left_alone(tmp_path, quick):
     ("there", "here", "told"),
     [
         ({"a": 1}, {"a": 1, "b": []}, "b = absent there, [] here"),
-        ({"a": {"b": None}}, {"a": None}, "a = absent there, null here; a.b = null there, absent here"),
+        (
+            {"a": {"b": None}},
+            {"a": None},
+            "a = absent there, null here; a.b = null there, absent here",
+        ),
         ({"a": {}, "b": 1}, {"b": 1}, "a = {} there, absent here"),
         ({"a": True}, {"a": 1}, "a = true there, 1 here"),
         ({"a": {"b": 1, "c": [2, {}]}}, {"a": {"c": [2, {}], "b": 1}}, ""),
@@ -333,7 +381,9 @@ def test_only_one_process_writes(tmp_path):
         with pytest.raises(ScenarioError) as caught:
             opened(tmp_path / "records")
         child = subprocess.run(
-            [sys.executable, __file__, str(tmp_path / "records"), "1"], capture_output=True, text=True
+            [sys.executable, __file__, str(tmp_path / "records"), "1"],
+            capture_output=True,
+            text=True,
         )
     line = str(caught.value)
     assert "another process is writing there; wait for it" in line and "\n" not in line
@@ -344,12 +394,14 @@ def test_only_one_process_writes(tmp_path):
 def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(
-        ScenarioError, match=r"--out = .*: cannot be written to \(.*\); name a folder you may write to$"
+        ScenarioError,
+        match=r"--out = .*: cannot be written to \(.*\); name a folder you may write to$",
     ):
         opened(tmp_path / "file" / "records")
 
 
-# ---------------------------------------------------------------------------------------------------- a failing disk
+# ----------------------------------------------------------------------------------------------------
+# a failing disk
 
 
 def failing(code):
@@ -386,11 +438,16 @@ def test_a_failing_disk_costs_one_line_and_no_record(tmp_path, small, monkeypatc
         safe = 24 if nth == 1 and call != "unlink" else 32
         assert run.laps == safe
     line = str(caught.value)
-    assert f"recording block 3 failed ({os.strerror(code)}); the {safe} laps recorded there are safe; run" in line
+    assert (
+        f"recording block 3 failed ({os.strerror(code)}); the {safe} laps recorded there are safe; run"
+        in line
+    )
     assert "\n" not in line
     assert not list((tmp_path / "run").glob(".*"))
     assert before.items() <= files(tmp_path / "run").items()
-    assert continued(tmp_path / "run", 4 * BLOCK_SIZE) == continued(tmp_path / "once", 4 * BLOCK_SIZE)
+    assert continued(tmp_path / "run", 4 * BLOCK_SIZE) == continued(
+        tmp_path / "once", 4 * BLOCK_SIZE
+    )
     assert files(tmp_path / "run") == files(tmp_path / "once")
 
 
@@ -401,7 +458,9 @@ def test_a_file_that_the_system_cuts_short_is_never_seen(tmp_path):
         soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
         resource.setrlimit(resource.RLIMIT_FSIZE, (200, hard))
         try:
-            with pytest.raises(RecordsError, match=r"recording block 1 failed \(File too large\); the 8 laps"):
+            with pytest.raises(
+                RecordsError, match=r"recording block 1 failed \(File too large\); the 8 laps"
+            ):
                 run.add(1, BLOCK_SIZE, statistics(1, BLOCK_SIZE))
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
@@ -413,7 +472,10 @@ def test_a_file_that_the_system_cuts_short_is_never_seen(tmp_path):
 def test_a_disk_that_cannot_be_read_is_no_damage(tmp_path, monkeypatch):
     continued(tmp_path, BLOCK_SIZE)
     before = files(tmp_path)
-    with monkeypatch.context() as patch, pytest.raises(RecordsError, match="opening the records failed"):
+    with (
+        monkeypatch.context() as patch,
+        pytest.raises(RecordsError, match="opening the records failed"),
+    ):
         patch.setattr("pathlib.Path.read_bytes", failing(errno.EIO))
         opened(tmp_path)
     assert files(tmp_path) == before

@@ -1,4 +1,5 @@
-"""A replayed lap is the lap of the run: its usage, its draws and its numbers are those that the run recorded."""
+"""A replayed lap is the lap of the run: its usage, its draws and its numbers are those that the run
+recorded."""
 
 import dataclasses
 
@@ -39,7 +40,9 @@ def known(found, task, monkeypatch):
         assert arguments == (found, "local_gain", "robot", "feasible", SEED)
         return task
 
-    monkeypatch.setattr("jaxtube.experiments.montecarlo.command.make_design", lambda scenario: found)
+    monkeypatch.setattr(
+        "jaxtube.experiments.montecarlo.command.make_design", lambda scenario: found
+    )
     monkeypatch.setattr("jaxtube.statistics.task.make_task", make_task)
 
 
@@ -51,7 +54,10 @@ def lap(found, task):
 def test_the_worst_laps_use_again_what_the_run_recorded(found, task):
     run = Run(task, LAPS, 1, tuple(jax.devices()[:1]))
     ((_, statistics),) = run.collect([0], run.dispatch([0]))
-    for kind, used in (("error", lambda lap: lap.of_error_set), ("disturbance", lambda lap: lap.of_disturbance_set)):
+    for kind, used in (
+        ("error", lambda lap: lap.of_error_set),
+        ("disturbance", lambda lap: lap.of_disturbance_set),
+    ):
         worst = statistics[f"worst_lap/{kind}"][:2]
         assert len(set(worst)) == 2 and max(worst) < LAPS
         for number, usage in zip(worst, statistics[f"worst_usage/{kind}"], strict=False):
@@ -62,7 +68,11 @@ def test_the_worst_laps_use_again_what_the_run_recorded(found, task):
 
 def test_the_slips_of_a_lap_move_the_robot_along_its_path(found, task, lap):
     plant, controller = task.plant, task.controller
-    assert np.all(np.abs(lap.slips) <= 1) and np.all(lap.slips[:, 1] == 0) and np.std(lap.slips[:, 0]) > 0.5
+    assert (
+        np.all(np.abs(lap.slips) <= 1)
+        and np.all(lap.slips[:, 1] == 0)
+        and np.std(lap.slips[:, 0]) > 0.5
+    )
     now = [
         jnp.asarray(lap.trajectory.errors[:-1]),
         jnp.asarray(lap.trajectory.inputs),
@@ -98,11 +108,15 @@ def test_the_report_names_the_largest_values_and_when(found, lap):
     step = int(np.argmax(np.abs(lap.disturbance[:, 2])))
     (row,) = [line.split() for line in text.splitlines() if line.startswith("w_th [deg]")]
     assert float(row[2]) == pytest.approx(np.rad2deg(abs(lap.disturbance[step, 2])), rel=1e-4)
-    assert row[3] == "0.2" and float(row[5]) == pytest.approx((step + 1) * found.problem.reference.dt)
+    assert row[3] == "0.2" and float(row[5]) == pytest.approx(
+        (step + 1) * found.problem.reference.dt
+    )
     outside = int(lap.of_disturbance_set.outside.sum())
     assert f"left in {outside} of {len(lap.disturbance)} periods" in text and outside > 0
     assert "QPs" not in text and "reached in 0 of" in text
-    assert f"{len(lap.disturbance)} solved, 0 infeasible" in replay.text(found, lap._replace(plans=True))
+    assert f"{len(lap.disturbance)} solved, 0 infeasible" in replay.text(
+        found, lap._replace(plans=True)
+    )
 
 
 def test_qps_without_solution_and_wheels_at_their_limits_are_counted(found, lap):
@@ -110,7 +124,10 @@ def test_qps_without_solution_and_wheels_at_their_limits_are_counted(found, lap)
     status[:3], status[3], wheels[7:9] = qp.INFEASIBLE, qp.UNSOLVED, 9.0
     diagnostics = lap.trajectory.diagnostics._replace(status=status)
     text = replay.text(
-        found, lap._replace(plans=True, trajectory=lap.trajectory._replace(diagnostics=diagnostics, demanded=wheels))
+        found,
+        lap._replace(
+            plans=True, trajectory=lap.trajectory._replace(diagnostics=diagnostics, demanded=wheels)
+        ),
     )
     assert "3 infeasible, 1 unsolved" in text and "reached in 2 of" in text
 
@@ -122,7 +139,9 @@ def test_a_lap_is_drawn_with_its_errors_its_disturbances_and_their_limits(found,
     for i, limit in enumerate((0.3, 0.3, 20.0)):
         curve, ring, *levels = panels[1, i].lines
         assert curve.get_ydata() == pytest.approx(lap.trajectory.errors[:, i] * DEGREES[i])
-        assert ring.get_xydata()[0] == pytest.approx((worst * 0.1, lap.trajectory.errors[worst, i] * DEGREES[i]))
+        assert ring.get_xydata()[0] == pytest.approx(
+            (worst * 0.1, lap.trajectory.errors[worst, i] * DEGREES[i])
+        )
         assert [level.get_ydata()[0] for level in levels] == pytest.approx([-limit, limit])
     limits, outside = (5.0, 5.0, 0.2), lap.of_disturbance_set.by_coordinate
     for i, axes in enumerate(panels[2]):
@@ -144,7 +163,9 @@ def test_a_lap_of_the_linear_plant_shows_its_inputs(found, task):
         assert panels[0, 1 + i].lines[0].get_ydata() == pytest.approx(lap.trajectory.inputs[:, i])
 
 
-def test_the_command_adds_to_the_folder_of_a_run_and_takes_nothing_away(known, lap, tmp_path, capsys):
+def test_the_command_adds_to_the_folder_of_a_run_and_takes_nothing_away(
+    known, lap, tmp_path, capsys
+):
     before = {name: name.encode() for name in ("metrics.json", "manifest.json", "scenario.toml")}
     for name, content in before.items():
         (tmp_path / name).write_bytes(content)

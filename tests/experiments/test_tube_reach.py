@@ -1,4 +1,5 @@
-"""Laws of the reach of the tubes: no facet is passed, what is exact is told as exact, a tube too small is found out."""
+"""Laws of the reach of the tubes: no facet is passed, what is exact is told as exact, a tube too
+small is found out."""
 
 import dataclasses
 import itertools
@@ -24,7 +25,9 @@ def fewer_samples():
 
 @pytest.fixture(scope="module")
 def design(uncertified):
-    return uncertified("robust", "reference.duration_s=3", "slip.relative_error=0.2", "noise.lateral_m=0.002")
+    return uncertified(
+        "robust", "reference.duration_s=3", "slip.relative_error=0.2", "noise.lateral_m=0.002"
+    )
 
 
 @pytest.fixture(scope="module")
@@ -37,12 +40,16 @@ def vertices(design):
     """A + B K at the four corners of the box of wheel speeds, rebuilt."""
     reference, problem = design.problem.scenario.reference, design.problem
     limits = reference.wheel_speed_min_mps, reference.wheel_speed_max_mps
-    pairs = [(model(problem, wheels), tube_gain(design, wheels)) for wheels in itertools.product(limits, repeat=2)]
+    pairs = [
+        (model(problem, wheels), tube_gain(design, wheels))
+        for wheels in itertools.product(limits, repeat=2)
+    ]
     return [A + B @ K for (A, B), K in pairs]
 
 
 def enumerated_reach(design, vertices, normal):
-    """Return the largest normal * deviation over all sequences of corners; the first w is moved N - 1 times."""
+    """Return the largest normal * deviation over all sequences of corners; the first w is moved N -
+    1 times."""
     W, best = design.problem.disturbance_set, -np.inf
     for sequence in itertools.product(vertices, repeat=design.problem.horizon - 1):
         direction, reach = normal, 0.0
@@ -67,7 +74,10 @@ def test_no_facet_is_short_of_the_exact_reach(found, tube):
 def test_the_hull_is_exact_and_the_sequence_is_reached(found):
     assert abs(found["hull"]["ratio_to_reach"]["greatest"] - 1) <= REACHED_FACET
     assert 0.999 <= found["sequence"]["least_share_reached"] <= 1 + REACHED_FACET
-    assert found["sequence"]["least_share_reached"] == 1 / found["sequence"]["ratio_to_reach"]["greatest"]
+    assert (
+        found["sequence"]["least_share_reached"]
+        == 1 / found["sequence"]["ratio_to_reach"]["greatest"]
+    )
 
 
 @pytest.mark.parametrize("tube", ["paper", "hull", "summed"])
@@ -77,10 +87,15 @@ def test_ratios_are_those_to_the_reach_over_all_sequences(design, found, vertice
     chosen = slice(None, None, max(len(section.offsets) // 12, 1))
     reach = [enumerated_reach(design, vertices, normal) for normal in section.normals[chosen]]
     ratios, told = section.offsets[chosen] / reach, found[tube]["ratio_to_reach"]
-    assert told["least"] - REACHED_FACET <= ratios.min() and ratios.max() <= told["greatest"] + REACHED_FACET
+    assert (
+        told["least"] - REACHED_FACET <= ratios.min()
+        and ratios.max() <= told["greatest"] + REACHED_FACET
+    )
     if chosen.step == 1:
         np.testing.assert_allclose(
-            [ratios.min(), ratios.mean(), ratios.max()], [told["least"], told["mean"], told["greatest"]], rtol=1e-9
+            [ratios.min(), ratios.mean(), ratios.max()],
+            [told["least"], told["mean"], told["greatest"]],
+            rtol=1e-9,
         )
     assert found[tube]["facets"] == len(section.offsets)
 
@@ -99,7 +114,9 @@ class Shrunk:
 @pytest.mark.parametrize("tube", ["paper", "hull", "summed"])
 def test_a_tube_too_small_is_found_out(design, found, tube):
     sections = [design.tubes[tube][0], *map(Shrunk, design.tubes[tube][1:])]
-    shrunk = tube_reach.metrics(dataclasses.replace(design, tubes=design.tubes | {tube: sections}), 3)
+    shrunk = tube_reach.metrics(
+        dataclasses.replace(design, tubes=design.tubes | {tube: sections}), 3
+    )
     assert shrunk[tube]["largest_excess"] > 1e-5
     for name, ratio in shrunk[tube]["ratio_to_reach"].items():
         assert ratio == pytest.approx(0.97 * found[tube]["ratio_to_reach"][name], rel=REACHED_FACET)
@@ -107,7 +124,9 @@ def test_a_tube_too_small_is_found_out(design, found, tube):
 
 def test_a_tube_along_the_reference_too_small_is_found_out(design, monkeypatch):
     whole = tube_reach.sequence_tube
-    monkeypatch.setattr(tube_reach, "sequence_tube", lambda loops, W: [*map(Shrunk, whole(loops, W))])
+    monkeypatch.setattr(
+        tube_reach, "sequence_tube", lambda loops, W: [*map(Shrunk, whole(loops, W))]
+    )
     found = tube_reach.metrics(design, 3)["sequence"]
     assert found["largest_excess"] > 1e-5 and found["ratio_to_reach"]["greatest"] < 0.98
 

@@ -1,4 +1,5 @@
-"""Laws of the command `tune`: what it returns is certified, nothing is lost, and what fails costs one line."""
+"""Laws of the command `tune`: what it returns is certified, nothing is lost, and what fails costs
+one line."""
 
 import json
 import os
@@ -45,7 +46,10 @@ def run(folder, *words):
 
 
 def files(folder):
-    return {name: (folder / name).read_bytes() for name in ("tuned.toml", "metrics.json", "iterates.npz")}
+    return {
+        name: (folder / name).read_bytes()
+        for name in ("tuned.toml", "metrics.json", "iterates.npz")
+    }
 
 
 @pytest.fixture(scope="module", params=["stand-ins", pytest.param("true", marks=pytest.mark.slow)])
@@ -89,7 +93,9 @@ def test_the_objective_falls(undisturbed):
     assert held_out[-1] < held_out[0]
 
 
-def test_the_same_command_again_computes_nothing_and_says_the_same(undisturbed, laps, tmp_path, quick, monkeypatch):
+def test_the_same_command_again_computes_nothing_and_says_the_same(
+    undisturbed, laps, tmp_path, quick, monkeypatch
+):
     laps(monkeypatch)
     shutil.copytree(undisturbed, tmp_path / "run")
     monkeypatch.setattr("jaxtube.tuning.tuner.Tuner.evaluate", None)
@@ -100,11 +106,15 @@ def test_the_same_command_again_computes_nothing_and_says_the_same(undisturbed, 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kept", [1, 4])
-def test_an_interrupted_run_ends_at_the_same_bits(undisturbed, laps, tmp_path, quick, monkeypatch, kept):
+def test_an_interrupted_run_ends_at_the_same_bits(
+    undisturbed, laps, tmp_path, quick, monkeypatch, kept
+):
     laps(monkeypatch)
     folder = tmp_path / "run"
     shutil.copytree(undisturbed / "log", folder / "log")
-    for entry in sorted((folder / "log").glob("*.record"), key=lambda path: path.stat().st_mtime_ns)[kept:]:
+    for entry in sorted(
+        (folder / "log").glob("*.record"), key=lambda path: path.stat().st_mtime_ns
+    )[kept:]:
         entry.unlink()
     assert run(folder) == 0
     assert files(folder) == files(undisturbed)
@@ -117,7 +127,9 @@ def test_a_killed_run_ends_at_the_same_bits(tmp_path, method):
     command = [sys.executable, "-m", "jaxtube.experiments", *WORDS, "--method", method, "--out"]
     subprocess.run([*command, str(whole)], check=True, capture_output=True)
     for kept in (1, 3):
-        process = subprocess.Popen([*command, str(killed)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            [*command, str(killed)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
         while process.poll() is None and len(list((killed / "log").glob("*.record"))) < kept:
             time.sleep(0.02)
         os.kill(process.pid, signal.SIGKILL)
@@ -148,7 +160,9 @@ def test_a_start_that_cannot_be_tuned_costs_one_line(tmp_path, capsys, words, to
 
 
 @pytest.mark.slow
-def test_numbers_that_are_none_end_in_one_line_with_the_best_certified_iterate_on_disk(tmp_path, quick, capsys):
+def test_numbers_that_are_none_end_in_one_line_with_the_best_certified_iterate_on_disk(
+    tmp_path, quick, capsys
+):
     assert run(tmp_path, "--learning-rate", "300", "--evaluations", "9") == 2
     line = refused(capsys)
     assert "lower the learning rate" in line and "best certified iterate is kept" in line
@@ -157,14 +171,26 @@ def test_numbers_that_are_none_end_in_one_line_with_the_best_certified_iterate_o
 
 @pytest.mark.slow
 def test_a_run_without_certified_iterates_says_what_they_lack(tmp_path, quick, capsys):
-    assert run(tmp_path, "controller.tracking_gains=[0.951249,0.936687,1.305797]", "--evaluations", "1") == 3
+    assert (
+        run(
+            tmp_path, "controller.tracking_gains=[0.951249,0.936687,1.305797]", "--evaluations", "1"
+        )
+        == 3
+    )
     assert "no iterate is certified: the best one fails terminal_set_invariant" in refused(capsys)
     assert not (tmp_path / "tuned.toml").exists()
 
 
 @pytest.mark.slow
-def test_an_uncertified_iterate_is_returned_only_when_asked_for_and_labelled(tmp_path, quick, capsys):
-    words = ("controller.tracking_gains=[0.951249,0.936687,1.305797]", "--evaluations", "1", "--accept-uncertified")
+def test_an_uncertified_iterate_is_returned_only_when_asked_for_and_labelled(
+    tmp_path, quick, capsys
+):
+    words = (
+        "controller.tracking_gains=[0.951249,0.936687,1.305797]",
+        "--evaluations",
+        "1",
+        "--accept-uncertified",
+    )
     assert run(tmp_path, *words) == 0
     assert "NOT CERTIFIED: terminal_set_invariant" in capsys.readouterr().out
     assert (tmp_path / "tuned.toml").read_text().startswith("# Tuned from untuned; NOT CERTIFIED")
@@ -174,19 +200,25 @@ def test_metrics_hold_start_and_result(undisturbed):
     found = json.loads((undisturbed / "metrics.json").read_text())
     assert found["tuned"]["certified"] and found["gradients"] == 3
     assert (
-        found["lateral_reduction"]["low"] <= found["lateral_reduction"]["share"] <= found["lateral_reduction"]["high"]
+        found["lateral_reduction"]["low"]
+        <= found["lateral_reduction"]["share"]
+        <= found["lateral_reduction"]["high"]
     )
 
 
 def test_what_does_not_certify_when_read_back_is_not_returned(tmp_path, quick, monkeypatch, capsys):
     stand_ins.patch_tuner(monkeypatch)
-    monkeypatch.setattr(tune, "certified_again", lambda path: (("some_condition",), "NOT CERTIFIED: some_condition"))
+    monkeypatch.setattr(
+        tune, "certified_again", lambda path: (("some_condition",), "NOT CERTIFIED: some_condition")
+    )
     assert run(tmp_path) == tune.NOT_CERTIFIED
     assert "does not certify when read back: some_condition" in refused(capsys)
     assert not (tmp_path / "tuned.toml").exists()
 
 
-def test_the_result_of_an_earlier_run_does_not_outlive_a_run_without_one(tmp_path, quick, monkeypatch):
+def test_the_result_of_an_earlier_run_does_not_outlive_a_run_without_one(
+    tmp_path, quick, monkeypatch
+):
     stand_ins.patch_tuner(monkeypatch)
     (tmp_path / "tuned.toml").write_text("# of an earlier run\n")
     paper = "controller.tracking_gains=[0.951249,0.936687,1.305797]"
@@ -199,5 +231,9 @@ def test_a_certificate_for_an_assumed_w_is_one_for_the_linear_model_and_says_so(
     text = (experiments_folder() / "tuned" / "scenario.toml").read_text()
     path.write_text(text.replace('bound = "computed"', 'bound = "assumed"'))
     failing, verdict = tune.certified_again(path)
-    assert not failing and verdict.startswith("CERTIFIED for the linear model with w in W, which is assumed")
-    assert tune.certified_again(experiments_folder() / "tuned" / "scenario.toml")[1].startswith("CERTIFIED: every")
+    assert not failing and verdict.startswith(
+        "CERTIFIED for the linear model with w in W, which is assumed"
+    )
+    assert tune.certified_again(experiments_folder() / "tuned" / "scenario.toml")[1].startswith(
+        "CERTIFIED: every"
+    )

@@ -35,7 +35,10 @@ def test_the_interval_of_a_reduction_holds_it_and_narrows_with_the_laps():
 def test_a_difference_has_the_interval_of_student():
     above = np.random.default_rng(2).normal(0.3, 1.0, 12)
     found = difference(above + LATERAL[:12], LATERAL[:12])
-    mean, half = above.mean(), 2.200985160 * above.std(ddof=1) / np.sqrt(12)  # t of 11 degrees of freedom, 97.5 %
+    mean, half = (
+        above.mean(),
+        2.200985160 * above.std(ddof=1) / np.sqrt(12),
+    )  # t of 11 degrees of freedom, 97.5 %
     assert list(found.values()) == pytest.approx([mean, mean - half, mean + half], rel=1e-8)
     assert difference(LATERAL, LATERAL) == {"mean": 0, "low": 0, "high": 0}
 

@@ -1,4 +1,5 @@
-"""Figures of tuning show what they are given: read back from the axes, texts apart, units at every axis."""
+"""Figures of tuning show what they are given: read back from the axes, texts apart, units at every
+axis."""
 
 import itertools
 
@@ -30,7 +31,8 @@ LIMIT = 0.0288
 
 
 def curve(iterates=60, uncertified=10, start=700.0):
-    """An invented run: uncertified at first, with an iterate that has no design at all and one not looked at."""
+    """An invented run: uncertified at first, with an iterate that has no design at all and one not
+    looked at."""
     generator, i = np.random.default_rng(1), np.arange(iterates)
     base = 0.5 + 1.5 * np.exp(-i / 12) + np.where(i < uncertified, start * np.exp(-i / 1.6), 0)
     held_out, objective = base * (1 + 0.02 * generator.normal(size=(2, iterates)))
@@ -63,8 +65,12 @@ def assert_readable(figure):
     for (first, box), (second, other) in itertools.combinations(boxes, 2):
         assert not box.padded(-0.5).overlaps(other.padded(-0.5)), f"{first!r} lies on {second!r}"
     for text, box in boxes:
-        assert figure.bbox.contains(*box.min) and figure.bbox.contains(*box.max), f"{text!r} leaves the page"
-    labels = [label.get_text() for axes in figure.axes for label in (axes.xaxis.label, axes.yaxis.label)]
+        assert figure.bbox.contains(*box.min) and figure.bbox.contains(*box.max), (
+            f"{text!r} leaves the page"
+        )
+    labels = [
+        label.get_text() for axes in figure.axes for label in (axes.xaxis.label, axes.yaxis.label)
+    ]
     assert all("[" in label or label in ("iteration", "") for label in labels)
 
 
@@ -73,7 +79,8 @@ def panels(figure):
 
 
 def marks(axes, marker, face=None):
-    """Return the points of all lines with a mark, of those with a face of a colour where it is given."""
+    """Return the points of all lines with a mark, of those with a face of a colour where it is
+    given."""
     chosen = [line for line in axes.lines if line.get_marker() == marker]
     if face is not None:
         chosen = [line for line in chosen if to_hex(line.get_markerfacecolor()) == to_hex(face)]
@@ -91,7 +98,11 @@ def extent(patch):
 def test_iterates_are_filled_where_certified_and_hollow_where_not():
     run = curve()
     shown = panels(learning_figure({"Adam": run}, LIMIT))
-    sources = {"objective": run.held_out, "lateral error once settled": 1e3 * run.lateral, "effort": run.effort}
+    sources = {
+        "objective": run.held_out,
+        "lateral error once settled": 1e3 * run.lateral,
+        "effort": run.effort,
+    }
     for name, source in sources.items():
         source = np.where(np.isfinite(source), source, np.nan)
         for chosen, face in ((run.certified, "#0072B2"), (~run.certified, "white")):
@@ -104,7 +115,9 @@ def test_the_star_marks_the_best_certified_iterate_and_its_numbers_are_told():
     best = min(np.flatnonzero(run.certified), key=lambda i: run.held_out[i])
     assert run.returned == best and run.held_out[best] > run.held_out[35]
     figure = learning_figure({"Adam": run}, LIMIT)
-    assert marks(panels(figure)["effort"], "*") == pytest.approx(np.array([[best, run.effort[best]]]))
+    assert marks(panels(figure)["effort"], "*") == pytest.approx(
+        np.array([[best, run.effort[best]]])
+    )
     text = legend_texts(figure)[0]
     assert text.startswith(f"Adam: objective {run.held_out[0]:.3g} → {run.held_out[best]:.3g}")
     assert f"{1e3 * run.lateral[best]:.3g} mm" in text and f"(iteration {best})" in text
@@ -114,7 +127,9 @@ def test_without_certified_iterate_none_is_returned_and_nothing_is_magnified():
     run = curve()._replace(certified=np.zeros(60, bool))
     figure = learning_figure({"Adam": run}, None)
     assert run.returned is None and len(figure.axes) == 3
-    assert legend_texts(figure)[0] == "Adam: no certified iterate" and "returned" not in legend_texts(figure)
+    assert legend_texts(figure)[
+        0
+    ] == "Adam: no certified iterate" and "returned" not in legend_texts(figure)
     assert all(len(marks(axes, "*")) == 0 for axes in figure.axes)
 
 
@@ -126,7 +141,9 @@ def test_the_magnified_panel_holds_the_certified_iterates_close_to_the_best_and_
     assert low < run.low[close].min() and run.high[close].max() < high < run.held_out[0] / 100
     assert 1 < close.sum() < run.certified.sum()
     for name in ("objective", "the same, magnified close to the best"):
-        (band,) = [band for band in shown[name].collections if isinstance(band, FillBetweenPolyCollection)]
+        (band,) = [
+            band for band in shown[name].collections if isinstance(band, FillBetweenPolyCollection)
+        ]
         ordinates = np.concatenate([path.vertices[:, 1] for path in band.get_paths()])
         finite = np.isfinite(run.low)
         assert set(ordinates.tolist()) == set(run.low[finite]) | set(run.high[finite])
@@ -142,13 +159,18 @@ def test_objectives_are_logarithmic_and_magnified_only_beyond_a_decade():
     far = learning_figure({"Adam": curve(uncertified=12)}, LIMIT)
     assert panels(near)["objective"].get_yscale() == "linear" and len(near.axes) == 3
     assert panels(far)["objective"].get_yscale() == "log" and len(far.axes) == 4
-    assert not spans_decade(np.array([-1.0, 100.0])) and not spans_decade(np.array([np.nan, np.inf]))
+    assert not spans_decade(np.array([-1.0, 100.0])) and not spans_decade(
+        np.array([np.nan, np.inf])
+    )
     assert spans_decade(np.array([1.0, 11.0, np.nan])) and not spans_decade(np.array([1.0, 9.0]))
 
 
 def test_the_limit_of_the_effort_is_drawn_where_there_is_one():
     lines = panels(learning_figure({"Adam": curve()}, LIMIT))["effort"].lines
-    assert sum(np.allclose(line.get_ydata(), LIMIT) and len(line.get_ydata()) == 2 for line in lines) == 1
+    assert (
+        sum(np.allclose(line.get_ydata(), LIMIT) and len(line.get_ydata()) == 2 for line in lines)
+        == 1
+    )
     assert "limit of the effort" not in legend_texts(learning_figure({"Adam": curve()}, None))
 
 
@@ -165,7 +187,9 @@ def test_projected_tubes_reach_as_far_as_the_tubes_beside_the_box_of_the_caps(cl
     for axes, plane in zip(figure.axes, ([0, 1], [0, 2], [1, 2]), strict=True):
         reaches = [(set_.support(np.eye(3)) * CENTIMETRES)[plane] for set_ in (before, after)]
         for patch, reach in zip(
-            axes.patches, [(HALF_WIDTHS * CENTIMETRES)[plane], *np.repeat(reaches, 2, axis=0)], strict=True
+            axes.patches,
+            [(HALF_WIDTHS * CENTIMETRES)[plane], *np.repeat(reaches, 2, axis=0)],
+            strict=True,
         ):
             assert extent(patch) == pytest.approx(np.stack([-reach, reach]))
             assert np.all(np.abs([axes.get_xlim(), axes.get_ylim()]).min(axis=1) >= reach)
@@ -183,7 +207,8 @@ def test_a_tube_without_bound_is_said_to_have_none(cloud):
 
 @pytest.fixture(scope="module")
 def laps():
-    """Errors before and after: a start that dies out, then noise of 9 mm and of 1.3 mm, of unlike numbers of laps."""
+    """Errors before and after: a start that dies out, then noise of 9 mm and of 1.3 mm, of unlike
+    numbers of laps."""
     generator, fall = np.random.default_rng(2), np.exp(-np.arange(301) / 20)[:, None, None]
     return [
         fall * [0.2, 0.15, 0.1] + generator.normal(size=(301, count, 3)) * size
@@ -197,12 +222,16 @@ def test_errors_are_medians_inside_their_bands_in_units_that_fit(laps):
         for axes, first, unit in zip(row, (0, 100), ("cm", "mm"), strict=True):
             scale = np.rad2deg(1.0) if coordinate == 2 else {"cm": 1e2, "mm": 1e3}[unit]
             assert f"[{'deg' if coordinate == 2 else unit}]" in axes.get_ylabel()
-            bands = [band for band in axes.collections if isinstance(band, FillBetweenPolyCollection)]
+            bands = [
+                band for band in axes.collections if isinstance(band, FillBetweenPolyCollection)
+            ]
             drawn = [line for line in axes.lines if line.get_linewidth() == 1.2]
             for errors, line, band in zip(laps, drawn, bands, strict=True):
                 values = errors[first:, :, coordinate] * scale
                 time = np.arange(first, 301) * 0.1
-                assert line.get_xydata() == pytest.approx(np.column_stack([time, np.median(values, axis=1)]), abs=DRAWN)
+                assert line.get_xydata() == pytest.approx(
+                    np.column_stack([time, np.median(values, axis=1)]), abs=DRAWN
+                )
                 low, high = np.quantile(values, (0.05, 0.95), axis=1)
                 ordinates = band.get_paths()[0].vertices[:, 1]
                 assert set(np.round(ordinates, 9)) == set(np.round(np.concatenate([low, high]), 9))
@@ -211,7 +240,8 @@ def test_errors_are_medians_inside_their_bands_in_units_that_fit(laps):
 def test_the_rms_once_settled_is_the_mean_over_laps_and_stands_over_the_panel(laps):
     figure = error_figure(*laps, 0.1, 100)
     by_lap = [
-        np.mean([np.linalg.norm(lap[100:, 1]) / np.sqrt(201) for lap in errors.swapaxes(0, 1)]) for errors in laps
+        np.mean([np.linalg.norm(lap[100:, 1]) / np.sqrt(201) for lap in errors.swapaxes(0, 1)])
+        for errors in laps
     ]
     assert [settled_rms(errors, 100)[1] for errors in laps] == pytest.approx(by_lap)
     title = np.reshape(figure.axes, (3, 2))[1, 1].get_title(loc="right")
@@ -223,9 +253,18 @@ def parameters():
     """Q, R, gains and which iterates are certified; entries off the diagonal of R are zero."""
     i = np.arange(50)
     lower = np.tile(np.eye(3), (50, 1, 1))
-    lower[:, 0, 0], lower[:, 1, 1], lower[:, 1, 0] = np.exp(-i / 20), np.exp(i / 20), 0.3 * np.sin(i / 30)
+    lower[:, 0, 0], lower[:, 1, 1], lower[:, 1, 0] = (
+        np.exp(-i / 20),
+        np.exp(i / 20),
+        0.3 * np.sin(i / 30),
+    )
     inputs = np.tile(np.diag([0.3, 0.2]), (50, 1, 1))
-    return lower @ lower.swapaxes(1, 2), inputs, np.exp(np.outer(i / 40, [0.2, 0.4, 0.39])), (i >= 10) & (i != 25)
+    return (
+        lower @ lower.swapaxes(1, 2),
+        inputs,
+        np.exp(np.outer(i / 40, [0.2, 0.4, 0.39])),
+        (i >= 10) & (i != 25),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -234,7 +273,9 @@ def drawn_parameters(parameters):
     return parameter_figure(error, inputs, gains, ["k1", "k2", "k3"], certified)
 
 
-def test_weights_and_gains_are_drawn_and_named_at_the_ends_of_their_lines(parameters, drawn_parameters):
+def test_weights_and_gains_are_drawn_and_named_at_the_ends_of_their_lines(
+    parameters, drawn_parameters
+):
     error, inputs, gains, _ = parameters
     shown = panels(drawn_parameters)
     pairs = [(0, 1), (0, 2), (1, 2)]
@@ -242,7 +283,8 @@ def test_weights_and_gains_are_drawn_and_named_at_the_ends_of_their_lines(parame
     sources = {
         "diagonal of $Q$": {f"$Q_{{{i}{i}}}$": error[:, i - 1, i - 1] for i in (1, 2, 3)},
         "off the diagonal of $Q$": {
-            f"$Q_{{{i + 1}{j + 1}}}$": error[:, i, j] / root for (i, j), root in zip(pairs, diagonals, strict=True)
+            f"$Q_{{{i + 1}{j + 1}}}$": error[:, i, j] / root
+            for (i, j), root in zip(pairs, diagonals, strict=True)
         },
         "diagonal of $R$": {f"$R_{{{i}{i}}}$": inputs[:, i - 1, i - 1] for i in (1, 2)},
         "off the diagonal of $R$": {"$R_{12}$": np.zeros(50)},
@@ -261,7 +303,9 @@ def test_weights_and_gains_are_drawn_and_named_at_the_ends_of_their_lines(parame
 def test_iterates_that_are_not_certified_are_shaded(parameters, drawn_parameters):
     *given, certified = parameters
     for axes in drawn_parameters.axes:
-        assert [patch.get_x() + 0.5 for patch in axes.patches] == pytest.approx(np.flatnonzero(~certified))
+        assert [patch.get_x() + 0.5 for patch in axes.patches] == pytest.approx(
+            np.flatnonzero(~certified)
+        )
     certain = parameter_figure(*given, ["k1", "k2", "k3"], np.ones(50, bool))
     assert not certain.legends
 
@@ -291,8 +335,12 @@ def groups():
     """A grid of 200 designs with its front, and six designs whose names stand beside them."""
     generator, n = np.random.default_rng(3), 200
     effort = generator.uniform(0.0245, 0.0335, n)
-    lateral = (1.2e-3 + 9e-3 * np.exp((0.024 - effort) / 0.0018)) * np.exp(0.5 * np.abs(generator.normal(size=n)))
-    tube = np.where(generator.random(n) < 0.15, np.nan, 0.2 * np.exp(0.7 * generator.normal(size=n)))
+    lateral = (1.2e-3 + 9e-3 * np.exp((0.024 - effort) / 0.0018)) * np.exp(
+        0.5 * np.abs(generator.normal(size=n))
+    )
+    tube = np.where(
+        generator.random(n) < 0.15, np.nan, 0.2 * np.exp(0.7 * generator.normal(size=n))
+    )
     certified = np.nan_to_num(tube, nan=1.0) < 0.3
     front = [i for i in range(n) if not np.any((effort < effort[i]) & (lateral < lateral[i]))]
     values = np.column_stack([lateral, effort, tube])
@@ -307,7 +355,10 @@ def groups():
     return [
         Group("grid", *values.T, certified, "grid"),
         Group("front of the grid", *values[front].T, certified[front], "front"),
-        *(Group(name, *np.array([row[:3]]).T, np.array([row[3]]), row[4]) for name, row in singles.items()),
+        *(
+            Group(name, *np.array([row[:3]]).T, np.array([row[3]]), row[4])
+            for name, row in singles.items()
+        ),
     ]
 
 
@@ -329,8 +380,17 @@ def in_order(points):
 def test_designs_stand_at_their_error_effort_and_tube(groups, front):
     effort, tube = front.axes
     strip = tube.patches[0]
-    for kind, marker in {"grid": "o", "front": "s", "search": "^", "start": "X", "tuned": "*"}.items():
-        columns = [np.concatenate(values) for values in zip(*(g[1:5] for g in groups if g.kind == kind), strict=True)]
+    for kind, marker in {
+        "grid": "o",
+        "front": "s",
+        "search": "^",
+        "start": "X",
+        "tuned": "*",
+    }.items():
+        columns = [
+            np.concatenate(values)
+            for values in zip(*(g[1:5] for g in groups if g.kind == kind), strict=True)
+        ]
         lateral, spent, size, certified = columns
         expected = np.column_stack([spent, 1e3 * lateral])
         assert in_order(marks(effort, marker)) == pytest.approx(in_order(expected), abs=DRAWN)
@@ -367,7 +427,9 @@ def test_names_stand_close_to_their_marks_inside_the_panel(groups, name, request
     figure.draw_without_rendering()
     for axes in figure.axes:
         names = [text for text in axes.texts if isinstance(text, Annotation)]
-        assert sorted(text.get_text() for text in names) == sorted(group.name for group in groups[2:])
+        assert sorted(text.get_text() for text in names) == sorted(
+            group.name for group in groups[2:]
+        )
         for text in names:
             box = Text.get_window_extent(text)
             assert axes.bbox.contains(*box.min) and axes.bbox.contains(*box.max)
@@ -388,13 +450,20 @@ ROWS = [
 def test_each_design_has_its_mean_and_interval_in_millimetres_by_reference():
     (axes,) = comparison_figure(ROWS).axes
     assert [label.get_text() for label in axes.get_yticklabels()] == [row[1] for row in ROWS]
-    for row, place, ends, dot in zip(ROWS, axes.get_yticks(), axes.lines[::2], axes.lines[1::2], strict=True):
+    for row, place, ends, dot in zip(
+        ROWS, axes.get_yticks(), axes.lines[::2], axes.lines[1::2], strict=True
+    ):
         assert dot.get_xydata() == pytest.approx(np.array([[1e3 * row[2], place]]))
-        assert ends.get_xydata() == pytest.approx(np.array([[1e3 * row[3], place], [1e3 * row[4], place]]))
+        assert ends.get_xydata() == pytest.approx(
+            np.array([[1e3 * row[3], place], [1e3 * row[4], place]])
+        )
         assert (to_hex(dot.get_color()) == to_hex(AFTER.colour)) == (row[1] == "tuned")
         assert to_hex(dot.get_color()) == to_hex(ends.get_color())
     written = {text.get_text(): text.get_position()[1] for text in axes.texts}
-    assert written["2.40  (2.30 to 2.52)"] == axes.get_yticks()[1] and "1.04  (0.998 to 1.09)" in written
+    assert (
+        written["2.40  (2.30 to 2.52)"] == axes.get_yticks()[1]
+        and "1.04  (0.998 to 1.09)" in written
+    )
     assert axes.get_yticks()[2] < written["circle"] < axes.get_yticks()[3]
     assert "95 % interval [mm]" in axes.get_xlabel()
 

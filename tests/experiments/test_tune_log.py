@@ -1,4 +1,5 @@
-"""Laws of the log of a tuning run: resumed runs end at the same bits; what does not fit is refused or redone."""
+"""Laws of the log of a tuning run: resumed runs end at the same bits; what does not fit is refused
+or redone."""
 
 import errno
 import os
@@ -48,14 +49,18 @@ class Objective:
         def compute():
             noise = 0.1 * np.random.default_rng((5, draws)).standard_normal(3)
             value = 3 + np.sum(np.sin(3 * point) + point**2) / 3 + noise @ point
-            return self.counted({"value": value, "gradient": np.cos(3 * point) + 2 / 3 * point + noise})
+            return self.counted(
+                {"value": value, "gradient": np.cos(3 * point) + 2 / 3 * point + noise}
+            )
 
         answer = self.log.remember("evaluate", {"point": point, "draws": draws}, compute)
         return float(answer["value"]), answer["gradient"]
 
     def inspect(self, iteration, point):
         def compute():
-            return self.counted({"held_out": np.sum(np.sin(3 * point) + point**2), "certified": point[0] < 0.1})
+            return self.counted(
+                {"held_out": np.sum(np.sin(3 * point) + point**2), "certified": point[0] < 0.1}
+            )
 
         answer = self.log.remember("inspect", {"point": point}, compute)
         return Inspected(float(answer["held_out"]), bool(answer["certified"]))
@@ -65,7 +70,9 @@ class Objective:
 
 
 METHODS = {
-    "adam": lambda f: adam(f.evaluate, f.inspect, START, NAMES, budget=9, patience=9, learning_rate=0.1),
+    "adam": lambda f: adam(
+        f.evaluate, f.inspect, START, NAMES, budget=9, patience=9, learning_rate=0.1
+    ),
     "lbfgs": lambda f: lbfgs(f.evaluate, f.inspect, START, NAMES, budget=12, patience=9),
     "random": lambda f: random_search(f.value, START, np.ones(3), 12, seed=2),
     "simplex": lambda f: nelder_mead(f.value, START, 12, size=0.5),
@@ -94,7 +101,9 @@ def filled(folder, count=4):
 
 def ask(log, number, value=None):
     """Ask for the square of a number; the given value, if any, is what is computed."""
-    return log.remember("adam", {"x": float(number)}, lambda: {"y": number**2 if value is None else value})["y"]
+    return log.remember(
+        "adam", {"x": float(number)}, lambda: {"y": number**2 if value is None else value}
+    )["y"]
 
 
 def files(folder):
@@ -107,7 +116,8 @@ def quick(monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
-# ------------------------------------------------------------------------------------------------------- the same bits
+# -------------------------------------------------------------------------------------------------------
+# the same bits
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -130,7 +140,9 @@ def test_a_killed_process_loses_nothing_that_was_logged(tmp_path):
         "with Log(Path(sys.argv[2]), IDENTITY) as log: METHODS['adam'](Objective(log, seconds=0.05))\n"
     )
     folder = tmp_path / "killed"
-    process = subprocess.Popen([sys.executable, "-c", script, os.path.dirname(__file__), str(folder)])
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, os.path.dirname(__file__), str(folder)]
+    )
     deadline = time.monotonic() + 60
     while len(list(folder.glob("*.record"))) < 7 and time.monotonic() < deadline:
         assert process.poll() is None
@@ -159,10 +171,15 @@ def test_answers_come_back_with_the_same_bits_types_and_layout(tmp_path, quick):
     for _ in range(2):
         with Log(tmp_path, IDENTITY) as log:
             arrays = log.remember("adam", {"x": 1.0}, lambda: answer)
-        seen.append({name: (a.dtype, a.shape, a.strides, a.tobytes()) for name, a in arrays.items()})
+        seen.append(
+            {name: (a.dtype, a.shape, a.strides, a.tobytes()) for name, a in arrays.items()}
+        )
     assert seen[0] == seen[1] and list(seen[0]) == sorted(answer)
     for name, array in answer.items():
-        assert seen[0][name][0] == np.asarray(array).dtype and seen[0][name][3] == np.asarray(array).tobytes()
+        assert (
+            seen[0][name][0] == np.asarray(array).dtype
+            and seen[0][name][3] == np.asarray(array).tobytes()
+        )
 
 
 def test_streams_are_counted_apart(tmp_path, quick):
@@ -171,7 +188,12 @@ def test_streams_are_counted_apart(tmp_path, quick):
             for name in order:
                 log.remember(name, {"stream": len(name)}, lambda: {"y": 1.0})
             assert log.entries == 4
-    names = ["adam-000000.record", "adam-000001.record", "adam-2-000000.record", "random-000000.record"]
+    names = [
+        "adam-000000.record",
+        "adam-000001.record",
+        "adam-2-000000.record",
+        "random-000000.record",
+    ]
     assert sorted(files(tmp_path)) == names
 
 
@@ -182,7 +204,8 @@ def test_what_is_computed_may_fail_and_be_asked_again(tmp_path, quick):
         assert log.entries == 0 and ask(log, 0, value=7.0) == 7.0
 
 
-# -------------------------------------------------------------------------------------------------------------- refused
+# --------------------------------------------------------------------------------------------------------------
+# refused
 
 
 def test_another_identity_is_refused_and_nothing_touched(tmp_path, quick):
@@ -191,7 +214,10 @@ def test_another_identity_is_refused_and_nothing_touched(tmp_path, quick):
     other = IDENTITY | {"scenario": {"controller": {"horizon": 6, "weights": [1.0, 2.0]}}}
     with pytest.raises(ScenarioError) as refused:
         Log(tmp_path / "log", other)
-    assert re.match("command line: --out = .*log holds another run: scenario.controller.horizon", str(refused.value))
+    assert re.match(
+        "command line: --out = .*log holds another run: scenario.controller.horizon",
+        str(refused.value),
+    )
     assert "5 there, 6 here; name another --out, or delete it" in str(refused.value)
     assert "\n" not in str(refused.value) and files(tmp_path / "log") == before
     Log(tmp_path / "log", IDENTITY).close()
@@ -227,7 +253,10 @@ def test_a_minus_zero_is_another_question(tmp_path, quick):
 
 
 def test_an_open_log_is_refused_to_others_until_it_is_closed(tmp_path):
-    with Log(tmp_path, IDENTITY), pytest.raises(ScenarioError, match="another process is writing there"):
+    with (
+        Log(tmp_path, IDENTITY),
+        pytest.raises(ScenarioError, match="another process is writing there"),
+    ):
         Log(tmp_path, IDENTITY)
     Log(tmp_path, IDENTITY).close()
 
@@ -239,11 +268,15 @@ def test_names_that_cannot_be_files_are_refused(tmp_path, stream):
 
 
 def test_answers_that_are_no_numbers_are_refused(tmp_path):
-    with Log(tmp_path, IDENTITY) as log, pytest.raises(ValueError, match="neither integers nor floats"):
+    with (
+        Log(tmp_path, IDENTITY) as log,
+        pytest.raises(ValueError, match="neither integers nor floats"),
+    ):
         log.remember("adam", {}, lambda: {"y": np.array("text")})
 
 
-# ------------------------------------------------------------------------------------------------- damage and the disk
+# -------------------------------------------------------------------------------------------------
+# damage and the disk
 
 
 @pytest.mark.parametrize("number", [1, 3])
@@ -253,10 +286,21 @@ def test_a_damaged_entry_is_computed_again(tmp_path, quick, number, damage):
     path = tmp_path / f"adam-{number:06d}.record"
     record, other = path.read_bytes(), (tmp_path / "adam-000000.record").read_bytes()
     flipped = record[:200] + bytes([record[200] ^ 1]) + record[201:]
-    path.write_bytes({"flipped": flipped, "cut": record[:-9], "empty": b"", "renamed": other}[damage])
+    path.write_bytes(
+        {"flipped": flipped, "cut": record[:-9], "empty": b"", "renamed": other}[damage]
+    )
     with Log(tmp_path, IDENTITY) as log:
-        assert log.damaged == [f"{path}: is damaged; it is removed and computed again"] and not path.exists()
-        assert [ask(log, each, value=each**2 if each == number else -1) for each in range(5)] == [0, 1, 4, 9, -1]
+        assert (
+            log.damaged == [f"{path}: is damaged; it is removed and computed again"]
+            and not path.exists()
+        )
+        assert [ask(log, each, value=each**2 if each == number else -1) for each in range(5)] == [
+            0,
+            1,
+            4,
+            9,
+            -1,
+        ]
     assert path.read_bytes() == record
 
 

@@ -1,4 +1,5 @@
-"""Laws of the search for violations: it reaches closed-form worst cases, and every margin it reports is real."""
+"""Laws of the search for violations: it reaches closed-form worst cases, and every margin it
+reports is real."""
 
 import dataclasses
 import itertools
@@ -60,12 +61,18 @@ def searched(gain, robot, error_limit, start):
     return falsify(gain, robot, error_limit, start, seconds=8, batch=BATCH)
 
 
-# -------------------------------------------------------------------------------------------- closed-form worst case
+# --------------------------------------------------------------------------------------------
+# closed-form worst case
 
 
 def closed_form(design, starts, steps):
-    """Give the largest n e(k) / h of every facet of E: support numbers of start and disturbances, by plain products."""
-    problem, E, W = design.problem, design.problem.error_set, design.problem.disturbance_set.vertices()
+    """Give the largest n e(k) / h of every facet of E: support numbers of start and disturbances,
+    by plain products."""
+    problem, E, W = (
+        design.problem,
+        design.problem.error_set,
+        design.problem.disturbance_set.vertices(),
+    )
     gains = design.tube_gain.at(problem.model.weights(problem.schedule[:steps]))
     reach = []
     for end in range(1, steps + 1):
@@ -79,8 +86,14 @@ def closed_form(design, starts, steps):
 
 
 @pytest.mark.parametrize("spread", [False, True], ids=["one start", "a polytope of starts"])
-def test_on_the_linear_plant_every_closed_form_worst_case_is_reached(paper_design, gain, error_limit, start, spread):
-    starts = np.array([[0.2, 0, 0], [-0.1, 0.1, 0.1], [-0.1, -0.2, 0.0], [0, 0, -0.2]]) if spread else start
+def test_on_the_linear_plant_every_closed_form_worst_case_is_reached(
+    paper_design, gain, error_limit, start, spread
+):
+    starts = (
+        np.array([[0.2, 0, 0], [-0.1, 0.1, 0.1], [-0.1, -0.2, 0.0], [0, 0, -0.2]])
+        if spread
+        else start
+    )
     steps = 20
     plant = shortened(closed_loop.linear_plant(paper_design), steps)
     found = falsify(gain, plant, error_limit, starts, seconds=20, batch=120)
@@ -89,26 +102,38 @@ def test_on_the_linear_plant_every_closed_form_worst_case_is_reached(paper_desig
     np.testing.assert_allclose(found.reach["error"], expected, rtol=FALSIFY_CLOSED_FORM)
     worst = found.worst["error"]
     assert worst.usage == pytest.approx(expected.max(), rel=FALSIFY_CLOSED_FORM)
-    assert expected[worst.step - 1, worst.facet] == pytest.approx(expected.max(), rel=FALSIFY_CLOSED_FORM)
+    assert expected[worst.step - 1, worst.facet] == pytest.approx(
+        expected.max(), rel=FALSIFY_CLOSED_FORM
+    )
 
 
-def test_disturbances_in_a_general_polytope_are_searched_by_its_vertices(paper_design, gain, error_limit, start):
+def test_disturbances_in_a_general_polytope_are_searched_by_its_vertices(
+    paper_design, gain, error_limit, start
+):
     W = np.array([[0.01, 0, 0], [-0.002, 0.01, 0], [-0.002, -0.004, 0.02], [0, -0.003, -0.01]])
     plant = shortened(closed_loop.linear_plant(paper_design), 20)
     plant = dataclasses.replace(plant, disturbance_vertices=jnp.asarray(W))
     found = falsify(gain, plant, error_limit, start, seconds=20, batch=120)
     problem = dataclasses.replace(paper_design.problem, disturbance_set=Polytope.from_vertices(W))
     twin = dataclasses.replace(paper_design, problem=problem)
-    np.testing.assert_allclose(found.reach["error"], closed_form(twin, start, 20), rtol=FALSIFY_CLOSED_FORM)
+    np.testing.assert_allclose(
+        found.reach["error"], closed_form(twin, start, 20), rtol=FALSIFY_CLOSED_FORM
+    )
 
 
-# --------------------------------------------------------------------------------------------- what is reported holds
+# --------------------------------------------------------------------------------------------- what
+# is reported holds
 
 
 def world_frame_lap(design, attack, steps):
-    """Drive robot and reference as unicycles in the world frame under given slip deviations; give the errors."""
+    """Drive robot and reference as unicycles in the world frame under given slip deviations; give
+    the errors."""
     gains = design.tube_gain.at(design.problem.model.weights(design.problem.schedule[: steps + 1]))
-    x, y, phi = -attack["start"][0, 0], -attack["start"][0, 1], -attack["start"][0, 2]  # of a start without heading
+    x, y, phi = (
+        -attack["start"][0, 0],
+        -attack["start"][0, 1],
+        -attack["start"][0, 2],
+    )  # of a start without heading
     X = Y = PHI = 0.0
     errors = np.zeros((steps + 1, 3))
 
@@ -116,7 +141,11 @@ def world_frame_lap(design, attack, steps):
         if w == 0:
             return x + DT * v * np.cos(phi), y + DT * v * np.sin(phi), phi
         turned = phi + DT * w
-        return x + v / w * (np.sin(turned) - np.sin(phi)), y - v / w * (np.cos(turned) - np.cos(phi)), turned
+        return (
+            x + v / w * (np.sin(turned) - np.sin(phi)),
+            y - v / w * (np.cos(turned) - np.cos(phi)),
+            turned,
+        )
 
     for step in range(steps + 1):
         ahead, aside = X - x, Y - y
@@ -125,8 +154,12 @@ def world_frame_lap(design, attack, steps):
         errors[step, 2] = PHI - phi
         right, left = design.problem.schedule[step]
         u1, u2 = gains[step] @ errors[step]
-        wheels = np.array([right - u1 - TRACK_WIDTH / 2 * u2, left - u1 + TRACK_WIDTH / 2 * u2]) / 0.8
-        ground = np.clip(wheels, -3, 3) * (1 - 0.2 * (1 + 0.1 * attack["true"][min(step, steps - 1)]))
+        wheels = (
+            np.array([right - u1 - TRACK_WIDTH / 2 * u2, left - u1 + TRACK_WIDTH / 2 * u2]) / 0.8
+        )
+        ground = np.clip(wheels, -3, 3) * (
+            1 - 0.2 * (1 + 0.1 * attack["true"][min(step, steps - 1)])
+        )
         x, y, phi = arc(x, y, phi, ground.mean(), (ground[0] - ground[1]) / TRACK_WIDTH)
         X, Y, PHI = arc(X, Y, PHI, (right + left) / 2, (right - left) / TRACK_WIDTH)
     return errors
@@ -140,7 +173,9 @@ def test_the_reported_margin_is_that_of_a_world_frame_simulation(paper_design, s
     assert worst.margin == pytest.approx(slack, abs=FALSIFY_REPLAY)
     assert worst.usage == pytest.approx(1 - worst.margin / E.offsets[worst.facet], abs=ROUNDING)
     # It is the worst of its own lap, and no worse lap was met on the way.
-    assert np.max(errors[1:] @ E.normals.T / E.offsets) == pytest.approx(worst.usage, abs=FALSIFY_REPLAY)
+    assert np.max(errors[1:] @ E.normals.T / E.offsets) == pytest.approx(
+        worst.usage, abs=FALSIFY_REPLAY
+    )
     assert searched.reach["error"].max() == pytest.approx(worst.usage, abs=FALSIFY_REPLAY)
 
 
@@ -157,12 +192,16 @@ def test_everything_bounded_is_searched_and_stays_within_bounds(gain, robot, err
     assert all(np.all(np.abs(attack[name]) <= 1) for name in ("true", "measured", "noise"))
     assert Polytope.from_vertices(starts).contains(attack["start"][0], tolerance=ROUNDING)
     lap = replay(gain, plant, attack, "error").trajectory
-    np.testing.assert_allclose(lap.measured - lap.errors, (attack["noise"] * noise)[:, None], atol=ROUNDING)
+    np.testing.assert_allclose(
+        lap.measured - lap.errors, (attack["noise"] * noise)[:, None], atol=ROUNDING
+    )
     # Each of them is worth something: the same lap without it is not as bad.
     worst = found.worst["error"]
     for name in shapes:
         tamed = attack | {name: 0.5 * attack[name]}
-        less = replayed(gain, plant, error_limit["error"], "error", dataclasses.replace(worst, attack=tamed))
+        less = replayed(
+            gain, plant, error_limit["error"], "error", dataclasses.replace(worst, attack=tamed)
+        )
         assert less.usage < worst.usage
 
 
@@ -173,8 +212,12 @@ def test_steps_of_the_search_never_leave_the_polytope_of_starts(gain, robot, err
     now = begun(mean_attack(sets, 6))
     hull, moved = Polytope.from_vertices(starts), 0.0
     for sweep in range(5):
-        cell = jnp.asarray(np.arange(6) + 6 * 7 * sweep, jnp.int32)  # targets change: vertices are left again
-        now = climb(gain, robot, error_limit, vertices, now, cell)[0]._replace(length=jnp.full(6, 0.7))
+        cell = jnp.asarray(
+            np.arange(6) + 6 * 7 * sweep, jnp.int32
+        )  # targets change: vertices are left again
+        now = climb(gain, robot, error_limit, vertices, now, cell)[0]._replace(
+            length=jnp.full(6, 0.7)
+        )
         candidates = np.asarray(now.candidate["start"][0])
         assert hull.margin(candidates).min() >= INSIDE_TUBE
         assert max(np.abs(np.asarray(now.candidate["true"])).max(), 0) <= 1
@@ -182,10 +225,13 @@ def test_steps_of_the_search_never_leave_the_polytope_of_starts(gain, robot, err
     assert moved > 0.05
 
 
-# ---------------------------------------------------------------------------------------------- as good as it can be
+# ---------------------------------------------------------------------------------------------- as
+# good as it can be
 
 
-def test_the_gradient_finds_what_twenty_thousand_drawn_laps_do_not(gain, robot, error_limit, start, searched):
+def test_the_gradient_finds_what_twenty_thousand_drawn_laps_do_not(
+    gain, robot, error_limit, start, searched
+):
     drawn = sample(gain, robot, error_limit, start, seconds=60, laps=20_000)
     assert drawn.laps >= 20_000
     # Every facet at every step, most of them by far.
@@ -196,7 +242,9 @@ def test_the_gradient_finds_what_twenty_thousand_drawn_laps_do_not(gain, robot, 
 def test_drawn_laps_are_those_of_the_rollout(gain, robot, error_limit, start):
     """The extremes of many laps agree with laps drawn by the rollout, to the spread of extremes."""
     drawn = sample(gain, robot, error_limit, start, seconds=60, laps=1024).reach["error"]
-    laps = rollout(gain, robot, realisation_keys(7, 0, 1024), jnp.asarray(np.tile(start, (1024, 1)))).errors
+    laps = rollout(
+        gain, robot, realisation_keys(7, 0, 1024), jnp.asarray(np.tile(start, (1024, 1)))
+    ).errors
     normals, offsets = error_limit["error"].normals[0], error_limit["error"].offsets[0]
     other = np.max(np.asarray(laps[1:]) @ np.asarray(normals).T / np.asarray(offsets), axis=1)
     assert np.mean(drawn[20:]) == pytest.approx(np.mean(other[20:]), rel=EXTREMES)
@@ -206,11 +254,14 @@ def test_the_gradient_agrees_with_every_sequence_of_vertices(gain, robot, error_
     plant = shortened(robot, 3)
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=6))).reshape(-1, 3, 2)
     acting = scripted(plant, {"true": jnp.asarray(np.moveaxis(corners, 0, 1))})
-    errors = np.asarray(rollout(gain, acting, None, jnp.asarray(np.tile(start, (len(corners), 1)))).errors)
+    errors = np.asarray(
+        rollout(gain, acting, None, jnp.asarray(np.tile(start, (len(corners), 1)))).errors
+    )
     normals, offsets = (np.asarray(array[0]) for array in error_limit["error"][:2])
     exhaustive = np.max(errors[1:] @ normals.T / offsets, axis=1)
     found = falsify(gain, plant, error_limit, start, seconds=10, batch=18)
-    # Inside the box nothing is much worse than at its corners; the search may find that little more.
+    # Inside the box nothing is much worse than at its corners; the search may find that little
+    # more.
     assert np.all(found.reach["error"] >= exhaustive - FALSIFY_REPLAY)
     np.testing.assert_allclose(found.reach["error"], exhaustive, rtol=1e-3)
 
@@ -221,31 +272,44 @@ def test_the_gradient_of_the_usage_is_that_of_finite_differences(gain, robot, er
         return jnp.sum(usages(gain, error_limit, seen)["error"][24, 1])
 
     generator = np.random.default_rng(5)
-    attack = {"start": jnp.asarray(start[None]), "true": jnp.asarray(generator.uniform(-0.9, 0.9, (SHORT, 1, 2)))}
-    along = {name: jnp.asarray(generator.normal(size=values.shape)) for name, values in attack.items()}
+    attack = {
+        "start": jnp.asarray(start[None]),
+        "true": jnp.asarray(generator.uniform(-0.9, 0.9, (SHORT, 1, 2))),
+    }
+    along = {
+        name: jnp.asarray(generator.normal(size=values.shape)) for name, values in attack.items()
+    }
     slope = sum(jnp.sum(g * along[name]) for name, g in jax.jit(jax.grad(usage))(attack).items())
-    moved = [{name: values + h * along[name] for name, values in attack.items()} for h in (1e-5, -1e-5)]
+    moved = [
+        {name: values + h * along[name] for name, values in attack.items()} for h in (1e-5, -1e-5)
+    ]
     difference = (usage(moved[0]) - usage(moved[1])) / 2e-5
     assert abs(slope) > 1e-3
     assert float(slope) == pytest.approx(float(difference), rel=FALSIFY_SLOPE)
 
 
-# -------------------------------------------------------------------------------------- tube-MPC with active rows
+# -------------------------------------------------------------------------------------- tube-MPC
+# with active rows
 
 
 @pytest.mark.slow
 def test_no_attack_within_the_assumptions_breaks_the_guarantee(robust_design):
-    """Linear model, w in W, starts over the feasible set: E and U hold, and plans stay in their tube."""
+    """Linear model, w in W, starts over the feasible set: E and U hold, and plans stay in their
+    tube."""
     plant = shortened(closed_loop.linear_plant(robust_design), 30)
     loop = closed_loop.controllers(robust_design)["tube_mpc"]
-    starts, limits = falsify_setting.feasible_vertices(robust_design, 0), falsify_setting.lap_limits(robust_design)
+    starts, limits = (
+        falsify_setting.feasible_vertices(robust_design, 0),
+        falsify_setting.lap_limits(robust_design),
+    )
     del limits["wheels"]
     found = falsify(loop, plant, limits, starts, seconds=20)
     # Rows are active: the search works at the edge of what is allowed.
     assert all(0.9 < worst.usage <= 1 + 1e-8 for worst in found.worst.values())
     tube = {"tube": falsify_setting.tube_limit(robust_design)}
     followed = falsify(loop, plant, tube, starts, seconds=20)
-    # Along any facet the first section is reached exactly; a replay by the function that follows plans confirms it.
+    # Along any facet the first section is reached exactly; a replay by the function that follows
+    # plans confirms it.
     assert followed.worst["tube"].usage == pytest.approx(1, abs=FALSIFY_CLOSED_FORM)
     assert followed.reach["tube"].max() == pytest.approx(1, abs=FALSIFY_CLOSED_FORM)
 
@@ -255,16 +319,21 @@ def test_a_counterexample_with_active_rows_is_confirmed_by_its_replay(robust_des
     plant = shortened(closed_loop.slipping_robot(robust_design), 30)
     loop = closed_loop.controllers(robust_design)["tube_mpc"]
     limits = {"error": falsify_setting.lap_limits(robust_design)["error"]}
-    found = falsify(loop, plant, limits, falsify_setting.feasible_vertices(robust_design, 0), seconds=20)
+    found = falsify(
+        loop, plant, limits, falsify_setting.feasible_vertices(robust_design, 0), seconds=20
+    )
     worst = found.worst["error"]
     assert worst.usage > 1
     assert found.reach["error"].max() == pytest.approx(worst.usage, rel=1e-6)
 
 
-# -------------------------------------------------------------------------------------------------------- the command
+# --------------------------------------------------------------------------------------------------------
+# the command
 
 
-def test_what_cannot_be_searched_is_refused(paper_design, gain, robot, error_limit, start, capsys, tmp_path):
+def test_what_cannot_be_searched_is_refused(
+    paper_design, gain, robot, error_limit, start, capsys, tmp_path
+):
     from jaxtube.experiments.cli import main
 
     walking = dataclasses.replace(robot, process="walk")
@@ -273,7 +342,9 @@ def test_what_cannot_be_searched_is_refused(paper_design, gain, robot, error_lim
     with pytest.raises(ValueError, match="limits"):
         falsify(gain, robot, error_limit | {"tube": error_limit["error"]}, start)
     with pytest.raises(ValueError, match="wheels"):
-        falsify(gain, closed_loop.linear_plant(paper_design), {"wheels": error_limit["error"]}, start)
+        falsify(
+            gain, closed_loop.linear_plant(paper_design), {"wheels": error_limit["error"]}, start
+        )
     with pytest.raises(ValueError, match="centre"):
         limit(np.eye(2), np.ones(2), [2.0, 0.0])
     (tmp_path / "text.npz").write_text("no archive")
@@ -290,12 +361,23 @@ def test_what_cannot_be_searched_is_refused(paper_design, gain, robot, error_lim
         assert fragment in line and line.count("\n") == 1
 
 
-def test_the_command_saves_worst_cases_that_replay_to_the_same_margin(capsys, tmp_path, monkeypatch, uncertified):
+def test_the_command_saves_worst_cases_that_replay_to_the_same_margin(
+    capsys, tmp_path, monkeypatch, uncertified
+):
     from jaxtube.experiments.cli import main
 
     monkeypatch.setattr(falsify_setting, "design", lambda scenario: uncertified("paper", *words))
     words = ["reference.duration_s=3", "controller.tube=summed", "noise.lateral_m=0.001"]
-    options = ["--controller", "local_gain", "--target", "error", "--seconds", "1", "--out", str(tmp_path)]
+    options = [
+        "--controller",
+        "local_gain",
+        "--target",
+        "error",
+        "--seconds",
+        "1",
+        "--out",
+        str(tmp_path),
+    ]
     assert main(["falsify", *options, *words]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("no violation found; smallest margin")
@@ -303,7 +385,9 @@ def test_the_command_saves_worst_cases_that_replay_to_the_same_margin(capsys, tm
         assert (tmp_path / name).stat().st_size > 0
     assert main(["falsify", "--replay", str(tmp_path / "worst_error.npz"), *words]) == 0
     said = capsys.readouterr().out
-    differences = [float(word.rstrip(",")) for word in said.splitlines()[1].split() if word[0].isdigit()]
+    differences = [
+        float(word.rstrip(",")) for word in said.splitlines()[1].split() if word[0].isdigit()
+    ]
     assert len(differences) == 2 and max(differences) <= FALSIFY_REPLAY
     assert (tmp_path / "replay_error.png").stat().st_size > 0
     assert main(["falsify", "--replay", str(tmp_path / "worst_error.npz")]) == 2

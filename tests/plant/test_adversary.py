@@ -1,4 +1,5 @@
-"""Laws of the adversary: no other extreme slips push the robot further, and laps under it use more of E."""
+"""Laws of the adversary: no other extreme slips push the robot further, and laps under it use more
+of E."""
 
 import itertools
 from types import SimpleNamespace
@@ -41,9 +42,12 @@ def robot_at_some_state(random, dt):
 
 @jax.jit
 def one_period(plant, keys, errors, inputs):
-    """Directions the adversary pushes along; how far the error moves along them, chosen and for each pair of xi."""
+    """Directions the adversary pushes along; how far the error moves along them, chosen and for
+    each pair of xi."""
     memory = plant.initial(keys, errors)
-    direction = jax.vmap(lambda scheme, error: pushed_direction(scheme, 0, error))(memory[0], errors)
+    direction = jax.vmap(lambda scheme, error: pushed_direction(scheme, 0, error))(
+        memory[0], errors
+    )
     chosen, _, wheels, _ = plant.advance(keys, 0, memory, errors, inputs, COMPENSATING)
 
     def gain(following):
@@ -53,7 +57,12 @@ def one_period(plant, keys, errors, inputs):
         true, measured = (jnp.broadcast_to(xi, inputs.shape) for xi in pair)
         return gain(plant.move(0, errors, inputs, true, measured, COMPENSATING)[0])
 
-    return direction, wheels, gain(chosen), jax.vmap(gain_of)(jnp.asarray(pairs_of_slips(plant.random)))
+    return (
+        direction,
+        wheels,
+        gain(chosen),
+        jax.vmap(gain_of)(jnp.asarray(pairs_of_slips(plant.random))),
+    )
 
 
 def pairs_of_slips(random):
@@ -68,7 +77,8 @@ def pairs_of_slips(random):
 def test_no_other_extreme_slips_push_the_error_further_over_one_exact_period(random):
     """At 1000 random states, whichever slip varies: a measured one acts the other way round.
 
-    The choice is by the rate of the error: best over short periods everywhere, over 0.1 s where no two tie in it.
+    The choice is by the rate of the error: best over short periods everywhere, over 0.1 s where no
+    two tie in it.
     """
     generator, keys = np.random.default_rng(1), realisation_keys(2, 0, STATES)
     inputs = jnp.asarray(generator.uniform(-1, 1, (STATES, 2)) * [0.3, 0.5])
@@ -86,7 +96,9 @@ def test_no_other_extreme_slips_push_the_error_further_over_one_exact_period(ran
 @pytest.fixture(scope="module")
 def schemes():
     """3000 schemes."""
-    return jax.tree.map(np.asarray, jax.jit(jax.vmap(adversary.draw_scheme))(realisation_keys(0, 0, 3000)))
+    return jax.tree.map(
+        np.asarray, jax.jit(jax.vmap(adversary.draw_scheme))(realisation_keys(0, 0, 3000))
+    )
 
 
 def test_schemes_are_drawn_evenly(schemes):
@@ -95,8 +107,14 @@ def test_schemes_are_drawn_evenly(schemes):
 
     drawn = (schemes.speed_weight != 0) & (schemes.speed_weight != ALWAYS)
     held = schemes.half_period == FOREVER
-    assert is_even([np.sum(schemes.speed_weight == 0), np.sum(schemes.speed_weight == ALWAYS), np.sum(drawn)])
-    timings = [np.sum(schemes.outward), np.sum(held & ~schemes.outward), np.sum(~held & ~schemes.outward)]
+    assert is_even(
+        [np.sum(schemes.speed_weight == 0), np.sum(schemes.speed_weight == ALWAYS), np.sum(drawn)]
+    )
+    timings = [
+        np.sum(schemes.outward),
+        np.sum(held & ~schemes.outward),
+        np.sum(~held & ~schemes.outward),
+    ]
     assert is_even(timings) and not np.any(held & schemes.outward)
     assert is_even(np.unique(schemes.sign, return_counts=True)[1]) and set(schemes.sign) == {-1, 1}
     for values in (schemes.half_period[~held], schemes.offset):
@@ -134,13 +152,17 @@ def test_feedback_pushes_the_larger_error_away_from_zero(errors, expected):
 
 
 @pytest.mark.parametrize(
-    "half_period, offset, starts", [(3, 1, [2, 5, 8, 11]), (1, 1, list(range(1, 12))), (5, 7, [3, 8])]
+    "half_period, offset, starts",
+    [(3, 1, [2, 5, 8, 11]), (1, 1, list(range(1, 12))), (5, 7, [3, 8])],
 )
 def test_waves_turn_every_half_period_whatever_the_error(half_period, offset, starts):
     wave = OUTWARD._replace(
         outward=jnp.asarray(False), half_period=jnp.asarray(half_period), offset=jnp.asarray(offset)
     )
-    signs = [np.asarray(pushed_direction(wave, k, jnp.array([0.0, (-1) ** (k // 2), 0.0])))[1] for k in range(12)]
+    signs = [
+        np.asarray(pushed_direction(wave, k, jnp.array([0.0, (-1) ** (k // 2), 0.0])))[1]
+        for k in range(12)
+    ]
     assert (np.flatnonzero(np.diff(signs)) + 1).tolist() == starts
     opposite = wave._replace(sign=-wave.sign)
     assert pushed_direction(opposite, 0, jnp.array([0.0, 1.0, 0.0]))[1] == -signs[0]
@@ -150,9 +172,13 @@ def test_laps_under_the_adversary_use_more_of_the_error_set_than_drawn_extremes(
     loop, starts = closed_loop.controllers(paper_design)["compensated"], np.zeros((64, 3))
     reach = {}
     for process in ("iid", "vertex", "adversarial"):
-        trajectory = closed_loop.simulate(loop, closed_loop.slipping_robot(paper_design, process), starts, 0)
+        trajectory = closed_loop.simulate(
+            loop, closed_loop.slipping_robot(paper_design, process), starts, 0
+        )
         reach[process] = np.abs(trajectory.errors).max(axis=(0, 1))
-    assert np.all(reach["adversarial"] > 1.2 * reach["vertex"]) and np.all(reach["vertex"] > 1.2 * reach["iid"])
+    assert np.all(reach["adversarial"] > 1.2 * reach["vertex"]) and np.all(
+        reach["vertex"] > 1.2 * reach["iid"]
+    )
 
 
 def test_a_lap_of_a_robot_that_begins_without_error_is_pushed_all_the_same():

@@ -33,7 +33,9 @@ def simulate(error, wheels, slip, reference_wheels, dt):
     reference_start = np.random.default_rng(4).uniform(-3.0, 3.0, (count, 3))
     heading = reference_start[:, 2] - error[:, 2]
     offset = (error[:, 0] + 1j * error[:, 1]) * np.exp(1j * heading)
-    start = np.stack([reference_start[:, 0] - offset.real, reference_start[:, 1] - offset.imag, heading], axis=-1)
+    start = np.stack(
+        [reference_start[:, 0] - offset.real, reference_start[:, 1] - offset.imag, heading], axis=-1
+    )
 
     def rates(_, flat):
         pose, reference_pose = flat.reshape(2, count, 3)
@@ -47,7 +49,8 @@ def simulate(error, wheels, slip, reference_wheels, dt):
 
 @pytest.fixture(scope="module")
 def cases():
-    """Errors, wheels, slips and references, with straight lines, standstill and near-straight lines among them."""
+    """Errors, wheels, slips and references, with straight lines, standstill and near-straight lines
+    among them."""
     generator = np.random.default_rng(3)
     error = generator.uniform([-1.0, -1.0, -3.0], [1.0, 1.0, 3.0], (CASES, 3))
     wheels, reference_wheels = generator.uniform(-3.0, 3.0, (2, CASES, 2))
@@ -63,36 +66,52 @@ def cases():
 def test_advance_equals_the_world_frame_simulation(cases, dt):
     error, wheels, slip, reference_wheels = cases
     advanced = error_dynamics.advance(*map(jnp.array, cases), TRACK_WIDTH, dt)
-    np.testing.assert_allclose(advanced, simulate(error, wheels, slip, reference_wheels, dt), atol=EXACT_ARCS)
+    np.testing.assert_allclose(
+        advanced, simulate(error, wheels, slip, reference_wheels, dt), atol=EXACT_ARCS
+    )
 
 
 def test_advance_composes(cases):
     error, *held = map(jnp.array, cases)
-    twice = error_dynamics.advance(error_dynamics.advance(error, *held, TRACK_WIDTH, 0.03), *held, TRACK_WIDTH, 0.07)
-    np.testing.assert_allclose(twice, error_dynamics.advance(error, *held, TRACK_WIDTH, 0.1), atol=10 * ROUNDING)
+    twice = error_dynamics.advance(
+        error_dynamics.advance(error, *held, TRACK_WIDTH, 0.03), *held, TRACK_WIDTH, 0.07
+    )
+    np.testing.assert_allclose(
+        twice, error_dynamics.advance(error, *held, TRACK_WIDTH, 0.1), atol=10 * ROUNDING
+    )
 
 
 def test_error_rate_is_the_derivative_of_advance_at_its_start(cases):
     arguments = tuple(map(jnp.array, cases))
     start, rate = jax.jvp(
-        lambda dt: error_dynamics.advance(*arguments, TRACK_WIDTH, dt), (jnp.float64(0.0),), (jnp.float64(1.0),)
+        lambda dt: error_dynamics.advance(*arguments, TRACK_WIDTH, dt),
+        (jnp.float64(0.0),),
+        (jnp.float64(1.0),),
     )
     np.testing.assert_allclose(start, arguments[0], atol=ROUNDING)
-    np.testing.assert_allclose(rate, error_dynamics.error_rate(*arguments, TRACK_WIDTH), atol=10 * ROUNDING)
+    np.testing.assert_allclose(
+        rate, error_dynamics.error_rate(*arguments, TRACK_WIDTH), atol=10 * ROUNDING
+    )
 
 
 def test_error_rate_is_the_derivative_of_advance_at_its_end(cases):
-    # Held inputs: the flow satisfies the differential equation at every time, not only at the start.
+    # Held inputs: the flow satisfies the differential equation at every time, not only at the
+    # start.
     error, *held = map(jnp.array, cases)
     end, rate = jax.jvp(
-        lambda dt: error_dynamics.advance(error, *held, TRACK_WIDTH, dt), (jnp.float64(0.4),), (jnp.float64(1.0),)
+        lambda dt: error_dynamics.advance(error, *held, TRACK_WIDTH, dt),
+        (jnp.float64(0.4),),
+        (jnp.float64(1.0),),
     )
-    np.testing.assert_allclose(rate, error_dynamics.error_rate(end, *held, TRACK_WIDTH), atol=1e2 * ROUNDING)
+    np.testing.assert_allclose(
+        rate, error_dynamics.error_rate(end, *held, TRACK_WIDTH), atol=1e2 * ROUNDING
+    )
 
 
 @pytest.mark.parametrize("yaw_rate", [0.0, 1e-12, 1e-7, 1e-3, 5.9999, 6.0, 6.0001, 17.0])
 def test_derivatives_by_wheel_speed_are_exact_at_and_near_straight_lines(yaw_rate):
-    # Oracle: turning by w from rest at e = 0 for T ends at e = Rot(-T w) (-chord); d/dw by quadrature of the path.
+    # Oracle: turning by w from rest at e = 0 for T ends at e = Rot(-T w) (-chord); d/dw by
+    # quadrature of the path.
     dt, speed = 0.1, 1.3
 
     def lateral(w):
@@ -102,7 +121,8 @@ def test_derivatives_by_wheel_speed_are_exact_at_and_near_straight_lines(yaw_rat
     nodes, weights = np.polynomial.legendre.leggauss(20)
     times = dt * (nodes + 1) / 2
     integral = weights * dt / 2
-    # Seen from the end, the start lies at minus the integral of (cos, sin)(w (t - T)), laterally + sin(w (T - t)).
+    # Seen from the end, the start lies at minus the integral of (cos, sin)(w (t - T)), laterally +
+    # sin(w (T - t)).
     first = speed * integral @ ((dt - times) * np.cos(yaw_rate * (dt - times)))
     second = -speed * integral @ ((dt - times) ** 2 * np.sin(yaw_rate * (dt - times)))
     assert jax.grad(lateral)(yaw_rate) == pytest.approx(first, abs=10 * ROUNDING)
@@ -113,14 +133,18 @@ def test_tracking_error_is_the_reference_seen_from_the_robot():
     generator = np.random.default_rng(5)
     pose, reference_pose = generator.uniform(-9.0, 9.0, (2, 200, 3))
     error = error_dynamics.tracking_error(jnp.array(pose), jnp.array(reference_pose))
-    np.testing.assert_allclose(error, error_in_world_terms(pose, reference_pose), atol=10 * ROUNDING)
+    np.testing.assert_allclose(
+        error, error_in_world_terms(pose, reference_pose), atol=10 * ROUNDING
+    )
 
 
 def test_tracking_error_and_world_pose_are_inverse():
     generator = np.random.default_rng(6)
     pose, reference_pose = map(jnp.array, generator.uniform(-9.0, 9.0, (2, 200, 3)))
     error = error_dynamics.tracking_error(pose, reference_pose)
-    np.testing.assert_allclose(error_dynamics.world_pose(error, reference_pose), pose, atol=10 * ROUNDING)
+    np.testing.assert_allclose(
+        error_dynamics.world_pose(error, reference_pose), pose, atol=10 * ROUNDING
+    )
 
 
 def test_a_robot_left_behind_has_a_positive_longitudinal_error():
@@ -130,12 +154,18 @@ def test_a_robot_left_behind_has_a_positive_longitudinal_error():
 
 def test_leading_axes_broadcast(cases):
     error, wheels, slip, reference_wheels = map(jnp.array, cases)
-    table = error_dynamics.advance(error[:4, None], wheels[:5], slip[0], reference_wheels[1], TRACK_WIDTH, 0.1)
+    table = error_dynamics.advance(
+        error[:4, None], wheels[:5], slip[0], reference_wheels[1], TRACK_WIDTH, 0.1
+    )
     assert table.shape == (4, 5, 3)
-    single = error_dynamics.advance(error[2], wheels[3], slip[0], reference_wheels[1], TRACK_WIDTH, 0.1)
+    single = error_dynamics.advance(
+        error[2], wheels[3], slip[0], reference_wheels[1], TRACK_WIDTH, 0.1
+    )
     np.testing.assert_allclose(table[2, 3], single, atol=ROUNDING)
     for batch in ((error[:4], wheels[0]), (error[0], wheels[:4])):
-        assert error_dynamics.error_rate(*batch, slip[0], reference_wheels[1], TRACK_WIDTH).shape == (4, 3)
+        assert error_dynamics.error_rate(
+            *batch, slip[0], reference_wheels[1], TRACK_WIDTH
+        ).shape == (4, 3)
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])

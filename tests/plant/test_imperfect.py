@@ -1,4 +1,5 @@
-"""Laws of the imperfect robot; the oracle integrates robot, reference and wheels in the world frame."""
+"""Laws of the imperfect robot; the oracle integrates robot, reference and wheels in the world
+frame."""
 
 import dataclasses
 import itertools
@@ -45,10 +46,13 @@ def imperfect(ideal, **levels):
 def lap():
     """A function that drives laps of the tracking law on a plant."""
     starts = jnp.tile(jnp.array([-0.1, -0.1, 0.0]), (BATCH, 1))
-    return lambda plant: rollout(TrackingLaw(TRACK_WIDTH, True), plant, realisation_keys(3, 0, BATCH), starts)
+    return lambda plant: rollout(
+        TrackingLaw(TRACK_WIDTH, True), plant, realisation_keys(3, 0, BATCH), starts
+    )
 
 
-# --------------------------------------------------------------------------------------------- one period in the world
+# --------------------------------------------------------------------------------------------- one
+# period in the world
 
 
 def integrate(error, reference, motion, level, case):
@@ -56,14 +60,17 @@ def integrate(error, reference, motion, level, case):
     wheels, early, late = (np.asarray(each)[case] for each in (motion.wheels, *motion.slips))
     commands = [np.asarray(each)[case] for each in motion.commands]
     instant, sideslip = float(motion.instant[case]) * DT, level.sideslip * float(motion.drift[case])
-    # The robot starts at the origin with heading 0: there its errors are the coordinates of the reference.
+    # The robot starts at the origin with heading 0: there its errors are the coordinates of the
+    # reference.
     state = np.concatenate([np.zeros(3), error, wheels])
     ends = sorted({0.0, level.delay * DT, instant, DT})
     for start, end in itertools.pairwise(ends):
         command = commands[0 if start < level.delay * DT else 1]
         rates = world_rates(command, early if start < instant else late, sideslip, reference, level)
         state[6:] = command if not level.lag and not level.sluggishness else state[6:]
-        state = solve_ivp(rates, (start, end), state, "DOP853", rtol=1e-11, atol=1e-13, max_step=DT / 40).y[:, -1]
+        state = solve_ivp(
+            rates, (start, end), state, "DOP853", rtol=1e-11, atol=1e-13, max_step=DT / 40
+        ).y[:, -1]
     away = (state[3] - state[0] + 1j * (state[4] - state[1])) * np.exp(-1j * state[2])
     return np.array([away.real, away.imag, state[5] - state[2]]), state[6:]
 
@@ -79,7 +86,15 @@ def world_rates(command, slips, sideslip, reference, level):
         moving = (1 + 1j * sideslip) * (right + left) / 2 * np.exp(1j * state[2])
         target = np.mean(reference) * np.exp(1j * state[5])
         turns = (right - left) / TRACK_WIDTH, (reference[0] - reference[1]) / TRACK_WIDTH
-        return [moving.real, moving.imag, turns[0], target.real, target.imag, turns[1], *np.clip(wheels, -limit, limit)]
+        return [
+            moving.real,
+            moving.imag,
+            turns[0],
+            target.real,
+            target.imag,
+            turns[1],
+            *np.clip(wheels, -limit, limit),
+        ]
 
     return rates
 
@@ -99,7 +114,9 @@ drive = jax.jit(ImperfectRobot.drive)
 
 
 @pytest.mark.parametrize(
-    "names", [*([name] for name in LEVELS), ["lag", "sluggishness"], list(LEVELS)], ids=lambda names: "-".join(names)
+    "names",
+    [*([name] for name in LEVELS), ["lag", "sluggishness"], list(LEVELS)],
+    ids=lambda names: "-".join(names),
 )
 def test_a_period_is_that_of_the_world_frame(names, period):
     errors, motion = period
@@ -109,7 +126,9 @@ def test_a_period_is_that_of_the_world_frame(names, period):
     cases = [integrate(errors[i], reference, motion, level, i) for i in range(CASES)]
     expected, reached = (np.array(each) for each in zip(*cases, strict=True))
     held = not {"lag", "sluggishness"} & set(names)
-    np.testing.assert_allclose(driven, expected, atol=EXACT_ARCS if held else ARCS_OF_A_PERIOD, rtol=0)
+    np.testing.assert_allclose(
+        driven, expected, atol=EXACT_ARCS if held else ARCS_OF_A_PERIOD, rtol=0
+    )
     if names != ["sluggishness"]:  # of which the oracle knows a limit with a very short lag
         np.testing.assert_allclose(driven[:, 2], expected[:, 2], atol=EXACT_ARCS)
         np.testing.assert_allclose(wheels, reached, atol=EXACT_ARCS)
@@ -130,21 +149,29 @@ def test_wheels_that_lag_or_are_limited_follow_a_period_as_its_two_halves(period
         for sluggishness in (0.0, 1e-300, 0.1, 5.0):
             whole = imperfect(slipping_robot(), lag=lag, sluggishness=sluggishness)
             half = dataclasses.replace(whole, ideal=slipping_robot(dt=DT / 2))
-            start, steady = jnp.zeros((CASES, 3)), motion._replace(commands=(motion.commands[1],) * 2)
+            start, steady = (
+                jnp.zeros((CASES, 3)),
+                motion._replace(commands=(motion.commands[1],) * 2),
+            )
             _, middle = drive(half, 0, start, steady)
             _, end = drive(half, 0, start, steady._replace(wheels=middle))
             np.testing.assert_allclose(drive(whole, 0, start, steady)[1], end, atol=ROUNDING)
 
 
-# ------------------------------------------------------------------------------------------------------ the closed loop
+# ------------------------------------------------------------------------------------------------------
+# the closed loop
 
 
 def test_without_imperfections_the_robot_is_the_ideal_one(lap):
-    ideal = slipping_robot(process="adversarial", random="both", noise=jnp.array([0.001, 0.001, 0.0005]))
+    ideal = slipping_robot(
+        process="adversarial", random="both", noise=jnp.array([0.001, 0.001, 0.0005])
+    )
     found, expected = lap(imperfect(ideal)), lap(ideal)
     np.testing.assert_allclose(found.errors[1], expected.errors[1], atol=ROUNDING)
     for name in ("errors", "measured", "inputs", "wheels", "demanded"):
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=CLOSED_LOOP, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(expected, name), atol=CLOSED_LOOP, err_msg=name
+        )
 
 
 @pytest.mark.slow
@@ -153,7 +180,9 @@ def test_with_a_delay_of_a_period_the_robot_drives_what_was_commanded_before(lap
     found = lap(imperfect(ideal, delay=1.0))
     steps = np.arange(1, 130)
     reference = ideal.reference_wheels[steps][:, None]
-    following = advance(found.errors[steps], found.wheels[steps - 1], 0.2, reference, TRACK_WIDTH, DT)
+    following = advance(
+        found.errors[steps], found.wheels[steps - 1], 0.2, reference, TRACK_WIDTH, DT
+    )
     np.testing.assert_allclose(found.errors[steps + 1], following, atol=ROUNDING)
 
 
@@ -161,17 +190,22 @@ def test_the_robot_starts_as_the_reference_drives(lap):
     """With wheels that hardly change speed it goes on along the first circle, beside the reference."""
     errors = lap(imperfect(slipping_robot(relative_error=0.0), lag=1e15)).errors[100]
     np.testing.assert_allclose(errors[:, 2], 0.0, atol=CLOSED_LOOP)
-    np.testing.assert_allclose(jnp.hypot(errors[:, 0], errors[:, 1]), np.hypot(0.1, 0.1), atol=CLOSED_LOOP)
+    np.testing.assert_allclose(
+        jnp.hypot(errors[:, 0], errors[:, 1]), np.hypot(0.1, 0.1), atol=CLOSED_LOOP
+    )
 
 
 def turned(ideal, trajectory, step):
-    """By how much the robots turned in a period, and by how much they would under each pair of extreme slips."""
+    """By how much the robots turned in a period, and by how much they would under each pair of
+    extreme slips."""
     pairs = jnp.array(list(itertools.product((-1.0, 1.0), repeat=2)))
     slips = deviated(ideal.nominal_slip, ideal.relative_error, pairs)
     ground, reference = trajectory.wheels[step, :, None] * (1 - slips), ideal.reference_wheels[step]
     lost = trajectory.errors[step + 1, :, 2] - trajectory.errors[step, :, 2]
     right, left = ground[..., 0], ground[..., 1]
-    return DT * (reference[0] - reference[1]) / TRACK_WIDTH - lost, DT * (right - left) / TRACK_WIDTH
+    return DT * (reference[0] - reference[1]) / TRACK_WIDTH - lost, DT * (
+        right - left
+    ) / TRACK_WIDTH
 
 
 def test_the_slip_of_a_period_is_the_last_one_first_then_its_own(lap):
@@ -180,7 +214,9 @@ def test_the_slip_of_a_period_is_the_last_one_first_then_its_own(lap):
     own = turned(ideal, lap(imperfect(ideal)), 50)
     mixed = turned(ideal, lap(imperfect(ideal, slip_change=1.0)), 50)
     np.testing.assert_allclose(np.min(np.abs(own[1] - own[0][:, None]), axis=1), 0.0, atol=ROUNDING)
-    assert np.all(mixed[1].min(axis=1) - ROUNDING <= mixed[0]) and np.all(mixed[0] <= mixed[1].max(axis=1) + ROUNDING)
+    assert np.all(mixed[1].min(axis=1) - ROUNDING <= mixed[0]) and np.all(
+        mixed[0] <= mixed[1].max(axis=1) + ROUNDING
+    )
     assert np.mean(np.min(np.abs(mixed[1] - mixed[0][:, None]), axis=1) > 1e-5) > 0.4
 
 
@@ -192,15 +228,21 @@ def test_sideslip_pushes_the_lateral_error_where_the_slips_push_the_heading_erro
         imperfect(dataclasses.replace(ideal, relative_error=0.0)),
     )
     found, expected, rolled = (lap(plant) for plant in plants)
-    pushed, turned = found.errors[1] - expected.errors[1], expected.errors[1, :, 2] - rolled.errors[1, :, 2]
+    pushed, turned = (
+        found.errors[1] - expected.errors[1],
+        expected.errors[1, :, 2] - rolled.errors[1, :, 2],
+    )
     turning = np.abs(turned) > 5e-3  # slips that differ; equal ones change the turn by 1.4 mrad
     assert 0 < turning.sum() < BATCH
     moved = DT * found.wheels[0, turning].mean(axis=1) * (1 - 0.2)
-    np.testing.assert_allclose(pushed[turning, 1], 0.1 * moved * np.sign(turned[turning]), rtol=0.02)
+    np.testing.assert_allclose(
+        pushed[turning, 1], 0.1 * moved * np.sign(turned[turning]), rtol=0.02
+    )
     np.testing.assert_allclose(pushed[~turning], 0, atol=ROUNDING)
 
 
-# -------------------------------------------------------------------------------------------------------------- preview
+# --------------------------------------------------------------------------------------------------------------
+# preview
 
 
 def test_a_shifted_preview_is_that_of_a_step_nearby_with_the_same_present():

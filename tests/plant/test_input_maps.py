@@ -45,7 +45,9 @@ def test_cosine_free_counts_from_the_speed_along_the_robot(draws):
     inputs, errors, wheels = draws
     acting = acting_input("cosine_free", *draws, TRACK_WIDTH, DT)
     V = wheels.mean(axis=1)
-    np.testing.assert_allclose(V * jnp.cos(errors[:, 2]) - (V - acting[:, 0]), inputs[:, 0], atol=ROUNDING)
+    np.testing.assert_allclose(
+        V * jnp.cos(errors[:, 2]) - (V - acting[:, 0]), inputs[:, 0], atol=ROUNDING
+    )
     np.testing.assert_array_equal(acting[:, 1], inputs[:, 1])
 
 
@@ -67,12 +69,20 @@ def test_maps_agree_at_rest_broadcast_and_stay_finite(input_map):
 @pytest.mark.parametrize("input_map", INPUT_MAPS)
 def test_maps_keep_the_dtype_inside_jit(input_map, dtype):
     mapped = jax.jit(acting_input, static_argnums=0)
-    found = mapped(input_map, jnp.ones((3, 2), dtype), jnp.ones((3, 3), dtype), jnp.ones((3, 2), dtype), 0.5, 0.1)
+    found = mapped(
+        input_map,
+        jnp.ones((3, 2), dtype),
+        jnp.ones((3, 3), dtype),
+        jnp.ones((3, 2), dtype),
+        0.5,
+        0.1,
+    )
     assert found.dtype == dtype
 
 
 def test_x_exact_keeps_its_promise_in_the_world_frame(draws):
-    """The promised rows against poses integrated in the world frame, 100 Runge-Kutta steps a period."""
+    """The promised rows against poses integrated in the world frame, 100 Runge-Kutta steps a
+    period."""
     inputs, errors, wheels = (np.asarray(part) for part in draws)
     acting = acting_input("x_exact", *draws, TRACK_WIDTH, DT)
     ground = np.asarray(wheel_commands(acting, draws[2], 0.2, TRACK_WIDTH)) * 0.8
@@ -82,22 +92,36 @@ def test_x_exact_keeps_its_promise_in_the_world_frame(draws):
         h = DT / 100
         for _ in range(100):
             x, y, phi = pose.T
-            # The heading turns evenly, so Runge and Kutta's four slopes are two and a midpoint: Simpson's rule.
-            way = sum(k * np.exp(1j * (phi + om * h * s)) for k, s in ((1, 0.0), (4, 0.5), (1, 1.0))) * v * h / 6
+            # The heading turns evenly, so Runge and Kutta's four slopes are two and a midpoint:
+            # Simpson's rule.
+            way = (
+                sum(k * np.exp(1j * (phi + om * h * s)) for k, s in ((1, 0.0), (4, 0.5), (1, 1.0)))
+                * v
+                * h
+                / 6
+            )
             pose = np.stack([x + way.real, y + way.imag, phi + om * h], axis=1)
         return pose
 
     e_x, e_y, e_th = errors.T
     robot = np.stack(
-        [-(np.cos(-e_th) * e_x - np.sin(-e_th) * e_y), -(np.sin(-e_th) * e_x + np.cos(-e_th) * e_y), -e_th]
+        [
+            -(np.cos(-e_th) * e_x - np.sin(-e_th) * e_y),
+            -(np.sin(-e_th) * e_x + np.cos(-e_th) * e_y),
+            -e_th,
+        ]
     )
     robot, reference = driven(robot.T, ground), driven(np.zeros_like(errors), wheels)
     gap, phi = reference - robot, robot[:, 2]
     along = np.cos(phi) * gap[:, 0] + np.sin(phi) * gap[:, 1]
     Om = wheels @ [1.0, -1.0] / TRACK_WIDTH
-    np.testing.assert_allclose(along, e_x + DT * Om * e_y + DT * inputs[:, 0], rtol=0, atol=RESIDUAL_ROUNDING)
+    np.testing.assert_allclose(
+        along, e_x + DT * Om * e_y + DT * inputs[:, 0], rtol=0, atol=RESIDUAL_ROUNDING
+    )
     np.testing.assert_allclose(gap[:, 2], e_th + DT * inputs[:, 1], rtol=0, atol=RESIDUAL_ROUNDING)
     a, s, across = DT * (Om - inputs[:, 1]), np.sinc(DT * Om / 2 / np.pi), gap[:, 1] * np.cos(phi)
     lateral = e_y - np.tan(a / 2) * (e_x + along)
     lateral += DT * wheels.mean(axis=1) * s * np.sin(e_th + DT * inputs[:, 1] / 2) / np.cos(a / 2)
-    np.testing.assert_allclose(across - np.sin(phi) * gap[:, 0], lateral, rtol=0, atol=RESIDUAL_ROUNDING)
+    np.testing.assert_allclose(
+        across - np.sin(phi) * gap[:, 0], lateral, rtol=0, atol=RESIDUAL_ROUNDING
+    )

@@ -1,4 +1,5 @@
-"""Laws of the linear plant: disturbances drawn in W, and deviations from a plan that stay inside the tubes."""
+"""Laws of the linear plant: disturbances drawn in W, and deviations from a plan that stay inside
+the tubes."""
 
 import jax
 import jax.numpy as jnp
@@ -24,17 +25,25 @@ def disturbances(robust_design, stressed):
     trajectory = stressed["tube_mpc"]
     for step in range(STEPS):
         A, B = model(problem, problem.schedule[step])
-        found.append(trajectory.errors[step + 1] - trajectory.errors[step] @ A.T - trajectory.inputs[step] @ B.T)
+        found.append(
+            trajectory.errors[step + 1]
+            - trajectory.errors[step] @ A.T
+            - trajectory.inputs[step] @ B.T
+        )
     return np.array(found)
 
 
 def test_disturbances_of_the_linear_plant_are_those_drawn(robust_design, stressed, disturbances):
     plant = closed_loop.linear_plant(robust_design)
     keys = realisation_keys(5, 0, BATCH)
-    drawn = jax.jit(jax.vmap(lambda step: jax.vmap(lambda key: plant.disturbance(key, step))(keys)))(jnp.arange(STEPS))
+    drawn = jax.jit(
+        jax.vmap(lambda step: jax.vmap(lambda key: plant.disturbance(key, step))(keys))
+    )(jnp.arange(STEPS))
     np.testing.assert_allclose(disturbances[:, :BATCH], drawn, atol=CLOSED_LOOP)
     np.testing.assert_allclose(
-        closed_loop.model_residuals(robust_design, stressed["tube_mpc"]), disturbances, atol=CLOSED_LOOP
+        closed_loop.model_residuals(robust_design, stressed["tube_mpc"]),
+        disturbances,
+        atol=CLOSED_LOOP,
     )
 
 
@@ -58,8 +67,12 @@ planned = jax.jit(mpc.plan)
 
 @pytest.fixture(scope="module")
 def deviations(robust_design, stressed):
-    """(step, deviations (N, runs, 3) from plans followed to their end, whether there was a plan) at some steps."""
-    loop, plant = closed_loop.controllers(robust_design)["tube_mpc"], closed_loop.linear_plant(robust_design)
+    """(step, deviations (N, runs, 3) from plans followed to their end, whether there was a plan) at
+    some steps."""
+    loop, plant = (
+        closed_loop.controllers(robust_design)["tube_mpc"],
+        closed_loop.linear_plant(robust_design),
+    )
     keys, found = realisation_keys(11, 0, BATCH), []
     for step in (0, 1, 40, 113, 114, 115, 116, 230):
         starts = jnp.asarray(stressed["tube_mpc"].errors[step, :BATCH])
@@ -96,21 +109,30 @@ def test_deviations_from_a_plan_stay_inside_every_tube(robust_design, deviations
             sections = sequence_tube(windows.loops[windows.index[step]], problem.disturbance_set)
         for section, deviation in zip(sections[1:], found, strict=True):
             assert section.polytope().margin(deviation).min() >= INSIDE_TUBE
-        reached = max(reached, np.max(np.abs(found[1]).max(axis=0) / sections[2].support(np.eye(3))))
+        reached = max(
+            reached, np.max(np.abs(found[1]).max(axis=0) / sections[2].support(np.eye(3)))
+        )
     # The law says something only where deviations come close to the sets.
     assert reached > 0.9
 
 
 def test_plan_deviations_of_a_run_leave_out_what_had_no_plan(robust_design, stressed):
-    loop, plant = closed_loop.controllers(robust_design)["tube_mpc"], closed_loop.linear_plant(robust_design)
+    loop, plant = (
+        closed_loop.controllers(robust_design)["tube_mpc"],
+        closed_loop.linear_plant(robust_design),
+    )
     trajectory = stressed["tube_mpc"]
     outside = trajectory._replace(errors=trajectory.errors.copy())
     outside.errors[:, :100] = [5.0, 5.0, 0.0]
     found = closed_loop.plan_deviations(robust_design, loop, plant, outside, seed=11, every=100)
-    assert found.shape == (robust_design.problem.horizon, 3 * (BATCH - 100), 3) and np.all(np.isfinite(found))
+    assert found.shape == (robust_design.problem.horizon, 3 * (BATCH - 100), 3) and np.all(
+        np.isfinite(found)
+    )
 
 
-def test_plan_deviations_of_the_tube_along_the_reference_are_judged_where_its_sections_hold(uncertified, edge_starts):
+def test_plan_deviations_of_the_tube_along_the_reference_are_judged_where_its_sections_hold(
+    uncertified, edge_starts
+):
     design = uncertified("paper", *SEQUENCE)
     loop, plant = closed_loop.controllers(design)["tube_mpc"], closed_loop.linear_plant(design)
     trajectory = closed_loop.simulate(loop, plant, edge_starts(design, BATCH), 12)

@@ -1,4 +1,5 @@
-"""Laws of the prediction model: it is a Jacobian of the plant, and has the structure the paper gives it."""
+"""Laws of the prediction model: it is a Jacobian of the plant, and has the structure the paper
+gives it."""
 
 import jax
 import jax.numpy as jnp
@@ -13,7 +14,9 @@ from jaxtube.plant.model import make_model
 DT, TRACK_WIDTH = 0.1, 0.5
 SLIP = np.array([0.2, 0.15])
 BOX = (np.array([0.2, 0.2]), np.array([1.5, 1.5]))
-SCHEDULES = np.array([[1.496, 1.224], [1.0, 1.0], [1.0, 1.0 + 1e-9], [0.2, 1.5], [2.5, -0.8], [0.0, 0.0]])
+SCHEDULES = np.array(
+    [[1.496, 1.224], [1.0, 1.0], [1.0, 1.0 + 1e-9], [0.2, 1.5], [2.5, -0.8], [0.0, 0.0]]
+)
 
 
 def made(model="consistent", discretisation="euler", slip=SLIP, box=BOX):
@@ -48,17 +51,24 @@ def test_consistent_model_is_the_jacobian_of_the_compensated_plant(discretisatio
 
 
 def test_papers_model_is_the_jacobian_at_uncompensated_wheels_but_for_the_speed():
-    # With wheels = reference the robot turns with the slipped yaw rate, the factor in the paper's A.
+    # With wheels = reference the robot turns with the slipped yaw rate, the factor in the paper's
+    # A.
     schedule = np.array([1.3, 0.9])
     A, _ = made("paper").matrices(schedule)
-    step = jax.jacobian(lambda e: euler_step(e, jnp.array(schedule), jnp.array(SLIP), jnp.array(schedule)))
+    step = jax.jacobian(
+        lambda e: euler_step(e, jnp.array(schedule), jnp.array(SLIP), jnp.array(schedule))
+    )
     np.testing.assert_allclose(A, step(jnp.zeros(3)), atol=ROUNDING)
 
 
-@pytest.mark.parametrize("schedule, error, mismatch", [((1.54, 1.26), 0.3, 3.4e-3), ((1.5, 0.2), 0.3, 15.6e-3)])
+@pytest.mark.parametrize(
+    "schedule, error, mismatch", [((1.54, 1.26), 0.3, 3.4e-3), ((1.5, 0.2), 0.3, 15.6e-3)]
+)
 def test_papers_model_misses_the_plant_by_the_slip_times_the_turn(schedule, error, mismatch):
     slip = np.array([0.2, 0.2])
-    difference = made("paper", slip=slip).matrices(schedule)[0] - made(slip=slip).matrices(schedule)[0]
+    difference = (
+        made("paper", slip=slip).matrices(schedule)[0] - made(slip=slip).matrices(schedule)[0]
+    )
     turn = DT * 0.2 * (schedule[0] - schedule[1]) / TRACK_WIDTH
     np.testing.assert_allclose(difference, [[0, -turn, 0], [turn, 0, 0], [0, 0, 0]], atol=ROUNDING)
     assert abs(difference[0, 1]) * error == pytest.approx(mismatch, abs=5e-5)
@@ -66,7 +76,10 @@ def test_papers_model_misses_the_plant_by_the_slip_times_the_turn(schedule, erro
 
 def test_euler_and_zoh_agree_to_second_order():
     fast, slow = (
-        [make_model("paper", way, dt, TRACK_WIDTH, SLIP, BOX).matrices(BOX[1] * [1.0, 0.3]) for way in ("euler", "zoh")]
+        [
+            make_model("paper", way, dt, TRACK_WIDTH, SLIP, BOX).matrices(BOX[1] * [1.0, 0.3])
+            for way in ("euler", "zoh")
+        ]
         for dt in (1e-3, 2e-3)
     )
     for one, two in zip(zip(*fast, strict=True), zip(*slow, strict=True), strict=True):
@@ -92,8 +105,12 @@ def test_vertices_are_those_of_the_paper():
 def test_slopes_and_gains_have_the_papers_entries():
     g_r, g_l, d = DT * 0.8 / TRACK_WIDTH, DT * 0.85 / TRACK_WIDTH, DT / 2
     model = made("paper")
-    np.testing.assert_allclose(model.slopes[0], [[0, g_r, 0], [-g_r, 0, d], [0, 0, 0]], atol=ROUNDING)
-    np.testing.assert_allclose(model.slopes[1], [[0, -g_l, 0], [g_l, 0, d], [0, 0, 0]], atol=ROUNDING)
+    np.testing.assert_allclose(
+        model.slopes[0], [[0, g_r, 0], [-g_r, 0, d], [0, 0, 0]], atol=ROUNDING
+    )
+    np.testing.assert_allclose(
+        model.slopes[1], [[0, -g_l, 0], [g_l, 0, d], [0, 0, 0]], atol=ROUNDING
+    )
     K_r, K_l = model.compensating_gains()
     np.testing.assert_allclose(K_r, [[0, -g_r / DT, 0], [0, 0, 0]], atol=ROUNDING)
     np.testing.assert_allclose(K_l, [[0, g_l / DT, 0], [0, 0, 0]], atol=ROUNDING)
@@ -116,7 +133,9 @@ def test_compensated_closed_loop_is_affine_with_slopes_in_the_lateral_row_only(k
         np.testing.assert_allclose(closed_loop, affine, atol=ROUNDING)
 
 
-@pytest.mark.parametrize("box", [BOX, (np.array([0.2, 0.7]), np.array([1.5, 0.7])), (BOX[1], BOX[1])])
+@pytest.mark.parametrize(
+    "box", [BOX, (np.array([0.2, 0.7]), np.array([1.5, 0.7])), (BOX[1], BOX[1])]
+)
 def test_weights_reproduce_schedule_and_matrix(box):
     model = made("paper", box=box)
     schedules = np.random.default_rng(8).uniform(*box, (5, 40, 2))
@@ -164,7 +183,14 @@ def test_zoh_refuses_slopes():
     ],
 )
 def test_bad_settings_are_refused_in_one_line(changed, message):
-    good = dict(model="paper", discretisation="euler", dt=DT, track_width=TRACK_WIDTH, nominal_slip=SLIP, box=BOX)
+    good = dict(
+        model="paper",
+        discretisation="euler",
+        dt=DT,
+        track_width=TRACK_WIDTH,
+        nominal_slip=SLIP,
+        box=BOX,
+    )
     with pytest.raises(ValueError, match=message) as caught:
         make_model(**{**good, **changed})
     assert "\n" not in str(caught.value)

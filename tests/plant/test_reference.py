@@ -1,4 +1,5 @@
-"""Laws of the references: their poses solve the kinematics, their shapes are the curves they are named for."""
+"""Laws of the references: their poses solve the kinematics, their shapes are the curves they are
+named for."""
 
 import numpy as np
 import pytest
@@ -36,16 +37,21 @@ def test_poses_solve_the_kinematics_of_the_held_wheels(maker):
 
     pose = np.zeros(3)
     for wheels, end in zip(path.wheels, path.poses[1:], strict=True):
-        pose = solve_ivp(rates, (0.0, path.dt), pose, "DOP853", args=tuple(wheels), rtol=1e-12, atol=1e-13).y[:, -1]
+        pose = solve_ivp(
+            rates, (0.0, path.dt), pose, "DOP853", args=tuple(wheels), rtol=1e-12, atol=1e-13
+        ).y[:, -1]
         np.testing.assert_allclose(end, pose, atol=EXACT_ARCS)
 
 
 @pytest.mark.parametrize("circle_steps", [115, 116, 120, 135])
 def test_a_circle_that_closes_at_a_sample_returns_to_the_origin_and_changes_side(circle_steps):
-    # Where rounding makes 116 or 135 steps a shade less than a circle, the side must change all the same.
+    # Where rounding makes 116 or 135 steps a shade less than a circle, the side must change all the
+    # same.
     speed = 2 * np.pi * 2.5 / (circle_steps * 0.1)
     eight = reference.two_circles(2.5, speed, 2 * circle_steps * 0.1, 0.1, 0, TRACK_WIDTH)
-    np.testing.assert_allclose(eight.poses[circle_steps], [0.0, 0.0, 2 * np.pi], atol=1e2 * ROUNDING)
+    np.testing.assert_allclose(
+        eight.poses[circle_steps], [0.0, 0.0, 2 * np.pi], atol=1e2 * ROUNDING
+    )
     np.testing.assert_allclose(eight.poses[-1], [0.0, 0.0, 0.0], atol=1e2 * ROUNDING)
     np.testing.assert_allclose(np.max(eight.poses[:, 1]), 5.0, atol=2e-3)
     np.testing.assert_allclose(np.min(eight.poses[:, 1]), -5.0, atol=2e-3)
@@ -56,7 +62,8 @@ def test_a_circle_that_closes_at_a_sample_returns_to_the_origin_and_changes_side
 def test_the_papers_eight_has_two_wheel_speeds_and_its_window():
     eight = paper_eight()
     np.testing.assert_allclose(np.unique(eight.wheels.round(12)), [1.224, 1.496])
-    # Three circles are begun in 30 s, and each next one starts at the first sample past 2 pi R / V = 11.55 s.
+    # Three circles are begun in 30 s, and each next one starts at the first sample past 2 pi R / V
+    # = 11.55 s.
     changes = np.flatnonzero(np.diff(np.sign(eight.wheels[:, 0] - eight.wheels[:, 1]))) + 1
     np.testing.assert_array_equal(changes, [116, 231])
     # A change up to one step, 0.136 m, late tilts and shifts the next circle.
@@ -78,10 +85,17 @@ def test_wheel_range_is_the_tightest_box():
 @pytest.mark.parametrize("radius, speed", [(2.5, 1.36), (4.0, 0.7)])
 def test_lemniscate_stays_on_the_curve_of_its_radius(radius, speed):
     half_width, dt = 3 * radius, 0.1
-    # The textbook curve from its crossing, turned by 45 degrees, with its arc length by the elliptic integral.
+    # The textbook curve from its crossing, turned by 45 degrees, with its arc length by the
+    # elliptic integral.
     t = np.linspace(-np.pi / 2, 3 * np.pi / 2, 50_001)
     lengths = half_width * (ellipkinc(t, -1.0) - ellipkinc(t[0], -1.0))
-    curve = half_width * np.cos(t) * (1.0 + 1.0j * np.sin(t)) / (1.0 + np.sin(t) ** 2) * np.exp(0.25j * np.pi)
+    curve = (
+        half_width
+        * np.cos(t)
+        * (1.0 + 1.0j * np.sin(t))
+        / (1.0 + np.sin(t) ** 2)
+        * np.exp(0.25j * np.pi)
+    )
     steps = int(lengths[-1] / (speed * dt))
     path = reference.lemniscate(radius, speed, steps * dt, dt, 0, TRACK_WIDTH)
     exact = np.interp(speed * dt * np.arange(steps + 1), lengths, curve)
@@ -120,7 +134,9 @@ def test_recorded_path_is_held_past_its_end(tmp_path):
     path = reference.from_file(file, 0.1, 7, TRACK_WIDTH)
     assert path.steps == 120 and path.wheels.shape == (127, 2)
     np.testing.assert_array_equal(path.wheels[120:], np.broadcast_to(path.wheels[119], (7, 2)))
-    np.testing.assert_array_equal(path.poses[:121], reference.from_file(file, 0.1, 0, TRACK_WIDTH).poses)
+    np.testing.assert_array_equal(
+        path.poses[:121], reference.from_file(file, 0.1, 0, TRACK_WIDTH).poses
+    )
     # Within the recording the preview knows what comes, and holds nothing.
     preview = reference.from_file(file, 0.1, 7, TRACK_WIDTH, 5.0)
     np.testing.assert_array_equal(preview.wheels, path.wheels[:57])
@@ -130,9 +146,12 @@ def test_columns_may_come_in_any_order_among_others(tmp_path):
     file = recorded_circle(tmp_path / "path.csv")
     rows = [line.split(",") for line in file.read_text().splitlines()]
     shuffled = tmp_path / "shuffled.csv"
-    shuffled.write_text("\n".join(f"{y}, {t},note,{x}".replace(" time_s,note", " time_s,note") for t, x, y in rows))
+    shuffled.write_text(
+        "\n".join(f"{y}, {t},note,{x}".replace(" time_s,note", " time_s,note") for t, x, y in rows)
+    )
     np.testing.assert_array_equal(
-        reference.from_file(shuffled, 0.1, 0, TRACK_WIDTH).poses, reference.from_file(file, 0.1, 0, TRACK_WIDTH).poses
+        reference.from_file(shuffled, 0.1, 0, TRACK_WIDTH).poses,
+        reference.from_file(file, 0.1, 0, TRACK_WIDTH).poses,
     )
 
 
@@ -146,18 +165,42 @@ HEADER = "time_s,x_m,y_m"
         (["time_s,x_m,y", *GOOD], None, "column y_m is missing.*write the header time_s,x_m,y_m"),
         ([], None, "column time_s is missing"),
         ([HEADER, *GOOD[:3]], None, "3 rows of time_s.*at least 4"),
-        ([HEADER, *GOOD[:4], GOOD[3], *GOOD[4:]], None, "time_s does not increase in line 6: 1.5 then 1.5; sort"),
-        ([HEADER, *GOOD[:2], "1.0,nan,0.04", *GOOD[3:]], None, "column x_m, line 4: 'nan' .*mend or drop"),
-        ([HEADER, *GOOD[:2], "1.0,0.8,fast", *GOOD[3:]], None, "column y_m, line 4: 'fast' .*mend or drop"),
-        ([HEADER, *GOOD[:2], "1.0,0.8", *GOOD[3:]], None, "column y_m, line 4: None .*mend or drop"),
+        (
+            [HEADER, *GOOD[:4], GOOD[3], *GOOD[4:]],
+            None,
+            "time_s does not increase in line 6: 1.5 then 1.5; sort",
+        ),
+        (
+            [HEADER, *GOOD[:2], "1.0,nan,0.04", *GOOD[3:]],
+            None,
+            "column x_m, line 4: 'nan' .*mend or drop",
+        ),
+        (
+            [HEADER, *GOOD[:2], "1.0,0.8,fast", *GOOD[3:]],
+            None,
+            "column y_m, line 4: 'fast' .*mend or drop",
+        ),
+        (
+            [HEADER, *GOOD[:2], "1.0,0.8", *GOOD[3:]],
+            None,
+            "column y_m, line 4: None .*mend or drop",
+        ),
         (
             [HEADER, *GOOD],
             4.5,
             "time_s covers 4 s but the duration asked for is 4.5 s; choose a duration from 0.1 s to 4 s",
         ),
         ([HEADER, *GOOD], 0.25, "duration = 0.25 s is no whole number of dt = 0.1 s"),
-        ([HEADER, *[f"{k},1.0,2.0" for k in range(9)]], None, "columns x_m, y_m: .*0 m/s at 0 s.*cut"),
-        ([HEADER, *[f"{k},{np.cos(k)},0.0" for k in range(9)]], None, "columns x_m, y_m: .*turns by .*shorten dt"),
+        (
+            [HEADER, *[f"{k},1.0,2.0" for k in range(9)]],
+            None,
+            "columns x_m, y_m: .*0 m/s at 0 s.*cut",
+        ),
+        (
+            [HEADER, *[f"{k},{np.cos(k)},0.0" for k in range(9)]],
+            None,
+            "columns x_m, y_m: .*turns by .*shorten dt",
+        ),
     ],
 )
 def test_bad_recordings_are_refused_in_one_line(tmp_path, lines, duration, message):

@@ -17,14 +17,19 @@ def draws():
     """Random wheels, reference wheels and slips, (500, 2) each."""
     generator = np.random.default_rng(1)
     wheels, reference_wheels = generator.uniform(-3.0, 3.0, (2, 500, 2))
-    return jnp.array(wheels), jnp.array(reference_wheels), jnp.array(generator.uniform(-0.5, 0.9, (500, 2)))
+    return (
+        jnp.array(wheels),
+        jnp.array(reference_wheels),
+        jnp.array(generator.uniform(-0.5, 0.9, (500, 2))),
+    )
 
 
 def test_body_velocity_follows_the_ground_speeds_of_the_wheels(draws):
     wheels, _, slip = draws
     speed, yaw_rate = np.asarray(robot.body_velocity(wheels, slip, TRACK_WIDTH)).T
     right, left = np.asarray(wheels * (1.0 - slip)).T
-    # A rigid body: the contact points, half a track width beside the centre, move at the ground speeds.
+    # A rigid body: the contact points, half a track width beside the centre, move at the ground
+    # speeds.
     np.testing.assert_allclose(speed + yaw_rate * TRACK_WIDTH / 2, right, atol=ROUNDING)
     np.testing.assert_allclose(speed - yaw_rate * TRACK_WIDTH / 2, left, atol=ROUNDING)
 
@@ -46,7 +51,9 @@ def test_commands_realise_the_deficits_they_are_asked_for(draws):
     speed, yaw_rate = np.asarray(robot.body_velocity(commands, slip, TRACK_WIDTH)).T
     right, left = np.asarray(reference_wheels).T
     np.testing.assert_allclose((right + left) / 2 - speed, deficits[:, 0], atol=ROUNDING)
-    np.testing.assert_allclose((right - left) / TRACK_WIDTH - yaw_rate, deficits[:, 1], atol=1e2 * ROUNDING)
+    np.testing.assert_allclose(
+        (right - left) / TRACK_WIDTH - yaw_rate, deficits[:, 1], atol=1e2 * ROUNDING
+    )
 
 
 def test_a_wrong_slip_acts_as_the_closed_form_says(draws):
@@ -59,7 +66,9 @@ def test_a_wrong_slip_acts_as_the_closed_form_says(draws):
     d_r, d_l = np.asarray((slip - measured) / (1.0 - measured)).T
     p, q = u1 + TRACK_WIDTH / 2 * u2, u1 - TRACK_WIDTH / 2 * u2
     V_r, V_l = np.asarray(reference_wheels).T
-    np.testing.assert_allclose(acting[:, 0], u1 + ((V_r - p) * d_r + (V_l - q) * d_l) / 2, atol=1e2 * ROUNDING)
+    np.testing.assert_allclose(
+        acting[:, 0], u1 + ((V_r - p) * d_r + (V_l - q) * d_l) / 2, atol=1e2 * ROUNDING
+    )
     np.testing.assert_allclose(
         acting[:, 1], u2 + ((V_r - p) * d_r - (V_l - q) * d_l) / TRACK_WIDTH, atol=1e2 * ROUNDING
     )
@@ -73,7 +82,9 @@ def test_saturation_clips_each_wheel_alone():
 def test_wheels_stand_half_a_track_width_beside_the_robot():
     generator = np.random.default_rng(2)
     pose = generator.uniform(-5.0, 5.0, (50, 3))
-    right, left = np.moveaxis(np.asarray(robot.wheel_positions(jnp.array(pose), TRACK_WIDTH)), -2, 0)
+    right, left = np.moveaxis(
+        np.asarray(robot.wheel_positions(jnp.array(pose), TRACK_WIDTH)), -2, 0
+    )
     np.testing.assert_allclose((right + left) / 2, pose[:, :2], atol=ROUNDING)
     to_the_left = (left - right) @ np.array([1.0, 1.0j]) / TRACK_WIDTH
     np.testing.assert_allclose(to_the_left, 1.0j * np.exp(1.0j * pose[:, 2]), atol=ROUNDING)

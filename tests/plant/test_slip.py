@@ -29,12 +29,16 @@ def one_run(process, random, steps, index_low, situation=HERE, index_high=0):
         true, measured, state = slip.draw_slip(key, step, state, situation, process, random)
         return state, (true, measured)
 
-    return jax.lax.scan(body, slip.initial_slip(key, process, situation.errors.dtype), jnp.arange(steps))[1]
+    return jax.lax.scan(
+        body, slip.initial_slip(key, process, situation.errors.dtype), jnp.arange(steps)
+    )[1]
 
 
 def many_runs(process, random, steps, count):
     """Deviations (runs, steps, 2) of the true and the measured slip."""
-    return jax.jit(jax.vmap(lambda i: one_run(process, random, steps, i)))(jnp.arange(count, dtype=jnp.uint32))
+    return jax.jit(jax.vmap(lambda i: one_run(process, random, steps, i)))(
+        jnp.arange(count, dtype=jnp.uint32)
+    )
 
 
 def is_uniform(samples, low=-1.0, high=1.0):
@@ -94,7 +98,9 @@ def test_each_vertex_comes_up_a_quarter_of_the_time():
 def test_only_the_slip_that_is_random_deviates(process):
     both = np.asarray(one_run(process, "both", 5, 3))
     for random, (true, measured) in {"true": (1, 0), "measured": (0, 1), "both": (1, 1)}.items():
-        np.testing.assert_array_equal(one_run(process, random, 5, 3), [both[0] * true, both[1] * measured])
+        np.testing.assert_array_equal(
+            one_run(process, random, 5, 3), [both[0] * true, both[1] * measured]
+        )
 
 
 @pytest.mark.parametrize("process", PROCESSES.values(), ids=PROCESSES)
@@ -114,7 +120,11 @@ def test_realisations_around_2_to_the_31_and_2_to_the_32_are_distinct():
     indices = [0, 1, 2**31 - 1, 2**31, 2**31 + 1, 2**32 - 1, 2**32, 2**32 + 1, 2**33, 2**63]
     words = [divmod(index, 2**32) for index in indices]
     first = [
-        tuple(np.ravel(one_run(PROCESSES["iid"], "both", 1, jnp.uint32(low), index_high=jnp.uint32(high))))
+        tuple(
+            np.ravel(
+                one_run(PROCESSES["iid"], "both", 1, jnp.uint32(low), index_high=jnp.uint32(high))
+            )
+        )
         for high, low in words
     ]
     assert len(set(first)) == len(indices)
@@ -129,7 +139,9 @@ def test_fresh_draws_forget_the_step_before(name):
 def test_constant_is_constant_in_a_run():
     true, measured = np.asarray(many_runs(PROCESSES["constant"], "both", 20, 10))
     for deviations in (true, measured):
-        np.testing.assert_array_equal(deviations, np.broadcast_to(deviations[:, :1], deviations.shape))
+        np.testing.assert_array_equal(
+            deviations, np.broadcast_to(deviations[:, :1], deviations.shape)
+        )
 
 
 @pytest.mark.parametrize("step_size", [0.1, 1.5])
@@ -166,9 +178,16 @@ def test_patches_meet_the_same_slip_on_the_same_ground_at_any_time():
 
 def test_pose_noise_is_uniform_in_its_box_and_new_at_each_step():
     half_widths = jnp.array([0.001, 0.002, 0.0])
-    draw = jax.vmap(lambda i, step: slip.pose_noise(slip.realisation_key(SEED, 0, i), step, half_widths), (0, None))
+    draw = jax.vmap(
+        lambda i, step: slip.pose_noise(slip.realisation_key(SEED, 0, i), step, half_widths),
+        (0, None),
+    )
     now, next_ = (np.asarray(draw(jnp.arange(3000), step)) for step in (0, 1))
-    assert is_uniform(now[:, 0], -0.001, 0.001) and is_uniform(now[:, 1], -0.002, 0.002) and np.all(now[:, 2] == 0.0)
+    assert (
+        is_uniform(now[:, 0], -0.001, 0.001)
+        and is_uniform(now[:, 1], -0.002, 0.002)
+        and np.all(now[:, 2] == 0.0)
+    )
     assert abs(np.corrcoef(now[:, 0], next_[:, 0])[0, 1]) < CORRELATION
     assert abs(np.corrcoef(now[:, 0], now[:, 1])[0, 1]) < CORRELATION
 
@@ -191,7 +210,10 @@ def test_deviated_slip_spans_the_relative_error():
         (lambda: slip.walk(0.0), r"slip: step_size = 0.0 .*\(0, 2\]"),
         (lambda: slip.walk(float("nan")), "slip: step_size = nan"),
         (lambda: slip.patches(-1.0), "slip: patch_size = -1.0 .*positive"),
-        (lambda: one_run(PROCESSES["iid"], "neither", 1, 0), "slip: random = 'neither' .*true, measured, both"),
+        (
+            lambda: one_run(PROCESSES["iid"], "neither", 1, 0),
+            "slip: random = 'neither' .*true, measured, both",
+        ),
     ],
 )
 def test_bad_settings_are_refused_in_one_line(refused, message):

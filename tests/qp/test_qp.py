@@ -1,5 +1,6 @@
 # ruff: noqa: E741 -- l and u are the letters of the problem
-"""Laws of the batched quadratic program solver, against exact active-set solvers and linear programming."""
+"""Laws of the batched quadratic program solver, against exact active-set solvers and linear
+programming."""
 
 import daqp
 import jax
@@ -19,7 +20,8 @@ factorise = jax.jit(qp.factorise)
 
 
 def answer(P, A, q, l, u, dtype: type = np.float64) -> qp.Solution:
-    """Solve, the batch repeated up to the common size, and give the answers of the first len(q) as numpy arrays."""
+    """Solve, the batch repeated up to the common size, and give the answers of the first len(q) as
+    numpy arrays."""
     arrays = [jnp.asarray(np.resize(a, (BATCH, a.shape[1])), dtype) for a in (q, l, u)]
     solution = solve(factorise(jnp.asarray(P, dtype), jnp.asarray(A, dtype)), *arrays)
     return jax.tree.map(lambda a: np.asarray(a)[: len(q)], solution)
@@ -29,7 +31,9 @@ def exact(P, A, q, l, u):
     """x and whether it exists, by a dual active-set solver."""
     sense = np.zeros(len(A), np.int32)
     l, u = np.maximum(l, -1e30), np.minimum(u, 1e30)
-    found = [daqp.solve(P, q[i], A, u[i], l[i], sense, primal_tol=tol.QP_ORACLE) for i in range(len(q))]
+    found = [
+        daqp.solve(P, q[i], A, u[i], l[i], sense, primal_tol=tol.QP_ORACLE) for i in range(len(q))
+    ]
     return np.array([f[0] for f in found]), np.array([f[2] == 1 for f in found])
 
 
@@ -38,12 +42,15 @@ def residual_by_hand(P, A, q, l, u, x, multipliers):
     norms[norms == 0] = 1
     stationarity = np.abs(x @ P + q + multipliers @ A).max(axis=1)
     values = x @ A.T / norms
-    distance = np.abs(values - np.clip(values + multipliers * norms, l / norms, u / norms)).max(axis=1)
+    distance = np.abs(values - np.clip(values + multipliers * norms, l / norms, u / norms)).max(
+        axis=1
+    )
     return np.maximum(stationarity, distance)
 
 
 def check(fam: Family, q, l, u) -> tuple[np.ndarray, np.ndarray]:
-    """Check the contract of `solve`; return which instances are feasible and how many rows each has active."""
+    """Check the contract of `solve`; return which instances are feasible and how many rows each has
+    active."""
     solution, (x, feasible) = answer(fam.P, fam.A, q, l, u), exact(fam.P, fam.A, q, l, u)
     solved, infeasible = solution.status == qp.SOLVED, solution.status == qp.INFEASIBLE
     assert not (solved & ~feasible).any()
@@ -75,7 +82,9 @@ def test_a_second_exact_solver_agrees():
         q, l, u = (part[i] for part in programs)
         bounded = np.isfinite(l)
         C, b = np.vstack([-fam.A, fam.A[bounded]]), np.concatenate([-u, l[bounded]])
-        np.testing.assert_allclose(solution.x[i], quadprog.solve_qp(fam.P, -q, C.T, b)[0], atol=tol.QP_ANSWER)
+        np.testing.assert_allclose(
+            solution.x[i], quadprog.solve_qp(fam.P, -q, C.T, b)[0], atol=tol.QP_ANSWER
+        )
 
 
 def edge(fam: Family, direction):
@@ -121,7 +130,9 @@ def test_float32_takes_an_ill_conditioned_free_optimum():
     bound = np.full((100, 47), 1e3)
     solution = answer(P, family(0).A, q, -bound, bound, dtype=np.float32)
     assert (solution.status == qp.SOLVED).all()
-    np.testing.assert_allclose(solution.x, np.linalg.solve(P, -q.T).T, atol=tol.QP_ILL_CONDITIONED_FLOAT32)
+    np.testing.assert_allclose(
+        solution.x, np.linalg.solve(P, -q.T).T, atol=tol.QP_ILL_CONDITIONED_FLOAT32
+    )
 
 
 def test_a_constrained_instance_leaves_the_free_ones_as_they_are():
@@ -134,7 +145,8 @@ def test_a_constrained_instance_leaves_the_free_ones_as_they_are():
     together = answer(fam.P, fam.A, q, l, u)
     assert together.multipliers[5].any()
     jax.tree.map(
-        np.testing.assert_array_equal, *(jax.tree.map(lambda a: np.delete(a, 5, 0), s) for s in (alone, together))
+        np.testing.assert_array_equal,
+        *(jax.tree.map(lambda a: np.delete(a, 5, 0), s) for s in (alone, together)),
     )
 
 
@@ -159,7 +171,9 @@ def degenerate(kind: str):
     return fam.P, A, q, l, u
 
 
-@pytest.mark.parametrize("kind", ["duplicates", "zero rows", "badly scaled", "equalities", "no bounds"])
+@pytest.mark.parametrize(
+    "kind", ["duplicates", "zero rows", "badly scaled", "equalities", "no bounds"]
+)
 def test_degenerate_rows_are_solved(kind):
     P, A, q, l, u = degenerate(kind)
     solution = answer(P, A, q, l, u)
@@ -212,7 +226,11 @@ def test_a_hessian_that_is_not_positive_definite_is_unsolved():
 def test_a_scan_over_programs_with_fewer_rows_than_unknowns_is_exact():
     rng = np.random.default_rng(2)
     root, A = rng.normal(size=(3, 10, 10)), rng.normal(size=(3, 6, 10))
-    P, q, bound = root @ root.transpose(0, 2, 1) + np.eye(10), 3 * rng.normal(size=(3, 50, 10)), np.full(6, 0.2)
+    P, q, bound = (
+        root @ root.transpose(0, 2, 1) + np.eye(10),
+        3 * rng.normal(size=(3, 50, 10)),
+        np.full(6, 0.2),
+    )
     stack = jax.vmap(qp.factorise)(jnp.asarray(P), jnp.asarray(A))
 
     def step(_, given):
@@ -253,8 +271,13 @@ def test_no_multipliers_exclude_a_set_that_holds_a_point():
     excludes = jax.jit(farkas.excludes)
     for reach in (1e-3, 1.0, 1e2):
         values = unit @ rng.uniform(-reach, reach, (10, BATCH))
-        l, u = values - rng.exponential(0.01, values.shape), values + rng.exponential(0.01, values.shape)
-        upper, lower = rng.exponential(1, (2, *values.shape)) * (rng.random((2, *values.shape)) < 0.05)
+        l, u = (
+            values - rng.exponential(0.01, values.shape),
+            values + rng.exponential(0.01, values.shape),
+        )
+        upper, lower = rng.exponential(1, (2, *values.shape)) * (
+            rng.random((2, *values.shape)) < 0.05
+        )
         assert not excludes(unit, l, u, upper, lower, 0.0).any()
         assert excludes(unit, l, l - 1.0, np.ones_like(l), np.ones_like(l), 0.0).all()
 

@@ -1,5 +1,6 @@
 # ruff: noqa: E741 -- l and u are the letters of the problem
-"""Laws of the derivative of quadratic programs, against differences of an exact solver and unrolled iterations."""
+"""Laws of the derivative of quadratic programs, against differences of an exact solver and unrolled
+iterations."""
 
 import daqp
 import jax
@@ -14,7 +15,12 @@ from jaxtube.qp import fixed_point
 
 COUNT = 400  # one shape for nearly all tests, so that one compilation serves them
 STEP = 1e-5
-DIFFERENCE = {2: -1 / 12, 1: 8 / 12, -1: -8 / 12, -2: 1 / 12}  # weights of a central difference of fourth order
+DIFFERENCE = {
+    2: -1 / 12,
+    1: 8 / 12,
+    -1: -8 / 12,
+    -2: 1 / 12,
+}  # weights of a central difference of fourth order
 
 
 def loss(data, x_bar, y_bar):
@@ -25,7 +31,9 @@ def loss(data, x_bar, y_bar):
 compiled_gradient = jax.jit(jax.grad(loss, has_aux=True))
 
 
-def gradient(data, x_bar, y_bar=None, *, dtype: type = np.float64) -> tuple[list[np.ndarray], qp.Solution]:
+def gradient(
+    data, x_bar, y_bar=None, *, dtype: type = np.float64
+) -> tuple[list[np.ndarray], qp.Solution]:
     """Cotangents of P, A, q, l, u, and the solution, as numpy arrays."""
     y_bar = np.zeros(data[3].shape) if y_bar is None else y_bar
     arrays = jax.tree.map(lambda a: jnp.asarray(a, dtype), (data, x_bar, y_bar))
@@ -59,7 +67,8 @@ def moved(data, part: int, step):
 
 
 def difference(data, part: int, direction):
-    """Derivative of the exact x and multipliers along a direction of one part of the data, and where it is one.
+    """Derivative of the exact x and multipliers along a direction of one part of the data, and
+    where it is one.
 
     The rows that are active must be the same at all points, and their multipliers unique.
     """
@@ -67,7 +76,9 @@ def difference(data, part: int, direction):
     same = np.isfinite(base[0]).all(axis=1)
     for steps, weight in DIFFERENCE.items():
         end = exact(*moved(data, part, steps * STEP * direction))
-        derivative = [total + weight / STEP * value for total, value in zip(derivative, end, strict=True)]
+        derivative = [
+            total + weight / STEP * value for total, value in zip(derivative, end, strict=True)
+        ]
         same &= (np.sign(end[1]) == np.sign(base[1])).all(axis=1)
     return derivative, same, base
 
@@ -80,7 +91,9 @@ def direction_of(part: int, data, rng):
 
 
 @pytest.mark.parametrize("part", range(5), ids=list("PAqlu"))
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
 def test_agrees_with_differences_of_an_exact_solver(seed, part):
     data, rng = programs(seed), np.random.default_rng(seed)
     bars = rng.normal(size=data[2].shape), rng.normal(size=data[3].shape)
@@ -111,7 +124,9 @@ def test_agrees_with_unrolled_iterations():
 
     def unrolled(data, x_bar):
         factors = fixed_point.factorise(data[0], data[1])
-        given = qp.unit_rows(factors, fixed_point.Instances(data[2], data[3], data[4], data[2][:, 0]))
+        given = qp.unit_rows(
+            factors, fixed_point.Instances(data[2], data[3], data[4], data[2][:, 0])
+        )
         x, y = fixed_point.admm(factors, given, jnp.zeros_like(given.q), 600)
         return jnp.sum(x.T * x_bar), fixed_point.residual(factors, given, x, y)
 
@@ -120,10 +135,15 @@ def test_agrees_with_unrolled_iterations():
     arrays = [jnp.asarray(np.maximum(part, -1e6)) for part in data]
     kept = (solution.status == qp.SOLVED) & (np.asarray(iterate(arrays, x_bar)[1]) < tol.QP_ORACLE)
     assert (kept & solution.multipliers.any(axis=1)).sum() > 50
-    found, (expected, _) = gradient(data, x_bar * kept[:, None])[0], iterate(arrays, x_bar * kept[:, None])
+    found, (expected, _) = (
+        gradient(data, x_bar * kept[:, None])[0],
+        iterate(arrays, x_bar * kept[:, None]),
+    )
     expected[0] = (expected[0] + expected[0].T) / 2
     for mine, other in zip(found, expected, strict=True):
-        np.testing.assert_allclose(mine, np.asarray(other), atol=tol.SENSITIVITY * np.abs(mine).max())
+        np.testing.assert_allclose(
+            mine, np.asarray(other), atol=tol.SENSITIVITY * np.abs(mine).max()
+        )
 
 
 def test_what_has_no_answer_has_no_derivative_and_leaves_the_others_as_they_are():
@@ -131,7 +151,9 @@ def test_what_has_no_answer_has_no_derivative_and_leaves_the_others_as_they_are(
     bars = rng.normal(size=data[2].shape), rng.normal(size=data[3].shape)
     solved = gradient(data, *bars)[1].status == qp.SOLVED
     spoilt = np.flatnonzero(solved)[[0, 7, 20, 30]]
-    without = [np.where((solved & ~np.isin(np.arange(COUNT), spoilt))[:, None], bar, 0.0) for bar in bars]
+    without = [
+        np.where((solved & ~np.isin(np.arange(COUNT), spoilt))[:, None], bar, 0.0) for bar in bars
+    ]
     clean = gradient(data, *without)[0]
     poisoned = [part.copy() for part in data]
     poisoned[2][spoilt[0], 1] = np.nan
@@ -140,7 +162,9 @@ def test_what_has_no_answer_has_no_derivative_and_leaves_the_others_as_they_are(
     poisoned[2][spoilt[3]] = np.inf
     lost = [np.where(without[0].any(axis=1, keepdims=True), bar, np.nan) for bar in bars]
     found, solution = gradient(poisoned, *lost)
-    assert (solution.status[spoilt] != qp.SOLVED).all() and (solution.status == qp.INFEASIBLE).sum() > 100
+    assert (solution.status[spoilt] != qp.SOLVED).all() and (
+        solution.status == qp.INFEASIBLE
+    ).sum() > 100
     for part in found[2:]:
         assert not part[solution.status != qp.SOLVED].any()
     jax.tree.map(np.testing.assert_array_equal, found, clean)
@@ -195,7 +219,9 @@ def test_rows_that_depend_on_each_other_share_the_derivative_of_one():
     assert of_once.multipliers.any(axis=1).mean() > 0.5
     np.testing.assert_allclose(found[0], expected[0], atol=tol.SENSITIVITY)
     for mine, other in zip(found[1:], expected[1:], strict=True):
-        np.testing.assert_allclose(mine[:, rows] + mine[:, copies] * scale, other[:, rows], atol=tol.SENSITIVITY)
+        np.testing.assert_allclose(
+            mine[:, rows] + mine[:, copies] * scale, other[:, rows], atol=tol.SENSITIVITY
+        )
 
 
 @pytest.mark.slow
@@ -207,7 +233,9 @@ def test_float32_follows_float64():
     (_, _, *single), rounded = gradient(data, x_bar, dtype=np.float32)
     assert all(part.dtype == np.float32 and np.isfinite(part).all() for part in single)
     both = (exact.status == qp.SOLVED) & (rounded.status == qp.SOLVED)
-    alike = both & ((np.abs(exact.multipliers) > tol.QP_ANSWER_FLOAT32) == (rounded.multipliers != 0)).all(axis=1)
+    alike = both & (
+        (np.abs(exact.multipliers) > tol.QP_ANSWER_FLOAT32) == (rounded.multipliers != 0)
+    ).all(axis=1)
     assert alike.sum() >= tol.QP_SHARE_FLOAT32 * both.sum()
     for mine, other in zip(single, double, strict=True):
         error = np.abs(mine - other).max(axis=1) / np.maximum(np.abs(other).max(axis=1), 1.0)
@@ -218,7 +246,10 @@ def test_float32_follows_float64():
 def test_a_scan_of_checkpoints_differentiates_a_closed_loop():
     fam, rng = family(0), np.random.default_rng(7)
     feedback = jnp.asarray(np.eye(3) + 0.1 * rng.normal(size=(3, 3)))
-    effect, start = jnp.asarray(0.1 * rng.normal(size=(10, 3))), jnp.asarray(0.3 * rng.normal(size=(40, 3)))
+    effect, start = (
+        jnp.asarray(0.1 * rng.normal(size=(10, 3))),
+        jnp.asarray(0.3 * rng.normal(size=(40, 3))),
+    )
     stack = np.stack([fam.P, 1.5 * fam.P, 2 * fam.P]), np.stack([fam.A, fam.A, fam.A[::-1]])
 
     def cost(data):

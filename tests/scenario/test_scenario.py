@@ -1,4 +1,5 @@
-"""Laws of scenarios: an empty file is the paper's, writing and reading are inverse, a refusal is one telling line."""
+"""Laws of scenarios: an empty file is the paper's, writing and reading are inverse, a refusal is
+one telling line."""
 
 import math
 from pathlib import Path
@@ -22,10 +23,16 @@ from jaxtube.scenario import (
 
 # What the line of a refusal has to name: the key, the value as it was given, and the cure.
 REFUSED_OVERRIDES = [
-    ("controller.horizn=3", ["controller.horizn = 3", "unknown key", "did you mean controller.horizon?"]),
+    (
+        "controller.horizn=3",
+        ["controller.horizn = 3", "unknown key", "did you mean controller.horizon?"],
+    ),
     ("robot.horizon=3", ["robot.horizon = 3", "unknown key", "did you mean controller.horizon?"]),
     ("horizon=3", ["horizon = 3", "unknown section", "did you mean controller.horizon?"]),
-    ("controler.horizon=3", ["controler = {horizon = 3}", "unknown section", "did you mean controller?"]),
+    (
+        "controler.horizon=3",
+        ["controler = {horizon = 3}", "unknown section", "did you mean controller?"],
+    ),
     ("zzzz.q=1", ["zzzz = {q = 1}", "unknown section", "the sections are robot, reference"]),
     ("controller=3", ["controller = 3", "must be a table", "[controller]"]),
     ("controller.horizon", ["controller.horizon", "no key and value", "controller.horizon=7"]),
@@ -36,22 +43,40 @@ REFUSED_OVERRIDES = [
     ("controller.horizon=five", ['controller.horizon = "five"', "whole number"]),
     ("controller.horizon=", ['controller.horizon = ""', "whole number"]),
     ("controller.restart=1", ["controller.restart = 1", "true or false", "default is true"]),
-    ("controller.tube=cone", ['controller.tube = "cone"', "choose one of paper, hull, summed, sequence"]),
+    (
+        "controller.tube=cone",
+        ['controller.tube = "cone"', "choose one of paper, hull, summed, sequence"],
+    ),
     ("controller.tube=3", ['controller.tube = "3"', "choose one of paper, hull, summed, sequence"]),
     ("controller.dt_s=0", ["controller.dt_s = 0", "> 0", "default is 0.1"]),
     ("controller.dt_s=1979-05-27", ["controller.dt_s = 1979-05-27", "a number"]),
     ("robot.track_width_m=-0.5", ["robot.track_width_m = -0.5", "> 0", "default is 0.5"]),
-    ("robot.wheel_speed_min_mps=3", ["robot.wheel_speed_min_mps = 3", "not below", "robot.wheel_speed_max_mps"]),
-    ("reference.wheel_speed_min_mps=2", ["reference.wheel_speed_min_mps = 2", "not below", "lower the minimum"]),
+    (
+        "robot.wheel_speed_min_mps=3",
+        ["robot.wheel_speed_min_mps = 3", "not below", "robot.wheel_speed_max_mps"],
+    ),
+    (
+        "reference.wheel_speed_min_mps=2",
+        ["reference.wheel_speed_min_mps = 2", "not below", "lower the minimum"],
+    ),
     ("reference.radius_m=0", ["reference.radius_m = 0", "> 0", "default is 2.5"]),
     ("reference.radius_m=nan", ["reference.radius_m = nan", "not finite", "finite number"]),
     ("reference.radius_m=1e999", ["reference.radius_m = inf", "not finite", "finite number"]),
     (f"reference.radius_m={10**400}", ["reference.radius_m = 1000", "out of range"]),
     ("reference.speed_mps=-1", ["reference.speed_mps = -1", "> 0"]),
-    ("reference.speed_mps=1.45", ["reference.speed_mps = 1.45", "1.305 to 1.595 m/s", "[0.2, 1.5]", "widen the box"]),
-    ("reference.speed_mps=0.21", ["reference.speed_mps = 0.21", "0.189 to 0.231 m/s", "[0.2, 1.5]"]),
+    (
+        "reference.speed_mps=1.45",
+        ["reference.speed_mps = 1.45", "1.305 to 1.595 m/s", "[0.2, 1.5]", "widen the box"],
+    ),
+    (
+        "reference.speed_mps=0.21",
+        ["reference.speed_mps = 0.21", "0.189 to 0.231 m/s", "[0.2, 1.5]"],
+    ),
     ("reference.duration_s=0", ["reference.duration_s = 0", "> 0"]),
-    ("reference.duration_s=0.05", ["reference.duration_s = 0.05", "controller.dt_s = 0.1", "at least one step"]),
+    (
+        "reference.duration_s=0.05",
+        ["reference.duration_s = 0.05", "controller.dt_s = 0.1", "at least one step"],
+    ),
     ("reference.shape=file", ['reference.file = ""', "is empty", "name the file"]),
     ("slip.nominal_right=1", ["slip.nominal_right = 1", "< 1", "default is 0.2"]),
     ("slip.nominal_left=-0.1", ["slip.nominal_left = -0.1", ">= 0", "default is 0.2"]),
@@ -62,17 +87,35 @@ REFUSED_OVERRIDES = [
     ("disturbance.lateral_m=-1e-3", ["disturbance.lateral_m = -0.001", ">= 0", "default is 0.005"]),
     ("noise.heading_deg=-1", ["noise.heading_deg = -1", ">= 0", "default is 0"]),
     ("initial.x_m=inf", ["initial.x_m = inf", "not finite"]),
-    ("controller.error_weight=[1, 1]", ["controller.error_weight = [1.0, 1.0]", "shape", "3 diagonal entries"]),
-    ("controller.error_weight=[1, 1, [1]]", ["controller.error_weight", "shape", "3 diagonal entries"]),
+    (
+        "controller.error_weight=[1, 1]",
+        ["controller.error_weight = [1.0, 1.0]", "shape", "3 diagonal entries"],
+    ),
+    (
+        "controller.error_weight=[1, 1, [1]]",
+        ["controller.error_weight", "shape", "3 diagonal entries"],
+    ),
     ("controller.error_weight=[1, 1, nan]", ["controller.error_weight[2] = nan", "not finite"]),
-    ("controller.error_weight=[1, 1, 'a']", ['controller.error_weight[2] = "a"', "a number", "default is [1.0, 1.0"]),
+    (
+        "controller.error_weight=[1, 1, 'a']",
+        ['controller.error_weight[2] = "a"', "a number", "default is [1.0, 1.0"],
+    ),
     (
         "controller.error_weight=[1, 1, -0.5]",
         ["controller.error_weight", "semidefinite", "eigenvalue is -0.5", "raise"],
     ),
-    ("controller.input_weight=[1, 0]", ["controller.input_weight", "positive definite", "eigenvalue is 0", "raise"]),
-    ("controller.input_weight=[[1, 2], [2, 1]]", ["controller.input_weight", "positive definite", "is -1", "raise"]),
-    ("controller.input_weight=[[1, 2], [0, 1]]", ["controller.input_weight", "not symmetric", "symmetric matrix"]),
+    (
+        "controller.input_weight=[1, 0]",
+        ["controller.input_weight", "positive definite", "eigenvalue is 0", "raise"],
+    ),
+    (
+        "controller.input_weight=[[1, 2], [2, 1]]",
+        ["controller.input_weight", "positive definite", "is -1", "raise"],
+    ),
+    (
+        "controller.input_weight=[[1, 2], [0, 1]]",
+        ["controller.input_weight", "not symmetric", "symmetric matrix"],
+    ),
 ]
 
 REFUSED_FILES = [
@@ -85,8 +128,14 @@ REFUSED_FILES = [
     ("[controller]\nhorizon = 'five'", ['controller.horizon = "five"', "must be a whole number"]),
     ("[slip]\nrandom = true", ["slip.random = true", "must be text", 'default is "true"']),
     ("[[controller]]\nhorizon = 5", ["controller = [{horizon = 5}]", "must be a table"]),
-    ('[controller]\n"hor\\nizon" = 5', ["controller.hor izon = 5", "unknown key", "did you mean controller.horizon?"]),
-    ("[reference]\nshape = 'file'\nfile = 'no-such.csv'", ["reference.file", "No such file", "name a readable file"]),
+    (
+        '[controller]\n"hor\\nizon" = 5',
+        ["controller.hor izon = 5", "unknown key", "did you mean controller.horizon?"],
+    ),
+    (
+        "[reference]\nshape = 'file'\nfile = 'no-such.csv'",
+        ["reference.file", "No such file", "name a readable file"],
+    ),
 ]
 
 
@@ -100,7 +149,9 @@ SCENARIOS = st.builds(
     lambda width, position, weight, text, flag: Scenario(
         robot=msgspec.structs.replace(Scenario().robot, track_width_m=width),
         initial=msgspec.structs.replace(Scenario().initial, x_m=position, heading_deg=-position),
-        controller=msgspec.structs.replace(Scenario().controller, error_weight=weight, restart=flag),
+        controller=msgspec.structs.replace(
+            Scenario().controller, error_weight=weight, restart=flag
+        ),
         reference=msgspec.structs.replace(Scenario().reference, file="/" + text),
     ),
     st.floats(0, 0.5, exclude_min=True),
@@ -118,7 +169,11 @@ def test_an_empty_file_is_the_experiment_of_the_paper(tmp_path):
 
 def test_the_file_of_the_paper_spells_every_key_and_comments_it():
     text = (experiments_folder() / "paper" / "scenario.toml").read_text()
-    written = [line.split("  # ") for line in text.splitlines() if " = " in line and not line.startswith("#")]
+    written = [
+        line.split("  # ")
+        for line in text.splitlines()
+        if " = " in line and not line.startswith("#")
+    ]
     expected = [line for line in to_toml(Scenario()).splitlines() if " = " in line]
     assert [line[0] for line in written] == expected
     assert all(len(line) == 2 for line in written)
@@ -138,7 +193,13 @@ def test_every_scenario_of_the_project_is_valid(name):
 
 def test_overrides_replace_single_keys():
     scenario = load(
-        "paper", ["controller.horizon=7", "controller.tube=hull", 'reference.shape="lemniscate"', "slip.random=true"]
+        "paper",
+        [
+            "controller.horizon=7",
+            "controller.tube=hull",
+            'reference.shape="lemniscate"',
+            "slip.random=true",
+        ],
     )
     assert (scenario.controller.horizon, scenario.controller.tube) == (7, "hull")
     assert (scenario.reference.shape, scenario.slip.random) == ("lemniscate", "true")
@@ -177,7 +238,9 @@ def test_files_that_cannot_be_read_are_refused(tmp_path):
     assert "choose one of" in refusal_of("no-such-scenario")
 
 
-def test_a_path_starts_at_the_scenario_file_and_in_an_override_at_the_current_folder(tmp_path, monkeypatch):
+def test_a_path_starts_at_the_scenario_file_and_in_an_override_at_the_current_folder(
+    tmp_path, monkeypatch
+):
     (tmp_path / "poses.csv").write_text("")
     (tmp_path / "mine.toml").write_text('[reference]\nshape = "file"\nfile = "poses.csv"\n')
     assert Path(load(tmp_path / "mine.toml").reference.file) == tmp_path / "poses.csv"
@@ -191,9 +254,13 @@ def test_reference_wheels_on_the_edge_of_the_box_are_inside():
     check_reference_wheels(Scenario(), 0.2, 1.5)
 
 
-@pytest.mark.parametrize(("slowest", "fastest"), [(0.19, 1.0), (0.3, 1.51), (math.nan, 1.0), (0.3, math.nan)])
+@pytest.mark.parametrize(
+    ("slowest", "fastest"), [(0.19, 1.0), (0.3, 1.51), (math.nan, 1.0), (0.3, math.nan)]
+)
 def test_reference_wheels_outside_the_box_are_refused(slowest, fastest):
-    with pytest.raises(ScenarioError, match=r"^mine: reference.speed_mps = 1.36: .*outside .*; change the speed"):
+    with pytest.raises(
+        ScenarioError, match=r"^mine: reference.speed_mps = 1.36: .*outside .*; change the speed"
+    ):
         check_reference_wheels(Scenario(), slowest, fastest, source="mine")
 
 

@@ -32,7 +32,8 @@ def floats(matrices) -> np.ndarray:
 
 
 def maximal(loops: np.ndarray, room: float) -> Polytope:
-    """The maximal set inside constraints backed off by `room`, for W and a ball of twenty times that."""
+    """The maximal set inside constraints backed off by `room`, for W and a ball of twenty times
+    that."""
     rows = np.vstack([E[0], *(U[0] @ gain for gain in floats(FEEDBACKS))])
     offsets = np.concatenate([E[1], U[1], U[1]]) - room * (1 + np.linalg.norm(rows, axis=1))
 

@@ -1,4 +1,5 @@
-"""The data of Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV, in plain numpy: what the tests of `sets` work on."""
+"""The data of Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV, in plain numpy: what the tests
+of `sets` work on."""
 
 import functools
 import itertools
@@ -14,7 +15,9 @@ INPUT = PERIOD * np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
 PAPER = np.diag([1.0, 1.0, 0.01]), np.eye(2)
 LATERAL = np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2)
 E = Polytope.box(-np.array([0.3, 0.3, np.deg2rad(20)]), np.array([0.3, 0.3, np.deg2rad(20)]))
-W = Polytope.box(-np.array([0.005, 0.005, np.deg2rad(0.2)]), np.array([0.005, 0.005, np.deg2rad(0.2)]))
+W = Polytope.box(
+    -np.array([0.005, 0.005, np.deg2rad(0.2)]), np.array([0.005, 0.005, np.deg2rad(0.2)])
+)
 WHEELS = np.array([[1.0, TRACK / 2], [1.0, -TRACK / 2]])
 U = Polytope(np.vstack([WHEELS, -WHEELS]), np.array([2.54, 2.54, 0.84, 0.84]))
 
@@ -36,8 +39,11 @@ def regulator(slowest: float) -> np.ndarray:
 
 
 def tube_gain(right: float, left: float, slowest: float = 0.2) -> np.ndarray:
-    """Gain of eqs. (22)-(25): the regulator at the centre of the box, turning compensated in the first row."""
-    return regulator(slowest) + np.array([[0.0, -GRIP / TRACK * (right - left), 0.0], [0.0, 0.0, 0.0]])
+    """Gain of eqs. (22)-(25): the regulator at the centre of the box, turning compensated in the
+    first row."""
+    return regulator(slowest) + np.array(
+        [[0.0, -GRIP / TRACK * (right - left), 0.0], [0.0, 0.0, 0.0]]
+    )
 
 
 def tube_loop(right: float, left: float, slowest: float = 0.2) -> np.ndarray:
@@ -60,9 +66,20 @@ def terminal_gains(slowest: float, lateral: bool, objective: Objective) -> np.nd
 
 
 @functools.cache
-def terminal_problem(slowest: float, lateral: bool, objective: Objective) -> tuple[np.ndarray, Polytope]:
-    """Loops under the gains of the matrix inequality, and the errors whose inputs they keep admissible."""
+def terminal_problem(
+    slowest: float, lateral: bool, objective: Objective
+) -> tuple[np.ndarray, Polytope]:
+    """Loops under the gains of the matrix inequality, and the errors whose inputs they keep
+    admissible."""
     gains = terminal_gains(slowest, lateral, objective)
-    loops = np.array([transition(*corner) + INPUT @ gain for corner, gain in zip(corners(slowest), gains, strict=True)])
-    rows, offsets = [E.normals, *(U.normals @ gain for gain in gains)], [E.offsets, *([U.offsets] * 4)]
+    loops = np.array(
+        [
+            transition(*corner) + INPUT @ gain
+            for corner, gain in zip(corners(slowest), gains, strict=True)
+        ]
+    )
+    rows, offsets = (
+        [E.normals, *(U.normals @ gain for gain in gains)],
+        [E.offsets, *([U.offsets] * 4)],
+    )
     return loops, Polytope(np.concatenate(rows), np.concatenate(offsets))

@@ -1,4 +1,5 @@
-"""Laws of the certificate: every margin equals what enumeration, simulation or sampling finds, and broken sets fail."""
+"""Laws of the certificate: every margin equals what enumeration, simulation or sampling finds, and
+broken sets fail."""
 
 import itertools
 import math
@@ -26,8 +27,12 @@ from sets.tubes import hull_tube, propagated, sequence_tube
 LOOPS = tube_loops()
 POINTS = W.vertices()
 RANDOM = np.random.default_rng(0).uniform(-0.5, 0.5, size=(2, 3, 3))
-SPINNING = 0.9 * np.linalg.qr(np.random.default_rng(2).normal(size=(3, 2, 2)))[0]  # planar turns that shrink
-UNEVEN = np.random.default_rng(1).uniform(-0.2, 1.0, size=(5, 3))  # a disturbance set without symmetry
+SPINNING = (
+    0.9 * np.linalg.qr(np.random.default_rng(2).normal(size=(3, 2, 2)))[0]
+)  # planar turns that shrink
+UNEVEN = np.random.default_rng(1).uniform(
+    -0.2, 1.0, size=(5, 3)
+)  # a disturbance set without symmetry
 CUBE = Polytope.box(-np.ones(3), np.ones(3))
 
 
@@ -41,7 +46,10 @@ def unpruned(loops: np.ndarray, points: np.ndarray, direction: np.ndarray, steps
     for _ in range(steps + 1):
         terms = width(points, rows)
         yield sums.max(), terms.max()
-        rows, sums = np.concatenate([rows @ loop for loop in loops]), np.tile(sums + terms, len(loops))
+        rows, sums = (
+            np.concatenate([rows @ loop for loop in loops]),
+            np.tile(sums + terms, len(loops)),
+        )
 
 
 @pytest.mark.parametrize("loops", [LOOPS, RANDOM], ids=["paper", "random"])
@@ -61,7 +69,9 @@ def test_reach_equals_the_greatest_over_enumerated_products(loops):
         assert last[j] == pytest.approx(max(terms), abs=TUBE_ROUNDING)
 
 
-@pytest.mark.parametrize(("loops", "steps", "count"), [(LOOPS, 8, 4), (SPINNING, 10, 40)], ids=["paper", "spinning"])
+@pytest.mark.parametrize(
+    ("loops", "steps", "count"), [(LOOPS, 8, 4), (SPINNING, 10, 40)], ids=["paper", "spinning"]
+)
 def test_pruning_does_not_change_the_reach(loops, steps, count):
     points = UNEVEN[:, : loops.shape[-1]]
     for direction in np.random.default_rng(9).normal(size=(count, loops.shape[-1])):
@@ -75,8 +85,12 @@ def test_reach_and_last_term_equal_those_of_the_tubes():
     hull, clouds = hull_tube(LOOPS, W, 7), propagated(LOOPS, W, 7)
     for row in rows:
         reach, last = reach_supports(LOOPS, POINTS, row, 7)
-        np.testing.assert_allclose(reach, [section.support(row)[0] for section in hull], atol=TUBE_ROUNDING)
-        np.testing.assert_allclose(last, [cloud.support(row)[0] for cloud in clouds], atol=TUBE_ROUNDING)
+        np.testing.assert_allclose(
+            reach, [section.support(row)[0] for section in hull], atol=TUBE_ROUNDING
+        )
+        np.testing.assert_allclose(
+            last, [cloud.support(row)[0] for cloud in clouds], atol=TUBE_ROUNDING
+        )
 
 
 def test_reach_along_a_schedule_equals_the_sections_of_its_tube():
@@ -88,7 +102,9 @@ def test_reach_along_a_schedule_equals_the_sections_of_its_tube():
     product = np.eye(3)
     for j in range(len(loops)):
         product = loops[j] @ product if j else product
-        np.testing.assert_allclose(last[j], width(POINTS, rows @ product), rtol=0, atol=TUBE_ROUNDING)
+        np.testing.assert_allclose(
+            last[j], width(POINTS, rows @ product), rtol=0, atol=TUBE_ROUNDING
+        )
 
 
 def test_reach_along_a_schedule_is_attained_by_the_best_of_all_disturbances():
@@ -132,8 +148,12 @@ def test_invariance_margin_is_the_least_room_of_images_of_vertices():
     scale = np.linalg.norm(box.normals, axis=1)
     room = np.inf
     for loop, vertex, disturbance in itertools.product(RANDOM, box.vertices(), 0.1 * UNEVEN):
-        room = min(room, np.min((box.offsets - box.normals @ (loop @ vertex + disturbance)) / scale))
-    assert invariance_margin(RANDOM, 0.1 * UNEVEN, box) == pytest.approx(room, abs=CERTIFICATE_MARGIN)
+        room = min(
+            room, np.min((box.offsets - box.normals @ (loop @ vertex + disturbance)) / scale)
+        )
+    assert invariance_margin(RANDOM, 0.1 * UNEVEN, box) == pytest.approx(
+        room, abs=CERTIFICATE_MARGIN
+    )
 
 
 def test_invariance_margin_tells_an_invariant_set_from_one_pushed_out():
@@ -162,7 +182,10 @@ def test_decrease_margin_bounds_the_decrease_along_every_loop():
 
     Q, R = PAPER
     decreases = [
-        form(cost, states) - form(cost, states @ loop.T) - form(Q, states) - form(R, states @ gain.T)
+        form(cost, states)
+        - form(cost, states @ loop.T)
+        - form(Q, states)
+        - form(R, states @ gain.T)
         for loop, gain in zip(loops, gains, strict=True)
     ]
     margin = decrease_margin(loops, gains, cost, Q, R)
@@ -182,7 +205,9 @@ def test_decrease_margin_is_zero_for_the_riccati_cost():
 
 def test_terminal_margins_are_the_least_room_over_vertices():
     rng = np.random.default_rng(7)
-    terminal, following = (Polytope.from_vertices(size * rng.normal(size=(8, 3))) for size in (0.3, 1.0))
+    terminal, following = (
+        Polytope.from_vertices(size * rng.normal(size=(8, 3))) for size in (0.3, 1.0)
+    )
     reach = Polytope.from_vertices(0.05 * UNEVEN)
     errors, inputs = Polytope.box(-2 * np.ones(3), np.array([1.0, 3.0, 2.0])), U
     gains = tube_gains()
@@ -220,5 +245,10 @@ def test_a_certificate_holds_exactly_when_every_required_condition_does():
     certificate.add("missed", -1e-15, "yes", "no")
     assert not certificate.holds
     assert certificate.failing == ["unknown", "missed"]
-    assert [condition.sentence for condition in certificate.conditions.values()] == ["yes", "no", "no", "no"]
+    assert [condition.sentence for condition in certificate.conditions.values()] == [
+        "yes",
+        "no",
+        "no",
+        "no",
+    ]
     assert certificate.conditions["missed"].margin == -1e-15

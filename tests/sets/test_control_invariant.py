@@ -1,4 +1,5 @@
-"""Laws of the maximal robust control invariant set: closed forms, and linear programs that know no projection."""
+"""Laws of the maximal robust control invariant set: closed forms, and linear programs that know no
+projection."""
 
 import numpy as np
 import pytest
@@ -13,7 +14,13 @@ def decoupled(gain: float, disturbance: float):
     """Three copies of  e+ = gain e + u + w,  |u| <= 1, |w| <= disturbance, |e| <= 5."""
     limits = Limits(np.vstack([np.eye(3), -np.eye(3)]), np.zeros((6, 3)), np.ones(6))
     W = Polytope.box(np.full(3, -disturbance), np.full(3, disturbance))
-    return np.array([gain * np.eye(3)]), np.array([np.eye(3)]), Polytope.box(np.full(3, -5), np.full(3, 5)), limits, W
+    return (
+        np.array([gain * np.eye(3)]),
+        np.array([np.eye(3)]),
+        Polytope.box(np.full(3, -5), np.full(3, 5)),
+        limits,
+        W,
+    )
 
 
 def test_a_decoupled_system_keeps_what_its_input_can_outweigh():
@@ -33,12 +40,17 @@ def test_a_disturbance_that_outweighs_the_input_leaves_nothing():
 @pytest.fixture(scope="module")
 def switching():
     """Two pairs of a turning robot with a limit that couples error and input."""
-    pairs = [(np.array([[1.0, 0.1 * h, 0.0], [-0.1 * h, 1.0, 0.12], [0.0, 0.0, 1.0]])) for h in (-0.6, 0.6)]
+    pairs = [
+        (np.array([[1.0, 0.1 * h, 0.0], [-0.1 * h, 1.0, 0.12], [0.0, 0.0, 1.0]]))
+        for h in (-0.6, 0.6)
+    ]
     B = np.array([[0.1, 0.0], [0.0, 0.006], [0.0, 0.1]])
     E = Polytope.box(np.array([-0.3, -0.3, -0.3]), np.array([0.3, 0.3, 0.3]))
     inputs = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])
     errors = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
-    limits = Limits(np.vstack([inputs, -inputs]), np.vstack([errors, -errors]), np.array([0.3, 1.0, 1.2] * 2))
+    limits = Limits(
+        np.vstack([inputs, -inputs]), np.vstack([errors, -errors]), np.array([0.3, 1.0, 1.2] * 2)
+    )
     W = Polytope.box(np.array([-0.01, -0.01, -0.03]), np.array([0.01, 0.01, 0.03]))
     return np.array(pairs), np.array([B, B]), E, limits, W
 
@@ -46,8 +58,12 @@ def switching():
 def shortfall(A, B, target: Polytope, limits: Limits, error) -> float:
     """Return by how much all rows must give way before an input exists, by a linear program."""
     rows = np.vstack([target.normals @ B, limits.inputs])
-    bounds = np.concatenate([target.offsets - target.normals @ A @ error, limits.offsets - limits.errors @ error])
-    answer = linprog([0, 0, 1], np.column_stack([rows, -np.ones(len(rows))]), bounds, bounds=[(None, None)] * 3)
+    bounds = np.concatenate(
+        [target.offsets - target.normals @ A @ error, limits.offsets - limits.errors @ error]
+    )
+    answer = linprog(
+        [0, 0, 1], np.column_stack([rows, -np.ones(len(rows))]), bounds, bounds=[(None, None)] * 3
+    )
     assert answer.status == 0
     return answer.x[-1]
 
@@ -60,7 +76,9 @@ def test_the_predecessor_holds_exactly_the_errors_that_have_an_input(switching):
     missing = np.array([shortfall(A[0], B[0], target, limits, point) for point in points])
     inside = found.margin(points) >= 0
     assert 20 < inside.sum() < 130
-    assert np.all(missing[inside] <= CONTROL_INVARIANT) and np.all(missing[~inside] >= -CONTROL_INVARIANT)
+    assert np.all(missing[inside] <= CONTROL_INVARIANT) and np.all(
+        missing[~inside] >= -CONTROL_INVARIANT
+    )
 
 
 def test_the_settled_set_is_kept_under_every_pair_and_lies_in_the_limits(switching):
@@ -72,4 +90,7 @@ def test_the_settled_set_is_kept_under_every_pair_and_lies_in_the_limits(switchi
     target = found.polytope.scale(1 + SETTLED).pontryagin_difference(W)
     corners = found.polytope.vertices()
     for transition, inputs in zip(A, B, strict=True):
-        assert max(shortfall(transition, inputs, target, limits, corner) for corner in corners) <= CONTROL_INVARIANT
+        assert (
+            max(shortfall(transition, inputs, target, limits, corner) for corner in corners)
+            <= CONTROL_INVARIANT
+        )

@@ -6,7 +6,24 @@ from itertools import product
 
 import numpy as np
 import pytest
-from exact_problem import BOX, DT, FAST, FEEDBACKS, GAINS, LOOPS, OMEGA, POINTS, SLOW, WIDTH, E, Q, R, U, W, floats
+from exact_problem import (
+    BOX,
+    DT,
+    FAST,
+    FEEDBACKS,
+    GAINS,
+    LOOPS,
+    OMEGA,
+    POINTS,
+    SLOW,
+    WIDTH,
+    E,
+    Q,
+    R,
+    U,
+    W,
+    floats,
+)
 from scipy.linalg import solve_discrete_lyapunov
 from scipy.optimize import linprog
 from tolerances import EXACT_AGAINST_FLOAT, EXACT_PULLED_FACET
@@ -32,19 +49,26 @@ from sets.robot.exact_tube import schedule_box, vertex_feedbacks, vertex_loops
 @pytest.mark.parametrize("seed", range(3))
 def test_bounds_equal_those_of_a_linear_program(seed):
     rng = np.random.default_rng(seed)
-    normals, offsets = rng.normal(size=(20, 3)) * rng.uniform(0.1, 30, size=(20, 1)), rng.uniform(0.2, 2, size=20)
+    normals, offsets = (
+        rng.normal(size=(20, 3)) * rng.uniform(0.1, 30, size=(20, 1)),
+        rng.uniform(0.2, 2, size=20),
+    )
     normals, offsets = np.vstack([normals, E[0]]), np.concatenate([offsets, np.full(6, 3.0)])
     polytope = Halfspaces(normals, offsets)
     for row in rng.normal(size=(10, 3)):
         answer = linprog(-row, A_ub=normals, b_ub=offsets, bounds=(None, None))
-        assert float(polytope.bound(exact_row(row))) == pytest.approx(-answer.fun, rel=EXACT_AGAINST_FLOAT)
+        assert float(polytope.bound(exact_row(row))) == pytest.approx(
+            -answer.fun, rel=EXACT_AGAINST_FLOAT
+        )
 
 
 def test_bounds_of_the_invariant_set_equal_those_of_a_linear_program():
     polytope = Halfspaces(OMEGA.normals, OMEGA.offsets)
     for row in (OMEGA.normals @ floats(LOOPS)).reshape(-1, 3):
         answer = linprog(-row, A_ub=OMEGA.normals, b_ub=OMEGA.offsets, bounds=(None, None))
-        assert float(polytope.bound(exact_row(row))) == pytest.approx(-answer.fun, rel=EXACT_AGAINST_FLOAT)
+        assert float(polytope.bound(exact_row(row))) == pytest.approx(
+            -answer.fun, rel=EXACT_AGAINST_FLOAT
+        )
 
 
 def test_bounds_are_exact_where_many_facets_meet():
@@ -65,7 +89,9 @@ def test_rows_on_inputs_and_errors_become_rows_on_the_error():
     rng = np.random.default_rng(6)
     inputs, errors = rng.normal(size=(4, 2)), rng.normal(size=(4, 3))
     expected = np.vstack([inputs @ gain + errors for gain in floats(FEEDBACKS)])
-    np.testing.assert_allclose(floats(mapped_rows(inputs, errors, FEEDBACKS)), expected, rtol=EXACT_AGAINST_FLOAT)
+    np.testing.assert_allclose(
+        floats(mapped_rows(inputs, errors, FEEDBACKS)), expected, rtol=EXACT_AGAINST_FLOAT
+    )
 
 
 def test_open_and_malformed_polytopes_are_refused():
@@ -123,7 +149,9 @@ def test_the_invariant_set_is_admissible_and_narrower_limits_are_refused():
     assert inputs >= 0
     assert float(inputs) == pytest.approx(room.min(), abs=EXACT_AGAINST_FLOAT)
     assert containment_margin(OMEGA.normals, OMEGA.offsets, E[0], E[1] - float(errors) - 1e-12) < 0
-    assert containment_margin(OMEGA.normals, OMEGA.offsets, rows, limits - float(inputs) - 1e-12) < 0
+    assert (
+        containment_margin(OMEGA.normals, OMEGA.offsets, rows, limits - float(inputs) - 1e-12) < 0
+    )
 
 
 # Decrease
@@ -144,7 +172,9 @@ def test_the_smallest_pivot_is_exact_and_tells_a_semidefinite_matrix():
     rng = np.random.default_rng(3)
     for matrix in rng.normal(size=(50, 3, 3)):
         symmetric = matrix + matrix.T + np.eye(3)
-        assert (smallest_pivot(exact_rows(symmetric)) >= 0) == (np.linalg.eigvalsh(symmetric)[0] >= 0)
+        assert (smallest_pivot(exact_rows(symmetric)) >= 0) == (
+            np.linalg.eigvalsh(symmetric)[0] >= 0
+        )
     with pytest.raises(ValueError, match="symmetric"):
         smallest_pivot(exact_rows([(1, 0, 0), (1e-16, 1, 0), (0, 0, 1)]))
 

@@ -7,7 +7,20 @@ from itertools import product
 import mpmath
 import numpy as np
 import pytest
-from exact_problem import BOX, DT, FAST, FEEDBACKS, GAINS, LOOPS, OMEGA, SLOW, WIDTH, W, floats, maximal
+from exact_problem import (
+    BOX,
+    DT,
+    FAST,
+    FEEDBACKS,
+    GAINS,
+    LOOPS,
+    OMEGA,
+    SLOW,
+    WIDTH,
+    W,
+    floats,
+    maximal,
+)
 from tolerances import EXACT_AGAINST_FLOAT, EXACT_ENCLOSURE, EXACT_JACOBIAN, EXACT_WHEEL_TRAVEL
 
 from sets.exact import exact_row, invariance_margin
@@ -19,17 +32,25 @@ def test_the_tangent_ratio_lies_in_its_enclosure_and_fills_it(x):
     low, high = tangent_ratio(Fraction(x))
     with mpmath.workdps(60):
         value = mpmath.tan(x) / mpmath.mpf(x) if x else mpmath.mpf(1)
-        assert mpmath.mpf(low.numerator) / low.denominator <= value <= mpmath.mpf(high.numerator) / high.denominator
+        assert (
+            mpmath.mpf(low.numerator) / low.denominator
+            <= value
+            <= mpmath.mpf(high.numerator) / high.denominator
+        )
     assert 0 <= high - low <= EXACT_ENCLOSURE
 
 
 def turn_and_advance(right: float, left: float):
-    V, x = (mpmath.mpf(right) + left) / 2, mpmath.mpf(DT) * (mpmath.mpf(right) - left) / (2 * mpmath.mpf(WIDTH))
+    V, x = (
+        (mpmath.mpf(right) + left) / 2,
+        mpmath.mpf(DT) * (mpmath.mpf(right) - left) / (2 * mpmath.mpf(WIDTH)),
+    )
     return mpmath.tan(x), DT * V * (mpmath.tan(x) / x if x else 1)
 
 
 @pytest.mark.parametrize(
-    ("lower", "upper"), [((SLOW, SLOW), (FAST, FAST)), ((0.2, 0.2), (1.5, 1.5)), ((-1.0, 0.3), (0.5, 0.3))]
+    ("lower", "upper"),
+    [((SLOW, SLOW), (FAST, FAST)), ((0.2, 0.2), (1.5, 1.5)), ((-1.0, 0.3), (0.5, 0.3))],
 )
 def test_the_schedule_box_is_the_range_over_all_wheel_speeds(lower, upper):
     box = schedule_box(lower, upper, DT, WIDTH)
@@ -45,7 +66,9 @@ def test_the_schedule_box_is_the_range_over_all_wheel_speeds(lower, upper):
             assert max(values) <= high
             assert max(min(values) - low, high - max(values)) <= EXACT_ENCLOSURE
     rates = (schedules[:, 0] - schedules[:, 1]) / WIDTH
-    np.testing.assert_allclose(floats(box.yaw_rate), [rates.min(), rates.max()], rtol=EXACT_AGAINST_FLOAT)
+    np.testing.assert_allclose(
+        floats(box.yaw_rate), [rates.min(), rates.max()], rtol=EXACT_AGAINST_FLOAT
+    )
 
 
 def test_a_reversed_box_a_long_period_and_what_is_not_a_number_are_refused():
@@ -78,7 +101,8 @@ def travels(loop) -> tuple[Fraction, Fraction]:
 
 
 @pytest.mark.parametrize(
-    ("lower", "upper"), [((SLOW, SLOW), (FAST, FAST)), ((-0.5, 0.3), (0.5, 0.3)), ((0.2, 1.0), (0.4, 1.5))]
+    ("lower", "upper"),
+    [((SLOW, SLOW), (FAST, FAST)), ((-0.5, 0.3), (0.5, 0.3)), ((0.2, 1.0), (0.4, 1.5))],
 )
 def test_loops_of_the_wheels_cover_every_schedule_of_the_box_closely(lower, upper):
     vertices = [travels(loop) for loop in wheel_loops(GAINS, lower, upper, DT, WIDTH)]
@@ -86,7 +110,10 @@ def test_loops_of_the_wheels_cover_every_schedule_of_the_box_closely(lower, uppe
     schedules = np.vstack([np.random.default_rng(5).uniform(lower, upper, size=(100, 2)), corners])
     found = []
     for schedule in schedules:
-        found += [travels(loop) for loop in vertex_loops(GAINS, schedule_box(schedule, schedule, DT, WIDTH), DT)]
+        found += [
+            travels(loop)
+            for loop in vertex_loops(GAINS, schedule_box(schedule, schedule, DT, WIDTH), DT)
+        ]
     for inside, bounds in zip(zip(*found, strict=True), zip(*vertices, strict=True), strict=True):
         assert min(bounds) <= min(inside) + Fraction(EXACT_ENCLOSURE)
         assert max(inside) <= max(bounds) + Fraction(EXACT_ENCLOSURE)
@@ -102,7 +129,8 @@ def test_loops_of_the_wheels_leave_a_larger_invariant_set_than_turn_and_speed_ap
 
 
 def sampled_step(error: np.ndarray, right: float, left: float) -> np.ndarray:
-    """Move robot and reference along their arcs for a period; the speed makes the first row of the model exact."""
+    """Move robot and reference along their arcs for a period; the speed makes the first row of the
+    model exact."""
     V, rate = (right + left) / 2, (right - left) / WIDTH
     speed_deficit = -GAINS[0] * error[0] - rate * error[1]
     a = DT * (rate + GAINS[1] * error[1] + GAINS[2] * error[2])
@@ -111,9 +139,13 @@ def sampled_step(error: np.ndarray, right: float, left: float) -> np.ndarray:
         if rate
         else DT * V * np.exp(1j * error[2])
     )
-    planar = complex(error[0], error[1]) + chord  # the reference after the period, in the frame of the robot before
+    planar = (
+        complex(error[0], error[1]) + chord
+    )  # the reference after the period, in the frame of the robot before
     wanted = error[0] + DT * rate * error[1] + DT * speed_deficit
-    advanced = (np.exp(-1j * a) * planar).real - wanted  # T v sin(a)/a, what the robot covers in its new frame
+    advanced = (
+        np.exp(-1j * a) * planar
+    ).real - wanted  # T v sin(a)/a, what the robot covers in its new frame
     moved = advanced / (np.sin(a) / a) * (np.exp(1j * a) - 1) / (1j * a) if a else advanced
     after = np.exp(-1j * a) * (planar - moved)
     return np.array([after.real, after.imag, error[2] + DT * rate - a])
@@ -123,5 +155,9 @@ def sampled_step(error: np.ndarray, right: float, left: float) -> np.ndarray:
 def test_the_loop_is_the_jacobian_of_the_sampled_robot(wheels):
     here = schedule_box(wheels, wheels, DT, WIDTH)
     steps = 1e-5 * np.eye(3)
-    columns = [(sampled_step(step, *wheels) - sampled_step(-step, *wheels)) / 2e-5 for step in steps]
-    np.testing.assert_allclose(np.transpose(columns), floats(vertex_loops(GAINS, here, DT))[0], atol=EXACT_JACOBIAN)
+    columns = [
+        (sampled_step(step, *wheels) - sampled_step(-step, *wheels)) / 2e-5 for step in steps
+    ]
+    np.testing.assert_allclose(
+        np.transpose(columns), floats(vertex_loops(GAINS, here, DT))[0], atol=EXACT_JACOBIAN
+    )

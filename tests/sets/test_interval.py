@@ -1,4 +1,5 @@
-"""Laws of interval arithmetic: it encloses exact arithmetic, derivatives included, and suprema lie within bounds."""
+"""Laws of interval arithmetic: it encloses exact arithmetic, derivatives included, and suprema lie
+within bounds."""
 
 from fractions import Fraction
 
@@ -32,11 +33,15 @@ FUNCTIONS = {
     sinc: lambda x: mpmath.sin(x) / x if x else mpmath.mpf(1),
     sinc_slope: lambda x: (x * mpmath.cos(x) - mpmath.sin(x)) / x**2 if x else mpmath.mpf(0),
     sinc_curvature: lambda x: (
-        -mpmath.sin(x) / x - 2 * (x * mpmath.cos(x) - mpmath.sin(x)) / x**3 if x else -mpmath.mpf(1) / 3
+        -mpmath.sin(x) / x - 2 * (x * mpmath.cos(x) - mpmath.sin(x)) / x**3
+        if x
+        else -mpmath.mpf(1) / 3
     ),
     sine_excess: lambda x: mpmath.sin(x) - x,
     lag: lambda x: (x - mpmath.sin(x)) / x**2 if x else mpmath.mpf(0),
-    lag_slope: lambda x: (1 - mpmath.cos(x)) / x**2 - 2 * (x - mpmath.sin(x)) / x**3 if x else mpmath.mpf(1) / 6,
+    lag_slope: lambda x: (
+        (1 - mpmath.cos(x)) / x**2 - 2 * (x - mpmath.sin(x)) / x**3 if x else mpmath.mpf(1) / 6
+    ),
 }
 DERIVATIVES = {sin: cos, sinc: sinc_slope, sinc_slope: sinc_curvature, lag: lag_slope}
 NAMES = ["sin", "cos", "sinc", "sinc_slope", "sinc_curvature", "sine_excess", "lag", "lag_slope"]
@@ -63,14 +68,18 @@ def members(interval: Interval, rng: np.random.Generator) -> np.ndarray:
 
 def numbers(rng: np.random.Generator, count: int = 600) -> np.ndarray:
     """Draw numbers of all sizes, with zeros, equal ends and numbers whose products underflow."""
-    sizes = 10.0 ** rng.choice([0.0, -8.0, -160.0, 8.0], size=(2, count)) * rng.normal(size=(2, count))
+    sizes = 10.0 ** rng.choice([0.0, -8.0, -160.0, 8.0], size=(2, count)) * rng.normal(
+        size=(2, count)
+    )
     sizes[0, : count // 10] = 0.0
     sizes[1, count // 10 : count // 5] = sizes[0, count // 10 : count // 5]
     return sizes
 
 
 def angles(rng: np.random.Generator, count: int = 300) -> np.ndarray:
-    drawn = rng.uniform(-QUARTER_TURN, QUARTER_TURN, size=(2, count)) * 10.0 ** rng.choice([0, -1, -3, -9], size=count)
+    drawn = rng.uniform(-QUARTER_TURN, QUARTER_TURN, size=(2, count)) * 10.0 ** rng.choice(
+        [0, -1, -3, -9], size=count
+    )
     drawn[:, :4] = [[0.0, 0.0, -QUARTER_TURN, QUARTER_TURN], [0.0, 0.1, QUARTER_TURN, QUARTER_TURN]]
     drawn[1, 4:40] = drawn[0, 4:40]
     return drawn
@@ -78,16 +87,22 @@ def angles(rng: np.random.Generator, count: int = 300) -> np.ndarray:
 
 def assert_encloses(interval: Interval, exact) -> None:
     exactly = type(exact[0])  # ends go to the exact numbers, for these would be rounded to floats
-    for low, value, high in zip(interval.lower.tolist(), exact, interval.upper.tolist(), strict=True):
+    for low, value, high in zip(
+        interval.lower.tolist(), exact, interval.upper.tolist(), strict=True
+    ):
         assert exactly(low) <= value <= exactly(high)
 
 
-@pytest.mark.parametrize("operation", ["+", "-", "*", "/", "scalar +", "scalar -", "scalar *", "scalar /"])
+@pytest.mark.parametrize(
+    "operation", ["+", "-", "*", "/", "scalar +", "scalar -", "scalar *", "scalar /"]
+)
 def test_arithmetic_encloses_exact_arithmetic(operation):
     rng = np.random.default_rng(0)
     left, right = intervals(numbers(rng)), intervals(numbers(rng))
     if operation == "/":
-        right = Interval(np.abs(right.lower) + 1e-5, np.abs(right.lower) + np.abs(right.upper) + 1e-5)
+        right = Interval(
+            np.abs(right.lower) + 1e-5, np.abs(right.lower) + np.abs(right.upper) + 1e-5
+        )
     a = [Fraction(value) for value in members(left, rng)]
     b = [Fraction(value) for value in members(right, rng)]
     results = {
@@ -110,7 +125,9 @@ def test_squares_and_reciprocals_enclose_exact_arithmetic():
     chosen = [Fraction(value) for value in members(x, rng)]
     assert_encloses(square(x), [value**2 for value in chosen])
     assert (square(x).lower >= 0).all()
-    away = Interval(*(np.abs(end) + np.array([[1e-5]]) for end in np.sort(np.abs(numbers(rng)), axis=0)))
+    away = Interval(
+        *(np.abs(end) + np.array([[1e-5]]) for end in np.sort(np.abs(numbers(rng)), axis=0))
+    )
     away = Interval(away.lower.ravel(), away.upper.ravel())
     chosen = [Fraction(value) for value in members(away, rng)]
     assert_encloses(reciprocal(away), [1 / value for value in chosen])
@@ -123,7 +140,9 @@ def test_functions_of_an_angle_enclose_their_values_and_are_thin_at_points(funct
     x = intervals(angles(rng))
     enclosure = function(x)
     for _ in range(4):
-        assert_encloses(enclosure, [FUNCTIONS[function](mpmath.mpf(value)) for value in members(x, rng)])
+        assert_encloses(
+            enclosure, [FUNCTIONS[function](mpmath.mpf(value)) for value in members(x, rng)]
+        )
     point = function(Interval(x.lower, x.lower))
     assert np.max(point.upper - point.lower) < INTERVAL_WIDTH
     values = function(x.lower)
@@ -170,13 +189,17 @@ def test_changes_of_sinc_enclose_their_values_and_vanish_with_the_step():
 def composite(x, y, z):
     """Everything a dual number can do, once."""
     first = sin(x * y) / (2.0 + cos(y)) - square(z - x) * sinc(x) + sine_excess(y) * lag(z)
-    return first + sinc_change(x, y * 0.1) - 0.5 * reciprocal(3.0 + z) + (1.0 - x) / 3.0 + (-y) * 2.0
+    return (
+        first + sinc_change(x, y * 0.1) - 0.5 * reciprocal(3.0 + z) + (1.0 - x) / 3.0 + (-y) * 2.0
+    )
 
 
 def test_gradients_over_floats_are_differences():
     point, step = np.random.default_rng(6).uniform(-0.7, 0.7, size=(3, 50)), 1e-6
     seeds = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, 50))
-    gradient = composite(*[Dual(value, seed) for value, seed in zip(point, seeds, strict=True)]).gradient
+    gradient = composite(
+        *[Dual(value, seed) for value, seed in zip(point, seeds, strict=True)]
+    ).gradient
     for i, shift in enumerate(np.eye(3)[:, :, None] * step):
         slope = (composite(*(point + shift)) - composite(*(point - shift))) / (2 * step)
         np.testing.assert_allclose(gradient[i], slope, rtol=0, atol=1e-8)
@@ -188,9 +211,13 @@ def test_gradients_over_intervals_enclose_those_of_their_members():
     x = Interval(centre - radius, centre + radius)
     seeds = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, 200))
     boxes = zip(x.lower, x.upper, seeds, strict=True)
-    enclosure = composite(*[Dual(Interval(low, high), Interval(seed, seed)) for low, high, seed in boxes])
+    enclosure = composite(
+        *[Dual(Interval(low, high), Interval(seed, seed)) for low, high, seed in boxes]
+    )
     for _ in range(20):
-        inside = composite(*[Dual(value, seed) for value, seed in zip(members(x, rng), seeds, strict=True)])
+        inside = composite(
+            *[Dual(value, seed) for value, seed in zip(members(x, rng), seeds, strict=True)]
+        )
         for part, value in ((enclosure.value, inside.value), (enclosure.gradient, inside.gradient)):
             assert (part.lower - INTERVAL_WIDTH <= value).all()
             assert (value <= part.upper + INTERVAL_WIDTH).all()
@@ -224,7 +251,9 @@ CASES = {
 def test_suprema_lie_between_values_found_and_bounds(case, tolerance):
     function, lower, upper, supremum = CASES[case]
     ends, objectives = (np.array([lower]).T, np.array([upper]).T), [(0, 1, 0), (1, 1, 1)]
-    bound, found = suprema(lambda variables: [function(*variables), 0.0], *ends, objectives, tolerance)
+    bound, found = suprema(
+        lambda variables: [function(*variables), 0.0], *ends, objectives, tolerance
+    )
     assert found[0] - 1e-14 <= supremum <= bound[0]
     assert bound[0] <= found[0] + tolerance * abs(found[0]) + 2e-9
     assert bound[1] == found[1] == 0.0
@@ -242,7 +271,12 @@ def test_a_group_has_the_largest_of_its_objectives():
 def test_a_search_cut_short_bounds_all_the_same():
     function, lower, upper, supremum = CASES["inside"]
     bound, found = suprema(
-        lambda x: [function(*x)], np.array([lower]).T, np.array([upper]).T, [(0, 1, 0)], 1e-6, most_cells=5
+        lambda x: [function(*x)],
+        np.array([lower]).T,
+        np.array([upper]).T,
+        [(0, 1, 0)],
+        1e-6,
+        most_cells=5,
     )
     assert found[0] <= supremum <= bound[0]
 

@@ -1,4 +1,5 @@
-"""Laws of the invariant sets: no vertex loop leaves them, none is larger, and emptiness is shown by a run."""
+"""Laws of the invariant sets: no vertex loop leaves them, none is larger, and emptiness is shown by
+a run."""
 
 import functools
 
@@ -22,7 +23,10 @@ FOUND = {
 EMPTY = {"trace_p": (0.2, False, "trace_p"), "logdet": (0.2, False, "logdet")}
 PLANAR = (
     np.array([[[0.9, 0.3], [-0.2, 0.7]], [[0.8, -0.4], [0.3, 0.8]]]),
-    Polytope(np.array([[1.0, 0.2], [-1.0, 0.1], [0.3, 1.0], [-0.2, -1.0]]), np.array([1.0, 1.2, 0.8, 1.0])),
+    Polytope(
+        np.array([[1.0, 0.2], [-1.0, 0.1], [0.3, 1.0], [-0.2, -1.0]]),
+        np.array([1.0, 1.2, 0.8, 1.0]),
+    ),
     Polytope.box(np.array([-0.03, -0.01]), np.array([0.02, 0.04])),
 )
 each_found = pytest.mark.parametrize("case", FOUND)
@@ -41,12 +45,17 @@ def given(found):
 
 @functools.cache
 def few_facets(case: str) -> Polytope:
-    return given(few_facet_rpi(*terminal_problem(*FOUND[case]), W.support, given(maximal(case).polytope)))
+    return given(
+        few_facet_rpi(*terminal_problem(*FOUND[case]), W.support, given(maximal(case).polytope))
+    )
 
 
 def by_program(polytope: Polytope, rows: np.ndarray) -> np.ndarray:
     """Support numbers by one linear program a row, whose dual value bounds them from above."""
-    answers = [linprog(-row, A_ub=polytope.normals, b_ub=polytope.offsets, bounds=(None, None)) for row in rows]
+    answers = [
+        linprog(-row, A_ub=polytope.normals, b_ub=polytope.offsets, bounds=(None, None))
+        for row in rows
+    ]
     assert all(answer.status == 0 for answer in answers)
     return np.array([-answer.fun for answer in answers])
 
@@ -58,19 +67,25 @@ def width(disturbance: Polytope, rows: np.ndarray) -> np.ndarray:
 def least_room(polytope: Polytope, loops: np.ndarray, disturbance: Polytope) -> float:
     """Room that every vertex loop leaves inside the facets, relative to their offsets."""
     reach = np.max([by_program(polytope, polytope.normals @ loop) for loop in loops], axis=0)
-    return np.min((polytope.offsets - reach - width(disturbance, polytope.normals)) / polytope.offsets)
+    return np.min(
+        (polytope.offsets - reach - width(disturbance, polytope.normals)) / polytope.offsets
+    )
 
 
 def directions(dimension: int, count: int = 100) -> np.ndarray:
     return np.random.default_rng(0).normal(size=(count, dimension))
 
 
-def slow_maximal(loops: np.ndarray, constraints: Polytope, disturbance: Polytope, limit: int = 200) -> Polytope:
+def slow_maximal(
+    loops: np.ndarray, constraints: Polytope, disturbance: Polytope, limit: int = 200
+) -> Polytope:
     """Return the limit of O, O and its predecessors, ..., by operations on polytopes."""
     found = constraints.reduce()
     for _ in range(limit):
         room = found.pontryagin_difference(disturbance)
-        smaller = functools.reduce(Polytope.intersect, [room.preimage(loop) for loop in loops], found).reduce()
+        smaller = functools.reduce(
+            Polytope.intersect, [room.preimage(loop) for loop in loops], found
+        ).reduce()
         if smaller.containment_margin(found) >= -TUBE_ROUNDING:
             return found
         found = smaller
@@ -93,7 +108,10 @@ def test_the_maximal_set_is_admissible_and_no_vertex_loop_leaves_it(case):
 
 @pytest.mark.slow
 def test_the_maximal_set_of_the_paper_is_invariant_by_linear_programs():
-    assert least_room(given(maximal("paper").polytope), terminal_problem(*FOUND["paper"])[0], W) >= -SUPPORT_PROGRAM
+    assert (
+        least_room(given(maximal("paper").polytope), terminal_problem(*FOUND["paper"])[0], W)
+        >= -SUPPORT_PROGRAM
+    )
 
 
 @pytest.mark.parametrize("case", ["lateral trace_p", "lateral logdet", "planar"])
@@ -118,7 +136,9 @@ def test_emptiness_is_shown_by_a_run_from_the_origin_that_leaves(case):
         (loops, constraints), disturbance, found = terminal_problem(*EMPTY[case]), W, maximal(case)
     assert found.polytope is None
     escape, points = given(found.escape), disturbance.vertices()
-    member = np.all(constraints.normals == escape.normal, axis=1) & (constraints.offsets == escape.offset)
+    member = np.all(constraints.normals == escape.normal, axis=1) & (
+        constraints.offsets == escape.offset
+    )
     assert member.any()
     row, worst = escape.normal, []
     for index in (*reversed(escape.loops), None):
@@ -132,7 +152,10 @@ def test_emptiness_is_shown_by_a_run_from_the_origin_that_leaves(case):
 
 
 def test_the_iterations_that_prove_emptiness_are_those_the_reach_needs():
-    assert {case: len(given(maximal(case).escape).loops) for case in EMPTY} == {"trace_p": 140, "logdet": 227}
+    assert {case: len(given(maximal(case).escape).loops) for case in EMPTY} == {
+        "trace_p": 140,
+        "logdet": 227,
+    }
 
 
 def test_too_few_iterations_leave_the_question_open():
@@ -175,7 +198,9 @@ def test_a_scalar_system_has_an_invariant_set_exactly_where_its_minimal_one_fits
         assert reach - share * (1 - abs(first)) * abs(first) ** steps <= 1 + INFLATION
     else:
         rows = directions(2)
-        np.testing.assert_allclose(given(found.polytope).support(rows), unit.support(rows), rtol=CLOSED_FORM)
+        np.testing.assert_allclose(
+            given(found.polytope).support(rows), unit.support(rows), rtol=CLOSED_FORM
+        )
 
 
 def test_an_alternating_scalar_system_keeps_the_part_whose_image_stays():
@@ -212,7 +237,10 @@ def test_a_set_of_very_few_facets_is_invariant_and_admissible_or_not_given(case,
 
 def test_the_few_facet_set_for_more_facets_than_needed_is_the_maximal_one():
     whole = given(maximal("lateral trace_p").polytope)
-    assert few_facet_rpi(*terminal_problem(*FOUND["lateral trace_p"]), W.support, whole, facets=100) is whole
+    assert (
+        few_facet_rpi(*terminal_problem(*FOUND["lateral trace_p"]), W.support, whole, facets=100)
+        is whole
+    )
 
 
 def test_growth_stops_at_the_volume_asked_for():
@@ -223,7 +251,9 @@ def test_growth_stops_at_the_volume_asked_for():
 
 @functools.cache
 def minimal(case: str) -> Polytope:
-    return given(minimal_rpi_bound(terminal_problem(*FOUND[case])[0], W.support, few_facets(case).normals))
+    return given(
+        minimal_rpi_bound(terminal_problem(*FOUND[case])[0], W.support, few_facets(case).normals)
+    )
 
 
 @each_found
@@ -245,7 +275,9 @@ def test_the_minimal_bound_contains_every_simulated_deviation():
     states, extreme = np.zeros((2000, 3)), 0.0
     for _ in range(100):
         chosen = loops[rng.integers(len(loops), size=len(states))]
-        states = np.einsum("rij,rj->ri", chosen, states) + rng.choice(W.vertices(), size=len(states))
+        states = np.einsum("rij,rj->ri", chosen, states) + rng.choice(
+            W.vertices(), size=len(states)
+        )
         assert bound.contains(states).all()
         extreme = max(extreme, np.max(states @ bound.normals.T / bound.offsets))
     assert extreme > 0.3

@@ -1,4 +1,5 @@
-"""Laws of the terminal cost: it decreases, it is as good as claimed, and with one vertex it is the Riccati cost."""
+"""Laws of the terminal cost: it decreases, it is as good as claimed, and with one vertex it is the
+Riccati cost."""
 
 import dataclasses
 import functools
@@ -11,14 +12,24 @@ import pytest
 import scipy.linalg
 from tolerances import GAP_LIMIT, GAP_ROUNDING, LQR_REFERENCE, RICCATI_COST, RICCATI_GAIN
 
-from sets.lmi import Objective, TerminalCost, decrease_margin, lqr_gain, optimality_gap, terminal_cost
+from sets.lmi import (
+    Objective,
+    TerminalCost,
+    decrease_margin,
+    lqr_gain,
+    optimality_gap,
+    terminal_cost,
+)
 
 Weights = tuple[np.ndarray, np.ndarray]
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
 PAPER = np.diag([1.0, 1.0, 0.01]), np.eye(2)
 LATERAL = np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2)
-COUPLED = np.array([[1.0, 0.2, 0.0], [0.2, 1.0, 0.1], [0.0, 0.1, 0.5]]), np.array([[1.0, 0.6], [0.6, 0.8]])
+COUPLED = (
+    np.array([[1.0, 0.2, 0.0], [0.2, 1.0, 0.1], [0.0, 0.1, 0.5]]),
+    np.array([[1.0, 0.6], [0.6, 0.8]]),
+)
 SEMIDEFINITE = np.diag([1.0, 1.0, 0.0]), np.eye(2)
 CASES: dict[str, tuple[float, Weights]] = {
     "paper": (0.2, PAPER),
@@ -57,7 +68,9 @@ each_objective = pytest.mark.parametrize("objective", OBJECTIVES)
 
 def test_lqr_gain_equals_the_reference_numbers():
     expected = [[-0.951249, 0, 0], [0, -0.936687, -1.305797]]
-    np.testing.assert_allclose(lqr_gain(model(0.85, 0.85), INPUT, *PAPER), expected, atol=LQR_REFERENCE)
+    np.testing.assert_allclose(
+        lqr_gain(model(0.85, 0.85), INPUT, *PAPER), expected, atol=LQR_REFERENCE
+    )
 
 
 def test_lqr_gain_is_a_fixed_point_of_policy_iteration():
@@ -153,7 +166,11 @@ def test_one_vertex_gives_the_riccati_cost_and_the_lqr_gain(objective: Objective
 def test_cost_is_proportional_to_the_weights(objective, unit):
     (A, B, Q, R), terminal = solved("paper", objective)
     scaled = terminal_cost(A, B, unit * Q, unit * R, objective)
-    merit = {"trace_s": unit * scaled.value, "trace_p": scaled.value / unit, "logdet": scaled.value + 3 * np.log(unit)}
+    merit = {
+        "trace_s": unit * scaled.value,
+        "trace_p": scaled.value / unit,
+        "logdet": scaled.value + 3 * np.log(unit),
+    }
     assert merit[objective] == pytest.approx(terminal.value, rel=GAP_LIMIT)
     assert (decrease_margin(A, B, scaled.gains, scaled.cost, unit * Q, unit * R) >= 0).all()
 
@@ -181,7 +198,13 @@ def test_margin_is_negative_where_the_cost_is_too_small():
 )
 def test_bad_input_is_refused_in_one_line_that_names_the_field(field, change):
     A, B = vertices(0.2)
-    good = {"A": A, "B": B, "error_weight": PAPER[0], "input_weight": PAPER[1], "objective": "trace_s"}
+    good = {
+        "A": A,
+        "B": B,
+        "error_weight": PAPER[0],
+        "input_weight": PAPER[1],
+        "objective": "trace_s",
+    }
     with pytest.raises(ValueError, match=rf"^{field} [^\n]*: [^\n]*$"):
         terminal_cost(**{**good, **change})
 

@@ -1,4 +1,5 @@
-"""Laws of the terminal cost of given gains, against a semidefinite program written down by another modeller."""
+"""Laws of the terminal cost of given gains, against a semidefinite program written down by another
+modeller."""
 
 import cvxpy
 import numpy as np
@@ -21,20 +22,31 @@ def loops_and_gains(seed, count=5, n=3, m=2):
 
 def weights(seed, n=3, m=2):
     rng = np.random.default_rng([seed, 1])
-    return tuple(root @ root.T + 0.1 * np.eye(len(root)) for root in (rng.normal(size=(k, k)) for k in (n, m)))
+    return tuple(
+        root @ root.T + 0.1 * np.eye(len(root))
+        for root in (rng.normal(size=(k, k)) for k in (n, m))
+    )
 
 
 def decreases(P, loops, gains, Q, R):
-    """Return the eigenvalues of every decrease beyond the stage cost, relative to the stage cost's largest."""
+    """Return the eigenvalues of every decrease beyond the stage cost, relative to the stage cost's
+    largest."""
     stage = [Q + K.T @ R @ K for K in gains]
     left = [P - loop.T @ P @ loop - cost for loop, cost in zip(loops, stage, strict=True)]
-    return np.array([np.linalg.eigvalsh(D) / np.linalg.eigvalsh(S)[-1] for D, S in zip(left, stage, strict=True)])
+    return np.array(
+        [
+            np.linalg.eigvalsh(D) / np.linalg.eigvalsh(S)[-1]
+            for D, S in zip(left, stage, strict=True)
+        ]
+    )
 
 
 def least_trace(loops, gains, Q, R):
     """Solve  minimise trace P  subject to the decrease at every pair."""
     P = cvxpy.Variable((3, 3), symmetric=True)
-    decrease = [P - loop.T @ P @ loop >> Q + K.T @ R @ K for loop, K in zip(loops, gains, strict=True)]
+    decrease = [
+        P - loop.T @ P @ loop >> Q + K.T @ R @ K for loop, K in zip(loops, gains, strict=True)
+    ]
     return cvxpy.Problem(cvxpy.Minimize(cvxpy.trace(P)), decrease).solve(solver=cvxpy.CLARABEL)
 
 
@@ -67,9 +79,14 @@ def test_is_the_minimum_of_trace_and_barrier(seed):
     P, stage = cost_of_gains(loops, gains, Q, R), stage_cost(gains, Q, R)
 
     def minimised(P):
-        volumes = [np.linalg.slogdet(P - loop.T @ P @ loop - S) for loop, S in zip(loops, stage, strict=True)]
+        volumes = [
+            np.linalg.slogdet(P - loop.T @ P @ loop - S)
+            for loop, S in zip(loops, stage, strict=True)
+        ]
         assert all(sign > 0 for sign, _ in volumes)
-        return np.trace(P) / np.trace(stage.mean(axis=0)) - CENTRING * sum(volume for _, volume in volumes)
+        return np.trace(P) / np.trace(stage.mean(axis=0)) - CENTRING * sum(
+            volume for _, volume in volumes
+        )
 
     slope, curvature = centring(P, loops, stage)
     assert np.sqrt(slope @ np.linalg.solve(curvature, slope)) < CENTRED_SLOPE
@@ -86,10 +103,14 @@ def test_slope_and_curvature_are_those_of_what_is_minimised():
     stage = stage_cost(gains, *weights(0))
     P = 3 * cost_of_gains(loops, gains, *weights(0))
     basis, step = symmetric_basis(3), 1e-3
-    slopes = [centring(P + sign * step * move, loops, stage)[0] for move in basis for sign in (1, -1)]
+    slopes = [
+        centring(P + sign * step * move, loops, stage)[0] for move in basis for sign in (1, -1)
+    ]
     differences = (np.array(slopes[::2]) - np.array(slopes[1::2])) / (2 * step)
     curvature = centring(P, loops, stage)[1]
-    np.testing.assert_allclose(curvature, differences, rtol=0, atol=CENTRED_CURVATURE * np.abs(differences).max())
+    np.testing.assert_allclose(
+        curvature, differences, rtol=0, atol=CENTRED_CURVATURE * np.abs(differences).max()
+    )
 
 
 @pytest.mark.parametrize("factor", [1e-4, 7.0, 1e5])

@@ -1,7 +1,9 @@
-"""Polytope operations against brute force, on random polytopes of dimension 1-4: flat, badly scaled, with duplicates.
+"""Polytope operations against brute force, on random polytopes of dimension 1-4: flat, badly
+scaled, with duplicates.
 
-A case is drawn in coordinates of unit size, where the oracles work: vertices by all subsets of rows, depth by a linear
-program. The polytope under test is its image under S = diag(scales), so that x = S y and h_P(d) = max d S y.
+A case is drawn in coordinates of unit size, where the oracles work: vertices by all subsets of
+rows, depth by a linear program. The polytope under test is its image under S = diag(scales), so
+that x = S y and h_P(d) = max d S y.
 """
 
 from __future__ import annotations
@@ -18,7 +20,13 @@ from scipy.spatial import ConvexHull
 
 from sets import frame
 from sets.polytope import Polytope, convex_hull, hull_vertices
-from tests.tolerances import SET_CHEBYSHEV, SET_DECIDED, SET_NEAR_DUPLICATE, SET_RELATIVE, SET_SAME_POINT
+from tests.tolerances import (
+    SET_CHEBYSHEV,
+    SET_DECIDED,
+    SET_NEAR_DUPLICATE,
+    SET_RELATIVE,
+    SET_SAME_POINT,
+)
 
 CASES = 1000
 LAWS = 9  # every law takes one case in nine; the kinds of cases recur with period 64, so it meets them all
@@ -26,7 +34,8 @@ LAWS = 9  # every law takes one case in nine; the kinds of cases recur with peri
 
 @dataclass(frozen=True)
 class Case:
-    """P = S Y with Y the hull of points, {y : rows y <= limits}; other = S Z likewise, with interior."""
+    """P = S Y with Y the hull of points, {y : rows y <= limits}; other = S Z likewise, with
+    interior."""
 
     scales: np.ndarray
     rows: np.ndarray
@@ -47,12 +56,19 @@ class Case:
         return 1 + abs(self.points).max() + abs(self.other_points).max()
 
     def directions(self, count=20):
-        return np.vstack([self.rng.normal(size=(count, len(self.scales))) / self.scales, np.eye(len(self.scales))])
+        return np.vstack(
+            [
+                self.rng.normal(size=(count, len(self.scales))) / self.scales,
+                np.eye(len(self.scales)),
+            ]
+        )
 
     def assert_support(self, polytope, directions, numbers):
         """Compare support numbers relative to the size of the set in each direction."""
         error = abs(polytope.support(directions) - numbers)
-        assert (error <= SET_RELATIVE * self.size * (abs(directions) @ self.scales)).all(), error.max()
+        assert (error <= SET_RELATIVE * self.size * (abs(directions) @ self.scales)).all(), (
+            error.max()
+        )
 
     def numbers(self, directions, points):
         return (directions * self.scales @ points.T).max(axis=1)
@@ -73,14 +89,23 @@ def brute_force_vertices(rows, limits):
 
 def depth(rows, limits, weights):
     """Largest r for which some y has rows y + r weights <= limits."""
-    return -linprog(-np.eye(rows.shape[1] + 1)[-1], np.column_stack([rows, weights]), limits, bounds=(None, None)).fun
+    return -linprog(
+        -np.eye(rows.shape[1] + 1)[-1],
+        np.column_stack([rows, weights]),
+        limits,
+        bounds=(None, None),
+    ).fun
 
 
 def random_rows(rng, dimension):
     """A box cut by random half-spaces, some of which only touch a vertex."""
     cuts = rng.normal(size=(rng.integers(1, 6), dimension))
-    rows = np.vstack([np.eye(dimension), -np.eye(dimension), cuts / np.linalg.norm(cuts, axis=1, keepdims=True)])
-    limits = np.concatenate([rng.uniform(0.5, 1.5, 2 * dimension), rng.uniform(0.2, 1.2, len(cuts))])
+    rows = np.vstack(
+        [np.eye(dimension), -np.eye(dimension), cuts / np.linalg.norm(cuts, axis=1, keepdims=True)]
+    )
+    limits = np.concatenate(
+        [rng.uniform(0.5, 1.5, 2 * dimension), rng.uniform(0.2, 1.2, len(cuts))]
+    )
     if rng.random() < 0.3:
         points = brute_force_vertices(rows, limits)
         corner = points[rng.integers(len(points))]
@@ -97,7 +122,10 @@ def case(index):
     scaled, rescaled_rows = index // 16 % 2, index // 32 % 2
     width = int(rng.integers(0, dimension)) if flat else dimension
     scales = 10 ** rng.uniform(-6, 6, dimension) if scaled else np.ones(dimension)
-    turn, shift = np.linalg.qr(rng.normal(size=(dimension, dimension)))[0], rng.normal(size=dimension)
+    turn, shift = (
+        np.linalg.qr(rng.normal(size=(dimension, dimension)))[0],
+        rng.normal(size=dimension),
+    )
     shift = shift * rng.choice([0, 1, 10])
 
     def stretched(rows, limits):
@@ -117,7 +145,18 @@ def case(index):
     other_limits = other_limits + other_rows @ other_shift
     other = stretched(other_rows, other_limits)
     return Case(
-        scales, rows, limits, points, polytope, other_rows, other_limits, other_points, other, flat, not scaled, rng
+        scales,
+        rows,
+        limits,
+        points,
+        polytope,
+        other_rows,
+        other_limits,
+        other_points,
+        other,
+        flat,
+        not scaled,
+        rng,
     )
 
 
@@ -131,31 +170,47 @@ def test_support_numbers_vertices_and_kind_are_those_of_the_brute_force_vertices
     for c in share(law):
         directions = c.directions()
         c.assert_support(c.polytope, directions, c.numbers(directions, c.points))
-        assert c.polytope.support(directions[0]) == pytest.approx(c.polytope.support(directions)[0], rel=1e-14)
+        assert c.polytope.support(directions[0]) == pytest.approx(
+            c.polytope.support(directions)[0], rel=1e-14
+        )
         found = c.polytope.vertices() / c.scales
         assert found.shape == c.points.shape
         nearest = abs(found[:, None] - c.points[None]).max(axis=2).min(axis=0)
         assert nearest.max() <= SET_RELATIVE * c.size
-        assert (c.polytope.is_empty(), c.polytope.is_bounded(), c.polytope.is_flat()) == (False, True, c.flat)
+        assert (c.polytope.is_empty(), c.polytope.is_bounded(), c.polytope.is_flat()) == (
+            False,
+            True,
+            c.flat,
+        )
 
 
 def test_membership_and_margin_are_those_of_the_rows():
     for c in share(0):
         inside = c.rng.dirichlet(np.ones(len(c.points)), size=20) @ c.points
-        outside = c.points.mean(axis=0) + 1.1 * (c.points - c.points.mean(axis=0)) + (0.1 if c.flat else 0.0)
+        outside = (
+            c.points.mean(axis=0)
+            + 1.1 * (c.points - c.points.mean(axis=0))
+            + (0.1 if c.flat else 0.0)
+        )
         lengths = np.linalg.norm(c.polytope.normals, axis=1)
         tolerance = SET_RELATIVE * c.size * (abs(c.polytope.normals) @ c.scales / lengths).max()
         assert c.polytope.contains(inside * c.scales, tolerance).all()
         assert not c.polytope.contains(outside * c.scales).any()
         assert not c.polytope.contains(np.full(len(c.scales), np.nan))
         margins = c.polytope.margin(outside * c.scales)
-        expected = [((c.polytope.offsets - c.polytope.normals @ (c.scales * y)) / lengths).min() for y in outside]
+        expected = [
+            ((c.polytope.offsets - c.polytope.normals @ (c.scales * y)) / lengths).min()
+            for y in outside
+        ]
         np.testing.assert_allclose(margins, expected, atol=tolerance)
 
 
 def test_containment_margin_is_the_least_distance_from_the_facets_to_the_vertices():
     for c in share(1):
-        for one, two, points in ((c.polytope, c.other, c.other_points), (c.other, c.polytope, c.points)):
+        for one, two, points in (
+            (c.polytope, c.other, c.other_points),
+            (c.other, c.polytope, c.points),
+        ):
             slacks = one.offsets - c.numbers(one.normals, points)
             lengths = np.linalg.norm(one.normals, axis=1)
             tolerance = SET_RELATIVE * c.size * (abs(one.normals) @ c.scales / lengths).max()
@@ -179,7 +234,8 @@ def test_intersection_has_the_support_of_all_rows_and_is_empty_when_they_exclude
         if c.flat:
             directions = c.directions(3)
             programs = [
-                linprog(-d * c.scales / abs(d * c.scales).max(), rows, limits, bounds=(None, None)) for d in directions
+                linprog(-d * c.scales / abs(d * c.scales).max(), rows, limits, bounds=(None, None))
+                for d in directions
             ]
             expected = -np.array([p.fun for p in programs]) * abs(directions * c.scales).max(axis=1)
         else:
@@ -197,7 +253,10 @@ def test_support_of_a_minkowski_sum_is_the_sum_and_of_a_hull_of_the_union_the_ma
         c.assert_support(convex_hull([c.polytope, c.other]), directions, np.maximum(one, two))
         cloud = np.vstack([c.points, c.other_points]) * c.scales
         corners = hull_vertices(cloud)
-        assert abs((directions @ corners.T).max(axis=1) - (directions @ cloud.T).max(axis=1)).max() == 0
+        assert (
+            abs((directions @ corners.T).max(axis=1) - (directions @ cloud.T).max(axis=1)).max()
+            == 0
+        )
         assert len(corners) == len(convex_hull([c.polytope, c.other]).vertices())
 
 
@@ -206,17 +265,30 @@ def test_pontryagin_difference_holds_exactly_the_points_that_carry_the_subtrahen
         subtrahend = c.polytope.scale(0.3)
         lengths = np.linalg.norm(c.other_rows, axis=1)
         limits = c.other_limits - 0.3 * (c.other_rows @ c.points.T).max(axis=1)
-        difference, room = c.other.pontryagin_difference(subtrahend), depth(c.other_rows, limits, lengths)
+        difference, room = (
+            c.other.pontryagin_difference(subtrahend),
+            depth(c.other_rows, limits, lengths),
+        )
         if abs(room) < SET_DECIDED:
             continue
         assert difference.is_empty() == (room < 0)
-        candidates = c.rng.normal(size=(30, len(c.scales))) + c.other_points.mean(axis=0) - 0.3 * c.points.mean(axis=0)
-        slack = (c.other_limits - (candidates[:, None] + 0.3 * c.points) @ c.other_rows.T).min(axis=(1, 2))
+        candidates = (
+            c.rng.normal(size=(30, len(c.scales)))
+            + c.other_points.mean(axis=0)
+            - 0.3 * c.points.mean(axis=0)
+        )
+        slack = (c.other_limits - (candidates[:, None] + 0.3 * c.points) @ c.other_rows.T).min(
+            axis=(1, 2)
+        )
         clear = abs(slack) > SET_DECIDED
         assert (difference.contains(candidates * c.scales) == (slack > 0))[clear].all()
         if room > 0:
             directions = c.directions()
-            c.assert_support(difference, directions, c.numbers(directions, brute_force_vertices(c.other_rows, limits)))
+            c.assert_support(
+                difference,
+                directions,
+                c.numbers(directions, brute_force_vertices(c.other_rows, limits)),
+            )
             tolerance = SET_RELATIVE * c.size * (abs(directions) @ c.scales)
             back = difference.minkowski_sum(subtrahend)
             assert (back.support(directions) <= c.other.support(directions) + tolerance).all()
@@ -226,7 +298,9 @@ def test_pontryagin_difference_holds_exactly_the_points_that_carry_the_subtrahen
 
 def test_a_set_minus_itself_is_the_origin():
     for c in share(5):
-        np.testing.assert_array_equal(c.polytope.pontryagin_difference(c.polytope).vertices(), [0 * c.scales])
+        np.testing.assert_array_equal(
+            c.polytope.pontryagin_difference(c.polytope).vertices(), [0 * c.scales]
+        )
 
 
 def test_support_of_an_image_is_the_support_along_the_transpose():
@@ -255,7 +329,9 @@ def test_preimage_holds_exactly_the_points_that_map_into_the_set():
             normals = c.rng.normal(size=(9, dimension))
             expected = (normals @ (c.other_points - shift).T).max(axis=1)
             size = c.size * np.linalg.cond(matrix)
-            np.testing.assert_allclose(preimage.support(normals @ matrix / source), expected, atol=SET_RELATIVE * size)
+            np.testing.assert_allclose(
+                preimage.support(normals @ matrix / source), expected, atol=SET_RELATIVE * size
+            )
             assert np.isinf(preimage.support(c.rng.normal(size=(20, count)) / source)).all()
             assert not preimage.is_bounded()
             continue
@@ -294,15 +370,27 @@ def test_chebyshev_ball_is_a_largest_one():
             continue
         assert c.polytope.margin(centre) == radius
         if c.plain:
-            assert abs(radius - depth(c.rows, c.limits, np.linalg.norm(c.rows, axis=1))) <= SET_CHEBYSHEV
-        # no point on the way to any vertex is deeper: the margin is concave, so a local maximum is the largest
+            assert (
+                abs(radius - depth(c.rows, c.limits, np.linalg.norm(c.rows, axis=1)))
+                <= SET_CHEBYSHEV
+            )
+        # no point on the way to any vertex is deeper: the margin is concave, so a local maximum is
+        # the largest
         ways = centre + 1e-3 * (c.points * c.scales - centre)
-        assert (c.polytope.margin(ways) <= radius * (1 + SET_CHEBYSHEV) + SET_RELATIVE * c.scales.min()).all()
+        assert (
+            c.polytope.margin(ways) <= radius * (1 + SET_CHEBYSHEV) + SET_RELATIVE * c.scales.min()
+        ).all()
 
 
 def test_volume_is_that_of_the_hull_of_the_vertices_times_the_scales():
     for c in share(0):
-        unit = np.ptp(c.points) if len(c.scales) == 1 else 0.0 if c.flat else ConvexHull(c.points).volume
+        unit = (
+            np.ptp(c.points)
+            if len(c.scales) == 1
+            else 0.0
+            if c.flat
+            else ConvexHull(c.points).volume
+        )
         assert c.polytope.volume() == pytest.approx(unit * c.scales.prod(), rel=SET_RELATIVE)
 
 
@@ -310,7 +398,10 @@ def test_volume_is_that_of_the_hull_of_the_vertices_times_the_scales():
 def test_volumes_and_radii_of_simplex_box_and_cross_polytope(dimension):
     rng = np.random.default_rng(dimension)
     for _ in range(10):
-        scales, matrix = 10 ** rng.uniform(-6, 6, dimension), rng.normal(size=(dimension, dimension))
+        scales, matrix = (
+            10 ** rng.uniform(-6, 6, dimension),
+            rng.normal(size=(dimension, dimension)),
+        )
         axes = np.diag(scales)
         box, cross = Polytope.box(-scales, scales), Polytope.from_vertices(np.vstack([axes, -axes]))
         simplex = Polytope.from_vertices(np.vstack([axes, 0 * scales]))
@@ -322,7 +413,9 @@ def test_volumes_and_radii_of_simplex_box_and_cross_polytope(dimension):
         ):
             assert polytope.volume() == pytest.approx(volume, rel=SET_RELATIVE)
             image = polytope.image(matrix @ np.diag(1 / scales))
-            assert image.volume() == pytest.approx(volume * determinant / scales.prod(), rel=SET_RELATIVE)
+            assert image.volume() == pytest.approx(
+                volume * determinant / scales.prod(), rel=SET_RELATIVE
+            )
         inverse, rounding = np.linalg.norm(1 / scales), SET_RELATIVE * scales.max()
         for polytope, radius in (
             (box, scales.min()),
@@ -341,7 +434,11 @@ def test_boxes_that_touch_meet_in_a_flat_set_and_boxes_apart_in_none(dimension, 
     facet = box.intersect(Polytope.box(np.append(-ones[1:], size), np.append(ones[1:], 3 * size)))
     corner = box.intersect(Polytope.box(ones, 3 * ones))
     apart = box.intersect(Polytope.box(1.000001 * ones, 3 * ones))
-    assert (facet.is_flat(), len(facet.vertices()), facet.volume()) == (True, 2 ** (dimension - 1), 0.0)
+    assert (facet.is_flat(), len(facet.vertices()), facet.volume()) == (
+        True,
+        2 ** (dimension - 1),
+        0.0,
+    )
     np.testing.assert_allclose(corner.vertices(), [ones], rtol=SET_RELATIVE)
     assert apart.is_empty() and apart.vertices().shape == (0, dimension)
 
@@ -352,7 +449,9 @@ def test_empty_sets_stay_empty():
         Polytope.box(np.ones(2), -np.ones(2)),
         Polytope(np.zeros((1, 2)), -np.ones(1)),
         Polytope.from_vertices(np.zeros((0, 2))),
-        Polytope.box(-np.ones(2), np.ones(2)).pontryagin_difference(Polytope.box(-2 * np.ones(2), 2 * np.ones(2))),
+        Polytope.box(-np.ones(2), np.ones(2)).pontryagin_difference(
+            Polytope.box(-2 * np.ones(2), 2 * np.ones(2))
+        ),
         Polytope.box(-np.ones(2), np.ones(2)).pontryagin_difference(everything),
     ):
         assert empty.is_empty() and empty.is_bounded() and not empty.is_flat()
@@ -397,7 +496,9 @@ def test_cones_and_half_spaces_are_finite_along_their_normals_only():
         wall = cone.intersect(Polytope(-rows[:1] / scales, -rows[:1] @ apex))
         gap = cone.intersect(Polytope(-rows[:1] / scales, -rows[:1] @ apex - 1e-3))
         assert wall.is_flat() and wall.is_bounded() == (dimension == 1)
-        assert wall.support(-rows[0] / scales) == pytest.approx(-rows[0] @ apex, abs=SET_CHEBYSHEV * size)
+        assert wall.support(-rows[0] / scales) == pytest.approx(
+            -rows[0] @ apex, abs=SET_CHEBYSHEV * size
+        )
         assert gap.is_empty()
 
 
@@ -408,7 +509,10 @@ def test_linear_programs_and_generators_give_the_same_support_in_higher_dimensio
         rows = rng.normal(size=(12, dimension))
         axes = np.eye(dimension)
         rows = np.vstack([rows, axes, -axes]) if bounded else rows * np.sign(rows[:, :1])
-        polytope, directions = Polytope(rows, rng.uniform(0.3, 1, len(rows))), rng.normal(size=(4, dimension))
+        polytope, directions = (
+            Polytope(rows, rng.uniform(0.3, 1, len(rows))),
+            rng.normal(size=(4, dimension)),
+        )
         by_programs = polytope.support(directions)
         with monkeypatch.context() as patch:
             patch.setattr(frame, "HULL_DIMENSION", dimension)
@@ -420,9 +524,15 @@ def test_thin_turned_boxes_keep_their_vertices_down_to_a_relative_thickness_of_1
     rng = np.random.default_rng(5)
     for index in range(60):
         dimension, thin = 2 + index % 3, 10.0 ** -(2 + index % 7)
-        turn, shift = np.linalg.qr(rng.normal(size=(dimension, dimension)))[0], rng.normal(size=dimension)
+        turn, shift = (
+            np.linalg.qr(rng.normal(size=(dimension, dimension)))[0],
+            rng.normal(size=dimension),
+        )
         half = np.append(np.ones(dimension - 1), thin)
-        box, directions = Polytope.box(-half, half).preimage(turn.T, -turn.T @ shift), rng.normal(size=(20, dimension))
+        box, directions = (
+            Polytope.box(-half, half).preimage(turn.T, -turn.T @ shift),
+            rng.normal(size=(20, dimension)),
+        )
         expected = abs(directions @ turn) @ half + directions @ shift
         np.testing.assert_allclose(box.support(directions), expected, atol=SET_RELATIVE * 10)
         assert len(box.vertices()) == 2**dimension and not box.is_flat()
@@ -432,7 +542,10 @@ def test_unbounded_boxes_are_infinite_along_their_open_sides_only():
     rng = np.random.default_rng(11)
     for index in range(100):
         dimension = 1 + index % 4
-        scales, shift = 10 ** rng.uniform(-6, 6, dimension), rng.normal(size=dimension) * rng.choice([0, 1, 10])
+        scales, shift = (
+            10 ** rng.uniform(-6, 6, dimension),
+            rng.normal(size=dimension) * rng.choice([0, 1, 10]),
+        )
         sides = rng.uniform(0.1, 2, (2, dimension))
         sides[rng.random(sides.shape) < 0.3] = np.inf
         box = Polytope.box((shift - sides[0]) * scales, (shift + sides[1]) * scales)
@@ -455,18 +568,28 @@ def test_near_duplicate_points_and_rows_change_the_set_no_more_than_they_differ(
     for index in range(60):
         dimension, apart = 2 + index % 3, 10.0 ** -(7 + index % 10)
         rows = rng.normal(size=(15, dimension))
-        rows = np.vstack([rows / np.linalg.norm(rows, axis=1, keepdims=True), np.eye(dimension), -np.eye(dimension)])
+        rows = np.vstack(
+            [
+                rows / np.linalg.norm(rows, axis=1, keepdims=True),
+                np.eye(dimension),
+                -np.eye(dimension),
+            ]
+        )
         near = np.vstack([rows + apart * rng.normal(size=rows.shape) for _ in range(5)])
         directions, tolerance = rng.normal(size=(20, dimension)), 100 * (apart + SET_NEAR_DUPLICATE)
         np.testing.assert_allclose(
-            Polytope.from_vertices(near).support(directions), (directions @ rows.T).max(axis=1), atol=tolerance
+            Polytope.from_vertices(near).support(directions),
+            (directions @ rows.T).max(axis=1),
+            atol=tolerance,
         )
         noisy, limits = Polytope(near, np.ones(len(near))), np.ones(len(rows))
         np.testing.assert_allclose(
             noisy.support(directions), Polytope(rows, limits).support(directions), atol=tolerance
         )
         np.testing.assert_allclose(
-            noisy.reduce().support(directions), noisy.support(directions), atol=100 * SET_NEAR_DUPLICATE
+            noisy.reduce().support(directions),
+            noisy.support(directions),
+            atol=100 * SET_NEAR_DUPLICATE,
         )
 
 
@@ -497,12 +620,18 @@ def test_an_invertible_image_of_an_unbounded_set_needs_no_vertices():
 
 def test_points_and_segments_are_sets():
     point = Polytope.from_vertices(np.array([[1.0, -2.0, 3.0]]))
-    segment = Polytope.from_vertices(np.array([[1.0, -2.0, 3.0], [2.0, 0.0, 3.0], [1.5, -1.0, 3.0]]))
+    segment = Polytope.from_vertices(
+        np.array([[1.0, -2.0, 3.0], [2.0, 0.0, 3.0], [1.5, -1.0, 3.0]])
+    )
     assert point.is_flat() and segment.is_flat() and segment.volume() == 0
     np.testing.assert_allclose(point.vertices(), [[1, -2, 3]], rtol=SET_RELATIVE)
-    np.testing.assert_allclose(np.sort(segment.vertices(), axis=0), [[1, -2, 3], [2, 0, 3]], atol=SET_RELATIVE)
+    np.testing.assert_allclose(
+        np.sort(segment.vertices(), axis=0), [[1, -2, 3], [2, 0, 3]], atol=SET_RELATIVE
+    )
     assert len(hull_vertices(np.array([[1.0], [3.0], [2.0], [3.0]]))) == 2
-    np.testing.assert_array_equal(Polytope.box(-1.0 * np.ones(2), np.ones(2)).scale(0.0).vertices(), [[0, 0]])
+    np.testing.assert_array_equal(
+        Polytope.box(-1.0 * np.ones(2), np.ones(2)).scale(0.0).vertices(), [[0, 0]]
+    )
 
 
 def test_rows_that_do_not_bind_are_dropped():

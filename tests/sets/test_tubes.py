@@ -1,4 +1,5 @@
-"""Laws of the tubes: they hold every deviation, no more than each promises, and the shifted plan stays admissible."""
+"""Laws of the tubes: they hold every deviation, no more than each promises, and the shifted plan
+stays admissible."""
 
 import functools
 import itertools
@@ -6,7 +7,14 @@ import itertools
 import numpy as np
 import pytest
 from paper_problem import GRIP, PERIOD, TRACK, U, W, corners, tube_gains, tube_loop, tube_loops
-from tolerances import LONG_TUBE, TUBE_GAIN_REACH, TUBE_HALF_WIDTH, TUBE_HALF_WIDTH_DEG, TUBE_ROUNDING, TUBE_VOLUME
+from tolerances import (
+    LONG_TUBE,
+    TUBE_GAIN_REACH,
+    TUBE_HALF_WIDTH,
+    TUBE_HALF_WIDTH_DEG,
+    TUBE_ROUNDING,
+    TUBE_VOLUME,
+)
 
 from sets.polytope import Polytope
 from sets.tubes import (
@@ -28,7 +36,9 @@ SLOPES = [
 RANGES = [(-0.65, 0.65), (-0.65, 0.65)]
 NOMINAL = tube_loop(0.85, 0.85)
 LOOPS = tube_loops()
-FLAT = Polytope.box(np.array([-0.005, 0.0, -0.003]), np.array([0.004, 0.0, 0.003]))  # flat and off the origin's centre
+FLAT = Polytope.box(
+    np.array([-0.005, 0.0, -0.003]), np.array([0.004, 0.0, 0.003])
+)  # flat and off the origin's centre
 
 
 def paper(disturbance: Polytope = W, horizon: int = N) -> list[Section]:
@@ -39,7 +49,9 @@ RANDOM = np.random.default_rng(7).uniform(-0.6, 0.6, size=(3, 3, 3))
 
 # the paper's loops make `hull` and `summed` equal up to rounding; the random ones keep them apart
 each_system = pytest.mark.parametrize(
-    ("loops", "disturbance"), [(LOOPS, W), (LOOPS, FLAT), (RANDOM, W)], ids=["box", "flat", "random"]
+    ("loops", "disturbance"),
+    [(LOOPS, W), (LOOPS, FLAT), (RANDOM, W)],
+    ids=["box", "flat", "random"],
 )
 
 FAMILIES = {
@@ -51,7 +63,8 @@ each_family = pytest.mark.parametrize("family", FAMILIES)
 
 
 def directions(count: int = 1000) -> np.ndarray:
-    """Random directions, and the facet normals that a design uses: of E, of U through the gains, of a tube section."""
+    """Random directions, and the facet normals that a design uses: of E, of U through the gains, of
+    a tube section."""
     drawn = np.random.default_rng(0).normal(size=(count, 3)) * [1.0, 1.0, 0.3]
     axes = np.vstack([np.eye(3), -np.eye(3)])
     inputs = np.concatenate([U.normals @ gain for gain in tube_gains()])
@@ -86,13 +99,17 @@ def test_half_widths_equal_the_reference_numbers():
     for family, widths in expected.items():
         for sign in (1, -1):
             longitudinal, lateral, heading = FAMILIES[family](W, N)[N].support(sign * np.eye(3))
-            np.testing.assert_allclose([longitudinal, lateral], widths[:2], rtol=0, atol=TUBE_HALF_WIDTH)
+            np.testing.assert_allclose(
+                [longitudinal, lateral], widths[:2], rtol=0, atol=TUBE_HALF_WIDTH
+            )
             assert np.rad2deg(heading) == pytest.approx(widths[2], rel=0, abs=TUBE_HALF_WIDTH_DEG)
 
 
 def test_volumes_equal_the_reference_numbers():
     for family, volume in {"paper": 9.8017e-05, "hull": 9.1322e-05}.items():
-        assert FAMILIES[family](W, N)[N].polytope().volume() == pytest.approx(volume, abs=TUBE_VOLUME)
+        assert FAMILIES[family](W, N)[N].polytope().volume() == pytest.approx(
+            volume, abs=TUBE_VOLUME
+        )
 
 
 def test_reach_of_the_inputs_equals_the_reference_numbers():
@@ -115,7 +132,9 @@ def test_a_tube_starts_at_the_origin_then_the_disturbance(family, horizon):
     assert len(sections) == horizon + 1
     assert not sections[0].support(directions(10)).any()
     for section in sections[1:2]:
-        np.testing.assert_allclose(section.support(directions(10)), width(W, directions(10)), atol=TUBE_ROUNDING)
+        np.testing.assert_allclose(
+            section.support(directions(10)), width(W, directions(10)), atol=TUBE_ROUNDING
+        )
 
 
 def test_each_tube_lies_inside_the_next_wider_one():
@@ -146,7 +165,9 @@ def test_hull_is_the_greatest_reach_over_all_schedules(loops, disturbance):
                 transported = transported @ loop
                 total = total + width(disturbance, transported)
             reach.append(total)
-        np.testing.assert_allclose(section.support(rows), np.max(reach, axis=0), rtol=0, atol=TUBE_ROUNDING)
+        np.testing.assert_allclose(
+            section.support(rows), np.max(reach, axis=0), rtol=0, atol=TUBE_ROUNDING
+        )
 
 
 @each_system
@@ -157,7 +178,9 @@ def test_summed_is_the_sum_of_the_hulls_of_all_products(loops, disturbance):
     for j, section in enumerate(summed_tube(loops, disturbance, N)):
         np.testing.assert_allclose(section.support(rows), total, rtol=0, atol=TUBE_ROUNDING)
         if j < N:
-            largest = np.max([width(disturbance, rows @ product) for product in products(loops, j)], axis=0)
+            largest = np.max(
+                [width(disturbance, rows @ product) for product in products(loops, j)], axis=0
+            )
             np.testing.assert_allclose(clouds[j].support(rows), largest, rtol=0, atol=TUBE_ROUNDING)
             total = total + largest
 
@@ -184,12 +207,15 @@ def test_paper_treats_each_parameter_over_its_own_range():
     two = paper_tube(NOMINAL, SLOPES, uneven, FLAT, 2)[2].support(rows)
     expected = width(FLAT, rows) + width(FLAT, rows @ NOMINAL)
     for slope, values in zip(SLOPES, uneven, strict=True):
-        expected = expected + np.max([width(FLAT, value * rows @ slope) for value in values], axis=0)
+        expected = expected + np.max(
+            [width(FLAT, value * rows @ slope) for value in values], axis=0
+        )
     np.testing.assert_allclose(two, expected, rtol=0, atol=TUBE_ROUNDING)
 
 
 def simulated(loops: np.ndarray, draws: np.ndarray) -> np.ndarray:
-    """Return the deviations of steps 1..N, axes (run, step, coordinate), from 0 under loops and disturbances."""
+    """Return the deviations of steps 1..N, axes (run, step, coordinate), from 0 under loops and
+    disturbances."""
     deviation, path = np.zeros((len(draws), 3)), []
     for loop, disturbance in zip(np.moveaxis(loops, 1, 0), np.moveaxis(draws, 1, 0), strict=True):
         deviation = np.einsum("rij,rj->ri", loop, deviation) + disturbance
@@ -252,7 +278,9 @@ def test_hull_can_lack_the_shifted_plan_inclusion_and_summed_cannot():
     loops = np.array([[[0.0, 2.0], [0.0, 0.0]], [[0.9, 0.0], [0.0, 0.0]]])
     unit = Polytope.box(-np.ones(2), np.ones(2))
     row = np.array([[1.0, 0.0]])
-    needed = hull_tube(loops, unit, 2)[2].support(row)[0] + width(unit, row @ loops[1] @ loops[0])[0]
+    needed = (
+        hull_tube(loops, unit, 2)[2].support(row)[0] + width(unit, row @ loops[1] @ loops[0])[0]
+    )
     assert needed == pytest.approx(4.8)
     assert hull_tube(loops, unit, 3)[3].support(row)[0] == pytest.approx(3.7)
     assert summed_tube(loops, unit, 3)[3].support(row)[0] >= needed - TUBE_ROUNDING
@@ -262,28 +290,44 @@ def test_support_numbers_of_many_windows_equal_those_of_their_sections():
     loops = np.array([along(schedule) for schedule in random_schedules(6)])
     rows = np.random.default_rng(4).normal(size=(6, 20, 3))
     for j in range(N + 1):
-        expected = [sequence_tube(window, W)[j].support(row) for window, row in zip(loops, rows, strict=True)]
-        np.testing.assert_allclose(sequence_support(loops, W, rows, j), expected, rtol=0, atol=TUBE_ROUNDING)
+        expected = [
+            sequence_tube(window, W)[j].support(row)
+            for window, row in zip(loops, rows, strict=True)
+        ]
+        np.testing.assert_allclose(
+            sequence_support(loops, W, rows, j), expected, rtol=0, atol=TUBE_ROUNDING
+        )
 
 
 def test_support_along_inputs_is_the_greatest_over_gains_and_vertices():
     section, gains = hull_tube(LOOPS, FLAT, 3)[3], tube_gains()
     values = [U.normals @ gain @ section.vertices().T for gain in gains]
     expected = np.max(values, axis=(0, 2))
-    np.testing.assert_allclose(input_support(section, gains, U.normals), expected, rtol=0, atol=TUBE_ROUNDING)
+    np.testing.assert_allclose(
+        input_support(section, gains, U.normals), expected, rtol=0, atol=TUBE_ROUNDING
+    )
 
 
 @each_family
 def test_vertices_and_polytope_carry_the_support_of_the_section(family):
     rows, section = directions(50), FAMILIES[family](W, 4)[4]
-    np.testing.assert_allclose((rows @ section.vertices().T).max(axis=1), section.support(rows), atol=TUBE_ROUNDING)
-    np.testing.assert_allclose(section.polytope().support(rows), section.support(rows), atol=TUBE_ROUNDING)
+    np.testing.assert_allclose(
+        (rows @ section.vertices().T).max(axis=1), section.support(rows), atol=TUBE_ROUNDING
+    )
+    np.testing.assert_allclose(
+        section.polytope().support(rows), section.support(rows), atol=TUBE_ROUNDING
+    )
 
 
 def test_image_and_sum_act_on_support_numbers():
     first, second = hull_tube(LOOPS, W, 3)[2:4]
-    matrix, rows = np.random.default_rng(5).normal(size=(2, 3)), np.random.default_rng(6).normal(size=(20, 2))
-    np.testing.assert_allclose(first.image(matrix).support(rows), first.support(rows @ matrix), atol=TUBE_ROUNDING)
+    matrix, rows = (
+        np.random.default_rng(5).normal(size=(2, 3)),
+        np.random.default_rng(6).normal(size=(20, 2)),
+    )
+    np.testing.assert_allclose(
+        first.image(matrix).support(rows), first.support(rows @ matrix), atol=TUBE_ROUNDING
+    )
     total = first.support(directions(20)) + second.support(directions(20))
     np.testing.assert_allclose((first + second).support(directions(20)), total, atol=TUBE_ROUNDING)
 
@@ -295,5 +339,8 @@ def test_no_disturbance_leaves_the_origin():
 
 
 def test_corners_are_the_vertices_of_the_affine_loop():
-    loops = [NOMINAL + (right - 0.85) * SLOPES[0] + (left - 0.85) * SLOPES[1] for right, left in corners()]
+    loops = [
+        NOMINAL + (right - 0.85) * SLOPES[0] + (left - 0.85) * SLOPES[1]
+        for right, left in corners()
+    ]
     np.testing.assert_allclose(LOOPS, loops, rtol=0, atol=TUBE_ROUNDING)

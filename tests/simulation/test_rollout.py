@@ -1,4 +1,5 @@
-"""Laws of the closed loops: exact motion, draws by index, wheels that saturate, slip and noise within bounds."""
+"""Laws of the closed loops: exact motion, draws by index, wheels that saturate, slip and noise
+within bounds."""
 
 import dataclasses
 
@@ -34,7 +35,8 @@ def tracked(paper_design, paper_loops, paper_plant):
     return closed_loop.simulate(paper_loops["compensated"], paper_plant, starts, 0)
 
 
-# ---------------------------------------------------------------------------------------------------- world-frame laps
+# ----------------------------------------------------------------------------------------------------
+# world-frame laps
 
 
 def eight(step):
@@ -63,7 +65,9 @@ def plain_controllers(design):
 def error_in_robot_frame(robot, reference):
     """Eq. (3), robots along the last axis."""
     (x, y), phi = reference[:2] - robot[:2], robot[2]
-    return np.stack([np.cos(phi) * x + np.sin(phi) * y, -np.sin(phi) * x + np.cos(phi) * y, reference[2] - phi])
+    return np.stack(
+        [np.cos(phi) * x + np.sin(phi) * y, -np.sin(phi) * x + np.cos(phi) * y, reference[2] - phi]
+    )
 
 
 def unicycles(poses, speeds, turns):
@@ -72,7 +76,8 @@ def unicycles(poses, speeds, turns):
 
 
 def world_frame_lap(controllers, cosine_free=False):
-    """Integrate robots, the last unicycle being the reference, with wheels held over each period and slip 0.2 known.
+    """Integrate robots, the last unicycle being the reference, with wheels held over each period
+    and slip 0.2 known.
 
     Returns the errors (steps + 1, 3, robots).
     """
@@ -89,9 +94,16 @@ def world_frame_lap(controllers, cosine_free=False):
             ground = np.clip((reference - deficits) / (1 - compensated), -3, 3) * (1 - 0.2)
             speeds.append(ground.mean())
             turns.append((ground[0] - ground[1]) / TRACK_WIDTH)
-        speeds, turns = np.append(speeds, reference.mean()), np.append(turns, np.diff(reference[::-1]) / TRACK_WIDTH)
+        speeds, turns = (
+            np.append(speeds, reference.mean()),
+            np.append(turns, np.diff(reference[::-1]) / TRACK_WIDTH),
+        )
         rate = lambda t, flat, v=speeds, w=turns: unicycles(flat.reshape(3, -1), v, w).ravel()  # noqa: E731
-        poses = solve_ivp(rate, (0, DT), poses.ravel(), "DOP853", rtol=1e-12, atol=1e-13).y[:, -1].reshape(3, -1)
+        poses = (
+            solve_ivp(rate, (0, DT), poses.ravel(), "DOP853", rtol=1e-12, atol=1e-13)
+            .y[:, -1]
+            .reshape(3, -1)
+        )
         errors.append(error_in_robot_frame(poses[:, :count], poses[:, count:]))
     return np.array(errors)
 
@@ -122,29 +134,44 @@ def test_a_cosine_free_lap_with_the_exact_model_is_that_of_a_world_frame_simulat
     np.testing.assert_allclose(errors, expected, atol=WORLD_FRAME)
 
 
-# ------------------------------------------------------------------------------------------------- indices and batches
+# -------------------------------------------------------------------------------------------------
+# indices and batches
 
 
-def test_a_trajectory_has_time_first_then_realisations_and_starts_at_the_start(paper_design, paper_laps):
+def test_a_trajectory_has_time_first_then_realisations_and_starts_at_the_start(
+    paper_design, paper_laps
+):
     t = paper_laps
     assert t.errors.shape == t.measured.shape == (STEPS + 1, BATCH, 3)
     assert t.inputs.shape == t.wheels.shape == t.demanded.shape == (STEPS, BATCH, 2)
     assert {field.shape for field in t.diagnostics} == {(STEPS, BATCH)}
-    np.testing.assert_array_equal(t.errors[0], np.tile(paper_design.problem.initial_error, (BATCH, 1)))
+    np.testing.assert_array_equal(
+        t.errors[0], np.tile(paper_design.problem.initial_error, (BATCH, 1))
+    )
 
 
 def test_a_realisation_does_not_depend_on_its_companions(robust_design, stressed, edge_starts):
-    """The same keys and starts in reverse order: other neighbours in every block that the solver gathers."""
-    loop, plant = closed_loop.controllers(robust_design)["tube_mpc"], closed_loop.linear_plant(robust_design)
+    """The same keys and starts in reverse order: other neighbours in every block that the solver
+    gathers."""
+    loop, plant = (
+        closed_loop.controllers(robust_design)["tube_mpc"],
+        closed_loop.linear_plant(robust_design),
+    )
     order = np.random.default_rng(1).permutation(BATCH)
     starts = edge_starts(robust_design, 512)[:BATCH]
     mixed = rollout(loop, plant, realisation_keys(5, 0, BATCH)[order], jnp.asarray(starts[order]))
-    np.testing.assert_allclose(mixed.errors, stressed["tube_mpc"].errors[:, order], atol=CLOSED_LOOP)
-    np.testing.assert_array_equal(mixed.diagnostics.active, stressed["tube_mpc"].diagnostics.active[:, order])
+    np.testing.assert_allclose(
+        mixed.errors, stressed["tube_mpc"].errors[:, order], atol=CLOSED_LOOP
+    )
+    np.testing.assert_array_equal(
+        mixed.diagnostics.active, stressed["tube_mpc"].diagnostics.active[:, order]
+    )
 
 
 def check_alone(loop, plant, trajectory, seed, run):
-    alone = rollout(loop, plant, realisation_keys(seed, run, 1), jnp.asarray(trajectory.errors[0, run])[None])
+    alone = rollout(
+        loop, plant, realisation_keys(seed, run, 1), jnp.asarray(trajectory.errors[0, run])[None]
+    )
     np.testing.assert_allclose(alone.errors[:, 0], trajectory.errors[:, run], atol=CLOSED_LOOP)
 
 
@@ -154,16 +181,26 @@ def test_a_realisation_alone_is_the_one_in_the_batch(paper_loops, paper_plant, t
 
 @pytest.mark.slow
 def test_a_realisation_of_the_mpc_alone_is_the_one_in_the_batch(robust_design, stressed):
-    loop, plant = closed_loop.controllers(robust_design)["tube_mpc"], closed_loop.linear_plant(robust_design)
+    loop, plant = (
+        closed_loop.controllers(robust_design)["tube_mpc"],
+        closed_loop.linear_plant(robust_design),
+    )
     busiest = int(stressed["tube_mpc"].diagnostics.active.sum(axis=0).argmax())
     check_alone(loop, plant, stressed["tube_mpc"], 5, busiest)
 
 
-def test_longer_runs_begin_with_the_shorter_ones_and_go_on_by_index(paper_loops, paper_plant, tracked):
+def test_longer_runs_begin_with_the_shorter_ones_and_go_on_by_index(
+    paper_loops, paper_plant, tracked
+):
     starts = np.tile(tracked.errors[0, 0], (BATCH + 5, 1))
     longer = closed_loop.simulate(paper_loops["compensated"], paper_plant, starts, 0)
     np.testing.assert_array_equal(longer.errors[:, :BATCH], tracked.errors)
-    direct = rollout(paper_loops["compensated"], paper_plant, realisation_keys(0, 5, BATCH), jnp.asarray(starts[5:]))
+    direct = rollout(
+        paper_loops["compensated"],
+        paper_plant,
+        realisation_keys(0, 5, BATCH),
+        jnp.asarray(starts[5:]),
+    )
     np.testing.assert_array_equal(longer.errors[:, BATCH:], direct.errors[:, BATCH - 5 :])
     finals = longer.errors[-1, :, 1]
     assert len(np.unique(finals)) == BATCH + 5
@@ -179,7 +216,8 @@ def test_seeds_reproduce_and_differ(paper_loops, paper_plant, tracked):
 
 def test_keys_follow_the_index_beyond_32_bits():
     data = [
-        jax.random.key_data(realisation_keys(3, first, count)) for first, count in ((2**32 - 2, 4), (0, 4), (2**32, 1))
+        jax.random.key_data(realisation_keys(3, first, count))
+        for first, count in ((2**32 - 2, 4), (0, 4), (2**32, 1))
     ]
     across, low, high = (np.asarray(words) for words in data)
     np.testing.assert_array_equal(across[2:3], high)
@@ -189,12 +227,17 @@ def test_keys_follow_the_index_beyond_32_bits():
 def test_progress_counts_every_run(paper_loops, paper_plant, tracked):
     counts = []
     closed_loop.simulate(
-        paper_loops["compensated"], paper_plant, np.tile(tracked.errors[0, 0], (BATCH + 5, 1)), 0, counts.append
+        paper_loops["compensated"],
+        paper_plant,
+        np.tile(tracked.errors[0, 0], (BATCH + 5, 1)),
+        0,
+        counts.append,
     )
     assert counts == [BATCH, 5]
 
 
-# ------------------------------------------------------------------------------------------------------- slipping robot
+# -------------------------------------------------------------------------------------------------------
+# slipping robot
 
 
 def ground_speeds(trajectory, reference):
@@ -204,16 +247,22 @@ def ground_speeds(trajectory, reference):
 
 
 def test_the_true_slip_stays_within_its_bounds_of_the_measured_one(paper_design, tracked):
-    """Per wheel ground = wheel (1 - i); the yaw rate tells (ground_r - ground_l) / b, hence bounds on it."""
+    """Per wheel ground = wheel (1 - i); the yaw rate tells (ground_r - ground_l) / b, hence bounds
+    on it."""
     yaw = ground_speeds(tracked, paper_design.problem.schedule)
     right, left = np.moveaxis(tracked.wheels, -1, 0)
-    most, least = (right * 0.82 - left * 0.78) / TRACK_WIDTH, (right * 0.78 - left * 0.82) / TRACK_WIDTH
+    most, least = (
+        (right * 0.82 - left * 0.78) / TRACK_WIDTH,
+        (right * 0.78 - left * 0.82) / TRACK_WIDTH,
+    )
     assert np.all((least - ROUNDING <= yaw) & (yaw <= most + ROUNDING))
     spread = (yaw - least) / (most - least)
     assert spread.min() < 0.05 and spread.max() > 0.95
 
 
-@pytest.mark.parametrize(("random", "least", "most"), [("true", 0.2, 0.2), ("measured", 0.18, 0.22)])
+@pytest.mark.parametrize(
+    ("random", "least", "most"), [("true", 0.2, 0.2), ("measured", 0.18, 0.22)]
+)
 def test_wheels_are_commanded_with_the_measured_slip(
     paper_design, paper_loops, paper_plant, tracked, random, least, most
 ):
@@ -226,14 +275,20 @@ def test_wheels_are_commanded_with_the_measured_slip(
     assert np.ptp(slips) >= 0.99 * (most - least)
 
 
-def test_without_compensation_wheels_ignore_the_slip(paper_design, paper_loops, paper_plant, tracked):
-    trajectory = closed_loop.simulate(paper_loops["uncompensated"], paper_plant, tracked.errors[0], 0)
+def test_without_compensation_wheels_ignore_the_slip(
+    paper_design, paper_loops, paper_plant, tracked
+):
+    trajectory = closed_loop.simulate(
+        paper_loops["uncompensated"], paper_plant, tracked.errors[0], 0
+    )
     deficits = trajectory.inputs @ np.array([[1, 1], [TRACK_WIDTH / 2, -TRACK_WIDTH / 2]])
     expected = paper_design.problem.schedule[:STEPS, None] - deficits
     np.testing.assert_allclose(trajectory.demanded, expected, atol=1e2 * ROUNDING)
 
 
-def test_wheels_saturate_and_the_robot_moves_as_they_do(paper_design, paper_loops, paper_plant, tracked):
+def test_wheels_saturate_and_the_robot_moves_as_they_do(
+    paper_design, paper_loops, paper_plant, tracked
+):
     slow = dataclasses.replace(paper_plant.robot, wheel_speed_max=1.7, wheel_speed_min=1.5)
     plant = dataclasses.replace(paper_plant, robot=slow, relative_error=0.0)
     trajectory = closed_loop.simulate(paper_loops["compensated"], plant, tracked.errors[0], 0)
@@ -250,9 +305,13 @@ def test_controllers_see_the_error_with_noise_within_its_bounds(paper_loops, pap
     trajectory = closed_loop.simulate(paper_loops["local_gain"], noisy, tracked.errors[0], 0)
     noise = (trajectory.measured - trajectory.errors) / bounds
     assert np.abs(noise).max() <= 1 and np.all(np.abs(noise).max(axis=(0, 1)) > 0.99)
-    assert np.all(np.abs(noise.mean(axis=(0, 1))) < 0.01) and np.all(noise.reshape(-1, 3).std(axis=0) > 0.57)
+    assert np.all(np.abs(noise.mean(axis=(0, 1))) < 0.01) and np.all(
+        noise.reshape(-1, 3).std(axis=0) > 0.57
+    )
     gains = np.asarray(paper_loops["local_gain"].gains)
     np.testing.assert_allclose(
-        trajectory.inputs, np.einsum("kij,kbj->kbi", gains, trajectory.measured[:-1]), atol=CLOSED_LOOP
+        trajectory.inputs,
+        np.einsum("kij,kbj->kbi", gains, trajectory.measured[:-1]),
+        atol=CLOSED_LOOP,
     )
     np.testing.assert_array_equal(tracked.measured, tracked.errors)

@@ -1,4 +1,5 @@
-"""Laws of the initial errors: uniform in their polytope, a function of the key alone, refused where there is none."""
+"""Laws of the initial errors: uniform in their polytope, a function of the key alone, refused where
+there is none."""
 
 import jax
 import jax.numpy as jnp
@@ -17,7 +18,8 @@ SHARE = 4.5  # standard deviations of a share of the draws
 
 @pytest.fixture(scope="module", params=["random", "lopsided", "cube"])
 def points(request):
-    """Corners of a polytope around the origin: flat in one direction, the origin close to a facet, coplanar corners."""
+    """Corners of a polytope around the origin: flat in one direction, the origin close to a facet,
+    coplanar corners."""
     random = np.random.default_rng(3)
     if request.param == "cube":
         return np.array(np.meshgrid([-1, 1], [-2, 2], [-0.1, 0.3])).reshape(3, -1).T
@@ -68,7 +70,9 @@ def test_a_start_is_a_function_of_its_key(points, draws):
 
 def test_a_polytope_without_the_origin_is_refused():
     points = np.random.default_rng(3).normal(size=(60, 3))
-    with pytest.raises(ValueError, match="starts: points do not surround the origin; give points on all sides") as told:
+    with pytest.raises(
+        ValueError, match="starts: points do not surround the origin; give points on all sides"
+    ) as told:
         uniform_start(points + np.array([9.0, 0.0, 0.0]))
     assert "\n" not in str(told.value)
 
@@ -83,6 +87,8 @@ def test_a_fixed_start_is_the_same_for_all():
 def test_starts_on_the_edge_are_projections_of_those_inside(points, draws):
     hull = Polytope.from_vertices(points)
     edge = np.asarray(jax.jit(uniform_start(points, edge=True).draw)(realisation_keys(7, 0, COUNT)))
-    np.testing.assert_allclose(np.max(edge @ hull.normals.T / hull.offsets, axis=1), 1.0, atol=1e3 * ROUNDING)
+    np.testing.assert_allclose(
+        np.max(edge @ hull.normals.T / hull.offsets, axis=1), 1.0, atol=1e3 * ROUNDING
+    )
     reach = np.max(draws @ hull.normals.T / hull.offsets, axis=1)
     np.testing.assert_allclose(edge * reach[:, None], draws, atol=1e3 * ROUNDING)

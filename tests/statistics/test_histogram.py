@@ -1,4 +1,5 @@
-"""Laws of the histograms: buckets are those of a search over the edges, quantiles those of the sample to one bucket."""
+"""Laws of the histograms: buckets are those of a search over the edges, quantiles those of the
+sample to one bucket."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,8 @@ from jaxtube.statistics.histogram import BUCKETS, EDGES, bucket, quantile
 
 
 def searched(values):
-    """Find buckets by bisection; what is below the first edge or no number goes to the first or the last one."""
+    """Find buckets by bisection; what is below the first edge or no number goes to the first or the
+    last one."""
     found = np.searchsorted(EDGES, np.abs(np.asarray(values, float)), side="right") - 1
     return np.where(np.isnan(values), BUCKETS - 1, np.maximum(found, 0))
 
@@ -21,7 +23,9 @@ def counted(values):
 def test_edges_cut_each_octave_into_equal_parts():
     assert EDGES.shape == (BUCKETS,) and EDGES[0] == 2.0**histogram.LEAST
     octaves = EDGES.reshape(-1, histogram.CUTS)
-    np.testing.assert_array_equal(octaves, octaves[:, :1] * (1 + np.arange(histogram.CUTS) / histogram.CUTS))
+    np.testing.assert_array_equal(
+        octaves, octaves[:, :1] * (1 + np.arange(histogram.CUTS) / histogram.CUTS)
+    )
     np.testing.assert_array_equal(octaves[1:, 0], 2 * octaves[:-1, 0])
     assert 2 * octaves[-1, 0] == 2.0**histogram.GREATEST
 
@@ -31,16 +35,31 @@ def test_buckets_are_those_of_a_search_over_the_edges(kind):
     random = np.random.default_rng(0)
     edges, info = EDGES.astype(kind), np.finfo(kind)
     np.testing.assert_array_equal(edges, EDGES)
-    special = [0.0, info.smallest_subnormal, info.tiny, info.eps, 2.0, 2.1, 1e30, info.max, np.inf, np.nan]
+    special = [
+        0.0,
+        info.smallest_subnormal,
+        info.tiny,
+        info.eps,
+        2.0,
+        2.1,
+        1e30,
+        info.max,
+        np.inf,
+        np.nan,
+    ]
     drawn = 10.0 ** random.uniform(-8, 4, 20_000)
-    values = np.concatenate([edges, np.nextafter(edges, kind(0)), np.nextafter(edges, kind(9)), special, drawn])
+    values = np.concatenate(
+        [edges, np.nextafter(edges, kind(0)), np.nextafter(edges, kind(9)), special, drawn]
+    )
     values = np.concatenate([values, -values]).astype(kind)
     found = bucket(jnp.asarray(values))
     assert found.dtype == jnp.int32
     np.testing.assert_array_equal(found, searched(values))
     np.testing.assert_array_equal(bucket(jnp.asarray(edges)), np.arange(BUCKETS))
     np.testing.assert_array_equal(found[np.isnan(values)], BUCKETS - 1)
-    np.testing.assert_array_equal(bucket(jnp.asarray(values[:12].reshape(3, 4))), searched(values[:12]).reshape(3, 4))
+    np.testing.assert_array_equal(
+        bucket(jnp.asarray(values[:12].reshape(3, 4))), searched(values[:12]).reshape(3, 4)
+    )
 
 
 @pytest.mark.parametrize("share", [0.01, 0.25, 0.5, 0.9, 0.95, 0.999])

@@ -1,4 +1,5 @@
-"""Laws of the confidence intervals, against closed forms, numbers of many digits and exact sums over all outcomes."""
+"""Laws of the confidence intervals, against closed forms, numbers of many digits and exact sums
+over all outcomes."""
 
 import math
 
@@ -14,14 +15,16 @@ CONFIDENCES = (0.5, 0.95, 1 - 1e-6)
 
 
 def density(events: int, trials: int):
-    """The beta density of which the integral from p to one is P(K <= events), K binomial(trials, p)."""
+    """The beta density of which the integral from p to one is P(K <= events), K binomial(trials,
+    p)."""
     a, b = mpmath.mpf(events + 1), mpmath.mpf(trials - events)
     constant = mpmath.loggamma(a + b) - mpmath.loggamma(a) - mpmath.loggamma(b)
     return lambda x: mpmath.exp(constant + (a - 1) * mpmath.log(x) + (b - 1) * mpmath.log1p(-x))
 
 
 def tail(events: int, trials: int, share):
-    """P(K <= events) in many digits: a short sum or, if that is long, the integral over twenty deviations."""
+    """P(K <= events) in many digits: a short sum or, if that is long, the integral over twenty
+    deviations."""
     if events <= 40:
         return mpmath.fsum(
             mpmath.binomial(trials, i) * share**i * mpmath.exp((trials - i) * mpmath.log1p(-share))
@@ -35,7 +38,8 @@ def tail(events: int, trials: int, share):
 
 
 def error_of_share(events: int, trials: int, share: float, probability) -> float:
-    """Relative distance of `share` from the root of tail = probability close to it, by one Newton step."""
+    """Relative distance of `share` from the root of tail = probability close to it, by one Newton
+    step."""
     exact = mpmath.mpf(share)
     slope = density(events, trials)(exact)
     return float(abs(tail(events, trials, exact) - probability) / (slope * exact))
@@ -67,7 +71,10 @@ def test_the_bounds_of_the_share_are_the_roots_of_the_binomial_tails(trials, con
 def test_never_and_always_have_closed_forms(trials, confidence):
     with mpmath.workdps(40):
         root = mpmath.root(mpmath.mpf(1 - confidence), trials)
-        (zero, high), (low, one) = share_interval(0, trials, confidence), share_interval(trials, trials, confidence)
+        (zero, high), (low, one) = (
+            share_interval(0, trials, confidence),
+            share_interval(trials, trials, confidence),
+        )
         assert zero == 0 and one == 1
         assert abs(high / (1 - root) - 1) < tol.ROUNDING
         assert abs(low / root - 1) < tol.ROUNDING
@@ -83,9 +90,13 @@ def test_each_bound_of_the_share_has_its_risk(trials, confidence):
     above, below = bounds[:, 0] > shares, bounds[:, 1] < shares
     assert (probability * above).sum(axis=1).max() <= 1 - confidence + tol.SHARE_COVERAGE
     assert (probability * below).sum(axis=1).max() <= 1 - confidence + tol.SHARE_COVERAGE
-    assert (probability * (above | below)).sum(axis=1).max() <= 1.5 * (1 - confidence) + tol.SHARE_COVERAGE
+    assert (probability * (above | below)).sum(axis=1).max() <= 1.5 * (
+        1 - confidence
+    ) + tol.SHARE_COVERAGE
     inner = (slice(None), slice(1, -1))
-    assert (probability * (above | below))[inner].sum(axis=1).max() <= 1 - confidence + tol.SHARE_COVERAGE
+    assert (probability * (above | below))[inner].sum(
+        axis=1
+    ).max() <= 1 - confidence + tol.SHARE_COVERAGE
 
 
 def test_the_share_interval_is_monotone():
@@ -105,7 +116,9 @@ LAPS = {
     "rare laps, all of their steps": lambda rng, shape: 40 * (rng.random(shape) < 0.05),
     "most laps, one step": lambda rng, shape: 1 * (rng.random(shape) < 0.9),
     "steps apart": lambda rng, shape: rng.binomial(40, 0.3, shape),
-    "steps that depend on each other": lambda rng, shape: rng.binomial(40, rng.beta(0.3, 0.7, shape)),
+    "steps that depend on each other": lambda rng, shape: rng.binomial(
+        40, rng.beta(0.3, 0.7, shape)
+    ),
 }
 EXPECTATION = {
     "never": 0,
@@ -180,10 +193,19 @@ def test_one_lap_says_nothing():
         (lambda: share_interval(1, 5, 1.0), r"confidence: 1.0; give a number between 0 and 1"),
         (lambda: share_interval(1, 5, math.nan), r"confidence: nan; give"),
         (lambda: mean_interval(np.ones(3, int), 2, 95), r"confidence: 95; give"),
-        (lambda: mean_interval(np.ones(3, int), 3), r"histogram: shape \(3,\) of int64; give .* minlength"),
+        (
+            lambda: mean_interval(np.ones(3, int), 3),
+            r"histogram: shape \(3,\) of int64; give .* minlength",
+        ),
         (lambda: mean_interval(np.ones(3), 2), r"histogram: shape \(3,\) of float64; give"),
-        (lambda: mean_interval(np.array([3, -1, 2]), 2), r"histogram: least -1, sum 4; give counts >= 0"),
-        (lambda: mean_interval(np.zeros(3, int), 2), r"histogram: least 0, sum 0; give .* at least one lap"),
+        (
+            lambda: mean_interval(np.array([3, -1, 2]), 2),
+            r"histogram: least -1, sum 4; give counts >= 0",
+        ),
+        (
+            lambda: mean_interval(np.zeros(3, int), 2),
+            r"histogram: least 0, sum 0; give .* at least one lap",
+        ),
         (lambda: mean_interval(np.ones(1, int), 0), r"largest: 0; give the number of steps"),
     ],
 )

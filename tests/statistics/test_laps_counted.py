@@ -1,4 +1,5 @@
-"""Laws of the Monte Carlo blocks: their statistics are what numpy counts in recorded laps, however they were run."""
+"""Laws of the Monte Carlo blocks: their statistics are what numpy counts in recorded laps, however
+they were run."""
 
 import dataclasses
 import hashlib
@@ -72,9 +73,12 @@ def scaled(polytope, factor):
 
 
 def make_case(found, controller, spread, most_mps):
-    """Build a case in which everything happens: narrower sets and slower wheels than those of the design, wide starts,
-    and a stage cost against which plans do not always improve."""
-    task, problem = validation.make_task(found, controller, "robot", "feasible", SEED), found.problem
+    """Build a case in which everything happens: narrower sets and slower wheels than those of the
+    design, wide starts, and a stage cost against which plans do not always improve."""
+    task, problem = (
+        validation.make_task(found, controller, "robot", "feasible", SEED),
+        found.problem,
+    )
     sets = {
         "disturbance": scaled(problem.disturbance_set, 1.2),
         "error": scaled(problem.error_set, 0.8),
@@ -82,7 +86,10 @@ def make_case(found, controller, spread, most_mps):
     }
     checks = dataclasses.replace(
         task.checks,
-        **{name: jax.tree.map(jnp.asarray, validation.facets(polytope)) for name, polytope in sets.items()},
+        **{
+            name: jax.tree.map(jnp.asarray, validation.facets(polytope))
+            for name, polytope in sets.items()
+        },
         ultimate=jnp.array([0.02, 0.05, 0.02]),
         settled=20,
         error_weight=2.5 * task.checks.error_weight,
@@ -99,7 +106,11 @@ def record(task, first, count=BLOCK) -> Trajectory:
     found = []
     for begin in range(first, first + count, TILE):
         keys = realisation_keys(SEED, begin, TILE)
-        found.append(jax.tree.map(np.asarray, rollout(task.controller, task.plant, keys, task.starts.draw(keys))))
+        found.append(
+            jax.tree.map(
+                np.asarray, rollout(task.controller, task.plant, keys, task.starts.draw(keys))
+            )
+        )
     return jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=1)[:, :count], *found)
 
 
@@ -109,14 +120,19 @@ def check_same(statistics, expected, rounding=COUNTED_ROUNDING):
         if np.asarray(statistics[name]).dtype.kind == "i":
             np.testing.assert_array_equal(statistics[name], value, err_msg=name)
         else:
-            np.testing.assert_allclose(statistics[name], value, rtol=rounding, atol=rounding, err_msg=name)
+            np.testing.assert_allclose(
+                statistics[name], value, rtol=rounding, atol=rounding, err_msg=name
+            )
 
 
 def as_bytes(statistics):
-    return {name: (array.dtype.str, array.shape, array.tobytes()) for name, array in statistics.items()}
+    return {
+        name: (array.dtype.str, array.shape, array.tobytes()) for name, array in statistics.items()
+    }
 
 
-# ---------------------------------------------------------------------------------------------- a block of the tube-MPC
+# ---------------------------------------------------------------------------------------------- a
+# block of the tube-MPC
 
 
 VICTIM, PARTIAL = 77, 200
@@ -124,7 +140,8 @@ VICTIM, PARTIAL = 77, 200
 
 @pytest.fixture(scope="module")
 def constrained(uncertified):
-    """The tube-MPC from starts in and around its feasible set; both slips walk, pose noise, wheels that saturate."""
+    """The tube-MPC from starts in and around its feasible set; both slips walk, pose noise, wheels
+    that saturate."""
     settings = (SHORT, *NOISE, "slip.process=walk", "slip.random=both", "slip.relative_error=0.2")
     return make_case(uncertified("robust", *settings), "tube_mpc", 1.1, 2.1)
 
@@ -160,21 +177,38 @@ def test_a_block_of_the_tube_mpc_counts_what_its_laps_do(poisoned, blocks, laps,
 
 
 def test_a_lap_that_is_no_number_is_a_violation_and_the_worst_of_all(blocks, laps):
-    assert np.isnan(laps[0].errors[:, VICTIM]).all() and np.isnan(laps[0].errors[0]).any(axis=-1).sum() == 1
+    assert (
+        np.isnan(laps[0].errors[:, VICTIM]).all()
+        and np.isnan(laps[0].errors[0]).any(axis=-1).sum() == 1
+    )
     found, steps = blocks[0], len(laps[0].inputs)
-    for name in ("e_outside_E", "e_outside_lateral", "w_outside_W", "u_outside_U", "not_finite", "backup"):
+    for name in (
+        "e_outside_E",
+        "e_outside_lateral",
+        "w_outside_W",
+        "u_outside_U",
+        "not_finite",
+        "backup",
+    ):
         assert found["events"][EVENTS.index(name), steps] >= 1, name
-    np.testing.assert_array_equal(found["events"][EVENTS.index("not_finite")], [BLOCK - 1, *[0] * (steps - 1), 1])
+    np.testing.assert_array_equal(
+        found["events"][EVENTS.index("not_finite")], [BLOCK - 1, *[0] * (steps - 1), 1]
+    )
     for name in ("error", "disturbance"):
         assert found[f"worst_lap/{name}"][0] == VICTIM and found[f"worst_usage/{name}"][0] == np.inf
         assert np.isfinite(found[f"worst_usage/{name}"][1:]).all()
-    assert all(np.isfinite(found[f"excess/{name}"]).all() for name in ("error", "disturbance", "input"))
+    assert all(
+        np.isfinite(found[f"excess/{name}"]).all() for name in ("error", "disturbance", "input")
+    )
 
 
 def check_companions(task, errors, everything_free):
-    """Compare the laps from given starts with those of the same batch with one start that is no number."""
+    """Compare the laps from given starts with those of the same batch with one start that is no
+    number."""
     keys = realisation_keys(SEED, 0, TILE)
-    run = lambda starts: jax.tree.map(np.asarray, rollout(task.controller, task.plant, keys, jnp.asarray(starts)))  # noqa: E731
+    run = lambda starts: jax.tree.map(
+        np.asarray, rollout(task.controller, task.plant, keys, jnp.asarray(starts))
+    )  # noqa: E731
     clean, spoilt = run(errors), run(np.where(np.arange(TILE)[:, None] == VICTIM, np.nan, errors))
     assert everything_free == (not clean.diagnostics.active.any())
     assert np.isnan(spoilt.errors[:, VICTIM]).all()
@@ -183,7 +217,10 @@ def check_companions(task, errors, everything_free):
         one, other = getattr(clean, name)[:, others], getattr(spoilt, name)[:, others]
         np.testing.assert_array_equal(one.view(np.int64), other.view(np.int64), err_msg=name)
     for name in ("status", "active", "backup"):
-        one, other = getattr(clean.diagnostics, name)[:, others], getattr(spoilt.diagnostics, name)[:, others]
+        one, other = (
+            getattr(clean.diagnostics, name)[:, others],
+            getattr(spoilt.diagnostics, name)[:, others],
+        )
         np.testing.assert_array_equal(one, other, err_msg=name)
 
 
@@ -192,10 +229,13 @@ def test_no_lap_feels_a_companion_that_is_no_number(constrained, laps):
     check_companions(constrained.task, clean, everything_free=False)
     plant = constrained.task.plant
     calm = dataclasses.replace(plant, relative_error=0.01, noise=0.01 * plant.noise)
-    check_companions(dataclasses.replace(constrained.task, plant=calm), 0.02 * clean, everything_free=True)
+    check_companions(
+        dataclasses.replace(constrained.task, plant=calm), 0.02 * clean, everything_free=True
+    )
 
 
-# ------------------------------------------------------------------------------------------------------- plans followed
+# -------------------------------------------------------------------------------------------------------
+# plans followed
 
 
 @pytest.mark.parametrize("block", [0, 1])
@@ -206,14 +246,22 @@ def test_plans_followed_count_what_an_exact_solver_s_plans_do(poisoned, blocks, 
     for tile, begin in enumerate(range(0, count, TILE)):
         end = min(begin + TILE, count)
         some = jax.tree.map(lambda array, begin=begin, end=end: array[:, begin:end], laps[block])
-        keys, stop = realisation_keys(SEED, first + begin, end - begin), (block * BLOCK // TILE + tile) * 5 % 8
-        parts.append(recount_plans(poisoned, some, keys, (stop, stop + 8, stop + 16), first + begin))
+        keys, stop = (
+            realisation_keys(SEED, first + begin, end - begin),
+            (block * BLOCK // TILE + tile) * 5 % 8,
+        )
+        parts.append(
+            recount_plans(poisoned, some, keys, (stop, stop + 8, stop + 16), first + begin)
+        )
     expected = join(parts)
     check_same(blocks[block], expected, PLAN_OF_ORACLE)
     assert 0 < expected["plans"] < 3 * count
     assert 0 < expected["cost_excesses"] < expected["plans"] and expected["cost_excess"] > 0
     for name in poisoned.design.tubes:
-        assert np.all((expected[f"tube_outside/{name}"] > 0) & (expected[f"tube_outside/{name}"] < expected["plans"]))
+        assert np.all(
+            (expected[f"tube_outside/{name}"] > 0)
+            & (expected[f"tube_outside/{name}"] < expected["plans"])
+        )
     assert np.all(expected["cloud"].sum(axis=(2, 3)) > 0.2 * expected["plans"])
 
 
@@ -243,7 +291,14 @@ def test_while_w_stays_in_W_no_tube_and_no_E_is_left(uncertified):
     found = [statistics for _, statistics in run.computed(range(4))]
     joined = merge(merge(found[0], found[1]), merge(found[2], found[3]))
     assert joined["laps"] == 4 * BLOCK and joined["plans"] == 3 * joined["laps"]
-    for name in ("w_outside_W", "e_outside_E", "u_outside_U", "qp_infeasible", "qp_unsolved", "backup"):
+    for name in (
+        "w_outside_W",
+        "e_outside_E",
+        "u_outside_U",
+        "qp_infeasible",
+        "qp_unsolved",
+        "backup",
+    ):
         assert joined["events"][EVENTS.index(name), 1:].sum() == 0, name
     for name in design.tubes:
         assert joined[f"tube_outside/{name}"].sum() == 0
@@ -258,7 +313,8 @@ def test_while_w_stays_in_W_no_tube_and_no_E_is_left(uncertified):
     assert joined["events"][EVENTS.index("outside_ultimate_bound"), 1:].sum() == 0
 
 
-# ---------------------------------------------------------------------------------------------- whatever the way it ran
+# ----------------------------------------------------------------------------------------------
+# whatever the way it ran
 
 
 STATIC = (SHORT, *NOISE, "slip.process=patches")
@@ -285,7 +341,9 @@ def test_a_block_counts_the_laps_of_its_own_numbers(static, first_blocks, first)
 
 def test_keys_are_distinct_around_the_ends_of_a_word():
     firsts = (0, 2**31 - 64, 2**32 - 64, 2**33 - 64, 2**52)
-    words = np.concatenate([jax.random.key_data(realisation_keys(SEED, first, 128)) for first in firsts])
+    words = np.concatenate(
+        [jax.random.key_data(realisation_keys(SEED, first, 128)) for first in firsts]
+    )
     assert len(np.unique(words, axis=0)) == len(words)
 
 
@@ -307,14 +365,18 @@ def test_without_validation_nothing_is_counted(static):
 
 def test_blocks_come_in_the_order_asked_for(static, first_blocks):
     found = list(static.run(3 * BLOCK + 5).computed(iter([3, 0, 2])))
-    assert [(number, as_bytes(value)) for number, value in found] == [(i, first_blocks[i]) for i in (3, 0, 2)]
+    assert [(number, as_bytes(value)) for number, value in found] == [
+        (i, first_blocks[i]) for i in (3, 0, 2)
+    ]
     assert list(static.run(5).computed([])) == []
 
 
 @pytest.mark.slow
 def test_two_blocks_at_once_give_the_same_bytes(static, first_blocks):
     found = dict(static.run(3 * BLOCK + 5, chunk=2).computed([0, 1, 3]))
-    assert {number: as_bytes(value) for number, value in found.items()} == {i: first_blocks[i] for i in (0, 1, 3)}
+    assert {number: as_bytes(value) for number, value in found.items()} == {
+        i: first_blocks[i] for i in (0, 1, 3)
+    }
 
 
 def digest(found):
@@ -328,11 +390,13 @@ def test_any_number_of_devices_and_blocks_at_once_gives_the_same_bytes(first_blo
     assert child.stdout.split() == [digest(first_blocks)] * 4
 
 
-# -------------------------------------------------------------------------------------------------------------- joining
+# --------------------------------------------------------------------------------------------------------------
+# joining
 
 
 def random_statistics(random, part):
-    """Draw statistics of a range of laps; usages are rounded, so that many are equal, and some are infinite."""
+    """Draw statistics of a range of laps; usages are rounded, so that many are equal, and some are
+    infinite."""
     found = {
         "events": random.integers(0, 2**40, (3, 5)),
         "laps": np.array(random.integers(1, 600)),
@@ -341,7 +405,9 @@ def random_statistics(random, part):
     }
     for name in RANKED:
         laps = random.permutation(100)[: random.integers(0, WORST + 1)] + 100 * part
-        values = np.where(random.random(len(laps)) < 0.1, np.inf, random.integers(0, 8, len(laps)) / 4)
+        values = np.where(
+            random.random(len(laps)) < 0.1, np.inf, random.integers(0, 8, len(laps)) / 4
+        )
         order = np.lexsort((laps, -values))
         found |= {f"worst_usage/{name}": values[order], f"worst_lap/{name}": laps[order]}
     return found
@@ -364,17 +430,24 @@ def test_joining_adds_counts_takes_the_extremes_and_keeps_the_worst_laps():
     assert set(joined) == set(parts[0])
     for name in ("events", "laps"):
         np.testing.assert_array_equal(joined[name], parts[0][name] + parts[1][name])
-    np.testing.assert_array_equal(joined["excess/error"], np.maximum(*(part["excess/error"] for part in parts)))
+    np.testing.assert_array_equal(
+        joined["excess/error"], np.maximum(*(part["excess/error"] for part in parts))
+    )
     for name in RANKED:
         pairs = [
-            (-u, lap) for p in parts for u, lap in zip(p[f"worst_usage/{name}"], p[f"worst_lap/{name}"], strict=True)
+            (-u, lap)
+            for p in parts
+            for u, lap in zip(p[f"worst_usage/{name}"], p[f"worst_lap/{name}"], strict=True)
         ]
         expected = sorted(pairs)[:WORST]
-        assert expected == list(zip(-joined[f"worst_usage/{name}"], joined[f"worst_lap/{name}"], strict=True))
+        assert expected == list(
+            zip(-joined[f"worst_usage/{name}"], joined[f"worst_lap/{name}"], strict=True)
+        )
 
 
 if __name__ == "__main__":
-    # The process with four devices: it prints a digest of the same blocks for several ways of computing them.
+    # The process with four devices: it prints a digest of the same blocks for several ways of
+    # computing them.
     import conftest  # noqa: F401
 
     from sets.certificate import Certificate

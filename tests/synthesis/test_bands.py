@@ -34,7 +34,9 @@ def test_the_law_is_certified(law):
 def test_every_schedule_has_its_bands_gain(law):
     schedules = np.random.default_rng(0).uniform(SLOWEST, 1.5, (50, 2))
     for schedule, gain in zip(schedules, law.gains(schedules), strict=True):
-        settings = next(b for b in law.problem.scenario.operating.bands if schedule.mean() <= b.below_mps)
+        settings = next(
+            b for b in law.problem.scenario.operating.bands if schedule.mean() <= b.below_mps
+        )
         k1, k2, k3 = settings.tracking_gains
         yaw_rate = (schedule[0] - schedule[1]) / 0.5
         np.testing.assert_allclose(gain, [[-k1, -yaw_rate, 0], [0, -k2, -k3]], atol=ROUNDING)
@@ -46,12 +48,17 @@ def test_no_order_of_schedules_and_disturbances_leaves_the_invariant_set(law):
     errors = omega.vertices()[random.integers(len(omega.vertices()), size=4000)]
     for _ in range(40):
         schedule = (
-            corners[random.integers(len(corners))] if random.random() < 0.5 else random.uniform(SLOWEST, 1.5, 2)
+            corners[random.integers(len(corners))]
+            if random.random() < 0.5
+            else random.uniform(SLOWEST, 1.5, 2)
         )[None]
         A, B = law.problem.model.matrices(schedule[0])
         band = law.bands[law.band_of(schedule)[0]]
         W = band.problem.disturbance_set.vertices()
-        errors = errors @ (A + B @ law.gains(schedule)[0]).T + W[random.integers(len(W), size=len(errors))]
+        errors = (
+            errors @ (A + B @ law.gains(schedule)[0]).T
+            + W[random.integers(len(W), size=len(errors))]
+        )
         assert np.max(errors @ omega.normals.T / omega.offsets) <= 1 + ROUNDING
 
 
@@ -61,7 +68,9 @@ def test_disturbances_of_a_band_lie_in_its_w(law):
         where = operation(band.problem)
         low, high = where.box
         points = random.uniform(low, high, (count, 12))
-        points = np.where(random.random((count, 12)) < 0.5, np.where(points > (low + high) / 2, high, low), points)
+        points = np.where(
+            random.random((count, 12)) < 0.5, np.where(points > (low + high) / 2, high, low), points
+        )
         points[:, 5:7] = random.dirichlet(np.ones(len(band.corners)), count) @ band.corners
         a, b = where.coupling
         room = a * np.maximum(1 - np.abs(points[:, 4]) / b, 0)
@@ -74,15 +83,21 @@ def test_disturbances_of_a_band_lie_in_its_w(law):
 def test_boxes_and_corner_loops_cover_their_band(law):
     for band in law.bands:
         assert bands.coverage_gap(band) <= ROUNDING
-        few = dataclasses.replace(band.problem, regions=band.problem.regions[: len(band.problem.regions) // 2])
+        few = dataclasses.replace(
+            band.problem, regions=band.problem.regions[: len(band.problem.regions) // 2]
+        )
         assert bands.coverage_gap(Band(band.corners, few, band.gain, band.loops)) == np.inf
 
 
 def test_a_wider_w_in_one_band_breaks_the_certificate(law):
     first = law.bands[0]
-    wide = dataclasses.replace(first.problem, disturbance_set=first.problem.disturbance_set.scale(1.5))
+    wide = dataclasses.replace(
+        first.problem, disturbance_set=first.problem.disturbance_set.scale(1.5)
+    )
     changed = (dataclasses.replace(first, problem=wide), *law.bands[1:])
-    assert bands._certify(law.problem, changed, law.invariant, law.shares).failing == ["invariant_set"]
+    assert bands._certify(law.problem, changed, law.invariant, law.shares).failing == [
+        "invariant_set"
+    ]
 
 
 def test_other_commands_refuse_bands_in_one_line():

@@ -1,4 +1,5 @@
-"""Designs certified for the slipping robot itself: W computed, caps, coupling, tracking gains, optimiser."""
+"""Designs certified for the slipping robot itself: W computed, caps, coupling, tracking gains,
+optimiser."""
 
 import dataclasses
 
@@ -12,7 +13,12 @@ from jaxtube.synthesis.certificate.certify import certify
 from jaxtube.synthesis.certificate.fill import cap_shares, ultimate_bound, widest_tube
 from jaxtube.synthesis.condense import residual_bound
 from jaxtube.synthesis.design import design, refuse_infeasible_start
-from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits, kinematics, operation
+from jaxtube.synthesis.disturbance import (
+    complete_problem,
+    ground_speed_limits,
+    kinematics,
+    operation,
+)
 from jaxtube.synthesis.feasible import boundary, shortfall, true_starts
 from jaxtube.synthesis.optimise import STARTS, _Search, optimise
 from jaxtube.synthesis.problem import make_problem
@@ -53,7 +59,9 @@ def reference():
 def test_the_scenarios_are_certified_and_the_papers_start_has_a_plan(name, ratio):
     found = design(load(name))
     assert found.certificate.failing == []
-    assert {"disturbance_bound_proved", "wheel_limits", "true_error_in_e"} <= set(found.certificate.conditions)
+    assert {"disturbance_bound_proved", "wheel_limits", "true_error_in_e"} <= set(
+        found.certificate.conditions
+    )
     assert max(cap_shares(found.problem, found.terminal.gains).values()) < ratio
     assert len(found.certificate.assumptions) == 6
     refuse_infeasible_start(found)
@@ -73,7 +81,9 @@ def test_with_its_own_w_the_reference_design_has_its_supports_and_its_terminal_s
     loops, caps = vertex_loops(problem, gain), admissible_set(problem, gain)
     angles = np.linspace(0, 2 * np.pi, 120, endpoint=False)
     ring = np.stack([np.zeros(120), np.cos(angles) / 0.28, np.sin(angles) / 0.3], axis=1)
-    minimal = minimal_rpi_bound(loops, bound.support, np.concatenate([caps.normals / caps.offsets[:, None], ring]))
+    minimal = minimal_rpi_bound(
+        loops, bound.support, np.concatenate([caps.normals / caps.offsets[:, None], ring])
+    )
     np.testing.assert_allclose(minimal.support(np.eye(3)), SUPPORTS, rtol=0.01)
     omega = maximal_rpi(loops, caps, bound.support).polytope
     assert omega.volume() == pytest.approx(VOLUME, rel=0.01)
@@ -113,21 +123,30 @@ def test_pieces_of_the_coupling_cover_the_operation_and_no_more(certified):
 def test_every_loop_of_the_box_is_a_mixture_of_the_vertex_loops(certified):
     problem, gain = certified.problem, certified.tube_gain
     loops, gains = vertex_pairs(problem, gain)
-    vertices = np.concatenate([loops.reshape(len(loops), -1), gains.reshape(len(loops), -1)], axis=1)
+    vertices = np.concatenate(
+        [loops.reshape(len(loops), -1), gains.reshape(len(loops), -1)], axis=1
+    )
     schedules = np.random.default_rng(2).uniform(*problem.regions[0], (60, 2))
     A, B = problem.model.matrices(schedules)
     K = gain.at(problem.model.weights(schedules))
     for one, law in zip(A + B @ K, K, strict=True):
-        for points, wanted in ((loops.reshape(len(loops), -1), one), (vertices, np.append(one, law))):
+        for points, wanted in (
+            (loops.reshape(len(loops), -1), one),
+            (vertices, np.append(one, law)),
+        ):
             rows = np.vstack([points.T, np.ones(len(points))])
-            answer = linprog(np.zeros(len(points)), A_eq=rows, b_eq=np.append(wanted, 1.0), bounds=(0, None))
+            answer = linprog(
+                np.zeros(len(points)), A_eq=rows, b_eq=np.append(wanted, 1.0), bounds=(0, None)
+            )
             assert answer.status == 0
 
 
 def test_tracking_gains_decouple_the_longitudinal_error(certified):
     k1, _, _ = certified.problem.scenario.controller.tracking_gains
     loops = vertex_loops(certified.problem, certified.tube_gain)
-    np.testing.assert_allclose(loops[:, 0], np.tile([1 - 0.1 * k1, 0, 0], (len(loops), 1)), atol=ROUNDING)
+    np.testing.assert_allclose(
+        loops[:, 0], np.tile([1 - 0.1 * k1, 0, 0], (len(loops), 1)), atol=ROUNDING
+    )
 
 
 def test_what_the_controller_keeps_and_the_noise_fill_the_promise(certified):
@@ -139,12 +158,20 @@ def test_what_the_controller_keeps_and_the_noise_fill_the_promise(certified):
 
 def test_noise_without_caps_takes_its_share_of_the_constraints():
     noisy = make_problem(load("paper", ["noise.lateral_m=0.05"]))
-    np.testing.assert_allclose(noisy.error_set.support(np.eye(3)), [0.3, 0.3, np.deg2rad(20)], atol=ROUNDING)
-    np.testing.assert_allclose(noisy.operating_set.support(np.eye(3)), [0.3, 0.25, np.deg2rad(20)], atol=ROUNDING)
+    np.testing.assert_allclose(
+        noisy.error_set.support(np.eye(3)), [0.3, 0.3, np.deg2rad(20)], atol=ROUNDING
+    )
+    np.testing.assert_allclose(
+        noisy.operating_set.support(np.eye(3)), [0.3, 0.25, np.deg2rad(20)], atol=ROUNDING
+    )
 
 
 def test_true_starts_have_a_plan_whatever_the_noise(certified):
-    window, index, problem = certified.tube_window, int(certified.windows.index[0]), certified.problem
+    window, index, problem = (
+        certified.tube_window,
+        int(certified.windows.index[0]),
+        certified.problem,
+    )
     noise = problem.error_set.offsets[:3] - problem.operating_set.offsets[:3]
     corners = noise * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     for start in true_starts(window, index, problem, 60)[::8]:
@@ -156,8 +183,16 @@ def test_true_starts_have_a_plan_whatever_the_noise(certified):
 @pytest.mark.parametrize(
     "part, change, condition",
     [
-        ("residual", lambda bound: dataclasses.replace(bound, yaw=1.01 * bound.yaw), "disturbance_bound_proved"),
-        ("residual", lambda bound: dataclasses.replace(bound, box=bound.box * 1.01), "disturbance_bound_proved"),
+        (
+            "residual",
+            lambda bound: dataclasses.replace(bound, yaw=1.01 * bound.yaw),
+            "disturbance_bound_proved",
+        ),
+        (
+            "residual",
+            lambda bound: dataclasses.replace(bound, box=bound.box * 1.01),
+            "disturbance_bound_proved",
+        ),
         (
             "residual",
             lambda bound: dataclasses.replace(bound, ground_speeds=1.01 * bound.ground_speeds),
@@ -166,16 +201,26 @@ def test_true_starts_have_a_plan_whatever_the_noise(certified):
     ],
 )
 def test_a_wider_bound_than_the_sets_were_made_for_fails(certified, part, change, condition):
-    problem = dataclasses.replace(certified.problem, **{part: change(getattr(certified.problem, part))})
-    parts = [getattr(certified, name) for name in ("tube_gain", "cost", "windows", "terminal", "bounds")]
+    problem = dataclasses.replace(
+        certified.problem, **{part: change(getattr(certified.problem, part))}
+    )
+    parts = [
+        getattr(certified, name) for name in ("tube_gain", "cost", "windows", "terminal", "bounds")
+    ]
     residual = residual_bound(problem, certified.tube_window)
     assert certify(problem, *parts, residual).failing == [condition]
 
 
 def test_a_wider_w_than_the_sets_were_made_for_fails_in_any_order_too(certified):
-    wide = dataclasses.replace(certified.problem, disturbance_set=certified.problem.disturbance_set.scale(1.5))
-    parts = [getattr(certified, name) for name in ("tube_gain", "cost", "windows", "terminal", "bounds")]
-    small = dataclasses.replace(certified.terminal, invariant=certified.terminal.invariant.scale(0.5))
+    wide = dataclasses.replace(
+        certified.problem, disturbance_set=certified.problem.disturbance_set.scale(1.5)
+    )
+    parts = [
+        getattr(certified, name) for name in ("tube_gain", "cost", "windows", "terminal", "bounds")
+    ]
+    small = dataclasses.replace(
+        certified.terminal, invariant=certified.terminal.invariant.scale(0.5)
+    )
     parts[3] = small
     assert "any_order_of_wheel_speeds" in certify(wide, *parts, 0.0).failing
 
@@ -183,7 +228,9 @@ def test_a_wider_w_than_the_sets_were_made_for_fails_in_any_order_too(certified)
 def test_wheels_that_may_not_turn_slowly_bind_under_the_least_slip():
     slow = complete_problem(load("certified"))
     least = float(slow.residual.ground_speeds[0].min())
-    bound = least / (1 - 0.2 * 0.9)  # a ground speed of `least` asks this of a wheel whose measured slip is least
+    bound = least / (
+        1 - 0.2 * 0.9
+    )  # a ground speed of `least` asks this of a wheel whose measured slip is least
     for factor, holds in ((1 - 1e-6, True), (1 + 1e-6, False)):
         problem = make_problem(load("certified", [f"robot.wheel_speed_min_mps={factor * bound!r}"]))
         assert (least >= ground_speed_limits(problem)[0].max()) == holds
@@ -203,8 +250,12 @@ def test_the_nested_bound_is_that_of_the_reference():
 
 def test_a_promise_beyond_the_constraints_fails(certified):
     tight = load("certified", ["constraints.lateral_m=0.2427"])
-    problem = dataclasses.replace(certified.problem, scenario=load("certified", ["constraints.lateral_m=0.3"]))
-    parts = [getattr(certified, name) for name in ("tube_gain", "cost", "windows", "terminal", "bounds")]
+    problem = dataclasses.replace(
+        certified.problem, scenario=load("certified", ["constraints.lateral_m=0.3"])
+    )
+    parts = [
+        getattr(certified, name) for name in ("tube_gain", "cost", "windows", "terminal", "bounds")
+    ]
     assert certify(dataclasses.replace(problem, scenario=tight), *parts, 0.0).failing == []
     wide = dataclasses.replace(problem, error_set=problem.error_set.scale(1.3))
     assert certify(wide, *parts, 0.0).failing == ["true_error_in_e"]
@@ -216,7 +267,9 @@ def test_the_optimiser_finds_caps_and_gains_that_hold(reference):
     problem = complete_problem(found.scenario)
     gain = decoupled_gain(problem, found.scenario.controller.tracking_gains)
     assert max(cap_shares(problem, gain).values()) == pytest.approx(found.ratio, rel=0.02)
-    assert found.ratio < max(cap_shares(reference, decoupled_gain(reference, (3.0, 6.5, 6.5))).values())
+    assert found.ratio < max(
+        cap_shares(reference, decoupled_gain(reference, (3.0, 6.5, 6.5))).values()
+    )
     result = design(found.scenario)
     assert result.certificate.failing == []
     refuse_infeasible_start(result)

@@ -1,4 +1,5 @@
-"""Laws of a design's certificate: sound designs pass, and one thing broken fails exactly the conditions it breaks."""
+"""Laws of a design's certificate: sound designs pass, and one thing broken fails exactly the
+conditions it breaks."""
 
 import dataclasses
 import importlib
@@ -39,7 +40,9 @@ def recertify(monkeypatch):
 
     def again(design: Design, residual: float = RESIDUAL, **replaced) -> Certificate:
         names = ("problem", "tube_gain", "cost", "windows", "terminal", "bounds")
-        return module.certify(*({name: getattr(design, name) for name in names} | replaced).values(), residual)
+        return module.certify(
+            *({name: getattr(design, name) for name in names} | replaced).values(), residual
+        )
 
     return again
 
@@ -51,7 +54,8 @@ def following(uncertified) -> Design:
 
 
 def but_in_any_order(certificate) -> list[str]:
-    """Names of what fails, the condition that repeats others along wheel speeds in random order left out."""
+    """Names of what fails, the condition that repeats others along wheel speeds in random order
+    left out."""
     return [name for name in certificate.failing if name != "any_order_of_wheel_speeds"]
 
 
@@ -65,20 +69,25 @@ def turned(gain: LocalGain, by: float) -> LocalGain:
     return dataclasses.replace(gain, vertices=changed(gain.vertices, (0, 1, 1), by))
 
 
-# ------------------------------------------------------------------------------------------------------- sound designs
+# -------------------------------------------------------------------------------------------------------
+# sound designs
 
 
 def test_a_design_with_the_tube_of_sums_and_its_own_terminal_gains_is_certified(robust_design):
     certificate = robust_design.certificate
     assert certificate.failing == []
     assert certificate.holds
-    assert [name for name, condition in certificate.conditions.items() if condition.required] == REQUIRED
+    assert [
+        name for name, condition in certificate.conditions.items() if condition.required
+    ] == REQUIRED
 
 
 def test_a_design_along_the_known_reference_is_certified(following, recertify):
     certificate = recertify(following)
     assert certificate.failing == []
-    assert [name for name in certificate.conditions if name != "any_order_of_wheel_speeds"] == REQUIRED
+    assert [
+        name for name in certificate.conditions if name != "any_order_of_wheel_speeds"
+    ] == REQUIRED
 
 
 def test_every_margin_of_a_certified_design_is_finite(robust_design, following, recertify):
@@ -94,7 +103,9 @@ def test_the_papers_own_design_may_lose_its_plan(paper_design):
 
 def test_the_papers_certificate_says_for_which_gains_a_terminal_set_exists(paper_design):
     conditions = paper_design.certificate.conditions
-    exists = {name: condition.holds for name, condition in conditions.items() if not condition.required}
+    exists = {
+        name: condition.holds for name, condition in conditions.items() if not condition.required
+    }
     assert exists == {
         "invariant_set_for_tube_gain": False,
         "terminal_set_for_trace_s": True,
@@ -110,25 +121,32 @@ def test_zero_order_hold_is_not_covered_by_its_vertices(uncertified, recertify):
     assert "zero-order hold" in certificate.conditions["vertices_cover_schedule"].sentence
 
 
-# ---------------------------------------------------------------------------------- one thing broken in a sound design
+# ---------------------------------------------------------------------------------- one thing
+# broken in a sound design
 
 
 @pytest.mark.parametrize("kind", ["errors", "inputs"])
 @pytest.mark.parametrize(("window", "stage"), [(0, 2), (-1, -1)])
 @pytest.mark.parametrize("sound", ["robust_design", "following"])
-def test_a_set_wider_by_a_millimetre_misses_reach_and_inclusion(sound, kind, window, stage, recertify, request):
+def test_a_set_wider_by_a_millimetre_misses_reach_and_inclusion(
+    sound, kind, window, stage, recertify, request
+):
     design = request.getfixturevalue(sound)
     wider = changed(getattr(design.bounds, kind), (window, stage, 1), 1e-3)
     certificate = recertify(design, bounds=dataclasses.replace(design.bounds, **{kind: wider}))
     assert certificate.failing == ["tightening_covers_reach", "shifted_plan_inclusion"]
-    assert certificate.conditions["tightening_covers_reach"].margin == pytest.approx(-1e-3, rel=1e-3)
+    assert certificate.conditions["tightening_covers_reach"].margin == pytest.approx(
+        -1e-3, rel=1e-3
+    )
     assert not certificate.holds
 
 
 @pytest.mark.parametrize("kind", ["errors", "inputs"])
 @pytest.mark.parametrize("window", [0, -1])
 @pytest.mark.parametrize("sound", ["robust_design", "following"])
-def test_a_stage_narrower_by_a_millimetre_breaks_the_inclusion_alone(sound, kind, window, recertify, request):
+def test_a_stage_narrower_by_a_millimetre_breaks_the_inclusion_alone(
+    sound, kind, window, recertify, request
+):
     design = request.getfixturevalue(sound)
     narrower = changed(getattr(design.bounds, kind), (window, 2, 0), -1e-3)
     certificate = recertify(design, bounds=dataclasses.replace(design.bounds, **{kind: narrower}))
@@ -151,7 +169,9 @@ def test_the_last_error_and_input_set_must_receive_the_plan(robust_design, recer
     for kind, name in (("errors", "E"), ("inputs", "U")):
         narrower = np.array(getattr(bounds, kind))
         narrower[:, -1] *= 0.5
-        certificate = recertify(robust_design, bounds=dataclasses.replace(bounds, **{kind: narrower}))
+        certificate = recertify(
+            robust_design, bounds=dataclasses.replace(bounds, **{kind: narrower})
+        )
         assert certificate.failing == ["plan_stays_feasible"]
         assert f"leave {name}_{{N-1}} by" in certificate.conditions["plan_stays_feasible"].sentence
 
@@ -160,7 +180,9 @@ def test_the_last_error_and_input_set_must_receive_the_plan(robust_design, recer
 def test_the_terminal_set_of_every_window_must_receive_the_plan(robust_design, window, recertify):
     smaller = np.array(robust_design.bounds.terminal)
     smaller[window] *= 0.7
-    certificate = recertify(robust_design, bounds=dataclasses.replace(robust_design.bounds, terminal=smaller))
+    certificate = recertify(
+        robust_design, bounds=dataclasses.replace(robust_design.bounds, terminal=smaller)
+    )
     assert certificate.failing == ["plan_stays_feasible"]
 
 
@@ -187,7 +209,9 @@ def test_a_larger_invariant_set_leaves_the_constraints(sound, recertify, request
 
 
 def test_a_smaller_set_is_not_invariant(robust_design, recertify):
-    smaller = dataclasses.replace(robust_design.terminal, invariant=robust_design.terminal.invariant.scale(0.4))
+    smaller = dataclasses.replace(
+        robust_design.terminal, invariant=robust_design.terminal.invariant.scale(0.4)
+    )
     assert recertify(robust_design, terminal=smaller).failing == ["terminal_set_invariant"]
 
 
@@ -200,7 +224,9 @@ def test_a_lower_terminal_cost_does_not_decrease(sound, recertify, request):
     assert certificate.conditions["terminal_cost_decrease"].margin < -1e-3
 
 
-def test_a_changed_tube_gain_is_not_the_one_of_the_tightening_and_of_the_run(robust_design, recertify):
+def test_a_changed_tube_gain_is_not_the_one_of_the_tightening_and_of_the_run(
+    robust_design, recertify
+):
     certificate = recertify(robust_design, tube_gain=turned(robust_design.tube_gain, 0.05))
     assert "vertices_cover_schedule" in certificate.failing
     assert "tightening_covers_reach" in certificate.failing
@@ -223,14 +249,17 @@ def test_sets_made_for_the_known_reference_do_not_serve_every_schedule(following
 @pytest.mark.parametrize("sound", ["robust_design", "following"])
 def test_a_wider_disturbance_is_more_than_the_sets_were_made_for(sound, recertify, request):
     design = request.getfixturevalue(sound)
-    problem = dataclasses.replace(design.problem, disturbance_set=design.problem.disturbance_set.scale(1.05))
+    problem = dataclasses.replace(
+        design.problem, disturbance_set=design.problem.disturbance_set.scale(1.05)
+    )
     failing = but_in_any_order(recertify(design, problem=problem))
     assert failing == ["tightening_covers_reach", "shifted_plan_inclusion", "plan_stays_feasible"]
 
 
 def test_the_set_must_be_invariant_for_the_disturbance_of_the_plan(robust_design, recertify):
     wider = dataclasses.replace(
-        robust_design.terminal, disturbance=robust_design.terminal.disturbance.image(1.05 * np.eye(3))
+        robust_design.terminal,
+        disturbance=robust_design.terminal.disturbance.image(1.05 * np.eye(3)),
     )
     assert recertify(robust_design, terminal=wider).failing == ["terminal_set_invariant"]
 
@@ -260,13 +289,16 @@ def test_an_empty_tightened_set_fails(robust_design, recertify):
     for kind, name in (("errors", "error_sets_not_empty"), ("inputs", "input_sets_not_empty")):
         emptied = np.array(getattr(bounds, kind))
         emptied[:, -1] = -0.1
-        certificate = recertify(robust_design, bounds=dataclasses.replace(bounds, **{kind: emptied}))
+        certificate = recertify(
+            robust_design, bounds=dataclasses.replace(bounds, **{kind: emptied})
+        )
         assert certificate.failing == [name, "plan_stays_feasible"]
     emptied = dataclasses.replace(bounds, terminal=np.full_like(bounds.terminal, -0.1))
     assert "terminal_constraint_not_empty" in recertify(robust_design, bounds=emptied).failing
 
 
-# ---------------------------------------------------------------------------------------------- no terminal set at all
+# ---------------------------------------------------------------------------------------------- no
+# terminal set at all
 
 
 def test_an_empty_terminal_set_is_reported_with_the_run_that_shows_it(uncertified, recertify):
@@ -283,20 +315,26 @@ def test_a_run_that_does_not_leave_proves_nothing(uncertified, recertify):
     shown = design.terminal.maximal.escape
     for escape in (None, dataclasses.replace(shown, loops=shown.loops[1:])):
         maximal = dataclasses.replace(design.terminal.maximal, escape=escape)
-        condition = recertify(design, terminal=dataclasses.replace(design.terminal, maximal=maximal)).conditions[
-            "terminal_set_invariant"
-        ]
+        condition = recertify(
+            design, terminal=dataclasses.replace(design.terminal, maximal=maximal)
+        ).conditions["terminal_set_invariant"]
         assert condition.margin == -np.inf
         assert not condition.holds
         assert condition.sentence.startswith("No invariant terminal set was found.")
 
 
 def test_a_nominal_error_that_is_never_reset_needs_more_room(robust_design, recertify, monkeypatch):
-    monkeypatch.setattr(importlib.import_module("jaxtube.synthesis.certificate.certify"), "NEVER_RESET_STEPS", 6)
-    problem = dataclasses.replace(robust_design.problem, scenario=load("robust", ["controller.restart=false"]))
+    monkeypatch.setattr(
+        importlib.import_module("jaxtube.synthesis.certificate.certify"), "NEVER_RESET_STEPS", 6
+    )
+    problem = dataclasses.replace(
+        robust_design.problem, scenario=load("robust", ["controller.restart=false"])
+    )
     certificate = recertify(robust_design, problem=problem)
     assert certificate.failing == ["nominal_error_never_reset"]
     axes, loops = problem.error_set.normals, vertex_loops(problem, robust_design.tube_gain)
     reach = hull_tube(loops, problem.disturbance_set, 6)
     missing = np.max(reach[6].support(axes) - reach[1].support(axes)) - 2 * BACK_OFF
-    assert certificate.conditions["nominal_error_never_reset"].margin == pytest.approx(-missing, abs=CERTIFICATE_MARGIN)
+    assert certificate.conditions["nominal_error_never_reset"].margin == pytest.approx(
+        -missing, abs=CERTIFICATE_MARGIN
+    )

@@ -1,4 +1,5 @@
-"""Laws of the condensed QP: predictions, cost, rows and bounds are those of plain loops over the stages."""
+"""Laws of the condensed QP: predictions, cost, rows and bounds are those of plain loops over the
+stages."""
 
 import jax
 import numpy as np
@@ -48,7 +49,10 @@ def test_windows_are_the_stretches_of_the_reference(condensed):
 
 def test_the_next_error_is_that_of_a_step_by_step_simulation(condensed):
     for window, schedules, error, inputs in samples(condensed, 1):
-        w, expected = take(condensed, window), simulate_model(condensed.problem, schedules, error, inputs)
+        w, expected = (
+            take(condensed, window),
+            simulate_model(condensed.problem, schedules, error, inputs),
+        )
         step = w.transition @ error + w.input_matrix @ inputs[0]
         np.testing.assert_allclose(step, expected[1], atol=CLOSED_LOOP)
 
@@ -58,7 +62,8 @@ def plain_cost(found, schedules, error, inputs):
     problem = found.problem
     errors = simulate_model(problem, schedules, error, inputs)
     stages = sum(
-        e @ problem.error_weight @ e + g @ problem.input_weight @ g for e, g in zip(errors[:-1], inputs, strict=True)
+        e @ problem.error_weight @ e + g @ problem.input_weight @ g
+        for e, g in zip(errors[:-1], inputs, strict=True)
     )
     return stages + errors[-1] @ found.cost.cost @ errors[-1]
 
@@ -67,10 +72,14 @@ def test_the_quadratic_program_has_the_cost_of_the_plan_up_to_one_factor(condens
     ratios = []
     for window, schedules, error, inputs in samples(condensed, 2):
         w, g = take(condensed, window), inputs.ravel()
-        expected = plain_cost(condensed, schedules, error, inputs) - plain_cost(condensed, schedules, error, 0 * inputs)
+        expected = plain_cost(condensed, schedules, error, inputs) - plain_cost(
+            condensed, schedules, error, 0 * inputs
+        )
         ratios.append(expected / (g @ w.factors.hessian @ g / 2 + w.linear @ error @ g))
     np.testing.assert_allclose(ratios, ratios[0], rtol=1e3 * CLOSED_LOOP)
-    largest = np.max(np.abs(condensed.tube_window.linear) @ condensed.problem.operating_set.offsets[:3])
+    largest = np.max(
+        np.abs(condensed.tube_window.linear) @ condensed.problem.operating_set.offsets[:3]
+    )
     assert largest == pytest.approx(1) if ratios[0] > 1 else largest <= 1 + ROUNDING
     assert ratios[0] >= 1 - 1e3 * CLOSED_LOOP
 
@@ -84,7 +93,11 @@ def section_of(found, window, j):
 
 def input_reach(found, window, schedules, j, row):
     """Support number of K R_j along a row of U, over every gain that may act."""
-    vertices = [schedules[j]] if found.problem.scenario.controller.tube == "sequence" else found.problem.model.vertices
+    vertices = (
+        [schedules[j]]
+        if found.problem.scenario.controller.tube == "sequence"
+        else found.problem.model.vertices
+    )
     section = section_of(found, window, j)
     return max(section.support(row @ tube_gain(found, wheels))[0] for wheels in vertices)
 
@@ -95,17 +108,25 @@ def plain_rows(found, window, schedules, error, inputs):
     limits, rows = problem.error_set.offsets[:3], []
     for j in range(1, problem.horizon):
         for axis in range(3):
-            left = limits[axis] - section_of(found, window, j).support(np.eye(3)[axis])[0] - (j + 1) * BACK_OFF
+            left = (
+                limits[axis]
+                - section_of(found, window, j).support(np.eye(3)[axis])[0]
+                - (j + 1) * BACK_OFF
+            )
             rows.append((errors[j, axis], -left, left))
     b, U = problem.robot.track_width, problem.input_set.offsets
     for j in range(problem.horizon):
         for wheel, sign in enumerate((1, -1)):
             row = np.array([1, sign * b / 2])
             upper = U[wheel] - input_reach(found, window, schedules, j, row) - (j + 1) * BACK_OFF
-            lower = -U[2 + wheel] + input_reach(found, window, schedules, j, -row) + (j + 1) * BACK_OFF
+            lower = (
+                -U[2 + wheel] + input_reach(found, window, schedules, j, -row) + (j + 1) * BACK_OFF
+            )
             rows.append((row @ inputs[j], lower, upper))
     terminal, last = found.terminal, (problem.horizon + 1) * BACK_OFF
-    for row, offset in zip(terminal.constraint_normals, terminal.constraint_offsets[window], strict=True):
+    for row, offset in zip(
+        terminal.constraint_normals, terminal.constraint_offsets[window], strict=True
+    ):
         rows.append((row @ errors[-1], -np.inf, offset - last * np.linalg.norm(row)))
     return np.array(rows).T
 
@@ -125,7 +146,9 @@ def test_rows_and_bounds_are_the_constraints_and_rows_no_input_reaches_stand_apa
         w = take(condensed, window)
         value, lower, upper = plain_rows(condensed, window, schedules, error, inputs)
         rows = w.factors.rows * w.factors.row_norms[:, None]
-        np.testing.assert_allclose(w.row_errors @ error + rows @ inputs.ravel(), value[~unreached], atol=WORLD_FRAME)
+        np.testing.assert_allclose(
+            w.row_errors @ error + rows @ inputs.ravel(), value[~unreached], atol=WORLD_FRAME
+        )
         np.testing.assert_allclose(w.lower, lower[~unreached], atol=CLOSED_LOOP)
         np.testing.assert_allclose(w.upper, upper[~unreached], atol=CLOSED_LOOP)
         np.testing.assert_allclose(w.check_errors @ error, value[unreached], atol=CLOSED_LOOP)
@@ -133,10 +156,17 @@ def test_rows_and_bounds_are_the_constraints_and_rows_no_input_reaches_stand_apa
         np.testing.assert_allclose(w.check_upper, upper[unreached], atol=CLOSED_LOOP)
 
 
-def test_no_input_reaches_the_lateral_error_one_step_ahead_and_every_other_row_is_reached(uncertified):
+def test_no_input_reaches_the_lateral_error_one_step_ahead_and_every_other_row_is_reached(
+    uncertified,
+):
     lateral_one_ahead = 1
-    for name, expected in (("summed, T-B", [lateral_one_ahead]), ("sequence, T-A", [lateral_one_ahead])):
-        np.testing.assert_array_equal(np.flatnonzero(unreached_rows(uncertified(*CASES[name]))), expected)
+    for name, expected in (
+        ("summed, T-B", [lateral_one_ahead]),
+        ("sequence, T-A", [lateral_one_ahead]),
+    ):
+        np.testing.assert_array_equal(
+            np.flatnonzero(unreached_rows(uncertified(*CASES[name]))), expected
+        )
     # Zero-order hold moves it within the step: V T^2 / 2 u2.
     assert not unreached_rows(uncertified(*CASES["zero-order hold"])).any()
 
@@ -159,8 +189,12 @@ def test_without_tube_the_rows_are_E_and_U_themselves_and_no_terminal_set(conden
 def test_gains_of_a_window_are_those_of_its_first_schedule(condensed):
     for window, schedules in enumerate(condensed.windows.schedules):
         w = take(condensed, window)
-        np.testing.assert_allclose(w.tube_gain, tube_gain(condensed, schedules[0]), atol=CLOSED_LOOP)
-        np.testing.assert_allclose(w.terminal_gain, terminal_gain(condensed, schedules[0]), atol=CLOSED_LOOP)
+        np.testing.assert_allclose(
+            w.tube_gain, tube_gain(condensed, schedules[0]), atol=CLOSED_LOOP
+        )
+        np.testing.assert_allclose(
+            w.terminal_gain, terminal_gain(condensed, schedules[0]), atol=CLOSED_LOOP
+        )
         for j, wheels in enumerate(schedules):
             A, B = model(condensed.problem, wheels)
             loop = A + B @ tube_gain(condensed, wheels)
@@ -172,7 +206,9 @@ def test_the_static_laws_are_the_tubes_gain_and_the_mpc_without_constraints(robu
     for step in (0, 112, 115, 299):
         wheels, qp = robust_design.problem.schedule[step], plain.qp(step)
         first_inputs = -np.linalg.solve(qp.hessian, qp.linear)[:2]
-        np.testing.assert_allclose(loops["local_gain"].gains[step], tube_gain(robust_design, wheels), atol=CLOSED_LOOP)
+        np.testing.assert_allclose(
+            loops["local_gain"].gains[step], tube_gain(robust_design, wheels), atol=CLOSED_LOOP
+        )
         np.testing.assert_allclose(loops["equal_gain"].gains[step], first_inputs, atol=CLOSED_LOOP)
 
 
@@ -181,6 +217,8 @@ def test_the_free_plan_is_the_optimum_without_constraints(condensed):
         w = take(condensed, window)
         inputs = w.free_inputs @ error
         gradient = w.factors.hessian @ inputs + w.linear @ error
-        assert np.abs(gradient).max() <= 5 * np.finfo(float).eps * w.free_scale * np.abs(error).max()
+        assert (
+            np.abs(gradient).max() <= 5 * np.finfo(float).eps * w.free_scale * np.abs(error).max()
+        )
         rows = w.row_errors @ error + w.factors.rows * w.factors.row_norms[:, None] @ inputs
         np.testing.assert_allclose(w.free_rows @ error, rows, atol=CLOSED_LOOP)

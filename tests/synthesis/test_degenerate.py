@@ -17,12 +17,15 @@ STARTS = np.array(
         [-0.100207621, -0.100798464, 0.00000678109244],
     ]
 )
-"""Measured errors, m, m, rad, at which seven rows of the tuned plan are active and an eighth is 1e-8 off its bound."""
+"""Measured errors, m, m, rad, at which seven rows of the tuned plan are active and an eighth is
+1e-8 off its bound."""
 
 
 def test_plans_are_solved_where_an_active_set_is_almost_degenerate():
     found = design(load("tuned"))
-    window = mpc.take_window(jax.tree.map(jnp.asarray, found.tube_window), jnp.asarray(found.windows.index[0]))
+    window = mpc.take_window(
+        jax.tree.map(jnp.asarray, found.tube_window), jnp.asarray(found.windows.index[0])
+    )
     plans = jax.jit(mpc.plan)(window, jnp.asarray(STARTS))
     np.testing.assert_array_equal(plans.status, np.full(len(STARTS), qp.SOLVED))
     assert plans.active.all()

@@ -1,4 +1,5 @@
-"""Laws of a design: its sets and gains, what each choice of terminal set leads to, and its refusals."""
+"""Laws of a design: its sets and gains, what each choice of terminal set leads to, and its
+refusals."""
 
 import numpy as np
 import pytest
@@ -13,12 +14,15 @@ from jaxtube.synthesis.feasible import boundary
 from jaxtube.synthesis.problem import make_problem
 from sets.polytope import Polytope
 
-# -------------------------------------------------------------------------------------------------------- sets and data
+# --------------------------------------------------------------------------------------------------------
+# sets and data
 
 
 def test_the_papers_sets(paper_design):
     problem = paper_design.problem
-    np.testing.assert_allclose(problem.error_set.support(np.eye(3)), [0.3, 0.3, np.deg2rad(20)], atol=ROUNDING)
+    np.testing.assert_allclose(
+        problem.error_set.support(np.eye(3)), [0.3, 0.3, np.deg2rad(20)], atol=ROUNDING
+    )
     np.testing.assert_allclose(
         problem.disturbance_set.support(np.eye(3)), [0.005, 0.005, np.deg2rad(0.2)], atol=ROUNDING
     )
@@ -31,14 +35,22 @@ def test_the_papers_sets(paper_design):
 
 
 def test_the_initial_error_is_that_of_eq_3():
-    problem = make_problem(load("paper", ["initial.x_m=0.2", "initial.y_m=-0.05", "initial.heading_deg=40"]))
+    problem = make_problem(
+        load("paper", ["initial.x_m=0.2", "initial.y_m=-0.05", "initial.heading_deg=40"])
+    )
     pose = np.array([0.2, -0.05, np.deg2rad(40)])
-    np.testing.assert_allclose(problem.initial_error, tracking_error(pose, problem.reference.poses[0]), atol=ROUNDING)
+    np.testing.assert_allclose(
+        problem.initial_error, tracking_error(pose, problem.reference.poses[0]), atol=ROUNDING
+    )
 
 
 @pytest.mark.parametrize("input_map", ["paper", "cosine_free"])
 def test_inputs_in_U_never_saturate_a_wheel(input_map):
-    settings = ["slip.nominal_left=0.3", "robot.wheel_speed_max_mps=2.8", "robot.wheel_speed_min_mps=-1"]
+    settings = [
+        "slip.nominal_left=0.3",
+        "robot.wheel_speed_max_mps=2.8",
+        "robot.wheel_speed_min_mps=-1",
+    ]
     problem = make_problem(load("paper", [f"controller.input_map={input_map}", *settings]))
     generator, count = np.random.default_rng(4), 20_000
     vertices = problem.input_set.vertices()
@@ -48,7 +60,9 @@ def test_inputs_in_U_never_saturate_a_wheel(input_map):
         generator.dirichlet(np.ones(len(vertices)), count) @ vertices,
     )
     ends = generator.random((count, 2)) < 0.5
-    reference = np.where(ends, generator.choice([0.2, 1.5], (count, 2)), generator.uniform(0.2, 1.5, (count, 2)))
+    reference = np.where(
+        ends, generator.choice([0.2, 1.5], (count, 2)), generator.uniform(0.2, 1.5, (count, 2))
+    )
     slip = np.array([0.2, 0.3]) * np.where(
         ends, generator.choice([0.9, 1.1], (count, 2)), generator.uniform(0.9, 1.1, (count, 2))
     )
@@ -58,26 +72,35 @@ def test_inputs_in_U_never_saturate_a_wheel(input_map):
         deficits = deficits + (reference.mean(axis=1) * (1 - np.cos(heading)))[:, None]
     wheels = (reference - deficits) / (1 - slip)
     assert wheels.min() >= -1 - ROUNDING and wheels.max() <= 2.8 + ROUNDING
-    # Not by a wide margin either: both limits are reached by some input, reference and slip in the box.
+    # Not by a wide margin either: both limits are reached by some input, reference and slip in the
+    # box.
     assert wheels.max() > 2.799 and wheels.min() < (-0.999 if input_map == "paper" else -0.9)
 
 
-def test_gains_of_the_tube_are_the_riccati_gain_at_the_centre_and_what_cancels_the_schedule(paper_design):
+def test_gains_of_the_tube_are_the_riccati_gain_at_the_centre_and_what_cancels_the_schedule(
+    paper_design,
+):
     problem = paper_design.problem
     A, B = model(problem, [0.85, 0.85])
     P = solve_discrete_are(A, B, problem.error_weight, problem.input_weight)
     riccati = -np.linalg.solve(problem.input_weight + B.T @ P @ B, B.T @ P @ A)
     np.testing.assert_allclose(paper_design.lqr_gain, riccati, atol=CLOSED_LOOP)
     for wheels, gain in zip(
-        [[0.2, 1.5], [0.2, 0.2], [1.5, 0.2], [1.5, 1.5]], paper_design.tube_gain.vertices, strict=True
+        [[0.2, 1.5], [0.2, 0.2], [1.5, 0.2], [1.5, 1.5]],
+        paper_design.tube_gain.vertices,
+        strict=True,
     ):
         np.testing.assert_allclose(gain, tube_gain(paper_design, wheels), atol=CLOSED_LOOP)
         A, B = model(problem, wheels)
-        # The first row of the loop is the same at every schedule: that is what the compensating gains are for.
-        np.testing.assert_allclose((A + B @ gain)[0], [1 + 0.1 * riccati[0, 0], 0, 0], atol=CLOSED_LOOP)
+        # The first row of the loop is the same at every schedule: that is what the compensating
+        # gains are for.
+        np.testing.assert_allclose(
+            (A + B @ gain)[0], [1 + 0.1 * riccati[0, 0], 0, 0], atol=CLOSED_LOOP
+        )
 
 
-# -------------------------------------------------------------------------------------------------------- terminal sets
+# --------------------------------------------------------------------------------------------------------
+# terminal sets
 
 
 def test_terminal_choices_lead_where_they_should(paper_design, robust_design, uncertified):
@@ -94,23 +117,36 @@ def test_terminal_choices_lead_where_they_should(paper_design, robust_design, un
     assert not np.allclose(robust_design.tube_gain.vertices, robust_design.cost.gains)
     assert stand_in.terminal.invariant is None
     R_N = stand_in.tubes["summed"][-1].support(stand_in.problem.error_set.normals)
-    np.testing.assert_array_equal(stand_in.terminal.constraint_normals, stand_in.problem.error_set.normals)
+    np.testing.assert_array_equal(
+        stand_in.terminal.constraint_normals, stand_in.problem.error_set.normals
+    )
     left = stand_in.problem.error_set.offsets - R_N
-    np.testing.assert_allclose(stand_in.terminal.constraint_offsets, np.tile(left, (len(stand_in.windows.loops), 1)))
+    np.testing.assert_allclose(
+        stand_in.terminal.constraint_offsets, np.tile(left, (len(stand_in.windows.loops), 1))
+    )
 
 
 def test_a_terminal_set_for_gains_that_differ_receives_every_shifted_plan(robust_design):
-    """T-B, corner by corner: a last error, a disturbance carried through every product of N - 1 loops, every vertex."""
-    found, problem, carried = robust_design, robust_design.problem, robust_design.problem.disturbance_set.vertices()
+    """T-B, corner by corner: a last error, a disturbance carried through every product of N - 1
+    loops, every vertex."""
+    found, problem, carried = (
+        robust_design,
+        robust_design.problem,
+        robust_design.problem.disturbance_set.vertices(),
+    )
     pairs = [model(problem, wheels) for wheels in problem.model.vertices]
     tube_loops = [
-        A + B @ tube_gain(found, wheels) for (A, B), wheels in zip(pairs, problem.model.vertices, strict=True)
+        A + B @ tube_gain(found, wheels)
+        for (A, B), wheels in zip(pairs, problem.model.vertices, strict=True)
     ]
     for _ in range(problem.horizon - 1):
         carried = np.concatenate([carried @ loop.T for loop in tube_loops])
     last = Polytope(found.bounds.terminal_normals, found.bounds.terminal[0])
     errors = (last.vertices()[:, None] + carried).reshape(-1, 3)
-    E, U = Polytope(problem.error_set.normals, found.bounds.errors[0, -1]), found.bounds.inputs[0, -1]
+    E, U = (
+        Polytope(problem.error_set.normals, found.bounds.errors[0, -1]),
+        found.bounds.inputs[0, -1],
+    )
     assert E.contains(errors, CLOSED_LOOP).all()
     for (A, B), gain in zip(pairs, found.cost.gains, strict=True):
         assert np.all(errors @ gain.T @ problem.input_set.normals.T <= U + CLOSED_LOOP)
@@ -118,7 +154,8 @@ def test_a_terminal_set_for_gains_that_differ_receives_every_shifted_plan(robust
 
 
 def test_a_terminal_set_along_the_reference_receives_every_shifted_plan(uncertified):
-    """T-A: the disturbance is carried through the loops ahead, and the next step has its own terminal set."""
+    """T-A: the disturbance is carried through the loops ahead, and the next step has its own
+    terminal set."""
     found = uncertified("paper", *SEQUENCE)
     problem, N = found.problem, found.problem.horizon
     for step in range(0, problem.reference.steps - 1, 3):
@@ -130,25 +167,34 @@ def test_a_terminal_set_along_the_reference_receives_every_shifted_plan(uncertif
                 carried = (last[:, None] + carried).reshape(-1, 3)
             A, B = model(problem, problem.schedule[step + ahead])
             carried = carried @ (A + B @ terminal_gain(found, problem.schedule[step + ahead])).T
-        assert Polytope(found.bounds.terminal_normals, following).contains(carried, CLOSED_LOOP).all()
+        assert (
+            Polytope(found.bounds.terminal_normals, following).contains(carried, CLOSED_LOOP).all()
+        )
 
 
 @pytest.mark.parametrize("name", ["robust", "sequence"])
-def test_from_the_edge_of_the_feasible_set_every_disturbance_leads_to_another_plan(robust_design, uncertified, name):
-    """Recursive feasibility, attacked where it is tightest: every vertex of W after the exact solver's plan."""
+def test_from_the_edge_of_the_feasible_set_every_disturbance_leads_to_another_plan(
+    robust_design, uncertified, name
+):
+    """Recursive feasibility, attacked where it is tightest: every vertex of W after the exact
+    solver's plan."""
     found = robust_design if name == "robust" else uncertified("paper", *SEQUENCE)
     plain, vertices = PlainMpc(found), found.problem.disturbance_set.vertices()
-    # Steps before, at and after the change of circle: the windows there differ from one step to the next.
+    # Steps before, at and after the change of circle: the windows there differ from one step to the
+    # next.
     for step in (0, 111, 113, 115):
         window, wheels = int(found.windows.index[step]), found.problem.schedule[step]
         A, B = model(found.problem, wheels)
-        for error in boundary(found.tube_window, window, found.problem.error_set, 12, seed=step) * (1 - LINEAR_PROGRAM):
+        for error in boundary(found.tube_window, window, found.problem.error_set, 12, seed=step) * (
+            1 - LINEAR_PROGRAM
+        ):
             inputs, _ = plain.qp(step).plan(error)
             for w in vertices:
                 assert plain.qp(step + 1).shortfall(A @ error + B @ inputs[0] + w) <= LINEAR_PROGRAM
 
 
-# ------------------------------------------------------------------------------------------------------------- refusals
+# -------------------------------------------------------------------------------------------------------------
+# refusals
 
 
 def one_line(error):
@@ -172,13 +218,14 @@ def test_an_empty_error_set_is_named_with_its_stage_and_what_it_lacks():
     lacking = 2 * (0.2 + reach) - 0.6
     with pytest.raises(EmptySetError) as error:
         design(scenario)
-    assert one_line(error).startswith("E_2 is empty: in the lateral error") and f"short by {lacking:.4g}" in str(
-        error.value
-    )
+    assert one_line(error).startswith(
+        "E_2 is empty: in the lateral error"
+    ) and f"short by {lacking:.4g}" in str(error.value)
 
 
 def test_an_empty_input_set_is_named_with_its_stage_and_what_it_lacks(uncertified):
-    """The tube does not depend on the wheels' limits, so that of another design tells the first empty stage."""
+    """The tube does not depend on the wheels' limits, so that of another design tells the first
+    empty stage."""
     wide = uncertified("robust")
     row, vertices = np.array([1, 0.25]), wide.problem.model.vertices
     reach = [
@@ -198,8 +245,14 @@ def test_an_empty_input_set_is_named_with_its_stage_and_what_it_lacks(uncertifie
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["robot.wheel_speed_max_mps=1.8"], r"robot\.wheel_speed_max_mps = 1\.8: .*widen the wheel limits"),
-        (["reference.shape=lemniscate", "reference.speed_mps=1.45"], r"reference\.speed_mps = 1\.45: .*outside"),
+        (
+            ["robot.wheel_speed_max_mps=1.8"],
+            r"robot\.wheel_speed_max_mps = 1\.8: .*widen the wheel limits",
+        ),
+        (
+            ["reference.shape=lemniscate", "reference.speed_mps=1.45"],
+            r"reference\.speed_mps = 1\.45: .*outside",
+        ),
         (["reference.duration_s=30.05"], r"duration = 30\.05"),
         (["controller.discretisation=zoh"], r"controller\.tube = paper: .*choose"),
     ],

@@ -1,4 +1,5 @@
-"""Laws of the feasible set's probes: its boundary is where an exact solver loses the plan, and starts lie within."""
+"""Laws of the feasible set's probes: its boundary is where an exact solver loses the plan, and
+starts lie within."""
 
 import numpy as np
 import pytest
@@ -15,7 +16,9 @@ COUNT = 60
 def probed(request, uncertified):
     """(design, QP of its first step by plain simulation, boundary points)."""
     design = uncertified("robust", *(TIGHT if request.param == "tight" else ()))
-    points = boundary(design.tube_window, int(design.windows.index[0]), design.problem.error_set, COUNT, seed=2)
+    points = boundary(
+        design.tube_window, int(design.windows.index[0]), design.problem.error_set, COUNT, seed=2
+    )
     return design, PlainMpc(design).qp(0), points
 
 
@@ -66,7 +69,9 @@ def test_boundary_points_follow_the_seed_and_lie_all_around(probed):
     design, _, points = probed
     window, E = int(design.windows.index[0]), design.problem.error_set
     np.testing.assert_array_equal(boundary(design.tube_window, window, E, COUNT, seed=2), points)
-    assert not np.any(np.all(boundary(design.tube_window, window, E, COUNT, seed=3) == points, axis=1))
+    assert not np.any(
+        np.all(boundary(design.tube_window, window, E, COUNT, seed=3) == points, axis=1)
+    )
     assert len(np.unique(np.sign(points), axis=0)) == 8
 
 
@@ -93,12 +98,19 @@ def test_the_edge_share_says_how_many_starts_are_close_to_the_edge(probed):
     facets = ConvexHull(points).equations
 
     def gauge(share):
-        return np.max(spread_starts(points, 400, 7, share) @ facets[:, :3].T / -facets[:, 3], axis=1)
+        return np.max(
+            spread_starts(points, 400, 7, share) @ facets[:, :3].T / -facets[:, 3], axis=1
+        )
 
     assert np.median(gauge(1.0)) > 0.8 and gauge(1.0).max() <= 0.999 + CLOSED_LOOP
     assert np.median(gauge(0.0)) < 0.8 and gauge(0.0).min() < 0.2
     assert (
         0.3
-        < np.mean(np.all(np.isclose(spread_starts(points, 400, 7, 0.5), spread_starts(points, 400, 7, 1.0)), axis=1))
+        < np.mean(
+            np.all(
+                np.isclose(spread_starts(points, 400, 7, 0.5), spread_starts(points, 400, 7, 1.0)),
+                axis=1,
+            )
+        )
         < 0.7
     )

@@ -1,4 +1,5 @@
-"""Laws of what can be guaranteed: the ratio of a design under conditions, and failures that are told, not raised."""
+"""Laws of what can be guaranteed: the ratio of a design under conditions, and failures that are
+told, not raised."""
 
 import dataclasses
 
@@ -46,12 +47,17 @@ def test_the_papers_ratio_is_the_least_of_its_gains_and_limits(certified):
 @pytest.mark.slow
 def test_weighted_gains_are_those_of_the_best_objective(certified):
     found = guarantee("weighted", under(certified, OWN._replace(slip_error=0.05)))
-    settings = ["controller.tracking_gains=[]", 'controller.model="consistent"', "slip.relative_error=0.05"]
+    settings = [
+        "controller.tracking_gains=[]",
+        'controller.model="consistent"',
+        "slip.relative_error=0.05",
+    ]
     problem = complete_problem(load("certified", settings))
     ratios = {}
     for objective in OBJECTIVES:
         own = dataclasses.replace(
-            problem, scenario=load("certified", [*settings, f'controller.lmi_objective="{objective}"'])
+            problem,
+            scenario=load("certified", [*settings, f'controller.lmi_objective="{objective}"']),
         )
         ratios[objective] = max(cap_shares(problem, terminal_cost_and_gain(own)[1]).values())
     assert found.choice == min(ratios, key=lambda name: ratios[name])
@@ -91,6 +97,9 @@ def test_a_ratio_below_1_holds_only_where_the_wheels_can_follow():
 @pytest.mark.slow
 def test_a_search_from_a_neighbours_optimum_ends_where_a_fresh_one_does(certified):
     scenario = under(certified, OWN._replace(slip_error=0.12))
-    near, fresh = guarantee("optimised", scenario, caps_and_gains(certified)), guarantee("optimised", scenario)
+    near, fresh = (
+        guarantee("optimised", scenario, caps_and_gains(certified)),
+        guarantee("optimised", scenario),
+    )
     assert near.holds and fresh.holds and near.ratio is not None
     assert near.ratio == pytest.approx(fresh.ratio, rel=NEARBY_SEARCH)

@@ -1,4 +1,5 @@
-"""Laws of the exact re-check of designs: it agrees with the float certificate, and each condition fails on its own."""
+"""Laws of the exact re-check of designs: it agrees with the float certificate, and each condition
+fails on its own."""
 
 from dataclasses import replace
 from functools import cache
@@ -43,7 +44,11 @@ input_weight = [0.3, 0.3]
 """
 COUPLED = "operating.turning_longitudinal_m=0.30", "operating.turning_yaw_rate_radps=1.5"
 ON_PATH = ("reference.certified_for=path",)
-CHOICES = [pytest.param((), id="box"), pytest.param(COUPLED, id="coupled"), pytest.param(ON_PATH, id="path")]
+CHOICES = [
+    pytest.param((), id="box"),
+    pytest.param(COUPLED, id="coupled"),
+    pytest.param(ON_PATH, id="path"),
+]
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +75,9 @@ def test_the_report_of_a_certified_design_holds(designed, overrides):
 def test_margins_agree_with_those_of_the_float_certificate(designed, overrides):
     found = designed(overrides)
     scale = np.linalg.norm(found.terminal.invariant.normals, axis=1)
-    unit = Polytope(found.terminal.invariant.normals / scale[:, None], found.terminal.invariant.offsets / scale)
+    unit = Polytope(
+        found.terminal.invariant.normals / scale[:, None], found.terminal.invariant.offsets / scale
+    )
     margins = recheck(replace(found, terminal=replace(found.terminal, invariant=unit))).margins
     expected = {name: condition.margin for name, condition in found.certificate.conditions.items()}
     residual = residual_bound(found.problem, found.tube_window)
@@ -96,13 +103,17 @@ def test_the_room_of_the_terminal_set_is_that_of_its_vertices(designed, override
     assert float(margins["terminal inputs"]) == pytest.approx(inputs.min(), abs=EXACT_AGAINST_FLOAT)
 
 
-@pytest.mark.parametrize("overrides", [(), ("disturbance.bound=assumed",)], ids=["computed", "assumed"])
+@pytest.mark.parametrize(
+    "overrides", [(), ("disturbance.bound=assumed",)], ids=["computed", "assumed"]
+)
 def test_the_points_of_the_disturbance_set_are_its_vertices(designed, overrides):
     problem = designed(overrides).problem
     points = np.array(disturbance_points(problem), dtype=float)
     directions = np.random.default_rng(0).normal(size=(200, 3))
     expected = (problem.residual or problem.disturbance_set).support(directions)
-    np.testing.assert_allclose(np.max(directions @ points.T, axis=1), expected, atol=EXACT_AGAINST_FLOAT)
+    np.testing.assert_allclose(
+        np.max(directions @ points.T, axis=1), expected, atol=EXACT_AGAINST_FLOAT
+    )
     assert len(points) == len(problem.disturbance_set.vertices())
 
 
@@ -139,7 +150,9 @@ def faceted(found: Design, facets, change: float) -> Design:
     """Move facets of the invariant set, whose offsets are one."""
     invariant = found.terminal.invariant
     offsets = invariant.offsets + change * facets
-    return replace(found, terminal=replace(found.terminal, invariant=Polytope(invariant.normals, offsets)))
+    return replace(
+        found, terminal=replace(found.terminal, invariant=Polytope(invariant.normals, offsets))
+    )
 
 
 def of_errors(found: Design):
@@ -148,15 +161,25 @@ def of_errors(found: Design):
 
 
 def pulled(found: Design) -> Design:
-    """Pull in a facet that bounds the heading error, and with it the constraint on the last predicted error."""
+    """Pull in a facet that bounds the heading error, and with it the constraint on the last
+    predicted error."""
     facet = np.argmax(found.terminal.invariant.normals[:, 2] * of_errors(found))
     assert np.array_equal(found.bounds.terminal_normals, found.terminal.invariant.normals)
-    return used(faceted(found, np.arange(len(of_errors(found))) == facet, -0.02), "terminal", np.s_[:, facet], -0.02)
+    return used(
+        faceted(found, np.arange(len(of_errors(found))) == facet, -0.02),
+        "terminal",
+        np.s_[:, facet],
+        -0.02,
+    )
 
 
 TAMPERED = {
-    "disturbance": lambda d: of_problem(d, disturbance_set=d.problem.disturbance_set.scale(1 - 1e-9)),
-    "schedules": lambda d: of_problem(d, regions=d.problem.regions + 1e-9 * np.array([[1.0], [-1.0]])),
+    "disturbance": lambda d: of_problem(
+        d, disturbance_set=d.problem.disturbance_set.scale(1 - 1e-9)
+    ),
+    "schedules": lambda d: of_problem(
+        d, regions=d.problem.regions + 1e-9 * np.array([[1.0], [-1.0]])
+    ),
     "gains": lambda d: of_windows(d, gains=d.windows.gains * (1 + 1e-11)),
     "terminal invariant": pulled,
     "terminal errors": lambda d: faceted(d, of_errors(d), 1e-4),

@@ -1,4 +1,5 @@
-"""Laws of the descents: they step as the equations say, reach optima, keep the best, and tell why they stop."""
+"""Laws of the descents: they step as the equations say, reach optima, keep the best, and tell why
+they stop."""
 
 import re
 from typing import NamedTuple
@@ -35,7 +36,8 @@ def noisy(point, draws, deviation=1.0):
 
 
 def sloped(value):
-    """Return an objective whose values are told by `value(x)`, and whose gradient leads to larger x always."""
+    """Return an objective whose values are told by `value(x)`, and whose gradient leads to larger x
+    always."""
     return lambda point, draws: (value(point[0]), np.array([-1.0, 0.0]))
 
 
@@ -51,7 +53,8 @@ def one_line(sentence):
     return "\n" not in sentence and ";" in sentence
 
 
-# ----------------------------------------------------------------------------------------------------------------- Adam
+# -----------------------------------------------------------------------------------------------------------------
+# Adam
 
 
 def adam_by_hand(objective, start, steps, learning_rate, final_share, largest):
@@ -60,7 +63,9 @@ def adam_by_hand(objective, start, steps, learning_rate, final_share, largest):
         g = objective(point, k - 1)[1]
         g = g * min(1.0, largest / np.sqrt(np.sum(g**2)))
         m, v = 0.9 * m + 0.1 * g, 0.999 * v + 0.001 * g**2
-        rate = learning_rate * (final_share + (1 - final_share) * np.cos(np.pi * (k - 1) / (2 * steps - 2)) ** 2)
+        rate = learning_rate * (
+            final_share + (1 - final_share) * np.cos(np.pi * (k - 1) / (2 * steps - 2)) ** 2
+        )
         point = point - rate * (m / (1 - 0.9**k)) / (np.sqrt(v / (1 - 0.999**k)) + 1e-8)
         points.append(point)
     return points
@@ -113,7 +118,8 @@ def test_adam_asks_for_fresh_draws_and_lbfgs_for_frozen_ones():
         assert asked == expected or set(asked) == {0} == set(expected)
 
 
-# --------------------------------------------------------------------------------------------------------------- L-BFGS
+# ---------------------------------------------------------------------------------------------------------------
+# L-BFGS
 
 
 def test_lbfgs_reaches_the_optimum_of_a_quadratic():
@@ -124,7 +130,9 @@ def test_lbfgs_reaches_the_optimum_of_a_quadratic():
 
 def test_lbfgs_reaches_the_optimum_of_rosenbrock():
     start, names = np.array([-1.2, 1.0, -0.5, 0.8]), tuple("abcd")
-    outcome = lbfgs(lambda x, draws: (rosen(x), rosen_der(x)), closer, start, names, **LBFGS, tolerance=1e-15)
+    outcome = lbfgs(
+        lambda x, draws: (rosen(x), rosen_der(x)), closer, start, names, **LBFGS, tolerance=1e-15
+    )
     np.testing.assert_allclose(outcome.point, 1.0, atol=tolerances.DESCENT_OPTIMUM)
 
 
@@ -148,24 +156,35 @@ def test_lbfgs_inspects_the_start_and_every_accepted_iterate():
         seen.append((iteration, rosen(point)))
         return closer(iteration, point)
 
-    outcome = lbfgs(lambda x, draws: (rosen(x), rosen_der(x)), inspect, np.array([-1.2, 1.0]), NAMES, **LBFGS)
+    outcome = lbfgs(
+        lambda x, draws: (rosen(x), rosen_der(x)), inspect, np.array([-1.2, 1.0]), NAMES, **LBFGS
+    )
     values = [value for _, value in seen]
     assert [iteration for iteration, _ in seen] == list(range(outcome.iterations + 1))
     assert values == sorted(values, reverse=True) and values[-1] == rosen(outcome.point)
 
 
 def test_a_failed_line_search_is_told():
-    outcome = lbfgs(lambda x, draws: (float(quadratic(x, 0)[0]), -quadratic(x, 0)[1]), closer, START, NAMES, **LBFGS)
+    outcome = lbfgs(
+        lambda x, draws: (float(quadratic(x, 0)[0]), -quadratic(x, 0)[1]),
+        closer,
+        START,
+        NAMES,
+        **LBFGS,
+    )
     assert outcome.stop is Stop.LINE_SEARCH and one_line(outcome.sentence)
     assert "line search found no lower objective from iteration 0" in outcome.sentence
     np.testing.assert_array_equal(outcome.point, START)
 
 
-# --------------------------------------------------------------------------------------------------- the best and stops
+# ---------------------------------------------------------------------------------------------------
+# the best and stops
 
 
 @pytest.mark.parametrize("descend, settings", [(adam, ADAM), (lbfgs, LBFGS | {"tolerance": 1e-15})])
-def test_the_best_certified_iterate_is_kept_though_later_ones_without_certificate_are_better(descend, settings):
+def test_the_best_certified_iterate_is_kept_though_later_ones_without_certificate_are_better(
+    descend, settings
+):
     held_out = [9.0, 5.0, 3.0, 4.0, np.nan, 2.0, 1.0, 1.5]
     points = []
 
@@ -173,8 +192,13 @@ def test_the_best_certified_iterate_is_kept_though_later_ones_without_certificat
         points.append(point)
         return Seen(held_out[iteration] if iteration < 8 else 8.0, iteration <= 4)
 
-    outcome = descend(lambda x, draws: (rosen(x), rosen_der(x)), inspect, np.array([-1.2, 1.0]), NAMES, **settings)
-    for best, iteration, value in ((outcome.best_certified, 2, 3.0), (outcome.best_uncertified, 6, 1.0)):
+    outcome = descend(
+        lambda x, draws: (rosen(x), rosen_der(x)), inspect, np.array([-1.2, 1.0]), NAMES, **settings
+    )
+    for best, iteration, value in (
+        (outcome.best_certified, 2, 3.0),
+        (outcome.best_uncertified, 6, 1.0),
+    ):
         assert (best.iteration, best.held_out) == (iteration, value)
         np.testing.assert_array_equal(best.point, points[iteration])
     np.testing.assert_array_equal(outcome.point, points[-1])
@@ -206,19 +230,27 @@ def test_adam_ends_where_the_objective_is_not_a_number(bad):
     outcome = adam(sloped(lambda x: 1.0 if x < 2.45 else bad), closer, START, NAMES, **ADAM)
     assert outcome.stop is Stop.NOT_A_NUMBER and one_line(outcome.sentence)
     assert outcome.point[0] >= 2.45 and outcome.evaluations == outcome.iterations + 1 == 6
-    told = rf"objective is not a number at iteration 5 \(parameter log q_x = {outcome.point[0]:.4g}\)"
-    assert re.search(f"{told}; lower the learning rate or start closer to a stable design", outcome.sentence)
+    told = (
+        rf"objective is not a number at iteration 5 \(parameter log q_x = {outcome.point[0]:.4g}\)"
+    )
+    assert re.search(
+        f"{told}; lower the learning rate or start closer to a stable design", outcome.sentence
+    )
 
 
 def test_lbfgs_ends_where_the_objective_is_not_a_number():
     outcome = lbfgs(sloped(lambda x: -x if x < 2.45 else np.nan), closer, START, NAMES, **LBFGS)
     assert outcome.stop is Stop.NOT_A_NUMBER and outcome.iterations == 0
-    assert "iteration 0 (parameter log q_x = 3); start closer to a stable design" in outcome.sentence
+    assert (
+        "iteration 0 (parameter log q_x = 3); start closer to a stable design" in outcome.sentence
+    )
 
 
 def test_the_parameter_whose_derivative_is_not_a_number_is_named():
     for descend, settings in ((adam, ADAM), (lbfgs, LBFGS)):
-        outcome = descend(lambda x, draws: (1.0, np.array([1.0, np.nan])), closer, START, NAMES, **settings)
+        outcome = descend(
+            lambda x, draws: (1.0, np.array([1.0, np.nan])), closer, START, NAMES, **settings
+        )
         assert outcome.stop is Stop.NOT_A_NUMBER and outcome.iterations == 0
         assert outcome.sentence == (
             "gradient is not a number at iteration 0 (parameter log q_y = 1); start closer to a stable design"
@@ -228,8 +260,13 @@ def test_the_parameter_whose_derivative_is_not_a_number_is_named():
 def test_adam_ends_beyond_a_cliff():
     outcome = adam(sloped(lambda x: 1.0 if x < 2.45 else 10.5), closer, START, NAMES, **ADAM)
     assert outcome.stop is Stop.CLIFF and outcome.iterations == 5 + CLIFF_STEPS - 1
-    assert "over 10 times its least value so far, 1, at 5 iterations in a row up to 9" in outcome.sentence
-    assert re.search(r"log q_x = 2\.\d+\); lower the learning rate or clip gradients", outcome.sentence)
+    assert (
+        "over 10 times its least value so far, 1, at 5 iterations in a row up to 9"
+        in outcome.sentence
+    )
+    assert re.search(
+        r"log q_x = 2\.\d+\); lower the learning rate or clip gradients", outcome.sentence
+    )
 
 
 def test_adam_goes_on_after_short_leaps_over_a_cliff():
@@ -252,4 +289,8 @@ def test_adam_goes_on_after_short_leaps_over_a_cliff():
 )
 def test_settings_out_of_range_are_refused(changes, told):
     with pytest.raises(ValueError, match=re.escape(told)):
-        adam(**{"evaluate": quadratic, "inspect": closer, "start": START, "names": NAMES} | ADAM | changes)
+        adam(
+            **{"evaluate": quadratic, "inspect": closer, "start": START, "names": NAMES}
+            | ADAM
+            | changes
+        )

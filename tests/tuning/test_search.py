@@ -1,4 +1,5 @@
-"""Laws of the searches without gradients: exact budgets, points by index, no worse than the start, no crash."""
+"""Laws of the searches without gradients: exact budgets, points by index, no worse than the start,
+no crash."""
 
 import numpy as np
 import pytest
@@ -35,7 +36,8 @@ def searches(budget):
     }
 
 
-# ------------------------------------------------------------------------------------------------------- both searches
+# -------------------------------------------------------------------------------------------------------
+# both searches
 
 
 @pytest.mark.parametrize("method", ["random", "simplex"])
@@ -72,7 +74,8 @@ def test_a_budget_of_nothing_is_refused(search):
         search(bowl)
 
 
-# --------------------------------------------------------------------------------------------------------- each search
+# ---------------------------------------------------------------------------------------------------------
+# each search
 
 
 def test_a_random_point_depends_on_seed_and_index_alone():
@@ -96,7 +99,9 @@ def test_the_simplex_begins_at_its_size():
 
 
 def test_the_simplex_finds_the_optimum():
-    np.testing.assert_allclose(nelder_mead(bowl, START, 400, size=0.3).best, [0.5, -1.0, 0.7], atol=1e-6)
+    np.testing.assert_allclose(
+        nelder_mead(bowl, START, 400, size=0.3).best, [0.5, -1.0, 0.7], atol=1e-6
+    )
 
 
 @pytest.mark.parametrize("size", [0.0, np.nan, np.inf])
@@ -105,7 +110,8 @@ def test_a_simplex_without_volume_is_refused(size):
         nelder_mead(bowl, START, 10, size)
 
 
-# ---------------------------------------------------------------------------------------------------------------- grid
+# ----------------------------------------------------------------------------------------------------------------
+# grid
 
 
 def test_the_grid_is_full_and_spans_the_decades():
@@ -120,7 +126,9 @@ def test_the_grid_is_full_and_spans_the_decades():
     assert (log_grid(centre, 1.5, (3, 3, 5, 1)) == centre).all(axis=1).sum() == 1
 
 
-@pytest.mark.parametrize("centre, shape", [([1.0, 2.0], (3,)), ([1.0, 0.0], (3, 3)), ([1.0, 2.0], (3, 0))])
+@pytest.mark.parametrize(
+    "centre, shape", [([1.0, 2.0], (3,)), ([1.0, 0.0], (3, 3)), ([1.0, 2.0], (3, 0))]
+)
 def test_a_grid_that_cannot_be_is_refused(centre, shape):
     with pytest.raises(ValueError, match=r"(shape|centre) = "):
         log_grid(np.array(centre), 1.0, shape)

@@ -1,4 +1,5 @@
-"""Laws of the shipped result of tuning: it is certified, and its tube is narrower than that of usual gains."""
+"""Laws of the shipped result of tuning: it is certified, and its tube is narrower than that of
+usual gains."""
 
 import numpy as np
 import pytest
@@ -24,6 +25,8 @@ def test_the_tuned_scenario_is_certified(found):
 def test_the_minimal_invariant_set_is_a_fifth_narrower_than_that_of_lmi_gains(found):
     problem, model = found.problem, found.problem.model
     tuned = widest_tube(problem, found.terminal.gains).support(LATERAL)[0]
-    cost = terminal_cost(*model.matrices(model.vertices), np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2), "trace_s")
+    cost = terminal_cost(
+        *model.matrices(model.vertices), np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2), "trace_s"
+    )
     usual = widest_tube(problem, LocalGain(cost.gains.mean(axis=0), cost.gains)).support(LATERAL)[0]
     assert tuned <= 0.8 * usual

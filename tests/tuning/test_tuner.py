@@ -1,4 +1,5 @@
-"""Laws of a scenario's tuner: what has no design, what an inspection depends on, and which draws it uses."""
+"""Laws of a scenario's tuner: what has no design, what an inspection depends on, and which draws it
+uses."""
 
 import dataclasses
 
@@ -43,7 +44,9 @@ def no_laps():
         yield
 
 
-@pytest.fixture(scope="module", params=["no_laps", pytest.param("true_laps", marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module", params=["no_laps", pytest.param("true_laps", marks=pytest.mark.slow)]
+)
 def tuner(request):
     request.getfixturevalue(request.param)
     return make(tuned.problem_of("decoupled"))
@@ -76,7 +79,11 @@ def test_what_has_no_design_says_why_and_is_worth_no_design(tuner, name):
     assert value == tuner.value(point, 1) == NO_DESIGN and np.isfinite(NO_DESIGN)
     np.testing.assert_array_equal(gradient, np.zeros_like(point))
     inspected = tuner.inspect(point)
-    assert inspected.held_out == np.inf and not inspected.certified and inspected.failing == (designed.reason,)
+    assert (
+        inspected.held_out == np.inf
+        and not inspected.certified
+        and inspected.failing == (designed.reason,)
+    )
     assert inspected.laps is None and inspected.shares is None
     with pytest.raises(ValueError, match="has no closed loop"):
         tuner.controller(point)
@@ -88,8 +95,14 @@ def test_an_inspection_is_a_function_of_the_point_alone(tuner):
     tuner.inspect(tuner.parameters.vector)
     tuner.value(point, 3)
     for other in (tuner.inspect(point.copy()), fresh(tuner).inspect(point)):
-        assert (other.held_out, other.certified, other.failing) == (first.held_out, first.certified, first.failing)
-        jax.tree.map(np.testing.assert_array_equal, (other.laps, other.shares), (first.laps, first.shares))
+        assert (other.held_out, other.certified, other.failing) == (
+            first.held_out,
+            first.certified,
+            first.failing,
+        )
+        jax.tree.map(
+            np.testing.assert_array_equal, (other.laps, other.shares), (first.laps, first.shares)
+        )
     assert tuner.compare(point, LAPS).held_out != first.held_out != tuner.value(point, 0)
 
 
@@ -113,7 +126,9 @@ def test_no_two_uses_share_a_realisation(tuner, monkeypatch):
     tuner, seen = fresh(tuner, laps=5, held_out=7), {}
 
     def keys_of(keys):
-        seen.setdefault(name[0], []).extend(map(tuple, np.asarray(jax.random.key_data(keys)).tolist()))
+        seen.setdefault(name[0], []).extend(
+            map(tuple, np.asarray(jax.random.key_data(keys)).tolist())
+        )
 
     def played(vector, frozen, plant, keys, *rest):
         keys_of(keys)
@@ -155,10 +170,14 @@ CERTIFIED = {
 }
 
 
-@pytest.mark.parametrize("name", ["the start", "weaker gains", *map(slow, ("other weights", "less"))])
+@pytest.mark.parametrize(
+    "name", ["the start", "weaker gains", *map(slow, ("other weights", "less"))]
+)
 def test_is_certified_where_the_certificate_holds_and_the_start_has_a_plan(tuner, name):
     point = moved(tuner, **CERTIFIED[name])
-    problem = with_controller(tuner.problem, tuner.parameters.scenario(tuner.problem.scenario, point))
+    problem = with_controller(
+        tuner.problem, tuner.parameters.scenario(tuner.problem.scenario, point)
+    )
     design = finish(prepare(problem))
     try:
         refuse_infeasible_start(design)
@@ -167,13 +186,18 @@ def test_is_certified_where_the_certificate_holds_and_the_start_has_a_plan(tuner
         has_a_plan = False
     found = tuner.inspect(point)
     assert found.certified == (design.certificate.holds and has_a_plan)
-    assert set(found.failing) == {*design.certificate.failing, *([] if has_a_plan else ["start_has_a_plan"])}
+    assert set(found.failing) == {
+        *design.certificate.failing,
+        *([] if has_a_plan else ["start_has_a_plan"]),
+    }
     if name in ("the start", "other weights"):
         assert found.certified
 
 
 def test_a_start_without_plan_is_not_certified(tuner):
-    outside = dataclasses.replace(tuner.problem, initial_error=0.99 * tuner.problem.operating_set.offsets[:3])
+    outside = dataclasses.replace(
+        tuner.problem, initial_error=0.99 * tuner.problem.operating_set.offsets[:3]
+    )
     found = fresh(tuner, problem=outside).inspect(tuner.parameters.vector)
     assert not found.certified and found.failing == ("start_has_a_plan",)
 

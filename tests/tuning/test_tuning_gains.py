@@ -31,7 +31,9 @@ def problem(request):
 
 @pytest.fixture(scope="module")
 def maps(problem):
-    return gain_maps(problem, make_windows(problem, given_gain(problem, problem.given_gains)).schedules)
+    return gain_maps(
+        problem, make_windows(problem, given_gain(problem, problem.given_gains)).schedules
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -49,9 +51,15 @@ def test_gains_and_loops_are_those_of_the_design(problem, maps, seed):
 def test_vertex_gains_are_read_row_by_row():
     problem = tuned.problem_of("vertices")
     kappa = np.arange(24.0)
-    np.testing.assert_array_equal(given_gain(problem, kappa).vertices[2], [[12, 13, 14], [15, 16, 17]])
-    at_corners = gain_maps(problem, make_windows(problem, given_gain(problem, kappa)).schedules).corner_gains
-    np.testing.assert_allclose(at_corners.at(jnp.asarray(kappa)), kappa.reshape(4, 2, 3), atol=tol.GAIN_MAPS * 24)
+    np.testing.assert_array_equal(
+        given_gain(problem, kappa).vertices[2], [[12, 13, 14], [15, 16, 17]]
+    )
+    at_corners = gain_maps(
+        problem, make_windows(problem, given_gain(problem, kappa)).schedules
+    ).corner_gains
+    np.testing.assert_allclose(
+        at_corners.at(jnp.asarray(kappa)), kappa.reshape(4, 2, 3), atol=tol.GAIN_MAPS * 24
+    )
 
 
 def cost_at(maps, numbers):
@@ -61,12 +69,16 @@ def cost_at(maps, numbers):
     return loops, gains, np.asarray(error_weight), np.asarray(input_weight)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+)
 def test_the_terminal_costs_slope_is_that_of_solving_it_again(problem, maps, seed):
     rng = np.random.default_rng(seed)
     roots = rng.normal(size=(3, 3)), rng.normal(size=(2, 2))
     weights = [root @ root.T + 0.3 * np.eye(len(root)) for root in roots]
-    numbers = tuned.entries(tuned.Weights(*weights, jnp.asarray(tuned.random_kappa(problem, rng, size=0.1))))
+    numbers = tuned.entries(
+        tuned.Weights(*weights, jnp.asarray(tuned.random_kappa(problem, rng, size=0.1)))
+    )
     sizes = np.maximum(np.abs(numbers), 0.1)
     found = cost_of_gains(*cost_at(maps, numbers))
 

@@ -1,4 +1,5 @@
-"""Laws of the differentiable closed loop: it is the design's own. Laws of the vector of its weights and gains."""
+"""Laws of the differentiable closed loop: it is the design's own. Laws of the vector of its weights
+and gains."""
 
 from operator import itemgetter
 
@@ -27,7 +28,9 @@ condensed = jax.jit(windows_of)
 drive = jax.jit(rollout.__wrapped__)
 
 
-@pytest.fixture(scope="module", params=["decoupled", pytest.param("vertices", marks=pytest.mark.slow)])
+@pytest.fixture(
+    scope="module", params=["decoupled", pytest.param("vertices", marks=pytest.mark.slow)]
+)
 def loop(request):
     """A design at a random point, and the windows that tuning gives it."""
     problem = tuned.problem_of(request.param)
@@ -42,13 +45,19 @@ def test_windows_are_those_of_the_design(loop):
     design, _, found = loop
     expected = design.tube_window
     m = expected.lower.shape[1]
-    assert np.isinf(found.lower[:, m:]).all() and np.isinf(found.upper[:, m:]).all()  # spare rows bound nothing
+    assert (
+        np.isinf(found.lower[:, m:]).all() and np.isinf(found.upper[:, m:]).all()
+    )  # spare rows bound nothing
     close = {"rtol": tol.SAME_WINDOWS, "atol": tol.SAME_WINDOWS}
     for name in ("lower", "upper", "row_errors", "free_rows"):
-        np.testing.assert_allclose(getattr(found, name)[:, :m], getattr(expected, name), **close, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(found, name)[:, :m], getattr(expected, name), **close, err_msg=name
+        )
     cut = {"rows", "row_norms", "optimum_rows", "pair_products"}
     for name in set(expected._fields) - {"lower", "upper", "row_errors", "free_rows", "factors"}:
-        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), **close, err_msg=name)
+        np.testing.assert_allclose(
+            getattr(found, name), getattr(expected, name), **close, err_msg=name
+        )
     for name in ("hessian", "rows", "row_norms", "optimum"):
         mine = getattr(found.factors, name)
         mine = mine[:, :m] if name in cut else mine
@@ -56,10 +65,13 @@ def test_windows_are_those_of_the_design(loop):
 
 
 def with_spare_rows(window, like):
-    """Repeat the last row of a design's QPs, without bounds, up to the shape of others: one program drives both."""
+    """Repeat the last row of a design's QPs, without bounds, up to the shape of others: one program
+    drives both."""
 
     def padded(mine, other, **how):
-        return np.pad(mine, [(0, b - a) for a, b in zip(mine.shape, other.shape, strict=True)], **how)
+        return np.pad(
+            mine, [(0, b - a) for a, b in zip(mine.shape, other.shape, strict=True)], **how
+        )
 
     bounds = {
         name: padded(getattr(window, name), getattr(like, name), constant_values=value)
@@ -72,12 +84,26 @@ def with_spare_rows(window, like):
 def test_laps_are_those_of_the_design_rows_active_or_not(loop):
     design, fixed, windows = loop
     settings = design.problem.scenario.controller
-    edge = boundary(design.tube_window, int(design.windows.index[0]), design.problem.operating_set, LAPS - 2, seed=1)
+    edge = boundary(
+        design.tube_window,
+        int(design.windows.index[0]),
+        design.problem.operating_set,
+        LAPS - 2,
+        seed=1,
+    )
     outside = 1.5 * edge[:1]
     starts = jnp.asarray(np.vstack([design.problem.initial_error, 0.99 * edge, outside]))
-    plant, keys = tuned.shortened(closed_loop.slipping_robot(design), STEPS), realisation_keys(0, 0, LAPS)
+    plant, keys = (
+        tuned.shortened(closed_loop.slipping_robot(design), STEPS),
+        realisation_keys(0, 0, LAPS),
+    )
     loops = (
-        TubeMpc(jax.tree.map(jnp.asarray, each), jnp.asarray(fixed.index), settings.restart, settings.input_map)
+        TubeMpc(
+            jax.tree.map(jnp.asarray, each),
+            jnp.asarray(fixed.index),
+            settings.restart,
+            settings.input_map,
+        )
         for each in (windows, with_spare_rows(design.tube_window, windows))
     )
     found, expected = (drive(each, plant, keys, starts) for each in loops)
@@ -94,7 +120,9 @@ def test_laps_are_those_of_the_design_rows_active_or_not(loop):
 def test_a_tube_that_outgrows_its_limits_leaves_some_room(loop):
     design, fixed, _ = loop
     kappa = 3.0 * jnp.asarray(design.problem.given_gains)
-    errors, inputs, terminal = jax.jit(lambda *of: itemgetter(*PARTS)(vars(tightened(*of))))(fixed, kappa)
+    errors, inputs, terminal = jax.jit(lambda *of: itemgetter(*PARTS)(vars(tightened(*of))))(
+        fixed, kappa
+    )
     for left, offsets in ((errors, fixed.error_offsets), (inputs, fixed.input_offsets)):
         assert (left >= ROOM * offsets * (1 - tol.SAME_WINDOWS)).all() and (left <= offsets).all()
     assert (errors <= ROOM * fixed.error_offsets * (1 + tol.SAME_WINDOWS)).any()
@@ -110,8 +138,12 @@ def test_the_start_is_the_scenarios_own_weights_and_gains(problem):
     chosen = parameters(problem)
     controller = chosen.scenario(problem.scenario, chosen.vector).controller
     again = with_controller(problem, chosen.scenario(problem.scenario, chosen.vector))
-    np.testing.assert_allclose(again.error_weight, problem.error_weight, rtol=tol.SAME_WEIGHTS, atol=0)
-    np.testing.assert_allclose(again.input_weight, problem.input_weight, rtol=tol.SAME_WEIGHTS, atol=0)
+    np.testing.assert_allclose(
+        again.error_weight, problem.error_weight, rtol=tol.SAME_WEIGHTS, atol=0
+    )
+    np.testing.assert_allclose(
+        again.input_weight, problem.input_weight, rtol=tol.SAME_WEIGHTS, atol=0
+    )
     np.testing.assert_allclose(again.given_gains, problem.given_gains, rtol=tol.SAME_WEIGHTS)
     assert bool(controller.tracking_gains) != bool(controller.vertex_gains)
 
@@ -130,10 +162,14 @@ def test_the_scenario_of_a_vector_holds_its_weights_which_are_positive_definite(
     if len(vector) == 12:
         assert (weights.kappa > 0).all()
     # And back again: the vector is the only one with these weights.
-    np.testing.assert_allclose(parameters(again).weights(parameters(again).vector).kappa, weights.kappa, rtol=1e-13)
+    np.testing.assert_allclose(
+        parameters(again).weights(parameters(again).vector).kappa, weights.kappa, rtol=1e-13
+    )
     least = [np.linalg.eigvalsh(weight)[0] / np.abs(weight).max() for weight in weights[:2]]
     if min(least) > LEAST_PIVOT:  # a weight closer to a singular one is raised
-        np.testing.assert_allclose(parameters(again).vector[:9], vector[:9], rtol=0, atol=tol.SAME_VECTOR)
+        np.testing.assert_allclose(
+            parameters(again).vector[:9], vector[:9], rtol=0, atol=tol.SAME_VECTOR
+        )
 
 
 def test_only_what_is_tuned_moves(problem):
@@ -152,11 +188,17 @@ def test_only_what_is_tuned_moves(problem):
         weights = chosen.weights(jnp.asarray(chosen.vector + 0.1))
         start = everything.weights(jnp.asarray(everything.vector))
         changed = [not np.array_equal(new, old) for new, old in zip(weights, start, strict=True)]
-        assert changed == [tuned_part != "gains", tuned_part != "gains", tuned_part in ("both", "gains")]
+        assert changed == [
+            tuned_part != "gains",
+            tuned_part != "gains",
+            tuned_part in ("both", "gains"),
+        ]
 
 
 def test_what_cannot_be_tuned_is_refused(problem):
-    with pytest.raises(ValueError, match="'all' is unknown; choose one of both, weights, gains, diagonal"):
+    with pytest.raises(
+        ValueError, match="'all' is unknown; choose one of both, weights, gains, diagonal"
+    ):
         parameters(problem, "all")
     settings = replace(problem.scenario.controller, tracking_gains=(), vertex_gains=())
     scenario = replace(problem.scenario, controller=settings)

@@ -1,4 +1,5 @@
-"""Laws of the objective: its derivatives against differences with the host's parts solved again, and what it counts."""
+"""Laws of the objective: its derivatives against differences with the host's parts solved again,
+and what it counts."""
 
 import dataclasses
 from functools import partial
@@ -31,18 +32,27 @@ LAPS = 4
 
 
 class Watched(TubeMpc):
-    """The tube-MPC, which says more in place of its backups: those, whether a row is active, and which rows are."""
+    """The tube-MPC, which says more in place of its backups: those, whether a row is active, and
+    which rows are."""
 
     def act(self, step, state, errors, reference_wheels):
         window = mpc.take_window(self.windows, self.index[step])
         command, following, found = super().act(step, state, errors, reference_wheels)
-        active = tuned.active_rows(window, errors, following.inputs, tol.ACTIVE_ROW) & ~found.backup[:, None]
+        active = (
+            tuned.active_rows(window, errors, following.inputs, tol.ACTIVE_ROW)
+            & ~found.backup[:, None]
+        )
         parts = found.backup, active.any(axis=1), code(active)
-        return command, following, found._replace(backup=jnp.stack([part.astype(float) for part in parts], axis=1))
+        return (
+            command,
+            following,
+            found._replace(backup=jnp.stack([part.astype(float) for part in parts], axis=1)),
+        )
 
 
 def code(flags):
-    """Return numbers, equal to the last bit for equal flags along the last axis and, but by chance, only for those."""
+    """Return numbers, equal to the last bit for equal flags along the last axis and, but by chance,
+    only for those."""
     marks = np.random.default_rng(0).uniform(1, 2, flags.shape[-1])
     return jnp.where(flags, jnp.asarray(marks), 0.0).sum(axis=-1)
 
@@ -50,7 +60,8 @@ def code(flags):
 def watched_play(controller, plant, keys, starts, *, told, widths, margin):
     """Play with a controller that is watched, and tell of every lap:
 
-    its backups, its steps with active rows, which those are, and what is used beyond the margin or saturates.
+    its backups, its steps with active rows, which those are, and what is used beyond the margin or
+    saturates.
     """
     seen = play(Watched(**vars(controller)), plant, keys, starts)
     wheels, errors = seen["wheels"] / plant.robot.wheel_speed_max, jnp.abs(seen["error"]) / widths
@@ -68,14 +79,19 @@ class Loop:
         problem = tuned.problem_of(kind)
         self.parameters = parameters(problem)
         settled = min(100, steps // 3)
-        self.aim = dataclasses.replace(objective.aim(problem.scenario, settled), effort_limit=0.05, tail_share=0.5)
+        self.aim = dataclasses.replace(
+            objective.aim(problem.scenario, settled), effort_limit=0.05, tail_share=0.5
+        )
         plant = tuned.shortened(closed_loop.robot_of(problem), steps)
         self.tuner = Tuner(problem, plant, self.parameters, self.aim, laps=LAPS)
         settings = problem.scenario.controller
         watched = partial(watched_play, widths=limits(problem).widths, margin=self.aim.margin)
 
         def evaluate(weights, frozen, keys, starts):
-            told, arguments = [], (frozen, plant, keys, starts, self.aim, settings.restart, settings.input_map)
+            told, arguments = (
+                [],
+                (frozen, plant, keys, starts, self.aim, settings.restart, settings.input_map),
+            )
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(objective, "play", partial(watched, told=told))
                 return objective.objective(weights, *arguments), told[0]
@@ -83,14 +99,21 @@ class Loop:
         self.evaluate = jax.jit(jax.value_and_grad(evaluate, has_aux=True))
 
     def random_point(self, seed: int):
-        """Draw a point that has a design, and starts: the scenario's, and others at the edge of the feasible set."""
+        """Draw a point that has a design, and starts: the scenario's, and others at the edge of the
+        feasible set."""
         for attempt in range(20):
             point = tuned.random_point(self.tuner.problem, np.random.default_rng([seed, attempt]))
             found = self.tuner.designed(point)
             if found.frozen is not None:
                 break
         design = finish(found.ingredients)
-        edge = boundary(design.tube_window, int(design.windows.index[0]), design.problem.operating_set, LAPS - 1, seed)
+        edge = boundary(
+            design.tube_window,
+            int(design.windows.index[0]),
+            design.problem.operating_set,
+            LAPS - 1,
+            seed,
+        )
         starts = jnp.asarray(np.vstack([design.problem.initial_error, 0.98 * edge]))
         return point, found.frozen, (self.tuner.keys(seed * LAPS, LAPS), starts)
 
@@ -98,13 +121,15 @@ class Loop:
 def solved_again(problem, frozen, weights, other_gains: bool):
     """Return what an evaluation holds, solved again for other weights and gains.
 
-    Only the terminal cost follows the weights; for other gains everything is designed anew, the terminal set as well,
-    but for the facets that attain the widest tube.
+    Only the terminal cost follows the weights; for other gains everything is designed anew, the
+    terminal set as well, but for the facets that attain the widest tube.
     """
     if other_gains:
         return freeze(prepare(tuned.problem_with(problem, weights)))._replace(active=frozen.active)
     maps = frozen.fixed.maps
-    loops, gains = (np.asarray(part.at(weights.kappa)) for part in (maps.vertex_loops, maps.vertex_gains))
+    loops, gains = (
+        np.asarray(part.at(weights.kappa)) for part in (maps.vertex_loops, maps.vertex_gains)
+    )
     P = cost_of_gains(loops, gains, *(np.asarray(part) for part in weights[:2]))
     return frozen._replace(fixed=frozen.fixed._replace(terminal_cost=jnp.asarray(P)))
 
@@ -127,11 +152,12 @@ def signs_in_the_tube(frozen, kappa):
 
 
 def slopes(loop: Loop, seed: int, every: int):
-    """Return derivatives, differences, scales, which are smooth and which laps have active rows at a point.
+    """Return derivatives, differences, scales, which are smooth and which laps have active rows at
+    a point.
 
-    Along the numbers of the point and along the entries, one in `every`, others for every seed. Not smooth is where, at
-    some end of a difference, other rows are active than at the point, or other errors and wheel speeds are beyond the
-    margin, or where a product in the tube has another sign.
+    Along the numbers of the point and along the entries, one in `every`, others for every seed. Not
+    smooth is where, at some end of a difference, other rows are active than at the point, or other
+    errors and wheel speeds are beyond the margin, or where a product in the tube has another sign.
     """
     point, frozen, drawn = loop.random_point(seed)
     weights, pull_back = jax.vjp(loop.parameters.weights, jnp.asarray(point))
@@ -167,7 +193,8 @@ def slopes(loop: Loop, seed: int, every: int):
 
 
 def entry_sizes(weights):
-    """Return the scale of every entry: of a weight what it takes to make it singular, of gains their own size."""
+    """Return the scale of every entry: of a weight what it takes to make it singular, of gains
+    their own size."""
     roots = [1 / np.sqrt(np.diag(np.linalg.inv(part))) for part in weights[:2]]
     of_weights = [np.outer(root, root)[np.tril_indices(len(root))] for root in roots]
     kappa = np.abs(np.asarray(weights.kappa))
@@ -175,13 +202,17 @@ def entry_sizes(weights):
 
 
 def errors(found, expected, sizes):
-    """Return the error of every derivative relative to itself, or to the least one that a difference can tell."""
+    """Return the error of every derivative relative to itself, or to the least one that a
+    difference can tell."""
     found, expected = found * sizes, expected * sizes
-    return np.abs(found - expected) / np.maximum(np.abs(expected), tol.LEAST_SLOPE * np.abs(expected).max())
+    return np.abs(found - expected) / np.maximum(
+        np.abs(expected), tol.LEAST_SLOPE * np.abs(expected).max()
+    )
 
 
 def check_slopes(loop: Loop, seeds: range, every: int = 1):
-    """Compare derivatives with differences at random points, and print the worst error and what was left out."""
+    """Compare derivatives with differences at random points, and print the worst error and what was
+    left out."""
     worst, kept, active, count = 0.0, 0, 0, 0
     for seed in seeds:
         found, expected, sizes, smooth, pattern = slopes(loop, seed, every)
@@ -209,7 +240,9 @@ def test_derivatives_along_every_direction_are_differences_with_the_host_solved_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "points", "every"), [("decoupled", 10, 1), ("firm", 25, 1), ("vertices", 15, 5)])
+@pytest.mark.parametrize(
+    ("kind", "points", "every"), [("decoupled", 10, 1), ("firm", 25, 1), ("vertices", 15, 5)]
+)
 def test_derivatives_of_whole_laps_are_differences_with_the_host_solved_again(kind, points, every):
     check_slopes(Loop(kind, 300), range(points), every)
 
@@ -265,7 +298,9 @@ def test_agrees_with_unrolled_iterations(monkeypatch):
         given = qp.unit_rows(factors, given)
         x, y = fixed_point.admm(factors, given, jnp.zeros_like(given.q), 400)
         status = jnp.full(len(q), qp.SOLVED, jnp.int32)
-        return qp.Solution(x.T, y.T / factors.row_norms, status, fixed_point.residual(factors, given, x, y))
+        return qp.Solution(
+            x.T, y.T / factors.row_norms, status, fixed_point.residual(factors, given, x, y)
+        )
 
     monkeypatch.setattr(qp, "solve", unrolled)
     again = Loop("decoupled", 4)
@@ -301,12 +336,22 @@ def test_laps_are_reduced_as_defined(law):
     within = limits(problem)
     laps = run_laps(controller, plant, keys, starts, within, aim)
     seen = drive(controller, plant, keys, starts)
-    np.testing.assert_allclose(laps.errors, root_mean_square(seen.errors[10:]), rtol=tol.SAME_REDUCTION)
+    np.testing.assert_allclose(
+        laps.errors, root_mean_square(seen.errors[10:]), rtol=tol.SAME_REDUCTION
+    )
     slip = [problem.scenario.slip.nominal_right, problem.scenario.slip.nominal_left]
-    extra = np.asarray(seen.demanded) - np.asarray(plant.reference_wheels / (1 - np.array(slip)))[:, None]
+    extra = (
+        np.asarray(seen.demanded)
+        - np.asarray(plant.reference_wheels / (1 - np.array(slip)))[:, None]
+    )
     for found, values in ((laps.effort, extra), (laps.settled_effort, extra[9:])):
-        np.testing.assert_allclose(found, root_mean_square(values, axis=(0, 2)), rtol=tol.SAME_REDUCTION)
-    used = np.abs(seen.errors[1:]) / within.widths, np.asarray(seen.demanded) / problem.robot.wheel_speed_max
+        np.testing.assert_allclose(
+            found, root_mean_square(values, axis=(0, 2)), rtol=tol.SAME_REDUCTION
+        )
+    used = (
+        np.abs(seen.errors[1:]) / within.widths,
+        np.asarray(seen.demanded) / problem.robot.wheel_speed_max,
+    )
     beyond = sum((np.maximum(part - 0.5, 0) ** 2).sum(axis=2).mean(axis=0) for part in used)
     np.testing.assert_allclose(laps.excess, beyond, rtol=tol.SAME_REDUCTION)
     assert (laps.excess > 0).all() and not laps.backups.any()
@@ -317,7 +362,9 @@ def test_a_robot_that_follows_exactly_makes_no_effort_and_exceeds_nothing(law):
     plant = tuned.shortened(closed_loop.robot_of(problem, relative_error=0.0), 40)
     plant = dataclasses.replace(plant, noise=None)
     aim = dataclasses.replace(aim, margin=0.9)
-    laps = run_laps(controller, plant, realisation_keys(0, 0, 6), jnp.zeros((6, 3)), limits(problem), aim)
+    laps = run_laps(
+        controller, plant, realisation_keys(0, 0, 6), jnp.zeros((6, 3)), limits(problem), aim
+    )
     for part in laps:
         assert np.abs(part).max() < tol.NO_EFFORT
     slope = jax.grad(lambda squares: objective._root(squares).sum())(jnp.zeros(3))
@@ -327,7 +374,9 @@ def test_a_robot_that_follows_exactly_makes_no_effort_and_exceeds_nothing(law):
 def some_laps(count=40):
     rng = np.random.default_rng(1)
     errors, effort = rng.uniform(0, 0.01, (count, 3)), rng.uniform(0, 0.03, count)
-    return objective.Laps(*(jnp.asarray(part) for part in (errors, effort, effort)), *jnp.zeros((2, count)))
+    return objective.Laps(
+        *(jnp.asarray(part) for part in (errors, effort, effort)), *jnp.zeros((2, count))
+    )
 
 
 AIM = objective.Aim((1e4, 2e4, 0.0), 50.0, 0.05, 1.0, 1.0, 0.0, 0.9, 0)
@@ -337,7 +386,9 @@ NO_SHARES = jnp.zeros(3)
 def tail(laps, share):
     """Return the mean cost of the worst laps, as the objective has it."""
     of = [
-        objective.total_cost(laps, NO_SHARES, dataclasses.replace(AIM, tail_share=share, tail_weight=w))
+        objective.total_cost(
+            laps, NO_SHARES, dataclasses.replace(AIM, tail_share=share, tail_weight=w)
+        )
         for w in (1.0, 0.0)
     ]
     return float(of[0] - of[1])
@@ -351,7 +402,9 @@ def test_the_tail_is_the_mean_of_the_worst_laps_and_shrinks_to_the_mean():
     tails = [tail(laps, share) for share in shares]
     worst = [np.sort(costs)[-round(40 * share) :].mean() for share in shares]
     np.testing.assert_allclose(tails, worst, rtol=tol.SAME_REDUCTION)
-    assert (np.diff(tails) < 0).all() and tails[-1] == pytest.approx(float(np.mean(costs)), rel=tol.SAME_REDUCTION)
+    assert (np.diff(tails) < 0).all() and tails[-1] == pytest.approx(
+        float(np.mean(costs)), rel=tol.SAME_REDUCTION
+    )
 
 
 def test_steep_costs_are_zero_inside_the_limits_and_quadratic_beyond():
@@ -363,5 +416,9 @@ def test_steep_costs_are_zero_inside_the_limits_and_quadratic_beyond():
     assert outside == pytest.approx(objective.STEEPNESS * (0.1**2 + 0.05**2), rel=tol.SAME_STEEP)
     effort = float(root_mean_square(laps.effort))
     limited = dataclasses.replace(aim, effort_limit=effort / 1.2)
-    outside = objective.total_cost(laps._replace(excess=jnp.full(40, 3e-3)), jnp.asarray([0.9, 0.4, 0.1]), limited)
-    assert outside - inside == pytest.approx(objective.STEEPNESS * (0.2**2 + 3e-3), rel=tol.SAME_STEEP)
+    outside = objective.total_cost(
+        laps._replace(excess=jnp.full(40, 3e-3)), jnp.asarray([0.9, 0.4, 0.1]), limited
+    )
+    assert outside - inside == pytest.approx(
+        objective.STEEPNESS * (0.2**2 + 3e-3), rel=tol.SAME_STEEP
+    )

@@ -1,4 +1,5 @@
-"""Laws of the terminal set as a function of the gains: it is the design's, made again for gains near by."""
+"""Laws of the terminal set as a function of the gains: it is the design's, made again for gains
+near by."""
 
 from dataclasses import replace
 
@@ -25,7 +26,11 @@ def made(problem, kappa):
     """Prepare the design of other gains."""
     chosen = parameters(problem)
     numbers = kappa / chosen.scales if len(chosen.scales) else np.log(kappa)
-    return prepare(with_controller(problem, chosen.scenario(problem.scenario, np.append(chosen.vector[:9], numbers))))
+    return prepare(
+        with_controller(
+            problem, chosen.scenario(problem.scenario, np.append(chosen.vector[:9], numbers))
+        )
+    )
 
 
 def with_facets(problem, count):
@@ -88,7 +93,9 @@ def test_for_gains_near_by_the_set_is_the_one_that_is_made_again(case, seed):
     rows = bounded(rows_at(fixed, jnp.asarray(there)))
     held = Polytope(rows, np.ones(len(rows)))
     directions = rng.normal(size=(50, 3))
-    np.testing.assert_allclose(held.support(directions), again.support(directions), rtol=tol.SAME_TERMINAL_SET)
+    np.testing.assert_allclose(
+        held.support(directions), again.support(directions), rtol=tol.SAME_TERMINAL_SET
+    )
 
 
 def test_every_row_is_necessary_for_whatever_gains(case):
@@ -96,7 +103,10 @@ def test_every_row_is_necessary_for_whatever_gains(case):
     problem, kappa, _, fixed, _ = case
     there = kappa * (1 + 0.02 * np.random.default_rng(9).standard_normal(len(kappa)))
     maximal = made(problem, there).terminal.maximal.polytope
-    assert np.max(maximal.support(bounded(rows_at(fixed, jnp.asarray(there))))) <= 1 + tol.SAME_TERMINAL_ROWS
+    assert (
+        np.max(maximal.support(bounded(rows_at(fixed, jnp.asarray(there)))))
+        <= 1 + tol.SAME_TERMINAL_ROWS
+    )
 
 
 def test_equal_gains_at_all_vertices_are_followed_from_the_first():
@@ -105,7 +115,9 @@ def test_equal_gains_at_all_vertices_are_followed_from_the_first():
     found = made(problem, kappa)
     rows = bounded(rows_at(fix(found), jnp.asarray(kappa)))
     assert found.terminal.invariant is found.terminal.maximal.polytope
-    np.testing.assert_allclose(rows, found.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS)
+    np.testing.assert_allclose(
+        rows, found.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS
+    )
 
 
 def assert_held(found, kappa):
@@ -113,7 +125,9 @@ def assert_held(found, kappa):
     fixed = fix(found)
     for there in (kappa, 1.1 * kappa):
         rows = bounded(rows_at(fixed, jnp.asarray(there)))
-        np.testing.assert_allclose(rows, found.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS)
+        np.testing.assert_allclose(
+            rows, found.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS
+        )
 
 
 def test_a_set_of_few_facets_is_held(case):
@@ -135,5 +149,7 @@ def test_what_takes_the_place_of_an_empty_set_is_held():
     found = made(problem, kappa)
     assert found.terminal.fallback
     bounds = jax.jit(lambda *of: tightened(*of).terminal)(fix(found), jnp.asarray(kappa))
-    np.testing.assert_allclose(bounds[:, :6], found.bounds.terminal, rtol=0, atol=tol.SAME_TERMINAL_ROWS)
+    np.testing.assert_allclose(
+        bounds[:, :6], found.bounds.terminal, rtol=0, atol=tol.SAME_TERMINAL_ROWS
+    )
     assert np.isinf(bounds[:, 6:]).all()

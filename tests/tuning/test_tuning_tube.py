@@ -1,4 +1,5 @@
-"""Laws of the differentiable margins: values and derivatives are those of the sets that a design computes."""
+"""Laws of the differentiable margins: values and derivatives are those of the sets that a design
+computes."""
 
 import itertools
 from dataclasses import replace
@@ -50,20 +51,28 @@ def drawn(problem, seed):
         centre = np.tile([[-2.5, 0.0, 0.0], [0.0, -2.6, -3.0]], (4, 1, 1))
         centre[:, 0, 1] = -problem.model.matrices(problem.corners)[0][:, 0, 1] / problem.model.dt
     size = 0.05 * np.abs(centre).max(axis=-1, keepdims=True)
-    numbers, direction = centre + size * rng.uniform(-1, 1, centre.shape), size * rng.uniform(-1, 1, centre.shape)
+    numbers, direction = (
+        centre + size * rng.uniform(-1, 1, centre.shape),
+        size * rng.uniform(-1, 1, centre.shape),
+    )
     return numbers.ravel(), direction.ravel()
 
 
 def quick_for(kind):
     """Leave the other problem to the slow tests."""
-    cases = [each if each == kind else pytest.param(each, marks=pytest.mark.slow) for each in tuned.SCENARIOS]
+    cases = [
+        each if each == kind else pytest.param(each, marks=pytest.mark.slow)
+        for each in tuned.SCENARIOS
+    ]
     return pytest.mark.parametrize("problem", cases, indirect=True)
 
 
 @cache
 def maps_of(problem):
     """Give all gains and loops of a problem as functions of the tuned numbers."""
-    return gain_maps(problem, make_windows(problem, given_gain(problem, problem.given_gains)).schedules)
+    return gain_maps(
+        problem, make_windows(problem, given_gain(problem, problem.given_gains)).schedules
+    )
 
 
 def distinct(matrices: Affine):
@@ -76,7 +85,9 @@ def distinct(matrices: Affine):
 def loops_and_gains(problem, numbers):
     """Give vertex loops and gains as functions of the tuned numbers."""
     maps = maps_of(problem)
-    return distinct(maps.vertex_loops).at(jnp.asarray(numbers)), maps.corner_gains.at(jnp.asarray(numbers))
+    return distinct(maps.vertex_loops).at(jnp.asarray(numbers)), maps.corner_gains.at(
+        jnp.asarray(numbers)
+    )
 
 
 def under(problem, gains):
@@ -86,7 +97,10 @@ def under(problem, gains):
 
 def reaches(problem, numbers, kind):
     """Give what the tube takes from E and U at every stage: the differentiable `tighten`."""
-    W, rows = jnp.asarray(tube.disturbance_generators(problem)), jnp.asarray(problem.operating_set.normals)
+    W, rows = (
+        jnp.asarray(tube.disturbance_generators(problem)),
+        jnp.asarray(problem.operating_set.normals),
+    )
     N = problem.horizon
     if kind == "summed":
         loops, gains = loops_and_gains(problem, numbers)
@@ -95,14 +109,18 @@ def reaches(problem, numbers, kind):
     maps = maps_of(problem)
     loops, gains = maps.window_loops.at(numbers), maps.window_gains.at(numbers)
     along = jnp.broadcast_to(rows, (len(loops), N + 1, *rows.shape))
-    return tube.sequence_reaches(loops, W, along), tube.sequence_reaches(loops, W, under(problem, gains))
+    return tube.sequence_reaches(loops, W, along), tube.sequence_reaches(
+        loops, W, under(problem, gains)
+    )
 
 
 def tightened(problem, numbers, kind):
     """Give the same from `tighten` itself, stages of the shared sections once."""
     gain = given_gain(problem, numbers)
     windows = make_windows(problem, gain)
-    sections = tubes.summed_tube(vertex_loops(problem, gain), problem.disturbance_set, problem.horizon)
+    sections = tubes.summed_tube(
+        vertex_loops(problem, gain), problem.disturbance_set, problem.horizon
+    )
     found = tighten(problem, gain, windows, sections, kind)
     arrays = found.error_reach, found.input_reach
     return arrays if kind == "sequence" else tuple(array[0] for array in arrays)
@@ -114,7 +132,9 @@ def central(function, at, direction, step=1e-4):
 
 def assert_slope_agrees(gradient, function, at, direction):
     size = np.linalg.norm(gradient) * np.linalg.norm(direction)
-    assert np.vdot(gradient, direction) == pytest.approx(central(function, at, direction), rel=0, abs=TUBE_SLOPE * size)
+    assert np.vdot(gradient, direction) == pytest.approx(
+        central(function, at, direction), rel=0, abs=TUBE_SLOPE * size
+    )
 
 
 def test_generators_have_the_support_numbers_of_w(problem):
@@ -135,7 +155,10 @@ def test_generators_have_the_support_numbers_of_w(problem):
 )
 def test_reaches_and_their_slopes_are_those_of_the_tightening(problem, kind):
     rng = np.random.default_rng(9)
-    weights = [rng.uniform(0.5, 1.5, array.shape) for array in tightened(problem, drawn(problem, 0)[0], kind)]
+    weights = [
+        rng.uniform(0.5, 1.5, array.shape)
+        for array in tightened(problem, drawn(problem, 0)[0], kind)
+    ]
 
     def weighted(arrays):
         return sum((weight * array).sum() for weight, array in zip(weights, arrays, strict=True))
@@ -150,7 +173,9 @@ def test_reaches_and_their_slopes_are_those_of_the_tightening(problem, kind):
         gradient, arrays = evaluate(jnp.asarray(numbers))
         for found, wanted in zip(arrays, tightened(problem, numbers, kind), strict=True):
             np.testing.assert_allclose(found, wanted, rtol=TUBE_REACH)
-        assert_slope_agrees(gradient, lambda at: weighted(tightened(problem, at, kind)), numbers, direction)
+        assert_slope_agrees(
+            gradient, lambda at: weighted(tightened(problem, at, kind)), numbers, direction
+        )
 
 
 def test_the_empty_sum_reaches_nothing_and_one_step_reaches_w(problem):
@@ -184,18 +209,27 @@ def shares_of_design(problem, numbers):
 def test_shares_of_caps_and_their_slopes_are_those_of_the_design(problem, monkeypatch):
     find, shares = shares_of(problem)
     points = [drawn(problem, seed) for seed in SEEDS]
-    evaluate = jax.jit(jax.jacrev(lambda active, numbers: (shares(active, numbers),) * 2, argnums=1, has_aux=True))
+    evaluate = jax.jit(
+        jax.jacrev(lambda active, numbers: (shares(active, numbers),) * 2, argnums=1, has_aux=True)
+    )
     slopes = []
     for numbers, direction in points:
         jacobian, found = evaluate(find(numbers), jnp.asarray(numbers))
         np.testing.assert_allclose(found, shares_of_design(problem, numbers), rtol=TUBE_BOUND)
         slopes.append(np.tensordot(jacobian, direction, axes=direction.ndim))
-    # The iteration stops at a change of a thousandth of the inflation: a smaller one makes differences exact enough.
+    # The iteration stops at a change of a thousandth of the inflation: a smaller one makes
+    # differences exact enough.
     inflation, fine = sets.invariant.INFLATION, 1e-9
     monkeypatch.setattr(sets.invariant, "INFLATION", fine)
     for slope, (numbers, direction) in zip(slopes, points, strict=True):
-        expected = central(lambda at: shares_of_design(problem, at), numbers, direction) * (1 + inflation) / (1 + fine)
-        np.testing.assert_allclose(slope, expected, rtol=0, atol=TUBE_SLOPE * np.abs(expected).max())
+        expected = (
+            central(lambda at: shares_of_design(problem, at), numbers, direction)
+            * (1 + inflation)
+            / (1 + fine)
+        )
+        np.testing.assert_allclose(
+            slope, expected, rtol=0, atol=TUBE_SLOPE * np.abs(expected).max()
+        )
 
 
 @quick_for("vertices")
@@ -266,27 +300,41 @@ def test_the_residual_of_every_input_map_is_the_plants_where_nothing_couples(pro
     corners, caps = residual.corners(problem), replace(residual.caps(problem), coupling=None)
     (x, y, heading), (slower, faster), turning = caps.errors, caps.speeds, caps.turning
     schedules, noise = np.unique(problem.corners, axis=0), np.asarray(corners.noise)
-    axes = [-x, x], [-y, y], np.linspace(-heading, heading, residual.HEADINGS), [-slower, faster], [-turning, turning]
+    axes = (
+        [-x, x],
+        [-y, y],
+        np.linspace(-heading, heading, residual.HEADINGS),
+        [-slower, faster],
+        [-turning, turning],
+    )
     slips = ([-error, error] for error in corners.wheel_error)
-    points = np.array([np.hstack(p) for p in itertools.product(*axes, schedules, *slips, [-noise, noise])]).T
+    points = np.array(
+        [np.hstack(p) for p in itertools.product(*axes, schedules, *slips, [-noise, noise])]
+    ).T
     parts = split_residual(kinematics(problem), operation(problem).period, points)
     kick, rest = jax.jit(residual.residual_bound)(corners, caps)
     assert np.abs(parts.yaw).max() == pytest.approx(float(kick), abs=TUBE_RESIDUAL)
-    np.testing.assert_allclose(rest, [np.abs(each).max() for each in parts.rest], rtol=0, atol=TUBE_RESIDUAL)
+    np.testing.assert_allclose(
+        rest, [np.abs(each).max() for each in parts.rest], rtol=0, atol=TUBE_RESIDUAL
+    )
 
 
 def test_caps_of_inputs_are_what_the_gain_asks_for_at_corners_of_the_errors(problem):
     gains, widths = loops_and_gains(problem, drawn(problem, 5)[0])[1], np.array([0.1, 0.2, 0.3])
     errors = widths * np.array(list(itertools.product((-1, 1), repeat=3)))
     expected = np.max([np.asarray(gain) @ errors.T for gain in gains], axis=(0, 2))
-    np.testing.assert_allclose(residual.input_caps(gains, jnp.asarray(widths)), expected, rtol=TUBE_REACH)
+    np.testing.assert_allclose(
+        residual.input_caps(gains, jnp.asarray(widths)), expected, rtol=TUBE_REACH
+    )
 
 
 def test_single_precision_stays_single(decoupled):
     find, _ = shares_of(decoupled)
     numbers = drawn(decoupled, 0)[0]
     single = lambda tree: jax.tree.map(lambda leaf: jnp.asarray(leaf, jnp.float32), tree)  # noqa: E731
-    W, limits, rows = single((tube.disturbance_generators(decoupled), minimal.limits(decoupled), np.eye(3)))
+    W, limits, rows = single(
+        (tube.disturbance_generators(decoupled), minimal.limits(decoupled), np.eye(3))
+    )
     loops, gains = single(loops_and_gains(decoupled, numbers))
     corners, caps = single((residual.corners(decoupled), residual.caps(decoupled)))
     shapes = (

@@ -49,7 +49,8 @@ def random_kappa(problem, rng, size=0.2):
 
 
 def random_point(problem, rng, weights=0.5, gains=0.1):
-    """Draw the vector of all parameters: diagonals and gains by log-normal factors, and what is off the diagonals."""
+    """Draw the vector of all parameters: diagonals and gains by log-normal factors, and what is off
+    the diagonals."""
     start = parameters(problem).vector
     sizes = np.concatenate([np.full(9, weights), np.full(len(start) - 9, gains)])
     return start + sizes * rng.standard_normal(len(start))
@@ -63,7 +64,9 @@ def entries(weights: Weights):
 
 def weights_of(numbers) -> Weights:
     """Return weights and gains of their entries."""
-    return Weights(_symmetric(numbers[:6], 3), _symmetric(numbers[6:9], 2), jnp.asarray(numbers[9:]))
+    return Weights(
+        _symmetric(numbers[:6], 3), _symmetric(numbers[6:9], 2), jnp.asarray(numbers[9:])
+    )
 
 
 def problem_with(problem, weights: Weights):
@@ -75,7 +78,9 @@ def problem_with(problem, weights: Weights):
         if len(kappa) == 3
         else {"vertex_gains": tuple(map(tuple, kappa.reshape(4, 6).tolist()))}
     )
-    settings = msgspec.structs.replace(problem.scenario.controller, error_weight=error, input_weight=inputs, **gains)
+    settings = msgspec.structs.replace(
+        problem.scenario.controller, error_weight=error, input_weight=inputs, **gains
+    )
     return with_controller(problem, msgspec.structs.replace(problem.scenario, controller=settings))
 
 

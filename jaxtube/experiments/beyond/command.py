@@ -1,8 +1,10 @@
-"""`beyond`: how far a robot may be from what its certificate assumes before W, and before the limits, are left.
+"""`beyond`: how far a robot may be from what its certificate assumes before W, and before the
+limits, are left.
 
-For each imperfection of `jaxtube.plant.imperfect` the level is doubled until a lap fails, then halved towards the
-first level at which one does; the same for the first w outside W. Every level meets the same draws: laps under four
-slip processes, from the scenario's start. What no lap of these does is not proved; what one does is a fact.
+For each imperfection of `jaxtube.plant.imperfect` the level is doubled until a lap fails, then
+halved towards the first level at which one does; the same for the first w outside W. Every level
+meets the same draws: laps under four slip processes, from the scenario's start. What no lap of
+these does is not proved; what one does is a fact.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ ERRORS = ("longitudinal error", "lateral error", "heading error")
 
 
 class Imperfection(NamedTuple):
-    """One way to be imperfect: levels run from 0 up to `most`, in steps of one where they are whole."""
+    """One way to be imperfect: levels run from 0 up to `most`, in steps of one where they are
+    whole."""
 
     title: str
     unit: str  # as printed
@@ -47,10 +50,14 @@ class Imperfection(NamedTuple):
 IMPERFECTIONS = {
     "lag": Imperfection("actuator lag", "s", "lag_s", 1.0),
     "delay": Imperfection("late commands", "periods", "delay_periods", 1.0),
-    "sluggishness": Imperfection("limited acceleration, inverse", "s²/m", "inverse_acceleration_s2_per_m", 4.0),
+    "sluggishness": Imperfection(
+        "limited acceleration, inverse", "s²/m", "inverse_acceleration_s2_per_m", 4.0
+    ),
     "sideslip": Imperfection("sideslip, by speed", "m/m", "sideslip_m_per_m", 0.5),
     "slip_change": Imperfection("slip changing in a period", "share", "slip_change_share", 1.0),
-    "preview": Imperfection("reference changes off their time", "periods", "preview_shift_periods", np.inf, True),
+    "preview": Imperfection(
+        "reference changes off their time", "periods", "preview_shift_periods", np.inf, True
+    ),
 }
 
 
@@ -118,7 +125,8 @@ class Laps:
         self.ideal = [closed_loop.slipping_robot(design, process) for process in PROCESSES]
 
     def at(self, name: str, tried: Callable[[], Any] | None = None) -> Callable[[float], Usage]:
-        """Return the usage as a function of the level of one imperfection; of a preview the worse of its signs."""
+        """Return the usage as a function of the level of one imperfection; of a preview the worse
+        of its signs."""
 
         def usage(level: float) -> Usage:
             if name == "preview":
@@ -133,7 +141,8 @@ class Laps:
         return usage
 
     def usage(self, imperfections: Imperfections, shift: int = 0) -> Usage:
-        """Return what laps with these imperfections use, whose controller expects changes `shift` periods early."""
+        """Return what laps with these imperfections use, whose controller expects changes `shift`
+        periods early."""
         # Arrays of one type: another mixture of numbers and arrays would be another program.
         level = Imperfections(*(jnp.asarray(each, float) for each in imperfections))
         index = shifted_preview(self.controller.index, self.ideal[0].reference_wheels, shift)
@@ -185,8 +194,8 @@ def search(usage: Callable[[float], Usage], levels: list[float], whole: bool) ->
         whole: nothing lies between two levels.
 
     Returns:
-        Levels that do it, whose next lower one tried does not: 2^-HALVINGS of the last gap apart. Where failing is not
-        monotone in the level, one of the places where it begins.
+        Levels that do it, whose next lower one tried does not: 2^-HALVINGS of the last gap apart.
+        Where failing is not monotone in the level, one of the places where it begins.
     """
     usages = {0.0: usage(0.0)}
     kinds = (lambda found: found.leaves_disturbance_set), (lambda found: bool(found.violations))
@@ -194,11 +203,15 @@ def search(usage: Callable[[float], Usage], levels: list[float], whole: bool) ->
         if all(any(fails(found) for found in usages.values()) for fails in kinds):
             break
         usages[level] = usage(level)
-    disturbance, violation = (_refine(usage, usages, fails, 0 if whole else HALVINGS) for fails in kinds)
+    disturbance, violation = (
+        _refine(usage, usages, fails, 0 if whole else HALVINGS) for fails in kinds
+    )
     return Search(dict(sorted(usages.items())), disturbance, violation, levels[-1])
 
 
-def _refine(usage, usages: dict[float, Usage], fails: Callable[[Usage], bool], halvings: int) -> float | None:
+def _refine(
+    usage, usages: dict[float, Usage], fails: Callable[[Usage], bool], halvings: int
+) -> float | None:
     """Halve the gap below the least level that fails; what is tried is added to `usages`."""
     failing = [level for level, found in usages.items() if fails(found)]
     if not failing or min(failing) == 0.0:
@@ -214,13 +227,18 @@ def _refine(usage, usages: dict[float, Usage], fails: Callable[[Usage], bool], h
 
 def metrics(searches: dict[str, Search], realisations: int) -> dict:
     """Return what was found, by imperfection; a level that was not found is null."""
-    found: dict[str, Any] = {"laps_at_a_level": realisations * len(PROCESSES), "processes": PROCESSES}
+    found: dict[str, Any] = {
+        "laps_at_a_level": realisations * len(PROCESSES),
+        "processes": PROCESSES,
+    }
     for name, search in searches.items():
         key = IMPERFECTIONS[name].key
         found[name] = {
             f"first_w_outside_W_{key}": search.disturbance,
             f"first_violation_{key}": search.violation,
-            "violated": search.usages[search.violation].violations if search.violation is not None else [],
+            "violated": search.usages[search.violation].violations
+            if search.violation is not None
+            else [],
             f"greatest_tried_{key}": max(search.usages),
             "levels": [
                 {
@@ -245,21 +263,30 @@ def panels(searches: dict[str, Search]) -> list[beyond_figures.Panel]:
         disturbance = np.array([usage.disturbance.max() for usage in search.usages.values()])
         tried = np.array(list(search.usages))
         shown.append(
-            beyond_figures.Panel(kind.title, kind.unit, kind.whole, tried, error, disturbance, search.violation)
+            beyond_figures.Panel(
+                kind.title, kind.unit, kind.whole, tried, error, disturbance, search.violation
+            )
         )
     return shown
 
 
 def table(searches: dict[str, Search], realisations: int) -> str:
     """Return what was found as a table."""
-    head = f"{'imperfection':<34}{'first w outside W':>18}{'first violation':>17}  {'unit':<9}violated"
+    head = (
+        f"{'imperfection':<34}{'first w outside W':>18}{'first violation':>17}  {'unit':<9}violated"
+    )
     lines = [head, "-" * len(head)]
     for name, search in searches.items():
         title, unit, *_ = IMPERFECTIONS[name]
         levels = [
-            f"none to {search.most:g}" if x is None else f"{x:.3g}" for x in (search.disturbance, search.violation)
+            f"none to {search.most:g}" if x is None else f"{x:.3g}"
+            for x in (search.disturbance, search.violation)
         ]
-        violated = "; ".join(search.usages[search.violation].violations) if search.violation is not None else "nothing"
+        violated = (
+            "; ".join(search.usages[search.violation].violations)
+            if search.violation is not None
+            else "nothing"
+        )
         lines.append(f"{title:<34}{levels[0]:>18}{levels[1]:>17}  {unit:<9}{violated}")
     lines.append(
         f"\n{realisations:,} laps of each slip process: {', '.join(PROCESSES)}. A limit of acceleration is 1 / level."

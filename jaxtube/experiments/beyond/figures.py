@@ -10,7 +10,15 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxtube.experiments.figures.style import LIMIT, Line, bottom_legend, line_keys, mark_key, page_figure, styled
+from jaxtube.experiments.figures.style import (
+    LIMIT,
+    Line,
+    bottom_legend,
+    line_keys,
+    mark_key,
+    page_figure,
+    styled,
+)
 
 COORDINATES = (
     Line("$e_x$ of $\\mathcal{E}$", "#0072B2"),
@@ -24,7 +32,8 @@ HIGHEST = 2.0
 
 
 class Panel(NamedTuple):
-    """What one panel shows: usages by level, 1 on the limit; `violation` is the first level with one."""
+    """What one panel shows: usages by level, 1 on the limit; `violation` is the first level with
+    one."""
 
     title: str
     unit: str

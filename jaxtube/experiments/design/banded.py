@@ -1,7 +1,8 @@
 """`design` of a scenario with bands: certify a tracking law scheduled on speed, then attack it.
 
-The attack: references whose wheel speeds jump anywhere in the certified range at every step, or stay for a while, from
-starts all over the invariant set, under slips at their extremes, chosen against the robot, constant and uniform.
+The attack: references whose wheel speeds jump anywhere in the certified range at every step, or
+stay for a while, from starts all over the invariant set, under slips at their extremes, chosen
+against the robot, constant and uniform.
 """
 
 from __future__ import annotations
@@ -32,7 +33,8 @@ REFERENCES, STEPS = 8, 300
 
 @dataclass(frozen=True)
 class Attack:
-    """Laps under one slip process: how many, and in how many steps something was left, with the largest uses."""
+    """Laps under one slip process: how many, and in how many steps something was left, with the
+    largest uses."""
 
     laps: int
     steps: int
@@ -52,7 +54,9 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     attacks = {}
     if law.invariant.polytope is not None:
         with progress(len(PROCESSES) * REFERENCES, "attacking", "references") as bar:
-            attacks = {process: attack(law, process, options.seed, bar.update) for process in PROCESSES}
+            attacks = {
+                process: attack(law, process, options.seed, bar.update) for process in PROCESSES
+            }
         print("\n" + attack_report(attacks))
     folder.save_metrics(metrics(law, attacks))
     print(f"\nwritten to {folder.path}/")
@@ -66,7 +70,9 @@ def report(law: BandedLaw) -> str:
         "band  mean speed [m/s]  k1 [1/s]  k2 [rad/ms]  k3 [1/s]   W: yaw [deg]   x [mm]   y [mm]   widest use of caps"
     ]
     slowest = problem.scenario.reference.wheel_speed_min_mps
-    for m, (band, settings) in enumerate(zip(law.bands, problem.scenario.operating.bands, strict=True)):
+    for m, (band, settings) in enumerate(
+        zip(law.bands, problem.scenario.operating.bands, strict=True)
+    ):
         bound, (k1, k2, k3) = band.problem.residual, settings.tracking_gains
         assert bound is not None
         yaw, share = np.rad2deg(bound.yaw), law.shares[f"inputs of band {m + 1}"]
@@ -87,7 +93,12 @@ def report(law: BandedLaw) -> str:
     failing = ", ".join(law.certificate.failing)
     box = problem.model.box
     verdict = f"CERTIFIED for wheel speeds of {box[0][0]:g} to {box[1][0]:g} m/s in any order"
-    lines += ["", f"NOT CERTIFIED: {failing}" if failing else verdict, "", f"designed in {law.seconds:.1f} s"]
+    lines += [
+        "",
+        f"NOT CERTIFIED: {failing}" if failing else verdict,
+        "",
+        f"designed in {law.seconds:.1f} s",
+    ]
     return "\n".join(lines)
 
 
@@ -107,14 +118,20 @@ def attack(law: BandedLaw, process: str, seed: int, advanced) -> Attack:
             dt=problem.model.dt,
             reference_wheels=jnp.asarray(reference.wheels),
             reference_poses=jnp.asarray(reference.poses),
-            nominal_slip=jnp.array([problem.scenario.slip.nominal_right, problem.scenario.slip.nominal_left]),
+            nominal_slip=jnp.array(
+                [problem.scenario.slip.nominal_right, problem.scenario.slip.nominal_left]
+            ),
             relative_error=problem.scenario.slip.relative_error,
             noise=jnp.asarray(noise) if noise.any() else None,
             process=process,
             random=problem.scenario.slip.random,
         )
-        controller = ScheduledGain(jnp.asarray(law.gains(reference.wheels)), problem.scenario.controller.input_map)
-        trajectory = closed_loop.simulate(controller, plant, np.asarray(starts.draw(keys)), seed + index)
+        controller = ScheduledGain(
+            jnp.asarray(law.gains(reference.wheels)), problem.scenario.controller.input_map
+        )
+        trajectory = closed_loop.simulate(
+            controller, plant, np.asarray(starts.draw(keys)), seed + index
+        )
         found.append(_count(law, reference.wheels, trajectory))
         advanced()
     totals = [sum(values) for values in list(zip(*found, strict=True))[:6]]
@@ -122,7 +139,8 @@ def attack(law: BandedLaw, process: str, seed: int, advanced) -> Attack:
 
 
 def random_reference(law: BandedLaw, generator: np.random.Generator):
-    """Return a reference whose wheel speeds jump within the box: at every step, or after stretches of up to 3 s."""
+    """Return a reference whose wheel speeds jump within the box: at every step, or after stretches
+    of up to 3 s."""
     (low, high), model = law.problem.model.box, law.problem.model
     corners = generator.choice([0.0, 1.0], (STEPS, 2))
     shares = np.where(generator.random((STEPS, 1)) < 0.5, corners, generator.random((STEPS, 2)))
@@ -142,11 +160,19 @@ def _count(law: BandedLaw, wheels, trajectory) -> tuple:
     for m, each in enumerate(law.bands):
         at, W, rows = band == m, each.problem.disturbance_set, each.problem.input_rows
         used_w[at] = np.max(w[at] @ W.normals.T / W.offsets, axis=2)
-        outside_caps[at] = ~np.all(u[at] @ rows.inputs.T + e[:-1][at] @ rows.errors.T <= rows.offsets + 1e-12, axis=2)
+        outside_caps[at] = ~np.all(
+            u[at] @ rows.inputs.T + e[:-1][at] @ rows.errors.T <= rows.offsets + 1e-12, axis=2
+        )
     saturated = np.any(trajectory.wheels != trajectory.demanded, axis=2)
     counts = [e.shape[1], w.shape[0] * w.shape[1]]
     counts += [int(np.sum(~(used <= 1 + 1e-12))), int(np.sum(~(used_w <= 1 + 1e-12)))]
-    return *counts, int(outside_caps.sum()), int(saturated.sum()), float(used.max()), float(used_w.max())
+    return (
+        *counts,
+        int(outside_caps.sum()),
+        int(saturated.sum()),
+        float(used.max()),
+        float(used_w.max()),
+    )
 
 
 def attack_report(attacks: dict[str, Attack]) -> str:
@@ -170,10 +196,15 @@ def metrics(law: BandedLaw, attacks: dict[str, Attack]) -> dict:
     return {
         "shares": law.shares,
         "certified": law.certificate.holds,
-        "certificate": {name: {"holds": c.holds, "margin": c.margin} for name, c in law.certificate.conditions.items()},
+        "certificate": {
+            name: {"holds": c.holds, "margin": c.margin}
+            for name, c in law.certificate.conditions.items()
+        },
         "invariant_set_facets": None if omega is None else len(omega.offsets),
         "bands": [
-            {"yaw_rad": b.problem.residual.yaw, "box": b.problem.residual.box} for b in law.bands if b.problem.residual
+            {"yaw_rad": b.problem.residual.yaw, "box": b.problem.residual.box}
+            for b in law.bands
+            if b.problem.residual
         ],
         "attack": {name: vars(found) for name, found in attacks.items()},
         "design_seconds": law.seconds,

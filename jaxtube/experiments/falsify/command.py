@@ -1,6 +1,8 @@
-"""`falsify`: the smallest margins of a closed loop, searched by gradient and compared with drawn laps in equal time.
+"""`falsify`: the smallest margins of a closed loop, searched by gradient and compared with drawn
+laps in equal time.
 
-Every margin that is printed is that of a replay: the attack is played once more on its own by the ordinary rollout.
+Every margin that is printed is that of a replay: the attack is played once more on its own by the
+ordinary rollout.
 """
 
 from __future__ import annotations
@@ -32,13 +34,17 @@ def run(scenario: Scenario, options: Falsify) -> int:
     if options.replay:
         return play_again(scenario, options)
     names = limit_names(options)
-    setting = make_setting(scenario, options.controller, options.plant, options.starts, options.seed)
+    setting = make_setting(
+        scenario, options.controller, options.plant, options.starts, options.seed
+    )
     folder = run_folder.create(scenario, options)
     rows = search(setting, names, options)
     print(report(setting, rows))
     folder.save_metrics(metrics(setting, rows))
     for name, row in rows.items():
-        played = usage.replay(setting.loop(name), setting.plant, row.worst.attack, name, row.worst.when)
+        played = usage.replay(
+            setting.loop(name), setting.plant, row.worst.attack, name, row.worst.when
+        )
         save(scenario, options, folder, name, row.worst, played)
         draw(setting, folder, f"worst_{name}", name, row.worst, played, row)
     print(f"\nworst cases, figures, metrics.json and manifest.json are in {folder.path}/")
@@ -48,13 +54,26 @@ def run(scenario: Scenario, options: Falsify) -> int:
 def limit_names(options: Falsify) -> list[str]:
     """Return the limits that are searched, in the order of the table."""
     if not 0 < options.seconds < np.inf:
-        raise refusal("command line", "--seconds", options.seconds, "is no time", "give a positive number")
-    names = [name for target, group in TARGETS.items() if options.target in (target, "all") for name in group]
+        raise refusal(
+            "command line", "--seconds", options.seconds, "is no time", "give a positive number"
+        )
+    names = [
+        name
+        for target, group in TARGETS.items()
+        if options.target in (target, "all")
+        for name in group
+    ]
     if options.controller != "tube_mpc" and options.target == "tube":
         cure = "choose --controller tube_mpc"
-        raise refusal("command line", "--target", "tube", f"{options.controller} keeps no tube", cure)
+        raise refusal(
+            "command line", "--target", "tube", f"{options.controller} keeps no tube", cure
+        )
     absent = {"tube"} if options.controller != "tube_mpc" else set()
-    return [name for name in names if name not in absent | ({"wheels"} if options.plant == "linear" else set())]
+    return [
+        name
+        for name in names
+        if name not in absent | ({"wheels"} if options.plant == "linear" else set())
+    ]
 
 
 def search(setting: Setting, names: list[str], options: Falsify) -> dict[str, Row]:
@@ -64,13 +83,20 @@ def search(setting: Setting, names: list[str], options: Falsify) -> dict[str, Ro
         for name in names:
             given = setting.loop(name), setting.plant, setting.limits(name), setting.starts
             share, windows = options.seconds / len(names), setting.windows
-            found[name] = falsify(*given, aims=[name], windows=windows, seconds=share, seed=options.seed)
+            found[name] = falsify(
+                *given, aims=[name], windows=windows, seconds=share, seed=options.seed
+            )
             bar.update()
-        for group in ([name for name in names if name != "tube"], [name for name in names if name == "tube"]):
+        for group in (
+            [name for name in names if name != "tube"],
+            [name for name in names if name == "tube"],
+        ):
             if group:
                 given = setting.loop(group[0]), setting.plant, setting.limits(group[0]), pool
                 seconds = sum(found[name].seconds for name in group)
-                drawn = usage.sample(*given, windows=setting.windows, seconds=seconds, seed=options.seed)
+                drawn = usage.sample(
+                    *given, windows=setting.windows, seconds=seconds, seed=options.seed
+                )
                 sampled |= dict.fromkeys(group, drawn)
                 bar.update(len(group))
     return {name: Row(_worst(name, found), found[name], sampled[name]) for name in names}
@@ -78,20 +104,37 @@ def search(setting: Setting, names: list[str], options: Falsify) -> dict[str, Ro
 
 def _worst(name: str, found: dict[str, Search]) -> Worst:
     """Return the worst case of a limit, which may have been met on the way to another one."""
-    return max((each.worst[name] for each in found.values() if name in each.worst), key=lambda worst: worst.usage)
+    return max(
+        (each.worst[name] for each in found.values() if name in each.worst),
+        key=lambda worst: worst.usage,
+    )
 
 
-def draw(setting: Setting, folder: RunFolder, title: str, name: str, worst: Worst, played: Replay, row=None) -> None:
+def draw(
+    setting: Setting,
+    folder: RunFolder,
+    title: str,
+    name: str,
+    worst: Worst,
+    played: Replay,
+    row=None,
+) -> None:
     """Draw a worst case: its lap, and for the tube the section that it comes nearest to."""
     from jaxtube.experiments.falsify import figures as falsify_figures
 
     reaches = (row.search.reach, row.sampled.reach) if row and name != "tube" else None
-    folder.save_figure(falsify_figures.worst_run(setting.found.problem, name, worst, played, reaches), title)
+    folder.save_figure(
+        falsify_figures.worst_run(setting.found.problem, name, worst, played, reaches), title
+    )
     if name == "tube":
-        folder.save_figure(falsify_figures.worst_section(setting.found, worst, played), f"{title}_section")
+        folder.save_figure(
+            falsify_figures.worst_section(setting.found, worst, played), f"{title}_section"
+        )
 
 
-def save(scenario: Scenario, options: Falsify, folder: RunFolder, name: str, worst: Worst, played: Replay) -> None:
+def save(
+    scenario: Scenario, options: Falsify, folder: RunFolder, name: str, worst: Worst, played: Replay
+) -> None:
     """Save what it takes to play a worst case again, and what came out."""
     kind = "counterexample" if violated(worst) else "worst"
     lap = played.trajectory
@@ -121,18 +164,27 @@ def play_again(scenario: Scenario, options: Falsify) -> int:
     saved = _read(path)
     if str(saved["scenario"]) != to_toml(scenario):
         cure = f"give --scenario {path.parent / 'scenario.toml'}"
-        raise refusal("command line", "--replay", str(path), "was found with another scenario", cure)
+        raise refusal(
+            "command line", "--replay", str(path), "was found with another scenario", cure
+        )
     name = str(saved["limit"])
-    setting = make_setting(scenario, str(saved["controller"]), str(saved["plant"]), str(saved["starts"]), options.seed)
+    setting = make_setting(
+        scenario, str(saved["controller"]), str(saved["plant"]), str(saved["starts"]), options.seed
+    )
     attack = {key.removeprefix("attack_"): saved[key] for key in saved if key.startswith("attack_")}
-    before = Worst(**{key: saved[key].item() for key in ("usage", "margin", "step", "facet", "when")}, attack=attack)
+    before = Worst(
+        **{key: saved[key].item() for key in ("usage", "margin", "step", "facet", "when")},
+        attack=attack,
+    )
     worst = replayed(setting.loop(name), setting.plant, setting.limits(name)[name], name, before)
     played = usage.replay(setting.loop(name), setting.plant, attack, name, worst.when)
     difference = float(np.max(np.abs(played.trajectory.errors[:, 0] - saved["errors"])))
     what, margin, unit = facet(setting.limits(name)[name], name, worst)
     kept = "violation" if violated(worst) else "no violation"
     print(f"{kept}: margin {margin:.9g} {unit} of the limit `{name}` at step {worst.step} ({what})")
-    print(f"saved margin differs by {abs(worst.margin - before.margin):.2g}, saved errors by {difference:.2g}")
+    print(
+        f"saved margin differs by {abs(worst.margin - before.margin):.2g}, saved errors by {difference:.2g}"
+    )
     draw(setting, RunFolder(path.parent), f"replay_{name}", name, worst, played)
     print(f"drawn in {path.parent}/replay_{name}.png")
     return 0

@@ -1,4 +1,5 @@
-"""Figures of a worst case: the run that comes nearest to a limit with what drove it there, and the tube it left."""
+"""Figures of a worst case: the run that comes nearest to a limit with what drove it there, and the
+tube it left."""
 
 from __future__ import annotations
 
@@ -64,7 +65,9 @@ def _tracks(problem: Problem, name: str, played: Replay) -> list[Track]:
     if name in ("error", "tube"):
         limits = problem.error_set.offsets[:3] * TO_DISPLAY
         values = lap.errors[:, 0] * TO_DISPLAY
-        return [Track(error_label(i), values[:, i], limits[i], -limits[i], (i, i + 3)) for i in range(3)]
+        return [
+            Track(error_label(i), values[:, i], limits[i], -limits[i], (i, i + 3)) for i in range(3)
+        ]
     values = values_of(name, played)
     if name == "input":
         values, bounds = values @ problem.input_set.normals[:2].T, problem.input_set.offsets
@@ -74,18 +77,23 @@ def _tracks(problem: Problem, name: str, played: Replay) -> list[Track]:
     else:
         bounds = np.repeat([problem.robot.wheel_speed_max, -problem.robot.wheel_speed_min], 2)
         labels = [f"{side} wheel [m/s]" for side in ("right", "left")]
-    return [Track(label, values[:, i], bounds[i], -bounds[i + 2], (i, i + 2)) for i, label in enumerate(labels)]
+    return [
+        Track(label, values[:, i], bounds[i], -bounds[i + 2], (i, i + 2))
+        for i, label in enumerate(labels)
+    ]
 
 
 @styled
 def worst_run(problem: Problem, name: str, worst: Worst, played: Replay, reaches=None) -> Figure:
-    """Draw the run that comes nearest to a limit: what the limit bounds, the path around the worst step, the attack.
+    """Draw the run that comes nearest to a limit: what the limit bounds, the path around the worst
+    step, the attack.
 
     Args:
         problem: gives the limits, the reference and the period.
         name: the limit.
         worst, played: the worst case and its replay.
-        reaches: greatest usage by step and facet that the search met, and that drawn laps met, by limit.
+        reaches: greatest usage by step and facet that the search met, and that drawn laps met, by
+            limit.
     """
     tracks, dt = _tracks(problem, name, played), problem.reference.dt
     strips = _strips(worst)
@@ -104,21 +112,29 @@ def worst_run(problem: Problem, name: str, worst: Worst, played: Replay, reaches
     return figure
 
 
-def _draw_track(axes: Axes, track: Track, name: str, worst: Worst, dt: float, last: int, reaches) -> None:
+def _draw_track(
+    axes: Axes, track: Track, name: str, worst: Worst, dt: float, last: int, reaches
+) -> None:
     time = np.arange(len(track.values)) * dt
     if reaches is not None:
         for reach, colour in zip(reaches, (SEARCHED, DRAWN), strict=True):
             middle = (track.upper + track.lower) / 2
-            above, below = (reach[name][:, facet] * (track.upper - middle) for facet in track.facets)
+            above, below = (
+                reach[name][:, facet] * (track.upper - middle) for facet in track.facets
+            )
             # Errors are judged after each period, inputs during it.
             instants = time[-len(above) :]
-            axes.fill_between(instants, middle - below, middle + above, color=colour, alpha=0.28, linewidth=0)
+            axes.fill_between(
+                instants, middle - below, middle + above, color=colour, alpha=0.28, linewidth=0
+            )
     axes.plot(time[: last + 1], track.values[: last + 1], color=RUN)
     for bound in (track.upper, track.lower):
         axes.axhline(bound, **LIMIT)
     axes.axvline(worst.step * dt, color=ATTACKED, linewidth=0.8)
     if name != "tube" and worst.facet in track.facets:
-        axes.plot(worst.step * dt, track.values[worst.step], "o", color=ATTACKED, markersize=4, zorder=5)
+        axes.plot(
+            worst.step * dt, track.values[worst.step], "o", color=ATTACKED, markersize=4, zorder=5
+        )
     axes.set_ylabel(track.label)
     axes.margins(x=0.01)
 
@@ -127,7 +143,10 @@ def _draw_path(axes: Axes, problem: Problem, worst: Worst, played: Replay) -> No
     """Draw reference and robot around the worst step, joined at that step."""
     dt, steps = problem.reference.dt, problem.reference.steps
     poses = problem.reference.poses[: steps + 1]
-    first, last = max(worst.step - round(BEFORE_S / dt), 0), min(worst.step + round(AFTER_S / dt), steps)
+    first, last = (
+        max(worst.step - round(BEFORE_S / dt), 0),
+        min(worst.step + round(AFTER_S / dt), steps),
+    )
     robot = np.asarray(world_pose(jnp.asarray(played.trajectory.errors[:, 0]), jnp.asarray(poses)))
     dots: Any = {"marker": "o", "markersize": 2.5}
     axes.plot(*poses[first : last + 1, :2].T, **{**REFERENCE, **dots})
@@ -155,11 +174,22 @@ def _draw_attack(axes: Axes, strips, worst: Worst, dt: float, steps: int) -> Non
     for row, (_, values) in enumerate(strips):
         values = values[:steps]
         edges = np.linspace(0, steps * dt, len(values) + 1)
-        axes.pcolormesh(edges, [row - 0.4, row + 0.4], values[None], cmap=BOUNDS, vmin=-1, vmax=1, rasterized=True)
+        axes.pcolormesh(
+            edges,
+            [row - 0.4, row + 0.4],
+            values[None],
+            cmap=BOUNDS,
+            vmin=-1,
+            vmax=1,
+            rasterized=True,
+        )
     axes.axvline(worst.step * dt, color="0.1", linewidth=0.9)
     axes.set_yticks(range(len(strips)), [label for label, _ in strips])
     worst_time = worst.step * dt
-    shown = max(worst_time - ATTACK_S, 0), min(max(worst_time, ATTACK_S / 10) + ATTACK_S / 10, steps * dt)
+    shown = (
+        max(worst_time - ATTACK_S, 0),
+        min(max(worst_time, ATTACK_S / 10) + ATTACK_S / 10, steps * dt),
+    )
     axes.set(xlabel="time [s]", xlim=shown, ylim=(len(strips) - 0.5, -0.5))
     axes.grid(visible=False)
 
@@ -181,7 +211,8 @@ def _legend(figure: Figure, name: str, reached: bool) -> None:
 
 @styled
 def worst_section(design: Design, worst: Worst, played: Replay) -> Figure:
-    """Draw the deviation from the plan that goes furthest, in the section of its stage and along its facet.
+    """Draw the deviation from the plan that goes furthest, in the section of its stage and along
+    its facet.
 
     Args:
         design: gives the tube in use; of `sequence` that of the widest window.
@@ -198,24 +229,37 @@ def worst_section(design: Design, worst: Worst, played: Replay) -> Figure:
     for axes, plane in zip(panels, ((0, 1), (1, 2)), strict=False):
         on_facet = np.abs(sections[stage].vertices() @ normal - offset) <= 1e-9
         draw_polygon(axes, corners[:, plane], edgecolor="0.1", facecolor="0.94", linewidth=1.0)
-        draw_polygon(axes, corners[on_facet][:, plane], edgecolor=ATTACKED, facecolor="#D55E0033", linewidth=1.0)
+        draw_polygon(
+            axes,
+            corners[on_facet][:, plane],
+            edgecolor=ATTACKED,
+            facecolor="#D55E0033",
+            linewidth=1.0,
+        )
         axes.plot(*path[: stage + 1, plane].T, color=RUN, marker="o", markersize=2.5)
         axes.plot(*path[stage, plane], "o", color=ATTACKED, markersize=4.5, zorder=5)
         for j in range(1, stage + 1):
-            axes.annotate(str(j), path[j, plane], xytext=(3, 3), textcoords="offset points", fontsize=7)
+            axes.annotate(
+                str(j), path[j, plane], xytext=(3, 3), textcoords="offset points", fontsize=7
+            )
         axes.set_xlabel(error_label(plane[0], unit=SMALL_UNITS[plane[0]]))
         axes.set_ylabel(error_label(plane[1], unit=SMALL_UNITS[plane[1]]), labelpad=1)
         axes.margins(0.12)
     panels[0].set_title(f"$R_{{{stage}}}$ and the deviation")
     stages = np.arange(1, len(sections))
     polytopes = [section.polytope() for section in sections[1:]]
-    usage = [np.max(p.normals @ deviations[j] / p.offsets) for j, p in zip(stages, polytopes, strict=True)]
+    usage = [
+        np.max(p.normals @ deviations[j] / p.offsets)
+        for j, p in zip(stages, polytopes, strict=True)
+    ]
     colours = [ATTACKED if share > 1 else RUN for share in usage]
     panels[2].bar(stages, 100 * np.array(usage), color=colours, width=0.6)
     panels[2].axhline(100, **LIMIT)
     panels[2].set(xlabel="stage $j$", ylabel="nearest facet of $R_j$ used [%]", xticks=stages)
     keys = [
-        Line2D([], [], color=RUN, marker="o", markersize=2.5, label="$e - \\bar e$ after $j$ steps"),
+        Line2D(
+            [], [], color=RUN, marker="o", markersize=2.5, label="$e - \\bar e$ after $j$ steps"
+        ),
         mark_key("worst stage", ATTACKED),
         Patch(facecolor="#D55E0033", edgecolor=ATTACKED, label="the facet"),
         Patch(facecolor="0.94", edgecolor="0.1", label=f"$R_{{{stage}}}$, projected"),

@@ -15,7 +15,11 @@ from jaxtube.synthesis.disturbance import ground_speed_limits
 BEYOND = 1e-9
 """Usage beyond 1 that is rounding."""
 
-ERRORS = (("longitudinal error", 1.0, "m"), ("lateral error", 1.0, "m"), ("heading error", np.rad2deg(1.0), "deg"))
+ERRORS = (
+    ("longitudinal error", 1.0, "m"),
+    ("lateral error", 1.0, "m"),
+    ("heading error", np.rad2deg(1.0), "deg"),
+)
 WHEELS = ("right wheel", "left wheel")
 CAPS = (("speed deficit", "m/s"), ("yaw rate deficit", "rad/s"))
 
@@ -46,7 +50,9 @@ def facet(limit: Limit, name: str, worst: Worst) -> tuple[str, float, str]:
     if name == "tube":
         stage = worst.step - worst.when
         normal = np.asarray(limit.normals[stage - 1, worst.facet])
-        place = f"at stage {stage} of the plan of step {worst.when}, facet {worst.facet} of R_{stage}"
+        place = (
+            f"at stage {stage} of the plan of step {worst.when}, facet {worst.facet} of R_{stage}"
+        )
         along = np.flatnonzero(np.abs(normal) > 1e-9 * np.max(np.abs(normal)))
         if len(along) == 1:
             coordinate, factor, unit = ERRORS[along[0]]
@@ -63,7 +69,8 @@ def facet(limit: Limit, name: str, worst: Worst) -> tuple[str, float, str]:
 
 
 def certified(setting: Setting, name: str) -> float:
-    """Return the usage of a limit that the certificate does not let a lap pass, infinite where there is none."""
+    """Return the usage of a limit that the certificate does not let a lap pass, infinite where
+    there is none."""
     found = setting.found
     bound = found.problem.residual
     if bound is None or not found.certificate.holds or setting.controller_name != "tube_mpc":
@@ -93,7 +100,9 @@ def verdict(setting: Setting, rows: dict[str, Row]) -> str:
     what, margin, unit = facet(setting.limits(name)[name], name, rows[name].worst)
     place = f"at step {rows[name].worst.step} ({what})"
     if not left:
-        return f"no violation found; smallest margin {margin:.4g} {unit} of the limit `{name}` {place}"
+        return (
+            f"no violation found; smallest margin {margin:.4g} {unit} of the limit `{name}` {place}"
+        )
     others = f"; also of {', '.join(left[1:])}" if left[1:] else ""
     kept = [name for name in ordered if name not in left]
     kept = f"; none found of {', '.join(kept)}" if kept else ""
@@ -103,7 +112,9 @@ def verdict(setting: Setting, rows: dict[str, Row]) -> str:
 def report(setting: Setting, rows: dict[str, Row]) -> str:
     """Return the verdict and the table."""
     lines = [verdict(setting, rows), ""]
-    lines.append(f"{'':<18}{'---------------- by gradient -----------------':>47}{'--- drawn laps ---':>24}")
+    lines.append(
+        f"{'':<18}{'---------------- by gradient -----------------':>47}{'--- drawn laps ---':>24}"
+    )
     heads = f"{'certified':>10}{'usage':>9}{'margin':>19}{'laps':>9}{'seconds':>10}{'usage':>12}{'laps':>12}"
     lines.append(f"{'limit':<8}{heads}  where")
     for name, row in rows.items():
@@ -147,7 +158,14 @@ def metrics(setting: Setting, rows: dict[str, Row]) -> dict:
         }
         if name != "tube":
             reach = {"": row.search.reach[name], "drawn_": row.sampled.reach[name]}
-            found[name] |= {f"{which}usage_by_facet": each.max(axis=0) for which, each in reach.items()}
-            last = {which: each[min(settled, len(each) - 1) :].max(axis=0) for which, each in reach.items()}
-            found[name] |= {f"{which}usage_by_facet_after_10_s": each for which, each in last.items()}
+            found[name] |= {
+                f"{which}usage_by_facet": each.max(axis=0) for which, each in reach.items()
+            }
+            last = {
+                which: each[min(settled, len(each) - 1) :].max(axis=0)
+                for which, each in reach.items()
+            }
+            found[name] |= {
+                f"{which}usage_by_facet_after_10_s": each for which, each in last.items()
+            }
     return {"limits": found, "violation": any(violated(row.worst) for row in rows.values())}

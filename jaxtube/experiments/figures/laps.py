@@ -1,7 +1,9 @@
-"""Closed-loop figures: paths, errors, wheel speeds, margins to E, and runs under stress, over many realisations.
+"""Closed-loop figures: paths, errors, wheel speeds, margins to E, and runs under stress, over many
+realisations.
 
-Bands are pointwise in time: median, 5 to 95 % of the realisations, and the extremes. Controllers whose errors agree
-to within `COINCIDE` are drawn once, under a joint name, so that no curve hides another.
+Bands are pointwise in time: median, 5 to 95 % of the realisations, and the extremes. Controllers
+whose errors agree to within `COINCIDE` are drawn once, under a joint name, so that no curve hides
+another.
 """
 
 from __future__ import annotations
@@ -46,7 +48,8 @@ THIN_RUNS = 30
 """Single runs drawn around a median path."""
 
 SECONDS = {"start": 1.5, "apart": 0.4, "dots": 0.5}
-"""Of the path: length of the magnified start, half length of the other magnified stretch, time between dots."""
+"""Of the path: length of the magnified start, half length of the other magnified stretch, time
+between dots."""
 
 FIRST_SECONDS = 3.0
 """What the magnified start of a run shows."""
@@ -61,16 +64,23 @@ class Curve(NamedTuple):
 
 
 def _curves(runs: Mapping[str, Any]) -> dict[str, Curve]:
-    """Return the runs in drawing order; those that coincide appear once, under the name listed last."""
+    """Return the runs in drawing order; those that coincide appear once, under the name listed
+    last."""
     curves: dict[str, Curve] = {}
     for name in reversed([name for name in CONTROLLERS if name in runs]):
-        errors, wheels, line = np.asarray(runs[name].errors), np.asarray(runs[name].wheels), CONTROLLERS[name]
+        errors, wheels, line = (
+            np.asarray(runs[name].errors),
+            np.asarray(runs[name].wheels),
+            CONTROLLERS[name],
+        )
         twin = next((key for key, curve in curves.items() if _coincide(curve.errors, errors)), None)
         if twin is None:
             curves[name] = Curve(line, errors, wheels)
         else:
             joint = curves[twin].line
-            curves[twin] = curves[twin]._replace(line=joint._replace(label=f"{joint.label} = {line.label}"))
+            curves[twin] = curves[twin]._replace(
+                line=joint._replace(label=f"{joint.label} = {line.label}")
+            )
     return dict(reversed(curves.items()))
 
 
@@ -97,11 +107,13 @@ def _band_keys() -> list:
 
 @styled
 def trajectories(problem: Problem, runs: Mapping[str, Any]) -> Figure:
-    """Draw the paths in the world frame, whole and magnified at the start and where they lie furthest apart.
+    """Draw the paths in the world frame, whole and magnified at the start and where they lie
+    furthest apart.
 
     Args:
         problem: gives the reference.
-        runs: by controller's name, anything with `errors` (steps+1, batch, 3) and `wheels` (steps, batch, 2).
+        runs: by controller's name, anything with `errors` (steps+1, batch, 3) and `wheels` (steps,
+            batch, 2).
     """
     curves, reference = _curves(runs), problem.reference
     poses = reference.poses[: reference.steps + 1]
@@ -122,16 +134,25 @@ def trajectories(problem: Problem, runs: Mapping[str, Any]) -> Figure:
     apart = settled + int(np.argmax(lateral[settled:]))
     stretches = {
         "start": ("(b) start", 0, seconds["start"]),
-        "apart": (f"(c) around $t = {apart * reference.dt:.1f}$ s", apart - seconds["apart"], apart + seconds["apart"]),
+        "apart": (
+            f"(c) around $t = {apart * reference.dt:.1f}$ s",
+            apart - seconds["apart"],
+            apart + seconds["apart"],
+        ),
     }
     for name, (title, first, last) in stretches.items():
         stretch = np.arange(max(first, 0), min(last, reference.steps) + 1)
         _zoom(panels[name], curves, poses, paths, stretch, max(seconds["dots"], 1))
         panels[name].set_title(title)
         place = tuple(poses[0 if name == "start" else apart, :2])
-        panels["whole"].plot(*place, marker="s", markersize=7, markerfacecolor="none", color="0.15", zorder=5)
+        panels["whole"].plot(
+            *place, marker="s", markersize=7, markerfacecolor="none", color="0.15", zorder=5
+        )
         panels["whole"].annotate(title[1], place, xytext=(6, -9), textcoords="offset points")
-    keys = [Line2D([], [], label="Reference", **REFERENCE), mark_key(f"every {SECONDS['dots']} s", "0.15")]
+    keys = [
+        Line2D([], [], label="Reference", **REFERENCE),
+        mark_key(f"every {SECONDS['dots']} s", "0.15"),
+    ]
     for key in (own := line_keys(curve.line for curve in curves.values())):
         key.set_label(str(key.get_label()).replace(" = ", "\n= "))
     panels["legend"].set_axis_off()
@@ -142,7 +163,9 @@ def trajectories(problem: Problem, runs: Mapping[str, Any]) -> Figure:
 def _whole_path(axes: Axes, curves: Mapping[str, Curve], poses, paths) -> None:
     axes.set(title="(a) whole run, medians", aspect="equal", xlabel="$x$ [m]", ylabel="$y$ [m]")
     for name, curve in curves.items():
-        axes.plot(*np.median(paths[name], axis=1).T, color=curve.line.colour, linestyle=curve.line.dashes)
+        axes.plot(
+            *np.median(paths[name], axis=1).T, color=curve.line.colour, linestyle=curve.line.dashes
+        )
     axes.plot(*poses[:, :2].T, **REFERENCE)
 
 
@@ -150,13 +173,23 @@ def _zoom(axes: Axes, curves: Mapping[str, Curve], poses, paths, stretch, every:
     """Draw a stretch of the run: single runs, medians, and where everyone is at the same instants."""
     axes.set(xlabel="$x$ [m]", ylabel="$y$ [m]")
     # The longer side of the panel shows more than the stretch, so the lines go on beyond it.
-    around = np.arange(max(stretch[0] - len(stretch), 0), min(stretch[-1] + len(stretch), len(poses)))
+    around = np.arange(
+        max(stretch[0] - len(stretch), 0), min(stretch[-1] + len(stretch), len(poses))
+    )
     instants = around[(around - stretch[0]) % every == 0]
-    dots: Any = {"marker": "o", "markersize": 4, "markeredgecolor": "white", "markeredgewidth": 0.5, "linestyle": ""}
+    dots: Any = {
+        "marker": "o",
+        "markersize": 4,
+        "markeredgecolor": "white",
+        "markeredgewidth": 0.5,
+        "linestyle": "",
+    }
     shown = [poses[stretch, :2]]
     for name, curve in curves.items():
         path, colour, median = paths[name], curve.line.colour, np.median(paths[name], axis=1)
-        axes.plot(*path[around, :THIN_RUNS].transpose(2, 0, 1), color=colour, linewidth=0.4, alpha=0.25)
+        axes.plot(
+            *path[around, :THIN_RUNS].transpose(2, 0, 1), color=colour, linewidth=0.4, alpha=0.25
+        )
         axes.plot(*median[around].T, color=colour, linestyle=curve.line.dashes)
         axes.plot(*median[instants].T, color=colour, **dots, zorder=5)
         shown.append(median[stretch])
@@ -171,17 +204,22 @@ def _zoom(axes: Axes, curves: Mapping[str, Curve], poses, paths, stretch, every:
 
 @styled
 def errors(problem: Problem, runs: Mapping[str, Any]) -> Figure:
-    """Draw the tracking errors against time: all of them with the limits of E, and those that stay inside magnified.
+    """Draw the tracking errors against time: all of them with the limits of E, and those that stay
+    inside magnified.
 
     Args:
         problem: gives the limits and the period.
         runs: as for `trajectories`.
     """
     curves = _curves(runs)
-    shares = {name: leaves_error_set(problem, curve.errors).mean() for name, curve in curves.items()}
+    shares = {
+        name: leaves_error_set(problem, curve.errors).mean() for name, curve in curves.items()
+    }
     inside = {name: curve for name, curve in curves.items() if not shares[name]}
     figure = page_figure(5.6)
-    panels = figure.subplots(3, 2 if inside and len(inside) < len(curves) else 1, sharex=True, squeeze=False)
+    panels = figure.subplots(
+        3, 2 if inside and len(inside) < len(curves) else 1, sharex=True, squeeze=False
+    )
     limits = problem.error_set.offsets[:3] * TO_DISPLAY
     for coordinate, row in enumerate(panels):
         for axes, shown in zip(row, (curves, inside), strict=False):
@@ -199,8 +237,14 @@ def errors(problem: Problem, runs: Mapping[str, Any]) -> Figure:
         axes.set_xlabel("time [s]")
     keys = line_keys(curve.line for curve in curves.values())
     for key, share in zip(keys, shares.values(), strict=True):
-        key.set_label(f"{key.get_label()} ({100 * share:.0f} % leave $\\mathcal{{E}}$)" if share else key.get_label())
-    bottom_legend(figure, [*keys, Line2D([], [], label="limits of $\\mathcal{E}$", **LIMIT), *_band_keys()])
+        key.set_label(
+            f"{key.get_label()} ({100 * share:.0f} % leave $\\mathcal{{E}}$)"
+            if share
+            else key.get_label()
+        )
+    bottom_legend(
+        figure, [*keys, Line2D([], [], label="limits of $\\mathcal{E}$", **LIMIT), *_band_keys()]
+    )
     return figure
 
 
@@ -221,7 +265,9 @@ def wheel_speeds(problem: Problem, runs: Mapping[str, Any]) -> Figure:
             shown = time <= end
             for curve in curves.values():
                 _band(axes, time[shown], curve.wheels[shown, :, wheel], curve.line)
-            axes.step(time[shown], problem.schedule[:steps][shown, wheel], where="post", **REFERENCE)
+            axes.step(
+                time[shown], problem.schedule[:steps][shown, wheel], where="post", **REFERENCE
+            )
             axes.set_xlim(0, end)
         row[0].set_ylabel(f"{('right', 'left')[wheel]} wheel [m/s]")
     _wheel_limits(problem, panels)
@@ -249,7 +295,8 @@ def _wheel_limits(problem: Problem, panels) -> None:
 
 @styled
 def margins(problem: Problem, runs: Mapping[str, Any]) -> Figure:
-    """Draw how near each run came to the limits of E: the distribution of 1 - max |e| / limit over realisations.
+    """Draw how near each run came to the limits of E: the distribution of 1 - max |e| / limit over
+    realisations.
 
     Args:
         problem: gives the limits and the period.
@@ -264,14 +311,24 @@ def margins(problem: Problem, runs: Mapping[str, Any]) -> Figure:
             relative = 100 * (1 - np.abs(curve.errors[..., coordinate]) / limits[coordinate])
             _box(axes, relative.min(axis=0), place - 0.17, curve.line.colour, filled=True)
             if settled < len(relative):
-                _box(axes, relative[settled:].min(axis=0), place + 0.17, curve.line.colour, filled=False)
+                _box(
+                    axes,
+                    relative[settled:].min(axis=0),
+                    place + 0.17,
+                    curve.line.colour,
+                    filled=False,
+                )
         axes.axvline(0, **LIMIT)
-        axes.axvline(100 * (1 - np.abs(problem.initial_error[coordinate]) / limits[coordinate]), **REFERENCE)
+        axes.axvline(
+            100 * (1 - np.abs(problem.initial_error[coordinate]) / limits[coordinate]), **REFERENCE
+        )
         axes.set_xlim(right=104)
         axes.axvspan(min(axes.get_xlim()[0], -5), 0, color="0.5", alpha=0.15, linewidth=0)
         axes.margins(x=0)
         axes.set_xlabel(f"margin in ${ERRORS[coordinate]}$ [%]")
-    panels[0].set_yticks(range(len(curves)), [curve.line.label.replace(" = ", "\n= ") for curve in curves.values()])
+    panels[0].set_yticks(
+        range(len(curves)), [curve.line.label.replace(" = ", "\n= ") for curve in curves.values()]
+    )
     panels[0].invert_yaxis()
     keys = [
         Patch(facecolor="0.4", edgecolor="0.4", label="whole run"),
@@ -283,7 +340,9 @@ def margins(problem: Problem, runs: Mapping[str, Any]) -> Figure:
     return figure
 
 
-def _box(axes: Axes, values: Float[np.ndarray, " runs"], place: float, colour: str, filled: bool) -> None:
+def _box(
+    axes: Axes, values: Float[np.ndarray, " runs"], place: float, colour: str, filled: bool
+) -> None:
     """Draw quartiles as a box, the median as a bar and the extremes as whiskers."""
     axes.boxplot(
         values,
@@ -293,7 +352,11 @@ def _box(axes: Axes, values: Float[np.ndarray, " runs"], place: float, colour: s
         whis=(0, 100),
         patch_artist=True,
         manage_ticks=False,
-        boxprops={"facecolor": colour if filled else "white", "edgecolor": colour, "linewidth": 0.9},
+        boxprops={
+            "facecolor": colour if filled else "white",
+            "edgecolor": colour,
+            "linewidth": 0.9,
+        },
         medianprops={"color": "black", "linewidth": 1.2},
         whiskerprops={"color": colour},
         capprops={"color": colour},

@@ -1,7 +1,9 @@
-"""Figures of a design's sets: the tubes, the tightened sets, the terminal set, and realisations inside the tube.
+"""Figures of a design's sets: the tubes, the tightened sets, the terminal set, and realisations
+inside the tube.
 
-Sets of (e_x, e_y, e_theta) are drawn in three dimensions and as projections onto the three coordinate planes: the
-convex hull of the projected vertices. Ellipsoids {e : e^T P e <= c} project to {x : x^T (P^-1)_xx^-1 x <= c}.
+Sets of (e_x, e_y, e_theta) are drawn in three dimensions and as projections onto the three
+coordinate planes: the convex hull of the projected vertices. Ellipsoids {e : e^T P e <= c} project
+to {x : x^T (P^-1)_xx^-1 x <= c}.
 """
 
 from __future__ import annotations
@@ -64,19 +66,27 @@ SMOOTH = 1 - 1e-9
 
 @styled
 def tube_sections(design: Design) -> Figure:
-    """Draw the last section of the four tubes in three dimensions, and all sections projected onto the planes."""
+    """Draw the last section of the four tubes in three dimensions, and all sections projected onto
+    the planes."""
     lines = {name: line for name, line in TUBES.items() if name in design.tubes}
-    corners = {name: [section.vertices() * IN_MILLIMETRES for section in design.tubes[name][1:]] for name in lines}
+    corners = {
+        name: [section.vertices() * IN_MILLIMETRES for section in design.tubes[name][1:]]
+        for name in lines
+    }
     figure = page_figure(6.0)
     last = f"R_{{{design.problem.horizon}}}"
-    solid, planes = _views(figure, SMALL_UNITS, f"${last}$", f"projections of $R_1, \\ldots, {last}$")
+    solid, planes = _views(
+        figure, SMALL_UNITS, f"${last}$", f"projections of $R_1, \\ldots, {last}$"
+    )
     outermost = next(iter(corners.values()))[-1]
     for name, sections in reversed(corners.items()):
         _draw_solid(solid, sections[-1], outermost, lines[name])
     for axes, plane in planes:
         for name, sections in corners.items():
             for section in sections:
-                _draw_projection(axes, section, plane, lines[name], 1.2 if section is sections[-1] else 0.7)
+                _draw_projection(
+                    axes, section, plane, lines[name], 1.2 if section is sections[-1] else 0.7
+                )
     bottom_legend(figure, line_keys(lines.values()), columns=4)
     return figure
 
@@ -87,7 +97,9 @@ def _views(figure: Figure, units, title: str, plane_title: str) -> tuple[Axes3D,
     solid: Axes3D = figure.add_subplot(grid[0, 0], projection="3d")  # pyright: ignore[reportAssignmentType]
     _label_solid(solid, units, f"(a) {title}")
     planes = []
-    for cell, plane, letter in zip((grid[0, 1], grid[1, 0], grid[1, 1]), PLANES, "bcd", strict=True):
+    for cell, plane, letter in zip(
+        (grid[0, 1], grid[1, 0], grid[1, 1]), PLANES, "bcd", strict=True
+    ):
         axes = figure.add_subplot(cell)
         axes.set_xlabel(error_label(plane[0], unit=units[plane[0]]))
         axes.set_ylabel(error_label(plane[1], unit=units[plane[1]]))
@@ -97,12 +109,19 @@ def _views(figure: Figure, units, title: str, plane_title: str) -> tuple[Axes3D,
     return solid, planes
 
 
-def _draw_projection(axes: Axes, points: Float[np.ndarray, "v 3"], plane, line: Line, linewidth: float = 1.2) -> None:
-    draw_polygon(axes, points[:, plane], edgecolor=line.colour, linestyle=line.dashes, linewidth=linewidth)
+def _draw_projection(
+    axes: Axes, points: Float[np.ndarray, "v 3"], plane, line: Line, linewidth: float = 1.2
+) -> None:
+    draw_polygon(
+        axes, points[:, plane], edgecolor=line.colour, linestyle=line.dashes, linewidth=linewidth
+    )
 
 
-def _draw_solid(axes: Axes3D, points: Float[np.ndarray, "v 3"], largest: Float[np.ndarray, "k 3"], line: Line) -> None:
-    """Draw what the viewer sees of a hull: faces see-through, edges as lines; the innermost of nested sets comes first.
+def _draw_solid(
+    axes: Axes3D, points: Float[np.ndarray, "v 3"], largest: Float[np.ndarray, "k 3"], line: Line
+) -> None:
+    """Draw what the viewer sees of a hull: faces see-through, edges as lines; the innermost of
+    nested sets comes first.
 
     `largest` is the outermost set of the picture, which fills the box.
     """
@@ -115,7 +134,11 @@ def _draw_solid(axes: Axes3D, points: Float[np.ndarray, "v 3"], largest: Float[n
         return
     hull = ConvexHull(boxed)
     azimuth, elevation = np.deg2rad([AZIMUTH, ELEVATION])
-    towards = [np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)]
+    towards = [
+        np.cos(elevation) * np.cos(azimuth),
+        np.cos(elevation) * np.sin(azimuth),
+        np.sin(elevation),
+    ]
     normals = hull.equations[:, :3]
     seen = normals @ towards > 0
     edges = [
@@ -124,15 +147,22 @@ def _draw_solid(axes: Axes3D, points: Float[np.ndarray, "v 3"], largest: Float[n
         for j in neighbours
         if i < j and (seen[i] or seen[j]) and normals[i] @ normals[j] < SMOOTH
     ]
-    faces = Poly3DCollection(list(points[hull.simplices[seen]]), facecolor=line.colour, edgecolor="none", alpha=0.2)
-    for collection in (faces, Line3DCollection(edges, color=line.colour, linestyle=line.dashes, linewidth=0.7)):
+    faces = Poly3DCollection(
+        list(points[hull.simplices[seen]]), facecolor=line.colour, edgecolor="none", alpha=0.2
+    )
+    for collection in (
+        faces,
+        Line3DCollection(edges, color=line.colour, linestyle=line.dashes, linewidth=0.7),
+    ):
         collection.set_zorder(len(axes.collections))
         axes.add_collection3d(collection)
 
 
 def _label_solid(axes: Axes3D, units, title: str) -> None:
     axes.computed_zorder = False
-    axes.set(xlabel=error_label(0, unit=units[0]), ylabel=error_label(1, unit=units[1]), title=title)
+    axes.set(
+        xlabel=error_label(0, unit=units[0]), ylabel=error_label(1, unit=units[1]), title=title
+    )
     axes.set_zlabel(error_label(2, unit=units[2]), labelpad=-4)
     for axis in (axes.xaxis, axes.yaxis, axes.zaxis):
         axis.set_major_locator(MaxNLocator(4))
@@ -145,7 +175,8 @@ def _label_solid(axes: Axes3D, units, title: str) -> None:
 
 @styled
 def tightened_sets(design: Design) -> Figure:
-    """Draw what the tube leaves of E, coordinate by coordinate, and of U, in the first window of the reference."""
+    """Draw what the tube leaves of E, coordinate by coordinate, and of U, in the first window of
+    the reference."""
     problem, window = design.problem, int(design.windows.index[0])
     N, bounds = problem.horizon, design.bounds
     figure = page_figure(4.4)
@@ -158,7 +189,9 @@ def tightened_sets(design: Design) -> Figure:
         axes.plot(np.arange(N), left, "o", color=INSIDE, markersize=3)
         axes.plot(N, last.support(np.eye(3)[coordinate]) * scale, "D", color=OUTSIDE, markersize=4)
         axes.axhline(whole * scale, **LIMIT)
-        axes.set(xlabel="stage $j$", ylabel=error_label(coordinate, absolute=True), xlim=(-0.7, N + 0.7))
+        axes.set(
+            xlabel="stage $j$", ylabel=error_label(coordinate, absolute=True), xlim=(-0.7, N + 0.7)
+        )
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.set_title(f"({'abc'[coordinate]}) {ERROR_NAMES[coordinate]}")
     _draw_input_sets(panels[1, 0], panels[1, 1], design, window)
@@ -166,7 +199,12 @@ def tightened_sets(design: Design) -> Figure:
         Line2D([], [], label="limits of $\\mathcal{E}$ and $\\mathcal{U}$", **LIMIT),
         Line2D([], [], color=INSIDE, marker="o", markersize=3, label="bounds of $\\mathcal{E}_j$"),
         mark_key("reach of the constraint on $e_N$", OUTSIDE, marker="D"),
-        Patch(facecolor=INSIDE, edgecolor=INSIDE, alpha=0.4, label=f"$\\mathcal{{U}}_j$, $j = 0, \\ldots, {N - 1}$"),
+        Patch(
+            facecolor=INSIDE,
+            edgecolor=INSIDE,
+            alpha=0.4,
+            label=f"$\\mathcal{{U}}_j$, $j = 0, \\ldots, {N - 1}$",
+        ),
     ]
     panels[1, 2].set_axis_off()
     title = f"tube: {problem.scenario.controller.tube}"
@@ -178,24 +216,32 @@ def _draw_input_sets(whole: Axes, corner: Axes, design: Design, window: int) -> 
     """Draw U and the nested U_j, whole and magnified at the corner of the greatest forward demand."""
     bounds = design.bounds.inputs[window]
     corners = design.problem.input_set.vertices()
-    tightened = [Polytope(design.problem.input_rows.inputs, offsets).vertices() for offsets in bounds]
+    tightened = [
+        Polytope(design.problem.input_rows.inputs, offsets).vertices() for offsets in bounds
+    ]
     for axes in (whole, corner):
         axes.set(xlabel="$u_1$ [m/s]", ylabel="$u_2$ [rad/s]")
         for points in tightened:
             draw_polygon(axes, points, facecolor=INSIDE, alpha=0.15, linewidth=0)
             draw_polygon(axes, points, edgecolor=INSIDE, linewidth=0.6)
-        draw_polygon(axes, corners, edgecolor=LIMIT["color"], linestyle=LIMIT["linestyle"], linewidth=0.9)
+        draw_polygon(
+            axes, corners, edgecolor=LIMIT["color"], linestyle=LIMIT["linestyle"], linewidth=0.9
+        )
     tips = np.stack([points[np.argmin(points[:, 0])] for points in (corners, tightened[-1])])
     width, height = np.ptp(corners, axis=0)
     depth, slope = max(np.ptp(tips[:, 0]), 0.01 * width), height / width
-    corner.set(xlim=tips[0, 0] + depth * np.array([-0.2, 1.8]), ylim=tips[0, 1] + depth * slope * np.array([-1, 1]))
+    corner.set(
+        xlim=tips[0, 0] + depth * np.array([-0.2, 1.8]),
+        ylim=tips[0, 1] + depth * slope * np.array([-1, 1]),
+    )
     whole.set_title("(d) $\\mathcal{U}_j$")
     corner.set_title("(e) $\\mathcal{U}_j$, left corner")
 
 
 @styled
 def terminal_set(design: Design) -> Figure:
-    """Draw the invariant sets, the constraint on e_N and an ellipsoid of the terminal cost, or why there is none.
+    """Draw the invariant sets, the constraint on e_N and an ellipsoid of the terminal cost, or why
+    there is none.
 
     The ellipsoid is the largest level set of e^T P e inside the maximal invariant set.
     """
@@ -225,7 +271,9 @@ def terminal_set(design: Design) -> Figure:
     figure = page_figure(6.2)
     solid, planes = _views(figure, UNITS, f"{facets} and constraint on $e_N$", "projections")
     _draw_solid(solid, corners["constraint"], corners["invariant"], lines["constraint"])
-    _draw_solid(solid, corners["invariant"], corners["invariant"], lines["invariant"]._replace(dashes="-"))
+    _draw_solid(
+        solid, corners["invariant"], corners["invariant"], lines["invariant"]._replace(dashes="-")
+    )
     for axes, plane in planes:
         for name, line in lines.items():
             _draw_projection(axes, corners[name], plane, line)
@@ -242,7 +290,8 @@ def _ellipse(covariance: Float[np.ndarray, "2 2"]) -> Float[np.ndarray, "200 2"]
 
 
 def _no_terminal_set(design: Design) -> Figure:
-    """Say that no invariant set exists, and draw how disturbances carry the origin past a constraint."""
+    """Say that no invariant set exists, and draw how disturbances carry the origin past a
+    constraint."""
     figure, terminal = page_figure(2.8), design.terminal
     axes = figure.subplots()
     axes.set(title="No invariant terminal set: $e_N$ is kept in $\\mathcal{E} - R_N$ instead")
@@ -260,7 +309,8 @@ def _no_terminal_set(design: Design) -> Figure:
     axes.plot(len(reach) - 1, reach[-1], "o", color=OUTSIDE, markersize=4)
     axes.axhline(escape.offset, **LIMIT, label="constraint")
     axes.set(
-        xlabel=f"steps ({len(reach) - 1} pass the constraint)", ylabel=f"${_row_text(escape.normal)}$, in m and rad"
+        xlabel=f"steps ({len(reach) - 1} pass the constraint)",
+        ylabel=f"${_row_text(escape.normal)}$, in m and rad",
     )
     axes.legend(loc="lower right")
     return figure
@@ -268,12 +318,16 @@ def _no_terminal_set(design: Design) -> Figure:
 
 def _row_text(normal: Float[np.ndarray, "3"]) -> str:
     """Return a constraint's row as text, such as e_y - 0.5 e_theta."""
-    terms = [f"{value:+.3g}\\,{letter}" for value, letter in zip(normal, ERRORS, strict=True) if value]
+    terms = [
+        f"{value:+.3g}\\,{letter}" for value, letter in zip(normal, ERRORS, strict=True) if value
+    ]
     return "".join(terms).replace("+1\\,", "+").replace("-1\\,", "-").removeprefix("+")
 
 
 @styled
-def realisations_in_tube(design: Design, deviations: Float[np.ndarray, "horizon samples 3"]) -> Figure:
+def realisations_in_tube(
+    design: Design, deviations: Float[np.ndarray, "horizon samples 3"]
+) -> Figure:
     """Draw how far followed plans deviate from their predictions, against the tube in use.
 
     Args:
@@ -288,16 +342,29 @@ def realisations_in_tube(design: Design, deviations: Float[np.ndarray, "horizon 
     figure = page_figure(3.6)
     panels = figure.subplots(2, len(stages), sharex="row", sharey="row", squeeze=False)
     for column, stage in zip(panels.T, stages, strict=True):
-        points, corners = deviations[stage] * IN_MILLIMETRES, sections[stage].vertices() * IN_MILLIMETRES
+        points, corners = (
+            deviations[stage] * IN_MILLIMETRES,
+            sections[stage].vertices() * IN_MILLIMETRES,
+        )
         for axes, plane in zip(column, ((1, 2), (0, 1)), strict=True):
             for chosen, colour in ((~outside[stage], INSIDE), (outside[stage], OUTSIDE)):
-                axes.plot(*points[chosen][:, plane].T, ".", color=colour, markersize=1.5, alpha=0.6, rasterized=True)
+                axes.plot(
+                    *points[chosen][:, plane].T,
+                    ".",
+                    color=colour,
+                    markersize=1.5,
+                    alpha=0.6,
+                    rasterized=True,
+                )
             draw_polygon(axes, corners[:, plane], edgecolor="0.1", linewidth=1.2)
             axes.set_xlabel(error_label(plane[0], unit=SMALL_UNITS[plane[0]]))
         column[0].set_title(f"$j = {stage + 1}$: {100 * outside[stage].mean():.1f} % outside")
     for axes, coordinate in zip(panels[:, 0], (2, 1), strict=True):
         axes.set_ylabel(error_label(coordinate, unit=SMALL_UNITS[coordinate]))
-    keys = [mark_key("deviation inside $R_j$", INSIDE), mark_key("deviation outside $R_j$", OUTSIDE)]
+    keys = [
+        mark_key("deviation inside $R_j$", INSIDE),
+        mark_key("deviation outside $R_j$", OUTSIDE),
+    ]
     keys += line_keys([Line(f"$R_j$ (tube: {tube}), projected", "0.1")])
     bottom_legend(figure, keys)
     return figure

@@ -1,4 +1,5 @@
-"""The look of every figure: sizes of a two-column page, one colour a controller, names, units and drawing of sets.
+"""The look of every figure: sizes of a two-column page, one colour a controller, names, units and
+drawing of sets.
 
 Colours are those of Okabe and Ito, which differ for colour-blind eyes and in print.
 """
@@ -107,12 +108,21 @@ def bottom_legend(figure: Figure, handles: list, columns: int = 3) -> None:
 
 def line_keys(lines: Iterable[Line]) -> list[Line2D]:
     """Return the legend's entries of lines."""
-    return [Line2D([], [], color=line.colour, linestyle=line.dashes, label=line.label) for line in lines]
+    return [
+        Line2D([], [], color=line.colour, linestyle=line.dashes, label=line.label) for line in lines
+    ]
 
 
 def mark_key(label: str, colour: str, **look) -> Line2D:
     """Return the legend's entry of a mark without a line."""
-    return Line2D([], [], linestyle="none", color=colour, label=label, **{"marker": "o", "markersize": 4, **look})
+    return Line2D(
+        [],
+        [],
+        linestyle="none",
+        color=colour,
+        label=label,
+        **{"marker": "o", "markersize": 4, **look},
+    )
 
 
 def error_label(coordinate: int, absolute: bool = False, unit: str = "") -> str:
@@ -122,7 +132,8 @@ def error_label(coordinate: int, absolute: bool = False, unit: str = "") -> str:
 
 
 def outline(points: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "v 2"]:
-    """Return the corners of the convex hull of points in the plane, in order; flat sets have two, or one."""
+    """Return the corners of the convex hull of points in the plane, in order; flat sets have two,
+    or one."""
     corners = hull_vertices(points)
     away = corners - corners.mean(axis=0)
     return corners[np.argsort(np.arctan2(away[:, 1], away[:, 0]))]

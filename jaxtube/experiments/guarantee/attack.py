@@ -1,10 +1,12 @@
-"""The closed loops that put a guarantee to the test: sampling laws of the slip, and starts all over the feasible set.
+"""The closed loops that put a guarantee to the test: sampling laws of the slip, and starts all over
+the feasible set.
 
     laps     the whole reference, starts uniform in the feasible set
     edge     its first second, starts on the edge of that set, where constraints bind
 
-All laws of one kind are one program, which compiles once: which process draws the slips is data. A lap meets the draws
-that the command `montecarlo` gives the lap of its number under that process and those starts.
+All laws of one kind are one program, which compiles once: which process draws the slips is data. A
+lap meets the draws that the command `montecarlo` gives the lap of its number under that process and
+those starts.
 """
 
 from __future__ import annotations
@@ -34,7 +36,8 @@ EDGE_SECONDS = 1.0
 
 
 class Law(NamedTuple):
-    """How laps are drawn: the process of the slips, and whether they start on the edge of the feasible set."""
+    """How laps are drawn: the process of the slips, and whether they start on the edge of the
+    feasible set."""
 
     process: str
     edge: bool = False
@@ -54,7 +57,8 @@ LAWS = (*map(Law, PROCESSES), *(Law(process, edge=True) for process in EDGE_PROC
 
 
 def laps_of_a_law(realisations: int, block: int) -> int:
-    """Return the laps of each law: an equal share of those asked for over the processes, up to whole blocks."""
+    """Return the laps of each law: an equal share of those asked for over the processes, up to
+    whole blocks."""
     return -(-realisations // (len(PROCESSES) * block)) * block
 
 
@@ -76,7 +80,9 @@ class AnySlipRobot:
         robots = (dataclasses.replace(self.ideal, process=name) for name in PROCESSES)
         return tuple(robot.initial(keys, errors) for robot in robots)
 
-    def measure(self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]) -> Float[Array, "batch 3"]:
+    def measure(
+        self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]
+    ) -> Float[Array, "batch 3"]:
         """Return the measured errors."""
         return self.ideal.measure(keys, step, errors)
 
@@ -87,9 +93,13 @@ class AnySlipRobot:
     def advance(self, keys, step, state: tuple, errors, inputs, controller):
         """Return (next errors, next memory, wheels, wheels before saturation) of one period."""
         ideal = self.ideal
-        places = wheel_positions(world_pose(errors, ideal.reference_poses[step]), ideal.robot.track_width)
+        places = wheel_positions(
+            world_pose(errors, ideal.reference_poses[step]), ideal.robot.track_width
+        )
         branches = [partial(self._draw, number, keys, step) for number in range(len(PROCESSES))]
-        true, measured, state = jax.lax.switch(self.chosen, branches, state, slips.Situation(places, errors))
+        true, measured, state = jax.lax.switch(
+            self.chosen, branches, state, slips.Situation(places, errors)
+        )
         following, wheels, demanded = ideal.move(step, errors, inputs, true, measured, controller)
         return following, state, wheels, demanded
 
@@ -104,16 +114,21 @@ class AnySlipRobot:
 
 
 def under(found: Design, law: Law) -> Design:
-    """Return a design whose scenario has the law's process, for laps on the edge with the first second alone."""
+    """Return a design whose scenario has the law's process, for laps on the edge with the first
+    second alone."""
     problem, windows = found.problem, found.windows
     scenario, reference = problem.scenario, problem.reference
     slip = msgspec.structs.replace(scenario.slip, process=law.process)
     scenario = msgspec.structs.replace(scenario, slip=slip)
     if law.edge:
-        reference = dataclasses.replace(reference, steps=min(round(EDGE_SECONDS / reference.dt), reference.steps))
+        reference = dataclasses.replace(
+            reference, steps=min(round(EDGE_SECONDS / reference.dt), reference.steps)
+        )
         windows = dataclasses.replace(windows, index=windows.index[: reference.steps])
     return dataclasses.replace(
-        found, problem=dataclasses.replace(problem, scenario=scenario, reference=reference), windows=windows
+        found,
+        problem=dataclasses.replace(problem, scenario=scenario, reference=reference),
+        windows=windows,
     )
 
 

@@ -1,8 +1,10 @@
-"""What each claim of a robust tube-MPC rests on in a certificate, and what laps that attack it have shown.
+"""What each claim of a robust tube-MPC rests on in a certificate, and what laps that attack it have
+shown.
 
-A lap violates the guarantee where any of VIOLATIONS occurs in any of its periods. Laps are counted event by event, so
-of several events the violating laps lie between the largest count and the sum. Bounds are one-sided (Clopper-Pearson),
-one law at a time: they hold for laps drawn by that law, and for no other.
+A lap violates the guarantee where any of VIOLATIONS occurs in any of its periods. Laps are counted
+event by event, so of several events the violating laps lie between the largest count and the sum.
+Bounds are one-sided (Clopper-Pearson), one law at a time: they hold for laps drawn by that law, and
+for no other.
 """
 
 from __future__ import annotations
@@ -38,7 +40,8 @@ class Tested(NamedTuple):
 
 
 class Count(NamedTuple):
-    """How often something was seen: laps, or plans that were followed, of so many; by law where it was seen most."""
+    """How often something was seen: laps, or plans that were followed, of so many; by law where it
+    was seen most."""
 
     seen: int
     of: int
@@ -49,10 +52,12 @@ class Count(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """A part of the guarantee: conditions of the certificate that it needs, the first its own, and what refutes it.
+    """A part of the guarantee: conditions of the certificate that it needs, the first its own, and
+    what refutes it.
 
-    A claim on the robot needs a W that holds as well; one that is not is on the model. `refuted` reads, from the
-    summary of one law, (times seen, of how many, unit); None where laps cannot tell.
+    A claim on the robot needs a W that holds as well; one that is not is on the model. `refuted`
+    reads, from the summary of one law, (times seen, of how many, unit); None where laps cannot
+    tell.
     """
 
     title: str
@@ -63,7 +68,8 @@ class Claim(NamedTuple):
 
 
 class Verdict(NamedTuple):
-    """What became of one claim of one design: made, how far it goes, proved and how, and what laps have shown."""
+    """What became of one claim of one design: made, how far it goes, proved and how, and what laps
+    have shown."""
 
     claimed: bool
     scope: str
@@ -77,7 +83,8 @@ def _laps_with(*events: str) -> Callable[[dict], tuple[int, int, str]]:
 
 
 def _plans_outside(law: dict) -> tuple[int, int, str]:
-    """Count, of the plans that were followed, those outside the tube at the stage where most of them are."""
+    """Count, of the plans that were followed, those outside the tube at the stage where most of
+    them are."""
     if not law["plans"]:
         return 0, 0, "plans"
     tube = law["tube"]
@@ -85,13 +92,19 @@ def _plans_outside(law: dict) -> tuple[int, int, str]:
 
 
 def _cost_excesses(law: dict) -> tuple[int, int, str]:
-    return (law["cost"]["fell_by_less_than_the_stage"] if law["plans"] else 0), law["plans"], "plans"
+    return (
+        (law["cost"]["fell_by_less_than_the_stage"] if law["plans"] else 0),
+        law["plans"],
+        "plans",
+    )
 
 
 def _wheel_speeds(scenario: Scenario) -> str:
     reference = scenario.reference
     span = f"{reference.wheel_speed_min_mps:g} to {reference.wheel_speed_max_mps:g} m/s"
-    return f"{span}, any order" if reference.certified_for == "box" else f"those of the path in {span}"
+    return (
+        f"{span}, any order" if reference.certified_for == "box" else f"those of the path in {span}"
+    )
 
 
 def _slip_error(scenario: Scenario) -> str:
@@ -111,15 +124,46 @@ RECURSION = ("plan_stays_feasible", "shifted_plan_inclusion", "tightening_covers
 TERMINAL = ("terminal_set_invariant", "terminal_set_admissible", "vertices_cover_schedule")
 RATIONALS = "checked_in_rationals"
 CLAIMS = (
-    Claim("W holds every disturbance of the robot", PREMISE, False, _laps_with("w_outside_W"), _disturbance_set),
+    Claim(
+        "W holds every disturbance of the robot",
+        PREMISE,
+        False,
+        _laps_with("w_outside_W"),
+        _disturbance_set,
+    ),
     Claim("an invariant terminal set exists over the certified wheel speeds", TERMINAL, False),
-    Claim("a plan is followed by a plan", RECURSION, refuted=_laps_with("qp_infeasible", "qp_unsolved")),
-    Claim("the tube holds the error around a plan", ("tightening_covers_reach",), refuted=_plans_outside),
-    Claim("the error stays in E", ("true_error_in_e", *RECURSION), refuted=_laps_with("e_outside_E")),
-    Claim("inputs stay in U", ("input_sets_not_empty", *RECURSION), refuted=_laps_with("u_outside_U")),
-    Claim("wheels stay within their limits", ("wheel_limits", *RECURSION), refuted=_laps_with("wheels_saturated")),
-    Claim("the cost of the model decreases", ("terminal_cost_decrease", "plan_stays_feasible"), False, _cost_excesses),
-    Claim("wheel speeds covered", ("vertices_cover_schedule", "terminal_set_invariant"), scope=_wheel_speeds),
+    Claim(
+        "a plan is followed by a plan",
+        RECURSION,
+        refuted=_laps_with("qp_infeasible", "qp_unsolved"),
+    ),
+    Claim(
+        "the tube holds the error around a plan",
+        ("tightening_covers_reach",),
+        refuted=_plans_outside,
+    ),
+    Claim(
+        "the error stays in E", ("true_error_in_e", *RECURSION), refuted=_laps_with("e_outside_E")
+    ),
+    Claim(
+        "inputs stay in U", ("input_sets_not_empty", *RECURSION), refuted=_laps_with("u_outside_U")
+    ),
+    Claim(
+        "wheels stay within their limits",
+        ("wheel_limits", *RECURSION),
+        refuted=_laps_with("wheels_saturated"),
+    ),
+    Claim(
+        "the cost of the model decreases",
+        ("terminal_cost_decrease", "plan_stays_feasible"),
+        False,
+        _cost_excesses,
+    ),
+    Claim(
+        "wheel speeds covered",
+        ("vertices_cover_schedule", "terminal_set_invariant"),
+        scope=_wheel_speeds,
+    ),
     Claim("slip error covered", ("disturbance_bound_proved",), False, scope=_slip_error),
     Claim("checked in exact arithmetic", (RATIONALS,), False),
 )
@@ -132,9 +176,11 @@ WORDS = {
 
 
 def judge(claim: Claim, design: Tested) -> Verdict:
-    """Return whether a design makes a claim, whether its certificate proves it, and how often it was seen to fail."""
+    """Return whether a design makes a claim, whether its certificate proves it, and how often it
+    was seen to fail."""
     known = design.certificate.conditions
-    # Without caps of its own a design takes U from the wheel limits: what keeps U then keeps the wheels.
+    # Without caps of its own a design takes U from the wheel limits: what keeps U then keeps the
+    # wheels.
     names = [name for name in claim.conditions if name in known or name != "wheel_limits"]
     failing = [name for name in names if not _holds(design, name)]
     reasons = [_reason(design, name) for name in failing]
@@ -159,12 +205,20 @@ def _reason(design: Tested, name: str) -> str:
     if name == "disturbance_in_w":
         used = max(law["worst"]["disturbance"][0]["usage"] for law in design.laws.values())
         return f"w goes {used:.3g} times as far as W"
-    words, condition = WORDS.get(name, name.replace("_", " ")), design.certificate.conditions.get(name)
-    return words if condition is None or math.isinf(condition.margin) else f"{words} ({condition.margin:.3g})"
+    words, condition = (
+        WORDS.get(name, name.replace("_", " ")),
+        design.certificate.conditions.get(name),
+    )
+    return (
+        words
+        if condition is None or math.isinf(condition.margin)
+        else f"{words} ({condition.margin:.3g})"
+    )
 
 
 def count(refuted: Callable[[dict], tuple[int, int, str]], laws: dict[str, dict]) -> Count:
-    """Add up over the laws how often a claim was refuted, and name the law under which it was most of all."""
+    """Add up over the laws how often a claim was refuted, and name the law under which it was most
+    of all."""
     found = {name: refuted(law) for name, law in laws.items()}
     worst = max(found, key=lambda name: found[name][0] / max(found[name][1], 1))
     seen, of, unit = found[worst]

@@ -1,8 +1,10 @@
-"""`guarantee`: put a certified design to the test, and beside it another one that drives the same robot.
+"""`guarantee`: put a certified design to the test, and beside it another one that drives the same
+robot.
 
-Both designs get robot, slip, noise, path and start of the first scenario; sets, gains, model and input map stay their
-own, and so do the wheel speeds each of them promises to cover. Every law's blocks are recorded in a folder of their
-own, `records-DESIGN-LAW`, so that a killed run goes on with nothing lost.
+Both designs get robot, slip, noise, path and start of the first scenario; sets, gains, model and
+input map stay their own, and so do the wheel speeds each of them promises to cover. Every law's
+blocks are recorded in a folder of their own, `records-DESIGN-LAW`, so that a killed run goes on
+with nothing lost.
 """
 
 from __future__ import annotations
@@ -19,10 +21,21 @@ import jax
 import msgspec
 import numpy as np
 
-from jaxtube.experiments.design.command import add_disturbance_condition, add_exact_condition, exit_code
+from jaxtube.experiments.design.command import (
+    add_disturbance_condition,
+    add_exact_condition,
+    exit_code,
+)
 from jaxtube.experiments.guarantee import claims as guarantee_claims
 from jaxtube.experiments.guarantee import report as guarantee_report
-from jaxtube.experiments.guarantee.attack import EDGE_SECONDS, LAWS, Law, laps_of_a_law, make_tasks, under
+from jaxtube.experiments.guarantee.attack import (
+    EDGE_SECONDS,
+    LAWS,
+    Law,
+    laps_of_a_law,
+    make_tasks,
+    under,
+)
 from jaxtube.experiments.guarantee.claims import Tested
 from jaxtube.experiments.montecarlo import command as blocks
 from jaxtube.experiments.montecarlo import report as montecarlo_report
@@ -55,7 +68,10 @@ class Attack(NamedTuple):
 
 def run(scenario: Scenario, options: Guarantee) -> int:
     """Run the command; returns 3 where a certificate is required and the first design has none."""
-    scenarios = {title(options.scenario): scenario, title(options.against): against(scenario, options)}
+    scenarios = {
+        title(options.scenario): scenario,
+        title(options.against): against(scenario, options),
+    }
     blocks.use_devices(options.devices)
     designs = {name: certified(name, each) for name, each in scenarios.items()}
     with contextlib.ExitStack() as stack:
@@ -66,10 +82,13 @@ def run(scenario: Scenario, options: Guarantee) -> int:
         missing = [each.records.missing(each.run.realisations) for each in every]
         folder = run_folder.create(scenario, options)
         performance = compute(every, missing)
-        statistics = {name: {each.law: each.records.merged() for each in attacks[name]} for name in designs}
+        statistics = {
+            name: {each.law: each.records.merged() for each in attacks[name]} for name in designs
+        }
     # The other design comes first, as what the first scenario is measured against.
     tested = [
-        judged(name, designs[name], statistics[name], notes[name], options.seed) for name in reversed(designs.keys())
+        judged(name, designs[name], statistics[name], notes[name], options.seed)
+        for name in reversed(designs.keys())
     ]
     save(folder, tested, performance)
     return exit_code(designs[title(options.scenario)], options.require_certificate)
@@ -85,14 +104,17 @@ def save(folder: RunFolder, tested: list[Tested], performance: dict) -> None:
     print(guarantee_report.text(tested))
     if performance:
         folder.save_json("performance", performance)
-        print(f"\n{performance['laps']:,} laps computed in {performance['seconds']:.1f} s, with compilation")
+        print(
+            f"\n{performance['laps']:,} laps computed in {performance['seconds']:.1f} s, with compilation"
+        )
     print(f"\nguarantee.md, metrics.json, both scenarios and the records are in {folder.path}/")
 
 
 def against(scenario: Scenario, options: Guarantee) -> Scenario:
     """Return the scenario to compare with, on the first one's robot.
 
-    Raises: ScenarioError, one line, for the first scenario itself and where both do not go together.
+    Raises: ScenarioError, one line, for the first scenario itself and where both do not go
+    together.
     """
     if title(options.against) == title(options.scenario):
         problem, cure = "has the name of the scenario itself", "name another one"
@@ -101,7 +123,8 @@ def against(scenario: Scenario, options: Guarantee) -> Scenario:
 
 
 def same_robot(own: Scenario, first: Scenario, source: str) -> Scenario:
-    """Give one scenario the robot, slip, noise, path and start of another; the wheel speeds it covers stay its own.
+    """Give one scenario the robot, slip, noise, path and start of another; the wheel speeds it
+    covers stay its own.
 
     Raises: ScenarioError, one line, where both do not go together.
     """
@@ -113,12 +136,19 @@ def same_robot(own: Scenario, first: Scenario, source: str) -> Scenario:
         certified_for=covered.certified_for,
     )
     joined = msgspec.structs.replace(
-        own, robot=first.robot, slip=first.slip, noise=first.noise, initial=first.initial, reference=reference
+        own,
+        robot=first.robot,
+        slip=first.slip,
+        noise=first.noise,
+        initial=first.initial,
+        reference=reference,
     )
 
     def refuse(key: str, problem: str, cure: str) -> NoReturn:
         section, name = key.split(".")
-        raise refusal(f"--against {source}", key, getattr(getattr(joined, section), name), problem, cure)
+        raise refusal(
+            f"--against {source}", key, getattr(getattr(joined, section), name), problem, cure
+        )
 
     rules.check(joined, refuse)
     return joined
@@ -139,8 +169,11 @@ def certified(name: str, scenario: Scenario) -> Design:
     return found
 
 
-def attacked(stack: contextlib.ExitStack, name: str, found: Design, options: Guarantee) -> tuple[list[Attack], str]:
-    """Open the records of every law; return (attacks, why starts are not spread over the feasible set)."""
+def attacked(
+    stack: contextlib.ExitStack, name: str, found: Design, options: Guarantee
+) -> tuple[list[Attack], str]:
+    """Open the records of every law; return (attacks, why starts are not spread over the feasible
+    set)."""
     tasks, why = make_tasks(found, options.seed)
     devices, laps = (
         tuple(jax.local_devices()[: options.devices or None]),
@@ -149,7 +182,9 @@ def attacked(stack: contextlib.ExitStack, name: str, found: Design, options: Gua
     attacks = []
     for law in LAWS:
         folder = options.folder / f"records-{name}-{law.name}"
-        records = stack.enter_context(Records(folder, identity(found, law, options), montecarlo.merge, BLOCK))
+        records = stack.enter_context(
+            Records(folder, identity(found, law, options), montecarlo.merge, BLOCK)
+        )
         for line in records.damaged:
             print(line, file=sys.stderr)
         attacks.append(Attack(name, law, Run(tasks[law], laps, 1, devices), records))
@@ -166,7 +201,9 @@ def identity(found: Design, law: Law, options: Guarantee) -> dict:
 def compute(attacks: list[Attack], missing: list[Iterator[int]]) -> dict:
     """Compute and record the blocks that are missing; return what it took, nothing where none was."""
     before, started = sum(each.records.laps for each in attacks), time.perf_counter()
-    with progress(sum(each.run.realisations for each in attacks), "attacking", "laps", before) as bar:
+    with progress(
+        sum(each.run.realisations for each in attacks), "attacking", "laps", before
+    ) as bar:
         for each, wanted in zip(attacks, missing, strict=True):
             bar.set_postfix_str(f"{each.name}, {each.law.name}", refresh=False)
             for block, statistics in each.run.computed(wanted):
@@ -176,26 +213,38 @@ def compute(attacks: list[Attack], missing: list[Iterator[int]]) -> dict:
     return {"laps": laps, "seconds": time.perf_counter() - started} if laps else {}
 
 
-def judged(name: str, found: Design, statistics: dict[Law, Statistics], why: str, seed: int) -> Tested:
+def judged(
+    name: str, found: Design, statistics: dict[Law, Statistics], why: str, seed: int
+) -> Tested:
     """Sum up a design that was attacked; its certificate is told of every w outside W."""
     summaries = {}
     for law, counts in statistics.items():
         options = Montecarlo(seed=seed, starts="scenario" if why else law.starts)
         summaries[law.name] = montecarlo_report.summary(under(found, law), options, counts)
-    add_disturbance_condition(found.certificate, disturbance(found, statistics), "the tube-MPC under all laws")
-    note = f"starts of {name}: the scenario's, since {why.removeprefix('scenario: ')}" if why else ""
+    add_disturbance_condition(
+        found.certificate, disturbance(found, statistics), "the tube-MPC under all laws"
+    )
+    note = (
+        f"starts of {name}: the scenario's, since {why.removeprefix('scenario: ')}" if why else ""
+    )
     return Tested(name, found.problem.scenario, found.certificate, summaries, note)
 
 
 def disturbance(found: Design, statistics: dict[Law, Statistics]) -> dict:
     """Return how often and how far w left W, all laws together, as the certificate is told."""
     counts = [found["events"] for found in statistics.values()]
-    steps = sum(int(found["laps"]) * (found["events"].shape[1] - 1) for found in statistics.values())
+    steps = sum(
+        int(found["laps"]) * (found["events"].shape[1] - 1) for found in statistics.values()
+    )
 
     def share(event: str) -> float:
-        return sum(int(row[EVENTS.index(event)] @ np.arange(row.shape[1])) for row in counts) / steps
+        return (
+            sum(int(row[EVENTS.index(event)] @ np.arange(row.shape[1])) for row in counts) / steps
+        )
 
-    largest = histogram.quantile(np.sum([found["disturbance"] for found in statistics.values()], axis=0), 1.0)
+    largest = histogram.quantile(
+        np.sum([found["disturbance"] for found in statistics.values()], axis=0), 1.0
+    )
     by_coordinate = [share(f"w_outside_{name}") for name in ("longitudinal", "lateral", "heading")]
     widths = found.problem.disturbance_set.support(np.eye(3))
     return {
@@ -204,5 +253,6 @@ def disturbance(found: Design, statistics: dict[Law, Statistics]) -> dict:
         "share_of_steps_outside_by_coordinate": dict(zip(COORDINATES, by_coordinate, strict=True)),
         "largest": dict(zip(COORDINATES, largest * TO_DISPLAY, strict=True)),
         "allowed": dict(zip(COORDINATES, widths * TO_DISPLAY, strict=True)),
-        "margin": OUTSIDE - max(float(np.max(found["excess/disturbance"])) for found in statistics.values()),
+        "margin": OUTSIDE
+        - max(float(np.max(found["excess/disturbance"])) for found in statistics.values()),
     }

@@ -1,4 +1,5 @@
-"""The report of `guarantee`: the claims of two designs side by side, and the laps of each under every law."""
+"""The report of `guarantee`: the claims of two designs side by side, and the laps of each under
+every law."""
 
 from __future__ import annotations
 
@@ -33,7 +34,11 @@ def cells(claim: Claim, design: Tested) -> tuple[str, str, str]:
 
 def _seen(count: Count) -> str:
     text = f"{count.seen:,} of {count.of:,} {count.unit}"
-    return f"{text}; most: {_percent(count.seen_there / count.of_there)}, {count.worst}" if count.seen else text
+    return (
+        f"{text}; most: {_percent(count.seen_there / count.of_there)}, {count.worst}"
+        if count.seen
+        else text
+    )
 
 
 def _percent(share: float) -> str:
@@ -76,7 +81,11 @@ def text(tested: list[Tested]) -> str:
 
 
 def _wrapped(part: str) -> list[str]:
-    return [line for row in part.split("\n") for line in (textwrap.wrap(row, WIDTH) if len(row) > WIDTH else [row])]
+    return [
+        line
+        for row in part.split("\n")
+        for line in (textwrap.wrap(row, WIDTH) if len(row) > WIDTH else [row])
+    ]
 
 
 def verdict(design: Tested) -> str:
@@ -101,16 +110,21 @@ def claim_table(tested: list[Tested]) -> str:
 
 
 def _rows(title: str, rows) -> str:
-    """Lay out one claim: its title to the left of its labelled rows, cells wrapped; rows without words are left out."""
+    """Lay out one claim: its title to the left of its labelled rows, cells wrapped; rows without
+    words are left out."""
     lines = []
     for label, words in rows:
         if any(words):
-            columns = itertools.zip_longest(*(textwrap.wrap(cell or "-", CELL) for cell in words), fillvalue="")
+            columns = itertools.zip_longest(
+                *(textwrap.wrap(cell or "-", CELL) for cell in words), fillvalue=""
+            )
             lines += [(label if i == 0 else "", list(cells)) for i, cells in enumerate(columns)]
     titles = textwrap.wrap(title, CLAIM)
     lines += [("", [])] * (len(titles) - len(lines))
     titles += [""] * (len(lines) - len(titles))
-    return "\n".join(_row(part, label, cells) for part, (label, cells) in zip(titles, lines, strict=True))
+    return "\n".join(
+        _row(part, label, cells) for part, (label, cells) in zip(titles, lines, strict=True)
+    )
 
 
 def _row(title: str, label: str, columns: Iterable[str]) -> str:
@@ -118,7 +132,8 @@ def _row(title: str, label: str, columns: Iterable[str]) -> str:
 
 
 def law_table(design: Tested) -> str:
-    """Return one line a law: laps in which each event occurred, rows active, greatest usage of W and E, the bound."""
+    """Return one line a law: laps in which each event occurred, rows active, greatest usage of W
+    and E, the bound."""
     head = f"{design.name:<16}{'laps':>9}{'steps':>8}{''.join(f'{VIOLATIONS[name]:>8}' for name in SHOWN)}"
     head += f"{'active':>8}{'W':>6}{'E':>5}{'at most':>10}"
     lines = [head, "-" * len(head)]
@@ -145,14 +160,19 @@ def legend() -> str:
 def markdown(tested: list[Tested]) -> str:
     """Return the same tables in Markdown."""
     head = ["claim", *(f"{design.name}: {heading}" for design in tested for heading in HEADINGS)]
-    rows = [[claim.title, *(cell for each in tested for cell in cells(claim, each))] for claim in CLAIMS]
+    rows = [
+        [claim.title, *(cell for each in tested for cell in cells(claim, each))] for claim in CLAIMS
+    ]
     totalled = [totals(design) for design in tested]
     rows += [
-        [title, *(c for cell in row for c in ("", "", cell))] for title, *row in zip(TOTALS, *totalled, strict=True)
+        [title, *(c for cell in row for c in ("", "", cell))]
+        for title, *row in zip(TOTALS, *totalled, strict=True)
     ]
     parts = [*map(verdict, tested), _markdown_table(head, rows)]
     parts += [_markdown_table(*_law_rows(design)) for design in tested]
-    return "\n\n".join([*parts, legend(), *(design.note for design in tested if design.note)]) + "\n"
+    return (
+        "\n\n".join([*parts, legend(), *(design.note for design in tested if design.note)]) + "\n"
+    )
 
 
 def _law_rows(design: Tested) -> tuple[list[str], list[list[str]]]:
@@ -162,7 +182,17 @@ def _law_rows(design: Tested) -> tuple[list[str], list[list[str]]]:
         counts = [f"{law['events'][event]['laps']:,}" for event in VIOLATIONS]
         used = [f"{law['worst'][kind][0]['usage']:.4g}" for kind in ("disturbance", "error")]
         active = f"{law['events']['row_active']['share_of_steps']:.2%}"
-        rows.append([name, f"{law['laps']:,}", f"{steps(law):,}", *counts, active, *used, _percent(bound(law))])
+        rows.append(
+            [
+                name,
+                f"{law['laps']:,}",
+                f"{steps(law):,}",
+                *counts,
+                active,
+                *used,
+                _percent(bound(law)),
+            ]
+        )
     return head, rows
 
 

@@ -1,4 +1,5 @@
-"""`maps`: what can be guaranteed, over slip error and speed range, over slip error and period, and by the horizon."""
+"""`maps`: what can be guaranteed, over slip error and speed range, over slip error and period, and
+by the horizon."""
 
 from __future__ import annotations
 
@@ -43,7 +44,12 @@ def run(scenario: Scenario, options: Maps) -> int:
     folder.save_figure(maps_figures.ratio_map(grid, found, "dt_s"), "ratio_period")
     metrics = {"grid": asdict(grid) | {"own": grid.own._asdict()}, "border": borders(grid, found)}
     metrics["points"] = [
-        {"design": point.design, **point.condition._asdict(), **asdict(result), "holds": result.holds}
+        {
+            "design": point.design,
+            **point.condition._asdict(),
+            **asdict(result),
+            "holds": result.holds,
+        }
         for point, result in sorted(found.items())
     ]
     print(report(grid, metrics["border"], found))
@@ -65,17 +71,20 @@ def _digest(scenario: Scenario, grid: Grid | None = None) -> str:
 
 
 def borders(grid: Grid, found: Found) -> dict:
-    """Return, by design, how far guarantees reach from the easy end of slip error, speed and period.
+    """Return, by design, how far guarantees reach from the easy end of slip error, speed and
+    period.
 
-    `..._computed` is the last value of the grid with a guarantee, all easier ones having one too; `..._interpolated`
-    where the ratio passes 1, linearly between grid values; None where not even the easiest value has one, and the end
-    of the grid where all have one.
+    `..._computed` is the last value of the grid with a guarantee, all easier ones having one too;
+    `..._interpolated` where the ratio passes 1, linearly between grid values; None where not even
+    the easiest value has one, and the end of the grid where all have one.
     """
     summary = {}
     for design in TITLES:
         at = grid.own
         errors = [found[Point(design, at._replace(slip_error=value))] for value in grid.slip_errors]
-        speeds = [found[Point(design, at._replace(slowest_mps=value))] for value in grid.slowest_mps]
+        speeds = [
+            found[Point(design, at._replace(slowest_mps=value))] for value in grid.slowest_mps
+        ]
         summary[design] = {}
         for name, values, results in (
             ("largest_slip_error", grid.slip_errors, errors),
@@ -96,7 +105,8 @@ def _reach(values, results: list[Guarantee]) -> tuple[float | None, float | None
     if count == len(values):
         return last, last
     before, after = results[count - 1].ratio, results[count].ratio
-    # The wheels or the search may give up before the ratio passes 1: then nothing is known beyond the last value.
+    # The wheels or the search may give up before the ratio passes 1: then nothing is known beyond
+    # the last value.
     if after is None or after < 1:
         return last, last
     assert before is not None
@@ -106,18 +116,30 @@ def _reach(values, results: list[Guarantee]) -> tuple[float | None, float | None
 def report(grid: Grid, border: dict, found: Found) -> str:
     """Return the borders of the three designs as a table."""
     own = grid.own
-    slip, speed = f"slip error from {own.slowest_mps:g} m/s on", f"wheel speed at {own.slip_error:.0%}"
+    slip, speed = (
+        f"slip error from {own.slowest_mps:g} m/s on",
+        f"wheel speed at {own.slip_error:.0%}",
+    )
     lines = [f"{'guaranteed':<40}{'largest ' + slip:<40}lowest {speed}"]
     for design, title in TITLES.items():
         row = border[design]
-        error = _words(row["largest_slip_error_computed"], row["largest_slip_error_interpolated"], 100, "%")
-        slowest = _words(row["lowest_wheel_speed_mps_computed"], row["lowest_wheel_speed_mps_interpolated"], 1, "m/s")
+        error = _words(
+            row["largest_slip_error_computed"], row["largest_slip_error_interpolated"], 100, "%"
+        )
+        slowest = _words(
+            row["lowest_wheel_speed_mps_computed"],
+            row["lowest_wheel_speed_mps_interpolated"],
+            1,
+            "m/s",
+        )
         easiest = found[Point(design, Condition(grid.slip_errors[0], own.slowest_mps, own.dt_s))]
         if error == "none" and easiest.ratio is not None:
             error += f": ratio {easiest.ratio:.2f} without slip error"
         lines.append(f"  {title:<38}{error:<40}{slowest}")
     share = {design: [point for point in found if point.design == design] for design in TITLES}
-    counts = ", ".join(f"{sum(found[p].holds for p in points)} of {len(points)}" for points in share.values())
+    counts = ", ".join(
+        f"{sum(found[p].holds for p in points)} of {len(points)}" for points in share.values()
+    )
     failed = sum(result.ratio is None for result in found.values())
     lines.append(f"points with a guarantee: {counts}; without any design: {failed}")
     for axis, values in (("slowest_mps", grid.slowest_mps), ("dt_s", grid.periods_s)):
@@ -138,7 +160,8 @@ def _ratios(grid: Grid, found: Found, axis: str, values) -> str:
     lines.append(f"  {name:>10}" + "".join(f"{error:>9.3%}" for error in grid.slip_errors))
     for value, row in zip(values, ratio_table(grid, found, "optimised", axis), strict=True):
         lines.append(
-            f"  {value:>10.4g}" + "".join("     none" if np.isnan(ratio) else f"{ratio:9.3f}" for ratio in row)
+            f"  {value:>10.4g}"
+            + "".join("     none" if np.isnan(ratio) else f"{ratio:9.3f}" for ratio in row)
         )
     return "\n".join(lines)
 
@@ -159,5 +182,7 @@ def feasible_report(sets: dict) -> str:
             continue
         of_largest = f"{record['volume'] / largest['volume']:.1%}" if largest["volume"] else "-"
         certified = f"no: {', '.join(record['failing'])}" if record["failing"] else "yes"
-        lines.append(f"{record['horizon']:7d}{record['volume'] / whole:14.1%}{of_largest:>23}   {certified}")
+        lines.append(
+            f"{record['horizon']:7d}{record['volume'] / whole:14.1%}{of_largest:>23}   {certified}"
+        )
     return "\n".join(lines)

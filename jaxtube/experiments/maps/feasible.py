@@ -1,7 +1,8 @@
-"""The feasible set of the tube-MPC by its horizon, beside the largest set that any controller could keep.
+"""The feasible set of the tube-MPC by its horizon, beside the largest set that any controller could
+keep.
 
-    F_N: measured errors from which there is a plan of N steps in the first window of the reference, inside the hull of
-         its boundary along random directions
+    F_N: measured errors from which there is a plan of N steps in the first window of the reference,
+         inside the hull of its boundary along random directions
     C:   the maximal robust control invariant set of the four corners of the speed range, of a controller that knows the
          present wheel speeds alone, outside of it as far as the iteration got
 
@@ -29,9 +30,11 @@ DIRECTIONS = 600
 
 
 def feasible_sets(scenario: Scenario, log: Log) -> dict:
-    """Return volumes and corners by horizon, those of C, and of E_op; each is saved in the log at once.
+    """Return volumes and corners by horizon, those of C, and of E_op; each is saved in the log at
+    once.
 
-    Horizons at which no design exists have no volume, but the reason; `failing` names the conditions that fail.
+    Horizons at which no design exists have no volume, but the reason; `failing` names the
+    conditions that fail.
     """
     known = {record["horizon"]: record for record in log.records}
     problem = complete_problem(scenario)
@@ -69,7 +72,11 @@ def _largest(problem: Problem) -> dict:
         problem.disturbance_set.support,
     )
     steps = {"steps": len(found.volumes) - 1, "settled": found.settled}
-    return {**steps, "volume": 0.0, "corners": []} if found.polytope is None else {**steps, **_hull(found.polytope)}
+    return (
+        {**steps, "volume": 0.0, "corners": []}
+        if found.polytope is None
+        else {**steps, **_hull(found.polytope)}
+    )
 
 
 def _hull(found: Polytope | Float[np.ndarray, "k 3"]) -> dict:

@@ -1,4 +1,5 @@
-"""The figures of `maps`: the ratio over slip error and speed range or period, and feasible sets by horizon."""
+"""The figures of `maps`: the ratio over slip error and speed range or period, and feasible sets by
+horizon."""
 
 from __future__ import annotations
 
@@ -33,7 +34,9 @@ TITLES = {
 AXES = {"slowest_mps": "lowest reference wheel speed [m/s]", "dt_s": "period $T$ [s]"}
 LEVELS = (0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 1.8, 3.0, 5.0, 8.0)
 """Borders of the colours: blue below 1, orange above."""
-COLOURS = LinearSegmentedColormap.from_list("ratio", ["#0b3f78", "#2b7bba", "#d9e9f5", "#fde3cf", "#f2a268", "#a63f00"])
+COLOURS = LinearSegmentedColormap.from_list(
+    "ratio", ["#0b3f78", "#2b7bba", "#d9e9f5", "#fde3cf", "#f2a268", "#a63f00"]
+)
 HOLDS = {"marker": "o", "markersize": 3.5, "markerfacecolor": "black", "markeredgewidth": 0.7}
 ABOVE = {**HOLDS, "markerfacecolor": "white"}
 WHEELS = {**ABOVE, "marker": "s"}
@@ -51,7 +54,8 @@ FEASIBLE = {
 
 @styled
 def ratio_map(grid: Grid, found: Found, axis: str) -> Figure:
-    """Draw the ratio of the three designs over slip error and "slowest_mps" or "dt_s"; dots are what was computed.
+    """Draw the ratio of the three designs over slip error and "slowest_mps" or "dt_s"; dots are
+    what was computed.
 
     Between dots colours and border are interpolated.
     """
@@ -64,7 +68,9 @@ def ratio_map(grid: Grid, found: Found, axis: str) -> Figure:
         axes.set_title(title, pad=8)
         axes.set_xlabel("slip error [%]")
     panels[0].set_ylabel(AXES[axis])
-    bar = figure.colorbar(ScalarMappable(norm, COLOURS), ax=panels, label="largest share of a cap", pad=0.015)
+    bar = figure.colorbar(
+        ScalarMappable(norm, COLOURS), ax=panels, label="largest share of a cap", pad=0.015
+    )
     bar.set_ticks(list(LEVELS))
     bar.ax.grid(False)
     keys = [
@@ -79,7 +85,9 @@ def ratio_map(grid: Grid, found: Found, axis: str) -> Figure:
     return figure
 
 
-def _draw_ratio(axes: Axes, grid: Grid, found: Found, design: str, axis: str, values, norm: BoundaryNorm) -> None:
+def _draw_ratio(
+    axes: Axes, grid: Grid, found: Found, design: str, axis: str, values, norm: BoundaryNorm
+) -> None:
     errors = 100 * np.array(grid.slip_errors)
     ratios = np.ma.masked_invalid(ratio_table(grid, found, design, axis))
     if not ratios.mask.all():
@@ -92,18 +100,34 @@ def _draw_ratio(axes: Axes, grid: Grid, found: Found, design: str, axis: str, va
             one = found[Point(design, condition)]
             below = one.ratio is not None and one.ratio < 1
             look = NONE if one.ratio is None else HOLDS if one.holds else WHEELS if below else ABOVE
-            axes.plot(100 * error, value, color="black", linestyle="none", clip_on=False, zorder=3, **look)
+            axes.plot(
+                100 * error, value, color="black", linestyle="none", clip_on=False, zorder=3, **look
+            )
             if condition == grid.own:
-                axes.plot(100 * error, value, color="black", linestyle="none", clip_on=False, zorder=3, **OWN)
+                axes.plot(
+                    100 * error,
+                    value,
+                    color="black",
+                    linestyle="none",
+                    clip_on=False,
+                    zorder=3,
+                    **OWN,
+                )
     axes.grid(False)
     axes.set(xlim=(errors[0], errors[-1]), ylim=(values[0], values[-1]))
 
 
-def ratio_table(grid: Grid, found: Found, design: str, axis: str) -> Float[np.ndarray, "values errors"]:
-    """Return the ratios over "slowest_mps" or "dt_s" (rows) and slip error; NaN where no design was found."""
+def ratio_table(
+    grid: Grid, found: Found, design: str, axis: str
+) -> Float[np.ndarray, "values errors"]:
+    """Return the ratios over "slowest_mps" or "dt_s" (rows) and slip error; NaN where no design was
+    found."""
     values = grid.slowest_mps if axis == "slowest_mps" else grid.periods_s
     rows = [
-        [found[Point(design, grid.own._replace(slip_error=error, **{axis: value}))].ratio for error in grid.slip_errors]
+        [
+            found[Point(design, grid.own._replace(slip_error=error, **{axis: value}))].ratio
+            for error in grid.slip_errors
+        ]
         for value in values
     ]
     return np.array(rows, dtype=float)
@@ -123,14 +147,22 @@ def feasible_figure(sets: dict, operating: Float[np.ndarray, "8 3"]) -> Figure:
     horizons = [record["horizon"] for record in shown]
     sizes = np.array([record["volume"] for record in shown])
     largest = sets["control_invariant"]
-    volumes.plot(horizons, 100 * sizes / sets["operating_volume"], "o-", color=FEASIBLE["last"].colour, markersize=3)
+    volumes.plot(
+        horizons,
+        100 * sizes / sets["operating_volume"],
+        "o-",
+        color=FEASIBLE["last"].colour,
+        markersize=3,
+    )
     volumes.axhline(
         100 * largest["volume"] / sets["operating_volume"],
         color=FEASIBLE["largest"].colour,
         linestyle=FEASIBLE["largest"].dashes,
     )
     volumes.axhline(100, **LIMIT)
-    volumes.set(xlabel="horizon $N$ [steps]", ylabel="volume [% of $\\mathcal{E}_{op}$]", ylim=(0, 106))
+    volumes.set(
+        xlabel="horizon $N$ [steps]", ylabel="volume [% of $\\mathcal{E}_{op}$]", ylim=(0, 106)
+    )
     volumes.set_title("(a) volume")
     volumes.xaxis.set_major_locator(MaxNLocator(integer=True))
     lines = dict(FEASIBLE)
@@ -142,9 +174,17 @@ def feasible_figure(sets: dict, operating: Float[np.ndarray, "8 3"]) -> Figure:
         lines[name] = lines[name]._replace(label=f"feasible set $F_{{{record['horizon']}}}$")
     for axes, plane, letter in ((left, (1, 2), "b"), (right, (0, 2), "c")):
         for name, points in corners.items():
-            look = {"edgecolor": lines[name].colour, "linestyle": lines[name].dashes, "linewidth": 1.2}
+            look = {
+                "edgecolor": lines[name].colour,
+                "linestyle": lines[name].dashes,
+                "linewidth": 1.2,
+            }
             draw_polygon(axes, (points * TO_DISPLAY)[:, plane], **look)
-        axes.set(xlabel=error_label(plane[0]), ylabel=error_label(plane[1]), title=f"({letter}) projections")
+        axes.set(
+            xlabel=error_label(plane[0]),
+            ylabel=error_label(plane[1]),
+            title=f"({letter}) projections",
+        )
     handles: list[Line2D] = line_keys([lines[name] for name in corners])
     bottom_legend(figure, handles, columns=4)
     return figure

@@ -1,8 +1,10 @@
-"""The points of `maps`: a grid of conditions, computed by several processes, each saved as soon as it is known.
+"""The points of `maps`: a grid of conditions, computed by several processes, each saved as soon as
+it is known.
 
-A search starts from the optimum of the neighbour that lies one step closer to the scenario's own condition: along the
-speed range or the period first, then along the slip error. So the points form a tree, and those whose start is known
-are computed side by side. Their order changes no number: a start is a function of the grid alone.
+A search starts from the optimum of the neighbour that lies one step closer to the scenario's own
+condition: along the speed range or the period first, then along the slip error. So the points form
+a tree, and those whose start is known are computed side by side. Their order changes no number: a
+start is a function of the grid alone.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ from jaxtube.scenario import Scenario
 from jaxtube.synthesis.ratio import Condition, Guarantee, caps_and_gains, guarantee, under
 
 DESIGNS = ("optimised", "weighted", "paper")
-"""In the order in which they are computed: the searches wait for each other, the others fill the gaps."""
+"""In the order in which they are computed: the searches wait for each other, the others fill the
+gaps."""
 SLIP_ERRORS = 0.0, 0.3
 SLOWEST_MPS = 0.2
 """Where the lower end of the speed range starts; it ends at the slowest wheel of the reference."""
@@ -51,7 +54,8 @@ class Grid:
     own: Condition
 
     def conditions(self) -> list[Condition]:
-        """Return the conditions of both maps without repetitions, each after the one whose optimum it starts from."""
+        """Return the conditions of both maps without repetitions, each after the one whose optimum
+        it starts from."""
         pairs = [(slowest, self.own.dt_s) for slowest in self.slowest_mps]
         pairs += [(self.own.slowest_mps, period) for period in self.periods_s]
         found = {Condition(error, *pair) for pair in pairs for error in self.slip_errors}
@@ -68,7 +72,10 @@ class Grid:
             ("dt_s", self.periods_s),
             ("slip_error", self.slip_errors),
         ):
-            here, own = values.index(getattr(condition, name)), values.index(getattr(self.own, name))
+            here, own = (
+                values.index(getattr(condition, name)),
+                values.index(getattr(self.own, name)),
+            )
             if here != own:
                 return condition._replace(**{name: values[here + (1 if own > here else -1)]})
         return None
@@ -88,7 +95,9 @@ def make_grid(scenario: Scenario, slowest_wheel: float, count: int) -> Grid:
         count: at least 2.
     """
     own = Condition(
-        scenario.slip.relative_error, scenario.reference.wheel_speed_min_mps, float(scenario.controller.dt_s)
+        scenario.slip.relative_error,
+        scenario.reference.wheel_speed_min_mps,
+        float(scenario.controller.dt_s),
     )
     top = max(np.floor(1e3 * slowest_wheel + 1e-6) / 1e3, own.slowest_mps)
     axes = (
@@ -96,12 +105,15 @@ def make_grid(scenario: Scenario, slowest_wheel: float, count: int) -> Grid:
         (np.linspace(min(SLOWEST_MPS, own.slowest_mps), top, count), own.slowest_mps),
         (np.geomspace(*PERIODS_S, count), own.dt_s),
     )
-    rounded = [tuple(sorted({*np.round(values, 4).tolist(), float(extra)})) for values, extra in axes]
+    rounded = [
+        tuple(sorted({*np.round(values, 4).tolist(), float(extra)})) for values, extra in axes
+    ]
     return Grid(rounded[0], rounded[1], rounded[2], own)
 
 
 class Log:
-    """A file of JSON lines that survives an interruption: a line cut short is dropped, and every new one is flushed."""
+    """A file of JSON lines that survives an interruption: a line cut short is dropped, and every
+    new one is flushed."""
 
     def __init__(self, path: Path):
         lines = path.read_text().splitlines(keepends=True) if path.exists() else []
@@ -129,7 +141,10 @@ def compute(scenario: Scenario, grid: Grid, log: Log) -> Found:
     waiting = [point for point in grid.points() if point not in found]
     if not waiting:
         return found
-    with progress(len(grid.points()), "designing", "points", len(found)) as bar, _workers(len(waiting)) as workers:
+    with (
+        progress(len(grid.points()), "designing", "points", len(found)) as bar,
+        _workers(len(waiting)) as workers,
+    ):
 
         def keep(point: Point, result: Guarantee) -> None:
             found[point] = result
@@ -142,7 +157,9 @@ def compute(scenario: Scenario, grid: Grid, log: Log) -> Found:
 
 def _from_record(record: dict) -> tuple[Point, Guarantee]:
     result = dict(record)
-    point = Point(result.pop("design"), Condition(*(result.pop(name) for name in Condition._fields)))
+    point = Point(
+        result.pop("design"), Condition(*(result.pop(name) for name in Condition._fields))
+    )
     start = result.pop("caps_and_gains")
     return point, Guarantee(**result, caps_and_gains=None if start is None else tuple(start))
 
@@ -162,7 +179,9 @@ def _work_through(
             for point in _ready(grid, waiting, found, 2 * _worker_count() - len(running)):
                 waiting.remove(point)
                 start = _start(scenario, grid, point, found)
-                running[workers.submit(guarantee, point.design, under(scenario, point.condition), start)] = point
+                running[
+                    workers.submit(guarantee, point.design, under(scenario, point.condition), start)
+                ] = point
             for done in wait(running, return_when=FIRST_COMPLETED).done:
                 keep(running.pop(done), done.result())
     except BaseException:
@@ -175,7 +194,11 @@ def _ready(grid: Grid, waiting: Iterable[Point], found: Found, most: int) -> lis
     ready = []
     for point in waiting:
         neighbour = grid.towards_own(point.condition)
-        if point.design != "optimised" or neighbour is None or point._replace(condition=neighbour) in found:
+        if (
+            point.design != "optimised"
+            or neighbour is None
+            or point._replace(condition=neighbour) in found
+        ):
             ready.append(point)
     return ready[:most]
 
@@ -184,7 +207,11 @@ def _start(scenario: Scenario, grid: Grid, point: Point, found: Found) -> tuple[
     if point.design != "optimised":
         return None
     neighbour = grid.towards_own(point.condition)
-    return caps_and_gains(scenario) if neighbour is None else found[Point("optimised", neighbour)].caps_and_gains
+    return (
+        caps_and_gains(scenario)
+        if neighbour is None
+        else found[Point("optimised", neighbour)].caps_and_gains
+    )
 
 
 def _worker_count() -> int:
@@ -192,7 +219,10 @@ def _worker_count() -> int:
 
 
 def _workers(most: int) -> Executor:
-    # One thread each: the matrices are small, and threads that wait for each other made a search three times as long.
-    os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+    # One thread each: the matrices are small, and threads that wait for each other made a search
+    # three times as long.
+    os.environ.update(
+        dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    )
     # Not forked: a fork copies the locks of JAX's threads.
     return ProcessPoolExecutor(min(_worker_count(), most), get_context("spawn"))

@@ -1,7 +1,9 @@
-"""`montecarlo`: laps by the million, every period checked, block by block into records that survive the process.
+"""`montecarlo`: laps by the million, every period checked, block by block into records that survive
+the process.
 
-Open the records, compute the blocks that are missing, join all of them, report. The statistics are the same bytes
-whatever was interrupted and wherever the blocks were computed; only `performance.json` tells one run from another.
+Open the records, compute the blocks that are missing, join all of them, report. The statistics are
+the same bytes whatever was interrupted and wherever the blocks were computed; only
+`performance.json` tells one run from another.
 """
 
 from __future__ import annotations
@@ -45,7 +47,9 @@ def run(scenario: Scenario, options: Montecarlo) -> int:
         refuse_infeasible_start(found)
     if options.replay >= 0:
         return replay.run(found, options, identity(scenario, options))
-    records = Records(options.folder / "records", identity(scenario, options), montecarlo.merge, BLOCK)
+    records = Records(
+        options.folder / "records", identity(scenario, options), montecarlo.merge, BLOCK
+    )
     with records:
         for line in records.damaged:
             print(line, file=sys.stderr)
@@ -59,7 +63,8 @@ def run(scenario: Scenario, options: Montecarlo) -> int:
 
 
 def use_devices(count: int) -> None:
-    """Let every processor of this machine be a device of its own, unless JAX has already settled that."""
+    """Let every processor of this machine be a device of its own, unless JAX has already settled
+    that."""
     try:
         jax.config.update("jax_num_cpu_devices", count or len(os.sched_getaffinity(0)))
     except RuntimeError:
@@ -68,15 +73,20 @@ def use_devices(count: int) -> None:
 
 def identity(scenario: Scenario, options: Montecarlo) -> dict:
     """Return all that determines the statistics of a block."""
-    return run_folder.identity(scenario, options, ("controller", "plant", "starts")) | {"tile_size": TILE}
+    return run_folder.identity(scenario, options, ("controller", "plant", "starts")) | {
+        "tile_size": TILE
+    }
 
 
 def compute(design: Design, options: Montecarlo, records: Records, missing: Iterator[int]) -> dict:
-    """Compute the missing blocks and record them; return what it took, nothing where nothing was missing."""
+    """Compute the missing blocks and record them; return what it took, nothing where nothing was
+    missing."""
     first = next(missing, None)
     if first is None:
         return {}
-    task = validation.make_task(design, options.controller, options.plant, options.starts, options.seed)
+    task = validation.make_task(
+        design, options.controller, options.plant, options.starts, options.seed
+    )
     devices = tuple(jax.local_devices()[: options.devices or None])
     local = Run(task, int(options.realisations), options.chunk, devices)
     before, violations, seconds = records.laps, violating_laps(records.merged()), []
@@ -105,9 +115,11 @@ def connect(cluster: str, local: Run):
 
 
 def rate(seconds: list[float], at_once: int) -> dict:
-    """Return the time to the first results, which holds the compilation, and laps a second from there on.
+    """Return the time to the first results, which holds the compilation, and laps a second from
+    there on.
 
-    `seconds` are those at which blocks were recorded; the last block, which may be partial, is not counted.
+    `seconds` are those at which blocks were recorded; the last block, which may be partial, is not
+    counted.
     """
     first = seconds[min(at_once, len(seconds)) - 1]
     rest = len(seconds) - at_once - 1
@@ -125,7 +137,8 @@ ENOUGH = 20
 
 
 def validation_share(local: Run) -> float:
-    """Return the share of the computing time that the checks take: the same laps with and without them, in turns."""
+    """Return the share of the computing time that the checks take: the same laps with and without
+    them, in turns."""
     blocks = list(range(local.at_once))
     seconds = {True: np.inf, False: np.inf}
     for validate in (True, False) * 2:
@@ -135,7 +148,9 @@ def validation_share(local: Run) -> float:
     return max(1 - seconds[False] / seconds[True], 0.0)
 
 
-def save(found: Design, options: Montecarlo, folder: RunFolder, statistics: Statistics, performance: dict) -> None:
+def save(
+    found: Design, options: Montecarlo, folder: RunFolder, statistics: Statistics, performance: dict
+) -> None:
     """Write statistics, metrics and figures, and print the report."""
     from jaxtube.experiments.montecarlo import figures as montecarlo_figures
 

@@ -1,4 +1,5 @@
-"""Heat maps of a Monte Carlo run: deviations from plans against the tube, positions along the reference, starts.
+"""Heat maps of a Monte Carlo run: deviations from plans against the tube, positions along the
+reference, starts.
 
 Cells hold whole numbers in logarithmic colours; a cell in which nothing was counted stays white.
 """
@@ -39,18 +40,23 @@ COLUMNS = 5
 """Stages side by side."""
 CLOUD_REACH = 2.0
 """The cells of a cloud reach so many times as far as the box around the section."""
-COUNTS = LinearSegmentedColormap.from_list("counts", ["#d9e9f5", "#7fb5dc", "#2b7bba", "#0b3f78", "#04173a"])
+COUNTS = LinearSegmentedColormap.from_list(
+    "counts", ["#d9e9f5", "#7fb5dc", "#2b7bba", "#0b3f78", "#04173a"]
+)
 GREY = "0.88"
 HULL = "#009E73"
-SHARES = LinearSegmentedColormap.from_list("shares", ["#fde3cf", "#f2a268", "#d55e00", "#7f2704", "#3a1000"])
+SHARES = LinearSegmentedColormap.from_list(
+    "shares", ["#fde3cf", "#f2a268", "#d55e00", "#7f2704", "#3a1000"]
+)
 
 
 @styled
 def tube_cloud(design: Design, statistics: Statistics, summary: dict) -> Figure:
-    """Draw how far followed plans deviated from their predictions, stage by stage, with the tube in use around them.
+    """Draw how far followed plans deviated from their predictions, stage by stage, with the tube in
+    use around them.
 
-    The sections of the tube `sequence` change along the reference: its clouds are scaled to the section in the widest
-    window, which is drawn.
+    The sections of the tube `sequence` change along the reference: its clouds are scaled to the
+    section in the widest window, which is drawn.
     """
     tube = design.problem.scenario.controller.tube
     sections, clouds = design.tubes[tube][1:], statistics["cloud"]
@@ -72,7 +78,16 @@ def tube_cloud(design: Design, statistics: Statistics, summary: dict) -> Figure:
             if beyond := summary["plans"] - int(clouds[stage, row].sum()):
                 note = f"{100 * beyond / summary['plans']:.2g} % beyond"
                 box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.2}
-                axes.text(0.97, 0.04, note, transform=axes.transAxes, ha="right", fontsize=6.5, bbox=box, zorder=2.4)
+                axes.text(
+                    0.97,
+                    0.04,
+                    note,
+                    transform=axes.transAxes,
+                    ha="right",
+                    fontsize=6.5,
+                    bbox=box,
+                    zorder=2.4,
+                )
             axes.set_xlabel(error_label(plane[0], unit=SMALL_UNITS[plane[0]]), labelpad=1)
             for axis in (axes.xaxis, axes.yaxis):
                 axis.set_major_locator(MaxNLocator(4, symmetric=True))
@@ -86,7 +101,9 @@ def tube_cloud(design: Design, statistics: Statistics, summary: dict) -> Figure:
         if not axes.has_data():
             axes.set_axis_off()
     colour_bar(figure, panels, norm, COUNTS, "plans in a cell")
-    key = f"$R_j$ of the tube `{tube}`, projected" + ("; widest window" if tube == "sequence" else "")
+    key = f"$R_j$ of the tube `{tube}`, projected" + (
+        "; widest window" if tube == "sequence" else ""
+    )
     bottom_legend(figure, line_keys([Line(f"{key}; {summary['plans']:,} plans", OUTSIDE)]))
     return figure
 
@@ -102,8 +119,11 @@ def share_words(share: float, interval: tuple[float, float]) -> str:
 
 
 @styled
-def trajectory_map(problem: Problem, checks: Checks, counts: Int[np.ndarray, "rows columns"]) -> Figure:
-    """Draw how often robots were where, in the world frame, with the reference; turned to lie where it is tall.
+def trajectory_map(
+    problem: Problem, checks: Checks, counts: Int[np.ndarray, "rows columns"]
+) -> Figure:
+    """Draw how often robots were where, in the world frame, with the reference; turned to lie where
+    it is tall.
 
     Args:
         problem: gives the reference.
@@ -132,7 +152,9 @@ def trajectory_map(problem: Problem, checks: Checks, counts: Int[np.ndarray, "ro
 
 
 @styled
-def coverage(problem: Problem, statistics: Statistics, summary: dict, hull: Float[np.ndarray, "k 3"]) -> Figure:
+def coverage(
+    problem: Problem, statistics: Statistics, summary: dict, hull: Float[np.ndarray, "k 3"]
+) -> Figure:
     """Draw where laps started, and how many of them left E.
 
     Args:
@@ -146,7 +168,10 @@ def coverage(problem: Problem, statistics: Statistics, summary: dict, hull: Floa
     limits = problem.error_set.support(np.eye(3)) * TO_DISPLAY
     figure = page_figure(5.2)
     panels = figure.subplots(2, 3)
-    norms = count_norm(starts), LogNorm(min(1.0, np.min(shares, where=left > 0, initial=1.0)), 100.0)
+    norms = (
+        count_norm(starts),
+        LogNorm(min(1.0, np.min(shares, where=left > 0, initial=1.0)), 100.0),
+    )
     for column, plane in enumerate(PLANES):
         ends = [(-limits[i], limits[i]) for i in plane]
         heat(panels[0, column], starts[column], ends, norms[0], COUNTS)
@@ -154,8 +179,14 @@ def coverage(problem: Problem, statistics: Statistics, summary: dict, hull: Floa
         heat(panels[1, column], shares[column], ends, norms[1], SHARES)
         for axes in panels[:, column]:
             box = np.array([(x, y) for x in ends[0] for y in ends[1]])
-            draw_polygon(axes, box, **{"edgecolor" if key == "color" else key: look for key, look in LIMIT.items()})
-            draw_polygon(axes, hull[:, plane] * TO_DISPLAY[list(plane)], edgecolor=HULL, linewidth=1.2)
+            draw_polygon(
+                axes,
+                box,
+                **{"edgecolor" if key == "color" else key: look for key, look in LIMIT.items()},
+            )
+            draw_polygon(
+                axes, hull[:, plane] * TO_DISPLAY[list(plane)], edgecolor=HULL, linewidth=1.2
+            )
             axes.set_ylabel(error_label(plane[1]), labelpad=0)
             axes.set(xlim=np.multiply(ends[0], 1.08), ylim=np.multiply(ends[1], 1.08))
         panels[1, column].set_xlabel(error_label(plane[0]))
@@ -184,7 +215,8 @@ def count_norm(counts: Int[np.ndarray, "*shape"]) -> LogNorm:
 
 
 def heat(axes: Axes, values: np.ndarray, limits, norm: LogNorm, colours) -> None:
-    """Draw cells, rows upwards, between limits [(least, greatest) of x, of y]; cells of 0 stay empty."""
+    """Draw cells, rows upwards, between limits [(least, greatest) of x, of y]; cells of 0 stay
+    empty."""
     edges = [
         np.linspace(least, greatest, count + 1)
         for (least, greatest), count in zip(limits, values.shape[::-1], strict=True)
@@ -195,5 +227,7 @@ def heat(axes: Axes, values: np.ndarray, limits, norm: LogNorm, colours) -> None
 
 def colour_bar(figure: Figure, panels: Any, norm: LogNorm, colours, label: str) -> None:
     """Put the scale of the colours beside panels."""
-    bar = figure.colorbar(ScalarMappable(norm, colours), ax=panels, label=label, aspect=35, pad=0.015)
+    bar = figure.colorbar(
+        ScalarMappable(norm, colours), ax=panels, label=label, aspect=35, pad=0.015
+    )
     bar.ax.grid(False)

@@ -1,4 +1,5 @@
-"""The figure of one lap: its path, what it used of E and W over time, its wheels and the slips behind it."""
+"""The figure of one lap: its path, what it used of E and W over time, its wheels and the slips
+behind it."""
 
 from __future__ import annotations
 
@@ -28,7 +29,13 @@ from jaxtube.synthesis.problem import Problem
 
 SIDES = (Line("right wheel", "#009E73"), Line("left wheel", "#CC79A7"))
 DISTURBANCES = ("w_x", "w_y", "w_\\theta")
-WORST = {"marker": "o", "markersize": 6, "markerfacecolor": "none", "markeredgecolor": OUTSIDE, "linestyle": "none"}
+WORST = {
+    "marker": "o",
+    "markersize": 6,
+    "markerfacecolor": "none",
+    "markeredgecolor": OUTSIDE,
+    "linestyle": "none",
+}
 
 
 @styled
@@ -40,7 +47,10 @@ def draw(problem: Problem, lap: Lap) -> Figure:
         lap: of the linear plant, which has no wheels, the virtual inputs are shown instead.
     """
     figure, worst = page_figure(5.8), int(np.argmax(lap.of_error_set.share)) + 1
-    most = [f"{100 * usage.share.max():.4g} % of $\\mathcal{{{name}}}$" for name, usage in _usages(lap).items()]
+    most = [
+        f"{100 * usage.share.max():.4g} % of $\\mathcal{{{name}}}$"
+        for name, usage in _usages(lap).items()
+    ]
     figure.suptitle(f"Lap {lap.number:,}: at most {' and '.join(most)} used", fontsize=10)
     panels = figure.subplots(3, 3)
     _path(panels[0, 0], problem, lap, worst)
@@ -87,7 +97,9 @@ def _wheels(axes: Axes, problem: Problem, lap: Lap) -> None:
     time = np.arange(len(lap.trajectory.wheels)) * problem.reference.dt
     for wheel, side in enumerate(SIDES):
         axes.step(time, problem.schedule[: len(time), wheel], where="post", **REFERENCE)
-        axes.step(time, lap.trajectory.wheels[:, wheel], where="post", color=side.colour, linewidth=1.0)
+        axes.step(
+            time, lap.trajectory.wheels[:, wheel], where="post", color=side.colour, linewidth=1.0
+        )
     low, high = axes.get_ylim()
     for limit in (problem.robot.wheel_speed_min, problem.robot.wheel_speed_max):
         if low <= limit <= high:
@@ -96,7 +108,8 @@ def _wheels(axes: Axes, problem: Problem, lap: Lap) -> None:
 
 
 def _slips(axes: Axes, problem: Problem, slips: Float[np.ndarray, "steps 2 2"]) -> None:
-    """Draw by how much the slip that varies differs from the nominal one; the true one where both do."""
+    """Draw by how much the slip that varies differs from the nominal one; the true one where both
+    do."""
     settings = problem.scenario.slip
     kind = "measured" if settings.random == "measured" else "true"
     deviations = 100 * settings.relative_error * slips[:, ("true", "measured").index(kind)]

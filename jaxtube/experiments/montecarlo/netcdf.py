@@ -1,4 +1,5 @@
-"""The statistics of a Monte Carlo run as NetCDF: named dimensions and coordinates, which xarray and others open.
+"""The statistics of a Monte Carlo run as NetCDF: named dimensions and coordinates, which xarray and
+others open.
 
 The slash of a name, such as `excess/error`, becomes an underscore. Lengths are in m, angles in rad.
 """
@@ -28,7 +29,11 @@ DIMENSIONS = {
     "cloud": ("stage", "plane", "cloud_row", "cloud_column"),
     **{name: ("plane", "start_row", "start_column") for name in ("starts", "starts_that_left")},
     **{f"excess/{name}": (f"{name}_facet",) for name in ("disturbance", "error", "input")},
-    **{f"{key}/{name}": (f"rank_{name}",) for key in ("worst_lap", "worst_usage") for name in RANKED},
+    **{
+        f"{key}/{name}": (f"rank_{name}",)
+        for key in ("worst_lap", "worst_usage")
+        for name in RANKED
+    },
 }
 """Of each statistic; those of a tube run over its stages, the others are single numbers."""
 
@@ -64,7 +69,9 @@ def libraries() -> Any:
         import xarray
     except ImportError as error:
         problem = f"{error.name} is not installed"
-        raise refusal("command line", "--netcdf", True, problem, "pip install 'jaxtube[results]'") from None
+        raise refusal(
+            "command line", "--netcdf", True, problem, "pip install 'jaxtube[results]'"
+        ) from None
     return xarray
 
 
@@ -73,7 +80,9 @@ def save(path: Path, statistics: Statistics) -> None:
 
     Raises: ScenarioError as `libraries`, OSError where the file cannot be written.
     """
-    variables = {name.replace("/", "_"): _variable(name, value) for name, value in statistics.items()}
+    variables = {
+        name.replace("/", "_"): _variable(name, value) for name, value in statistics.items()
+    }
     dataset = libraries().Dataset(variables, coordinates(statistics))
     write_atomically(path, lambda file: dataset.to_netcdf(file.name, engine="h5netcdf"))
 
@@ -99,7 +108,10 @@ def coordinates(statistics: Statistics) -> dict[str, tuple]:
         "plans_with_event": np.arange(statistics["stage_events"].shape[-1]),
         "coordinate": np.array(NAMES),
         "plane": np.array([f"{NAMES[first]},{NAMES[second]}" for first, second in PLANES]),
-        **{f"{name}_facet": np.arange(len(statistics[f"excess/{name}"])) for name in ("disturbance", "error", "input")},
+        **{
+            f"{name}_facet": np.arange(len(statistics[f"excess/{name}"]))
+            for name in ("disturbance", "error", "input")
+        },
     }
     return {
         **{name: (name, values) for name, values in plain.items()},

@@ -1,4 +1,5 @@
-"""`montecarlo --replay LAP`: one lap of a run again, drawn, saved, and what it used of E, W and the wheels in words."""
+"""`montecarlo --replay LAP`: one lap of a run again, drawn, saved, and what it used of E, W and the
+wheels in words."""
 
 from __future__ import annotations
 
@@ -24,30 +25,42 @@ WHEELS = ("right", "left")
 
 
 def run(design: Design, options: Montecarlo, identity: dict[str, Any]) -> int:
-    """Draw lap `options.replay` into the run's folder, beside what is there, and print what it used.
+    """Draw lap `options.replay` into the run's folder, beside what is there, and print what it
+    used.
 
-    Raises: ScenarioError where the number is none of a lap, the folder holds a run of another identity, or it cannot
-        be made or written to.
+    Raises: ScenarioError where the number is none of a lap, the folder holds a run of another
+        identity, or it cannot be made or written to.
     """
     from jaxtube.experiments.montecarlo import lap_figure
 
     number = options.replay
     if number >= LAPS_LIMIT:
-        raise refusal("command line", "--replay", number, "is out of range", "give a lap's number below 2^64")
+        raise refusal(
+            "command line", "--replay", number, "is out of range", "give a lap's number below 2^64"
+        )
     folder, name = RunFolder(options.folder), f"replay-{number}"
     recorded = folder.path / "identity.json"
-    if recorded.exists() and (found := differences(json.loads(recorded.read_text()), json.loads(json.dumps(identity)))):
-        problem, cure = f"{folder.path} holds another run: {found}", "give its options, or name another --out"
+    if recorded.exists() and (
+        found := differences(json.loads(recorded.read_text()), json.loads(json.dumps(identity)))
+    ):
+        problem, cure = (
+            f"{folder.path} holds another run: {found}",
+            "give its options, or name another --out",
+        )
         raise refusal("command line", "--replay", number, problem, cure)
     try:
         folder.path.mkdir(parents=True, exist_ok=True)
-        task = validation.make_task(design, options.controller, options.plant, options.starts, options.seed)
+        task = validation.make_task(
+            design, options.controller, options.plant, options.starts, options.seed
+        )
         found = lap(design, task, options.seed, number)
         folder.save_arrays(name, **_arrays(found))
         folder.save_figure(lap_figure.draw(design.problem, found), name)
     except OSError as error:
         problem = f"cannot be written to ({error.strerror})"
-        raise refusal("command line", "--out", str(folder.path), problem, "name a folder you may write to") from None
+        raise refusal(
+            "command line", "--out", str(folder.path), problem, "name a folder you may write to"
+        ) from None
     law = montecarlo_report.law(design.problem.scenario, options)
     print(f"lap {number:,}; law: {law}; seed {options.seed}", text(design, found), sep="\n\n")
     print(f"\n{name}.png, {name}.pdf and {name}.npz are in {folder.path}/")
@@ -57,7 +70,9 @@ def run(design: Design, options: Montecarlo, identity: dict[str, Any]) -> int:
 def _arrays(found: Lap) -> dict[str, Any]:
     trajectory = found.trajectory
     names = ("errors", "measured", "inputs", "wheels", "demanded")
-    arrays = {name: getattr(trajectory, name) for name in names} | {"qp_status": trajectory.diagnostics.status}
+    arrays = {name: getattr(trajectory, name) for name in names} | {
+        "qp_status": trajectory.diagnostics.status
+    }
     arrays |= {"disturbance": found.disturbance}
     arrays |= {"usage_of_E": found.of_error_set.share, "usage_of_W": found.of_disturbance_set.share}
     return arrays if found.slips is None else arrays | {"slip_deviations": found.slips}
@@ -79,7 +94,9 @@ def text(design: Design, found: Lap) -> str:
             lines.append(f"{f'{letter}_{name}':<12}{numbers}{_seconds(problem, step):>10}")
         name, step = {"e": "E", "w": "W"}[letter], int(np.argmax(usage.share))
         left = f"left in {np.sum(usage.outside)} of {len(usage.outside)} periods"
-        lines.append(f"{name + ', whole':<12}{'':>24}{usage.share[step]:>11.2%}{_seconds(problem, step):>10}   {left}")
+        lines.append(
+            f"{name + ', whole':<12}{'':>24}{usage.share[step]:>11.2%}{_seconds(problem, step):>10}   {left}"
+        )
     return "\n".join([*lines, "", *_wheels(problem, found), *_planning(found)])
 
 
@@ -92,10 +109,15 @@ def _wheels(problem: Problem, found: Lap) -> list[str]:
     if found.slips is None:
         return []
     wheels, robot = found.trajectory.wheels, problem.robot
-    ranges = [f"{side} {wheels[:, i].min():.4g} to {wheels[:, i].max():.4g} m/s" for i, side in enumerate(WHEELS)]
+    ranges = [
+        f"{side} {wheels[:, i].min():.4g} to {wheels[:, i].max():.4g} m/s"
+        for i, side in enumerate(WHEELS)
+    ]
     saturated = int(np.sum(np.any(found.trajectory.demanded != wheels, axis=1)))
     limits = f"{robot.wheel_speed_min:.4g} to {robot.wheel_speed_max:.4g} m/s"
-    return [f"wheels: {', '.join(ranges)}; limits {limits}, reached in {saturated} of {len(wheels)} periods"]
+    return [
+        f"wheels: {', '.join(ranges)}; limits {limits}, reached in {saturated} of {len(wheels)} periods"
+    ]
 
 
 def _planning(found: Lap) -> list[str]:

@@ -1,7 +1,9 @@
-"""The report of a Monte Carlo run: shares with exact bounds, quantiles, extremes; the verdict on W comes first.
+"""The report of a Monte Carlo run: shares with exact bounds, quantiles, extremes; the verdict on W
+comes first.
 
-Shares of laps have Clopper-Pearson intervals; shares of steps or plans, which depend on each other within a lap, have
-intervals over laps (`jaxtube.statistics.intervals`). All hold for the one sampling law of the run.
+Shares of laps have Clopper-Pearson intervals; shares of steps or plans, which depend on each other
+within a lap, have intervals over laps (`jaxtube.statistics.intervals`). All hold for the one
+sampling law of the run.
 """
 
 from __future__ import annotations
@@ -44,7 +46,8 @@ EVENT_WORDS = {
 
 
 def summary(design: Design, options: Montecarlo, statistics: Statistics) -> dict:
-    """Return the numbers of a run, plain, with units in the keys: functions of design, options and statistics alone."""
+    """Return the numbers of a run, plain, with units in the keys: functions of design, options and
+    statistics alone."""
     problem, steps = design.problem, statistics["events"].shape[1] - 1
     settled = settled_step(problem.reference)
     eligible = {"outside_ultimate_bound": steps + 1 - settled}
@@ -61,8 +64,12 @@ def summary(design: Design, options: Montecarlo, statistics: Statistics) -> dict
         "settled_s": settled * problem.reference.dt,
         "events": events,
         # Beyond each facet, in m, rad, m/s; negative inside.
-        "largest_excess": {name: statistics[f"excess/{name}"] for name in ("disturbance", "error", "input")},
-        "ultimate_bound": dict(zip(COORDINATES, statistics["ultimate_bound"] * TO_DISPLAY, strict=True)),
+        "largest_excess": {
+            name: statistics[f"excess/{name}"] for name in ("disturbance", "error", "input")
+        },
+        "ultimate_bound": dict(
+            zip(COORDINATES, statistics["ultimate_bound"] * TO_DISPLAY, strict=True)
+        ),
         "plans": int(statistics["plans"]),
         **(_plans(design, options, statistics) if statistics["plans"] else {}),
         "peak_error": _quantiles(statistics["peak"]),
@@ -71,27 +78,40 @@ def summary(design: Design, options: Montecarlo, statistics: Statistics) -> dict
         "worst": {
             name: [
                 {"lap": int(lap), "usage": float(usage)}
-                for lap, usage in zip(statistics[f"worst_lap/{name}"], statistics[f"worst_usage/{name}"], strict=True)
+                for lap, usage in zip(
+                    statistics[f"worst_lap/{name}"], statistics[f"worst_usage/{name}"], strict=True
+                )
             ]
             for name in RANKED
         },
-        **({"reach": tube_reach.metrics(design, options.seed)} if options.plant == "linear" else {}),
+        **(
+            {"reach": tube_reach.metrics(design, options.seed)} if options.plant == "linear" else {}
+        ),
     }
 
 
 def left_out(options: Montecarlo, statistics: Statistics) -> set[str]:
     """Return the events that a run of this kind cannot have, so that nothing is said of them."""
-    missing = set() if options.controller.endswith("mpc") else {"qp_infeasible", "qp_unsolved", "row_active", "backup"}
+    missing = (
+        set()
+        if options.controller.endswith("mpc")
+        else {"qp_infeasible", "qp_unsolved", "row_active", "backup"}
+    )
     missing |= {"wheels_saturated"} if options.plant == "linear" else set()
-    return missing | (set() if np.all(np.isfinite(statistics["ultimate_bound"])) else {"outside_ultimate_bound"})
+    return missing | (
+        set() if np.all(np.isfinite(statistics["ultimate_bound"])) else {"outside_ultimate_bound"}
+    )
 
 
 def _plans(design: Design, options: Montecarlo, statistics: Statistics) -> dict:
-    """Return what became of the plans that were followed: the tube in use by stage, all tubes, and the cost."""
+    """Return what became of the plans that were followed: the tube in use by stage, all tubes, and
+    the cost."""
     checked = [name for name in design.tubes if f"tube_outside/{name}" in statistics]
     conditions = design.certificate.conditions
     promised = options.controller == "tube_mpc" and all(
-        conditions[name].holds for name in ("plan_stays_feasible", "terminal_cost_decrease") if name in conditions
+        conditions[name].holds
+        for name in ("plan_stays_feasible", "terminal_cost_decrease")
+        if name in conditions
     )
     planned = statistics["plans_by_lap"]
     return {
@@ -99,11 +119,18 @@ def _plans(design: Design, options: Montecarlo, statistics: Statistics) -> dict:
         "tube": {
             "used": design.problem.scenario.controller.tube,
             "stages": [
-                {name: _share_of_plans(row, planned) for name, row in zip(STAGE_EVENTS, stage, strict=True)}
+                {
+                    name: _share_of_plans(row, planned)
+                    for name, row in zip(STAGE_EVENTS, stage, strict=True)
+                }
                 for stage in statistics["stage_events"]
             ],
-            "largest_excess_by_stage": {name: statistics[f"tube_excess/{name}"] for name in checked},
-            "plans_outside_by_stage": {name: statistics[f"tube_outside/{name}"] for name in checked},
+            "largest_excess_by_stage": {
+                name: statistics[f"tube_excess/{name}"] for name in checked
+            },
+            "plans_outside_by_stage": {
+                name: statistics[f"tube_outside/{name}"] for name in checked
+            },
         },
         "cost": {
             "fell_by_less_than_the_stage": int(statistics["cost_excesses"]),
@@ -124,10 +151,14 @@ def law(scenario: Scenario, options: Montecarlo) -> str:
     if options.plant == "linear":
         return f"{options.controller} on the linear model, w in W (half of the draws at its vertices), {where}"
     slip, noise = scenario.slip, msgspec.structs.astuple(scenario.noise)
-    varies = {"true": "true slip", "measured": "measured slip", "both": "true and measured slip"}[slip.random]
+    varies = {"true": "true slip", "measured": "measured slip", "both": "true and measured slip"}[
+        slip.random
+    ]
     measured = "pose measured exactly"
     if any(noise):
-        measured = f"pose noise uniform within {noise[0]:.3g} m, {noise[1]:.3g} m, {noise[2]:.3g} deg"
+        measured = (
+            f"pose noise uniform within {noise[0]:.3g} m, {noise[1]:.3g} m, {noise[2]:.3g} deg"
+        )
     spread = "at" if slip.process in ("vertex", "adversarial") else "uniform within"
     return (
         f"{options.controller} on the slipping robot, {varies} ({slip.process}) {spread} +-"
@@ -150,20 +181,34 @@ def _event(row: Int[np.ndarray, " counts"], steps: int) -> dict:
 
 
 def _share_of_plans(row: Int[np.ndarray, " counts"], planned: Int[np.ndarray, " counts"]) -> dict:
-    """Return the share of plans in which an event occurred: a ratio of two means, each bounded at half the risk."""
+    """Return the share of plans in which an event occurred: a ratio of two means, each bounded at
+    half the risk."""
     half = 1 - (1 - CONFIDENCE) / 2
-    (mean, low, high), (plans, least, most) = (mean_interval(counts, len(row) - 1, half) for counts in (row, planned))
-    return {"share": mean / plans, "interval": (low / most, min(high / least, 1.0) if least else 1.0)}
+    (mean, low, high), (plans, least, most) = (
+        mean_interval(counts, len(row) - 1, half) for counts in (row, planned)
+    )
+    return {
+        "share": mean / plans,
+        "interval": (low / most, min(high / least, 1.0) if least else 1.0),
+    }
 
 
 def _quantiles(counts: Int[np.ndarray, "3 buckets"]) -> dict:
-    found = {name: histogram.quantile(counts, share) * TO_DISPLAY for name, share in QUANTILES.items()}
-    return {name: dict(zip(COORDINATES, values.tolist(), strict=True)) for name, values in found.items()}
+    found = {
+        name: histogram.quantile(counts, share) * TO_DISPLAY for name, share in QUANTILES.items()
+    }
+    return {
+        name: dict(zip(COORDINATES, values.tolist(), strict=True)) for name, values in found.items()
+    }
 
 
 def text(options: Montecarlo, found: dict, performance: dict) -> str:
     """Return the report; the verdict on the tube's premise is its first line."""
-    parts = [verdict(found), f"law: {found['law']}; seed {options.seed}; {found['laps']:,} laps", _event_table(found)]
+    parts = [
+        verdict(found),
+        f"law: {found['law']}; seed {options.seed}; {found['laps']:,} laps",
+        _event_table(found),
+    ]
     if found["plans"]:
         parts.append(_tube_table(found))
     if "reach" in found:
@@ -176,7 +221,11 @@ def text(options: Montecarlo, found: dict, performance: dict) -> str:
 
 def verdict(found: dict) -> str:
     """Return one line: does the disturbance set hold, do plans keep to the tube, and was E kept."""
-    w, e, percent = found["events"]["w_outside_W"], found["events"]["e_outside_E"], f"{found['confidence']:.0%}"
+    w, e, percent = (
+        found["events"]["w_outside_W"],
+        found["events"]["e_outside_E"],
+        f"{found['confidence']:.0%}",
+    )
     if w["laps"]:
         low, high = w["share_of_steps_interval"]
         premise = f"w leaves W in {w['share_of_steps']:.2%} of the steps ({percent}: {low:.2%} to {high:.2%})"
@@ -206,7 +255,9 @@ def _interval(interval: tuple[float, float], events: int) -> str:
 
 def _event_table(found: dict) -> str:
     label = f"each at {found['confidence']:.0%} on its own"
-    lines = [f"{label:<28}{'laps':>12}{'share of laps, interval':>30}{'share of steps':>16}{'interval':>26}"]
+    lines = [
+        f"{label:<28}{'laps':>12}{'share of laps, interval':>30}{'share of steps':>16}{'interval':>26}"
+    ]
     for name, event in found["events"].items():
         laps = _interval(event["share_of_laps_interval"], event["laps"])
         steps = _interval(event["share_of_steps_interval"], event["steps"])
@@ -233,14 +284,21 @@ def _tube_table(found: dict) -> str:
         shares = [stage[name]["share"] for name in STAGE_EVENTS]
         interval = f"{low:.4%} to {high:.4%}"
         lines.append(
-            f"R_{j:<4}{shares[0]:>12.4%}{interval:>24}" + f"{shares[1]:>14.4%}{shares[2]:>12.4%}{shares[3]:>12.4%}"
+            f"R_{j:<4}{shares[0]:>12.4%}{interval:>24}"
+            + f"{shares[1]:>14.4%}{shares[2]:>12.4%}{shares[3]:>12.4%}"
         )
     lines.append("largest excess over a facet, all stages (m or rad; negative: inside):")
-    worst = {name: float(np.max(values)) for name, values in tube["largest_excess_by_stage"].items()}
+    worst = {
+        name: float(np.max(values)) for name, values in tube["largest_excess_by_stage"].items()
+    }
     lines.append("  " + ", ".join(f"{name} {value:.3g}" for name, value in worst.items()))
     cost, asked = found["cost"], found["states_where_a_plan_was_asked_for"]
     lines.append(f"there was no plan at {asked - found['plans']:,} of {asked:,} states")
-    promise = "promises more" if cost["promised_by_the_certificate"] else "makes no promise for this design"
+    promise = (
+        "promises more"
+        if cost["promised_by_the_certificate"]
+        else "makes no promise for this design"
+    )
     lines.append(
         f"one undisturbed step later: no plan in {cost['no_plan_one_step_later']:,} cases, a cost that fell by less "
         f"than that of the step in {cost['fell_by_less_than_the_stage']:,} (the certificate {promise})"
@@ -249,11 +307,20 @@ def _tube_table(found: dict) -> str:
 
 
 def _quantile_table(found: dict) -> str:
-    lines = [f"{'':<26}" + "".join(f"{f'{name} {unit}':>18}" for unit in ("median", "99.9 %") for name in AXES)]
+    lines = [
+        f"{'':<26}"
+        + "".join(f"{f'{name} {unit}':>18}" for unit in ("median", "99.9 %") for name in AXES)
+    ]
     settled = f"RMS error from {found['settled_s']:.3g} s on"
-    rows = {"largest error of a lap": "peak_error", settled: "rms_error_settled", "w, steps": "disturbance"}
+    rows = {
+        "largest error of a lap": "peak_error",
+        settled: "rms_error_settled",
+        "w, steps": "disturbance",
+    }
     for label, key in rows.items():
-        cells = [found[key][quantile][name] for quantile in ("median", "p999") for name in COORDINATES]
+        cells = [
+            found[key][quantile][name] for quantile in ("median", "p999") for name in COORDINATES
+        ]
         lines.append(f"{label:<26}" + "".join(f"{value:>18.3g}" for value in cells))
     lines.append("quantiles are read off buckets and up to 12 % too large or too small")
     return "\n".join(lines)
@@ -266,17 +333,23 @@ def _worst(found: dict) -> str:
     names = {"error": "E", "disturbance": "W", "tube": "the tube"}
     lines = ["worst laps, 1 being a facet (--replay LAP draws one: errors, w and wheels):"]
     for key, label in names.items():
-        laps = ", ".join(f"{entry['lap']} ({entry['usage']:.4g})" for entry in found["worst"][key][:4])
+        laps = ", ".join(
+            f"{entry['lap']} ({entry['usage']:.4g})" for entry in found["worst"][key][:4]
+        )
         lines.append(f"  {label:<9} {laps}")
     return "\n".join(lines)
 
 
 def _performance(performance: dict) -> str:
     parts = [f"{performance['laps']:,} laps in {performance['seconds']:.1f} s"]
-    parts.append(f"first results, with compilation, after {performance['first_results_seconds']:.1f} s")
+    parts.append(
+        f"first results, with compilation, after {performance['first_results_seconds']:.1f} s"
+    )
     if performance["laps_per_second"]:
         parts.append(f"then {performance['laps_per_second']:,.0f} laps a second")
     if "validation_share" in performance:
-        parts.append(f"{performance['validation_share']:.0%} of the computing time spent in validation")
+        parts.append(
+            f"{performance['validation_share']:.0%} of the computing time spent in validation"
+        )
     parts.append(f"peak memory {performance['peak_memory_bytes'] / 2**20:,.0f} MiB")
     return "; ".join(parts)

@@ -1,9 +1,11 @@
-"""How tight the four tubes are: deviations sampled under switching schedules, and the exact reach of every facet.
+"""How tight the four tubes are: deviations sampled under switching schedules, and the exact reach
+of every facet.
 
     deviation+ = Phi(th) deviation + w,   w in W,   th anywhere in its box (`sequence`: along the reference)
     reach of c after N steps = max over sequences of sum_m h_W([Phi_{N-1} .. Phi_m]^T c)
 
-A facet's ratio is its offset over that reach: 1 is exact, more is conservative, less would refute the tube.
+A facet's ratio is its offset over that reach: 1 is exact, more is conservative, less would refute
+the tube.
 """
 
 from __future__ import annotations
@@ -21,7 +23,8 @@ SAMPLES, PART = 1_000_000, 50_000
 
 
 def metrics(design: Design, seed: int) -> dict:
-    """Return, by tube, the largest excess of sampled deviations over any facet and the facets' ratios at j = N."""
+    """Return, by tube, the largest excess of sampled deviations over any facet and the facets'
+    ratios at j = N."""
     switching, along = _sampled(design, seed)
     W = design.problem.disturbance_set.vertices()
     found = {}
@@ -33,13 +36,19 @@ def metrics(design: Design, seed: int) -> dict:
         else:
             loops = vertex_loops(design.problem, design.tube_gain)
             steps = len(sections) - 1
-            reach = np.array([reach_supports(loops, W, normal, steps)[0][-1] for normal in facets.normals])
+            reach = np.array(
+                [reach_supports(loops, W, normal, steps)[0][-1] for normal in facets.normals]
+            )
             ratios = facets.offsets / reach
             found[name] = {"largest_excess": switching[name]}
         found[name] |= {
             "samples": SAMPLES,
             "facets": len(ratios),
-            "ratio_to_reach": {"least": ratios.min(), "mean": ratios.mean(), "greatest": ratios.max()},
+            "ratio_to_reach": {
+                "least": ratios.min(),
+                "mean": ratios.mean(),
+                "greatest": ratios.max(),
+            },
         }
     return found
 
@@ -71,10 +80,17 @@ def _unit_facets(section: Section) -> Polytope:
 
 
 def _sampled(design: Design, seed: int) -> tuple[dict[str, float], float]:
-    """Return the largest excess over any facet of any section: by tube under switching schedules, and along it."""
+    """Return the largest excess over any facet of any section: by tube under switching schedules,
+    and along it."""
     W, N = design.problem.disturbance_set.vertices(), design.problem.horizon
-    shared = {name: [_unit_facets(s) for s in found[1:]] for name, found in design.tubes.items() if name != "sequence"}
-    tubes = [sequence_tube(loops, design.problem.disturbance_set)[1:] for loops in design.windows.loops]
+    shared = {
+        name: [_unit_facets(s) for s in found[1:]]
+        for name, found in design.tubes.items()
+        if name != "sequence"
+    }
+    tubes = [
+        sequence_tube(loops, design.problem.disturbance_set)[1:] for loops in design.windows.loops
+    ]
     windows = [[_unit_facets(section) for section in sections] for sections in tubes]
     vertices = vertex_loops(design.problem, design.tube_gain)
     excess, along = dict.fromkeys(shared, -np.inf), -np.inf
@@ -86,14 +102,19 @@ def _sampled(design: Design, seed: int) -> tuple[dict[str, float], float]:
                 excess[name] = max(excess[name], float(np.max(_excess(sections[j], points))))
     for window, sections in enumerate(windows):
         generator = np.random.default_rng([seed, SAMPLES // PART + window])
-        known = np.broadcast_to(design.windows.loops[window][:, None], (N, -(-SAMPLES // len(windows)), 3, 3))
+        known = np.broadcast_to(
+            design.windows.loops[window][:, None], (N, -(-SAMPLES // len(windows)), 3, 3)
+        )
         for j, points in enumerate(_deviations(known, W, generator)):
             along = max(along, float(np.max(_excess(sections[j], points))))
     return excess, along
 
 
-def _deviations(loops: Float[np.ndarray, "horizon samples 3 3"], W: Float[np.ndarray, "v 3"], generator):
-    """Yield deviations after 1 .. N steps; half of the samples keep to the vertices of W, half are uniform mixtures."""
+def _deviations(
+    loops: Float[np.ndarray, "horizon samples 3 3"], W: Float[np.ndarray, "v 3"], generator
+):
+    """Yield deviations after 1 .. N steps; half of the samples keep to the vertices of W, half are
+    uniform mixtures."""
     samples = loops.shape[1]
     deviation = np.zeros((samples, 3))
     for loop in loops:
@@ -104,21 +125,32 @@ def _deviations(loops: Float[np.ndarray, "horizon samples 3 3"], W: Float[np.nda
         yield deviation
 
 
-def _excess(polytope: Polytope, points: Float[np.ndarray, "samples 3"]) -> Float[np.ndarray, "samples f"]:
+def _excess(
+    polytope: Polytope, points: Float[np.ndarray, "samples 3"]
+) -> Float[np.ndarray, "samples f"]:
     return points @ polytope.normals.T - polytope.offsets
 
 
 def _ratios_along(design: Design, W: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, " facets"]:
-    """Return the ratios of the facets of `sequence`, all windows, to what their worst disturbances reach, played."""
+    """Return the ratios of the facets of `sequence`, all windows, to what their worst disturbances
+    reach, played."""
     ratios = []
     for loops in design.windows.loops:
         facets = _unit_facets(sequence_tube(loops, design.problem.disturbance_set)[-1])
-        ratios.append(facets.offsets / np.einsum("fi,fi->f", facets.normals, _worst_end(loops, W, facets.normals)))
+        ratios.append(
+            facets.offsets
+            / np.einsum("fi,fi->f", facets.normals, _worst_end(loops, W, facets.normals))
+        )
     return np.concatenate(ratios)
 
 
-def _worst_end(loops: Float[np.ndarray, "horizon 3 3"], W: Float[np.ndarray, "v 3"], normals: Float[np.ndarray, "f 3"]):
-    """Return where each direction's worst disturbances, argmax of w' [Phi .. Phi]^T c, end when they are played."""
+def _worst_end(
+    loops: Float[np.ndarray, "horizon 3 3"],
+    W: Float[np.ndarray, "v 3"],
+    normals: Float[np.ndarray, "f 3"],
+):
+    """Return where each direction's worst disturbances, argmax of w' [Phi .. Phi]^T c, end when
+    they are played."""
     directions, choices = normals, []
     for loop in loops[::-1]:
         choices.append(W[np.argmax(directions @ W.T, axis=1)])

@@ -1,7 +1,8 @@
 """`paper`: the paper's comparison from its data to its figures, over many realisations.
 
-Design, all controllers on the reference, a noise-free lap of each, the scheme that never resets, plans followed inside
-the tube, the design `robust` under stress; then the figures, the metrics and the table of claims.
+Design, all controllers on the reference, a noise-free lap of each, the scheme that never resets,
+plans followed inside the tube, the design `robust` under stress; then the figures, the metrics and
+the table of claims.
 """
 
 from __future__ import annotations
@@ -41,21 +42,31 @@ def run(scenario: Scenario, options: Paper) -> int:
         starts = np.tile(found.problem.initial_error, (options.realisations, 1))
         plant = closed_loop.slipping_robot(found)
         laps = {
-            name: closed_loop.simulate(loop, plant, starts, options.seed, bar.update) for name, loop in loops.items()
+            name: closed_loop.simulate(loop, plant, starts, options.seed, bar.update)
+            for name, loop in loops.items()
         }
         other = dataclasses.replace(loops["tube_mpc"], restart=not loops["tube_mpc"].restart)
         other_restart = closed_loop.simulate(other, plant, starts, options.seed, bar.update)
         stressed = stress.run(robust, stress_runs, options.seed, bar.update)
-    deviations = closed_loop.plan_deviations(found, loops["tube_mpc"], plant, laps["tube_mpc"], options.seed)
+    deviations = closed_loop.plan_deviations(
+        found, loops["tube_mpc"], plant, laps["tube_mpc"], options.seed
+    )
     _save_noise_free(found, loops, folder)
     measured = _metrics(found, robust, laps, other_restart, stressed, deviations)
-    design_command.add_disturbance_condition(found.certificate, measured["disturbance"], "the tube MPC")
+    design_command.add_disturbance_condition(
+        found.certificate, measured["disturbance"], "the tube MPC"
+    )
     measured = {**metrics.design_metrics(found), **measured}
     rows = claims(measured)
     measured["claims"] = [row._asdict() for row in rows]
     folder.save_metrics(measured)
     _save_figures(found, laps, robust, stressed, deviations, folder)
-    parts = [design_command.report(found), _comparison(measured), _restart_note(measured), _stress_table(measured)]
+    parts = [
+        design_command.report(found),
+        _comparison(measured),
+        _restart_note(measured),
+        _stress_table(measured),
+    ]
     print(*parts, table(rows), sep="\n\n")
     print(f"\nfigures, metrics.json, noise_free.npz and manifest.json are in {folder.path}/")
     return design_command.exit_code(found, options.require_certificate)
@@ -70,7 +81,9 @@ def _metrics(found: Design, robust: Design, laps, other_restart, stressed, devia
             **metrics.controller_metrics(found, other_restart),
         },
         "reference_wheel_speed_mean_mps": float(problem.schedule[: problem.reference.steps].mean()),
-        "disturbance": metrics.disturbance_metrics(found, closed_loop.model_residuals(found, laps["tube_mpc"])),
+        "disturbance": metrics.disturbance_metrics(
+            found, closed_loop.model_residuals(found, laps["tube_mpc"])
+        ),
         "plan_deviations": metrics.deviation_metrics(found, deviations),
         "stress": stress.metrics(robust, stressed),
         "stress_certificate": {
@@ -84,11 +97,15 @@ def _save_noise_free(found: Design, loops: dict, folder: RunFolder) -> None:
     """Save e(k) of one lap of each controller with the slip known exactly and no noise."""
     plant = closed_loop.exact_robot(found)
     start = found.problem.initial_error[None]
-    laps = {name: closed_loop.simulate(loops[name], plant, start, 0).errors[:, 0] for name in NOISE_FREE}
+    laps = {
+        name: closed_loop.simulate(loops[name], plant, start, 0).errors[:, 0] for name in NOISE_FREE
+    }
     folder.save_arrays("noise_free", **laps)
 
 
-def _save_figures(found: Design, laps, robust: Design, stressed, deviations, folder: RunFolder) -> None:
+def _save_figures(
+    found: Design, laps, robust: Design, stressed, deviations, folder: RunFolder
+) -> None:
     from jaxtube.experiments.figures import laps as figures
     from jaxtube.experiments.figures import sets as set_figures
 
@@ -101,7 +118,9 @@ def _save_figures(found: Design, laps, robust: Design, stressed, deviations, fol
         "tightened_sets": lambda: set_figures.tightened_sets(found),
         "terminal_set": lambda: set_figures.terminal_set(found),
         "realisations_in_tube": lambda: set_figures.realisations_in_tube(found, deviations),
-        "stress": lambda: figures.stress(robust.problem, _stress_cases(stressed), stressed.boundary),
+        "stress": lambda: figures.stress(
+            robust.problem, _stress_cases(stressed), stressed.boundary
+        ),
         "stress_terminal_set": lambda: set_figures.terminal_set(robust),
     }
     with progress(len(drawings), "drawing", "figures") as bar:
@@ -112,7 +131,11 @@ def _save_figures(found: Design, laps, robust: Design, stressed, deviations, fol
 
 def _stress_cases(stressed: stress.Stress) -> list[dict]:
     return [
-        {"title": stress.CASES[case], "tube": runs["tube_mpc"].errors, "plain": runs["plain_mpc"].errors}
+        {
+            "title": stress.CASES[case],
+            "tube": runs["tube_mpc"].errors,
+            "plain": runs["plain_mpc"].errors,
+        }
         for case, runs in stressed.runs.items()
     ]
 
@@ -121,24 +144,41 @@ def _comparison(measured: dict) -> str:
     """Return the controllers side by side: medians over realisations."""
     head = f"{'':<15}{'':>9}{'largest (median)':>36}{'RMS (median)':>36}"
     units = f"{'e_x [m]':>12}{'e_y [m]':>12}{'e_th [deg]':>12}"
-    lines = [head, f"{'controller':<15}{'outside E':>9}{units}{units}{'active':>9}{'wheel [m/s]':>13}"]
+    lines = [
+        head,
+        f"{'controller':<15}{'outside E':>9}{units}{units}{'active':>9}{'wheel [m/s]':>13}",
+    ]
     for name, numbers in measured["controllers"].items():
-        largest, rms = (numbers[kind]["whole_run"]["median"].values() for kind in ("max_error", "rms_error"))
+        largest, rms = (
+            numbers[kind]["whole_run"]["median"].values() for kind in ("max_error", "rms_error")
+        )
         errors = "".join(f"{value:12.5f}" for value in (*largest, *rms))
         share, wheel = numbers["active_share"], numbers["wheel_speed_max_mps"]
-        lines.append(f"{name:<15}{numbers['violation_share']:9.1%}{errors}{share:9.2%}{wheel:13.3f}")
+        lines.append(
+            f"{name:<15}{numbers['violation_share']:9.1%}{errors}{share:9.2%}{wheel:13.3f}"
+        )
     inside = measured["plan_deviations"]
     shares = ", ".join(f"{share:.1%}" for share in inside["share_outside_by_stage"])
-    lines.append(f"of {inside['plans']} plans followed to their end these shares leave R_1, R_2, ..: {shares}")
+    lines.append(
+        f"of {inside['plans']} plans followed to their end these shares leave R_1, R_2, ..: {shares}"
+    )
     return "\n".join(lines)
 
 
 def _stress_table(measured: dict) -> str:
     """Return the stress runs of the design `robust`, with and without tube."""
-    columns = ("runs", "outside E", "infeasible QPs", "recovered runs", "every w in W", "of these outside E")
+    columns = (
+        "runs",
+        "outside E",
+        "infeasible QPs",
+        "recovered runs",
+        "every w in W",
+        "of these outside E",
+    )
     lines = [
         "design `robust`, starts all over the feasible set of the tube-MPC",
-        f"{'plant':<24}{'controller':<10}" + "".join(f"{name:>{len(name) + 2}}" for name in columns),
+        f"{'plant':<24}{'controller':<10}"
+        + "".join(f"{name:>{len(name) + 2}}" for name in columns),
     ]
     for case, runs in measured["stress"].items():
         for name, numbers in runs.items():
@@ -151,7 +191,9 @@ def _stress_table(measured: dict) -> str:
                 numbers["runs_with_every_w_in_W"],
                 numbers["runs_outside_E_with_every_w_in_W"],
             )
-            cells = "".join(f"{value:>{len(head) + 2}}" for head, value in zip(columns, values, strict=True))
+            cells = "".join(
+                f"{value:>{len(head) + 2}}" for head, value in zip(columns, values, strict=True)
+            )
             lines.append(f"{stress.CASES[case]:<24}{name:<10}{cells}")
     return "\n".join(lines)
 
@@ -159,7 +201,10 @@ def _stress_table(measured: dict) -> str:
 def _restart_note(measured: dict) -> str:
     """Return one line on the scheme whose nominal error is (or is not) reset to the measured one."""
     other, usual = measured["other_restart"], measured["controllers"]["tube_mpc"]
-    values = [f"{numbers['rms_error']['whole_run']['median']['lateral_m']:.5f} m" for numbers in (other, usual)]
+    values = [
+        f"{numbers['rms_error']['whole_run']['median']['lateral_m']:.5f} m"
+        for numbers in (other, usual)
+    ]
     return (
         f"with restart = {str(other['restart']).lower()}: lateral RMS {values[0]} against {values[1]}, outside E "
         f"{other['violation_share']:.1%}, QPs infeasible {other['qp_status']['infeasible']}"

@@ -1,7 +1,9 @@
-"""Runs in which the tube matters: starts spread over the feasible set, w in W on the linear plant, slip that persists.
+"""Runs in which the tube matters: starts spread over the feasible set, w in W on the linear plant,
+slip that persists.
 
-On the linear plant with w in W the guarantee is a theorem, so a single run outside E or one QP without a plan refutes
-the code. On the nonlinear plant it holds for the runs in which every w stayed in W; these are counted.
+On the linear plant with w in W the guarantee is a theorem, so a single run outside E or one QP
+without a plan refutes the code. On the nonlinear plant it holds for the runs in which every w
+stayed in W; these are counted.
 """
 
 from __future__ import annotations
@@ -27,7 +29,8 @@ CASES = {
 
 @dataclass(frozen=True, eq=False)
 class Stress:
-    """Starts, the boundary points of the feasible set they were drawn from, and the runs by case and controller."""
+    """Starts, the boundary points of the feasible set they were drawn from, and the runs by case
+    and controller."""
 
     boundary: Float[np.ndarray, "rays 3"]
     starts: Float[np.ndarray, "runs 3"]
@@ -47,7 +50,8 @@ def run(design: Design, count: int, seed: int, advanced=None) -> Stress:
     loops = closed_loop.controllers(design)
     runs = {
         case: {
-            name: closed_loop.simulate(loops[name], plant, starts, seed, advanced) for name in ("tube_mpc", "plain_mpc")
+            name: closed_loop.simulate(loops[name], plant, starts, seed, advanced)
+            for name in ("tube_mpc", "plain_mpc")
         }
         for case, plant in plants.items()
     }

@@ -9,7 +9,8 @@ from typing import Any, BinaryIO
 def write_atomically(path: Path, write: Callable[[BinaryIO], Any]) -> None:
     """Write a file; where that fails, an earlier file of this name stays as it was.
 
-    Only a process killed while it writes leaves the temporary file, `.NAME.PROCESS` beside the file.
+    Only a process killed while it writes leaves the temporary file, `.NAME.PROCESS` beside the
+    file.
 
     Args:
         write: is called once with the open temporary file.

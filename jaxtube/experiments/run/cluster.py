@@ -1,10 +1,12 @@
-"""Blocks on the workers of a Dask cluster: a block is a task, and its statistics come back to the one writer.
+"""Blocks on the workers of a Dask cluster: a block is a task, and its statistics come back to the
+one writer.
 
     local:N          N workers on this machine, each on a processor of its own
     tcp://HOST:8786  the workers of a running scheduler
 
-What a worker needs travels as arrays, so that all compute with the same bits; blocks of a lost worker are computed
-again by others. A worker runs as many blocks at a time as it has threads, each thread on a device of its own.
+What a worker needs travels as arrays, so that all compute with the same bits; blocks of a lost
+worker are computed again by others. A worker runs as many blocks at a time as it has threads, each
+thread on a device of its own.
 """
 
 from __future__ import annotations
@@ -26,7 +28,8 @@ from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics.run import Run, Statistics
 
 IN_FLIGHT = 3
-"""Tasks handed out for each thread of the cluster: enough to keep it busy, few enough to hold in memory."""
+"""Tasks handed out for each thread of the cluster: enough to keep it busy, few enough to hold in
+memory."""
 SECONDS_TO_CONNECT = 20
 LOSSES = 20
 """Workers that may be lost while they compute the same block, before the run gives up."""
@@ -43,7 +46,8 @@ class Cluster:
             run: what to compute; its devices and chunk do not count here.
 
         Raises:
-            ScenarioError: no such cluster, or no Dask; later, for a worker with another version of the code.
+            ScenarioError: no such cluster, or no Dask; later, for a worker with another version of
+                the code.
         """
         try:
             import distributed
@@ -52,16 +56,25 @@ class Cluster:
         self._distributed, self._name, self._local = distributed, name, None
         self._client = self._connect(name)
         self._client.wait_for_workers(1)
-        # A task of its own, not data put on a worker: should that worker be lost, the scheduler can make it again.
-        self._job = self._client.submit(_same, Job.of(run, pinned=name.startswith("local:")), pure=False)
+        # A task of its own, not data put on a worker: should that worker be lost, the scheduler can
+        # make it again.
+        self._job = self._client.submit(
+            _same, Job.of(run, pinned=name.startswith("local:")), pure=False
+        )
 
     def _connect(self, name: str):
         from dask.config import set as configure
 
         kind, _, count = name.partition(":")
-        # The profiler of a worker looks at its threads a hundred times a second; blocks take a second each.
-        # A client that fails to connect would stay the process's default, and xarray would ask it for its locks.
-        configure({"distributed.scheduler.allowed-failures": LOSSES, "distributed.worker.profile.enabled": False})
+        # The profiler of a worker looks at its threads a hundred times a second; blocks take a
+        # second each. A client that fails to connect would stay the process's default, and xarray
+        # would ask it for its locks.
+        configure(
+            {
+                "distributed.scheduler.allowed-failures": LOSSES,
+                "distributed.worker.profile.enabled": False,
+            }
+        )
         try:
             if kind == "local":
                 workers = int(count)
@@ -74,7 +87,9 @@ class Cluster:
             return self._distributed.Client(name, timeout=SECONDS_TO_CONNECT, set_as_default=False)
         except (OSError, ValueError, TimeoutError) as error:
             problem = f"cannot be reached ({error or type(error).__name__})"
-            raise _refuse(name, problem, "write local:N, or the address of a running scheduler") from None
+            raise _refuse(
+                name, problem, "write local:N, or the address of a running scheduler"
+            ) from None
 
     def __enter__(self) -> Cluster:
         return self
@@ -90,7 +105,9 @@ class Cluster:
 
     def computed(self, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
         """Yield the statistics of blocks as they are ready, in any order."""
-        pending = self._distributed.as_completed(loop=self._client.loop, with_results=True, raise_errors=False)
+        pending = self._distributed.as_completed(
+            loop=self._client.loop, with_results=True, raise_errors=False
+        )
         source, under_way = iter(blocks), {}
 
         def submit(block: int) -> None:
@@ -113,7 +130,11 @@ class Cluster:
             elif isinstance(failure := future.exception(), self._distributed.KilledWorker):
                 submit(block)
             elif isinstance(failure, StrangerError):
-                raise _refuse(self._name, str(failure), "install the same jaxtube and jax on all, of the same kind")
+                raise _refuse(
+                    self._name,
+                    str(failure),
+                    "install the same jaxtube and jax on all, of the same kind",
+                )
             else:
                 raise failure
 
@@ -142,7 +163,13 @@ class Job:
         """Take a run apart."""
         task = dataclasses.replace(run.task, seed_key=None)
         arrays = jax.tree.map(np.asarray, task)
-        return cls(arrays, np.asarray(jax.random.key_data(run.task.seed_key)), run.realisations, _versions(), pinned)
+        return cls(
+            arrays,
+            np.asarray(jax.random.key_data(run.task.seed_key)),
+            run.realisations,
+            _versions(),
+            pinned,
+        )
 
     def on(self, device) -> Run:
         """Return the run on one device."""
@@ -170,7 +197,9 @@ def _run_of_thread(thread: int, job: Job) -> Run:
         os.sched_setaffinity(0, {processors[int(get_worker().name) % len(processors)]})
     jax.config.update("jax_enable_x64", job.versions["bits"] == "64")
     if _versions() != job.versions:
-        raise StrangerError(f"{get_worker().address} has another version of jaxtube or jax, or other devices")
+        raise StrangerError(
+            f"{get_worker().address} has another version of jaxtube or jax, or other devices"
+        )
     devices = jax.local_devices()
     return job.on(devices[_threads.setdefault(thread, len(_threads)) % len(devices)])
 

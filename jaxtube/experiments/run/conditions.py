@@ -14,7 +14,16 @@ def condition_lines(certificate: Certificate, required: bool) -> list[str]:
     lines = []
     for name, condition in certificate.conditions.items():
         if condition.required == required:
-            sign = {(True, True): "holds", (True, False): "FAILS", (False, True): "yes", (False, False): "no"}
-            lines.append(f"  {sign[required, condition.holds]:<6} {name:<32} margin {condition.margin:10.3g}")
-            lines += textwrap.wrap(condition.sentence, WIDTH, initial_indent=" " * 9, subsequent_indent=" " * 9)
+            sign = {
+                (True, True): "holds",
+                (True, False): "FAILS",
+                (False, True): "yes",
+                (False, False): "no",
+            }
+            lines.append(
+                f"  {sign[required, condition.holds]:<6} {name:<32} margin {condition.margin:10.3g}"
+            )
+            lines += textwrap.wrap(
+                condition.sentence, WIDTH, initial_indent=" " * 9, subsequent_indent=" " * 9
+            )
     return lines

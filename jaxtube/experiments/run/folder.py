@@ -31,7 +31,17 @@ from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.scenario import Scenario, to_toml
 from jaxtube.scenario.refusal import refusal
 
-PACKAGES = ("jaxtube", "jax", "jaxlib", "numpy", "scipy", "cvxpy-base", "clarabel", "msgspec", "matplotlib")
+PACKAGES = (
+    "jaxtube",
+    "jax",
+    "jaxlib",
+    "numpy",
+    "scipy",
+    "cvxpy-base",
+    "clarabel",
+    "msgspec",
+    "matplotlib",
+)
 
 
 @dataclass(frozen=True)
@@ -51,7 +61,9 @@ class RunFolder:
         """Write a matplotlib figure as NAME.png and NAME.pdf; the same figure gives the same bytes."""
         self._write(f"{name}.png", lambda file: figure.savefig(file, format="png", dpi=200))
         undated = {"CreationDate": None}
-        self._write(f"{name}.pdf", lambda file: figure.savefig(file, format="pdf", metadata=undated))
+        self._write(
+            f"{name}.pdf", lambda file: figure.savefig(file, format="pdf", metadata=undated)
+        )
 
     def save_json(self, name: str, content: Mapping[str, Any]) -> None:
         """Write NAME.json like metrics.json."""
@@ -60,7 +72,9 @@ class RunFolder:
     def save_arrays(self, name: str, **arrays: Any) -> None:
         """Write arrays as NAME.npz."""
         plain = {key: np.asarray(value) for key, value in arrays.items()}
-        self._write(f"{name}.npz", lambda file: np.savez_compressed(file, allow_pickle=False, **plain))
+        self._write(
+            f"{name}.npz", lambda file: np.savez_compressed(file, allow_pickle=False, **plain)
+        )
 
     def _write_json(self, name: str, content: Any) -> None:
         text = json.dumps(content, indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False)
@@ -71,7 +85,8 @@ class RunFolder:
 
 
 def create(scenario: Scenario, options: Options) -> RunFolder:
-    """Make the folder of a run with scenario.toml and manifest.json, and without the metrics of an earlier run.
+    """Make the folder of a run with scenario.toml and manifest.json, and without the metrics of an
+    earlier run.
 
     Raises: ScenarioError when the folder cannot be made or written to.
     """
@@ -83,20 +98,27 @@ def create(scenario: Scenario, options: Options) -> RunFolder:
         folder._write_json("manifest.json", _manifest(text, options))
     except OSError as error:
         problem = f"cannot be written to ({error.strerror})"
-        raise refusal("command line", "--out", str(folder.path), problem, "name a folder you may write to") from None
+        raise refusal(
+            "command line", "--out", str(folder.path), problem, "name a folder you may write to"
+        ) from None
     return folder
 
 
 def identity(scenario: Scenario, options: Options, names: Iterable[str]) -> dict[str, Any]:
-    """Return all that determines the numbers of a run: scenario, seed, the named options, code, packages, device."""
+    """Return all that determines the numbers of a run: scenario, seed, the named options, code,
+    packages, device."""
     jax, file = sys.modules["jax"], scenario.reference.file
     return {
         "scenario": msgspec.to_builtins(scenario),
-        "reference_file_sha256": hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else "",
+        "reference_file_sha256": hashlib.sha256(Path(file).read_bytes()).hexdigest()
+        if file
+        else "",
         "seed": options.seed,
         **{name: getattr(options, name) for name in names},
         "source_sha256": source_hashes(),
-        "packages": {name: version(name) for name in ("jax", "jaxlib", "numpy", "scipy", "clarabel")},
+        "packages": {
+            name: version(name) for name in ("jax", "jaxlib", "numpy", "scipy", "clarabel")
+        },
         "backend": jax.default_backend(),
         "bits": jax.dtypes.canonicalize_dtype(float).itemsize * 8,
     }
@@ -109,8 +131,14 @@ def _manifest(scenario_text: str, options: Options) -> dict[str, Any]:
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "python": platform.python_version(),
         "packages": {name: version(name) for name in PACKAGES},
-        "platform": {"system": platform.platform(), "machine": platform.machine(), "cpus": os.cpu_count()},
-        "devices": [str(device) for device in sys.modules["jax"].devices()] if "jax" in sys.modules else [],
+        "platform": {
+            "system": platform.platform(),
+            "machine": platform.machine(),
+            "cpus": os.cpu_count(),
+        },
+        "devices": [str(device) for device in sys.modules["jax"].devices()]
+        if "jax" in sys.modules
+        else [],
         "scenario_sha256": hashlib.sha256(scenario_text.encode()).hexdigest(),
         "source_sha256": source_hashes(),
         "git_commit": _git_commit(),
@@ -145,11 +173,21 @@ def _source_hash(folder: Path) -> str:
 
 
 def _git_commit() -> str | None:
-    """Name the commit of a source checkout, with "-dirty" when files differ from it; None for an installed package."""
+    """Name the commit of a source checkout, with "-dirty" when files differ from it; None for an
+    installed package."""
     root = _package_folder("jaxtube").parent
     if not (root / ".git").exists():
         return None
-    describe = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    describe = [
+        "git",
+        "-C",
+        str(root),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=40",
+        "--exclude=*",
+    ]
     try:
         return subprocess.run(describe, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
@@ -168,4 +206,6 @@ def _plain(value: Any) -> Any:
         return value
     if hasattr(value, "tolist"):
         return _plain(value.tolist())
-    raise TypeError(f"metric {value!r}: neither number, text, list nor mapping; convert it before it is saved")
+    raise TypeError(
+        f"metric {value!r}: neither number, text, list nor mapping; convert it before it is saved"
+    )

@@ -26,9 +26,13 @@ def design_metrics(design: Design) -> dict:
     return {
         "lqr_gain": design.lqr_gain,
         "tube_half_widths": {name: tube_half_widths(design, name) for name in design.tubes},
-        "tube_volume": {name: sections[-1].polytope().volume() for name, sections in design.tubes.items()},
+        "tube_volume": {
+            name: sections[-1].polytope().volume() for name, sections in design.tubes.items()
+        },
         "input_support": {name: tube_input_support(design, name) for name in design.tubes},
-        "input_set_p_q": np.stack([-problem.input_set.support(-wheel_rows), problem.input_set.support(wheel_rows)], 1),
+        "input_set_p_q": np.stack(
+            [-problem.input_set.support(-wheel_rows), problem.input_set.support(wheel_rows)], 1
+        ),
         "lmi_cost": design.cost.cost,
         "lmi_objective_value": design.cost.value,
         "terminal_gains": design.terminal.gains.vertices,
@@ -39,7 +43,12 @@ def design_metrics(design: Design) -> dict:
         "terminal_constraint_facets": len(terminal.constraint_normals),
         "terminal_fallback": bool(terminal.fallback),
         "certificate": {
-            name: {"holds": c.holds, "margin": c.margin, "required": c.required, "sentence": c.sentence}
+            name: {
+                "holds": c.holds,
+                "margin": c.margin,
+                "required": c.required,
+                "sentence": c.sentence,
+            }
             for name, c in design.certificate.conditions.items()
         },
         "certified": design.certificate.holds,
@@ -50,7 +59,8 @@ def design_metrics(design: Design) -> dict:
 
 
 def _computed(design: Design) -> dict:
-    """Return the numbers of a computed W, and the share of each cap that the tube fills at its widest."""
+    """Return the numbers of a computed W, and the share of each cap that the tube fills at its
+    widest."""
     bound = design.problem.residual
     assert bound is not None
     return {
@@ -58,7 +68,10 @@ def _computed(design: Design) -> dict:
             "yaw_deg": np.rad2deg(bound.yaw),
             "lateral_per_yaw_m_per_rad": bound.lateral_per_yaw,
             **dict(zip(COORDINATES, bound.box * TO_DISPLAY, strict=True)),
-            "found_share": [bound.found_yaw / bound.yaw, *(bound.found_box / np.maximum(bound.box, 1e-300))],
+            "found_share": [
+                bound.found_yaw / bound.yaw,
+                *(bound.found_box / np.maximum(bound.box, 1e-300)),
+            ],
             "ground_speed_range_mps": [bound.ground_speeds[0].min(), bound.ground_speeds[1].max()],
         },
         "cap_shares": cap_shares(design.problem, design.terminal.gains),
@@ -81,17 +94,21 @@ def _half_widths(polytope: Polytope) -> Float[np.ndarray, "3"]:
 
 
 def tube_half_widths(design: Design, name: str) -> Float[np.ndarray, "horizon+1 3"]:
-    """Return the half widths (m, m, deg) of R_0 .. R_N; for `sequence` the largest along the reference."""
+    """Return the half widths (m, m, deg) of R_0 .. R_N; for `sequence` the largest along the
+    reference."""
     if name != "sequence":
         return np.stack([section.support(np.eye(3)) for section in design.tubes[name]]) * TO_DISPLAY
     loops, W = design.windows.loops, design.problem.disturbance_set
     rows = np.broadcast_to(np.eye(3), (len(loops), 3, 3))
-    widths = [sequence_support(loops, W, rows, j).max(axis=0) for j in range(design.problem.horizon + 1)]
+    widths = [
+        sequence_support(loops, W, rows, j).max(axis=0) for j in range(design.problem.horizon + 1)
+    ]
     return np.stack(widths) * TO_DISPLAY
 
 
 def tube_input_support(design: Design, name: str) -> Float[np.ndarray, " horizon+1"]:
-    """Return the largest support number of K R_j along p and q, j = 0..N, over the gains that may act, m/s."""
+    """Return the largest support number of K R_j along p and q, j = 0..N, over the gains that may
+    act, m/s."""
     rows = input_rows(design.problem.robot.track_width)
     rows = np.vstack([rows, -rows])
     gains = design.tube_gain.vertices
@@ -99,7 +116,12 @@ def tube_input_support(design: Design, name: str) -> Float[np.ndarray, " horizon
         loops, W = design.windows.loops, design.problem.disturbance_set
         directions = rows @ design.windows.gains
         last = design.problem.horizon - 1
-        return np.array([sequence_support(loops, W, directions[:, min(j, last)], j).max() for j in range(last + 2)])
+        return np.array(
+            [
+                sequence_support(loops, W, directions[:, min(j, last)], j).max()
+                for j in range(last + 2)
+            ]
+        )
     return np.array([_largest(section, gains, rows) for section in design.tubes[name]])
 
 
@@ -121,8 +143,13 @@ def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
         "realisations": errors.shape[1],
         "violation_share": float(outside.mean()),
         "violating_realisations": int(outside.sum()),
-        "violation_share_by_coordinate": dict(zip(COORDINATES, by_coordinate.mean(axis=0).tolist(), strict=True)),
-        "max_error": {"whole_run": _spread(errors.max(axis=0)), "after_10_s": _spread(errors[settled:].max(axis=0))},
+        "violation_share_by_coordinate": dict(
+            zip(COORDINATES, by_coordinate.mean(axis=0).tolist(), strict=True)
+        ),
+        "max_error": {
+            "whole_run": _spread(errors.max(axis=0)),
+            "after_10_s": _spread(errors[settled:].max(axis=0)),
+        },
         "rms_error": {
             "whole_run": _spread(np.sqrt((errors**2).mean(axis=0))),
             "after_10_s": _spread(np.sqrt((errors[settled:] ** 2).mean(axis=0))),
@@ -144,8 +171,15 @@ def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
 def _spread(values: Float[np.ndarray, "runs 3"]) -> dict:
     """Return median and 95 % quantile over realisations, and the worst one, by coordinate."""
     shown = values * TO_DISPLAY
-    statistics = {"median": np.median(shown, axis=0), "p95": np.quantile(shown, 0.95, axis=0), "worst": shown.max(0)}
-    return {name: dict(zip(COORDINATES, found.tolist(), strict=True)) for name, found in statistics.items()}
+    statistics = {
+        "median": np.median(shown, axis=0),
+        "p95": np.quantile(shown, 0.95, axis=0),
+        "worst": shown.max(0),
+    }
+    return {
+        name: dict(zip(COORDINATES, found.tolist(), strict=True))
+        for name, found in statistics.items()
+    }
 
 
 def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs 3"]) -> dict:
@@ -156,8 +190,14 @@ def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs
     return {
         "steps": int(left.size),
         "share_of_steps_outside": float(left.mean()),
-        "share_of_steps_outside_by_coordinate": dict(zip(COORDINATES, outside.mean(axis=(0, 1)).tolist(), strict=True)),
-        "largest": dict(zip(COORDINATES, (np.abs(residuals).max(axis=(0, 1)) * TO_DISPLAY).tolist(), strict=True)),
+        "share_of_steps_outside_by_coordinate": dict(
+            zip(COORDINATES, outside.mean(axis=(0, 1)).tolist(), strict=True)
+        ),
+        "largest": dict(
+            zip(
+                COORDINATES, (np.abs(residuals).max(axis=(0, 1)) * TO_DISPLAY).tolist(), strict=True
+            )
+        ),
         "allowed": dict(zip(COORDINATES, (widths * TO_DISPLAY).tolist(), strict=True)),
         "runs_with_every_w_inside": int(np.sum(~left.any(axis=0))),
         "margin": float(np.min(W.margin(residuals))),
@@ -165,7 +205,8 @@ def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs
 
 
 def deviation_metrics(design: Design, deviations: Float[np.ndarray, "horizon samples 3"]) -> dict:
-    """Return how many deviations from plans left the tube in use, and the smallest facet margin, stage by stage."""
+    """Return how many deviations from plans left the tube in use, and the smallest facet margin,
+    stage by stage."""
     margins = tube_margins(design, deviations)
     return {
         "plans": margins.shape[1],
@@ -179,6 +220,12 @@ def deviation_metrics(design: Design, deviations: Float[np.ndarray, "horizon sam
 def tube_margins(
     design: Design, deviations: Float[np.ndarray, "horizon samples 3"]
 ) -> Float[np.ndarray, "horizon samples"]:
-    """Return the facet margin of every deviation in its section R_j, j = 1..N (`sequence`: the widest one's)."""
+    """Return the facet margin of every deviation in its section R_j, j = 1..N (`sequence`: the
+    widest one's)."""
     sections = design.tubes[design.problem.scenario.controller.tube][1:]
-    return np.stack([section.polytope().margin(points) for section, points in zip(sections, deviations, strict=True)])
+    return np.stack(
+        [
+            section.polytope().margin(points)
+            for section, points in zip(sections, deviations, strict=True)
+        ]
+    )

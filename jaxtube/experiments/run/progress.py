@@ -1,4 +1,5 @@
-"""Progress of anything that takes more than moments: a bar in a terminal, a plain line now and then elsewhere."""
+"""Progress of anything that takes more than moments: a bar in a terminal, a plain line now and then
+elsewhere."""
 
 import sys
 
@@ -19,7 +20,8 @@ class _Lines:
 
 
 def progress(total: int, title: str, unit: str, done: int = 0) -> tqdm:
-    """Return a tqdm bar on the standard error that counts `total` units, `done` of which an earlier run did."""
+    """Return a tqdm bar on the standard error that counts `total` units, `done` of which an earlier
+    run did."""
     if sys.stderr.isatty():
         return tqdm(total=total, initial=done, desc=title, unit=f" {unit}", mininterval=0.2)
     line = f"{title}: {{n_fmt}} of {{total_fmt}} {unit}, {{rate_fmt}}, {{elapsed}} gone, {{remaining}} left{{postfix}}"

@@ -1,4 +1,5 @@
-"""One record of a long run as bytes: they tell whether they are whole, and which run they belong to.
+"""One record of a long run as bytes: they tell whether they are whole, and which run they belong
+to.
 
 record sha256 DIGEST     of all that follows
 {"identity": ..}         the header, one line of JSON
@@ -54,16 +55,24 @@ def plain(statistics: Mapping[str, Any]) -> Statistics:
     arrays = {name: np.asarray(statistics[name]) for name in sorted(statistics)}
     for name, array in arrays.items():
         if array.dtype.kind not in "biuf":
-            raise ValueError(f"statistic {name}: {array.dtype} is neither integers nor floats; convert it")
+            raise ValueError(
+                f"statistic {name}: {array.dtype} is neither integers nor floats; convert it"
+            )
     return arrays
 
 
 def differences(there: Any, here: Any) -> str:
-    """Name the first dotted keys in which two JSON values differ, with both values; empty when they are equal."""
+    """Name the first dotted keys in which two JSON values differ, with both values; empty when they
+    are equal."""
     there, here = dict(_leaves(there)), dict(_leaves(here))
     keys = [key for key in here | there if here.get(key) != there.get(key)]
-    shown = [f"{key} = {_short(there.get(key))} there, {_short(here.get(key))} here" for key in keys[:SHOWN_KEYS]]
-    return "; ".join(shown) + (f"; and {len(keys) - SHOWN_KEYS} more" if len(keys) > SHOWN_KEYS else "")
+    shown = [
+        f"{key} = {_short(there.get(key))} there, {_short(here.get(key))} here"
+        for key in keys[:SHOWN_KEYS]
+    ]
+    return "; ".join(shown) + (
+        f"; and {len(keys) - SHOWN_KEYS} more" if len(keys) > SHOWN_KEYS else ""
+    )
 
 
 def _seal(content: bytes) -> bytes:

@@ -1,12 +1,15 @@
-"""The records of a long Monte Carlo run: nothing computed is lost, however often the process is killed.
+"""The records of a long Monte Carlo run: nothing computed is lost, however often the process is
+killed.
 
-Block i holds the realisations i b .. (i+1) b - 1 of a run, b to the block; the last block may be partial. Its
-statistics are one file, written atomically, and 64 aligned files of full blocks become one: of n blocks, about
-64 log_64 n files are left. The statistics of n realisations are a fold over a tree that n and b alone determine,
+Block i holds the realisations i b .. (i+1) b - 1 of a run, b to the block; the last block may be
+partial. Its statistics are one file, written atomically, and 64 aligned files of full blocks become
+one: of n blocks, about 64 log_64 n files are left. The statistics of n realisations are a fold over
+a tree that n and b alone determine,
 
     S[a, a + 64 s) = (..(S[a, a + s) + S[a + s, a + 2 s)) + ..) + S[a + 63 s, a + 64 s),
 
-with + the run's own merge, so even sums of floats are the same bits for every order of arrival and any interruption.
+with + the run's own merge, so even sums of floats are the same bits for every order of arrival and
+any interruption.
 
     blocks-FIRST-LAST.record     the statistics of a range of blocks
     lock                         held while the records are open
@@ -23,7 +26,14 @@ from pathlib import Path
 from typing import Any, BinaryIO, Self
 
 from jaxtube.experiments.run.atomic import write_atomically
-from jaxtube.experiments.run.record_file import DamagedError, Statistics, decode, differences, encode, plain
+from jaxtube.experiments.run.record_file import (
+    DamagedError,
+    Statistics,
+    decode,
+    differences,
+    encode,
+    plain,
+)
 from jaxtube.scenario.refusal import refusal
 
 FORMAT = 1
@@ -37,7 +47,8 @@ class RecordsError(ValueError):
 class Records:
     """The records in one folder, which belongs to this object until it is closed.
 
-    damaged: a line for each damaged file met at opening; those files are gone and their blocks are missing again.
+    damaged: a line for each damaged file met at opening; those files are gone and their blocks are
+    missing again.
     """
 
     damaged: list[str]
@@ -49,22 +60,27 @@ class Records:
         merge: Callable[[Statistics, Statistics], Statistics],
         block_size: int,
     ) -> None:
-        """Open the records in a folder, made where it is absent, and clear up what a killed process left there.
+        """Open the records in a folder, made where it is absent, and clear up what a killed process
+        left there.
 
         Args:
             folder: `RUN/records`, where RUN is what `--out` names.
-            identity: all that determines the statistics of a block, as plain JSON values, nested as you like.
-            merge: joins the statistics of two ranges of blocks; associative and commutative, up to rounding.
+            identity: all that determines the statistics of a block, as plain JSON values, nested as
+                you like.
+            merge: joins the statistics of two ranges of blocks; associative and commutative, up to
+                rounding.
             block_size: realisations in a full block.
 
         Raises:
-            ScenarioError: the folder cannot be written to, is open in another process, or holds records with another
-                identity; in this last case no record was touched.
+            ScenarioError: the folder cannot be written to, is open in another process, or holds
+                records with another identity; in this last case no record was touched.
             RecordsError: the disk failed later.
         """
         self.damaged = []
         self._folder, self._merge, self._block_size = folder, merge, block_size
-        self._identity = json.loads(json.dumps({"record_format": FORMAT, "block_size": block_size, **identity}))
+        self._identity = json.loads(
+            json.dumps({"record_format": FORMAT, "block_size": block_size, **identity})
+        )
         self._laps: dict[range, int] = {}
         self._lock = self._locked()
         try:
@@ -98,7 +114,10 @@ class Records:
 
         Raises: ScenarioError when more realisations are recorded than asked for.
         """
-        recorded = max((blocks.start * self._block_size + laps for blocks, laps in self._laps.items()), default=0)
+        recorded = max(
+            (blocks.start * self._block_size + laps for blocks, laps in self._laps.items()),
+            default=0,
+        )
         if recorded > realisations:
             problem = f"{self._folder} goes up to {recorded}, and the statistics of fewer cannot be cut out of it"
             cure = f"ask for at least {recorded}, or name another --out"
@@ -112,12 +131,17 @@ class Records:
             laps: realisations counted in it; fewer than block_size in a partial block only.
             statistics: arrays of integers or floats.
 
-        Raises: RecordsError when the disk failed; ValueError for a block that is not missing and for other arrays.
+        Raises: RecordsError when the disk failed; ValueError for a block that is not missing and
+        for other arrays.
         """
         if block < 0 or not 0 < laps <= self._block_size:
-            raise ValueError(f"block {block}, laps = {laps}: out of range; count 1 to {self._block_size} laps")
+            raise ValueError(
+                f"block {block}, laps = {laps}: out of range; count 1 to {self._block_size} laps"
+            )
         if laps <= self._recorded(block):
-            raise ValueError(f"block {block}, laps = {laps}: as many are recorded; add what is missing")
+            raise ValueError(
+                f"block {block}, laps = {laps}: as many are recorded; add what is missing"
+            )
         blocks = range(block, block + 1)
         with self._explained(f"recording block {block}"):
             self._write(blocks, int(laps), statistics)
@@ -127,14 +151,16 @@ class Records:
     def merged(self) -> Statistics:
         """Return the statistics of all recorded blocks, by sorted name; empty before the first.
 
-        Once nothing is missing they are the same bytes for every order of arrival and any interruption.
+        Once nothing is missing they are the same bytes for every order of arrival and any
+        interruption.
 
         Raises: RecordsError for a file that was damaged since the opening.
         """
         with self._explained("reading the records"):
             return self._fold(sorted(self._laps, key=lambda blocks: blocks.start))
 
-    # ------------------------------------------------------------------------------------------------- what is there
+    # -------------------------------------------------------------------------------------------------
+    # what is there
 
     def _missing(self, realisations: int) -> Iterator[int]:
         block, b = 0, self._block_size
@@ -150,7 +176,9 @@ class Records:
 
     def _range_of(self, block: int) -> range | None:
         """Return the range whose record holds a block."""
-        return next((blocks for size in SIZES if (blocks := _aligned(block, size)) in self._laps), None)
+        return next(
+            (blocks for size in SIZES if (blocks := _aligned(block, size)) in self._laps), None
+        )
 
     def _scan(self) -> list[Path]:
         """Find the records that count, changing nothing, and return the files that are of no use."""
@@ -160,7 +188,9 @@ class Records:
             # A process killed between a merge and its clearing up leaves parts of a larger range.
             if not blocks or self._range_of(blocks.start) or not self._count(blocks):
                 useless.append(path)
-        self.damaged += [f"{path}: is no record; it is removed" for path, blocks in ranges.items() if not blocks]
+        self.damaged += [
+            f"{path}: is no record; it is removed" for path, blocks in ranges.items() if not blocks
+        ]
         return useless
 
     def _count(self, blocks: range) -> bool:
@@ -169,17 +199,21 @@ class Records:
             self._laps[blocks] = self._read(blocks)[0]
         except DamagedError:
             path, named = self._path(blocks), f"blocks {blocks[0]} to {blocks[-1]}"
-            self.damaged.append(f"{path}: is damaged; it is removed, and {named} are computed again")
+            self.damaged.append(
+                f"{path}: is damaged; it is removed, and {named} are computed again"
+            )
         return blocks in self._laps
 
     def _clear(self, useless: list[Path]) -> None:
         for path in useless:
             path.unlink()
 
-    # ---------------------------------------------------------------------------------------------------- compaction
+    # ----------------------------------------------------------------------------------------------------
+    # compaction
 
     def _compact(self, blocks: range) -> None:
-        """Merge the siblings of a range into one record once all are there and full; then their parent's likewise."""
+        """Merge the siblings of a range into one record once all are there and full; then their
+        parent's likewise."""
         if len(blocks) == SIZES[-1]:
             return
         whole = _aligned(blocks.start, SIZES[SIZES.index(len(blocks)) + 1])
@@ -188,9 +222,12 @@ class Records:
             return
         laps = len(whole) * self._block_size
         self._write(whole, laps, self._fold(parts))
-        # With the power a rename may be lost; the parts may go only when the whole is on the disk for good.
+        # With the power a rename may be lost; the parts may go only when the whole is on the disk
+        # for good.
         _synchronise(self._folder)
-        self._laps = {kept: count for kept, count in self._laps.items() if kept not in parts} | {whole: laps}
+        self._laps = {kept: count for kept, count in self._laps.items() if kept not in parts} | {
+            whole: laps
+        }
         self._clear([self._path(part) for part in parts])
         self._compact(whole)
 
@@ -206,7 +243,8 @@ class Records:
             del self._laps[blocks]
             raise self._error(f"{_name(blocks)} was damaged meanwhile") from None
 
-    # --------------------------------------------------------------------------------------------------------- files
+    # ---------------------------------------------------------------------------------------------------------
+    # files
 
     def _path(self, blocks: range) -> Path:
         return self._folder / _name(blocks)
@@ -223,14 +261,18 @@ class Records:
         """
         header, statistics = decode(self._path(blocks).read_bytes())
         if found := differences(header["identity"], self._identity):
-            problem, cure = f"{self._folder} holds another run: {found}", "name another --out, or delete that folder"
+            problem, cure = (
+                f"{self._folder} holds another run: {found}",
+                "name another --out, or delete that folder",
+            )
             raise refusal("command line", "--out", str(self._folder.parent), problem, cure)
         if range(header["first"], header["last"] + 1) != blocks:
             raise DamagedError
         return header["laps"], statistics
 
     def _locked(self) -> BinaryIO:
-        """Make the folder and take its lock, which the system gives back when the process ends, killed or not."""
+        """Make the folder and take its lock, which the system gives back when the process ends,
+        killed or not."""
         try:
             self._folder.mkdir(parents=True, exist_ok=True)
             with contextlib.ExitStack() as unless_taken:
@@ -239,9 +281,15 @@ class Records:
                 unless_taken.pop_all()
                 return lock
         except BlockingIOError:
-            problem, cure = "another process is writing there", "wait for it, stop it, or name another --out"
+            problem, cure = (
+                "another process is writing there",
+                "wait for it, stop it, or name another --out",
+            )
         except OSError as error:
-            problem, cure = f"cannot be written to ({error.strerror})", "name a folder you may write to"
+            problem, cure = (
+                f"cannot be written to ({error.strerror})",
+                "name a folder you may write to",
+            )
         raise refusal("command line", "--out", str(self._folder.parent), problem, cure)
 
     @contextlib.contextmanager
@@ -254,7 +302,9 @@ class Records:
 
     def _error(self, problem: str) -> RecordsError:
         safe = f"the {self.laps} laps recorded there are safe"
-        return RecordsError(f"{self._folder}: {problem}; {safe}; run the same command again to continue")
+        return RecordsError(
+            f"{self._folder}: {problem}; {safe}; run the same command again to continue"
+        )
 
 
 def _aligned(block: int, size: int) -> range:
@@ -270,7 +320,11 @@ def _blocks(name: str) -> range:
     """Return the range a file's name tells; empty for a name that no record has."""
     match = re.fullmatch(r"blocks-([0-9]{10,18})-([0-9]{10,18})\.record", name)
     blocks = range(int(match[1]), int(match[2]) + 1) if match else range(0)
-    known = len(blocks) in SIZES and blocks == _aligned(blocks.start, len(blocks)) and _name(blocks) == name
+    known = (
+        len(blocks) in SIZES
+        and blocks == _aligned(blocks.start, len(blocks))
+        and _name(blocks) == name
+    )
     return blocks if known else range(0)
 
 

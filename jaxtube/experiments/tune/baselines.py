@@ -1,4 +1,5 @@
-"""What a tuned design is compared with: the same descent on fewer variables, and searches without gradients.
+"""What a tuned design is compared with: the same descent on fewer variables, and searches without
+gradients.
 
 Every evaluation is logged, so that a comparison that was killed goes on where it was.
 """
@@ -29,11 +30,18 @@ from jaxtube.tuning.tuner import COMPARED, Point, Tuner
 from sets.lmi import lqr_gain
 
 GRADIENT = 3
-"""What a gradient takes in evaluations: searches are judged after as many as there were gradients, and after this many
-times as many."""
+"""What a gradient takes in evaluations: searches are judged after as many as there were gradients,
+and after this many times as many."""
 SPREAD, SIMPLEX = 1.0, 0.5
-"""Standard deviation of a random search and size of a first simplex, in logarithms of weights and gains."""
-GRID = {"Q11": (0.1, 3.0, 4), "Q22": (10.0, 4.0, 5), "Q33": (0.1, 2.0, 2), "R11": (1.0, 0.0, 1), "R22": (0.3, 3.0, 5)}
+"""Standard deviation of a random search and size of a first simplex, in logarithms of weights and
+gains."""
+GRID = {
+    "Q11": (0.1, 3.0, 4),
+    "Q22": (10.0, 4.0, 5),
+    "Q33": (0.1, 2.0, 2),
+    "R11": (1.0, 0.0, 1),
+    "R22": (0.3, 3.0, 5),
+}
 """Centre, decades and number of values of each diagonal entry: 200 points in all. R11 is the unit."""
 EFFORTS = (0.018, 0.022, 0.034, 0.040)
 TUBES = (1.0, 8.0)
@@ -71,7 +79,9 @@ def alone(tuner: Tuner, log: Log, options: Tune) -> list[Entry]:
         found = _descended(other, log, options, variables, options.evaluations)
         point = _best(found).point
         spent = GRADIENT * found.outcome.evaluations
-        entries.append(Entry(f"{variables} alone", other, point, result(other, point), spent, "search"))
+        entries.append(
+            Entry(f"{variables} alone", other, point, result(other, point), spent, "search")
+        )
     return entries
 
 
@@ -93,14 +103,18 @@ def searched(tuner: Tuner, log: Log, budget: int, seed: int) -> list[Entry]:
     with progress(2 * budget, "searching without gradients", "evaluations") as bar:
         value = {name: _logged(tuner, log, name, bar) for name in ("random", "simplex")}
         found = {
-            "random search": random_search(value["random"], start, np.full(len(start), SPREAD), budget, seed),
+            "random search": random_search(
+                value["random"], start, np.full(len(start), SPREAD), budget, seed
+            ),
             "simplex search": nelder_mead(value["simplex"], start, budget, SIMPLEX),
         }
     for name, search in found.items():
         # Both are their own beginnings: a search of fewer evaluations asks for the same points.
         for spent in (budget // GRADIENT, budget):
             best = search.points[int(np.argmin(search.values[:spent]))]
-            entries.append(Entry(f"{name}, {spent}", tuner, best, result(tuner, best), spent, "search"))
+            entries.append(
+                Entry(f"{name}, {spent}", tuner, best, result(tuner, best), spent, "search")
+            )
     return entries
 
 
@@ -116,7 +130,8 @@ def _logged(tuner: Tuner, log: Log, name: str, bar):
 
 
 def static_lqr(tuner: Tuner, log: Log, budget: int, seed: int) -> Entry:
-    """Search Q and R of static LQR gains; the objective is that of the laps alone, for there is no tube."""
+    """Search Q and R of static LQR gains; the objective is that of the laps alone, for there is no
+    tube."""
     weights = dataclasses.replace(tuner, parameters=parameters(tuner.problem, "weights"))
     start = weights.parameters.vector
 
@@ -126,7 +141,9 @@ def static_lqr(tuner: Tuner, log: Log, budget: int, seed: int) -> Entry:
     def value(point: Point) -> float:
         bar.update()
         answer = log.remember(
-            "lqr", {"point": point}, lambda: {"value": cost(static_laps(weights, point, 0, tuner.laps))}
+            "lqr",
+            {"point": point},
+            lambda: {"value": cost(static_laps(weights, point, 0, tuner.laps))},
         )
         return float(answer["value"])
 
@@ -135,7 +152,13 @@ def static_lqr(tuner: Tuner, log: Log, budget: int, seed: int) -> Entry:
     laps = static_laps(weights, best, COMPARED, COMPARED_LAPS)
     certified = False, ("no tube, no certificate",)
     found = Result(
-        np.asarray(lap_costs(laps, tuner.aim)), *laps[:3], int(laps.backups.sum()), cost(laps), *certified, None, np.nan
+        np.asarray(lap_costs(laps, tuner.aim)),
+        *laps[:3],
+        int(laps.backups.sum()),
+        cost(laps),
+        *certified,
+        None,
+        np.nan,
     )
     return Entry("static LQR", weights, best, found, budget, "search", static=True)
 
@@ -143,10 +166,16 @@ def static_lqr(tuner: Tuner, log: Log, budget: int, seed: int) -> Entry:
 def static_laps(tuner: Tuner, point: Point, first: int, count: int) -> Laps:
     """Return the laps of the LQR gains of a point's Q and R."""
     problem, weights = tuner.problem, weights_at(tuner, point)
-    schedules, index = np.unique(problem.schedule[: problem.reference.steps], axis=0, return_inverse=True)
+    schedules, index = np.unique(
+        problem.schedule[: problem.reference.steps], axis=0, return_inverse=True
+    )
     pairs = zip(*problem.model.matrices(schedules), strict=True)
-    gains = np.stack([lqr_gain(*pair, weights.error_weight, weights.input_weight) for pair in pairs])
-    controller = ScheduledGain(jnp.asarray(gains[index.reshape(-1)]), problem.scenario.controller.input_map)
+    gains = np.stack(
+        [lqr_gain(*pair, weights.error_weight, weights.input_weight) for pair in pairs]
+    )
+    controller = ScheduledGain(
+        jnp.asarray(gains[index.reshape(-1)]), problem.scenario.controller.input_map
+    )
     return tuner.drive(controller, first, count)
 
 
@@ -157,10 +186,15 @@ def grid_gains(tuner: Tuner, tuned: Point) -> dict[str, Float[np.ndarray, " kapp
 
 
 def grid(tuner: Tuner, log: Log, kappa: Float[np.ndarray, " kappa"], name: str) -> Spots:
-    """Run the designs of a full grid over diagonal Q and R with given gains; their certificates are not asked for."""
+    """Run the designs of a full grid over diagonal Q and R with given gains; their certificates are
+    not asked for."""
     settings = tuner.problem.scenario.controller
     key = "tracking_gains" if len(kappa) == 3 else "vertex_gains"
-    gains = tuple(kappa.tolist()) if len(kappa) == 3 else tuple(map(tuple, kappa.reshape(4, 6).tolist()))
+    gains = (
+        tuple(kappa.tolist())
+        if len(kappa) == 3
+        else tuple(map(tuple, kappa.reshape(4, 6).tolist()))
+    )
     settings = msgspec.structs.replace(settings, **{key: gains})
     scenario = msgspec.structs.replace(tuner.problem.scenario, controller=settings)
     problem = with_controller(tuner.problem, scenario)
@@ -174,7 +208,9 @@ def grid(tuner: Tuner, log: Log, kappa: Float[np.ndarray, " kappa"], name: str) 
         if played is None:
             return {"spot": np.full(3, np.nan)}
         _, laps, shares = played
-        lateral, effort = (np.sqrt(np.mean(values**2)) for values in (laps.errors[:, 1], laps.effort))
+        lateral, effort = (
+            np.sqrt(np.mean(values**2)) for values in (laps.errors[:, 1], laps.effort)
+        )
         return {"spot": np.array([lateral, effort, shares[1] * problem.operating_set.offsets[1]])}
 
     rows = []
@@ -192,13 +228,21 @@ def front(tuner: Tuner, log: Log, options: Tune, tuned: Point) -> Spots:
     start = tuner.parameters.beginning_at(tuned)
     budget = max(options.evaluations // FRONT_SHARE, 1)
     best = []
-    aims = {f"effort-{limit:g}": dataclasses.replace(tuner.aim, effort_limit=limit) for limit in EFFORTS}
-    aims |= {f"tube-{weight:g}": dataclasses.replace(tuner.aim, tube_weight=weight) for weight in TUBES}
+    aims = {
+        f"effort-{limit:g}": dataclasses.replace(tuner.aim, effort_limit=limit) for limit in EFFORTS
+    }
+    aims |= {
+        f"tube-{weight:g}": dataclasses.replace(tuner.aim, tube_weight=weight) for weight in TUBES
+    }
     for name, aim in aims.items():
         other = dataclasses.replace(tuner, parameters=start, aim=aim)
-        best.append(_best(_descended(other, log, options, f"front-{name.replace('.', '-')}", budget)))
+        best.append(
+            _best(_descended(other, log, options, f"front-{name.replace('.', '-')}", budget))
+        )
     cap = tuner.problem.operating_set.offsets[1]
-    lateral, effort, tube = np.array([(each.lateral, each.overall_effort, each.shares[1] * cap) for each in best]).T
+    lateral, effort, tube = np.array(
+        [(each.lateral, each.overall_effort, each.shares[1] * cap) for each in best]
+    ).T
     return Spots(lateral, effort, tube, np.array([each.certified for each in best]))
 
 
@@ -207,5 +251,8 @@ def spots_of(results: list[Result]) -> Spots:
     widths = [np.nan if each.half_widths is None else each.half_widths[1] for each in results]
     laterals, efforts = [each.rms(1) for each in results], [each.overall_effort for each in results]
     return Spots(
-        np.array(laterals), np.array(efforts), np.array(widths), np.array([each.certified for each in results])
+        np.array(laterals),
+        np.array(efforts),
+        np.array(widths),
+        np.array([each.certified for each in results]),
     )

@@ -1,4 +1,5 @@
-"""`tune`: weights and gains by gradients through laps and through the tube; what comes out is certified.
+"""`tune`: weights and gains by gradients through laps and through the tube; what comes out is
+certified.
 
 scenario.toml    where tuning starts         tuned.toml    the best certified iterate so far, a whole scenario
 log/             every evaluation: a run that was killed goes on by the same command, to the same result
@@ -40,18 +41,24 @@ def run(scenario: Scenario, options: Tune) -> int:
         for line in log.damaged:
             print(line, file=sys.stderr)
         folder = run_folder.create(scenario, options)
-        tuned_file(options).unlink(missing_ok=True)  # an earlier run's; a replay writes its own again
+        tuned_file(options).unlink(
+            missing_ok=True
+        )  # an earlier run's; a replay writes its own again
         descent = tune(tuner, log, options)
         best = chosen(descent, options.accept_uncertified)
         if best is None:
             return _report(
-                f"no iterate is certified: {tune_report.why_not(descent)}; {descent.outcome.sentence}", NOT_CERTIFIED
+                f"no iterate is certified: {tune_report.why_not(descent)}; {descent.outcome.sentence}",
+                NOT_CERTIFIED,
             )
         save(tuner, options, best)
         failing, verdict = certified_again(tuned_file(options))
         if failing and not options.accept_uncertified:
             tuned_file(options).unlink()
-            return _report(f"the best iterate does not certify when read back: {', '.join(failing)}", NOT_CERTIFIED)
+            return _report(
+                f"the best iterate does not certify when read back: {', '.join(failing)}",
+                NOT_CERTIFIED,
+            )
         summary = tune_report.summary(tuner, descent, best, verdict)
         print(summary.text)
         folder.save_arrays("iterates", **tune_report.arrays(tuner, descent))
@@ -62,7 +69,9 @@ def run(scenario: Scenario, options: Tune) -> int:
         folder.save_metrics(numbers)
     print(f"\nwritten to {folder.path}/; the tuned scenario is {folder.path}/tuned.toml")
     if descent.outcome.stop in (Stop.NOT_A_NUMBER, Stop.CLIFF):
-        return _report(f"{descent.outcome.sentence}; the best certified iterate is kept", BROKEN_OFF)
+        return _report(
+            f"{descent.outcome.sentence}; the best certified iterate is kept", BROKEN_OFF
+        )
     return 0
 
 
@@ -78,7 +87,15 @@ def make_tuner(scenario: Scenario, options: Tune, variables: Tuned) -> Tuner:
         raise ScenarioError(f"scenario: {error}") from None
     settled = settled_step(problem.reference)
     goal = aim(scenario, settled)
-    return Tuner(problem, closed_loop.robot_of(problem), chosen, goal, options.laps, options.held_out, options.seed)
+    return Tuner(
+        problem,
+        closed_loop.robot_of(problem),
+        chosen,
+        goal,
+        options.laps,
+        options.held_out,
+        options.seed,
+    )
 
 
 def refuse_start_without_loop(tuner: Tuner) -> None:
@@ -108,7 +125,10 @@ def tune(tuner: Tuner, log: Log, options: Tune) -> Descent:
 
 def chosen(descent: Descent, accept_uncertified: bool) -> Judgement | None:
     """Return the iterate to be returned, None where none qualifies."""
-    iterates = [descent.outcome.best_certified, descent.outcome.best_uncertified if accept_uncertified else None]
+    iterates = [
+        descent.outcome.best_certified,
+        descent.outcome.best_uncertified if accept_uncertified else None,
+    ]
     known = [iterate for iterate in iterates if iterate is not None]
     best = min(known, key=lambda iterate: iterate.held_out, default=None)
     return None if best is None else descent.judged[best.iteration]
@@ -117,7 +137,11 @@ def chosen(descent: Descent, accept_uncertified: bool) -> Judgement | None:
 def save(tuner: Tuner, options: Tune, found: Judgement) -> None:
     """Write an iterate as a scenario."""
     text = to_toml(tuner.parameters.scenario(tuner.problem.scenario, found.point))
-    label = f"certified{assumption(tuner.problem)}" if found.certified else f"NOT CERTIFIED: {', '.join(found.failing)}"
+    label = (
+        f"certified{assumption(tuner.problem)}"
+        if found.certified
+        else f"NOT CERTIFIED: {', '.join(found.failing)}"
+    )
     header = f"# Tuned from {options.scenario}; {label}.\n\n"
     write_atomically(tuned_file(options), lambda file: file.write((header + text).encode()))
 
@@ -128,7 +152,8 @@ def tuned_file(options: Tune) -> Path:
 
 
 def certified_again(path: Path) -> tuple[tuple[str, ...], str]:
-    """Design the scenario that is returned as anybody would, and say what its certificate lacks, in a word and a line.
+    """Design the scenario that is returned as anybody would, and say what its certificate lacks, in
+    a word and a line.
 
     Gains that decouple are checked a second time, in rational arithmetic.
     """
@@ -139,7 +164,9 @@ def certified_again(path: Path) -> tuple[tuple[str, ...], str]:
     if failing:
         return failing, f"NOT CERTIFIED: {', '.join(failing)}"
     second = found.certificate.conditions.get("checked_in_rationals")
-    twice = "; checked once more in rational arithmetic" if second is not None and second.holds else ""
+    twice = (
+        "; checked once more in rational arithmetic" if second is not None and second.holds else ""
+    )
     return (), f"CERTIFIED{assumption(found.problem)}: every required condition holds{twice}"
 
 

@@ -1,13 +1,17 @@
-"""`tune --compare`: the tuned design against other ways to spend evaluations, and on paths that tuning never saw.
+"""`tune --compare`: the tuned design against other ways to spend evaluations, and on paths that
+tuning never saw.
 
 * Q and R alone, the gains alone: the same descent over fewer variables;
-* random search and the adaptive simplex method over the same variables, a gradient counted as GRADIENT evaluations;
+* random search and the adaptive simplex method over the same variables, a gradient counted as
+  GRADIENT evaluations;
 * static LQR gains, Q and R by random search;
 * a full grid over diagonal Q and R, with the start's gains and with the tuned ones;
-* a front: the descent again under other limits of effort and other weights of the tube, from the tuned design on.
+* a front: the descent again under other limits of effort and other weights of the tube, from the
+  tuned design on.
 
-Designs are compared on laps that none of them saw, pairs of laps under the same draws; a grid's best is picked on such
-laps, in its favour, and the front shows the laps that chose its points. Certificates of grids are not asked for.
+Designs are compared on laps that none of them saw, pairs of laps under the same draws; a grid's
+best is picked on such laps, in its favour, and the front shows the laps that chose its points.
+Certificates of grids are not asked for.
 """
 
 from __future__ import annotations
@@ -27,7 +31,14 @@ from jaxtube.experiments.tune import baselines as tune_baselines
 from jaxtube.experiments.tune.baselines import GRADIENT, Entry, Spots, spots_of, static_laps
 from jaxtube.experiments.tune.front_figure import Group, Kind, comparison_figure, front_figure
 from jaxtube.experiments.tune.log import Log
-from jaxtube.experiments.tune.report import COMPARED_LAPS, CONFIDENCE, Result, numbers_of, reduction, result
+from jaxtube.experiments.tune.report import (
+    COMPARED_LAPS,
+    CONFIDENCE,
+    Result,
+    numbers_of,
+    reduction,
+    result,
+)
 from jaxtube.experiments.tune.run import Descent, Judgement, pooled
 from jaxtube.scenario import Scenario, ScenarioError, experiments_folder
 from jaxtube.scenario.tree import Reference
@@ -42,11 +53,20 @@ RECORDED = experiments_folder() / "untuned" / "recorded.csv"
 """A drive with changes of speed and rounding, like what a positioning system records."""
 
 
-def run(folder: RunFolder, tuner: Tuner, log: Log, options: Tune, descent: Descent, best: Judgement) -> dict:
+def run(
+    folder: RunFolder, tuner: Tuner, log: Log, options: Tune, descent: Descent, best: Judgement
+) -> dict:
     """Compare, print, draw, and return the numbers."""
     budget = GRADIENT * descent.outcome.evaluations
     entries = [
-        Entry("start", tuner, tuner.parameters.vector, result(tuner, tuner.parameters.vector), 0, "start"),
+        Entry(
+            "start",
+            tuner,
+            tuner.parameters.vector,
+            result(tuner, tuner.parameters.vector),
+            0,
+            "start",
+        ),
         Entry("tuned", tuner, best.point, result(tuner, best.point), budget, "tuned"),
         *tune_baselines.alone(tuner, log, options),
         *tune_baselines.searched(tuner, log, budget, options.seed),
@@ -58,7 +78,11 @@ def run(folder: RunFolder, tuner: Tuner, log: Log, options: Tune, descent: Desce
     }
     front = tune_baselines.front(tuner, log, options, best.point)
     paths = _paths(tuner.problem.scenario, entries)
-    print("\n".join(["", *table(entries), "", *grid_lines(entries[1].result, grids), "", *path_lines(paths)]))
+    print(
+        "\n".join(
+            ["", *table(entries), "", *grid_lines(entries[1].result, grids), "", *path_lines(paths)]
+        )
+    )
     groups = [_group(entry.name, entry.kind, spots_of([entry.result])) for entry in entries]
     groups += [_group(f"grid, {name}", "grid", spots) for name, spots in grids.items()]
     groups.append(_group("front", "front", front))
@@ -66,14 +90,19 @@ def run(folder: RunFolder, tuner: Tuner, log: Log, options: Tune, descent: Desce
     rows = [
         (path, name, *rms_interval(found.errors[:, 1]))
         for path, designs in paths.items()
-        for name, found in sorted(designs.items(), key=lambda item: item[0] == "tuned")  # drawn last
+        for name, found in sorted(
+            designs.items(), key=lambda item: item[0] == "tuned"
+        )  # drawn last
     ]
     folder.save_figure(comparison_figure(rows), "comparison")
     tuned = entries[1].result
     return {
         "designs": {
             entry.name: numbers_of(entry.result)
-            | {"evaluations": entry.evaluations, "cost_above_tuned": difference(entry.result.costs, tuned.costs)}
+            | {
+                "evaluations": entry.evaluations,
+                "cost_above_tuned": difference(entry.result.costs, tuned.costs),
+            }
             for entry in entries
         },
         "grids": {name: spots._asdict() for name, spots in grids.items()},
@@ -86,7 +115,8 @@ def run(folder: RunFolder, tuner: Tuner, log: Log, options: Tune, descent: Desce
 
 
 class Drive(NamedTuple):
-    """A design on one path: its laps, and what its certificate lacks there, None where nobody asked."""
+    """A design on one path: its laps, and what its certificate lacks there, None where nobody
+    asked."""
 
     errors: Float[np.ndarray, "laps 3"]  # RMS once settled (m, m, rad)
     effort: Float[np.ndarray, " laps"]  # RMS, m/s
@@ -94,7 +124,8 @@ class Drive(NamedTuple):
 
 
 def _paths(scenario: Scenario, entries: list[Entry]) -> dict[str, dict[str, Drive]]:
-    """Drive every design on the path of tuning and on those it never saw; start and tuned are certified for each."""
+    """Drive every design on the path of tuning and on those it never saw; start and tuned are
+    certified for each."""
     found = {}
     for path, section in unseen_paths(scenario).items():
         try:
@@ -115,15 +146,22 @@ def _driven(entry: Entry, problem: Problem, robot: SlippingRobot) -> Drive | Non
     if entry.static:
         laps, failing = static_laps(tuner, entry.point, COMPARED, PATH_LAPS), None
     else:
-        played, ingredients = tuner.played(entry.point, COMPARED, PATH_LAPS), tuner.designed(entry.point).ingredients
+        played, ingredients = (
+            tuner.played(entry.point, COMPARED, PATH_LAPS),
+            tuner.designed(entry.point).ingredients,
+        )
         if played is None or ingredients is None:
             return None  # an empty set on this path: no closed loop
-        laps, failing = played[1], certificate_lacks(ingredients) if entry.kind in ("start", "tuned") else None
+        laps, failing = (
+            played[1],
+            certificate_lacks(ingredients) if entry.kind in ("start", "tuned") else None,
+        )
     return Drive(laps.errors, laps.effort, failing)
 
 
 def unseen_paths(scenario: Scenario) -> dict[str, Reference]:
-    """Return the scenario's path, a lemniscate at its speed, and a recorded one, all within its box of wheel speeds."""
+    """Return the scenario's path, a lemniscate at its speed, and a recorded one, all within its box
+    of wheel speeds."""
     own = scenario.reference
     lemniscate = msgspec.structs.replace(own, shape="lemniscate")
     recorded = msgspec.structs.replace(own, shape="file", file=str(RECORDED))
@@ -167,13 +205,17 @@ def grid_lines(tuned: Result, grids: dict[str, Spots]) -> list[str]:
 
 def path_lines(paths: dict[str, dict[str, Drive]]) -> list[str]:
     """Return what the designs do on each path."""
-    lines = [f"{PATH_LAPS} laps on each path: lateral error once settled, RMS, against the start's with 95 % interval"]
+    lines = [
+        f"{PATH_LAPS} laps on each path: lateral error once settled, RMS, against the start's with 95 % interval"
+    ]
     for path, designs in paths.items():
         lines.append(f"  {path}")
         for name, found in designs.items():
             fall, low, high = reduction(designs["start"].errors[:, 1], found.errors[:, 1])
             less = f"{fall:.1%} less ({low:.1%} to {high:.1%})" if name != "start" else ""
-            state = {None: "", (): "certified"}.get(found.failing, f"not certified ({', '.join(found.failing or ())})")
+            state = {None: "", (): "certified"}.get(
+                found.failing, f"not certified ({', '.join(found.failing or ())})"
+            )
             lateral, effort = 1e3 * pooled(found.errors[:, 1]), pooled(found.effort)
             lines.append(f"    {name:<20}{lateral:>7.3f} mm{effort:>10.5f} m/s   {less:<32}{state}")
     return lines
@@ -190,11 +232,20 @@ def _numbers(found: Drive, start: Drive) -> dict:
     }
 
 
-def difference(costs: Float[np.ndarray, " laps"], tuned: Float[np.ndarray, " laps"]) -> dict[str, float]:
-    """Return how much more a lap costs than with the tuned design, with the interval of the mean over pairs."""
+def difference(
+    costs: Float[np.ndarray, " laps"], tuned: Float[np.ndarray, " laps"]
+) -> dict[str, float]:
+    """Return how much more a lap costs than with the tuned design, with the interval of the mean
+    over pairs."""
     above = costs - tuned
-    margin = stats.sem(above) * stats.t.ppf((1 + CONFIDENCE) / 2, len(above) - 1) if above.any() else 0.0
-    return {"mean": float(above.mean()), "low": float(above.mean() - margin), "high": float(above.mean() + margin)}
+    margin = (
+        stats.sem(above) * stats.t.ppf((1 + CONFIDENCE) / 2, len(above) - 1) if above.any() else 0.0
+    )
+    return {
+        "mean": float(above.mean()),
+        "low": float(above.mean() - margin),
+        "high": float(above.mean() + margin),
+    }
 
 
 def rms_interval(values: Float[np.ndarray, " laps"]) -> tuple[float, float, float]:

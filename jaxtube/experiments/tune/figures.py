@@ -1,7 +1,8 @@
 """Figures of a tuning run: its iterations, and the tube and the errors before and after.
 
-What was before is grey, what comes after is drawn in a strong colour. Iterates are filled where their design is
-certified and hollow where it is not; the one that a run returns is the certified one of the least held-out objective.
+What was before is grey, what comes after is drawn in a strong colour. Iterates are filled where
+their design is certified and hollow where it is not; the one that a run returns is the certified
+one of the least held-out objective.
 """
 
 from __future__ import annotations
@@ -41,7 +42,12 @@ DECADE = 10.0
 
 RUNS = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "D"))
 """Colours and marks of runs shown together."""
-RETURNED: dict[str, Any] = {"marker": "*", "markersize": 11, "markeredgecolor": "black", "markeredgewidth": 0.7}
+RETURNED: dict[str, Any] = {
+    "marker": "*",
+    "markersize": 11,
+    "markeredgecolor": "black",
+    "markeredgewidth": 0.7,
+}
 QUANTILES = (0.05, 0.5, 0.95)
 
 
@@ -74,19 +80,24 @@ class Curve(NamedTuple):
 def learning_figure(curves: Mapping[str, Curve], effort_limit: float | None) -> Figure:
     """Draw objectives, lateral errors and effort by iteration.
 
-    Where objectives span more than a decade, another panel magnifies those of certified iterates close to the best.
+    Where objectives span more than a decade, another panel magnifies those of certified iterates
+    close to the best.
 
     Args:
         curves: by the name of the run, which may be empty; four at most.
         effort_limit: of the RMS, m/s.
     """
     objectives = np.concatenate([values for curve in curves.values() for values in curve[1:5]])
-    close = np.concatenate([values[curve.close] for curve in curves.values() for values in curve[2:5]])
+    close = np.concatenate(
+        [values[curve.close] for curve in curves.values() for values in curve[2:5]]
+    )
     wide = spans_decade(objectives)
     magnified = wide and np.isfinite(close).any()
     figure = page_figure(4.1 + 0.15 * len(curves))
     panels = figure.subplot_mosaic(
-        [["cost", "lateral"], ["certified" if magnified else "cost", "effort"]], sharex=True, width_ratios=(1.25, 1)
+        [["cost", "lateral"], ["certified" if magnified else "cost", "effort"]],
+        sharex=True,
+        width_ratios=(1.25, 1),
     )
     for curve, look in zip(curves.values(), RUNS, strict=False):
         for name in ("cost", "certified") if magnified else ("cost",):
@@ -100,7 +111,9 @@ def learning_figure(curves: Mapping[str, Curve], effort_limit: float | None) -> 
         panels["cost"].set_yscale("log")
     if magnified:
         _show(panels["certified"], close)
-        panels["certified"].set(title="the same, magnified close to the best", ylabel="objective [–]")
+        panels["certified"].set(
+            title="the same, magnified close to the best", ylabel="objective [–]"
+        )
     panels["cost"].set(title="objective", ylabel="objective [–]")
     panels["lateral"].set(title="lateral error once settled", ylabel="RMS of $e_y$ [mm]")
     panels["effort"].set(title="effort", ylabel="RMS of effort [m/s]")
@@ -130,7 +143,8 @@ def spans_decade(values: Float[np.ndarray, " n"]) -> bool:
 
 
 def plain_ticks(axis: Axis) -> None:
-    """Let a logarithmic axis, whose limits are known, count 1, 2, 5, 10 and so on, finer within a decade."""
+    """Let a logarithmic axis, whose limits are known, count 1, 2, 5, 10 and so on, finer within a
+    decade."""
     low, high = axis.get_view_interval()
     counts = (1, 2, 5) if high > DECADE * low else (1, 1.5, 2, 3, 4, 5, 7)
     axis.set_major_locator(LogLocator(subs=counts))
@@ -142,10 +156,14 @@ def _draw_objective(axes: Axes, curve: Curve, colour: str) -> None:
     """Draw the band of the laps' costs and the objective that was minimised."""
     low, high, objective = (_finite(values) for values in (curve.low, curve.high, curve.objective))
     axes.fill_between(curve.iteration, low, high, color=colour, alpha=0.18, linewidth=0)
-    axes.plot(curve.iteration, objective, color="0.2", linewidth=0.8, linestyle=(0, (2, 1)), zorder=2.5)
+    axes.plot(
+        curve.iteration, objective, color="0.2", linewidth=0.8, linestyle=(0, (2, 1)), zorder=2.5
+    )
 
 
-def _draw_iterates(axes: Axes, curve: Curve, values: Float[np.ndarray, " iterates"], look: tuple[str, str]) -> None:
+def _draw_iterates(
+    axes: Axes, curve: Curve, values: Float[np.ndarray, " iterates"], look: tuple[str, str]
+) -> None:
     """Draw a line through all iterates, marks on each of them and the mark of the returned one."""
     colour, marker = look
     axes.plot(curve.iteration, _finite(values), color=colour, linewidth=0.9)
@@ -153,12 +171,24 @@ def _draw_iterates(axes: Axes, curve: Curve, values: Float[np.ndarray, " iterate
         axes.plot(
             curve.iteration[chosen],
             _finite(values)[chosen],
-            **{"marker": marker, "markersize": 3, "markeredgewidth": 0.7, "linestyle": "none", "zorder": 3},
+            **{
+                "marker": marker,
+                "markersize": 3,
+                "markeredgewidth": 0.7,
+                "linestyle": "none",
+                "zorder": 3,
+            },
             color=colour,
             markerfacecolor=face,
         )
     if curve.returned is not None:
-        axes.plot(curve.iteration[curve.returned], values[curve.returned], color=colour, zorder=4, **RETURNED)
+        axes.plot(
+            curve.iteration[curve.returned],
+            values[curve.returned],
+            color=colour,
+            zorder=4,
+            **RETURNED,
+        )
 
 
 def _finite(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -176,11 +206,20 @@ def _run_key(name: str, curve: Curve, look: tuple[str, str]) -> Line2D:
     """Return the entry of a run, with what it came to."""
     text, best = "no certified iterate", curve.returned
     if best is not None:
-        start, found = ((curve.held_out[i], 1e3 * curve.lateral[i], curve.effort[i]) for i in (0, best))
+        start, found = (
+            (curve.held_out[i], 1e3 * curve.lateral[i], curve.effort[i]) for i in (0, best)
+        )
         pairs = [f"{first:.3g} → {last:.3g}" for first, last in zip(start, found, strict=True)]
         text = f"objective {pairs[0]}, lateral RMS {pairs[1]} mm, effort {pairs[2]} m/s"
         text += f" (iteration {curve.iteration[best]})"
-    return Line2D([], [], color=look[0], marker=look[1], markersize=4, label=f"{name}: {text}" if name else text)
+    return Line2D(
+        [],
+        [],
+        color=look[0],
+        marker=look[1],
+        markersize=4,
+        label=f"{name}: {text}" if name else text,
+    )
 
 
 def _learning_keys() -> list:
@@ -189,13 +228,18 @@ def _learning_keys() -> list:
         Line2D([], [], label="held-out laps, certified", **mark),
         Line2D([], [], label="held-out laps, not certified", markerfacecolor="white", **mark),
         Line2D([], [], color="0.2", linewidth=0.8, linestyle=(0, (2, 1)), label="training laps"),
-        Patch(color="0.35", alpha=0.3, linewidth=0, label="10 % to 90 % of the held-out laps' costs"),
+        Patch(
+            color="0.35", alpha=0.3, linewidth=0, label="10 % to 90 % of the held-out laps' costs"
+        ),
     ]
 
 
 @styled
-def tube_figure(before: Polytope | None, after: Polytope | None, half_widths: Float[np.ndarray, "3"]) -> Figure:
-    """Draw the minimal robust invariant sets' bounds before and after, projected, with the box of the caps.
+def tube_figure(
+    before: Polytope | None, after: Polytope | None, half_widths: Float[np.ndarray, "3"]
+) -> Figure:
+    """Draw the minimal robust invariant sets' bounds before and after, projected, with the box of
+    the caps.
 
     Args:
         before: errors (m, m, rad); None where no bounded tube exists.
@@ -206,7 +250,13 @@ def tube_figure(before: Polytope | None, after: Polytope | None, half_widths: Fl
     box = np.array(list(product((-1, 1), repeat=3))) * half_widths * IN_CENTIMETRES
     figure = page_figure(3.0)
     for axes, plane in zip(figure.subplots(1, 3), PLANES, strict=True):
-        draw_polygon(axes, box[:, plane], edgecolor=LIMIT["color"], linestyle=LIMIT["linestyle"], linewidth=0.9)
+        draw_polygon(
+            axes,
+            box[:, plane],
+            edgecolor=LIMIT["color"],
+            linestyle=LIMIT["linestyle"],
+            linewidth=0.9,
+        )
         for tube, line in tubes:
             corners = (tube.vertices() * IN_CENTIMETRES)[:, plane]
             draw_polygon(axes, corners, facecolor=(line.colour, 0.22), edgecolor="none")
@@ -218,7 +268,9 @@ def tube_figure(before: Polytope | None, after: Polytope | None, half_widths: Fl
         line._replace(label=f"{line.label}: {_reach_text(tube, half_widths)}")
         for tube, line in ((before, BEFORE), (after, AFTER))
     ]
-    bottom_legend(figure, line_keys([*named, Line("caps", LIMIT["color"], LIMIT["linestyle"])]), columns=1)
+    bottom_legend(
+        figure, line_keys([*named, Line("caps", LIMIT["color"], LIMIT["linestyle"])]), columns=1
+    )
     return figure
 
 
@@ -230,7 +282,11 @@ def _reach_text(tube: Polytope | None, half_widths: Float[np.ndarray, "3"]) -> s
     parts = [
         f"${letter}$ up to {value:.3g} {unit} ({100 * share:.0f} %)"
         for letter, value, unit, share in zip(
-            ("|e_x|", "|e_y|", "|e_\\theta|"), reach * IN_CENTIMETRES, CENTIMETRES, reach / half_widths, strict=True
+            ("|e_x|", "|e_y|", "|e_\\theta|"),
+            reach * IN_CENTIMETRES,
+            CENTIMETRES,
+            reach / half_widths,
+            strict=True,
         )
     ]
     return f"{', '.join(parts)} of the cap"
@@ -238,9 +294,13 @@ def _reach_text(tube: Polytope | None, half_widths: Float[np.ndarray, "3"]) -> s
 
 @styled
 def error_figure(
-    before: Float[np.ndarray, "times laps 3"], after: Float[np.ndarray, "times laps 3"], dt: float, settled: int
+    before: Float[np.ndarray, "times laps 3"],
+    after: Float[np.ndarray, "times laps 3"],
+    dt: float,
+    settled: int,
 ) -> Figure:
-    """Draw median and 5 % to 95 % band of the errors over the laps, whole and magnified once settled.
+    """Draw median and 5 % to 95 % band of the errors over the laps, whole and magnified once
+    settled.
 
     Args:
         before: errors (m, m, rad) at all steps, the start included; any number of laps.
@@ -254,20 +314,30 @@ def error_figure(
         for axes, first in zip(row, (0, settled), strict=True):
             shown = [errors[first:, :, coordinate] for errors in (before, after)]
             small = coordinate < 2 and max(np.max(np.abs(values)) for values in shown) < 0.1
-            scales, units = (IN_MILLIMETRES, MILLIMETRES) if small else (IN_CENTIMETRES, CENTIMETRES)
+            scales, units = (
+                (IN_MILLIMETRES, MILLIMETRES) if small else (IN_CENTIMETRES, CENTIMETRES)
+            )
             for values, line in zip(shown, (BEFORE, AFTER), strict=True):
                 time = (first + np.arange(len(values))) * dt
                 _draw_band(axes, time, values * scales[coordinate], line)
             axes.set_ylabel(error_label(coordinate, unit=units[coordinate]))
             axes.margins(x=0)
         row[0].axvline(settled * dt, **REFERENCE)
-        roots = [settled_rms(errors, settled)[coordinate] * IN_MILLIMETRES[coordinate] for errors in (before, after)]
-        row[1].set_title(f"RMS {roots[0]:.3g} → {roots[1]:.3g} {MILLIMETRES[coordinate]}", loc="right", pad=3)
+        roots = [
+            settled_rms(errors, settled)[coordinate] * IN_MILLIMETRES[coordinate]
+            for errors in (before, after)
+        ]
+        row[1].set_title(
+            f"RMS {roots[0]:.3g} → {roots[1]:.3g} {MILLIMETRES[coordinate]}", loc="right", pad=3
+        )
     panels[0, 0].set_title("whole lap, settled from the dotted line on", loc="left", pad=3)
     panels[0, 1].set_title("settled", loc="left", pad=3)
     for axes in panels[-1]:
         axes.set_xlabel("time [s]")
-    keys = [*line_keys((BEFORE, AFTER)), Patch(color="0.35", alpha=0.3, linewidth=0, label="5 % to 95 % of the laps")]
+    keys = [
+        *line_keys((BEFORE, AFTER)),
+        Patch(color="0.35", alpha=0.3, linewidth=0, label="5 % to 95 % of the laps"),
+    ]
     bottom_legend(figure, keys)
     return figure
 

@@ -1,4 +1,5 @@
-"""Figures of what tuning is compared with: a grid of weights and its front, and other designs on other references.
+"""Figures of what tuning is compared with: a grid of weights and its front, and other designs on
+other references.
 
 The front holds the designs that no other beats in both lateral error and effort (Pareto).
 """
@@ -40,7 +41,9 @@ LABEL_SIZE = 8
 AS_TUNED: dict[str, Any] = {"color": AFTER.colour, "marker": "o", "markersize": 6}
 OTHERS: list[dict[str, Any]] = [
     {"color": colour, "marker": marker, "markersize": 4.5}
-    for colour, marker in zip((BEFORE.colour, "#E69F00", "#009E73", "#CC79A7", "#56B4E9"), "Ds^vP", strict=True)
+    for colour, marker in zip(
+        (BEFORE.colour, "#E69F00", "#009E73", "#CC79A7", "#56B4E9"), "Ds^vP", strict=True
+    )
 ]
 """Looks of compared designs, the last of which is drawn as tuned."""
 ROW, HEADING = 0.19, 0.24
@@ -53,7 +56,9 @@ class Group(NamedTuple):
     name: str
     lateral: Float[np.ndarray, " designs"]  # RMS of e_y once settled, m
     effort: Float[np.ndarray, " designs"]  # RMS, m/s
-    tube: Float[np.ndarray, " designs"]  # lateral half width of the minimal robust invariant set, m; NaN: unbounded
+    tube: Float[
+        np.ndarray, " designs"
+    ]  # lateral half width of the minimal robust invariant set, m; NaN: unbounded
     certified: Bool[np.ndarray, " designs"]
     kind: Kind
 
@@ -101,7 +106,11 @@ def _place_of_none(widths: Float[np.ndarray, " n"]) -> float:
     finite = widths[np.isfinite(widths)]
     if not finite.size:
         return 1.0
-    return finite.max() * (finite.max() / finite.min()) ** 0.15 if spans_decade(widths) else 1.15 * finite.max()
+    return (
+        finite.max() * (finite.max() / finite.min()) ** 0.15
+        if spans_decade(widths)
+        else 1.15 * finite.max()
+    )
 
 
 def _draw_none(axes: Axes, widths: Float[np.ndarray, " n"], none: float) -> None:
@@ -112,7 +121,9 @@ def _draw_none(axes: Axes, widths: Float[np.ndarray, " n"], none: float) -> None
     axes.axvspan(border, none**2 / border, color="0.95", linewidth=0, zorder=0)
     axes.set_title("no bounded tube", loc="right", fontsize=LABEL_SIZE, color="0.3")
     axes.set_xlim(right=none**2 / border)
-    axes.xaxis.set_major_locator(FixedLocator([tick for tick in axes.get_xticks() if tick < border]))
+    axes.xaxis.set_major_locator(
+        FixedLocator([tick for tick in axes.get_xticks() if tick < border])
+    )
     axes.xaxis.set_minor_locator(NullLocator())
 
 
@@ -129,7 +140,13 @@ def _draw_group(axes: Axes, group: Group, abscissa: Float[np.ndarray, " designs"
                 xytext=(GAPS[0], 0),
                 textcoords="offset points",
                 **{"color": look["color"], "fontsize": LABEL_SIZE, "zorder": 6, "in_layout": False},
-                arrowprops={"arrowstyle": "-", "color": look["color"], "linewidth": 0.6, "shrinkA": 0, "shrinkB": 3},
+                arrowprops={
+                    "arrowstyle": "-",
+                    "color": look["color"],
+                    "linewidth": 0.6,
+                    "shrinkA": 0,
+                    "shrinkB": 3,
+                },
             )
 
 
@@ -142,7 +159,9 @@ class _Place(NamedTuple):
     gap: float  # between mark and box, points
 
 
-def _places(mark: Float[np.ndarray, "2"], size: Float[np.ndarray, "2"], pixels: float) -> list[_Place]:
+def _places(
+    mark: Float[np.ndarray, "2"], size: Float[np.ndarray, "2"], pixels: float
+) -> list[_Place]:
     """Return the places around a mark for a name of a size, with so many pixels a point."""
     places = []
     for gap, angle in product(GAPS, ANGLES):
@@ -156,7 +175,8 @@ def _places(mark: Float[np.ndarray, "2"], size: Float[np.ndarray, "2"], pixels: 
 
 
 def _place_names(figure: Figure, axes: Axes) -> None:
-    """Move each name to where it covers the fewest marks, and no name or leader, close to its own mark."""
+    """Move each name to where it covers the fewest marks, and no name or leader, close to its own
+    mark."""
     pixels, inside = figure.dpi / 72, axes.get_window_extent()
     names = [text for text in axes.texts if isinstance(text, Annotation)]
     marks = np.concatenate([_covered(line) for line in axes.lines])
@@ -185,7 +205,9 @@ def _place_names(figure: Figure, axes: Axes) -> None:
     for _, i in product(range(SWEEPS), range(len(names))):
         others = [*chosen[:i], *chosen[i + 1 :]]
         candidates = zip(around[i], own[i], strict=True)
-        costs = [cost + sum(mutual_cost(place, other) for other in others) for place, cost in candidates]
+        costs = [
+            cost + sum(mutual_cost(place, other) for other in others) for place, cost in candidates
+        ]
         chosen[i] = around[i][int(np.argmin(costs))]
     for i, text in enumerate(names):
         text.set(position=tuple((chosen[i].centre - named[i]) / pixels), ha="center", va="center")
@@ -197,13 +219,21 @@ def _covered(line: Line2D) -> Float[np.ndarray, "k 2"]:
     if line.get_linestyle() == "None":
         return pixels
     fine = np.linspace(0, len(pixels) - 1, 100 * len(pixels))
-    return np.column_stack([np.interp(fine, np.arange(len(pixels)), pixels[:, i]) for i in range(2)])
+    return np.column_stack(
+        [np.interp(fine, np.arange(len(pixels)), pixels[:, i]) for i in range(2)]
+    )
 
 
 def _keys(groups: Sequence[Group], limited: bool) -> list[Line2D]:
     unlabelled = [group for group in groups if group.kind not in LABELLED]
     keys = [
-        Line2D([], [], label=group.name, linestyle="-" if group.kind == "front" else "none", **LOOKS[group.kind])
+        Line2D(
+            [],
+            [],
+            label=group.name,
+            linestyle="-" if group.kind == "front" else "none",
+            **LOOKS[group.kind],
+        )
         for group in unlabelled
     ]
     if not all(group.certified.all() for group in groups):
@@ -212,18 +242,27 @@ def _keys(groups: Sequence[Group], limited: bool) -> list[Line2D]:
 
 
 @styled
-def comparison_figure(rows: Sequence[tuple[str, str, float, float, float]], confidence: float = 0.95) -> Figure:
+def comparison_figure(
+    rows: Sequence[tuple[str, str, float, float, float]], confidence: float = 0.95
+) -> Figure:
     """Draw mean lateral errors with their intervals, reference by reference.
 
     Args:
-        rows: name of the reference, name of the design, mean of the lateral RMS and the ends of its interval, m; the
-            design met last is drawn as the tuned one.
+        rows: name of the reference, name of the design, mean of the lateral RMS and the ends of its
+            interval, m; the design met last is drawn as the tuned one.
         confidence: of the intervals.
     """
-    references, designs = list(dict.fromkeys(row[0] for row in rows)), list(dict.fromkeys(row[1] for row in rows))
+    references, designs = (
+        list(dict.fromkeys(row[0] for row in rows)),
+        list(dict.fromkeys(row[1] for row in rows)),
+    )
     figure = page_figure(0.65 + HEADING * len(references) + ROW * len(rows))
     axes = figure.subplots()
-    beside: dict[str, Any] = {"transform": axes.get_yaxis_transform(), "va": "center_baseline", "fontsize": LABEL_SIZE}
+    beside: dict[str, Any] = {
+        "transform": axes.get_yaxis_transform(),
+        "va": "center_baseline",
+        "fontsize": LABEL_SIZE,
+    }
     place, places = 0.0, []
     for reference in references:
         place += HEADING
@@ -231,9 +270,17 @@ def comparison_figure(rows: Sequence[tuple[str, str, float, float, float]], conf
         for _, design, mean, low, high in [row for row in rows if row[0] == reference]:
             place += ROW
             places.append((place, design))
-            look = AS_TUNED if design == designs[-1] else OTHERS[designs.index(design) % len(OTHERS)]
+            look = (
+                AS_TUNED if design == designs[-1] else OTHERS[designs.index(design) % len(OTHERS)]
+            )
             mean, low, high = 1e3 * mean, 1e3 * low, 1e3 * high
-            axes.plot([low, high], [place, place], color=look["color"], linewidth=1.4, solid_capstyle="butt")
+            axes.plot(
+                [low, high],
+                [place, place],
+                color=look["color"],
+                linewidth=1.4,
+                solid_capstyle="butt",
+            )
             axes.plot(mean, place, **look)
             texts = [f"{value:#.3g}".rstrip(".") for value in (mean, low, high)]
             axes.text(1.015, place, f"{texts[0]}  ({texts[1]} to {texts[2]})", **beside)

@@ -1,8 +1,10 @@
-"""The log of a tuning run: every evaluation outlives the process, and a resumed run replays what is logged.
+"""The log of a tuning run: every evaluation outlives the process, and a resumed run replays what is
+logged.
 
-Algorithms that are deterministic functions of the answers they get ask the same questions again when they start again.
-The i-th question of a stream is answered from the log where its entry is there and was the answer to the same bits;
-otherwise the answer is computed and logged. So a resumed run goes on where it was killed, and ends at the same bits.
+Algorithms that are deterministic functions of the answers they get ask the same questions again
+when they start again. The i-th question of a stream is answered from the log where its entry is
+there and was the answer to the same bits; otherwise the answer is computed and logged. So a resumed
+run goes on where it was killed, and ends at the same bits.
 
     STREAM-NUMBER.record     question and answer number i of a stream, such as adam-000012.record
     lock                     held while the log is open
@@ -19,7 +21,14 @@ from typing import Any, Self
 import numpy as np
 
 from jaxtube.experiments.run.atomic import write_atomically
-from jaxtube.experiments.run.record_file import DamagedError, Statistics, decode, differences, encode, plain
+from jaxtube.experiments.run.record_file import (
+    DamagedError,
+    Statistics,
+    decode,
+    differences,
+    encode,
+    plain,
+)
 from jaxtube.experiments.run.records import Records, RecordsError
 from jaxtube.scenario.refusal import ScenarioError, refusal
 
@@ -30,21 +39,24 @@ GIVEN, ANSWER = "given ", "answer "
 class Log:
     """The log in one folder, which belongs to this object until it is closed.
 
-    damaged: a line for each damaged file met at opening; those files are gone and their answers are computed again.
+    damaged: a line for each damaged file met at opening; those files are gone and their answers are
+    computed again.
     """
 
     damaged: list[str]
 
     def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
-        """Open the log in a folder, made where it is absent, and clear up what a killed process left there.
+        """Open the log in a folder, made where it is absent, and clear up what a killed process
+        left there.
 
         Args:
             folder: `RUN/NAME`, where RUN is what `--out` names; it holds nothing else.
-            identity: all that determines questions and answers, as plain JSON values, nested as you like.
+            identity: all that determines questions and answers, as plain JSON values, nested as you
+                like.
 
         Raises:
-            ScenarioError: the folder cannot be written to, is open in another process, or holds entries with another
-                identity; in this last case no entry was touched.
+            ScenarioError: the folder cannot be written to, is open in another process, or holds
+                entries with another identity; in this last case no entry was touched.
             RecordsError: the disk failed later.
         """
         self.damaged = []
@@ -52,7 +64,8 @@ class Log:
         self._identity = json.loads(json.dumps({"log_format": FORMAT, **identity}))
         self._entries: dict[str, Statistics] = {}
         self._asked: Counter[str] = Counter()
-        # Records without blocks: their lock, and their refusal of a folder that is in use or cannot be written to.
+        # Records without blocks: their lock, and their refusal of a folder that is in use or cannot
+        # be written to.
         self._lock = Records(folder, {}, dict.__or__, 1)
         try:
             with self._explained("opening the log"):
@@ -80,32 +93,41 @@ class Log:
     def remember(
         self, stream: str, given: Mapping[str, Any], compute: Callable[[], Mapping[str, Any]]
     ) -> dict[str, np.ndarray]:
-        """Answer the next question of a stream, from the log or by computing; once answered, it outlives the process.
+        """Answer the next question of a stream, from the log or by computing; once answered, it
+        outlives the process.
 
         Args:
-            stream: small letters, digits, - and _, other than `blocks`; its questions come in the same order each run.
+            stream: small letters, digits, - and _, other than `blocks`; its questions come in the
+                same order each run.
             given: arrays of integers or floats that the answer depends on.
-            compute: returns arrays of integers or floats; what it raises passes through, and nothing is logged.
+            compute: returns arrays of integers or floats; what it raises passes through, and
+                nothing is logged.
 
-        Returns: the arrays of the answer by sorted name, the same bits, types and layout from the log or not.
+        Returns: the arrays of the answer by sorted name, the same bits, types and layout from the
+        log or not.
 
-        Raises: ScenarioError where the log answers another question; RecordsError when the disk failed; ValueError for
-            other names and arrays.
+        Raises: ScenarioError where the log answers another question; RecordsError when the disk
+            failed; ValueError for other names and arrays.
         """
         # Records would take files called blocks-.. for their own, and clear them away.
         if not re.fullmatch("(?!blocks)[a-z][a-z0-9_-]*", stream):
-            raise ValueError(f"stream = {stream!r}: cannot name an entry; use small letters, digits, - and _")
+            raise ValueError(
+                f"stream = {stream!r}: cannot name an entry; use small letters, digits, - and _"
+            )
         name = _name(stream, self._asked[stream])
         asked = _prefixed(GIVEN, given)
         if name not in self._entries:
             self._add(name, asked | _prefixed(ANSWER, compute()))
         if found := _changed(_part(GIVEN, self._entries[name]), _part(GIVEN, asked)):
-            problem = f"{self._folder / name} answers another {found}, so other code or settings wrote it"
+            problem = (
+                f"{self._folder / name} answers another {found}, so other code or settings wrote it"
+            )
             raise self._refusal(problem, f"name another --out, or delete {self._folder}")
         self._asked[stream] += 1
         return _part(ANSWER, self._entries[name])
 
-    # --------------------------------------------------------------------------------------------------------- files
+    # ---------------------------------------------------------------------------------------------------------
+    # files
 
     def _add(self, name: str, arrays: Statistics) -> None:
         record = encode({"name": name, "identity": self._identity}, arrays)
@@ -132,7 +154,9 @@ class Log:
         """
         header, arrays = decode(path.read_bytes())
         if found := differences(header["identity"], self._identity):
-            raise self._refusal(f"{self._folder} holds another run: {found}", "name another --out, or delete it")
+            raise self._refusal(
+                f"{self._folder} holds another run: {found}", "name another --out, or delete it"
+            )
         if header["name"] != path.name:
             raise DamagedError
         return arrays
@@ -148,7 +172,9 @@ class Log:
         except OSError as error:
             problem = f"{action} failed ({error.strerror or error})"
             safe = f"the {self.entries} evaluations logged there are safe"
-            raise RecordsError(f"{self._folder}: {problem}; {safe}; run the same command again to continue") from error
+            raise RecordsError(
+                f"{self._folder}: {problem}; {safe}; run the same command again to continue"
+            ) from error
 
 
 def _name(stream: str, number: int) -> str:
@@ -161,10 +187,19 @@ def _prefixed(prefix: str, arrays: Mapping[str, Any]) -> Statistics:
 
 def _part(prefix: str, arrays: Statistics) -> Statistics:
     """Return the arrays of a prefix, without it."""
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+    return {
+        name.removeprefix(prefix): array
+        for name, array in arrays.items()
+        if name.startswith(prefix)
+    }
 
 
 def _changed(there: Statistics, here: Statistics) -> str:
     """Name the first array that differs in any bit, in type or in shape; empty when none does."""
-    bits = [{name: (a.dtype, a.shape, a.tobytes()) for name, a in arrays.items()} for arrays in (there, here)]
-    return next((name for name in sorted(there | here) if bits[0].get(name) != bits[1].get(name)), "")
+    bits = [
+        {name: (a.dtype, a.shape, a.tobytes()) for name, a in arrays.items()}
+        for arrays in (there, here)
+    ]
+    return next(
+        (name for name in sorted(there | here) if bits[0].get(name) != bits[1].get(name)), ""
+    )

@@ -1,6 +1,7 @@
 """The figure of what became of weights and gains along a tuning run; lines are named at their ends.
 
-Positive entries have logarithmic axes; off the diagonals stands the share Q_ij / sqrt(Q_ii Q_jj), between -1 and 1.
+Positive entries have logarithmic axes; off the diagonals stands the share Q_ij / sqrt(Q_ii Q_jj),
+between -1 and 1.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ LABEL_SIZE = 8
 SPACING = 1.35
 """Distance between names above each other, in sizes of their font."""
 NEAR, FAR = 1.06, 1.22
-"""Where names begin, in widths of the panel: beside few lines, and beside many, whose names lie far from their ends."""
+"""Where names begin, in widths of the panel: beside few lines, and beside many, whose names lie far
+from their ends."""
 UNITS = {"Q": "1/m², 1/rad²", "R": "s²/m², s²/rad²"}
 SHARES = {"Q": "\\sqrt{Q_{ii} Q_{jj}}", "R": "\\sqrt{R_{11} R_{22}}"}
 NOT_CERTIFIED = "0.92"
@@ -40,7 +42,8 @@ def parameter_figure(
     gain_names: Sequence[str],
     certified: Bool[np.ndarray, " iterates"],
 ) -> Figure:
-    """Draw weights and gains by iteration; what is off the diagonals only where it is not always zero.
+    """Draw weights and gains by iteration; what is off the diagonals only where it is not always
+    zero.
 
     Args:
         error_weights: Q of the iterates, positive definite.
@@ -53,14 +56,25 @@ def parameter_figure(
     shares = {letter: _shares(values) for letter, values in weights.items()}
     full = any(values.any() for values in shares.values())
     rows = [["Q", "R", "gains"], *([["Q shares", "R shares", "gains"]] if full else [])]
-    figure = page_figure(max(4.0 if full else 2.6, 0.9 + len(gain_names) * SPACING * LABEL_SIZE / 72))
+    figure = page_figure(
+        max(4.0 if full else 2.6, 0.9 + len(gain_names) * SPACING * LABEL_SIZE / 72)
+    )
     panels: dict[str, Axes] = figure.subplot_mosaic(rows, sharex=True)  # pyright: ignore[reportArgumentType, reportCallIssue]
     for letter, values in weights.items():
         size = values.shape[1]
-        _draw(panels[letter], np.diagonal(values, axis1=1, axis2=2), [f"{letter}{i}{i}" for i in range(1, size + 1)])
-        panels[letter].set(title=f"diagonal of ${letter}$", ylabel=f"${letter}_{{ii}}$ [{UNITS[letter]}]")
+        _draw(
+            panels[letter],
+            np.diagonal(values, axis1=1, axis2=2),
+            [f"{letter}{i}{i}" for i in range(1, size + 1)],
+        )
+        panels[letter].set(
+            title=f"diagonal of ${letter}$", ylabel=f"${letter}_{{ii}}$ [{UNITS[letter]}]"
+        )
         if full:
-            below, names = panels[f"{letter} shares"], [f"{letter}{i + 1}{j + 1}" for i, j in _pairs(size)]
+            below, names = (
+                panels[f"{letter} shares"],
+                [f"{letter}{i + 1}{j + 1}" for i, j in _pairs(size)],
+            )
             _draw(below, shares[letter], names)
             ratio = f"${letter}_{{ij}} \\,/\\, {SHARES[letter]}$ [–]"
             below.set(title=f"off the diagonal of ${letter}$", ylabel=ratio, ylim=(-1.05, 1.05))
@@ -71,7 +85,10 @@ def parameter_figure(
     for name in {rows[-1][0], rows[-1][1], "gains"}:
         panels[name].set_xlabel("iteration")
     if not certified.all():
-        bottom_legend(figure, [Patch(color=NOT_CERTIFIED, linewidth=0, label="iterates that are not certified")])
+        bottom_legend(
+            figure,
+            [Patch(color=NOT_CERTIFIED, linewidth=0, label="iterates that are not certified")],
+        )
     _spread_names(figure, list(panels.values()))
     return figure
 
@@ -83,7 +100,10 @@ def _pairs(size: int) -> list[tuple[int, int]]:
 def _shares(weights: Float[np.ndarray, "iterates n n"]) -> Float[np.ndarray, "iterates pairs"]:
     """Return the entries off the diagonal over the root of the product of theirs on it."""
     roots = np.sqrt(np.diagonal(weights, axis1=1, axis2=2))
-    return np.stack([weights[:, i, j] / (roots[:, i] * roots[:, j]) for i, j in _pairs(weights.shape[1])], axis=1)
+    return np.stack(
+        [weights[:, i, j] / (roots[:, i] * roots[:, j]) for i, j in _pairs(weights.shape[1])],
+        axis=1,
+    )
 
 
 def _draw(axes: Axes, values: Float[np.ndarray, "iterates k"], names: Sequence[str]) -> None:
@@ -136,7 +156,9 @@ def _spread_names(figure: Figure, panels: Sequence[Axes]) -> None:
     for axes in panels:
         height = axes.get_window_extent().height / figure.dpi * 72
         names = [text for text in axes.texts if isinstance(text, Annotation)]
-        ends = np.array([axes.transLimits.transform(axes.transScale.transform(text.xy))[1] for text in names])
+        ends = np.array(
+            [axes.transLimits.transform(axes.transScale.transform(text.xy))[1] for text in names]
+        )
         for text, place in zip(names, spread(ends, SPACING * LABEL_SIZE / height), strict=True):
             text.set_position((text.get_position()[0], place))
 
@@ -149,5 +171,7 @@ def spread(places: Float[np.ndarray, " k"], gap: float) -> Float[np.ndarray, " k
     gap, order = min(gap, 1 / max(len(places) - 1, 1)), np.argsort(places, kind="stable")
     steps = gap * np.arange(len(places))
     apart = np.empty(len(places))
-    apart[order] = np.clip(isotonic_regression(places[order] - steps).x, 0.0, 1.0 - steps[-1]) + steps
+    apart[order] = (
+        np.clip(isotonic_regression(places[order] - steps).x, 0.0, 1.0 - steps[-1]) + steps
+    )
     return apart

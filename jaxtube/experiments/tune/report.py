@@ -1,4 +1,5 @@
-"""What a tuning run says: the start and the tuned design side by side, on laps that neither tuning nor stopping saw."""
+"""What a tuning run says: the start and the tuned design side by side, on laps that neither tuning
+nor stopping saw."""
 
 from __future__ import annotations
 
@@ -78,7 +79,9 @@ def result(tuner: Tuner, point: Point) -> Result:
     )
 
 
-def reduction(before: Float[np.ndarray, " laps"], after: Float[np.ndarray, " laps"]) -> tuple[float, float, float]:
+def reduction(
+    before: Float[np.ndarray, " laps"], after: Float[np.ndarray, " laps"]
+) -> tuple[float, float, float]:
     """Return by what share an RMS over laps falls, with its 95 % interval over pairs of laps.
 
     Source: Efron, Tibshirani 1993, chapter 13 (bootstrap percentiles, pairs drawn together).
@@ -155,11 +158,18 @@ def _rows(before: Result, after: Result) -> list[tuple[str, str, str]]:
         return name, read(before), read(after)
 
     return [
-        line("longitudinal error once settled, RMS [mm]", lambda found: f"{1e3 * found.rms(0):.3f}"),
+        line(
+            "longitudinal error once settled, RMS [mm]", lambda found: f"{1e3 * found.rms(0):.3f}"
+        ),
         line("lateral error once settled, RMS [mm]", lambda found: f"{1e3 * found.rms(1):.3f}"),
-        line("heading error once settled, RMS [deg]", lambda found: f"{np.rad2deg(found.rms(2)):.4f}"),
+        line(
+            "heading error once settled, RMS [deg]", lambda found: f"{np.rad2deg(found.rms(2)):.4f}"
+        ),
         line("effort, RMS over the lap [m/s]", lambda found: f"{found.overall_effort:.5f}"),
-        line("effort once settled, RMS [m/s]", lambda found: f"{np.sqrt(np.mean(found.settled_effort**2)):.5f}"),
+        line(
+            "effort once settled, RMS [m/s]",
+            lambda found: f"{np.sqrt(np.mean(found.settled_effort**2)):.5f}",
+        ),
         line("steps without a plan", lambda found: str(found.unplanned)),
         line("lateral half width of the minimal RPI set [cm]", widths),
         line("the tube fills at most [% of a cap]", lambda found: f"{100 * found.fill:.1f}"),
@@ -191,7 +201,11 @@ def numbers_of(found: Result) -> dict:
         "failing": list(found.failing),
         "minimal_rpi_half_widths": None
         if widths is None
-        else {"longitudinal_m": widths[0], "lateral_m": widths[1], "heading_deg": np.rad2deg(widths[2])},
+        else {
+            "longitudinal_m": widths[0],
+            "lateral_m": widths[1],
+            "heading_deg": np.rad2deg(widths[2]),
+        },
         "largest_cap_share": found.fill,
     }
 
@@ -216,10 +230,18 @@ def arrays(tuner: Tuner, descent: Descent) -> dict[str, np.ndarray]:
         "held_out": np.array([each.held_out for each in descent.judged]),
         "certified": descent.certified,
         "lateral_m": np.array([_or_nan(each, lambda one: one.lateral) for each in descent.judged]),
-        "effort_mps": np.array([_or_nan(each, lambda one: one.overall_effort) for each in descent.judged]),
-        "cost_low": np.array([_or_nan(each, lambda one: np.quantile(one.costs, 0.1)) for each in descent.judged]),
-        "cost_high": np.array([_or_nan(each, lambda one: np.quantile(one.costs, 0.9)) for each in descent.judged]),
-        "lateral_share": np.array([_or_nan(each, lambda one: one.shares[1]) for each in descent.judged]),
+        "effort_mps": np.array(
+            [_or_nan(each, lambda one: one.overall_effort) for each in descent.judged]
+        ),
+        "cost_low": np.array(
+            [_or_nan(each, lambda one: np.quantile(one.costs, 0.1)) for each in descent.judged]
+        ),
+        "cost_high": np.array(
+            [_or_nan(each, lambda one: np.quantile(one.costs, 0.9)) for each in descent.judged]
+        ),
+        "lateral_share": np.array(
+            [_or_nan(each, lambda one: one.shares[1]) for each in descent.judged]
+        ),
     }
 
 
@@ -231,7 +253,15 @@ def curve(tuner: Tuner, descent: Descent) -> tune_figures.Curve:
     """Return the learning curve of a descent."""
     found = arrays(tuner, descent)
     iteration = np.arange(len(descent.judged))
-    names = ("objective", "held_out", "cost_low", "cost_high", "certified", "lateral_m", "effort_mps")
+    names = (
+        "objective",
+        "held_out",
+        "cost_low",
+        "cost_high",
+        "certified",
+        "lateral_m",
+        "effort_mps",
+    )
     return tune_figures.Curve(iteration, *(found[name] for name in names))
 
 
@@ -244,10 +274,14 @@ def draw(folder: RunFolder, tuner: Tuner, descent: Descent, best: Judgement) -> 
     dt, settled = tuner.problem.model.dt, tuner.aim.settled
     names = tuner.parameters.names[9:]
     figures = (
-        tune_figures.learning_figure({descent.method: curve(tuner, descent)}, limit if np.isfinite(limit) else None),
+        tune_figures.learning_figure(
+            {descent.method: curve(tuner, descent)}, limit if np.isfinite(limit) else None
+        ),
         tune_figures.tube_figure(before, after, tuner.problem.operating_set.offsets[:3]),
         tune_figures.error_figure(*bands, dt, settled),
-        parameter_figure(found["error_weight"], found["input_weight"], found["gains"], names, found["certified"]),
+        parameter_figure(
+            found["error_weight"], found["input_weight"], found["gains"], names, found["certified"]
+        ),
     )
     for name, figure in zip(FIGURES, figures, strict=True):
         folder.save_figure(figure, name)
@@ -255,7 +289,11 @@ def draw(folder: RunFolder, tuner: Tuner, descent: Descent, best: Judgement) -> 
 
 def _tube(tuner: Tuner, point: Point):
     ingredients = tuner.designed(point).ingredients
-    return None if ingredients is None else widest_tube(ingredients.problem, ingredients.terminal.gains)
+    return (
+        None
+        if ingredients is None
+        else widest_tube(ingredients.problem, ingredients.terminal.gains)
+    )
 
 
 def _drawn_errors(tuner: Tuner, point: Point) -> Float[np.ndarray, "steps+1 laps 3"]:

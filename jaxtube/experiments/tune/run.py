@@ -1,4 +1,5 @@
-"""A descent as a run: every evaluation and every inspected iterate logged, so that a killed run goes on where it was.
+"""A descent as a run: every evaluation and every inspected iterate logged, so that a killed run
+goes on where it was.
 
 Streams of the log: NAME for evaluations, NAME-held-out for inspections.
 """
@@ -28,7 +29,8 @@ def pooled(values: Float[np.ndarray, " laps"]) -> float:
 
 
 class Judgement(NamedTuple):
-    """What laps and a design say of a point; the arrays of its laps are empty where nothing could be played."""
+    """What laps and a design say of a point; the arrays of its laps are empty where nothing could
+    be played."""
 
     point: Point
     held_out: float
@@ -54,7 +56,8 @@ class Judgement(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Descent:
-    """A finished descent: its outcome and every iterate as judged, with the objective of its own draws."""
+    """A finished descent: its outcome and every iterate as judged, with the objective of its own
+    draws."""
 
     method: str
     outcome: Outcome
@@ -68,12 +71,20 @@ class Descent:
 
 
 def descend(
-    tuner: Tuner, log: Log, name: str, method: str, budget: int, patience: int, rate: float, better: Callable
+    tuner: Tuner,
+    log: Log,
+    name: str,
+    method: str,
+    budget: int,
+    patience: int,
+    rate: float,
+    better: Callable,
 ) -> Descent:
-    """Run one descent from the tuner's start; `better(judgement)` is told of every certified iterate that is the best.
+    """Run one descent from the tuner's start; `better(judgement)` is told of every certified
+    iterate that is the best.
 
-    Adam's gradients are clipped: else the first steps of an uncertified start, where soft margins are steep, decide
-    all later ones.
+    Adam's gradients are clipped: else the first steps of an uncertified start, where soft margins
+    are steep, decide all later ones.
     """
     judged: list[Judgement] = []
     values: dict[bytes, float] = {}
@@ -153,7 +164,10 @@ def _arrays(tuner: Tuner, found: Inspected) -> dict[str, np.ndarray]:
 def read_judgement(point: Point, answer: dict[str, np.ndarray]) -> Judgement:
     """Return the judgement that `_arrays` wrote."""
     failing = tuple(filter(None, bytes(answer["failing"]).decode().split("; ")))
-    arrays = {name: answer[name] for name in ("costs", "errors", "effort", "settled_effort", "backups", "shares")}
+    arrays = {
+        name: answer[name]
+        for name in ("costs", "errors", "effort", "settled_effort", "backups", "shares")
+    }
     return Judgement(point, float(answer["held_out"]), bool(answer["certified"]), failing, **arrays)
 
 

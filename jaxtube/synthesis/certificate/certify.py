@@ -1,4 +1,5 @@
-"""The certificate of a design: which conditions are asked of which sets, those the controller really uses."""
+"""The certificate of a design: which conditions are asked of which sets, those the controller
+really uses."""
 
 from __future__ import annotations
 
@@ -46,22 +47,33 @@ def certify(
     bounds: Bounds,
     residual: float,
 ) -> Certificate:
-    """Re-check every condition of the guarantee; the disturbance bound only where W was computed and not assumed.
+    """Re-check every condition of the guarantee; the disturbance bound only where W was computed
+    and not assumed.
 
-    `residual` bounds by how much an accepted answer of the solver may miss a constraint from any error in E.
+    `residual` bounds by how much an accepted answer of the solver may miss a constraint from any
+    error in E.
     """
     certificate = Certificate()
     _nonempty(certificate, problem, bounds)
     sequence = problem.scenario.controller.tube == "sequence"
-    margins = (_sequence_margins if sequence else _tube_margins)(problem, tube_gain, windows, bounds)
+    margins = (_sequence_margins if sequence else _tube_margins)(
+        problem, tube_gain, windows, bounds
+    )
     _reach_and_inclusion(certificate, *margins, residual)
     if not problem.scenario.controller.restart:
         _never_reset(certificate, problem, tube_gain, bounds)
     _terminal(certificate, problem, tube_gain, terminal, windows, bounds, residual)
-    if terminal.kind == "T-A" and sequence and terminal.invariant is not None and not terminal.fallback:
+    if (
+        terminal.kind == "T-A"
+        and sequence
+        and terminal.invariant is not None
+        and not terminal.fallback
+    ):
         _any_order(certificate, problem, tube_gain, terminal, terminal.invariant, residual)
     loops, gains = vertex_pairs(problem, terminal.gains)
-    margin = check.decrease_margin(loops, gains, cost.cost, problem.error_weight, problem.input_weight)
+    margin = check.decrease_margin(
+        loops, gains, cost.cost, problem.error_weight, problem.input_weight
+    )
     certificate.add(
         "terminal_cost_decrease",
         margin,
@@ -95,7 +107,9 @@ def _tightened(problem: Problem, bounds: Bounds):
 def _nonempty(certificate: Certificate, problem: Problem, bounds: Bounds) -> None:
     sets = list(_tightened(problem, bounds))
     for kind, name in (("E", "error_sets_not_empty"), ("U", "input_sets_not_empty")):
-        radius = check.nonempty_margin([polytope for k, polytope in sets if k == kind] or [problem.operating_set])
+        radius = check.nonempty_margin(
+            [polytope for k, polytope in sets if k == kind] or [problem.operating_set]
+        )
         certificate.add(
             name,
             radius,
@@ -114,18 +128,24 @@ def _nonempty(certificate: Certificate, problem: Problem, bounds: Bounds) -> Non
 
 
 def _tube_margins(problem: Problem, gain: LocalGain, windows: Windows, bounds: Bounds):
-    """Return the margins of reach and inclusion for a tube that holds for every schedule in the box."""
+    """Return the margins of reach and inclusion for a tube that holds for every schedule in the
+    box."""
     N, loops = problem.horizon, vertex_loops(problem, gain)
     W = problem.disturbance_set.vertices()
     reach_margin = inclusion_margin = np.inf
     for directions, taken in (
         (problem.operating_set.normals[:, None], problem.operating_set.offsets - bounds.errors),
-        (_rows_under_gains(problem, gain).swapaxes(0, 1), problem.input_rows.offsets - bounds.inputs),
+        (
+            _rows_under_gains(problem, gain).swapaxes(0, 1),
+            problem.input_rows.offsets - bounds.inputs,
+        ),
     ):
         least, most = taken.min(axis=0), taken.max(axis=0)
         for row, along in enumerate(directions):
             along = along.reshape(-1, along.shape[-1])
-            reach, last = np.max([check.reach_supports(loops, W, direction, N - 1) for direction in along], axis=0)
+            reach, last = np.max(
+                [check.reach_supports(loops, W, direction, N - 1) for direction in along], axis=0
+            )
             reach_margin = min(reach_margin, np.min(least[:, row] - reach))
             growth = least[1:, row] - most[:-1, row] - last[:-1]
             inclusion_margin = min(inclusion_margin, np.min(growth, initial=np.inf))
@@ -154,7 +174,9 @@ def _sequence_margins(problem: Problem, gain: LocalGain, windows: Windows, bound
     return reach_margin, inclusion_margin
 
 
-def _reach_and_inclusion(certificate: Certificate, reach_margin: float, inclusion: float, residual: float) -> None:
+def _reach_and_inclusion(
+    certificate: Certificate, reach_margin: float, inclusion: float, residual: float
+) -> None:
     inclusion_margin = inclusion - residual
     certificate.add(
         "tightening_covers_reach",
@@ -170,12 +192,18 @@ def _reach_and_inclusion(certificate: Certificate, reach_margin: float, inclusio
     )
 
 
-def _never_reset(certificate: Certificate, problem: Problem, gain: LocalGain, bounds: Bounds) -> None:
-    """Compare what the first stage is tightened by with what a deviation that is never reset can reach."""
+def _never_reset(
+    certificate: Certificate, problem: Problem, gain: LocalGain, bounds: Bounds
+) -> None:
+    """Compare what the first stage is tightened by with what a deviation that is never reset can
+    reach."""
     loops, W = vertex_loops(problem, gain), problem.disturbance_set.vertices()
     first = min(1, problem.horizon - 1)
     taken = (problem.operating_set.offsets - bounds.errors[:, first]).min(axis=0)
-    reach = [check.reach_supports(loops, W, row, NEVER_RESET_STEPS)[0][-1] for row in problem.operating_set.normals]
+    reach = [
+        check.reach_supports(loops, W, row, NEVER_RESET_STEPS)[0][-1]
+        for row in problem.operating_set.normals
+    ]
     margin = float(np.min(taken - reach))
     certificate.add(
         "nominal_error_never_reset",
@@ -186,7 +214,9 @@ def _never_reset(certificate: Certificate, problem: Problem, gain: LocalGain, bo
     )
 
 
-def _terminal(certificate, problem: Problem, tube_gain, terminal: Terminal, windows, bounds, residual: float) -> None:
+def _terminal(
+    certificate, problem: Problem, tube_gain, terminal: Terminal, windows, bounds, residual: float
+) -> None:
     W, D = problem.disturbance_set.vertices(), terminal.disturbance.vertices()
     label, loops = {"T-B": "D"}.get(terminal.kind, "W"), vertex_loops(problem, terminal.gains)
     if terminal.invariant is None:
@@ -214,16 +244,22 @@ def _empty_terminal(certificate: Certificate, terminal: Terminal, loops, disturb
     sentence = "No invariant terminal set was found."
     if terminal.maximal.escape is not None and margin > -np.inf:
         steps = len(terminal.maximal.escape.loops) + 1
-        sentence = (
-            f"No invariant terminal set exists: in {steps} steps the origin goes {-margin:.3g} past a constraint."
-        )
-    certificate.add("terminal_set_invariant", margin, "", f"{sentence} The run uses E - R_N at the last stage instead.")
+        sentence = f"No invariant terminal set exists: in {steps} steps the origin goes {-margin:.3g} past a constraint."
+    certificate.add(
+        "terminal_set_invariant",
+        margin,
+        "",
+        f"{sentence} The run uses E - R_N at the last stage instead.",
+    )
 
 
-def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal, windows, bounds, W, residual) -> None:
+def _plan_stays_feasible(
+    certificate, problem: Problem, tube_gain, terminal, windows, bounds, W, residual
+) -> None:
     """Check the three terminal inclusions of the shifted plan on the sets used.
 
-    With the tube `sequence` from each step of the run to the next, else for every schedule in the box.
+    With the tube `sequence` from each step of the run to the next, else for every schedule in the
+    box.
     """
     if problem.scenario.controller.tube == "sequence":
         pairs = set(pairwise(windows.index)) or {(windows.index[0], windows.index[0])}
@@ -232,7 +268,9 @@ def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal, win
         last_reach = _products(vertex_loops(problem, tube_gain), W, problem.horizon - 1)
         margins = [_margins_anywhere(problem, terminal, bounds, last_reach)]
     worst = {key: min(margin[key] for margin in margins) - residual for key in margins[0]}
-    failing = ", ".join(f"{INCLUSIONS[key]} by {-value:.3g}" for key, value in worst.items() if value < 0)
+    failing = ", ".join(
+        f"{INCLUSIONS[key]} by {-value:.3g}" for key, value in worst.items() if value < 0
+    )
     certificate.add(
         "plan_stays_feasible",
         min(worst.values()),
@@ -242,18 +280,26 @@ def _plan_stays_feasible(certificate, problem: Problem, tube_gain, terminal, win
     )
 
 
-def _any_order(certificate, problem: Problem, gain: LocalGain, terminal: Terminal, omega: Polytope, residual) -> None:
-    """Check recursive feasibility along wheel speeds in random order, as it follows from the invariance of Omega.
+def _any_order(
+    certificate, problem: Problem, gain: LocalGain, terminal: Terminal, omega: Polytope, residual
+) -> None:
+    """Check recursive feasibility along wheel speeds in random order, as it follows from the
+    invariance of Omega.
 
-    With R_{N|k+1} + Psi W = Phi R_{N|k} + W, Psi the product of the N loops ahead, what is left of Omega once R_N is
-    taken off is mapped into what is left one step later, whatever wheel speeds come next.
+    With R_{N|k+1} + Psi W = Phi R_{N|k} + W, Psi the product of the N loops ahead, what is left of
+    Omega once R_N is taken off is mapped into what is left one step later, whatever wheel speeds
+    come next.
     """
     random = np.random.default_rng(0)
-    chosen = problem.regions[random.integers(len(problem.regions), size=RANDOM_STEPS + problem.horizon)]
+    chosen = problem.regions[
+        random.integers(len(problem.regions), size=RANDOM_STEPS + problem.horizon)
+    ]
     corners, inside = random.integers(0, 2, (len(chosen), 2)), random.random((len(chosen), 2))
     share = np.where(random.random((len(chosen), 1)) < 0.5, corners, inside)
     wheels = chosen[:, 0] + share * (chosen[:, 1] - chosen[:, 0])
-    elsewhere = replace(problem, reference=replace(problem.reference, wheels=wheels, steps=RANDOM_STEPS))
+    elsewhere = replace(
+        problem, reference=replace(problem.reference, wheels=wheels, steps=RANDOM_STEPS)
+    )
     windows = make_windows(elsewhere, gain)
     tightening = tighten(elsewhere, gain, windows, [], "sequence")
     left = omega.offsets - tube_support(elsewhere, windows, tightening, omega.normals)
@@ -261,7 +307,10 @@ def _any_order(certificate, problem: Problem, gain: LocalGain, terminal: Termina
     bounds, W = tube_bounds(elsewhere, tightening, terminal), problem.disturbance_set.vertices()
     reach, inclusion = _sequence_margins(elsewhere, gain, windows, bounds)
     pairs = set(pairwise(windows.index))
-    returns = min(min(_margins_along(elsewhere, terminal, windows, bounds, W, *pair).values()) for pair in pairs)
+    returns = min(
+        min(_margins_along(elsewhere, terminal, windows, bounds, W, *pair).values())
+        for pair in pairs
+    )
     margin = min(reach + check.ROUNDING, inclusion - residual, returns - residual, left.min())
     certificate.add(
         "any_order_of_wheel_speeds",
@@ -272,15 +321,20 @@ def _any_order(certificate, problem: Problem, gain: LocalGain, terminal: Termina
     )
 
 
-def _margins_anywhere(problem: Problem, terminal: Terminal, bounds: Bounds, last_reach) -> dict[str, float]:
-    """Return the margins of the terminal inclusions over the whole schedule box, from any window to any other."""
+def _margins_anywhere(
+    problem: Problem, terminal: Terminal, bounds: Bounds, last_reach
+) -> dict[str, float]:
+    """Return the margins of the terminal inclusions over the whole schedule box, from any window to
+    any other."""
     last = problem.horizon - 1
     return check.terminal_margins(
         Polytope(bounds.terminal_normals, bounds.terminal.max(axis=0)),
         Polytope(bounds.terminal_normals, bounds.terminal.min(axis=0)),
         vertex_loops(problem, terminal.gains),
         Polytope(problem.operating_set.normals, bounds.errors[:, last].min(axis=0)),
-        *_unit_input_rows(problem, _rows_under_gains(problem, terminal.gains), bounds.inputs[:, last].min(axis=0)),
+        *_unit_input_rows(
+            problem, _rows_under_gains(problem, terminal.gains), bounds.inputs[:, last].min(axis=0)
+        ),
         last_reach,
     )
 
@@ -288,7 +342,8 @@ def _margins_anywhere(problem: Problem, terminal: Terminal, bounds: Bounds, last
 def _margins_along(
     problem, terminal: Terminal, windows: Windows, bounds: Bounds, W, now, following
 ) -> dict[str, float]:
-    """Return the margins of the terminal inclusions from the step that has window `now` ahead to the next one."""
+    """Return the margins of the terminal inclusions from the step that has window `now` ahead to
+    the next one."""
     last, schedule = problem.horizon - 1, windows.schedules[following, -1]
     transition, inputs = problem.model.matrices(schedule)
     gain = terminal.gains.at(problem.model.weights(schedule))
@@ -300,7 +355,9 @@ def _margins_along(
         Polytope(bounds.terminal_normals, bounds.terminal[following]),
         (transition + inputs @ gain)[None],
         Polytope(problem.operating_set.normals, bounds.errors[following, last]),
-        *_unit_input_rows(problem, problem.input_rows.under(gain)[None], bounds.inputs[following, last]),
+        *_unit_input_rows(
+            problem, problem.input_rows.under(gain)[None], bounds.inputs[following, last]
+        ),
         points,
     )
 
@@ -317,7 +374,8 @@ def _unit_input_rows(problem: Problem, rows, offsets):
 
 
 def _products(loops, W, steps: int) -> np.ndarray:
-    """Return the corners of the hull of Psi W over every product of `steps` loops, by enumeration of the products."""
+    """Return the corners of the hull of Psi W over every product of `steps` loops, by enumeration
+    of the products."""
     points = W
     for _ in range(steps):
         points = np.concatenate([points @ loop.T for loop in loops])
@@ -325,8 +383,11 @@ def _products(loops, W, steps: int) -> np.ndarray:
     return points
 
 
-def _coverage(certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, windows: Windows) -> None:
-    """Check that loops in the regions, the run's too, are mixtures of the corner loops: not so for zero-order hold."""
+def _coverage(
+    certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, windows: Windows
+) -> None:
+    """Check that loops in the regions, the run's too, are mixtures of the corner loops: not so for
+    zero-order hold."""
     transitions, inputs = problem.model.matrices(windows.schedules)
     gains = tube_gain.at(problem.model.weights(windows.schedules))
     run = gains - windows.gains, transitions + inputs @ gains - windows.loops
@@ -336,7 +397,9 @@ def _coverage(certificate, problem: Problem, tube_gain: LocalGain, terminal: Ter
         gaps = [coverage_gap(problem, gain, used, region) for region in problem.regions]
         worst = max(worst, float(np.min(gaps, axis=0).max()))
         for region in problem.regions:
-            grid = np.stack(np.meshgrid(*np.linspace(region[0], region[1], 21).T), axis=-1).reshape(-1, 2)
+            grid = np.stack(np.meshgrid(*np.linspace(region[0], region[1], 21).T), axis=-1).reshape(
+                -1, 2
+            )
             worst = max(worst, float(coverage_gap(problem, gain, grid, region).max()))
     certificate.add(
         "vertices_cover_schedule",

@@ -1,4 +1,5 @@
-"""For information in a certificate: for which gains an invariant set inside the constraints exists at all."""
+"""For information in a certificate: for which gains an invariant set inside the constraints exists
+at all."""
 
 from __future__ import annotations
 
@@ -15,23 +16,32 @@ from sets.lmi import terminal_cost
 OBJECTIVES = ("trace_s", "trace_p", "logdet")
 
 
-def say_what_exists(certificate: Certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, cost) -> None:
-    """Say, for information, for which gains an invariant set inside E and U exists at all over the whole box."""
+def say_what_exists(
+    certificate: Certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, cost
+) -> None:
+    """Say, for information, for which gains an invariant set inside E and U exists at all over the
+    whole box."""
     _exists(certificate, "invariant_set_for_tube_gain", "the tube gain", problem, tube_gain)
     vertices = problem.model.matrices(problem.model.vertices)
     for objective in OBJECTIVES:
         name, gain = f"terminal_set_for_{objective}", terminal.gains
         if objective != cost.objective:
             try:
-                gains = terminal_cost(*vertices, problem.error_weight, problem.input_weight, objective).gains
+                gains = terminal_cost(
+                    *vertices, problem.error_weight, problem.input_weight, objective
+                ).gains
             except RuntimeError as error:
-                certificate.add(name, -np.inf, "", f"No LMI gains for {objective}: {error}", required=False)
+                certificate.add(
+                    name, -np.inf, "", f"No LMI gains for {objective}: {error}", required=False
+                )
                 continue
             gain = LocalGain(gains.mean(axis=0), gains)
         _exists(certificate, name, f"the LMI gains of {objective}", problem, gain)
 
 
-def _exists(certificate: Certificate, name: str, label: str, problem: Problem, gain: LocalGain) -> None:
+def _exists(
+    certificate: Certificate, name: str, label: str, problem: Problem, gain: LocalGain
+) -> None:
     loops, W = vertex_loops(problem, gain), problem.disturbance_set
     admissible = admissible_set(problem, gain)
     found = maximal_rpi(loops, admissible, W.support)
@@ -54,8 +64,11 @@ def _exists(certificate: Certificate, name: str, label: str, problem: Problem, g
 
 
 def escape_margin(found: MaximalRpi, loops, disturbance) -> float:
-    """Return minus what the escape passes its constraint by, -inf where none does: then nothing is proved."""
+    """Return minus what the escape passes its constraint by, -inf where none does: then nothing is
+    proved."""
     if found.escape is None:
         return -np.inf
-    excess, _ = check.escape_excess(loops, disturbance, found.escape.normal, found.escape.offset, found.escape.loops)
+    excess, _ = check.escape_excess(
+        loops, disturbance, found.escape.normal, found.escape.offset, found.escape.loops
+    )
     return -excess if excess > 0 else -np.inf

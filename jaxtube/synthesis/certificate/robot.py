@@ -1,4 +1,5 @@
-"""What a certificate says of the robot itself: its true errors, its disturbances, its wheels, and what is assumed."""
+"""What a certificate says of the robot itself: its true errors, its disturbances, its wheels, and
+what is assumed."""
 
 from __future__ import annotations
 
@@ -14,8 +15,11 @@ from sets.robot.disturbance import DisturbanceBound
 
 
 def certify_robot(certificate: Certificate, problem: Problem) -> None:
-    """Check that the promise lies in the constraints, and with a computed W that W and the wheels keep up with it."""
-    room = float(np.min(error_vector(problem.scenario.constraints) - problem.error_set.support(np.eye(3))))
+    """Check that the promise lies in the constraints, and with a computed W that W and the wheels
+    keep up with it."""
+    room = float(
+        np.min(error_vector(problem.scenario.constraints) - problem.error_set.support(np.eye(3)))
+    )
     certificate.add(
         "true_error_in_e",
         room + check.ROUNDING,
@@ -28,10 +32,14 @@ def certify_robot(certificate: Certificate, problem: Problem) -> None:
 
 
 def _disturbance(certificate: Certificate, problem: Problem, bound: DisturbanceBound) -> None:
-    """Check that W is as wide as its bound, and that the wheels can do all that may be asked of them."""
+    """Check that W is as wide as its bound, and that the wheels can do all that may be asked of
+    them."""
     W = problem.disturbance_set
     margin = float(np.min(W.offsets - bound.support(W.normals)))
-    widths, reached = np.array([bound.yaw, *bound.box]), np.array([bound.found_yaw, *bound.found_box])
+    widths, reached = (
+        np.array([bound.yaw, *bound.box]),
+        np.array([bound.found_yaw, *bound.found_box]),
+    )
     found = np.clip(reached[widths > 0] / widths[widths > 0], 0, 1)
     certificate.add(
         "disturbance_bound_proved",
@@ -53,7 +61,8 @@ def _disturbance(certificate: Certificate, problem: Problem, bound: DisturbanceB
 
 
 def widest_tube_fits(certificate: Certificate, problem: Problem, gain: LocalGain) -> None:
-    """Say, for information, how much of each cap the tube of the terminal gain fills, and which one binds."""
+    """Say, for information, how much of each cap the tube of the terminal gain fills, and which one
+    binds."""
     shares = cap_shares(problem, gain)
     binding = max(shares, key=lambda name: shares[name])
     listed = ", ".join(f"{name} {share:.1%}" for name, share in shares.items())
@@ -82,7 +91,11 @@ def assumptions(problem: Problem) -> tuple[str, ...]:
         f"tracking error measured within {scenario.noise.longitudinal_m:g} m, {scenario.noise.lateral_m:g} m, "
         f"{scenario.noise.heading_deg:g} deg in the robot's frame, without delay",
         f"reference of {speeds}"
-        + ("" if scenario.operating.bands else f", known {problem.horizon} periods of {problem.model.dt:g} s ahead"),
+        + (
+            ""
+            if scenario.operating.bands
+            else f", known {problem.horizon} periods of {problem.model.dt:g} s ahead"
+        ),
         "slip, wheel speeds and reference constant over each period; wheels obey at once; no sideways slip",
         "what is promised holds at the ends of periods, with controllers in 64 bits",
         (

@@ -1,4 +1,5 @@
-"""Laws of the computed W: it holds every disturbance of the nonlinear, sampled, slipping robot, and hardly more."""
+"""Laws of the computed W: it holds every disturbance of the nonlinear, sampled, slipping robot, and
+hardly more."""
 
 import functools
 import itertools
@@ -20,7 +21,14 @@ from tolerances import (
 from jaxtube.plant.error_dynamics import advance
 from jaxtube.plant.model import make_model
 from sets.interval import Dual
-from sets.robot.disturbance import CAUSES, Operation, disturbance_bound, disturbance_parts, residual, wheel_error_bound
+from sets.robot.disturbance import (
+    CAUSES,
+    Operation,
+    disturbance_bound,
+    disturbance_parts,
+    residual,
+    wheel_error_bound,
+)
 from sets.robot.plant import INPUT_MAPS, Kinematics, Period, plane_rows, split_residual
 
 PERIOD, TRACK = 0.1, 0.5
@@ -67,7 +75,9 @@ def operation(
 
 EIGHT = operation()
 # the errors and wheels of the paper; its inputs, a parallelogram, fill this box only partly
-PAPER = operation((0.3, 0.3, np.deg2rad(20)), ((-0.84, -6.76), (2.54, 6.76)), (0.2, 1.5), noise=(0.0, 0.0, 0.0))
+PAPER = operation(
+    (0.3, 0.3, np.deg2rad(20)), ((-0.84, -6.76), (2.54, 6.76)), (0.2, 1.5), noise=(0.0, 0.0, 0.0)
+)
 
 
 @functools.cache
@@ -76,12 +86,17 @@ def bound_of(kinematics: Kinematics, tolerance: float = 0.03):
 
 
 def samples(where: Operation, count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """Draw variables and noises after the step: uniform ones, vertices, and points with coordinates of either kind."""
+    """Draw variables and noises after the step: uniform ones, vertices, and points with coordinates
+    of either kind."""
     rng = np.random.default_rng(seed)
     low, high = np.hstack([where.box, [-where.noise, where.noise]])
     inside, side = rng.random((2, count, 15))
     share = rng.choice([0.0, 0.5, 1.0], size=(count, 1))
-    points = np.where(rng.random((count, 15)) < share, low + inside * (high - low), np.where(side < 0.5, low, high))
+    points = np.where(
+        rng.random((count, 15)) < share,
+        low + inside * (high - low),
+        np.where(side < 0.5, low, high),
+    )
     return points[:, :12], points[:, 12:]
 
 
@@ -118,7 +133,9 @@ def next_error(input_map: str, points, slipping: bool = True, noisy: bool = True
     v, w = commanded(input_map, points)
     wheels = jnp.stack([v + TRACK / 2 * w, v - TRACK / 2 * w], axis=-1)
     true = points[..., :3] - points[..., 9:12] * float(noisy)
-    return advance(true, wheels, points[..., 7:9] * float(slipping), points[..., 5:7], TRACK, PERIOD), wheels
+    return advance(
+        true, wheels, points[..., 7:9] * float(slipping), points[..., 5:7], TRACK, PERIOD
+    ), wheels
 
 
 def way(speeds: np.ndarray) -> np.ndarray:
@@ -141,10 +158,14 @@ def test_residuals_are_what_the_plant_does_less_what_the_model_says(kinematics, 
     points, after = samples(where, 3000)
     w, kick, speeds = residual(where, kinematics, points, after)
     error, wheels = next_error(kinematics.input_map, points)
-    np.testing.assert_allclose(w, error + after - predicted(kinematics, points), rtol=0, atol=RESIDUAL_ROUNDING)
+    np.testing.assert_allclose(
+        w, error + after - predicted(kinematics, points), rtol=0, atol=RESIDUAL_ROUNDING
+    )
     np.testing.assert_allclose(speeds, wheels, rtol=0, atol=RESIDUAL_ROUNDING)
     right, left = (wheels * points[:, 7:9]).T
-    np.testing.assert_allclose(kick, PERIOD * (right - left) / TRACK, rtol=0, atol=RESIDUAL_ROUNDING)
+    np.testing.assert_allclose(
+        kick, PERIOD * (right - left) / TRACK, rtol=0, atol=RESIDUAL_ROUNDING
+    )
 
 
 @each_map
@@ -156,7 +177,11 @@ def test_residuals_agree_with_an_integration_in_the_world_frame(input_map):
     def drive(pose, wheels):
         def rate(_, pose):
             speed = wheels.mean()
-            return [speed * np.cos(pose[2]), speed * np.sin(pose[2]), (wheels[0] - wheels[1]) / TRACK]
+            return [
+                speed * np.cos(pose[2]),
+                speed * np.sin(pose[2]),
+                (wheels[0] - wheels[1]) / TRACK,
+            ]
 
         return solve_ivp(rate, (0, PERIOD), pose, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
 
@@ -166,7 +191,9 @@ def test_residuals_agree_with_an_integration_in_the_world_frame(input_map):
         robot = np.array([1.0, -2.0, 0.7])
         true = point[:3] - point[9:12]
         c, s = np.cos(robot[2]), np.sin(robot[2])
-        reference = robot + np.array([c * true[0] - s * true[1], s * true[0] + c * true[1], true[2]])
+        reference = robot + np.array(
+            [c * true[0] - s * true[1], s * true[0] + c * true[1], true[2]]
+        )
         robot, reference = drive(robot, speed * (1 - point[7:9])), drive(reference, point[5:7])
         c, s = np.cos(robot[2]), np.sin(robot[2])
         gap = reference - robot
@@ -176,16 +203,26 @@ def test_residuals_agree_with_an_integration_in_the_world_frame(input_map):
 
 @each_map
 def test_each_map_has_the_jacobian_that_is_claimed(input_map):
-    own = Kinematics(input_map) if input_map == "x_exact" else Kinematics(input_map, "consistent", "zoh")
+    own = (
+        Kinematics(input_map)
+        if input_map == "x_exact"
+        else Kinematics(input_map, "consistent", "zoh")
+    )
     rng = np.random.default_rng(1)
     for right, left in [*rng.uniform(0.2, 1.5, size=(10, 2)), [1.2, 1.2], [0.2, 1.5]]:
 
         def step(z, right=right, left=left):
-            return next_error(input_map, jnp.concatenate([z, jnp.array([right, left]), jnp.zeros(5)]))[0]
+            return next_error(
+                input_map, jnp.concatenate([z, jnp.array([right, left]), jnp.zeros(5)])
+            )[0]
 
-        plane = plane_rows(own, Period(PERIOD, TRACK, 0.0), right, left) * way(np.array([right, left]))
+        plane = plane_rows(own, Period(PERIOD, TRACK, 0.0), right, left) * way(
+            np.array([right, left])
+        )
         jacobian = np.vstack([plane, [0, 0, 1, 0, PERIOD]])
-        np.testing.assert_allclose(jax.jacfwd(step)(jnp.zeros(5)), jacobian, rtol=0, atol=RESIDUAL_ROUNDING)
+        np.testing.assert_allclose(
+            jax.jacfwd(step)(jnp.zeros(5)), jacobian, rtol=0, atol=RESIDUAL_ROUNDING
+        )
 
 
 @pytest.mark.parametrize(
@@ -193,13 +230,19 @@ def test_each_map_has_the_jacobian_that_is_claimed(input_map):
 )
 def test_models_are_those_of_the_controller(kinematics):
     box = np.array([0.2, 0.2]), np.array([1.5, 1.5])
-    model = make_model(kinematics.model, kinematics.discretisation, PERIOD, TRACK, 1 - np.array(GRIP), box)
+    model = make_model(
+        kinematics.model, kinematics.discretisation, PERIOD, TRACK, 1 - np.array(GRIP), box
+    )
     for schedule in np.random.default_rng(2).uniform(*box, size=(20, 2)):
         rows = plane_rows(kinematics, Period(PERIOD, TRACK, 0.0), *schedule) * way(schedule)
-        np.testing.assert_allclose(rows, np.hstack(model.matrices(schedule))[:2], rtol=0, atol=RESIDUAL_ROUNDING)
+        np.testing.assert_allclose(
+            rows, np.hstack(model.matrices(schedule))[:2], rtol=0, atol=RESIDUAL_ROUNDING
+        )
 
 
-def assert_holds(bound, where: Operation, kinematics: Kinematics, points: np.ndarray, after: np.ndarray) -> None:
+def assert_holds(
+    bound, where: Operation, kinematics: Kinematics, points: np.ndarray, after: np.ndarray
+) -> None:
     w, kick, speeds = residual(where, kinematics, points, after)
     rest = w - kick[:, None] * [0.0, bound.lateral_per_yaw, 1.0]
     assert np.abs(kick).max() <= bound.yaw
@@ -218,7 +261,9 @@ def test_no_sample_lies_outside(kinematics):
 
 def test_no_sample_of_many_lies_outside():
     for seed in range(4):
-        assert_holds(bound_of(Kinematics(), 0.01), EIGHT, Kinematics(), *samples(EIGHT, 200_000, seed))
+        assert_holds(
+            bound_of(Kinematics(), 0.01), EIGHT, Kinematics(), *samples(EIGHT, 200_000, seed)
+        )
 
 
 @pytest.mark.slow
@@ -237,7 +282,10 @@ def test_no_local_maximum_lies_outside_and_the_best_come_close(kinematics):
     for output, sign in itertools.product(range(3), (1, -1)):
         share = np.random.default_rng(output).random((12, 200))  # in units of the box
         for step in np.geomspace(0.5, 1e-4, 60):
-            duals = [Dual(value, seed) for value, seed in zip(low + share * (high - low), seeds, strict=True)]
+            duals = [
+                Dual(value, seed)
+                for value, seed in zip(low + share * (high - low), seeds, strict=True)
+            ]
             parts = split_residual(kinematics, EIGHT.period, duals)
             climbed = (parts.yaw, *parts.rest)[output] * sign
             largest[output] = max(largest[output], climbed.value.max())
@@ -256,7 +304,10 @@ def test_bounds_exceed_the_values_found_by_no_more_than_the_tolerance(kinematics
     assert bound.found_yaw <= bound.yaw <= 1.031 * bound.found_yaw
     assert (bound.found_box <= bound.box).all()
     assert (bound.box <= 1.031 * bound.found_box).all()
-    assert (np.abs(bound.ground_speeds - bound.found_ground_speeds) <= 0.031 * np.abs(bound.found_ground_speeds)).all()
+    assert (
+        np.abs(bound.ground_speeds - bound.found_ground_speeds)
+        <= 0.031 * np.abs(bound.found_ground_speeds)
+    ).all()
 
 
 def test_the_certified_eight_has_the_reference_bounds_or_better():
@@ -271,7 +322,9 @@ def test_the_certified_eight_has_the_reference_bounds_or_better():
     for cause, half_width in lateral.items():
         assert parts[cause][2] == pytest.approx(half_width, rel=REFERENCE_PART)
     assert parts["slip"][2] <= 3.62e-3
-    assert parts["sine"][2] == pytest.approx(0.1496 * (np.deg2rad(18) - np.sin(np.deg2rad(18))), rel=REFERENCE_PART)
+    assert parts["sine"][2] == pytest.approx(
+        0.1496 * (np.deg2rad(18) - np.sin(np.deg2rad(18))), rel=REFERENCE_PART
+    )
     assert not parts["sampling"].any()
 
 
@@ -282,7 +335,11 @@ def test_the_papers_map_model_and_sets_leave_far_more_out_than_its_disturbances(
 
 
 def jacobian_step(input_map: str, points: np.ndarray) -> np.ndarray:
-    own = Kinematics(input_map) if input_map == "x_exact" else Kinematics(input_map, "consistent", "zoh")
+    own = (
+        Kinematics(input_map)
+        if input_map == "x_exact"
+        else Kinematics(input_map, "consistent", "zoh")
+    )
     return predicted(own, points)
 
 
@@ -293,7 +350,11 @@ def test_parts_are_the_differences_that_define_them(kinematics):
     idle = points * np.array([1, 1, 1, 0, 0, *[1] * 7])
     nominal = next_error(name, points, slipping=False, noisy=False)[0]
     slipping = next_error(name, points, noisy=False)[0]
-    kick = residual(EIGHT, kinematics, points, after)[1][:, None] * [0.0, EIGHT.period.lateral_per_yaw, 1.0]
+    kick = residual(EIGHT, kinematics, points, after)[1][:, None] * [
+        0.0,
+        EIGHT.period.lateral_per_yaw,
+        1.0,
+    ]
     sine = next_error(name, idle, slipping=False, noisy=False)[0] - jacobian_step(name, idle)
     expected = {
         "bilinear": nominal - jacobian_step(name, points) - sine,
@@ -310,7 +371,9 @@ def test_parts_are_the_differences_that_define_them(kinematics):
 
 @pytest.mark.parametrize("kinematics", [PAIRS[2], PAIRS[3], PAIRS[6], PAIRS[10]])
 def test_parts_hold_every_sample_and_are_reached(kinematics):
-    split = split_residual(kinematics, EIGHT.period, np.vstack([vertices(EIGHT)[0], samples(EIGHT, 20_000)[0]]).T)
+    split = split_residual(
+        kinematics, EIGHT.period, np.vstack([vertices(EIGHT)[0], samples(EIGHT, 20_000)[0]]).T
+    )
     widths = disturbance_parts(EIGHT, kinematics)
     assert np.abs(split.yaw).max() <= widths["slip"][0] <= 1.11 * np.abs(split.yaw).max()
     for cause in CAUSES:
@@ -321,7 +384,11 @@ def test_parts_hold_every_sample_and_are_reached(kinematics):
 
 @each_map
 def test_parts_vanish_with_their_causes(input_map):
-    kinematics = Kinematics(input_map) if input_map == "x_exact" else Kinematics(input_map, "consistent", "zoh")
+    kinematics = (
+        Kinematics(input_map)
+        if input_map == "x_exact"
+        else Kinematics(input_map, "consistent", "zoh")
+    )
     still = operation(inputs=((0.0, 0.0), (0.0, 0.0)), relative_error=0.0, noise=(0.0, 0.0, 0.0))
     parts = disturbance_parts(still, kinematics)
     for cause in ("bilinear", "sampling", "slip", "noise"):
@@ -335,7 +402,9 @@ def test_parts_vanish_with_their_causes(input_map):
 
 
 def test_larger_operations_have_larger_bounds():
-    smaller = operation((0.1, 0.2, 0.2), ((-0.2, -0.5), (0.3, 0.6)), (1.3, 1.4), 0.05, (5e-4, 1e-3, 0.0))
+    smaller = operation(
+        (0.1, 0.2, 0.2), ((-0.2, -0.5), (0.3, 0.6)), (1.3, 1.4), 0.05, (5e-4, 1e-3, 0.0)
+    )
     inner, outer = (disturbance_bound(where, Kinematics()) for where in (smaller, EIGHT))
     assert inner.found_yaw < outer.yaw
     assert (inner.found_box < outer.box).all()
@@ -345,9 +414,13 @@ def test_larger_operations_have_larger_bounds():
 @pytest.mark.parametrize("relative_error", [0.0, 0.1])
 def test_w_has_one_support_function_by_formula_vertices_and_facets(relative_error):
     bound = disturbance_bound(operation(relative_error=relative_error), Kinematics(), 0.1)
-    directions = np.vstack([np.random.default_rng(0).normal(size=(200, 3)) * [1, 1, 0.1], np.eye(3), -np.eye(3)])
+    directions = np.vstack(
+        [np.random.default_rng(0).normal(size=(200, 3)) * [1, 1, 0.1], np.eye(3), -np.eye(3)]
+    )
     expected = bound.support(directions)
-    np.testing.assert_allclose((directions @ bound.vertices().T).max(axis=1), expected, rtol=SET_RELATIVE)
+    np.testing.assert_allclose(
+        (directions @ bound.vertices().T).max(axis=1), expected, rtol=SET_RELATIVE
+    )
     np.testing.assert_allclose(bound.polytope().support(directions), expected, rtol=SET_RELATIVE)
     assert 8 <= len(bound.vertices()) <= 12
 
@@ -360,7 +433,9 @@ def test_wheel_errors_are_bounded_and_the_bound_is_reached(random, slip):
     if random != "both":
         true, measured = (true, slip) if random == "true" else (slip, measured)
     reached = np.abs((true - measured) / (1 - measured)).max()
-    assert wheel_error_bound(np.array([slip]), r, random)[0] == pytest.approx(reached, rel=1e-13, abs=1e-300)
+    assert wheel_error_bound(np.array([slip]), r, random)[0] == pytest.approx(
+        reached, rel=1e-13, abs=1e-300
+    )
     assert wheel_error_bound(np.array([slip]), r, random)[0] >= reached
 
 

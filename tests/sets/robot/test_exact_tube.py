@@ -1,4 +1,5 @@
-"""Laws of exact tubes along a schedule: margins are those of vertices, and offsets that miss one are named."""
+"""Laws of exact tubes along a schedule: margins are those of vertices, and offsets that miss one
+are named."""
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -7,7 +8,21 @@ from itertools import product
 
 import numpy as np
 import pytest
-from exact_problem import DT, FAST, GAINS, HORIZON, POINTS, SLOW, STEP, WIDTH, E, U, W, floats, invariant
+from exact_problem import (
+    DT,
+    FAST,
+    GAINS,
+    HORIZON,
+    POINTS,
+    SLOW,
+    STEP,
+    WIDTH,
+    E,
+    U,
+    W,
+    floats,
+    invariant,
+)
 from tolerances import EXACT_AGAINST_FLOAT, EXACT_ROUNDED_OFFSETS
 
 from sets.exact import ExactReport
@@ -43,19 +58,32 @@ def taken(rows: np.ndarray, steps: int) -> np.ndarray:
 
 @cache
 def used_sets(graded: bool) -> Used:
-    """E - R_j, U - K R_j, Omega - R_N window by window, backed off by STEP, or by STEP more at every stage."""
+    """E - R_j, U - K R_j, Omega - R_N window by window, backed off by STEP, or by STEP more at
+    every stage."""
     omega = invariant(STEP)
     back = STEP * (np.arange(1, HORIZON + 2) if graded else np.ones(HORIZON + 1))
     errors = [E[1] - taken(E[0], j) - back[j] for j in range(HORIZON)]
     inputs = [U[1] - taken(U[0] @ SEQUENCE_GAINS[:, j], j) - back[j] for j in range(HORIZON)]
-    last = omega.offsets - taken(omega.normals, HORIZON) - back[-1] * np.linalg.norm(omega.normals, axis=1)
+    last = (
+        omega.offsets
+        - taken(omega.normals, HORIZON)
+        - back[-1] * np.linalg.norm(omega.normals, axis=1)
+    )
     return Used(np.stack(errors, axis=1), np.stack(inputs, axis=1), omega.normals, last)
 
 
 UNCOUPLED = U[0], np.zeros((4, 3)), U[1]
 
 
-def margins(used: Used, slack=0, disturbance=W, boxes=BOXES, followers=FOLLOWERS, gains=GAINS, input_set=UNCOUPLED):
+def margins(
+    used: Used,
+    slack=0,
+    disturbance=W,
+    boxes=BOXES,
+    followers=FOLLOWERS,
+    gains=GAINS,
+    input_set=UNCOUPLED,
+):
     omega = invariant(STEP)
     sets = E, input_set, (omega.normals, omega.offsets)
     return sequence_margins(boxes, followers, gains, DT, disturbance, *sets, used, slack)
@@ -81,7 +109,9 @@ def test_rows_that_couple_input_and_error_lose_what_both_reach():
     D = np.vstack([U[0], signs[:, :1] * [0, 1 / 1.5]])
     C = np.vstack([np.zeros((4, 3)), signs[:, 1:] * [1 / 0.3, 0, 0]])
     offsets = np.concatenate([U[1], np.ones(4)])
-    inputs = [offsets - taken(D @ SEQUENCE_GAINS[:, j] + C, j) - (j + 1) * STEP for j in range(HORIZON)]
+    inputs = [
+        offsets - taken(D @ SEQUENCE_GAINS[:, j] + C, j) - (j + 1) * STEP for j in range(HORIZON)
+    ]
     used = replace(used_sets(True), inputs=np.stack(inputs, axis=1))
     found = margins(used, input_set=(D, C, offsets))
     assert ExactReport(found).holds
@@ -108,7 +138,9 @@ def test_what_returns_is_the_room_of_vertices_under_products_of_loops():
         rooms["errors returns"].append(np.min(used.errors[later, -1] - ends @ E[0].T))
         rooms["inputs returns"].append(np.min(used.inputs[later, -1] - inputs @ U[0].T))
         images = ends @ SEQUENCE_LOOPS[later, -1].T
-        rooms["terminal returns"].append(np.min(used.terminal[later] - images @ used.terminal_normals.T))
+        rooms["terminal returns"].append(
+            np.min(used.terminal[later] - images @ used.terminal_normals.T)
+        )
     for name, expected in rooms.items():
         assert float(found[name]) == pytest.approx(min(expected), abs=EXACT_AGAINST_FLOAT)
 
@@ -141,7 +173,9 @@ def test_wider_disturbances_other_gains_and_blurred_schedules_are_refused_along_
     wider = [tuple(Fraction(10_001, 10_000) * a for a in point) for point in W]
     assert "errors reach" in ExactReport(margins(used_sets(True), disturbance=wider)).failing
     assert not ExactReport(margins(used_sets(True), gains=(3.0, 6.45, 6.5))).holds
-    blurred = {wheels: schedule_box(wheels, np.array(wheels) + 1e-3, DT, WIDTH) for wheels in WHEELS}
+    blurred = {
+        wheels: schedule_box(wheels, np.array(wheels) + 1e-3, DT, WIDTH) for wheels in WHEELS
+    }
     boxes = [[blurred[wheels] for wheels in window] for window in WINDOWS]
     assert not ExactReport(margins(used_sets(True), boxes=boxes)).holds
 
@@ -152,7 +186,8 @@ def test_a_window_that_does_not_follow_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("field", "cut"), [("errors", np.s_[:, 1:]), ("inputs", np.s_[:, :, 1:]), ("terminal", np.s_[1:])]
+    ("field", "cut"),
+    [("errors", np.s_[:, 1:]), ("inputs", np.s_[:, :, 1:]), ("terminal", np.s_[1:])],
 )
 def test_offsets_of_another_shape_are_refused(field, cut):
     used = used_sets(True)
