@@ -43,7 +43,7 @@ def fake_runs(monkeypatch):
         return 0
 
     for name in ("design", "paper"):
-        replace_module(monkeypatch, f"jaxtube.experiments.{name}", run=run)
+        replace_module(monkeypatch, f"jaxtube.experiments.{name}.command", run=run)
     return calls
 
 
