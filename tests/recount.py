@@ -169,11 +169,15 @@ def best_plans(design, solver, step, errors) -> Plans:
 
 
 @jax.jit
-def slip_memory(controller, plant, keys, step):
-    """Return the plant's memory at a step: walks go on by themselves, wherever the robot is."""
-    rest, none = jnp.zeros((len(keys), 3)), jnp.zeros((len(keys), 2))
-    advance = lambda now, memory: plant.advance(keys, now, memory, rest, none, controller)[1]  # noqa: E731
-    return jax.lax.fori_loop(0, step, advance, plant.initial(keys, rest))
+def slip_memory(plant, keys, step):
+    """Return the plant's memory before it senses at a step: walks go on by themselves, wherever the
+    robot is."""
+    rest = jnp.zeros((len(keys), 3))
+
+    def sense(now, memory):
+        return plant.sense(keys, now, memory, rest)[1]
+
+    return jax.lax.fori_loop(0, step, sense, plant.initial(keys, rest))
 
 
 def tube_sections(design, name, step):
@@ -203,8 +207,10 @@ def follow(case, solver, laps: Trajectory, keys, step) -> Followed:
     task, measured = case.task, laps.measured[step]
     plans = best_plans(case.design, solver, step, measured)
     later = best_plans(case.design, solver, step + 1, plans.expected)
-    memory = slip_memory(task.controller, task.plant, keys, step)
-    state = LoopState(jnp.asarray(laps.errors[step]), jnp.asarray(measured), (), memory)
+    errors = jnp.asarray(laps.errors[step])
+    memory = slip_memory(task.plant, keys, step)
+    measurement, memory = task.plant.sense(keys, step, memory, errors)
+    state = LoopState(errors, measurement, (), memory)
     given = mpc.Plan(jnp.nan_to_num(jnp.asarray(plans.inputs)), *[jnp.zeros(len(keys))] * 3)
     deviations = np.asarray(
         follow_plan(task.controller, task.plant, keys, state, jnp.asarray(step), given)

@@ -1,12 +1,7 @@
-"""The controllers a rollout can run, behind one interface.
+"""The controllers that come with a design: tube-MPC, the paper's tracking law, a scheduled gain.
 
-    initial(errors) -> memory
-    act(step, memory, errors, reference_wheels) -> (virtual inputs, next memory, diagnostics)
-
-`errors` are the measured ones, (batch, 3); virtual inputs (speed deficit m/s, yaw rate deficit
-rad/s), in the sense of the controller's `input_map`, become wheels by eqs. (7)-(8) with the
-measured slip where it `compensates`, else with none. All are pytrees whose arrays run along the
-reference.
+Each is a `Controller`, a pytree whose arrays run along the reference. Beyond the contract they say
+what the checks of a Monte Carlo run ask of them: `free_gains_of`, `planner_of`.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, sections III and IV.
 """
@@ -21,78 +16,120 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from jaxtube.control import mpc
+from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.control.tracking import tracking_input
+from jaxtube.plant.protocol import Command, Measurement
 
 
 @partial(
     jax.tree_util.register_dataclass,
-    meta_fields=["restart", "input_map"],
-    data_fields=["windows", "index"],
+    data_fields=["windows", "index", "wheel_map"],
+    meta_fields=["restart"],
 )
 @dataclass(frozen=True)
 class TubeMpc:
-    """The controller: windows along the reference, which one each step uses, and its two choices."""
+    """Tube-MPC along a reference.
+
+    Attributes:
+        windows: condensed QPs, one for each distinct stretch of the reference ahead.
+        index: which of them each period uses.
+        wheel_map: how virtual inputs become wheel speeds.
+        restart: start each prediction at the measured error, not at the nominal one.
+    """
 
     windows: mpc.Window
     index: Int[Array, " steps"]
+    wheel_map: WheelMap
     restart: bool = True
-    input_map: str = "paper"
-    compensates = True
+
+    @property
+    def free_gains(self) -> Float[Array, "steps 2 3"] | None:
+        """The gains of the first input where no constraint is active, None without restart."""
+        return self.windows.free_inputs[self.index][:, :2] if self.restart else None
+
+    @property
+    def planner(self) -> TubeMpc | None:
+        """Itself, where its plans start at the measured error."""
+        return self if self.restart else None
+
+    def window(self, step) -> mpc.Window:
+        """Return the condensed QP of a period."""
+        return mpc.take_window(self.windows, self.index[step])
 
     def initial(self, errors: Float[Array, "batch 3"]) -> mpc.MpcState:
-        """Return the memory before the first step."""
+        """Return the memory before the first period: no plan."""
         return mpc.initial_state(errors, self.windows.linear.shape[1] // 2)
 
     def act(
         self,
         step,
-        state: mpc.MpcState,
-        errors: Float[Array, "batch 3"],
+        memory: mpc.MpcState,
+        measurement: Measurement,
         reference_wheels: Float[Array, "2"],
-    ):
-        """Return (inputs, next memory, diagnostics) of one step; see `mpc.act`."""
-        return mpc.act(mpc.take_window(self.windows, self.index[step]), state, errors, self.restart)
+    ) -> tuple[Command, mpc.MpcState, mpc.Diagnostics]:
+        """Plan, and return the command of the plan's first period (see `mpc.act`)."""
+        inputs, following, diagnostics = mpc.act(
+            self.window(step), memory, measurement.errors, self.restart
+        )
+        command = self.wheel_map.command(inputs, measurement, reference_wheels)
+        return command, following, diagnostics
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["track_width"], meta_fields=["compensates"])
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class TrackingLaw:
-    """The linear tracking law as a controller, with or without slip compensation."""
+    """The paper's linear tracking law, with or without slip compensation by its wheel map."""
 
-    track_width: float
-    compensates: bool
-    input_map = "paper"
+    wheel_map: WheelMap
 
     def initial(self, errors: Float[Array, "batch 3"]) -> tuple[()]:
         """Return no memory."""
         return ()
 
     def act(
-        self, step, state, errors: Float[Array, "batch 3"], reference_wheels: Float[Array, "2"]
-    ):
-        """Return (inputs, no memory, diagnostics without QP) of one step."""
-        return (
-            tracking_input(errors, reference_wheels, self.track_width),
-            state,
-            mpc.no_diagnostics(errors),
-        )
+        self, step, memory: tuple[()], measurement: Measurement, reference_wheels: Float[Array, "2"]
+    ) -> tuple[Command, tuple[()], mpc.Diagnostics]:
+        """Return the command of the law."""
+        errors = measurement.errors
+        inputs = tracking_input(errors, reference_wheels, self.wheel_map.track_width)
+        command = self.wheel_map.command(inputs, measurement, reference_wheels)
+        return command, memory, mpc.no_diagnostics(errors)
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["gains"], meta_fields=["input_map"])
+@jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class ScheduledGain:
-    """The static law u = K(th_k) e with slip compensation: a tube's local gain without prediction."""
+    """The static law u = K(th_k) e: a tube's local gain without prediction."""
 
     gains: Float[Array, "steps 2 3"]
-    input_map: str = "paper"
-    compensates = True
+    wheel_map: WheelMap
+
+    @property
+    def free_gains(self) -> Float[Array, "steps 2 3"]:
+        """The gains themselves."""
+        return self.gains
 
     def initial(self, errors: Float[Array, "batch 3"]) -> tuple[()]:
         """Return no memory."""
         return ()
 
     def act(
-        self, step, state, errors: Float[Array, "batch 3"], reference_wheels: Float[Array, "2"]
-    ):
-        """Return (inputs, no memory, diagnostics without QP) of one step."""
-        return errors @ self.gains[step].T, state, mpc.no_diagnostics(errors)
+        self, step, memory: tuple[()], measurement: Measurement, reference_wheels: Float[Array, "2"]
+    ) -> tuple[Command, tuple[()], mpc.Diagnostics]:
+        """Return the command of the law."""
+        errors = measurement.errors
+        inputs = errors @ self.gains[step].T
+        command = self.wheel_map.command(inputs, measurement, reference_wheels)
+        return command, memory, mpc.no_diagnostics(errors)
+
+
+def free_gains_of(controller: Controller) -> Float[Array, "steps 2 3"] | None:
+    """Return the linear feedback that a controller is while no constraint is active, in every
+    period; None where it does not say, in a member `free_gains`."""
+    return getattr(controller, "free_gains", None)
+
+
+def planner_of(controller: Controller) -> TubeMpc | None:
+    """Return the tube-MPC whose plans can be followed to their end, None where a controller makes
+    none that start at the measured error."""
+    return getattr(controller, "planner", None)

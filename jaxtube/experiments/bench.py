@@ -19,6 +19,7 @@ from jaxtube.experiments.run.cluster import Cluster
 from jaxtube.plant.reference import settled_step
 from jaxtube.scenario import Scenario
 from jaxtube.simulation import closed_loop
+from jaxtube.simulation.closed_loop import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.statistics import task as validation
 from jaxtube.statistics.run import BLOCK, Run
@@ -95,7 +96,14 @@ def gradient_cost(found: Design) -> dict[str, dict[str, float]]:
     def value(vector, starts):
         weights, keys = chosen.weights(vector), realisation_keys(0, 0, LAPS)
         return objective(
-            weights, frozen, plant, keys, starts, target, settings.restart, settings.input_map
+            weights,
+            frozen,
+            plant,
+            keys,
+            starts,
+            target,
+            make_wheel_map(found.problem),
+            settings.restart,
         )
 
     points = boundary(found.tube_window, int(found.windows.index[0]), problem.operating_set, 100)

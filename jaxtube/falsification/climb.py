@@ -12,7 +12,6 @@ Source: Frank and Wolfe, An algorithm for quadratic programming, Naval Research 
 
 from __future__ import annotations
 
-import itertools
 from typing import NamedTuple
 
 import jax
@@ -21,46 +20,23 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxtube.simulation.rollout import LinearPlant, SlippingRobot
+from jaxtube.plant.protocol import SearchablePlant, Uncertainty
 from jaxtube.simulation.usage import Limits, play, usages
 
 Attack = dict[str, Array]
 """By name, time first: `start` (1, batch, 3) and the entries of a script."""
 
 
-class Uncertainty(NamedTuple):
-    """What one part of an attack may be: `times` values, each in the hull of the vertices."""
-
-    vertices: Float[np.ndarray, "v n"]
-    times: int
-
-
-def uncertainties(
-    plant: SlippingRobot | LinearPlant, starts: Float[np.ndarray, "k 3"]
+def find_uncertainties(
+    plant: SearchablePlant, starts: Float[np.ndarray, "k 3"]
 ) -> dict[str, Uncertainty]:
     """Return everything bounded that a plant would draw, and the start in the hull of `starts`.
 
     Raises:
-        ValueError: for a slip process that ties its deviations to each other or to the ground.
+        ValueError: for a law of drawing that is not the box of its values.
     """
-    found, steps = {"start": Uncertainty(np.asarray(starts, float), 1)}, len(plant.reference_wheels)
-    if isinstance(plant, LinearPlant):
-        return {**found, "disturbance": Uncertainty(np.asarray(plant.disturbance_vertices), steps)}
-    if plant.process not in ("iid", "constant"):
-        raise ValueError(
-            f'slip.process = "{plant.process}": is not searched; choose "iid", which contains it, or "constant"'
-        )
-    times = steps if plant.process == "iid" else 1
-    for name in ("true", "measured"):
-        if plant.random in (name, "both"):
-            found[name] = Uncertainty(_box_vertices(2), times)
-    if plant.noise is not None:
-        found["noise"] = Uncertainty(_box_vertices(3), steps + 1)
-    return found
-
-
-def _box_vertices(dimension: int) -> np.ndarray:
-    return np.array(list(itertools.product((-1.0, 1.0), repeat=dimension)))
+    start = {"start": Uncertainty(np.asarray(starts, float), 1)}
+    return start | plant.uncertainties()
 
 
 def mean_attack(sets: dict[str, Uncertainty], batch: int) -> Attack:

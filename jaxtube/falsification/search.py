@@ -29,17 +29,18 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxtube.control.follow import PlanFollower
+from jaxtube.control.protocol import Controller
 from jaxtube.falsification.climb import (
     Attack,
     Uncertainty,
     begun,
     climb,
+    find_uncertainties,
     mean_attack,
-    uncertainties,
     vertex_attack,
 )
-from jaxtube.plant.scripted import PlanFollower
-from jaxtube.simulation.rollout import LinearPlant, SlippingRobot
+from jaxtube.plant.protocol import SearchablePlant
 from jaxtube.simulation.usage import Limit, Limits, replay, values_of
 
 SWEEPS = 8
@@ -279,8 +280,8 @@ class _Searcher:
 
 
 def falsify(
-    controller,
-    plant: SlippingRobot | LinearPlant,
+    controller: Controller,
+    plant: SearchablePlant,
     limits: Limits,
     starts: Float[np.ndarray, "k 3"],
     *,
@@ -318,11 +319,11 @@ def falsify(
         raise ValueError(
             f"limits = {sorted(limits)}: give some of `error`, `input` and `wheels`, or `tube` alone"
         )
-    if "wheels" in limits and isinstance(plant, LinearPlant):
+    if "wheels" in limits and not plant.has_wheels:
         raise ValueError(
             "limits = `wheels`: the linear plant has none; leave it out or give the slipping robot"
         )
-    sets = uncertainties(plant, starts)
+    sets = find_uncertainties(plant, starts)
     if "tube" not in limits:
         windows = np.zeros(1, int)
     elif windows is None:

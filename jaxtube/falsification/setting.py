@@ -7,13 +7,15 @@ meant.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtube.control.laws import TubeMpc
+from jaxtube.control.protocol import Controller
 from jaxtube.falsification import climb as attack
+from jaxtube.plant.protocol import SearchablePlant
 from jaxtube.scenario import Scenario, ScenarioError
 from jaxtube.simulation import closed_loop, usage
 from jaxtube.simulation.rollout import realisation_keys
@@ -37,8 +39,9 @@ class Setting(NamedTuple):
 
     found: Design
     controller_name: str
-    controller: Any
-    plant: Any
+    controller: Controller
+    planner: TubeMpc | None  # the same, its plans restarted: those that are followed
+    plant: SearchablePlant
     lap_limits: Limits
     tube_limits: Limits
     windows: Int[np.ndarray, " windows"]
@@ -48,13 +51,12 @@ class Setting(NamedTuple):
         """Return the limits that are judged together with one."""
         return self.tube_limits if name == "tube" else self.lap_limits
 
-    def loop(self, name: str):
+    def loop(self, name: str) -> Controller:
         """Return the controller on which one limit is searched."""
-        return (
-            dataclasses.replace(self.controller, restart=True)
-            if name == "tube"
-            else self.controller
-        )
+        if name != "tube":
+            return self.controller
+        assert self.planner is not None
+        return self.planner
 
 
 def make_setting(
@@ -78,13 +80,15 @@ def make_setting(
         else feasible_vertices(found, seed)
     )
     try:
-        attack.uncertainties(acting, vertices)
+        attack.find_uncertainties(acting, vertices)
     except ValueError as error:
         raise ScenarioError(f"scenario: {error}") from None
     limits, tube, windows = lap_limits(found), {}, np.zeros(1, int)
     if plant == "linear":
         del limits["wheels"]
+    planner = None
     if isinstance(loop, TubeMpc):
+        planner = dataclasses.replace(loop, restart=True)
         tube, windows = {"tube": tube_limit(found)}, followed_windows(found)
         if not len(windows):
             steps, horizon = found.problem.reference.steps, found.problem.horizon
@@ -92,7 +96,7 @@ def make_setting(
                 f"scenario: reference.duration_s = {scenario.reference.duration_s}: {steps} steps are fewer than "
                 f"controller.horizon = {horizon}, so that no plan can be followed; run for longer"
             )
-    return Setting(found, controller, loop, acting, limits, tube, windows, vertices)
+    return Setting(found, controller, loop, planner, acting, limits, tube, windows, vertices)
 
 
 def feasible_vertices(found: Design, seed: int) -> Float[np.ndarray, "k 3"]:

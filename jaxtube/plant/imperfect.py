@@ -2,8 +2,9 @@
 the model assumes.
 
     travel of a wheel    int_0^t speed,  speed' = clip((command - speed) / lag, +-1 / sluggishness)
-    body                 x' = v cos phi - y~ sin phi,  y' = v sin phi + y~ cos phi,  phi' = om,   y~ = sideslip zeta v
-    error                e_x' = om e_y + V cos e_th - v,   e_y' = -om e_x + V sin e_th - y~,   e_th' = Om - om
+    body                 x' = v cos phi - y~ sin phi,  y' = v sin phi + y~ cos phi,  phi' = om
+    error                e_x' = om e_y + V cos e_th - v,  e_y' = -om e_x + V sin e_th - y~
+                         e_th' = Om - om,  y~ = sideslip zeta v
 
 v, om follow from the wheels and the true slips by eqs. (1)-(2), y~ is the body's own lateral
 velocity, positive to the left, zeta in [-1, 1] its share of the moment. The period is cut where a
@@ -19,22 +20,23 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int, Key
 
-from jaxtube.plant import slip as slips
 from jaxtube.plant.error_dynamics import advance, sinc, tracking_error
+from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.robot import body_velocity, saturate, wheel_commands
-from jaxtube.simulation.rollout import SlippingRobot
+from jaxtube.plant.slipping import SlipMemory, SlippingRobot
 
-# The stream of the instants at which slips change, beside those of `jaxtube.plant.slip`, the
-# rollout and the starts.
 INSTANT = 5
+"""The stream of the instants at which slips change, beside those of the slips, the linear plant and
+the starts."""
 ARCS = 16
+"""Equal arcs that a period is cut into."""
 
 
 class Imperfections(NamedTuple):
@@ -54,22 +56,20 @@ class Imperfections(NamedTuple):
 class Memory(NamedTuple):
     """What a period leaves to the next one."""
 
-    slip: Any  # of the slip processes
+    slip: SlipMemory
     wheels: Float[Array, "batch 2"]  # speeds that the wheels have reached, m/s
     command: Float[Array, "batch 2"]  # what they follow until a new one arrives, m/s
-    deviation: Float[Array, "batch 2"]  # of the true slip, in [-1, 1]
+    deviation: Float[Array, "batch 2"]  # of the true slip of the last period, in [-1, 1]
 
 
 class Motion(NamedTuple):
     """What drives the robot through one period."""
 
     wheels: Float[Array, "batch 2"]  # speeds at its start, m/s
-    commands: tuple[
-        Float[Array, "batch 2"], Float[Array, "batch 2"]
-    ]  # followed before and after the delay, m/s
-    slips: tuple[
-        Float[Array, "batch 2"], Float[Array, "batch 2"]
-    ]  # true slips before and after the instant
+    late_commands: Float[Array, "batch 2"]  # followed until the delay, m/s
+    commands: Float[Array, "batch 2"]  # followed from there on, m/s
+    early_slips: Float[Array, "batch 2"]  # true slips before the instant
+    slips: Float[Array, "batch 2"]  # and after it
     instant: Float[Array, " batch"]  # at which the slip changes, in periods
     drift: Float[Array, " batch"]  # zeta
 
@@ -99,39 +99,46 @@ class ImperfectRobot:
 
     def initial(self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> Memory:
         """Return the memory of slips and wheels."""
-        ideal, none = self.ideal, jnp.zeros_like(errors[:, :2])
+        ideal = self.ideal
+        none = jnp.zeros_like(errors[:, :2])
         commands = wheel_commands(
             none, ideal.reference_wheels[0], ideal.nominal_slip, ideal.robot.track_width
         )
         wheels = saturate(commands, ideal.robot)
         return Memory(ideal.initial(keys, errors), wheels, wheels, none)
 
-    def measure(
-        self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]
-    ) -> Float[Array, "batch 3"]:
-        """Return the measured errors."""
-        return self.ideal.measure(keys, step, errors)
+    def sense(
+        self, keys: Key[Array, " batch"], step, memory: Memory, errors: Float[Array, "batch 3"]
+    ) -> tuple[Measurement, Memory]:
+        """Draw the pose noise of an instant and the slips of the period that begins there."""
+        measurement, slip = self.ideal.sense(keys, step, memory.slip, errors)
+        return measurement, memory._replace(slip=slip)
 
-    def acting(self, step, inputs, measured, controller):
-        """Return the deficits (V - v, Om - om) that the controller's virtual inputs ask for."""
-        return self.ideal.acting(step, inputs, measured, controller)
-
-    def advance(self, keys, step, state: Memory, errors, inputs, controller):
-        """Return (next errors, next memory, commands within the limits, commands before saturation)
-        of one period."""
-        ideal, change = self.ideal, self.imperfections.slip_change
-        true, measured, slip_memory = ideal.draw(keys, step, state.slip, errors)
-        _, commands, demanded = ideal.move(step, errors, inputs, true, measured, controller)
-        instant = jax.vmap(lambda key: _instant(key, step, errors.dtype))(keys)
-        deviations = true + change * (state.deviation - true), true
-        before, after = (
-            slips.deviated(ideal.nominal_slip, ideal.relative_error, each) for each in deviations
+    def advance(
+        self,
+        keys: Key[Array, " batch"],
+        step,
+        memory: Memory,
+        errors: Float[Array, "batch 3"],
+        command: Command,
+    ) -> Advance:
+        """Move through one period; the wheel speeds returned are the commands within the limits."""
+        ideal = self.ideal
+        true = memory.slip.true
+        commands = saturate(command.wheels, ideal.robot)
+        early = true + self.imperfections.slip_change * (memory.deviation - true)
+        slip_error = jnp.clip(true - memory.slip.measured, -1.0, 1.0)
+        motion = Motion(
+            wheels=memory.wheels,
+            late_commands=memory.command,
+            commands=commands,
+            early_slips=ideal.slip(early),
+            slips=ideal.slip(true),
+            instant=jax.vmap(lambda key: _instant(key, step, errors.dtype))(keys),
+            drift=(slip_error[:, 1] - slip_error[:, 0]) / 2.0,
         )
-        slip_error = jnp.clip(true - measured, -1.0, 1.0)
-        drift = (slip_error[:, 1] - slip_error[:, 0]) / 2.0
-        motion = Motion(state.wheels, (state.command, commands), (before, after), instant, drift)
         following, wheels = self.drive(step, errors, motion)
-        return following, Memory(slip_memory, wheels, commands, true), commands, demanded
+        return Advance(following, Memory(memory.slip, wheels, commands, true), commands)
 
     def drive(
         self, step, errors: Float[Array, "batch 3"], motion: Motion
@@ -148,20 +155,22 @@ class ImperfectRobot:
             limit of acceleration, else with a heading error that is exact and positions to second
             order in the length of the arcs.
         """
-        ideal, level, dt = self.ideal, self.imperfections, self.ideal.dt
+        ideal = self.ideal
+        level = self.imperfections
+        track_width = ideal.robot.track_width
+        dt = ideal.dt
         times = _breakpoints(motion.instant, level.delay, self.arcs, errors.dtype) * dt
-        travel, wheels = _wheel_travel(
-            motion.wheels, motion.commands, level.delay * dt, times, level
-        )
+        travel, wheels = _wheel_travel(motion, level.delay * dt, times, level)
         middle = (times[1:] + times[:-1]) / 2.0
-        slip = jnp.where((middle < motion.instant * dt)[..., None], *motion.slips)
-        pose = _path(
-            jnp.diff(travel, axis=0), slip, level.sideslip * motion.drift, ideal.robot.track_width
-        )
+        is_early = (middle < motion.instant * dt)[..., None]
+        slip = jnp.where(is_early, motion.early_slips, motion.slips)
+        sideslip = level.sideslip * motion.drift
+        pose = _path(jnp.diff(travel, axis=0), slip, sideslip, track_width)
         # In the frame of the robot at the start: there the reference stands at the error, and ends
         # where a robot that does not move would see it.
-        standing, reference = jnp.zeros_like(motion.wheels), ideal.reference_wheels[step]
-        reference_pose = advance(errors, standing, 0.0, reference, ideal.robot.track_width, dt)
+        standing = jnp.zeros_like(motion.wheels)
+        reference = ideal.reference_wheels[step]
+        reference_pose = advance(errors, standing, 0.0, reference, track_width, dt)
         return tracking_error(pose, reference_pose), wheels[-1]
 
 
@@ -189,10 +198,8 @@ def shifted_preview(
     """
     changes = jnp.any(jnp.diff(reference_wheels, axis=0) != 0.0, axis=1)
     run = jnp.cumsum(jnp.concatenate([jnp.zeros(1, bool), changes]))
-    first, last = (
-        jnp.searchsorted(run, run, side="left"),
-        jnp.searchsorted(run, run, side="right") - 1,
-    )
+    first = jnp.searchsorted(run, run, side="left")
+    last = jnp.searchsorted(run, run, side="right") - 1
     steps = jnp.arange(len(index), dtype=first.dtype)
     return index[jnp.clip(steps + shift, first, last)]
 
@@ -222,24 +229,24 @@ def _inserted(
 
 
 def _wheel_travel(
-    wheels, commands, delay, times: Float[Array, "times batch"], level: Imperfections
-):
+    motion: Motion, delay, times: Float[Array, "times batch"], level: Imperfections
+) -> tuple[Float[Array, "times batch 2"], Float[Array, "times batch 2"]]:
     """Return (travel since the start m, speeds m/s) of wheels that follow one command until the
     delay, then another."""
-    earlier, later = (
-        jnp.minimum(times, delay)[..., None],
-        jnp.maximum(times - delay, 0.0)[..., None],
-    )
-    travel, reached = _follow(wheels, commands[0], earlier, level)
-    _, at_delay = _follow(wheels, commands[0], jnp.full_like(wheels, delay), level)
-    more, speeds = _follow(at_delay, commands[1], later, level)
+    earlier = jnp.minimum(times, delay)[..., None]
+    later = jnp.maximum(times - delay, 0.0)[..., None]
+    travel, reached = _follow(motion.wheels, motion.late_commands, earlier, level)
+    until_delay = jnp.full_like(motion.wheels, delay)
+    _, at_delay = _follow(motion.wheels, motion.late_commands, until_delay, level)
+    more, speeds = _follow(at_delay, motion.commands, later, level)
     return travel + more, jnp.where(later > 0.0, speeds, reached)
 
 
 def _follow(wheels, command, time, level: Imperfections):
     """Return (travel, speed) after some time: at the limit of acceleration first, exponentially
     from there on."""
-    gap, least = command - wheels, jnp.finfo(wheels.dtype).tiny
+    gap = command - wheels
+    least = jnp.finfo(wheels.dtype).tiny
     # Both quotients are 0 / least where nothing limits: no time is spent at the limit, or no time
     # has passed.
     ramp = jnp.minimum(time, jnp.maximum(level.sluggishness * jnp.abs(gap) - level.lag, 0.0))
@@ -253,15 +260,13 @@ def _path(travel, slip, sideslip: Float[Array, " batch"], track_width) -> Float[
     """Return the pose after arcs, in the frame of its start, from how far the wheels travel along
     each of them."""
     moved = body_velocity(travel, slip, track_width)
-    forwards, turn = moved[..., 0] * sinc(moved[..., 1] / 2.0), moved[..., 1]
-    heading = jnp.cumsum(turn, axis=0)
-    c, s = jnp.cos(heading - turn / 2.0), jnp.sin(heading - turn / 2.0)
+    turn = moved[..., 1]
+    forwards = moved[..., 0] * sinc(turn / 2.0)
     sideways = sideslip * forwards
-    return jnp.stack(
-        [
-            jnp.sum(c * forwards - s * sideways, axis=0),
-            jnp.sum(s * forwards + c * sideways, axis=0),
-            heading[-1],
-        ],
-        axis=-1,
-    )
+    heading = jnp.cumsum(turn, axis=0)
+    chord_heading = heading - turn / 2.0
+    c = jnp.cos(chord_heading)
+    s = jnp.sin(chord_heading)
+    x = jnp.sum(c * forwards - s * sideways, axis=0)
+    y = jnp.sum(s * forwards + c * sideways, axis=0)
+    return jnp.stack([x, y, heading[-1]], axis=-1)

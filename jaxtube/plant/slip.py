@@ -163,6 +163,11 @@ PROCESSES = {
 }
 
 
+def find_process(process: str | Process) -> Process:
+    """Return the slip process of a name, or the process itself."""
+    return PROCESSES[process]() if isinstance(process, str) else process
+
+
 def realisation_key(
     seed_key: Key[Array, ""], index_high: Array | int, index_low: Array | int
 ) -> Key[Array, ""]:

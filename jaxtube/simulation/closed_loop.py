@@ -13,9 +13,11 @@ from jaxtyping import Float
 from jaxtube import qp
 from jaxtube.control import mpc
 from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
+from jaxtube.control.protocol import Controller, WheelMap
+from jaxtube.plant.linear import LinearPlant
+from jaxtube.plant.protocol import Plant
+from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation.rollout import (
-    LinearPlant,
-    SlippingRobot,
     Trajectory,
     begin,
     follow_plan,
@@ -30,27 +32,50 @@ BLOCK = 256
 """Realisations a call: fixed, so that the length of a run changes no result."""
 
 
-def controllers(design: Design) -> dict:
+def controllers(design: Design) -> dict[str, Controller]:
     """Return the controllers compared, by name.
 
     `local_gain` is the tube's u = K(th) e; `equal_gain` the static law that the MPC is while no row
     is active.
     """
-    problem, index = design.problem, jnp.asarray(design.windows.index)
-    settings = problem.scenario.controller
+    problem = design.problem
     weights = problem.model.weights(problem.schedule[: problem.reference.steps])
-    tube_window, plain_window = jax.tree.map(jnp.asarray, (design.tube_window, design.plain_window))
-    unconstrained = design.plain_window.free_inputs[:, :2]
+    local_gains = jnp.asarray(design.tube_gain.at(weights))
+    plain_mpc = make_plain_mpc(design)
+    equal_gains = plain_mpc.windows.free_inputs[plain_mpc.index][:, :2]
+    wheel_map = make_wheel_map(problem)
+    law_map = dataclasses.replace(wheel_map, input_map="paper")
+    blind_map = dataclasses.replace(law_map, compensates=False)
     return {
-        "uncompensated": TrackingLaw(problem.robot.track_width, compensates=False),
-        "compensated": TrackingLaw(problem.robot.track_width, compensates=True),
-        "local_gain": ScheduledGain(jnp.asarray(design.tube_gain.at(weights)), settings.input_map),
-        "equal_gain": ScheduledGain(
-            jnp.asarray(unconstrained[design.windows.index]), settings.input_map
-        ),
-        "plain_mpc": TubeMpc(plain_window, index, True, settings.input_map),
-        "tube_mpc": TubeMpc(tube_window, index, settings.restart, settings.input_map),
+        "uncompensated": TrackingLaw(blind_map),
+        "compensated": TrackingLaw(law_map),
+        "local_gain": ScheduledGain(local_gains, wheel_map),
+        "equal_gain": ScheduledGain(equal_gains, wheel_map),
+        "plain_mpc": plain_mpc,
+        "tube_mpc": make_tube_mpc(design),
     }
+
+
+def make_tube_mpc(design: Design) -> TubeMpc:
+    """Return the tube-MPC of a design."""
+    restart = design.problem.scenario.controller.restart
+    return dataclasses.replace(_make_mpc(design, design.tube_window), restart=restart)
+
+
+def make_plain_mpc(design: Design) -> TubeMpc:
+    """Return the MPC of a design without its tube: constraints untightened, no terminal set."""
+    return _make_mpc(design, design.plain_window)
+
+
+def _make_mpc(design: Design, windows: mpc.Window) -> TubeMpc:
+    on_device = jax.tree.map(jnp.asarray, windows)
+    return TubeMpc(on_device, jnp.asarray(design.windows.index), make_wheel_map(design.problem))
+
+
+def make_wheel_map(problem: Problem) -> WheelMap:
+    """Return how the controllers of a problem turn virtual inputs into wheel speeds."""
+    settings = problem.scenario.controller
+    return WheelMap(problem.robot.track_width, problem.reference.dt, settings.input_map)
 
 
 def slipping_robot(
@@ -95,7 +120,11 @@ def linear_plant(design: Design) -> LinearPlant:
 
 
 def simulate(
-    controller, plant, starts: Float[np.ndarray, "runs 3"], seed: int, advanced=None
+    controller: Controller,
+    plant: Plant,
+    starts: Float[np.ndarray, "runs 3"],
+    seed: int,
+    advanced=None,
 ) -> Trajectory:
     """Run one closed loop a start, realisation i from starts[i], and return numpy arrays (time,
     realisation, ..).
@@ -153,10 +182,9 @@ def plan_deviations(
         chosen = widest[widest < max(steps - horizon, 1)][:: max(len(widest) // len(chosen), 1)]
     for step in chosen:
         errors = jnp.asarray(trajectory.errors[step, :count])
-        state = begin(controller, plant, keys, errors)
-        plans = _planned(
-            mpc.take_window(controller.windows, controller.index[step]), state.measured
-        )
-        deviations = follow_plan(controller, plant, keys, state, jnp.asarray(int(step)), plans)
+        now = jnp.asarray(int(step))
+        state = begin(controller, plant, keys, errors, now)
+        plans = _planned(controller.window(now), state.measured)
+        deviations = follow_plan(controller, plant, keys, state, now, plans)
         found.append(np.asarray(deviations)[:, np.asarray(plans.status == qp.SOLVED)])
     return np.concatenate(found, axis=1)

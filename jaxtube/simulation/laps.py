@@ -17,11 +17,9 @@ from jax import Array
 from jaxtyping import Bool, Float, Key
 
 from jaxtube.control.laws import TubeMpc
-from jaxtube.plant import slip
-from jaxtube.plant.error_dynamics import world_pose
-from jaxtube.plant.robot import wheel_positions
+from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import closed_loop
-from jaxtube.simulation.rollout import SlippingRobot, Trajectory, realisation_keys, rollout
+from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
 from jaxtube.statistics.checks import Facets, judge
 from jaxtube.statistics.run import Task
 from jaxtube.synthesis.design import Design
@@ -59,7 +57,7 @@ def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
     disturbance = closed_loop.model_residuals(design, batch)[:, 0]
     slips = None
     if isinstance(task.plant, SlippingRobot):
-        slips = np.asarray(slip_deviations(task.plant, keys[0], jnp.asarray(trajectory.errors)))
+        slips = np.asarray(slip_deviations(task.plant, keys, jnp.asarray(batch.errors)))[:, 0]
     return Lap(
         number,
         isinstance(task.controller, TubeMpc),
@@ -78,20 +76,15 @@ def _usage(facets: Facets, points: Float[np.ndarray, "steps 3"]) -> Usage:
 
 @jax.jit
 def slip_deviations(
-    plant: SlippingRobot, key: Key[Array, ""], errors: Float[Array, "steps+1 3"]
-) -> Float[Array, "steps 2 2"]:
-    """Return the deviations of the true and of the measured slip, (right, left), along the true
-    errors of a lap."""
-    process = slip.PROCESSES[plant.process]()
+    plant: SlippingRobot, keys: Key[Array, " batch"], errors: Float[Array, "steps+1 batch 3"]
+) -> Float[Array, "steps batch 2 2"]:
+    """Return the deviations of the (true, measured) slips, each (right, left), along the true
+    errors of laps."""
 
     def period(memory, now):
-        step, error = now
-        places = wheel_positions(
-            world_pose(error, plant.reference_poses[step]), plant.robot.track_width
-        )
-        situation = slip.Situation(places, error)
-        true, measured, memory = slip.draw_slip(key, step, memory, situation, process, plant.random)
-        return memory, jnp.stack([true, measured])
+        step, errors_now = now
+        memory = plant.draw_slips(keys, step, memory, errors_now)
+        return memory, jnp.stack([memory.true, memory.measured], axis=1)
 
-    start = slip.initial_slip(key, process, errors.dtype)
-    return jax.lax.scan(period, start, (jnp.arange(len(errors) - 1), errors[:-1]))[1]
+    steps = jnp.arange(len(errors) - 1)
+    return jax.lax.scan(period, plant.initial(keys, errors[0]), (steps, errors[:-1]))[1]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Protocol
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,14 @@ from scipy.spatial import ConvexHull
 # The stream of a realisation's initial error, beside those of `jaxtube.plant.slip` and
 # `jaxtube.simulation.rollout`.
 INITIAL_ERROR = 4
+
+
+class Starts(Protocol):
+    """Initial errors as functions of the keys of realisations."""
+
+    def draw(self, keys: Key[Array, " batch"]) -> Float[Array, "batch 3"]:
+        """Return the initial true errors, (m, m, rad)."""
+        ...
 
 
 @jax.tree_util.register_dataclass

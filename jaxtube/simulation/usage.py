@@ -23,8 +23,17 @@ from jaxtyping import Float, Int
 
 from jaxtube import qp
 from jaxtube.control import mpc
-from jaxtube.plant.scripted import PlanFollower, Script, deviation, scripted
-from jaxtube.simulation.rollout import DRAWN, LoopState, begin, follow_plan, rollout, run_period
+from jaxtube.control.follow import PlanFollower
+from jaxtube.plant.protocol import Script
+from jaxtube.plant.slipping import DRAWN
+from jaxtube.simulation.rollout import (
+    LoopState,
+    begin,
+    follow_plan,
+    realisation_keys,
+    rollout,
+    run_period,
+)
 
 
 class Limit(NamedTuple):
@@ -75,34 +84,38 @@ def play(
     script its values take the place of draws. Reverse mode keeps the state, the draws and the
     answers of each period, and computes the rest again.
     """
-    steps, script = len(plant.reference_wheels), script or {}
-    of_period = {name: _of_period(values, steps, name) for name, values in script.items()}
+    steps = len(plant.reference_wheels)
+    script = script or {}
+    of_period = {name: _read_period(values, steps, name) for name, values in script.items()}
 
     @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(DRAWN, mpc.ACTED))
     def period(state: LoopState, now):
         step, values = now
-        acting = (
-            scripted(plant, {name: value[None] for name, value in values.items()})
-            if script
-            else plant
-        )
-        following, happened = run_period(controller, acting, keys, step, state)
+        now_plant = plant
+        if script:
+            now_plant = plant.under_script({name: value[None] for name, value in values.items()})
+        following, happened = run_period(controller, now_plant, keys, step, state)
         seen = {"error": following.errors, "input": happened.inputs, "wheels": happened.demanded}
         seen["backup"] = happened.diagnostics.backup
         if isinstance(controller, PlanFollower):
-            seen["tube"] = deviation(following.memory, following.measured)
+            seen["tube"] = following.memory.deviation(following.measured)
         return following, seen
 
-    state = begin(controller, scripted(plant, script) if script else plant, keys, errors)
+    state = begin(controller, plant.under_script(script) if script else plant, keys, errors)
     return jax.lax.scan(period, state, (jnp.arange(steps), of_period))[1]
 
 
-def _of_period(
+def _read_period(
     values: Float[Array, "times batch n"], steps: int, name: str
 ) -> Float[Array, "steps batch n"]:
-    if name == "noise":  # a period ends with the next measurement
-        return values[1:]
-    return jnp.broadcast_to(values, (steps, *values.shape[1:]))
+    """Return what a script says in the course of every period.
+
+    A period ends with the measurement of the next instant: its noise and the slips that begin.
+    """
+    if name == "disturbance":
+        return jnp.broadcast_to(values, (steps, *values.shape[1:]))
+    instants = jnp.minimum(jnp.arange(1, steps + 1), len(values) - 1)
+    return values[instants]
 
 
 def usages(
@@ -140,26 +153,25 @@ def replay(controller, plant, attack: dict[str, np.ndarray], name: str, when: in
     another future.
     """
     script = {key: jnp.asarray(values)[:, None] for key, values in attack.items() if key != "start"}
-    acting = scripted(plant, script)
+    acting = plant.under_script(script)
     trajectory = jax.tree.map(
         np.asarray, rollout(controller, acting, None, jnp.asarray(attack["start"]))
     )
     if name != "tube":
         return Replay(trajectory, None)
-    errors, measured = (
-        jnp.asarray(array[when]) for array in (trajectory.errors, trajectory.measured)
-    )
-    found = _plan(controller, jnp.asarray(when), measured)
+    step = jnp.asarray(when)
+    keys = realisation_keys(0, 0, 1)  # a script draws nothing
+    state = begin(controller, acting, keys, jnp.asarray(trajectory.errors[when]), step)
+    found = _plan(controller, step, state.measured)
     if int(found.status[0]) != qp.SOLVED:
         return Replay(trajectory, np.zeros((found.inputs.shape[1], 3)))
-    state = LoopState(errors, measured, controller.initial(measured), ())
-    deviations = follow_plan(controller, acting, None, state, jnp.asarray(when), found)
+    deviations = follow_plan(controller, acting, keys, state, step, found)
     return Replay(trajectory, np.asarray(deviations[:, 0]))
 
 
 @jax.jit
 def _plan(controller, step, measured):
-    return mpc.plan(mpc.take_window(controller.windows, controller.index[step]), measured)
+    return mpc.plan(controller.window(step), measured)
 
 
 def values_of(name: str, found: Replay) -> Float[np.ndarray, "steps n"]:

@@ -17,7 +17,6 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,9 +26,12 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Bool, Int, Key, UInt32
 
 from jaxtube.control import mpc
-from jaxtube.control.laws import TubeMpc
+from jaxtube.control.laws import TubeMpc, planner_of
+from jaxtube.control.protocol import Controller
+from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip import realisation_key
 from jaxtube.simulation.rollout import LoopState, begin, follow_plan, run_period
+from jaxtube.simulation.starts import Starts
 from jaxtube.statistics import tally
 from jaxtube.statistics.checks import Checks
 
@@ -52,9 +54,9 @@ class Task:
     """What every block needs: the closed loop, where it starts, what it is measured against, and
     the seed's key."""
 
-    controller: Any
-    plant: Any
-    starts: Any
+    controller: Controller
+    plant: Plant
+    starts: Starts
     checks: Checks
     seed_key: Key[Array, ""]
 
@@ -243,6 +245,7 @@ def run_laps(
     measured error.
     """
     controller, plant, checks = task.controller, task.plant, task.checks
+    planner = planner_of(controller)
     steps, plans, errors = len(checks.transitions), len(stops), task.starts.draw(keys)
     bounds = jnp.concatenate([jnp.zeros(1, jnp.int32), stops, jnp.full(1, steps, jnp.int32)])
 
@@ -255,8 +258,8 @@ def run_laps(
     def stretch(carry, part):
         first, last, has_plan = part
         state, found = jax.lax.fori_loop(first, last, period, carry)
-        if isinstance(controller, TubeMpc) and controller.restart:
-            see = partial(follow_and_observe, task, keys, last, counted, state)
+        if planner is not None:
+            see = partial(follow_and_observe, task, planner, keys, last, counted, state)
             found = jax.lax.cond(validate & has_plan, see, lambda found: found, found)
         return (state, found), None
 
@@ -271,14 +274,13 @@ def run_laps(
 
 
 def follow_and_observe(
-    task: Task, keys, step, counted, state: LoopState, found: tally.Tally
+    task: Task, controller: TubeMpc, keys, step, counted, state: LoopState, found: tally.Tally
 ) -> tally.Tally:
     """Plan, follow the plan, plan once more where the first one expects to be a step later, and
     count what is seen."""
-    controller = task.controller
 
     def planned(errors, at):
-        plan = mpc.plan(mpc.take_window(controller.windows, controller.index[at]), errors)
+        plan = mpc.plan(controller.window(at), errors)
         return tally.expected_error(controller, at, errors, plan), plan
 
     # One program for both plans: what solves a QP takes long to compile.

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.control.laws import ScheduledGain, TubeMpc
+from jaxtube.control.laws import free_gains_of
 from jaxtube.plant.reference import settled_step
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.starts import FixedStart, uniform_start
@@ -132,15 +132,12 @@ def ultimate_bound(design: Design, controller, settled: int) -> Float[np.ndarray
     then.
     """
     problem, steps = design.problem, design.problem.reference.steps
-    if isinstance(controller, TubeMpc) and controller.restart:
-        gains = np.asarray(controller.windows.free_inputs)[np.asarray(controller.index), :2]
-    elif isinstance(controller, ScheduledGain):
-        gains = np.asarray(controller.gains)
-    else:
+    gains = free_gains_of(controller)
+    if gains is None:
         return np.full(3, np.inf)
     transitions, inputs = problem.model.matrices(problem.schedule[:steps])
     loops, W, ends = (
-        transitions + inputs @ gains,
+        transitions + inputs @ np.asarray(gains),
         problem.disturbance_set,
         np.arange(settled, steps + 1),
     )

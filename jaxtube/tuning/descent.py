@@ -212,8 +212,7 @@ def cosine(learning_rate: float, final_share: float, step: int, steps: int) -> f
     return learning_rate * (final_share + (1 - final_share) * (1 + math.cos(math.pi * done)) / 2)
 
 
-# -----------------------------------------------------------------------------------------------------------------
-# Adam
+# --------------------------------------------------------------------------------------------- Adam
 
 
 class _Moments(NamedTuple):
@@ -236,8 +235,7 @@ def _clipped(gradient: Gradient, largest: float | None) -> Gradient:
     return gradient * jnp.minimum(1.0, largest / jnp.linalg.norm(gradient))
 
 
-# ------------------------------------------------------------------------------------------------------------
-# the watch
+# ---------------------------------------------------------------------------------------- the watch
 
 
 class _Ended(Exception):

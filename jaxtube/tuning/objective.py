@@ -25,8 +25,9 @@ from jaxtyping import Float
 
 from jaxtube.control.laws import TubeMpc
 from jaxtube.control.mpc import AnyArray
+from jaxtube.control.protocol import WheelMap
+from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario
-from jaxtube.simulation.rollout import SlippingRobot
 from jaxtube.simulation.usage import play
 from jaxtube.tuning.loop import Fixed, Weights, windows_of
 from jaxtube.tuning.minimal import ActiveFacets, Limits, cap_shares
@@ -154,22 +155,36 @@ def tube_shares(frozen: Frozen, kappa: Float[Array, " kappa"]) -> Float[Array, "
 
 
 def controller_laps(
-    weights: Weights, frozen: Frozen, plant, keys, starts, aim: Aim, restart: bool, input_map: str
+    weights: Weights,
+    frozen: Frozen,
+    plant,
+    keys,
+    starts,
+    aim: Aim,
+    wheel_map: WheelMap,
+    restart: bool,
 ) -> Laps:
     """Return the laps of the tube-MPC with these weights and gains; differentiable in them."""
     controller = TubeMpc(
-        windows_of(frozen.fixed, weights), jnp.asarray(frozen.fixed.index), restart, input_map
+        windows_of(frozen.fixed, weights), jnp.asarray(frozen.fixed.index), wheel_map, restart
     )
     return run_laps(controller, plant, keys, starts, frozen.limits, aim)
 
 
 def objective(
-    weights: Weights, frozen: Frozen, plant, keys, starts, aim: Aim, restart: bool, input_map: str
+    weights: Weights,
+    frozen: Frozen,
+    plant,
+    keys,
+    starts,
+    aim: Aim,
+    wheel_map: WheelMap,
+    restart: bool,
 ) -> Float[Array, ""]:
     """Return J of the tube-MPC with these weights and gains; differentiable in them.
 
     Where slips jump with the robot's place (`patches`, `adversarial`) the derivative is that
     between the jumps.
     """
-    laps = controller_laps(weights, frozen, plant, keys, starts, aim, restart, input_map)
+    laps = controller_laps(weights, frozen, plant, keys, starts, aim, wheel_map, restart)
     return total_cost(laps, tube_shares(frozen, weights.kappa), aim)

@@ -19,8 +19,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.control.laws import TubeMpc
+from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import ScenarioError
-from jaxtube.simulation.rollout import SlippingRobot, realisation_keys
+from jaxtube.simulation.closed_loop import make_wheel_map
+from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.synthesis.design import Design, Ingredients, finish, prepare, refuse_infeasible_start
 from jaxtube.synthesis.problem import Problem, with_controller
 from jaxtube.tuning.loop import fix, windows_of
@@ -77,18 +79,18 @@ def freeze(found: Ingredients) -> Frozen | None:
     return None if active is None else jax.tree.map(jnp.asarray, Frozen(fixed, active, within))
 
 
-@partial(jax.jit, static_argnames=("restart", "input_map"))
-def _played(vector, frozen, plant, keys, starts, parameters, aim, restart, input_map):
+@partial(jax.jit, static_argnames="restart")
+def _played(vector, frozen, plant, keys, starts, parameters, aim, wheel_map, restart):
     return controller_laps(
-        parameters.weights(vector), frozen, plant, keys, starts, aim, restart, input_map
+        parameters.weights(vector), frozen, plant, keys, starts, aim, wheel_map, restart
     )
 
 
-@partial(jax.jit, static_argnames=("restart", "input_map"))
-def _value_and_gradient(vector, frozen, plant, keys, starts, parameters, aim, restart, input_map):
+@partial(jax.jit, static_argnames="restart")
+def _value_and_gradient(vector, frozen, plant, keys, starts, parameters, aim, wheel_map, restart):
     def of(vector):
         weights = parameters.weights(vector)
-        return objective(weights, frozen, plant, keys, starts, aim, restart, input_map)
+        return objective(weights, frozen, plant, keys, starts, aim, wheel_map, restart)
 
     return jax.value_and_grad(of)(vector)
 
@@ -151,7 +153,7 @@ class Tuner:
             self.parameters,
             self.aim,
         )
-        return *chosen, settings.restart, settings.input_map
+        return *chosen, make_wheel_map(self.problem), settings.restart
 
     def _batches(self, play: Callable[[int], Any], first: int, count: int):
         """Return play(first), play(first + laps), .. joined and cut to a count: one shape, one
@@ -220,7 +222,9 @@ class Tuner:
             raise ValueError(f"point: has no closed loop ({designed.reason}); choose another")
         fixed, weights = designed.frozen.fixed, self.parameters.weights(jnp.asarray(point))
         windows = jax.jit(windows_of)(fixed, weights)
-        return TubeMpc(windows, jnp.asarray(fixed.index), settings.restart, settings.input_map)
+        return TubeMpc(
+            windows, jnp.asarray(fixed.index), make_wheel_map(self.problem), settings.restart
+        )
 
     def drive(self, controller, first: int, count: int) -> Laps:
         """Return laps of any controller over given draws."""

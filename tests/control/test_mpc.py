@@ -49,8 +49,7 @@ def compare_recorded(design, trajectory, chosen, with_tube=True):
     return np.array(errors), np.array(active)
 
 
-# ------------------------------------------------------------------------------------------------------
-# exact answers
+# ------------------------------------------------------------------------------------ exact answers
 
 
 def test_inputs_of_the_papers_laps_are_those_of_an_exact_solver(paper_design, paper_laps):
@@ -155,8 +154,7 @@ def test_an_error_that_no_input_can_bring_back_has_no_plan(uncertified):
     assert np.any(status[beyond < 0] == qp.SOLVED)
 
 
-# ----------------------------------------------------------------------------------------------------------
-# guarantee
+# ---------------------------------------------------------------------------------------- guarantee
 
 
 def check_guarantee(design, tube, plain):
@@ -206,8 +204,7 @@ def test_the_guarantee_holds_in_thousands_of_runs(robust_design, uncertified, ed
         )
 
 
-# -------------------------------------------------------------------------------------------------------------
-# backup
+# ------------------------------------------------------------------------------------------- backup
 
 
 @pytest.fixture(scope="module")
@@ -262,8 +259,7 @@ def test_the_backup_follows_the_last_plan_then_the_terminal_gain(robust_design, 
     assert used["plan"] > 100 and used["gain"] > 20
 
 
-# ------------------------------------------------------------------------------------------------------
-# without reset
+# ------------------------------------------------------------------------------------ without reset
 
 
 @pytest.mark.slow
@@ -289,8 +285,7 @@ def test_without_restart_the_nominal_trajectory_knows_nothing_of_disturbances(pa
     assert np.ptp(trajectory.errors[-1, :, 1]) > 1e-3
 
 
-# -------------------------------------------------------------------------------------------------------
-# ten thousand
+# ------------------------------------------------------------------------------------- ten thousand
 
 
 @pytest.mark.slow

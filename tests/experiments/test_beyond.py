@@ -41,8 +41,7 @@ def proportional(violation, disturbance):
     return lambda level: usage(error=level / violation, disturbance=level / disturbance)
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# search
+# ------------------------------------------------------------------------------------------- search
 
 
 @pytest.mark.parametrize(("violation", "disturbance"), [(0.7, 0.01), (0.3, 0.9), (0.11, 0.111)])
@@ -85,8 +84,7 @@ def test_violations_are_named_with_the_slips_under_which_they_occur():
     )
 
 
-# --------------------------------------------------------------------------------------------------------
-# usage of sets
+# ------------------------------------------------------------------------------------ usage of sets
 
 
 def test_the_usage_of_laps_is_that_of_their_worst_period(paper_design):
@@ -130,8 +128,7 @@ def test_laps_of_the_ideal_robot_are_those_known_and_imperfection_uses_more(
     np.testing.assert_array_equal(laps.at("preview")(0.0).error, found.error)
 
 
-# --------------------------------------------------------------------------------------------------------------
-# command
+# ------------------------------------------------------------------------------------------ command
 
 
 @pytest.fixture

@@ -62,8 +62,7 @@ def error_line(capsys, *words) -> str:
     return output.err
 
 
-# ------------------------------------------------------------------------------------------------------------
-# words
+# -------------------------------------------------------------------------------------------- words
 
 
 def test_the_default_command_is_the_paper():
@@ -166,8 +165,7 @@ def test_help_imports_nothing_heavy():
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
-# -------------------------------------------------------------------------------------------------------
-# exit codes
+# --------------------------------------------------------------------------------------- exit codes
 
 
 @pytest.mark.parametrize("code", [0, 3])
@@ -224,8 +222,7 @@ def test_the_process_computes_in_float64_and_ends_with_the_exit_code(tmp_path):
     )
 
 
-# -------------------------------------------------------------------------------------------------------
-# run folder
+# --------------------------------------------------------------------------------------- run folder
 
 
 def test_a_run_folder_says_what_was_asked_and_what_came_out(tmp_path, fake_runs):
@@ -294,8 +291,7 @@ def test_figures_are_png_and_pdf_and_repeat_bit_by_bit(tmp_path):
     assert contents[0][0].startswith(b"\x89PNG") and contents[0][1].startswith(b"%PDF")
 
 
-# ---------------------------------------------------------------------------------------------------
-# list and check
+# ----------------------------------------------------------------------------------- list and check
 
 
 def test_list_prints_each_scenario_with_its_first_comment(capsys):

@@ -59,8 +59,7 @@ def refusal(capsys):
     return output.err
 
 
-# -----------------------------------------------------------------------------------------------------------
-# exit codes
+# --------------------------------------------------------------------------------------- exit codes
 
 
 @pytest.mark.parametrize("command", ["design", "paper"])
@@ -134,8 +133,7 @@ def test_simulated_laps_refute_that_w_lies_in_W_and_never_prove_it(tmp_path):
     assert found["disturbance"]["share_of_steps_outside"] == 0 <= found["disturbance"]["margin"]
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# design
+# ------------------------------------------------------------------------------------------- design
 
 
 def check_design_metrics(found, design):
@@ -183,8 +181,7 @@ def test_the_design_command_writes_what_was_designed(
     )
 
 
-# ----------------------------------------------------------------------------------------------------------------
-# paper
+# -------------------------------------------------------------------------------------------- paper
 
 
 @pytest.fixture(scope="module")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from tolerances import CLOSED_LOOP
 
+from jaxtube.control.protocol import WheelMap
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.guarantee import claims, command, report
 from jaxtube.experiments.guarantee.attack import (
@@ -24,8 +25,9 @@ from jaxtube.experiments.montecarlo import report as montecarlo_report
 from jaxtube.experiments.options import Montecarlo
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.plant.robot import Robot
+from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario, ScenarioError, load
-from jaxtube.simulation.rollout import SlippingRobot, realisation_keys
+from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.run import BLOCK, Run
 from jaxtube.statistics.tally import EVENTS
@@ -34,8 +36,7 @@ from sets.certificate import Certificate
 
 REFERENCE = "reference.duration_s=2"
 
-# -------------------------------------------------------------------------------------------------------
-# laws of attack
+# ----------------------------------------------------------------------------------- laws of attack
 
 
 @pytest.mark.parametrize("realisations", [1, BLOCK, 5 * BLOCK, 5 * BLOCK + 1, 10**5, 10**6])
@@ -50,10 +51,7 @@ def test_every_law_has_a_name_of_its_own():
     assert {law.process for law in LAWS if not law.edge} == set(PROCESSES)
 
 
-class Compensating:
-    """What a plant asks of a controller."""
-
-    compensates = True
+WHEEL_MAP = WheelMap(0.5, 0.1)
 
 
 @jax.jit
@@ -62,8 +60,10 @@ def driven(robot, keys, errors):
 
     def period(step, carry):
         errors, memory = carry
-        inputs = robot.measure(keys, step, errors)[:, :2] / 10
-        following, memory, *_ = robot.advance(keys, step, memory, errors, inputs, Compensating)
+        measurement, memory = robot.sense(keys, step, memory, errors)
+        inputs = measurement.errors[:, :2] / 10
+        command = WHEEL_MAP.command(inputs, measurement, robot.reference_wheels[step])
+        following, memory, _ = robot.advance(keys, step, memory, errors, command)
         return following, memory
 
     return jax.lax.fori_loop(
@@ -132,8 +132,7 @@ def test_where_no_start_has_a_plan_laps_begin_at_the_scenario_s_start(uncertifie
         )
 
 
-# -----------------------------------------------------------------------------------------------------
-# the same robot
+# ----------------------------------------------------------------------------------- the same robot
 
 
 def test_both_designs_drive_the_same_robot_and_keep_their_own_sets():
@@ -172,8 +171,7 @@ def test_bad_words_cost_one_line(words, named, capsys):
     assert output.out == "" and output.err.count("\n") == 1 and named in output.err
 
 
-# -------------------------------------------------------------------------------------------------------
-# claims, tables
+# ----------------------------------------------------------------------------------- claims, tables
 
 HOLDING = (
     *claims.PREMISE,
@@ -315,8 +313,7 @@ def test_the_metrics_are_plain_and_hold_every_verdict(tmp_path):
     assert found["other"]["laws"]["iid"]["share_of_violating_laps_at_most"] == claims.bound(law())
 
 
-# ----------------------------------------------------------------------------------------------------
-# the whole command
+# -------------------------------------------------------------------------------- the whole command
 
 SMALL = 64
 WORDS = [

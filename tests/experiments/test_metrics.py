@@ -51,8 +51,7 @@ def numbers(values):
     return [values[name] for name in NAMES]
 
 
-# ----------------------------------------------------------------------------------------------------------
-# controllers
+# -------------------------------------------------------------------------------------- controllers
 
 
 def test_violations_count_every_run_that_is_not_inside_and_nan_is_not(paper_design):
@@ -128,8 +127,7 @@ def test_a_run_shorter_than_the_transient_is_judged_by_where_it_ends(paper_desig
     )
 
 
-# ---------------------------------------------------------------------------------------------------------
-# disturbances
+# ------------------------------------------------------------------------------------- disturbances
 
 
 def test_residuals_are_what_the_model_does_not_predict(paper_design):
@@ -190,8 +188,7 @@ def test_deviations_are_judged_by_the_section_of_their_stage(paper_design):
     assert found["margin_by_stage"][1] == pytest.approx(expected) and expected < 0
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# design
+# ------------------------------------------------------------------------------------------- design
 
 
 def test_design_metrics_are_the_known_numbers_of_the_paper(paper_design):
@@ -251,8 +248,7 @@ def test_where_there_is_no_terminal_set_its_numbers_are_missing(uncertified):
     assert found["terminal_constraint_facets"] == 6
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# stress
+# ------------------------------------------------------------------------------------------- stress
 
 
 def test_stress_metrics_tell_runs_apart_by_whether_every_w_was_in_W(paper_design):

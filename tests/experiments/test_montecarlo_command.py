@@ -72,8 +72,7 @@ def undisturbed(tmp_path_factory, uncertified):
     return folder
 
 
-# -----------------------------------------------------------------------------------------------------
-# what is reported
+# --------------------------------------------------------------------------------- what is reported
 
 
 def test_the_metrics_are_those_of_the_statistics(undisturbed):
@@ -150,8 +149,7 @@ def test_a_verdict_without_violations_bounds_them():
     )
 
 
-# --------------------------------------------------------------------------------------------
-# interrupted and continued
+# ------------------------------------------------------------------------ interrupted and continued
 
 
 def test_more_realisations_continue_a_run(undisturbed, quick, tmp_path, monkeypatch):
@@ -288,8 +286,7 @@ def test_a_run_that_is_killed_again_and_again_ends_with_the_same_bytes(
     )
 
 
-# ------------------------------------------------------------------------------------------------------------
-# bad words
+# ---------------------------------------------------------------------------------------- bad words
 
 
 @pytest.mark.parametrize(

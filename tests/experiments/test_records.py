@@ -88,8 +88,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
-# ----------------------------------------------------------------------------------------------------
-# the same bytes
+# ----------------------------------------------------------------------------------- the same bytes
 
 
 @pytest.mark.parametrize("seed", range(8))
@@ -175,8 +174,7 @@ def test_a_killed_process_loses_no_block_that_it_said_was_recorded(tmp_path):
     )
 
 
-# --------------------------------------------------------------------------------------------------------
-# compaction
+# --------------------------------------------------------------------------------------- compaction
 
 
 def test_files_stay_few(tmp_path, quick):
@@ -202,8 +200,7 @@ def test_a_partial_block_stays_a_file_of_its_own(tmp_path, small, quick):
     assert len(files(tmp_path)) == 1
 
 
-# --------------------------------------------------------------------------------------------------
-# what is missing
+# ---------------------------------------------------------------------------------- what is missing
 
 
 @pytest.mark.parametrize("first", [1, 7, 8, 9, 31, 32, 33, 100])
@@ -258,8 +255,7 @@ def test_statistics_are_integers_or_floats(tmp_path, array):
     assert files(tmp_path) == {}
 
 
-# ------------------------------------------------------------------------------------------------------------
-# damage
+# ------------------------------------------------------------------------------------------- damage
 
 
 def damages(content):
@@ -326,8 +322,7 @@ def test_damage_during_the_run_is_told_and_the_next_run_repairs_it(tmp_path, qui
     )
 
 
-# ----------------------------------------------------------------------------------------------------------
-# refusals
+# ----------------------------------------------------------------------------------------- refusals
 
 
 def test_records_of_another_run_are_refused_and_left_alone(tmp_path, quick):
@@ -400,8 +395,7 @@ def test_a_folder_that_cannot_be_made_is_refused(tmp_path):
         opened(tmp_path / "file" / "records")
 
 
-# ----------------------------------------------------------------------------------------------------
-# a failing disk
+# ----------------------------------------------------------------------------------- a failing disk
 
 
 def failing(code):

@@ -116,8 +116,7 @@ def quick(monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
 
-# -------------------------------------------------------------------------------------------------------
-# the same bits
+# ------------------------------------------------------------------------------------ the same bits
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -204,8 +203,7 @@ def test_what_is_computed_may_fail_and_be_asked_again(tmp_path, quick):
         assert log.entries == 0 and ask(log, 0, value=7.0) == 7.0
 
 
-# --------------------------------------------------------------------------------------------------------------
-# refused
+# ------------------------------------------------------------------------------------------ refused
 
 
 def test_another_identity_is_refused_and_nothing_touched(tmp_path, quick):
@@ -275,8 +273,7 @@ def test_answers_that_are_no_numbers_are_refused(tmp_path):
         log.remember("adam", {}, lambda: {"y": np.array("text")})
 
 
-# -------------------------------------------------------------------------------------------------
-# damage and the disk
+# ------------------------------------------------------------------------------ damage and the disk
 
 
 @pytest.mark.parametrize("number", [1, 3])

@@ -12,9 +12,8 @@ from oracles import model
 from tolerances import FALSIFY_CLOSED_FORM, FALSIFY_REPLAY, FALSIFY_SLOPE, INSIDE_TUBE, ROUNDING
 
 from jaxtube.falsification import setting as falsify_setting
-from jaxtube.falsification.climb import begun, climb, mean_attack, uncertainties
+from jaxtube.falsification.climb import begun, climb, find_uncertainties, mean_attack
 from jaxtube.falsification.search import falsify, replayed
-from jaxtube.plant.scripted import scripted
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.simulation.usage import limit, play, replay, sample, usages
@@ -61,8 +60,7 @@ def searched(gain, robot, error_limit, start):
     return falsify(gain, robot, error_limit, start, seconds=8, batch=BATCH)
 
 
-# --------------------------------------------------------------------------------------------
-# closed-form worst case
+# --------------------------------------------------------------------------- closed-form worst case
 
 
 def closed_form(design, starts, steps):
@@ -121,8 +119,7 @@ def test_disturbances_in_a_general_polytope_are_searched_by_its_vertices(
     )
 
 
-# --------------------------------------------------------------------------------------------- what
-# is reported holds
+# --------------------------------------------------------------------------- what is reported holds
 
 
 def world_frame_lap(design, attack, steps):
@@ -207,7 +204,7 @@ def test_everything_bounded_is_searched_and_stays_within_bounds(gain, robot, err
 
 def test_steps_of_the_search_never_leave_the_polytope_of_starts(gain, robot, error_limit):
     starts = np.random.default_rng(3).normal(size=(12, 3)) * [0.1, 0.1, 0.2]
-    sets = uncertainties(robot, starts)
+    sets = find_uncertainties(robot, starts)
     vertices = {name: jnp.asarray(each.vertices) for name, each in sets.items()}
     now = begun(mean_attack(sets, 6))
     hull, moved = Polytope.from_vertices(starts), 0.0
@@ -225,8 +222,7 @@ def test_steps_of_the_search_never_leave_the_polytope_of_starts(gain, robot, err
     assert moved > 0.05
 
 
-# ---------------------------------------------------------------------------------------------- as
-# good as it can be
+# ----------------------------------------------------------------------------- as good as it can be
 
 
 def test_the_gradient_finds_what_twenty_thousand_drawn_laps_do_not(
@@ -253,7 +249,7 @@ def test_drawn_laps_are_those_of_the_rollout(gain, robot, error_limit, start):
 def test_the_gradient_agrees_with_every_sequence_of_vertices(gain, robot, error_limit, start):
     plant = shortened(robot, 3)
     corners = np.array(list(itertools.product((-1.0, 1.0), repeat=6))).reshape(-1, 3, 2)
-    acting = scripted(plant, {"true": jnp.asarray(np.moveaxis(corners, 0, 1))})
+    acting = plant.under_script({"true": jnp.asarray(np.moveaxis(corners, 0, 1))})
     errors = np.asarray(
         rollout(gain, acting, None, jnp.asarray(np.tile(start, (len(corners), 1)))).errors
     )
@@ -288,8 +284,7 @@ def test_the_gradient_of_the_usage_is_that_of_finite_differences(gain, robot, er
     assert float(slope) == pytest.approx(float(difference), rel=FALSIFY_SLOPE)
 
 
-# -------------------------------------------------------------------------------------- tube-MPC
-# with active rows
+# ------------------------------------------------------------------------ tube-MPC with active rows
 
 
 @pytest.mark.slow
@@ -327,8 +322,7 @@ def test_a_counterexample_with_active_rows_is_confirmed_by_its_replay(robust_des
     assert found.reach["error"].max() == pytest.approx(worst.usage, rel=1e-6)
 
 
-# --------------------------------------------------------------------------------------------------------
-# the command
+# -------------------------------------------------------------------------------------- the command
 
 
 def test_what_cannot_be_searched_is_refused(

@@ -2,7 +2,6 @@
 of E."""
 
 import itertools
-from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -11,14 +10,17 @@ import pytest
 from scipy.stats import chisquare, kstest
 from tolerances import LEAST_P_VALUE, ROUNDING
 
+from jaxtube.control.protocol import WheelMap
 from jaxtube.plant import adversary, slip
 from jaxtube.plant.adversary import ALWAYS, FOREVER, LONGEST_HALF_PERIOD, Scheme, pushed_direction
+from jaxtube.plant.protocol import Measurement
 from jaxtube.plant.robot import Robot
+from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import closed_loop
-from jaxtube.simulation.rollout import SlippingRobot, realisation_keys
+from jaxtube.simulation.rollout import realisation_keys
 
 STATES, TRACK_WIDTH = 1000, 0.5
-COMPENSATING = SimpleNamespace(compensates=True)
+WHEEL_MAP = WheelMap(TRACK_WIDTH, 0.1)
 
 
 def corners(count):
@@ -46,16 +48,20 @@ def one_period(plant, keys, errors, inputs):
     each pair of xi."""
     memory = plant.initial(keys, errors)
     direction = jax.vmap(lambda scheme, error: pushed_direction(scheme, 0, error))(
-        memory[0], errors
+        memory.process[0], errors
     )
-    chosen, _, wheels, _ = plant.advance(keys, 0, memory, errors, inputs, COMPENSATING)
+    measurement, memory = plant.sense(keys, 0, memory, errors)
+    command = WHEEL_MAP.command(inputs, measurement, plant.reference_wheels[0])
+    chosen, _, wheels = plant.advance(keys, 0, memory, errors, command)
 
     def gain(following):
         return jnp.sum(direction * (following - errors), axis=1)
 
     def gain_of(pair):
-        true, measured = (jnp.broadcast_to(xi, inputs.shape) for xi in pair)
-        return gain(plant.move(0, errors, inputs, true, measured, COMPENSATING)[0])
+        true, measured = jnp.broadcast_to(pair[:, None], (2, *inputs.shape))
+        sensed = Measurement(errors, plant.slip(measured))
+        demanded = WHEEL_MAP.command(inputs, sensed, plant.reference_wheels[0]).wheels
+        return gain(plant.move(0, errors, demanded, true)[0])
 
     return (
         direction,

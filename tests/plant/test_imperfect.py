@@ -12,12 +12,14 @@ from scipy.integrate import solve_ivp
 from tolerances import ARCS_OF_A_PERIOD, CLOSED_LOOP, EXACT_ARCS, ROUNDING
 
 from jaxtube.control.laws import TrackingLaw
+from jaxtube.control.protocol import WheelMap
 from jaxtube.plant.error_dynamics import advance
 from jaxtube.plant.imperfect import Imperfections, ImperfectRobot, Motion, shifted_preview
 from jaxtube.plant.reference import two_circles
 from jaxtube.plant.robot import Robot
 from jaxtube.plant.slip import deviated
-from jaxtube.simulation.rollout import SlippingRobot, realisation_keys, rollout
+from jaxtube.plant.slipping import SlippingRobot
+from jaxtube.simulation.rollout import realisation_keys, rollout
 
 DT, TRACK_WIDTH, CASES, BATCH = 0.1, 0.5, 6, 8
 LEVELS = {"lag": 0.05, "delay": 0.35, "sluggishness": 0.4, "sideslip": 0.2, "slip_change": 0.7}
@@ -47,19 +49,21 @@ def lap():
     """A function that drives laps of the tracking law on a plant."""
     starts = jnp.tile(jnp.array([-0.1, -0.1, 0.0]), (BATCH, 1))
     return lambda plant: rollout(
-        TrackingLaw(TRACK_WIDTH, True), plant, realisation_keys(3, 0, BATCH), starts
+        TrackingLaw(WheelMap(TRACK_WIDTH, DT)), plant, realisation_keys(3, 0, BATCH), starts
     )
 
 
-# --------------------------------------------------------------------------------------------- one
-# period in the world
+# -------------------------------------------------------------------------- one period in the world
 
 
 def integrate(error, reference, motion, level, case):
     """Integrate one period in pieces: at the delay another command, at the instant other slips."""
-    wheels, early, late = (np.asarray(each)[case] for each in (motion.wheels, *motion.slips))
-    commands = [np.asarray(each)[case] for each in motion.commands]
-    instant, sideslip = float(motion.instant[case]) * DT, level.sideslip * float(motion.drift[case])
+    wheels = np.asarray(motion.wheels)[case]
+    early = np.asarray(motion.early_slips)[case]
+    late = np.asarray(motion.slips)[case]
+    commands = [np.asarray(each)[case] for each in (motion.late_commands, motion.commands)]
+    instant = float(motion.instant[case]) * DT
+    sideslip = level.sideslip * float(motion.drift[case])
     # The robot starts at the origin with heading 0: there its errors are the coordinates of the
     # reference.
     state = np.concatenate([np.zeros(3), error, wheels])
@@ -107,7 +111,7 @@ def period():
     wheels, before, after = jnp.asarray(generator.uniform(0.5, 2.0, (3, CASES, 2)))
     early, late = jnp.asarray(generator.uniform(0.1, 0.3, (2, CASES, 2)))
     instant, drift = jnp.asarray(generator.uniform([[0.0], [-1.0]], 1.0, (2, CASES)))
-    return jnp.asarray(errors), Motion(wheels, (before, after), (early, late), instant, drift)
+    return jnp.asarray(errors), Motion(wheels, before, after, early, late, instant, drift)
 
 
 drive = jax.jit(ImperfectRobot.drive)
@@ -158,8 +162,7 @@ def test_wheels_that_lag_or_are_limited_follow_a_period_as_its_two_halves(period
             np.testing.assert_allclose(drive(whole, 0, start, steady)[1], end, atol=ROUNDING)
 
 
-# ------------------------------------------------------------------------------------------------------
-# the closed loop
+# ---------------------------------------------------------------------------------- the closed loop
 
 
 def test_without_imperfections_the_robot_is_the_ideal_one(lap):
@@ -241,8 +244,7 @@ def test_sideslip_pushes_the_lateral_error_where_the_slips_push_the_heading_erro
     np.testing.assert_allclose(pushed[~turning], 0, atol=ROUNDING)
 
 
-# --------------------------------------------------------------------------------------------------------------
-# preview
+# ------------------------------------------------------------------------------------------ preview
 
 
 def test_a_shifted_preview_is_that_of_a_step_nearby_with_the_same_present():

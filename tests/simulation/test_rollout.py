@@ -35,8 +35,7 @@ def tracked(paper_design, paper_loops, paper_plant):
     return closed_loop.simulate(paper_loops["compensated"], paper_plant, starts, 0)
 
 
-# ----------------------------------------------------------------------------------------------------
-# world-frame laps
+# --------------------------------------------------------------------------------- world-frame laps
 
 
 def eight(step):
@@ -134,8 +133,7 @@ def test_a_cosine_free_lap_with_the_exact_model_is_that_of_a_world_frame_simulat
     np.testing.assert_allclose(errors, expected, atol=WORLD_FRAME)
 
 
-# -------------------------------------------------------------------------------------------------
-# indices and batches
+# ------------------------------------------------------------------------------ indices and batches
 
 
 def test_a_trajectory_has_time_first_then_realisations_and_starts_at_the_start(
@@ -236,8 +234,7 @@ def test_progress_counts_every_run(paper_loops, paper_plant, tracked):
     assert counts == [BATCH, 5]
 
 
-# -------------------------------------------------------------------------------------------------------
-# slipping robot
+# ----------------------------------------------------------------------------------- slipping robot
 
 
 def ground_speeds(trajectory, reference):

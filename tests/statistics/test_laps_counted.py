@@ -131,8 +131,7 @@ def as_bytes(statistics):
     }
 
 
-# ---------------------------------------------------------------------------------------------- a
-# block of the tube-MPC
+# -------------------------------------------------------------------------- a block of the tube-MPC
 
 
 VICTIM, PARTIAL = 77, 200
@@ -208,7 +207,7 @@ def check_companions(task, errors, everything_free):
     keys = realisation_keys(SEED, 0, TILE)
     run = lambda starts: jax.tree.map(
         np.asarray, rollout(task.controller, task.plant, keys, jnp.asarray(starts))
-    )  # noqa: E731
+    )
     clean, spoilt = run(errors), run(np.where(np.arange(TILE)[:, None] == VICTIM, np.nan, errors))
     assert everything_free == (not clean.diagnostics.active.any())
     assert np.isnan(spoilt.errors[:, VICTIM]).all()
@@ -234,8 +233,7 @@ def test_no_lap_feels_a_companion_that_is_no_number(constrained, laps):
     )
 
 
-# -------------------------------------------------------------------------------------------------------
-# plans followed
+# ----------------------------------------------------------------------------------- plans followed
 
 
 @pytest.mark.parametrize("block", [0, 1])
@@ -313,8 +311,7 @@ def test_while_w_stays_in_W_no_tube_and_no_E_is_left(uncertified):
     assert joined["events"][EVENTS.index("outside_ultimate_bound"), 1:].sum() == 0
 
 
-# ----------------------------------------------------------------------------------------------
-# whatever the way it ran
+# -------------------------------------------------------------------------- whatever the way it ran
 
 
 STATIC = (SHORT, *NOISE, "slip.process=patches")
@@ -390,8 +387,7 @@ def test_any_number_of_devices_and_blocks_at_once_gives_the_same_bytes(first_blo
     assert child.stdout.split() == [digest(first_blocks)] * 4
 
 
-# --------------------------------------------------------------------------------------------------------------
-# joining
+# ------------------------------------------------------------------------------------------ joining
 
 
 def random_statistics(random, part):

@@ -69,8 +69,7 @@ def turned(gain: LocalGain, by: float) -> LocalGain:
     return dataclasses.replace(gain, vertices=changed(gain.vertices, (0, 1, 1), by))
 
 
-# -------------------------------------------------------------------------------------------------------
-# sound designs
+# ------------------------------------------------------------------------------------ sound designs
 
 
 def test_a_design_with_the_tube_of_sums_and_its_own_terminal_gains_is_certified(robust_design):
@@ -121,8 +120,7 @@ def test_zero_order_hold_is_not_covered_by_its_vertices(uncertified, recertify):
     assert "zero-order hold" in certificate.conditions["vertices_cover_schedule"].sentence
 
 
-# ---------------------------------------------------------------------------------- one thing
-# broken in a sound design
+# --------------------------------------------------------------- one thing broken in a sound design
 
 
 @pytest.mark.parametrize("kind", ["errors", "inputs"])
@@ -297,8 +295,7 @@ def test_an_empty_tightened_set_fails(robust_design, recertify):
     assert "terminal_constraint_not_empty" in recertify(robust_design, bounds=emptied).failing
 
 
-# ---------------------------------------------------------------------------------------------- no
-# terminal set at all
+# --------------------------------------------------------------------------- no terminal set at all
 
 
 def test_an_empty_terminal_set_is_reported_with_the_run_that_shows_it(uncertified, recertify):

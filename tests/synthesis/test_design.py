@@ -14,8 +14,7 @@ from jaxtube.synthesis.feasible import boundary
 from jaxtube.synthesis.problem import make_problem
 from sets.polytope import Polytope
 
-# --------------------------------------------------------------------------------------------------------
-# sets and data
+# ------------------------------------------------------------------------------------ sets and data
 
 
 def test_the_papers_sets(paper_design):
@@ -99,8 +98,7 @@ def test_gains_of_the_tube_are_the_riccati_gain_at_the_centre_and_what_cancels_t
         )
 
 
-# --------------------------------------------------------------------------------------------------------
-# terminal sets
+# ------------------------------------------------------------------------------------ terminal sets
 
 
 def test_terminal_choices_lead_where_they_should(paper_design, robust_design, uncertified):
@@ -193,8 +191,7 @@ def test_from_the_edge_of_the_feasible_set_every_disturbance_leads_to_another_pl
                 assert plain.qp(step + 1).shortfall(A @ error + B @ inputs[0] + w) <= LINEAR_PROGRAM
 
 
-# -------------------------------------------------------------------------------------------------------------
-# refusals
+# ----------------------------------------------------------------------------------------- refusals
 
 
 def one_line(error):

@@ -53,8 +53,7 @@ def one_line(sentence):
     return "\n" not in sentence and ";" in sentence
 
 
-# -----------------------------------------------------------------------------------------------------------------
-# Adam
+# --------------------------------------------------------------------------------------------- Adam
 
 
 def adam_by_hand(objective, start, steps, learning_rate, final_share, largest):
@@ -118,8 +117,7 @@ def test_adam_asks_for_fresh_draws_and_lbfgs_for_frozen_ones():
         assert asked == expected or set(asked) == {0} == set(expected)
 
 
-# ---------------------------------------------------------------------------------------------------------------
-# L-BFGS
+# ------------------------------------------------------------------------------------------- L-BFGS
 
 
 def test_lbfgs_reaches_the_optimum_of_a_quadratic():
@@ -177,8 +175,7 @@ def test_a_failed_line_search_is_told():
     np.testing.assert_array_equal(outcome.point, START)
 
 
-# ---------------------------------------------------------------------------------------------------
-# the best and stops
+# ------------------------------------------------------------------------------- the best and stops
 
 
 @pytest.mark.parametrize("descend, settings", [(adam, ADAM), (lbfgs, LBFGS | {"tolerance": 1e-15})])

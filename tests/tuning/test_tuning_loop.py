@@ -14,6 +14,7 @@ from msgspec.structs import replace
 from jaxtube import qp
 from jaxtube.control.laws import TubeMpc
 from jaxtube.simulation import closed_loop
+from jaxtube.simulation.closed_loop import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.synthesis.design import finish, prepare
 from jaxtube.synthesis.feasible import boundary
@@ -101,8 +102,8 @@ def test_laps_are_those_of_the_design_rows_active_or_not(loop):
         TubeMpc(
             jax.tree.map(jnp.asarray, each),
             jnp.asarray(fixed.index),
+            make_wheel_map(design.problem),
             settings.restart,
-            settings.input_map,
         )
         for each in (windows, with_spare_rows(design.tube_window, windows))
     )

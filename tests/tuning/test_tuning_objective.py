@@ -12,10 +12,10 @@ import tolerances as tol
 import tuned
 
 from jaxtube import qp
-from jaxtube.control import mpc
 from jaxtube.control.laws import ScheduledGain, TubeMpc
 from jaxtube.qp import fixed_point
 from jaxtube.simulation import closed_loop
+from jaxtube.simulation.closed_loop import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.simulation.usage import play
 from jaxtube.synthesis.design import finish, prepare
@@ -35,9 +35,10 @@ class Watched(TubeMpc):
     """The tube-MPC, which says more in place of its backups: those, whether a row is active, and
     which rows are."""
 
-    def act(self, step, state, errors, reference_wheels):
-        window = mpc.take_window(self.windows, self.index[step])
-        command, following, found = super().act(step, state, errors, reference_wheels)
+    def act(self, step, memory, measurement, reference_wheels):
+        window = self.window(step)
+        errors = measurement.errors
+        command, following, found = super().act(step, memory, measurement, reference_wheels)
         active = (
             tuned.active_rows(window, errors, following.inputs, tol.ACTIVE_ROW)
             & ~found.backup[:, None]
@@ -90,7 +91,7 @@ class Loop:
         def evaluate(weights, frozen, keys, starts):
             told, arguments = (
                 [],
-                (frozen, plant, keys, starts, self.aim, settings.restart, settings.input_map),
+                (frozen, plant, keys, starts, self.aim, make_wheel_map(problem), settings.restart),
             )
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(objective, "play", partial(watched, told=told))
@@ -318,7 +319,7 @@ def law():
     problem = tuned.problem_of("decoupled")
     gains = jnp.broadcast_to(jnp.asarray([[-1.0, 0.1, 0.0], [0.0, -2.0, -3.0]]), (40, 2, 3))
     aim = dataclasses.replace(objective.aim(problem.scenario, 10), margin=0.5)
-    return problem, ScheduledGain(gains, problem.scenario.controller.input_map), aim
+    return problem, ScheduledGain(gains, make_wheel_map(problem)), aim
 
 
 run_laps = jax.jit(objective.run_laps)

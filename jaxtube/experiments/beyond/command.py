@@ -121,7 +121,7 @@ class Laps:
         """Prepare the closed loops."""
         self.design, self.seed = design, seed
         self.starts = np.tile(design.problem.initial_error, (realisations, 1))
-        self.controller = closed_loop.controllers(design)["tube_mpc"]
+        self.controller = closed_loop.make_tube_mpc(design)
         self.ideal = [closed_loop.slipping_robot(design, process) for process in PROCESSES]
 
     def at(self, name: str, tried: Callable[[], Any] | None = None) -> Callable[[float], Usage]:

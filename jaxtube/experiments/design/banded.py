@@ -18,9 +18,10 @@ from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.conditions import condition_lines
 from jaxtube.experiments.run.progress import progress
 from jaxtube.plant.reference import from_wheels
+from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario
 from jaxtube.simulation import closed_loop
-from jaxtube.simulation.rollout import SlippingRobot, realisation_keys
+from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.simulation.starts import uniform_start
 from jaxtube.synthesis.bands import BandedLaw, make_law
 from jaxtube.synthesis.problem import error_vector
@@ -126,9 +127,8 @@ def attack(law: BandedLaw, process: str, seed: int, advanced) -> Attack:
             process=process,
             random=problem.scenario.slip.random,
         )
-        controller = ScheduledGain(
-            jnp.asarray(law.gains(reference.wheels)), problem.scenario.controller.input_map
-        )
+        gains = jnp.asarray(law.gains(reference.wheels))
+        controller = ScheduledGain(gains, closed_loop.make_wheel_map(problem))
         trajectory = closed_loop.simulate(
             controller, plant, np.asarray(starts.draw(keys)), seed + index
         )

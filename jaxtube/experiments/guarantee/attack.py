@@ -22,10 +22,9 @@ import msgspec
 from jax import Array
 from jaxtyping import Float, Int, Key
 
-from jaxtube.plant import slip as slips
-from jaxtube.plant.error_dynamics import world_pose
-from jaxtube.plant.robot import wheel_positions
-from jaxtube.simulation.rollout import SlippingRobot
+from jaxtube.plant.protocol import Advance, Command, Measurement
+from jaxtube.plant.slipping import SlipMemory, SlippingRobot
+from jaxtube.simulation import closed_loop
 from jaxtube.statistics import task as validation
 from jaxtube.statistics.run import Task
 from jaxtube.synthesis.design import Design
@@ -70,47 +69,50 @@ class AnySlipRobot:
     ideal: SlippingRobot
     chosen: Int[Array, ""]
 
+    has_wheels = True
+
     @property
     def reference_wheels(self) -> Float[Array, "steps 2"]:
         """The reference, m/s."""
         return self.ideal.reference_wheels
 
-    def initial(self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> tuple:
+    def initial(self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> SlipMemory:
         """Return the memories of all processes."""
-        robots = (dataclasses.replace(self.ideal, process=name) for name in PROCESSES)
-        return tuple(robot.initial(keys, errors) for robot in robots)
+        robots = [dataclasses.replace(self.ideal, process=name) for name in PROCESSES]
+        memories = [robot.initial(keys, errors) for robot in robots]
+        return memories[0]._replace(process=tuple(memory.process for memory in memories))
 
-    def measure(
-        self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]
-    ) -> Float[Array, "batch 3"]:
-        """Return the measured errors."""
-        return self.ideal.measure(keys, step, errors)
-
-    def acting(self, step, inputs, measured, controller):
-        """Return the deficits (V - v, Om - om) that the controller's virtual inputs ask for."""
-        return self.ideal.acting(step, inputs, measured, controller)
-
-    def advance(self, keys, step, state: tuple, errors, inputs, controller):
-        """Return (next errors, next memory, wheels, wheels before saturation) of one period."""
+    def sense(
+        self, keys: Key[Array, " batch"], step, memory: SlipMemory, errors: Float[Array, "batch 3"]
+    ) -> tuple[Measurement, SlipMemory]:
+        """Draw the pose noise of an instant and the slips of the period that begins there."""
         ideal = self.ideal
-        places = wheel_positions(
-            world_pose(errors, ideal.reference_poses[step]), ideal.robot.track_width
-        )
         branches = [partial(self._draw, number, keys, step) for number in range(len(PROCESSES))]
-        true, measured, state = jax.lax.switch(
-            self.chosen, branches, state, slips.Situation(places, errors)
-        )
-        following, wheels, demanded = ideal.move(step, errors, inputs, true, measured, controller)
-        return following, state, wheels, demanded
+        memory = jax.lax.switch(self.chosen, branches, memory, errors)
+        measured_errors = ideal.measure_errors(keys, step, errors)
+        return Measurement(measured_errors, ideal.slip(memory.measured)), memory
 
-    def _draw(self, number: int, keys, step, state: tuple, situations):
-        process = slips.PROCESSES[PROCESSES[number]]()
+    def _draw(
+        self, number: int, keys, step, memory: SlipMemory, errors: Float[Array, "batch 3"]
+    ) -> SlipMemory:
+        """Draw the slips of one process; the memories of the others stay as they were."""
+        robot = dataclasses.replace(self.ideal, process=PROCESSES[number])
+        mine = memory._replace(process=memory.process[number])
+        drawn = robot.draw_slips(keys, step, mine, errors)
+        before = memory.process[:number]
+        after = memory.process[number + 1 :]
+        return drawn._replace(process=(*before, drawn.process, *after))
 
-        def draw(key, memory, situation):
-            return slips.draw_slip(key, step, memory, situation, process, self.ideal.random)
-
-        true, measured, after = jax.vmap(draw)(keys, state[number], situations)
-        return true, measured, (*state[:number], after, *state[number + 1 :])
+    def advance(
+        self,
+        keys: Key[Array, " batch"],
+        step,
+        memory: SlipMemory,
+        errors: Float[Array, "batch 3"],
+        command: Command,
+    ) -> Advance:
+        """Move through one period under the slips that were drawn for it."""
+        return self.ideal.advance(keys, step, memory, errors, command)
 
 
 def under(found: Design, law: Law) -> Design:
@@ -139,7 +141,7 @@ def make_tasks(found: Design, seed: int) -> tuple[dict[Law, Task], str]:
         alike = [law for law in LAWS if law.edge == edge]
         task, why = _task(under(found, alike[0]), alike[0], seed)
         # The name of a process is part of a program: it is one name for all.
-        ideal = dataclasses.replace(task.plant, process=PROCESSES[0])
+        ideal = closed_loop.slipping_robot(under(found, alike[0]), PROCESSES[0])
         for law in alike:
             chosen = jnp.asarray(PROCESSES.index(law.process), jnp.int32)
             tasks[law] = dataclasses.replace(task, plant=AnySlipRobot(ideal, chosen))

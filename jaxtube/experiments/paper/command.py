@@ -45,12 +45,11 @@ def run(scenario: Scenario, options: Paper) -> int:
             name: closed_loop.simulate(loop, plant, starts, options.seed, bar.update)
             for name, loop in loops.items()
         }
-        other = dataclasses.replace(loops["tube_mpc"], restart=not loops["tube_mpc"].restart)
+        tube_mpc = closed_loop.make_tube_mpc(found)
+        other = dataclasses.replace(tube_mpc, restart=not tube_mpc.restart)
         other_restart = closed_loop.simulate(other, plant, starts, options.seed, bar.update)
         stressed = stress.run(robust, stress_runs, options.seed, bar.update)
-    deviations = closed_loop.plan_deviations(
-        found, loops["tube_mpc"], plant, laps["tube_mpc"], options.seed
-    )
+    deviations = closed_loop.plan_deviations(found, tube_mpc, plant, laps["tube_mpc"], options.seed)
     _save_noise_free(found, loops, folder)
     measured = _metrics(found, robust, laps, other_restart, stressed, deviations)
     design_command.add_disturbance_condition(

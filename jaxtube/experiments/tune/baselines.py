@@ -22,6 +22,7 @@ from jaxtube.experiments.tune.front_figure import Kind
 from jaxtube.experiments.tune.log import Log
 from jaxtube.experiments.tune.report import COMPARED_LAPS, Result, result, weights_at
 from jaxtube.experiments.tune.run import Descent, Judgement, descend
+from jaxtube.simulation.closed_loop import make_wheel_map
 from jaxtube.synthesis.problem import with_controller
 from jaxtube.tuning.objective import Laps, lap_costs, total_cost
 from jaxtube.tuning.parameters import parameters
@@ -173,9 +174,7 @@ def static_laps(tuner: Tuner, point: Point, first: int, count: int) -> Laps:
     gains = np.stack(
         [lqr_gain(*pair, weights.error_weight, weights.input_weight) for pair in pairs]
     )
-    controller = ScheduledGain(
-        jnp.asarray(gains[index.reshape(-1)]), problem.scenario.controller.input_map
-    )
+    controller = ScheduledGain(jnp.asarray(gains[index.reshape(-1)]), make_wheel_map(problem))
     return tuner.drive(controller, first, count)
 
 

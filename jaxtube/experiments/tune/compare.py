@@ -40,10 +40,10 @@ from jaxtube.experiments.tune.report import (
     result,
 )
 from jaxtube.experiments.tune.run import Descent, Judgement, pooled
+from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario, ScenarioError, experiments_folder
 from jaxtube.scenario.tree import Reference
 from jaxtube.simulation import closed_loop
-from jaxtube.simulation.rollout import SlippingRobot
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.tuner import COMPARED, Tuner, certificate_lacks
