@@ -153,10 +153,8 @@ def test_wheels_that_lag_or_are_limited_follow_a_period_as_its_two_halves(period
         for sluggishness in (0.0, 1e-300, 0.1, 5.0):
             whole = imperfect(slipping_robot(), lag=lag, sluggishness=sluggishness)
             half = dataclasses.replace(whole, ideal=slipping_robot(dt=DT / 2))
-            start, steady = (
-                jnp.zeros((CASES, 3)),
-                motion._replace(commands=(motion.commands[1],) * 2),
-            )
+            start = jnp.zeros((CASES, 3))
+            steady = motion._replace(late_commands=motion.commands)
             _, middle = drive(half, 0, start, steady)
             _, end = drive(half, 0, start, steady._replace(wheels=middle))
             np.testing.assert_allclose(drive(whole, 0, start, steady)[1], end, atol=ROUNDING)
