@@ -17,6 +17,7 @@ from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.linear import LinearPlant
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slipping import SlippingRobot
+from jaxtube.precision import require_64_bits
 from jaxtube.simulation.rollout import (
     Trajectory,
     begin,
@@ -68,6 +69,7 @@ def make_plain_mpc(design: Design) -> TubeMpc:
 
 
 def _make_mpc(design: Design, windows: mpc.Window) -> TubeMpc:
+    require_64_bits("controllers of a design")
     on_device = jax.tree.map(jnp.asarray, windows)
     return TubeMpc(on_device, jnp.asarray(design.windows.index), make_wheel_map(design.problem))
 
