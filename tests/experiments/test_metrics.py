@@ -222,7 +222,8 @@ def test_design_metrics_are_the_known_numbers_of_the_paper(paper_design):
     np.testing.assert_array_less(found["terminal_half_widths"], LIMITS * DEGREES * (1 + ROUNDING))
     assert found["certified"] == paper_design.certificate.holds_for_robot
     assert all(
-        {"holds", "margin", "required", "scope", "sentence"} == set(c) for c in found["certificate"].values()
+        {"holds", "margin", "required", "scope", "sentence"} == set(c)
+        for c in found["certificate"].values()
     )
 
 
