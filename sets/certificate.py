@@ -19,7 +19,9 @@ Alamo 2009, section III.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -32,47 +34,111 @@ ROUNDING = 1e-12
 by construction."""
 
 
+Scope = Literal["model", "robot", "information"]
+
+
 @dataclass(frozen=True)
 class Condition:
-    """One condition: whether it holds, by what margin, what that means; only `required` ones decide
-    the guarantee."""
+    """One condition of a guarantee, decided by its margin.
 
-    holds: bool
+    Attributes:
+        name: by which reports and metrics know it.
+        margin: not negative where the condition holds; NaN never holds.
+        sentence: what that means, in plain words.
+        scope: a condition of the linear "model" with w in W; of the "robot" itself, beyond the
+            model; or for "information", which decides nothing.
+    """
+
+    name: str
     margin: float
     sentence: str
-    required: bool = True
-
-
-@dataclass
-class Certificate:
-    """The conditions of a design by name, in the order in which they were checked, and what they
-    take for granted."""
-
-    conditions: dict[str, Condition] = field(default_factory=dict)
-    assumptions: tuple[str, ...] = ()
+    scope: Scope = "model"
 
     @property
     def holds(self) -> bool:
-        """Whether every required condition holds."""
-        return all(condition.holds for condition in self.conditions.values() if condition.required)
+        """Whether the condition holds."""
+        return self.margin >= 0
+
+    @property
+    def required(self) -> bool:
+        """Whether a verdict rests on the condition."""
+        return self.scope != "information"
+
+
+def judge(
+    name: str, margin: float, if_true: str, if_false: str, scope: Scope = "model"
+) -> Condition:
+    """Return a condition with the one of two sentences that its margin makes true."""
+    return Condition(name, float(margin), if_true if margin >= 0 else if_false, scope)
+
+
+@dataclass(frozen=True, repr=False)
+class Certificate:
+    """The conditions of a design, in the order in which they were checked, and what they take for
+    granted.
+
+    Without conditions nothing was checked, so nothing is certified.
+    """
+
+    checked: tuple[Condition, ...] = ()
+    assumptions: tuple[str, ...] = ()
+
+    @cached_property
+    def conditions(self) -> dict[str, Condition]:
+        """The conditions by name."""
+        return {condition.name: condition for condition in self.checked}
+
+    @property
+    def holds_for_model(self) -> bool:
+        """Whether the linear model with w in W is certified."""
+        return bool(self.checked) and not self.failing_for_model
+
+    @property
+    def holds_for_robot(self) -> bool:
+        """Whether the robot itself is certified: the model is, and W and the wheels hold too."""
+        of_robot = any(condition.scope == "robot" for condition in self.checked)
+        return of_robot and not self.failing
 
     @property
     def failing(self) -> list[str]:
-        """Names of the required conditions that fail."""
+        """Names of the conditions of model and robot that fail."""
+        return [condition.name for condition in self._failing("model", "robot")]
+
+    @property
+    def failing_for_model(self) -> list[str]:
+        """Names of the conditions of the model that fail."""
+        return [condition.name for condition in self._failing("model")]
+
+    @property
+    def reasons(self) -> list[str]:
+        """What the conditions that fail say."""
+        return [condition.sentence for condition in self._failing("model", "robot")]
+
+    @property
+    def verdict(self) -> str:
+        """One line: for what the design is certified, and what fails."""
+        if self.holds_for_robot:
+            return "CERTIFIED: every required condition holds"
+        if self.holds_for_model:
+            missing = ", ".join(self.failing) or "its disturbances were not checked"
+            return (
+                "CERTIFIED for the linear model with w in W alone; "
+                f"NOT CERTIFIED for the robot: {missing}"
+            )
+        return f"NOT CERTIFIED: {', '.join(self.failing) or 'nothing was checked'}"
+
+    def _failing(self, *scopes: Scope) -> list[Condition]:
         return [
-            name
-            for name, condition in self.conditions.items()
-            if condition.required and not condition.holds
+            condition
+            for condition in self.checked
+            if condition.scope in scopes and not condition.holds
         ]
 
-    def add(
-        self, name: str, margin: float, if_true: str, if_false: str, required: bool = True
-    ) -> None:
-        """Record a condition that holds exactly when its margin is not negative (NaN never holds)."""
-        holds = bool(margin >= 0)
-        self.conditions[name] = Condition(
-            holds, float(margin), if_true if holds else if_false, required
-        )
+    def __repr__(self) -> str:
+        required = [condition for condition in self.checked if condition.required]
+        held = sum(condition.holds for condition in required)
+        lines = [self.verdict, f"{held} of {len(required)} required conditions hold"]
+        return "\n  ".join(lines + self.reasons)
 
 
 def nonempty_margin(polytopes: Iterable[Polytope]) -> float:

@@ -23,12 +23,10 @@ from jaxtube.simulation.starts import uniform_start
 from jaxtube.simulation.usage import Limit, Limits
 from jaxtube.synthesis.design import Design, design, refuse_infeasible_start
 from jaxtube.synthesis.feasible import true_starts
-from jaxtube.synthesis.tightening import widest_window
 from sets.polytope import hull_vertices
 
-RAYS, INSIDE = 400, 0.999
-"""Rays that probe the feasible set, and the share of it that starts may take: its very edge is a
-matter of rounding."""
+INSIDE = 0.999
+"""Share of the feasible set that starts may take: its very edge is a matter of rounding."""
 
 POOL = 4096
 """Starts that drawn laps choose from."""
@@ -101,7 +99,7 @@ def make_setting(
 
 def feasible_vertices(found: Design, seed: int) -> Float[np.ndarray, "k 3"]:
     """Return the vertices of a polytope of starts from which the tube-MPC has a plan."""
-    points = true_starts(found.tube_window, int(found.windows.index[0]), found.problem, RAYS, seed)
+    points = true_starts(found.tube_window, int(found.windows.index[0]), found.problem, seed=seed)
     return INSIDE * hull_vertices(points)
 
 
@@ -119,9 +117,7 @@ def lap_limits(found: Design) -> Limits:
 
 def tube_limit(found: Design) -> Limit:
     """Return R_1 .. R_N of the tube in use; of `sequence` those of the widest window."""
-    sections = [
-        section.polytope() for section in found.tubes[found.problem.scenario.controller.tube][1:]
-    ]
+    sections = [section.polytope() for section in found.tube[1:]]
     return usage.tube_limit([(section.normals, section.offsets) for section in sections])
 
 
@@ -137,6 +133,4 @@ def followed_windows(found: Design) -> np.ndarray:
     """Return the steps at which a plan may begin that is judged: of the tube `sequence` those of
     its widest window."""
     steps = np.arange(found.problem.reference.steps - found.problem.horizon + 1)
-    if found.problem.scenario.controller.tube != "sequence":
-        return steps
-    return steps[found.windows.index[steps] == widest_window(found.problem, found.windows)]
+    return steps[found.tube.shows(found.windows.index[steps])]

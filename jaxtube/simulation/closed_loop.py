@@ -27,7 +27,6 @@ from jaxtube.simulation.rollout import (
 )
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.problem import Problem, error_vector
-from jaxtube.synthesis.tightening import widest_window
 
 BLOCK = 256
 """Realisations a call: fixed, so that the length of a run changes no result."""
@@ -169,18 +168,16 @@ def plan_deviations(
 ):
     """Return e - e_nominal (N, samples, 3) of plans made along the laps and followed to their end.
 
-    For the tube `sequence`, whose sections change with the window, only at steps that have the
-    widest one ahead.
+    For a tube that follows the reference only at steps that have the window ahead whose sections
+    are shown.
     """
     horizon, steps = design.problem.horizon, design.problem.reference.steps
     count = min(trajectory.errors.shape[1], BLOCK)
     keys = realisation_keys(seed, 0, count)
     found = []
     chosen = range(0, max(steps - horizon, 1), every)
-    if design.problem.scenario.controller.tube == "sequence":
-        widest = np.flatnonzero(
-            design.windows.index == widest_window(design.problem, design.windows)
-        )
+    if design.tube.follows_reference:
+        widest = np.flatnonzero(design.tube.shows(design.windows.index))
         chosen = widest[widest < max(steps - horizon, 1)][:: max(len(widest) // len(chosen), 1)]
     for step in chosen:
         errors = jnp.asarray(trajectory.errors[step, :count])

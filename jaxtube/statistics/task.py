@@ -18,10 +18,7 @@ from jaxtube.statistics.tally import HEAT_CELLS
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.feasible import true_starts
 from sets.polytope import Polytope
-from sets.tubes import sequence_tube
 
-RAYS = 400
-"""Boundary points of the feasible set whose hull the starts are spread over."""
 MAP_MARGIN_M = 0.4
 """What the trajectory map shows around the reference."""
 
@@ -39,7 +36,7 @@ def make_task(design: Design, controller: str, plant: str, starts: str, seed: in
         # The seed of the set's shape is fixed: the law that starts are drawn from is the scenario's
         # alone.
         start = uniform_start(
-            true_starts(design.tube_window, first, problem, RAYS, seed=0), edge=starts == "edge"
+            true_starts(design.tube_window, first, problem, seed=0), edge=starts == "edge"
         )
     return Task(loop, makers[plant](design), start, make_checks(design, loop), jax.random.key(seed))
 
@@ -91,22 +88,21 @@ WINDOWS_COMPARED = 32
 
 
 def affordable(design: Design, tube: str) -> bool:
-    """Return whether a tube that is not in use is checked as well: `sequence` has sections for
-    every window."""
-    return tube != "sequence" or len(design.windows.loops) <= WINDOWS_COMPARED
+    """Return whether a tube that is not in use is checked as well: one that follows the reference
+    has sections for every window."""
+    follows = design.tubes[tube].follows_reference
+    return not follows or len(design.windows.loops) <= WINDOWS_COMPARED
 
 
 def sections(design: Design, tube: str) -> Sections:
     """Return R_1 .. R_N of a tube, for every window along the reference where they depend on it."""
-    W, windows = design.problem.disturbance_set, design.windows
-    if tube == "sequence":
-        every = [
-            [facets(section.polytope()) for section in sequence_tube(loops, W)[1:]]
-            for loops in windows.loops
-        ]
-        return Sections(_stack(every), windows.index)
-    every = [[facets(section.polytope()) for section in design.tubes[tube][1:]]]
-    return Sections(_stack(every), np.zeros_like(windows.index))
+    by_window = [
+        [facets(section.polytope()) for section in row[1:]]
+        for row in design.tubes[tube].sections_by_window
+    ]
+    index = design.windows.index
+    follows = design.tubes[tube].follows_reference
+    return Sections(_stack(by_window), index if follows else np.zeros_like(index))
 
 
 def _stack(every: list[list[Facets]]) -> Facets:

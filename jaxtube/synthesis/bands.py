@@ -26,19 +26,25 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtube.scenario import Scenario
-from jaxtube.synthesis.certificate.robot import assumptions
+from jaxtube.synthesis.certificate.fill import ring_normals
+from jaxtube.synthesis.certificate.robot import (
+    assumptions,
+    check_disturbance_set,
+    check_true_error,
+)
 from jaxtube.synthesis.disturbance import ground_speed_limits, with_computed_bound
+from jaxtube.synthesis.gains import Gain, decoupled_gain, exact_loops
 from jaxtube.synthesis.problem import Problem, input_constraints, make_problem
-from jaxtube.synthesis.tightening import DecoupledGain, decoupled_gain, exact_loops
 from sets import certificate as check
-from sets.certificate import Certificate
-from sets.invariant import MaximalRpi, maximal_rpi, minimal_rpi_bound
+from sets.certificate import Certificate, Condition, judge
+from sets.invariant import MaximalRpi, SupportFunction, maximal_rpi, minimal_rpi_bound
 from sets.polytope import Polytope
+from sets.robot.disturbance import DisturbanceBound
 
 COVER = 3
 """Boxes along the width of a band that cover it: more are tighter and take longer."""
-RING = 60
 SAMPLES = 200
+"""Wheel speeds of a band at which its loops are compared with mixtures of corner loops."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,13 +54,24 @@ class Band:
 
     corners: Float[np.ndarray, "p 2"]
     problem: Problem
-    gain: DecoupledGain
+    gain: Gain
     loops: Float[np.ndarray, "v 3 3"]
 
     @property
     def rows(self) -> Float[np.ndarray, "g k 3"]:
         """The band's input rows under its gain, one stack a corner."""
-        return self.problem.input_rows.under(self.gain.at(self.problem.model.weights(self.corners)))
+        return self.problem.input_rows.on_errors(self.gain.along(self.corners))
+
+    @property
+    def bound(self) -> DisturbanceBound:
+        """What the band's W was computed from."""
+        assert self.problem.disturbance_bound is not None
+        return self.problem.disturbance_bound
+
+    @property
+    def farthest_stretch(self) -> float:
+        """The greatest factor by which wheel speeds in the band are stretched."""
+        return float(np.max(self.problem.model.stretched(self.corners) / self.corners))
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,9 +93,8 @@ class BandedLaw:
 
     def gains(self, schedules: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k 2 3"]:
         """Return the gains of the law along wheel speeds."""
-        weights = self.problem.model.weights(schedules)
-        every = np.stack([band.gain.at(weights) for band in self.bands])
-        return every[self.band_of(schedules), np.arange(len(schedules))]
+        by_band = np.stack([band.gain.along(schedules) for band in self.bands])
+        return by_band[self.band_of(schedules), np.arange(len(schedules))]
 
 
 def make_law(scenario: Scenario) -> BandedLaw:
@@ -87,66 +103,78 @@ def make_law(scenario: Scenario) -> BandedLaw:
     Raises:
         ScenarioError: as `make_problem`, or where W cannot be bounded.
     """
-    started, problem = time.perf_counter(), make_problem(scenario)
-    lower = [
-        scenario.reference.wheel_speed_min_mps,
-        *(band.below_mps for band in scenario.operating.bands),
-    ]
-    bands = tuple(_band(problem, m, lower[m], lower[m + 1]) for m in range(len(lower) - 1))
+    started = time.perf_counter()
+    problem = make_problem(scenario)
+    bands = _make_bands(problem)
     loops = np.concatenate([band.loops for band in bands])
     supports = [band.problem.disturbance_set.support for band in bands for _ in band.loops]
-    caps = _admissible(problem, bands)
+    caps = _admissible_set(problem, bands)
     inner = Polytope(caps.normals, caps.offsets * (1 - check.ROUNDING) - check.ROUNDING)
-    found = maximal_rpi(loops, inner, supports)
-    shares = _shares(problem, bands, loops, supports, caps)
-    certificate = _certify(problem, bands, found, shares)
-    return BandedLaw(problem, bands, found, shares, certificate, time.perf_counter() - started)
+    invariant = maximal_rpi(loops, inner, supports)
+    shares = _cap_shares(problem, bands, loops, supports)
+    certificate = certify_law(problem, bands, invariant, shares)
+    seconds = time.perf_counter() - started
+    return BandedLaw(problem, bands, invariant, shares, certificate, seconds)
 
 
-def _band(problem: Problem, index: int, slowest: float, fastest: float) -> Band:
+def _make_bands(problem: Problem) -> tuple[Band, ...]:
+    """Return the bands from slow to fast, each from the end of the one before."""
+    made = []
+    slowest = problem.scenario.reference.wheel_speed_min_mps
+    for index, settings in enumerate(problem.scenario.operating.bands):
+        made.append(_make_band(problem, index, slowest, settings.below_mps))
+        slowest = settings.below_mps
+    return tuple(made)
+
+
+def _make_band(problem: Problem, index: int, slowest: float, fastest: float) -> Band:
     """Return the band of mean wheel speeds between two ends."""
     settings = problem.scenario.operating.bands[index]
-    names = [
-        name for name in settings.__struct_fields__ if name not in ("below_mps", "tracking_gains")
-    ]
-    operating = msgspec.structs.replace(
-        problem.scenario.operating, bands=(), **{name: getattr(settings, name) for name in names}
-    )
-    scenario = msgspec.structs.replace(problem.scenario, operating=operating)
-    model, (low, high) = problem.model, problem.model.box
-    strip = np.array([[0.5, 0.5], [-0.5, -0.5]])
-    corners = (
-        Polytope.box(low, high).intersect(Polytope(strip, np.array([fastest, -slowest]))).vertices()
-    )
+    scenario = _with_caps_of_band(problem.scenario, index)
+    low, high = problem.model.box
+    mean = np.array([[0.5, 0.5], [-0.5, -0.5]])
+    strip = Polytope(mean, np.array([fastest, -slowest]))
+    corners = Polytope.box(low, high).intersect(strip).vertices()
     input_set, input_rows = input_constraints(scenario, problem.robot)
-    regions = _cover(low, high, slowest, fastest)
-    mine = replace(
-        problem, scenario=scenario, input_set=input_set, input_rows=input_rows, regions=regions
+    of_band = replace(
+        problem,
+        scenario=scenario,
+        input_set=input_set,
+        input_rows=input_rows,
+        regions=_covering_boxes(low, high, slowest, fastest),
     )
-    mine = with_computed_bound(mine)
     gain = decoupled_gain(problem, settings.tracking_gains)
-    farthest = float(np.max(model.stretched(corners) / corners))
-    loops = exact_loops(model, gain, np.concatenate([corners, farthest * corners]))
-    return Band(corners, mine, gain, loops)
+    band = Band(corners, with_computed_bound(of_band), gain, np.zeros((0, 3, 3)))
+    stretched = np.concatenate([corners, band.farthest_stretch * corners])
+    return replace(band, loops=exact_loops(gain, stretched))
 
 
-def _cover(low, high, slowest: float, fastest: float) -> Float[np.ndarray, "m 2 2"]:
+def _with_caps_of_band(scenario: Scenario, index: int) -> Scenario:
+    """Return the scenario with the input caps of a band in the place of all bands."""
+    settings = scenario.operating.bands[index]
+    of_law = ("below_mps", "tracking_gains")
+    caps = {
+        name: getattr(settings, name) for name in settings.__struct_fields__ if name not in of_law
+    }
+    operating = msgspec.structs.replace(scenario.operating, bands=(), **caps)
+    return msgspec.structs.replace(scenario, operating=operating)
+
+
+def _covering_boxes(
+    low: Float[np.ndarray, "2"], high: Float[np.ndarray, "2"], slowest: float, fastest: float
+) -> Float[np.ndarray, "m 2 2"]:
     """Return boxes whose union holds every pair of wheel speeds in [low, high] with a mean between
     two ends."""
     count = max(int(np.ceil(COVER * (high[0] - low[0]) / (fastest - slowest))), 1)
     edges = np.linspace(low[0], high[0], count + 1)
-    cells = np.array(
-        [
-            [[edges[i], edges[j]], [edges[i + 1], edges[j + 1]]]
-            for i in range(count)
-            for j in range(count)
-        ]
-    )
-    means = cells.mean(axis=2)
-    return cells[(means[:, 0] <= fastest) & (means[:, 1] >= slowest)]
+    right, left = np.indices((count, count)).reshape(2, -1)
+    lower = np.stack([edges[right], edges[left]], axis=1)
+    upper = np.stack([edges[right + 1], edges[left + 1]], axis=1)
+    meets_band = (lower.mean(axis=1) <= fastest) & (upper.mean(axis=1) >= slowest)
+    return np.stack([lower, upper], axis=1)[meets_band]
 
 
-def _admissible(problem: Problem, bands) -> Polytope:
+def _admissible_set(problem: Problem, bands: tuple[Band, ...]) -> Polytope:
     """Return {e in E_op : the inputs of every band lie within its caps}."""
     E = problem.operating_set
     rows = [rows for band in bands for rows in band.rows]
@@ -154,110 +182,123 @@ def _admissible(problem: Problem, bands) -> Polytope:
     return Polytope(np.concatenate([E.normals, *rows]), np.concatenate([E.offsets, *offsets]))
 
 
-def _shares(problem: Problem, bands, loops, supports, caps: Polytope) -> dict[str, float]:
+def _cap_shares(
+    problem: Problem,
+    bands: tuple[Band, ...],
+    loops: Float[np.ndarray, "v 3 3"],
+    supports: list[SupportFunction],
+) -> dict[str, float]:
     """Return the share of E_op's caps, and of the input caps of every band, that the law's tube
     fills at its widest."""
-    E, angles = problem.operating_set, 2 * np.pi * np.arange(RING) / RING
-    ring = np.stack(
-        [np.zeros(RING), *(np.stack([np.cos(angles), np.sin(angles)]) / E.offsets[1:3, None])],
-        axis=1,
-    )
-    bound = minimal_rpi_bound(
-        loops, supports, np.concatenate([caps.normals / caps.offsets[:, None], ring])
-    )
+    E = problem.operating_set
+    caps = _admissible_set(problem, bands)
+    normals = np.concatenate([caps.normals / caps.offsets[:, None], ring_normals(problem)])
+    tube = minimal_rpi_bound(loops, supports, normals)
     names = ["longitudinal error", "lateral error", "heading error"]
-    names += [f"inputs of band {m + 1}" for m in range(len(bands))]
-    if bound is None:
+    names += [f"inputs of band {number}" for number in range(1, len(bands) + 1)]
+    if tube is None:
         return dict.fromkeys(names, np.inf)
-    shares = list((bound.support(E.normals) / E.offsets).reshape(2, -1).max(axis=0))
+    shares = list((tube.support(E.normals) / E.offsets).reshape(2, -1).max(axis=0))
     for band in bands:
         offsets = band.problem.input_rows.offsets
-        shares += [np.max([bound.support(rows) / offsets for rows in band.rows])]
+        shares.append(np.max([tube.support(rows) / offsets for rows in band.rows]))
     return dict(zip(names, map(float, shares), strict=True))
 
 
-def _certify(problem: Problem, bands, found: MaximalRpi, shares) -> Certificate:
+def certify_law(
+    problem: Problem, bands: tuple[Band, ...], invariant: MaximalRpi, shares: dict[str, float]
+) -> Certificate:
     """Re-check the law: invariance band by band, caps, wheel limits, coverage, W."""
-    certificate, omega = Certificate(), found.polytope
-    binding = max(shares, key=lambda name: shares[name])
+    conditions = [
+        *_check_invariance(problem, bands, invariant.polytope, shares),
+        _check_coverage(bands),
+        check_true_error(problem),
+        _check_disturbance_sets(bands),
+        _check_wheels(problem, bands),
+    ]
+    return Certificate(tuple(conditions), assumptions(problem, any_order=True))
+
+
+def _check_invariance(
+    problem: Problem, bands: tuple[Band, ...], omega: Polytope | None, shares: dict[str, float]
+) -> list[Condition]:
     if omega is None:
-        certificate.add(
-            "invariant_set",
-            1 - shares[binding],
-            "",
-            f"No invariant set was found inside the caps; {binding} binds, at {shares[binding]:.1%} of its cap.",
+        binding = max(shares, key=lambda name: shares[name])
+        sentence = (
+            f"No invariant set was found inside the caps; {binding} binds, at "
+            f"{shares[binding]:.1%} of its cap."
         )
-    else:
-        margins = [
-            check.invariance_margin(band.loops, band.problem.disturbance_set.vertices(), omega)
-            for band in bands
-        ]
-        certificate.add(
-            "invariant_set",
-            min(margins),
-            f"A set of {len(omega.offsets)} facets is invariant for every band's loops and disturbances, in any order.",
-            f"Some band leaves the set by {-min(margins):.3g}.",
-        )
-        margin = _admissible(problem, bands).containment_margin(omega)
-        certificate.add(
-            "caps",
-            margin,
-            "On the set errors and inputs keep the caps of every band.",
-            f"On the set a cap is passed by {-margin:.3g}.",
-        )
-    slowest, fastest = ground_speed_limits(problem)
-    speeds = np.stack([_bound(band).ground_speeds for band in bands])
-    least, greatest = speeds[:, 0].min(axis=0), speeds[:, 1].max(axis=0)
-    room = min(np.min(fastest - greatest), np.min(least - slowest))
-    certificate.add(
-        "wheel_limits",
-        float(room),
-        f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for; {room:.3g} m/s to spare.",
-        f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for: {-room:.3g} m/s too much.",
+        missing = 1 - shares[binding]
+        margin = missing if missing < 0 else -np.inf
+        return [Condition("invariant_set", margin, sentence)]
+    margin = min(
+        check.invariance_margin(band.loops, band.problem.disturbance_set.vertices(), omega)
+        for band in bands
     )
+    invariance = judge(
+        "invariant_set",
+        margin,
+        f"A set of {len(omega.offsets)} facets is invariant for every band's loops and "
+        "disturbances, in any order.",
+        f"Some band leaves the set by {-margin:.3g}.",
+    )
+    margin = _admissible_set(problem, bands).containment_margin(omega)
+    caps = judge(
+        "caps",
+        margin,
+        "On the set errors and inputs keep the caps of every band.",
+        f"On the set a cap is passed by {-margin:.3g}.",
+    )
+    return [invariance, caps]
+
+
+def _check_wheels(problem: Problem, bands: tuple[Band, ...]) -> Condition:
+    slowest, fastest = ground_speed_limits(problem)
+    speeds = np.stack([band.bound.ground_speeds for band in bands])
+    least = speeds[:, 0].min(axis=0)
+    greatest = speeds[:, 1].max(axis=0)
+    room = float(min(np.min(fastest - greatest), np.min(least - slowest)))
+    asked = f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for"
+    return judge(
+        "wheel_limits",
+        room,
+        f"{asked}; {room:.3g} m/s to spare.",
+        f"{asked}: {-room:.3g} m/s too much.",
+        "robot",
+    )
+
+
+def _check_coverage(bands: tuple[Band, ...]) -> Condition:
     gap = max(coverage_gap(band) for band in bands)
-    certificate.add(
+    return judge(
         "vertices_cover_bands",
         check.ROUNDING - gap,
-        "At sampled wheel speeds every loop of a band is a mixture of its corner loops, and its boxes cover them.",
+        "At sampled wheel speeds every loop of a band is a mixture of its corner loops, and its "
+        "boxes cover them.",
         f"Some loop of a band differs from mixtures of its corner loops by {gap:.3g}.",
     )
-    wide = min(np.min(band.problem.disturbance_set.offsets - _supports(band)) for band in bands)
-    certificate.assumptions = assumptions(problem)
-    certificate.add(
-        "disturbance_bound_proved",
-        float(wide) + check.ROUNDING,
-        "W of every band holds every disturbance of the robot there, proved by interval arithmetic.",
-        f"W of some band is narrower than the proved bound by {-wide:.3g}.",
+
+
+def _check_disturbance_sets(bands: tuple[Band, ...]) -> Condition:
+    """Return the condition on the W that has least room, of all bands."""
+    return min(
+        (check_disturbance_set(band.problem) for band in bands),
+        key=lambda condition: condition.margin,
     )
-    return certificate
-
-
-def _bound(band: Band):
-    assert band.problem.residual is not None
-    return band.problem.residual
-
-
-def _supports(band: Band) -> Float[np.ndarray, " k"]:
-    return _bound(band).support(band.problem.disturbance_set.normals)
 
 
 def coverage_gap(band: Band) -> float:
     """Return by how much loops at sampled wheel speeds miss those of their stretched speeds, or
-    these the corners'."""
+    these the corners'; infinite where the boxes miss some of the band."""
     shares = np.random.default_rng(0).dirichlet(np.ones(len(band.corners)), SAMPLES)
     points = np.concatenate([band.corners, shares @ band.corners])
-    model = band.problem.model
-    farthest = float(np.max(model.stretched(band.corners) / band.corners))
-    hull = Polytope.from_vertices(np.concatenate([band.corners, farthest * band.corners]))
-    lower, upper = band.problem.regions[:, 0], band.problem.regions[:, 1]
-    inside = np.all(
-        (points[:, None] >= lower - check.ROUNDING) & (points[:, None] <= upper + check.ROUNDING),
-        axis=2,
-    )
-    if not inside.any(axis=1).all():
+    lower = band.problem.regions[:, 0] - check.ROUNDING
+    upper = band.problem.regions[:, 1] + check.ROUNDING
+    in_box = np.all((points[:, None] >= lower) & (points[:, None] <= upper), axis=2)
+    if not in_box.any(axis=1).all():
         return np.inf
-    stretched, (A, B) = model.stretched(points), model.matrices(points)
-    found = A + B @ band.gain.at(model.weights(points))
-    missed = float(np.max(np.abs(found - exact_loops(model, band.gain, stretched))))
-    return max(missed, -float(np.min(hull.margin(stretched))))
+    stretched = band.problem.model.stretched(points)
+    missed = np.abs(band.gain.loops_along(points) - exact_loops(band.gain, stretched))
+    far_corners = band.farthest_stretch * band.corners
+    hull = Polytope.from_vertices(np.concatenate([band.corners, far_corners]))
+    return max(float(np.max(missed)), -float(np.min(hull.margin(stretched))))

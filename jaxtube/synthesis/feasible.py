@@ -15,31 +15,37 @@ from jaxtube.scenario import ScenarioError
 from jaxtube.synthesis.problem import Problem
 from sets.polytope import Polytope
 
+RAYS = 400
+"""Rays by which starts are spread over the feasible set: boundary points of their hull."""
 EXACTLY = {"primal_feasibility_tolerance": 1e-9}
 EDGE = 1e-6
 """Share by which starts keep off the edge of the feasible set, which linear programs find to about
 1e-9."""
+JUST_INSIDE = 0.999
+"""Share of the hull of boundary points that starts close to its edge take."""
 
 
-def _constraints(window: Window, index: int):
-    """Return (errors, rows, bounds) of the one-sided rows  errors e + rows g <= bounds  of one
-    window."""
-    errors = np.concatenate([window.row_errors[index], window.check_errors[index]])
-    rows = window.factors.rows[index] * window.factors.row_norms[index][:, None]
-    rows = np.concatenate([rows, np.zeros((len(errors) - len(rows), rows.shape[1]))])
-    lower = np.concatenate([window.lower[index], window.check_lower[index]])
-    upper = np.concatenate([window.upper[index], window.check_upper[index]])
-    above, below = np.isfinite(upper), np.isfinite(lower)
-    return (
-        np.concatenate([errors[above], -errors[below]]),
-        np.concatenate([rows[above], -rows[below]]),
-        np.concatenate([upper[above], -lower[below]]),
-    )
+def noise_corners(problem: Problem) -> Float[np.ndarray, "corners 3"]:
+    """Return the extreme errors of the measured pose, the one zero where there is no noise."""
+    noise = problem.noise
+    if not noise.any():
+        return np.zeros((1, 3))
+    return noise * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
 
 
-def reach_of_ray(window: Window, index: int, direction: Float[np.ndarray, "3"]) -> float:
-    """Return the largest t with t * direction in F, 0 where even the origin is outside."""
+def reach_of_ray(
+    window: Window,
+    index: int,
+    direction: Float[np.ndarray, "3"],
+    origin: Float[np.ndarray, "3"] | None = None,
+) -> float:
+    """Return the largest t with origin + t * direction in F, t >= 0; 0 where there is none.
+
+    The origin is that of the errors where none is given.
+    """
     errors, rows, bounds = _constraints(window, index)
+    if origin is not None:
+        bounds = bounds - errors @ origin
     answer = linprog(
         np.append(np.zeros(rows.shape[1]), -1.0),
         A_ub=np.column_stack([rows, errors @ direction]),
@@ -47,6 +53,8 @@ def reach_of_ray(window: Window, index: int, direction: Float[np.ndarray, "3"]) 
         bounds=[(None, None)] * rows.shape[1] + [(0, None)],
         options=EXACTLY,
     )
+    if answer.status == 3:  # unbounded: a direction that no row limits
+        return np.inf
     return float(answer.x[-1]) if answer.status == 0 else 0.0
 
 
@@ -72,16 +80,13 @@ def boundary(
     Their convex hull lies in F.
     """
     directions = np.random.default_rng(seed).normal(size=(count, 3)) * error_set.support(np.eye(3))
-    inside = np.max(directions @ error_set.normals.T / error_set.offsets, axis=1)
-    reach = [
-        min(reach_of_ray(window, index, d), 1 / most)
-        for d, most in zip(directions, inside, strict=True)
-    ]
-    return np.array(reach)[:, None] * directions
+    in_error_set = 1 / np.max(directions @ error_set.normals.T / error_set.offsets, axis=1)
+    in_feasible_set = [reach_of_ray(window, index, direction) for direction in directions]
+    return np.minimum(in_feasible_set, in_error_set)[:, None] * directions
 
 
 def true_starts(
-    window: Window, index: int, problem: Problem, count: int, seed: int = 0
+    window: Window, index: int, problem: Problem, count: int = RAYS, seed: int = 0
 ) -> Float[np.ndarray, "k 3"]:
     """Return corners of a polytope of true errors from which there is a plan, whatever the noise of
     the pose.
@@ -93,15 +98,15 @@ def true_starts(
     """
     if reach_of_ray(window, index, np.array([0.0, 0.0, 1.0])) <= 0:
         raise ScenarioError(
-            "scenario: no start has a plan: not even the origin; see the failing conditions of `design`"
+            "scenario: no start has a plan: not even the origin; see the failing conditions of "
+            "`design`"
         )
     points = (1 - EDGE) * boundary(window, index, problem.operating_set, count, seed)
-    noise = problem.error_set.support(np.eye(3)) - problem.operating_set.support(np.eye(3))
+    noise = problem.noise
     if not noise.any():
         return points
-    return (
-        Polytope.from_vertices(points).pontryagin_difference(Polytope.box(-noise, noise)).vertices()
-    )
+    measured = Polytope.from_vertices(points)
+    return measured.pontryagin_difference(Polytope.box(-noise, noise)).vertices()
 
 
 def spread_starts(
@@ -117,8 +122,26 @@ def spread_starts(
     for i in range(count):
         generator = np.random.default_rng([seed, i])
         first = generator.integers(len(points))
-        near = np.argsort(np.linalg.norm(points - points[first], axis=1))[:3]
-        mixture = generator.dirichlet(np.ones(3)) @ points[near]
-        edge = generator.random() < edge_share
-        starts[i] = mixture * (0.999 if edge else generator.random() ** (1 / 3))
+        nearest = np.argsort(np.linalg.norm(points - points[first], axis=1))[:3]
+        mixture = generator.dirichlet(np.ones(3)) @ points[nearest]
+        is_at_edge = generator.random() < edge_share
+        starts[i] = mixture * (JUST_INSIDE if is_at_edge else generator.random() ** (1 / 3))
     return starts
+
+
+def _constraints(window: Window, index: int):
+    """Return (errors, rows, bounds) of the one-sided rows  errors e + rows g <= bounds  of one
+    window."""
+    errors = np.concatenate([window.row_errors[index], window.check_errors[index]])
+    reached = window.factors.rows[index] * window.factors.row_norms[index][:, None]
+    unreached = np.zeros((len(errors) - len(reached), reached.shape[1]))
+    rows = np.concatenate([reached, unreached])
+    lower = np.concatenate([window.lower[index], window.check_lower[index]])
+    upper = np.concatenate([window.upper[index], window.check_upper[index]])
+    above = np.isfinite(upper)
+    below = np.isfinite(lower)
+    return (
+        np.concatenate([errors[above], -errors[below]]),
+        np.concatenate([rows[above], -rows[below]]),
+        np.concatenate([upper[above], -lower[below]]),
+    )

@@ -5,9 +5,9 @@ what it may use.
 
 over the caps of the measured error, of the inputs, of |e_x| / a + |u2| / b <= 1, and (k1, k2, k3).
 Wider caps admit a wider disturbance set W, narrower ones leave less room for it: the optimum is
-where all constraints that matter bind alike. On the way W is estimated at corners of the operating
-set and R in two parts, e_x alone (decoupled) and (e_y, e_th) driven by it; what comes out is
-designed and certified as any other scenario, by rigorous bounds.
+where all constraints that matter bind alike. On the way W and R are estimated
+(`synthesis.estimate`); what comes out is designed and certified as any other scenario, by rigorous
+bounds.
 
 Source: new; sequential quadratic programming by Kraft 1988 (SLSQP of scipy) on logarithms of all
 quantities.
@@ -15,7 +15,6 @@ quantities.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -24,16 +23,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
-from jaxtube.plant.model import VERTEX_SIDES
 from jaxtube.scenario import Scenario
-from jaxtube.synthesis.disturbance import (
-    complete_problem,
-    ground_speed_limits,
-    kinematics,
-    operation,
-)
-from jaxtube.synthesis.problem import Problem, error_vector
-from sets.robot.plant import Period, split_residual
+from jaxtube.synthesis.advice import say_what_widens
+from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits
+from jaxtube.synthesis.estimate import STEP, Estimate
+from jaxtube.synthesis.problem import Problem, error_vector, make_problem
 
 NAMES = (
     "longitudinal_m",
@@ -45,176 +39,29 @@ NAMES = (
     "turning_longitudinal_m",
     "turning_yaw_rate_radps",
 )
+START_TRACK_WIDTH_M = 0.5
+"""Track width of the robot that `STARTS` are for; a robot of another size has them scaled."""
 STARTS = (
     (0.105, 0.29, 17.0, 0.35, 0.80, 0.90, 0.14, 1.05, 9.5, 7.0, 9.0),
     (0.125, 0.145, 18.5, 0.31, 0.80, 1.30, 0.126, 1.44, 9.5, 11.0, 6.0),
 )
 """Starts of the search: caps in the order of `NAMES` (the least speed deficit by its size), k1, k2,
 k3."""
-DIRECTIONS = 120
-"""Facets of the polygon around the minimal RPI set in (e_y, e_th)."""
-START_STEPS, START_TURN = 2, 1 / 3
-"""Caps exceed the start by this many steps of W, and leave it this share of the yaw rate deficit to
-turn with."""
-STEP = 1e-4
+LENGTH_POWERS = (1, 1, 0, 1, 1, 0, 1, 0, 0, -1, 0)
+"""Powers of a length by which each number of a start grows with the robot."""
 CORRECTIONS = 3
 """Repetitions at most, where the rigorous bound of the ground speeds passes what corners showed."""
-
-
-@dataclass(frozen=True)
-class Shares:
-    """What share of each cap the tube fills, and how far the limits beside them are used."""
-
-    caps: Float[np.ndarray, " caps"]
-    limits: Float[np.ndarray, " limits"]
-
-
-class _Search:
-    """One problem's shares as a function of the logarithms of caps and gains."""
-
-    def __init__(self, problem: Problem):
-        scenario, T = problem.scenario, problem.model.dt
-        self.problem, self.kinematics = problem, kinematics(problem)
-        self.noise = error_vector(scenario.noise)
-        self.error_limits = error_vector(scenario.constraints) - self.noise
-        self.wheel_error = operation(problem).wheel_error
-        self.corners = np.unique(problem.corners, axis=0)
-        self.period = Period(T, problem.model.track_width, T * float(self.corners.mean()) / 2)
-        slowest, fastest = ground_speed_limits(problem)
-        self.speed_limits = float(slowest.max()), float(fastest.min())
-        stretched = [problem.model.stretched_box(*region) for region in problem.regions]
-        ends = np.array([np.stack(pair)[VERTEX_SIDES, [0, 1]] for pair in stretched]).reshape(-1, 2)
-        self.h, self.c = problem.model.turn_and_reach(ends).T
-        self.yaw_rate = (
-            float(np.max(np.abs(self.corners @ [1.0, -1.0]))) / problem.model.track_width
-        )
-        angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        self.directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-
-    def shares(self, logarithms: Float[np.ndarray, " 11"]) -> Shares | None:
-        """Return the shares of caps and limits, None where the loops have no bounded tube."""
-        caps, (k1, k2, k3) = _caps(logarithms), np.exp(logarithms[8:])
-        x, y, heading, slower, faster, turning, a, b = caps
-        yaw, (w_x, w_y, w_th), speeds = self.disturbance(caps)
-        reach = self.lateral(k1, k2, k3, yaw, w_x, w_y, w_th)
-        if reach is None:
-            return None
-        r_x, points = w_x / (1 - abs(1 - self.period.dt * k1)), reach
-        r_y, r_th = points.max(axis=0)
-        r_1, r_2 = k1 * r_x + self.yaw_rate * r_y, float(np.max(points @ [k2, k3]))
-        filled = [
-            r_x / x,
-            r_y / y,
-            r_th / heading,
-            r_1 / min(slower, faster),
-            r_2 / turning,
-            r_x / a + r_2 / b,
-        ]
-        start = np.abs(self.problem.initial_error)
-        widths = np.array([w_x, w_y + self.period.lateral_per_yaw * yaw, w_th + yaw])
-        limits = [
-            *(np.array([x, y, heading]) / self.error_limits),
-            *((start + START_STEPS * widths) / np.array([x, y, heading]) if start.any() else ()),
-            START_TURN * turning / max(b * (1 - start[0] / a), STEP) if start.any() else 0.0,
-            speeds[1] / self.speed_limits[1],
-            1 + (self.speed_limits[0] - speeds[0]) / self.speed_limits[1],
-        ]
-        return Shares(np.array(filled), np.array(limits))
-
-    def disturbance(self, caps):
-        """Return (yaw kick, box of the rest, (least, greatest) ground speed) at corners of the
-        operating set."""
-        x, y, heading, slower, faster, turning, a, b = caps
-        coupled = _coupled_corners(x, turning, a, b)
-        axes = [
-            np.arange(len(coupled)),
-            [-y, y],
-            np.linspace(-heading, heading, 5),
-            [-slower, faster],
-        ]
-        axes += [
-            np.arange(len(self.corners)),
-            *([-error, error] for error in self.wheel_error),
-            [-1.0, 1.0],
-        ]
-        at, e_y, e_th, u1, corner, d_r, d_l, side = (
-            grid.ravel() for grid in np.meshgrid(*axes, indexing="ij")
-        )
-        (e_x, u2), (V_r, V_l) = coupled[at.astype(int)].T, self.corners[corner.astype(int)].T
-        n_x, n_y, n_th = (side * width for width in self.noise)
-        variables = e_x, e_y, e_th, u1, u2, V_r, V_l, d_r, d_l, n_x, n_y, n_th
-        parts = split_residual(self.kinematics, self.period, variables)
-        w_x, w_y = (np.max(np.abs(coordinate)) for coordinate in parts.rest)
-        box = np.array([w_x + self.noise[0], w_y + self.noise[1], 2 * self.noise[2]])
-        speeds = min(parts.right.min(), parts.left.min()), max(parts.right.max(), parts.left.max())
-        return float(np.max(np.abs(parts.yaw))), box, speeds
-
-    def lateral(self, k1, k2, k3, yaw, w_x, w_y, w_th) -> Float[np.ndarray, "points 2"] | None:
-        """Return corners of a polygon around the minimal RPI set in (e_y, e_th), None where it does
-        not settle."""
-        T, directions = self.period.dt, self.directions
-        if not abs(1 - T * k1) < 1:
-            return None
-        drift = np.max(np.abs(self.h)) * abs(2 - T * k1) * w_x / (1 - abs(1 - T * k1))
-        kick = np.abs(directions @ [self.period.lateral_per_yaw, 1.0])
-        steps = yaw * kick + np.abs(directions) @ [w_y + drift, w_th]
-        loops = np.array(
-            [
-                [[1 - c * T * k2 / 2, c * (1 - T * k3 / 2)], [-T * k2, 1 - T * k3]]
-                for c in self.extreme_c
-            ]
-        )
-        images = directions @ loops
-        offsets = steps.copy()
-        for _ in range(500):
-            points = _corners(directions, offsets)
-            reach = steps + np.max(images @ points.T, axis=(0, 2))
-            if not np.all(reach < 1e3 * steps.max()):
-                return None
-            if np.all(reach <= offsets * (1 + STEP / 10)):
-                return points
-            offsets = np.maximum(offsets, reach)
-        return None
-
-    @property
-    def extreme_c(self) -> tuple[float, float]:
-        """Least and greatest lateral error a period per rad of heading, m."""
-        return float(self.c.min()), float(self.c.max())
-
-
-def _caps(logarithms) -> Float[np.ndarray, " 8"]:
-    """Return caps in SI units, the least speed deficit by its size."""
-    caps = np.exp(logarithms[:8])
-    caps[2] = np.deg2rad(caps[2])
-    return caps
-
-
-def _coupled_corners(x: float, turning: float, a: float, b: float) -> Float[np.ndarray, "points 2"]:
-    """Return corners of {|e_x| <= x, |u2| <= turning, |e_x| / a + |u2| / b <= 1}, and points along
-    its cut edges."""
-    last_x, last_turn = (
-        max(min(x, a * (1 - turning / b)), 0.0),
-        max(min(turning, b * (1 - x / a)), 0.0),
-    )
-    along = np.linspace(0.0, 1.0, 5)[:, None]
-    edge = (1 - along) * [last_x, min(turning, b)] + along * [min(x, a), last_turn]
-    return np.concatenate([edge * signs for signs in itertools.product((-1, 1), repeat=2)])
-
-
-def _corners(
-    directions: Float[np.ndarray, "k 2"], offsets: Float[np.ndarray, " k"]
-) -> Float[np.ndarray, "k 2"]:
-    """Return the points where neighbouring sides of a polygon meet."""
-    following, next_offsets = np.roll(directions, -1, axis=0), np.roll(offsets, -1)
-    determinant = directions[:, 0] * following[:, 1] - directions[:, 1] * following[:, 0]
-    first = offsets * following[:, 1] - next_offsets * directions[:, 1]
-    second = directions[:, 0] * next_offsets - following[:, 0] * offsets
-    return np.stack([first, second], axis=1) / determinant[:, None]
+REACH = 1.5
+"""How far the search may go from its start, in logarithms."""
+SLOWEST_GAIN = 0.5
+"""Least k1, 1/s."""
+MISSED = -10.0
+"""Slack of every constraint where the loops have no bounded tube."""
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """What the optimiser found: the scenario with its caps and gains, and the estimated ratio."""
+    """The scenario with the best caps and gains, and the estimated ratio."""
 
     scenario: Scenario
     ratio: float
@@ -223,14 +70,15 @@ class Optimum:
 def optimise(
     problem: Problem,
     progress: Callable[[float], None] = lambda ratio: None,
-    starts: Sequence[tuple[float, ...]] = STARTS,
+    starts: Sequence[tuple[float, ...]] | None = None,
 ) -> Optimum:
     """Find caps and tracking gains of least ratio within the limits of the scenario.
 
     Args:
         problem: its operating section and tracking gains are replaced; all else is kept.
         progress: is told the best ratio after each start.
-        starts: of the search, as `STARTS`; the optimum of a problem much like this one saves time.
+        starts: of the search, as `STARTS`; None for `search_starts`. The optimum of a problem much
+            like this one saves time.
 
     Returns:
         The best of all starts, an estimate: design the scenario to know its ratio and its
@@ -239,104 +87,143 @@ def optimise(
     Raises:
         ValueError: where no start leads to a bounded tube, or the scenario is of another kind.
     """
-    settings, bound = problem.scenario.controller, problem.scenario.disturbance.bound
-    kind = settings.model, settings.input_map, settings.tube, settings.terminal, bound
-    if kind != ("exact_jacobian", "x_exact", "sequence", "T-A", "computed"):
-        raise ValueError(
-            f"optimise: model, input_map, tube, terminal and disturbance.bound are {', '.join(kind)}; "
-            "set them to exact_jacobian, x_exact, sequence, T-A and computed, as the scenario `certified` does"
-        )
-    search, best, least = _Search(problem), None, np.inf
+    _refuse_other_kinds(problem.scenario)
+    starts = search_starts(problem) if starts is None else starts
+    estimate = Estimate(problem)
+    best = None
+    least = np.inf
     for start in starts:
-        found, ratio = _descend(search, np.log(start))
+        point, ratio = _descend(estimate, np.log(start))
         if ratio < least:
-            best, least = found, ratio
+            best = point
+            least = ratio
         progress(least)
     if best is None:
+        widened = _with_values(problem.scenario, np.log(starts[0]))
         raise ValueError(
-            "optimise: no start leads to a bounded tube; lower slip.relative_error or the speed range"
+            f"optimise: no start leads to a bounded tube; {say_what_widens(make_problem(widened))}"
+            "; lower slip.relative_error, [noise] or the range of reference wheel speeds"
         )
     for _ in range(CORRECTIONS):
-        scenario = _with(problem.scenario, best)
-        excess = wheel_excess(complete_problem(scenario))
+        excess = wheel_excess(complete_problem(_with_values(problem.scenario, best)))
         if excess <= 1:
             break
         # Corners miss the greatest ground speed by little: ask for that much less.
-        search.speed_limits = search.speed_limits[0], search.speed_limits[1] / excess / (1 + STEP)
-        best, least = _descend(search, best)
-    return Optimum(_with(problem.scenario, best), float(least))
+        estimate.fastest /= excess * (1 + STEP)
+        best, least = _descend(estimate, best)
+    return Optimum(_with_values(problem.scenario, best), float(least))
+
+
+def search_starts(problem: Problem) -> list[tuple[float, ...]]:
+    """Return the starts of a search: the scenario's own caps and gains, where it gives all, and
+    `STARTS` in the robot's size."""
+    size = problem.robot.track_width / START_TRACK_WIDTH_M
+    factors = size ** np.array(LENGTH_POWERS, float)
+    scaled = [tuple((factors * start).tolist()) for start in np.array(STARTS)]
+    own = caps_and_gains(problem.scenario)
+    return scaled if own is None else [own, *scaled]
+
+
+def caps_and_gains(scenario: Scenario) -> tuple[float, ...] | None:
+    """Return the scenario's own caps and tracking gains as a start of the search, None where any is
+    missing."""
+    caps = [getattr(scenario.operating, name) for name in NAMES]
+    if None in caps or not scenario.controller.tracking_gains:
+        return None
+    return tuple(abs(cap) for cap in caps) + scenario.controller.tracking_gains
 
 
 def wheel_excess(problem: Problem) -> float:
     """Return by what factor the greatest ground speed that may be commanded passes what the wheels
     can make of it."""
-    assert problem.residual is not None
-    return float(np.max(problem.residual.ground_speeds[1] / ground_speed_limits(problem)[1]))
+    assert problem.disturbance_bound is not None
+    greatest = problem.disturbance_bound.ground_speeds[1]
+    return float(np.max(greatest / ground_speed_limits(problem)[1]))
 
 
-def _descend(search: _Search, start) -> tuple[np.ndarray, float]:
+def _refuse_other_kinds(scenario: Scenario) -> None:
+    settings = scenario.controller
+    kind = (
+        settings.model,
+        settings.input_map,
+        settings.tube,
+        settings.terminal,
+        scenario.disturbance.bound,
+    )
+    if kind != ("exact_jacobian", "x_exact", "sequence", "T-A", "computed"):
+        raise ValueError(
+            "optimise: model, input_map, tube, terminal and disturbance.bound are "
+            f"{', '.join(kind)}; set them to exact_jacobian, x_exact, sequence, T-A and computed, "
+            "as the scenario `certified` does"
+        )
+
+
+def _descend(
+    estimate: Estimate, start: Float[np.ndarray, " 11"]
+) -> tuple[Float[np.ndarray, " 11"], float]:
     """Run the nonlinear program from one start; return (logarithms, ratio), ratio infinite where
     limits are missed."""
-    top = np.log(0.999 / search.period.dt)
-    start = np.append(np.minimum(start, [np.inf] * 8 + [top] * 3), 0.0)
-    first = search.shares(start[:-1])
+    fastest_gain = np.log(0.999 / estimate.period.dt)
+    start = np.minimum(start, [np.inf] * 8 + [fastest_gain] * 3)
+    first = estimate.shares(start)
     if first is None:
-        return start[:-1], np.inf
-    unbounded, rows = np.full(len(first.caps) + len(first.limits), -10.0), len(first.caps)
-    start[-1] = np.log(first.caps.max())
+        return start, np.inf
+    caps = len(first.caps)
+    unbounded = np.full(caps + len(first.limits), MISSED)
 
-    def slack(point):
-        found = search.shares(point[:-1])
-        if found is None:
+    def slack(point: Float[np.ndarray, " 12"]) -> Float[np.ndarray, " rows"]:
+        shares = estimate.shares(point[:-1])
+        if shares is None:
             return unbounded
-        logs = np.log(np.maximum(np.concatenate([found.caps, found.limits]), 1e-9))
-        logs[:rows] -= point[-1]
-        return -logs
+        used = np.concatenate([shares.caps, shares.limits])
+        logarithms = np.log(np.maximum(used, 1e-9))
+        logarithms[:caps] -= point[-1]
+        return -logarithms
 
-    def slope(point):
-        at, rows = slack(point), []
-        for i in range(len(point)):
-            moved = point.copy()
-            moved[i] += STEP
-            rows.append((slack(moved) - at) / STEP)
-        return np.stack(rows, axis=1)
+    def slope(point: Float[np.ndarray, " 12"]) -> Float[np.ndarray, "rows 12"]:
+        here = slack(point)
+        columns = [
+            (slack(point + STEP * direction) - here) / STEP for direction in np.eye(len(point))
+        ]
+        return np.stack(columns, axis=1)
 
-    bounds = [(value - 1.5, value + 1.5) for value in start[:-1]] + [(-5.0, 5.0)]
-    bounds[8] = (np.log(0.5), top)
+    bounds = [(value - REACH, value + REACH) for value in start] + [(-5.0, 5.0)]
+    bounds[8] = (np.log(SLOWEST_GAIN), fastest_gain)
     answer = minimize(
         lambda point: point[-1],
-        start,
+        np.append(start, np.log(first.caps.max())),
         jac=lambda point: np.eye(len(point))[-1],
         bounds=bounds,
         constraints={"type": "ineq", "fun": slack, "jac": slope},
         method="SLSQP",
         options={"maxiter": 40, "ftol": 1e-4},
     )
-    shares = search.shares(answer.x[:-1])
+    point = answer.x[:-1]
+    shares = estimate.shares(point)
     if shares is None or shares.limits.max() > 1 + 10 * STEP:
-        return answer.x[:-1], np.inf
-    return answer.x[:-1], float(shares.caps.max())
+        return point, np.inf
+    return point, float(shares.caps.max())
 
 
-def _with(scenario: Scenario, logarithms) -> Scenario:
+def _with_values(scenario: Scenario, logarithms: Float[np.ndarray, " 11"]) -> Scenario:
     """Return the scenario with these caps and gains, rounded to what one would write."""
     values = np.exp(logarithms)
     limits = error_vector(scenario.constraints) - error_vector(scenario.noise)
     limits[2] = np.rad2deg(limits[2])
     values[:3] = np.minimum(values[:3], limits)
     values[3] *= -1
-    caps = {name: _rounded(value) for name, value in zip(NAMES, values[:8], strict=True)}
-    gains = tuple(_rounded(value) for value in values[8:])
+    rounded = [_round_down(value) for value in values]
+    caps = dict(zip(NAMES, rounded[:8], strict=True))
     return msgspec.structs.replace(
         scenario,
         operating=msgspec.structs.replace(scenario.operating, **caps),
-        controller=msgspec.structs.replace(scenario.controller, tracking_gains=gains),
+        controller=msgspec.structs.replace(scenario.controller, tracking_gains=tuple(rounded[8:])),
     )
 
 
-def _rounded(value: float) -> float:
+def _round_down(value: float) -> float:
     """Return a number of four significant digits, never larger in size."""
     unit = 10.0 ** (np.floor(np.log10(abs(value))) - 3)
-    return float(
-        np.format_float_positional(np.trunc(value / unit) * unit, 4, unique=False, fractional=False)
-    )
+    shortened = np.trunc(value / unit) * unit
+    text = np.format_float_positional(shortened, 4, unique=False, fractional=False)
+    return float(text)

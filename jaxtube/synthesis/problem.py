@@ -26,13 +26,16 @@ from jaxtube.scenario import Scenario, ScenarioError, check_reference_wheels, we
 from sets.polytope import Polytope
 from sets.robot.disturbance import DisturbanceBound
 
-MOST_VALUES = 64
+MOST_SPEED_PAIRS = 64
 """Pairs of wheel speeds along a path that are certified one by one: each is a loop of every set."""
+SAME_SPEED_DECIMALS = 12
+"""Wheel speeds that agree to so many decimals, m/s, are one: they differ by rounding."""
 
 
 @dataclass(frozen=True, eq=False)
 class InputRows:
-    """Constraints  inputs u + errors e <= offsets  of one period; the second half of the rows is minus the first.
+    """Constraints  inputs u + errors e <= offsets  of one period; the second half of the rows is
+    minus the first.
 
     The rows of U, where e does not count, and with a coupling |e_x| / a + |u2| / b <= 1 its four.
     """
@@ -41,9 +44,15 @@ class InputRows:
     errors: Float[np.ndarray, "k 3"]
     offsets: Float[np.ndarray, " k"]
 
-    def under(self, gains: Float[np.ndarray, "... 2 3"]) -> Float[np.ndarray, "... k 3"]:
+    def on_errors(self, gains: Float[np.ndarray, "... 2 3"]) -> Float[np.ndarray, "... k 3"]:
         """Return the rows on the error under u = K e."""
         return self.inputs @ gains + self.errors
+
+    @classmethod
+    def of(cls, input_set: Polytope) -> InputRows:
+        """Return the rows of a set of inputs."""
+        count = len(input_set.offsets)
+        return cls(input_set.normals, np.zeros((count, 3)), input_set.offsets)
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +61,7 @@ class Problem:
 
     `regions` are boxes of wheel speeds, lower and upper (right, left) in m/s, over whose union sets
     and certificate hold under arbitrary changes: the box of the reference, or the points that occur
-    on its path.
+    on its path. `disturbance_bound` is what W was computed from, None where W is assumed.
     """
 
     scenario: Scenario
@@ -69,12 +78,17 @@ class Problem:
     disturbance_set: Polytope
     initial_error: Float[np.ndarray, "3"]
     regions: Float[np.ndarray, "m 2 2"]
-    residual: DisturbanceBound | None = None
+    disturbance_bound: DisturbanceBound | None = None
 
     @property
     def schedule(self) -> Float[np.ndarray, "periods 2"]:
         """Reference wheel speeds (right, left) of every period, preview included, m/s."""
         return self.reference.wheels
+
+    @property
+    def noise(self) -> Float[np.ndarray, "3"]:
+        """Half widths of the error of the measured pose in the robot's frame (m, m, rad)."""
+        return error_vector(self.scenario.noise)
 
     @property
     def given_gains(self) -> Float[np.ndarray, " kappa"]:
@@ -86,7 +100,12 @@ class Problem:
     @property
     def corners(self) -> Float[np.ndarray, "4m 2"]:
         """Schedules at the corners of the regions, m/s; repeated where a region is a point."""
-        return self.regions[:, VERTEX_SIDES, [0, 1]].reshape(-1, 2)
+        return region_corners(self.regions)
+
+
+def region_corners(regions: Float[np.ndarray, "... 2 2"]) -> Float[np.ndarray, "k 2"]:
+    """Return the four corners of every region, in the order of `VERTEX_SIDES`."""
+    return regions[..., VERTEX_SIDES, [0, 1]].reshape(-1, 2)
 
 
 def error_vector(section) -> Float[np.ndarray, "3"]:
@@ -94,7 +113,7 @@ def error_vector(section) -> Float[np.ndarray, "3"]:
     return np.array([section.longitudinal_m, section.lateral_m, np.deg2rad(section.heading_deg)])
 
 
-def input_rows(track_width: float) -> Float[np.ndarray, "2 2"]:
+def wheel_rows(track_width: float) -> Float[np.ndarray, "2 2"]:
     """Return the matrix that takes (u1, u2) to (p, q), the deficits of the right and the left
     wheel, m/s."""
     return np.array([[1.0, track_width / 2], [1.0, -track_width / 2]])
@@ -124,12 +143,6 @@ def wheel_deficit_bounds(
     return float(least), float(greatest)
 
 
-def input_polytope(robot: Robot, bounds: Float[np.ndarray, "2 2"]) -> Polytope:
-    """Return U from [[p_min, p_max], [q_min, q_max]]: rows p, q, -p, -q."""
-    rows = input_rows(robot.track_width)
-    return Polytope(np.vstack([rows, -rows]), np.concatenate([bounds[:, 1], -bounds[:, 0]]))
-
-
 def make_problem(scenario: Scenario) -> Problem:
     """Build the problem of a scenario, with the disturbance set it assumes (`synthesis.disturbance`
     computes one).
@@ -144,11 +157,7 @@ def make_problem(scenario: Scenario) -> Problem:
         scenario.robot.wheel_speed_min_mps,
         scenario.robot.wheel_speed_max_mps,
     )
-    box = np.repeat(
-        [[scenario.reference.wheel_speed_min_mps], [scenario.reference.wheel_speed_max_mps]],
-        2,
-        axis=1,
-    )
+    box = _speed_box(scenario)
     slip = np.array([scenario.slip.nominal_right, scenario.slip.nominal_left])
     model = make_model(
         settings.model,
@@ -158,16 +167,11 @@ def make_problem(scenario: Scenario) -> Problem:
         slip,
         (box[0], box[1]),
     )
-    reference = _reference(scenario)
-    slowest, fastest = (float(bound) for bound in (reference.wheels.min(), reference.wheels.max()))
-    if scenario.reference.shape == "file" and not box[0, 0] <= slowest <= fastest <= box[1, 0]:
-        raise ScenarioError(
-            f"scenario: reference.file = {scenario.reference.file}: the path asks the wheels for {slowest:.4g} to "
-            f"{fastest:.4g} m/s, outside the box [{box[0, 0]:.4g}, {box[1, 0]:.4g}]; smooth the recording, check its "
-            "units, or widen reference.wheel_speed_min_mps and wheel_speed_max_mps"
-        )
-    check_reference_wheels(scenario, slowest, fastest)
-    operating, noise = _operating_bounds(scenario), error_vector(scenario.noise)
+    reference = _make_reference(scenario)
+    _refuse_fast_recording(scenario, reference)
+    check_reference_wheels(scenario, float(reference.wheels.min()), float(reference.wheels.max()))
+    operating = _operating_bounds(scenario)
+    noise = error_vector(scenario.noise)
     disturbance = error_vector(scenario.disturbance)
     input_set, input_rows = input_constraints(scenario, robot)
     return Problem(
@@ -184,7 +188,7 @@ def make_problem(scenario: Scenario) -> Problem:
         input_rows=input_rows,
         disturbance_set=Polytope.box(-disturbance, disturbance),
         initial_error=_initial_error(scenario),
-        regions=_regions(scenario, reference, box),
+        regions=_make_regions(scenario, reference, box),
     )
 
 
@@ -192,75 +196,126 @@ def with_controller(problem: Problem, scenario: Scenario) -> Problem:
     """Return the problem with weights and gains of a scenario that has the same sets, model and
     reference."""
     settings = scenario.controller
-    weights = weight_matrix(settings.error_weight), weight_matrix(settings.input_weight)
-    return replace(problem, scenario=scenario, error_weight=weights[0], input_weight=weights[1])
+    return replace(
+        problem,
+        scenario=scenario,
+        error_weight=weight_matrix(settings.error_weight),
+        input_weight=weight_matrix(settings.input_weight),
+    )
+
+
+def merge_equal_speeds(wheels: Float[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    """Return wheel speeds in which those that differ by rounding are one: the first of them, not
+    rounded."""
+    rounded = wheels.round(SAME_SPEED_DECIMALS).ravel()
+    _, first, which = np.unique(rounded, return_index=True, return_inverse=True)
+    return wheels.ravel()[first][which].reshape(wheels.shape)
+
+
+def input_constraints(scenario: Scenario, robot: Robot) -> tuple[Polytope, InputRows]:
+    """Return U, and the rows on input and error that are U and the coupling."""
+    input_set = _make_input_set(scenario, robot)
+    return input_set, _make_input_rows(scenario, input_set)
+
+
+def _speed_box(scenario: Scenario) -> Float[np.ndarray, "2 2"]:
+    """Return the least and the greatest reference wheel speeds, each (right, left), m/s."""
+    section = scenario.reference
+    ends = [[section.wheel_speed_min_mps], [section.wheel_speed_max_mps]]
+    return np.repeat(ends, 2, axis=1)
+
+
+def _refuse_fast_recording(scenario: Scenario, reference: Reference) -> None:
+    """Refuse a recorded path whose wheel speeds leave the box of the reference."""
+    section = scenario.reference
+    slowest = float(reference.wheels.min())
+    fastest = float(reference.wheels.max())
+    inside = section.wheel_speed_min_mps <= slowest <= fastest <= section.wheel_speed_max_mps
+    if section.shape == "file" and not inside:
+        raise ScenarioError(
+            f"scenario: reference.file = {section.file}: the path asks the wheels for "
+            f"{slowest:.4g} to {fastest:.4g} m/s, outside the box "
+            f"[{section.wheel_speed_min_mps:.4g}, {section.wheel_speed_max_mps:.4g}]; smooth the "
+            "recording, check its units, or widen reference.wheel_speed_min_mps and "
+            "wheel_speed_max_mps"
+        )
 
 
 def _operating_bounds(scenario: Scenario) -> Float[np.ndarray, "3"]:
     """Return half widths of the measured error: the caps, where none is given what the noise leaves
     of E."""
     left = error_vector(scenario.constraints) - error_vector(scenario.noise)
-    caps, operating = left.copy(), scenario.operating
-    for i, cap in enumerate((operating.longitudinal_m, operating.lateral_m, operating.heading_deg)):
-        if cap is not None:
-            caps[i] = np.deg2rad(cap) if i == 2 else cap
+    operating = scenario.operating
+    caps = left.copy()
+    if operating.longitudinal_m is not None:
+        caps[0] = operating.longitudinal_m
+    if operating.lateral_m is not None:
+        caps[1] = operating.lateral_m
+    if operating.heading_deg is not None:
+        caps[2] = np.deg2rad(operating.heading_deg)
     return np.minimum(caps, left)
 
 
-def input_constraints(scenario: Scenario, robot: Robot) -> tuple[Polytope, InputRows]:
-    """Return U, and the rows on input and error that are U and the coupling."""
-    input_set = _input_set(scenario, robot)
-    return input_set, _input_rows(scenario, input_set)
-
-
-def _input_set(scenario: Scenario, robot: Robot) -> Polytope:
+def _make_input_set(scenario: Scenario, robot: Robot) -> Polytope:
     """Return U: the caps on u1 and u2 where they are given, else what the wheel limits allow of p
     and q."""
     operating = scenario.operating
     if operating.yaw_rate_deficit_radps is None:
-        return input_polytope(robot, _input_bounds(scenario, robot))
-    assert (
-        operating.speed_deficit_min_mps is not None and operating.speed_deficit_max_mps is not None
-    )
-    lower = [operating.speed_deficit_min_mps, -operating.yaw_rate_deficit_radps]
+        return _wheel_limited_inputs(robot, _wheel_deficits(scenario, robot))
+    assert operating.speed_deficit_min_mps is not None
+    assert operating.speed_deficit_max_mps is not None
+    turning = operating.yaw_rate_deficit_radps
     return Polytope.box(
-        np.array(lower),
-        np.array([operating.speed_deficit_max_mps, operating.yaw_rate_deficit_radps]),
+        np.array([operating.speed_deficit_min_mps, -turning]),
+        np.array([operating.speed_deficit_max_mps, turning]),
     )
 
 
-def _input_rows(scenario: Scenario, input_set: Polytope) -> InputRows:
-    operating, k = scenario.operating, len(input_set.offsets)
+def _wheel_limited_inputs(robot: Robot, bounds: Float[np.ndarray, "2 2"]) -> Polytope:
+    """Return U from [[p_min, p_max], [q_min, q_max]]: rows p, q, -p, -q."""
+    rows = wheel_rows(robot.track_width)
+    return Polytope(np.vstack([rows, -rows]), np.concatenate([bounds[:, 1], -bounds[:, 0]]))
+
+
+def _make_input_rows(scenario: Scenario, input_set: Polytope) -> InputRows:
+    """Return the rows of U and of the coupling, each half in the same order."""
+    operating = scenario.operating
+    rows = InputRows.of(input_set)
     if operating.turning_longitudinal_m is None or operating.turning_yaw_rate_radps is None:
-        return InputRows(input_set.normals, np.zeros((k, 3)), input_set.offsets)
-    along, turning = 1 / operating.turning_longitudinal_m, 1 / operating.turning_yaw_rate_radps
-    inputs = np.array([[0.0, turning], [0.0, -turning]])
-    errors = np.array([[along, 0.0, 0.0]] * 2)
-    first, second = slice(None, k // 2), slice(k // 2, None)
+        return rows
+    turning = np.array([0.0, 1 / operating.turning_yaw_rate_radps])
+    along = np.array([1 / operating.turning_longitudinal_m, 0.0, 0.0])
+    coupled = InputRows(np.stack([turning, -turning]), np.stack([along, along]), np.ones(2))
+    half = len(rows.offsets) // 2
     return InputRows(
-        np.concatenate([input_set.normals[first], inputs, input_set.normals[second], -inputs]),
-        np.concatenate([np.zeros((k // 2, 3)), errors, np.zeros((k // 2, 3)), -errors]),
+        np.concatenate([rows.inputs[:half], coupled.inputs, rows.inputs[half:], -coupled.inputs]),
+        np.concatenate([rows.errors[:half], coupled.errors, rows.errors[half:], -coupled.errors]),
         np.concatenate(
-            [input_set.offsets[first], [1.0, 1.0], input_set.offsets[second], [1.0, 1.0]]
+            [rows.offsets[:half], coupled.offsets, rows.offsets[half:], coupled.offsets]
         ),
     )
 
 
-def _regions(scenario: Scenario, reference: Reference, box) -> Float[np.ndarray, "m 2 2"]:
+def _make_regions(
+    scenario: Scenario, reference: Reference, box: Float[np.ndarray, "2 2"]
+) -> Float[np.ndarray, "m 2 2"]:
     if scenario.reference.certified_for == "box":
         return box[None]
-    values = np.unique(reference.wheels.round(12), axis=0)
-    if len(values) > MOST_VALUES:
+    pairs = np.unique(merge_equal_speeds(reference.wheels), axis=0)
+    if len(pairs) > MOST_SPEED_PAIRS:
         raise ScenarioError(
-            f'scenario: reference.certified_for = "path": the path has {len(values)} different pairs of wheel speeds, '
-            f'more than {MOST_VALUES}; set reference.certified_for = "box"'
+            f'scenario: reference.certified_for = "path": the path has {len(pairs)} different '
+            f"pairs of wheel speeds, more than {MOST_SPEED_PAIRS}; set reference.certified_for = "
+            '"box"'
         )
-    return np.stack([values, values], axis=1)
+    return np.stack([pairs, pairs], axis=1)
 
 
-def _reference(scenario: Scenario) -> Reference:
-    section, settings = scenario.reference, scenario.controller
-    track_width, preview = scenario.robot.track_width_m, settings.horizon + 1
+def _make_reference(scenario: Scenario) -> Reference:
+    section = scenario.reference
+    settings = scenario.controller
+    preview = settings.horizon + 1
+    track_width = scenario.robot.track_width_m
     try:
         if section.shape == "file":
             return from_file(
@@ -279,29 +334,38 @@ def _reference(scenario: Scenario) -> Reference:
         raise ScenarioError(f"scenario: {error}") from None
 
 
-def _input_bounds(scenario: Scenario, robot: Robot) -> Float[np.ndarray, "2 2"]:
+def _wheel_deficits(scenario: Scenario, robot: Robot) -> Float[np.ndarray, "2 2"]:
     """Return [[p_min, p_max], [q_min, q_max]] over the box of reference speeds and every slip, in
     m/s."""
     maps_speed = scenario.controller.input_map != "paper"
     heading = np.deg2rad(scenario.constraints.heading_deg) if maps_speed else 0.0
-    error = scenario.slip.relative_error
+    section = scenario.reference
+    slip = scenario.slip
     bounds = np.array(
         [
             wheel_deficit_bounds(
                 robot,
-                scenario.reference.wheel_speed_min_mps,
-                scenario.reference.wheel_speed_max_mps,
-                (nominal * (1 - error), nominal * (1 + error)),
+                section.wheel_speed_min_mps,
+                section.wheel_speed_max_mps,
+                (nominal * (1 - slip.relative_error), nominal * (1 + slip.relative_error)),
                 heading,
             )
-            for nominal in (scenario.slip.nominal_right, scenario.slip.nominal_left)
+            for nominal in (slip.nominal_right, slip.nominal_left)
         ]
     )
-    if not np.all((bounds[:, 0] < 0) & (bounds[:, 1] > 0)):
+    if np.any(bounds[:, 0] >= 0):
         raise ScenarioError(
-            f"scenario: robot.wheel_speed_max_mps = {robot.wheel_speed_max}: the wheels cannot follow every reference "
-            f"speed under the greatest slip (deficits {bounds.round(3).tolist()} m/s must have 0 inside); "
-            "widen the wheel limits or lower reference.wheel_speed_max_mps"
+            f"scenario: robot.wheel_speed_max_mps = {robot.wheel_speed_max}: the wheels cannot "
+            f"follow every reference speed under the greatest slip: they are "
+            f"{bounds[:, 0].max():.4g} m/s too slow; widen the wheel limits or lower "
+            "reference.wheel_speed_max_mps"
+        )
+    if np.any(bounds[:, 1] <= 0):
+        raise ScenarioError(
+            f"scenario: robot.wheel_speed_min_mps = {robot.wheel_speed_min}: the wheels cannot "
+            f"turn as slowly as the reference under the least slip: they are "
+            f"{-bounds[:, 1].min():.4g} m/s too fast; lower robot.wheel_speed_min_mps or raise "
+            "reference.wheel_speed_min_mps"
         )
     return bounds
 

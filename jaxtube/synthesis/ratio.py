@@ -29,25 +29,35 @@ from jaxtube.scenario import Scenario
 from jaxtube.synthesis.certificate.existence import OBJECTIVES
 from jaxtube.synthesis.certificate.fill import cap_shares
 from jaxtube.synthesis.disturbance import complete_problem
-from jaxtube.synthesis.optimise import NAMES, STARTS, optimise, wheel_excess
+from jaxtube.synthesis.gains import Gain, compensating_gain, decoupled_gain
+from jaxtube.synthesis.optimise import STARTS, caps_and_gains, optimise, wheel_excess
 from jaxtube.synthesis.problem import Problem, make_problem
 from jaxtube.synthesis.terminal import terminal_cost_and_gain
-from jaxtube.synthesis.tightening import LocalGain, compensating_gain, decoupled_gain
 
-ERROR_WEIGHT, INPUT_WEIGHT = (1.0, 3.0, 1.0), (0.3, 0.3)
+ERROR_WEIGHT = (1.0, 3.0, 1.0)
+INPUT_WEIGHT = (0.3, 0.3)
 """Weights of `weighted`."""
 HOPELESS_M = 0.15
 """A disturbance of so much in a single step, half of E, leaves no guarantee: its tube is not
 computed."""
 
 
-class Condition(NamedTuple):
+class OperatingPoint(NamedTuple):
     """What a guarantee is asked for: slip error, least wheel speed of the reference in m/s, period
     in s."""
 
     slip_error: float
     slowest_mps: float
     dt_s: float
+
+
+class Candidate(NamedTuple):
+    """One gain for one problem, by its name; without them, why there are none."""
+
+    choice: str
+    problem: Problem | None = None
+    gain: Gain | None = None
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -70,40 +80,31 @@ class Guarantee:
     @property
     def holds(self) -> bool:
         """Whether an invariant set lies inside all caps, and the wheels can do what it may ask for."""
-        return (
-            self.ratio is not None
-            and self.wheels is not None
-            and self.ratio < 1
-            and self.wheels <= 1
-        )
+        if self.ratio is None or self.wheels is None:
+            return False
+        return self.ratio < 1 and self.wheels <= 1
 
 
-def under(scenario: Scenario, condition: Condition) -> Scenario:
-    """Return the scenario under a condition: W computed, every order of wheel speeds in the box.
+def at_point(scenario: Scenario, point: OperatingPoint) -> Scenario:
+    """Return the scenario at an operating point: W computed, every order of wheel speeds in the box.
 
     The path, which no ratio depends on, is followed for a whole number of periods.
     """
-    change, T = msgspec.structs.replace, condition.dt_s
-    followed = {
-        "certified_for": "box",
-        "duration_s": max(round(scenario.reference.duration_s / T), 1) * T,
-    }
+    change = msgspec.structs.replace
+    T = point.dt_s
+    reference = change(
+        scenario.reference,
+        wheel_speed_min_mps=point.slowest_mps,
+        certified_for="box",
+        duration_s=max(round(scenario.reference.duration_s / T), 1) * T,
+    )
     return change(
         scenario,
-        slip=change(scenario.slip, relative_error=condition.slip_error),
-        reference=change(scenario.reference, wheel_speed_min_mps=condition.slowest_mps, **followed),
+        slip=change(scenario.slip, relative_error=point.slip_error),
+        reference=reference,
         controller=change(scenario.controller, dt_s=T),
         disturbance=change(scenario.disturbance, bound="computed"),
     )
-
-
-def caps_and_gains(scenario: Scenario) -> tuple[float, ...] | None:
-    """Return the scenario's own caps and tracking gains as a start of the search, None where any is
-    missing."""
-    caps = [getattr(scenario.operating, name) for name in NAMES]
-    if None in caps or not scenario.controller.tracking_gains:
-        return None
-    return tuple(abs(cap) for cap in caps) + scenario.controller.tracking_gains
 
 
 def guarantee(design: str, scenario: Scenario, start: Sequence[float] | None = None) -> Guarantee:
@@ -117,38 +118,42 @@ def guarantee(design: str, scenario: Scenario, start: Sequence[float] | None = N
     """
     if design == "optimised":
         return _optimised(scenario, start)
-    return _least({"paper": _paper, "weighted": _weighted}[design](scenario))
+    candidates = {"paper": _paper, "weighted": _weighted}[design]
+    return _least(candidates(scenario))
 
 
-def _least(candidates: Iterator[tuple[str, Problem | Exception, LocalGain | None]]) -> Guarantee:
+def _least(candidates: Iterator[Candidate]) -> Guarantee:
     """Return the guarantee of the candidate of least ratio, or the reason of the last one where all
     fail."""
     best = Guarantee()
-    for choice, problem, gain in candidates:
-        if isinstance(problem, Problem) and gain is not None:
-            found = _guarantee(choice, problem, gain)
+    for candidate in candidates:
+        if candidate.problem is None or candidate.gain is None:
+            of_candidate = Guarantee(reason=candidate.reason)
         else:
-            found = Guarantee(reason=str(problem))
-        if best.ratio is None or (found.ratio is not None and found.ratio < best.ratio):
-            best = found
+            of_candidate = _guarantee(candidate.choice, candidate.problem, candidate.gain)
+        is_less = of_candidate.ratio is not None and (
+            best.ratio is None or of_candidate.ratio < best.ratio
+        )
+        if best.ratio is None or is_less:
+            best = of_candidate
     return best
 
 
-def _guarantee(choice: str, problem: Problem, gain: LocalGain) -> Guarantee:
+def _guarantee(choice: str, problem: Problem, gain: Gain) -> Guarantee:
     shares = cap_shares(problem, gain)
     binding = max(shares, key=lambda name: shares[name])
     if not np.isfinite(shares[binding]):
         return Guarantee(reason="the loops have no bounded tube")
     # Without caps U is what the wheel limits leave, to the last: its box of inputs would count too
     # much.
-    wheels = (
-        1.0 if problem.scenario.operating.yaw_rate_deficit_radps is None else wheel_excess(problem)
-    )
+    has_caps = problem.scenario.operating.yaw_rate_deficit_radps is not None
+    wheels = wheel_excess(problem) if has_caps else 1.0
     return Guarantee(shares[binding], wheels, binding, choice)
 
 
-def _paper(scenario: Scenario) -> Iterator:
-    change, usual = msgspec.structs.replace, Scenario()
+def _paper(scenario: Scenario) -> Iterator[Candidate]:
+    change = msgspec.structs.replace
+    usual = Scenario()
     controller = change(
         usual.controller, dt_s=scenario.controller.dt_s, horizon=scenario.controller.horizon
     )
@@ -157,57 +162,56 @@ def _paper(scenario: Scenario) -> Iterator:
             problem = complete_problem(change(scenario, controller=controller, operating=operating))
             widest = float(np.max(problem.disturbance_set.support(np.eye(3)[:2])))
             if widest > HOPELESS_M:
-                yield (
-                    limits,
-                    ValueError(f"{limits}: disturbances of up to {widest:.3g} m in a step"),
-                    None,
-                )
+                reason = f"{limits}: disturbances of up to {widest:.3g} m in a step"
+                yield Candidate(limits, reason=reason)
                 continue
-            gains = {
-                "LMI": terminal_cost_and_gain(problem)[1],
-                "section III-B": compensating_gain(problem),
-            }
+            lmi_gain = terminal_cost_and_gain(problem)[1]
+            local_gain = compensating_gain(problem)
         except (ValueError, RuntimeError) as error:
-            yield limits, error, None
+            yield Candidate(limits, reason=str(error))
             continue
-        for name, gain in gains.items():
-            yield f"{limits}, {name}", problem, gain
+        yield Candidate(f"{limits}, LMI", problem, lmi_gain)
+        yield Candidate(f"{limits}, section III-B", problem, local_gain)
 
 
-def _weighted(scenario: Scenario) -> Iterator:
+def _weighted(scenario: Scenario) -> Iterator[Candidate]:
     change = msgspec.structs.replace
-    settings = {
-        "model": "consistent",
-        "discretisation": "euler",
-        "input_map": "x_exact",
-        "tracking_gains": (),
-    }
-    weights = {"error_weight": ERROR_WEIGHT, "input_weight": INPUT_WEIGHT}
-    scenario = change(scenario, controller=change(scenario.controller, **settings, **weights))
+    controller = change(
+        scenario.controller,
+        model="consistent",
+        discretisation="euler",
+        input_map="x_exact",
+        tracking_gains=(),
+        error_weight=ERROR_WEIGHT,
+        input_weight=INPUT_WEIGHT,
+    )
+    scenario = change(scenario, controller=controller)
     try:
         problem = complete_problem(scenario)
     except ValueError as error:
-        yield "", error, None
+        yield Candidate("", reason=str(error))
         return
     for objective in OBJECTIVES:
         controller = change(scenario.controller, lmi_objective=objective)
         own = replace(problem, scenario=change(scenario, controller=controller))
         try:
-            yield objective, own, terminal_cost_and_gain(own)[1]
+            yield Candidate(objective, own, terminal_cost_and_gain(own)[1])
         except (ValueError, RuntimeError) as error:
-            yield objective, error, None
+            yield Candidate(objective, reason=str(error))
 
 
 def _optimised(scenario: Scenario, start: Sequence[float] | None) -> Guarantee:
     """Search near the start; where that leads to nothing, from the optimiser's own."""
     change = msgspec.structs.replace
-    settings = {
-        "model": "exact_jacobian",
-        "input_map": "x_exact",
-        "tracking_gains": (),
-        "terminal": "T-A",
-    }
-    scenario = change(scenario, controller=change(scenario.controller, **settings, tube="sequence"))
+    controller = change(
+        scenario.controller,
+        model="exact_jacobian",
+        input_map="x_exact",
+        tracking_gains=(),
+        terminal="T-A",
+        tube="sequence",
+    )
+    scenario = change(scenario, controller=controller)
     reason = ""
     for starts in ([tuple(start)], STARTS) if start is not None else (STARTS,):
         try:
@@ -216,8 +220,9 @@ def _optimised(scenario: Scenario, start: Sequence[float] | None) -> Guarantee:
         except ValueError as error:
             reason = str(error)
             continue
-        found = _guarantee("", problem, decoupled_gain(problem, optimum.controller.tracking_gains))
-        if found.ratio is not None:
-            return replace(found, caps_and_gains=caps_and_gains(optimum))
-        reason = found.reason
+        gain = decoupled_gain(problem, optimum.controller.tracking_gains)
+        best = _guarantee("", problem, gain)
+        if best.ratio is not None:
+            return replace(best, caps_and_gains=caps_and_gains(optimum))
+        reason = best.reason
     return Guarantee(reason=reason, caps_and_gains=None if start is None else tuple(start))

@@ -20,8 +20,8 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube.control.mpc import AnyArray
+from jaxtube.synthesis.gains import given_gain
 from jaxtube.synthesis.problem import Problem
-from jaxtube.synthesis.tightening import LocalGain, gains_at_corners, given_gain, vertex_pairs
 from sets import lyapunov
 
 
@@ -53,10 +53,10 @@ def gain_maps(problem: Problem, schedules: Float[np.ndarray, "windows horizon 2"
     weights = problem.model.weights(schedules)
 
     def everything(kappa) -> tuple[np.ndarray, ...]:
-        gain: LocalGain = given_gain(problem, kappa)
-        loops, gains = vertex_pairs(problem, gain)
+        gain = given_gain(problem, kappa)
+        loops, gains = gain.pairs
         along = gain.at(weights)
-        return along, transitions + inputs @ along, gains_at_corners(problem, gain), loops, gains
+        return along, transitions + inputs @ along, gain.corner_gains, loops, gains
 
     size = len(problem.given_gains)
     constants, units = everything(np.zeros(size)), [everything(unit) for unit in np.eye(size)]

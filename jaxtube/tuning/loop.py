@@ -29,7 +29,7 @@ from jaxtube.synthesis.condense import (
     widths,
     with_terminal_rows,
 )
-from jaxtube.synthesis.design import Ingredients
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.tightening import BACK_OFF
 from jaxtube.tuning.gains import GainMaps, gain_maps, terminal_cost
 from jaxtube.tuning.terminal import TerminalRows, terminal_rows, terminal_set
@@ -66,7 +66,7 @@ class Fixed(NamedTuple):
     index: Int[AnyArray, " steps"]
 
 
-def fix(design: Ingredients) -> Fixed:
+def fix(design: Design) -> Fixed:
     """Take from a design (terminal T-A, tube `sequence`) what stays fixed; unused terminal rows are
     unbounded.
 

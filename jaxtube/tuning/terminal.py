@@ -24,9 +24,8 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from jaxtube.control.mpc import AnyArray
-from jaxtube.synthesis.design import Ingredients
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.terminal import Terminal, set_back_off
-from jaxtube.synthesis.tightening import gains_at_corners, vertex_pairs
 from jaxtube.tuning.tube import rows_under, support
 from sets.invariant import INFLATION
 from sets.polytope import Polytope
@@ -50,7 +49,7 @@ class TerminalRows(NamedTuple):
 
 
 def terminal_rows(
-    found: Ingredients,
+    found: Design,
     normals: Float[np.ndarray, "facets 3"],
     offsets: Float[np.ndarray, " facets"],
 ) -> TerminalRows:
@@ -62,7 +61,7 @@ def terminal_rows(
         offsets: before the tube is taken off, infinite for spare rows.
     """
     problem, terminal, maximal = found.problem, found.terminal, found.terminal.maximal
-    gains = gains_at_corners(problem, terminal.gains)
+    gains = terminal.gains.corner_gains
     of_errors, of_inputs = len(problem.operating_set.offsets), len(problem.input_rows.offsets)
     roots = of_errors + len(gains) * of_inputs + np.arange(len(normals))
     paths = np.full((len(normals), LONGEST), -1)
@@ -70,9 +69,7 @@ def terminal_rows(
     if followed is not None:
         # Sets are made of distinct gains and loops: the first of equal ones stands for all.
         corner = np.unique(gains, axis=0, return_index=True)[1]
-        pair = np.unique(
-            vertex_pairs(problem, terminal.gains)[0].reshape(-1, 9), axis=0, return_index=True
-        )[1]
+        pair = np.unique(terminal.gains.pairs[0].reshape(-1, 9), axis=0, return_index=True)[1]
         where = {normal.tobytes(): at for at, normal in enumerate(followed.normals)}
         for row in np.flatnonzero(np.isfinite(offsets)):
             at = where[normals[row].tobytes()]

@@ -23,12 +23,10 @@ from jaxtube.synthesis.problem import Problem
 def disturbance_generators(problem: Problem) -> Float[np.ndarray, "g 3"]:
     """Return the generators of a design's W: its three half widths, and a computed W's yaw kick (0,
     g_y, 1) first."""
-    residual = problem.residual
-    if residual is None:
+    bound = problem.disturbance_bound
+    if bound is None:
         return np.diag(problem.disturbance_set.support(np.eye(3)))
-    return np.vstack(
-        [residual.yaw * np.array([0.0, residual.lateral_per_yaw, 1.0]), np.diag(residual.box)]
-    )
+    return np.vstack([bound.yaw * np.array([0.0, bound.lateral_per_yaw, 1.0]), np.diag(bound.box)])
 
 
 def support(generators: Float[Array, "g 3"], rows: Float[Array, "... 3"]) -> Float[Array, "..."]:

@@ -23,7 +23,7 @@ from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import ScenarioError
 from jaxtube.simulation.closed_loop import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys
-from jaxtube.synthesis.design import Design, Ingredients, finish, prepare, refuse_infeasible_start
+from jaxtube.synthesis.design import Design, finish, prepare, refuse_infeasible_start
 from jaxtube.synthesis.problem import Problem, with_controller
 from jaxtube.tuning.loop import fix, windows_of
 from jaxtube.tuning.minimal import active_caps, limits
@@ -54,7 +54,7 @@ class Designed:
     none."""
 
     point: Point
-    ingredients: Ingredients | None
+    ingredients: Design | None
     frozen: Frozen | None
     reason: str = ""
 
@@ -70,7 +70,7 @@ class Inspected:
     shares: Float[np.ndarray, " caps"] | None
 
 
-def freeze(found: Ingredients) -> Frozen | None:
+def freeze(found: Design) -> Frozen | None:
     """Return what an evaluation holds of a design, None where the tube of its gains is not bounded;
     raises as `fix`."""
     fixed, within, kappa = fix(found), limits(found.problem), jnp.asarray(found.problem.given_gains)
@@ -243,7 +243,7 @@ class Tuner:
         return self._batches(play, first, count)
 
 
-def certificate_lacks(found: Ingredients) -> tuple[str, ...]:
+def certificate_lacks(found: Design) -> tuple[str, ...]:
     """Return what the certificate of prepared ingredients lacks, itself where it cannot be
     computed."""
     try:
@@ -253,9 +253,15 @@ def certificate_lacks(found: Ingredients) -> tuple[str, ...]:
 
 
 def failing_conditions(design: Design) -> tuple[str, ...]:
-    """Return the names of the conditions that a design lacks, the start's plan among them."""
+    """Return the names of the conditions that a design lacks, the start's plan among them.
+
+    Where W is assumed they are those of the linear model with w in W.
+    """
+    certificate = design.certificate
+    is_assumed = design.problem.disturbance_bound is None
+    failing = certificate.failing_for_model if is_assumed else certificate.failing
     try:
         refuse_infeasible_start(design)
     except ScenarioError:
-        return *design.certificate.failing, "start_has_a_plan"
-    return tuple(design.certificate.failing)
+        return *failing, "start_has_a_plan"
+    return tuple(failing)

@@ -62,8 +62,8 @@ def made_up_metrics():
             "linear_w_in_W": {"tube_mpc": stressed, "plain_mpc": stressed | {"runs_outside_E": 7}}
         },
         "stress_certificate": {
-            "plan_stays_feasible": {"holds": True, "required": True},
-            "terminal_set_for_logdet": {"holds": False, "required": False},
+            "plan_stays_feasible": {"holds": True, "scope": "model"},
+            "terminal_set_for_logdet": {"holds": False, "scope": "information"},
         },
     }
 

@@ -32,7 +32,7 @@ from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.run import BLOCK, Run
 from jaxtube.statistics.tally import EVENTS
 from jaxtube.statistics.task import make_task
-from sets.certificate import Certificate
+from sets.certificate import Certificate, Condition
 
 REFERENCE = "reference.duration_s=2"
 
@@ -181,6 +181,7 @@ HOLDING = (
     "input_sets_not_empty",
 )
 HOLDING += ("wheel_limits", "terminal_cost_decrease", claims.RATIONALS)
+ROBOT = (*claims.PREMISE, "true_error_in_e", "wheel_limits")
 
 
 def law(laps=4096, steps=300, plans=8000, usage=0.9, **seen):
@@ -201,13 +202,14 @@ def law(laps=4096, steps=300, plans=8000, usage=0.9, **seen):
 
 
 def attacked(*failing, absent=(), laws=None, name="mine"):
-    certificate = Certificate()
+    conditions = []
     for condition in dict.fromkeys(HOLDING):
         if condition not in absent:
-            certificate.add(condition, -0.25 if condition in failing else 0.125, "", "")
-    return claims.Tested(
-        name, Scenario(), certificate, laws or {"iid": law(), "edge-vertex": law(steps=10)}
-    )
+            margin = -0.25 if condition in failing else 0.125
+            scope = "robot" if condition in ROBOT else "model"
+            conditions.append(Condition(condition, margin, "", scope))
+    laws = laws or {"iid": law(), "edge-vertex": law(steps=10)}
+    return claims.Tested(name, Scenario(), Certificate(tuple(conditions)), laws)
 
 
 def certified(design) -> set[str]:

@@ -13,9 +13,9 @@ from jaxtube.experiments.maps import figures as maps_figures
 from jaxtube.experiments.maps import points as maps_points
 from jaxtube.experiments.maps.points import DESIGNS, Grid, Log, Point, make_grid
 from jaxtube.scenario import load
-from jaxtube.synthesis.ratio import Condition, Guarantee
+from jaxtube.synthesis.ratio import Guarantee, OperatingPoint
 
-OWN = Condition(0.1, 1.224, 0.1)
+OWN = OperatingPoint(0.1, 1.224, 0.1)
 GRID = Grid((0.0, 0.1, 0.2), (0.3, 0.8, 1.224), (0.05, 0.1, 0.2), OWN)
 
 
@@ -201,6 +201,6 @@ def test_two_points_an_axis_show_the_order_of_the_designs(tmp_path):
     own = {
         point["design"]: point
         for point in points
-        if Condition(*(point[key] for key in Condition._fields)) == OWN
+        if OperatingPoint(*(point[key] for key in OperatingPoint._fields)) == OWN
     }
     assert own["optimised"]["ratio"] < own["weighted"]["ratio"] < own["paper"]["ratio"]

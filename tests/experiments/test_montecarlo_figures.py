@@ -235,7 +235,8 @@ def test_clouds_hold_what_was_counted_around_the_section_of_their_stage(found, e
 
 
 def test_a_tube_longer_than_a_row_goes_on_in_the_next(found, eventful, summary):
-    tubes = {"paper": [*found.tubes["paper"], found.tubes["paper"][-1]]}
+    sections = [*found.tube, found.tube[-1]]
+    tubes = {"paper": dataclasses.replace(found.tube, sections=sections)}
     stages = [*summary["tube"]["stages"], summary["tube"]["stages"][1]]
     longer = dict(eventful, cloud=np.concatenate([eventful["cloud"], eventful["cloud"][:1]]))
     known = dict(summary, tube=dict(summary["tube"], stages=stages))

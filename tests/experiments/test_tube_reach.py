@@ -114,9 +114,9 @@ class Shrunk:
 @pytest.mark.parametrize("tube", ["paper", "hull", "summed"])
 def test_a_tube_too_small_is_found_out(design, found, tube):
     sections = [design.tubes[tube][0], *map(Shrunk, design.tubes[tube][1:])]
-    shrunk = tube_reach.metrics(
-        dataclasses.replace(design, tubes=design.tubes | {tube: sections}), 3
-    )
+    smaller = dataclasses.replace(design.tubes[tube], sections=sections)
+    tubes = design.tubes | {tube: smaller}
+    shrunk = tube_reach.metrics(dataclasses.replace(design, tubes=tubes), 3)
     assert shrunk[tube]["largest_excess"] > 1e-5
     for name, ratio in shrunk[tube]["ratio_to_reach"].items():
         assert ratio == pytest.approx(0.97 * found[tube]["ratio_to_reach"][name], rel=REACHED_FACET)

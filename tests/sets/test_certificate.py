@@ -1,6 +1,7 @@
 """Laws of the certificate: every margin equals what enumeration, simulation or sampling finds, and
 broken sets fail."""
 
+import dataclasses
 import itertools
 import math
 
@@ -14,6 +15,7 @@ from sets.certificate import (
     decrease_margin,
     escape_excess,
     invariance_margin,
+    judge,
     nonempty_margin,
     reach_supports,
     sequence_reach,
@@ -236,19 +238,50 @@ def test_nonempty_margin_is_the_least_radius_and_negative_for_an_empty_set():
 
 
 def test_a_certificate_holds_exactly_when_every_required_condition_does():
-    certificate = Certificate()
-    certificate.add("zero", 0.0, "yes", "no")
-    certificate.add("for information", -1.0, "yes", "no", required=False)
-    assert certificate.holds
+    held = judge("zero", 0.0, "yes", "no")
+    told = judge("for information", -1.0, "yes", "no", "information")
+    unknown = judge("unknown", math.nan, "yes", "no")
+    missed = judge("missed", -1e-15, "yes", "no")
+    certificate = Certificate((held, told))
+    assert certificate.holds_for_model
     assert certificate.failing == []
-    certificate.add("unknown", math.nan, "yes", "no")
-    certificate.add("missed", -1e-15, "yes", "no")
-    assert not certificate.holds
-    assert certificate.failing == ["unknown", "missed"]
-    assert [condition.sentence for condition in certificate.conditions.values()] == [
-        "yes",
-        "no",
-        "no",
-        "no",
-    ]
-    assert certificate.conditions["missed"].margin == -1e-15
+    failed = Certificate((held, told, unknown, missed))
+    assert not failed.holds_for_model
+    assert failed.failing == failed.failing_for_model == ["unknown", "missed"]
+    assert failed.reasons == ["no", "no"]
+    assert [condition.sentence for condition in failed.checked] == ["yes", "no", "no", "no"]
+    assert failed.conditions["missed"].margin == -1e-15
+
+
+def test_a_certificate_of_the_robot_needs_the_model_and_conditions_of_its_own():
+    model = judge("model", 1.0, "yes", "no")
+    robot = judge("robot", 1.0, "yes", "no", "robot")
+    refuted = judge("robot", -1.0, "yes", "W is refuted", "robot")
+    broken = judge("model", -1.0, "yes", "no")
+    assert Certificate((model, robot)).holds_for_robot
+    assert not Certificate((model,)).holds_for_robot
+    assert not Certificate((broken, robot)).holds_for_robot
+    of_model_alone = Certificate((model, refuted))
+    assert of_model_alone.holds_for_model
+    assert not of_model_alone.holds_for_robot
+    assert of_model_alone.failing == ["robot"]
+    assert of_model_alone.failing_for_model == []
+
+
+def test_where_nothing_was_checked_nothing_is_certified():
+    assert not Certificate().holds_for_model
+    assert not Certificate().holds_for_robot
+    assert Certificate().verdict == "NOT CERTIFIED: nothing was checked"
+
+
+def test_a_certificate_says_its_verdict_first_and_then_what_fails():
+    model = judge("model", 1.0, "yes", "no")
+    refuted = judge("premise", -1.0, "yes", "W is refuted", "robot")
+    verdict, count, reason = repr(Certificate((model, refuted))).splitlines()
+    assert verdict == (
+        "CERTIFIED for the linear model with w in W alone; NOT CERTIFIED for the robot: premise"
+    )
+    assert count.strip() == "1 of 2 required conditions hold"
+    assert reason.strip() == "W is refuted"
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        Certificate((model,)).checked = ()

@@ -95,7 +95,7 @@ def test_a_wider_w_in_one_band_breaks_the_certificate(law):
         first.problem, disturbance_set=first.problem.disturbance_set.scale(1.5)
     )
     changed = (dataclasses.replace(first, problem=wide), *law.bands[1:])
-    assert bands._certify(law.problem, changed, law.invariant, law.shares).failing == [
+    assert bands.certify_law(law.problem, changed, law.invariant, law.shares).failing == [
         "invariant_set"
     ]
 

@@ -66,7 +66,7 @@ def designed(tmp_path_factory):
 def test_the_report_of_a_certified_design_holds(designed, overrides):
     found = designed(overrides)
     report = recheck(found)
-    assert found.certificate.holds
+    assert found.certificate.holds_for_robot
     assert report.holds, report.failing
     assert {*TAMPERED} == {*report.margins}
 
@@ -96,7 +96,7 @@ def test_the_room_of_the_terminal_set_is_that_of_its_vertices(designed, override
     found = designed(overrides)
     problem, margins = found.problem, recheck(found).margins
     points = found.terminal.invariant.vertices()
-    laws = problem.input_rows.under(found.terminal.gains.at(problem.model.weights(problem.corners)))
+    laws = problem.input_rows.on_errors(found.terminal.gains.corner_gains)
     inputs = problem.input_rows.offsets[:, None] - laws @ points.T
     errors = problem.operating_set.offsets - points @ problem.operating_set.normals.T
     assert float(margins["terminal errors"]) == pytest.approx(errors.min(), abs=EXACT_AGAINST_FLOAT)
@@ -110,7 +110,7 @@ def test_the_points_of_the_disturbance_set_are_its_vertices(designed, overrides)
     problem = designed(overrides).problem
     points = np.array(disturbance_points(problem), dtype=float)
     directions = np.random.default_rng(0).normal(size=(200, 3))
-    expected = (problem.residual or problem.disturbance_set).support(directions)
+    expected = (problem.disturbance_bound or problem.disturbance_set).support(directions)
     np.testing.assert_allclose(
         np.max(directions @ points.T, axis=1), expected, atol=EXACT_AGAINST_FLOAT
     )
@@ -217,8 +217,10 @@ def test_a_coupling_that_the_tubes_did_not_count_is_refused(designed):
 
 def test_a_wider_disturbance_is_refused(designed):
     found = designed()
-    wider = replace(found.problem.residual, yaw=found.problem.residual.yaw * (1 + 1e-4))
-    failing = recheck(of_problem(found, residual=wider)).failing
+    wider = replace(
+        found.problem.disturbance_bound, yaw=found.problem.disturbance_bound.yaw * (1 + 1e-4)
+    )
+    failing = recheck(of_problem(found, disturbance_bound=wider)).failing
     assert {"disturbance", "errors reach", "inputs reach"} <= {*failing}
 
 

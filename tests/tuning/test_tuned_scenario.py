@@ -7,7 +7,7 @@ import pytest
 from jaxtube.scenario import load
 from jaxtube.synthesis.certificate.fill import widest_tube
 from jaxtube.synthesis.design import design
-from jaxtube.synthesis.tightening import LocalGain
+from jaxtube.synthesis.gains import vertex_gain
 from sets.lmi import terminal_cost
 
 LATERAL = np.array([[0.0, 1.0, 0.0]])
@@ -28,5 +28,5 @@ def test_the_minimal_invariant_set_is_a_fifth_narrower_than_that_of_lmi_gains(fo
     cost = terminal_cost(
         *model.matrices(model.vertices), np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2), "trace_s"
     )
-    usual = widest_tube(problem, LocalGain(cost.gains.mean(axis=0), cost.gains)).support(LATERAL)[0]
+    usual = widest_tube(problem, vertex_gain(problem, cost.gains)).support(LATERAL)[0]
     assert tuned <= 0.8 * usual

@@ -185,7 +185,7 @@ def test_is_certified_where_the_certificate_holds_and_the_start_has_a_plan(tuner
     except ScenarioError:
         has_a_plan = False
     found = tuner.inspect(point)
-    assert found.certified == (design.certificate.holds and has_a_plan)
+    assert found.certified == (design.certificate.holds_for_robot and has_a_plan)
     assert set(found.failing) == {
         *design.certificate.failing,
         *([] if has_a_plan else ["start_has_a_plan"]),

@@ -15,11 +15,13 @@ from tolerances import TUBE_BOUND, TUBE_REACH, TUBE_RESIDUAL, TUBE_SLOPE, TUBE_T
 import sets.invariant
 from jaxtube.synthesis.certificate import fill
 from jaxtube.synthesis.disturbance import kinematics, operation
-from jaxtube.synthesis.optimise import _Search
-from jaxtube.synthesis.tightening import given_gain, make_windows, tighten, vertex_loops
+from jaxtube.synthesis.estimate import Caps, Estimate
+from jaxtube.synthesis.gains import given_gain
+from jaxtube.synthesis.tightening import tighten
+from jaxtube.synthesis.tubes import make_tubes
+from jaxtube.synthesis.windows import make_windows
 from jaxtube.tuning import minimal, residual, tube
 from jaxtube.tuning.gains import Affine, gain_maps
-from sets import tubes
 from sets.robot.plant import split_residual
 
 SEEDS = (0, 1, 2)
@@ -45,7 +47,7 @@ def problem(request):
 def drawn(problem, seed):
     """Draw stable gains, as the numbers that are tuned, and a direction in them."""
     rng = np.random.default_rng(seed)
-    if problem.residual is not None:
+    if problem.disturbance_bound is not None:
         centre = np.array([9.0, 8.0, 8.0])
     else:
         centre = np.tile([[-2.5, 0.0, 0.0], [0.0, -2.6, -3.0]], (4, 1, 1))
@@ -118,10 +120,8 @@ def tightened(problem, numbers, kind):
     """Give the same from `tighten` itself, stages of the shared sections once."""
     gain = given_gain(problem, numbers)
     windows = make_windows(problem, gain)
-    sections = tubes.summed_tube(
-        vertex_loops(problem, gain), problem.disturbance_set, problem.horizon
-    )
-    found = tighten(problem, gain, windows, sections, kind)
+    tubes = make_tubes(problem, gain, windows)
+    found = tighten(problem, tubes[kind], len(windows.schedules))
     arrays = found.error_reach, found.input_reach
     return arrays if kind == "sequence" else tuple(array[0] for array in arrays)
 
@@ -274,11 +274,11 @@ def caps_of(numbers):
 
 
 def test_the_residual_and_its_slopes_are_those_at_corners_of_the_operating_set(decoupled):
-    search, corners = _Search(decoupled), residual.corners(decoupled)
+    search, corners = Estimate(decoupled), residual.corners(decoupled)
     weights = np.array([[0.0, 1.0, 2.0], [3.0, 0.0, 0.0], [0.0, 5.0, 0.0], [0.0, 0.0, 7.0]])
 
     def expected(numbers):
-        yaw, box, _ = search.disturbance(numbers)
+        yaw, box, _ = search.disturbance(Caps(*numbers))
         return np.vstack([yaw * np.array([0.0, search.period.lateral_per_yaw, 1.0]), np.diag(box)])
 
     def weighted(numbers):

@@ -72,8 +72,12 @@ def certified(setting: Setting, name: str) -> float:
     """Return the usage of a limit that the certificate does not let a lap pass, infinite where
     there is none."""
     found = setting.found
-    bound = found.problem.residual
-    if bound is None or not found.certificate.holds or setting.controller_name != "tube_mpc":
+    bound = found.problem.disturbance_bound
+    if (
+        bound is None
+        or not found.certificate.holds_for_robot
+        or setting.controller_name != "tube_mpc"
+    ):
         return np.inf
     if name != "wheels":
         return 1.0
@@ -126,7 +130,7 @@ def report(setting: Setting, rows: dict[str, Row]) -> str:
             f"step {row.worst.step}, {what}"
         )
     lines += ["", NOTE]
-    if "tube" in rows and setting.found.problem.scenario.controller.tube == "sequence":
+    if "tube" in rows and setting.found.tube.follows_reference:
         lines.append(WIDEST)
     return "\n".join(lines)
 

@@ -119,7 +119,7 @@ def _disturbance_set(scenario: Scenario) -> str:
     return f"W assumed: {section.longitudinal_m:g} m, {section.lateral_m:g} m, {section.heading_deg:g} deg"
 
 
-PREMISE = ("disturbance_bound_proved", "disturbance_in_w")
+PREMISE = ("disturbance_bound_proved",)
 RECURSION = ("plan_stays_feasible", "shifted_plan_inclusion", "tightening_covers_reach")
 TERMINAL = ("terminal_set_invariant", "terminal_set_admissible", "vertices_cover_schedule")
 RATIONALS = "checked_in_rationals"
@@ -168,7 +168,7 @@ CLAIMS = (
     Claim("checked in exact arithmetic", (RATIONALS,), False),
 )
 WORDS = {
-    "disturbance_bound_proved": "W is assumed, not proved",
+    "disturbance_bound_proved": "W is not proved to hold w",
     "plan_stays_feasible": "the next plan may not fit",
     RATIONALS: "in floating point only",
     "terminal_set_invariant": "no invariant set",
@@ -202,9 +202,6 @@ def _holds(design: Tested, name: str) -> bool:
 
 def _reason(design: Tested, name: str) -> str:
     """Say why a condition fails, with its margin where it has one."""
-    if name == "disturbance_in_w":
-        used = max(law["worst"]["disturbance"][0]["usage"] for law in design.laws.values())
-        return f"w goes {used:.3g} times as far as W"
     words, condition = (
         WORDS.get(name, name.replace("_", " ")),
         design.certificate.conditions.get(name),
@@ -254,9 +251,10 @@ def metrics(tested: list[Tested]) -> dict:
 def _metrics(design: Tested) -> dict:
     verdicts = {claim.title: judge(claim, design) for claim in CLAIMS}
     return {
-        "certified": design.certificate.holds,
+        "certified": design.certificate.holds_for_robot,
+        "certified_for_model": design.certificate.holds_for_model,
         "certificate": {
-            name: {"holds": each.holds, "margin": each.margin, "required": each.required}
+            name: {"holds": each.holds, "margin": each.margin, "scope": each.scope}
             for name, each in design.certificate.conditions.items()
         },
         "claims": {

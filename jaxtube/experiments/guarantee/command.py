@@ -21,11 +21,8 @@ import jax
 import msgspec
 import numpy as np
 
-from jaxtube.experiments.design.command import (
-    add_disturbance_condition,
-    add_exact_condition,
-    exit_code,
-)
+from jaxtube.experiments.design.command import exit_code
+from jaxtube.experiments.design.seen import disturbance_line
 from jaxtube.experiments.guarantee import claims as guarantee_claims
 from jaxtube.experiments.guarantee import report as guarantee_report
 from jaxtube.experiments.guarantee.attack import (
@@ -91,7 +88,8 @@ def run(scenario: Scenario, options: Guarantee) -> int:
         for name in reversed(designs.keys())
     ]
     save(folder, tested, performance)
-    return exit_code(designs[title(options.scenario)], options.require_certificate)
+    certificate = designs[title(options.scenario)].certificate
+    return exit_code(certificate, options.require_certificate)
 
 
 def save(folder: RunFolder, tested: list[Tested], performance: dict) -> None:
@@ -155,18 +153,14 @@ def same_robot(own: Scenario, first: Scenario, source: str) -> Scenario:
 
 
 def certified(name: str, scenario: Scenario) -> Design:
-    """Return a design with its certificate, re-checked in rational arithmetic where that applies.
+    """Return a design with its certificate.
 
     Raises: ScenarioError, EmptySetError, one line that names the scenario.
     """
     try:
-        found = make_design(scenario)
+        return make_design(scenario)
     except (ScenarioError, EmptySetError) as error:
         raise type(error)(re.sub("^scenario:", f"{name}:", str(error))) from None
-    # Designs of another kind, or without a terminal set, have no exact re-check.
-    with contextlib.suppress(ValueError):
-        add_exact_condition(found)
-    return found
 
 
 def attacked(
@@ -216,22 +210,20 @@ def compute(attacks: list[Attack], missing: list[Iterator[int]]) -> dict:
 def judged(
     name: str, found: Design, statistics: dict[Law, Statistics], why: str, seed: int
 ) -> Tested:
-    """Sum up a design that was attacked; its certificate is told of every w outside W."""
+    """Sum up a design that was attacked, with what its laps saw of w in W."""
     summaries = {}
     for law, counts in statistics.items():
         options = Montecarlo(seed=seed, starts="scenario" if why else law.starts)
         summaries[law.name] = montecarlo_report.summary(under(found, law), options, counts)
-    add_disturbance_condition(
-        found.certificate, disturbance(found, statistics), "the tube-MPC under all laws"
-    )
-    note = (
-        f"starts of {name}: the scenario's, since {why.removeprefix('scenario: ')}" if why else ""
-    )
-    return Tested(name, found.problem.scenario, found.certificate, summaries, note)
+    seen = disturbance_line(found, disturbance(found, statistics), "the tube-MPC under all laws")
+    notes = [f"{name}, {seen}"]
+    if why:
+        notes.append(f"starts of {name}: the scenario's, since {why.removeprefix('scenario: ')}")
+    return Tested(name, found.problem.scenario, found.certificate, summaries, "\n".join(notes))
 
 
 def disturbance(found: Design, statistics: dict[Law, Statistics]) -> dict:
-    """Return how often and how far w left W, all laws together, as the certificate is told."""
+    """Return how often and how far w left W, all laws together."""
     counts = [found["events"] for found in statistics.values()]
     steps = sum(
         int(found["laps"]) * (found["events"].shape[1] - 1) for found in statistics.values()

@@ -90,8 +90,9 @@ def _wrapped(part: str) -> list[str]:
 
 def verdict(design: Tested) -> str:
     """Return one line: certified or not, and what the attack came to."""
-    failing, (tried, violations, *_) = ", ".join(design.certificate.failing), totals(design)
-    proved = f"NOT CERTIFIED ({failing})" if failing else "CERTIFIED"
+    tried, violations, *_ = totals(design)
+    failing = ", ".join(design.certificate.failing)
+    proved = "CERTIFIED" if design.certificate.holds_for_robot else f"NOT CERTIFIED ({failing})"
     return f"{design.name}: {proved}; {violations} laps of {tried} violate what is claimed"
 
 

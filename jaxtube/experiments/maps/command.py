@@ -17,7 +17,7 @@ from jaxtube.experiments.options import Maps
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.scenario import Scenario, ScenarioError, to_toml
 from jaxtube.synthesis.problem import make_problem
-from jaxtube.synthesis.ratio import Condition, Guarantee
+from jaxtube.synthesis.ratio import Guarantee, OperatingPoint
 
 TITLES = {
     "paper": "the paper's weights, model and map",
@@ -132,7 +132,9 @@ def report(grid: Grid, border: dict, found: Found) -> str:
             1,
             "m/s",
         )
-        easiest = found[Point(design, Condition(grid.slip_errors[0], own.slowest_mps, own.dt_s))]
+        easiest = found[
+            Point(design, OperatingPoint(grid.slip_errors[0], own.slowest_mps, own.dt_s))
+        ]
         if error == "none" and easiest.ratio is not None:
             error += f": ratio {easiest.ratio:.2f} without slip error"
         lines.append(f"  {title:<38}{error:<40}{slowest}")

@@ -23,7 +23,7 @@ import numpy as np
 from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.experiments.run.progress import progress
 from jaxtube.scenario import Scenario
-from jaxtube.synthesis.ratio import Condition, Guarantee, caps_and_gains, guarantee, under
+from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, at_point, caps_and_gains, guarantee
 
 DESIGNS = ("optimised", "weighted", "paper")
 """In the order in which they are computed: the searches wait for each other, the others fill the
@@ -38,7 +38,7 @@ class Point(NamedTuple):
     """One design under one condition."""
 
     design: str
-    condition: Condition
+    condition: OperatingPoint
 
 
 Found = dict[Point, Guarantee]
@@ -51,21 +51,21 @@ class Grid:
     slip_errors: tuple[float, ...]
     slowest_mps: tuple[float, ...]
     periods_s: tuple[float, ...]
-    own: Condition
+    own: OperatingPoint
 
-    def conditions(self) -> list[Condition]:
+    def conditions(self) -> list[OperatingPoint]:
         """Return the conditions of both maps without repetitions, each after the one whose optimum
         it starts from."""
         pairs = [(slowest, self.own.dt_s) for slowest in self.slowest_mps]
         pairs += [(self.own.slowest_mps, period) for period in self.periods_s]
-        found = {Condition(error, *pair) for pair in pairs for error in self.slip_errors}
+        found = {OperatingPoint(error, *pair) for pair in pairs for error in self.slip_errors}
         return sorted(found, key=lambda condition: (self._steps(condition), condition))
 
     def points(self) -> list[Point]:
         """Return all points, designs in the order of `DESIGNS`."""
         return [Point(design, condition) for design in DESIGNS for condition in self.conditions()]
 
-    def towards_own(self, condition: Condition) -> Condition | None:
+    def towards_own(self, condition: OperatingPoint) -> OperatingPoint | None:
         """Return the neighbour one step closer to the scenario's own condition, None for that one."""
         for name, values in (
             ("slowest_mps", self.slowest_mps),
@@ -80,7 +80,7 @@ class Grid:
                 return condition._replace(**{name: values[here + (1 if own > here else -1)]})
         return None
 
-    def _steps(self, condition: Condition) -> int:
+    def _steps(self, condition: OperatingPoint) -> int:
         values = (self.slip_errors, self.slowest_mps, self.periods_s)
         places = zip(values, condition, self.own, strict=True)
         return sum(abs(axis.index(here) - axis.index(own)) for axis, here, own in places)
@@ -94,7 +94,7 @@ def make_grid(scenario: Scenario, slowest_wheel: float, count: int) -> Grid:
         slowest_wheel: of the reference, m/s: the speed range must hold it.
         count: at least 2.
     """
-    own = Condition(
+    own = OperatingPoint(
         scenario.slip.relative_error,
         scenario.reference.wheel_speed_min_mps,
         float(scenario.controller.dt_s),
@@ -158,7 +158,7 @@ def compute(scenario: Scenario, grid: Grid, log: Log) -> Found:
 def _from_record(record: dict) -> tuple[Point, Guarantee]:
     result = dict(record)
     point = Point(
-        result.pop("design"), Condition(*(result.pop(name) for name in Condition._fields))
+        result.pop("design"), OperatingPoint(*(result.pop(name) for name in OperatingPoint._fields))
     )
     start = result.pop("caps_and_gains")
     return point, Guarantee(**result, caps_and_gains=None if start is None else tuple(start))
@@ -180,7 +180,9 @@ def _work_through(
                 waiting.remove(point)
                 start = _start(scenario, grid, point, found)
                 running[
-                    workers.submit(guarantee, point.design, under(scenario, point.condition), start)
+                    workers.submit(
+                        guarantee, point.design, at_point(scenario, point.condition), start
+                    )
                 ] = point
             for done in wait(running, return_when=FIRST_COMPLETED).done:
                 keep(running.pop(done), done.result())

@@ -58,8 +58,7 @@ def tube_cloud(design: Design, statistics: Statistics, summary: dict) -> Figure:
     The sections of the tube `sequence` change along the reference: its clouds are scaled to the
     section in the widest window, which is drawn.
     """
-    tube = design.problem.scenario.controller.tube
-    sections, clouds = design.tubes[tube][1:], statistics["cloud"]
+    sections, clouds = design.tube[1:], statistics["cloud"]
     columns = min(len(sections), COLUMNS)
     bands = -(-len(sections) // columns)
     figure = page_figure(0.9 + 4.4 * bands)
@@ -101,8 +100,8 @@ def tube_cloud(design: Design, statistics: Statistics, summary: dict) -> Figure:
         if not axes.has_data():
             axes.set_axis_off()
     colour_bar(figure, panels, norm, COUNTS, "plans in a cell")
-    key = f"$R_j$ of the tube `{tube}`, projected" + (
-        "; widest window" if tube == "sequence" else ""
+    key = f"$R_j$ of the tube `{design.tube.name}`, projected" + (
+        "; widest window" if design.tube.follows_reference else ""
     )
     bottom_legend(figure, line_keys([Line(f"{key}; {summary['plans']:,} plans", OUTSIDE)]))
     return figure

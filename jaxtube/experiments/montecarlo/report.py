@@ -22,6 +22,7 @@ from jaxtube.statistics.intervals import mean_interval, share_interval
 from jaxtube.statistics.run import RANKED, Statistics
 from jaxtube.statistics.tally import EVENTS, STAGE_EVENTS
 from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.feasible import RAYS
 
 CONFIDENCE = 0.95
 QUANTILES = {"median": 0.5, "p95": 0.95, "p999": 0.999}
@@ -57,6 +58,7 @@ def summary(design: Design, options: Montecarlo, statistics: Statistics) -> dict
         if name not in left_out(options, statistics)
     }
     return {
+        "certificate": design.certificate.verdict,
         "law": law(problem.scenario, options),
         "confidence": CONFIDENCE,
         "laps": int(statistics["laps"]),
@@ -145,8 +147,8 @@ def law(scenario: Scenario, options: Montecarlo) -> str:
     """Return the sampling law in words; every bound holds for it alone."""
     where = {
         "scenario": "the scenario's start",
-        "feasible": "starts uniform in the hull of 400 boundary points of the feasible set",
-        "edge": "starts on the hull of 400 boundary points of the feasible set",
+        "feasible": f"starts uniform in the hull of {RAYS} boundary points of the feasible set",
+        "edge": f"starts on the hull of {RAYS} boundary points of the feasible set",
     }[options.starts]
     if options.plant == "linear":
         return f"{options.controller} on the linear model, w in W (half of the draws at its vertices), {where}"
@@ -206,6 +208,7 @@ def text(options: Montecarlo, found: dict, performance: dict) -> str:
     """Return the report; the verdict on the tube's premise is its first line."""
     parts = [
         verdict(found),
+        f"certificate: {found['certificate']}",
         f"law: {found['law']}; seed {options.seed}; {found['laps']:,} laps",
         _event_table(found),
     ]

@@ -14,7 +14,6 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.synthesis.design import Design
-from jaxtube.synthesis.tightening import vertex_loops
 from sets.certificate import reach_supports
 from sets.polytope import Polytope
 from sets.tubes import Section, sequence_tube
@@ -30,11 +29,11 @@ def metrics(design: Design, seed: int) -> dict:
     found = {}
     for name, sections in design.tubes.items():
         facets = _unit_facets(sections[-1])
-        if name == "sequence":
+        if sections.follows_reference:
             ratios = _ratios_along(design, W)
             found[name] = {"largest_excess": along, "least_share_reached": 1 / ratios.max()}
         else:
-            loops = vertex_loops(design.problem, design.tube_gain)
+            loops = design.tube_gain.loops
             steps = len(sections) - 1
             reach = np.array(
                 [reach_supports(loops, W, normal, steps)[0][-1] for normal in facets.normals]
@@ -86,13 +85,13 @@ def _sampled(design: Design, seed: int) -> tuple[dict[str, float], float]:
     shared = {
         name: [_unit_facets(s) for s in found[1:]]
         for name, found in design.tubes.items()
-        if name != "sequence"
+        if not found.follows_reference
     }
     tubes = [
         sequence_tube(loops, design.problem.disturbance_set)[1:] for loops in design.windows.loops
     ]
     windows = [[_unit_facets(section) for section in sections] for sections in tubes]
-    vertices = vertex_loops(design.problem, design.tube_gain)
+    vertices = design.tube_gain.loops
     excess, along = dict.fromkeys(shared, -np.inf), -np.inf
     for part in range(SAMPLES // PART):
         generator = np.random.default_rng([seed, part])

@@ -11,7 +11,9 @@ import dataclasses
 
 import numpy as np
 
-from jaxtube.experiments.design import command as design_command
+from jaxtube.experiments.design.command import exit_code
+from jaxtube.experiments.design.report import report
+from jaxtube.experiments.design.seen import disturbance_line
 from jaxtube.experiments.options import Paper
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.paper.claims import claims, table
@@ -52,23 +54,21 @@ def run(scenario: Scenario, options: Paper) -> int:
     deviations = closed_loop.plan_deviations(found, tube_mpc, plant, laps["tube_mpc"], options.seed)
     _save_noise_free(found, loops, folder)
     measured = _metrics(found, robust, laps, other_restart, stressed, deviations)
-    design_command.add_disturbance_condition(
-        found.certificate, measured["disturbance"], "the tube MPC"
-    )
     measured = {**metrics.design_metrics(found), **measured}
     rows = claims(measured)
     measured["claims"] = [row._asdict() for row in rows]
     folder.save_metrics(measured)
     _save_figures(found, laps, robust, stressed, deviations, folder)
     parts = [
-        design_command.report(found),
+        report(found),
+        disturbance_line(found, measured["disturbance"], "the tube MPC"),
         _comparison(measured),
         _restart_note(measured),
         _stress_table(measured),
     ]
     print(*parts, table(rows), sep="\n\n")
     print(f"\nfigures, metrics.json, noise_free.npz and manifest.json are in {folder.path}/")
-    return design_command.exit_code(found, options.require_certificate)
+    return exit_code(found.certificate, options.require_certificate)
 
 
 def _metrics(found: Design, robust: Design, laps, other_restart, stressed, deviations) -> dict:
@@ -86,7 +86,7 @@ def _metrics(found: Design, robust: Design, laps, other_restart, stressed, devia
         "plan_deviations": metrics.deviation_metrics(found, deviations),
         "stress": stress.metrics(robust, stressed),
         "stress_certificate": {
-            name: {"holds": c.holds, "margin": c.margin, "required": c.required}
+            name: {"holds": c.holds, "margin": c.margin, "scope": c.scope}
             for name, c in robust.certificate.conditions.items()
         },
     }

@@ -19,7 +19,6 @@ from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.feasible import spread_starts, true_starts
 
-RAYS = 400
 CASES = {
     "linear_w_in_W": "linear plant, w in W",
     "slip_constant": "slip constant per run",
@@ -40,7 +39,7 @@ class Stress:
 def run(design: Design, count: int, seed: int, advanced=None) -> Stress:
     """Run tube-MPC and MPC without tube from the same starts, in each case."""
     first_window = int(design.windows.index[0])
-    points = true_starts(design.tube_window, first_window, design.problem, RAYS, seed)
+    points = true_starts(design.tube_window, first_window, design.problem, seed=seed)
     starts = spread_starts(points, count, seed)
     plants = {
         "linear_w_in_W": closed_loop.linear_plant(design),

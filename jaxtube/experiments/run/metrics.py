@@ -10,9 +10,8 @@ from jaxtube.plant.reference import settled_step
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.certificate.fill import cap_shares, ultimate_bound
 from jaxtube.synthesis.design import Design
-from jaxtube.synthesis.problem import input_rows
+from jaxtube.synthesis.problem import InputRows, wheel_rows
 from sets.polytope import Polytope
-from sets.tubes import Section, input_support, sequence_support
 
 COORDINATES = ("longitudinal_m", "lateral_m", "heading_deg")
 TO_DISPLAY = np.array([1.0, 1.0, np.rad2deg(1.0)])
@@ -22,7 +21,7 @@ def design_metrics(design: Design) -> dict:
     """Return the numbers of the sets, gains and certificate."""
     problem, terminal = design.problem, design.terminal
     maximal, invariant = terminal.maximal.polytope, terminal.invariant
-    wheel_rows = input_rows(problem.robot.track_width)
+    deficits = wheel_rows(problem.robot.track_width)
     return {
         "lqr_gain": design.lqr_gain,
         "tube_half_widths": {name: tube_half_widths(design, name) for name in design.tubes},
@@ -31,7 +30,7 @@ def design_metrics(design: Design) -> dict:
         },
         "input_support": {name: tube_input_support(design, name) for name in design.tubes},
         "input_set_p_q": np.stack(
-            [-problem.input_set.support(-wheel_rows), problem.input_set.support(wheel_rows)], 1
+            [-problem.input_set.support(-deficits), problem.input_set.support(deficits)], 1
         ),
         "lmi_cost": design.cost.cost,
         "lmi_objective_value": design.cost.value,
@@ -47,13 +46,15 @@ def design_metrics(design: Design) -> dict:
                 "holds": c.holds,
                 "margin": c.margin,
                 "required": c.required,
+                "scope": c.scope,
                 "sentence": c.sentence,
             }
             for name, c in design.certificate.conditions.items()
         },
-        "certified": design.certificate.holds,
+        "certified": design.certificate.holds_for_robot,
+        "certified_for_model": design.certificate.holds_for_model,
         "assumptions": list(design.certificate.assumptions),
-        **({} if problem.residual is None else _computed(design)),
+        **({} if problem.disturbance_bound is None else _computed(design)),
         "design_seconds": design.seconds,
     }
 
@@ -61,7 +62,7 @@ def design_metrics(design: Design) -> dict:
 def _computed(design: Design) -> dict:
     """Return the numbers of a computed W, and the share of each cap that the tube fills at its
     widest."""
-    bound = design.problem.residual
+    bound = design.problem.disturbance_bound
     assert bound is not None
     return {
         "disturbance_bound": {
@@ -94,39 +95,18 @@ def _half_widths(polytope: Polytope) -> Float[np.ndarray, "3"]:
 
 
 def tube_half_widths(design: Design, name: str) -> Float[np.ndarray, "horizon+1 3"]:
-    """Return the half widths (m, m, deg) of R_0 .. R_N; for `sequence` the largest along the
-    reference."""
-    if name != "sequence":
-        return np.stack([section.support(np.eye(3)) for section in design.tubes[name]]) * TO_DISPLAY
-    loops, W = design.windows.loops, design.problem.disturbance_set
-    rows = np.broadcast_to(np.eye(3), (len(loops), 3, 3))
-    widths = [
-        sequence_support(loops, W, rows, j).max(axis=0) for j in range(design.problem.horizon + 1)
-    ]
-    return np.stack(widths) * TO_DISPLAY
+    """Return the half widths (m, m, deg) of R_0 .. R_N; the largest along the reference where the
+    tube follows it."""
+    return design.tubes[name].half_widths() * TO_DISPLAY
 
 
 def tube_input_support(design: Design, name: str) -> Float[np.ndarray, " horizon+1"]:
     """Return the largest support number of K R_j along p and q, j = 0..N, over the gains that may
     act, m/s."""
-    rows = input_rows(design.problem.robot.track_width)
-    rows = np.vstack([rows, -rows])
-    gains = design.tube_gain.vertices
-    if name == "sequence":
-        loops, W = design.windows.loops, design.problem.disturbance_set
-        directions = rows @ design.windows.gains
-        last = design.problem.horizon - 1
-        return np.array(
-            [
-                sequence_support(loops, W, directions[:, min(j, last)], j).max()
-                for j in range(last + 2)
-            ]
-        )
-    return np.array([_largest(section, gains, rows) for section in design.tubes[name]])
-
-
-def _largest(section: Section, gains, rows) -> float:
-    return float(np.max(input_support(section, gains, rows)))
+    deficits = wheel_rows(design.problem.robot.track_width)
+    rows = InputRows(np.vstack([deficits, -deficits]), np.zeros((4, 3)), np.zeros(4))
+    tube = design.tubes[name]
+    return np.array([tube.input_support(stage, rows).max() for stage in range(len(tube))])
 
 
 def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
@@ -201,6 +181,7 @@ def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs
         "allowed": dict(zip(COORDINATES, (widths * TO_DISPLAY).tolist(), strict=True)),
         "runs_with_every_w_inside": int(np.sum(~left.any(axis=0))),
         "margin": float(np.min(W.margin(residuals))),
+        "every_w_inside": not left.any(),
     }
 
 
@@ -222,7 +203,7 @@ def tube_margins(
 ) -> Float[np.ndarray, "horizon samples"]:
     """Return the facet margin of every deviation in its section R_j, j = 1..N (`sequence`: the
     widest one's)."""
-    sections = design.tubes[design.problem.scenario.controller.tube][1:]
+    sections = design.tube[1:]
     return np.stack(
         [
             section.polytope().margin(points)

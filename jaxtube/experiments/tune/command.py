@@ -10,7 +10,6 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from jaxtube.experiments.design.command import add_exact_condition
 from jaxtube.experiments.options import Tune
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.atomic import write_atomically
@@ -158,8 +157,6 @@ def certified_again(path: Path) -> tuple[tuple[str, ...], str]:
     Gains that decouple are checked a second time, in rational arithmetic.
     """
     found = design(load(path))
-    if found.problem.scenario.controller.tracking_gains and found.terminal.invariant is not None:
-        add_exact_condition(found)
     failing = failing_conditions(found)
     if failing:
         return failing, f"NOT CERTIFIED: {', '.join(failing)}"
@@ -172,7 +169,7 @@ def certified_again(path: Path) -> tuple[tuple[str, ...], str]:
 
 def assumption(problem: Problem) -> str:
     """Return what a certificate takes for granted where W is assumed, nothing where it is computed."""
-    if problem.residual is not None:
+    if problem.disturbance_bound is not None:
         return ""
     return ' for the linear model with w in W, which is assumed (disturbance.bound = "computed" bounds the robot\'s w)'
 

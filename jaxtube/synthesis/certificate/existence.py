@@ -3,72 +3,91 @@ at all."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
+from jaxtyping import Float
 
+from jaxtube.synthesis.gains import Gain, vertex_gain
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
-from jaxtube.synthesis.terminal import Terminal, admissible_set
-from jaxtube.synthesis.tightening import LocalGain, vertex_loops
+from jaxtube.synthesis.terminal import admissible_set
 from sets import certificate as check
-from sets.certificate import Certificate
-from sets.invariant import MaximalRpi, maximal_rpi
-from sets.lmi import terminal_cost
+from sets.certificate import Condition, judge
+from sets.invariant import Escape, maximal_rpi
+from sets.lmi import Objective, terminal_cost
 
-OBJECTIVES = ("trace_s", "trace_p", "logdet")
+OBJECTIVES: tuple[Objective, ...] = ("trace_s", "trace_p", "logdet")
+"""Objectives of the LMI that the scenario may choose from."""
 
 
-def say_what_exists(
-    certificate: Certificate, problem: Problem, tube_gain: LocalGain, terminal: Terminal, cost
-) -> None:
+def say_what_exists(design: Design) -> Iterator[Condition]:
     """Say, for information, for which gains an invariant set inside E and U exists at all over the
     whole box."""
-    _exists(certificate, "invariant_set_for_tube_gain", "the tube gain", problem, tube_gain)
-    vertices = problem.model.matrices(problem.model.vertices)
+    problem = design.problem
+    yield _say_whether_exists(
+        problem, "invariant_set_for_tube_gain", "the tube gain", design.tube_gain
+    )
     for objective in OBJECTIVES:
-        name, gain = f"terminal_set_for_{objective}", terminal.gains
-        if objective != cost.objective:
-            try:
-                gains = terminal_cost(
-                    *vertices, problem.error_weight, problem.input_weight, objective
-                ).gains
-            except RuntimeError as error:
-                certificate.add(
-                    name, -np.inf, "", f"No LMI gains for {objective}: {error}", required=False
-                )
-                continue
-            gain = LocalGain(gains.mean(axis=0), gains)
-        _exists(certificate, name, f"the LMI gains of {objective}", problem, gain)
+        name = f"terminal_set_for_{objective}"
+        try:
+            gain = _gain_of(design, objective)
+        except RuntimeError as error:
+            sentence = f"No LMI gains for {objective}: {error}"
+            yield Condition(name, -np.inf, sentence, "information")
+            continue
+        yield _say_whether_exists(problem, name, f"the LMI gains of {objective}", gain)
 
 
-def _exists(
-    certificate: Certificate, name: str, label: str, problem: Problem, gain: LocalGain
-) -> None:
-    loops, W = vertex_loops(problem, gain), problem.disturbance_set
+def _gain_of(design: Design, objective: Objective) -> Gain:
+    """Return the LMI gains of an objective, those of the design where it is its own."""
+    if objective == design.cost.objective:
+        return design.terminal.gains
+    problem = design.problem
+    A, B = problem.model.matrices(problem.model.vertices)
+    cost = terminal_cost(A, B, problem.error_weight, problem.input_weight, objective)
+    return vertex_gain(problem, cost.gains)
+
+
+def _say_whether_exists(problem: Problem, name: str, label: str, gain: Gain) -> Condition:
+    W = problem.disturbance_set
     admissible = admissible_set(problem, gain)
-    found = maximal_rpi(loops, admissible, W.support)
-    if found.polytope is not None:
-        margin = check.invariance_margin(loops, W.vertices(), found.polytope)
-        margin = min(margin, admissible.containment_margin(found.polytope) + check.ROUNDING)
+    maximal = maximal_rpi(gain.loops, admissible, W.support)
+    if maximal.polytope is not None:
+        facets = len(maximal.polytope.offsets)
+        margin = min(
+            check.invariance_margin(gain.loops, W.vertices(), maximal.polytope),
+            admissible.containment_margin(maximal.polytope) + check.ROUNDING,
+        )
     else:
-        margin = escape_margin(found, loops, W.vertices())
-    facets = 0 if found.polytope is None else len(found.polytope.offsets)
-    certificate.add(
+        facets = 0
+        margin = escape_margin(maximal.escape, gain.loops, W.vertices())
+    if margin == -np.inf:
+        refuted = f"With {label} neither an invariant set nor a proof that there is none was found."
+    else:
+        refuted = (
+            f"With {label} no invariant set fits the constraints over the whole box: within "
+            f"{maximal.iterations + 1} steps the reach of the origin passes a constraint by "
+            f"{-margin:.3g}."
+        )
+    return judge(
         name,
         margin,
-        f"With {label} an invariant set ({facets} facets) inside the constraints exists at all four vertices.",
-        f"With {label} neither an invariant set nor a proof that there is none was found."
-        if margin == -np.inf
-        else f"With {label} no invariant set fits the constraints over the whole box: within {found.iterations + 1} "
-        f"steps the reach of the origin passes a constraint by {-margin:.3g}.",
-        required=False,
+        f"With {label} an invariant set ({facets} facets) inside the constraints exists at all "
+        "four vertices.",
+        refuted,
+        "information",
     )
 
 
-def escape_margin(found: MaximalRpi, loops, disturbance) -> float:
-    """Return minus what the escape passes its constraint by, -inf where none does: then nothing is
+def escape_margin(
+    escape: Escape | None,
+    loops: Float[np.ndarray, "v 3 3"],
+    disturbance: Float[np.ndarray, "w 3"],
+) -> float:
+    """Return minus what an escape passes its constraint by, -inf where none does: then nothing is
     proved."""
-    if found.escape is None:
+    if escape is None:
         return -np.inf
-    excess, _ = check.escape_excess(
-        loops, disturbance, found.escape.normal, found.escape.offset, found.escape.loops
-    )
+    excess, _ = check.escape_excess(loops, disturbance, escape.normal, escape.offset, escape.loops)
     return -excess if excess > 0 else -np.inf

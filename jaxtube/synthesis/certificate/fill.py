@@ -1,4 +1,4 @@
-"""How much of what the controller may use its tube fills at its widest, cap by cap.
+"""Utilisation of each cap by the widest tube of a gain.
 
     share(row) = h_R(row) / offset        R an invariant outer bound of the minimal RPI set of the gain
 
@@ -15,50 +15,58 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.synthesis.disturbance import with_computed_bound
+from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import admissible_set
-from jaxtube.synthesis.tightening import (
-    ERROR_NAMES,
-    LocalGain,
-    gains_at_corners,
-    input_names,
-    vertex_loops,
-)
+from jaxtube.synthesis.tightening import ERROR_NAMES, input_names
+from sets.certificate import Condition, judge
 from sets.invariant import minimal_rpi_bound
 from sets.polytope import Polytope
 
-NESTED, SETTLED = 12, 0.01
-"""Nested sets at most, and the change of the half widths at which they have settled."""
+MOST_NESTED = 12
+"""Nested sets at most."""
+SETTLED = 0.01
+"""Relative change of the half widths at which nested sets have settled."""
 RING = 60
 """Facets of the ring; the ratio of the reference design is then 0.4 % above the smallest possible."""
 
 
-def cap_shares(problem: Problem, gain: LocalGain) -> dict[str, float]:
+def cap_shares(problem: Problem, gain: Gain) -> dict[str, float]:
     """Return the share of each cap that the tube fills at its widest, by name; infinite where no
     bound was found."""
-    E, rows = problem.operating_set, problem.input_rows
-    names, bound = [*ERROR_NAMES, *input_names(problem)], widest_tube(problem, gain)
-    if bound is None:
+    E = problem.operating_set
+    rows = problem.input_rows
+    names = [*ERROR_NAMES, *input_names(problem)]
+    tube = widest_tube(problem, gain)
+    if tube is None:
         return dict.fromkeys(names, np.inf)
-    under = rows.under(gains_at_corners(problem, gain))
-    errors = bound.support(E.normals) / E.offsets
-    inputs = np.max([bound.support(each) for each in under], axis=0) / rows.offsets
-    shares = np.concatenate([errors.reshape(2, -1).max(axis=0), inputs.reshape(2, -1).max(axis=0)])
-    return dict(zip(names, shares.tolist(), strict=True))
+    by_gain = [tube.support(row) for row in rows.on_errors(gain.corner_gains)]
+    of_errors = tube.support(E.normals) / E.offsets
+    of_inputs = np.max(by_gain, axis=0) / rows.offsets
+    shares = [*_of_pairs(of_errors), *_of_pairs(of_inputs)]
+    return dict(zip(names, map(float, shares), strict=True))
 
 
-def widest_tube(problem: Problem, gain: LocalGain) -> Polytope | None:
+def _of_pairs(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, " half"]:
+    """Return the larger share of each row and the opposite one."""
+    return shares.reshape(2, -1).max(axis=0)
+
+
+def widest_tube(problem: Problem, gain: Gain) -> Polytope | None:
     """Return an invariant outer bound of the minimal RPI set of a gain, None where none was found."""
-    caps, angles = admissible_set(problem, gain), 2 * np.pi * np.arange(RING) / RING
-    widths = problem.operating_set.offsets[1:3, None]
-    ring = np.stack(
-        [np.zeros(RING), *(np.stack([np.cos(angles), np.sin(angles)]) / widths)], axis=1
-    )
-    normals = np.concatenate([caps.normals / caps.offsets[:, None], ring])
-    return minimal_rpi_bound(vertex_loops(problem, gain), problem.disturbance_set.support, normals)
+    caps = admissible_set(problem, gain)
+    normals = np.concatenate([caps.normals / caps.offsets[:, None], ring_normals(problem)])
+    return minimal_rpi_bound(gain.loops, problem.disturbance_set.support, normals)
 
 
-def ultimate_bound(problem: Problem, gain: LocalGain) -> Float[np.ndarray, "3"]:
+def ring_normals(problem: Problem) -> Float[np.ndarray, "RING 3"]:
+    """Return directions all around the plane of lateral and heading error, in units of their caps."""
+    angles = 2 * np.pi * np.arange(RING) / RING
+    lateral, heading = problem.operating_set.offsets[1:3]
+    return np.stack([np.zeros(RING), np.cos(angles) / lateral, np.sin(angles) / heading], axis=1)
+
+
+def ultimate_bound(problem: Problem, gain: Gain) -> Float[np.ndarray, "3"]:
     """Return half widths (m, m, rad) of the measured error that the law u = K e ends within, once
     in the terminal set.
 
@@ -69,7 +77,7 @@ def ultimate_bound(problem: Problem, gain: LocalGain) -> Float[np.ndarray, "3"]:
     Raises:
         ValueError: where the tube outgrows a cap, or W was not computed.
     """
-    if problem.residual is None:
+    if problem.disturbance_bound is None:
         raise ValueError(
             'disturbance.bound = "assumed": no bound shrinks with the errors; set it to "computed"'
         )
@@ -77,23 +85,44 @@ def ultimate_bound(problem: Problem, gain: LocalGain) -> Float[np.ndarray, "3"]:
         raise ValueError(
             "the tube outgrows a cap: no ultimate bound; narrow slip.relative_error or the speeds"
         )
-    gains, widths = gains_at_corners(problem, gain), problem.operating_set.offsets[:3]
-    for _ in range(NESTED):
+    widths = problem.operating_set.offsets[:3]
+    for _ in range(MOST_NESTED):
         tube = widest_tube(problem, gain)
         assert tube is not None
-        before, widths = widths, np.minimum(tube.support(np.eye(3)), widths)
-        reach = np.max([tube.support(np.concatenate([law, -law])) for law in gains], axis=0)
-        smaller = replace(
-            problem,
-            operating_set=Polytope.box(-widths, widths),
-            error_set=Polytope.box(-widths - _noise(problem), widths + _noise(problem)),
-            input_set=Polytope.box(-reach[2:], reach[:2]),
-        )
-        problem = with_computed_bound(smaller)
+        before = widths
+        widths = np.minimum(tube.support(np.eye(3)), widths)
+        problem = _within(problem, gain, tube, widths)
         if np.all(widths >= (1 - SETTLED) * before):
             break
     return widths
 
 
-def _noise(problem: Problem) -> Float[np.ndarray, "3"]:
-    return problem.error_set.offsets[:3] - problem.operating_set.offsets[:3]
+def _within(
+    problem: Problem, gain: Gain, tube: Polytope, widths: Float[np.ndarray, "3"]
+) -> Problem:
+    """Return the problem inside a tube: its errors, the inputs of its gain, and the W of these."""
+    by_gain = [tube.support(np.concatenate([law, -law])) for law in gain.corner_gains]
+    reach = np.max(by_gain, axis=0)
+    smaller = replace(
+        problem,
+        operating_set=Polytope.box(-widths, widths),
+        error_set=Polytope.box(-widths - problem.noise, widths + problem.noise),
+        input_set=Polytope.box(-reach[2:], reach[:2]),
+    )
+    return with_computed_bound(smaller)
+
+
+def check_widest_tube(problem: Problem, gain: Gain) -> Condition:
+    """Say, for information, how much of each cap the tube of the terminal gain fills, and which one
+    binds."""
+    shares = cap_shares(problem, gain)
+    binding = max(shares, key=lambda name: shares[name])
+    listed = ", ".join(f"{name} {share:.1%}" for name, share in shares.items())
+    return judge(
+        "widest_tube_fits",
+        1 - shares[binding],
+        f"The tube of the terminal gain fills at its widest {shares[binding]:.1%} of the "
+        f"{binding}, which binds ({listed}).",
+        f"The tube of the terminal gain may outgrow the caps; the {binding} binds ({listed}).",
+        "information",
+    )

@@ -3,105 +3,209 @@ what is assumed."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
+from jaxtyping import Float
 
-from jaxtube.synthesis.certificate.fill import cap_shares
-from jaxtube.synthesis.disturbance import ground_speed_limits
+from jaxtube.synthesis.certificate.period import find_disturbances
+from jaxtube.synthesis.disturbance import ground_speed_limits, kinematics, operation
 from jaxtube.synthesis.problem import Problem, error_vector
-from jaxtube.synthesis.tightening import LocalGain
 from sets import certificate as check
-from sets.certificate import Certificate
-from sets.robot.disturbance import DisturbanceBound
+from sets.certificate import Condition, judge
+from sets.robot.disturbance import DisturbanceBound, disturbance_bound
+
+COORDINATES = (("longitudinal", 1.0, "m"), ("lateral", 1.0, "m"), ("heading", np.rad2deg(1), "deg"))
+"""Names of the coordinates of w, and the units they are told in."""
+PREMISE = "disturbance_bound_proved"
+"""The condition that makes a guarantee for the linear model one for the robot."""
 
 
-def certify_robot(certificate: Certificate, problem: Problem) -> None:
-    """Check that the promise lies in the constraints, and with a computed W that W and the wheels
-    keep up with it."""
-    room = float(
-        np.min(error_vector(problem.scenario.constraints) - problem.error_set.support(np.eye(3)))
-    )
-    certificate.add(
+def check_robot(problem: Problem) -> Iterator[Condition]:
+    """Yield the conditions that the guarantee for the linear model needs to be one for the robot."""
+    yield check_true_error(problem)
+    yield check_disturbance_set(problem)
+    if not _is_limited_by_wheels(problem):
+        yield _check_wheels(problem)
+
+
+def check_true_error(problem: Problem) -> Condition:
+    """Check that the caps and the pose noise together lie in the error constraints."""
+    limits = error_vector(problem.scenario.constraints)
+    room = float(np.min(limits - problem.error_set.support(np.eye(3))))
+    return judge(
         "true_error_in_e",
         room + check.ROUNDING,
-        "What the controller keeps of the measured error and the pose noise together lie in the error constraints.",
+        "What the controller keeps of the measured error and the pose noise together lie in the "
+        "error constraints.",
         f"With the pose noise the true error may leave the error constraints by {-room:.3g}.",
+        "robot",
     )
-    if problem.residual is not None:
-        _disturbance(certificate, problem, problem.residual)
-    certificate.assumptions = assumptions(problem)
 
 
-def _disturbance(certificate: Certificate, problem: Problem, bound: DisturbanceBound) -> None:
-    """Check that W is as wide as its bound, and that the wheels can do all that may be asked of
-    them."""
+def check_disturbance_set(problem: Problem) -> Condition:
+    """Check that W, computed or assumed, holds every disturbance of the robot: disturbances that it
+    really meets can refute it, a bound on them can prove it."""
+    return _refute_disturbance_set(problem) or _prove_disturbance_set(problem)
+
+
+def _find_bound(problem: Problem) -> DisturbanceBound | None:
+    """Return the proved bound on w, also where W is assumed; None where errors and inputs are so
+    wide that angles leave a quarter turn."""
+    if problem.disturbance_bound is not None:
+        return problem.disturbance_bound
+    try:
+        return disturbance_bound(operation(problem), kinematics(problem))
+    except ValueError:
+        return None
+
+
+def _is_limited_by_wheels(problem: Problem) -> bool:
+    """Whether U is what the wheel limits leave, so that an input in U never asks for more.
+
+    The wheels of the input map `x_exact` depend on more than U, and a computed W brings the ground
+    speeds with it.
+    """
+    has_caps = problem.scenario.operating.yaw_rate_deficit_radps is not None
+    is_direct = problem.scenario.controller.input_map != "x_exact"
+    return problem.disturbance_bound is None and is_direct and not has_caps
+
+
+def _refute_disturbance_set(problem: Problem) -> Condition | None:
+    """Return that W is refuted where a disturbance that the robot really meets lies outside.
+
+    W may be computed or assumed; the disturbances come from the exact plant in the world frame.
+    """
+    W = problem.disturbance_set
+    met = find_disturbances(problem)
+    # The noise of the next measurement is added to each, where it takes w furthest.
+    reach = np.max(met @ W.normals.T, axis=0) + np.abs(W.normals) @ problem.noise
+    room = float(np.min(W.offsets - reach))
+    if room + check.ROUNDING >= 0:
+        return None
+    sentence = f"W is refuted: {_say_what_leaves(problem, met, room)}."
+    return Condition(PREMISE, room, sentence, "robot")
+
+
+def _prove_disturbance_set(problem: Problem) -> Condition:
+    """Compare W, computed or assumed, with the bound that interval arithmetic proves."""
+    bound = _find_bound(problem)
+    if bound is None:
+        sentence = (
+            "W is the scenario's assumption: errors and inputs are too wide for a bound on w, so "
+            "the guarantee is one for the linear model with w in W; narrow [operating]."
+        )
+        return Condition(PREMISE, -np.inf, sentence, "robot")
     W = problem.disturbance_set
     margin = float(np.min(W.offsets - bound.support(W.normals)))
-    widths, reached = (
-        np.array([bound.yaw, *bound.box]),
-        np.array([bound.found_yaw, *bound.found_box]),
-    )
-    found = np.clip(reached[widths > 0] / widths[widths > 0], 0, 1)
-    certificate.add(
-        "disturbance_bound_proved",
+    shares = _found_shares(bound)
+    return judge(
+        PREMISE,
         margin + check.ROUNDING,
-        "W holds every disturbance of the slipping robot over everything certified, proved by interval arithmetic; "
-        f"disturbances found reach {found.min():.1%} to {found.max():.1%} of it.",
-        f"W is narrower than the proved bound by {-margin:.3g}.",
+        "W holds every disturbance of the slipping robot over everything certified, proved by "
+        f"interval arithmetic; disturbances found reach {shares.min():.1%} to {shares.max():.1%} "
+        "of the bound.",
+        f"W is narrower than the proved bound by {-margin:.3g}, though no disturbance outside it "
+        "was found.",
+        "robot",
     )
-    (least, greatest), (slowest, fastest) = bound.ground_speeds, ground_speed_limits(problem)
+
+
+def _found_shares(bound: DisturbanceBound) -> Float[np.ndarray, " k"]:
+    """Return what share of each width of a bound was really found."""
+    widths = np.array([bound.yaw, *bound.box])
+    found = np.array([bound.found_yaw, *bound.found_box])
+    wide = widths > np.finfo(float).tiny
+    return np.clip(found[wide] / widths[wide], 0, 1)
+
+
+def _say_what_leaves(problem: Problem, met: Float[np.ndarray, "n 3"], room: float) -> str:
+    """Say which coordinate of w leaves W furthest, by which number; by a facet where none does."""
+    found = np.abs(met).max(axis=0) + problem.noise
+    allowed = problem.disturbance_set.support(np.eye(3))
+    worst = int(np.argmax(found / np.maximum(allowed, np.finfo(float).tiny)))
+    if found[worst] <= allowed[worst]:
+        return f"a disturbance passes a facet of W by {-room:.3g}"
+    name, scale, unit = COORDINATES[worst]
+    return (
+        f"a {name} disturbance of {scale * found[worst]:.3g} {unit} is found where W allows "
+        f"{scale * allowed[worst]:.3g} {unit}"
+    )
+
+
+def _check_wheels(problem: Problem) -> Condition:
+    """Check that the wheels can do all that may be asked of them."""
+    bound = _find_bound(problem)
+    if bound is None:
+        sentence = (
+            "Errors and inputs are too wide for a bound on the wheel speeds; narrow [operating]."
+        )
+        return Condition("wheel_limits", -np.inf, sentence, "robot")
+    least, greatest = bound.ground_speeds
+    slowest, fastest = ground_speed_limits(problem)
     room = float(min(np.min(fastest - greatest), np.min(least - slowest)))
-    certificate.add(
+    asked = f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for"
+    return judge(
         "wheel_limits",
         room,
-        f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for; under every slip the wheels "
-        f"have {room:.3g} m/s to spare.",
-        f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for: {-room:.3g} m/s more than "
-        "the wheels can do under the greatest slip.",
+        f"{asked}; under every slip the wheels have {room:.3g} m/s to spare.",
+        f"{asked}: {-room:.3g} m/s more than the wheels can do under the greatest slip.",
+        "robot",
     )
 
 
-def widest_tube_fits(certificate: Certificate, problem: Problem, gain: LocalGain) -> None:
-    """Say, for information, how much of each cap the tube of the terminal gain fills, and which one
-    binds."""
-    shares = cap_shares(problem, gain)
-    binding = max(shares, key=lambda name: shares[name])
-    listed = ", ".join(f"{name} {share:.1%}" for name, share in shares.items())
-    certificate.add(
-        "widest_tube_fits",
-        1 - shares[binding],
-        f"The tube of the terminal gain fills at its widest {shares[binding]:.1%} of the {binding}, which "
-        f"binds ({listed}).",
-        f"The tube of the terminal gain may outgrow the caps; the {binding} binds ({listed}).",
-        required=False,
-    )
+def assumptions(problem: Problem, any_order: bool) -> tuple[str, ...]:
+    """Return what the guarantee takes for granted, in words.
 
-
-def assumptions(problem: Problem) -> tuple[str, ...]:
-    """Return what the guarantee takes for granted, in words."""
-    scenario, slip = problem.scenario, problem.scenario.slip
-    which = "true and, on its own, measured" if slip.random == "both" else "true or measured"
-    speeds = (
-        f"wheel speeds between {problem.model.box[0][0]:g} and {problem.model.box[1][0]:g} m/s, in any order"
-        if (scenario.reference.certified_for == "box")
-        else f"the {len(problem.regions)} pairs of wheel speeds of the path, in any order"
-    )
+    Args:
+        problem: of the design, or of a law scheduled on speed.
+        any_order: whether the reference may take the certified wheel speeds in any order.
+    """
+    scenario = problem.scenario
+    noise = scenario.noise
     return (
-        f"{which} slip within {slip.relative_error:.0%} of its nominal value "
-        f"({slip.nominal_right:g} right, {slip.nominal_left:g} left), in any sequence",
-        f"tracking error measured within {scenario.noise.longitudinal_m:g} m, {scenario.noise.lateral_m:g} m, "
-        f"{scenario.noise.heading_deg:g} deg in the robot's frame, without delay",
-        f"reference of {speeds}"
-        + (
-            ""
-            if scenario.operating.bands
-            else f", known {problem.horizon} periods of {problem.model.dt:g} s ahead"
-        ),
-        "slip, wheel speeds and reference constant over each period; wheels obey at once; no sideways slip",
-        "what is promised holds at the ends of periods, with controllers in 64 bits",
-        (
-            "the first measured error lies in the invariant set"
-            if scenario.operating.bands
-            else "the first measured error has a plan"
-        )
-        + (", and no disturbance leaves W" if scenario.disturbance.bound == "assumed" else ""),
+        _assume_slip(problem),
+        f"tracking error measured within {noise.longitudinal_m:g} m, {noise.lateral_m:g} m, "
+        f"{noise.heading_deg:g} deg in the robot's frame, not the world's, without delay",
+        _assume_reference(problem, any_order),
+        "slip, wheel speeds and reference constant over each period; wheels obey at once; no "
+        "sideways slip",
+        "what is promised holds at the ends of periods, nothing between them; controllers in 64 "
+        "bits",
+        _assume_start(problem),
     )
+
+
+def _assume_slip(problem: Problem) -> str:
+    slip = problem.scenario.slip
+    within = (
+        f"within {slip.relative_error:.0%} of its constant nominal value "
+        f"({slip.nominal_right:g} right, {slip.nominal_left:g} left), in any sequence"
+    )
+    nothing = ""
+    if slip.relative_error > 0 and 0 in (slip.nominal_right, slip.nominal_left):
+        nothing = "; of a nominal slip of 0 that is no error at all"
+    if slip.random == "both":
+        return f"true and, on its own, measured slip {within}{nothing}"
+    return f"true or measured slip {within}; the other one nominal{nothing}"
+
+
+def _assume_reference(problem: Problem, any_order: bool) -> str:
+    low, high = problem.model.box
+    order = ", in any order" if any_order else ", in the order of this path alone"
+    if problem.scenario.reference.certified_for == "box":
+        speeds = f"wheel speeds between {low[0]:g} and {high[0]:g} m/s{order}"
+    else:
+        speeds = f"the {len(problem.regions)} pairs of wheel speeds of the path{order}"
+    if problem.scenario.operating.bands:
+        return f"reference of {speeds}"
+    return f"reference of {speeds}, known {problem.horizon} periods of {problem.model.dt:g} s ahead"
+
+
+def _assume_start(problem: Problem) -> str:
+    if problem.scenario.operating.bands:
+        return "the first measured error lies in the invariant set"
+    start = "the first measured error lies within its caps and has a plan"
+    if problem.scenario.disturbance.bound == "assumed":
+        return f"{start}, and no disturbance leaves W"
+    return start

@@ -1,0 +1,143 @@
+"""One period of the slipping robot in the world frame: a witness for W that shares nothing with the
+bound on it.
+
+With poses as complex positions and headings, a robot that drives at v and turns at w for a period T
+from position z and heading phi ends at
+
+    z + T v sinc(w T / 2) e^{i (phi + w T / 2)},    phi + w T
+
+and has the tracking error  e^{-i phi} (z_ref - z), phi_ref - phi.  Wheels are commanded by the
+measured slip, and grip by the true one. w = e+ - A e - B u is what this leaves of the model.
+
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(8).
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Complex, Float
+
+from jaxtube.synthesis.problem import Problem, region_corners
+
+Numbers = Float[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class Situations:
+    """What a period depends on, one row a situation: measured errors (m, m, rad), inputs (m/s,
+    rad/s), reference wheel speeds (right, left) in m/s, true and measured slips, noise of the pose
+    that was measured."""
+
+    errors: Float[np.ndarray, "n 3"]
+    inputs: Float[np.ndarray, "n 2"]
+    wheels: Float[np.ndarray, "n 2"]
+    slip: Float[np.ndarray, "n 2"]
+    measured_slip: Float[np.ndarray, "n 2"]
+    noise: Float[np.ndarray, "n 3"]
+
+
+def find_disturbances(problem: Problem) -> Float[np.ndarray, "n 3"]:
+    """Return disturbances (m, m, rad) that the robot really meets at extremes of what is certified,
+    the noise of the next measurement left out: that may be added anywhere in its box."""
+    situations = extreme_situations(problem)
+    transitions, inputs = problem.model.matrices(situations.wheels)
+    predicted = np.einsum("nij,nj->ni", transitions, situations.errors)
+    predicted += np.einsum("nij,nj->ni", inputs, situations.inputs)
+    return next_errors(problem, situations) - predicted
+
+
+def extreme_situations(problem: Problem) -> Situations:
+    """Return corners of the operating set, of U, of the regions, and of slip and noise, together.
+
+    Where input and error are coupled both are shrunk until their row is met.
+    """
+    half_widths = problem.operating_set.offsets[:3]
+    signs = [(x, y, heading) for x in (-1, 1) for y in (-1, 1) for heading in (-1, 0, 1)]
+    errors = half_widths * np.array(signs)
+    vertices = problem.input_set.vertices()
+    inputs = np.concatenate([vertices, (vertices + np.roll(vertices, 1, axis=0)) / 2])
+    wheels = np.unique(region_corners(problem.regions), axis=0)
+    slips = _extreme_slips(problem)
+    noise = problem.noise * np.array(list(itertools.product((-1, 1), repeat=3)))
+    noise = np.unique(noise, axis=0)
+    sizes = [len(part) for part in (errors, inputs, wheels, slips, noise)]
+    chosen = np.indices(sizes).reshape(len(sizes), -1)
+    errors = errors[chosen[0]]
+    inputs = inputs[chosen[1]]
+    rows = problem.input_rows
+    used = np.max((inputs @ rows.inputs.T + errors @ rows.errors.T) / rows.offsets, axis=1)
+    shrunk = 1 / np.maximum(used, 1.0)[:, None]
+    true, measured = np.swapaxes(slips[chosen[3]], 0, 1)
+    return Situations(
+        shrunk * errors, shrunk * inputs, wheels[chosen[2]], true, measured, noise[chosen[4]]
+    )
+
+
+def _extreme_slips(problem: Problem) -> Float[np.ndarray, "k 2 2"]:
+    """Return pairs of true and measured slip (right, left) at their extremes: one of them nominal,
+    unless the scenario lets both vary."""
+    slip = problem.scenario.slip
+    nominal = np.array([slip.nominal_right, slip.nominal_left])
+    signs = np.array(list(itertools.product((-1, 1), repeat=2)))
+    ends = nominal * (1 + slip.relative_error * signs)
+    if slip.random == "both":
+        return np.array(list(itertools.product(ends, ends)))
+    one_varies = [[(end, nominal), (nominal, end)] for end in ends]
+    return np.array(one_varies).reshape(-1, 2, 2)
+
+
+def next_errors(problem: Problem, situations: Situations) -> Float[np.ndarray, "n 3"]:
+    """Return the true errors a period later, (m, m, rad)."""
+    T = problem.model.dt
+    b = problem.model.track_width
+    reference_speed = situations.wheels.mean(axis=1)
+    reference_turn = (situations.wheels[:, 0] - situations.wheels[:, 1]) / b
+    speed, turn = command(problem, situations)
+    commanded = np.stack([speed + b * turn / 2, speed - b * turn / 2], axis=1)
+    grip = (1 - situations.slip) / (1 - situations.measured_slip)
+    right, left = (commanded * grip).T
+    # The reference is at the origin of the world frame, heading along its x axis.
+    true = situations.errors - situations.noise
+    heading = -true[:, 2]
+    place = -(true[:, 0] + 1j * true[:, 1]) * np.exp(1j * heading)
+    reference_step = _step(reference_speed, reference_turn, np.zeros_like(heading), T)
+    place = place + _step((right + left) / 2, (right - left) / b, heading, T)
+    heading = heading + T * (right - left) / b
+    offset = np.exp(-1j * heading) * (reference_step - place)
+    return np.stack([offset.real, offset.imag, T * reference_turn - heading], axis=1)
+
+
+def command(problem: Problem, situations: Situations) -> tuple[Numbers, Numbers]:
+    """Return the speed, m/s, and yaw rate, rad/s, that the input map commands.
+
+    `x_exact` is solved for the speed by what it means: without slip and noise the longitudinal
+    error would become e_x + T Om e_y + T u1.
+    """
+    T = problem.model.dt
+    x, y, heading_error = situations.errors.T
+    u1, u2 = situations.inputs.T
+    reference_speed = situations.wheels.mean(axis=1)
+    reference_turn = (situations.wheels[:, 0] - situations.wheels[:, 1]) / problem.model.track_width
+    turn = reference_turn - u2
+    input_map = problem.scenario.controller.input_map
+    if input_map == "paper":
+        return reference_speed - u1, turn
+    if input_map == "cosine_free":
+        return reference_speed * np.cos(heading_error) - u1, turn
+    heading = -heading_error
+    into_frame = np.exp(-1j * (heading + T * turn))
+    place = -(x + 1j * y) * np.exp(1j * heading)
+    reference_step = _step(reference_speed, reference_turn, np.zeros_like(heading), T)
+    unmoved = (into_frame * (reference_step - place)).real
+    per_speed = (into_frame * _step(np.ones_like(turn), turn, heading, T)).real
+    wanted = x + T * reference_turn * y + T * u1
+    return (unmoved - wanted) / per_speed, turn
+
+
+def _step(speed: Numbers, turn: Numbers, heading: Numbers, T: float) -> Complex[np.ndarray, " n"]:
+    """Return the way of a period along an arc, in the world frame, m."""
+    half = T * turn / 2
+    return T * speed * np.sinc(half / np.pi) * np.exp(1j * (heading + half))

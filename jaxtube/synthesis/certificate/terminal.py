@@ -1,0 +1,255 @@
+"""Conditions on the end of a plan: the terminal set is invariant and admissible, and receives the
+shifted plan."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxtube.synthesis.certificate.existence import escape_margin
+from jaxtube.synthesis.certificate.stages import margins_along_reference
+from jaxtube.synthesis.condense import Bounds, tube_bounds
+from jaxtube.synthesis.gains import Gain
+from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.terminal import Terminal, set_back_off
+from jaxtube.synthesis.tightening import tighten
+from jaxtube.synthesis.tubes import make_following_tube
+from jaxtube.synthesis.windows import Windows, make_windows
+from sets import certificate as check
+from sets.certificate import Condition, judge
+from sets.polytope import Polytope
+
+RANDOM_STEPS = 12
+"""Steps of random wheel speeds along which recursive feasibility is checked in any order."""
+INCLUSIONS = {
+    "admissible_errors": "E_{N-1}",
+    "admissible_inputs": "U_{N-1}",
+    "returns": "the terminal constraint",
+}
+
+
+def check_terminal(design: Design, residual: float) -> Iterator[Condition]:
+    """Yield the conditions on the terminal set, and that the shifted plan ends in it."""
+    terminal = design.terminal
+    label = "D" if terminal.kind == "T-B" else "W"
+    if terminal.invariant is None:
+        yield _judge_absence(design)
+    else:
+        margin = check.invariance_margin(
+            terminal.gains.loops, terminal.disturbance.vertices(), terminal.invariant
+        )
+        yield judge(
+            "terminal_set_invariant",
+            margin,
+            f"The terminal set ({len(terminal.invariant.offsets)} facets) is invariant at every "
+            f"vertex under {label}.",
+            f"The terminal set is not invariant under {label}: some vertex leaves it by "
+            f"{-margin:.3g}.",
+        )
+        margin = terminal.admissible.containment_margin(terminal.invariant)
+        yield judge(
+            "terminal_set_admissible",
+            margin,
+            "The terminal set lies in the error constraints and its terminal inputs in the input "
+            "constraints.",
+            f"The terminal set or its inputs leave the constraints by {-margin:.3g}.",
+        )
+    yield _check_plan_stays_feasible(design, residual)
+
+
+def _judge_absence(design: Design) -> Condition:
+    """Say whether no invariant set exists, inside the constraints or only inside those that are
+    backed off for the solver, or that none was found."""
+    terminal = design.terminal
+    escape = terminal.maximal.escape
+    loops = terminal.gains.loops
+    disturbance = terminal.disturbance.vertices()
+    margin = escape_margin(escape, loops, disturbance)
+    sentence = "No invariant terminal set was found."
+    if escape is not None and margin > -np.inf:
+        back_off = set_back_off(design.problem)
+        real_offset = escape.offset + back_off * (1 + np.linalg.norm(escape.normal))
+        real = escape_margin(replace(escape, offset=float(real_offset)), loops, disturbance)
+        steps = len(escape.loops) + 1
+        passes = f"in {steps} steps the origin goes {-margin:.3g} past a constraint"
+        if real > -np.inf:
+            sentence = f"No invariant terminal set exists: {passes}."
+        else:
+            sentence = (
+                "No invariant terminal set exists inside constraints backed off by "
+                f"{back_off:.0e}: {passes}; inside those that are not, there may be one."
+            )
+    return judge(
+        "terminal_set_invariant",
+        margin,
+        "",
+        f"{sentence} The run uses E - R_N at the last stage instead.",
+    )
+
+
+def _check_plan_stays_feasible(design: Design, residual: float) -> Condition:
+    """Check the three terminal inclusions of the shifted plan on the sets used: along the reference
+    from each step to the next where the tube follows it, else for every schedule in the regions."""
+    margins = list(_terminal_margins(design))
+    worst = {name: min(margin[name] for margin in margins) - residual for name in INCLUSIONS}
+    failing = ", ".join(
+        f"{INCLUSIONS[name]} by {-margin:.3g}" for name, margin in worst.items() if margin < 0
+    )
+    return judge(
+        "plan_stays_feasible",
+        min(worst.values()),
+        "Shifted by a step and ended by the terminal gain, every plan is a plan again: "
+        "feasibility is recursive.",
+        "Shifted by a step and ended by the terminal gain, a plan may leave "
+        f"{failing}: recursive feasibility is not shown.",
+    )
+
+
+def _terminal_margins(design: Design) -> Iterator[dict[str, float]]:
+    """Yield the margins of the terminal inclusions, by name, over all steps that they are due at."""
+    if not design.tube.follows_reference:
+        yield _margins_in_any_order(design)
+        return
+    index = design.windows.index.tolist()
+    # A run of one step is taken to go on in the window it has.
+    for now, following in set(pairwise(index)) or {(index[0], index[0])}:
+        yield _margins_along(
+            design.problem, design.terminal, design.windows, design.bounds, now, following
+        )
+
+
+def has_any_order(design: Design) -> bool:
+    """Whether a tube along the reference may be asked for other orders: its gain is that of the
+    terminal set, which is in use."""
+    terminal = design.terminal
+    return (
+        terminal.kind == "T-A"
+        and design.tube.follows_reference
+        and terminal.invariant is not None
+        and not terminal.fallback
+    )
+
+
+def check_any_order(design: Design, residual: float) -> Condition:
+    """Check recursive feasibility along wheel speeds in random order, as it follows from the
+    invariance of Omega.
+
+    With R_{N|k+1} + Psi W = Phi R_{N|k} + W, Psi the product of the N loops ahead, what is left of
+    Omega once R_N is taken off is mapped into what is left one step later, whatever wheel speeds
+    come next.
+    """
+    omega = design.terminal.invariant
+    assert omega is not None
+    gain = design.tube_gain
+    elsewhere = _with_random_speeds(design.problem)
+    windows = make_windows(elsewhere, gain)
+    tube = make_following_tube(elsewhere, gain, windows)
+    left = omega.offsets - tube.support(elsewhere.horizon, omega.normals)
+    terminal = replace(design.terminal, constraint_normals=omega.normals, constraint_offsets=left)
+    bounds = tube_bounds(elsewhere, tighten(elsewhere, tube, len(windows.schedules)), terminal)
+    stages = margins_along_reference(elsewhere, windows, bounds)
+    returns = [
+        min(_margins_along(elsewhere, terminal, windows, bounds, now, following).values())
+        for now, following in set(pairwise(windows.index.tolist()))
+    ]
+    margin = min(
+        stages.reach + check.ROUNDING,
+        stages.inclusion - residual,
+        min(returns) - residual,
+        left.min(),
+    )
+    return judge(
+        "any_order_of_wheel_speeds",
+        margin,
+        "Feasibility is recursive in any order of the certified wheel speeds, because the terminal "
+        f"set is invariant at every corner; checked along {RANDOM_STEPS} steps of random order.",
+        "Along wheel speeds in random order a plan may miss its constraints one step later by "
+        f"{-margin:.3g}.",
+    )
+
+
+def _with_random_speeds(problem: Problem) -> Problem:
+    """Return the problem along wheel speeds drawn all over its regions, half of them at corners."""
+    random = np.random.default_rng(0)
+    count = RANDOM_STEPS + problem.horizon
+    regions = problem.regions[random.integers(len(problem.regions), size=count)]
+    corners = random.integers(0, 2, (count, 2))
+    inside = random.random((count, 2))
+    share = np.where(random.random((count, 1)) < 0.5, corners, inside)
+    wheels = regions[:, 0] + share * (regions[:, 1] - regions[:, 0])
+    reference = replace(problem.reference, wheels=wheels, steps=RANDOM_STEPS)
+    return replace(problem, reference=reference)
+
+
+def _margins_in_any_order(design: Design) -> dict[str, float]:
+    """Return the margins of the terminal inclusions over all regions, from any window to any
+    other."""
+    problem = design.problem
+    bounds = design.bounds
+    gains = design.terminal.gains
+    last = problem.horizon - 1
+    last_reach = _products(design.tube_gain, problem.disturbance_set.vertices(), last)
+    return check.terminal_margins(
+        Polytope(bounds.terminal_normals, bounds.terminal.max(axis=0)),
+        Polytope(bounds.terminal_normals, bounds.terminal.min(axis=0)),
+        gains.loops,
+        Polytope(problem.operating_set.normals, bounds.errors[:, last].min(axis=0)),
+        *_unit_input_rows(
+            problem,
+            problem.input_rows.on_errors(gains.corner_gains),
+            bounds.inputs[:, last].min(axis=0),
+        ),
+        last_reach,
+    )
+
+
+def _margins_along(
+    problem: Problem,
+    terminal: Terminal,
+    windows: Windows,
+    bounds: Bounds,
+    now: int,
+    following: int,
+) -> dict[str, float]:
+    """Return the margins of the terminal inclusions from the step that has window `now` ahead to
+    the next one."""
+    last = problem.horizon - 1
+    schedule = windows.schedules[following, -1]
+    points = problem.disturbance_set.vertices()
+    for loop in windows.loops[now, 1:]:
+        points = points @ loop.T
+    return check.terminal_margins(
+        Polytope(bounds.terminal_normals, bounds.terminal[now]),
+        Polytope(bounds.terminal_normals, bounds.terminal[following]),
+        terminal.gains.loops_along(schedule)[None],
+        Polytope(problem.operating_set.normals, bounds.errors[following, last]),
+        *_unit_input_rows(
+            problem,
+            problem.input_rows.on_errors(terminal.gains.along(schedule))[None],
+            bounds.inputs[following, last],
+        ),
+        points,
+    )
+
+
+def _unit_input_rows(
+    problem: Problem, rows: Float[np.ndarray, "g k 3"], offsets: Float[np.ndarray, " k"]
+) -> tuple[Float[np.ndarray, "g k 3"], Float[np.ndarray, " k"]]:
+    """Return rows on the error and their offsets in the units of rows of U of norm one."""
+    scale = np.linalg.norm(problem.input_rows.inputs, axis=1)
+    return rows / scale[:, None], offsets / scale
+
+
+def _products(gain: Gain, W: Float[np.ndarray, "w 3"], steps: int) -> Float[np.ndarray, "p 3"]:
+    """Return the corners of the hull of Psi W over every product of `steps` loops, by enumeration
+    of the products."""
+    points = W
+    for _ in range(steps):
+        points = np.concatenate([points @ loop.T for loop in gain.loops])
+        points = Polytope.from_vertices(points).vertices()
+    return points

@@ -1,0 +1,220 @@
+"""Estimated shares of the caps, fast enough for a search over caps and tracking gains.
+
+W is taken from corners of the operating set, and the minimal RPI set from two parts: e_x alone,
+which decoupled gains leave to itself, and a polygon around (e_y, e_th), driven by it.
+
+Source: new.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxtube.synthesis.disturbance import ground_speed_limits, kinematics, operation
+from jaxtube.synthesis.problem import Problem, error_vector, region_corners
+from sets.robot.plant import Period, split_residual
+
+DIRECTIONS = 120
+"""Facets of the polygon around the minimal RPI set in (e_y, e_th)."""
+MOST_STEPS = 500
+"""Steps after which a polygon that still grows is not bounded."""
+UNBOUNDED = 1e3
+"""Growth, over one step's disturbance, at which a polygon is not bounded."""
+START_STEPS = 2
+"""Steps of W by which the caps exceed the start."""
+START_TURN = 1 / 3
+"""Share of the yaw rate deficit that the start leaves to turn with."""
+STEP = 1e-4
+"""Relative accuracy of the estimate."""
+ALONG = 5
+"""Points along an edge, where an extreme may lie between its ends."""
+
+
+class Caps(NamedTuple):
+    """Caps in SI units, the least speed deficit by its size."""
+
+    longitudinal: float
+    lateral: float
+    heading: float
+    slower: float
+    faster: float
+    turning: float
+    coupled_error: float
+    coupled_turning: float
+
+
+class Disturbance(NamedTuple):
+    """W by its yaw kick, rad, and the box of the rest (m, m, rad), and the (least, greatest)
+    commanded ground speed, m/s."""
+
+    yaw: float
+    box: Float[np.ndarray, "3"]
+    speeds: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Shares:
+    """What share of each cap the tube fills, and how far the limits beside them are used."""
+
+    caps: Float[np.ndarray, " caps"]
+    limits: Float[np.ndarray, " limits"]
+
+
+class Estimate:
+    """One problem's shares as a function of the logarithms of caps and gains."""
+
+    def __init__(self, problem: Problem):
+        scenario = problem.scenario
+        model = problem.model
+        self.problem = problem
+        self.kinematics = kinematics(problem)
+        self.noise = problem.noise
+        self.error_limits = error_vector(scenario.constraints) - self.noise
+        self.wheel_error = operation(problem).wheel_error
+        self.corners = np.unique(problem.corners, axis=0)
+        lateral_per_yaw = model.dt * float(self.corners.mean()) / 2
+        self.period = Period(model.dt, model.track_width, lateral_per_yaw)
+        slowest, fastest = ground_speed_limits(problem)
+        self.slowest = float(slowest.max())
+        self.fastest = float(fastest.min())
+        stretched = [np.stack(model.stretched_box(*region)) for region in problem.regions]
+        h, c = model.turn_and_reach(region_corners(np.stack(stretched))).T
+        self.greatest_h = float(np.max(np.abs(h)))
+        self.extreme_c = (float(c.min()), float(c.max()))
+        turns = np.abs(self.corners @ [1.0, -1.0])
+        self.yaw_rate = float(np.max(turns)) / model.track_width
+        angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
+        self.directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+    def shares(self, logarithms: Float[np.ndarray, " 11"]) -> Shares | None:
+        """Return the shares of caps and limits, None where the loops have no bounded tube."""
+        caps = _read_caps(logarithms)
+        k1, k2, k3 = np.exp(logarithms[8:])
+        w = self.disturbance(caps)
+        points = self.lateral_tube(k1, k2, k3, w)
+        if points is None:
+            return None
+        reach_x = w.box[0] / (1 - abs(1 - self.period.dt * k1))
+        reach_y, reach_heading = points.max(axis=0)
+        reach_speed = k1 * reach_x + self.yaw_rate * reach_y
+        reach_turning = float(np.max(points @ [k2, k3]))
+        of_coupling = reach_x / caps.coupled_error + reach_turning / caps.coupled_turning
+        filled = [
+            reach_x / caps.longitudinal,
+            reach_y / caps.lateral,
+            reach_heading / caps.heading,
+            reach_speed / min(caps.slower, caps.faster),
+            reach_turning / caps.turning,
+            of_coupling,
+        ]
+        return Shares(np.array(filled), self.limits(caps, w))
+
+    def limits(self, caps: Caps, w: Disturbance) -> Float[np.ndarray, " limits"]:
+        """Return how far caps, start and ground speeds use the limits beside the caps."""
+        errors = np.array([caps.longitudinal, caps.lateral, caps.heading])
+        used = [*(errors / self.error_limits)]
+        start = np.abs(self.problem.initial_error)
+        if start.any():
+            kick = np.array([0.0, self.period.lateral_per_yaw * w.yaw, w.yaw])
+            used += [*((start + START_STEPS * (w.box + kick)) / errors)]
+            left_to_turn = caps.coupled_turning * (1 - start[0] / caps.coupled_error)
+            used.append(START_TURN * caps.turning / max(left_to_turn, STEP))
+        else:
+            used.append(0.0)
+        least, greatest = w.speeds
+        used.append(greatest / self.fastest)
+        used.append(1 + (self.slowest - least) / self.fastest)
+        return np.array(used)
+
+    def disturbance(self, caps: Caps) -> Disturbance:
+        """Return W and the ground speeds at corners of the operating set."""
+        coupled = _coupled_corners(caps)
+        axes = [
+            np.arange(len(coupled)),
+            [-caps.lateral, caps.lateral],
+            np.linspace(-caps.heading, caps.heading, ALONG),
+            [-caps.slower, caps.faster],
+            np.arange(len(self.corners)),
+            *([-error, error] for error in self.wheel_error),
+            [-1.0, 1.0],
+        ]
+        grid = [axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")]
+        of_coupling, e_y, e_th, u1, of_corner, d_r, d_l, side = grid
+        e_x, u2 = coupled[of_coupling.astype(int)].T
+        V_r, V_l = self.corners[of_corner.astype(int)].T
+        noise = side * self.noise[:, None]
+        variables = (e_x, e_y, e_th, u1, u2, V_r, V_l, d_r, d_l, *noise)
+        parts = split_residual(self.kinematics, self.period, variables)
+        widths = [np.max(np.abs(coordinate)) for coordinate in parts.rest]
+        box = np.array([*(widths + self.noise[:2]), 2 * self.noise[2]])
+        least = float(min(parts.right.min(), parts.left.min()))
+        greatest = float(max(parts.right.max(), parts.left.max()))
+        return Disturbance(float(np.max(np.abs(parts.yaw))), box, (least, greatest))
+
+    def lateral_tube(
+        self, k1: float, k2: float, k3: float, w: Disturbance
+    ) -> Float[np.ndarray, "points 2"] | None:
+        """Return corners of a polygon around the minimal RPI set in (e_y, e_th), None where it does
+        not settle."""
+        T = self.period.dt
+        contraction = abs(1 - T * k1)
+        if not contraction < 1:
+            return None
+        w_x, w_y, w_heading = w.box
+        drift = self.greatest_h * abs(2 - T * k1) * w_x / (1 - contraction)
+        kick = np.abs(self.directions @ [self.period.lateral_per_yaw, 1.0])
+        steps = w.yaw * kick + np.abs(self.directions) @ [w_y + drift, w_heading]
+        loops = np.array(
+            [
+                [[1 - c * T * k2 / 2, c * (1 - T * k3 / 2)], [-T * k2, 1 - T * k3]]
+                for c in self.extreme_c
+            ]
+        )
+        images = self.directions @ loops
+        offsets = steps.copy()
+        for _ in range(MOST_STEPS):
+            points = _polygon_corners(self.directions, offsets)
+            reach = steps + np.max(images @ points.T, axis=(0, 2))
+            if not np.all(reach < UNBOUNDED * steps.max()):
+                return None
+            if np.all(reach <= offsets * (1 + STEP / 10)):
+                return points
+            offsets = np.maximum(offsets, reach)
+        return None
+
+
+def _read_caps(logarithms: Float[np.ndarray, " 11"]) -> Caps:
+    values = np.exp(logarithms[:8])
+    values[2] = np.deg2rad(values[2])
+    return Caps(*values)
+
+
+def _coupled_corners(caps: Caps) -> Float[np.ndarray, "points 2"]:
+    """Return corners of {|e_x| <= x, |u2| <= turning, |e_x| / a + |u2| / b <= 1}, and points along
+    its cut edges."""
+    a = caps.coupled_error
+    b = caps.coupled_turning
+    error_at_most_turning = max(min(caps.longitudinal, a * (1 - caps.turning / b)), 0.0)
+    turning_at_most_error = max(min(caps.turning, b * (1 - caps.longitudinal / a)), 0.0)
+    first = np.array([error_at_most_turning, min(caps.turning, b)])
+    last = np.array([min(caps.longitudinal, a), turning_at_most_error])
+    along = np.linspace(0.0, 1.0, ALONG)[:, None]
+    edge = (1 - along) * first + along * last
+    return np.concatenate([edge * signs for signs in itertools.product((-1, 1), repeat=2)])
+
+
+def _polygon_corners(
+    directions: Float[np.ndarray, "k 2"], offsets: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "k 2"]:
+    """Return the points where neighbouring sides of a polygon meet."""
+    following = np.roll(directions, -1, axis=0)
+    next_offsets = np.roll(offsets, -1)
+    determinant = directions[:, 0] * following[:, 1] - directions[:, 1] * following[:, 0]
+    first = offsets * following[:, 1] - next_offsets * directions[:, 1]
+    second = directions[:, 0] * next_offsets - following[:, 0] * offsets
+    return np.stack([first, second], axis=1) / determinant[:, None]

@@ -1,0 +1,96 @@
+"""The parts of a design: problem, gains, tubes, terminal set, bounds, controllers, certificate."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxtube.control.mpc import Window
+from jaxtube.synthesis import condense
+from jaxtube.synthesis.condense import Bounds
+from jaxtube.synthesis.gains import Gain
+from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.terminal import Terminal
+from jaxtube.synthesis.tightening import Tightening
+from jaxtube.synthesis.tubes import Tube
+from jaxtube.synthesis.windows import Windows
+from sets.certificate import Certificate
+from sets.lmi import TerminalCost
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Condensed:
+    """The condensed MPC with the tube and without, each made when it is first asked for."""
+
+    problem: Problem
+    windows: Windows
+    terminal: Terminal
+    cost: Float[np.ndarray, "3 3"]
+    bounds: Bounds
+
+    @cached_property
+    def with_tube(self) -> Window:
+        """The tube-MPC."""
+        return self._condense(self.bounds)
+
+    @cached_property
+    def without_tube(self) -> Window:
+        """The MPC of E and U untightened, without a terminal set."""
+        return self._condense(condense.plain_bounds(self.problem, self.windows, self.terminal))
+
+    def _condense(self, bounds: Bounds) -> Window:
+        return condense.condense(self.problem, self.windows, self.terminal, self.cost, bounds)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Design:
+    """Everything computed offline for one scenario.
+
+    Before `finish` the certificate is empty: nothing was checked.
+    """
+
+    problem: Problem
+    lqr_gain: Float[np.ndarray, "2 3"]  # K^n at the centre of the box
+    tube_gain: Gain
+    cost: TerminalCost
+    windows: Windows
+    tubes: dict[str, Tube]
+    tightening: Tightening
+    terminal: Terminal
+    bounds: Bounds
+    condensed: Condensed
+    certificate: Certificate = field(default_factory=Certificate)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def tube(self) -> Tube:
+        """The tube in use."""
+        return self.tubes[self.problem.scenario.controller.tube]
+
+    @property
+    def first_window(self) -> int:
+        """The window that the run begins with."""
+        return int(self.windows.index[0])
+
+    @property
+    def tube_window(self) -> Window:
+        """The condensed tube-MPC, window by window, numpy float64."""
+        return self.condensed.with_tube
+
+    @property
+    def plain_window(self) -> Window:
+        """The condensed MPC without tube and terminal set."""
+        return self.condensed.without_tube
+
+    def __repr__(self) -> str:
+        settings = self.problem.scenario.controller
+        facets = len(self.terminal.constraint_normals)
+        parts = (
+            f"tube {settings.tube}, terminal {settings.terminal} of {facets} facets, horizon "
+            f"{settings.horizon}, model {settings.model}, input map {settings.input_map}, "
+            f"{len(self.windows.schedules)} windows"
+        )
+        return f"{self.certificate!r}\n{parts}"

@@ -1,0 +1,162 @@
+"""The four tubes of a design: sets R_0 .. R_N that hold the deviation from a plan, j steps ahead.
+
+    Tube           one row of sections, for every order of wheel speeds in the regions (`paper`, `hull`, `summed`)
+    FollowingTube  sections along the reference, its own in every window (`sequence`)
+
+Whoever uses a tube asks it: for its support numbers, window by window, for the inputs it takes, and
+whether it follows the reference. As a sequence it is its sections R_0 .. R_N; where these differ
+from window to window, those of the window with the widest lateral reach.
+
+Sources: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (26)-(27) (`paper`); Chisci, Rossiter, Zappa
+2001 (restarted tubes).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from jaxtube.synthesis.gains import Gain
+from jaxtube.synthesis.problem import InputRows, Problem
+from jaxtube.synthesis.windows import Windows
+from sets import tubes
+from sets.polytope import Polytope
+from sets.tubes import Section
+
+AFFINE = 1e-12
+"""By how much a loop may miss an affine function of the schedule that it is taken for."""
+SAME_REACH = 1e-9
+"""Relative difference below which two windows reach equally far; the first of them is shown."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tube(Sequence[Section]):
+    """Sections R_0 .. R_N that hold for every order of wheel speeds in the regions."""
+
+    follows_reference: ClassVar[bool] = False
+
+    name: str
+    gain: Gain
+    sections: Sequence[Section]
+
+    def __getitem__(self, stage):
+        return self.sections[stage]
+
+    def __len__(self) -> int:
+        return len(self.sections)
+
+    @property
+    def sections_by_window(self) -> list[Sequence[Section]]:
+        """R_0 .. R_N of every window, or the one row that all windows share."""
+        return [self.sections]
+
+    def shows(self, windows: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        """Return which windows have the sections that are shown."""
+        return np.ones(len(windows), bool)
+
+    def support(
+        self, stage: int, rows: Float[np.ndarray, "k 3"]
+    ) -> Float[np.ndarray, "windows_or_1 k"]:
+        """Return the support numbers of R_stage along rows, window by window."""
+        return self.sections[stage].support(rows)[None]
+
+    def input_support(self, stage: int, rows: InputRows) -> Float[np.ndarray, "windows_or_1 k"]:
+        """Return the support numbers of R_stage along rows on input and error under u = K e, over
+        the gains that may act."""
+        section = self.sections[stage]
+        by_gain = [section.support(row) for row in rows.on_errors(self.gain.corner_gains)]
+        return np.max(by_gain, axis=0)[None]
+
+    def half_widths(self) -> Float[np.ndarray, "horizon+1 3"]:
+        """Return the half widths of R_0 .. R_N, (m, m, rad), the largest over the windows."""
+        return np.stack([self.support(j, np.eye(3)).max(axis=0) for j in range(len(self))])
+
+
+@dataclass(frozen=True, eq=False)
+class FollowingTube(Tube):
+    """Sections along the known reference: those of the shown window, and by support numbers those
+    of all."""
+
+    follows_reference: ClassVar[bool] = True
+
+    windows: Windows
+    disturbance: Polytope
+    shown_window: int
+
+    @cached_property
+    def sections_by_window(self) -> list[Sequence[Section]]:
+        """R_0 .. R_N of every window."""
+        return [tubes.sequence_tube(loops, self.disturbance) for loops in self.windows.loops]
+
+    def shows(self, windows: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
+        """Return which windows have the sections that are shown."""
+        return windows == self.shown_window
+
+    def support(self, stage: int, rows: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "windows k"]:
+        """Return the support numbers of R_stage along rows, window by window."""
+        loops = self.windows.loops
+        by_window = np.broadcast_to(rows, (len(loops), *rows.shape))
+        return tubes.sequence_support(loops, self.disturbance, by_window, stage)
+
+    def input_support(self, stage: int, rows: InputRows) -> Float[np.ndarray, "windows k"]:
+        """Return the support numbers of R_stage along rows under the gain that acts at the stage,
+        after the last one the last gain."""
+        last = self.windows.gains.shape[1] - 1
+        under = rows.on_errors(self.windows.gains[:, min(stage, last)])
+        return tubes.sequence_support(self.windows.loops, self.disturbance, under, stage)
+
+
+def make_tubes(problem: Problem, gain: Gain, windows: Windows) -> dict[str, Tube]:
+    """Return the four tubes by name.
+
+    `paper` is left out where eq. (27) does not apply, that is where the loop is not affine in the
+    schedule.
+    """
+    W = problem.disturbance_set
+    N = problem.horizon
+    shared = {
+        "hull": tubes.hull_tube(gain.loops, W, N),
+        "summed": tubes.summed_tube(gain.loops, W, N),
+    }
+    slopes = loop_slopes(gain)
+    if slopes is not None:
+        nominal, right, left = slopes
+        ranges = [(-half, half) for half in problem.model.half_widths]
+        paper = tubes.paper_tube(nominal, (right, left), ranges, W, N)
+        shared = {"paper": paper, **shared}
+    made = {name: Tube(name, gain, sections) for name, sections in shared.items()}
+    return {**made, "sequence": make_following_tube(problem, gain, windows)}
+
+
+def make_following_tube(problem: Problem, gain: Gain, windows: Windows) -> FollowingTube:
+    """Return the tube along the reference, the window of widest lateral reach shown."""
+    W = problem.disturbance_set
+    widest = find_widest_window(problem, windows)
+    sections = tubes.sequence_tube(windows.loops[widest], W)
+    return FollowingTube("sequence", gain, sections, windows, W, widest)
+
+
+def find_widest_window(problem: Problem, windows: Windows) -> int:
+    """Return the first window whose tube along the reference has the widest lateral reach."""
+    lateral = np.broadcast_to([0.0, 1.0, 0.0], (len(windows.loops), 1, 3))
+    reach = tubes.sequence_support(
+        windows.loops, problem.disturbance_set, lateral, problem.horizon
+    )[:, 0]
+    return int(np.argmax(reach >= (1 - SAME_REACH) * reach.max()))
+
+
+def loop_slopes(gain: Gain) -> Float[np.ndarray, "3 3 3"] | None:
+    """Return (Phi_n, slope in V_r, slope in V_l) where Phi is affine in the schedule, else None."""
+    model = gain.model
+    if model.discretisation != "euler":
+        return None
+    loops = gain.loops_along(model.vertices).reshape(4, 9)
+    corners = np.column_stack([np.ones(4), model.vertices - model.centre])
+    fitted, *_ = np.linalg.lstsq(corners, loops, rcond=None)
+    is_affine = np.max(np.abs(corners @ fitted - loops)) <= AFFINE
+    return fitted.reshape(3, 3, 3) if is_affine else None

@@ -1,0 +1,41 @@
+"""Windows: the distinct stretches of N schedules along the reference, with the loops along each.
+
+On a circle all steps share one window; so do the condensed problems made from them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxtube.synthesis.gains import Gain
+from jaxtube.synthesis.problem import SAME_SPEED_DECIMALS, Problem, merge_equal_speeds
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """Distinct stretches of N schedules, and which one each step of the run has ahead."""
+
+    schedules: Float[np.ndarray, "windows horizon 2"]
+    index: Int[np.ndarray, " steps"]
+    loops: Float[np.ndarray, "windows horizon 3 3"]
+    gains: Float[np.ndarray, "windows horizon 2 3"]
+
+    def followers(self, window: int) -> Int[np.ndarray, " k"]:
+        """Return the windows that steps along the reference have ahead right after this one."""
+        return np.unique(self.index[1:][self.index[:-1] == window])
+
+
+def make_windows(problem: Problem, gain: Gain) -> Windows:
+    """Collect the distinct windows of the reference with their closed loops."""
+    horizon = problem.horizon
+    steps = problem.reference.steps
+    wheels = merge_equal_speeds(problem.schedule)
+    stretches = np.stack([wheels[j : j + steps] for j in range(horizon)], axis=1)
+    _, first, index = np.unique(
+        stretches.round(SAME_SPEED_DECIMALS), axis=0, return_index=True, return_inverse=True
+    )
+    schedules = stretches[first]
+    return Windows(schedules, index.reshape(-1), gain.loops_along(schedules), gain.along(schedules))
