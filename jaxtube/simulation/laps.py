@@ -20,6 +20,7 @@ from jaxtube.control.laws import TubeMpc
 from jaxtube.plant import slip
 from jaxtube.plant.error_dynamics import world_pose
 from jaxtube.plant.robot import wheel_positions
+from jaxtube.plant.slip_processes import find_process
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import SlippingRobot, Trajectory, realisation_keys, rollout
 from jaxtube.statistics.checks import Facets, judge
@@ -82,7 +83,7 @@ def slip_deviations(
 ) -> Float[Array, "steps 2 2"]:
     """Return the deviations of the true and of the measured slip, (right, left), along the true
     errors of a lap."""
-    process = slip.PROCESSES[plant.process]()
+    process = find_process(plant.process)
 
     def period(memory, now):
         step, error = now

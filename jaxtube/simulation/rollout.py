@@ -30,6 +30,7 @@ from jaxtube.plant import slip as slips
 from jaxtube.plant.error_dynamics import advance, world_pose
 from jaxtube.plant.input_maps import acting_input
 from jaxtube.plant.robot import Robot, saturate, wheel_commands, wheel_positions
+from jaxtube.plant.slip_processes import find_process
 
 DRAWN = "drawn"
 """Name of what is drawn at random, for reverse mode to keep: to draw again costs more than all else
@@ -81,7 +82,7 @@ class SlippingRobot:
 
     def initial(self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]):
         """Return the memory of the slip processes."""
-        process = slips.PROCESSES[self.process]()
+        process = find_process(self.process)
         return jax.vmap(lambda key: slips.initial_slip(key, process, errors.dtype))(keys)
 
     def measure(
@@ -103,7 +104,7 @@ class SlippingRobot:
     def draw(self, keys, step, state, errors):
         """Return the deviations of true and measured slip of one period, in [-1, 1], and the next
         memory."""
-        process = slips.PROCESSES[self.process]()
+        process = find_process(self.process)
         poses = world_pose(errors, self.reference_poses[step])
         places = wheel_positions(poses, self.robot.track_width)
 

@@ -25,6 +25,7 @@ from jaxtyping import Float, Int, Key
 from jaxtube.plant import slip as slips
 from jaxtube.plant.error_dynamics import world_pose
 from jaxtube.plant.robot import wheel_positions
+from jaxtube.plant.slip_processes import find_process
 from jaxtube.simulation.rollout import SlippingRobot
 from jaxtube.statistics import task as validation
 from jaxtube.statistics.run import Task
@@ -104,7 +105,7 @@ class AnySlipRobot:
         return following, state, wheels, demanded
 
     def _draw(self, number: int, keys, step, state: tuple, situations):
-        process = slips.PROCESSES[PROCESSES[number]]()
+        process = find_process(PROCESSES[number])
 
         def draw(key, memory, situation):
             return slips.draw_slip(key, step, memory, situation, process, self.ideal.random)
