@@ -74,10 +74,7 @@ class Model:
         if self.discretisation == "exact":
             return self._exact_pair(schedule)
         rates = self._continuous_pair(schedule) * self.dt
-        if self.discretisation == "zoh":
-            transition = expm(rates)
-        else:
-            transition = np.eye(5) + rates
+        transition = expm(rates) if self.discretisation == "zoh" else np.eye(5) + rates
         return transition[..., :3, :3], transition[..., :3, 3:]
 
     def _continuous_pair(
