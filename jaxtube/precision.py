@@ -37,7 +37,7 @@ def require_64_bits(what: str) -> None:
     Raises:
         RuntimeError: where JAX computes in 32 bits here.
     """
-    if not jax.config.jax_enable_x64:
+    if jax.dtypes.canonicalize_dtype(float).itemsize < 8:
         raise RuntimeError(
             f"{what}: JAX computes in 32 bits here, and certificates are for 64; use "
             "jaxtube.simulate, .montecarlo, .falsify, or call it inside `with jax.enable_x64(True):`"

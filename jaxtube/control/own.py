@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -45,17 +46,21 @@ def adapt_controller(controller: Controller | Law, wheel_map: WheelMap) -> Contr
     Raises:
         ValueError: one line, for anything else, or where what it returns has other shapes.
     """
+    adapted = _adapt(controller, wheel_map)
+    _check_shapes(adapted)
+    return adapted
+
+
+def _adapt(controller: Any, wheel_map: WheelMap) -> Controller:
     if not hasattr(controller, "act"):
         if not callable(controller):
             raise ValueError(
                 f"controller = {controller!r}: is neither a law u = f(errors, reference_wheels) "
                 "nor an object with `initial` and `act`; give one of them"
             )
-        controller = Feedback(controller, wheel_map)
-    elif jax.tree_util.all_leaves([controller]):
-        controller = Unregistered(controller)
-    _check_shapes(controller)
-    return controller
+        return Feedback(controller, wheel_map)
+    is_pytree = not jax.tree_util.all_leaves([controller])
+    return controller if is_pytree else Unregistered(controller)
 
 
 BATCH = 7

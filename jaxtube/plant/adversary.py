@@ -8,9 +8,9 @@ right wheel loses thus adds n_x / 2 + t / b to it, and the left wheel n_x / 2 - 
 has a best extreme of its own.
 
 Feedback alone is short-sighted, and no single scheme is the worst of all loops. So each realisation
-draws one: a third each of them push e_x only, the lateral error only, or what is larger by a
-weight; a third each push outwards, keep one sign, or alternate it with a period of 2 to 120 steps,
-which finds loops that resonate.
+draws its own. A third of the schemes push e_x only, a third the lateral error only, and a third
+whichever is larger by a drawn weight. Independently, a third push outwards, a third keep one sign,
+and a third alternate it with a period of 2 to 120 steps, which excites resonances of the loop.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(2) and (4); the schemes are new.
 """
@@ -24,8 +24,13 @@ from jax.typing import DTypeLike
 from jaxtyping import Bool, Float, Int, Key
 
 LONGEST_HALF_PERIOD = 60
-# A weight by which e_x is always the larger error, and steps that no reference has.
-ALWAYS, FOREVER = 1e6, 2**30
+"""Longest half period of the square wave, steps."""
+
+ALWAYS = 1e6
+"""A weight by which e_x is always the larger error."""
+
+FOREVER = 2**30
+"""A half period in steps that outlasts every reference: the wave keeps its sign."""
 
 
 class Scheme(NamedTuple):
@@ -51,26 +56,26 @@ def draw_scheme(key: Key[Array, ""], dtype: DTypeLike = float) -> Scheme:
     """
     # One draw for all: a generator of its own for each would take most of a rollout's compilation.
     target, timing, lead, weight, half_period, offset, side = jax.random.uniform(key, (7,), dtype)
-    weight = jnp.where(
-        target < 1 / 3, 0.0, jnp.where(target < 2 / 3, ALWAYS, 4.0 ** (2.0 * weight - 1.0))
+    speed_weight = jnp.select(
+        [target < 1 / 3, target < 2 / 3],
+        [jnp.zeros_like(weight), jnp.full_like(weight, ALWAYS)],
+        _log_uniform(weight),
     )
-    half_period, offset = (
-        1 + (LONGEST_HALF_PERIOD * each).astype(jnp.int32) for each in (half_period, offset)
-    )
+    keeps_sign = timing > 2 / 3
     return Scheme(
-        lead=4.0 ** (2.0 * lead - 1.0),
-        speed_weight=weight,
+        lead=_log_uniform(lead),
+        speed_weight=speed_weight,
         outward=timing < 1 / 3,
         sign=_sign(side - 0.5),
-        half_period=jnp.where(timing > 2 / 3, FOREVER, half_period),
-        offset=offset,
+        half_period=jnp.where(keeps_sign, FOREVER, _count_steps(half_period)),
+        offset=_count_steps(offset),
     )
 
 
 def pushed_direction(
     scheme: Scheme, step: Array | int, errors: Float[Array, "3"]
 ) -> Float[Array, "3"]:
-    """Give the direction n along which the adversary pushes the tracking error at one step.
+    """Return the direction n along which the adversary pushes the tracking error at one step.
 
     Args:
         scheme: of the realisation.
@@ -81,18 +86,20 @@ def pushed_direction(
         The gradient of e_x or of e_y + lead e_th, or its negative.
     """
     lateral = errors[1] + scheme.lead * errors[2]
-    speed = scheme.speed_weight * jnp.abs(errors[0]) > jnp.abs(lateral)
-    half = (jnp.asarray(step, jnp.int32) + scheme.offset) // scheme.half_period
-    wave = jnp.where(half % 2 == 0, scheme.sign, -scheme.sign)
-    sign = jnp.where(scheme.outward, _sign(jnp.where(speed, errors[0], lateral)), wave)
-    n_x, n_y = jnp.where(speed, sign, 0.0), jnp.where(speed, 0.0, sign)
+    pushes_speed = scheme.speed_weight * jnp.abs(errors[0]) > jnp.abs(lateral)
+    half_periods = (jnp.asarray(step, jnp.int32) + scheme.offset) // scheme.half_period
+    wave = jnp.where(half_periods % 2 == 0, scheme.sign, -scheme.sign)
+    pushed_error = jnp.where(pushes_speed, errors[0], lateral)
+    sign = jnp.where(scheme.outward, _sign(pushed_error), wave)
+    n_x = jnp.where(pushes_speed, sign, 0.0)
+    n_y = jnp.where(pushes_speed, 0.0, sign)
     return jnp.stack([n_x, n_y, scheme.lead * n_y])
 
 
 def worst_vertex(
     direction: Float[Array, "3"], errors: Float[Array, "3"], track_width: Float[Array, ""] | float
 ) -> Float[Array, "2"]:
-    """Give the extreme deviation of the true slip that drives the tracking error furthest along a
+    """Return the extreme deviation of the true slip that drives the tracking error furthest along a
     direction.
 
     Args:
@@ -101,15 +108,26 @@ def worst_vertex(
         track_width: m.
 
     Returns:
-        xi (right, left) in {-1, 1}; while both wheels roll forwards, no other in [-1, 1] lets n e'
-        be greater. Where the measured slip deviates instead, -xi does this.
+        xi (right, left) in {-1, 1}; while both wheels roll forwards, no other in [-1, 1] makes n e'
+        greater. Where the measured slip deviates instead, -xi does this.
     """
     n_x, n_y, n_th = direction
     e_x, e_y, _ = errors
-    slower, turning = track_width / 2.0 * n_x, n_th + n_y * e_x - n_x * e_y
+    slower = track_width / 2.0 * n_x
+    turning = n_th + n_y * e_x - n_x * e_y
     return _sign(jnp.stack([slower + turning, slower - turning]))
 
 
-def _sign(numbers: Array) -> Array:
-    """Give -1 or 1, which is the sign of 0 too."""
+def _log_uniform(share: Float[Array, ""]) -> Float[Array, ""]:
+    """Map [0, 1] to [1/4, 4], evenly in the logarithm."""
+    return 4.0 ** (2.0 * share - 1.0)
+
+
+def _count_steps(share: Float[Array, ""]) -> Int[Array, ""]:
+    """Map [0, 1) to 1 .. LONGEST_HALF_PERIOD steps, evenly."""
+    return 1 + (LONGEST_HALF_PERIOD * share).astype(jnp.int32)
+
+
+def _sign(numbers: Float[Array, "..."]) -> Float[Array, "..."]:
+    """Return -1 or 1; the sign of 0 is 1."""
     return jnp.where(numbers < 0.0, -jnp.ones_like(numbers), jnp.ones_like(numbers))

@@ -22,11 +22,14 @@ from jaxtyping import Float
 
 from jaxtube.plant.robot import body_velocity
 
+SERIES_END = 0.3
+"""Angle in rad below which `sinc` is a series: its first term left out is below 1e-16 there."""
+
 
 def tracking_error(
     pose: Float[Array, "... 3"], reference_pose: Float[Array, "... 3"]
 ) -> Float[Array, "... 3"]:
-    """Give the tracking error, eq. (3).
+    """Return the tracking error, eq. (3).
 
     Args:
         pose: (x m, y m, heading rad) of the robot in the world frame.
@@ -45,7 +48,7 @@ def tracking_error(
 def world_pose(
     error: Float[Array, "... 3"], reference_pose: Float[Array, "... 3"]
 ) -> Float[Array, "... 3"]:
-    """Give the robot's pose from its tracking error, the exact inverse of `tracking_error`.
+    """Return the robot's pose from its tracking error: the exact inverse of `tracking_error`.
 
     Args:
         error: (longitudinal m, lateral m, heading rad) in the robot frame.
@@ -59,32 +62,6 @@ def world_pose(
     return jnp.concatenate([position, heading[..., None]], axis=-1)
 
 
-def error_rate(
-    error: Float[Array, "... 3"],
-    wheels: Float[Array, "... 2"],
-    slip: Float[Array, "... 2"] | float,
-    reference_wheels: Float[Array, "... 2"],
-    track_width: float,
-) -> Float[Array, "... 3"]:
-    """Give the time derivative of the tracking error, eq. (4).
-
-    Args:
-        error: (longitudinal m, lateral m, heading rad) in the robot frame.
-        wheels: wheel speeds (right, left), m/s.
-        slip: true longitudinal slips (right, left).
-        reference_wheels: wheel speeds of the reference, which does not slip, m/s.
-        track_width: m.
-
-    Returns:
-        (m/s, m/s, rad/s).
-    """
-    e_x, e_y, e_th = error[..., 0], error[..., 1], error[..., 2]
-    v, w = _split(body_velocity(wheels, slip, track_width))
-    V, Om = _split(body_velocity(reference_wheels, 0.0, track_width))
-    rates = w * e_y + V * jnp.cos(e_th) - v, -w * e_x + V * jnp.sin(e_th), Om - w
-    return jnp.stack(jnp.broadcast_arrays(*rates), axis=-1)
-
-
 def advance(
     error: Float[Array, "... 3"],
     wheels: Float[Array, "... 2"],
@@ -93,8 +70,9 @@ def advance(
     track_width: float,
     dt: float,
 ) -> Float[Array, "... 3"]:
-    """Give the tracking error one period later, wheels, slip and reference held: exact, no
-    integration error.
+    """Return the tracking error one period later, with wheels, slip and reference held.
+
+    The arcs are exact: there is no integration error.
 
     Args:
         error: (longitudinal m, lateral m, heading rad) in the robot frame.
@@ -111,39 +89,46 @@ def advance(
     v, w = _split(body_velocity(wheels, slip, track_width))
     V, Om = _split(body_velocity(reference_wheels, 0.0, track_width))
     reference_motion = _rotate(_chord(V, Om, dt), error[..., 2])
-    position = _rotate(error[..., :2] + reference_motion - _chord(v, w, dt), -dt * w)
+    robot_motion = _chord(v, w, dt)
+    seen_from_start = error[..., :2] + reference_motion - robot_motion
+    position = _rotate(seen_from_start, -dt * w)
     heading = error[..., 2] + dt * (Om - w)
     return jnp.concatenate([position, heading[..., None]], axis=-1)
 
 
 def sinc(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Give sin(x) / x, x in rad, with value and derivatives exact to rounding, also near zero."""
-    near = jnp.abs(x) < 0.3  # here the first term left out of the series is below 1e-16
-    y = jnp.where(near, x, 0.0) ** 2
-    series = 1.0 - y / 6.0 * (
-        1.0 - y / 20.0 * (1.0 - y / 42.0 * (1.0 - y / 72.0 * (1.0 - y / 110.0)))
+    """Return sin(x) / x, x in rad; value and derivatives are exact to rounding, also near zero."""
+    is_near = jnp.abs(x) < SERIES_END
+    square = jnp.where(is_near, x, 0.0) ** 2
+    series = 1.0 - square / 6.0 * (
+        1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0 * (1.0 - square / 110.0)))
     )
     # Both branches are differentiated, so the one not taken must stay finite.
-    far = jnp.where(near, 1.0, x)
-    return jnp.where(near, series, jnp.sin(far) / far)
+    far = jnp.where(is_near, 1.0, x)
+    return jnp.where(is_near, series, jnp.sin(far) / far)
 
 
 def _chord(
     speed: Float[Array, "..."], yaw_rate: Float[Array, "..."], dt: float
 ) -> Float[Array, "... 2"]:
-    """Give the displacement along an arc, in the frame at its start."""
+    """Return the displacement along an arc, in the frame at its start, m."""
     half_turn = dt * yaw_rate / 2.0
     length = dt * speed * sinc(half_turn)
-    return jnp.stack([length * jnp.cos(half_turn), length * jnp.sin(half_turn)], axis=-1)
+    along = length * jnp.cos(half_turn)
+    sideways = length * jnp.sin(half_turn)
+    return jnp.stack([along, sideways], axis=-1)
 
 
 def _rotate(vector: Float[Array, "... 2"], angle: Float[Array, "..."]) -> Float[Array, "... 2"]:
-    """Turn plane vectors to the left by an angle in rad."""
+    """Rotate plane vectors to the left by an angle in rad."""
     x, y = _split(vector)
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return jnp.stack([c * x - s * y, s * x + c * y], axis=-1)
+    cosine = jnp.cos(angle)
+    sine = jnp.sin(angle)
+    rotated_x = cosine * x - sine * y
+    rotated_y = sine * x + cosine * y
+    return jnp.stack([rotated_x, rotated_y], axis=-1)
 
 
 def _split(pair: Float[Array, "... 2"]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Give the two coordinates of the last axis."""
+    """Return the two coordinates of the last axis."""
     return pair[..., 0], pair[..., 1]

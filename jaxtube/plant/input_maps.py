@@ -1,13 +1,13 @@
 """Input maps: what the controller's virtual inputs mean, as speed and yaw rate commanded to the
 robot.
 
-    paper         v = V - u1                                                         om = Om - u2
-    cosine_free   v = V cos e_th - u1                                                om = Om - u2
-    x_exact       T v sinc(a) = cos a e_x + sin a e_y + T V s cos psi - (e_x + T Om e_y + T u1),   om = Om - u2
+    paper         v = V - u1
+    cosine_free   v = V cos e_th - u1
+    x_exact       T v sinc(a) = cos a e_x + sin a e_y + T V s cos psi - (e_x + T Om e_y + T u1)
 
-with a = T om, A = T Om, s = sinc(A / 2) and psi = e_th + A / 2 - a. Over a period without slip
-error `x_exact` gives e_x+ = e_x + T Om e_y + T u1 and e_th+ = e_th + T u2 exactly: the lateral
-error alone stays nonlinear,
+and om = Om - u2 in all of them, with a = T om, A = T Om, s = sinc(A / 2) and psi = e_th + A / 2 - a. Over a period without slip
+error `x_exact` gives e_x+ = e_x + T Om e_y + T u1 and e_th+ = e_th + T u2 exactly: only the lateral
+error stays nonlinear,
 
     e_y+ = e_y - tan(a / 2) (e_x + e_x+) + T V s sin(e_th + T u2 / 2) / cos(a / 2).
 
@@ -15,6 +15,8 @@ Each map returns the paper's (V - v, Om - om), which `wheel_commands` turns into
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (5), (7)-(8) for `paper`; the others are new.
 """
+
+from typing import NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
@@ -24,8 +26,21 @@ from jaxtube.plant.error_dynamics import sinc
 from jaxtube.plant.robot import body_velocity
 
 LEAST_SINC = 0.1
-"""Floor of sinc(a) where `x_exact` divides by it: met beyond 2.8 rad of turn a period, where no map
-makes sense."""
+"""Floor of sinc(a) where `x_exact` divides by it. The floor acts beyond a turn of 2.8 rad in one
+period, where no map makes sense."""
+
+
+class MapArguments(NamedTuple):
+    """Arguments of an input map, of one shape."""
+
+    u1: Float[Array, "..."]  # first virtual input, m/s
+    u2: Float[Array, "..."]  # second virtual input, rad/s
+    e_x: Float[Array, "..."]  # longitudinal error, m
+    e_y: Float[Array, "..."]  # lateral error, m
+    e_th: Float[Array, "..."]  # heading error, rad
+    V: Float[Array, "..."]  # speed of the reference, m/s
+    Om: Float[Array, "..."]  # yaw rate of the reference, rad/s
+    T: float  # period, s
 
 
 def acting_input(
@@ -36,7 +51,7 @@ def acting_input(
     track_width: float,
     dt: float,
 ) -> Float[Array, "... 2"]:
-    """Give the deficits of speed and yaw rate that a controller's virtual input asks for.
+    """Return the deficits of speed and yaw rate that a controller's virtual input asks for.
 
     Args:
         input_map: a name of `INPUT_MAPS`.
@@ -50,32 +65,44 @@ def acting_input(
         (V - v m/s, Om - om rad/s), to be passed to `wheel_commands`; finite for finite arguments.
     """
     reference = body_velocity(reference_wheels, 0.0, track_width)
-    columns = (
-        array[..., i] for array in (virtual_input, error, reference) for i in range(array.shape[-1])
+    columns = jnp.broadcast_arrays(
+        virtual_input[..., 0],
+        virtual_input[..., 1],
+        error[..., 0],
+        error[..., 1],
+        error[..., 2],
+        reference[..., 0],
+        reference[..., 1],
     )
-    u1, u2, e_x, e_y, e_th, V, Om = jnp.broadcast_arrays(*columns)
-    return jnp.stack([INPUT_MAPS[input_map](u1, u2, (e_x, e_y, e_th), V, Om, dt), u2], axis=-1)
+    arguments = MapArguments(*columns, T=dt)
+    speed_deficit = INPUT_MAPS[input_map](arguments)
+    return jnp.stack([speed_deficit, arguments.u2], axis=-1)
 
 
-def _paper(u1, u2, error, V, Om, dt):
-    return u1
+def _paper(arguments: MapArguments) -> Float[Array, "..."]:
+    """Return V - v = u1."""
+    return arguments.u1
 
 
-def _cosine_free(u1, u2, error, V, Om, dt):
+def _cosine_free(arguments: MapArguments) -> Float[Array, "..."]:
+    """Return V - v = u1 + V (1 - cos e_th)."""
+    u1, _, _, _, e_th, V, _, _ = arguments
     # 2 sin^2(e_th / 2) is 1 - cos e_th without its cancellation near zero.
-    return u1 + V * 2.0 * jnp.sin(error[2] / 2.0) ** 2
+    return u1 + V * 2.0 * jnp.sin(e_th / 2.0) ** 2
 
 
-def _x_exact(u1, u2, error, V, Om, dt):
-    e_x, e_y, e_th = error
-    A, a = dt * Om, dt * (Om - u2)
-    along = e_th + A / 2.0 - a
-    travelled = (
-        -2.0 * jnp.sin(a / 2.0) ** 2 * e_x
-        + (jnp.sin(a) - A) * e_y
-        + dt * V * sinc(A / 2.0) * jnp.cos(along)
-    )
-    return V - (travelled / dt - u1) / jnp.maximum(sinc(a), LEAST_SINC)
+def _x_exact(arguments: MapArguments) -> Float[Array, "..."]:
+    """Return V - v of the map that makes the longitudinal row exact (module docstring)."""
+    u1, u2, e_x, e_y, e_th, V, Om, T = arguments
+    reference_turn = T * Om
+    turn = T * (Om - u2)
+    chord_direction = e_th + reference_turn / 2.0 - turn
+    reference_travel = T * V * sinc(reference_turn / 2.0) * jnp.cos(chord_direction)
+    # -2 sin^2(a / 2) is cos a - 1 without its cancellation near zero.
+    from_e_x = -2.0 * jnp.sin(turn / 2.0) ** 2 * e_x
+    from_e_y = (jnp.sin(turn) - reference_turn) * e_y
+    travel = from_e_x + from_e_y + reference_travel
+    return V - (travel / T - u1) / jnp.maximum(sinc(turn), LEAST_SINC)
 
 
 INPUT_MAPS = {"paper": _paper, "cosine_free": _cosine_free, "x_exact": _x_exact}

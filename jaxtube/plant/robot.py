@@ -4,9 +4,9 @@ inputs.
     v = (v_r (1 - i_r) + v_l (1 - i_l)) / 2        w = (v_r (1 - i_r) - v_l (1 - i_l)) / b
     u1 = V - v                                     u2 = Om - w
 
-Wheels are (right v_r, left v_l) in m/s, slips (right i_r, left i_l) without unit (0.2: a fifth of
-the wheel's travel is lost), b the track width in m; V, Om are speed and yaw rate of the reference.
-All arrays end in the coordinate and broadcast over leading axes.
+Wheels are (right v_r, left v_l) in m/s. Slips are (right i_r, left i_l), fractions of the wheel's
+travel: at 0.2 a fifth of it is lost. b is the track width in m; V, Om are speed and yaw rate of the
+reference. All arrays end in the coordinate and broadcast over leading axes.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(2), (5), (7)-(8).
 """
@@ -38,7 +38,7 @@ class Robot:
 def body_velocity(
     wheels: Float[Array, "... 2"], slip: Float[Array, "... 2"] | float, track_width: float
 ) -> Float[Array, "... 2"]:
-    """Give the speed and yaw rate of the body, eqs. (1)-(2).
+    """Return the speed and yaw rate of the body, eqs. (1)-(2).
 
     Args:
         wheels: wheel speeds (right, left), m/s.
@@ -48,9 +48,12 @@ def body_velocity(
     Returns:
         (speed m/s, forwards positive; yaw rate rad/s, left positive).
     """
-    ground = wheels * (1.0 - slip)
-    right, left = ground[..., 0], ground[..., 1]
-    return jnp.stack([(right + left) / 2.0, (right - left) / track_width], axis=-1)
+    ground_speeds = wheels * (1.0 - slip)
+    right = ground_speeds[..., 0]
+    left = ground_speeds[..., 1]
+    speed = (right + left) / 2.0
+    yaw_rate = (right - left) / track_width
+    return jnp.stack([speed, yaw_rate], axis=-1)
 
 
 def virtual_input(
@@ -59,7 +62,7 @@ def virtual_input(
     slip: Float[Array, "... 2"] | float,
     track_width: float,
 ) -> Float[Array, "... 2"]:
-    """Give what the body lacks of the reference's velocity, eq. (5).
+    """Return by how much the body falls short of the reference's velocity, eq. (5).
 
     Args:
         wheels: wheel speeds (right, left), m/s.
@@ -71,9 +74,9 @@ def virtual_input(
         (speed deficit m/s, yaw rate deficit rad/s); positive: slower, turning less to the left than
         the reference. Exact inverse of `wheel_commands` for the same slip.
     """
-    return body_velocity(reference_wheels, 0.0, track_width) - body_velocity(
-        wheels, slip, track_width
-    )
+    reference_velocity = body_velocity(reference_wheels, 0.0, track_width)
+    velocity = body_velocity(wheels, slip, track_width)
+    return reference_velocity - velocity
 
 
 def wheel_commands(
@@ -82,7 +85,7 @@ def wheel_commands(
     measured_slip: Float[Array, "... 2"] | float,
     track_width: float,
 ) -> Float[Array, "... 2"]:
-    """Give the wheel speeds that realise a virtual input under the measured slip, eqs. (7)-(8).
+    """Return the wheel speeds that realise a virtual input under the measured slip, eqs. (7)-(8).
 
     Args:
         virtual_input: (speed deficit m/s, yaw rate deficit rad/s).
@@ -94,9 +97,12 @@ def wheel_commands(
     Returns:
         Wheel speeds (right, left), m/s, not saturated.
     """
-    speed_deficit, yaw_rate_deficit = virtual_input[..., 0], virtual_input[..., 1]
+    speed_deficit = virtual_input[..., 0]
+    yaw_rate_deficit = virtual_input[..., 1]
     turning = track_width / 2.0 * yaw_rate_deficit
-    wheel_deficits = jnp.stack([speed_deficit + turning, speed_deficit - turning], axis=-1)
+    right_deficit = speed_deficit + turning
+    left_deficit = speed_deficit - turning
+    wheel_deficits = jnp.stack([right_deficit, left_deficit], axis=-1)
     return (reference_wheels - wheel_deficits) / (1.0 - measured_slip)
 
 
@@ -114,7 +120,7 @@ def saturate(wheels: Float[Array, "... 2"], robot: Robot) -> Float[Array, "... 2
 
 
 def wheel_positions(pose: Float[Array, "... 3"], track_width: float) -> Float[Array, "... 2 2"]:
-    """Give the points where the two wheels touch the ground.
+    """Return the points where the two wheels touch the ground.
 
     Args:
         pose: (x m, y m, heading rad) of the robot in the world frame.
@@ -123,8 +129,11 @@ def wheel_positions(pose: Float[Array, "... 3"], track_width: float) -> Float[Ar
     Returns:
         Points (right, left) in the last axis but one, each (x m, y m) in the world frame.
     """
-    x, y, heading = pose[..., 0], pose[..., 1], pose[..., 2]
-    offset_x, offset_y = track_width / 2.0 * jnp.sin(heading), track_width / 2.0 * jnp.cos(heading)
+    x = pose[..., 0]
+    y = pose[..., 1]
+    heading = pose[..., 2]
+    offset_x = track_width / 2.0 * jnp.sin(heading)
+    offset_y = track_width / 2.0 * jnp.cos(heading)
     right = jnp.stack([x + offset_x, y - offset_y], axis=-1)
     left = jnp.stack([x - offset_x, y + offset_y], axis=-1)
     return jnp.stack([right, left], axis=-2)

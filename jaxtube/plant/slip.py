@@ -4,21 +4,18 @@ them.
     true     = nominal (1 + relative_error xi_true)
     measured = nominal (1 + relative_error xi_measured)        xi in [-1, 1]^2, (right, left)
 
-A process says how xi evolves: afresh at each step, constant, as a bounded random walk, tied to the
-ground, at the extremes of its range, or against the robot. Which of the two slips varies is
-`random`: "true", "measured" or "both" (then independently, but for the adversary, who is one).
+A slip process says how xi evolves: one of those named in `jaxtube.plant.slip_processes`, or any
+other object that fits `SlipProcess`. Which of the two slips varies is `random`: "true", "measured"
+or "both" (then independently, except under an opposed process such as the adversary).
 
 Each draw is a pure function of seed, realisation, purpose and step, or patch of ground, by
-`jax.random.fold_in` (Salmon, Moraes, Dror, Shaw 2011); what the adversary makes of its draw depends
-on the tracking error too. All functions are for one realisation; the caller vmaps them.
+`jax.random.fold_in` (Salmon, Moraes, Dror, Shaw 2011); an adversary's choice depends on the
+tracking error too. All functions are for one realisation; the caller vmaps them.
 
-Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV (slip measurements vary by 10 %); the
-processes are new.
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV (slip measurements vary by 10 %).
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -26,16 +23,19 @@ from jax import Array
 from jax.typing import DTypeLike
 from jaxtyping import Float, Key
 
-from jaxtube.plant import adversary
+TRUE_SLIP = 0
+MEASURED_SLIP = 1
+POSE_NOISE = 2
+"""The streams of one realisation, one a purpose."""
 
-# Purposes: the streams of one realisation.
-TRUE_SLIP, MEASURED_SLIP, POSE_NOISE = 0, 1, 2
-# The stream of a process starts with this number, which no step reaches.
 START = 0xFFFFFFFF
+"""Number with which the stream of a process starts; no step reaches it."""
 
 RANDOM_SLIPS = ("true", "measured", "both")
 
-State = tuple[Array, ...]
+Memory = Any
+"""What a process keeps between steps: a pytree of arrays, of the same structure, shapes and dtypes
+at every step; () for none."""
 
 
 class Situation(NamedTuple):
@@ -45,133 +45,71 @@ class Situation(NamedTuple):
     errors: Float[Array, "3"]  # true tracking error, (m, m, rad)
 
 
-@dataclass(frozen=True)
-class Process:
-    """How the deviation xi of one slip evolves, for both wheels.
+class SlipProcess(Protocol):
+    """How the deviation xi of one slip evolves, for both wheels of one realisation.
 
-    Attributes:
-        initial: (key, dtype) -> state before the first step.
-        deviation: (key, step, state, situation) -> (xi (right, left) in [-1, 1], next state); xi
-            has the dtype of the situation.
-        opposed: the true slip follows `deviation` and the measured one its negative, from the same
-            draws: a measured slip that is too large drives the wheel faster, a true one lets it
-            lose more.
+    Both methods run inside `jax.jit`, `jax.vmap` over realisations and `jax.lax.scan` over steps.
+    They must be pure: every random number comes from the key, by `jax.random.fold_in`. The process
+    itself is a static argument of compiled programs and hence hashable; a frozen dataclass of plain
+    numbers is, and compares by value, so that equal processes share one compilation.
+
+    A wheel that loses its grip step by step:
+
+        @dataclass(frozen=True)
+        class Fading:
+            rate: float = 0.01  # per step
+            opposed = False
+
+            def initial(self, key, dtype):
+                return ()
+
+            def draw(self, key, step, memory, situation):
+                xi = jnp.minimum(self.rate * step, 1.0)
+                return jnp.full(2, xi, situation.errors.dtype), memory
     """
 
-    initial: Callable[[Key[Array, ""], DTypeLike], State]
-    deviation: Callable[..., tuple[Float[Array, "2"], State]]
-    opposed: bool = False
+    @property
+    def opposed(self) -> bool:
+        """Whether the measured slip deviates by the negative of `draw`, from the draws of the true
+        one.
 
+        A measured slip that is too large drives the wheel faster; a true one that is too large lets
+        it lose more. A process that acts against the robot is opposed; where chance alone decides,
+        the two slips are independent.
+        """
+        ...
 
-def iid() -> Process:
-    """Draw each wheel afresh at each step, uniformly."""
+    def initial(self, key: Key[Array, ""], dtype: DTypeLike) -> Memory:
+        """Return the memory before the first step.
 
-    def deviation(key, step, state, situation):
-        return _uniform(jax.random.fold_in(key, step), (2,), situation.errors.dtype), state
+        Args:
+            key: of this slip in this realisation, the same as in `draw`.
+            dtype: of the memory's real numbers.
+        """
+        ...
 
-    return Process(_stateless, deviation)
+    def draw(
+        self, key: Key[Array, ""], step: Array | int, memory: Memory, situation: Situation
+    ) -> tuple[Float[Array, "2"], Memory]:
+        """Return the deviation of one step and the next memory.
 
+        Args:
+            key: of this slip in this realisation; fold the step in for a fresh draw.
+            step: number of the step, from 0.
+            memory: what `initial` or the last step returned.
+            situation: where robot and wheels are.
 
-def constant() -> Process:
-    """Draw each wheel once per realisation, uniformly."""
-
-    def deviation(key, step, state, situation):
-        return _uniform(jax.random.fold_in(key, START), (2,), situation.errors.dtype), state
-
-    return Process(_stateless, deviation)
-
-
-def walk(step_size: float = 0.1) -> Process:
-    """Let each wheel walk at random between reflecting walls at -1 and 1.
-
-    Args:
-        step_size: a step is uniform within +-step_size, in (0, 2].
-
-    Returns:
-        A process that is uniform in [-1, 1] at every step, from the first on.
-    """
-    _refuse_unless(0.0 < step_size <= 2.0, "step_size", step_size, "choose it in (0, 2]")
-
-    def initial(key, dtype):
-        return (_uniform(jax.random.fold_in(key, START), (2,), dtype),)
-
-    def deviation(key, step, state, situation):
-        (xi,) = state
-        moved = xi + step_size * _uniform(jax.random.fold_in(key, step), (2,), xi.dtype)
-        return xi, (jnp.where(jnp.abs(moved) > 1.0, jnp.sign(moved) * 2.0 - moved, moved),)
-
-    return Process(initial, deviation)
-
-
-def patches(patch_size: float = 1.0) -> Process:
-    """Tie the slip to the ground: square patches, each with its own deviation for whatever wheel
-    stands on it.
-
-    Args:
-        patch_size: side of a patch, m, positive.
-
-    Returns:
-        A process without memory: passing again over the same ground meets the same slip.
-    """
-    _refuse_unless(patch_size > 0.0, "patch_size", patch_size, "give a positive length in m")
-
-    def deviation(key, step, state, situation):
-        def under(position):
-            column, row = jnp.floor(position / patch_size).astype(jnp.int32)
-            return _uniform(
-                jax.random.fold_in(jax.random.fold_in(key, column), row), (), position.dtype
-            )
-
-        return jax.vmap(under)(situation.wheel_positions), state
-
-    return Process(_stateless, deviation)
-
-
-def vertex() -> Process:
-    """Draw each wheel afresh at each step, -1 or 1 with equal chance."""
-
-    def deviation(key, step, state, situation):
-        return jax.random.rademacher(
-            jax.random.fold_in(key, step), (2,), situation.errors.dtype
-        ), state
-
-    return Process(_stateless, deviation)
-
-
-def adversarial() -> Process:
-    """Act against the robot, each realisation by a scheme of its own (`jaxtube.plant.adversary`)."""
-
-    def initial(key, dtype):
-        return adversary.draw_scheme(jax.random.fold_in(key, START), dtype)
-
-    def deviation(key, step, state, situation):
-        right, left = situation.wheel_positions
-        track_width = jnp.hypot(right[0] - left[0], right[1] - left[1])
-        direction = adversary.pushed_direction(state, step, situation.errors)
-        return adversary.worst_vertex(direction, situation.errors, track_width), state
-
-    return Process(initial, deviation, opposed=True)
-
-
-PROCESSES = {
-    "iid": iid,
-    "constant": constant,
-    "walk": walk,
-    "patches": patches,
-    "vertex": vertex,
-    "adversarial": adversarial,
-}
-
-
-def find_process(process: str | Process) -> Process:
-    """Return the slip process of a name, or the process itself."""
-    return PROCESSES[process]() if isinstance(process, str) else process
+        Returns:
+            (xi (right, left) in [-1, 1], next memory); xi has the dtype of `situation.errors`. A xi
+            beyond 1 is a slip error beyond the one that sets and certificates know.
+        """
+        ...
 
 
 def realisation_key(
     seed_key: Key[Array, ""], index_high: Array | int, index_low: Array | int
 ) -> Key[Array, ""]:
-    """Give the key of one realisation.
+    """Return the key of one realisation.
 
     Args:
         seed_key: key of the whole experiment.
@@ -186,66 +124,67 @@ def realisation_key(
 
 
 def initial_slip(
-    run_key: Key[Array, ""], process: Process, dtype: DTypeLike = float
-) -> tuple[State, State]:
-    """Start the true and the measured slip of one realisation.
+    run_key: Key[Array, ""], process: SlipProcess, dtype: DTypeLike = float
+) -> tuple[Memory, Memory]:
+    """Return the memories of the true and the measured slip before the first step.
 
     Args:
         run_key: key of the realisation.
         process: how deviations evolve.
-        dtype: of the state's numbers.
+        dtype: of the memories' real numbers.
 
     Returns:
-        The pair of states that `draw_slip` takes first.
+        The pair of memories that `draw_slip` takes first.
     """
     true_key, measured_key = _slip_keys(run_key, process)
-    return process.initial(true_key, dtype), process.initial(measured_key, dtype)
+    true_memory = process.initial(true_key, dtype)
+    measured_memory = process.initial(measured_key, dtype)
+    return true_memory, measured_memory
 
 
 def draw_slip(
     run_key: Key[Array, ""],
     step: Array | int,
-    state: tuple[State, State],
+    memory: tuple[Memory, Memory],
     situation: Situation,
-    process: Process,
+    process: SlipProcess,
     random: str,
-) -> tuple[Float[Array, "2"], Float[Array, "2"], tuple[State, State]]:
+) -> tuple[Float[Array, "2"], Float[Array, "2"], tuple[Memory, Memory]]:
     """Draw the deviations of the true and the measured slip at one step.
 
     Args:
         run_key: key of the realisation.
         step: number of the step, from 0.
-        state: what `initial_slip` or the last step returned.
+        memory: what `initial_slip` or the last step returned.
         situation: where robot and wheels are.
         process: how deviations evolve.
         random: which slip varies, "true", "measured" or "both"; the other's deviation is 0.
 
     Returns:
-        (xi_true, xi_measured, next state); xi is (right, left) in [-1, 1].
+        (xi_true, xi_measured, next memory); xi is (right, left) in [-1, 1].
 
     Raises:
         ValueError: when `random` is none of the three.
     """
-    _refuse_unless(
-        random in RANDOM_SLIPS, "random", random, f"choose one of {', '.join(RANDOM_SLIPS)}"
-    )
+    choices = ", ".join(RANDOM_SLIPS)
+    _refuse_unless(random in RANDOM_SLIPS, "random", random, f"choose one of {choices}")
     true_key, measured_key = _slip_keys(run_key, process)
-    true_state, measured_state = state
-    xi_true = xi_measured = jnp.zeros(2, situation.errors.dtype)
+    true_memory, measured_memory = memory
+    nothing = jnp.zeros(2, situation.errors.dtype)
+    xi_true = nothing
+    xi_measured = nothing
     if random != "measured":
-        xi_true, true_state = process.deviation(true_key, step, true_state, situation)
+        xi_true, true_memory = process.draw(true_key, step, true_memory, situation)
     if random != "true":
-        xi_measured, measured_state = process.deviation(
-            measured_key, step, measured_state, situation
-        )
+        xi_measured, measured_memory = process.draw(measured_key, step, measured_memory, situation)
         xi_measured = -xi_measured if process.opposed else xi_measured
-    return xi_true, xi_measured, (true_state, measured_state)
+    return xi_true, xi_measured, (true_memory, measured_memory)
 
 
 def deviated(
     nominal_slip: Float[Array, "... 2"], relative_error: float, xi: Float[Array, "... 2"]
 ) -> Float[Array, "... 2"]:
-    """Give the slip that deviates from the nominal one.
+    """Return the slip that deviates from the nominal one.
 
     Args:
         nominal_slip: (right, left).
@@ -261,7 +200,7 @@ def deviated(
 def pose_noise(
     run_key: Key[Array, ""], step: Array | int, half_widths: Float[Array, "3"]
 ) -> Float[Array, "3"]:
-    """Draw the noise of one pose measurement.
+    """Draw the noise of one pose measurement, in the robot's frame.
 
     Args:
         run_key: key of the realisation.
@@ -272,23 +211,22 @@ def pose_noise(
         (m, m, rad), within the box.
     """
     key = jax.random.fold_in(jax.random.fold_in(run_key, POSE_NOISE), step)
-    return half_widths * _uniform(key, (3,), half_widths.dtype)
+    return half_widths * draw_uniform(key, (3,), half_widths.dtype)
 
 
-def _slip_keys(run_key: Key[Array, ""], process: Process) -> tuple[Key[Array, ""], Key[Array, ""]]:
-    """Give the streams of the true and the measured slip: one for both where they are opposed."""
+def _slip_keys(
+    run_key: Key[Array, ""], process: SlipProcess
+) -> tuple[Key[Array, ""], Key[Array, ""]]:
+    """Return the streams of the true and the measured slip: one for both where they are opposed."""
     true_key = jax.random.fold_in(run_key, TRUE_SLIP)
-    return true_key, true_key if process.opposed else jax.random.fold_in(run_key, MEASURED_SLIP)
+    if process.opposed:
+        return true_key, true_key
+    return true_key, jax.random.fold_in(run_key, MEASURED_SLIP)
 
 
-def _uniform(key: Key[Array, ""], shape: tuple[int, ...], dtype: DTypeLike) -> Array:
+def draw_uniform(key: Key[Array, ""], shape: tuple[int, ...], dtype: DTypeLike) -> Array:
     """Draw uniformly from [-1, 1)."""
     return jax.random.uniform(key, shape, dtype, -1.0, 1.0)
-
-
-def _stateless(key: Key[Array, ""], dtype: DTypeLike) -> State:
-    """Start a process that keeps nothing between steps."""
-    return ()
 
 
 def _refuse_unless(valid: bool, field: str, value: object, cure: str) -> None:

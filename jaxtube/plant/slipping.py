@@ -34,6 +34,7 @@ from jaxtube.plant.protocol import (
     script_entry,
 )
 from jaxtube.plant.robot import Robot, saturate, wheel_positions
+from jaxtube.plant.slip_processes import find_process
 
 DRAWN = "drawn"
 """Name of what is drawn at random, for reverse mode to keep: drawing again costs more than all else
@@ -74,7 +75,7 @@ class SlippingRobot:
         relative_error: greatest deviation of a slip, as a fraction of the nominal one.
         noise: half widths (m, m, rad) of the pose noise in the robot's frame, None for an exact
             measurement.
-        process: how deviations evolve: a name of `slip.PROCESSES`, or a process of your own.
+        process: how deviations evolve: a name of `slip_processes.PROCESSES`, or one of your own.
         random: which slip deviates, "true", "measured" or "both".
     """
 
@@ -85,14 +86,14 @@ class SlippingRobot:
     nominal_slip: Float[Array, "2"]
     relative_error: float
     noise: Float[Array, "3"] | None = None
-    process: str | slips.Process = "iid"
+    process: str | slips.SlipProcess = "iid"
     random: str = "true"
 
     has_wheels = True
 
     def initial(self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> SlipMemory:
         """Return the memory of the slip processes."""
-        process = slips.find_process(self.process)
+        process = find_process(self.process)
         memory = jax.vmap(lambda key: slips.initial_slip(key, process, errors.dtype))(keys)
         none = jnp.zeros_like(errors[:, :2])
         return SlipMemory(memory, none, none)
@@ -119,7 +120,7 @@ class SlippingRobot:
         self, keys: Key[Array, " batch"], step, memory: SlipMemory, errors: Float[Array, "batch 3"]
     ) -> SlipMemory:
         """Draw the deviations of the slips of one period."""
-        process = slips.find_process(self.process)
+        process = find_process(self.process)
 
         def draw(key, memory_of_one, situation):
             return slips.draw_slip(key, step, memory_of_one, situation, process, self.random)
