@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
@@ -58,7 +58,7 @@ def _adapt(controller: Any, wheel_map: WheelMap) -> Controller:
                 f"controller = {controller!r}: is neither a law u = f(errors, reference_wheels) "
                 "nor an object with `initial` and `act`; give one of them"
             )
-        return Feedback(controller, wheel_map)
+        return Feedback(cast(Law, controller), wheel_map)
     is_pytree = not jax.tree_util.all_leaves([controller])
     return controller if is_pytree else Unregistered(controller)
 
