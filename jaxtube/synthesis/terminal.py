@@ -25,10 +25,11 @@ from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.tightening import BACK_OFF, Tightening
 from jaxtube.synthesis.tubes import Tube
 from sets import tubes
-from sets.invariant import MaximalRpi, SupportFunction, few_facet_rpi, maximal_rpi
+from sets.few_facets import few_facet_rpi
+from sets.invariant import MaximalRpi, maximal_rpi
 from sets.lmi import TerminalCost, terminal_cost
 from sets.lyapunov import cost_of_gains
-from sets.polytope import Polytope
+from sets.polytope import Polytope, SupportFunction
 
 FACET_MULTIPLES = (1, 2)
 """Facets that the invariant set used on line may have, times `terminal_facets`: every one of them

@@ -9,7 +9,8 @@ from paper_problem import W, terminal_problem
 from scipy.optimize import linprog
 from tolerances import CLOSED_FORM, MAXIMAL_SET, SUPPORT_PROGRAM, TUBE_ROUNDING
 
-from sets.invariant import INFLATION, few_facet_rpi, maximal_rpi, minimal_rpi_bound
+from sets.few_facets import few_facet_rpi
+from sets.invariant import INFLATION, maximal_rpi, minimal_rpi_bound
 from sets.polytope import Polytope
 from sets.tubes import hull_tube
 
