@@ -115,7 +115,7 @@ def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tighten
     disturbance = tubes.Section((problem.disturbance_set.vertices(),), 3)
     admissible = admissible_set(problem, gains)
     if kind == "T-B":
-        disturbance = tubes.propagated(tube.gain.loops, problem.disturbance_set, N - 1)[-1]
+        disturbance = tubes.propagate(tube.gain.loops, problem.disturbance_set, N - 1)[-1]
         last_errors = problem.operating_set.offsets - tightening.error_reach[:, N - 1].max(axis=0)
         last_inputs = problem.input_rows.offsets - tightening.input_reach[:, N - 1].max(axis=0)
         admissible = admissible_set(problem, gains, last_errors, last_inputs)

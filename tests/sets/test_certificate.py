@@ -24,7 +24,7 @@ from sets.certificate import (
 from sets.invariant import maximal_rpi
 from sets.lmi import lqr_gain
 from sets.polytope import Polytope
-from sets.tubes import hull_tube, propagated, sequence_tube
+from sets.tubes import hull_tube, propagate, sequence_tube
 
 LOOPS = tube_loops()
 POINTS = W.vertices()
@@ -84,7 +84,7 @@ def test_pruning_does_not_change_the_reach(loops, steps, count):
 
 def test_reach_and_last_term_equal_those_of_the_tubes():
     rows = np.random.default_rng(2).normal(size=(5, 3))
-    hull, clouds = hull_tube(LOOPS, W, 7), propagated(LOOPS, W, 7)
+    hull, clouds = hull_tube(LOOPS, W, 7), propagate(LOOPS, W, 7)
     for row in rows:
         reach, last = reach_supports(LOOPS, POINTS, row, 7)
         np.testing.assert_allclose(

@@ -22,7 +22,7 @@ from sets.tubes import (
     hull_tube,
     input_support,
     paper_tube,
-    propagated,
+    propagate,
     sequence_support,
     sequence_tube,
     summed_tube,
@@ -174,7 +174,7 @@ def test_hull_is_the_greatest_reach_over_all_schedules(loops, disturbance):
 def test_summed_is_the_sum_of_the_hulls_of_all_products(loops, disturbance):
     rows = directions(40)
     total = np.zeros(len(rows))
-    clouds = propagated(loops, disturbance, N - 1)
+    clouds = propagate(loops, disturbance, N - 1)
     for j, section in enumerate(summed_tube(loops, disturbance, N)):
         np.testing.assert_allclose(section.support(rows), total, rtol=0, atol=TUBE_ROUNDING)
         if j < N:
