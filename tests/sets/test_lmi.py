@@ -15,7 +15,7 @@ from tolerances import GAP_LIMIT, GAP_ROUNDING, LQR_REFERENCE, RICCATI_COST, RIC
 from sets.lmi import (
     Objective,
     TerminalCost,
-    decrease_margin,
+    decrease_margins,
     lqr_gain,
     optimality_gap,
     terminal_cost,
@@ -87,7 +87,7 @@ def test_cost_is_symmetric_positive_and_decreases_at_every_vertex(case, objectiv
     P = terminal.cost
     assert np.array_equal(P, P.T)
     assert np.linalg.eigvalsh(P)[0] > 0
-    assert (decrease_margin(A, B, terminal.gains, P, Q, R) >= 0).all()
+    assert (decrease_margins(A, B, terminal.gains, P, Q, R) >= 0).all()
 
 
 @each_objective
@@ -172,13 +172,13 @@ def test_cost_is_proportional_to_the_weights(objective, unit):
         "logdet": scaled.value + 3 * np.log(unit),
     }
     assert merit[objective] == pytest.approx(terminal.value, rel=GAP_LIMIT)
-    assert (decrease_margin(A, B, scaled.gains, scaled.cost, unit * Q, unit * R) >= 0).all()
+    assert (decrease_margins(A, B, scaled.gains, scaled.cost, unit * Q, unit * R) >= 0).all()
 
 
 def test_margin_is_negative_where_the_cost_is_too_small():
     (A, B, Q, R), terminal = solved("paper", "trace_p")
-    assert (decrease_margin(A, B, terminal.gains, 0.99 * terminal.cost, Q, R) < 0).any()
-    assert (decrease_margin(A, B, 0 * terminal.gains, terminal.cost, Q, R) < 0).all()
+    assert (decrease_margins(A, B, terminal.gains, 0.99 * terminal.cost, Q, R) < 0).any()
+    assert (decrease_margins(A, B, 0 * terminal.gains, terminal.cost, Q, R) < 0).all()
 
 
 @pytest.mark.parametrize(
