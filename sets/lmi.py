@@ -117,9 +117,7 @@ def terminal_cost(
         except RuntimeError as refusal:
             failure = refusal
             continue
-        margins = decrease_margins(
-            A, B, terminal.gains, terminal.cost, error_weight, input_weight
-        )
+        margins = decrease_margins(A, B, terminal.gains, terminal.cost, error_weight, input_weight)
         if (margins >= 0).all():
             return terminal
     raise failure or RuntimeError(
@@ -310,7 +308,9 @@ def _solve(A, B, Q_factor, T, objective: Objective) -> tuple[np.ndarray, np.ndar
     return np.asarray(S.value), np.array([y.value for y in Y]), multipliers
 
 
-def _state_goal(cp: Any, S: Any, T: np.ndarray, objective: Objective) -> tuple[Any, list[Any], float]:
+def _state_goal(
+    cp: Any, S: Any, T: np.ndarray, objective: Objective
+) -> tuple[Any, list[Any], float]:
     """State the objective, scaled to order one, with the constraints it needs and the unit it was
     divided by."""
     if objective == "trace_s":
@@ -402,9 +402,7 @@ def _compute_root(weight: np.ndarray) -> np.ndarray:
     return (v * np.sqrt(w)) @ v.T
 
 
-def _raise_weights(
-    Q: np.ndarray, R: np.ndarray, share: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _raise_weights(Q: np.ndarray, R: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
     """Return Q and R with their eigenvalues raised to a share of the largest of both, those of Q to
     `WEIGHT_FLOOR` at least."""
     most_error = np.linalg.eigvalsh(Q)[-1]

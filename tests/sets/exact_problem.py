@@ -10,12 +10,12 @@ import numpy as np
 from sets.exact import exact_row
 from sets.invariant import maximal_rpi
 from sets.polytope import Polytope
-from sets.robot.exact_tube import schedule_box, vertex_feedbacks, vertex_loops
+from sets.robot.exact_tube import exact_vertex_feedbacks, exact_vertex_loops, schedule_box
 
 DT, WIDTH, GAINS, HORIZON = 0.1, 0.5, (3.0, 6.5, 6.5), 5
 SLOW, FAST = 1.224, 1.496
 BOX = schedule_box((SLOW, SLOW), (FAST, FAST), DT, WIDTH)
-LOOPS, FEEDBACKS = vertex_loops(GAINS, BOX, DT), vertex_feedbacks(GAINS, BOX)
+LOOPS, FEEDBACKS = exact_vertex_loops(GAINS, BOX, DT), exact_vertex_feedbacks(GAINS, BOX)
 KICK = (Fraction(0), Fraction(0.0208) * Fraction(0.068), Fraction(0.0208))
 NOISE = exact_row((8.90e-3, 19.26e-3, math.radians(0.04)))
 W = [tuple(sign * kick + side * width for kick, side, width in zip(KICK, sides, NOISE, strict=True))

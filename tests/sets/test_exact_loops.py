@@ -23,8 +23,8 @@ from exact_problem import (
 )
 from tolerances import EXACT_AGAINST_FLOAT, EXACT_ENCLOSURE, EXACT_JACOBIAN, EXACT_WHEEL_TRAVEL
 
-from sets.exact import exact_row, invariance_margin
-from sets.robot.exact_tube import schedule_box, tangent_ratio, vertex_loops, wheel_loops
+from sets.exact import exact_invariance_margin, exact_row
+from sets.robot.exact_tube import exact_vertex_loops, exact_wheel_loops, schedule_box, tangent_ratio
 
 
 @pytest.mark.parametrize("x", [0.0, 1e-9, 0.0272, -0.3, 0.77, 1.0, -1.0])
@@ -105,14 +105,14 @@ def travels(loop) -> tuple[Fraction, Fraction]:
     [((SLOW, SLOW), (FAST, FAST)), ((-0.5, 0.3), (0.5, 0.3)), ((0.2, 1.0), (0.4, 1.5))],
 )
 def test_loops_of_the_wheels_cover_every_schedule_of_the_box_closely(lower, upper):
-    vertices = [travels(loop) for loop in wheel_loops(GAINS, lower, upper, DT, WIDTH)]
+    vertices = [travels(loop) for loop in exact_wheel_loops(GAINS, lower, upper, DT, WIDTH)]
     corners = list(product(*zip(lower, upper, strict=True)))
     schedules = np.vstack([np.random.default_rng(5).uniform(lower, upper, size=(100, 2)), corners])
     found = []
     for schedule in schedules:
         found += [
             travels(loop)
-            for loop in vertex_loops(GAINS, schedule_box(schedule, schedule, DT, WIDTH), DT)
+            for loop in exact_vertex_loops(GAINS, schedule_box(schedule, schedule, DT, WIDTH), DT)
         ]
     for inside, bounds in zip(zip(*found, strict=True), zip(*vertices, strict=True), strict=True):
         assert min(bounds) <= min(inside) + Fraction(EXACT_ENCLOSURE)
@@ -123,8 +123,8 @@ def test_loops_of_the_wheels_cover_every_schedule_of_the_box_closely(lower, uppe
 
 
 def test_loops_of_the_wheels_leave_a_larger_invariant_set_than_turn_and_speed_apart():
-    loops = wheel_loops(GAINS, (SLOW, SLOW), (FAST, FAST), DT, WIDTH)
-    assert invariance_margin(OMEGA.normals, OMEGA.offsets, loops, W) > 0
+    loops = exact_wheel_loops(GAINS, (SLOW, SLOW), (FAST, FAST), DT, WIDTH)
+    assert exact_invariance_margin(OMEGA.normals, OMEGA.offsets, loops, W) > 0
     assert maximal(floats(loops), 1e-10).volume() > OMEGA.volume()
 
 
@@ -159,5 +159,5 @@ def test_the_loop_is_the_jacobian_of_the_sampled_robot(wheels):
         (sampled_step(step, *wheels) - sampled_step(-step, *wheels)) / 2e-5 for step in steps
     ]
     np.testing.assert_allclose(
-        np.transpose(columns), floats(vertex_loops(GAINS, here, DT))[0], atol=EXACT_JACOBIAN
+        np.transpose(columns), floats(exact_vertex_loops(GAINS, here, DT))[0], atol=EXACT_JACOBIAN
     )
