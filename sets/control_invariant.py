@@ -1,7 +1,8 @@
 """The maximal robust control invariant set: errors that some input, chosen anew each step, keeps
 within all limits.
 
-    C_0 = E,    C_{k+1} = the intersection over i of  {e in E : some u has  D u + C e <= d,  A_i e + B_i u + W in C_k}
+    C_0 = E,    C_{k+1} = the intersection over i of
+    {e in E : some u has  D u + C e <= d  and  A_i e + B_i u + W in C_k}
 
 for a controller that knows the pair (A_i, B_i) of the present step and none of the later ones,
 whose order is arbitrary. Every C_k contains the maximal set for the pairs given and, all the more,
@@ -47,7 +48,7 @@ class Limits:
     offsets: Float[np.ndarray, " k"]
 
 
-def control_invariant(
+def maximal_rci(
     transitions: Float[np.ndarray, "v n n"],
     inputs: Float[np.ndarray, "v n m"],
     error_set: Polytope,

@@ -4,7 +4,7 @@ Every float handed in stands for the binary rational it is. Floats only propose 
 polytope bound a direction; the multipliers are then solved for, and their signs read, as integers
 over a common denominator:
 
-    multipliers >= 0,  multipliers H = d      =>      d x <= multipliers h   for every x with H x <= h
+    multipliers >= 0,  multipliers H = d    =>    d x <= multipliers h  for all x with H x <= h
 
 Margins are in the units of the offsets; those >= 0 prove their condition, without any tolerance.
 Source: Farkas 1902 (multipliers). Loops of decoupled gains and tubes along a schedule:
@@ -109,7 +109,7 @@ class _Corner(NamedTuple):
 
 @lru_cache(maxsize=16)
 def _find_spanning(normals: Matrix) -> tuple[np.ndarray, np.ndarray]:
-    """Return all triples of rows that span the space, and the inverses of their normals as floats."""
+    """Return all triples of rows that span the space, and the inverses of their normals, floats."""
     rows = np.array(normals, dtype=float)
     triples = np.array(list(combinations(range(len(rows)), 3)), dtype=int).reshape(-1, 3)
     volumes = np.abs(np.linalg.det(rows[triples]))

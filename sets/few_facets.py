@@ -1,7 +1,9 @@
 """An invariant set of few facets, grown inside the maximal one by linear programs in its normals
 and its offsets.
 
-    {x : c_k x <= 1},  k <= facets,     c_k Phi_i y + h_W(c_k) <= 1   at every vertex y, for every loop Phi_i
+    {x : c_k x <= 1},  k <= facets,     c_k Phi_i y + h_W(c_k) <= 1  at every vertex y
+
+for every loop Phi_i.
 
 Notation: `dual` holds the rows c_k; the loops Phi_i and W are those of `sets.invariant`, and sets
 are built for (1 + INFLATION) W.

@@ -3,9 +3,9 @@ inequality a vertex.
 
 For e+ = A_i e + B_i u, u = Gamma^i e, find one P with
 
-    P - (A_i + B_i Gamma^i)^T P (A_i + B_i Gamma^i) >= Q + Gamma^iT R Gamma^i        at every vertex i.
+    P - (A_i + B_i Gamma^i)^T P (A_i + B_i Gamma^i) >= Q + Gamma^iT R Gamma^i
 
-With S = P^-1 and Y_i = Gamma^i S this is, by Schur complements,
+at every vertex i. With S = P^-1 and Y_i = Gamma^i S this is, by Schur complements,
 
     L_i(S, Y_i) = [ S                (A_i S + B_i Y_i)^T   S Q^(1/2)   Y_i^T R^(1/2) ]
                   [ A_i S + B_i Y_i   S                     0           0            ]

@@ -100,7 +100,7 @@ def centring(
 
 
 def symmetric_basis(n: int) -> Float[np.ndarray, "k n n"]:
-    """Return the matrices whose mixtures are the symmetric ones, upper triangle column by column."""
+    """Return a basis of the symmetric matrices, upper triangle column by column."""
     rows, columns = np.triu_indices(n)
     order = np.lexsort((rows, columns))
     rows, columns = rows[order], columns[order]

@@ -14,7 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -309,6 +309,7 @@ class Polytope:
         return value
 
 
+@runtime_checkable
 class HasSupport(Protocol):
     """A convex set that knows its support numbers, such as a `Polytope` or a tube's `Section`."""
 
@@ -327,13 +328,14 @@ def support_function(convex_set: ConvexSet, name: str = "convex_set") -> Support
     Raises:
         TypeError: it neither has nor is one; the message begins with `name`.
     """
-    support = getattr(convex_set, "support", convex_set)
-    if not callable(support):
-        raise TypeError(
-            f"{name}: {type(convex_set).__name__} has no support function; "
-            "give a Polytope or a function of directions"
-        )
-    return support
+    if isinstance(convex_set, HasSupport):
+        return convex_set.support
+    if callable(convex_set):
+        return convex_set
+    raise TypeError(
+        f"{name}: {type(convex_set).__name__} has no support function; "
+        "give a Polytope or a function of directions"
+    )
 
 
 def convex_hull(polytopes: Sequence[Polytope]) -> Polytope:

@@ -1,10 +1,12 @@
 """Tubes: sets that hold the deviation from a plan, j steps ahead, under every admissible
 disturbance and schedule.
 
-    R_0 = {0},    R_1 = W,    deviation+ = Phi(th) deviation + w,    w in W,    Phi(th) = A(th) + B K(th)
+    R_0 = {0},    R_1 = W,    deviation+ = Phi(th) deviation + w,    w in W
+
+with Phi(th) = A(th) + B K(th), Phi_i its values at the vertices of the box of schedules:
 
 * `paper`     R_{j+1} = Phi_n R_j + co{dV_min A_r R_j u dV_max A_r R_j} + co{... A_l ...} + W
-* `hull`      R_{j+1} = co u_i Phi_i R_j + W, the exact one-step set made convex, Phi_i over the vertices of the box
+* `hull`      R_{j+1} = co u_i Phi_i R_j + W, the exact one-step set made convex
 * `summed`    S_0 = W, S_{j+1} = co u_i Phi_i S_j, R_{j+1} = R_j + S_j
 * `sequence`  R_{j+1|k} = Phi(th_{k+j}) R_{j|k} + W along the known schedule
 
@@ -122,8 +124,8 @@ def hull_tube(
 def propagate(
     loops: Float[np.ndarray, "v n n"], disturbance: Polytope, steps: int
 ) -> list[Section]:
-    """Return S_0 .. S_steps, S_j being the convex hull of Psi_j W over every product Psi_j of j vertex
-    loops."""
+    """Return S_0 .. S_steps, S_j being the convex hull of Psi_j W over every product Psi_j of j
+    vertex loops."""
     _, step = _make_start(disturbance)
     clouds = [step]
     for _ in range(steps):

@@ -3,11 +3,11 @@ operating set.
 
     w = e_m+ - A(th) e_m - B(th) u  in  W = {sigma (0, g_y, 1) : |sigma| <= yaw} + box
 
-whenever measured errors e_m, inputs u and reference wheel speeds th lie in their boxes, wheel errors satisfy
-|d| <= D and pose noise |n| <= nu now and after. A yaw kick sigma also moves the robot sideways by
-g_y sigma, g_y = T V / 2 at the centre of the schedule, which is why W is a segment plus a box and
-not a larger box. The bounds are proved by interval arithmetic rounded outwards, and come with the
-largest values really found.
+whenever measured errors e_m, inputs u and reference wheel speeds th lie in their boxes, wheel
+errors satisfy |d| <= D and pose noise |n| <= nu now and after. A yaw kick sigma also moves the
+robot sideways by g_y sigma, g_y = T V / 2 at the centre of the schedule, which is why W is a
+segment plus a box and not a larger box. The bounds are proved by interval arithmetic rounded
+outwards, and come with the largest values really found.
 
 Notation and the parts of w: `sets.robot.plant`. Source: the idea of a computed W follows Gonzalez,
 Fiacchini, Guzman, Alamo 2009, section III, where W is given; the bound itself is new.

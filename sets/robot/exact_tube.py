@@ -112,7 +112,8 @@ def schedule_box(lower: Numbers, upper: Numbers, dt: float, track_width: float) 
     steepest = 2 * max(map(abs, turns)) * fastest * T / b
     if steepest > 1:
         raise ValueError(
-            f"dt: {dt} is too long: at these speeds {float(steepest):.3g} <= 1 must hold; shorten it"
+            f"dt: {dt} is too long: at these speeds {float(steepest):.3g} <= 1 must hold; "
+            "shorten it"
         )
     turn_low, _ = _scale_tangent(turns[0], turns[0])
     _, turn_high = _scale_tangent(turns[1], turns[1])
@@ -149,7 +150,7 @@ def _make_loop(gains: Row, turn: Fraction, advance: Fraction, T: Fraction) -> Ma
 
 
 def exact_vertex_loops(gains: Numbers, box: ScheduleBox, dt: float) -> list[Matrix]:
-    """Return Phi at the four vertices of (h, c); `gains` are k1 in 1/s, k2 in rad/s/m, k3 in 1/s."""
+    """Return Phi at the four vertices of (h, c); `gains`: k1 in 1/s, k2 in rad/s/m, k3 in 1/s."""
     k = exact_row(gains, "gains")
     T = Fraction(dt)
     vertices = product(box.turn, box.advance)
@@ -332,7 +333,8 @@ def sequence_margins(
         nonempty   the origin lies in every set used
         reach      used_j + h_{R_j}(c) <= offset of E, U;  T + R_N in Omega
         shifted    used_j + h_W(Psi^T c) <= used_{j-1} of the next window + slack,  j = 1 .. N-1
-        returns    T + Psi W, j = N, within the last E, U (after K) and T (after Phi) of the next window
+        returns    T + Psi W, j = N, within the last E, U (after K) and T (after Phi) of the next
+                   window
 
     The last two prove by themselves that a plan shifted by one step is admissible again. Tubes that
     meet `shifted` with equality need `slack` for the rounding of their offsets: it is granted, not

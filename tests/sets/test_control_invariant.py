@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import linprog
 from tolerances import CONTROL_INVARIANT
 
-from sets.control_invariant import SETTLED, Limits, control_invariant, predecessor
+from sets.control_invariant import SETTLED, Limits, maximal_rci, predecessor
 from sets.polytope import Polytope
 
 
@@ -25,7 +25,7 @@ def decoupled(gain: float, disturbance: float):
 
 def test_a_decoupled_system_keeps_what_its_input_can_outweigh():
     A, B, E, limits, W = decoupled(2.0, 0.2)
-    found = control_invariant(A, B, E, limits, W.support)
+    found = maximal_rci(A, B, E, limits, W.support)
     assert found.settled and found.polytope is not None
     reach = found.polytope.support(np.eye(3))
     assert np.all(reach >= 0.8) and np.all(reach <= 0.8 * (1 + 2 * SETTLED))
@@ -33,7 +33,7 @@ def test_a_decoupled_system_keeps_what_its_input_can_outweigh():
 
 def test_a_disturbance_that_outweighs_the_input_leaves_nothing():
     A, B, E, limits, W = decoupled(2.0, 1.1)
-    found = control_invariant(A, B, E, limits, W.support)
+    found = maximal_rci(A, B, E, limits, W.support)
     assert found.polytope is None and found.volumes[-1] == 0.0
 
 
@@ -83,7 +83,7 @@ def test_the_predecessor_holds_exactly_the_errors_that_have_an_input(switching):
 
 def test_the_settled_set_is_kept_under_every_pair_and_lies_in_the_limits(switching):
     A, B, E, limits, W = switching
-    found = control_invariant(A, B, E, limits, W.support)
+    found = maximal_rci(A, B, E, limits, W.support)
     assert found.settled and found.polytope is not None
     assert np.all(np.diff(found.volumes) <= 0)
     assert E.containment_margin(found.polytope) >= -CONTROL_INVARIANT
