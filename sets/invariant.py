@@ -42,7 +42,7 @@ FLAT = 1e-9
 normals whose hull holds no ball of this radius about the origin as open."""
 
 TIE = 1e-12
-"""Relative difference below which two numbers are equal: the first of them is taken."""
+"""Relative difference below which two rows have equal room."""
 
 
 @dataclass(frozen=True)
@@ -175,9 +175,10 @@ def _cuts(candidates: _Rows, rows: _Rows) -> Bool[np.ndarray, " k"]:
 
 
 def _find_escape(constraints: Polytope, rows: _Rows, room: Float[np.ndarray, " k"]) -> Escape:
-    """Return the run that leaves by the row with least room, the first of equal ones."""
-    equal = room <= room.min() + TIE * rows.offsets
-    worst = int(np.flatnonzero(equal)[0])
+    """Return the run that leaves by the row with least room; of equal ones that of the first
+    constraint along the first loops, whatever their last bits."""
+    equal = np.flatnonzero(room <= room.min() + TIE * rows.offsets)
+    worst = min(equal, key=lambda i: (rows.roots[i], rows.paths[i]))
     root = rows.roots[worst]
     path = tuple(reversed(rows.paths[worst]))
     return Escape(constraints.normals[root], float(constraints.offsets[root]), path)

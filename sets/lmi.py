@@ -132,7 +132,7 @@ def _solve_scaled(A, B, Q, R, objective: Objective) -> TerminalCost:
     The solver then meets numbers of order one whatever the units, and 0 <= S <= I because no cost
     lies below a vertex's own Riccati cost.
     """
-    riccati = [_solve_riccati(a, b, Q, R) for a, b in zip(A, B, strict=True)]
+    riccati = [_find_scale(a, b, Q, R) for a, b in zip(A, B, strict=True)]
     L = np.linalg.cholesky(np.mean(riccati, axis=0))
     T = np.linalg.inv(L).T
     F = np.linalg.inv(_compute_root(R))
@@ -354,21 +354,31 @@ def _compute_value(P: np.ndarray, objective: Objective) -> float:
     return float(np.trace(P if objective == "trace_p" else np.linalg.inv(P)))
 
 
-def _solve_riccati(A, B, Q, R) -> np.ndarray:
-    """Return the stabilising solution of P = Q + A^T P (I + B R^-1 B^T P)^-1 A."""
+def _find_scale(A, B, Q, R) -> np.ndarray:
+    """Return the Riccati cost of one vertex, which sets the coordinates of the inequality.
+
+    The solver's answer keeps ten digits of the objective and five of the gains, so it changes with
+    the last bits of its coordinates: scipy's answer is taken wherever it is one.
+    """
     try:
-        return scipy.linalg.solve_discrete_are(A, B, Q, R)
+        P = scipy.linalg.solve_discrete_are(A, B, Q, R)
     except (np.linalg.LinAlgError, ValueError):
-        # Its Schur form cannot be ordered where weights are many orders from one.
-        return _double_horizon(A, B, Q, R)
+        return _solve_riccati(A, B, Q, R)
+    gain = _compute_gain(A, B, P, R)
+    residual = _compute_decrease(A, B, gain, P) - Q - gain.T @ R @ gain
+    is_solution = np.abs(residual).max() <= 1e-10 * np.abs(P).max()
+    return P if is_solution and _is_stabilising(A, B, P, R) else _solve_riccati(A, B, Q, R)
 
 
-def _double_horizon(A, B, Q, R) -> np.ndarray:
-    """Solve the Riccati equation by a recursion whose every step doubles the horizon of the cost P.
+def _solve_riccati(A, B, Q, R) -> np.ndarray:
+    """Return the stabilising solution of P = Q + A^T P (I + B R^-1 B^T P)^-1 A by a recursion whose
+    every step doubles the horizon of the cost P.
 
     With G = B R^-1 B^T, Phi = A, P = Q at first:
 
         Phi+ = Phi M Phi,    G+ = G + Phi M G Phi^T,    P+ = P + Phi^T P M Phi,    M = (I + G P)^-1
+
+    Unlike an ordered Schur form it depends on the ratio of the weights alone, however far apart.
 
     Source: Chu, Fan, Lin, Wang 2004, Int. J. Control 77, 767-788.
     """

@@ -103,7 +103,8 @@ def symmetric_basis(n: int) -> Float[np.ndarray, "k n n"]:
     """Return a basis of the symmetric matrices, upper triangle column by column."""
     rows, columns = np.triu_indices(n)
     order = np.lexsort((rows, columns))
-    rows, columns = rows[order], columns[order]
+    rows = rows[order]
+    columns = columns[order]
     entry = np.arange(len(rows))
     basis = np.zeros((len(rows), n, n))
     basis[entry, rows, columns] = 1.0

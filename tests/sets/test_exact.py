@@ -49,11 +49,10 @@ from sets.robot.exact_tube import exact_vertex_feedbacks, exact_vertex_loops, sc
 @pytest.mark.parametrize("seed", range(3))
 def test_bounds_equal_those_of_a_linear_program(seed):
     rng = np.random.default_rng(seed)
-    normals, offsets = (
-        rng.normal(size=(20, 3)) * rng.uniform(0.1, 30, size=(20, 1)),
-        rng.uniform(0.2, 2, size=20),
-    )
-    normals, offsets = np.vstack([normals, E[0]]), np.concatenate([offsets, np.full(6, 3.0)])
+    normals = rng.normal(size=(20, 3)) * rng.uniform(0.1, 30, size=(20, 1))
+    offsets = rng.uniform(0.2, 2, size=20)
+    normals = np.vstack([normals, E[0]])
+    offsets = np.concatenate([offsets, np.full(6, 3.0)])
     polytope = Halfspaces(normals, offsets)
     for row in rng.normal(size=(10, 3)):
         answer = linprog(-row, A_ub=normals, b_ub=offsets, bounds=(None, None))
@@ -87,7 +86,8 @@ def test_an_empty_set_is_bounded_by_its_rows():
 
 def test_rows_on_inputs_and_errors_become_rows_on_the_error():
     rng = np.random.default_rng(6)
-    inputs, errors = rng.normal(size=(4, 2)), rng.normal(size=(4, 3))
+    inputs = rng.normal(size=(4, 2))
+    errors = rng.normal(size=(4, 3))
     expected = np.vstack([inputs @ gain + errors for gain in floats(FEEDBACKS)])
     np.testing.assert_allclose(
         floats(mapped_rows(inputs, errors, FEEDBACKS)), expected, rtol=EXACT_AGAINST_FLOAT
@@ -154,7 +154,8 @@ def test_a_wider_disturbance_another_gain_and_a_wider_schedule_are_refused():
 
 def test_the_invariant_set_is_admissible_and_narrower_limits_are_refused():
     errors = exact_containment_margin(OMEGA.normals, OMEGA.offsets, *E)
-    rows, limits = mapped_rows(U[0], np.zeros((4, 3)), FEEDBACKS), np.tile(U[1], 2)
+    rows = mapped_rows(U[0], np.zeros((4, 3)), FEEDBACKS)
+    limits = np.tile(U[1], 2)
     inputs = exact_containment_margin(OMEGA.normals, OMEGA.offsets, rows, limits)
     room = limits - OMEGA.support(np.vstack([U[0] @ gain for gain in floats(FEEDBACKS)]))
     assert errors >= 0
@@ -196,7 +197,8 @@ def test_the_smallest_pivot_is_exact_and_tells_a_semidefinite_matrix():
 
 
 def test_the_decrease_of_the_cost_is_proved_and_its_loss_is_seen():
-    loop, gain = floats(LOOPS).mean(axis=0), floats(FEEDBACKS).mean(axis=0)
+    loop = floats(LOOPS).mean(axis=0)
+    gain = floats(FEEDBACKS).mean(axis=0)
     cost = solve_discrete_lyapunov(loop.T, 1.6 * (Q + gain.T @ R @ gain))
     cost = (cost + cost.T) / 2
     assert decrease_pivot(cost, LOOPS, FEEDBACKS, Q, R) > 0

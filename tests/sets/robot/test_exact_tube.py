@@ -95,9 +95,16 @@ def margins(
 
 
 NAMES = {
-    "nonempty", "errors reach", "errors shifted", "errors returns", "inputs reach", "inputs shifted", "inputs returns",
-    "terminal reach", "terminal returns",
-}  # fmt: skip
+    "nonempty",
+    "errors reach",
+    "errors shifted",
+    "errors returns",
+    "inputs reach",
+    "inputs shifted",
+    "inputs returns",
+    "terminal reach",
+    "terminal returns",
+}
 
 
 def test_tubes_backed_off_further_at_every_stage_hold_without_slack():
