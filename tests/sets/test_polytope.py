@@ -30,7 +30,7 @@ from tests.tolerances import (
 
 CASES = 1000
 LAWS = 9
-"""Every law takes one case in nine; the kinds of cases recur with period 64, so it meets them all."""
+"""Every law takes one case in nine; the kinds recur with period 64, so it meets them all."""
 
 
 @dataclass(frozen=True)
