@@ -7,9 +7,11 @@ and decrease is an eigenvalue. With r_j(c) = (offset of the untightened set) - (
 j), all read off the sets the controller really uses:
 
     reach      r_j(c) >= max over products of  sum_{m<j} h_W(Psi_m^T c)
-    inclusion  r_{j+1}(c) >= r_j(c) + max over products of  h_W(Psi_j^T c)        (the shifted plan stays admissible)
-    terminal   e_N in T, Psi the last N - 1 loops, w in W:  e_N + Psi w in E_{N-1},  Gamma (e_N + Psi w) in U_{N-1},
-               (A_i + B_i Gamma_i)(e_N + Psi w) in the next T;   or, one gain throughout:  T + R_N in the invariant set
+    inclusion  r_{j+1}(c) >= r_j(c) + max over products of  h_W(Psi_j^T c),
+               so that the shifted plan stays admissible
+    terminal   with e_N in T, Psi the last N - 1 loops, w in W, e = e_N + Psi w:
+               e in E_{N-1},  Gamma e in U_{N-1},  (A_i + B_i Gamma_i) e in the next T;
+               or, one gain throughout:  T + R_N in the invariant set
 
 Every condition keeps its margin (>= 0 where it holds; negative: by how much it fails) and a plain
 sentence. Sources: Chisci, Rossiter, Zappa 2001 (restarted tubes); Gonzalez, Fiacchini, Guzman,
@@ -24,14 +26,17 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
-from scipy.spatial import ConvexHull
+from jaxtyping import Float, Int
+from scipy.spatial import ConvexHull, QhullError
 
 from sets.polytope import Polytope
 
 ROUNDING = 1e-12
 """Float64 slack, relative to the quantity compared, granted where a condition holds with equality
 by construction."""
+
+MOST_DIRECTIONS = 4000
+"""Number of transported directions above which those that are not extreme are left out."""
 
 
 Scope = Literal["model", "robot", "information"]
@@ -144,10 +149,11 @@ class Certificate:
 def nonempty_margin(polytopes: Iterable[Polytope]) -> float:
     """Return the smallest radius of a ball inside any of the sets; negative or -inf where one is
     empty."""
-    return min(polytope.chebyshev()[1] for polytope in polytopes)
+    balls = [polytope.chebyshev() for polytope in polytopes]
+    return min(radius for _, radius in balls)
 
 
-def _transported(
+def _transport(
     loops: Float[np.ndarray, "v n n"],
     directions: Float[np.ndarray, "k n"],
     sums: Float[np.ndarray, " k"],
@@ -156,31 +162,47 @@ def _transported(
     convex function."""
     directions = np.concatenate([directions @ loop for loop in loops])
     sums = np.tile(sums, len(loops))
-    if len(sums) > 4000:
-        cloud = np.column_stack([directions, sums])
-        spread = cloud / np.maximum(np.abs(cloud).max(axis=0), 1e-300)
-        kept = ConvexHull(spread, qhull_options="QJ").vertices
-        directions, sums = directions[kept], sums[kept]
-    return directions, sums
+    if len(sums) <= MOST_DIRECTIONS:
+        return directions, sums
+    cloud = np.column_stack([directions, sums])
+    extreme = _find_extreme(cloud / np.maximum(np.abs(cloud).max(axis=0), 1e-300))
+    return directions[extreme], sums[extreme]
+
+
+def _find_extreme(cloud: Float[np.ndarray, "k m"]) -> Int[np.ndarray, " e"]:
+    """Return the indices of the extreme points, up to a displacement of 1e-10.
+
+    All of them where clusters of almost equal points stop qhull: pruning saves time, no more.
+    """
+    for options in ("QJ", None):
+        try:
+            return ConvexHull(cloud, qhull_options=options).vertices
+        except QhullError:
+            continue
+    return np.arange(len(cloud))
 
 
 def reach_supports(
     loops: Float[np.ndarray, "v n n"],
     disturbance: Float[np.ndarray, "w n"],
     direction: Float[np.ndarray, " n"],
-    steps,
+    steps: int,
 ) -> tuple[Float[np.ndarray, " steps+1"], Float[np.ndarray, " steps+1"]]:
     """Return, for j = 0..steps, the reach of j steps along `direction` and the largest h_W(Psi_j^T
     direction).
 
     Maxima over every product of j vertex loops; `disturbance` holds the vertices of W.
     """
-    directions, sums = direction[None, :], np.zeros(1)
-    reach, last = np.zeros(steps + 1), np.zeros(steps + 1)
+    directions = direction[None, :]
+    sums = np.zeros(1)
+    reach = np.zeros(steps + 1)
+    last = np.zeros(steps + 1)
     for j in range(steps + 1):
-        steps_of_w = np.max(directions @ disturbance.T, axis=1)
-        reach[j], last[j] = sums.max(), steps_of_w.max()
-        directions, sums = _transported(loops, directions, sums + steps_of_w)
+        widths = np.max(directions @ disturbance.T, axis=1)
+        reach[j] = sums.max()
+        last[j] = widths.max()
+        if j < steps:
+            directions, sums = _transport(loops, directions, sums + widths)
     return reach, last
 
 
@@ -200,9 +222,10 @@ def sequence_reach(
     for instant in range(horizon):
         transport = np.eye(dimension)
         for j in range(instant + 1, horizon + 1):
-            reach[j] += np.max(directions @ transport @ disturbance.T, axis=1)
+            width = np.max(directions @ transport @ disturbance.T, axis=1)
+            reach[j] += width
             if instant == 0:
-                last[j - 1] = np.max(directions @ transport @ disturbance.T, axis=1)
+                last[j - 1] = width
             if j < horizon:
                 transport = loops[j] @ transport
     return reach, last
@@ -219,16 +242,25 @@ def escape_excess(
     at its end.
 
     A positive excess proves that no invariant set fits: it would contain the origin and with it
-    this x.
+    this x. Of disturbances that are equally bad the first is taken.
     """
-    transported = [normal]
+    rows = [normal]
     for index in reversed(path):
-        transported.append(transported[-1] @ loops[index])
-    choices = [disturbance[np.argmax(disturbance @ row)] for row in reversed(transported)]
-    state = choices[0]
-    for index, choice in zip(path, choices[1:], strict=True):
-        state = loops[index] @ state + choice
+        rows.append(rows[-1] @ loops[index])
+    first, *others = [_find_worst(disturbance, row) for row in reversed(rows)]
+    state = first
+    for index, worst in zip(path, others, strict=True):
+        state = loops[index] @ state + worst
     return float(normal @ state - offset), state
+
+
+def _find_worst(
+    disturbance: Float[np.ndarray, "w n"], row: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Return the first vertex that is furthest along the row, whatever its last bits."""
+    heights = disturbance @ row
+    slack = ROUNDING * np.abs(heights).max()
+    return disturbance[np.flatnonzero(heights >= heights.max() - slack)[0]]
 
 
 def invariance_margin(
@@ -236,23 +268,35 @@ def invariance_margin(
 ) -> float:
     """Return the least of h - h_O(H Phi_i) - h_W(H) over unit facets and vertices; >= 0 exactly
     when invariant."""
+    normals, offsets = _unit_rows(polytope)
+    room = offsets - np.max(normals @ disturbance.T, axis=1)
+    margins = [np.min(room - polytope.support(normals @ loop)) for loop in loops]
+    return float(min(margins))
+
+
+def _unit_rows(
+    polytope: Polytope,
+) -> tuple[Float[np.ndarray, "k n"], Float[np.ndarray, " k"]]:
+    """Return the rows with normals of length one."""
     scale = np.linalg.norm(polytope.normals, axis=1)
-    normals, offsets = polytope.normals / scale[:, None], polytope.offsets / scale
-    steps = np.max(normals @ disturbance.T, axis=1)
-    return float(min(np.min(offsets - steps - polytope.support(normals @ loop)) for loop in loops))
+    return polytope.normals / scale[:, None], polytope.offsets / scale
 
 
-def decrease_margin(loops, gains, cost, error_weight, input_weight) -> float:
+def decrease_margin(
+    loops: Float[np.ndarray, "v n n"],
+    gains: Float[np.ndarray, "v m n"],
+    cost: Float[np.ndarray, "n n"],
+    error_weight: Float[np.ndarray, "n n"],
+    input_weight: Float[np.ndarray, "m m"],
+) -> float:
     """Return the least eigenvalue of P - Phi_i^T P Phi_i - Q - Gamma_i^T R Gamma_i over the
     vertices."""
-    return float(
-        min(
-            np.linalg.eigvalsh(
-                cost - loop.T @ cost @ loop - error_weight - gain.T @ input_weight @ gain
-            )[0]
-            for loop, gain in zip(loops, gains, strict=True)
-        )
-    )
+    margins = []
+    for loop, gain in zip(loops, gains, strict=True):
+        decrease = cost - loop.T @ cost @ loop
+        surplus = decrease - error_weight - gain.T @ input_weight @ gain
+        margins.append(np.linalg.eigvalsh(surplus)[0])
+    return float(min(margins))
 
 
 def terminal_margins(
@@ -274,15 +318,12 @@ def terminal_margins(
     """
 
     def room(rows: Float[np.ndarray, "k n"], offsets: Float[np.ndarray, " k"]) -> float:
-        return float(np.min(offsets - terminal.support(rows) - np.max(rows @ last_reach.T, axis=1)))
+        reach = np.max(rows @ last_reach.T, axis=1)
+        return float(np.min(offsets - terminal.support(rows) - reach))
 
-    def of_unit_rows(polytope: Polytope):
-        scale = np.linalg.norm(polytope.normals, axis=1)
-        return polytope.normals / scale[:, None], polytope.offsets / scale
-
-    normals, offsets = of_unit_rows(next_terminal)
+    normals, offsets = _unit_rows(next_terminal)
     return {
-        "admissible_errors": room(*of_unit_rows(last_error_set)),
+        "admissible_errors": room(*_unit_rows(last_error_set)),
         "admissible_inputs": min(room(rows, last_input_offsets) for rows in last_input_rows),
         "returns": min(room(normals @ loop, offsets) for loop in terminal_loops),
     }

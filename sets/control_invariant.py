@@ -1,7 +1,8 @@
 """The maximal robust control invariant set: errors that some input, chosen anew each step, keeps
 within all limits.
 
-    C_0 = E,    C_{k+1} = the intersection over i of  {e in E : some u has  D u + C e <= d,  A_i e + B_i u + W in C_k}
+    C_0 = E,    C_{k+1} = the intersection over i of
+    {e in E : some u has  D u + C e <= d  and  A_i e + B_i u + W in C_k}
 
 for a controller that knows the pair (A_i, B_i) of the present step and none of the later ones,
 whose order is arbitrary. Every C_k contains the maximal set for the pairs given and, all the more,
@@ -13,18 +14,19 @@ Source: Bertsekas and Rhodes 1971; Kerrigan 2000, chapter 2; Blanchini 1999.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from sets.polytope import Polytope
+from sets.polytope import ConvexSet, Polytope, support_function
 
 SETTLED = 1e-3
 """The sequence counts as converged where C_k lies in (1 + this) C_{k+1}: then that set is kept but
 for this share."""
+
 STEPS = 30
+"""Steps after which the sequence ends, settled or not."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +48,12 @@ class Limits:
     offsets: Float[np.ndarray, " k"]
 
 
-def control_invariant(
+def maximal_rci(
     transitions: Float[np.ndarray, "v n n"],
     inputs: Float[np.ndarray, "v n m"],
     error_set: Polytope,
     limits: Limits,
-    disturbance: Callable[[np.ndarray], np.ndarray],
+    disturbance: ConvexSet,
 ) -> ControlInvariant:
     """Iterate C_k until it settles or `STEPS` are done.
 
@@ -59,33 +61,37 @@ def control_invariant(
         transitions, inputs: the pairs (A_i, B_i).
         error_set: bounded, 0 inside.
         limits: bound the inputs from all sides.
-        disturbance: support function of W.
+        disturbance: W by its support numbers.
 
     Returns:
         A set that contains the maximal robust control invariant set; equal to it where the sequence
         ends exactly.
 
     Raises:
-        ValueError: where the inputs are unbounded.
+        ValueError: the inputs are unbounded.
     """
-    found, volumes = error_set, [error_set.volume()]
+    support = support_function(disturbance, "disturbance")
+    current = error_set
+    volumes = [error_set.volume()]
     while len(volumes) <= STEPS:
-        last, found = found, error_set
-        target = Polytope(last.normals, last.offsets - disturbance(last.normals))
+        target = Polytope(current.normals, current.offsets - support(current.normals))
+        following = error_set
         try:
             for A, B in zip(transitions, inputs, strict=True):
-                found = found.intersect(predecessor(A, B, target, error_set, limits))
+                following = following.intersect(predecessor(A, B, target, error_set, limits))
         except ArithmeticError:
             # Hundreds of facets that hardly differ, late in the sequence: what is known so far
             # still holds.
-            return ControlInvariant(last, tuple(volumes), False)
-        if found.is_empty() or found.is_flat():
+            return ControlInvariant(current, tuple(volumes), False)
+        if following.is_empty() or following.is_flat():
             return ControlInvariant(None, (*volumes, 0.0), True)
-        found = found.reduce()
-        volumes.append(found.volume())
-        if np.all(last.support(found.normals) <= (1 + SETTLED) * found.offsets):
-            return ControlInvariant(found, tuple(volumes), True)
-    return ControlInvariant(found, tuple(volumes), False)
+        following = following.reduce()
+        volumes.append(following.volume())
+        reach = current.support(following.normals)
+        if np.all(reach <= (1 + SETTLED) * following.offsets):
+            return ControlInvariant(following, tuple(volumes), True)
+        current = following
+    return ControlInvariant(current, tuple(volumes), False)
 
 
 def predecessor(
@@ -102,7 +108,6 @@ def predecessor(
         np.hstack([limits.errors, limits.inputs]),
         np.hstack([within.normals, np.zeros((len(within.offsets), m))]),
     ]
-    joint = Polytope(
-        np.concatenate(rows), np.concatenate([target.offsets, limits.offsets, within.offsets])
-    )
+    offsets = np.concatenate([target.offsets, limits.offsets, within.offsets])
+    joint = Polytope(np.concatenate(rows), offsets)
     return joint.image(np.eye(n, n + m))

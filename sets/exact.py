@@ -4,7 +4,7 @@ Every float handed in stands for the binary rational it is. Floats only propose 
 polytope bound a direction; the multipliers are then solved for, and their signs read, as integers
 over a common denominator:
 
-    multipliers >= 0,  multipliers H = d      =>      d x <= multipliers h   for every x with H x <= h
+    multipliers >= 0,  multipliers H = d    =>    d x <= multipliers h  for all x with H x <= h
 
 Margins are in the units of the offsets; those >= 0 prove their condition, without any tolerance.
 Source: Farkas 1902 (multipliers). Loops of decoupled gains and tubes along a schedule:
@@ -35,14 +35,22 @@ PROPOSED = 1e-9
 
 
 def exact_row(values: Numbers, name: str = "values") -> Row:
-    """Return the rationals that these numbers are; raise ValueError where one is not finite."""
+    """Return the rationals that these numbers are.
+
+    Raises:
+        ValueError: a number is not finite.
+    """
     if not np.all(np.isfinite(np.asarray(values, dtype=float))):
         raise ValueError(f"{name}: {values} is not finite: every number of an exact check must be")
     return tuple(Fraction(value) for value in values)
 
 
 def exact_rows(rows: NumberRows, name: str = "rows") -> Matrix:
-    """Return the rationals that these rows of three numbers are; raise ValueError for other widths."""
+    """Return the rationals that these rows of three numbers are.
+
+    Raises:
+        ValueError: a row of another width, or a number that is not finite.
+    """
     if any(len(row) != 3 for row in rows):
         raise ValueError(f"{name}: rows of {len(rows[0])} numbers: errors have three coordinates")
     return tuple(exact_row(row, name) for row in rows)
@@ -71,15 +79,17 @@ def _cross(a: Integers, b: Integers) -> Integers:
 
 def mapped_rows(inputs: NumberRows, errors: NumberRows, gains: Sequence[Matrix]) -> list[Row]:
     """Return D K + C for every gain: rows D u + C e under u = K e as rows on e."""
-    pairs = [
-        (exact_row(D, "inputs"), C)
-        for D, C in zip(inputs, exact_rows(errors, "errors"), strict=True)
-    ]
+    input_rows = [exact_row(D, "inputs") for D in inputs]
+    error_rows = exact_rows(errors, "errors")
     return [
-        tuple(a + c for a, c in zip(times(D, gain), C, strict=True))
+        _add(times(D, gain), C)
         for gain in gains
-        for D, C in pairs
+        for D, C in zip(input_rows, error_rows, strict=True)
     ]
+
+
+def _add(left: Row, right: Row) -> Row:
+    return tuple(a + b for a, b in zip(left, right, strict=True))
 
 
 def _common_integers(row: Row) -> tuple[Integers, int]:
@@ -98,13 +108,14 @@ class _Corner(NamedTuple):
 
 
 @lru_cache(maxsize=16)
-def _spanning(normals: Matrix) -> tuple[np.ndarray, np.ndarray]:
-    """Return all triples of rows that span the space, and the inverses of their normals as floats."""
+def _find_spanning(normals: Matrix) -> tuple[np.ndarray, np.ndarray]:
+    """Return all triples of rows that span the space, and the inverses of their normals, floats."""
     rows = np.array(normals, dtype=float)
     triples = np.array(list(combinations(range(len(rows)), 3)), dtype=int).reshape(-1, 3)
     volumes = np.abs(np.linalg.det(rows[triples]))
-    spans = volumes > PROPOSED * np.prod(np.linalg.norm(rows[triples], axis=2), axis=1)
-    return triples[spans], np.linalg.inv(rows[triples[spans]])
+    lengths = np.linalg.norm(rows[triples], axis=2)
+    spanning = triples[volumes > PROPOSED * np.prod(lengths, axis=1)]
+    return spanning, np.linalg.inv(rows[spanning])
 
 
 class Halfspaces:
@@ -113,20 +124,22 @@ class Halfspaces:
     def __init__(self, normals: NumberRows, offsets: Numbers):
         """Keep the rows as rationals, and as floats the triples of rows that meet in a corner of
         the set."""
-        self.normals, self.offsets = exact_rows(normals, "normals"), exact_row(offsets, "offsets")
+        self.normals = exact_rows(normals, "normals")
+        self.offsets = exact_row(offsets, "offsets")
         if len(self.normals) != len(self.offsets):
             raise ValueError(
                 f"offsets: {len(self.offsets)} for {len(self.normals)} normals: give one a row"
             )
-        triples, inverses = _spanning(self.normals)
-        rows, limits = np.array(self.normals, dtype=float), np.array(self.offsets, dtype=float)
-        points = np.einsum("tij,tj->ti", inverses, limits[triples])
-        size = np.abs(points) @ np.abs(rows).T + np.abs(limits)
-        met = np.flatnonzero(np.all(points @ rows.T - limits <= PROPOSED * size, axis=1))
-        self._triples, self._inverses, self._points = triples, inverses, points
+        self._triples, self._inverses = _find_spanning(self.normals)
+        rows = np.array(self.normals, dtype=float)
+        limits = np.array(self.offsets, dtype=float)
+        self._points = np.einsum("tij,tj->ti", self._inverses, limits[self._triples])
+        size = np.abs(self._points) @ np.abs(rows).T + np.abs(limits)
+        is_inside = self._points @ rows.T - limits <= PROPOSED * size
         # Triples that meet in a corner of the set come first; an empty set has none, but bounds all
         # the same.
-        self._tried = met, np.arange(len(triples))
+        corners = np.flatnonzero(np.all(is_inside, axis=1))
+        self._tried = (corners, np.arange(len(self._triples)))
         flat, self._normal_share = _common_integers(tuple(a for row in self.normals for a in row))
         self._rows = [flat[i : i + 3] for i in range(0, len(flat), 3)]
         self._limits, self._offset_share = _common_integers(self.offsets)
@@ -137,59 +150,68 @@ class Halfspaces:
         rounding may reorder.
 
         Floats order the triples by the bound they promise; the first whose exact multipliers have
-        no negative sign is taken. Raises ValueError where no triple bounds the direction.
+        no negative sign is taken.
+
+        Raises:
+            ValueError: no triple bounds the direction.
         """
         integers, share = _common_integers(row)
-        for triple in chain.from_iterable(
-            self._proposed(np.array(row, dtype=float), tried) for tried in self._tried
-        ):
-            corner = self._corner(triple)
+        direction = np.array(row, dtype=float)
+        proposals = (self._propose(direction, tried) for tried in self._tried)
+        for triple in chain.from_iterable(proposals):
+            corner = self._find_corner(triple)
             if corner.determinant and min(_dot(integers, side) for side in corner.sides) >= 0:
                 scale = share * corner.determinant * self._offset_share
                 return Fraction(self._normal_share * _dot(integers, corner.point), scale)
         raise ValueError(
-            f"normals: no three rows bound the direction {[float(a) for a in row]}: close the polytope"
+            f"normals: no three rows bound the direction {direction.tolist()}: close the polytope"
         )
 
-    def _proposed(self, direction: np.ndarray, tried: np.ndarray) -> list[int]:
+    def _propose(self, direction: np.ndarray, tried: np.ndarray) -> list[int]:
         """Return which of these triples may bound a direction, those that promise least first."""
         weights = direction @ self._inverses[tried]
-        proposed = tried[weights.min(axis=1) >= -PROPOSED * np.abs(weights).max(axis=1)]
-        return proposed[np.argsort(self._points[proposed] @ direction)].tolist()
+        is_proposed = weights.min(axis=1) >= -PROPOSED * np.abs(weights).max(axis=1)
+        proposed = tried[is_proposed]
+        promised = self._points[proposed] @ direction
+        return proposed[np.argsort(promised, kind="stable")].tolist()
 
-    def _corner(self, index: int) -> _Corner:
-        """Solve for the corner of a triple by Cramer's rule: multipliers = row . sides /
-        determinant."""
+    def _find_corner(self, index: int) -> _Corner:
         if index not in self._corners:
             triple = self._triples[index].tolist()
-            a, b, c = (self._rows[i] for i in triple)
-            sides = _cross(b, c), _cross(c, a), _cross(a, b)
-            determinant = _dot(a, sides[0])
-            if determinant < 0:
-                sides, determinant = tuple(tuple(-s for s in side) for side in sides), -determinant
+            rows = [self._rows[i] for i in triple]
             limits = [self._limits[i] for i in triple]
-            point = tuple(
-                sum(h * s for h, s in zip(limits, along, strict=True))
-                for along in zip(*sides, strict=True)
-            )
-            self._corners[index] = _Corner(sides, point, determinant)
+            self._corners[index] = _solve_corner(rows, limits)
         return self._corners[index]
 
 
-def _widest(points: Matrix, row: Row) -> Fraction:
+def _solve_corner(rows: Sequence[Integers], limits: Sequence[int]) -> _Corner:
+    """Solve for the corner of three rows by Cramer's rule: multipliers = row . sides /
+    determinant."""
+    a, b, c = rows
+    sides = (_cross(b, c), _cross(c, a), _cross(a, b))
+    determinant = _dot(a, sides[0])
+    if determinant < 0:
+        sides = tuple(tuple(-entry for entry in side) for side in sides)
+        determinant = -determinant
+    point = tuple(_dot(tuple(limits), entries) for entries in zip(*sides, strict=True))
+    return _Corner(sides, point, determinant)
+
+
+def _find_widest(points: Matrix, row: Row) -> Fraction:
     return max(dot(point, row) for point in points)
 
 
-def containment_margin(
+def exact_containment_margin(
     normals: NumberRows, offsets: Numbers, rows: NumberRows, bounds: Numbers
 ) -> Fraction:
     """Return the least of bounds - rows x over the polytope {normals x <= offsets}."""
     polytope = Halfspaces(normals, offsets)
     limits = exact_row(bounds, "bounds")
-    return min(b - polytope.bound(row) for row, b in zip(exact_rows(rows), limits, strict=True))
+    pairs = zip(exact_rows(rows), limits, strict=True)
+    return min(limit - polytope.bound(row) for row, limit in pairs)
 
 
-def invariance_margin(
+def exact_invariance_margin(
     normals: NumberRows, offsets: Numbers, loops: Sequence[Matrix], disturbance_vertices: NumberRows
 ) -> Fraction:
     """Return the least of h_i - h_W(c_i) - max c_i Phi x over facets and loops; >= 0 proves Phi
@@ -197,15 +219,14 @@ def invariance_margin(
 
     It then holds for every Phi in the hull of `loops`. W is the hull of its vertices.
     """
-    polytope, points = (
-        Halfspaces(normals, offsets),
-        exact_rows(disturbance_vertices, "disturbance_vertices"),
-    )
-    return min(
-        offset - _widest(points, normal) - polytope.bound(times(normal, loop))
-        for normal, offset in zip(polytope.normals, polytope.offsets, strict=True)
-        for loop in loops
-    )
+    polytope = Halfspaces(normals, offsets)
+    points = exact_rows(disturbance_vertices, "disturbance_vertices")
+    margins = []
+    for normal, offset in zip(polytope.normals, polytope.offsets, strict=True):
+        room = offset - _find_widest(points, normal)
+        reach = max(polytope.bound(times(normal, loop)) for loop in loops)
+        margins.append(room - reach)
+    return min(margins)
 
 
 # 2. Decrease of the cost
@@ -217,20 +238,28 @@ def smallest_pivot(matrix: Matrix) -> Fraction:
 
     A zero pivot with other entries in its column counts as minus the largest of them. Ends at the
     first negative one.
+
+    Raises:
+        ValueError: the matrix is not symmetric.
     """
-    if any(matrix[i][j] != matrix[j][i] for i in range(len(matrix)) for j in range(i)):
+    if tuple(zip(*matrix, strict=True)) != tuple(map(tuple, matrix)):
         raise ValueError("matrix: not symmetric: give the symmetric part")
-    rows, pivots = [list(row) for row in matrix], []
+    rows = [list(row) for row in matrix]
+    pivots = []
     while rows:
         (pivot, *column), *rest = rows
         pivots.append(pivot if pivot else -max(map(abs, column), default=Fraction(0)))
         if pivots[-1] < 0:
             break
         scale = 1 / pivot if pivot else Fraction(0)
-        rows = [
-            [a - row[0] * scale * b for a, b in zip(row[1:], column, strict=True)] for row in rest
-        ]
+        rows = [_eliminate(row, scale, column) for row in rest]
     return min(pivots)
+
+
+def _eliminate(row: Sequence[Fraction], scale: Fraction, column: Sequence[Fraction]) -> list:
+    """Take the multiple of the pivot's row off another row, whose first entry thereby goes."""
+    first, *others = row
+    return [a - first * scale * b for a, b in zip(others, column, strict=True)]
 
 
 def _form(weight: Matrix, matrix: Matrix) -> Matrix:
@@ -252,16 +281,20 @@ def decrease_pivot(
     Where it is >= 0 the cost decreases for every Phi and K in their hulls, since the difference is
     concave in them.
     """
-    P, Q = exact_rows(cost, "cost"), exact_rows(error_weight, "error_weight")
+    P = exact_rows(cost, "cost")
+    Q = exact_rows(error_weight, "error_weight")
     R = tuple(exact_row(row, "input_weight") for row in input_weight)
     pivots = [smallest_pivot(P), smallest_pivot(R)]
     for loop, feedback in product(loops, feedbacks):
-        taken = zip(P, _form(P, loop), Q, _form(R, feedback), strict=True)
-        left = tuple(
-            tuple(p - a - q - b for p, a, q, b in zip(*rows, strict=True)) for rows in taken
-        )
-        pivots.append(smallest_pivot(left))
+        decrease = _subtract(P, _form(P, loop))
+        stage = _form(R, feedback)
+        pivots.append(smallest_pivot(_subtract(_subtract(decrease, Q), stage)))
     return min(pivots)
+
+
+def _subtract(left: Matrix, right: Matrix) -> Matrix:
+    pairs = zip(left, right, strict=True)
+    return tuple(tuple(a - b for a, b in zip(*rows, strict=True)) for rows in pairs)
 
 
 # 3. Report

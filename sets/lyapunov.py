@@ -24,11 +24,20 @@ import scipy.linalg
 from jaxtyping import Float
 from scipy.sparse import csc_matrix
 
-# Surplus that covers the rounding of a float64 check; it costs the same share of the objective.
 ROUNDING_SURPLUS = 1e-7
+"""Surplus that covers the rounding of a float64 check; it costs the same share of the objective."""
+
 CENTRING = 1e-3
-# Newton's method starts this share above the solver's answer, which lies on the boundary.
-LIFT, NEWTON_STEPS, NEWTON_DECREMENT = 0.05, 200, 1e-16
+"""Weight of the barrier."""
+
+LIFT = 0.05
+"""Newton's method starts this share above the solver's answer, which lies on the boundary."""
+
+NEWTON_STEPS = 200
+"""Steps of Newton's method at most."""
+
+NEWTON_DECREMENT = 1e-16
+"""Squared decrement, as a share of CENTRING, at which Newton's method has reached the centre."""
 
 
 def cost_of_gains(
@@ -40,23 +49,33 @@ def cost_of_gains(
     """Compute the terminal cost for gains that are given: P - Phi_i^T P Phi_i > Q + K_i^T R K_i,
     centred.
 
-    Args: loops, gains: Phi_i = A_i + B_i K_i and K_i, u = +K e. error_weight: Q > 0. input_weight:
-    R > 0. Returns: P, which decreases by more than the stage cost for every pair, hence for every
-    joint mixture of them. Raises: RuntimeError where the solver finds none: the loops share no
-    quadratic cost.
+    Args:
+        loops, gains: Phi_i = A_i + B_i K_i and K_i, u = +K e.
+        error_weight: Q > 0.
+        input_weight: R > 0.
+
+    Returns:
+        P, which decreases by more than the stage cost for every pair, hence for every joint mixture
+        of them.
+
+    Raises:
+        RuntimeError: the solver finds none: the loops share no quadratic cost.
     """
-    stage = stage_cost(gains, error_weight, input_weight)
-    P = (1 + LIFT) * scaled_to_decrease(_least_trace(loops, stage), loops, stage)
+    weighted = stage_cost(gains, error_weight, input_weight)
+    # A power of two, so that no digit of the weights is lost.
+    unit = 2.0 ** np.round(np.log2(np.trace(weighted.mean(axis=0))))
+    stage = weighted / unit
+    basis = symmetric_basis(loops.shape[-1])
+    P = (1 + LIFT) * scale_to_decrease(_minimise_trace(loops, stage), loops, stage)
     for _ in range(NEWTON_STEPS):
         slope, curvature = centring(P, loops, stage)
         step = -np.linalg.solve(curvature, slope)
         decrement = float(-slope @ step)
         # Damped while far from the centre, where the full step could leave the inequalities.
-        P = P + np.tensordot(step, symmetric_basis(len(P)), axes=1) / (
-            1 + np.sqrt(decrement / CENTRING)
-        )
+        damping = 1 + np.sqrt(max(decrement, 0.0) / CENTRING)
+        P = P + np.tensordot(step, basis, axes=1) / damping
         if decrement <= NEWTON_DECREMENT * CENTRING:
-            return P
+            return P * unit
     raise RuntimeError(
         "cost_of_gains: Newton's method does not reach the centre; rescale the weights"
     )
@@ -70,25 +89,30 @@ def centring(
 
     `xp` is numpy or a module with the same functions, to which the arrays belong.
     """
-    basis, transposed = symmetric_basis(len(P)), xp.swapaxes(loops, 1, 2)
+    basis = symmetric_basis(len(P))
+    transposed = xp.swapaxes(loops, 1, 2)
     moves = basis - transposed[:, None] @ basis @ loops[:, None]
-    relative = xp.linalg.solve((P - transposed @ P @ loops - stage)[:, None], moves)
+    surplus = P - transposed @ P @ loops - stage
+    relative = xp.linalg.solve(surplus[:, None], moves)
     slope = np.trace(basis, axis1=1, axis2=2) / xp.trace(stage.mean(axis=0))
     slope = slope - CENTRING * xp.trace(relative, axis1=2, axis2=3).sum(axis=0)
     return slope, CENTRING * xp.einsum("vaij,vbji->ab", relative, relative)
 
 
 def symmetric_basis(n: int) -> Float[np.ndarray, "k n n"]:
-    """Return the matrices whose mixtures are the symmetric ones, upper triangle column by column."""
+    """Return a basis of the symmetric matrices, upper triangle column by column."""
     rows, columns = np.triu_indices(n)
     order = np.lexsort((rows, columns))
-    rows, columns = rows[order], columns[order]
+    rows = rows[order]
+    columns = columns[order]
+    entry = np.arange(len(rows))
     basis = np.zeros((len(rows), n, n))
-    basis[np.arange(len(rows)), rows, columns] = basis[np.arange(len(rows)), columns, rows] = 1.0
+    basis[entry, rows, columns] = 1.0
+    basis[entry, columns, rows] = 1.0
     return basis
 
 
-def _least_trace(loops, stage) -> Float[np.ndarray, "n n"]:
+def _minimise_trace(loops, stage) -> Float[np.ndarray, "n n"]:
     """Solve  minimise trace P  subject to D_i(P) >= 0  to the solver's tolerance."""
     n = loops.shape[-1]
     basis = symmetric_basis(n)
@@ -116,21 +140,31 @@ def _least_trace(loops, stage) -> Float[np.ndarray, "n n"]:
     return np.tensordot(answer.x, basis, axes=1)
 
 
-def scaled_to_decrease(P: np.ndarray, loops, stage) -> np.ndarray:
-    """Scale P by the smallest factor that makes the decrease exact in float64; RuntimeError where
-    none does."""
+def scale_to_decrease(
+    P: Float[np.ndarray, "n n"],
+    loops: Float[np.ndarray, "v n n"],
+    stage: Float[np.ndarray, "v n n"],
+) -> Float[np.ndarray, "n n"]:
+    """Scale P by the smallest factor that makes the decrease exact in float64.
+
+    Raises:
+        RuntimeError: no factor does.
+    """
+    decreases = P - np.swapaxes(loops, -1, -2) @ P @ loops
     try:
-        pairs = zip(stage, P - np.swapaxes(loops, -1, -2) @ P @ loops, strict=True)
-        factor = max(
-            scipy.linalg.eigh(least, decrease, eigvals_only=True)[-1] for least, decrease in pairs
-        )
+        factors = [
+            scipy.linalg.eigh(wanted, decrease, eigvals_only=True)[-1]
+            for wanted, decrease in zip(stage, decreases, strict=True)
+        ]
     except np.linalg.LinAlgError:
         raise RuntimeError(
             "terminal cost: the solver's answer does not decrease; rescale the weights"
         ) from None
-    return P * factor * (1 + ROUNDING_SURPLUS)
+    return P * max(factors) * (1 + ROUNDING_SURPLUS)
 
 
-def stage_cost(gains, Q, R) -> np.ndarray:
+def stage_cost(
+    gains: Float[np.ndarray, "v m n"], Q: Float[np.ndarray, "n n"], R: Float[np.ndarray, "m m"]
+) -> Float[np.ndarray, "v n n"]:
     """Return Q + K_i^T R K_i."""
     return Q + np.swapaxes(gains, -1, -2) @ R @ gains

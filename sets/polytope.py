@@ -14,12 +14,24 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float
 from scipy.spatial import ConvexHull
 
-from sets.frame import Frame, find_frame, flatten, hull, product, recedes, solve
+from sets.frame import (
+    Frame,
+    find_frame,
+    find_hull,
+    flatten,
+    has_falling_ray,
+    multiply,
+    solve_program,
+)
+
+SupportFunction = Callable[[Float[np.ndarray, "k n"]], Float[np.ndarray, " k"]]
+"""Takes directions as rows and returns the support numbers of a set along them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,21 +43,27 @@ class Polytope:
     offsets: Float[np.ndarray, " facets"]
 
     def __post_init__(self):
-        normals, offsets = np.array(self.normals, dtype=float), np.array(self.offsets, dtype=float)
+        normals = np.array(self.normals, dtype=float)
+        offsets = np.array(self.offsets, dtype=float)
         if normals.ndim != 2 or normals.shape[1] == 0 or offsets.shape != normals.shape[:1]:
             raise ValueError(
-                f"normals {normals.shape}, offsets {offsets.shape}: give (facets, dimension), (facets,)"
+                f"normals {normals.shape}, offsets {offsets.shape}: "
+                "give (facets, dimension), (facets,)"
             )
         if not np.isfinite(normals).all():
             raise ValueError("normals: NaN or infinite entry; give finite facet normals")
         if np.isnan(offsets).any() or (offsets == -np.inf).any():
             raise ValueError(
-                "offsets: NaN or -inf entry; give finite offsets, or +inf for a row that does not bind"
+                "offsets: NaN or -inf entry; "
+                "give finite offsets, or +inf for a row that does not bind"
             )
         binds = (offsets < np.inf) & (normals.any(axis=1) | (offsets < 0))
-        for name, value in (("normals", normals[binds]), ("offsets", offsets[binds])):
-            value.flags.writeable = False
-            object.__setattr__(self, name, value)
+        self._keep("normals", normals[binds])
+        self._keep("offsets", offsets[binds])
+
+    def _keep(self, name: str, array: np.ndarray) -> None:
+        array.flags.writeable = False
+        object.__setattr__(self, name, array)
 
     @staticmethod
     def box(
@@ -61,16 +79,15 @@ class Polytope:
     def from_vertices(points: Float[np.ndarray, "points dimension"]) -> Polytope:
         """Build the convex hull of points; directions in which they are flat become two opposite
         rows."""
-        points = _cloud(points)
+        points = _check_cloud(points)
         if not len(points):
             return Polytope(np.zeros((1, points.shape[1])), -np.ones(1))
         coordinates, inverse, flat = flatten(points)
-        facets = product(hull(coordinates)[0], inverse)
-        normals = np.vstack([facets, flat])
-        normals = normals / np.maximum(
-            np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny
-        )
-        # support numbers of the cloud itself, so that the rounding of its hull cuts no point off
+        facets, _, _ = find_hull(coordinates)
+        normals = np.vstack([multiply(facets, inverse), flat])
+        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = normals / np.maximum(lengths, np.finfo(float).tiny)
+        # Support numbers of the cloud itself, so that the rounding of its hull cuts no point off.
         numbers, constants = np.split(points @ normals.T, [len(facets)], axis=1)
         level = constants.mean(axis=0)
         return Polytope(
@@ -92,7 +109,7 @@ class Polytope:
     ) -> Float[np.ndarray, "*directions"]:
         """Return max {d x : x in P} for each direction d: exact, +inf where unbounded, -inf if P is
         empty."""
-        directions = self._checked("directions", directions)
+        directions = self._check("directions", directions)
         if not np.isfinite(directions).all():
             raise ValueError("directions: NaN or infinite entry; give finite directions")
         if self._frame is None:
@@ -100,7 +117,11 @@ class Polytope:
         return self._frame.support(directions)[()]
 
     def vertices(self) -> Float[np.ndarray, "vertices dimension"]:
-        """Return the vertices, (0, dimension) if empty; raise ValueError if unbounded."""
+        """Return the vertices, (0, dimension) if empty.
+
+        Raises:
+            ValueError: the set is unbounded.
+        """
         if self._frame is None:
             return np.zeros((0, self.dimension))
         points, rays, lines = self._frame.generators
@@ -130,18 +151,18 @@ class Polytope:
             return np.full(self.dimension, np.nan), -np.inf
         if frame.equalities.size:
             return frame.centre, 0.0
-        # in units of the radius about the frame's centre the ball's weight in every row is at most
-        # one; solvers drop coefficients below 1e-9, and a larger weight only asks for more room
+        # In units of the radius about the frame's centre the ball's weight in every row is at most
+        # one. Solvers drop coefficients below 1e-9, and a larger weight only asks for more room.
         distances = frame.slacks / np.linalg.norm(self.normals[frame.rows], axis=1)
         weights = np.maximum(distances.min(initial=np.inf) / distances, 2e-9)
         _, inverse, _ = frame.isotropic
         weighted = np.column_stack([frame.polar @ inverse.T, weights])
         cost = -np.eye(weighted.shape[1])[-1]
-        if recedes(weighted, cost):
+        if has_falling_ray(weighted, cost):
             return frame.centre, np.inf
-        solution, _ = solve(cost, weighted, np.ones(len(weighted)))
-        # the step back costs 1e-9 of the radius and gives far rows the room that the solver's
-        # tolerance took
+        solution, _ = solve_program(cost, weighted, np.ones(len(weighted)))
+        # The step back costs 1e-9 of the radius and gives far rows the room that the solver's
+        # tolerance took.
         centre = frame.centre + (1 - 1e-9) * (frame.basis @ (solution[:-1] @ inverse))
         return centre, float(self.margin(centre))
 
@@ -163,31 +184,31 @@ class Polytope:
     ) -> Bool[np.ndarray, "*points"]:
         """Tell which points satisfy H x <= h + tolerance ||H_i||; a NaN is outside every proper
         subset."""
-        slack = self.offsets - self._checked("points", points) @ self.normals.T
-        return (slack >= -tolerance * np.linalg.norm(self.normals, axis=1)).all(axis=-1)
+        lengths = np.linalg.norm(self.normals, axis=1)
+        slacks = self._compute_slacks(points)
+        return (slacks >= -tolerance * lengths).all(axis=-1)
 
     def margin(
         self, points: Float[np.ndarray, "*points dimension"]
     ) -> Float[np.ndarray, "*points"]:
         """Return min_i (h_i - H_i x) / ||H_i||: the distance to the nearest facet plane, negative
         outside."""
-        return self._least(self.offsets - self._checked("points", points) @ self.normals.T)
+        return self._find_least(self._compute_slacks(points))
 
     def containment_margin(self, other: Polytope) -> float:
         """Return min_i (h_i - h_other(H_i)) / ||H_i||: >= 0 if and only if other is a subset.
 
         It is +inf if other is empty and -inf if other is unbounded along one of the rows.
         """
-        return float(
-            self._least(self.offsets - other.support(self._checked("normals", self.normals, other)))
-        )
+        self._check("other.normals", other.normals)
+        slacks = self.offsets - other.support(self.normals)
+        return float(self._find_least(slacks))
 
     def intersect(self, other: Polytope) -> Polytope:
         """Return the points in both sets."""
-        self._checked("other.normals", other.normals)
-        return Polytope(
-            np.vstack([self.normals, other.normals]), np.concatenate([self.offsets, other.offsets])
-        )
+        self._check("other.normals", other.normals)
+        normals = np.vstack([self.normals, other.normals])
+        return Polytope(normals, np.concatenate([self.offsets, other.offsets]))
 
     def preimage(
         self,
@@ -199,51 +220,48 @@ class Polytope:
         shift = np.zeros(self.dimension) if shift is None else np.asarray(shift, dtype=float)
         if matrix.ndim != 2 or len(matrix) != self.dimension or shift.shape != (self.dimension,):
             raise ValueError(
-                f"matrix {matrix.shape}, shift {shift.shape}: give ({self.dimension}, k), ({self.dimension},)"
+                f"matrix {matrix.shape}, shift {shift.shape}: "
+                f"give ({self.dimension}, k), ({self.dimension},)"
             )
         size = abs(self.offsets) + abs(self.normals) @ abs(shift)
-        return Polytope(
-            product(self.normals, matrix), _difference(self.offsets, self.normals @ shift, size)
-        )
+        offsets = _subtract(self.offsets, self.normals @ shift, size)
+        return Polytope(multiply(self.normals, matrix), offsets)
 
     def image(self, matrix: Float[np.ndarray, "k dimension"]) -> Polytope:
         """Return {matrix x : x in P}: exact, by the inverse where it is well conditioned, else by
         the vertices.
 
-        Raises ValueError if the set is unbounded and its vertices are needed.
+        Raises:
+            ValueError: the set is unbounded and its vertices are needed.
         """
-        matrix = self._checked("matrix", matrix)
+        matrix = self._check("matrix", matrix)
         rows = abs(matrix).max(axis=1, initial=0.0, keepdims=True)
         columns = (abs(matrix) / np.where(rows > 0, rows, 1.0)).max(axis=0, initial=0.0)
-        square = matrix.shape[0] == matrix.shape[1] and rows.all() and columns.all()
-        if not square or np.linalg.cond(scaled := matrix / rows / columns) > 1e6:
-            return Polytope.from_vertices(self.vertices() @ matrix.T)
-        return Polytope(
-            product(self.normals / columns, np.linalg.inv(scaled)) / rows[:, 0], self.offsets
-        )
+        is_square = matrix.shape[0] == matrix.shape[1]
+        if is_square and rows.all() and columns.all():
+            scaled = matrix / rows / columns
+            if np.linalg.cond(scaled) <= 1e6:
+                normals = multiply(self.normals / columns, np.linalg.inv(scaled))
+                return Polytope(normals / rows[:, 0], self.offsets)
+        return Polytope.from_vertices(self.vertices() @ matrix.T)
 
     def minkowski_sum(self, other: Polytope) -> Polytope:
         """Return {x + y : x in P, y in other}: exact, by the hull of all sums of vertices; both
         bounded."""
-        self._checked("other.normals", other.normals)
+        self._check("other.normals", other.normals)
         sums = self.vertices()[:, None, :] + other.vertices()[None, :, :]
         return Polytope.from_vertices(sums.reshape(-1, self.dimension))
 
-    def pontryagin_difference(
-        self, other: Polytope | Callable[[np.ndarray], np.ndarray]
-    ) -> Polytope:
-        """Return {x : x + other in P}, exact, of a polytope or of any set given by its support
-        function."""
-        support = other.support if isinstance(other, Polytope) else other
+    def pontryagin_difference(self, other: ConvexSet) -> Polytope:
+        """Return {x : x + other in P}, exact, of any set that has or is a support function."""
+        support = support_function(other, "other")
         axes = np.vstack([np.eye(self.dimension), -np.eye(self.dimension)])
         numbers = np.asarray(support(np.vstack([self.normals, axes])), dtype=float)
-        extent = (
-            np.where(np.isfinite(numbers), abs(numbers), 0.0)[-len(axes) :]
-            .reshape(2, -1)
-            .max(axis=0)
-        )
+        along_normals, along_axes = np.split(numbers, [len(self.normals)])
+        widths = np.where(np.isfinite(along_axes), abs(along_axes), 0.0)
+        extent = widths.reshape(2, -1).max(axis=0)
         size = abs(self.offsets) + abs(self.normals) @ extent
-        offsets = _difference(self.offsets, numbers[: -len(axes)], size)
+        offsets = _subtract(self.offsets, along_normals, size)
         if (offsets == -np.inf).any():
             return Polytope.from_vertices(np.zeros((0, self.dimension)))
         return Polytope(self.normals, offsets)
@@ -264,28 +282,66 @@ class Polytope:
         frame = self._frame
         if frame is None:
             return Polytope.from_vertices(np.zeros((0, self.dimension)))
-        facets, flat = frame.rows[frame.facets], frame.equalities
+        facets = frame.rows[frame.facets]
+        flat = frame.equalities
         return Polytope(
             np.vstack([self.normals[facets], self.normals[flat], -self.normals[flat]]),
             np.concatenate([self.offsets[facets], self.offsets[flat], -self.offsets[flat]]),
         )
 
-    def _least(self, slacks):
-        with np.errstate(divide="ignore"):
-            return (slacks / np.linalg.norm(self.normals, axis=1)).min(axis=-1, initial=np.inf)
+    def _compute_slacks(self, points):
+        return self.offsets - self._check("points", points) @ self.normals.T
 
-    def _checked(self, name, value, owner=None):
-        value, dimension = np.asarray(value, dtype=float), (owner or self).dimension
-        if value.ndim == 0 or value.shape[-1] != dimension:
+    def _find_least(self, slacks):
+        """Return the least slack as a distance; a row of zeros that fails is infinitely far."""
+        with np.errstate(divide="ignore"):
+            distances = slacks / np.linalg.norm(self.normals, axis=1)
+        return distances.min(axis=-1, initial=np.inf)
+
+    def _check(self, name, value):
+        """Return the array, refused unless its last axis has the dimension of the set."""
+        value = np.asarray(value, dtype=float)
+        if value.ndim == 0 or value.shape[-1] != self.dimension:
             raise ValueError(
-                f"{name}: shape {value.shape}; the last axis must have the set's dimension {dimension}"
+                f"{name}: shape {value.shape}; "
+                f"the last axis must have the set's dimension {self.dimension}"
             )
         return value
 
 
+@runtime_checkable
+class HasSupport(Protocol):
+    """A convex set that knows its support numbers, such as a `Polytope` or a tube's `Section`."""
+
+    def support(self, directions: Float[np.ndarray, "k n"], /) -> Float[np.ndarray, " k"]:
+        """Return max {d x : x in the set} for each row d."""
+        ...
+
+
+ConvexSet = HasSupport | SupportFunction
+"""A convex set by its support numbers: an object with a method `support`, or that function."""
+
+
+def support_function(convex_set: ConvexSet, name: str = "convex_set") -> SupportFunction:
+    """Return the support function of a set that has or is one.
+
+    Raises:
+        TypeError: it neither has nor is one; the message begins with `name`.
+    """
+    if isinstance(convex_set, HasSupport):
+        return convex_set.support
+    if callable(convex_set):
+        return convex_set
+    raise TypeError(
+        f"{name}: {type(convex_set).__name__} has no support function; "
+        "give a Polytope or a function of directions"
+    )
+
+
 def convex_hull(polytopes: Sequence[Polytope]) -> Polytope:
     """Return the hull of the union of bounded polytopes: exact, by their vertices."""
-    if len({polytope.dimension for polytope in polytopes}) != 1:
+    dimensions = {polytope.dimension for polytope in polytopes}
+    if len(dimensions) != 1:
         raise ValueError("polytopes: give at least one, all of the same dimension")
     return Polytope.from_vertices(np.vstack([polytope.vertices() for polytope in polytopes]))
 
@@ -295,17 +351,22 @@ def hull_vertices(
 ) -> Float[np.ndarray, "vertices dimension"]:
     """Return the extreme points of a cloud, flat clouds included; points closer than 1e-10 of its
     size are one."""
-    points = _cloud(points)
-    return points[hull(flatten(points)[0])[2]] if len(points) else points
+    points = _check_cloud(points)
+    if not len(points):
+        return points
+    coordinates, _, _ = flatten(points)
+    _, _, corners = find_hull(coordinates)
+    return points[corners]
 
 
-def _difference(left, right, size):
+def _subtract(left, right, size):
     """Subtract, and take for zero what rounding leaves of two equal numbers that came from terms of
     the given size."""
-    return np.where(abs(left - right) <= 1e-12 * size, 0.0, left - right)
+    difference = left - right
+    return np.where(abs(difference) <= 1e-12 * size, 0.0, difference)
 
 
-def _cloud(points):
+def _check_cloud(points):
     points = np.asarray(points, dtype=float)
     if points.ndim != 2 or points.shape[1] == 0 or not np.isfinite(points).all():
         raise ValueError(

@@ -1,6 +1,8 @@
 """The largest values of functions over boxes, bounded rigorously by branch and bound.
 
-    sup {f(x) : x in cell} <= f(c) + sum_i max {g (x_i - c_i) : x in cell, g in G_i},    G_i encloses df/dx_i there
+    sup {f(x) : x in cell} <= f(c) + sum_i max {g (x_i - c_i) : x in cell, g in G_i},
+
+G_i being an enclosure of df/dx_i over the cell.
 
 The centre c lies at an end of the cell along monotone variables, where the bound is exact, else
 where both ends bound alike (Baumann 1988, BIT 28, "Optimal centered forms"). Values at such centres
@@ -12,36 +14,46 @@ objectives and all their cells are worked on in one batch.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from sets.interval import EPSILON, TINY, Dual, Interval
 
+TIE = 1e-9
+"""Relative difference below which two contributions are equal: the first variable is cut."""
 
-@dataclass
+
+@dataclass(frozen=True)
 class Cells:
-    """Boxes lower <= x <= upper, each with its objective and the bound of the cell it was cut from."""
+    """Boxes lower <= x <= upper, each with its objective and a bound of it."""
 
     lower: Float[np.ndarray, "variables cells"]
     upper: Float[np.ndarray, "variables cells"]
     objective: Int[np.ndarray, " cells"]
     bound: Float[np.ndarray, " cells"]
 
-    def __getitem__(self, chosen) -> Cells:
-        return Cells(
-            self.lower[:, chosen], self.upper[:, chosen], self.objective[chosen], self.bound[chosen]
-        )
+    def __getitem__(self, index) -> Cells:
+        lower = self.lower[:, index]
+        upper = self.upper[:, index]
+        return Cells(lower, upper, self.objective[index], self.bound[index])
 
-    def halves(self, variable: Int[np.ndarray, " cells"]) -> Cells:
+    def halve(self, variable: Int[np.ndarray, " cells"]) -> Cells:
         """Return both halves of every cell, cut along its variable."""
         cell = np.arange(len(variable))
         middle = 0.5 * (self.lower[variable, cell] + self.upper[variable, cell])
-        lower, upper = self.lower.copy(), self.upper.copy()
-        upper[variable, cell] = lower[variable, cell] = middle
-        ends = np.hstack([self.lower, lower]), np.hstack([upper, self.upper])
-        return Cells(*ends, np.tile(self.objective, 2), np.tile(self.bound, 2))
+        upper_of_left = self.upper.copy()
+        upper_of_left[variable, cell] = middle
+        lower_of_right = self.lower.copy()
+        lower_of_right[variable, cell] = middle
+        return Cells(
+            np.hstack([self.lower, lower_of_right]),
+            np.hstack([upper_of_left, self.upper]),
+            np.tile(self.objective, 2),
+            np.tile(self.bound, 2),
+        )
 
 
 def suprema(
@@ -79,48 +91,69 @@ def suprema(
             f"tolerance: {tolerance} is not positive; give a relative gap such as 0.01"
         )
     output, sign, group = np.array(objectives).T
-    found, proved = np.full((2, group.max() + 1), -np.inf)
-    boxes, count = lower.shape[1], len(output)
-    low, high = (np.tile(end, (1, count)) for end in (lower, upper))
-    cells = Cells(low, high, np.repeat(np.arange(count), boxes), np.full(count * boxes, np.inf))
+    count = len(output)
+    boxes = lower.shape[1]
+    found = np.full(group.max() + 1, -np.inf)
+    proved = np.full(group.max() + 1, -np.inf)
+    cells = Cells(
+        np.tile(lower, (1, count)),
+        np.tile(upper, (1, count)),
+        np.repeat(np.arange(count), boxes),
+        np.full(count * boxes, np.inf),
+    )
     evaluated = 0
     while len(cells.objective):
         evaluated += len(cells.objective)
         own = group[cells.objective]
-        of_cell = output[cells.objective], sign[cells.objective]
-        values, gradient, cells.bound = _mean_value_form(function, cells, *of_cell)
-        np.maximum.at(found, own, values)
+        form = _evaluate(function, cells, output[cells.objective], sign[cells.objective])
+        np.maximum.at(found, own, form.values)
+        cells, spread = _collapse(replace(cells, bound=form.bound), form.gradient)
         gap = tolerance * np.abs(found[own]) + negligible
-        cells, spread = _collapsed(cells, gradient)
-        done = (
-            (cells.bound <= found[own] + gap) | (spread.max(axis=0) == 0) | (evaluated > most_cells)
-        )
-        np.maximum.at(proved, own[done], cells.bound[done])
-        cells = cells[~done].halves(spread[:, ~done].argmax(axis=0))
+        is_tight = cells.bound <= found[own] + gap
+        is_done = is_tight | (spread.max(axis=0) == 0) | (evaluated > most_cells)
+        np.maximum.at(proved, own[is_done], cells.bound[is_done])
+        cells = cells[~is_done].halve(_find_first_largest(spread[:, ~is_done]))
     return proved, found
 
 
-def _mean_value_form(function, cells: Cells, output, sign):
-    """Return the values found in every cell, the gradients over it and its bound."""
+def _find_first_largest(
+    spread: Float[np.ndarray, "variables cells"],
+) -> Int[np.ndarray, " cells"]:
+    """Return the variable that contributes most, of equal ones the first, whatever their last
+    bits."""
+    return (spread >= (1 - TIE) * spread.max(axis=0)).argmax(axis=0)
+
+
+class _Form(NamedTuple):
+    """The values found in every cell, the gradients over it and its bound."""
+
+    values: Float[np.ndarray, " cells"]
+    gradient: Interval
+    bound: Float[np.ndarray, " cells"]
+
+
+def _evaluate(function, cells: Cells, output, sign) -> _Form:
+    """Evaluate the mean value form of the module docstring in every cell."""
     variables, count = cells.lower.shape
-    value, gradient = _derivatives(function, cells, output, sign)
-    share = np.clip(gradient.upper / np.maximum(gradient.upper - gradient.lower, TINY), 0.0, 1.0)
-    centre = np.clip(cells.lower + share * (cells.upper - cells.lower), cells.lower, cells.upper)
-    corner = np.where(gradient.lower + gradient.upper > 0, cells.upper, cells.lower)
-    at_points = _values(function, np.hstack([centre, corner]), np.tile(output, 2), np.tile(sign, 2))
+    value, gradient = _differentiate(function, cells, output, sign)
+    width = np.maximum(gradient.upper - gradient.lower, TINY)
+    share = np.clip(gradient.upper / width, 0.0, 1.0)
+    centre = cells.lower + share * (cells.upper - cells.lower)
+    centre = np.clip(centre, cells.lower, cells.upper)
+    rises_mostly = gradient.lower + gradient.upper > TIE * width
+    corner = np.where(rises_mostly, cells.upper, cells.lower)
+    points = np.hstack([centre, corner])
+    at_points = _enclose_values(function, points, np.tile(output, 2), np.tile(sign, 2))
+    at_centre = at_points.upper[:count]
     rises = (gradient * (Interval(cells.lower, cells.upper) - centre)).upper
-    rounding = (
-        (variables + 1) * EPSILON * (np.abs(at_points.upper[:count]) + np.abs(rises).sum(axis=0))
-    )
-    bound = at_points.upper[:count] + rises.sum(axis=0) + 2.0 * rounding
-    return (
-        at_points.lower.reshape(2, count).max(axis=0),
-        gradient,
-        np.minimum(np.minimum(bound, value), cells.bound),
-    )
+    size = np.abs(at_centre) + np.abs(rises).sum(axis=0)
+    rounding = (variables + 1) * EPSILON * size
+    bound = at_centre + rises.sum(axis=0) + 2.0 * rounding
+    bound = np.minimum(np.minimum(bound, value), cells.bound)
+    return _Form(at_points.lower.reshape(2, count).max(axis=0), gradient, bound)
 
 
-def _derivatives(
+def _differentiate(
     function, cells: Cells, output, sign
 ) -> tuple[Float[np.ndarray, " cells"], Interval]:
     """Return an upper bound of each cell's objective and the enclosure of its gradient, by interval
@@ -128,45 +161,46 @@ def _derivatives(
     variables, count = cells.lower.shape
     seeds = np.broadcast_to(np.eye(variables)[:, :, None], (variables, variables, count))
     boxes = zip(cells.lower, cells.upper, seeds, strict=True)
-    results = function(
-        [Dual(Interval(low, high), Interval(seed, seed)) for low, high, seed in boxes]
-    )
-    value, lower, upper = (
-        np.zeros(count),
-        np.zeros((variables, count)),
-        np.zeros((variables, count)),
-    )
-    for index, result in enumerate(results):
+    duals = [Dual(Interval(low, high), Interval(seed, seed)) for low, high, seed in boxes]
+    value = np.zeros(count)
+    lower = np.zeros((variables, count))
+    upper = np.zeros((variables, count))
+    for index, result in enumerate(function(duals)):
         for direction in (1, -1):
-            chosen = (output == index) & (sign == direction)
-            if isinstance(result, Dual) and chosen.any():
+            own = (output == index) & (sign == direction)
+            if isinstance(result, Dual) and own.any():
                 signed = result * float(direction)
-                value[chosen] = signed.value.upper[chosen]
-                lower[:, chosen], upper[:, chosen] = (
-                    signed.gradient.lower[:, chosen],
-                    signed.gradient.upper[:, chosen],
-                )
+                value[own] = signed.value.upper[own]
+                lower[:, own] = signed.gradient.lower[:, own]
+                upper[:, own] = signed.gradient.upper[:, own]
     return value, Interval(lower, upper)
 
 
-def _values(function, points: Float[np.ndarray, "variables points"], output, sign) -> Interval:
+def _enclose_values(
+    function, points: Float[np.ndarray, "variables points"], output, sign
+) -> Interval:
     """Enclose the objective of each point."""
     results = function([Interval(row, row) for row in points])
-    ends = np.zeros((2, len(results), points.shape[1]))
+    count = points.shape[1]
+    lower = np.zeros((len(results), count))
+    upper = np.zeros((len(results), count))
     for index, result in enumerate(results):
         if isinstance(result, Interval):
-            ends[0, index], ends[1, index] = result.lower, result.upper
-    lower, upper = ends[:, output, np.arange(points.shape[1])]
-    return Interval(np.where(sign > 0, lower, -upper), np.where(sign > 0, upper, -lower))
+            lower[index] = result.lower
+            upper[index] = result.upper
+    least = lower[output, np.arange(count)]
+    most = upper[output, np.arange(count)]
+    return Interval(np.where(sign > 0, least, -most), np.where(sign > 0, most, -least))
 
 
-def _collapsed(
+def _collapse(
     cells: Cells, gradient: Interval
 ) -> tuple[Cells, Float[np.ndarray, "variables cells"]]:
     """Return the cells shrunk to the ends that hold their suprema, and what each variable can still
     contribute."""
     lower = np.where(gradient.lower >= 0, cells.upper, cells.lower)
     upper = np.where((gradient.upper <= 0) & (gradient.lower < 0), cells.lower, cells.upper)
-    up, down = np.maximum(gradient.upper, 0.0), np.maximum(-gradient.lower, 0.0)
+    up = np.maximum(gradient.upper, 0.0)
+    down = np.maximum(-gradient.lower, 0.0)
     spread = up * down / np.maximum(up + down, TINY) * (upper - lower)
-    return Cells(lower, upper, cells.objective, cells.bound), spread
+    return replace(cells, lower=lower, upper=upper), spread

@@ -1,10 +1,12 @@
 """Tubes: sets that hold the deviation from a plan, j steps ahead, under every admissible
 disturbance and schedule.
 
-    R_0 = {0},    R_1 = W,    deviation+ = Phi(th) deviation + w,    w in W,    Phi(th) = A(th) + B K(th)
+    R_0 = {0},    R_1 = W,    deviation+ = Phi(th) deviation + w,    w in W
+
+with Phi(th) = A(th) + B K(th), Phi_i its values at the vertices of the box of schedules:
 
 * `paper`     R_{j+1} = Phi_n R_j + co{dV_min A_r R_j u dV_max A_r R_j} + co{... A_l ...} + W
-* `hull`      R_{j+1} = co u_i Phi_i R_j + W, the exact one-step set made convex, Phi_i over the vertices of the box
+* `hull`      R_{j+1} = co u_i Phi_i R_j + W, the exact one-step set made convex
 * `summed`    S_0 = W, S_{j+1} = co u_i Phi_i S_j, R_{j+1} = R_j + S_j
 * `sequence`  R_{j+1|k} = Phi(th_{k+j}) R_{j|k} + W along the known schedule
 
@@ -19,7 +21,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import reduce
 
 import numpy as np
 from jaxtyping import Float
@@ -38,14 +39,17 @@ class Section:
     def support(self, directions: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
         """Return the support numbers along the rows of `directions`, exact up to rounding."""
         directions = np.atleast_2d(directions)
-        return sum(
-            (np.max(directions @ term.T, axis=1) for term in self.terms), np.zeros(len(directions))
-        )
+        total = np.zeros(len(directions))
+        for term in self.terms:
+            total = total + np.max(directions @ term.T, axis=1)
+        return total
 
     def vertices(self) -> Float[np.ndarray, "v n"]:
         """Return the extreme points, by one planar hull a term."""
-        origin = np.zeros((1, self.dimension))
-        return reduce(lambda left, right: hull_vertices(_all_sums(left, right)), self.terms, origin)
+        vertices = np.zeros((1, self.dimension))
+        for term in self.terms:
+            vertices = hull_vertices(_sum_pairs(vertices, term))
+        return vertices
 
     def polytope(self) -> Polytope:
         """Return the section as a polytope (facets through its extreme points)."""
@@ -60,25 +64,24 @@ class Section:
         return Section(self.terms + other.terms, self.dimension)
 
 
-def _all_sums(
+def _sum_pairs(
     left: Float[np.ndarray, "k n"], right: Float[np.ndarray, "l n"]
 ) -> Float[np.ndarray, "kl n"]:
+    """Return the sums of every pair of points."""
     return (left[:, None] + right[None]).reshape(-1, left.shape[1])
 
 
 def _hull_of_images(
     matrices: Sequence[Float[np.ndarray, "n n"]], points: Float[np.ndarray, "k n"]
 ) -> Section:
-    return Section(
-        (hull_vertices(np.concatenate([points @ matrix.T for matrix in matrices])),),
-        points.shape[1],
-    )
+    images = np.concatenate([points @ matrix.T for matrix in matrices])
+    return Section((hull_vertices(images),), points.shape[1])
 
 
-def _start(disturbance: Polytope) -> tuple[Section, Section]:
-    return Section((), disturbance.dimension), Section(
-        (disturbance.vertices(),), disturbance.dimension
-    )
+def _make_start(disturbance: Polytope) -> tuple[Section, Section]:
+    """Return R_0 and R_1: the origin and W."""
+    origin = Section((), disturbance.dimension)
+    return origin, Section((disturbance.vertices(),), disturbance.dimension)
 
 
 def paper_tube(
@@ -94,16 +97,15 @@ def paper_tube(
     `ranges[m]` bounds dV_m; each parameter is treated on its own, which is why this tube contains
     `hull`.
     """
-    origin, step = _start(disturbance)
+    origin, step = _make_start(disturbance)
     sections = [origin, step]
     for _ in range(1, horizon):
         last = sections[-1]
         points = last.vertices()
-        spread = [
-            _hull_of_images([low * slope, high * slope], points)
-            for slope, (low, high) in zip(slopes, ranges, strict=True)
-        ]
-        sections.append(reduce(Section.__add__, spread, last.image(nominal_loop)) + step)
+        section = last.image(nominal_loop)
+        for slope, (low, high) in zip(slopes, ranges, strict=True):
+            section = section + _hull_of_images([low * slope, high * slope], points)
+        sections.append(section + step)
     return sections[: horizon + 1]
 
 
@@ -112,19 +114,20 @@ def hull_tube(
 ) -> list[Section]:
     """Return R_0 .. R_N with R_{j+1} = co u_i Phi_i R_j + W, the smallest convex tube for arbitrary
     schedules."""
-    origin, step = _start(disturbance)
+    origin, step = _make_start(disturbance)
     sections = [origin, step]
     for _ in range(1, horizon):
         sections.append(_hull_of_images(list(loops), sections[-1].vertices()) + step)
     return sections[: horizon + 1]
 
 
-def propagated(
+def propagate(
     loops: Float[np.ndarray, "v n n"], disturbance: Polytope, steps: int
 ) -> list[Section]:
-    """Return S_0 .. S_steps, S_j the convex hull of Psi_j W over every product Psi_j of j vertex
-    loops."""
-    clouds = [_start(disturbance)[1]]
+    """Return S_0 .. S_steps, S_j being the convex hull of Psi_j W over every product Psi_j of j
+    vertex loops."""
+    _, step = _make_start(disturbance)
+    clouds = [step]
     for _ in range(steps):
         clouds.append(_hull_of_images(list(loops), clouds[-1].vertices()))
     return clouds
@@ -138,15 +141,17 @@ def summed_tube(
     Contains `hull`, and by construction R_{j+1} contains R_j + Psi_j W for every product Psi_j of j
     vertex loops.
     """
-    sections = [_start(disturbance)[0]]
-    for cloud in propagated(loops, disturbance, max(horizon - 1, 0))[:horizon]:
+    origin, _ = _make_start(disturbance)
+    sections = [origin]
+    clouds = propagate(loops, disturbance, max(horizon - 1, 0))
+    for cloud in clouds[:horizon]:
         sections.append(sections[-1] + cloud)
     return sections
 
 
 def sequence_tube(loops: Float[np.ndarray, "horizon n n"], disturbance: Polytope) -> list[Section]:
     """Return R_0 .. R_N along one known schedule: R_{j+1} = loops[j] R_j + W."""
-    origin, step = _start(disturbance)
+    origin, step = _make_start(disturbance)
     sections = [origin]
     for loop in loops:
         sections.append(sections[-1].image(loop) + step)
@@ -176,4 +181,5 @@ def input_support(
 ) -> Float[np.ndarray, " k"]:
     """Return the support numbers of co u_i K_i R, what the tube controller may add to the planned
     input."""
-    return np.max([section.support(directions @ gain) for gain in gains], axis=0)
+    reach = [section.support(directions @ gain) for gain in gains]
+    return np.max(reach, axis=0)

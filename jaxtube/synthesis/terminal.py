@@ -25,10 +25,11 @@ from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.tightening import BACK_OFF, Tightening
 from jaxtube.synthesis.tubes import Tube
 from sets import tubes
-from sets.invariant import MaximalRpi, SupportFunction, few_facet_rpi, maximal_rpi
+from sets.few_facets import few_facet_rpi
+from sets.invariant import MaximalRpi, maximal_rpi
 from sets.lmi import TerminalCost, terminal_cost
 from sets.lyapunov import cost_of_gains
-from sets.polytope import Polytope
+from sets.polytope import Polytope, SupportFunction
 
 FACET_MULTIPLES = (1, 2)
 """Facets that the invariant set used on line may have, times `terminal_facets`: every one of them
@@ -114,7 +115,7 @@ def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tighten
     disturbance = tubes.Section((problem.disturbance_set.vertices(),), 3)
     admissible = admissible_set(problem, gains)
     if kind == "T-B":
-        disturbance = tubes.propagated(tube.gain.loops, problem.disturbance_set, N - 1)[-1]
+        disturbance = tubes.propagate(tube.gain.loops, problem.disturbance_set, N - 1)[-1]
         last_errors = problem.operating_set.offsets - tightening.error_reach[:, N - 1].max(axis=0)
         last_inputs = problem.input_rows.offsets - tightening.input_reach[:, N - 1].max(axis=0)
         admissible = admissible_set(problem, gains, last_errors, last_inputs)

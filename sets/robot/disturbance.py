@@ -1,13 +1,13 @@
 """The set W that holds every disturbance of the nonlinear, sampled, slipping robot over an
 operating set.
 
-    w = e_m+ - A(th) e_m - B(th) u  in  W = {sigma (0, g_y, 1) : |sigma| <= yaw} + box        whenever
+    w = e_m+ - A(th) e_m - B(th) u  in  W = {sigma (0, g_y, 1) : |sigma| <= yaw} + box
 
-measured errors e_m, inputs u and reference wheel speeds th lie in their boxes, wheel errors satisfy
-|d| <= D and pose noise |n| <= nu now and after. A yaw kick sigma also moves the robot sideways by
-g_y sigma, g_y = T V / 2 at the centre of the schedule, which is why W is a segment plus a box and
-not a larger box. The bounds are proved by interval arithmetic rounded outwards, and come with the
-largest values really found.
+whenever measured errors e_m, inputs u and reference wheel speeds th lie in their boxes, wheel
+errors satisfy |d| <= D and pose noise |n| <= nu now and after. A yaw kick sigma also moves the
+robot sideways by g_y sigma, g_y = T V / 2 at the centre of the schedule, which is why W is a
+segment plus a box and not a larger box. The bounds are proved by interval arithmetic rounded
+outwards, and come with the largest values really found.
 
 Notation and the parts of w: `sets.robot.plant`. Source: the idea of a computed W follows Gonzalez,
 Fiacchini, Guzman, Alamo 2009, section III, where W is given; the bound itself is new.
@@ -16,7 +16,7 @@ Fiacchini, Guzman, Alamo 2009, section III, where W is given; the bound itself i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -27,6 +27,9 @@ from sets.supremum import suprema
 
 READINGS = ("true", "measured", "both")
 CAUSES = ("bilinear", "sine", "sampling", "slip", "noise")
+
+NEGLIGIBLE = 1e-12
+"""Magnitudes above minus this, m, m, rad or a share, are zeros that rounding made negative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,8 +79,12 @@ class Operation:
                 raise ValueError(
                     f"{name}: {value.tolist()} has crossed ends; give lower ends first"
                 )
-            if len(shape) == 1 and (value < 0).any():
-                raise ValueError(f"{name}: {value.tolist()} has a negative entry; give magnitudes")
+            if len(shape) == 1:
+                value[(value < 0) & (value >= -NEGLIGIBLE)] = 0.0
+                if (value < 0).any():
+                    raise ValueError(
+                        f"{name}: {value.tolist()} has a negative entry; give magnitudes"
+                    )
             value.flags.writeable = False
             object.__setattr__(self, name, value)
         for name in ("dt", "track_width"):
@@ -85,12 +92,13 @@ class Operation:
                 raise ValueError(
                     f"{name}: {getattr(self, name)} is not positive and finite; give s or m"
                 )
-        if self.coupling is not None and not (
-            min(self.coupling) > 0 and (self.errors[0, 0] == -self.errors[1, 0])
-        ):
+        if self.coupling is None:
+            return
+        lower, upper = self.errors[:, 0]
+        if min(self.coupling) <= 0 or lower != -upper:
             raise ValueError(
-                f"coupling: {self.coupling} with longitudinal errors {self.errors[:, 0].tolist()}: give "
-                "positive numbers and symmetric errors"
+                f"coupling: {self.coupling} with longitudinal errors {[lower, upper]}: "
+                "give positive numbers and symmetric errors"
             )
 
     @property
@@ -107,28 +115,41 @@ class Operation:
         return np.hstack([self.errors, self.inputs, schedule, np.stack([-magnitudes, magnitudes])])
 
     def pieces(self) -> Float[np.ndarray, "2 14 pieces"]:
-        """Return boxes in which  x = middle + share (reach + slope u2),  |share| <= 1, runs over the whole operation.
+        """Return boxes in which the longitudinal error runs over the whole operation,
+
+            x = middle + share (reach + slope u2),    |share| <= 1.
 
         Variables: share in the place of the longitudinal error, the other eleven, and reach and
         slope, of equal ends. The coupling is cut where its edges meet the caps, so that it is
         linear in u2 on each piece.
         """
-        half = (self.errors[1, 0] - self.errors[0, 0]) / 2
-        turns, pieces = [self.inputs[0, 1], self.inputs[1, 1]], []
-        a, b = self.coupling or (1.0, 1.0)
-        if self.coupling is not None:
-            uncut = max(b * (1 - half / a), 0.0)
-            turns = np.unique(
-                np.clip([*turns, 0.0, uncut, -uncut], max(turns[0], -b), min(turns[1], b))
-            )
-        for low, high in pairwise(turns):
-            cut = self.coupling is not None and max(abs(low), abs(high)) > uncut
-            reach, slope = (a, -np.copysign(a / b, low + high)) if cut else (half, 0.0)
+        pieces = []
+        for low, high, reach, slope in self._cut_turns():
             for schedule in self.schedules:
                 ends = self.box
-                ends[:, 0], ends[:, 4], ends[:, 5:7] = (-1.0, 1.0), (low, high), schedule
+                ends[:, 0] = (-1.0, 1.0)
+                ends[:, 4] = (low, high)
+                ends[:, 5:7] = schedule
                 pieces.append(np.hstack([ends, [[reach, slope]] * 2]))
         return np.stack(pieces, axis=2)
+
+    def _cut_turns(self) -> list[tuple[float, float, float, float]]:
+        """Return (lower, upper) u2 of every piece with its reach and slope."""
+        half = (self.errors[1, 0] - self.errors[0, 0]) / 2
+        lower, upper = self.inputs[:, 1]
+        if self.coupling is None:
+            return [(lower, upper, half, 0.0)]
+        a, b = self.coupling
+        uncut = max(b * (1 - half / a), 0.0)
+        turns = np.array([lower, upper, 0.0, uncut, -uncut])
+        turns = np.unique(np.clip(turns, max(lower, -b), min(upper, b)))
+        pieces = []
+        for low, high in pairwise(turns):
+            if max(abs(low), abs(high)) > uncut:
+                pieces.append((low, high, a, -np.copysign(a / b, low + high)))
+            else:
+                pieces.append((low, high, half, 0.0))
+        return pieces
 
     @property
     def _middle(self) -> float:
@@ -169,16 +190,20 @@ class DisturbanceBound:
     def vertices(self) -> Float[np.ndarray, "v 3"]:
         """Return the extreme points of W, at most twelve."""
         signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 4)).reshape(4, -1).T
-        kicks = signs[:, 3:] * self.yaw * np.array([0.0, self.lateral_per_yaw, 1.0])
+        kick = np.array([0.0, self.lateral_per_yaw, 1.0])
+        kicks = signs[:, 3:] * self.yaw * kick
         return hull_vertices(signs[:, :3] * self.box + kicks)
 
     def polytope(self) -> Polytope:
-        """Return W by its eight facets, rounded outwards: the box, and the strip along the kicks."""
+        """Return W by its eight facets, rounded outwards: the box and the strip along the kicks."""
         normals = np.vstack([np.eye(3), [0.0, 1.0, -self.lateral_per_yaw]])
         normals = np.vstack([normals, -normals])
-        return Polytope(
-            normals, np.nextafter(self.support(normals) * (1 + 8 * np.finfo(float).eps), np.inf)
-        )
+        return Polytope(normals, _round_up(self.support(normals)))
+
+
+def _round_up(magnitudes: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Return numbers above those that were rounded a few times."""
+    return np.nextafter(magnitudes * (1 + 8 * np.finfo(float).eps), np.inf)
 
 
 def wheel_error_bound(
@@ -212,9 +237,9 @@ def wheel_error_bound(
     fixed = np.stack([nominal_slip] * 2)
     true = fixed if random == "measured" else ends
     measured = fixed if random == "true" else ends
-    # d grows with i and falls with i_m, so its extremes lie at ends of both
+    # d grows with i and falls with i_m, so its extremes lie at ends of both.
     errors = (true[:, None] - measured[None]) / (1 - measured[None])
-    return np.nextafter(np.abs(errors).max(axis=(0, 1)) * (1 + 8 * np.finfo(float).eps), np.inf)
+    return _round_up(np.abs(errors).max(axis=(0, 1)))
 
 
 def disturbance_bound(
@@ -235,7 +260,6 @@ def disturbance_bound(
     Raises:
         ValueError: an angle may leave a quarter turn, in which the bounds hold.
     """
-
     period = operation.period
 
     def outputs(piece):
@@ -246,15 +270,21 @@ def disturbance_bound(
     both_signs = [(output, sign, output) for output in (0, 1, 2) for sign in (1, -1)]
     ends = [(3, -1, 3), (4, -1, 4), (3, 1, 5), (4, 1, 6)]
     proved, found = suprema(outputs, lower, upper, both_signs + ends, tolerance)
-    bounds = []
-    for values in (proved, found):
-        box = np.array([*(values[1:3] + operation.noise[:2]), 2 * operation.noise[2]])
-        bounds.append((float(values[0]), box, np.array([-values[3:5], values[5:7]])))
-    (yaw, box, speeds), (found_yaw, found_box, found_speeds) = bounds
-    box = np.nextafter(box, np.inf)
     return DisturbanceBound(
-        yaw, operation.period.lateral_per_yaw, box, speeds, found_yaw, found_box, found_speeds
+        yaw=float(proved[0]),
+        lateral_per_yaw=period.lateral_per_yaw,
+        box=np.nextafter(_add_next_noise(operation, proved[1:3]), np.inf),
+        ground_speeds=np.array([-proved[3:5], proved[5:7]]),
+        found_yaw=float(found[0]),
+        found_box=_add_next_noise(operation, found[1:3]),
+        found_ground_speeds=np.array([-found[3:5], found[5:7]]),
     )
+
+
+def _add_next_noise(operation: Operation, plane: Float[np.ndarray, "2"]) -> Float[np.ndarray, "3"]:
+    """Return the half widths of the box: noise enters the plane once, the heading twice."""
+    x, y, heading = operation.noise
+    return np.array([plane[0] + x, plane[1] + y, 2 * heading])
 
 
 def disturbance_parts(
@@ -270,34 +300,37 @@ def disturbance_parts(
         unless a search was cut short (f the sampled plant without slip and noise, J its Jacobian at
         e = u = 0):
 
-        * "bilinear"  f(e, u) - J (e, u) minus the same at u = 0: products of inputs with errors and inputs;
-        * "sine"      f(e, 0) - J (e, 0): sine and cosine of the heading error;
-        * "sampling"  (J - [A B]) (e, u): the linear part that the model misses, by its time steps or its slip factors;
-        * "slip"      f at the acting minus f at the commanded speeds; the yaw kick stands apart, its g_y taken off y;
-        * "noise"     the acting step from the true instead of the measured error, and the next measurement.
+        * "bilinear": f(e, u) - J (e, u) minus the same at u = 0, products of inputs with errors
+          and inputs;
+        * "sine": f(e, 0) - J (e, 0), sine and cosine of the heading error;
+        * "sampling": (J - [A B]) (e, u), the linear part that the model misses, by its time steps
+          or its slip factors;
+        * "slip": f at the acting minus f at the commanded speeds; the yaw kick stands apart, its
+          g_y taken off y;
+        * "noise": the acting step from the true instead of the measured error, and the next
+          measurement.
 
     Raises:
         ValueError: as `disturbance_bound`.
     """
-
     period = operation.period
 
     def outputs(piece):
         parts: Parts = split_residual(kinematics, period, operation.variables(piece))
-        return parts.yaw, *(coordinate for cause in CAUSES for coordinate in getattr(parts, cause))
+        vectors = [getattr(parts, cause) for cause in CAUSES]
+        return parts.yaw, *chain.from_iterable(vectors)
 
     lower, upper = operation.pieces()
-    objectives = [
-        (output, sign, output) for output in range(1 + 2 * len(CAUSES)) for sign in (1, -1)
-    ]
+    count = 1 + 2 * len(CAUSES)
+    objectives = [(output, sign, output) for output in range(count) for sign in (1, -1)]
     proved, _ = suprema(
         outputs, lower, upper, objectives, tolerance=0.02, negligible=2e-5, most_cells=20_000
     )
-    widths = {
-        cause: np.array([0.0, *proved[1 + 2 * i : 3 + 2 * i], 0.0])
-        for i, cause in enumerate(CAUSES)
-    }
-    widths["slip"][0] = proved[0]
+    yaw, *plane = proved
+    widths = {}
+    for cause, half_widths in zip(CAUSES, np.reshape(plane, (-1, 2)), strict=True):
+        widths[cause] = np.array([0.0, *half_widths, 0.0])
+    widths["slip"][0] = yaw
     widths["noise"][1:] += [*operation.noise[:2], 2 * operation.noise[2]]
     return widths
 
@@ -323,6 +356,7 @@ def residual(
         rounding.
     """
     parts = split_residual(kinematics, operation.period, points.T)
-    plane = parts.rest.x, parts.rest.y + operation.period.lateral_per_yaw * parts.yaw
-    w = np.stack([*plane, parts.yaw - points[:, -1]], axis=-1) + next_noise
+    lateral = parts.rest.y + operation.period.lateral_per_yaw * parts.yaw
+    heading = parts.yaw - points[:, -1]
+    w = np.stack([parts.rest.x, lateral, heading], axis=-1) + next_noise
     return w, parts.yaw, np.stack([parts.right, parts.left], axis=-1)

@@ -32,7 +32,7 @@ from jaxtyping import Float
 
 from sets.exact import Halfspaces, Matrix, NumberRows, Numbers, Row, dot, exact_row, exact_rows
 
-Interval = tuple[Fraction, Fraction]
+Range = tuple[Fraction, Fraction]
 GridRow = tuple[tuple[int, int], ...]
 GridMatrix = tuple[GridRow, ...]
 
@@ -45,36 +45,47 @@ class ScheduleBox:
     """Rational bounds of h = tan(T Om/2), c = T V tan(T Om/2)/(T Om/2) in m and of Om in rad/s
     (positive left)."""
 
-    turn: Interval
-    advance: Interval
-    yaw_rate: Interval
+    turn: Range
+    advance: Range
+    yaw_rate: Range
 
 
-def _outwards(lower: Fraction, upper: Fraction) -> Interval:
+def _round_outwards(lower: Fraction, upper: Fraction) -> Range:
     return Fraction(floor(lower * GRID), GRID), Fraction(ceil(upper * GRID), GRID)
 
 
-def _alternating(square: Fraction, first: int) -> Interval:
+def _enclose_series(square: Fraction, first: int) -> Range:
     """Enclose sum_m (-square)^m first!/(first + 2 m)!: cos x for first = 0, sin(x)/x for first = 1,
     square = x^2 <= 1.
 
     The terms fall, so that two consecutive partial sums lie on either side of the limit.
     """
-    before, after, term, k = Fraction(0), Fraction(1), Fraction(1), first
+    before = Fraction(0)
+    after = Fraction(1)
+    term = Fraction(1)
+    k = first
     while abs(term) * GRID > 1:
         term *= -square / ((k + 1) * (k + 2))
-        before, after, k = after, after + term, k + 2
+        before = after
+        after = before + term
+        k += 2
     return min(before, after), max(before, after)
 
 
-def tangent_ratio(x: Fraction) -> Interval:
-    """Enclose tan(x)/x (1 at x = 0) for an angle of at most 1 rad; raise ValueError beyond."""
+def tangent_ratio(x: Fraction) -> Range:
+    """Enclose tan(x)/x (1 at x = 0).
+
+    Raises:
+        ValueError: the angle is larger than 1 rad.
+    """
     if abs(x) > 1:
         raise ValueError(
-            f"x: half a turn of {float(x):.3g} rad in a period: shorten the period, 1 rad is the limit"
+            f"x: half a turn of {float(x):.3g} rad in a period: "
+            "shorten the period, 1 rad is the limit"
         )
-    sine, cosine = _alternating(x * x, 1), _alternating(x * x, 0)
-    return _outwards(sine[0] / cosine[1], sine[1] / cosine[0])
+    sine = _enclose_series(x * x, 1)
+    cosine = _enclose_series(x * x, 0)
+    return _round_outwards(sine[0] / cosine[1], sine[1] / cosine[0])
 
 
 def schedule_box(lower: Numbers, upper: Numbers, dt: float, track_width: float) -> ScheduleBox:
@@ -84,38 +95,53 @@ def schedule_box(lower: Numbers, upper: Numbers, dt: float, track_width: float) 
     Om, and with it h, is monotone in each wheel: extremes at opposite corners. c grows with either
     wheel, dc/dV = (T/2) (t +- (V T/b) t') with t = tan(x)/x >= 1, as long as |V| T/b |t'| <= 1, and
     |t'| <= 2 |x| up to |x| = 1 since t'(x)/x grows up to 1.87 there: extremes at the two equal
-    corners. Both ranges are thus the exact ones, rounded outwards. Raises ValueError for an empty
-    box or where the robot turns too far in a period.
+    corners. Both ranges are thus the exact ones, rounded outwards.
+
+    Raises:
+        ValueError: an empty box, or the robot turns too far in a period.
     """
-    T, b, low, high = (
-        Fraction(dt),
-        Fraction(track_width),
-        exact_row(lower, "lower"),
-        exact_row(upper, "upper"),
-    )
+    T = Fraction(dt)
+    b = Fraction(track_width)
+    low = exact_row(lower, "lower")
+    high = exact_row(upper, "upper")
     if not all(bottom <= top for bottom, top in zip(low, high, strict=True)):
         raise ValueError(f"lower: {lower} exceeds {upper}: order the bounds of both wheels")
-    yaw_rate = (low[0] - high[1]) / b, (high[0] - low[1]) / b
+    yaw_rate = _find_yaw_rates(low, high, b)
     turns = [T * rate / 2 for rate in yaw_rate]
-    steepest = 2 * max(map(abs, turns)) * max(abs(sum(low)), abs(sum(high))) / 2 * T / b
+    fastest = max(abs(sum(low)), abs(sum(high))) / 2
+    steepest = 2 * max(map(abs, turns)) * fastest * T / b
     if steepest > 1:
         raise ValueError(
-            f"dt: {dt} is too long: at these speeds {float(steepest):.3g} <= 1 must hold; shorten it"
+            f"dt: {dt} is too long: at these speeds {float(steepest):.3g} <= 1 must hold; "
+            "shorten it"
         )
-    corners = [sorted(x * ratio for ratio in tangent_ratio(x)) for x in turns]
-    advances = [
-        sorted(
-            T * (right + left) / 2 * ratio for ratio in tangent_ratio(T * (right - left) / (2 * b))
-        )
-        for right, left in (low, high)
-    ]
+    turn_low, _ = _scale_tangent(turns[0], turns[0])
+    _, turn_high = _scale_tangent(turns[1], turns[1])
+    advance_low, _ = _scale_tangent(T * (low[0] - low[1]) / (2 * b), T * sum(low) / 2)
+    _, advance_high = _scale_tangent(T * (high[0] - high[1]) / (2 * b), T * sum(high) / 2)
     return ScheduleBox(
-        _outwards(corners[0][0], corners[1][1]), _outwards(advances[0][0], advances[1][1]), yaw_rate
+        _round_outwards(turn_low, turn_high),
+        _round_outwards(advance_low, advance_high),
+        yaw_rate,
     )
 
 
-def _loop(gains: Row, turn: Fraction, advance: Fraction, T: Fraction) -> Matrix:
-    (k1, k2, k3), h, c, zero = gains, turn, advance, Fraction(0)
+def _find_yaw_rates(low: Row, high: Row, track_width: Fraction) -> Range:
+    """Return the ends of Om over a box of wheel speeds."""
+    return (low[0] - high[1]) / track_width, (high[0] - low[1]) / track_width
+
+
+def _scale_tangent(x: Fraction, factor: Fraction) -> Range:
+    """Enclose factor tan(x)/x."""
+    low, high = sorted(factor * ratio for ratio in tangent_ratio(x))
+    return low, high
+
+
+def _make_loop(gains: Row, turn: Fraction, advance: Fraction, T: Fraction) -> Matrix:
+    k1, k2, k3 = gains
+    h = turn
+    c = advance
+    zero = Fraction(0)
     return (
         (1 - T * k1, zero, zero),
         (-h * (2 - T * k1), 1 - c * T * k2 / 2, c * (1 - T * k3 / 2)),
@@ -123,13 +149,15 @@ def _loop(gains: Row, turn: Fraction, advance: Fraction, T: Fraction) -> Matrix:
     )
 
 
-def vertex_loops(gains: Numbers, box: ScheduleBox, dt: float) -> list[Matrix]:
-    """Return Phi at the four vertices of (h, c); `gains` are k1 in 1/s, k2 in rad/s/m, k3 in 1/s."""
-    k, T = exact_row(gains, "gains"), Fraction(dt)
-    return [_loop(k, turn, advance, T) for turn, advance in product(box.turn, box.advance)]
+def exact_vertex_loops(gains: Numbers, box: ScheduleBox, dt: float) -> list[Matrix]:
+    """Return Phi at the four vertices of (h, c); `gains`: k1 in 1/s, k2 in rad/s/m, k3 in 1/s."""
+    k = exact_row(gains, "gains")
+    T = Fraction(dt)
+    vertices = product(box.turn, box.advance)
+    return [_make_loop(k, turn, advance, T) for turn, advance in vertices]
 
 
-def wheel_loops(
+def exact_wheel_loops(
     gains: Numbers, lower: Numbers, upper: Numbers, dt: float, track_width: float
 ) -> list[Matrix]:
     """Return Phi at the four vertices of p, q = c +- b h = T V_r tan(x)/x, T V_l tan(x)/x over a
@@ -139,22 +167,30 @@ def wheel_loops(
     fastest turn at the highest speed, these follow the wheels, so that reach is less and invariant
     sets are larger. Outer, all but tight.
     """
-    k, T, b = exact_row(gains, "gains"), Fraction(dt), Fraction(track_width)
-    low, high = exact_row(lower, "lower"), exact_row(upper, "upper")
-    turns = [T * (low[0] - high[1]) / (2 * b), T * (high[0] - low[1]) / (2 * b)]
+    k = exact_row(gains, "gains")
+    T = Fraction(dt)
+    b = Fraction(track_width)
+    low = exact_row(lower, "lower")
+    high = exact_row(upper, "upper")
+    turns = [T * rate / 2 for rate in _find_yaw_rates(low, high, b)]
     least = max(turns[0], -turns[1], Fraction(0))
-    ratios = tangent_ratio(least)[0], tangent_ratio(max(map(abs, turns)))[1]
-    travels = [
-        sorted(T * speed * ratio for speed in ends for ratio in ratios)
-        for ends in zip(low, high, strict=True)
-    ]
-    right, left = ((travel[0], travel[-1]) for travel in travels)
-    return [_loop(k, (p - q) / (2 * b), (p + q) / 2, T) for p, q in product(right, left)]
+    most = max(map(abs, turns))
+    ratios = (tangent_ratio(least)[0], tangent_ratio(most)[1])
+    right = _scale_ends(T, (low[0], high[0]), ratios)
+    left = _scale_ends(T, (low[1], high[1]), ratios)
+    return [_make_loop(k, (p - q) / (2 * b), (p + q) / 2, T) for p, q in product(right, left)]
 
 
-def vertex_feedbacks(gains: Numbers, box: ScheduleBox) -> list[Matrix]:
+def _scale_ends(factor: Fraction, ends: Range, ratios: Range) -> Range:
+    """Return the range of factor x y over two ranges."""
+    products = [factor * x * y for x in ends for y in ratios]
+    return min(products), max(products)
+
+
+def exact_vertex_feedbacks(gains: Numbers, box: ScheduleBox) -> list[Matrix]:
     """Return K at both ends of the range of Om."""
-    (k1, k2, k3), zero = exact_row(gains, "gains"), Fraction(0)
+    k1, k2, k3 = exact_row(gains, "gains")
+    zero = Fraction(0)
     return [((-k1, -rate, zero), (zero, -k2, -k3)) for rate in box.yaw_rate]
 
 
@@ -171,25 +207,33 @@ class UsedOffsets(Protocol):
     def terminal(self) -> Float[np.ndarray, "windows facets"]: ...
 
 
-def _hull(matrices: Sequence[Matrix]) -> GridMatrix:
+def _enclose(matrices: Sequence[Matrix]) -> GridMatrix:
     """Return the range of every entry, rounded outwards, in units of 1/GRID."""
-    stacked = (zip(*rows, strict=True) for rows in zip(*matrices, strict=True))
-    return tuple(
-        tuple((floor(min(range_) * GRID), ceil(max(range_) * GRID)) for range_ in row)
-        for row in stacked
-    )
+    rows = zip(*matrices, strict=True)
+    return tuple(tuple(map(_enclose_entry, zip(*row, strict=True))) for row in rows)
 
 
-def _point(row: Row) -> GridRow:
-    return _hull(((row,),))[0]
+def _enclose_entry(values: Iterable[Fraction]) -> tuple[int, int]:
+    scaled = [value * GRID for value in values]
+    return floor(min(scaled)), ceil(max(scaled))
 
 
-def _enclosed(row: GridRow, matrix: GridMatrix) -> GridRow:
+def _place(row: Row) -> GridRow:
+    """Return a row on the grid."""
+    return tuple(_enclose_entry((entry,)) for entry in row)
+
+
+def _multiply(row: GridRow, matrix: GridMatrix) -> GridRow:
     """Enclose the products of all rows and matrices in these ranges."""
     entries = []
     for column in zip(*matrix, strict=True):
-        ends = [(a * c, a * d, b * c, b * d) for (a, b), (c, d) in zip(row, column, strict=True)]
-        entries.append((sum(map(min, ends)) // GRID, -(-sum(map(max, ends)) // GRID)))
+        low = 0
+        high = 0
+        for (a, b), (c, d) in zip(row, column, strict=True):
+            ends = (a * c, a * d, b * c, b * d)
+            low += min(ends)
+            high += max(ends)
+        entries.append((low // GRID, -(-high // GRID)))
     return tuple(entries)
 
 
@@ -205,57 +249,65 @@ class _Window:
     points: list[list[int]]  # of W in units of 1/share
     share: int
 
-    def reach(self, row: GridRow, stage: int) -> Interval:
+    def reach(self, row: GridRow, stage: int) -> Range:
         """Return upper bounds of h_W(row Phi_{j-1} .. Phi_1), j = stage, and of the support of R_j
         along the row."""
-        points, last, total = self.points, 0, 0
+        last = 0
+        total = 0
         for m in range(stage, 0, -1):
-            (a, b), (c, d), (e, f) = row
-            sums = (
-                (b if x > 0 else a) * x + (d if y > 0 else c) * y + (f if z > 0 else e) * z
-                for x, y, z in points
-            )
-            last = max(sums)
+            last = max(_find_widest(row, point) for point in self.points)
             total += last
-            row = _enclosed(row, self.loops[m - 1]) if m > 1 else row
+            row = _multiply(row, self.loops[m - 1]) if m > 1 else row
         return Fraction(last, GRID * self.share), Fraction(total, GRID * self.share)
 
     @cached_property
     def _extents(self) -> Row:
+        """Largest magnitude of every coordinate over the terminal set."""
         axes = exact_rows(np.vstack([np.eye(3), -np.eye(3)]))
-        return tuple(map(max, *(map(self.terminal.bound, half) for half in (axes[:3], axes[3:]))))
+        bounds = [self.terminal.bound(axis) for axis in axes]
+        return tuple(map(max, bounds[:3], bounds[3:]))
 
     def planned(self, row: GridRow) -> Fraction:
         """Return an upper bound of row e over the terminal set and the rows of the interval."""
         middle = tuple(Fraction(low + high, 2 * GRID) for low, high in row)
-        return self.terminal.bound(middle) + dot(
-            (Fraction(high - low, 2 * GRID) for low, high in row), self._extents
-        )
+        halves = tuple(Fraction(high - low, 2 * GRID) for low, high in row)
+        return self.terminal.bound(middle) + dot(halves, self._extents)
 
 
-def _under(feedback: GridMatrix, inputs: Row, errors: Row) -> GridRow:
+def _find_widest(row: GridRow, point: Sequence[int]) -> int:
+    """Return the largest product of a point and a row of these ranges."""
+    (a, b), (c, d), (e, f) = row
+    x, y, z = point
+    return (b if x > 0 else a) * x + (d if y > 0 else c) * y + (f if z > 0 else e) * z
+
+
+def _couple(feedback: GridMatrix, inputs: Row, errors: Row) -> GridRow:
     """Enclose the row D K + C."""
-    pairs = zip(_enclosed(_point(inputs), feedback), _point(errors), strict=True)
+    pairs = zip(_multiply(_place(inputs), feedback), _place(errors), strict=True)
     return tuple((a + c, b + d) for (a, b), (c, d) in pairs)
 
 
-def _window(
-    stages, points: Matrix, error_rows: Matrix, input_rows, used: UsedOffsets, index: int
+def _make_window(
+    stages: Sequence[tuple[GridMatrix, GridMatrix]],
+    points: Matrix,
+    error_rows: Matrix,
+    input_rows: Sequence[tuple[Row, Row]],
+    used: UsedOffsets,
+    index: int,
 ) -> _Window:
+    """Gather a window whose stages are given by their loops and feedbacks."""
     share = lcm(*(a.denominator for point in points for a in point))
+    errors = [_place(row) for row in error_rows]
+    inputs = [[_couple(feedback, *row) for row in input_rows] for _, feedback in stages]
+    kept_errors = tuple(exact_row(row, "errors") for row in used.errors[index])
+    kept_inputs = tuple(exact_row(row, "inputs") for row in used.inputs[index])
     return _Window(
-        [loop for loop, _ in stages],
-        {
-            "errors": [[_point(row) for row in error_rows]] * len(stages),
-            "inputs": [[_under(feedback, *row) for row in input_rows] for _, feedback in stages],
-        },
-        {
-            name: tuple(exact_row(row, name) for row in getattr(used, name)[index])
-            for name in ("errors", "inputs")
-        },
-        Halfspaces(used.terminal_normals, used.terminal[index]),
-        [[int(a * share) for a in point] for point in points],
-        share,
+        loops=[loop for loop, _ in stages],
+        rows={"errors": [errors] * len(stages), "inputs": inputs},
+        used={"errors": kept_errors, "inputs": kept_inputs},
+        terminal=Halfspaces(used.terminal_normals, used.terminal[index]),
+        points=[[int(a * share) for a in point] for point in points],
+        share=share,
     )
 
 
@@ -281,15 +333,20 @@ def sequence_margins(
         nonempty   the origin lies in every set used
         reach      used_j + h_{R_j}(c) <= offset of E, U;  T + R_N in Omega
         shifted    used_j + h_W(Psi^T c) <= used_{j-1} of the next window + slack,  j = 1 .. N-1
-        returns    T + Psi W, j = N, within the last E, U (after K) and T (after Phi) of the next window
+        returns    T + Psi W, j = N, within the last E, U (after K) and T (after Phi) of the next
+                   window
 
     The last two prove by themselves that a plan shifted by one step is admissible again. Tubes that
     meet `shifted` with equality need `slack` for the rounding of their offsets: it is granted, not
-    proved. Raises ValueError where shapes differ or a follower is not its window one step later.
+    proved.
+
+    Raises:
+        ValueError: shapes differ, or a follower is not its window one step later.
     """
     if any(len(offsets) != len(boxes) for offsets in (used.errors, used.inputs, used.terminal)):
         raise ValueError(
-            f"used: {len(used.errors)} windows of offsets for {len(boxes)} windows: give one a window"
+            f"used: {len(used.errors)} windows of offsets for {len(boxes)} windows: "
+            "give one a window"
         )
     points = exact_rows(disturbance_vertices, "disturbance_vertices")
     error_rows = exact_rows(error_set[0], "error_set")
@@ -299,31 +356,52 @@ def sequence_margins(
         "inputs": exact_row(input_set[2], "input_set"),
     }
     invariant = Halfspaces(*invariant_set)
-    known = {
-        box: (_hull(vertex_loops(gains, box, dt)), _hull(vertex_feedbacks(gains, box)))
-        for box in set(chain.from_iterable(boxes))
-    }
-    stages = [[known[box] for box in row] for row in boxes]
+    enclosed = _enclose_stages(boxes, gains, dt)
     windows = [
-        _window(row, points, error_rows, input_rows, used, w) for w, row in enumerate(stages)
+        _make_window([enclosed[box] for box in row], points, error_rows, input_rows, used, index)
+        for index, row in enumerate(boxes)
     ]
-    following: dict[int, list[_Window]] = defaultdict(list)
+    following = _find_followers(boxes, followers)
+    rooms: dict[str, list[Fraction]] = defaultdict(list)
+    for index, window in enumerate(windows):
+        later_windows = [windows[later] for later in following[index]]
+        conditions = [
+            _check_stages(window, later_windows, whole),
+            _check_terminal(window, invariant),
+            *(_check_returns(window, later) for later in later_windows),
+        ]
+        for name, room in chain.from_iterable(conditions):
+            granted = Fraction(slack) if name.endswith("shifted") else 0
+            rooms[name].append(room + granted)
+    return {name: min(values) for name, values in rooms.items()}
+
+
+def _enclose_stages(
+    boxes: Sequence[Sequence[ScheduleBox]], gains: Numbers, dt: float
+) -> dict[ScheduleBox, tuple[GridMatrix, GridMatrix]]:
+    """Enclose the loop and the feedback of every box that occurs."""
+    enclosed = {}
+    for box in set(chain.from_iterable(boxes)):
+        loop = _enclose(exact_vertex_loops(gains, box, dt))
+        enclosed[box] = (loop, _enclose(exact_vertex_feedbacks(gains, box)))
+    return enclosed
+
+
+def _find_followers(
+    boxes: Sequence[Sequence[ScheduleBox]], followers: Iterable[tuple[int, int]]
+) -> dict[int, list[int]]:
+    """Return the windows that follow each window."""
+    following: dict[int, list[int]] = defaultdict(list)
     for now, later in set(followers):
         if list(boxes[now][1:]) != list(boxes[later][:-1]):
             raise ValueError(
                 f"followers: {now, later}: the second must be the first one step later"
             )
-        following[now].append(windows[later])
-    rooms: dict[str, list[Fraction]] = defaultdict(list)
-    for w, window in enumerate(windows):
-        conditions = [_stages(window, following[w], whole), _terminal(window, invariant)]
-        conditions += [_returns(window, later) for later in following[w]]
-        for name, room in chain.from_iterable(conditions):
-            rooms[name].append(room + Fraction(slack) if name.endswith("shifted") else room)
-    return {name: min(found) for name, found in rooms.items()}
+        following[now].append(later)
+    return following
 
 
-def _stages(
+def _check_stages(
     window: _Window, following: list[_Window], whole: dict[str, Row]
 ) -> Iterator[tuple[str, Fraction]]:
     """Yield the room of `reach` and `shifted` along every row of E and U at every stage."""
@@ -332,34 +410,30 @@ def _stages(
             for i, (row, kept, offset) in enumerate(zip(rows, used, whole[name], strict=True)):
                 last, reach = window.reach(row, j)
                 yield f"{name} reach", offset - kept - reach
-                for later in following if j else ():
+                if j == 0:
+                    continue
+                for later in following:
                     yield f"{name} shifted", later.used[name][j - 1][i] - kept - last
 
 
-def _terminal(window: _Window, invariant: Halfspaces) -> Iterator[tuple[str, Fraction]]:
+def _check_terminal(window: _Window, invariant: Halfspaces) -> Iterator[tuple[str, Fraction]]:
     """Yield the least offset used in the window and the room of T + R_N in the invariant set."""
-    yield "nonempty", min(*map(min, chain(*window.used.values())), *window.terminal.offsets)
+    stages = chain(*window.used.values())
+    yield "nonempty", min(*map(min, stages), *window.terminal.offsets)
     for normal, offset in zip(invariant.normals, invariant.offsets, strict=True):
-        row = _point(normal)
-        yield (
-            "terminal reach",
-            offset - window.planned(row) - window.reach(row, len(window.loops))[1],
-        )
+        row = _place(normal)
+        _, reach = window.reach(row, len(window.loops))
+        yield "terminal reach", offset - window.planned(row) - reach
 
 
-def _returns(window: _Window, later: _Window) -> Iterator[tuple[str, Fraction]]:
+def _check_returns(window: _Window, later: _Window) -> Iterator[tuple[str, Fraction]]:
     """Yield the room of T + Psi W along the rows of the last stage of the next window."""
-    targets = [
-        ("terminal", _enclosed(_point(normal), later.loops[-1]))
-        for normal in later.terminal.normals
-    ]
-    targets += [(name, row) for name, stages in later.rows.items() for row in stages[-1]]
-    limits = [
-        *later.terminal.offsets,
-        *chain.from_iterable(used[-1] for used in later.used.values()),
-    ]
-    for (name, row), limit in zip(targets, limits, strict=True):
-        yield (
-            f"{name} returns",
-            limit - window.planned(row) - window.reach(row, len(window.loops))[0],
-        )
+    targets = []
+    for normal, limit in zip(later.terminal.normals, later.terminal.offsets, strict=True):
+        targets.append(("terminal", _multiply(_place(normal), later.loops[-1]), limit))
+    for name, stages in later.rows.items():
+        for row, limit in zip(stages[-1], later.used[name][-1], strict=True):
+            targets.append((name, row, limit))
+    for name, row, limit in targets:
+        last, _ = window.reach(row, len(window.loops))
+        yield f"{name} returns", limit - window.planned(row) - last

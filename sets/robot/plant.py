@@ -1,7 +1,9 @@
 """What the linear model leaves out of one period of the sampled, slipping robot, split by cause.
 
-    e+ = f(e_m - n, v_a, w_a) + n+        w = e+ - A(th) e_m - B(th) u        complex notation z = e_x + i e_y:
-    f:  z+ = e^{-ia} z + T V S(A) e^{i (e_th + A - a)} - T v S(a),   e_th+ = e_th + A - a,    a = T w,  A = T Om
+    e+ = f(e_m - n, v_a, w_a) + n+        w = e+ - A(th) e_m - B(th) u
+
+    f:  z+ = e^{-ia} z + T V S(A) e^{i (e_th + A - a)} - T v S(a),   z = e_x + i e_y
+        e_th+ = e_th + A - a,    a = T w,    A = T Om
         S(a) = (1 - e^{-ia}) / (ia) = sinc(a/2) e^{-ia/2}
 
 Commands (v, w) come from the measured error e_m and the inputs (u1, u2) by an input map; all have w
@@ -16,8 +18,11 @@ adds is the yaw kick kappa = T (w - w_a) = T (g_r d_r - g_l d_l) / b. With f(e, 
 slip and noise, and J its Jacobian at e = u = 0,
 
     w = kappa (0, g_y, 1) + bilinear + sine + sampling + slip + noise
-    sine = f(e, 0) - J (e, 0)      bilinear = f(e, u) - J (e, u) - sine      sampling = (J - [A B]) (e, u)
-    slip = f(e, v_a, w_a) - f(e, v, w) - kappa (0, g_y, 1)                   noise = the rest, n+ left out
+    sine = f(e, 0) - J (e, 0)
+    bilinear = f(e, u) - J (e, u) - sine
+    sampling = (J - [A B]) (e, u)
+    slip = f(e, v_a, w_a) - f(e, v, w) - kappa (0, g_y, 1)
+    noise = the rest, n+ left out
 
 and each part is written so that its enclosure by intervals vanishes with its cause. Every function
 takes floats, intervals and duals alike. All angles stay within a quarter turn.
@@ -65,13 +70,15 @@ class Kinematics:
         for name, allowed in choices:
             if getattr(self, name) not in allowed:
                 raise ValueError(
-                    f"{name}: {getattr(self, name)!r} is unknown; choose one of {', '.join(allowed)}"
+                    f"{name}: {getattr(self, name)!r} is unknown; "
+                    f"choose one of {', '.join(allowed)}"
                 )
 
     def predicts_like(self, other: Kinematics) -> bool:
         """Tell whether both choose the same model, by name."""
-        exact = self.model == "exact_jacobian"
-        return self.model == other.model and (exact or self.discretisation == other.discretisation)
+        if self.model != other.model:
+            return False
+        return self.model == "exact_jacobian" or self.discretisation == other.discretisation
 
 
 class Period(NamedTuple):
@@ -99,7 +106,8 @@ class Vector(NamedTuple):
 
     def turned(self, angle) -> Vector:
         """Return the vector turned to the left, rad."""
-        c, s = cos(angle), sin(angle)
+        c = cos(angle)
+        s = sin(angle)
         return Vector(self.x * c - self.y * s, self.x * s + self.y * c)
 
     def crosswise(self) -> Vector:
@@ -121,7 +129,7 @@ class Parts(NamedTuple):
 
     @property
     def rest(self) -> Vector:
-        """What is left of w beside the yaw kick and the noise of the next measurement."""
+        """The parts of w beside the yaw kick and the noise of the next measurement."""
         return self.bilinear.plus(self.sine).plus(self.sampling).plus(self.slip).plus(self.noise)
 
 
@@ -144,33 +152,31 @@ def split_residual(kinematics: Kinematics, period: Period, variables: Iterable) 
     x, y, heading, u1, u2, V_r, V_l, d_r, d_l, n_x, n_y, n_th = variables
     T, b, g_y = period
     z = Vector(x, y)
-    A, L, m = (V_r - V_l) * T / b, (V_r + V_l) * 0.5 * T, u2 * T
+    A = (V_r - V_l) * T / b
+    L = (V_r + V_l) * 0.5 * T
+    m = u2 * T
     a = A - m
     if kinematics.input_map == "x_exact":
-        bilinear, sine, Tv = _x_exact(z, heading, u1 * T, m, A, L)
+        bilinear, sine, Tv = _split_x_exact(z, heading, u1 * T, m, A, L)
     else:
-        bilinear, sine, Tv = _direct(
-            z, heading, u1 * T, m, A, L, kinematics.input_map == "cosine_free"
-        )
-    sampling = _sampling(kinematics, period, (x, y, heading, u1, u2), V_r, V_l)
+        is_cosine_free = kinematics.input_map == "cosine_free"
+        bilinear, sine, Tv = _split_direct(z, heading, u1 * T, m, A, L, is_cosine_free)
+    sampling = _compute_sampling(kinematics, period, (x, y, heading, u1, u2), V_r, V_l)
 
-    right, left = Tv + a * (0.5 * b), Tv - a * (0.5 * b)
-    kick, brake = (right * d_r - left * d_l) / b, (right * d_r + left * d_l) * 0.5
-    # where the reference goes, in the frame of a robot that turned by a
+    right = Tv + a * (0.5 * b)
+    left = Tv - a * (0.5 * b)
+    kick = (right * d_r - left * d_l) / b
+    brake = (right * d_r + left * d_l) * 0.5
+    # Where the reference goes, in the frame of a robot that turned by a.
     reference = polar(L * sinc(A * 0.5), heading + m - A * 0.5)
-    turn = (
-        z.turned(kick * 0.5 - a)
-        .plus(reference.turned(kick * 0.5))
-        .crosswise()
-        .scaled(sin(kick * 0.5) * 2.0)
-    )
+    swept = z.turned(kick * 0.5 - a).plus(reference.turned(kick * 0.5))
+    turn = swept.crosswise().scaled(sin(kick * 0.5) * 2.0)
     way = arc(a - kick).scaled(brake).plus(arc_change(a, -kick).scaled(-Tv))
     slip = turn.plus(way).plus(Vector(0.0, kick * -g_y))
 
     shift = Vector(-n_x, -n_y).turned(kick - a)
-    noise = shift.plus(
-        reference.turned(kick - n_th * 0.5).crosswise().scaled(sin(n_th * 0.5) * -2.0)
-    )
+    swing = reference.turned(kick - n_th * 0.5).crosswise()
+    noise = shift.plus(swing.scaled(sin(n_th * 0.5) * -2.0))
     return Parts(kick, bilinear, sine, sampling, slip, noise, right / T, left / T)
 
 
@@ -186,63 +192,66 @@ def arc(angle) -> Vector:
 
 def arc_change(angle, step) -> Vector:
     """Return S(a + step) - S(a)."""
-    half, change = angle * 0.5, step * 0.5
-    length = polar(sinc_change(half, change), -half - change)
-    return length.plus(
-        polar(sinc(half) * sin(change * 0.5) * -2.0, -half - change * 0.5).crosswise()
-    )
+    half = angle * 0.5
+    change = step * 0.5
+    stretch = polar(sinc_change(half, change), -half - change)
+    turn = polar(sinc(half) * sin(change * 0.5) * -2.0, -half - change * 0.5)
+    return stretch.plus(turn.crosswise())
 
 
-def _x_exact(z: Vector, heading, Tu1, m, A, L) -> tuple[Vector, Vector, Any]:
+def _split_x_exact(z: Vector, heading, Tu1, m, A, L) -> tuple[Vector, Vector, Any]:
     """Return (bilinear, sine, T v) of `x_exact`, from e_y+ = e_y - tan(a/2) q + L s sin(e_th + m/2)
     / cos(a/2).
 
     q = e_x + e_x+; the Jacobian has A and e_th + m/2 in the place of a and the sine.
     """
-    a, length = A - m, L * sinc(A * 0.5)
-    secant_a, secant_A = 1.0 / cos(a * 0.5), 1.0 / cos(A * 0.5)
+    a = A - m
+    length = L * sinc(A * 0.5)
+    secant_a = 1.0 / cos(a * 0.5)
+    secant_A = 1.0 / cos(A * 0.5)
     q = z.x * 2.0 + A * z.y + Tu1
-    tangents = sin(m * 0.5) * secant_a * secant_A  # tan(A/2) - tan(a/2)
-    secants = (
-        sin((A - m * 0.5) * 0.5) * sin(m * 0.25) * -2.0 * secant_a * secant_A
-    )  # 1/cos(a/2) - 1/cos(A/2)
-    sines = (
-        sine_excess(m * 0.25) * 2.0 - sin(m * 0.25) * square(sin((heading + m * 0.25) * 0.5)) * 4.0
-    )
-    bilinear = tangents * q + length * (secants * sin(heading + m * 0.5) + secant_A * sines)
+    # tan(A/2) - tan(a/2)
+    tangents = sin(m * 0.5) * secant_a * secant_A
+    # 1/cos(a/2) - 1/cos(A/2)
+    secants = sin((A - m * 0.5) * 0.5) * sin(m * 0.25) * -2.0 * secant_a * secant_A
+    # sin(e_th + m/2) - sin(e_th) - m/2
+    half_turn = square(sin((heading + m * 0.25) * 0.5))
+    sines = sine_excess(m * 0.25) * 2.0 - sin(m * 0.25) * half_turn * 4.0
+    lateral = secants * sin(heading + m * 0.5) + secant_A * sines
+    bilinear = tangents * q + length * lateral
     sine = length * secant_A * sine_excess(heading)
-    ahead = (
-        length * cos(heading + A * 0.5 - a)
-        - square(sin(a * 0.5)) * 2.0 * z.x
-        + (sine_excess(a) - m) * z.y
-        - Tu1
-    )
+    ahead = length * cos(heading + A * 0.5 - a)
+    ahead = ahead - square(sin(a * 0.5)) * 2.0 * z.x
+    ahead = ahead + (sine_excess(a) - m) * z.y - Tu1
     return Vector(0.0, bilinear), Vector(0.0, sine), ahead * secant_a / sinc(a * 0.5)
 
 
-def _direct(z: Vector, heading, Tu1, m, A, L, cosine_free: bool) -> tuple[Vector, Vector, Any]:
+def _split_direct(
+    z: Vector, heading, Tu1, m, A, L, is_cosine_free: bool
+) -> tuple[Vector, Vector, Any]:
     """Return (bilinear, sine, T v) of `cosine_free`, and of `paper`, which drives L (1 - cos e_th)
     further."""
-    versine = square(sin(heading * 0.5)) * 2.0  # 1 - cos e_th
-    change, chord = arc_change(A, -m), polar(sinc(A * 0.5), A * -0.5)
-    swing = polar(
-        sinc(A * 0.5) * sin(m * 0.5) * 2.0, (m - A) * 0.5
-    ).crosswise()  # (e^{im} - 1) S(A)
+    # 1 - cos e_th
+    versine = square(sin(heading * 0.5)) * 2.0
+    change = arc_change(A, -m)
+    chord = polar(sinc(A * 0.5), A * -0.5)
+    # (e^{im} - 1) S(A)
+    swing = polar(sinc(A * 0.5) * sin(m * 0.5) * 2.0, (m - A) * 0.5).crosswise()
     sway = swing.plus(change.scaled(-1.0))
-    drift = Vector(m * -lag(A), m * square(sinc(A * 0.5)) * -0.5)  # -im R(A), R of the Jacobian
-    reference = (
-        sway.plus(drift).plus(sway.scaled(-versine)).plus(swing.crosswise().scaled(sin(heading)))
-    )
+    # -im R(A), R of the Jacobian
+    drift = Vector(m * -lag(A), m * square(sinc(A * 0.5)) * -0.5)
+    reference = sway.plus(drift).plus(sway.scaled(-versine))
+    reference = reference.plus(swing.crosswise().scaled(sin(heading)))
     turn = z.turned(m * 0.5 - A).crosswise().scaled(sin(m * 0.5) * 2.0)
     bilinear = turn.plus(change.scaled(Tu1)).plus(reference.scaled(L))
     sine = chord.crosswise().scaled(L * sine_excess(heading))
-    if cosine_free:
+    if is_cosine_free:
         return bilinear, sine, L * (1.0 - versine) - Tu1
     further = L * versine
     return bilinear.plus(change.scaled(-further)), sine.plus(chord.scaled(-further)), L - Tu1
 
 
-def _sampling(kinematics: Kinematics, period: Period, terms: Sequence, V_r, V_l) -> Vector:
+def _compute_sampling(kinematics: Kinematics, period: Period, terms: Sequence, V_r, V_l) -> Vector:
     """Return (J - [A B]) (e, u)."""
     model = "exact_jacobian" if kinematics.input_map == "x_exact" else "consistent"
     jacobian = Kinematics(kinematics.input_map, model, "zoh")
@@ -250,15 +259,18 @@ def _sampling(kinematics: Kinematics, period: Period, terms: Sequence, V_r, V_l)
         return Vector(0.0, 0.0)
     x, y, heading, u1, u2 = terms
     L = (V_r + V_l) * 0.5 * period.dt
-    terms = x, y, heading * L, u1, u2 * L
-    pairs = zip(
-        plane_rows(jacobian, period, V_r, V_l),
-        plane_rows(kinematics, period, V_r, V_l),
-        strict=True,
-    )
+    scaled = (x, y, heading * L, u1, u2 * L)
+    own_x, own_y = plane_rows(jacobian, period, V_r, V_l)
+    model_x, model_y = plane_rows(kinematics, period, V_r, V_l)
     return Vector(
-        *(sum((p - q) * term for p, q, term in zip(*rows, terms, strict=True)) for rows in pairs)
+        _multiply_difference(own_x, model_x, scaled), _multiply_difference(own_y, model_y, scaled)
     )
+
+
+def _multiply_difference(left: Sequence, right: Sequence, terms: Sequence):
+    """Return (left - right) . terms."""
+    triples = zip(left, right, terms, strict=True)
+    return sum((p - q) * term for p, q, term in triples)
 
 
 def plane_rows(kinematics: Kinematics, period: Period, V_r, V_l) -> tuple[Sequence, Sequence]:
@@ -277,17 +289,17 @@ def plane_rows(kinematics: Kinematics, period: Period, V_r, V_l) -> tuple[Sequen
     if kinematics.model == "exact_jacobian":
         A = (V_r - V_l) * T / b
         secant = 1.0 / cos(A * 0.5)
-        h, c = sin(A * 0.5) * secant, sinc(A * 0.5) * secant
+        h = sin(A * 0.5) * secant
+        c = sinc(A * 0.5) * secant
         return (1.0, A, 0.0, T, 0.0), (h * -2.0, 1.0 - h * A, c, h * -T, c * 0.5 * T)
     f_r, f_l = kinematics.slip_factors if kinematics.model == "paper" else (1.0, 1.0)
     A = (V_r * f_r - V_l * f_l) * T / b
     if kinematics.discretisation == "euler":
         return (1.0, A, 0.0, T, 0.0), (-A, 1.0, 1.0, 0.0, 0.0)
-    S = arc(A)  # and R(A) = (1 - S) / (iA) = sinc(A/2)^2 / 2 - i lag(A)
-    return (cos(A), sin(A), -S.y, S.x * T, lag(A) * T), (
-        -sin(A),
-        cos(A),
-        S.x,
-        S.y * T,
-        square(sinc(A * 0.5)) * 0.5 * T,
-    )
+    # S(A), and R(A) = (1 - S) / (iA) = sinc(A/2)^2 / 2 - i lag(A)
+    S = arc(A)
+    c = cos(A)
+    s = sin(A)
+    x_row = (c, s, -S.y, S.x * T, lag(A) * T)
+    y_row = (-s, c, S.x, S.y * T, square(sinc(A * 0.5)) * 0.5 * T)
+    return x_row, y_row

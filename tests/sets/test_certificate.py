@@ -24,7 +24,7 @@ from sets.certificate import (
 from sets.invariant import maximal_rpi
 from sets.lmi import lqr_gain
 from sets.polytope import Polytope
-from sets.tubes import hull_tube, propagated, sequence_tube
+from sets.tubes import hull_tube, propagate, sequence_tube
 
 LOOPS = tube_loops()
 POINTS = W.vertices()
@@ -44,14 +44,13 @@ def width(points: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 def unpruned(loops: np.ndarray, points: np.ndarray, direction: np.ndarray, steps: int):
     """Yield reach and greatest last term of j = 0..steps, over every product kept to the end."""
-    rows, sums = direction[None], np.zeros(1)
+    rows = direction[None]
+    sums = np.zeros(1)
     for _ in range(steps + 1):
         terms = width(points, rows)
         yield sums.max(), terms.max()
-        rows, sums = (
-            np.concatenate([rows @ loop for loop in loops]),
-            np.tile(sums + terms, len(loops)),
-        )
+        rows = np.concatenate([rows @ loop for loop in loops])
+        sums = np.tile(sums + terms, len(loops))
 
 
 @pytest.mark.parametrize("loops", [LOOPS, RANDOM], ids=["paper", "random"])
@@ -59,9 +58,11 @@ def test_reach_equals_the_greatest_over_enumerated_products(loops):
     direction = np.array([0.3, -1.0, 0.5])
     reach, last = reach_supports(loops, UNEVEN, direction, 4)
     for j in range(5):
-        totals, terms = [], []
+        totals = []
+        terms = []
         for chosen in itertools.product(loops, repeat=max(j, 0)):
-            row, total = direction, 0.0
+            row = direction
+            total = 0.0
             for loop in chosen:
                 total += width(UNEVEN, row)
                 row = row @ loop
@@ -82,9 +83,29 @@ def test_pruning_does_not_change_the_reach(loops, steps, count):
         np.testing.assert_allclose(found, expected, rtol=PRUNED_REACH)
 
 
+def test_clusters_of_almost_equal_products_do_not_stop_the_pruning():
+    rng = np.random.default_rng(11)
+    loops = 0.9 * np.eye(3) + 1e-13 * rng.normal(size=(8, 3, 3))
+    direction = np.array([0.3, -1.0, 0.5])
+    reach, last = reach_supports(loops, UNEVEN, direction, 6)
+    step = width(UNEVEN, direction)
+    np.testing.assert_allclose(last, step * 0.9 ** np.arange(7), rtol=PRUNED_REACH)
+    np.testing.assert_allclose(reach[6], step * (1 - 0.9**6) / 0.1, rtol=PRUNED_REACH)
+
+
+def test_of_disturbances_that_are_equally_bad_the_first_is_taken():
+    loops = np.array([0.5 * np.eye(2)])
+    square = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+    normal = np.array([1.0, 0.0])
+    for bits in np.random.default_rng(0).uniform(-1e-15, 1e-15, size=(20, 4, 2)):
+        _, state = escape_excess(loops, square + bits, normal, 1.0, (0, 0))
+        np.testing.assert_allclose(state, [1.75, 1.75], rtol=1e-14)
+
+
 def test_reach_and_last_term_equal_those_of_the_tubes():
     rows = np.random.default_rng(2).normal(size=(5, 3))
-    hull, clouds = hull_tube(LOOPS, W, 7), propagated(LOOPS, W, 7)
+    hull = hull_tube(LOOPS, W, 7)
+    clouds = propagate(LOOPS, W, 7)
     for row in rows:
         reach, last = reach_supports(LOOPS, POINTS, row, 7)
         np.testing.assert_allclose(
@@ -97,7 +118,8 @@ def test_reach_and_last_term_equal_those_of_the_tubes():
 
 def test_reach_along_a_schedule_equals_the_sections_of_its_tube():
     rng = np.random.default_rng(3)
-    loops, rows = LOOPS[rng.integers(4, size=6)], rng.normal(size=(7, 3))
+    loops = LOOPS[rng.integers(4, size=6)]
+    rows = rng.normal(size=(7, 3))
     reach, last = sequence_reach(loops, POINTS, rows)
     expected = [section.support(rows) for section in sequence_tube(loops, W)]
     np.testing.assert_allclose(reach, expected, rtol=0, atol=TUBE_ROUNDING)
@@ -111,7 +133,8 @@ def test_reach_along_a_schedule_equals_the_sections_of_its_tube():
 
 def test_reach_along_a_schedule_is_attained_by_the_best_of_all_disturbances():
     rng = np.random.default_rng(4)
-    loops, rows = rng.uniform(-1, 1, size=(3, 3, 3)), rng.normal(size=(4, 3))
+    loops = rng.uniform(-1, 1, size=(3, 3, 3))
+    rows = rng.normal(size=(4, 3))
     reach, _ = sequence_reach(loops, UNEVEN, rows)
     ends = []
     for chosen in itertools.product(UNEVEN, repeat=3):
@@ -123,7 +146,8 @@ def test_reach_along_a_schedule_is_attained_by_the_best_of_all_disturbances():
 
 
 def test_the_escape_is_the_furthest_of_all_simulated_runs():
-    path, normal = (2, 0, 1, 1), np.array([0.4, 1.0, -0.2])
+    path = (2, 0, 1, 1)
+    normal = np.array([0.4, 1.0, -0.2])
     loops = np.random.default_rng(5).uniform(-1, 1, size=(3, 3, 3))
     excess, state = escape_excess(loops, UNEVEN, normal, 0.7, path)
     ends = []
@@ -175,7 +199,8 @@ def test_invariance_margin_tells_an_invariant_set_from_one_pushed_out():
 def test_decrease_margin_bounds_the_decrease_along_every_loop():
     rng = np.random.default_rng(6)
     gains = terminal_gains(0.4, False, "trace_p")
-    loops, cost = terminal_problem(0.4, False, "trace_p")[0], np.diag([20.0, 60.0, 30.0])
+    loops = terminal_problem(0.4, False, "trace_p")[0]
+    cost = np.diag([20.0, 60.0, 30.0])
     states = rng.normal(size=(20000, 3))
     states /= np.linalg.norm(states, axis=1, keepdims=True)
 
@@ -196,9 +221,11 @@ def test_decrease_margin_bounds_the_decrease_along_every_loop():
 
 
 def test_decrease_margin_is_zero_for_the_riccati_cost():
-    A, B = np.array([[1.0, 0.1], [0.0, 1.0]]), np.array([[0.0], [0.1]])
+    A = np.array([[1.0, 0.1], [0.0, 1.0]])
+    B = np.array([[0.0], [0.1]])
     gain = lqr_gain(A, B, np.eye(2), np.eye(1))
-    loop, cost = A + B @ gain, np.zeros((2, 2))
+    loop = A + B @ gain
+    cost = np.zeros((2, 2))
     for _ in range(2000):
         cost = np.eye(2) + gain.T @ gain + loop.T @ cost @ loop
     margin = decrease_margin(loop[None], gain[None], cost, np.eye(2), np.eye(1))
@@ -207,11 +234,11 @@ def test_decrease_margin_is_zero_for_the_riccati_cost():
 
 def test_terminal_margins_are_the_least_room_over_vertices():
     rng = np.random.default_rng(7)
-    terminal, following = (
-        Polytope.from_vertices(size * rng.normal(size=(8, 3))) for size in (0.3, 1.0)
-    )
+    terminal = Polytope.from_vertices(0.3 * rng.normal(size=(8, 3)))
+    following = Polytope.from_vertices(rng.normal(size=(8, 3)))
     reach = Polytope.from_vertices(0.05 * UNEVEN)
-    errors, inputs = Polytope.box(-2 * np.ones(3), np.array([1.0, 3.0, 2.0])), U
+    errors = Polytope.box(-2 * np.ones(3), np.array([1.0, 3.0, 2.0]))
+    inputs = U
     gains = tube_gains()
     points = (terminal.vertices()[:, None] + reach.vertices()[None]).reshape(-1, 3)
 
@@ -220,7 +247,8 @@ def test_terminal_margins_are_the_least_room_over_vertices():
         return np.min(slack / np.linalg.norm(polytope.normals, axis=1))
 
     scale = np.linalg.norm(inputs.normals, axis=1)
-    rows, offsets = inputs.normals / scale[:, None] @ gains, inputs.offsets / scale
+    rows = inputs.normals / scale[:, None] @ gains
+    offsets = inputs.offsets / scale
     found = terminal_margins(terminal, following, LOOPS, errors, rows, offsets, reach.vertices())
     expected = {
         "admissible_errors": room(errors, points),

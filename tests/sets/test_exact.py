@@ -32,16 +32,16 @@ from sets import certificate
 from sets.exact import (
     ExactReport,
     Halfspaces,
-    containment_margin,
     decrease_pivot,
+    exact_containment_margin,
+    exact_invariance_margin,
     exact_row,
     exact_rows,
-    invariance_margin,
     mapped_rows,
     smallest_pivot,
 )
 from sets.polytope import Polytope
-from sets.robot.exact_tube import schedule_box, vertex_feedbacks, vertex_loops
+from sets.robot.exact_tube import exact_vertex_feedbacks, exact_vertex_loops, schedule_box
 
 # Bounds over polytopes
 
@@ -49,11 +49,10 @@ from sets.robot.exact_tube import schedule_box, vertex_feedbacks, vertex_loops
 @pytest.mark.parametrize("seed", range(3))
 def test_bounds_equal_those_of_a_linear_program(seed):
     rng = np.random.default_rng(seed)
-    normals, offsets = (
-        rng.normal(size=(20, 3)) * rng.uniform(0.1, 30, size=(20, 1)),
-        rng.uniform(0.2, 2, size=20),
-    )
-    normals, offsets = np.vstack([normals, E[0]]), np.concatenate([offsets, np.full(6, 3.0)])
+    normals = rng.normal(size=(20, 3)) * rng.uniform(0.1, 30, size=(20, 1))
+    offsets = rng.uniform(0.2, 2, size=20)
+    normals = np.vstack([normals, E[0]])
+    offsets = np.concatenate([offsets, np.full(6, 3.0)])
     polytope = Halfspaces(normals, offsets)
     for row in rng.normal(size=(10, 3)):
         answer = linprog(-row, A_ub=normals, b_ub=offsets, bounds=(None, None))
@@ -87,7 +86,8 @@ def test_an_empty_set_is_bounded_by_its_rows():
 
 def test_rows_on_inputs_and_errors_become_rows_on_the_error():
     rng = np.random.default_rng(6)
-    inputs, errors = rng.normal(size=(4, 2)), rng.normal(size=(4, 3))
+    inputs = rng.normal(size=(4, 2))
+    errors = rng.normal(size=(4, 3))
     expected = np.vstack([inputs @ gain + errors for gain in floats(FEEDBACKS)])
     np.testing.assert_allclose(
         floats(mapped_rows(inputs, errors, FEEDBACKS)), expected, rtol=EXACT_AGAINST_FLOAT
@@ -102,7 +102,7 @@ def test_open_and_malformed_polytopes_are_refused():
     with pytest.raises(ValueError, match="normals"):
         Halfspaces(np.eye(2), np.ones(2))
     with pytest.raises(ValueError, match="offsets"):
-        containment_margin(E[0], [1, 1, 1, 1, 1, math.inf], E[0], np.ones(6))
+        exact_containment_margin(E[0], [1, 1, 1, 1, 1, math.inf], E[0], np.ones(6))
 
 
 # Invariance and containment
@@ -110,11 +110,13 @@ def test_open_and_malformed_polytopes_are_refused():
 
 def test_the_invariance_margin_agrees_with_floats_and_is_not_negative():
     scale = np.linalg.norm(OMEGA.normals, axis=1)
-    margin = invariance_margin(OMEGA.normals / scale[:, None], OMEGA.offsets / scale, LOOPS, W)
+    margin = exact_invariance_margin(
+        OMEGA.normals / scale[:, None], OMEGA.offsets / scale, LOOPS, W
+    )
     expected = certificate.invariance_margin(floats(LOOPS), POINTS, OMEGA)
     assert float(margin) == pytest.approx(expected, abs=EXACT_AGAINST_FLOAT)
     assert margin > 0
-    assert invariance_margin(OMEGA.normals, OMEGA.offsets, LOOPS, W) > 0
+    assert exact_invariance_margin(OMEGA.normals, OMEGA.offsets, LOOPS, W) > 0
 
 
 def test_a_facet_pulled_in_by_a_millionth_is_refused_where_others_lean_on_it():
@@ -124,7 +126,7 @@ def test_a_facet_pulled_in_by_a_millionth_is_refused_where_others_lean_on_it():
         pulled = OMEGA.offsets / scale
         pulled[facet] *= 1 - 1e-6
         polytope = Polytope(OMEGA.normals / scale[:, None], pulled)
-        margins.append(float(invariance_margin(polytope.normals, pulled, LOOPS, W)))
+        margins.append(float(exact_invariance_margin(polytope.normals, pulled, LOOPS, W)))
         expected = certificate.invariance_margin(floats(LOOPS), POINTS, polytope)
         assert margins[-1] == pytest.approx(expected, abs=EXACT_PULLED_FACET)
     assert min(margins) < -10 * EXACT_PULLED_FACET
@@ -133,24 +135,39 @@ def test_a_facet_pulled_in_by_a_millionth_is_refused_where_others_lean_on_it():
 
 def test_a_wider_disturbance_another_gain_and_a_wider_schedule_are_refused():
     wider = [tuple(Fraction(100_001, 100_000) * a for a in point) for point in W]
-    assert invariance_margin(OMEGA.normals, OMEGA.offsets, LOOPS, wider) < 0
+    assert exact_invariance_margin(OMEGA.normals, OMEGA.offsets, LOOPS, wider) < 0
     for gains in ((2.999, 6.5, 6.5), (3.0, 6.499, 6.5), (3.0, 6.5, 6.501)):
-        assert invariance_margin(OMEGA.normals, OMEGA.offsets, vertex_loops(gains, BOX, DT), W) < 0
+        assert (
+            exact_invariance_margin(
+                OMEGA.normals, OMEGA.offsets, exact_vertex_loops(gains, BOX, DT), W
+            )
+            < 0
+        )
     wide = schedule_box((SLOW, SLOW), (FAST + 1e-3, FAST + 1e-3), DT, WIDTH)
-    assert invariance_margin(OMEGA.normals, OMEGA.offsets, vertex_loops(GAINS, wide, DT), W) < 0
+    assert (
+        exact_invariance_margin(
+            OMEGA.normals, OMEGA.offsets, exact_vertex_loops(GAINS, wide, DT), W
+        )
+        < 0
+    )
 
 
 def test_the_invariant_set_is_admissible_and_narrower_limits_are_refused():
-    errors = containment_margin(OMEGA.normals, OMEGA.offsets, *E)
-    rows, limits = mapped_rows(U[0], np.zeros((4, 3)), FEEDBACKS), np.tile(U[1], 2)
-    inputs = containment_margin(OMEGA.normals, OMEGA.offsets, rows, limits)
+    errors = exact_containment_margin(OMEGA.normals, OMEGA.offsets, *E)
+    rows = mapped_rows(U[0], np.zeros((4, 3)), FEEDBACKS)
+    limits = np.tile(U[1], 2)
+    inputs = exact_containment_margin(OMEGA.normals, OMEGA.offsets, rows, limits)
     room = limits - OMEGA.support(np.vstack([U[0] @ gain for gain in floats(FEEDBACKS)]))
     assert errors >= 0
     assert inputs >= 0
     assert float(inputs) == pytest.approx(room.min(), abs=EXACT_AGAINST_FLOAT)
-    assert containment_margin(OMEGA.normals, OMEGA.offsets, E[0], E[1] - float(errors) - 1e-12) < 0
     assert (
-        containment_margin(OMEGA.normals, OMEGA.offsets, rows, limits - float(inputs) - 1e-12) < 0
+        exact_containment_margin(OMEGA.normals, OMEGA.offsets, E[0], E[1] - float(errors) - 1e-12)
+        < 0
+    )
+    assert (
+        exact_containment_margin(OMEGA.normals, OMEGA.offsets, rows, limits - float(inputs) - 1e-12)
+        < 0
     )
 
 
@@ -180,7 +197,8 @@ def test_the_smallest_pivot_is_exact_and_tells_a_semidefinite_matrix():
 
 
 def test_the_decrease_of_the_cost_is_proved_and_its_loss_is_seen():
-    loop, gain = floats(LOOPS).mean(axis=0), floats(FEEDBACKS).mean(axis=0)
+    loop = floats(LOOPS).mean(axis=0)
+    gain = floats(FEEDBACKS).mean(axis=0)
     cost = solve_discrete_lyapunov(loop.T, 1.6 * (Q + gain.T @ R @ gain))
     cost = (cost + cost.T) / 2
     assert decrease_pivot(cost, LOOPS, FEEDBACKS, Q, R) > 0
@@ -188,7 +206,7 @@ def test_the_decrease_of_the_cost_is_proved_and_its_loss_is_seen():
     assert certificate.decrease_margin(*zip(*pairs, strict=True), cost, Q, R) > 0
     for right, left in np.random.default_rng(4).uniform(SLOW, FAST, size=(20, 2)):
         here = schedule_box((right, left), (right, left), DT, WIDTH)
-        inside = vertex_loops(GAINS, here, DT)[:1], vertex_feedbacks(GAINS, here)[:1]
+        inside = exact_vertex_loops(GAINS, here, DT)[:1], exact_vertex_feedbacks(GAINS, here)[:1]
         assert certificate.decrease_margin(*map(floats, inside), cost, Q, R) > 0
     faster = [tuple(tuple(Fraction(6, 5) * a for a in row) for row in LOOPS[3])]
     assert decrease_pivot(cost, LOOPS[:3] + faster, FEEDBACKS, Q, R) < 0

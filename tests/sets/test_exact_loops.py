@@ -1,4 +1,4 @@
-"""Laws of exact loops: enclosures hold many digits, and the loops are those of the sampled robot."""
+"""Laws of exact loops: enclosures hold many digits, and loops are those of the sampled robot."""
 
 import math
 from fractions import Fraction
@@ -23,8 +23,8 @@ from exact_problem import (
 )
 from tolerances import EXACT_AGAINST_FLOAT, EXACT_ENCLOSURE, EXACT_JACOBIAN, EXACT_WHEEL_TRAVEL
 
-from sets.exact import exact_row, invariance_margin
-from sets.robot.exact_tube import schedule_box, tangent_ratio, vertex_loops, wheel_loops
+from sets.exact import exact_invariance_margin, exact_row
+from sets.robot.exact_tube import exact_vertex_loops, exact_wheel_loops, schedule_box, tangent_ratio
 
 
 @pytest.mark.parametrize("x", [0.0, 1e-9, 0.0272, -0.3, 0.77, 1.0, -1.0])
@@ -41,10 +41,8 @@ def test_the_tangent_ratio_lies_in_its_enclosure_and_fills_it(x):
 
 
 def turn_and_advance(right: float, left: float):
-    V, x = (
-        (mpmath.mpf(right) + left) / 2,
-        mpmath.mpf(DT) * (mpmath.mpf(right) - left) / (2 * mpmath.mpf(WIDTH)),
-    )
+    V = (mpmath.mpf(right) + left) / 2
+    x = mpmath.mpf(DT) * (mpmath.mpf(right) - left) / (2 * mpmath.mpf(WIDTH))
     return mpmath.tan(x), DT * V * (mpmath.tan(x) / x if x else 1)
 
 
@@ -61,7 +59,8 @@ def test_the_schedule_box_is_the_range_over_all_wheel_speeds(lower, upper):
     with mpmath.workdps(60):
         found = np.array([turn_and_advance(*schedule) for schedule in schedules.tolist()])
         for values, bounds in zip(found.T, (box.turn, box.advance), strict=True):
-            low, high = (mpmath.mpf(bound.numerator) / bound.denominator for bound in bounds)
+            low = mpmath.mpf(bounds[0].numerator) / bounds[0].denominator
+            high = mpmath.mpf(bounds[1].numerator) / bounds[1].denominator
             assert low <= min(values)
             assert max(values) <= high
             assert max(min(values) - low, high - max(values)) <= EXACT_ENCLOSURE
@@ -83,7 +82,8 @@ def test_a_reversed_box_a_long_period_and_what_is_not_a_number_are_refused():
 
 
 def test_loops_are_the_model_under_its_feedback_whatever_the_yaw_rate():
-    T, k = Fraction(DT), exact_row(GAINS)
+    T = Fraction(DT)
+    k = exact_row(GAINS)
     for (h, c), loop in zip(product(BOX.turn, BOX.advance), LOOPS, strict=True):
         for rate in (*BOX.yaw_rate, Fraction(7, 3)):
             A = np.array([[1, T * rate, 0], [-2 * h, 1 - h * T * rate, c], [0, 0, 1]], dtype=object)
@@ -105,14 +105,14 @@ def travels(loop) -> tuple[Fraction, Fraction]:
     [((SLOW, SLOW), (FAST, FAST)), ((-0.5, 0.3), (0.5, 0.3)), ((0.2, 1.0), (0.4, 1.5))],
 )
 def test_loops_of_the_wheels_cover_every_schedule_of_the_box_closely(lower, upper):
-    vertices = [travels(loop) for loop in wheel_loops(GAINS, lower, upper, DT, WIDTH)]
+    vertices = [travels(loop) for loop in exact_wheel_loops(GAINS, lower, upper, DT, WIDTH)]
     corners = list(product(*zip(lower, upper, strict=True)))
     schedules = np.vstack([np.random.default_rng(5).uniform(lower, upper, size=(100, 2)), corners])
     found = []
     for schedule in schedules:
         found += [
             travels(loop)
-            for loop in vertex_loops(GAINS, schedule_box(schedule, schedule, DT, WIDTH), DT)
+            for loop in exact_vertex_loops(GAINS, schedule_box(schedule, schedule, DT, WIDTH), DT)
         ]
     for inside, bounds in zip(zip(*found, strict=True), zip(*vertices, strict=True), strict=True):
         assert min(bounds) <= min(inside) + Fraction(EXACT_ENCLOSURE)
@@ -123,15 +123,16 @@ def test_loops_of_the_wheels_cover_every_schedule_of_the_box_closely(lower, uppe
 
 
 def test_loops_of_the_wheels_leave_a_larger_invariant_set_than_turn_and_speed_apart():
-    loops = wheel_loops(GAINS, (SLOW, SLOW), (FAST, FAST), DT, WIDTH)
-    assert invariance_margin(OMEGA.normals, OMEGA.offsets, loops, W) > 0
+    loops = exact_wheel_loops(GAINS, (SLOW, SLOW), (FAST, FAST), DT, WIDTH)
+    assert exact_invariance_margin(OMEGA.normals, OMEGA.offsets, loops, W) > 0
     assert maximal(floats(loops), 1e-10).volume() > OMEGA.volume()
 
 
 def sampled_step(error: np.ndarray, right: float, left: float) -> np.ndarray:
     """Move robot and reference along their arcs for a period; the speed makes the first row of the
     model exact."""
-    V, rate = (right + left) / 2, (right - left) / WIDTH
+    V = (right + left) / 2
+    rate = (right - left) / WIDTH
     speed_deficit = -GAINS[0] * error[0] - rate * error[1]
     a = DT * (rate + GAINS[1] * error[1] + GAINS[2] * error[2])
     chord = (
@@ -159,5 +160,5 @@ def test_the_loop_is_the_jacobian_of_the_sampled_robot(wheels):
         (sampled_step(step, *wheels) - sampled_step(-step, *wheels)) / 2e-5 for step in steps
     ]
     np.testing.assert_allclose(
-        np.transpose(columns), floats(vertex_loops(GAINS, here, DT))[0], atol=EXACT_JACOBIAN
+        np.transpose(columns), floats(exact_vertex_loops(GAINS, here, DT))[0], atol=EXACT_JACOBIAN
     )

@@ -98,7 +98,8 @@ def assert_encloses(interval: Interval, exact) -> None:
 )
 def test_arithmetic_encloses_exact_arithmetic(operation):
     rng = np.random.default_rng(0)
-    left, right = intervals(numbers(rng)), intervals(numbers(rng))
+    left = intervals(numbers(rng))
+    right = intervals(numbers(rng))
     if operation == "/":
         right = Interval(
             np.abs(right.lower) + 1e-5, np.abs(right.lower) + np.abs(right.upper) + 1e-5
@@ -173,13 +174,16 @@ def test_derivatives_are_those_of_the_textbook_forms(function):
 
 def test_changes_of_sinc_enclose_their_values_and_vanish_with_the_step():
     rng = np.random.default_rng(5)
-    x, step = intervals(angles(rng) * 0.49), intervals(angles(rng) * 0.49)
-    chosen, steps = members(x, rng), members(step, rng)
+    x = intervals(angles(rng) * 0.49)
+    step = intervals(angles(rng) * 0.49)
+    chosen = members(x, rng)
+    steps = members(step, rng)
     difference = FUNCTIONS[sinc]
     pairs = [(mpmath.mpf(a), mpmath.mpf(s)) for a, s in zip(chosen, steps, strict=True)]
     exact = [difference(a + s) - difference(a) for a, s in pairs]
     assert_encloses(sinc_change(x, step), exact)
-    zeros, ones = np.zeros(len(chosen)), np.ones((1, len(chosen)))
+    zeros = np.zeros(len(chosen))
+    ones = np.ones((1, len(chosen)))
     still = Dual(Interval(zeros, zeros), Interval(ones * 0, ones * 0))
     change = sinc_change(Dual(x, Interval(ones, ones)), still)
     for part in (change.value, change.gradient):
@@ -195,7 +199,8 @@ def composite(x, y, z):
 
 
 def test_gradients_over_floats_are_differences():
-    point, step = np.random.default_rng(6).uniform(-0.7, 0.7, size=(3, 50)), 1e-6
+    point = np.random.default_rng(6).uniform(-0.7, 0.7, size=(3, 50))
+    step = 1e-6
     seeds = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, 50))
     gradient = composite(
         *[Dual(value, seed) for value, seed in zip(point, seeds, strict=True)]
@@ -207,7 +212,8 @@ def test_gradients_over_floats_are_differences():
 
 def test_gradients_over_intervals_enclose_those_of_their_members():
     rng = np.random.default_rng(7)
-    centre, radius = rng.uniform(-0.6, 0.6, size=(3, 200)), 10.0 ** rng.uniform(-12, -1, size=200)
+    centre = rng.uniform(-0.6, 0.6, size=(3, 200))
+    radius = 10.0 ** rng.uniform(-12, -1, size=200)
     x = Interval(centre - radius, centre + radius)
     seeds = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, 200))
     boxes = zip(x.lower, x.upper, seeds, strict=True)
@@ -250,7 +256,8 @@ CASES = {
 @pytest.mark.parametrize("tolerance", [0.1, 0.001])
 def test_suprema_lie_between_values_found_and_bounds(case, tolerance):
     function, lower, upper, supremum = CASES[case]
-    ends, objectives = (np.array([lower]).T, np.array([upper]).T), [(0, 1, 0), (1, 1, 1)]
+    ends = (np.array([lower]).T, np.array([upper]).T)
+    objectives = [(0, 1, 0), (1, 1, 1)]
     bound, found = suprema(
         lambda variables: [function(*variables), 0.0], *ends, objectives, tolerance
     )
@@ -260,7 +267,8 @@ def test_suprema_lie_between_values_found_and_bounds(case, tolerance):
 
 
 def test_a_group_has_the_largest_of_its_objectives():
-    lower, upper = np.array([[-1.0, 0.5]]), np.array([[1.0, 2.0]])
+    lower = np.array([[-1.0, 0.5]])
+    upper = np.array([[1.0, 2.0]])
     objectives = [(0, 1, 0), (0, -1, 0), (1, 1, 1), (1, -1, 2)]
     bound, _ = suprema(lambda x: [x[0] - 3.0, square(x[0])], lower, upper, objectives, 0.01)
     assert bound[0] == pytest.approx(4.0, rel=0.01)
@@ -279,6 +287,18 @@ def test_a_search_cut_short_bounds_all_the_same():
         most_cells=5,
     )
     assert found[0] <= supremum <= bound[0]
+
+
+def test_the_last_bits_do_not_choose_the_variable_that_is_cut():
+    def bound_of(factor):
+        function = lambda x: [sin(x[0]) * sin(x[1]) * factor - square(x[0] - x[1])]  # noqa: E731
+        lower = np.full((2, 1), -1.0)
+        bound, _ = suprema(function, lower, -lower, [(0, 1, 0)], 0.1)
+        return bound[0]
+
+    expected = bound_of(1.0)
+    for bits in np.random.default_rng(0).uniform(-1e-15, 1e-15, 20):
+        assert bound_of(1.0 + bits) == pytest.approx(expected, rel=1e-12)
 
 
 def test_a_tolerance_that_is_not_positive_is_refused():

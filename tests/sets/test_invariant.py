@@ -9,7 +9,9 @@ from paper_problem import W, terminal_problem
 from scipy.optimize import linprog
 from tolerances import CLOSED_FORM, MAXIMAL_SET, SUPPORT_PROGRAM, TUBE_ROUNDING
 
-from sets.invariant import INFLATION, few_facet_rpi, maximal_rpi, minimal_rpi_bound
+import sets.few_facets
+from sets.few_facets import few_facet_rpi
+from sets.invariant import INFLATION, maximal_rpi, minimal_rpi_bound
 from sets.polytope import Polytope
 from sets.tubes import hull_tube
 
@@ -119,7 +121,8 @@ def test_the_maximal_set_equals_the_limit_of_a_slow_iteration(case):
     if case == "planar":
         loops, constraints, disturbance = PLANAR
     else:
-        (loops, constraints), disturbance = terminal_problem(*FOUND[case]), W
+        (loops, constraints) = terminal_problem(*FOUND[case])
+        disturbance = W
     found = given(maximal_rpi(loops, constraints, disturbance.support).polytope)
     slow = slow_maximal(loops, constraints, disturbance)
     rows = directions(loops.shape[1])
@@ -129,18 +132,23 @@ def test_the_maximal_set_equals_the_limit_of_a_slow_iteration(case):
 @pytest.mark.parametrize("case", [*EMPTY, "planar 3", "planar 5"])
 def test_emptiness_is_shown_by_a_run_from_the_origin_that_leaves(case):
     if case.startswith("planar"):
-        loops, disturbance = PLANAR[0], PLANAR[2].scale(float(case[-1]))
+        loops = PLANAR[0]
+        disturbance = PLANAR[2].scale(float(case[-1]))
         constraints = Polytope(PLANAR[1].normals, np.array([1.0, 1.2, 1.0, 0.7]))
         found = maximal_rpi(loops, constraints, disturbance.support)
     else:
-        (loops, constraints), disturbance, found = terminal_problem(*EMPTY[case]), W, maximal(case)
+        (loops, constraints) = terminal_problem(*EMPTY[case])
+        disturbance = W
+        found = maximal(case)
     assert found.polytope is None
-    escape, points = given(found.escape), disturbance.vertices()
+    escape = given(found.escape)
+    points = disturbance.vertices()
     member = np.all(constraints.normals == escape.normal, axis=1) & (
         constraints.offsets == escape.offset
     )
     assert member.any()
-    row, worst = escape.normal, []
+    row = escape.normal
+    worst = []
     for index in (*reversed(escape.loops), None):
         worst.append(points[np.argmax(points @ row)])
         row = row if index is None else row @ loops[index]
@@ -244,7 +252,8 @@ def test_the_few_facet_set_for_more_facets_than_needed_is_the_maximal_one():
 
 
 def test_growth_stops_at_the_volume_asked_for():
-    problem, whole = terminal_problem(*FOUND["paper"]), given(maximal("paper").polytope)
+    problem = terminal_problem(*FOUND["paper"])
+    whole = given(maximal("paper").polytope)
     modest = given(few_facet_rpi(*problem, W.support, whole, target=0.5)).volume() / whole.volume()
     assert 0.5 <= modest < few_facets("paper").volume() / whole.volume()
 
@@ -264,15 +273,18 @@ def test_the_minimal_bound_is_invariant_and_inside_every_invariant_set_on_its_no
 
 
 def test_the_minimal_bound_contains_the_tube_of_every_length():
-    loops, bound = terminal_problem(*FOUND["lateral trace_p"])[0], minimal("lateral trace_p")
+    loops = terminal_problem(*FOUND["lateral trace_p"])[0]
+    bound = minimal("lateral trace_p")
     for section in hull_tube(loops, W, 30)[1:]:
         assert (section.support(bound.normals) <= bound.offsets).all()
 
 
 def test_the_minimal_bound_contains_every_simulated_deviation():
     rng = np.random.default_rng(1)
-    loops, bound = terminal_problem(*FOUND["lateral trace_p"])[0], minimal("lateral trace_p")
-    states, extreme = np.zeros((2000, 3)), 0.0
+    loops = terminal_problem(*FOUND["lateral trace_p"])[0]
+    bound = minimal("lateral trace_p")
+    states = np.zeros((2000, 3))
+    extreme = 0.0
     for _ in range(100):
         chosen = loops[rng.integers(len(loops), size=len(states))]
         states = np.einsum("rij,rj->ri", chosen, states) + rng.choice(
@@ -287,3 +299,76 @@ def test_no_minimal_bound_is_found_on_normals_that_carry_none():
     loops, _ = two_scalars(1.05, 0.3, (0.1, 0.1))
     axes = np.vstack([np.eye(2), -np.eye(2)])
     assert minimal_rpi_bound(loops, PLANAR[2].support, axes) is None
+
+
+@pytest.mark.parametrize("disturbance", [PLANAR[2], [PLANAR[2]] * 2, [PLANAR[2].support] * 2])
+def test_disturbances_are_sets_or_support_functions_one_or_one_a_loop(disturbance):
+    loops, constraints, W = PLANAR
+    expected = given(maximal_rpi(loops, constraints, W.support).polytope)
+    found = given(maximal_rpi(loops, constraints, disturbance).polytope)
+    np.testing.assert_array_equal(found.normals, expected.normals)
+    bound = given(minimal_rpi_bound(loops, disturbance, expected.normals))
+    least = given(minimal_rpi_bound(loops, W.support, expected.normals))
+    np.testing.assert_array_equal(bound.offsets, least.offsets)
+
+
+def test_what_has_no_support_function_and_a_wrong_number_of_sets_are_refused():
+    loops, constraints, W = PLANAR
+    with pytest.raises(TypeError, match=r"^disturbance: float has no support function; [^\n]*$"):
+        maximal_rpi(loops, constraints, 0.3)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match=r"^disturbance: 3 sets for 2 loops; [^\n]*$"):
+        maximal_rpi(loops, constraints, [W] * 3)
+
+
+@pytest.mark.parametrize(
+    "normals",
+    [
+        [[1.0, 0.0], [-1.0, 0.0]],
+        [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0]],
+        [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.6, 0.8]],
+        [[1.0, 1.0], [2.0, 1.0], [1.0, 3.0], [1.0, 2.0]],
+    ],
+)
+def test_normals_that_leave_a_direction_open_are_refused(normals):
+    loops, _, W = PLANAR
+    rows = np.array(normals)
+    with pytest.raises(ValueError, match=r"^constraints: \d normals leave a direction open[^\n]*$"):
+        maximal_rpi(loops, Polytope(rows, np.ones(len(rows))), W)
+    with pytest.raises(ValueError, match=r"^normals: \d normals leave a direction open[^\n]*$"):
+        minimal_rpi_bound(loops, W, rows)
+
+
+def test_sets_of_one_dimension_are_refused():
+    line = Polytope.box(-np.ones(1), np.ones(1))
+    with pytest.raises(ValueError, match=r"^constraints: one dimension; [^\n]*$"):
+        maximal_rpi(np.array([[[0.5]]]), line, line.scale(0.1))
+
+
+@pytest.mark.parametrize("thickness", [0.0, 1e-300, 1e-12])
+def test_a_flat_disturbance_has_a_maximal_set_and_its_minimal_bound_is_refused(thickness):
+    loops, constraints, _ = PLANAR
+    flat = Polytope.box(np.array([-0.03, -thickness]), np.array([0.02, thickness]))
+    found = given(maximal_rpi(loops, constraints, flat).polytope)
+    slow = slow_maximal(loops, constraints, flat)
+    rows = directions(2)
+    np.testing.assert_allclose(found.support(rows), slow.support(rows), rtol=MAXIMAL_SET)
+    axes = np.vstack([np.eye(2), -np.eye(2)])
+    with pytest.raises(ValueError, match=r"^disturbance: extent [^\n]* it is flat; [^\n]*$"):
+        minimal_rpi_bound(loops, flat, axes)
+
+
+def test_the_last_bits_choose_neither_spread_rows_nor_escapes():
+    rng = np.random.default_rng(0)
+    axes = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+    octagon = np.vstack([axes, np.sqrt(2) * np.eye(2), -np.sqrt(2) * np.eye(2)])
+    loops, box = two_scalars(0.9, 0.9, (0.3, 0.3))
+    unit = Polytope.box(-np.ones(2), np.ones(2))
+    escape = given(maximal_rpi(loops, unit, box).escape)
+    for _ in range(20):
+        noise = 1 + 1e-15 * rng.uniform(-1, 1, size=octagon.shape)
+        chosen = sets.few_facets._spread(octagon * noise, 5)
+        np.testing.assert_allclose(chosen, sets.few_facets._spread(octagon, 5), rtol=1e-14)
+        bits = 1 + 1e-15 * rng.uniform(-1, 1, size=4)
+        nearby = Polytope(unit.normals, unit.offsets * bits)
+        found = given(maximal_rpi(loops, nearby, box).escape)
+        np.testing.assert_array_equal(found.normal, escape.normal)

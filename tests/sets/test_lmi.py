@@ -10,12 +10,20 @@ from typing import get_args
 import numpy as np
 import pytest
 import scipy.linalg
-from tolerances import GAP_LIMIT, GAP_ROUNDING, LQR_REFERENCE, RICCATI_COST, RICCATI_GAIN
+from tolerances import (
+    GAP_LIMIT,
+    GAP_ROUNDING,
+    LQR_REFERENCE,
+    RICCATI_COST,
+    RICCATI_GAIN,
+    SCALED_COST,
+)
 
+from sets import lmi
 from sets.lmi import (
     Objective,
     TerminalCost,
-    decrease_margin,
+    decrease_margins,
     lqr_gain,
     optimality_gap,
     terminal_cost,
@@ -42,8 +50,10 @@ CASES: dict[str, tuple[float, Weights]] = {
 
 def model(right: float, left: float) -> np.ndarray:
     """Matrix A of the paper's error model (Euler, 0.1 s) at wheel references in m/s."""
-    g, d = 0.1 * (1 - 0.2) / 0.5, 0.1 / 2
-    turn, drift = g * (right - left), d * (right + left)
+    g = 0.1 * (1 - 0.2) / 0.5
+    d = 0.1 / 2
+    turn = g * (right - left)
+    drift = d * (right + left)
     return np.array([[1.0, turn, 0.0], [-turn, 1.0, drift], [0.0, 0.0, 1.0]])
 
 
@@ -74,7 +84,9 @@ def test_lqr_gain_equals_the_reference_numbers():
 
 
 def test_lqr_gain_is_a_fixed_point_of_policy_iteration():
-    A, B, Q, R = model(1.2, 0.6), INPUT, *COUPLED
+    A = model(1.2, 0.6)
+    B = INPUT
+    Q, R = COUPLED
     gain = lqr_gain(A, B, Q, R)
     P = scipy.linalg.solve_discrete_lyapunov((A + B @ gain).T, Q + gain.T @ R @ gain)
     np.testing.assert_allclose((R + B.T @ P @ B) @ gain, -B.T @ P @ A, atol=LQR_REFERENCE)
@@ -87,14 +99,15 @@ def test_cost_is_symmetric_positive_and_decreases_at_every_vertex(case, objectiv
     P = terminal.cost
     assert np.array_equal(P, P.T)
     assert np.linalg.eigvalsh(P)[0] > 0
-    assert (decrease_margin(A, B, terminal.gains, P, Q, R) >= 0).all()
+    assert (decrease_margins(A, B, terminal.gains, P, Q, R) >= 0).all()
 
 
 @each_objective
 @each_case
 def test_cost_decreases_inside_the_schedule_with_interpolated_gains(case, objective):
     (_, _, Q, R), terminal = solved(case, objective)
-    P, slowest = terminal.cost, CASES[case][0]
+    P = terminal.cost
+    slowest = CASES[case][0]
     rng = np.random.default_rng(0)
     for right, left in rng.uniform(size=(1000, 2)):
         weights = np.outer([1 - right, right], [1 - left, left]).ravel()
@@ -138,13 +151,13 @@ def test_gap_of_a_worse_cost_shows_its_true_loss(objective):
 @each_objective
 def test_gap_stays_above_the_true_loss_whatever_the_multipliers(objective):
     problem, terminal = solved("paper", objective)
-    rng, Z = np.random.default_rng(1), terminal.multipliers
+    rng = np.random.default_rng(1)
+    Z = terminal.multipliers
     noise = np.abs(Z).max() * rng.normal(size=Z.shape)
     random = [Z + 1e-6 * noise, Z + 1e-3 * noise, noise]
     indefinite = Z - np.trace(Z[0]) * np.diag([0, 0, 0, 0, 0, 0, 1, 1, 1, 1, 1])
-    without_error, without_input = (
-        np.diag(keep) for keep in np.repeat([[1, 1, 0, 1], [1, 1, 1, 0]], [3, 3, 3, 2], axis=1)
-    )
+    without_error = np.diag(np.repeat([1, 1, 0, 1], [3, 3, 3, 2]))
+    without_input = np.diag(np.repeat([1, 1, 1, 0], [3, 3, 3, 2]))
     dropped = [without_error @ Z @ without_error, without_input @ Z @ without_input]
     for multipliers in (0 * Z, 0.5 * Z, 2 * Z, -Z, *random, indefinite, *dropped):
         worse = dataclasses.replace(terminal, cost=1.01 * terminal.cost, multipliers=multipliers)
@@ -154,9 +167,11 @@ def test_gap_stays_above_the_true_loss_whatever_the_multipliers(objective):
 @each_objective
 @pytest.mark.parametrize("weights", [PAPER, LATERAL, COUPLED])
 def test_one_vertex_gives_the_riccati_cost_and_the_lqr_gain(objective: Objective, weights: Weights):
-    A, B = model(1.2, 0.6), INPUT
+    A = model(1.2, 0.6)
+    B = INPUT
     terminal = terminal_cost(A[None], B[None], *weights, objective)
-    P, gain = scipy.linalg.solve_discrete_are(A, B, *weights), lqr_gain(A, B, *weights)
+    P = scipy.linalg.solve_discrete_are(A, B, *weights)
+    gain = lqr_gain(A, B, *weights)
     assert np.abs(terminal.cost - P).max() <= RICCATI_COST * np.abs(P).max()
     assert np.abs(terminal.gains[0] - gain).max() <= RICCATI_GAIN * np.abs(gain).max()
 
@@ -172,13 +187,71 @@ def test_cost_is_proportional_to_the_weights(objective, unit):
         "logdet": scaled.value + 3 * np.log(unit),
     }
     assert merit[objective] == pytest.approx(terminal.value, rel=GAP_LIMIT)
-    assert (decrease_margin(A, B, scaled.gains, scaled.cost, unit * Q, unit * R) >= 0).all()
+    assert (decrease_margins(A, B, scaled.gains, scaled.cost, unit * Q, unit * R) >= 0).all()
+
+
+@each_objective
+@pytest.mark.parametrize(
+    ("error_factor", "input_weights"),
+    [
+        (1e-10, (1e-10, 1e-10)),
+        (1e-30, (1e-30, 1e-30)),
+        (1.0, (1e6, 1e6)),
+        (1.0, (1e8, 1e8)),
+        (1.0, (1.0, 1e12)),
+        (1.0, (1e12, 1.0)),
+        (1.0, (1e-8, 1e-8)),
+    ],
+)
+def test_a_cost_exists_for_every_weight_where_one_exists(objective, error_factor, input_weights):
+    A, B = vertices(0.2)
+    Q = error_factor * PAPER[0]
+    R = np.diag(input_weights)
+    terminal = terminal_cost(A, B, Q, R, objective)
+    assert (decrease_margins(A, B, terminal.gains, terminal.cost, Q, R) >= 0).all()
+
+
+def test_weights_near_to_each_other_are_taken_as_they_are():
+    (A, B, Q, R), terminal = solved("paper", "trace_p")
+    unit = 1e-10
+    scaled = terminal_cost(A, B, unit * Q, unit * R, "trace_p")
+    np.testing.assert_allclose(scaled.value, unit * terminal.value, rtol=RICCATI_COST)
+
+
+@pytest.mark.parametrize("exponent", [-30, -10, 0, 6, 8, 12])
+def test_the_regulator_satisfies_its_riccati_equation_whatever_the_weights(exponent):
+    A = model(1.2, 0.6)
+    Q, R = COUPLED
+    R = 10.0**exponent * R
+    gain = lqr_gain(A, INPUT, Q, R)
+    loop = A + INPUT @ gain
+    assert np.abs(np.linalg.eigvals(loop)).max() < 1
+    P = scipy.linalg.solve_discrete_lyapunov(loop.T, Q + gain.T @ R @ gain)
+    best = -np.linalg.solve(R + INPUT.T @ P @ INPUT, INPUT.T @ P @ A)
+    np.testing.assert_allclose(gain, best, rtol=0, atol=RICCATI_GAIN * np.abs(gain).max())
+
+
+def test_the_regulator_depends_on_the_ratio_of_the_weights_alone():
+    A = model(1.2, 0.6)
+    Q, R = COUPLED
+    expected = lqr_gain(A, INPUT, Q, R)
+    for unit in (1e-30, 1e-10, 1e10):
+        found = lqr_gain(A, INPUT, unit * Q, unit * R)
+        np.testing.assert_allclose(found, expected, rtol=SCALED_COST)
+
+
+def test_the_riccati_cost_is_that_of_an_ordered_schur_form():
+    for weights in (PAPER, LATERAL, COUPLED):
+        A = model(1.2, 0.6)
+        expected = scipy.linalg.solve_discrete_are(A, INPUT, *weights)
+        found = lmi._solve_riccati(A, INPUT, *weights)
+        np.testing.assert_allclose(found, expected, atol=SCALED_COST * np.abs(expected).max())
 
 
 def test_margin_is_negative_where_the_cost_is_too_small():
     (A, B, Q, R), terminal = solved("paper", "trace_p")
-    assert (decrease_margin(A, B, terminal.gains, 0.99 * terminal.cost, Q, R) < 0).any()
-    assert (decrease_margin(A, B, 0 * terminal.gains, terminal.cost, Q, R) < 0).all()
+    assert (decrease_margins(A, B, terminal.gains, 0.99 * terminal.cost, Q, R) < 0).any()
+    assert (decrease_margins(A, B, 0 * terminal.gains, terminal.cost, Q, R) < 0).all()
 
 
 @pytest.mark.parametrize(

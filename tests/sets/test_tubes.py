@@ -22,7 +22,7 @@ from sets.tubes import (
     hull_tube,
     input_support,
     paper_tube,
-    propagated,
+    propagate,
     sequence_support,
     sequence_tube,
     summed_tube,
@@ -139,7 +139,9 @@ def test_a_tube_starts_at_the_origin_then_the_disturbance(family, horizon):
 
 def test_each_tube_lies_inside_the_next_wider_one():
     rows = directions()
-    hull, summed, wide = (FAMILIES[family](W, N) for family in ("hull", "summed", "paper"))
+    hull = FAMILIES["hull"](W, N)
+    summed = FAMILIES["summed"](W, N)
+    wide = FAMILIES["paper"](W, N)
     for j in range(N + 1):
         assert (hull[j].support(rows) <= summed[j].support(rows) + TUBE_ROUNDING).all()
         assert (summed[j].support(rows) <= wide[j].support(rows) + TUBE_ROUNDING).all()
@@ -160,7 +162,8 @@ def test_hull_is_the_greatest_reach_over_all_schedules(loops, disturbance):
     for j, section in enumerate(hull_tube(loops, disturbance, N)[1:], start=1):
         reach = []
         for schedule in itertools.product(loops, repeat=j - 1):
-            transported, total = rows, width(disturbance, rows)
+            transported = rows
+            total = width(disturbance, rows)
             for loop in schedule:
                 transported = transported @ loop
                 total = total + width(disturbance, transported)
@@ -174,7 +177,7 @@ def test_hull_is_the_greatest_reach_over_all_schedules(loops, disturbance):
 def test_summed_is_the_sum_of_the_hulls_of_all_products(loops, disturbance):
     rows = directions(40)
     total = np.zeros(len(rows))
-    clouds = propagated(loops, disturbance, N - 1)
+    clouds = propagate(loops, disturbance, N - 1)
     for j, section in enumerate(summed_tube(loops, disturbance, N)):
         np.testing.assert_allclose(section.support(rows), total, rtol=0, atol=TUBE_ROUNDING)
         if j < N:
@@ -216,7 +219,8 @@ def test_paper_treats_each_parameter_over_its_own_range():
 def simulated(loops: np.ndarray, draws: np.ndarray) -> np.ndarray:
     """Return the deviations of steps 1..N, axes (run, step, coordinate), from 0 under loops and
     disturbances."""
-    deviation, path = np.zeros((len(draws), 3)), []
+    deviation = np.zeros((len(draws), 3))
+    path = []
     for loop, disturbance in zip(np.moveaxis(loops, 1, 0), np.moveaxis(draws, 1, 0), strict=True):
         deviation = np.einsum("rij,rj->ri", loop, deviation) + disturbance
         path.append(deviation)
@@ -246,7 +250,8 @@ def test_the_worst_disturbance_reaches_every_facet_of_the_tube_of_a_schedule():
     loops = along(random_schedules(1)[0])
     section = sequence_tube(loops, W)[N].polytope()
     for normal, offset in zip(section.normals, section.offsets, strict=True):
-        row, worst = normal, []
+        row = normal
+        worst = []
         for loop in loops[::-1]:
             worst.append(W.vertices()[np.argmax(W.vertices() @ row)])
             row = row @ loop
@@ -256,7 +261,8 @@ def test_the_worst_disturbance_reaches_every_facet_of_the_tube_of_a_schedule():
 
 @pytest.mark.parametrize("family", ["summed", "paper"])
 def test_shifted_plan_inclusion_holds_for_every_product(family):
-    rows, sections = directions(200), FAMILIES[family](W, N)
+    rows = directions(200)
+    sections = FAMILIES[family](W, N)
     for j in range(N):
         room = sections[j + 1].support(rows) - sections[j].support(rows)
         for product in products(LOOPS, j):
@@ -264,8 +270,10 @@ def test_shifted_plan_inclusion_holds_for_every_product(family):
 
 
 def test_shifted_plan_inclusion_holds_with_equality_along_a_schedule():
-    rows, loops = directions(200), along(random_schedules(1, N + 1)[0])
-    now, later = sequence_tube(loops[:N], W), sequence_tube(loops[1:], W)
+    rows = directions(200)
+    loops = along(random_schedules(1, N + 1)[0])
+    now = sequence_tube(loops[:N], W)
+    later = sequence_tube(loops[1:], W)
     product = np.eye(3)
     for j in range(N):
         if j:
@@ -300,7 +308,8 @@ def test_support_numbers_of_many_windows_equal_those_of_their_sections():
 
 
 def test_support_along_inputs_is_the_greatest_over_gains_and_vertices():
-    section, gains = hull_tube(LOOPS, FLAT, 3)[3], tube_gains()
+    section = hull_tube(LOOPS, FLAT, 3)[3]
+    gains = tube_gains()
     values = [U.normals @ gain @ section.vertices().T for gain in gains]
     expected = np.max(values, axis=(0, 2))
     np.testing.assert_allclose(
@@ -310,7 +319,8 @@ def test_support_along_inputs_is_the_greatest_over_gains_and_vertices():
 
 @each_family
 def test_vertices_and_polytope_carry_the_support_of_the_section(family):
-    rows, section = directions(50), FAMILIES[family](W, 4)[4]
+    rows = directions(50)
+    section = FAMILIES[family](W, 4)[4]
     np.testing.assert_allclose(
         (rows @ section.vertices().T).max(axis=1), section.support(rows), atol=TUBE_ROUNDING
     )
@@ -321,10 +331,8 @@ def test_vertices_and_polytope_carry_the_support_of_the_section(family):
 
 def test_image_and_sum_act_on_support_numbers():
     first, second = hull_tube(LOOPS, W, 3)[2:4]
-    matrix, rows = (
-        np.random.default_rng(5).normal(size=(2, 3)),
-        np.random.default_rng(6).normal(size=(20, 2)),
-    )
+    matrix = np.random.default_rng(5).normal(size=(2, 3))
+    rows = np.random.default_rng(6).normal(size=(20, 2))
     np.testing.assert_allclose(
         first.image(matrix).support(rows), first.support(rows @ matrix), atol=TUBE_ROUNDING
     )

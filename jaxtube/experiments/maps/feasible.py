@@ -22,7 +22,7 @@ from jaxtube.synthesis.design import design
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.feasible import boundary
 from jaxtube.synthesis.problem import Problem
-from sets.control_invariant import Limits, control_invariant
+from sets.control_invariant import Limits, maximal_rci
 from sets.polytope import Polytope
 
 HORIZONS = tuple(range(1, 11))
@@ -65,7 +65,7 @@ def _of_horizon(scenario: Scenario, horizon: int) -> dict:
 
 def _largest(problem: Problem) -> dict:
     rows = problem.input_rows
-    found = control_invariant(
+    found = maximal_rci(
         *problem.model.matrices(np.unique(problem.corners, axis=0)),
         problem.operating_set,
         Limits(rows.inputs, rows.errors, rows.offsets),

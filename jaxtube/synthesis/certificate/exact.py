@@ -40,22 +40,22 @@ from sets.exact import (
     Matrix,
     Numbers,
     Row,
-    containment_margin,
     decrease_pivot,
     dot,
+    exact_containment_margin,
+    exact_invariance_margin,
     exact_row,
     exact_rows,
-    invariance_margin,
     mapped_rows,
 )
 from sets.polytope import Polytope
 from sets.robot.exact_tube import (
     ScheduleBox,
+    exact_vertex_feedbacks,
+    exact_vertex_loops,
+    exact_wheel_loops,
     schedule_box,
     sequence_margins,
-    vertex_feedbacks,
-    vertex_loops,
-    wheel_loops,
 )
 
 UP_TO_ROUNDING = ("schedules", "gains", "disturbance")
@@ -102,7 +102,7 @@ def recheck(design: Design) -> ExactReport:
     limits = problem.operating_set
     T = problem.model.dt
     b = problem.model.track_width
-    loops = [wheel_loops(gains, lower, upper, T, b) for lower, upper in problem.regions]
+    loops = [exact_wheel_loops(gains, lower, upper, T, b) for lower, upper in problem.regions]
     feedbacks = [
         _distinct_feedbacks(gains, schedule_box(lower, upper, T, b))
         for lower, upper in problem.regions
@@ -118,9 +118,9 @@ def recheck(design: Design) -> ExactReport:
     margins = {
         "disturbance": _least_room(problem.disturbance_set, points) + Fraction(ROUNDING),
         "schedules": _least_covered(design) + Fraction(ROUNDING),
-        "terminal invariant": invariance_margin(*omega, every_loop, points),
-        "terminal errors": containment_margin(*omega, limits.normals, limits.offsets),
-        "terminal inputs": containment_margin(*omega, input_rows, input_limits),
+        "terminal invariant": exact_invariance_margin(*omega, every_loop, points),
+        "terminal errors": exact_containment_margin(*omega, limits.normals, limits.offsets),
+        "terminal inputs": exact_containment_margin(*omega, input_rows, input_limits),
         "cost": min(pivots),
     }
     return ExactReport(margins | _check_along_windows(design, gains, omega, points))
@@ -205,7 +205,7 @@ def _room_in_region(wheels: Row, lower: Row, upper: Row) -> Fraction:
 
 def _distinct_feedbacks(gains: Numbers, box: ScheduleBox) -> list[Matrix]:
     """Return the distinct gains at the ends of the yaw rates of a box."""
-    return list(dict.fromkeys(vertex_feedbacks(gains, box)))
+    return list(dict.fromkeys(exact_vertex_feedbacks(gains, box)))
 
 
 def _check_along_windows(
@@ -239,7 +239,7 @@ def _check_along_windows(
 def _largest_gap(design: Design, gains: Numbers, stages: list[list[ScheduleBox]]) -> Fraction:
     """Return the largest difference between an entry of a float loop or gain and the exact one."""
     boxes = [box for window in stages for box in window]
-    exact_loops = {box: vertex_loops(gains, box, design.problem.model.dt) for box in boxes}
+    exact_loops = {box: exact_vertex_loops(gains, box, design.problem.model.dt) for box in boxes}
     exact_gains = {box: _distinct_feedbacks(gains, box) for box in boxes}
     loops = design.windows.loops.reshape(-1, 3, 3)
     used_gains = design.windows.gains.reshape(-1, 2, 3)

@@ -31,7 +31,8 @@ from sets.robot.disturbance import (
 )
 from sets.robot.plant import INPUT_MAPS, Kinematics, Period, plane_rows, split_residual
 
-PERIOD, TRACK = 0.1, 0.5
+PERIOD = 0.1
+TRACK = 0.5
 SLIPS = np.array([0.2, 0.2])
 GRIP = (0.8, 0.75)
 MODELS = [
@@ -110,7 +111,8 @@ def vertices(where: Operation) -> tuple[np.ndarray, np.ndarray]:
 def commanded(input_map: str, points):
     """Return the commanded (v, w), from their definitions."""
     x, y, heading, u1, u2, right, left = points[..., :7].T
-    V, Om = (right + left) / 2, (right - left) / TRACK
+    V = (right + left) / 2
+    Om = (right - left) / TRACK
     w = Om - u2
     if input_map == "paper":
         return V - u1, w
@@ -123,7 +125,8 @@ def commanded(input_map: str, points):
         wheels = jnp.stack([v + TRACK / 2 * w, v - TRACK / 2 * w], axis=-1)
         return advance(points[..., :3], wheels, 0.0, speeds, TRACK, PERIOD)[..., 0]
 
-    still, moving = longitudinal(jnp.zeros_like(w)), longitudinal(jnp.ones_like(w))
+    still = longitudinal(jnp.zeros_like(w))
+    moving = longitudinal(jnp.ones_like(w))
     return (x + PERIOD * (Om * y + u1) - still) / (moving - still), w
 
 
@@ -190,12 +193,15 @@ def test_residuals_agree_with_an_integration_in_the_world_frame(input_map):
     ):
         robot = np.array([1.0, -2.0, 0.7])
         true = point[:3] - point[9:12]
-        c, s = np.cos(robot[2]), np.sin(robot[2])
+        c = np.cos(robot[2])
+        s = np.sin(robot[2])
         reference = robot + np.array(
             [c * true[0] - s * true[1], s * true[0] + c * true[1], true[2]]
         )
-        robot, reference = drive(robot, speed * (1 - point[7:9])), drive(reference, point[5:7])
-        c, s = np.cos(robot[2]), np.sin(robot[2])
+        robot = drive(robot, speed * (1 - point[7:9]))
+        reference = drive(reference, point[5:7])
+        c = np.cos(robot[2])
+        s = np.sin(robot[2])
         gap = reference - robot
         measured = np.array([c * gap[0] + s * gap[1], c * gap[1] - s * gap[0], gap[2]]) + noise
         np.testing.assert_allclose(measured - model, disturbance, rtol=0, atol=INTEGRATED)
@@ -276,7 +282,7 @@ def test_no_sample_of_ten_million_lies_outside(kinematics):
 @pytest.mark.parametrize("kinematics", QUICK, ids=INPUT_MAPS)
 def test_no_local_maximum_lies_outside_and_the_best_come_close(kinematics):
     bound = bound_of(kinematics)
-    low, high = (end[:, None] for end in EIGHT.box)
+    low, high = EIGHT.box[:, :, None]
     seeds = np.broadcast_to(np.eye(12)[:, :, None], (12, 12, 200))
     largest = np.zeros(3)
     for output, sign in itertools.product(range(3), (1, -1)):
@@ -405,7 +411,8 @@ def test_larger_operations_have_larger_bounds():
     smaller = operation(
         (0.1, 0.2, 0.2), ((-0.2, -0.5), (0.3, 0.6)), (1.3, 1.4), 0.05, (5e-4, 1e-3, 0.0)
     )
-    inner, outer = (disturbance_bound(where, Kinematics()) for where in (smaller, EIGHT))
+    inner = disturbance_bound(smaller, Kinematics())
+    outer = disturbance_bound(EIGHT, Kinematics())
     assert inner.found_yaw < outer.yaw
     assert (inner.found_box < outer.box).all()
     assert (inner.ground_speeds[0] > outer.ground_speeds[0]).all()
@@ -458,6 +465,16 @@ def test_the_bound_on_wheel_errors_has_its_closed_form():
 def test_impossible_operations_are_refused(change, named):
     with pytest.raises(ValueError, match=named):
         disturbance_bound(operation(**change), Kinematics())
+
+
+def test_magnitudes_that_rounding_made_negative_are_zeros():
+    rounded = operation(noise=(-2.77e-17, 1e-3, 3e-4))
+    exact = operation(noise=(0.0, 1e-3, 3e-4))
+    np.testing.assert_array_equal(rounded.noise, exact.noise)
+    np.testing.assert_array_equal(
+        disturbance_bound(rounded, Kinematics(), 0.1).box,
+        disturbance_bound(exact, Kinematics(), 0.1).box,
+    )
 
 
 def test_unknown_names_and_slips_of_one_are_refused():

@@ -27,7 +27,12 @@ from tolerances import EXACT_AGAINST_FLOAT, EXACT_ROUNDED_OFFSETS
 
 from sets.exact import ExactReport
 from sets.polytope import Polytope
-from sets.robot.exact_tube import schedule_box, sequence_margins, vertex_feedbacks, vertex_loops
+from sets.robot.exact_tube import (
+    exact_vertex_feedbacks,
+    exact_vertex_loops,
+    schedule_box,
+    sequence_margins,
+)
 from sets.tubes import sequence_support
 
 
@@ -46,8 +51,8 @@ ORDER = [WINDOWS.index(tuple((SCHEDULE * 2)[k : k + HORIZON])) for k in range(le
 FOLLOWERS = list(zip(ORDER, ORDER[1:] + ORDER[:1], strict=True))
 WHEELS = {wheels: schedule_box(wheels, wheels, DT, WIDTH) for wheels in {*SCHEDULE}}
 BOXES = [[WHEELS[wheels] for wheels in window] for window in WINDOWS]
-SEQUENCE_LOOPS = floats([[vertex_loops(GAINS, box, DT)[0] for box in row] for row in BOXES])
-SEQUENCE_GAINS = floats([[vertex_feedbacks(GAINS, box)[0] for box in row] for row in BOXES])
+SEQUENCE_LOOPS = floats([[exact_vertex_loops(GAINS, box, DT)[0] for box in row] for row in BOXES])
+SEQUENCE_GAINS = floats([[exact_vertex_feedbacks(GAINS, box)[0] for box in row] for row in BOXES])
 
 
 def taken(rows: np.ndarray, steps: int) -> np.ndarray:
@@ -90,9 +95,16 @@ def margins(
 
 
 NAMES = {
-    "nonempty", "errors reach", "errors shifted", "errors returns", "inputs reach", "inputs shifted", "inputs returns",
-    "terminal reach", "terminal returns",
-}  # fmt: skip
+    "nonempty",
+    "errors reach",
+    "errors shifted",
+    "errors returns",
+    "inputs reach",
+    "inputs shifted",
+    "inputs returns",
+    "terminal reach",
+    "terminal returns",
+}
 
 
 def test_tubes_backed_off_further_at_every_stage_hold_without_slack():

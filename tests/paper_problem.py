@@ -9,7 +9,9 @@ import numpy as np
 from sets.lmi import Objective, lqr_gain, terminal_cost
 from sets.polytope import Polytope
 
-PERIOD, TRACK, GRIP = 0.1, 0.5, 0.8
+PERIOD = 0.1
+TRACK = 0.5
+GRIP = 0.8
 FASTEST = 1.5
 INPUT = PERIOD * np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
 PAPER = np.diag([1.0, 1.0, 0.01]), np.eye(2)
@@ -24,7 +26,8 @@ U = Polytope(np.vstack([WHEELS, -WHEELS]), np.array([2.54, 2.54, 0.84, 0.84]))
 
 def transition(right: float, left: float) -> np.ndarray:
     """Matrix A of the error model (Euler) at wheel references in m/s."""
-    turn, drift = PERIOD * GRIP / TRACK * (right - left), PERIOD / 2 * (right + left)
+    turn = PERIOD * GRIP / TRACK * (right - left)
+    drift = PERIOD / 2 * (right + left)
     return np.array([[1.0, turn, 0.0], [-turn, 1.0, drift], [0.0, 0.0, 1.0]])
 
 
@@ -78,8 +81,6 @@ def terminal_problem(
             for corner, gain in zip(corners(slowest), gains, strict=True)
         ]
     )
-    rows, offsets = (
-        [E.normals, *(U.normals @ gain for gain in gains)],
-        [E.offsets, *([U.offsets] * 4)],
-    )
+    rows = [E.normals, *(U.normals @ gain for gain in gains)]
+    offsets = [E.offsets, *([U.offsets] * 4)]
     return loops, Polytope(np.concatenate(rows), np.concatenate(offsets))

@@ -10,12 +10,17 @@ import numpy as np
 from sets.exact import exact_row
 from sets.invariant import maximal_rpi
 from sets.polytope import Polytope
-from sets.robot.exact_tube import schedule_box, vertex_feedbacks, vertex_loops
+from sets.robot.exact_tube import exact_vertex_feedbacks, exact_vertex_loops, schedule_box
 
-DT, WIDTH, GAINS, HORIZON = 0.1, 0.5, (3.0, 6.5, 6.5), 5
-SLOW, FAST = 1.224, 1.496
+DT = 0.1
+WIDTH = 0.5
+GAINS = (3.0, 6.5, 6.5)
+HORIZON = 5
+SLOW = 1.224
+FAST = 1.496
 BOX = schedule_box((SLOW, SLOW), (FAST, FAST), DT, WIDTH)
-LOOPS, FEEDBACKS = vertex_loops(GAINS, BOX, DT), vertex_feedbacks(GAINS, BOX)
+LOOPS = exact_vertex_loops(GAINS, BOX, DT)
+FEEDBACKS = exact_vertex_feedbacks(GAINS, BOX)
 KICK = (Fraction(0), Fraction(0.0208) * Fraction(0.068), Fraction(0.0208))
 NOISE = exact_row((8.90e-3, 19.26e-3, math.radians(0.04)))
 W = [tuple(sign * kick + side * width for kick, side, width in zip(KICK, sides, NOISE, strict=True))
@@ -24,7 +29,8 @@ POINTS = np.array(W, dtype=float)
 E = np.vstack([np.eye(3), -np.eye(3)]), np.tile([0.12, 0.28, math.radians(18)], 2)
 U = np.vstack([np.eye(2), -np.eye(2)]), np.array([0.40, 0.9, 0.27, 0.9])
 STEP = 1e-6  # every further stage of the plan is backed off by as much more
-Q, R = np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2)
+Q = np.diag([1.0, 3.0, 1.0])
+R = 0.3 * np.eye(2)
 
 
 def floats(matrices) -> np.ndarray:
