@@ -1,5 +1,5 @@
-"""The look of every figure: sizes of a two-column page, one colour a controller, names, units and
-drawing of sets.
+"""The look of every figure: sizes of a two-column page, one colour a controller, units of the axes
+and drawing of sets.
 
 Colours are those of Okabe and Ito, which differ for colour-blind eyes and in print.
 """
@@ -15,12 +15,18 @@ import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.layout_engine import LayoutEngine, PlaceHolderLayoutEngine
 from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
+from jaxtube.coordinates import COORDINATES, TO_DISPLAY
 from sets.polytope import hull_vertices
 
 PAGE_WIDTH = 7.16
 """Width of a page of two columns, inches."""
+
+PNG_DPI = 200
+"""Resolution at which figures are laid out: that of the PNG, so that its texts are set once."""
 
 SETTINGS: dict[Any, Any] = {
     "font.family": "STIXGeneral",
@@ -43,6 +49,7 @@ SETTINGS: dict[Any, Any] = {
     "grid.color": "0.9",
     "grid.linewidth": 0.5,
     "lines.linewidth": 1.2,
+    "figure.titlesize": 10,
     **{f"axes3d.{letter}axis.panecolor": "#ffffff00" for letter in "xyz"},
     # Journals ask for embedded TrueType; text stays text and rasterised clouds stay sharp.
     "pdf.fonttype": 42,
@@ -68,37 +75,67 @@ CONTROLLERS = {
 }
 """By name, in the order in which they are listed; a later one is drawn over an earlier one."""
 
+INSIDE = "#0072B2"
+OUTSIDE = "#D55E00"
+"""Colours of what respects a limit and of what passes it."""
+
 LIMIT = {"color": "0.15", "linewidth": 0.9, "linestyle": (0, (5, 2))}
+LIMIT_EDGE = {"edgecolor": "0.15", "linewidth": 0.9, "linestyle": (0, (5, 2))}
+"""Looks of a limit as a line and as the edge of a polygon."""
 REFERENCE = {"color": "0.15", "linewidth": 1.0, "linestyle": (0, (1, 1.2))}
 
-ERRORS = ("e_x", "e_y", "e_\\theta")
-TO_DISPLAY = np.array([1.0, 1.0, np.rad2deg(1.0)])
-UNITS = ("m", "m", "deg")
+
+class Scale(NamedTuple):
+    """Units of the three coordinates on an axis, and the factors to them from (m, m, rad)."""
+
+    units: tuple[str, str, str]
+    factors: Float[np.ndarray, "3"]
+
+
+METRES = Scale(("m", "m", "deg"), TO_DISPLAY)
+CENTIMETRES = Scale(("cm", "cm", "deg"), TO_DISPLAY * [1e2, 1e2, 1.0])
+MILLIMETRES = Scale(("mm", "mm", "deg"), TO_DISPLAY * [1e3, 1e3, 1.0])
 
 
 class PaperFigure(Figure):
-    """A figure that is saved in the style it was drawn in, whatever the caller's settings."""
+    """A figure that is saved in the style it was drawn in, whatever the caller's settings.
+
+    Its layout is computed once, for all formats it is saved in.
+    """
+
+    def get_layout_engine(self) -> LayoutEngine | None:
+        """Return the engine, None once the layout is fixed: a figure with one is drawn twice to be
+        saved."""
+        engine = super().get_layout_engine()
+        return None if isinstance(engine, PlaceHolderLayoutEngine) else engine
 
     def savefig(self, *arguments, **options) -> None:
         """Save as matplotlib does."""
         with matplotlib.rc_context(SETTINGS):
+            self._fix_layout()
             super().savefig(*arguments, **options)
+
+    def _fix_layout(self) -> None:
+        engine = self.get_layout_engine()
+        if engine is not None:
+            engine.execute(self)
+            self.set_layout_engine("none")
 
 
 def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
     """Make a function draw its figure in this style."""
 
     @wraps(draw)
-    def drawn(*arguments, **options) -> Figure:
+    def draw_in_style(*arguments, **options) -> Figure:
         with matplotlib.rc_context(SETTINGS):
             return draw(*arguments, **options)
 
-    return drawn
+    return draw_in_style
 
 
 def page_figure(height: float) -> Figure:
     """Return an empty figure over the width of the page, height in inches."""
-    return PaperFigure(figsize=(PAGE_WIDTH, height), layout="constrained")
+    return PaperFigure(figsize=(PAGE_WIDTH, height), dpi=PNG_DPI, layout="constrained")
 
 
 def bottom_legend(figure: Figure, handles: list, columns: int = 3) -> None:
@@ -108,27 +145,45 @@ def bottom_legend(figure: Figure, handles: list, columns: int = 3) -> None:
 
 def line_keys(lines: Iterable[Line]) -> list[Line2D]:
     """Return the legend's entries of lines."""
-    return [
-        Line2D([], [], color=line.colour, linestyle=line.dashes, label=line.label) for line in lines
-    ]
+    return [line_key(line.label, color=line.colour, linestyle=line.dashes) for line in lines]
+
+
+def line_key(label: str, **look) -> Line2D:
+    """Return the legend's entry of a line."""
+    return Line2D([], [], label=label, **look)
 
 
 def mark_key(label: str, colour: str, **look) -> Line2D:
     """Return the legend's entry of a mark without a line."""
-    return Line2D(
-        [],
-        [],
-        linestyle="none",
-        color=colour,
-        label=label,
-        **{"marker": "o", "markersize": 4, **look},
-    )
+    look = {"marker": "o", "markersize": 4, **look}
+    return Line2D([], [], linestyle="none", color=colour, label=label, **look)
 
 
-def error_label(coordinate: int, absolute: bool = False, unit: str = "") -> str:
-    """Return the axis label of a tracking error, with its unit."""
-    letter = f"|{ERRORS[coordinate]}|" if absolute else ERRORS[coordinate]
-    return f"${letter}$ [{unit or UNITS[coordinate]}]"
+def area_key(label: str, colour: str, alpha: float = 1.0) -> Patch:
+    """Return the legend's entry of a filled area."""
+    return Patch(color=colour, alpha=alpha, linewidth=0, label=label)
+
+
+def error_label(coordinate: int, scale: Scale = METRES, absolute: bool = False) -> str:
+    """Return the label of an axis of a tracking error, with its unit."""
+    symbol = COORDINATES[coordinate].error
+    if absolute:
+        symbol = f"|{symbol}|"
+    return f"${symbol}$ [{scale.units[coordinate]}]"
+
+
+def disturbance_label(coordinate: int, absolute: bool = False) -> str:
+    """Return the label of an axis of a disturbance, in mm or deg."""
+    symbol = COORDINATES[coordinate].disturbance
+    if absolute:
+        symbol = f"|{symbol}|"
+    return f"${symbol}$ [{MILLIMETRES.units[coordinate]}]"
+
+
+def label_plane(axes: Axes, plane: tuple[int, int], scale: Scale = METRES) -> None:
+    """Label the axes of a panel that shows two coordinates of tracking errors."""
+    axes.set_xlabel(error_label(plane[0], scale))
+    axes.set_ylabel(error_label(plane[1], scale), labelpad=1)
 
 
 def outline(points: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "v 2"]:
@@ -142,5 +197,11 @@ def outline(points: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "v 2"]:
 def draw_polygon(axes: Axes, points: Float[np.ndarray, "k 2"], **look) -> None:
     """Draw the convex hull of points as a closed line, filled where `facecolor` is given."""
     look = {"facecolor": "none", **look}
-    (patch,) = axes.fill(*outline(points).T, **look)
+    corners = outline(points)
+    (patch,) = axes.fill(corners[:, 0], corners[:, 1], **look)
     patch.set_joinstyle("round")
+
+
+def draw_line(axes: Axes, x, y, line: Line, **look) -> None:
+    """Draw a curve in the colour and dashes of its line."""
+    axes.plot(x, y, color=line.colour, linestyle=line.dashes, **look)

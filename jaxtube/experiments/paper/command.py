@@ -14,7 +14,7 @@ import numpy as np
 from jaxtube.experiments.design.command import exit_code
 from jaxtube.experiments.design.report import report
 from jaxtube.experiments.design.seen import disturbance_line
-from jaxtube.experiments.options import Paper
+from jaxtube.experiments.options import Paper, title
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.paper.claims import claims, table
 from jaxtube.experiments.run import folder as run_folder
@@ -58,7 +58,7 @@ def run(scenario: Scenario, options: Paper) -> int:
     rows = claims(measured)
     measured["claims"] = [row._asdict() for row in rows]
     folder.save_metrics(measured)
-    _save_figures(found, laps, robust, stressed, deviations, folder)
+    _save_figures(found, title(options.scenario), laps, robust, stressed, deviations, folder)
     parts = [
         report(found),
         disturbance_line(found, measured["disturbance"], "the tube MPC"),
@@ -103,28 +103,32 @@ def _save_noise_free(found: Design, loops: dict, folder: RunFolder) -> None:
 
 
 def _save_figures(
-    found: Design, laps, robust: Design, stressed, deviations, folder: RunFolder
+    found: Design, name: str, laps, robust: Design, stressed, deviations, folder: RunFolder
 ) -> None:
-    from jaxtube.experiments.figures import laps as figures
+    from jaxtube.experiments.figures import laps as lap_figures
     from jaxtube.experiments.figures import sets as set_figures
+    from jaxtube.experiments.figures.paths import trajectories
+    from jaxtube.experiments.figures.realisations import realisations_in_tube
+    from jaxtube.experiments.figures.stress import stress as stress_figure
+    from jaxtube.experiments.figures.tightened import tightened_sets
 
+    problem = found.problem
+    cases = _stress_cases(stressed)
     drawings = {
-        "trajectories": lambda: figures.trajectories(found.problem, laps),
-        "errors": lambda: figures.errors(found.problem, laps),
-        "wheel_speeds": lambda: figures.wheel_speeds(found.problem, laps),
-        "margins": lambda: figures.margins(found.problem, laps),
-        "tube_sections": lambda: set_figures.tube_sections(found),
-        "tightened_sets": lambda: set_figures.tightened_sets(found),
-        "terminal_set": lambda: set_figures.terminal_set(found),
-        "realisations_in_tube": lambda: set_figures.realisations_in_tube(found, deviations),
-        "stress": lambda: figures.stress(
-            robust.problem, _stress_cases(stressed), stressed.boundary
-        ),
-        "stress_terminal_set": lambda: set_figures.terminal_set(robust),
+        "trajectories": lambda: trajectories(problem, laps),
+        "errors": lambda: lap_figures.errors(problem, laps),
+        "wheel_speeds": lambda: lap_figures.wheel_speeds(problem, laps),
+        "margins": lambda: lap_figures.margins(problem, laps),
+        "tube_sections": lambda: set_figures.tube_sections(found, name),
+        "tightened_sets": lambda: tightened_sets(found, name),
+        "terminal_set": lambda: set_figures.terminal_set(found, name),
+        "realisations_in_tube": lambda: realisations_in_tube(found, deviations),
+        "stress": lambda: stress_figure(robust.problem, cases, stressed.boundary),
+        "stress_terminal_set": lambda: set_figures.terminal_set(robust, "robust"),
     }
     with progress(len(drawings), "drawing", "figures") as bar:
-        for name, draw in drawings.items():
-            folder.save_figure(draw(), name)
+        for figure_name, draw in drawings.items():
+            folder.save_figure(draw(), figure_name)
             bar.update()
 
 

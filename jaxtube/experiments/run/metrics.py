@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube import qp
+from jaxtube.coordinates import KEYS, TO_DISPLAY
 from jaxtube.plant.reference import settled_step
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.certificate.fill import cap_shares, ultimate_bound
@@ -13,8 +14,7 @@ from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.problem import InputRows, wheel_rows
 from sets.polytope import Polytope
 
-COORDINATES = ("longitudinal_m", "lateral_m", "heading_deg")
-TO_DISPLAY = np.array([1.0, 1.0, np.rad2deg(1.0)])
+COORDINATES = KEYS
 
 
 def design_metrics(design: Design) -> dict:

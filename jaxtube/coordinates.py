@@ -1,0 +1,50 @@
+"""The three coordinates of a tracking error: names, symbols, units of display.
+
+    e = (e_x, e_y, e_theta)     in the frame of the robot, m, m and rad; displayed in m, m and deg
+
+Results files, tables and axes take what they call a coordinate from here.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Coordinate(NamedTuple):
+    """One coordinate."""
+
+    name: str
+    letter: str  # index of its symbol, LaTeX
+    unit: str  # of display
+    to_display: float  # from SI units with rad
+
+    @property
+    def key(self) -> str:
+        """Name with unit, as in metrics.json."""
+        return f"{self.name}_{self.unit}"
+
+    @property
+    def error(self) -> str:
+        """Symbol of the tracking error, LaTeX without dollars."""
+        return f"e_{self.letter}"
+
+    @property
+    def disturbance(self) -> str:
+        """Symbol of the disturbance, LaTeX without dollars."""
+        return f"w_{self.letter}"
+
+
+COORDINATES = (
+    Coordinate("longitudinal", "x", "m", 1.0),
+    Coordinate("lateral", "y", "m", 1.0),
+    Coordinate("heading", "\\theta", "deg", float(np.rad2deg(1.0))),
+)
+NAMES = tuple(coordinate.name for coordinate in COORDINATES)
+KEYS = tuple(coordinate.key for coordinate in COORDINATES)
+TO_DISPLAY = np.array([coordinate.to_display for coordinate in COORDINATES])
+"""Factors from (m, m, rad) to (m, m, deg)."""
+
+PLANES = ((0, 1), (0, 2), (1, 2))
+"""Pairs of coordinates that a projection shows, abscissa first."""
