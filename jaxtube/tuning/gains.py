@@ -20,8 +20,8 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube.control.mpc import AnyArray
+from jaxtube.synthesis.gains import given_gain
 from jaxtube.synthesis.problem import Problem
-from jaxtube.synthesis.tightening import gains_at_corners, given_gain, vertex_pairs
 from sets import lyapunov
 
 
@@ -69,9 +69,8 @@ def _gains_and_loops(
     transitions, inputs = problem.model.matrices(schedules)
     window_gains = gain.at(problem.model.weights(schedules))
     window_loops = transitions + inputs @ window_gains
-    vertex_loops, vertex_gains = vertex_pairs(problem, gain)
-    corner_gains = gains_at_corners(problem, gain)
-    return window_gains, window_loops, corner_gains, vertex_loops, vertex_gains
+    vertex_loops, vertex_gains = gain.pairs
+    return window_gains, window_loops, gain.corner_gains, vertex_loops, vertex_gains
 
 
 def differentiate_terminal_cost(

@@ -29,7 +29,7 @@ from jaxtube.synthesis.condense import (
     widths,
     with_terminal_rows,
 )
-from jaxtube.synthesis.design import Ingredients
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.tightening import BACK_OFF
 from jaxtube.tuning.caps import Limits, make_limits
 from jaxtube.tuning.gains import GainMaps, differentiate_terminal_cost, make_gain_maps
@@ -70,7 +70,7 @@ class Fixed(NamedTuple):
     index: Int[AnyArray, " steps"]
 
 
-def fix(design: Ingredients) -> Fixed:
+def fix(design: Design) -> Fixed:
     """Take from a design (terminal T-A, tube `sequence`) what stays fixed.
 
     Raises:
@@ -99,7 +99,7 @@ def fix(design: Ingredients) -> Fixed:
 
 
 def _padded_terminal_constraint(
-    design: Ingredients, generators: Float[np.ndarray, "g 3"]
+    design: Design, generators: Float[np.ndarray, "g 3"]
 ) -> tuple[Float[np.ndarray, "facets 3"], Float[np.ndarray, " facets"]]:
     """Return normals and offsets of the terminal set before the tube is taken off, filled up to a
     multiple of `terminal_facets` with copies of the first row that bound nothing."""

@@ -24,10 +24,11 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Key
 
-from jaxtube.control.laws import ScheduledGain, TubeMpc
+from jaxtube.control.laws import TubeMpc
 from jaxtube.control.mpc import AnyArray
+from jaxtube.control.protocol import Controller, WheelMap
+from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario
-from jaxtube.simulation.rollout import SlippingRobot
 from jaxtube.simulation.usage import play
 from jaxtube.tuning.caps import Limits, cap_shares
 from jaxtube.tuning.loop import Fixed, Weights, condense_windows
@@ -109,9 +110,7 @@ def _inverse_square(scale: float | None) -> float:
     return 0.0 if scale is None else 1.0 / scale**2
 
 
-def run_laps(
-    controller: TubeMpc | ScheduledGain, conditions: Conditions, limits: Limits, aim: Aim
-) -> Laps:
+def run_laps(controller: Controller, conditions: Conditions, limits: Limits, aim: Aim) -> Laps:
     """Run laps of a controller and reduce each to what counts; differentiable."""
     plant = conditions.plant
     seen = play(controller, plant, conditions.keys, conditions.starts)
@@ -161,8 +160,8 @@ def total_cost(laps: Laps, shares: Float[Array, " caps"], aim: Aim) -> Float[Arr
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["fixed", "active"],
-    meta_fields=["restart", "input_map"],
+    data_fields=["fixed", "active", "wheel_map"],
+    meta_fields=["restart"],
 )
 @dataclass(frozen=True)
 class Frozen:
@@ -171,13 +170,13 @@ class Frozen:
 
     fixed: Fixed
     active: ActiveFacets
+    wheel_map: WheelMap
     restart: bool
-    input_map: str
 
     def controller(self, weights: Weights) -> TubeMpc:
         """Return the tube-MPC with these weights and gains; differentiable in them."""
         windows = condense_windows(self.fixed, weights)
-        return TubeMpc(windows, jnp.asarray(self.fixed.index), self.restart, self.input_map)
+        return TubeMpc(windows, jnp.asarray(self.fixed.index), self.wheel_map, self.restart)
 
     def tube_shares(self, kappa: Float[Array, " kappa"]) -> Float[Array, " caps"]:
         """Return the share of each cap that the tube fills at its widest."""

@@ -26,9 +26,8 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from jaxtube.control.mpc import AnyArray
-from jaxtube.synthesis.design import Ingredients
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.terminal import Terminal, set_back_off
-from jaxtube.synthesis.tightening import gains_at_corners, vertex_pairs
 from jaxtube.tuning.caps import Limits
 from jaxtube.tuning.tube import closed_loop_rows, support
 from sets.invariant import INFLATION
@@ -53,7 +52,7 @@ class TerminalRows(NamedTuple):
 
 
 def trace_terminal_rows(
-    design: Ingredients,
+    design: Design,
     normals: Float[np.ndarray, "facets 3"],
     offsets: Float[np.ndarray, " facets"],
 ) -> TerminalRows:
@@ -66,7 +65,7 @@ def trace_terminal_rows(
     """
     problem = design.problem
     maximal = design.terminal.maximal
-    gains = gains_at_corners(problem, design.terminal.gains)
+    gains = design.terminal.gains.corner_gains
     error_count = len(problem.operating_set.offsets)
     input_count = len(problem.input_rows.offsets)
     roots = error_count + len(gains) * input_count + np.arange(len(normals))
@@ -74,7 +73,7 @@ def trace_terminal_rows(
     polytope = _traceable_polytope(design.terminal)
     if polytope is not None:
         # The set is made of distinct gains and loops: the first of equal ones stands for all.
-        loops = vertex_pairs(problem, design.terminal.gains)[0]
+        loops, _ = design.terminal.gains.pairs
         first_gain = _first_of_equals(gains)
         first_loop = np.sort(_first_of_equals(loops.reshape(-1, 9)))
         place = {normal.tobytes(): at for at, normal in enumerate(polytope.normals)}

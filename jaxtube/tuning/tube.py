@@ -24,7 +24,7 @@ from jaxtube.synthesis.problem import Problem
 def disturbance_generators(problem: Problem) -> Float[np.ndarray, "g 3"]:
     """Return the generators of a design's W (m, m, rad): the three half widths of its box, after
     the yaw kick (0, g_y, 1) where W is computed."""
-    bound = problem.residual
+    bound = problem.disturbance_bound
     if bound is None:
         return np.diag(problem.disturbance_set.support(np.eye(3)))
     kick = bound.yaw * np.array([0.0, bound.lateral_per_yaw, 1.0])

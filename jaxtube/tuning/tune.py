@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import get_args
 
 from jaxtube.scenario import Scenario
-from jaxtube.synthesis.certificate.exact import recheck
 from jaxtube.synthesis.design import Design, design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.judgement import Judgement
@@ -31,7 +30,6 @@ class Tuned:
         design: that of the scenario, made as `design(scenario)` makes it.
         failing: the conditions that this design lacks; without one, those that the best of the
             uncertified iterates lacks.
-        is_rechecked: whether its certificate was checked once more, in rational arithmetic.
     """
 
     tuner: Tuner
@@ -40,7 +38,6 @@ class Tuned:
     scenario: Scenario | None
     design: Design | None
     failing: tuple[str, ...]
-    is_rechecked: bool
 
     @property
     def start(self) -> Judgement:
@@ -51,6 +48,14 @@ class Tuned:
     def is_certified(self) -> bool:
         """Whether every required condition of the returned design holds."""
         return self.design is not None and not self.failing
+
+    @property
+    def is_rechecked(self) -> bool:
+        """Whether its certificate was checked once more, in rational arithmetic."""
+        if self.design is None:
+            return False
+        second = self.design.certificate.conditions.get("checked_in_rationals")
+        return second is not None and second.holds
 
     @property
     def stop(self) -> Stop:
@@ -143,12 +148,10 @@ def run_tuner(
     descent = descend(tuner, settings, log, progress)
     best = descent.best(accept_uncertified)
     if best is None:
-        return Tuned(tuner, descent, None, None, None, _failing_of_best(descent), False)
+        return Tuned(tuner, descent, None, None, None, _failing_of_best(descent))
     scenario = tuner.parameters.scenario(tuner.problem.scenario, best.point)
     designed = design(scenario)
-    is_rechecked, unconfirmed = _recheck(designed)
-    failing = (*unconfirmed, *failing_conditions(designed))
-    return Tuned(tuner, descent, best, scenario, designed, failing, is_rechecked)
+    return Tuned(tuner, descent, best, scenario, designed, failing_conditions(designed))
 
 
 def _refuse_settings(settings: Settings, laps: int, held_out: int) -> None:
@@ -174,24 +177,10 @@ def _failing_of_best(descent: Descent) -> tuple[str, ...]:
     return descent.judged[best.iteration if best else -1].failing
 
 
-def _recheck(designed: Design) -> tuple[bool, tuple[str, ...]]:
-    """Check a certificate a second time, by separate code in rational arithmetic.
-
-    Returns:
-        Whether it is confirmed, and the condition that fails where it is refuted; neither for
-        designs that only the first check knows.
-    """
-    try:
-        report = recheck(designed)
-    except ValueError:
-        return False, ()
-    return report.holds, () if report.holds else ("checked_in_rationals",)
-
-
 def assumption(problem: Problem) -> str:
     """Return what a certificate takes for granted where W is assumed, nothing where it is
     computed."""
-    if problem.residual is not None:
+    if problem.disturbance_bound is not None:
         return ""
     return (
         " for the linear model with w in W, which is assumed "

@@ -16,12 +16,14 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Key
 
-from jaxtube.control.laws import ScheduledGain, TubeMpc
+from jaxtube.control.laws import TubeMpc
+from jaxtube.control.protocol import Controller
 from jaxtube.plant.reference import settled_step
+from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario, ScenarioError
 from jaxtube.simulation import closed_loop
-from jaxtube.simulation.rollout import SlippingRobot, realisation_keys
-from jaxtube.synthesis.design import Design, Ingredients, finish, prepare, refuse_infeasible_start
+from jaxtube.simulation.rollout import realisation_keys
+from jaxtube.synthesis.design import Design, finish, prepare, refuse_infeasible_start
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.problem import Problem, with_controller
 from jaxtube.tuning.caps import find_active_caps, make_limits
@@ -50,11 +52,11 @@ NO_DESIGN = 1e6
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """A point with its ingredients and what an evaluation holds fixed; `reason` says why there are
-    none."""
+    """A point with its prepared design and what an evaluation holds fixed; `reason` says why there
+    are none."""
 
     point: Point
-    ingredients: Ingredients | None
+    prepared: Design | None
     frozen: Frozen | None
     reason: str = ""
 
@@ -93,7 +95,7 @@ class Tuner:
     _last: Candidate | None = field(default=None, init=False, repr=False)
 
     def candidate(self, point: Point) -> Candidate:
-        """Return the ingredients of a point; the last ones are kept."""
+        """Return the prepared design of a point; the last one is kept."""
         if self._last is None or not np.array_equal(self._last.point, point):
             self._last = self._prepare(np.array(point, float))
         return self._last
@@ -103,14 +105,14 @@ class Tuner:
     def _prepare(self, point: Point) -> Candidate:
         try:
             scenario = self.parameters.scenario(self.problem.scenario, point)
-            ingredients = prepare(with_controller(self.problem, scenario))
-            frozen = freeze(ingredients)
+            prepared = prepare(with_controller(self.problem, scenario))
+            frozen = freeze(prepared)
         # Refused scenarios, empty sets and linear algebra raise ValueErrors, hulls and solvers the
         # others.
         except (ArithmeticError, RuntimeError, ValueError) as error:
             return Candidate(point, None, None, str(error).splitlines()[0])
         reason = "" if frozen else "the tube of the gains is not bounded"
-        return Candidate(point, ingredients, frozen, reason)
+        return Candidate(point, prepared, frozen, reason)
 
     def keys(self, first: int, count: int) -> Key[Array, " count"]:
         """Return the keys of `count` realisations."""
@@ -170,10 +172,10 @@ class Tuner:
     def _judge(self, point: Point, first: int, count: int) -> Judgement:
         candidate = self.candidate(point)
         played = self.play(point, first, count)
-        if candidate.ingredients is None or played is None:
+        if candidate.prepared is None or played is None:
             return judge_without_laps(point, candidate.reason)
         laps, shares = played
-        return judge_laps(point, laps, shares, self.aim, find_failing(candidate.ingredients))
+        return judge_laps(point, laps, shares, self.aim, find_failing(candidate.prepared))
 
     def controller(self, point: Point) -> TubeMpc:
         """Return the tube-MPC of a point.
@@ -186,7 +188,7 @@ class Tuner:
             raise ValueError(f"point: has no closed loop ({candidate.reason}); choose another")
         return _controller(candidate.frozen, self.parameters.weights(jnp.asarray(point)))
 
-    def drive(self, controller: TubeMpc | ScheduledGain, first: int, count: int) -> Laps:
+    def drive(self, controller: Controller, first: int, count: int) -> Laps:
         """Return laps of any controller over given draws."""
         limits = make_limits(self.problem)
 
@@ -243,36 +245,45 @@ def make_tuner(
     return tuner
 
 
-def freeze(ingredients: Ingredients) -> Frozen | None:
+def freeze(prepared: Design) -> Frozen | None:
     """Return what an evaluation holds of a design, None where the tube of its gains is not bounded.
 
     Raises:
         ValueError: as `fix`.
     """
-    fixed = fix(ingredients)
-    kappa = jnp.asarray(ingredients.problem.given_gains)
+    problem = prepared.problem
+    fixed = fix(prepared)
+    kappa = jnp.asarray(problem.given_gains)
     loops = fixed.maps.vertex_loops.at(kappa)
     gains = fixed.maps.corner_gains.at(kappa)
     active = find_active_caps(fixed.limits, loops, jnp.asarray(fixed.generators), gains)
     if active is None:
         return None
-    settings = ingredients.problem.scenario.controller
-    fixed = jax.tree.map(jnp.asarray, fixed)
-    return Frozen(fixed, active, settings.restart, settings.input_map)
+    return Frozen(
+        fixed=jax.tree.map(jnp.asarray, fixed),
+        active=active,
+        wheel_map=closed_loop.make_wheel_map(problem),
+        restart=problem.scenario.controller.restart,
+    )
 
 
-def find_failing(ingredients: Ingredients) -> tuple[str, ...]:
-    """Return the conditions that the certificate of prepared ingredients lacks: all of it where it
+def find_failing(prepared: Design) -> tuple[str, ...]:
+    """Return the conditions that the certificate of a prepared design lacks: all of it where it
     cannot be computed."""
     try:
-        return failing_conditions(finish(ingredients))
+        return failing_conditions(finish(prepared))
     except (ArithmeticError, RuntimeError, ValueError) as error:
         return (f"certificate_computed ({error})",)
 
 
 def failing_conditions(design: Design) -> tuple[str, ...]:
-    """Return the names of the conditions that a design lacks, the start's plan among them."""
-    failing = tuple(design.certificate.failing)
+    """Return the names of the conditions that a design lacks, the start's plan among them.
+
+    Where W is assumed they are those of the linear model with w in W.
+    """
+    certificate = design.certificate
+    is_assumed = design.problem.disturbance_bound is None
+    failing = tuple(certificate.failing_for_model if is_assumed else certificate.failing)
     try:
         refuse_infeasible_start(design)
     except ScenarioError:

@@ -68,7 +68,7 @@ def test_the_best_certified_iterate_is_returned(result):
 def test_its_design_is_that_of_its_scenario_and_certified(result):
     assert result.is_certified and result.failing == () and result.is_rechecked
     assert result.design.problem.scenario == result.scenario
-    assert result.design.certificate.holds
+    assert result.design.certificate.holds_for_robot
 
 
 def test_progress_is_told_of_every_evaluation_and_every_better_certified_iterate(result, progress):

@@ -7,7 +7,8 @@ import pytest
 import tolerances as tol
 import tuned
 
-from jaxtube.synthesis.tightening import gains_at_corners, given_gain, make_windows, vertex_pairs
+from jaxtube.synthesis.gains import given_gain
+from jaxtube.synthesis.windows import make_windows
 from jaxtube.tuning.gains import differentiate_terminal_cost
 from sets.lyapunov import cost_of_gains
 
@@ -29,8 +30,7 @@ def test_gains_and_loops_are_those_of_the_design(problem, maps, seed):
     kappa = tuned.random_kappa(problem, np.random.default_rng(seed), size=0.5)
     gain = given_gain(problem, kappa)
     windows = make_windows(problem, gain)
-    loops, gains = vertex_pairs(problem, gain)
-    expected = (windows.gains, windows.loops, gains_at_corners(problem, gain), loops, gains)
+    expected = (windows.gains, windows.loops, gain.corner_gains, *gain.pairs)
     for affine, wanted in zip(maps, expected, strict=True):
         value = affine.at(jnp.asarray(kappa))
         assert value.shape == wanted.shape

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from jaxtube import qp
 from jaxtube.control.laws import TubeMpc
 from jaxtube.simulation import closed_loop
+from jaxtube.simulation.closed_loop import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.synthesis.design import finish, prepare
 from jaxtube.synthesis.feasible import boundary
@@ -91,7 +92,7 @@ def test_laps_are_those_of_the_design_rows_active_or_not(loop):
     def run(windows):
         windows = jax.tree.map(jnp.asarray, windows)
         index = jnp.asarray(fixed.index)
-        controller = TubeMpc(windows, index, settings.restart, settings.input_map)
+        controller = TubeMpc(windows, index, make_wheel_map(design.problem), settings.restart)
         return drive(controller, plant, keys, starts)
 
     laps = run(windows)

@@ -12,10 +12,10 @@ import tolerances as tol
 import tuned
 
 from jaxtube import qp
-from jaxtube.control import mpc
 from jaxtube.control.laws import ScheduledGain, TubeMpc
 from jaxtube.qp import fixed_point
 from jaxtube.simulation import closed_loop
+from jaxtube.simulation.closed_loop import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.simulation.usage import play
 from jaxtube.synthesis.design import finish, prepare
@@ -36,10 +36,10 @@ class Watched(TubeMpc):
     """The tube-MPC, which says more in place of its backups: those, whether a row is active, and
     which rows are."""
 
-    def act(self, step, state, errors, reference_wheels):
-        window = mpc.take_window(self.windows, self.index[step])
-        command, following, diagnostics = super().act(step, state, errors, reference_wheels)
-        active = tuned.active_rows(window, errors, following.inputs, tol.ACTIVE_ROW)
+    def act(self, step, memory, measurement, reference_wheels):
+        command, following, diagnostics = super().act(step, memory, measurement, reference_wheels)
+        window = self.window(step)
+        active = tuned.active_rows(window, measurement.errors, following.inputs, tol.ACTIVE_ROW)
         active = active & ~diagnostics.backup[:, None]
         parts = [diagnostics.backup.astype(float), active.any(axis=1).astype(float), code(active)]
         return command, following, diagnostics._replace(backup=jnp.stack(parts, axis=1))
@@ -339,7 +339,7 @@ def law():
         jnp.asarray([[-1.0, 0.1, 0.0], [0.0, -2.0, -3.0]]), (STEPS_OF_LAW, 2, 3)
     )
     aim = dataclasses.replace(objective.make_aim(problem.scenario, 10), margin=0.5)
-    controller = ScheduledGain(gains, problem.scenario.controller.input_map)
+    controller = ScheduledGain(gains, make_wheel_map(problem))
     plant = tuned.shortened(closed_loop.robot_of(problem), STEPS_OF_LAW)
     return problem, controller, plant, aim
 

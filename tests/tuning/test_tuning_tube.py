@@ -10,7 +10,10 @@ from tolerances import TUBE_BOUND, TUBE_REACH, TUBE_SLOPE, TUBE_TIGHT
 
 import sets.invariant
 from jaxtube.synthesis.certificate import fill
-from jaxtube.synthesis.tightening import given_gain, make_windows, tighten
+from jaxtube.synthesis.gains import given_gain
+from jaxtube.synthesis.tightening import tighten
+from jaxtube.synthesis.tubes import make_following_tube
+from jaxtube.synthesis.windows import make_windows
 from jaxtube.tuning import caps, minimal, tube
 from jaxtube.tuning.gains import Affine
 
@@ -31,7 +34,7 @@ def problem(request):
 def draw(problem, seed):
     """Draw stable gains, as the numbers that are tuned, and a direction in them."""
     rng = np.random.default_rng(seed)
-    if problem.residual is not None:
+    if problem.disturbance_bound is not None:
         centre = np.array([9.0, 8.0, 8.0])
     else:
         centre = np.tile([[-2.5, 0.0, 0.0], [0.0, -2.6, -3.0]], (4, 1, 1))
@@ -87,11 +90,12 @@ def reaches(problem, numbers):
     return of_errors, of_inputs
 
 
-def reaches_of_tighten(problem, numbers):
+def tighten_again(problem, numbers):
     """Return the same from `tighten` itself."""
     gain = given_gain(problem, numbers)
     windows = make_windows(problem, gain)
-    tightening = tighten(problem, gain, windows, [], "sequence")
+    tube = make_following_tube(problem, gain, windows)
+    tightening = tighten(problem, tube, len(windows.schedules))
     return tightening.error_reach, tightening.input_reach
 
 
@@ -109,7 +113,7 @@ def test_generators_have_the_support_numbers_of_w(problem):
 def test_reaches_and_their_slopes_are_those_of_the_tightening(problem):
     rng = np.random.default_rng(9)
     first, _ = draw(problem, 0)
-    weights = [rng.uniform(0.5, 1.5, array.shape) for array in reaches_of_tighten(problem, first)]
+    weights = [rng.uniform(0.5, 1.5, array.shape) for array in tighten_again(problem, first)]
 
     def weigh(arrays):
         return sum((weight * array).sum() for weight, array in zip(weights, arrays, strict=True))
@@ -122,10 +126,10 @@ def test_reaches_and_their_slopes_are_those_of_the_tightening(problem):
     for seed in SEEDS:
         numbers, direction = draw(problem, seed)
         gradient, arrays = evaluate(jnp.asarray(numbers))
-        expected = reaches_of_tighten(problem, numbers)
+        expected = tighten_again(problem, numbers)
         for array, wanted in zip(arrays, expected, strict=True):
             np.testing.assert_allclose(array, wanted, rtol=TUBE_REACH)
-        slope = central(lambda at: weigh(reaches_of_tighten(problem, at)), numbers, direction)
+        slope = central(lambda at: weigh(tighten_again(problem, at)), numbers, direction)
         size = np.linalg.norm(gradient) * np.linalg.norm(direction)
         assert np.vdot(gradient, direction) == pytest.approx(slope, rel=0, abs=TUBE_SLOPE * size)
 

@@ -10,8 +10,9 @@ import numpy as np
 from jaxtube.control import mpc
 from jaxtube.scenario import load
 from jaxtube.synthesis.disturbance import complete_problem
+from jaxtube.synthesis.gains import given_gain
 from jaxtube.synthesis.problem import with_controller
-from jaxtube.synthesis.tightening import given_gain, make_windows
+from jaxtube.synthesis.windows import make_windows
 from jaxtube.tuning.gains import make_gain_maps
 from jaxtube.tuning.loop import Weights
 from jaxtube.tuning.parameters import make_parameters

@@ -19,6 +19,7 @@ from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.tune.bar import DescentBar
 from jaxtube.experiments.tune.front_figure import Kind
 from jaxtube.experiments.tune.result import COMPARED_LAPS, Result, run_comparison, weights_at
+from jaxtube.simulation.closed_loop import make_wheel_map
 from jaxtube.synthesis.problem import Problem, with_controller
 from jaxtube.tuning.judgement import Judgement, pool
 from jaxtube.tuning.objective import Laps, lap_costs, total_cost
@@ -199,7 +200,7 @@ def run_static_lqr(tuner: Tuner, point: Point, first: int, count: int) -> Laps:
         for transition, matrix in zip(transitions, inputs, strict=True)
     ]
     along = np.stack(gains)[index.reshape(-1)]
-    controller = ScheduledGain(jnp.asarray(along), problem.scenario.controller.input_map)
+    controller = ScheduledGain(jnp.asarray(along), make_wheel_map(problem))
     return tuner.drive(controller, first, count)
 
 

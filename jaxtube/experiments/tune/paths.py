@@ -78,12 +78,12 @@ def _drive(entry: Entry, problem: Problem) -> Drive | None:
         laps = run_static_lqr(tuner, entry.point, COMPARED, PATH_LAPS)
         return Drive(laps.errors, laps.effort, None)
     played = tuner.play(entry.point, COMPARED, PATH_LAPS)
-    ingredients = tuner.candidate(entry.point).ingredients
-    if played is None or ingredients is None:
+    prepared = tuner.candidate(entry.point).prepared
+    if played is None or prepared is None:
         return None
     laps, _ = played
     is_certified_here = entry.kind in ("start", "tuned")
-    failing = find_failing(ingredients) if is_certified_here else None
+    failing = find_failing(prepared) if is_certified_here else None
     return Drive(laps.errors, laps.effort, failing)
 
 

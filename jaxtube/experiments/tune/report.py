@@ -192,10 +192,10 @@ def _curve(arrays: dict[str, np.ndarray]) -> tune_figures.Curve:
 
 def _tube(tuner: Tuner, point: Point) -> Polytope | None:
     """Return the widest tube of a point, None where it has no design or no bound."""
-    ingredients = tuner.candidate(point).ingredients
-    if ingredients is None:
+    prepared = tuner.candidate(point).prepared
+    if prepared is None:
         return None
-    return widest_tube(ingredients.problem, ingredients.terminal.gains)
+    return widest_tube(prepared.problem, prepared.terminal.gains)
 
 
 def _drawn_errors(tuner: Tuner, point: Point) -> Float[np.ndarray, "steps+1 laps 3"]:

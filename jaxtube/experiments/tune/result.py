@@ -52,11 +52,11 @@ def run_comparison(tuner: Tuner, point: Point) -> Result:
         ValueError: where it has no closed loop.
     """
     judgement = tuner.compare(point, COMPARED_LAPS)
-    ingredients = tuner.candidate(point).ingredients
-    if ingredients is None or not judgement.has_laps:
+    prepared = tuner.candidate(point).prepared
+    if prepared is None or not judgement.has_laps:
         reason = ", ".join(judgement.failing)
         raise ValueError(f"point: has no closed loop ({reason}); choose another")
-    bound = widest_tube(ingredients.problem, ingredients.terminal.gains)
+    bound = widest_tube(prepared.problem, prepared.terminal.gains)
     return Result(
         costs=judgement.costs,
         errors=judgement.errors,
