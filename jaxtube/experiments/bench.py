@@ -19,14 +19,13 @@ from jaxtube.experiments.run.cluster import Cluster
 from jaxtube.plant.reference import settled_step
 from jaxtube.scenario import Scenario
 from jaxtube.simulation import closed_loop
-from jaxtube.simulation.closed_loop import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.statistics import task as validation
 from jaxtube.statistics.run import BLOCK, Run
 from jaxtube.synthesis.design import Design, design
 from jaxtube.synthesis.feasible import boundary, spread_starts
-from jaxtube.tuning.objective import aim, objective
-from jaxtube.tuning.parameters import parameters
+from jaxtube.tuning.objective import Conditions, make_aim, objective
+from jaxtube.tuning.parameters import make_parameters
 from jaxtube.tuning.tuner import freeze
 
 
@@ -85,29 +84,20 @@ def gradient_cost(found: Design) -> dict[str, dict[str, float]]:
 
     From the scenario's start, where hardly a row is active, and from the edge of the feasible set.
     """
-    problem, settings = found.problem, found.problem.scenario.controller
-    chosen, frozen = parameters(problem), freeze(found)
+    problem = found.problem
+    parameters = make_parameters(problem)
+    frozen = freeze(found)
     assert frozen is not None, "the tube of a design is bounded"
-    plant, target = (
-        closed_loop.slipping_robot(found),
-        aim(problem.scenario, settled_step(problem.reference)),
-    )
+    plant = closed_loop.slipping_robot(found)
+    aim = make_aim(problem.scenario, settled_step(problem.reference))
 
     def value(vector, starts):
-        weights, keys = chosen.weights(vector), realisation_keys(0, 0, LAPS)
-        return objective(
-            weights,
-            frozen,
-            plant,
-            keys,
-            starts,
-            target,
-            make_wheel_map(found.problem),
-            settings.restart,
-        )
+        conditions = Conditions(plant, realisation_keys(0, 0, LAPS), starts)
+        return objective(parameters.weights(vector), frozen, conditions, aim)
 
     points = boundary(found.tube_window, int(found.windows.index[0]), problem.operating_set, 100)
-    vector, numbers = jnp.asarray(chosen.vector), {}
+    vector = jnp.asarray(parameters.vector)
+    numbers = {}
     starts = {
         "scenario": jnp.tile(jnp.asarray(problem.initial_error), (LAPS, 1)),
         "edge": jnp.asarray(spread_starts(points, LAPS, 0, edge_share=1.0)),
@@ -126,7 +116,8 @@ def gradient_cost(found: Design) -> dict[str, dict[str, float]]:
         numbers[name] = {"value_s": alone, "with_gradient_s": both, "memory_mib": memory}
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
     print(
-        f"memory: of the gradient's program beside its arguments; of the whole process {peak:.0f} MiB at most"
+        "memory: of the gradient's program beside its arguments; "
+        f"of the whole process {peak:.0f} MiB at most"
     )
     return numbers
 

@@ -1,1 +1,1 @@
-"""Tuning of weights and gains: algorithms around an objective that is expensive to evaluate."""
+"""Tuning of weights and gains by gradients through laps and through the tube."""

@@ -1,12 +1,12 @@
-"""Gains and loops as affine functions of the numbers that are tuned, and the terminal cost that
-follows them.
+"""Gains and loops as affine functions of the tuned numbers, and the terminal cost that follows
+them.
 
     K(th) = K_0(th) + sum_i kappa_i K_i(th),     Phi = A + B K likewise
 
 kappa are (k1, k2, k3) of a decoupled gain, or all entries of the four vertex gains. The terminal
 cost P(kappa, Q, R) is the centred one of `sets.lyapunov`: where its slope F(P; kappa, Q, R)
-vanishes, so that by the implicit function theorem one Newton step from the answer, its curvature
-held fixed, has the answer's value and its derivative.
+vanishes. By the implicit function theorem one Newton step from the answer, its curvature held
+fixed, has the answer's value and its derivative.
 """
 
 from __future__ import annotations
@@ -47,37 +47,43 @@ class GainMaps(NamedTuple):
     vertex_gains: Affine  # (pairs, 2, 3)
 
 
-def gain_maps(problem: Problem, schedules: Float[np.ndarray, "windows horizon 2"]) -> GainMaps:
-    """Read the maps off the gains themselves, which are affine in what the scenario gives of them."""
-    transitions, inputs = problem.model.matrices(schedules)
-    weights = problem.model.weights(schedules)
-
-    def everything(kappa) -> tuple[np.ndarray, ...]:
-        gain = given_gain(problem, kappa)
-        loops, gains = gain.pairs
-        along = gain.at(weights)
-        return along, transitions + inputs @ along, gain.corner_gains, loops, gains
-
+def make_gain_maps(problem: Problem, schedules: Float[np.ndarray, "windows horizon 2"]) -> GainMaps:
+    """Read the maps off the gains themselves, which are affine in the tuned numbers."""
     size = len(problem.given_gains)
-    constants, units = everything(np.zeros(size)), [everything(unit) for unit in np.eye(size)]
-    return GainMaps(
-        *(
-            Affine(constant, np.stack([unit[i] for unit in units]) - constant)
-            for i, constant in enumerate(constants)
-        )
-    )
+    constants = _gains_and_loops(problem, schedules, np.zeros(size))
+    units = [_gains_and_loops(problem, schedules, unit) for unit in np.eye(size)]
+    maps = []
+    for i, constant in enumerate(constants):
+        values = np.stack([unit[i] for unit in units])
+        maps.append(Affine(constant, values - constant))
+    return GainMaps(*maps)
 
 
-def terminal_cost(
-    found: Float[AnyArray, "3 3"],
+def _gains_and_loops(
+    problem: Problem,
+    schedules: Float[np.ndarray, "windows horizon 2"],
+    kappa: Float[np.ndarray, " kappa"],
+) -> tuple[np.ndarray, ...]:
+    """Return the values of all maps for the tuned numbers, in their order."""
+    gain = given_gain(problem, kappa)
+    transitions, inputs = problem.model.matrices(schedules)
+    window_gains = gain.at(problem.model.weights(schedules))
+    window_loops = transitions + inputs @ window_gains
+    vertex_loops, vertex_gains = gain.pairs
+    return window_gains, window_loops, gain.corner_gains, vertex_loops, vertex_gains
+
+
+def differentiate_terminal_cost(
+    cost: Float[AnyArray, "3 3"],
     loops: Float[Array, "v 3 3"],
     gains: Float[Array, "v 2 3"],
     error_weight: Float[Array, "3 3"],
     input_weight: Float[Array, "2 2"],
 ) -> Float[Array, "3 3"]:
-    """Return `found`, the centred terminal cost of these very data, with its derivative with
-    respect to them."""
+    """Return `cost`, the centred terminal cost of these very loops, gains and weights, with its
+    derivative with respect to them."""
+    answer = jnp.asarray(cost)
     stage = error_weight + jnp.swapaxes(gains, 1, 2) @ input_weight @ gains
-    slope, curvature = lyapunov.centring(jnp.asarray(found), loops, stage, jnp)
+    slope, curvature = lyapunov.centring(answer, loops, stage, jnp)
     step = jnp.linalg.solve(jax.lax.stop_gradient(curvature), slope)
-    return jnp.asarray(found) - jnp.tensordot(step, lyapunov.symmetric_basis(len(found)), axes=1)
+    return answer - jnp.tensordot(step, lyapunov.symmetric_basis(len(cost)), axes=1)

@@ -31,13 +31,19 @@ from jaxtube.synthesis.condense import (
 )
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.tightening import BACK_OFF
-from jaxtube.tuning.gains import GainMaps, gain_maps, terminal_cost
-from jaxtube.tuning.terminal import TerminalRows, terminal_rows, terminal_set
-from jaxtube.tuning.tube import disturbance_generators, rows_under, sequence_reach, sequence_reaches
+from jaxtube.tuning.caps import Limits, make_limits
+from jaxtube.tuning.gains import GainMaps, differentiate_terminal_cost, make_gain_maps
+from jaxtube.tuning.terminal import TerminalRows, compute_terminal_set, trace_terminal_rows
+from jaxtube.tuning.tube import (
+    closed_loop_rows,
+    disturbance_generators,
+    sequence_reach,
+    sequence_reaches,
+)
 
 ROOM = 0.02
-"""Share of a row's limit that the tube leaves at least where there is no plan; a design that has
-one is far from it."""
+"""Least share of a row's limit that the tube leaves where there is no plan; a design that has a
+plan leaves far more."""
 
 
 class Weights(NamedTuple):
@@ -49,17 +55,15 @@ class Weights(NamedTuple):
 
 
 class Fixed(NamedTuple):
-    """What a design holds fixed while weights and gains move; of two shapes at most for all designs
-    of a scenario."""
+    """What a design holds fixed while weights and gains move; the designs of a scenario have two
+    sets of shapes at most."""
 
     maps: GainMaps
     ahead: Prediction
     generators: Float[AnyArray, "g 3"]  # of W
     error_rows: Float[AnyArray, "6 3"]
     error_offsets: Float[AnyArray, " 6"]
-    input_rows: Float[AnyArray, "k 2"]
-    input_error_rows: Float[AnyArray, "k 3"]
-    input_offsets: Float[AnyArray, " k"]
+    limits: Limits
     terminal_rows: TerminalRows
     terminal_cost: Float[AnyArray, "3 3"]
     widths: Float[AnyArray, "3"]
@@ -67,108 +71,111 @@ class Fixed(NamedTuple):
 
 
 def fix(design: Design) -> Fixed:
-    """Take from a design (terminal T-A, tube `sequence`) what stays fixed; unused terminal rows are
-    unbounded.
+    """Take from a design (terminal T-A, tube `sequence`) what stays fixed.
 
     Raises:
         ValueError: where no input reaches a terminal row, so that it is no row of the plan.
     """
-    problem, windows, terminal, rows = (
-        design.problem,
-        design.windows,
-        design.terminal,
-        design.problem.input_rows,
-    )
-    normals, offsets = terminal.constraint_normals, terminal.constraint_offsets[0]
+    problem = design.problem
+    windows = design.windows
     generators = disturbance_generators(problem)
-    taken = sequence_reach(
-        jnp.asarray(windows.loops[:1]),
-        jnp.asarray(generators),
-        jnp.asarray(normals)[None],
-        problem.horizon,
-    )
-    spare = -len(normals) % problem.scenario.controller.terminal_facets
-    normals = np.concatenate([normals, np.repeat(normals[:1], spare, axis=0)])
-    offsets = np.concatenate([offsets + np.asarray(taken)[0], np.full(spare, np.inf)])
+    normals, offsets = _padded_terminal_constraint(design, generators)
     ahead = predict(problem, windows, normals)
     count = len(ahead.reached) + len(ahead.unreached)
     if np.any(ahead.unreached >= count - len(normals)):
         raise ValueError("controller.horizon: no input reaches a terminal row; lengthen it")
     return Fixed(
-        maps=gain_maps(problem, windows.schedules),
+        maps=make_gain_maps(problem, windows.schedules),
         ahead=ahead,
         generators=generators,
         error_rows=problem.operating_set.normals,
         error_offsets=problem.operating_set.offsets,
-        input_rows=rows.inputs,
-        input_error_rows=rows.errors,
-        input_offsets=rows.offsets,
-        terminal_rows=terminal_rows(design, normals, offsets),
+        limits=make_limits(problem),
+        terminal_rows=trace_terminal_rows(design, normals, offsets),
         terminal_cost=design.cost.cost,
         widths=widths(problem),
         index=windows.index,
     )
 
 
-def terminal_set_of(
+def _padded_terminal_constraint(
+    design: Design, generators: Float[np.ndarray, "g 3"]
+) -> tuple[Float[np.ndarray, "facets 3"], Float[np.ndarray, " facets"]]:
+    """Return normals and offsets of the terminal set before the tube is taken off, filled up to a
+    multiple of `terminal_facets` with copies of the first row that bound nothing."""
+    normals = design.terminal.constraint_normals
+    reach = sequence_reach(
+        jnp.asarray(design.windows.loops[:1]),
+        jnp.asarray(generators),
+        jnp.asarray(normals)[None],
+        design.problem.horizon,
+    )
+    offsets = design.terminal.constraint_offsets[0] + np.asarray(reach)[0]
+    spare = -len(normals) % design.problem.scenario.controller.terminal_facets
+    spare_normals = np.repeat(normals[:1], spare, axis=0)
+    spare_offsets = np.full(spare, np.inf)
+    return (
+        np.concatenate([normals, spare_normals]),
+        np.concatenate([offsets, spare_offsets]),
+    )
+
+
+def terminal_set_at(
     fixed: Fixed, kappa: Float[Array, " kappa"]
 ) -> tuple[Float[Array, "facets 3"], Float[Array, " facets"]]:
     """Return normals and offsets of the terminal set, before the tube is taken off."""
-    return terminal_set(
+    return compute_terminal_set(
         fixed.terminal_rows,
         fixed.maps.vertex_loops.at(kappa),
         fixed.maps.corner_gains.at(kappa),
         fixed.generators,
         (fixed.error_rows, fixed.error_offsets),
-        (fixed.input_rows, fixed.input_error_rows, fixed.input_offsets),
+        fixed.limits,
     )
 
 
-def tightened(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
-    """Return E_j, U_j and the terminal constraint as `condense.tube_bounds` does, at least ROOM of
-    each limit left."""
-    gains, loops = fixed.maps.window_gains.at(kappa), fixed.maps.window_loops.at(kappa)
-    count, N = loops.shape[:2]
-    back_off = BACK_OFF * jnp.arange(1.0, N + 1)[:, None]
-    errors = sequence_reaches(
-        loops,
-        fixed.generators,
-        jnp.broadcast_to(fixed.error_rows, (count, N, *fixed.error_rows.shape)),
-    )
-    under = rows_under(fixed.input_rows, fixed.input_error_rows, gains)
-    inputs = sequence_reaches(loops, fixed.generators, under)
-    normals, offsets = terminal_set_of(fixed, kappa)
-    last = sequence_reach(
-        loops, fixed.generators, jnp.broadcast_to(normals, (count, *normals.shape)), N
-    )
-    last = last + (N + 1) * BACK_OFF * jnp.linalg.norm(normals, axis=1)
+def tightened_bounds(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
+    """Return E_j, U_j and the terminal constraint as `condense.tube_bounds` does, with ROOM of each
+    limit left at least."""
+    gains = fixed.maps.window_gains.at(kappa)
+    loops = fixed.maps.window_loops.at(kappa)
+    count, horizon = loops.shape[:2]
+    error_rows = jnp.broadcast_to(fixed.error_rows, (count, horizon, *fixed.error_rows.shape))
+    input_rows = closed_loop_rows(fixed.limits.inputs, fixed.limits.errors, gains)
+    errors = sequence_reaches(loops, fixed.generators, error_rows)
+    inputs = sequence_reaches(loops, fixed.generators, input_rows)
+    normals, offsets = terminal_set_at(fixed, kappa)
+    terminal_rows = jnp.broadcast_to(normals, (count, *normals.shape))
+    last = sequence_reach(loops, fixed.generators, terminal_rows, horizon)
+    back_off = BACK_OFF * jnp.arange(1.0, horizon + 1)[:, None]
+    last_back_off = (horizon + 1) * BACK_OFF * jnp.linalg.norm(normals, axis=1)
 
-    def left(offsets, taken):
+    def subtract(offsets, taken):
         return jnp.maximum(offsets - taken, ROOM * offsets)
 
     return Bounds(
-        left(fixed.error_offsets, errors + back_off),
-        left(fixed.input_offsets, inputs + back_off),
-        normals,
-        left(offsets, last),
+        errors=subtract(fixed.error_offsets, errors + back_off),
+        inputs=subtract(fixed.limits.offsets, inputs + back_off),
+        terminal_normals=normals,
+        terminal=subtract(offsets, last + last_back_off),
     )
 
 
 def terminal_weight(fixed: Fixed, weights: Weights) -> Float[Array, "3 3"]:
     """Return P, which follows Q, R and the gains."""
-    loops, gains = (
+    return differentiate_terminal_cost(
+        fixed.terminal_cost,
         fixed.maps.vertex_loops.at(weights.kappa),
         fixed.maps.vertex_gains.at(weights.kappa),
-    )
-    return terminal_cost(
-        fixed.terminal_cost, loops, gains, weights.error_weight, weights.input_weight
+        weights.error_weight,
+        weights.input_weight,
     )
 
 
-def windows_of(fixed: Fixed, weights: Weights) -> Window:
+def condense_windows(fixed: Fixed, weights: Weights) -> Window:
     """Return the condensed QPs along the reference."""
     gains = fixed.maps.window_gains.at(weights.kappa)[:, 0]
     cost = Cost(weights.error_weight, weights.input_weight, terminal_weight(fixed, weights))
-    bounds = tightened(fixed, weights.kappa)
+    bounds = tightened_bounds(fixed, weights.kappa)
     ahead = with_terminal_rows(fixed.ahead, bounds.terminal_normals)
     return weigh(ahead, row_bounds(bounds, ahead), Gains(gains, gains), cost, fixed.widths)

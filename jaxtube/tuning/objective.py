@@ -1,8 +1,9 @@
 """What tuning minimises, as a function of weights and gains: laps on the device, reverse mode
 through all of them.
 
-    J = mean c + tail_weight CVaR c + tube_weight h_R(lateral) / cap + steep costs above the effort limit and margins
-    c = sum over errors of (RMS once settled / scale)^2 + (RMS effort / scale)^2        of one lap
+    J = mean c + tail_weight CVaR c + tube_weight h_R(lateral) / cap
+        + steep costs above the effort limit and margins
+    c = sum over errors of (RMS once settled / scale)^2 + (RMS effort / scale)^2     of one lap
     CVaR c  the mean of the worst `tail_share` of the laps,      R  the minimal RPI set's bound
 
 Effort is the speed asked of the wheels less V_r / (1 - i_r), V_l / (1 - i_l) with nominal slips:
@@ -21,31 +22,40 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Float, Key
 
 from jaxtube.control.laws import TubeMpc
 from jaxtube.control.mpc import AnyArray
-from jaxtube.control.protocol import WheelMap
+from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario
 from jaxtube.simulation.usage import play
-from jaxtube.tuning.loop import Fixed, Weights, windows_of
-from jaxtube.tuning.minimal import ActiveFacets, Limits, cap_shares
+from jaxtube.tuning.caps import Limits, cap_shares
+from jaxtube.tuning.loop import Fixed, Weights, condense_windows
+from jaxtube.tuning.minimal import ActiveFacets
 
 STEEPNESS = 1e2
 """What the square of a limit's excess costs, as a share of the limit."""
 
 
+class Conditions(NamedTuple):
+    """What laps run under: the robot, and a key and a start for each lap."""
+
+    plant: SlippingRobot
+    keys: Key[Array, " laps"]
+    starts: Float[Array, "laps 3"]  # tracking errors (m, m, rad)
+
+
 class Laps(NamedTuple):
-    """What laps come to; the leading axis is the realisations."""
+    """Laps reduced to what counts; the leading axis is the realisations."""
 
     errors: Float[AnyArray, "laps 3"]  # RMS once settled (m, m, rad)
     effort: Float[AnyArray, " laps"]  # RMS over the whole lap, m/s
     settled_effort: Float[AnyArray, " laps"]
-    excess: Float[
-        AnyArray, " laps"
-    ]  # mean square of what errors and wheels use beyond the margin of their limits
-    backups: Float[AnyArray, " laps"]  # steps without a plan, whose derivative is zero
+    excess: Float[AnyArray, " laps"]
+    """Mean square of what errors and wheels use beyond the margin of their limits."""
+    backups: Float[AnyArray, " laps"]
+    """Steps without a plan, whose derivative is zero."""
 
 
 @partial(
@@ -75,41 +85,50 @@ class Aim:
     settled: int  # the step, 1 at least, from which errors count
 
 
-def aim(scenario: Scenario, settled: int) -> Aim:
+def make_aim(scenario: Scenario, settled: int) -> Aim:
     """Return the objective of a scenario whose laps have settled from a step on."""
     section = scenario.tuning
     heading = None if section.heading_deg is None else float(np.deg2rad(section.heading_deg))
-    scales = section.longitudinal_m, section.lateral_m, heading, section.effort_mps
-    along, across, turned, effort = (0.0 if scale is None else 1.0 / scale**2 for scale in scales)
-    limit = section.effort_limit_mps or float("inf")
-    tail = section.tail_share, section.tail_weight
+    error_costs = (
+        _inverse_square(section.longitudinal_m),
+        _inverse_square(section.lateral_m),
+        _inverse_square(heading),
+    )
     return Aim(
-        (along, across, turned), effort, limit, *tail, section.tube_weight, section.margin, settled
+        error_costs=error_costs,
+        effort_cost=_inverse_square(section.effort_mps),
+        effort_limit=section.effort_limit_mps or float("inf"),
+        tail_share=section.tail_share,
+        tail_weight=section.tail_weight,
+        tube_weight=section.tube_weight,
+        margin=section.margin,
+        settled=settled,
     )
 
 
-def run_laps(
-    controller, plant: SlippingRobot, keys, starts: Float[Array, "laps 3"], limits: Limits, aim: Aim
-) -> Laps:
+def _inverse_square(scale: float | None) -> float:
+    return 0.0 if scale is None else 1.0 / scale**2
+
+
+def run_laps(controller: Controller, conditions: Conditions, limits: Limits, aim: Aim) -> Laps:
     """Run laps of a controller and reduce each to what counts; differentiable."""
-    seen = play(controller, plant, keys, starts)
+    plant = conditions.plant
+    seen = play(controller, plant, conditions.keys, conditions.starts)
     idle = plant.reference_wheels / (1.0 - plant.nominal_slip)
     effort = jnp.sum((seen["wheels"] - idle[:, None]) ** 2, axis=2) / 2.0
-    errors = jnp.mean(
-        seen["error"][aim.settled - 1 :] ** 2, axis=0
-    )  # what is seen first comes after a period
-    robot = plant.robot
-    of_errors = jnp.maximum(jnp.abs(seen["error"]) / limits.widths - aim.margin, 0.0)
-    of_wheels = jnp.maximum(seen["wheels"] / robot.wheel_speed_max - aim.margin, 0.0)
-    excess = jnp.sum(of_errors**2, axis=2) + jnp.sum(of_wheels**2, axis=2)
-    backups = jnp.sum(seen["backup"], axis=0).astype(errors.dtype)
-    settled_effort = _root(jnp.mean(effort[aim.settled - 1 :], axis=0))
+    first = aim.settled - 1  # what is seen first comes after a period
+    errors = jnp.mean(seen["error"][first:] ** 2, axis=0)
+    error_share = jnp.abs(seen["error"]) / limits.widths
+    wheel_share = seen["wheels"] / plant.robot.wheel_speed_max
+    error_excess = jnp.maximum(error_share - aim.margin, 0.0)
+    wheel_excess = jnp.maximum(wheel_share - aim.margin, 0.0)
+    excess = jnp.sum(error_excess**2, axis=2) + jnp.sum(wheel_excess**2, axis=2)
     return Laps(
-        _root(errors),
-        _root(jnp.mean(effort, axis=0)),
-        settled_effort,
-        jnp.mean(excess, axis=0),
-        backups,
+        errors=_root(errors),
+        effort=_root(jnp.mean(effort, axis=0)),
+        settled_effort=_root(jnp.mean(effort[first:], axis=0)),
+        excess=jnp.mean(excess, axis=0),
+        backups=jnp.sum(seen["backup"], axis=0).astype(errors.dtype),
     )
 
 
@@ -139,52 +158,45 @@ def total_cost(laps: Laps, shares: Float[Array, " caps"], aim: Aim) -> Float[Arr
     )
 
 
-class Frozen(NamedTuple):
-    """All that an evaluation holds fixed: the design, what attains the widest tube, and its limits."""
+@partial(
+    jax.tree_util.register_dataclass,
+    data_fields=["fixed", "active", "wheel_map"],
+    meta_fields=["restart"],
+)
+@dataclass(frozen=True)
+class Frozen:
+    """All that an evaluation holds fixed: the design, what attains the widest tube, and the
+    controller's two choices."""
 
     fixed: Fixed
     active: ActiveFacets
-    limits: Limits
+    wheel_map: WheelMap
+    restart: bool
+
+    def controller(self, weights: Weights) -> TubeMpc:
+        """Return the tube-MPC with these weights and gains; differentiable in them."""
+        windows = condense_windows(self.fixed, weights)
+        return TubeMpc(windows, jnp.asarray(self.fixed.index), self.wheel_map, self.restart)
+
+    def tube_shares(self, kappa: Float[Array, " kappa"]) -> Float[Array, " caps"]:
+        """Return the share of each cap that the tube fills at its widest."""
+        loops = self.fixed.maps.vertex_loops.at(kappa)
+        gains = self.fixed.maps.corner_gains.at(kappa)
+        return cap_shares(self.active, self.fixed.limits, loops, self.fixed.generators, gains)
 
 
-def tube_shares(frozen: Frozen, kappa: Float[Array, " kappa"]) -> Float[Array, " caps"]:
-    """Return the share of each cap that the tube fills at its widest."""
-    fixed, maps = frozen.fixed, frozen.fixed.maps
-    loops, gains = maps.vertex_loops.at(kappa), maps.corner_gains.at(kappa)
-    return cap_shares(frozen.active, frozen.limits, loops, fixed.generators, gains)
-
-
-def controller_laps(
-    weights: Weights,
-    frozen: Frozen,
-    plant,
-    keys,
-    starts,
-    aim: Aim,
-    wheel_map: WheelMap,
-    restart: bool,
-) -> Laps:
+def run_tube_mpc(weights: Weights, frozen: Frozen, conditions: Conditions, aim: Aim) -> Laps:
     """Return the laps of the tube-MPC with these weights and gains; differentiable in them."""
-    controller = TubeMpc(
-        windows_of(frozen.fixed, weights), jnp.asarray(frozen.fixed.index), wheel_map, restart
-    )
-    return run_laps(controller, plant, keys, starts, frozen.limits, aim)
+    return run_laps(frozen.controller(weights), conditions, frozen.fixed.limits, aim)
 
 
 def objective(
-    weights: Weights,
-    frozen: Frozen,
-    plant,
-    keys,
-    starts,
-    aim: Aim,
-    wheel_map: WheelMap,
-    restart: bool,
+    weights: Weights, frozen: Frozen, conditions: Conditions, aim: Aim
 ) -> Float[Array, ""]:
     """Return J of the tube-MPC with these weights and gains; differentiable in them.
 
     Where slips jump with the robot's place (`patches`, `adversarial`) the derivative is that
     between the jumps.
     """
-    laps = controller_laps(weights, frozen, plant, keys, starts, aim, wheel_map, restart)
-    return total_cost(laps, tube_shares(frozen, weights.kappa), aim)
+    laps = run_tube_mpc(weights, frozen, conditions, aim)
+    return total_cost(laps, frozen.tube_shares(weights.kappa), aim)

@@ -18,15 +18,20 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxtube.control.mpc import AnyArray
 from jaxtube.scenario import Scenario
 from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.loop import Weights
 
-Tuned = Literal["both", "weights", "gains", "diagonal"]
+Point = Float[np.ndarray, " free"]
+
+Variables = Literal["both", "weights", "gains", "diagonal"]
 """What moves: Q, R and gains; Q and R; the gains; the diagonals of Q and R alone."""
+
+WEIGHT_NAMES = ("Q11", "Q21", "Q22", "Q31", "Q32", "Q33", "R11", "R21", "R22")
+DIAGONAL_NAMES = ("Q11", "Q22", "Q33", "R11", "R22")
 
 LEAST_PIVOT = 1e-6
 """Share of its largest entry to which the eigenvalues of a weight are raised, so that a singular
@@ -48,7 +53,7 @@ class Parameters:
     moves: tuple[bool, ...]
 
     @property
-    def vector(self) -> Float[np.ndarray, " free"]:
+    def vector(self) -> Point:
         """The start."""
         return self.start[np.array(self.moves)]
 
@@ -57,7 +62,7 @@ class Parameters:
         """Names of what moves."""
         return tuple(name for name, moves in zip(self.names, self.moves, strict=True) if moves)
 
-    def beginning_at(self, vector: Float[np.ndarray, " free"]) -> Parameters:
+    def start_at(self, vector: Point) -> Parameters:
         """Return the same parameters with another start."""
         start = np.array(self.start)
         start[np.array(self.moves)] = vector
@@ -65,68 +70,70 @@ class Parameters:
 
     def weights(self, vector: Float[Array, " free"]) -> Weights:
         """Return Q, R and the gains' numbers; on the device, differentiable."""
-        everything = jnp.asarray(self.start).at[np.flatnonzero(self.moves)].set(vector)
-        error, inputs, gains = everything[:6], everything[6:9], everything[9:]
+        numbers = jnp.asarray(self.start).at[np.flatnonzero(self.moves)].set(vector)
+        gains = numbers[9:]
         kappa = gains * self.scales if len(self.scales) else jnp.exp(gains)
-        return Weights(_product(error, 3), _product(inputs, 2), kappa)
+        return Weights(_square(numbers[:6], 3), _square(numbers[6:9], 2), kappa)
 
-    def scenario(self, scenario: Scenario, vector: Float[np.ndarray, " free"]) -> Scenario:
+    def scenario(self, scenario: Scenario, vector: Point) -> Scenario:
         """Return the scenario with these weights and gains, to the last bit."""
-        error, inputs, kappa = (np.asarray(part) for part in self.weights(jnp.asarray(vector)))
-        vertices = {"vertex_gains": _rows(kappa.reshape(4, 6))} if len(self.scales) else {}
-        tracking = {} if len(self.scales) else {"tracking_gains": tuple(kappa.tolist())}
-        changed = {
-            "error_weight": _rows(error),
-            "input_weight": _rows(inputs),
-            **vertices,
-            **tracking,
-        }
-        return msgspec.structs.replace(
-            scenario, controller=msgspec.structs.replace(scenario.controller, **changed)
+        weights = jax.tree.map(np.asarray, self.weights(jnp.asarray(vector)))
+        if len(self.scales):
+            gains = {"vertex_gains": _rows(weights.kappa.reshape(4, 6))}
+        else:
+            gains = {"tracking_gains": tuple(weights.kappa.tolist())}
+        controller = msgspec.structs.replace(
+            scenario.controller,
+            error_weight=_rows(weights.error_weight),
+            input_weight=_rows(weights.input_weight),
+            **gains,
         )
+        return msgspec.structs.replace(scenario, controller=controller)
 
 
-def parameters(problem: Problem, tuned: Tuned = "both") -> Parameters:
+def make_parameters(problem: Problem, variables: Variables = "both") -> Parameters:
     """Return the parameters of a problem whose scenario gives its gains.
 
     Raises:
-        ValueError: where it gives none.
+        ValueError: where it gives none, and for unknown variables.
     """
-    if tuned not in get_args(Tuned):
-        raise ValueError(f"tuned: {tuned!r} is unknown; choose one of {', '.join(get_args(Tuned))}")
+    if variables not in get_args(Variables):
+        known = ", ".join(get_args(Variables))
+        raise ValueError(f"variables: {variables!r} is unknown; choose one of {known}")
     kappa = problem.given_gains
     if not len(kappa):
         raise ValueError(
-            "controller.tracking_gains and controller.vertex_gains are empty: no gains to tune; start from a copy of "
-            "the scenario `untuned`, which has gains, caps and a computed W"
+            "controller.tracking_gains and controller.vertex_gains are empty: no gains to tune; "
+            "start from a copy of the scenario `untuned`, which has gains, caps and a computed W"
         )
-    decoupled = len(kappa) == 3
-    scales = np.empty(0) if decoupled else np.maximum(np.abs(kappa), 0.1 * np.abs(kappa).max())
-    start = np.concatenate(
-        [
-            _factor(problem.error_weight),
-            _factor(problem.input_weight),
-            np.log(kappa) if decoupled else kappa / scales,
-        ]
-    )
-    letters = (
-        ["k1", "k2", "k3"]
-        if decoupled
-        else [f"K{v}_{i}{j}" for v in "1234" for i in "12" for j in "123"]
-    )
-    names = (*_entries("Q", 3), *_entries("R", 2), *letters)
-    of_weights = np.arange(len(start)) < 9
-    diagonal = np.isin(names, ["Q11", "Q22", "Q33", "R11", "R22"])
-    free = {
-        "both": of_weights | ~of_weights,
-        "weights": of_weights,
-        "gains": ~of_weights,
-        "diagonal": diagonal,
-    }[tuned]
-    return Parameters(start, scales, names, tuple(free.tolist()))
+    if len(kappa) == 3:
+        scales = np.empty(0)
+        gains = np.log(kappa)
+        gain_names = ("k1", "k2", "k3")
+    else:
+        scales = np.maximum(np.abs(kappa), 0.1 * np.abs(kappa).max())
+        gains = kappa / scales
+        gain_names = tuple(f"K{v}_{i}{j}" for v in "1234" for i in "12" for j in "123")
+    start = np.concatenate([_factor(problem.error_weight), _factor(problem.input_weight), gains])
+    names = (*WEIGHT_NAMES, *gain_names)
+    return Parameters(start, scales, names, tuple(_moves(names, variables).tolist()))
 
 
-def _product(entries: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
+def _moves(names: tuple[str, ...], variables: Variables) -> Bool[np.ndarray, " all"]:
+    """Return which parameters move."""
+    is_weight = np.isin(names, WEIGHT_NAMES)
+    match variables:
+        case "both":
+            return np.ones(len(names), bool)
+        case "weights":
+            return is_weight
+        case "gains":
+            return ~is_weight
+        case "diagonal":
+            return np.isin(names, DIAGONAL_NAMES)
+
+
+def _square(entries: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
     """Return L L^T from the rows of L, logarithms on its diagonal; symmetric to the last bit."""
     lower = jnp.zeros((n, n), entries.dtype).at[np.tril_indices(n)].set(entries)
     lower = jnp.tril(lower, -1) + jnp.diag(jnp.exp(jnp.diag(lower)))
@@ -135,14 +142,12 @@ def _product(entries: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
 
 
 def _factor(weight: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " k"]:
+    """Return the rows of L, logarithms on its diagonal; eigenvalues are raised to LEAST_PIVOT."""
+    n = len(weight)
     missing = LEAST_PIVOT * np.abs(weight).max() - np.linalg.eigvalsh(weight)[0]
-    lower = np.linalg.cholesky(weight + max(missing, 0.0) * np.eye(len(weight)))
-    lower[np.diag_indices(len(weight))] = np.log(np.diag(lower))
-    return lower[np.tril_indices(len(weight))]
-
-
-def _entries(letter: str, n: int) -> list[str]:
-    return [f"{letter}{i + 1}{j + 1}" for i, j in zip(*np.tril_indices(n), strict=True)]
+    lower = np.linalg.cholesky(weight + max(missing, 0.0) * np.eye(n))
+    lower[np.diag_indices(n)] = np.log(np.diag(lower))
+    return lower[np.tril_indices(n)]
 
 
 def _rows(matrix: Float[np.ndarray, "m n"]) -> tuple[tuple[float, ...], ...]:

@@ -1,4 +1,4 @@
-"""Searches without gradients, at a given number of evaluations: what descent by gradients has to
+"""Searches without gradients at a given number of evaluations, which descent by gradients has to
 beat.
 
     minimise  f(x)   over x in R^n, with f called `budget` times, no more and no less.
@@ -24,7 +24,7 @@ EvaluateValue = Callable[[Point], float]
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
+class Search:
     """All points of a search in the order of their evaluation, and the value of each, +inf where it
     was not finite."""
 
@@ -44,15 +44,16 @@ class Found:
 
 def random_search(
     evaluate_value: EvaluateValue, start: Point, scales: Point, budget: int, seed: int
-) -> Found:
+) -> Search:
     """Evaluate the start, then points drawn around it (see `random_point`).
 
-    Raises: ValueError for a budget below one.
+    Raises:
+        ValueError: for a budget below one.
     """
     record = _Record(evaluate_value, budget)
     for index in range(budget):
         record(random_point(start, scales, seed, index))
-    return record.found()
+    return record.search()
 
 
 def random_point(start: Point, scales: Point, seed: int, index: int) -> Point:
@@ -63,22 +64,25 @@ def random_point(start: Point, scales: Point, seed: int, index: int) -> Point:
     """
     if index == 0:
         return np.array(start)
-    return start + scales * np.random.default_rng((seed, index)).standard_normal(len(start))
+    generator = np.random.default_rng((seed, index))
+    return start + scales * generator.standard_normal(len(start))
 
 
-def nelder_mead(evaluate_value: EvaluateValue, start: Point, budget: int, size: float) -> Found:
+def nelder_mead(evaluate_value: EvaluateValue, start: Point, budget: int, size: float) -> Search:
     """Search by the adaptive simplex method, from the start and its neighbours at `size` along each
     axis.
 
-    Returns: the search; its first point is the start.
+    Returns:
+        The search; its first point is the start.
 
-    Raises: ValueError for a budget below one, or a size that is zero or not finite.
+    Raises:
+        ValueError: for a budget below one, or a size that is zero or not finite.
     """
     if not 0 < abs(size) < math.inf:
         raise ValueError(f"size = {size}: spans no simplex; choose a finite number other than zero")
     record = _Record(evaluate_value, budget)
     while record.left:
-        centre = record.found().best if record.values else start
+        centre = record.search().best if record.values else start
         simplex = np.vstack([centre, centre + size * np.eye(len(start))])
         options = {
             "adaptive": True,
@@ -92,7 +96,7 @@ def nelder_mead(evaluate_value: EvaluateValue, start: Point, budget: int, size: 
         with np.errstate(invalid="ignore"):
             minimize(record, start, method="Nelder-Mead", options=options)
         size *= -0.5  # neighbours on the other side, and closer
-    return record.found()
+    return record.search()
 
 
 def log_grid(
@@ -106,16 +110,19 @@ def log_grid(
         decades: from the centre to the last value of each parameter, up and down.
         shape: number of values of each parameter; a single one is the centre's.
 
-    Raises: ValueError for a centre that is not positive, or a shape that does not fit it.
+    Raises:
+        ValueError: for a centre that is not positive, or a shape that does not fit it.
     """
     if len(shape) != len(centre) or min(shape, default=0) < 1:
         raise ValueError(
-            f"shape = {tuple(shape)}: does not fit {len(centre)} parameters; count one value or more each"
+            f"shape = {tuple(shape)}: does not fit {len(centre)} parameters; "
+            "count one value or more each"
         )
     if not np.all(np.isfinite(centre) & (centre > 0)):
         raise ValueError(f"centre = {centre}: has no logarithm; give positive numbers")
     steps = [np.linspace(-1.0, 1.0, count) if count > 1 else np.zeros(1) for count in shape]
-    exponents = np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, len(shape))
+    axes = np.meshgrid(*steps, indexing="ij")
+    exponents = np.stack(axes, axis=-1).reshape(-1, len(shape))
     return centre * 10.0 ** (decades * exponents)
 
 
@@ -127,19 +134,23 @@ class _Record:
             raise ValueError(
                 f"budget = {budget}: leaves nothing to compare; allow one evaluation or more"
             )
-        self._evaluate_value, self._budget = evaluate_value, budget
+        self._evaluate_value = evaluate_value
+        self._budget = budget
         self.points: list[Point] = []
         self.values: list[float] = []
 
     @property
     def left(self) -> int:
+        """Evaluations left of the budget."""
         return self._budget - len(self.values)
 
     def __call__(self, point: Point) -> float:
+        """Evaluate a point, and return +inf where its value is not finite."""
         value = float(self._evaluate_value(np.array(point)))
         self.points.append(np.array(point))
         self.values.append(value if math.isfinite(value) else math.inf)
         return self.values[-1]
 
-    def found(self) -> Found:
-        return Found(np.array(self.points), np.array(self.values))
+    def search(self) -> Search:
+        """Return what was asked so far."""
+        return Search(np.array(self.points), np.array(self.values))

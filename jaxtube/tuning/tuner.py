@@ -1,5 +1,4 @@
-"""One scenario's tuning: designs, values, gradients and held-out results of points, by index of
-their draws.
+"""One scenario's tuning: designs, values, gradients and judgements of points.
 
 A point is designed on the host (sets, certificate) and then played on the device. Draws i are the
 realisations i n .. (i + 1) n - 1 of the seed; those held out, and those of the final comparison,
@@ -10,97 +9,81 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from functools import partial
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jax import Array
+from jaxtyping import Float, Key
 
 from jaxtube.control.laws import TubeMpc
+from jaxtube.control.protocol import Controller
+from jaxtube.plant.reference import settled_step
 from jaxtube.plant.slipping import SlippingRobot
-from jaxtube.scenario import ScenarioError
-from jaxtube.simulation.closed_loop import make_wheel_map
+from jaxtube.scenario import Scenario, ScenarioError
+from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.synthesis.design import Design, finish, prepare, refuse_infeasible_start
+from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.problem import Problem, with_controller
-from jaxtube.tuning.loop import fix, windows_of
-from jaxtube.tuning.minimal import active_caps, limits
+from jaxtube.tuning.caps import find_active_caps, make_limits
+from jaxtube.tuning.judgement import Judgement, judge_laps, judge_without_laps
+from jaxtube.tuning.loop import fix
 from jaxtube.tuning.objective import (
     Aim,
+    Conditions,
     Frozen,
     Laps,
-    controller_laps,
+    make_aim,
     objective,
     run_laps,
+    run_tube_mpc,
     total_cost,
-    tube_shares,
 )
-from jaxtube.tuning.parameters import Parameters
+from jaxtube.tuning.parameters import Parameters, Point, Variables, make_parameters
 
-HELD_OUT, COMPARED = 2**40, 2**41
-"""First realisations of the laps that decide when to stop, and of those that results are reported
-for."""
+HELD_OUT = 2**40
+"""First realisation of the laps that decide when to stop."""
+COMPARED = 2**41
+"""First realisation of the laps that results are reported for."""
 NO_DESIGN = 1e6
 """Objective where there is no design to play: finite, so that a line search turns back."""
 
-Point = Float[np.ndarray, " free"]
-
 
 @dataclass(frozen=True, eq=False)
-class Designed:
-    """A point with its ingredients and what an evaluation holds fixed; `reason` says why there are
-    none."""
+class Candidate:
+    """A point with its prepared design and what an evaluation holds fixed; `reason` says why there
+    are none."""
 
     point: Point
-    ingredients: Design | None
+    prepared: Design | None
     frozen: Frozen | None
     reason: str = ""
 
 
-@dataclass(frozen=True, eq=False)
-class Inspected:
-    """Held-out result and certificate of a point."""
-
-    held_out: float
-    certified: bool
-    failing: tuple[str, ...]
-    laps: Laps | None
-    shares: Float[np.ndarray, " caps"] | None
+@jax.jit
+def _run_laps(vector, frozen: Frozen, conditions: Conditions, parameters: Parameters, aim: Aim):
+    return run_tube_mpc(parameters.weights(vector), frozen, conditions, aim)
 
 
-def freeze(found: Design) -> Frozen | None:
-    """Return what an evaluation holds of a design, None where the tube of its gains is not bounded;
-    raises as `fix`."""
-    fixed, within, kappa = fix(found), limits(found.problem), jnp.asarray(found.problem.given_gains)
-    loops, gains = fixed.maps.vertex_loops.at(kappa), fixed.maps.corner_gains.at(kappa)
-    active = active_caps(within, loops, jnp.asarray(fixed.generators), gains)
-    return None if active is None else jax.tree.map(jnp.asarray, Frozen(fixed, active, within))
+@jax.jit
+def _value_and_gradient(
+    vector, frozen: Frozen, conditions: Conditions, parameters: Parameters, aim: Aim
+):
+    def value(vector):
+        return objective(parameters.weights(vector), frozen, conditions, aim)
+
+    return jax.value_and_grad(value)(vector)
 
 
-@partial(jax.jit, static_argnames="restart")
-def _played(vector, frozen, plant, keys, starts, parameters, aim, wheel_map, restart):
-    return controller_laps(
-        parameters.weights(vector), frozen, plant, keys, starts, aim, wheel_map, restart
-    )
-
-
-@partial(jax.jit, static_argnames="restart")
-def _value_and_gradient(vector, frozen, plant, keys, starts, parameters, aim, wheel_map, restart):
-    def of(vector):
-        weights = parameters.weights(vector)
-        return objective(weights, frozen, plant, keys, starts, aim, wheel_map, restart)
-
-    return jax.value_and_grad(of)(vector)
-
-
-_laps, _shares = jax.jit(run_laps), jax.jit(tube_shares)
+_tube_shares = jax.jit(Frozen.tube_shares)
+_controller = jax.jit(Frozen.controller)
+_run_controller = jax.jit(run_laps)
 
 
 @dataclass(eq=False)
 class Tuner:
-    """Values, gradients and inspections of points of one scenario."""
+    """Values, gradients and judgements of points of one scenario."""
 
     problem: Problem
     plant: SlippingRobot
@@ -109,107 +92,90 @@ class Tuner:
     laps: int = 128
     held_out: int = 256
     seed: int = 0
-    _last: Designed | None = field(default=None, init=False, repr=False)
+    _last: Candidate | None = field(default=None, init=False, repr=False)
 
-    def designed(self, point: Point) -> Designed:
-        """Return the ingredients of a point; the last ones are kept."""
+    def candidate(self, point: Point) -> Candidate:
+        """Return the prepared design of a point; the last one is kept."""
         if self._last is None or not np.array_equal(self._last.point, point):
-            self._last = self._designed(np.array(point, float))
+            self._last = self._prepare(np.array(point, float))
         return self._last
 
-    @np.errstate(
-        all="ignore"
-    )  # far from any design numbers overflow, and what comes of them is refused
-    def _designed(self, point: Point) -> Designed:
+    # Far from any design numbers overflow, and what comes of them is refused.
+    @np.errstate(all="ignore")
+    def _prepare(self, point: Point) -> Candidate:
         try:
-            found = prepare(
-                with_controller(
-                    self.problem, self.parameters.scenario(self.problem.scenario, point)
-                )
-            )
-            frozen = freeze(found)
+            scenario = self.parameters.scenario(self.problem.scenario, point)
+            prepared = prepare(with_controller(self.problem, scenario))
+            frozen = freeze(prepared)
         # Refused scenarios, empty sets and linear algebra raise ValueErrors, hulls and solvers the
         # others.
         except (ArithmeticError, RuntimeError, ValueError) as error:
-            return Designed(point, None, None, str(error).splitlines()[0])
-        return Designed(
-            point, found, frozen, "" if frozen else "the tube of the gains is not bounded"
-        )
+            return Candidate(point, None, None, str(error).splitlines()[0])
+        reason = "" if frozen else "the tube of the gains is not bounded"
+        return Candidate(point, prepared, frozen, reason)
 
-    def keys(self, first: int, count: int):
+    def keys(self, first: int, count: int) -> Key[Array, " count"]:
         """Return the keys of `count` realisations."""
         return realisation_keys(self.seed, first, count)
 
-    def starts(self, count: int):
+    def starts(self, count: int) -> Float[Array, "count 3"]:
         """Return the scenario's start, once a lap."""
         return jnp.tile(jnp.asarray(self.problem.initial_error), (count, 1))
 
-    def _arguments(self, first: int):
-        settings = self.problem.scenario.controller
-        chosen = (
-            self.plant,
-            self.keys(first, self.laps),
-            self.starts(self.laps),
-            self.parameters,
-            self.aim,
-        )
-        return *chosen, make_wheel_map(self.problem), settings.restart
-
-    def _batches(self, play: Callable[[int], Any], first: int, count: int):
-        """Return play(first), play(first + laps), .. joined and cut to a count: one shape, one
-        compilation."""
-        batches = [
-            jax.tree.map(np.asarray, play(start))
-            for start in range(first, first + count, self.laps)
-        ]
-        return jax.tree.map(lambda *arrays: np.concatenate(arrays)[:count], *batches)
+    def conditions(self, first: int, count: int) -> Conditions:
+        """Return the conditions of `count` realisations."""
+        return Conditions(self.plant, self.keys(first, count), self.starts(count))
 
     def evaluate(self, point: Point, draws: int) -> tuple[float, Point]:
         """Return objective and gradient over the draws of an index; NO_DESIGN and 0 where there is
         nothing to play."""
-        frozen = self.designed(point).frozen
+        frozen = self.candidate(point).frozen
         if frozen is None:
             return NO_DESIGN, np.zeros_like(point)
-        value, gradient = _value_and_gradient(
-            jnp.asarray(point), frozen, *self._arguments(draws * self.laps)
-        )
+        conditions = self.conditions(draws * self.laps, self.laps)
+        vector = jnp.asarray(point)
+        value, gradient = _value_and_gradient(vector, frozen, conditions, self.parameters, self.aim)
         return float(value), np.asarray(gradient)
 
     def value(self, point: Point, draws: int) -> float:
-        """Return the objective alone."""
-        played = self.played(point, draws * self.laps, self.laps)
-        return NO_DESIGN if played is None else played[0]
+        """Return the objective alone; NO_DESIGN where there is nothing to play."""
+        played = self.play(point, draws * self.laps, self.laps)
+        if played is None:
+            return NO_DESIGN
+        laps, shares = played
+        return float(total_cost(laps, jnp.asarray(shares), self.aim))
 
-    def played(
+    def play(
         self, point: Point, first: int, count: int
-    ) -> tuple[float, Laps, Float[np.ndarray, " caps"]] | None:
-        """Return objective, laps and the tube's shares of the caps over given draws, None without a
-        closed loop."""
-        frozen = self.designed(point).frozen
+    ) -> tuple[Laps, Float[np.ndarray, " caps"]] | None:
+        """Return laps over given draws and the tube's shares of the caps, None without a closed
+        loop."""
+        frozen = self.candidate(point).frozen
         if frozen is None:
             return None
-        shares = np.asarray(
-            _shares(frozen, jnp.asarray(self.parameters.weights(jnp.asarray(point)).kappa))
-        )
-        laps = self._batches(
-            lambda at: _played(jnp.asarray(point), frozen, *self._arguments(at)), first, count
-        )
-        return float(total_cost(laps, jnp.asarray(shares), self.aim)), laps, shares
+        vector = jnp.asarray(point)
 
-    def inspect(self, point: Point) -> Inspected:
-        """Return held-out value and certificate of a point."""
-        return self._judged(point, self.held_out, HELD_OUT)
+        def run(conditions: Conditions) -> Laps:
+            return _run_laps(vector, frozen, conditions, self.parameters, self.aim)
 
-    def compare(self, point: Point, laps: int) -> Inspected:
-        """Return value and certificate over laps that nothing before has seen."""
-        return self._judged(point, laps, COMPARED)
+        shares = _tube_shares(frozen, self.parameters.weights(vector).kappa)
+        return self._run_batches(run, first, count), np.asarray(shares)
 
-    def _judged(self, point: Point, count: int, first: int) -> Inspected:
-        designed, played = self.designed(point), self.played(point, first, count)
-        if designed.ingredients is None or played is None:
-            return Inspected(np.inf, False, (designed.reason,), None, None)
-        failing = certificate_lacks(designed.ingredients)
-        return Inspected(played[0], not failing, failing, *played[1:])
+    def inspect(self, point: Point) -> Judgement:
+        """Return the judgement of a point on the held-out laps."""
+        return self._judge(point, HELD_OUT, self.held_out)
+
+    def compare(self, point: Point, laps: int) -> Judgement:
+        """Return the judgement of a point over laps that nothing before has seen."""
+        return self._judge(point, COMPARED, laps)
+
+    def _judge(self, point: Point, first: int, count: int) -> Judgement:
+        candidate = self.candidate(point)
+        played = self.play(point, first, count)
+        if candidate.prepared is None or played is None:
+            return judge_without_laps(point, candidate.reason)
+        laps, shares = played
+        return judge_laps(point, laps, shares, self.aim, find_failing(candidate.prepared))
 
     def controller(self, point: Point) -> TubeMpc:
         """Return the tube-MPC of a point.
@@ -217,37 +183,95 @@ class Tuner:
         Raises:
             ValueError: where there is none.
         """
-        designed, settings = self.designed(point), self.problem.scenario.controller
-        if designed.frozen is None:
-            raise ValueError(f"point: has no closed loop ({designed.reason}); choose another")
-        fixed, weights = designed.frozen.fixed, self.parameters.weights(jnp.asarray(point))
-        windows = jax.jit(windows_of)(fixed, weights)
-        return TubeMpc(
-            windows, jnp.asarray(fixed.index), make_wheel_map(self.problem), settings.restart
-        )
+        candidate = self.candidate(point)
+        if candidate.frozen is None:
+            raise ValueError(f"point: has no closed loop ({candidate.reason}); choose another")
+        return _controller(candidate.frozen, self.parameters.weights(jnp.asarray(point)))
 
-    def drive(self, controller, first: int, count: int) -> Laps:
+    def drive(self, controller: Controller, first: int, count: int) -> Laps:
         """Return laps of any controller over given draws."""
-        within = jax.tree.map(jnp.asarray, limits(self.problem))
+        limits = make_limits(self.problem)
 
-        def play(at: int) -> Laps:
-            return _laps(
-                controller,
-                self.plant,
-                self.keys(at, self.laps),
-                self.starts(self.laps),
-                within,
-                self.aim,
-            )
+        def run(conditions: Conditions) -> Laps:
+            return _run_controller(controller, conditions, limits, self.aim)
 
-        return self._batches(play, first, count)
+        return self._run_batches(run, first, count)
+
+    def _run_batches(self, run: Callable[[Conditions], Laps], first: int, count: int) -> Laps:
+        """Return `count` laps, run in batches of one shape, so that they compile once."""
+        batches = []
+        for start in range(first, first + count, self.laps):
+            laps = run(self.conditions(start, self.laps))
+            batches.append(jax.tree.map(np.asarray, laps))
+        return jax.tree.map(lambda *arrays: np.concatenate(arrays)[:count], *batches)
 
 
-def certificate_lacks(found: Design) -> tuple[str, ...]:
-    """Return what the certificate of prepared ingredients lacks, itself where it cannot be
-    computed."""
+def make_tuner(
+    scenario: Scenario,
+    *,
+    variables: Variables = "both",
+    laps: int = 128,
+    held_out: int = 256,
+    seed: int = 0,
+) -> Tuner:
+    """Return the tuner of a scenario.
+
+    Args:
+        scenario: where tuning starts; its [tuning] says what it aims at.
+        variables: what moves.
+        laps: in each evaluation.
+        held_out: laps, others than those, that judge every iterate.
+        seed: of every draw.
+
+    Raises:
+        ScenarioError: where the scenario gives no gains, or gains without a bounded tube, so that
+            there is nothing to descend on.
+    """
+    problem = complete_problem(scenario)
     try:
-        return failing_conditions(finish(found))
+        parameters = make_parameters(problem, variables)
+    except ValueError as error:
+        raise ScenarioError(f"scenario: {error}") from None
+    aim = make_aim(scenario, settled_step(problem.reference))
+    plant = closed_loop.robot_of(problem)
+    tuner = Tuner(problem, plant, parameters, aim, laps, held_out, seed)
+    start = tuner.candidate(parameters.vector)
+    if start.frozen is None:
+        gains = scenario.controller.tracking_gains or scenario.controller.vertex_gains
+        raise ScenarioError(
+            f"scenario: controller gains = {list(gains)}: tuning cannot start ({start.reason}); "
+            "start from firmer gains, such as those of `certified`, or lower slip.relative_error"
+        )
+    return tuner
+
+
+def freeze(prepared: Design) -> Frozen | None:
+    """Return what an evaluation holds of a design, None where the tube of its gains is not bounded.
+
+    Raises:
+        ValueError: as `fix`.
+    """
+    problem = prepared.problem
+    fixed = fix(prepared)
+    kappa = jnp.asarray(problem.given_gains)
+    loops = fixed.maps.vertex_loops.at(kappa)
+    gains = fixed.maps.corner_gains.at(kappa)
+    active = find_active_caps(fixed.limits, loops, jnp.asarray(fixed.generators), gains)
+    if active is None:
+        return None
+    return Frozen(
+        fixed=jax.tree.map(jnp.asarray, fixed),
+        active=active,
+        wheel_map=closed_loop.make_wheel_map(problem),
+        restart=problem.scenario.controller.restart,
+    )
+
+
+def find_failing(prepared: Design) -> tuple[str, ...]:
+    """Return the conditions that the certificate of a prepared design lacks: all of it where it
+    cannot be computed."""
+    try:
+        return failing_conditions(finish(prepared))
     except (ArithmeticError, RuntimeError, ValueError) as error:
         return (f"certificate_computed ({error})",)
 
@@ -259,9 +283,9 @@ def failing_conditions(design: Design) -> tuple[str, ...]:
     """
     certificate = design.certificate
     is_assumed = design.problem.disturbance_bound is None
-    failing = certificate.failing_for_model if is_assumed else certificate.failing
+    failing = tuple(certificate.failing_for_model if is_assumed else certificate.failing)
     try:
         refuse_infeasible_start(design)
     except ScenarioError:
-        return *failing, "start_has_a_plan"
-    return tuple(failing)
+        return (*failing, "start_has_a_plan")
+    return failing

@@ -5,8 +5,9 @@ import pytest
 from tolerances import ROUNDING
 
 from jaxtube.experiments.tune.baselines import GRID, Spots
-from jaxtube.experiments.tune.compare import difference, grid_lines, rms_interval, unseen_paths
-from jaxtube.experiments.tune.report import Result, reduction
+from jaxtube.experiments.tune.compare import difference, grid_lines, rms_interval
+from jaxtube.experiments.tune.paths import unseen_paths
+from jaxtube.experiments.tune.result import Result, reduction
 from jaxtube.scenario import load
 from jaxtube.synthesis.problem import make_problem
 
@@ -16,7 +17,18 @@ LATERAL = np.abs(np.random.default_rng(0).normal(5e-3, 1e-3, 400))
 def result(lateral, effort):
     ones = np.ones(len(lateral))
     errors = np.stack([ones, lateral, ones], axis=1)
-    return Result(ones, errors, effort * ones, ones, 0, 1.0, True, (), np.ones(3), 0.5)
+    return Result(
+        costs=ones,
+        errors=errors,
+        effort=effort * ones,
+        settled_effort=ones,
+        unplanned=0,
+        objective=1.0,
+        certified=True,
+        failing=(),
+        half_widths=np.ones(3),
+        fill=0.5,
+    )
 
 
 def test_errors_halved_lap_by_lap_are_half_as_large_with_certainty():
@@ -34,12 +46,11 @@ def test_the_interval_of_a_reduction_holds_it_and_narrows_with_the_laps():
 
 def test_a_difference_has_the_interval_of_student():
     above = np.random.default_rng(2).normal(0.3, 1.0, 12)
-    found = difference(above + LATERAL[:12], LATERAL[:12])
-    mean, half = (
-        above.mean(),
-        2.200985160 * above.std(ddof=1) / np.sqrt(12),
-    )  # t of 11 degrees of freedom, 97.5 %
-    assert list(found.values()) == pytest.approx([mean, mean - half, mean + half], rel=1e-8)
+    interval = difference(above + LATERAL[:12], LATERAL[:12])
+    mean = above.mean()
+    t = 2.200985160  # of 11 degrees of freedom, 97.5 %
+    half = t * above.std(ddof=1) / np.sqrt(12)
+    assert list(interval.values()) == pytest.approx([mean, mean - half, mean + half], rel=1e-8)
     assert difference(LATERAL, LATERAL) == {"mean": 0, "low": 0, "high": 0}
 
 
@@ -50,11 +61,12 @@ def test_an_rms_lies_in_its_interval():
 
 
 def test_the_grid_has_200_points():
-    assert np.prod([count for _, _, count in GRID.values()]) == 200
+    assert np.prod([axis.count for axis in GRID.values()]) == 200
 
 
 def test_the_best_of_a_grid_needs_no_more_effort_than_the_tuned_design():
-    tuned, efforts = result(LATERAL, 0.03), np.array([0.031, 0.03, 0.02])
+    tuned = result(LATERAL, 0.03)
+    efforts = np.array([0.031, 0.03, 0.02])
     spots = Spots(np.array([1e-3, 7e-3, 9e-3]), efforts, np.ones(3), np.ones(3, bool))
     (line,) = grid_lines(tuned, {"some gains": spots})
     assert "7.000 mm at 0.03000 m/s" in line

@@ -6,7 +6,8 @@ import pytest
 
 from jaxtube.tuning.search import log_grid, nelder_mead, random_point, random_search
 
-START, SCALES = np.array([1.0, -2.0, 0.5]), np.array([0.5, 2.0, 0.1])
+START = np.array([1.0, -2.0, 0.5])
+SCALES = np.array([0.5, 2.0, 0.1])
 
 
 def bowl(point):
@@ -15,12 +16,17 @@ def bowl(point):
 
 def holes(point):
     """A bowl with a region that is not a number and one that is infinite."""
-    return np.nan if point[0] > 1.2 else -np.inf if point[1] < -2.2 else bowl(point)
+    if point[0] > 1.2:
+        return np.nan
+    if point[1] < -2.2:
+        return -np.inf
+    return bowl(point)
 
 
 class Counted:
     def __init__(self, objective):
-        self.objective, self.points = objective, []
+        self.objective = objective
+        self.points = []
 
     def __call__(self, point):
         self.points.append(np.array(point))
@@ -36,35 +42,37 @@ def searches(budget):
     }
 
 
-# ------------------------------------------------------------------------------------ both searches
+# ------------------------------------------------------------------------------
+# both searches
 
 
 @pytest.mark.parametrize("method", ["random", "simplex"])
 @pytest.mark.parametrize("budget", [1, 2, 4, 5, 57, 700])
 def test_the_budget_is_used_up_exactly_and_the_best_point_returned(method, budget):
     objective = Counted(bowl)
-    found = searches(budget)[method](objective)
+    search = searches(budget)[method](objective)
     values = [bowl(point) for point in objective.points]
-    assert len(values) == budget == len(found.values)
-    np.testing.assert_array_equal(found.points, objective.points)
-    np.testing.assert_array_equal(found.values, values)
-    assert found.value == min(values) == bowl(found.best) <= bowl(START) == values[0]
+    assert len(values) == budget == len(search.values)
+    np.testing.assert_array_equal(search.points, objective.points)
+    np.testing.assert_array_equal(search.values, values)
+    assert search.value == min(values) == bowl(search.best) <= bowl(START) == values[0]
 
 
 @pytest.mark.parametrize("method", ["random", "simplex"])
 def test_values_that_are_not_finite_count_as_infinite(method):
-    found = searches(300)[method](holes)
-    expected = [value if np.isfinite(value := holes(point)) else np.inf for point in found.points]
-    np.testing.assert_array_equal(found.values, expected)
-    assert np.isinf(found.values).any() and found.value == bowl(found.best) < bowl(START)
+    search = searches(300)[method](holes)
+    values = np.array([holes(point) for point in search.points])
+    expected = np.where(np.isfinite(values), values, np.inf)
+    np.testing.assert_array_equal(search.values, expected)
+    assert np.isinf(search.values).any() and search.value == bowl(search.best) < bowl(START)
 
 
 @pytest.mark.parametrize("method", ["random", "simplex"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 3.0])
 def test_a_plane_is_searched_to_the_end_and_the_start_returned(method, value):
-    found = searches(80)[method](lambda point: value)
-    assert len(found.values) == 80
-    np.testing.assert_array_equal(found.best, START)
+    search = searches(80)[method](lambda point: value)
+    assert len(search.values) == 80
+    np.testing.assert_array_equal(search.best, START)
 
 
 @pytest.mark.parametrize("search", searches(0).values())
@@ -73,11 +81,13 @@ def test_a_budget_of_nothing_is_refused(search):
         search(bowl)
 
 
-# -------------------------------------------------------------------------------------- each search
+# ------------------------------------------------------------------------------
+# each search
 
 
 def test_a_random_point_depends_on_seed_and_index_alone():
-    short, long = (random_search(bowl, START, SCALES, budget, seed=4).points for budget in (20, 50))
+    short = random_search(bowl, START, SCALES, 20, seed=4).points
+    long = random_search(bowl, START, SCALES, 50, seed=4).points
     np.testing.assert_array_equal(short, long[:20])
     np.testing.assert_array_equal(long[33], random_point(START, SCALES, 4, 33))
     other = random_search(bowl, START, SCALES, 20, seed=5).points
@@ -108,7 +118,8 @@ def test_a_simplex_without_volume_is_refused(size):
         nelder_mead(bowl, START, 10, size)
 
 
-# --------------------------------------------------------------------------------------------- grid
+# ------------------------------------------------------------------------------
+# grid
 
 
 def test_the_grid_is_full_and_spans_the_decades():

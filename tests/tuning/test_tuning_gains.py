@@ -9,20 +9,10 @@ import tuned
 
 from jaxtube.synthesis.gains import given_gain
 from jaxtube.synthesis.windows import make_windows
-from jaxtube.tuning.gains import gain_maps, terminal_cost
+from jaxtube.tuning.gains import differentiate_terminal_cost
 from sets.lyapunov import cost_of_gains
 
 STEP = 3e-4
-
-
-def follow(numbers, found, maps):
-    error_weight, input_weight, kappa = tuned.weights_of(numbers)
-    loops, gains = maps.vertex_loops.at(kappa), maps.vertex_gains.at(kappa)
-    cost = terminal_cost(found, loops, gains, error_weight, input_weight)
-    return cost, cost
-
-
-cost_and_slope = jax.jit(jax.jacfwd(follow, has_aux=True))
 
 
 @pytest.fixture(scope="module", params=list(tuned.SCENARIOS))
@@ -32,9 +22,7 @@ def problem(request):
 
 @pytest.fixture(scope="module")
 def maps(problem):
-    return gain_maps(
-        problem, make_windows(problem, given_gain(problem, problem.given_gains)).schedules
-    )
+    return tuned.gain_maps_of(problem)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -42,33 +30,52 @@ def test_gains_and_loops_are_those_of_the_design(problem, maps, seed):
     kappa = tuned.random_kappa(problem, np.random.default_rng(seed), size=0.5)
     gain = given_gain(problem, kappa)
     windows = make_windows(problem, gain)
-    loops, gains = gain.pairs
-    expected = windows.gains, windows.loops, gain.corner_gains, loops, gains
-    for found, wanted in zip(maps, expected, strict=True):
-        found = found.at(jnp.asarray(kappa))
-        assert found.shape == wanted.shape
-        np.testing.assert_allclose(found, wanted, rtol=0, atol=tol.GAIN_MAPS)
+    expected = (windows.gains, windows.loops, gain.corner_gains, *gain.pairs)
+    for affine, wanted in zip(maps, expected, strict=True):
+        value = affine.at(jnp.asarray(kappa))
+        assert value.shape == wanted.shape
+        np.testing.assert_allclose(value, wanted, rtol=0, atol=tol.GAIN_MAPS)
 
 
 def test_vertex_gains_are_read_row_by_row():
     problem = tuned.problem_of("vertices")
     kappa = np.arange(24.0)
-    np.testing.assert_array_equal(
-        given_gain(problem, kappa).vertices[2], [[12, 13, 14], [15, 16, 17]]
-    )
-    at_corners = gain_maps(
-        problem, make_windows(problem, given_gain(problem, kappa)).schedules
-    ).corner_gains
-    np.testing.assert_allclose(
-        at_corners.at(jnp.asarray(kappa)), kappa.reshape(4, 2, 3), atol=tol.GAIN_MAPS * 24
-    )
+    third = given_gain(problem, kappa).vertices[2]
+    np.testing.assert_array_equal(third, [[12, 13, 14], [15, 16, 17]])
+    corner_gains = tuned.gain_maps_of(problem).corner_gains.at(jnp.asarray(kappa))
+    np.testing.assert_allclose(corner_gains, kappa.reshape(4, 2, 3), atol=tol.GAIN_MAPS * 24)
 
 
-def cost_at(maps, numbers):
+def terminal_data(maps, numbers):
+    """Return vertex loops, gains, Q and R of their entries, as numpy arrays."""
+    weights = tuned.weights_of(numbers)
+    loops = maps.vertex_loops.at(weights.kappa)
+    gains = maps.vertex_gains.at(weights.kappa)
+    return [np.asarray(p) for p in (loops, gains, weights.error_weight, weights.input_weight)]
+
+
+def solve_again(maps, numbers):
     """Solve the terminal cost of Q, R and gains from their entries anew."""
-    error_weight, input_weight, kappa = tuned.weights_of(numbers)
-    loops, gains = (np.asarray(part.at(kappa)) for part in (maps.vertex_loops, maps.vertex_gains))
-    return loops, gains, np.asarray(error_weight), np.asarray(input_weight)
+    return cost_of_gains(*terminal_data(maps, numbers))
+
+
+@jax.jit
+def cost_and_slope(numbers, cost, maps):
+    """Return the terminal cost about an answer, and its derivative along the entries."""
+
+    def follow(numbers):
+        weights = tuned.weights_of(numbers)
+        value = differentiate_terminal_cost(
+            cost,
+            maps.vertex_loops.at(weights.kappa),
+            maps.vertex_gains.at(weights.kappa),
+            weights.error_weight,
+            weights.input_weight,
+        )
+        return value, value
+
+    slope, value = jax.jacfwd(follow, has_aux=True)(numbers)
+    return value, slope
 
 
 @pytest.mark.parametrize(
@@ -76,18 +83,21 @@ def cost_at(maps, numbers):
 )
 def test_the_terminal_costs_slope_is_that_of_solving_it_again(problem, maps, seed):
     rng = np.random.default_rng(seed)
-    roots = rng.normal(size=(3, 3)), rng.normal(size=(2, 2))
-    weights = [root @ root.T + 0.3 * np.eye(len(root)) for root in roots]
-    numbers = tuned.entries(
-        tuned.Weights(*weights, jnp.asarray(tuned.random_kappa(problem, rng, size=0.1)))
+    error_root = rng.normal(size=(3, 3))
+    input_root = rng.normal(size=(2, 2))
+    weights = tuned.Weights(
+        error_root @ error_root.T + 0.3 * np.eye(3),
+        input_root @ input_root.T + 0.3 * np.eye(2),
+        jnp.asarray(tuned.random_kappa(problem, rng, size=0.1)),
     )
+    numbers = tuned.entries(weights)
     sizes = np.maximum(np.abs(numbers), 0.1)
-    found = cost_of_gains(*cost_at(maps, numbers))
-
-    slope, cost = cost_and_slope(jnp.asarray(numbers), jnp.asarray(found), maps)
-    np.testing.assert_allclose(cost, found, rtol=tol.SCALED_COST)
+    solved = solve_again(maps, numbers)
+    cost, slope = cost_and_slope(jnp.asarray(numbers), jnp.asarray(solved), maps)
+    np.testing.assert_allclose(cost, solved, rtol=tol.SCALED_COST)
     for k, direction in enumerate(np.diag(sizes)):
-        solved = lambda at: (cost_of_gains(*cost_at(maps, at)),)  # noqa: E731
-        expected, _ = tuned.fourth_order(solved, numbers, direction, STEP)
+        expected, _ = tuned.fourth_order(
+            lambda at: (solve_again(maps, at),), numbers, direction, STEP
+        )
         wrong = np.abs(sizes[k] * slope[:, :, k] - expected).max()
         assert wrong <= tol.OBJECTIVE_SLOPE * np.abs(expected).max()

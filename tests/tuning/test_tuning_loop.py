@@ -1,8 +1,6 @@
 """Laws of the differentiable closed loop: it is the design's own. Laws of the vector of its weights
 and gains."""
 
-from operator import itemgetter
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -19,13 +17,13 @@ from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.synthesis.design import finish, prepare
 from jaxtube.synthesis.feasible import boundary
 from jaxtube.synthesis.problem import with_controller
-from jaxtube.tuning.loop import ROOM, Weights, fix, tightened, windows_of
-from jaxtube.tuning.parameters import LEAST_PIVOT, parameters
+from jaxtube.tuning.loop import ROOM, Weights, condense_windows, fix, tightened_bounds
+from jaxtube.tuning.parameters import LEAST_PIVOT, make_parameters
 
-LAPS, STEPS = 16, 30
-PARTS = "errors", "inputs", "terminal"
+LAPS = 16
+STEPS = 30
 
-condensed = jax.jit(windows_of)
+condense = jax.jit(condense_windows)
 drive = jax.jit(rollout.__wrapped__)
 
 
@@ -35,99 +33,90 @@ drive = jax.jit(rollout.__wrapped__)
 def loop(request):
     """A design at a random point, and the windows that tuning gives it."""
     problem = tuned.problem_of(request.param)
-    chosen = parameters(problem)
+    parameters = make_parameters(problem)
     point = tuned.random_point(problem, np.random.default_rng(3))
-    design = finish(prepare(with_controller(problem, chosen.scenario(problem.scenario, point))))
+    scenario = parameters.scenario(problem.scenario, point)
+    design = finish(prepare(with_controller(problem, scenario)))
     fixed = fix(design)
-    return design, fixed, condensed(fixed, chosen.weights(jnp.asarray(point)))
+    return design, fixed, condense(fixed, parameters.weights(jnp.asarray(point)))
 
 
 def test_windows_are_those_of_the_design(loop):
-    design, _, found = loop
+    design, _, windows = loop
     expected = design.tube_window
     m = expected.lower.shape[1]
-    assert (
-        np.isinf(found.lower[:, m:]).all() and np.isinf(found.upper[:, m:]).all()
-    )  # spare rows bound nothing
+    # Spare rows bound nothing.
+    assert np.isinf(windows.lower[:, m:]).all() and np.isinf(windows.upper[:, m:]).all()
+    by_row = {"lower", "upper", "row_errors", "free_rows"}
+    for name in set(expected._fields) - {"factors"}:
+        value = getattr(windows, name)
+        value = value[:, :m] if name in by_row else value
+        assert_close(value, getattr(expected, name), name)
+    factors = windows.factors
+    assert_close(factors.hessian, expected.factors.hessian, "hessian")
+    assert_close(factors.optimum, expected.factors.optimum, "optimum")
+    assert_close(factors.rows[:, :m], expected.factors.rows, "rows")
+    assert_close(factors.row_norms[:, :m], expected.factors.row_norms, "row norms")
+
+
+def assert_close(value, expected, name):
     close = {"rtol": tol.SAME_WINDOWS, "atol": tol.SAME_WINDOWS}
-    for name in ("lower", "upper", "row_errors", "free_rows"):
-        np.testing.assert_allclose(
-            getattr(found, name)[:, :m], getattr(expected, name), **close, err_msg=name
-        )
-    cut = {"rows", "row_norms", "optimum_rows", "pair_products"}
-    for name in set(expected._fields) - {"lower", "upper", "row_errors", "free_rows", "factors"}:
-        np.testing.assert_allclose(
-            getattr(found, name), getattr(expected, name), **close, err_msg=name
-        )
-    for name in ("hessian", "rows", "row_norms", "optimum"):
-        mine = getattr(found.factors, name)
-        mine = mine[:, :m] if name in cut else mine
-        np.testing.assert_allclose(mine, getattr(expected.factors, name), **close, err_msg=name)
+    np.testing.assert_allclose(value, expected, **close, err_msg=name)
 
 
 def with_spare_rows(window, like):
     """Repeat the last row of a design's QPs, without bounds, up to the shape of others: one program
     drives both."""
 
-    def padded(mine, other, **how):
-        return np.pad(
-            mine, [(0, b - a) for a, b in zip(mine.shape, other.shape, strict=True)], **how
-        )
+    def pad(mine, other, **how):
+        missing = [(0, b - a) for a, b in zip(mine.shape, other.shape, strict=True)]
+        return np.pad(mine, missing, **how)
 
-    bounds = {
-        name: padded(getattr(window, name), getattr(like, name), constant_values=value)
-        for name, value in (("lower", -np.inf), ("upper", np.inf))
-    }
-    return jax.tree.map(lambda *pair: padded(*pair, mode="edge"), window, like)._replace(**bounds)
+    lower = pad(window.lower, like.lower, constant_values=-np.inf)
+    upper = pad(window.upper, like.upper, constant_values=np.inf)
+    repeated = jax.tree.map(lambda *pair: pad(*pair, mode="edge"), window, like)
+    return repeated._replace(lower=lower, upper=upper)
 
 
 @pytest.mark.slow
 def test_laps_are_those_of_the_design_rows_active_or_not(loop):
     design, fixed, windows = loop
     settings = design.problem.scenario.controller
-    edge = boundary(
-        design.tube_window,
-        int(design.windows.index[0]),
-        design.problem.operating_set,
-        LAPS - 2,
-        seed=1,
-    )
+    first = int(design.windows.index[0])
+    edge = boundary(design.tube_window, first, design.problem.operating_set, LAPS - 2, seed=1)
     outside = 1.5 * edge[:1]
     starts = jnp.asarray(np.vstack([design.problem.initial_error, 0.99 * edge, outside]))
-    plant, keys = (
-        tuned.shortened(closed_loop.slipping_robot(design), STEPS),
-        realisation_keys(0, 0, LAPS),
-    )
-    loops = (
-        TubeMpc(
-            jax.tree.map(jnp.asarray, each),
-            jnp.asarray(fixed.index),
-            make_wheel_map(design.problem),
-            settings.restart,
-        )
-        for each in (windows, with_spare_rows(design.tube_window, windows))
-    )
-    found, expected = (drive(each, plant, keys, starts) for each in loops)
-    active, status = found.diagnostics.active, found.diagnostics.status
+    plant = tuned.shortened(closed_loop.slipping_robot(design), STEPS)
+    keys = realisation_keys(0, 0, LAPS)
+
+    def run(windows):
+        windows = jax.tree.map(jnp.asarray, windows)
+        index = jnp.asarray(fixed.index)
+        controller = TubeMpc(windows, index, make_wheel_map(design.problem), settings.restart)
+        return drive(controller, plant, keys, starts)
+
+    laps = run(windows)
+    expected = run(with_spare_rows(design.tube_window, windows))
+    active = laps.diagnostics.active
+    status = laps.diagnostics.status
     assert active.any(axis=0).sum() >= 2 and (~active).any() and (status[0, -1] != qp.SOLVED)
     np.testing.assert_array_equal(active, expected.diagnostics.active)
     np.testing.assert_array_equal(status, expected.diagnostics.status)
     for name in ("errors", "inputs", "demanded"):
-        np.testing.assert_allclose(
-            getattr(found, name), getattr(expected, name), rtol=0, atol=tol.SAME_LAPS, err_msg=name
-        )
+        value = getattr(laps, name)
+        wanted = getattr(expected, name)
+        np.testing.assert_allclose(value, wanted, rtol=0, atol=tol.SAME_LAPS, err_msg=name)
 
 
 def test_a_tube_that_outgrows_its_limits_leaves_some_room(loop):
     design, fixed, _ = loop
     kappa = 3.0 * jnp.asarray(design.problem.given_gains)
-    errors, inputs, terminal = jax.jit(lambda *of: itemgetter(*PARTS)(vars(tightened(*of))))(
-        fixed, kappa
-    )
-    for left, offsets in ((errors, fixed.error_offsets), (inputs, fixed.input_offsets)):
+    bounds = tightened_bounds(fixed, kappa)
+    limits = ((bounds.errors, fixed.error_offsets), (bounds.inputs, fixed.limits.offsets))
+    for left, offsets in limits:
         assert (left >= ROOM * offsets * (1 - tol.SAME_WINDOWS)).all() and (left <= offsets).all()
-    assert (errors <= ROOM * fixed.error_offsets * (1 + tol.SAME_WINDOWS)).any()
-    assert (terminal > 0).all()
+    assert (bounds.errors <= ROOM * fixed.error_offsets * (1 + tol.SAME_WINDOWS)).any()
+    assert (bounds.terminal > 0).all()
 
 
 @pytest.fixture(scope="module", params=list(tuned.SCENARIOS))
@@ -136,45 +125,41 @@ def problem(request):
 
 
 def test_the_start_is_the_scenarios_own_weights_and_gains(problem):
-    chosen = parameters(problem)
-    controller = chosen.scenario(problem.scenario, chosen.vector).controller
-    again = with_controller(problem, chosen.scenario(problem.scenario, chosen.vector))
-    np.testing.assert_allclose(
-        again.error_weight, problem.error_weight, rtol=tol.SAME_WEIGHTS, atol=0
-    )
-    np.testing.assert_allclose(
-        again.input_weight, problem.input_weight, rtol=tol.SAME_WEIGHTS, atol=0
-    )
-    np.testing.assert_allclose(again.given_gains, problem.given_gains, rtol=tol.SAME_WEIGHTS)
+    parameters = make_parameters(problem)
+    scenario = parameters.scenario(problem.scenario, parameters.vector)
+    controller = scenario.controller
+    again = with_controller(problem, scenario)
+    close = {"rtol": tol.SAME_WEIGHTS, "atol": 0}
+    np.testing.assert_allclose(again.error_weight, problem.error_weight, **close)
+    np.testing.assert_allclose(again.input_weight, problem.input_weight, **close)
+    np.testing.assert_allclose(again.given_gains, problem.given_gains, **close)
     assert bool(controller.tracking_gains) != bool(controller.vertex_gains)
 
 
 @pytest.mark.parametrize("seed", range(5))
 def test_the_scenario_of_a_vector_holds_its_weights_which_are_positive_definite(problem, seed):
-    chosen = parameters(problem)
+    parameters = make_parameters(problem)
     vector = tuned.random_point(problem, np.random.default_rng(seed), weights=2.0, gains=1.0)
-    weights = chosen.weights(jnp.asarray(vector))
+    weights = parameters.weights(jnp.asarray(vector))
     for weight in weights[:2]:
         np.testing.assert_array_equal(weight, weight.T)
         assert np.linalg.eigvalsh(weight).min() > 0
-    again = with_controller(problem, chosen.scenario(problem.scenario, vector))
-    found = Weights(again.error_weight, again.input_weight, again.given_gains)
-    jax.tree.map(np.testing.assert_array_equal, found, weights)
+    again = with_controller(problem, parameters.scenario(problem.scenario, vector))
+    read = Weights(again.error_weight, again.input_weight, again.given_gains)
+    jax.tree.map(np.testing.assert_array_equal, read, weights)
     if len(vector) == 12:
         assert (weights.kappa > 0).all()
     # And back again: the vector is the only one with these weights.
-    np.testing.assert_allclose(
-        parameters(again).weights(parameters(again).vector).kappa, weights.kappa, rtol=1e-13
-    )
+    inverse = make_parameters(again)
+    kappa = inverse.weights(inverse.vector).kappa
+    np.testing.assert_allclose(kappa, weights.kappa, rtol=1e-13)
     least = [np.linalg.eigvalsh(weight)[0] / np.abs(weight).max() for weight in weights[:2]]
     if min(least) > LEAST_PIVOT:  # a weight closer to a singular one is raised
-        np.testing.assert_allclose(
-            parameters(again).vector[:9], vector[:9], rtol=0, atol=tol.SAME_VECTOR
-        )
+        np.testing.assert_allclose(inverse.vector[:9], vector[:9], rtol=0, atol=tol.SAME_VECTOR)
 
 
 def test_only_what_is_tuned_moves(problem):
-    everything = parameters(problem)
+    everything = make_parameters(problem)
     count = len(problem.given_gains)
     assert len(everything.names) == len(set(everything.names)) == 9 + count
     moved = {
@@ -183,25 +168,23 @@ def test_only_what_is_tuned_moves(problem):
         "gains": everything.names[9:],
         "diagonal": ("Q11", "Q22", "Q33", "R11", "R22"),
     }
-    for tuned_part, names in moved.items():
-        chosen = parameters(problem, tuned_part)
-        assert chosen.free_names == tuple(names) and len(chosen.vector) == len(names)
-        weights = chosen.weights(jnp.asarray(chosen.vector + 0.1))
-        start = everything.weights(jnp.asarray(everything.vector))
+    start = everything.weights(jnp.asarray(everything.vector))
+    for variables, names in moved.items():
+        parameters = make_parameters(problem, variables)
+        assert parameters.free_names == tuple(names) and len(parameters.vector) == len(names)
+        weights = parameters.weights(jnp.asarray(parameters.vector + 0.1))
         changed = [not np.array_equal(new, old) for new, old in zip(weights, start, strict=True)]
-        assert changed == [
-            tuned_part != "gains",
-            tuned_part != "gains",
-            tuned_part in ("both", "gains"),
-        ]
+        moves_weights = variables != "gains"
+        moves_gains = variables in ("both", "gains")
+        assert changed == [moves_weights, moves_weights, moves_gains]
 
 
 def test_what_cannot_be_tuned_is_refused(problem):
     with pytest.raises(
         ValueError, match="'all' is unknown; choose one of both, weights, gains, diagonal"
     ):
-        parameters(problem, "all")
+        make_parameters(problem, "all")
     settings = replace(problem.scenario.controller, tracking_gains=(), vertex_gains=())
     scenario = replace(problem.scenario, controller=settings)
     with pytest.raises(ValueError, match="no gains to tune"):
-        parameters(with_controller(problem, scenario))
+        make_parameters(with_controller(problem, scenario))

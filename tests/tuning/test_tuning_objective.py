@@ -21,9 +21,10 @@ from jaxtube.simulation.usage import play
 from jaxtube.synthesis.design import finish, prepare
 from jaxtube.synthesis.feasible import boundary
 from jaxtube.tuning import minimal, objective, terminal, tube
-from jaxtube.tuning.loop import tightened
-from jaxtube.tuning.minimal import limits
-from jaxtube.tuning.parameters import parameters
+from jaxtube.tuning.caps import make_limits
+from jaxtube.tuning.loop import tightened_bounds
+from jaxtube.tuning.objective import Conditions
+from jaxtube.tuning.parameters import make_parameters
 from jaxtube.tuning.tuner import Tuner, freeze
 from sets.lyapunov import cost_of_gains
 
@@ -36,19 +37,12 @@ class Watched(TubeMpc):
     which rows are."""
 
     def act(self, step, memory, measurement, reference_wheels):
+        command, following, diagnostics = super().act(step, memory, measurement, reference_wheels)
         window = self.window(step)
-        errors = measurement.errors
-        command, following, found = super().act(step, memory, measurement, reference_wheels)
-        active = (
-            tuned.active_rows(window, errors, following.inputs, tol.ACTIVE_ROW)
-            & ~found.backup[:, None]
-        )
-        parts = found.backup, active.any(axis=1), code(active)
-        return (
-            command,
-            following,
-            found._replace(backup=jnp.stack([part.astype(float) for part in parts], axis=1)),
-        )
+        active = tuned.active_rows(window, measurement.errors, following.inputs, tol.ACTIVE_ROW)
+        active = active & ~diagnostics.backup[:, None]
+        parts = [diagnostics.backup.astype(float), active.any(axis=1).astype(float), code(active)]
+        return command, following, diagnostics._replace(backup=jnp.stack(parts, axis=1))
 
 
 def code(flags):
@@ -65,7 +59,8 @@ def watched_play(controller, plant, keys, starts, *, told, widths, margin):
     saturates.
     """
     seen = play(Watched(**vars(controller)), plant, keys, starts)
-    wheels, errors = seen["wheels"] / plant.robot.wheel_speed_max, jnp.abs(seen["error"]) / widths
+    wheels = seen["wheels"] / plant.robot.wheel_speed_max
+    errors = jnp.abs(seen["error"]) / widths
     beyond = code(jnp.concatenate([errors > margin, wheels > margin, jnp.abs(wheels) > 1], axis=2))
     order = 1.0 + jnp.cos(jnp.arange(float(len(wheels))))[:, None]  # tells the steps apart
     backup, active, rows = jnp.moveaxis(seen["backup"], 2, 0)
@@ -78,24 +73,20 @@ class Loop:
 
     def __init__(self, kind: str, steps: int):
         problem = tuned.problem_of(kind)
-        self.parameters = parameters(problem)
+        self.parameters = make_parameters(problem)
         settled = min(100, steps // 3)
-        self.aim = dataclasses.replace(
-            objective.aim(problem.scenario, settled), effort_limit=0.05, tail_share=0.5
-        )
+        aim = objective.make_aim(problem.scenario, settled)
+        aim = dataclasses.replace(aim, effort_limit=0.05, tail_share=0.5)
         plant = tuned.shortened(closed_loop.robot_of(problem), steps)
-        self.tuner = Tuner(problem, plant, self.parameters, self.aim, laps=LAPS)
-        settings = problem.scenario.controller
-        watched = partial(watched_play, widths=limits(problem).widths, margin=self.aim.margin)
+        self.tuner = Tuner(problem, plant, self.parameters, aim, laps=LAPS)
+        widths = make_limits(problem).widths
+        watched = partial(watched_play, widths=widths, margin=aim.margin)
 
-        def evaluate(weights, frozen, keys, starts):
-            told, arguments = (
-                [],
-                (frozen, plant, keys, starts, self.aim, make_wheel_map(problem), settings.restart),
-            )
+        def evaluate(weights, frozen, conditions):
+            told = []
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(objective, "play", partial(watched, told=told))
-                return objective.objective(weights, *arguments), told[0]
+                return objective.objective(weights, frozen, conditions, aim), told[0]
 
         self.evaluate = jax.jit(jax.value_and_grad(evaluate, has_aux=True))
 
@@ -104,122 +95,141 @@ class Loop:
         feasible set."""
         for attempt in range(20):
             point = tuned.random_point(self.tuner.problem, np.random.default_rng([seed, attempt]))
-            found = self.tuner.designed(point)
-            if found.frozen is not None:
+            candidate = self.tuner.candidate(point)
+            if candidate.frozen is not None:
                 break
-        design = finish(found.ingredients)
-        edge = boundary(
-            design.tube_window,
-            int(design.windows.index[0]),
-            design.problem.operating_set,
-            LAPS - 1,
-            seed,
-        )
+        design = finish(candidate.ingredients)
+        first = int(design.windows.index[0])
+        operating = design.problem.operating_set
+        edge = boundary(design.tube_window, first, operating, LAPS - 1, seed)
         starts = jnp.asarray(np.vstack([design.problem.initial_error, 0.98 * edge]))
-        return point, found.frozen, (self.tuner.keys(seed * LAPS, LAPS), starts)
+        keys = self.tuner.keys(seed * LAPS, LAPS)
+        return point, candidate.frozen, Conditions(self.tuner.plant, keys, starts)
 
 
-def solved_again(problem, frozen, weights, other_gains: bool):
+def solve_again(problem, frozen, weights, other_gains: bool):
     """Return what an evaluation holds, solved again for other weights and gains.
 
     Only the terminal cost follows the weights; for other gains everything is designed anew, the
     terminal set as well, but for the facets that attain the widest tube.
     """
     if other_gains:
-        return freeze(prepare(tuned.problem_with(problem, weights)))._replace(active=frozen.active)
+        again = freeze(prepare(tuned.problem_with(problem, weights)))
+        return dataclasses.replace(again, active=frozen.active)
     maps = frozen.fixed.maps
-    loops, gains = (
-        np.asarray(part.at(weights.kappa)) for part in (maps.vertex_loops, maps.vertex_gains)
-    )
-    P = cost_of_gains(loops, gains, *(np.asarray(part) for part in weights[:2]))
-    return frozen._replace(fixed=frozen.fixed._replace(terminal_cost=jnp.asarray(P)))
+    loops = np.asarray(maps.vertex_loops.at(weights.kappa))
+    gains = np.asarray(maps.vertex_gains.at(weights.kappa))
+    error_weight = np.asarray(weights.error_weight)
+    input_weight = np.asarray(weights.input_weight)
+    cost = jnp.asarray(cost_of_gains(loops, gains, error_weight, input_weight))
+    return dataclasses.replace(frozen, fixed=frozen.fixed._replace(terminal_cost=cost))
 
 
+@jax.jit
 def signs_in_the_tube(frozen, kappa):
     """Return the signs of all products c g_i whose sizes the tube and its widest extent sum up."""
-    signs, support = [], tube.support
+    signs = []
+    support = tube.support
 
-    def recorded(generators, rows):
-        products = np.asarray(rows @ generators.T).ravel()
-        signs.append(np.sign(np.where(np.abs(products) > tol.NO_PRODUCT, products, 0.0)))
+    def record(generators, rows):
+        products = jnp.ravel(rows @ generators.T)
+        signs.append(jnp.where(jnp.abs(products) > tol.NO_PRODUCT, jnp.sign(products), 0.0))
         return support(generators, rows)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(tube, "support", recorded)
-        patch.setattr(minimal, "support", recorded)
-        patch.setattr(terminal, "support", recorded)
-        tightened(frozen.fixed, kappa), objective.tube_shares(frozen, kappa)
-    return np.concatenate(signs)
+        for module in (tube, minimal, terminal):
+            patch.setattr(module, "support", record)
+        tightened_bounds(frozen.fixed, kappa)
+        frozen.tube_shares(kappa)
+    return jnp.concatenate(signs)
 
 
-def slopes(loop: Loop, seed: int, every: int):
-    """Return derivatives, differences, scales, which are smooth and which laps have active rows at
-    a point.
+class Slopes:
+    """Derivatives and differences at a point, in units of the size of each direction.
 
     Along the numbers of the point and along the entries, one in `every`, others for every seed. Not
     smooth is where, at some end of a difference, other rows are active than at the point, or other
     errors and wheel speeds are beyond the margin, or where a product in the tube has another sign.
-    """
-    point, frozen, drawn = loop.random_point(seed)
-    weights, pull_back = jax.vjp(loop.parameters.weights, jnp.asarray(point))
-    (_, pattern), slope = loop.evaluate(weights, frozen, *drawn)
-    signs, chosen = signs_in_the_tube(frozen, weights.kappa), slice(seed % every, None, every)
 
-    def along(of, numbers):
-        weights_there = of(numbers)
-        other_gains = not np.array_equal(weights_there.kappa, weights.kappa)
-        again = solved_again(loop.tuner.problem, frozen, weights_there, other_gains)
-        (value, told), _ = loop.evaluate(weights_there, again, *drawn)
-        same = np.array_equal(told, pattern)
+    Attributes:
+        derivatives, differences, smooth: by direction.
+        pattern: what every lap did at the point.
+    """
+
+    def __init__(self, loop: Loop, seed: int, every: int):
+        self._loop = loop
+        point, self._frozen, self._conditions = loop.random_point(seed)
+        self._weights, pull_back = jax.vjp(loop.parameters.weights, jnp.asarray(point))
+        (_, self.pattern), slope = loop.evaluate(self._weights, self._frozen, self._conditions)
+        self._signs = np.asarray(signs_in_the_tube(self._frozen, self._weights.kappa))
+        chosen = slice(seed % every, None, every)
+        entries = tuned.entries(self._weights)
+        sizes = sizes_of_entries(self._weights)
+        unit = np.ones(len(point))
+        along_numbers = np.asarray(pull_back(slope)[0])
+        along_entries = sizes * tuned.slope_of_entries(slope)
+        self.derivatives = np.append(along_numbers[chosen], along_entries[chosen])
+        pairs = [
+            *self._differentiate(loop.parameters.weights, point, np.diag(unit)[chosen]),
+            *self._differentiate(tuned.weights_of, entries, np.diag(sizes)[chosen]),
+        ]
+        self.differences = np.array([difference for difference, _ in pairs])
+        self.smooth = np.array([smooth for _, smooth in pairs])
+
+    def _differentiate(self, of, numbers, directions):
+        """Return differences of the objective along directions, and whether each is smooth."""
+        pairs = []
+        for direction in directions:
+            evaluate = partial(self._evaluate, of)
+            difference, ends = tuned.fourth_order(evaluate, numbers, direction, STEP)
+            pairs.append((difference, all(same for _, same in ends)))
+        return pairs
+
+    def _evaluate(self, of, numbers):
+        """Return the objective with the host's parts solved again, and whether the laps and the
+        tube do the same as at the point."""
+        weights = of(numbers)
+        other_gains = not np.array_equal(weights.kappa, self._weights.kappa)
+        problem = self._loop.tuner.problem
+        again = solve_again(problem, self._frozen, weights, other_gains)
+        (value, pattern), _ = self._loop.evaluate(weights, again, self._conditions)
+        same = np.array_equal(pattern, self.pattern)
         if same and other_gains:
-            same = np.array_equal(signs_in_the_tube(frozen, weights_there.kappa), signs)
+            same = np.array_equal(signs_in_the_tube(self._frozen, weights.kappa), self._signs)
         return float(value), same
 
-    def differences(of, numbers, steps):
-        found = []
-        for direction, step in list(zip(np.eye(len(numbers)), steps, strict=True))[chosen]:
-            difference, ends = tuned.fourth_order(partial(along, of), numbers, direction, step)
-            found.append((difference, all(same for _, same in ends)))
-        return np.array(found).T
-
-    entries = tuned.entries(weights)
-    sizes = np.concatenate([np.ones(len(point)), entry_sizes(weights)])
-    by_number = differences(loop.parameters.weights, point, STEP * sizes[: len(point)])
-    by_entry = differences(tuned.weights_of, entries, STEP * sizes[len(point) :])
-    parts = [np.asarray(pull_back(slope)[0]), tuned.slope_of_entries(slope)]
-    found = np.concatenate([part[chosen] for part in parts])
-    sizes = np.concatenate([sizes[: len(point)][chosen], sizes[len(point) :][chosen]])
-    expected, smooth = np.concatenate([by_number, by_entry], axis=1)
-    return found, expected, sizes, smooth.astype(bool), pattern
+    def errors(self):
+        """Return the error of every smooth derivative relative to itself, or to the least one that
+        a difference can tell."""
+        sizes = np.abs(self.differences)
+        scale = np.maximum(sizes, tol.LEAST_SLOPE * sizes.max())
+        return (np.abs(self.derivatives - self.differences) / scale)[self.smooth]
 
 
-def entry_sizes(weights):
+def sizes_of_entries(weights):
     """Return the scale of every entry: of a weight what it takes to make it singular, of gains
     their own size."""
-    roots = [1 / np.sqrt(np.diag(np.linalg.inv(part))) for part in weights[:2]]
-    of_weights = [np.outer(root, root)[np.tril_indices(len(root))] for root in roots]
+    sizes = []
+    for weight in (weights.error_weight, weights.input_weight):
+        roots = 1 / np.sqrt(np.diag(np.linalg.inv(weight)))
+        sizes.append(np.outer(roots, roots)[np.tril_indices(len(roots))])
     kappa = np.abs(np.asarray(weights.kappa))
-    return np.concatenate([*of_weights, np.maximum(kappa, 0.1 * kappa.max())])
-
-
-def errors(found, expected, sizes):
-    """Return the error of every derivative relative to itself, or to the least one that a
-    difference can tell."""
-    found, expected = found * sizes, expected * sizes
-    return np.abs(found - expected) / np.maximum(
-        np.abs(expected), tol.LEAST_SLOPE * np.abs(expected).max()
-    )
+    return np.concatenate([*sizes, np.maximum(kappa, 0.1 * kappa.max())])
 
 
 def check_slopes(loop: Loop, seeds: range, every: int = 1):
     """Compare derivatives with differences at random points, and print the worst error and what was
     left out."""
-    worst, kept, active, count = 0.0, 0, 0, 0
+    worst = 0.0
+    kept = 0
+    count = 0
+    active = 0
     for seed in seeds:
-        found, expected, sizes, smooth, pattern = slopes(loop, seed, every)
-        worst = max(worst, *errors(found, expected, sizes)[smooth], 0.0)
-        kept, count = kept + smooth.sum(), count + len(smooth)
-        active += bool(smooth.any() and np.any(pattern[:, 1]))
+        slopes = Slopes(loop, seed, every)
+        worst = max(worst, *slopes.errors(), 0.0)
+        kept += slopes.smooth.sum()
+        count += len(slopes.smooth)
+        active += bool(slopes.smooth.any() and np.any(slopes.pattern[:, 1]))
     print(f"worst relative error {worst:.2e}; {count - kept} of {count} differences are not smooth")
     assert worst <= tol.OBJECTIVE_SLOPE
     assert kept >= tol.SLOPES_KEPT * count and active >= len(seeds) / 2
@@ -251,22 +261,24 @@ def test_derivatives_of_whole_laps_are_differences_with_the_host_solved_again(ki
 @pytest.mark.slow
 def test_the_slope_of_the_terminal_set_counts(monkeypatch):
     loop = Loop("firm", 15)
-    point, frozen, drawn = loop.random_point(0)
+    point, frozen, conditions = loop.random_point(0)
     weights = loop.parameters.weights(jnp.asarray(point))
-    slope = loop.evaluate(weights, frozen, *drawn)[1].kappa
+    slope = loop.evaluate(weights, frozen, conditions)[1].kappa
 
-    def held(*arguments):
-        return jax.lax.stop_gradient(terminal.terminal_set(*arguments))
+    def hold(*arguments):
+        return jax.lax.stop_gradient(terminal.compute_terminal_set(*arguments))
 
-    monkeypatch.setattr("jaxtube.tuning.loop.terminal_set", held)
-    other = Loop("firm", 15).evaluate(weights, frozen, *drawn)[1].kappa
+    monkeypatch.setattr("jaxtube.tuning.loop.compute_terminal_set", hold)
+    other = Loop("firm", 15).evaluate(weights, frozen, conditions)[1].kappa
     assert np.abs(slope - other).max() > 1e-2 * np.abs(slope).max()
 
 
 def test_a_lap_without_plans_counts_its_backups_and_has_the_derivative_of_its_terminal_gain(short):
-    point, frozen, (keys, starts) = short.random_point(0)
+    point, frozen, conditions = short.random_point(0)
     weights = short.parameters.weights(jnp.asarray(point))
-    (value, told), slope = short.evaluate(weights, frozen, keys, starts.at[:].set(20 * starts[1]))
+    starts = conditions.starts
+    outside = conditions._replace(starts=starts.at[:].set(20 * starts[1]))
+    (value, told), slope = short.evaluate(weights, frozen, outside)
     assert np.isfinite(value)
     np.testing.assert_array_equal(told[:, 0], np.full(LAPS, 15.0))
     assert not slope.error_weight.any() and not slope.input_weight.any()
@@ -274,10 +286,11 @@ def test_a_lap_without_plans_counts_its_backups_and_has_the_derivative_of_its_te
 
 
 def test_a_lap_without_plans_leaves_the_derivatives_of_the_others_finite(short):
-    point, frozen, (keys, starts) = short.random_point(0)
+    point, frozen, conditions = short.random_point(0)
     weights = short.parameters.weights(jnp.asarray(point))
-    mixed = starts.at[2].set(2 * starts[2])
-    (value, told), slope = short.evaluate(weights, frozen, keys, mixed)
+    starts = conditions.starts
+    mixed = conditions._replace(starts=starts.at[2].set(2 * starts[2]))
+    (value, told), slope = short.evaluate(weights, frozen, mixed)
     backups = np.asarray(told)[:, 0]
     assert backups[2] > 0 and not backups[[0, 1, 3]].any() and np.isfinite(value)
     assert all(np.isfinite(part).all() and part.any() for part in slope)
@@ -286,9 +299,9 @@ def test_a_lap_without_plans_leaves_the_derivatives_of_the_others_finite(short):
 @pytest.mark.slow
 def test_agrees_with_unrolled_iterations(monkeypatch):
     loop = Loop("decoupled", 4)
-    point, frozen, drawn = loop.random_point(1)
+    point, frozen, conditions = loop.random_point(1)
     weights = loop.parameters.weights(jnp.asarray(point))
-    (value, pattern), slope = loop.evaluate(weights, frozen, *drawn)
+    (value, pattern), slope = loop.evaluate(weights, frozen, conditions)
     assert (pattern[:, 1] > 0).sum() >= 2
 
     def unrolled(factors, q, lower, upper):
@@ -305,21 +318,30 @@ def test_agrees_with_unrolled_iterations(monkeypatch):
 
     monkeypatch.setattr(qp, "solve", unrolled)
     again = Loop("decoupled", 4)
-    (expected, of_unrolled), expected_slope = again.evaluate(weights, frozen, *drawn)
+    (expected, of_unrolled), expected_slope = again.evaluate(weights, frozen, conditions)
     np.testing.assert_array_equal(of_unrolled[:, :2], pattern[:, :2])
     assert value == pytest.approx(float(expected), rel=tol.UNROLLED)
     for mine, other in zip(slope, expected_slope, strict=True):
-        mine, other = (part + part.T if part.ndim == 2 else part for part in (mine, other))
+        if mine.ndim == 2:
+            mine = mine + mine.T
+            other = other + other.T
         np.testing.assert_allclose(mine, other, rtol=0, atol=tol.UNROLLED * np.abs(mine).max())
+
+
+STEPS_OF_LAW = 40
 
 
 @pytest.fixture(scope="module")
 def law():
     """A static law on the slipping robot: laps that cost no time to compile."""
     problem = tuned.problem_of("decoupled")
-    gains = jnp.broadcast_to(jnp.asarray([[-1.0, 0.1, 0.0], [0.0, -2.0, -3.0]]), (40, 2, 3))
-    aim = dataclasses.replace(objective.aim(problem.scenario, 10), margin=0.5)
-    return problem, ScheduledGain(gains, make_wheel_map(problem)), aim
+    gains = jnp.broadcast_to(
+        jnp.asarray([[-1.0, 0.1, 0.0], [0.0, -2.0, -3.0]]), (STEPS_OF_LAW, 2, 3)
+    )
+    aim = dataclasses.replace(objective.make_aim(problem.scenario, 10), margin=0.5)
+    controller = ScheduledGain(gains, make_wheel_map(problem))
+    plant = tuned.shortened(closed_loop.robot_of(problem), STEPS_OF_LAW)
+    return problem, controller, plant, aim
 
 
 run_laps = jax.jit(objective.run_laps)
@@ -331,41 +353,39 @@ def root_mean_square(values, axis=0):
 
 
 def test_laps_are_reduced_as_defined(law):
-    problem, controller, aim = law
-    plant, keys = tuned.shortened(closed_loop.robot_of(problem), 40), realisation_keys(0, 0, 6)
+    problem, controller, plant, aim = law
     starts = jnp.asarray(np.random.default_rng(0).uniform(-0.2, 0.2, (6, 3)))
-    within = limits(problem)
-    laps = run_laps(controller, plant, keys, starts, within, aim)
-    seen = drive(controller, plant, keys, starts)
-    np.testing.assert_allclose(
-        laps.errors, root_mean_square(seen.errors[10:]), rtol=tol.SAME_REDUCTION
-    )
-    slip = [problem.scenario.slip.nominal_right, problem.scenario.slip.nominal_left]
-    extra = (
-        np.asarray(seen.demanded)
-        - np.asarray(plant.reference_wheels / (1 - np.array(slip)))[:, None]
-    )
-    for found, values in ((laps.effort, extra), (laps.settled_effort, extra[9:])):
-        np.testing.assert_allclose(
-            found, root_mean_square(values, axis=(0, 2)), rtol=tol.SAME_REDUCTION
-        )
-    used = (
-        np.abs(seen.errors[1:]) / within.widths,
-        np.asarray(seen.demanded) / problem.robot.wheel_speed_max,
-    )
-    beyond = sum((np.maximum(part - 0.5, 0) ** 2).sum(axis=2).mean(axis=0) for part in used)
-    np.testing.assert_allclose(laps.excess, beyond, rtol=tol.SAME_REDUCTION)
+    conditions = Conditions(plant, realisation_keys(0, 0, 6), starts)
+    limits = make_limits(problem)
+    laps = run_laps(controller, conditions, limits, aim)
+    seen = drive(controller, *conditions)
+    close = {"rtol": tol.SAME_REDUCTION}
+    np.testing.assert_allclose(laps.errors, root_mean_square(seen.errors[10:]), **close)
+    slip = problem.scenario.slip
+    grip = 1 - np.array([slip.nominal_right, slip.nominal_left])
+    extra = np.asarray(seen.demanded) - np.asarray(plant.reference_wheels / grip)[:, None]
+    effort = root_mean_square(extra, axis=(0, 2))
+    settled_effort = root_mean_square(extra[9:], axis=(0, 2))
+    np.testing.assert_allclose(laps.effort, effort, **close)
+    np.testing.assert_allclose(laps.settled_effort, settled_effort, **close)
+    error_share = np.abs(seen.errors[1:]) / limits.widths
+    wheel_share = np.asarray(seen.demanded) / problem.robot.wheel_speed_max
+    excess = mean_square_beyond(error_share, 0.5) + mean_square_beyond(wheel_share, 0.5)
+    np.testing.assert_allclose(laps.excess, excess, **close)
     assert (laps.excess > 0).all() and not laps.backups.any()
 
 
+def mean_square_beyond(shares, margin):
+    return (np.maximum(shares - margin, 0) ** 2).sum(axis=2).mean(axis=0)
+
+
 def test_a_robot_that_follows_exactly_makes_no_effort_and_exceeds_nothing(law):
-    problem, controller, aim = law
-    plant = tuned.shortened(closed_loop.robot_of(problem, relative_error=0.0), 40)
-    plant = dataclasses.replace(plant, noise=None)
-    aim = dataclasses.replace(aim, margin=0.9)
-    laps = run_laps(
-        controller, plant, realisation_keys(0, 0, 6), jnp.zeros((6, 3)), limits(problem), aim
-    )
+    problem, controller, _, aim = law
+    exact = closed_loop.robot_of(problem, relative_error=0.0)
+    plant = dataclasses.replace(tuned.shortened(exact, STEPS_OF_LAW), noise=None)
+    conditions = Conditions(plant, realisation_keys(0, 0, 6), jnp.zeros((6, 3)))
+    loose = dataclasses.replace(aim, margin=0.9)
+    laps = run_laps(controller, conditions, make_limits(problem), loose)
     for part in laps:
         assert np.abs(part).max() < tol.NO_EFFORT
     slope = jax.grad(lambda squares: objective._root(squares).sum())(jnp.zeros(3))
@@ -374,10 +394,10 @@ def test_a_robot_that_follows_exactly_makes_no_effort_and_exceeds_nothing(law):
 
 def some_laps(count=40):
     rng = np.random.default_rng(1)
-    errors, effort = rng.uniform(0, 0.01, (count, 3)), rng.uniform(0, 0.03, count)
-    return objective.Laps(
-        *(jnp.asarray(part) for part in (errors, effort, effort)), *jnp.zeros((2, count))
-    )
+    errors = jnp.asarray(rng.uniform(0, 0.01, (count, 3)))
+    effort = jnp.asarray(rng.uniform(0, 0.03, count))
+    nothing = jnp.zeros(count)
+    return objective.Laps(errors, effort, effort, nothing, nothing)
 
 
 AIM = objective.Aim((1e4, 2e4, 0.0), 50.0, 0.05, 1.0, 1.0, 0.0, 0.9, 0)
@@ -386,13 +406,10 @@ NO_SHARES = jnp.zeros(3)
 
 def tail(laps, share):
     """Return the mean cost of the worst laps, as the objective has it."""
-    of = [
-        objective.total_cost(
-            laps, NO_SHARES, dataclasses.replace(AIM, tail_share=share, tail_weight=w)
-        )
-        for w in (1.0, 0.0)
-    ]
-    return float(of[0] - of[1])
+    with_tail = dataclasses.replace(AIM, tail_share=share, tail_weight=1.0)
+    without = dataclasses.replace(with_tail, tail_weight=0.0)
+    total = objective.total_cost
+    return float(total(laps, NO_SHARES, with_tail) - total(laps, NO_SHARES, without))
 
 
 def test_the_tail_is_the_mean_of_the_worst_laps_and_shrinks_to_the_mean():
@@ -409,7 +426,8 @@ def test_the_tail_is_the_mean_of_the_worst_laps_and_shrinks_to_the_mean():
 
 
 def test_steep_costs_are_zero_inside_the_limits_and_quadratic_beyond():
-    laps, aim = some_laps(), dataclasses.replace(AIM, tail_weight=0.0, tube_weight=2.0)
+    laps = some_laps()
+    aim = dataclasses.replace(AIM, tail_weight=0.0, tube_weight=2.0)
     inside = objective.total_cost(laps, jnp.asarray([0.9, 0.4, 0.1]), aim)
     mean = float(np.mean(objective.lap_costs(laps, aim)))
     assert inside == pytest.approx(mean + 2.0 * 0.4, rel=tol.SAME_REDUCTION)

@@ -16,34 +16,33 @@ from jaxtube.synthesis.design import prepare
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.problem import with_controller
 from jaxtube.tuning import terminal
-from jaxtube.tuning.loop import fix, terminal_set_of, tightened
-from jaxtube.tuning.parameters import parameters
+from jaxtube.tuning.loop import fix, terminal_set_at, tightened_bounds
+from jaxtube.tuning.parameters import make_parameters
 from jaxtube.tuning.terminal import LONGEST
 from sets.polytope import Polytope
 
 
-def made(problem, kappa):
+def prepare_with(problem, kappa):
     """Prepare the design of other gains."""
-    chosen = parameters(problem)
-    numbers = kappa / chosen.scales if len(chosen.scales) else np.log(kappa)
-    return prepare(
-        with_controller(
-            problem, chosen.scenario(problem.scenario, np.append(chosen.vector[:9], numbers))
-        )
-    )
+    parameters = make_parameters(problem)
+    numbers = kappa / parameters.scales if len(parameters.scales) else np.log(kappa)
+    vector = np.append(parameters.vector[:9], numbers)
+    return prepare(with_controller(problem, parameters.scenario(problem.scenario, vector)))
 
 
 def with_facets(problem, count):
-    settings = msgspec.structs.replace(problem.scenario.controller, terminal_facets=count)
-    return replace(problem, scenario=msgspec.structs.replace(problem.scenario, controller=settings))
+    controller = msgspec.structs.replace(problem.scenario.controller, terminal_facets=count)
+    scenario = msgspec.structs.replace(problem.scenario, controller=controller)
+    return replace(problem, scenario=scenario)
 
 
-rows_at = jax.jit(terminal_set_of)
+compute_terminal_set = jax.jit(terminal_set_at)
 
 
-def bounded(found):
+def bounded_rows(fixed, kappa):
     """Return the rows of unit offset that are not spare."""
-    normals, offsets = (np.asarray(part) for part in found)
+    terminal_set = compute_terminal_set(fixed, jnp.asarray(kappa))
+    normals, offsets = jax.tree.map(np.asarray, terminal_set)
     used = np.isfinite(offsets)
     return normals[used] / offsets[used, None]
 
@@ -63,23 +62,23 @@ def case(request):
     problem = tuned.problem_of(kind)
     kappa = problem.given_gains if kappa is None else np.array(kappa)
     problem = with_facets(problem, 300)
-    found = made(problem, kappa)
-    return problem, kappa, found, fix(found), longest
+    design = prepare_with(problem, kappa)
+    return problem, kappa, design, fix(design), longest
 
 
 def test_the_rows_are_those_of_the_design(case):
-    _, kappa, found, fixed, _ = case
-    invariant = found.terminal.invariant
-    rows = bounded(rows_at(fixed, jnp.asarray(kappa)))
+    _, kappa, design, fixed, _ = case
+    invariant = design.terminal.invariant
+    rows = bounded_rows(fixed, kappa)
     np.testing.assert_allclose(
         rows, invariant.normals / invariant.offsets[:, None], rtol=0, atol=tol.SAME_TERMINAL_ROWS
     )
 
 
 def test_predecessors_are_followed(case):
-    _, _, found, fixed, longest = case
+    _, _, design, fixed, longest = case
     lengths = (fixed.terminal_rows.paths >= 0).sum(axis=1)
-    assert lengths.max() == max(map(len, found.terminal.maximal.paths)) <= LONGEST
+    assert lengths.max() == max(map(len, design.terminal.maximal.paths)) <= LONGEST
     assert lengths.max() >= longest and (longest or not lengths.any())
 
 
@@ -89,8 +88,8 @@ def test_for_gains_near_by_the_set_is_the_one_that_is_made_again(case, seed):
     problem, kappa, _, fixed, _ = case
     rng = np.random.default_rng(seed)
     there = kappa * (1 + 1e-4 * rng.standard_normal(len(kappa)))
-    again = made(problem, there).terminal.invariant
-    rows = bounded(rows_at(fixed, jnp.asarray(there)))
+    again = prepare_with(problem, there).terminal.invariant
+    rows = bounded_rows(fixed, there)
     held = Polytope(rows, np.ones(len(rows)))
     directions = rng.normal(size=(50, 3))
     np.testing.assert_allclose(
@@ -102,37 +101,34 @@ def test_every_row_is_necessary_for_whatever_gains(case):
     """Rows are predecessors of limits, which no invariant set inside the limits passes."""
     problem, kappa, _, fixed, _ = case
     there = kappa * (1 + 0.02 * np.random.default_rng(9).standard_normal(len(kappa)))
-    maximal = made(problem, there).terminal.maximal.polytope
-    assert (
-        np.max(maximal.support(bounded(rows_at(fixed, jnp.asarray(there)))))
-        <= 1 + tol.SAME_TERMINAL_ROWS
-    )
+    maximal = prepare_with(problem, there).terminal.maximal.polytope
+    assert np.max(maximal.support(bounded_rows(fixed, there))) <= 1 + tol.SAME_TERMINAL_ROWS
 
 
 def test_equal_gains_at_all_vertices_are_followed_from_the_first():
     problem = tuned.problem_of("vertices")
     kappa = np.tile(np.mean(tuned.VERTEX_GAINS, axis=0).round(2), 4)
-    found = made(problem, kappa)
-    rows = bounded(rows_at(fix(found), jnp.asarray(kappa)))
-    assert found.terminal.invariant is found.terminal.maximal.polytope
+    design = prepare_with(problem, kappa)
+    rows = bounded_rows(fix(design), kappa)
+    assert design.terminal.invariant is design.terminal.maximal.polytope
     np.testing.assert_allclose(
-        rows, found.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS
+        rows, design.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS
     )
 
 
-def assert_held(found, kappa):
+def assert_held(design, kappa):
     """The rows are those of the design whatever the gains."""
-    fixed = fix(found)
+    fixed = fix(design)
     for there in (kappa, 1.1 * kappa):
-        rows = bounded(rows_at(fixed, jnp.asarray(there)))
+        rows = bounded_rows(fixed, there)
         np.testing.assert_allclose(
-            rows, found.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS
+            rows, design.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS
         )
 
 
 def test_a_set_of_few_facets_is_held(case):
-    problem, kappa, found, *_ = case
-    few = made(with_facets(problem, len(found.terminal.maximal.roots) - 2), kappa)
+    problem, kappa, design, *_ = case
+    few = prepare_with(with_facets(problem, len(design.terminal.maximal.roots) - 2), kappa)
     assert few.terminal.invariant is not few.terminal.maximal.polytope
     assert_held(few, kappa)
 
@@ -140,16 +136,16 @@ def test_a_set_of_few_facets_is_held(case):
 def test_a_set_with_a_longer_history_is_held(monkeypatch):
     problem = tuned.problem_of("vertices")
     monkeypatch.setattr(terminal, "LONGEST", 2)
-    assert_held(made(problem, problem.given_gains), problem.given_gains)
+    assert_held(prepare_with(problem, problem.given_gains), problem.given_gains)
 
 
 def test_what_takes_the_place_of_an_empty_set_is_held():
     problem = complete_problem(load("untuned"))
     kappa = problem.given_gains
-    found = made(problem, kappa)
-    assert found.terminal.fallback
-    bounds = jax.jit(lambda *of: tightened(*of).terminal)(fix(found), jnp.asarray(kappa))
+    design = prepare_with(problem, kappa)
+    assert design.terminal.fallback
+    bounds = jax.jit(lambda *of: tightened_bounds(*of).terminal)(fix(design), jnp.asarray(kappa))
     np.testing.assert_allclose(
-        bounds[:, :6], found.bounds.terminal, rtol=0, atol=tol.SAME_TERMINAL_ROWS
+        bounds[:, :6], design.bounds.terminal, rtol=0, atol=tol.SAME_TERMINAL_ROWS
     )
     assert np.isinf(bounds[:, 6:]).all()

@@ -1,4 +1,4 @@
-"""What the tests of tuning share: problems whose scenario gives its gains, and points around them."""
+"""Shared by the tests of tuning: problems whose scenario gives its gains, points around them."""
 
 import dataclasses
 from functools import cache
@@ -10,9 +10,12 @@ import numpy as np
 from jaxtube.control import mpc
 from jaxtube.scenario import load
 from jaxtube.synthesis.disturbance import complete_problem
+from jaxtube.synthesis.gains import given_gain
 from jaxtube.synthesis.problem import with_controller
+from jaxtube.synthesis.windows import make_windows
+from jaxtube.tuning.gains import make_gain_maps
 from jaxtube.tuning.loop import Weights
-from jaxtube.tuning.parameters import parameters
+from jaxtube.tuning.parameters import make_parameters
 
 AIM = ("tuning.heading_deg=1", "tuning.effort_mps=0.1")
 VERTEX_GAINS = [
@@ -43,6 +46,13 @@ def problem_of(kind: str):
     return complete_problem(load(name, overrides))
 
 
+@cache
+def gain_maps_of(problem):
+    """Return all gains and loops of a problem as functions of the tuned numbers."""
+    windows = make_windows(problem, given_gain(problem, problem.given_gains))
+    return make_gain_maps(problem, windows.schedules)
+
+
 def random_kappa(problem, rng, size=0.2):
     """Draw gains around the given ones, by log-normal factors."""
     return problem.given_gains * np.exp(size * rng.standard_normal(len(problem.given_gains)))
@@ -51,14 +61,16 @@ def random_kappa(problem, rng, size=0.2):
 def random_point(problem, rng, weights=0.5, gains=0.1):
     """Draw the vector of all parameters: diagonals and gains by log-normal factors, and what is off
     the diagonals."""
-    start = parameters(problem).vector
-    sizes = np.concatenate([np.full(9, weights), np.full(len(start) - 9, gains)])
+    start = make_parameters(problem).vector
+    sizes = np.full(len(start), weights)
+    sizes[9:] = gains
     return start + sizes * rng.standard_normal(len(start))
 
 
 def entries(weights: Weights):
     """Return the entries of Q and R on and below the diagonal, then those of the gains."""
-    of_errors, of_inputs = (np.asarray(part)[np.tril_indices(len(part))] for part in weights[:2])
+    of_errors = np.asarray(weights.error_weight)[np.tril_indices(3)]
+    of_inputs = np.asarray(weights.input_weight)[np.tril_indices(2)]
     return np.concatenate([of_errors, of_inputs, np.asarray(weights.kappa)])
 
 
@@ -71,17 +83,23 @@ def weights_of(numbers) -> Weights:
 
 def problem_with(problem, weights: Weights):
     """Return the problem with these weights and gains."""
-    error, inputs = (tuple(map(tuple, np.asarray(part).tolist())) for part in weights[:2])
     kappa = np.asarray(weights.kappa)
-    gains = (
-        {"tracking_gains": tuple(kappa.tolist())}
-        if len(kappa) == 3
-        else {"vertex_gains": tuple(map(tuple, kappa.reshape(4, 6).tolist()))}
+    if len(kappa) == 3:
+        gains = {"tracking_gains": tuple(kappa.tolist())}
+    else:
+        gains = {"vertex_gains": _rows(kappa.reshape(4, 6))}
+    controller = msgspec.structs.replace(
+        problem.scenario.controller,
+        error_weight=_rows(weights.error_weight),
+        input_weight=_rows(weights.input_weight),
+        **gains,
     )
-    settings = msgspec.structs.replace(
-        problem.scenario.controller, error_weight=error, input_weight=inputs, **gains
-    )
-    return with_controller(problem, msgspec.structs.replace(problem.scenario, controller=settings))
+    scenario = msgspec.structs.replace(problem.scenario, controller=controller)
+    return with_controller(problem, scenario)
+
+
+def _rows(matrix):
+    return tuple(map(tuple, np.asarray(matrix).tolist()))
 
 
 def _symmetric(lower, n):
@@ -91,14 +109,23 @@ def _symmetric(lower, n):
 
 def slope_of_entries(slope: Weights):
     """Return the derivatives along the entries: those off the diagonal stand in two places."""
-    both = [np.asarray(part) + np.asarray(part).T - np.diag(np.diag(part)) for part in slope[:2]]
-    return entries(Weights(*both, slope.kappa))
+
+    def add_mirror(part):
+        part = np.asarray(part)
+        return part + part.T - np.diag(np.diag(part))
+
+    of_errors = add_mirror(slope.error_weight)
+    of_inputs = add_mirror(slope.input_weight)
+    return entries(Weights(of_errors, of_inputs, slope.kappa))
 
 
 def shortened(plant, steps: int):
     """Return the robot with the first steps of its reference."""
-    wheels, poses = plant.reference_wheels[:steps], plant.reference_poses[: steps + 1]
-    return dataclasses.replace(plant, reference_wheels=wheels, reference_poses=poses)
+    return dataclasses.replace(
+        plant,
+        reference_wheels=plant.reference_wheels[:steps],
+        reference_poses=plant.reference_poses[: steps + 1],
+    )
 
 
 def active_rows(window: mpc.Window, errors, inputs, slack: float):
@@ -109,8 +136,9 @@ def active_rows(window: mpc.Window, errors, inputs, slack: float):
 
 
 def fourth_order(function, at, direction, step: float):
-    """Return the central difference of fourth order, and what the function says at all points."""
-    ends = {k: function(at + k * step * direction) for k in (-2, -1, 1, 2)}
-    value = {k: end[0] for k, end in ends.items()}
-    slope = (8 * (value[1] - value[-1]) - (value[2] - value[-2])) / (12 * step)
-    return slope, list(ends.values())
+    """Return the central difference of fourth order of a function's first answer, and its answers
+    at all four points."""
+    ends = [function(at + k * step * direction) for k in (-2, -1, 1, 2)]
+    far_below, below, above, far_above = [end[0] for end in ends]
+    slope = (8 * (above - below) - (far_above - far_below)) / (12 * step)
+    return slope, ends

@@ -1,8 +1,10 @@
 """`tune`: weights and gains by gradients through laps and through the tube; what comes out is
 certified.
 
-scenario.toml    where tuning starts         tuned.toml    the best certified iterate so far, a whole scenario
-log/             every evaluation: a run that was killed goes on by the same command, to the same result
+scenario.toml    where tuning starts
+tuned.toml       the best certified iterate so far, a whole scenario
+log/             every evaluation: a run that was killed goes on by the same command, to the same
+                 result
 """
 
 from __future__ import annotations
@@ -13,167 +15,119 @@ from pathlib import Path
 from jaxtube.experiments.options import Tune
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.atomic import write_atomically
+from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.tune import compare as tune_compare
 from jaxtube.experiments.tune import report as tune_report
+from jaxtube.experiments.tune.bar import DescentBar
 from jaxtube.experiments.tune.log import Log
-from jaxtube.experiments.tune.run import Descent, Judgement, descend
-from jaxtube.plant.reference import settled_step
-from jaxtube.scenario import Scenario, ScenarioError, load, to_toml
-from jaxtube.simulation import closed_loop
-from jaxtube.synthesis.design import design
-from jaxtube.synthesis.disturbance import complete_problem
-from jaxtube.synthesis.problem import Problem
-from jaxtube.tuning.descent import Stop
-from jaxtube.tuning.objective import aim
-from jaxtube.tuning.parameters import Tuned, parameters
-from jaxtube.tuning.tuner import Tuner, failing_conditions
+from jaxtube.scenario import Scenario, load, to_toml
+from jaxtube.tuning.judgement import Judgement
+from jaxtube.tuning.run import Settings
+from jaxtube.tuning.tune import Tuned, assumption, run_tuner
+from jaxtube.tuning.tuner import Tuner, make_tuner
+from jaxtube.tuning.watch import Stop
 
-NOT_CERTIFIED, BROKEN_OFF = 3, 2
+NOT_CERTIFIED = 3
+BROKEN_OFF = 2
 SETTINGS = ("variables", "method", "evaluations", "laps", "held_out", "learning_rate", "patience")
 
 
 def run(scenario: Scenario, options: Tune) -> int:
     """Run the command; returns 3 where no iterate is certified, 2 where the descent broke off."""
-    tuner = make_tuner(scenario, options, options.variables)
-    refuse_start_without_loop(tuner)
+    tuner = make_tuner(
+        scenario,
+        variables=options.variables,
+        laps=options.laps,
+        held_out=options.held_out,
+        seed=options.seed,
+    )
+    settings = make_settings(options)
     with Log(options.folder / "log", run_folder.identity(scenario, options, SETTINGS)) as log:
         for line in log.damaged:
             print(line, file=sys.stderr)
         folder = run_folder.create(scenario, options)
-        tuned_file(options).unlink(
-            missing_ok=True
-        )  # an earlier run's; a replay writes its own again
-        descent = tune(tuner, log, options)
-        best = chosen(descent, options.accept_uncertified)
-        if best is None:
-            return _report(
-                f"no iterate is certified: {tune_report.why_not(descent)}; {descent.outcome.sentence}",
-                NOT_CERTIFIED,
+        file = TunedFile(folder.path / "tuned.toml", tuner, options.scenario)
+        file.path.unlink(missing_ok=True)  # an earlier run's; a replay writes its own again
+        with DescentBar(settings, settings.method, file.save) as bar:
+            tuned = run_tuner(
+                tuner,
+                settings,
+                accept_uncertified=options.accept_uncertified,
+                log=log,
+                progress=bar,
             )
-        save(tuner, options, best)
-        failing, verdict = certified_again(tuned_file(options))
-        if failing and not options.accept_uncertified:
-            tuned_file(options).unlink()
-            return _report(
-                f"the best iterate does not certify when read back: {', '.join(failing)}",
-                NOT_CERTIFIED,
-            )
-        summary = tune_report.summary(tuner, descent, best, verdict)
-        print(summary.text)
-        folder.save_arrays("iterates", **tune_report.arrays(tuner, descent))
-        tune_report.draw(folder, tuner, descent, best)
-        numbers = summary.numbers
+        refusal = save_result(tuned, file, options.accept_uncertified)
+        if refusal:
+            return _say(refusal, NOT_CERTIFIED)
+        numbers = report(folder, tuned)
         if options.compare:
-            numbers |= tune_compare.run(folder, tuner, log, options, descent, best)
+            numbers |= tune_compare.run(folder, tuned, log, settings)
         folder.save_metrics(numbers)
-    print(f"\nwritten to {folder.path}/; the tuned scenario is {folder.path}/tuned.toml")
-    if descent.outcome.stop in (Stop.NOT_A_NUMBER, Stop.CLIFF):
-        return _report(
-            f"{descent.outcome.sentence}; the best certified iterate is kept", BROKEN_OFF
-        )
+    print(f"\nwritten to {folder.path}/; the tuned scenario is {file.path}")
+    if tuned.stop in (Stop.NOT_A_NUMBER, Stop.CLIFF):
+        return _say(f"{tuned.sentence}; the best certified iterate is kept", BROKEN_OFF)
     return 0
 
 
-def make_tuner(scenario: Scenario, options: Tune, variables: Tuned) -> Tuner:
-    """Return the tuner of a scenario.
+def make_settings(options: Tune) -> Settings:
+    """Return how the descent runs."""
+    return Settings(options.method, options.evaluations, options.patience, options.learning_rate)
 
-    Raises: ScenarioError where the scenario gives no gains.
+
+class TunedFile:
+    """The file of the result."""
+
+    def __init__(self, path: Path, tuner: Tuner, start: str) -> None:
+        """Name the file.
+
+        Args:
+            path: of the file.
+            tuner: whose points are written.
+            start: name of the scenario where tuning started.
+        """
+        self.path = path
+        self._tuner = tuner
+        self._start = start
+
+    def save(self, judgement: Judgement) -> None:
+        """Write an iterate as a scenario."""
+        problem = self._tuner.problem
+        if judgement.certified:
+            label = f"certified{assumption(problem)}"
+        else:
+            label = f"NOT CERTIFIED: {', '.join(judgement.failing)}"
+        scenario = self._tuner.parameters.scenario(problem.scenario, judgement.point)
+        text = f"# Tuned from {self._start}; {label}.\n\n{to_toml(scenario)}"
+        write_atomically(self.path, lambda file: file.write(text.encode()))
+
+
+def save_result(tuned: Tuned, file: TunedFile, accept_uncertified: bool) -> str:
+    """Write the tuned scenario and read it back.
+
+    Returns:
+        Why there is none, empty where there is one.
     """
-    problem = complete_problem(scenario)
-    try:
-        chosen = parameters(problem, variables)
-    except ValueError as error:
-        raise ScenarioError(f"scenario: {error}") from None
-    settled = settled_step(problem.reference)
-    goal = aim(scenario, settled)
-    return Tuner(
-        problem,
-        closed_loop.robot_of(problem),
-        chosen,
-        goal,
-        options.laps,
-        options.held_out,
-        options.seed,
-    )
-
-
-def refuse_start_without_loop(tuner: Tuner) -> None:
-    """Raise ScenarioError where the start has no tube, so that there is nothing to descend on."""
-    designed = tuner.designed(tuner.parameters.vector)
-    if designed.frozen is None:
-        gains = tuner.problem.scenario.controller
-        raise ScenarioError(
-            f"scenario: controller gains = {list(gains.tracking_gains or gains.vertex_gains)}: tuning cannot start "
-            f"({designed.reason}); start from firmer gains, such as those of `certified`, or lower slip.relative_error"
-        )
-
-
-def tune(tuner: Tuner, log: Log, options: Tune) -> Descent:
-    """Descend; the best certified iterate is on disk at any time."""
-    return descend(
-        tuner,
-        log,
-        options.method,
-        options.method,
-        options.evaluations,
-        options.patience,
-        options.learning_rate,
-        lambda found: save(tuner, options, found),
-    )
-
-
-def chosen(descent: Descent, accept_uncertified: bool) -> Judgement | None:
-    """Return the iterate to be returned, None where none qualifies."""
-    iterates = [
-        descent.outcome.best_certified,
-        descent.outcome.best_uncertified if accept_uncertified else None,
-    ]
-    known = [iterate for iterate in iterates if iterate is not None]
-    best = min(known, key=lambda iterate: iterate.held_out, default=None)
-    return None if best is None else descent.judged[best.iteration]
-
-
-def save(tuner: Tuner, options: Tune, found: Judgement) -> None:
-    """Write an iterate as a scenario."""
-    text = to_toml(tuner.parameters.scenario(tuner.problem.scenario, found.point))
-    label = (
-        f"certified{assumption(tuner.problem)}"
-        if found.certified
-        else f"NOT CERTIFIED: {', '.join(found.failing)}"
-    )
-    header = f"# Tuned from {options.scenario}; {label}.\n\n"
-    write_atomically(tuned_file(options), lambda file: file.write((header + text).encode()))
-
-
-def tuned_file(options: Tune) -> Path:
-    """Return the file of the result."""
-    return options.folder / "tuned.toml"
-
-
-def certified_again(path: Path) -> tuple[tuple[str, ...], str]:
-    """Design the scenario that is returned as anybody would, and say what its certificate lacks, in
-    a word and a line.
-
-    Gains that decouple are checked a second time, in rational arithmetic.
-    """
-    found = design(load(path))
-    failing = failing_conditions(found)
-    if failing:
-        return failing, f"NOT CERTIFIED: {', '.join(failing)}"
-    second = found.certificate.conditions.get("checked_in_rationals")
-    twice = (
-        "; checked once more in rational arithmetic" if second is not None and second.holds else ""
-    )
-    return (), f"CERTIFIED{assumption(found.problem)}: every required condition holds{twice}"
-
-
-def assumption(problem: Problem) -> str:
-    """Return what a certificate takes for granted where W is assumed, nothing where it is computed."""
-    if problem.disturbance_bound is not None:
+    failing = ", ".join(tuned.failing)
+    if tuned.best is None:
+        return f"no iterate is certified: the best one fails {failing}; {tuned.sentence}"
+    file.save(tuned.best)
+    if load(str(file.path)) != tuned.scenario:
+        failing = "same_scenario"
+    elif tuned.is_certified or accept_uncertified:
         return ""
-    return ' for the linear model with w in W, which is assumed (disturbance.bound = "computed" bounds the robot\'s w)'
+    file.path.unlink()
+    return f"the best iterate does not certify when read back: {failing}"
 
 
-def _report(line: str, code: int) -> int:
+def report(folder: RunFolder, tuned: Tuned) -> dict:
+    """Print, draw and save what came out, and return the numbers."""
+    summary = tune_report.summarise(tuned)
+    print(summary.text)
+    folder.save_arrays("iterates", **tune_report.iterate_arrays(tuned))
+    tune_report.draw(folder, tuned)
+    return summary.numbers
+
+
+def _say(line: str, code: int) -> int:
     print(f"tune: {' '.join(line.split())}", file=sys.stderr)
     return code

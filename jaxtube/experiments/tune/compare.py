@@ -16,177 +16,92 @@ Certificates of grids are not asked for.
 
 from __future__ import annotations
 
-import dataclasses
-import sys
-from typing import NamedTuple
-
-import msgspec
 import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
-from jaxtube.experiments.options import Tune
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.tune import baselines as tune_baselines
-from jaxtube.experiments.tune.baselines import GRADIENT, Entry, Spots, spots_of, static_laps
+from jaxtube.experiments.tune.baselines import GRADIENT, Entry, Spots, result_spot
 from jaxtube.experiments.tune.front_figure import Group, Kind, comparison_figure, front_figure
-from jaxtube.experiments.tune.log import Log
-from jaxtube.experiments.tune.report import (
+from jaxtube.experiments.tune.paths import Drives, drive_numbers, drive_paths, path_lines
+from jaxtube.experiments.tune.result import (
     COMPARED_LAPS,
     CONFIDENCE,
     Result,
-    numbers_of,
-    reduction,
-    result,
+    result_numbers,
+    run_comparison,
 )
-from jaxtube.experiments.tune.run import Descent, Judgement, pooled
-from jaxtube.plant.slipping import SlippingRobot
-from jaxtube.scenario import Scenario, ScenarioError, experiments_folder
-from jaxtube.scenario.tree import Reference
-from jaxtube.simulation import closed_loop
-from jaxtube.synthesis.disturbance import complete_problem
-from jaxtube.synthesis.problem import Problem
-from jaxtube.tuning.tuner import COMPARED, Tuner, certificate_lacks
-
-PATH_LAPS = 512
-RECORDED = experiments_folder() / "untuned" / "recorded.csv"
-"""A drive with changes of speed and rounding, like what a positioning system records."""
+from jaxtube.tuning.run import Log, Settings
+from jaxtube.tuning.tune import Tuned
 
 
-def run(
-    folder: RunFolder, tuner: Tuner, log: Log, options: Tune, descent: Descent, best: Judgement
-) -> dict:
+def run(folder: RunFolder, tuned: Tuned, log: Log, settings: Settings) -> dict:
     """Compare, print, draw, and return the numbers."""
-    budget = GRADIENT * descent.outcome.evaluations
-    entries = [
-        Entry(
-            "start",
-            tuner,
-            tuner.parameters.vector,
-            result(tuner, tuner.parameters.vector),
-            0,
-            "start",
-        ),
-        Entry("tuned", tuner, best.point, result(tuner, best.point), budget, "tuned"),
-        *tune_baselines.alone(tuner, log, options),
-        *tune_baselines.searched(tuner, log, budget, options.seed),
-        tune_baselines.static_lqr(tuner, log, budget, options.seed),
-    ]
+    tuner = tuned.tuner
+    assert tuned.best is not None
+    best = tuned.best.point
+    entries = make_entries(tuned, log, settings)
     grids = {
-        name: tune_baselines.grid(tuner, log, point, name)
-        for name, point in tune_baselines.grid_gains(tuner, best.point).items()
+        name: tune_baselines.run_grid(tuner, log, kappa, name)
+        for name, kappa in tune_baselines.grid_gains(tuner, best).items()
     }
-    front = tune_baselines.front(tuner, log, options, best.point)
-    paths = _paths(tuner.problem.scenario, entries)
-    print(
-        "\n".join(
-            ["", *table(entries), "", *grid_lines(entries[1].result, grids), "", *path_lines(paths)]
-        )
-    )
-    groups = [_group(entry.name, entry.kind, spots_of([entry.result])) for entry in entries]
-    groups += [_group(f"grid, {name}", "grid", spots) for name, spots in grids.items()]
-    groups.append(_group("front", "front", front))
+    front = tune_baselines.tune_front(tuner, log, settings, best)
+    paths = drive_paths(tuner.problem.scenario, entries)
+    tuned_result = entries[1].result
+    parts = [table(entries), grid_lines(tuned_result, grids), path_lines(paths)]
+    print("\n" + "\n\n".join("\n".join(lines) for lines in parts))
+    groups = _groups(entries, grids, front)
     folder.save_figure(front_figure(groups, tuner.aim.effort_limit), "front")
-    rows = [
-        (path, name, *rms_interval(found.errors[:, 1]))
-        for path, designs in paths.items()
-        for name, found in sorted(
-            designs.items(), key=lambda item: item[0] == "tuned"
-        )  # drawn last
-    ]
-    folder.save_figure(comparison_figure(rows), "comparison")
-    tuned = entries[1].result
+    folder.save_figure(comparison_figure(_comparison_rows(paths)), "comparison")
     return {
-        "designs": {
-            entry.name: numbers_of(entry.result)
-            | {
-                "evaluations": entry.evaluations,
-                "cost_above_tuned": difference(entry.result.costs, tuned.costs),
-            }
-            for entry in entries
-        },
+        "designs": {entry.name: _entry_numbers(entry, tuned_result) for entry in entries},
         "grids": {name: spots._asdict() for name, spots in grids.items()},
         "front": front._asdict(),
-        "paths": {
-            path: {name: _numbers(found, designs["start"]) for name, found in designs.items()}
-            for path, designs in paths.items()
-        },
+        "paths": {path: drive_numbers(drives) for path, drives in paths.items()},
     }
 
 
-class Drive(NamedTuple):
-    """A design on one path: its laps, and what its certificate lacks there, None where nobody
-    asked."""
-
-    errors: Float[np.ndarray, "laps 3"]  # RMS once settled (m, m, rad)
-    effort: Float[np.ndarray, " laps"]  # RMS, m/s
-    failing: tuple[str, ...] | None
-
-
-def _paths(scenario: Scenario, entries: list[Entry]) -> dict[str, dict[str, Drive]]:
-    """Drive every design on the path of tuning and on those it never saw; start and tuned are
-    certified for each."""
-    found = {}
-    for path, section in unseen_paths(scenario).items():
-        try:
-            problem = complete_problem(msgspec.structs.replace(scenario, reference=section))
-        except ScenarioError as error:
-            print(f"{path}: not driven ({error})", file=sys.stderr)
-            continue
-        robot = closed_loop.robot_of(problem)
-        driven = {entry.name: _driven(entry, problem, robot) for entry in entries}
-        designs = {name: drive for name, drive in driven.items() if drive is not None}
-        if "start" in designs:
-            found[path] = designs
-    return found
-
-
-def _driven(entry: Entry, problem: Problem, robot: SlippingRobot) -> Drive | None:
-    tuner = dataclasses.replace(entry.tuner, problem=problem, plant=robot)
-    if entry.static:
-        laps, failing = static_laps(tuner, entry.point, COMPARED, PATH_LAPS), None
-    else:
-        played, ingredients = (
-            tuner.played(entry.point, COMPARED, PATH_LAPS),
-            tuner.designed(entry.point).ingredients,
-        )
-        if played is None or ingredients is None:
-            return None  # an empty set on this path: no closed loop
-        laps, failing = (
-            played[1],
-            certificate_lacks(ingredients) if entry.kind in ("start", "tuned") else None,
-        )
-    return Drive(laps.errors, laps.effort, failing)
-
-
-def unseen_paths(scenario: Scenario) -> dict[str, Reference]:
-    """Return the scenario's path, a lemniscate at its speed, and a recorded one, all within its box
-    of wheel speeds."""
-    own = scenario.reference
-    lemniscate = msgspec.structs.replace(own, shape="lemniscate")
-    recorded = msgspec.structs.replace(own, shape="file", file=str(RECORDED))
-    return {"eight (tuned on)": own, "lemniscate": lemniscate, "recorded": recorded}
+def make_entries(tuned: Tuned, log: Log, settings: Settings) -> list[Entry]:
+    """Return the designs of the comparison: start, tuned, and the baselines."""
+    tuner = tuned.tuner
+    assert tuned.best is not None
+    start = tuner.parameters.vector
+    best = tuned.best.point
+    budget = GRADIENT * tuned.descent.outcome.evaluations
+    return [
+        Entry("start", tuner, start, run_comparison(tuner, start), 0, "start"),
+        Entry("tuned", tuner, best, run_comparison(tuner, best), budget, "tuned"),
+        *tune_baselines.tune_parts(tuner, log, settings),
+        *tune_baselines.search_without_gradients(tuner, log, budget, tuner.seed),
+        tune_baselines.search_static_lqr(tuner, log, budget, tuner.seed),
+    ]
 
 
 def table(entries: list[Entry]) -> list[str]:
     """Return the comparison as lines."""
     tuned = entries[1].result
     lines = [
-        f"{COMPARED_LAPS} laps, the same draws for all; a lap's cost above the tuned one's, 95 % interval over pairs;",
+        f"{COMPARED_LAPS} laps, the same draws for all; a lap's cost above the tuned one's, "
+        "95 % interval over pairs;",
         f"a gradient counts for {GRADIENT} evaluations",
-        f"  {'design':<20}{'evaluations':>12}{'lateral':>10}{'effort':>10}{'tube e_y':>10}{'certified':>11}"
-        f"{'objective':>12}{'cost above the tuned':>30}",
+        f"  {'design':<20}{'evaluations':>12}{'lateral':>10}{'effort':>10}{'tube e_y':>10}"
+        f"{'certified':>11}{'objective':>12}{'cost above the tuned':>30}",
     ]
-    for entry in entries:
-        name, found, evaluations = entry.name, entry.result, entry.evaluations
-        width = "-" if found.half_widths is None else f"{100 * found.half_widths[1]:.2f} cm"
-        objective = "-" if entry.static else f"{found.objective:.4f}"
-        above, low, high = difference(found.costs, tuned.costs).values()
-        lines.append(
-            f"  {name:<20}{evaluations:>12}{1e3 * found.rms(1):>7.3f} mm{found.overall_effort:>10.5f}{width:>10}"
-            f"{'yes' if found.certified else 'no':>11}{objective:>12}{above:>12.4f} ({low:.4f} to {high:.4f})"
-        )
-    return lines
+    return [*lines, *(_table_line(entry, tuned) for entry in entries)]
+
+
+def _table_line(entry: Entry, tuned: Result) -> str:
+    result = entry.result
+    width = "-" if result.half_widths is None else f"{100 * result.half_widths[1]:.2f} cm"
+    objective = "-" if entry.static else f"{result.objective:.4f}"
+    certified = "yes" if result.certified else "no"
+    above = difference(result.costs, tuned.costs)
+    return (
+        f"  {entry.name:<20}{entry.evaluations:>12}{1e3 * result.rms(1):>7.3f} mm"
+        f"{result.overall_effort:>10.5f}{width:>10}{certified:>11}{objective:>12}"
+        f"{above['mean']:>12.4f} ({above['low']:.4f} to {above['high']:.4f})"
+    )
 
 
 def grid_lines(tuned: Result, grids: dict[str, Spots]) -> list[str]:
@@ -196,40 +111,38 @@ def grid_lines(tuned: Result, grids: dict[str, Spots]) -> list[str]:
         allowed = np.where(spots.effort <= tuned.overall_effort, spots.lateral, np.inf)
         best = int(np.argmin(allowed))
         lines.append(
-            f"grid of {len(spots.lateral)} diagonal Q, R with {name}: at no more effort the least lateral error is "
-            f"{1e3 * allowed[best]:.3f} mm at {spots.effort[best]:.5f} m/s; tuned {1e3 * tuned.rms(1):.3f} mm at "
-            f"{tuned.overall_effort:.5f} m/s"
+            f"grid of {len(spots.lateral)} diagonal Q, R with {name}: at no more effort the least "
+            f"lateral error is {1e3 * allowed[best]:.3f} mm at {spots.effort[best]:.5f} m/s; tuned "
+            f"{1e3 * tuned.rms(1):.3f} mm at {tuned.overall_effort:.5f} m/s"
         )
     return lines
 
 
-def path_lines(paths: dict[str, dict[str, Drive]]) -> list[str]:
-    """Return what the designs do on each path."""
-    lines = [
-        f"{PATH_LAPS} laps on each path: lateral error once settled, RMS, against the start's with 95 % interval"
-    ]
-    for path, designs in paths.items():
-        lines.append(f"  {path}")
-        for name, found in designs.items():
-            fall, low, high = reduction(designs["start"].errors[:, 1], found.errors[:, 1])
-            less = f"{fall:.1%} less ({low:.1%} to {high:.1%})" if name != "start" else ""
-            state = {None: "", (): "certified"}.get(
-                found.failing, f"not certified ({', '.join(found.failing or ())})"
-            )
-            lateral, effort = 1e3 * pooled(found.errors[:, 1]), pooled(found.effort)
-            lines.append(f"    {name:<20}{lateral:>7.3f} mm{effort:>10.5f} m/s   {less:<32}{state}")
-    return lines
-
-
-def _numbers(found: Drive, start: Drive) -> dict:
-    fall = reduction(start.errors[:, 1], found.errors[:, 1])
+def _entry_numbers(entry: Entry, tuned: Result) -> dict:
     return {
-        "lateral_m": pooled(found.errors[:, 1]),
-        "effort_mps": pooled(found.effort),
-        "lateral_reduction": dict(zip(("share", "low", "high"), fall, strict=True)),
-        "certified": None if found.failing is None else not found.failing,
-        "failing": list(found.failing or ()),
+        **result_numbers(entry.result),
+        "evaluations": entry.evaluations,
+        "cost_above_tuned": difference(entry.result.costs, tuned.costs),
     }
+
+
+def _groups(entries: list[Entry], grids: dict[str, Spots], front: Spots) -> list[Group]:
+    groups = [_group(entry.name, entry.kind, result_spot(entry.result)) for entry in entries]
+    groups += [_group(f"grid, {name}", "grid", spots) for name, spots in grids.items()]
+    return [*groups, _group("front", "front", front)]
+
+
+def _group(name: str, kind: Kind, spots: Spots) -> Group:
+    return Group(name, spots.lateral, spots.effort, spots.tube, spots.certified, kind)
+
+
+def _comparison_rows(paths: dict[str, Drives]) -> list[tuple[str, str, float, float, float]]:
+    """Return path, design and lateral RMS with its interval; the tuned design is drawn last."""
+    rows = []
+    for path, drives in paths.items():
+        names = sorted(drives, key=lambda name: name == "tuned")
+        rows += [(path, name, *rms_interval(drives[name].errors[:, 1])) for name in names]
+    return rows
 
 
 def difference(
@@ -238,23 +151,20 @@ def difference(
     """Return how much more a lap costs than with the tuned design, with the interval of the mean
     over pairs."""
     above = costs - tuned
-    margin = (
-        stats.sem(above) * stats.t.ppf((1 + CONFIDENCE) / 2, len(above) - 1) if above.any() else 0.0
-    )
-    return {
-        "mean": float(above.mean()),
-        "low": float(above.mean() - margin),
-        "high": float(above.mean() + margin),
-    }
+    margin = _margin_of_mean(above) if above.any() else 0.0
+    mean = above.mean()
+    return {"mean": float(mean), "low": float(mean - margin), "high": float(mean + margin)}
 
 
 def rms_interval(values: Float[np.ndarray, " laps"]) -> tuple[float, float, float]:
     """Return the RMS over laps with its 95 % interval."""
     squares = values**2
-    margin = stats.sem(squares) * stats.t.ppf((1 + CONFIDENCE) / 2, len(squares) - 1)
-    low, high = max(squares.mean() - margin, 0.0), squares.mean() + margin
-    return float(np.sqrt(squares.mean())), float(np.sqrt(low)), float(np.sqrt(high))
+    mean = squares.mean()
+    margin = _margin_of_mean(squares)
+    low = max(mean - margin, 0.0)
+    return float(np.sqrt(mean)), float(np.sqrt(low)), float(np.sqrt(mean + margin))
 
 
-def _group(name: str, kind: Kind, spots: Spots) -> Group:
-    return Group(name, spots.lateral, spots.effort, spots.tube, spots.certified, kind)
+def _margin_of_mean(values: Float[np.ndarray, " laps"]) -> float:
+    """Return the half width of the interval of a mean (Student)."""
+    return stats.sem(values) * stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1)

@@ -1,0 +1,137 @@
+"""One design on the laps that neither tuning nor stopping saw, and its numbers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy.stats import bootstrap
+
+from jaxtube.synthesis.certificate.fill import widest_tube
+from jaxtube.tuning.judgement import pool
+from jaxtube.tuning.loop import Weights
+from jaxtube.tuning.parameters import Point
+from jaxtube.tuning.tuner import Tuner
+
+COMPARED_LAPS = 1024
+RESAMPLES = 2000
+CONFIDENCE = 0.95
+
+
+class Result(NamedTuple):
+    """One design on the laps of the comparison."""
+
+    costs: Float[np.ndarray, " laps"]
+    errors: Float[np.ndarray, "laps 3"]  # RMS once settled (m, m, rad)
+    effort: Float[np.ndarray, " laps"]  # RMS over the whole lap, m/s
+    settled_effort: Float[np.ndarray, " laps"]
+    unplanned: int  # steps without a plan
+    objective: float
+    certified: bool
+    failing: tuple[str, ...]
+    half_widths: Float[np.ndarray, "3"] | None  # of the minimal RPI set's bound (m, m, rad)
+    fill: float  # largest share of a cap
+
+    def rms(self, coordinate: int) -> float:
+        """RMS error of a coordinate over all laps, once settled."""
+        return pool(self.errors[:, coordinate])
+
+    @property
+    def overall_effort(self) -> float:
+        """RMS effort over all laps, m/s."""
+        return pool(self.effort)
+
+
+def run_comparison(tuner: Tuner, point: Point) -> Result:
+    """Run a point on the laps of the comparison.
+
+    Raises:
+        ValueError: where it has no closed loop.
+    """
+    judgement = tuner.compare(point, COMPARED_LAPS)
+    prepared = tuner.candidate(point).prepared
+    if prepared is None or not judgement.has_laps:
+        reason = ", ".join(judgement.failing)
+        raise ValueError(f"point: has no closed loop ({reason}); choose another")
+    bound = widest_tube(prepared.problem, prepared.terminal.gains)
+    return Result(
+        costs=judgement.costs,
+        errors=judgement.errors,
+        effort=judgement.effort,
+        settled_effort=judgement.settled_effort,
+        unplanned=int(judgement.backups.sum()),
+        objective=judgement.held_out,
+        certified=judgement.certified,
+        failing=judgement.failing,
+        half_widths=None if bound is None else bound.support(np.eye(3)),
+        fill=float(judgement.shares.max()),
+    )
+
+
+def reduction(
+    before: Float[np.ndarray, " laps"], after: Float[np.ndarray, " laps"]
+) -> tuple[float, float, float]:
+    """Return by what share an RMS over laps falls, with its 95 % interval over pairs of laps.
+
+    Source: Efron, Tibshirani 1993, chapter 13 (bootstrap percentiles, pairs drawn together).
+    """
+    squares = (before**2, after**2)
+    if np.array_equal(*squares):
+        return 0.0, 0.0, 0.0
+
+    def fall(one, other, axis=-1):
+        return 1.0 - np.sqrt(np.mean(other, axis=axis) / np.mean(one, axis=axis))
+
+    resampled = bootstrap(
+        squares,
+        fall,
+        paired=True,
+        method="percentile",
+        n_resamples=RESAMPLES,
+        confidence_level=CONFIDENCE,
+        rng=np.random.default_rng(0),
+        batch=100,
+    )
+    interval = resampled.confidence_interval
+    return float(fall(*squares)), float(interval.low), float(interval.high)
+
+
+def reduction_numbers(fall: tuple[float, float, float]) -> dict[str, float]:
+    """Return a reduction as plain numbers."""
+    return dict(zip(("share", "low", "high"), fall, strict=True))
+
+
+def result_numbers(result: Result) -> dict:
+    """Return a result as plain numbers."""
+    widths = result.half_widths
+    half_widths = None
+    if widths is not None:
+        half_widths = {
+            "longitudinal_m": widths[0],
+            "lateral_m": widths[1],
+            "heading_deg": np.rad2deg(widths[2]),
+        }
+    return {
+        "rms_error": {
+            "longitudinal_m": result.rms(0),
+            "lateral_m": result.rms(1),
+            "heading_deg": np.rad2deg(result.rms(2)),
+        },
+        "effort_mps": result.overall_effort,
+        "settled_effort_mps": pool(result.settled_effort),
+        "steps_without_plan": result.unplanned,
+        "lap_cost": {"mean": result.costs.mean(), "p90": np.quantile(result.costs, 0.9)},
+        "objective": result.objective,
+        "certified": result.certified,
+        "failing": list(result.failing),
+        "minimal_rpi_half_widths": half_widths,
+        "largest_cap_share": result.fill,
+    }
+
+
+def weights_at(tuner: Tuner, point: Point) -> Weights:
+    """Return Q, R and the gains' numbers of a point, as numpy arrays."""
+    return jax.tree.map(np.asarray, tuner.parameters.weights(jnp.asarray(point)))

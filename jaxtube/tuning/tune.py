@@ -1,0 +1,188 @@
+"""Tuning of a scenario from its weights and gains to a certified design: descent, choice of the
+best iterate, and its design made anew."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import get_args
+
+from jaxtube.scenario import Scenario
+from jaxtube.synthesis.design import Design, design
+from jaxtube.synthesis.problem import Problem
+from jaxtube.tuning.judgement import Judgement
+from jaxtube.tuning.parameters import Variables
+from jaxtube.tuning.run import Descent, Log, Method, Progress, Settings, descend
+from jaxtube.tuning.tuner import Tuner, failing_conditions, make_tuner
+from jaxtube.tuning.watch import Stop
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Tuned:
+    """The result of tuning.
+
+    Attributes:
+        tuner: of the scenario where tuning started.
+        descent: every iterate and what stopped the descent.
+        best: the iterate that is returned, judged on the held-out laps; None where none is
+            certified and no other is accepted.
+        scenario: that of the best iterate, whole.
+        design: that of the scenario, made as `design(scenario)` makes it.
+        failing: the conditions that this design lacks; without one, those that the best of the
+            uncertified iterates lacks.
+    """
+
+    tuner: Tuner
+    descent: Descent
+    best: Judgement | None
+    scenario: Scenario | None
+    design: Design | None
+    failing: tuple[str, ...]
+
+    @property
+    def start(self) -> Judgement:
+        """The start, judged on the held-out laps."""
+        return self.descent.judged[0]
+
+    @property
+    def is_certified(self) -> bool:
+        """Whether every required condition of the returned design holds."""
+        return self.design is not None and not self.failing
+
+    @property
+    def is_rechecked(self) -> bool:
+        """Whether its certificate was checked once more, in rational arithmetic."""
+        if self.design is None:
+            return False
+        second = self.design.certificate.conditions.get("checked_in_rationals")
+        return second is not None and second.holds
+
+    @property
+    def stop(self) -> Stop:
+        """What stopped the descent."""
+        return self.descent.outcome.stop
+
+    @property
+    def sentence(self) -> str:
+        """What stopped the descent and what to change, in one line."""
+        return self.descent.outcome.sentence
+
+    @property
+    def verdict(self) -> str:
+        """What the certificate says, in one line."""
+        if not self.is_certified:
+            return f"NOT CERTIFIED: {', '.join(self.failing)}"
+        twice = "; checked once more in rational arithmetic" if self.is_rechecked else ""
+        what_for = assumption(self.tuner.problem)
+        return f"CERTIFIED{what_for}: every required condition holds{twice}"
+
+    def __repr__(self) -> str:
+        laps = len(self.start.costs)
+        before = 1e3 * self.start.lateral
+        if self.best is None:
+            change = f"{before:.3f} mm at the start, no iterate to return"
+        else:
+            change = f"{before:.3f} -> {1e3 * self.best.lateral:.3f} mm"
+        return (
+            f"<Tuned: {self.verdict}; lateral RMS {change}, on {laps} held-out laps; "
+            f"{self.descent.outcome.evaluations} evaluations, stopped: {self.stop}>"
+        )
+
+
+def tune(
+    scenario: Scenario,
+    *,
+    variables: Variables = "both",
+    method: Method = "lbfgs",
+    evaluations: int = 120,
+    laps: int = 128,
+    held_out: int = 256,
+    learning_rate: float = 0.1,
+    patience: int = 40,
+    seed: int = 0,
+    accept_uncertified: bool = False,
+    log: Log | None = None,
+    progress: Progress | None = None,
+) -> Tuned:
+    """Tune weights and gains of a scenario by gradients through laps and through the tube.
+
+    Args:
+        scenario: where tuning starts; its [tuning] says what it aims at.
+        variables: what moves: Q, R and gains ("both"), "weights", "gains", or the "diagonal" of Q
+            and R.
+        method: L-BFGS-B on the same laps in every evaluation ("lbfgs"), or Adam with fresh ones.
+        evaluations: gradients at most.
+        laps: in each evaluation.
+        held_out: laps, others than those, that judge every iterate.
+        learning_rate: of Adam, in the logarithms of weights and gains.
+        patience: iterates without a better held-out objective after which to stop.
+        seed: of every draw.
+        accept_uncertified: return the best iterate even if its certificate fails.
+        log: of answers, for resuming.
+        progress: told of every evaluation and iterate.
+
+    Returns:
+        The result; nothing is printed or written.
+
+    Raises:
+        ScenarioError: where the scenario gives no gains, or its gains have no bounded tube.
+        ValueError: for settings out of range.
+    """
+    settings = Settings(method, evaluations, patience, learning_rate)
+    _refuse_settings(settings, laps, held_out)
+    tuner = make_tuner(scenario, variables=variables, laps=laps, held_out=held_out, seed=seed)
+    return run_tuner(
+        tuner, settings, accept_uncertified=accept_uncertified, log=log, progress=progress
+    )
+
+
+def run_tuner(
+    tuner: Tuner,
+    settings: Settings,
+    *,
+    accept_uncertified: bool = False,
+    log: Log | None = None,
+    progress: Progress | None = None,
+) -> Tuned:
+    """Descend from a tuner's start, and design the best iterate; arguments as of `tune`."""
+    descent = descend(tuner, settings, log, progress)
+    best = descent.best(accept_uncertified)
+    if best is None:
+        return Tuned(tuner, descent, None, None, None, _failing_of_best(descent))
+    scenario = tuner.parameters.scenario(tuner.problem.scenario, best.point)
+    designed = design(scenario)
+    return Tuned(tuner, descent, best, scenario, designed, failing_conditions(designed))
+
+
+def _refuse_settings(settings: Settings, laps: int, held_out: int) -> None:
+    """Raise ValueError for settings out of range, in one line."""
+    if settings.method not in get_args(Method):
+        known = ", ".join(get_args(Method))
+        raise ValueError(f"method = {settings.method!r}: is unknown; choose one of {known}")
+    positive = {
+        "evaluations": settings.evaluations,
+        "patience": settings.patience,
+        "learning_rate": settings.learning_rate,
+        "laps": laps,
+        "held_out": held_out,
+    }
+    for name, value in positive.items():
+        if not 0 < value < math.inf:
+            raise ValueError(f"{name} = {value}: must be positive and finite; choose it above zero")
+
+
+def _failing_of_best(descent: Descent) -> tuple[str, ...]:
+    """Return what the best of the uncertified iterates lacks, of none the last one."""
+    best = descent.outcome.best_uncertified
+    return descent.judged[best.iteration if best else -1].failing
+
+
+def assumption(problem: Problem) -> str:
+    """Return what a certificate takes for granted where W is assumed, nothing where it is
+    computed."""
+    if problem.disturbance_bound is not None:
+        return ""
+    return (
+        " for the linear model with w in W, which is assumed "
+        '(disturbance.bound = "computed" bounds the robot\'s w)'
+    )
