@@ -1,0 +1,94 @@
+"""jaxtube: robust tube-MPC for a wheeled robot that slips, differentiable and batched, in JAX.
+
+    import jaxtube as jt
+
+    design = jt.design(jt.load("certified"))      sets, gains, controllers and their certificate
+    laps = jt.simulate(design)                    laps of a closed loop
+    run = jt.montecarlo(design, laps=100_000)     laps by the million, every period checked
+    worst = jt.falsify(design)                    the worst case, by gradient
+    tuned = jt.tune(jt.load("untuned"))           weights and gains, by gradient
+
+Controllers and plants of your own fit `jt.Controller` and `jt.Plant`, slip processes
+`jt.SlipProcess`. What these functions compute on the device they compute in 64 bits, whatever JAX
+is configured to. Names are imported when they are first used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from jaxtube.control.protocol import Controller, Feedback, WheelMap
+    from jaxtube.falsification.falsify import Falsification, falsify
+    from jaxtube.plant.protocol import Command, Measurement, Plant
+    from jaxtube.plant.slip import SlipProcess
+    from jaxtube.results import read, save
+    from jaxtube.scenario import Scenario, ScenarioError, load
+    from jaxtube.simulation.simulate import Laps, simulate
+    from jaxtube.statistics.montecarlo import MonteCarlo, montecarlo
+    from jaxtube.synthesis.design import Design, EmptySetError, design
+    from jaxtube.tuning.tune import Tuned, tune
+
+HOMES = {
+    "Command": "jaxtube.plant.protocol",
+    "Controller": "jaxtube.control.protocol",
+    "Design": "jaxtube.synthesis.design",
+    "EmptySetError": "jaxtube.synthesis.design",
+    "Falsification": "jaxtube.falsification.falsify",
+    "Feedback": "jaxtube.control.protocol",
+    "Laps": "jaxtube.simulation.simulate",
+    "Measurement": "jaxtube.plant.protocol",
+    "MonteCarlo": "jaxtube.statistics.montecarlo",
+    "Plant": "jaxtube.plant.protocol",
+    "Scenario": "jaxtube.scenario",
+    "ScenarioError": "jaxtube.scenario",
+    "SlipProcess": "jaxtube.plant.slip",
+    "Tuned": "jaxtube.tuning.tune",
+    "WheelMap": "jaxtube.control.protocol",
+    "design": "jaxtube.synthesis.design",
+    "falsify": "jaxtube.falsification.falsify",
+    "load": "jaxtube.scenario",
+    "montecarlo": "jaxtube.statistics.montecarlo",
+    "read": "jaxtube.results",
+    "save": "jaxtube.results",
+    "simulate": "jaxtube.simulation.simulate",
+    "tune": "jaxtube.tuning.tune",
+}
+"""The module of each name."""
+
+__all__ = [
+    "Command",
+    "Controller",
+    "Design",
+    "EmptySetError",
+    "Falsification",
+    "Feedback",
+    "Laps",
+    "Measurement",
+    "MonteCarlo",
+    "Plant",
+    "Scenario",
+    "ScenarioError",
+    "SlipProcess",
+    "Tuned",
+    "WheelMap",
+    "design",
+    "falsify",
+    "load",
+    "montecarlo",
+    "read",
+    "save",
+    "simulate",
+    "tune",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in HOMES:
+        raise AttributeError(f"module 'jaxtube' has no attribute {name!r}")
+    return getattr(importlib.import_module(HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

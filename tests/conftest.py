@@ -80,7 +80,7 @@ def stressed(robust_design, edge_starts):
     loops, plant = closed_loop.controllers(robust_design), closed_loop.linear_plant(robust_design)
     starts = edge_starts(robust_design, 512)
     return {
-        name: closed_loop.simulate(loops[name], plant, starts, 5)
+        name: closed_loop.run_realisations(loops[name], plant, starts, 5)
         for name in ("tube_mpc", "plain_mpc")
     }
 
@@ -94,4 +94,4 @@ def paper_laps(paper_design):
 
     starts = np.tile(paper_design.problem.initial_error, (closed_loop.BLOCK, 1))
     loop = closed_loop.controllers(paper_design)["tube_mpc"]
-    return closed_loop.simulate(loop, closed_loop.slipping_robot(paper_design), starts, 0)
+    return closed_loop.run_realisations(loop, closed_loop.slipping_robot(paper_design), starts, 0)

@@ -65,11 +65,11 @@ def laps_per_second(source, blocks: int) -> float:
     """Time blocks on a run or a cluster after as many that compile; the fastest round is the least
     disturbed."""
     first, seconds = 2 * source.at_once, []
-    for _ in source.computed(range(first)):
+    for _ in source.compute(range(first)):
         pass
     for begin in range(first, first + ROUNDS * blocks, blocks):
         start = time.perf_counter()
-        for _ in source.computed(range(begin, begin + blocks)):
+        for _ in source.compute(range(begin, begin + blocks)):
             pass
         seconds.append(time.perf_counter() - start)
     return blocks * BLOCK / min(seconds)

@@ -1,13 +1,15 @@
-"""Closed loops of a design: its controllers and plants on the device, run in blocks with progress."""
+"""Closed loops of a design: its controllers and its plants on the device, run in blocks."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from jaxtyping import Float
 
 from jaxtube import qp
@@ -16,6 +18,7 @@ from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.linear import LinearPlant
 from jaxtube.plant.protocol import Plant
+from jaxtube.plant.slip import SlipProcess
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.precision import require_64_bits
 from jaxtube.simulation.rollout import (
@@ -30,6 +33,9 @@ from jaxtube.synthesis.problem import Problem, error_vector
 
 BLOCK = 256
 """Realisations a call: fixed, so that the length of a run changes no result."""
+
+PLAN_DISTANCE = 10
+"""Steps between plans that are followed to their end."""
 
 
 def controllers(design: Design) -> dict[str, Controller]:
@@ -80,18 +86,23 @@ def make_wheel_map(problem: Problem) -> WheelMap:
 
 
 def slipping_robot(
-    design: Design, process: str | None = None, relative_error: float | None = None
+    design: Design,
+    process: str | SlipProcess | None = None,
+    relative_error: float | None = None,
 ) -> SlippingRobot:
     """Return the nonlinear plant of the scenario, or with another slip process or slip error."""
     return robot_of(design.problem, process, relative_error)
 
 
 def robot_of(
-    problem: Problem, process: str | None = None, relative_error: float | None = None
+    problem: Problem,
+    process: str | SlipProcess | None = None,
+    relative_error: float | None = None,
 ) -> SlippingRobot:
     """Return the nonlinear plant of a problem, whatever its design."""
     slip = problem.scenario.slip
-    steps, noise = problem.reference.steps, error_vector(problem.scenario.noise)
+    steps = problem.reference.steps
+    noise = error_vector(problem.scenario.noise)
     return SlippingRobot(
         robot=problem.robot,
         dt=problem.reference.dt,
@@ -100,7 +111,7 @@ def robot_of(
         nominal_slip=jnp.array([slip.nominal_right, slip.nominal_left]),
         relative_error=slip.relative_error if relative_error is None else relative_error,
         noise=jnp.asarray(noise) if noise.any() else None,
-        process=process or slip.process,
+        process=slip.process if process is None else process,
         random=slip.random,
     )
 
@@ -116,74 +127,87 @@ def linear_plant(design: Design) -> LinearPlant:
     problem = design.problem
     schedule = problem.schedule[: problem.reference.steps]
     transitions, inputs = problem.model.matrices(schedule)
-    vertices = problem.disturbance_set.vertices()
-    return LinearPlant(*(jnp.asarray(array) for array in (schedule, transitions, inputs, vertices)))
+    return LinearPlant(
+        reference_wheels=jnp.asarray(schedule),
+        transitions=jnp.asarray(transitions),
+        input_matrices=jnp.asarray(inputs),
+        disturbance_vertices=jnp.asarray(problem.disturbance_set.vertices()),
+    )
 
 
-def simulate(
+def run_realisations(
     controller: Controller,
     plant: Plant,
     starts: Float[np.ndarray, "runs 3"],
     seed: int,
-    advanced=None,
+    advanced: Callable[[int], object] | None = None,
 ) -> Trajectory:
-    """Run one closed loop a start, realisation i from starts[i], and return numpy arrays (time,
-    realisation, ..).
+    """Run one closed loop a start, and return numpy arrays (time, realisation, ..).
 
-    `advanced(count)` is called after each block. The last block is padded with its own last start.
+    Args:
+        controller: any.
+        plant: any.
+        starts: true initial errors, (m, m, rad); realisation i starts from the i-th.
+        seed: of every draw.
+        advanced: called with the number of realisations of each block that has been run.
     """
     blocks = []
     for first in range(0, len(starts), BLOCK):
-        chosen = starts[first : first + BLOCK]
-        padded = np.concatenate([chosen, np.repeat(chosen[-1:], BLOCK - len(chosen), axis=0)])
-        trajectory = rollout(
-            controller, plant, realisation_keys(seed, first, BLOCK), jnp.asarray(padded)
-        )
-        blocks.append(jax.tree.map(partial(_first, len(chosen)), trajectory))
+        block = starts[first : first + BLOCK]
+        missing = BLOCK - len(block)
+        padded = np.concatenate([block, np.repeat(block[-1:], missing, axis=0)])
+        keys = realisation_keys(seed, first, BLOCK)
+        trajectory = rollout(controller, plant, keys, jnp.asarray(padded))
+        blocks.append(jax.tree.map(partial(_take_first, len(block)), trajectory))
         if advanced:
-            advanced(len(chosen))
+            advanced(len(block))
     return jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=1), *blocks)
 
 
-def _first(count: int, array) -> np.ndarray:
+def _take_first(count: int, array: Array) -> np.ndarray:
     return np.asarray(array)[:, :count]
 
 
 def model_residuals(design: Design, trajectory: Trajectory) -> Float[np.ndarray, "steps runs 3"]:
     """Return w(k) = e(k+1) - A(th_k) e(k) - B u(k) of the measured errors."""
-    transitions, inputs = design.problem.model.matrices(
-        design.problem.schedule[: design.problem.reference.steps]
-    )
-    predicted = np.einsum("kij,kbj->kbi", transitions, trajectory.measured[:-1])
-    return (
-        trajectory.measured[1:] - predicted - np.einsum("kij,kbj->kbi", inputs, trajectory.inputs)
-    )
+    problem = design.problem
+    transitions, inputs = problem.model.matrices(problem.schedule[: problem.reference.steps])
+    free = np.einsum("kij,kbj->kbi", transitions, trajectory.measured[:-1])
+    forced = np.einsum("kij,kbj->kbi", inputs, trajectory.inputs)
+    return trajectory.measured[1:] - free - forced
 
 
-_planned = jax.jit(mpc.plan)
+_make_plans = jax.jit(mpc.plan)
 
 
 def plan_deviations(
-    design: Design, controller: TubeMpc, plant, trajectory: Trajectory, seed: int, every: int = 10
-):
-    """Return e - e_nominal (N, samples, 3) of plans made along the laps and followed to their end.
+    design: Design, controller: TubeMpc, plant: Plant, trajectory: Trajectory, seed: int
+) -> Float[np.ndarray, "horizon samples 3"]:
+    """Return e - e_nominal of plans made along the laps and followed to their end.
 
     For a tube that follows the reference only at steps that have the window ahead whose sections
     are shown.
     """
-    horizon, steps = design.problem.horizon, design.problem.reference.steps
     count = min(trajectory.errors.shape[1], BLOCK)
     keys = realisation_keys(seed, 0, count)
-    found = []
-    chosen = range(0, max(steps - horizon, 1), every)
-    if design.tube.follows_reference:
-        widest = np.flatnonzero(design.tube.shows(design.windows.index))
-        chosen = widest[widest < max(steps - horizon, 1)][:: max(len(widest) // len(chosen), 1)]
-    for step in chosen:
+    deviations = []
+    for step in _planning_steps(design):
         errors = jnp.asarray(trajectory.errors[step, :count])
         now = jnp.asarray(int(step))
         state = begin(controller, plant, keys, errors, now)
-        plans = _planned(controller.window(now), state.measured)
-        deviations = follow_plan(controller, plant, keys, state, now, plans)
-        found.append(np.asarray(deviations)[:, np.asarray(plans.status == qp.SOLVED)])
-    return np.concatenate(found, axis=1)
+        plans = _make_plans(controller.window(now), state.measured)
+        followed = follow_plan(controller, plant, keys, state, now, plans)
+        deviations.append(np.asarray(followed)[:, np.asarray(plans.status == qp.SOLVED)])
+    return np.concatenate(deviations, axis=1)
+
+
+def _planning_steps(design: Design) -> Sequence[int]:
+    """Return the steps at which plans are made: every PLAN_DISTANCE, or about as many that have the
+    window ahead whose sections are shown."""
+    last = max(design.problem.reference.steps - design.problem.horizon, 1)
+    steps = range(0, last, PLAN_DISTANCE)
+    if not design.tube.follows_reference:
+        return steps
+    shown = np.flatnonzero(design.tube.shows(design.windows.index))
+    stride = max(len(shown) // len(steps), 1)
+    return shown[shown < last][::stride].tolist()

@@ -1,8 +1,7 @@
-"""What closed loops are measured against: sets as facets, tubes along the reference, the model and
-the plan's cost.
+"""The sets that closed loops are measured against: facets, tubes along the reference, the model
+and the cost of plans.
 
-A point is outside a set when it is more than 1e-12 (m, rad, m/s) beyond a facet; what is no number
-is outside.
+A point is outside a set when it is more than 1e-12 (m, rad, m/s) beyond a facet. NaN is outside.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxtube.qp.batched_ldl import matmul
 
@@ -38,13 +37,29 @@ class Sections(NamedTuple):
     facets: Facets  # leading axes (windows, N)
     index: Int[AnyArray, " steps"]
 
+    def at(self, step: Int[Array, ""]) -> Facets:
+        """Return the sections that are due at a step, stages first."""
+        window = self.index[step]
+        return jax.tree.map(lambda array: array[window], self.facets)
+
 
 @partial(
     jax.tree_util.register_dataclass,
     meta_fields=["tube", "settled"],
     data_fields=[
-        *("transitions", "input_matrices", "disturbance", "error", "input", "tubes", "ultimate"),
-        *("poses", "map_corner", "map_cell", "cost_errors", "error_weight", "input_weight"),
+        "transitions",
+        "input_matrices",
+        "disturbance",
+        "error",
+        "input",
+        "tubes",
+        "ultimate",
+        "poses",
+        "map_corner",
+        "map_cell",
+        "cost_errors",
+        "error_weight",
+        "input_weight",
     ],
 )
 @dataclass(frozen=True)
@@ -57,21 +72,21 @@ class Checks:
     is the whole cost of a plan.
     """
 
-    transitions: Float[Array, "steps 3 3"]
-    input_matrices: Float[Array, "steps 3 2"]
+    transitions: Float[AnyArray, "steps 3 3"]
+    input_matrices: Float[AnyArray, "steps 3 2"]
     disturbance: Facets
     error: Facets
     input: Facets
     tubes: dict[str, Sections]
     tube: str
-    ultimate: Float[Array, "3"]
+    ultimate: Float[AnyArray, "3"]
     settled: int
-    poses: Float[Array, "steps+1 3"]
-    map_corner: Float[Array, "2"]
-    map_cell: Float[Array, ""]
-    cost_errors: Float[Array, "windows 3 3"]
-    error_weight: Float[Array, "3 3"]
-    input_weight: Float[Array, "2 2"]
+    poses: Float[AnyArray, "steps+1 3"]
+    map_corner: Float[AnyArray, "2"]
+    map_cell: Float[AnyArray, ""]
+    cost_errors: Float[AnyArray, "windows 3 3"]
+    error_weight: Float[AnyArray, "3 3"]
+    input_weight: Float[AnyArray, "2 2"]
 
     @property
     def horizon(self) -> int:
@@ -79,17 +94,21 @@ class Checks:
         return self.tubes[self.tube].facets.offsets.shape[1]
 
 
-def judge(facets: Facets, points: Float[Array, "n batch"]):
-    """Return (outside, outside the box by coordinate, excess over each facet, usage) of points, the
-    batch last.
+class Judgement(NamedTuple):
+    """Points against a polytope, the batch last; leading axes where the polytope has some."""
 
-    The usage is 1 on a facet and more outside, relative to the facet's distance from the origin.
-    """
+    outside: Bool[Array, " batch"]
+    outside_box: Bool[Array, "n batch"]  # of the box around the polytope, by coordinate
+    excess: Float[Array, "f batch"]  # over each facet
+    usage: Float[Array, " batch"]  # 1 on a facet, more outside, relative to its offset
+
+
+def judge(facets: Facets, points: Float[Array, "n batch"]) -> Judgement:
+    """Compare points with a polytope."""
     excess = matmul(facets.normals, points) - facets.offsets[:, None]
     outside = ~jnp.all(excess <= OUTSIDE, axis=0)
-    boxes = ~(
-        (points <= facets.upper[:, None] + OUTSIDE) & (points >= facets.lower[:, None] - OUTSIDE)
-    )
+    below = points <= facets.upper[:, None] + OUTSIDE
+    above = points >= facets.lower[:, None] - OUTSIDE
     scale = jnp.where((facets.offsets > 0) & jnp.isfinite(facets.offsets), facets.offsets, 1.0)
     usage = jnp.max(1 + excess / scale[:, None], axis=0)
-    return outside, boxes, excess, jnp.where(jnp.isnan(usage), jnp.inf, usage)
+    return Judgement(outside, ~(below & above), excess, jnp.where(jnp.isnan(usage), jnp.inf, usage))

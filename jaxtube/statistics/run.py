@@ -1,9 +1,11 @@
 """Monte Carlo of closed loops: laps by the million, every period checked, and nothing kept but
 counts and extremes.
 
-    block   BLOCK laps, the unit of records and of identity; block i holds the laps i BLOCK .. (i+1) BLOCK - 1
+    block   BLOCK laps, the unit of records and of identity: block i holds the laps i BLOCK ..
+            (i + 1) BLOCK - 1
     tile    TILE laps that run side by side; few enough for a processor's cache
-    chunk   blocks that a device works through in one dispatch; any number, it changes no bit of the statistics
+    chunk   blocks that a device works through in one dispatch; any number, it changes no bit of
+            the statistics
 
 Every draw is a function of seed, lap, step and purpose. A block is one program of fixed shape that
 the devices run independently, so its statistics do not depend on chunk, devices or processes
@@ -35,15 +37,19 @@ from jaxtube.simulation.starts import Starts
 from jaxtube.statistics import tally
 from jaxtube.statistics.checks import Checks
 
-BLOCK, TILE = 4096, 512
+BLOCK = 4096
+"""Laps of a block."""
+TILE = 512
+"""Laps of a tile."""
 PLANS_SHARE = 0.01
 """Share of the states along a lap at which a plan is made and followed to its end."""
 WORST = 16
 """Laps kept by index, for each of the three sets ranked by."""
 
 RANKED = ("error", "disturbance", "tube")
-WORST_KEYS = ("worst_usage", "worst_lap")
+"""Sets by whose usage laps are ranked."""
 _JOIN = {"i": np.add, "f": np.maximum}
+"""How statistics of two ranges join, by the kind of their numbers: counts add up, extremes win."""
 
 Statistics = dict[str, np.ndarray]
 
@@ -82,12 +88,13 @@ class Run:
         """Blocks that one dispatch takes."""
         return self.chunk * len(self.devices)
 
-    def computed(self, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
+    def compute(self, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
         """Yield the statistics of blocks; while one dispatch is collected the next one is under
         way."""
-        source, pending = iter(blocks), None
+        source = iter(blocks)
+        pending = None
         while group := list(itertools.islice(source, self.at_once)):
-            started = group, self.dispatch(group)
+            started = (group, self.dispatch(group))
             if pending:
                 yield from self.collect(*pending)
             pending = started
@@ -102,9 +109,11 @@ class Run:
         words, counts, numbers = _labels(padded, self.realisations)
         return _simulate(mesh, self.task, words, counts, numbers, validate)
 
-    def collect(self, blocks: list[int], found: dict[str, Array]) -> list[tuple[int, Statistics]]:
+    def collect(
+        self, blocks: list[int], dispatched: dict[str, Array]
+    ) -> list[tuple[int, Statistics]]:
         """Wait for a dispatch and return the statistics of its blocks."""
-        arrays = jax.tree.map(np.asarray, found)
+        arrays = jax.tree.map(np.asarray, dispatched)
         return [(block, _statistics(block, arrays, place)) for place, block in enumerate(blocks)]
 
     def laps(self, block: int) -> int:
@@ -124,13 +133,11 @@ def merge(one: Statistics, other: Statistics) -> Statistics:
         if "worst" not in name
     }
     for name in RANKED:
-        usage, laps = (
-            np.concatenate([part[f"{key}/{name}"] for part in (one, other)]) for key in WORST_KEYS
-        )
+        usage = np.concatenate([part[f"worst_usage/{name}"] for part in (one, other)])
+        laps = np.concatenate([part[f"worst_lap/{name}"] for part in (one, other)])
         order = np.lexsort((laps, -usage))[:WORST]
-        joined |= dict(
-            zip((f"{key}/{name}" for key in WORST_KEYS), (usage[order], laps[order]), strict=True)
-        )
+        joined[f"worst_usage/{name}"] = usage[order]
+        joined[f"worst_lap/{name}"] = laps[order]
     return joined
 
 
@@ -145,11 +152,8 @@ def plan_steps(steps: int, horizon: int) -> tuple[int, int]:
 def first_plan(tile: Int[Array, ""], distance: int) -> Int[Array, ""]:
     """Return the step of a tile's first plan, 0 .. distance - 1, so that few tiles are spread over
     all of them."""
-    stride = next(
-        s
-        for s in range(max(round(0.618 * distance), 1), distance + 2)
-        if math.gcd(s, distance) == 1
-    )
+    golden = max(round(0.618 * distance), 1)
+    stride = next(s for s in range(golden, distance + 2) if math.gcd(s, distance) == 1)
     return tile % distance * stride % distance
 
 
@@ -163,22 +167,25 @@ def _labels(blocks: list[int], realisations: int):
 
 
 def _statistics(block: int, arrays: dict[str, np.ndarray], place: int) -> Statistics:
-    found = {name: value[place] for name, value in arrays.items()}
-    found = {
-        name: value.astype(np.int64) if value.dtype.kind == "i" else value
-        for name, value in found.items()
-    }
+    """Return the statistics of the block at a place of a dispatch, counts in 64 bits."""
+    statistics = {name: value[place] for name, value in arrays.items()}
+    for name, value in statistics.items():
+        if value.dtype.kind == "i":
+            statistics[name] = value.astype(np.int64)
     for name in RANKED:
-        usage, lap = (f"{key}/{name}" for key in WORST_KEYS)
-        counted = found[usage] > -np.inf
-        found[usage], found[lap] = found[usage][counted], block * BLOCK + found[lap][counted]
-    return found
+        usage = statistics[f"worst_usage/{name}"]
+        laps = block * BLOCK + statistics[f"worst_lap/{name}"]
+        counted = usage > -np.inf
+        statistics[f"worst_usage/{name}"] = usage[counted]
+        statistics[f"worst_lap/{name}"] = laps[counted]
+    return statistics
 
 
 @partial(jax.jit, static_argnums=0)
 def _simulate(mesh: Mesh, task: Task, words, counts, numbers, validate):
     """Run blocks, spread over the devices; each device works through its own one after the other."""
-    spread, same = PartitionSpec("devices"), PartitionSpec()
+    spread = PartitionSpec("devices")
+    same = PartitionSpec()
 
     @partial(
         jax.shard_map,
@@ -232,7 +239,8 @@ def simulate_block(
     largest = jax.tree.map(lambda array: jnp.max(array, axis=0), largest)
     worst, laps = jax.lax.top_k(jnp.moveaxis(usage, 1, 0).reshape(len(RANKED), BLOCK), WORST)
     ranked = {f"worst_usage/{name}": worst[i] for i, name in enumerate(RANKED)}
-    return sums | largest | ranked | {f"worst_lap/{name}": laps[i] for i, name in enumerate(RANKED)}
+    numbers = {f"worst_lap/{name}": laps[i] for i, name in enumerate(RANKED)}
+    return sums | largest | ranked | numbers
 
 
 def run_laps(
@@ -244,49 +252,62 @@ def run_laps(
     At `stops` plans are made and followed to their end, by a tube-MPC whose plans start at the
     measured error.
     """
-    controller, plant, checks = task.controller, task.plant, task.checks
+    controller = task.controller
+    plant = task.plant
+    checks = task.checks
     planner = planner_of(controller)
-    steps, plans, errors = len(checks.transitions), len(stops), task.starts.draw(keys)
+    steps = len(checks.transitions)
+    plans = len(stops)
+    errors = task.starts.draw(keys)
     bounds = jnp.concatenate([jnp.zeros(1, jnp.int32), stops, jnp.full(1, steps, jnp.int32)])
 
     def period(step, carry):
-        state, found = carry
+        state, counts = carry
         after, happened = run_period(controller, plant, keys, step, state)
-        see = partial(tally.observe, checks, step, state, happened, after, counted)
-        return after, jax.lax.cond(validate, see, lambda found: found, found)
+        observe = partial(tally.observe, checks, step, state, happened, after, counted)
+        return after, jax.lax.cond(validate, observe, _keep, counts)
 
     def stretch(carry, part):
         first, last, has_plan = part
-        state, found = jax.lax.fori_loop(first, last, period, carry)
+        state, counts = jax.lax.fori_loop(first, last, period, carry)
         if planner is not None:
-            see = partial(follow_and_observe, task, planner, keys, last, counted, state)
-            found = jax.lax.cond(validate & has_plan, see, lambda found: found, found)
-        return (state, found), None
+            observe = partial(follow_and_observe, task, planner, keys, last, counted, state)
+            counts = jax.lax.cond(validate & has_plan, observe, _keep, counts)
+        return (state, counts), None
 
-    start = (
-        begin(controller, plant, keys, errors),
-        tally.empty(checks, checks.horizon, len(errors), errors.dtype),
-    )
-    parts = bounds[:-1], bounds[1:], jnp.arange(plans + 1) < plans
-    (_, found), _ = jax.lax.scan(stretch, start, parts)
-    usage = jnp.where(counted, found.laps.usage, -jnp.inf)
-    return *tally.close(checks, errors, plans, counted, found), usage
+    state = begin(controller, plant, keys, errors)
+    counts = tally.empty(checks, checks.horizon, len(errors), errors.dtype)
+    parts = (bounds[:-1], bounds[1:], jnp.arange(plans + 1) < plans)
+    (_, counts), _ = jax.lax.scan(stretch, (state, counts), parts)
+    usage = jnp.where(counted, counts.laps.usage, -jnp.inf)
+    sums, largest = tally.close(checks, errors, plans, counted, counts)
+    return sums, largest, usage
+
+
+def _keep(counts: tally.Tally) -> tally.Tally:
+    return counts
 
 
 def follow_and_observe(
-    task: Task, controller: TubeMpc, keys, step, counted, state: LoopState, found: tally.Tally
+    task: Task,
+    controller: TubeMpc,
+    keys: Key[Array, " batch"],
+    step: Int[Array, ""],
+    counted: Bool[Array, " batch"],
+    state: LoopState,
+    counts: tally.Tally,
 ) -> tally.Tally:
     """Plan, follow the plan, plan once more where the first one expects to be a step later, and
     count what is seen."""
 
-    def planned(errors, at):
+    def make_plan(errors, at):
         plan = mpc.plan(controller.window(at), errors)
         return tally.expected_error(controller, at, errors, plan), plan
 
     # One program for both plans: what solves a QP takes long to compile.
-    _, plans = jax.lax.scan(planned, state.measured, jnp.stack([step, step + 1]))
-    first, following = (jax.tree.map(lambda array, i=i: array[i], plans) for i in range(2))
+    _, plans = jax.lax.scan(make_plan, state.measured, jnp.stack([step, step + 1]))
+    first = jax.tree.map(lambda array: array[0], plans)
+    second = jax.tree.map(lambda array: array[1], plans)
     deviations = follow_plan(controller, task.plant, keys, state, step, first)
-    return tally.observe_plans(
-        task.checks, controller, step, state, deviations, first, following, counted, found
-    )
+    followed = tally.FollowedPlans(state, first, deviations, second)
+    return tally.observe_plans(task.checks, controller, step, followed, counted, counts)

@@ -1,12 +1,12 @@
-"""What is counted while closed loops run: every period of every lap against the sets that a design
-promises.
+"""The tally of closed loops: every period of every lap counted against the sets of a design.
 
-    w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k) in W,     e(k+1) in E,     u(k) in U,     wheels within their limits,
-    QP solved,     and for plans followed to their end     e - e_nominal in R_j,  j = 1..N
+    w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k) in W,     e(k+1) in E,     u(k) in U,
+    wheels within their limits,     QP solved,
+    and for plans followed to their end     e - e_nominal in R_j,  j = 1..N
 
-w and the tube are those of the measured errors, which is what the controller works with; E holds
-the true ones. Counts are whole numbers and extremes are maxima, so tallies of any parts of a run
-join to the same bits in any order. Whatever is no number is counted as outside.
+w and the tube are those of the measured errors, which the controller works with; E holds the true
+ones. Counts are whole numbers and extremes are maxima, so the tallies of any parts of a run join to
+the same bits in any order. NaN counts as outside.
 """
 
 from __future__ import annotations
@@ -18,40 +18,28 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxtube import qp
+from jaxtube import coordinates, qp
 from jaxtube.control import mpc
+from jaxtube.control.laws import TubeMpc
+from jaxtube.coordinates import PLANES
 from jaxtube.plant.error_dynamics import world_pose
 from jaxtube.qp.batched_ldl import matmul
 from jaxtube.simulation.rollout import LoopState, Period
 from jaxtube.statistics import histogram
-from jaxtube.statistics.checks import Checks, Facets, judge
+from jaxtube.statistics.checks import Checks, Facets, Judgement, judge
+from jaxtube.statistics.events import EVENT_NAMES, find_row
 
 COST_ROUNDING = 1e-9
 """Share of a plan's cost, or of 1, that is rounding where two costs are compared."""
-EVENTS = (
-    "w_outside_W",
-    "w_outside_longitudinal",
-    "w_outside_lateral",
-    "w_outside_heading",
-    "e_outside_E",
-    "e_outside_longitudinal",
-    "e_outside_lateral",
-    "e_outside_heading",
-    "u_outside_U",
-    "wheels_saturated",
-    "qp_infeasible",
-    "qp_unsolved",
-    "row_active",
-    "backup",
-    "outside_ultimate_bound",
-    "not_finite",
-)
-"""Counted for every lap in steps, 0 .. steps."""
 STAGE_EVENTS = ("outside", "longitudinal", "lateral", "heading")
 """Counted for every lap in plans that left the tube at a stage: some facet, or the box around the
 section."""
-PLANES = ((0, 1), (0, 2), (1, 2))
-CLOUD_CELLS, COVERAGE_CELLS, HEAT_CELLS = 48, 24, (96, 96)
+CLOUD_CELLS = 48
+"""Cells along each axis of the clouds of deviations."""
+COVERAGE_CELLS = 24
+"""Cells along each axis of the coverage of starts."""
+HEAT_CELLS = (96, 96)
+"""Rows and columns of the trajectory map."""
 
 
 class Tally(NamedTuple):
@@ -78,14 +66,14 @@ def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
     """Return a tally of nothing."""
     steps = len(checks.transitions)
     laps = Laps(
-        jnp.zeros((len(EVENTS), batch), jnp.int32),
-        jnp.zeros(batch, jnp.int32),
-        jnp.zeros((horizon, len(STAGE_EVENTS), batch), jnp.int32),
+        events=jnp.zeros((len(EVENT_NAMES), batch), jnp.int32),
+        plans=jnp.zeros(batch, jnp.int32),
+        stage_events=jnp.zeros((horizon, len(STAGE_EVENTS), batch), jnp.int32),
         square=jnp.zeros((3, batch), dtype),
         peak=jnp.zeros((3, batch), dtype),
         usage=jnp.full((3, batch), -jnp.inf, dtype),
     )
-    shapes = {
+    counted = {
         "error_by_step": (steps, 3, histogram.BUCKETS),
         "disturbance": (3, histogram.BUCKETS),
         "map": HEAT_CELLS,
@@ -93,17 +81,49 @@ def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
         "plans": (),
         "next_plan_missing": (),
         "cost_excesses": (),
-        **{f"tube_outside/{name}": (horizon,) for name in checks.tubes},
     }
+    counted |= {f"tube_outside/{name}": (horizon,) for name in checks.tubes}
     facets = {"disturbance": checks.disturbance, "error": checks.error, "input": checks.input}
-    sizes = {f"excess/{name}": facet.offsets.shape for name, facet in facets.items()}
-    sizes |= {f"tube_excess/{name}": (horizon,) for name in checks.tubes}
-    sizes |= {"cost_excess": ()}
-    return Tally(
-        laps,
-        {name: jnp.zeros(shape, jnp.int32) for name, shape in shapes.items()},
-        {name: jnp.full(shape, -jnp.inf, dtype) for name, shape in sizes.items()},
-    )
+    extremes = {f"excess/{name}": facet.offsets.shape for name, facet in facets.items()}
+    extremes |= {f"tube_excess/{name}": (horizon,) for name in checks.tubes}
+    extremes |= {"cost_excess": ()}
+    sums = {name: jnp.zeros(shape, jnp.int32) for name, shape in counted.items()}
+    largest = {name: jnp.full(shape, -jnp.inf, dtype) for name, shape in extremes.items()}
+    return Tally(laps, sums, largest)
+
+
+class Judgements(NamedTuple):
+    """What one period of every lap came to against W, E and U."""
+
+    disturbance: Judgement
+    error: Judgement
+    input: Judgement
+
+
+def find_events(
+    checks: Checks, judged: Judgements, happened: Period, after: LoopState, settled
+) -> dict[str, Bool[Array, " batch"]]:
+    """Return which events of `jaxtube.statistics.events` one period of every lap had."""
+    diagnostics = happened.diagnostics
+    e = after.errors.T
+    u = happened.inputs.T
+    within_bound = jnp.all(jnp.abs(after.measured.T) <= checks.ultimate[:, None], axis=0)
+    found = {
+        "w_outside_W": judged.disturbance.outside,
+        "e_outside_E": judged.error.outside,
+        "u_outside_U": judged.input.outside,
+        "wheels_saturated": jnp.any(jnp.abs(happened.demanded - happened.wheels) > 0, axis=1),
+        "qp_infeasible": diagnostics.status == qp.INFEASIBLE,
+        "qp_unsolved": diagnostics.status == qp.UNSOLVED,
+        "row_active": diagnostics.active,
+        "backup": diagnostics.backup,
+        "outside_ultimate_bound": settled & ~within_bound,
+        "not_finite": ~jnp.isfinite(jnp.sum(e, axis=0) + jnp.sum(u, axis=0)),
+    }
+    for i, coordinate in enumerate(coordinates.NAMES):
+        found[f"w_outside_{coordinate}"] = judged.disturbance.outside_box[i]
+        found[f"e_outside_{coordinate}"] = judged.error.outside_box[i]
+    return found
 
 
 def observe(
@@ -116,116 +136,138 @@ def observe(
     tally: Tally,
 ) -> Tally:
     """Count one period; of laps that are not `counted` only their own numbers go on."""
-    e, u, diagnostics = after.errors.T, happened.inputs.T, happened.diagnostics
-    A, B = checks.transitions[step], checks.input_matrices[step]
-    w = after.measured.T - matmul(A, before.measured.T) - matmul(B, u)
-    outside_w, boxes_w, excess_w, usage_w = judge(checks.disturbance, w)
-    outside_e, boxes_e, excess_e, usage_e = judge(checks.error, e)
-    outside_u, _, excess_u, _ = judge(checks.input, u)
+    e = after.errors.T
+    A = checks.transitions[step]
+    B = checks.input_matrices[step]
+    w = after.measured.T - matmul(A, before.measured.T) - matmul(B, happened.inputs.T)
+    judged = Judgements(
+        judge(checks.disturbance, w),
+        judge(checks.error, e),
+        judge(checks.input, happened.inputs.T),
+    )
     settled = step + 1 >= checks.settled
-    flags = [
-        *(outside_w, *boxes_w, outside_e, *boxes_e, outside_u),
-        jnp.any(jnp.abs(happened.demanded - happened.wheels) > 0, axis=1),
-        *(diagnostics.status == kind for kind in (qp.INFEASIBLE, qp.UNSOLVED)),
-        *(diagnostics.active, diagnostics.backup),
-        settled & ~jnp.all(jnp.abs(after.measured.T) <= checks.ultimate[:, None], axis=0),
-        ~jnp.isfinite(jnp.sum(e, axis=0) + jnp.sum(u, axis=0)),
-    ]
+    events = find_events(checks, judged, happened, after, settled)
+    flags = jnp.stack([events[name] for name in EVENT_NAMES])
     laps = tally.laps
-    usage = jnp.stack([usage_e, usage_w, laps.usage[2]])
+    usage = jnp.stack([judged.error.usage, judged.disturbance.usage, laps.usage[2]])
     laps = laps._replace(
-        events=laps.events + jnp.stack(flags).astype(jnp.int32),
+        events=laps.events + flags.astype(jnp.int32),
         square=laps.square + jnp.where(settled, e * e, 0.0),
         peak=jnp.maximum(laps.peak, jnp.abs(e)),
         usage=jnp.maximum(laps.usage, usage),
     )
-    counts, axes = counted.astype(jnp.int32), jnp.arange(3)[:, None]
-    sums = tally.sums | {
-        "error_by_step": tally.sums["error_by_step"]
-        .at[step, axes, histogram.bucket(e)]
-        .add(counts),
-        "disturbance": tally.sums["disturbance"].at[axes, histogram.bucket(w)].add(counts),
-        "map": tally.sums["map"].at[map_cells(checks, step, after.errors)].add(counts, mode="drop"),
-    }
-    found = {"excess/disturbance": excess_w, "excess/error": excess_e, "excess/input": excess_u}
-    largest = tally.largest | {
-        name: jnp.maximum(tally.largest[name], _most(found[name], counted)) for name in found
-    }
+    sums = dict(tally.sums)
+    counts = counted.astype(jnp.int32)
+    axes = jnp.arange(3)[:, None]
+    cells = map_cells(checks, step, after.errors)
+    sums["error_by_step"] = sums["error_by_step"].at[step, axes, histogram.bucket(e)].add(counts)
+    sums["disturbance"] = sums["disturbance"].at[axes, histogram.bucket(w)].add(counts)
+    sums["map"] = sums["map"].at[cells].add(counts, mode="drop")
+    largest = dict(tally.largest)
+    for name, judgement in judged._asdict().items():
+        key = f"excess/{name}"
+        largest[key] = jnp.maximum(largest[key], _largest(judgement.excess, counted))
     return Tally(laps, sums, largest)
+
+
+class FollowedPlans(NamedTuple):
+    """Plans made at one step and followed to their end, and what was planned one step later."""
+
+    state: LoopState  # at the step
+    plan: mpc.Plan
+    deviations: Float[Array, "horizon batch 3"]
+    next_plan: mpc.Plan  # made where `plan` expects the error one step later
 
 
 def observe_plans(
     checks: Checks,
-    controller,
+    controller: TubeMpc,
     step: Int[Array, ""],
-    state: LoopState,
-    deviations: Float[Array, "horizon batch 3"],
-    found: mpc.Plan,
-    following: mpc.Plan,
+    followed: FollowedPlans,
     counted: Bool[Array, " batch"],
     tally: Tally,
 ) -> Tally:
     """Count plans that were followed to their end, and whether the next plan costs less by what the
-    stage cost.
+    stage cost, V+ <= V - e'Qe - g_0'Rg_0."""
+    counted = counted & (followed.plan.status == qp.SOLVED)
+    tally = _observe_tubes(checks, step, followed.deviations, counted, tally)
+    return _observe_costs(checks, controller, step, followed, counted, tally)
 
-    `following` are the plans made where `found` expected the error one step later: V+ <= V - e'Qe -
-    g_0'Rg_0.
-    """
-    counted = counted & (found.status == qp.SOLVED)
+
+def _observe_tubes(
+    checks: Checks, step, deviations: Float[Array, "horizon batch 3"], counted, tally: Tally
+) -> Tally:
+    """Count deviations from plans outside each tube, and draw them for the tube in use."""
     counts = counted.astype(jnp.int32)
     points = jnp.moveaxis(deviations, 2, 1)
-    sums, largest, laps = dict(tally.sums), dict(tally.largest), tally.laps
+    laps = tally.laps
+    sums = dict(tally.sums)
+    largest = dict(tally.largest)
     for name, sections in checks.tubes.items():
-        facets = jax.tree.map(
-            lambda array, index=sections.index[step]: array[index], sections.facets
-        )
-        outside, boxes, excess, usage = jax.vmap(judge)(facets, points)
-        sums[f"tube_outside/{name}"] += jnp.sum(outside & counted, axis=1, dtype=jnp.int32)
+        facets = sections.at(step)
+        judged = jax.vmap(judge)(facets, points)
+        left = jnp.sum(judged.outside & counted, axis=1, dtype=jnp.int32)
+        sums[f"tube_outside/{name}"] += left
         key = f"tube_excess/{name}"
-        largest[key] = jnp.maximum(largest[key], _most(jnp.max(excess, axis=1), counted))
+        excess = _largest(jnp.max(judged.excess, axis=1), counted)
+        largest[key] = jnp.maximum(largest[key], excess)
         if name == checks.tube:
-            stage_events = (jnp.concatenate([outside[:, None], boxes], axis=1) & counted).astype(
-                jnp.int32
-            )
-            most = jnp.where(counted, jnp.max(usage, axis=0), -jnp.inf)
+            flags = jnp.concatenate([judged.outside[:, None], judged.outside_box], axis=1)
+            usage = jnp.where(counted, jnp.max(judged.usage, axis=0), -jnp.inf)
             laps = laps._replace(
                 plans=laps.plans + counts,
-                stage_events=laps.stage_events + stage_events,
-                usage=laps.usage.at[2].max(most, mode="drop"),
+                stage_events=laps.stage_events + (flags & counted).astype(jnp.int32),
+                usage=laps.usage.at[2].max(usage, mode="drop"),
             )
-            sums["cloud"] = sums["cloud"].at[cloud_cells(facets, points)].add(counts, mode="drop")
+            cells = cloud_cells(facets, points)
+            sums["cloud"] = sums["cloud"].at[cells].add(counts, mode="drop")
     sums["plans"] += jnp.sum(counts, dtype=jnp.int32)
-    index, later = controller.index[step], controller.index[step + 1]
-    expected = expected_error(controller, step, state.measured, found)
-    stage = _form(checks.error_weight, state.measured) + _form(
-        checks.input_weight, found.inputs[:, 0]
-    )
-    cost = plan_cost(checks, controller, index, state.measured, found)
-    excess = plan_cost(checks, controller, later, expected, following) - cost + stage
-    both = counted & (following.status == qp.SOLVED)
-    too_much = ~(excess <= COST_ROUNDING * jnp.maximum(cost, 1.0))
-    sums["next_plan_missing"] += jnp.sum(counted & ~both, dtype=jnp.int32)
-    sums["cost_excesses"] += jnp.sum(both & too_much, dtype=jnp.int32)
-    largest["cost_excess"] = jnp.maximum(largest["cost_excess"], _most(excess, both))
     return Tally(laps, sums, largest)
 
 
-def _most(values: Float[Array, "... batch"], counted: Bool[Array, " batch"]) -> Float[Array, "..."]:
+def _observe_costs(
+    checks: Checks, controller: TubeMpc, step, followed: FollowedPlans, counted, tally: Tally
+) -> Tally:
+    """Count plans whose successor costs too much, or is missing."""
+    plan = followed.plan
+    measured = followed.state.measured
+    now = controller.index[step]
+    later = controller.index[step + 1]
+    expected = expected_error(controller, step, measured, plan)
+    stage = _form(checks.error_weight, measured) + _form(checks.input_weight, plan.inputs[:, 0])
+    cost = plan_cost(checks, controller, now, measured, plan)
+    next_cost = plan_cost(checks, controller, later, expected, followed.next_plan)
+    excess = next_cost - cost + stage
+    both = counted & (followed.next_plan.status == qp.SOLVED)
+    too_much = ~(excess <= COST_ROUNDING * jnp.maximum(cost, 1.0))
+    sums = dict(tally.sums)
+    sums["next_plan_missing"] += jnp.sum(counted & ~both, dtype=jnp.int32)
+    sums["cost_excesses"] += jnp.sum(both & too_much, dtype=jnp.int32)
+    largest = dict(tally.largest)
+    largest["cost_excess"] = jnp.maximum(largest["cost_excess"], _largest(excess, both))
+    return Tally(tally.laps, sums, largest)
+
+
+def _largest(
+    values: Float[Array, "... batch"], counted: Bool[Array, " batch"]
+) -> Float[Array, "..."]:
     return jnp.max(values, axis=-1, where=counted & ~jnp.isnan(values), initial=-jnp.inf)
 
 
 def expected_error(
-    controller, step, errors: Float[Array, "batch 3"], found: mpc.Plan
+    controller: TubeMpc, step, errors: Float[Array, "batch 3"], plan: mpc.Plan
 ) -> Float[Array, "batch 3"]:
     """Return A e + B g_0, where a plan expects the error one step later."""
-    window = mpc.take_window(controller.windows, controller.index[step])
-    return matmul(errors, window.transition.T) + matmul(found.inputs[:, 0], window.input_matrix.T)
+    window = controller.window(step)
+    return matmul(errors, window.transition.T) + matmul(plan.inputs[:, 0], window.input_matrix.T)
 
 
-def plan_cost(checks: Checks, controller, index, errors: Float[Array, "batch 3"], found: mpc.Plan):
+def plan_cost(
+    checks: Checks, controller: TubeMpc, index, errors: Float[Array, "batch 3"], plan: mpc.Plan
+) -> Float[Array, " batch"]:
     """Return the cost of plans, sum of e'Qe + g'Rg and e'Pe at the end."""
     window = mpc.take_window(controller.windows, index)
-    inputs = found.inputs.reshape(len(errors), -1)
+    inputs = plan.inputs.reshape(len(errors), -1)
     linear = jnp.sum(matmul(errors, window.linear.T) * inputs, axis=1)
     of_inputs = linear + _form(window.factors.hessian, inputs) / 2
     return _form(checks.cost_errors[index], errors) + window.cost_unit * of_inputs
@@ -235,7 +277,9 @@ def _form(matrix: Float[Array, "n n"], vectors: Float[Array, "batch n"]) -> Floa
     return jnp.sum(matmul(vectors, matrix) * vectors, axis=1)
 
 
-def map_cells(checks: Checks, step, errors: Float[Array, "batch 3"]):
+def map_cells(
+    checks: Checks, step, errors: Float[Array, "batch 3"]
+) -> tuple[Int[Array, " batch"], Int[Array, " batch"]]:
     """Return (row, column) of the robots' positions on the trajectory map; out of range where they
     are off it."""
     position = world_pose(errors, checks.poses[step + 1])[:, :2]
@@ -243,20 +287,26 @@ def map_cells(checks: Checks, step, errors: Float[Array, "batch 3"]):
     return row, column
 
 
-def cloud_cells(facets: Facets, points: Float[Array, "horizon 3 batch"]):
-    """Return the cells of deviations in the three planes, which reach twice as far as the section's
-    box."""
+def cloud_cells(facets: Facets, points: Float[Array, "horizon 3 batch"]) -> tuple[Array, ...]:
+    """Return the cells (stage, plane, row, column) of deviations in the three planes, which reach
+    twice as far as the section's box."""
     width = 2 * jnp.maximum(facets.upper, -facets.lower)[:, :, None]
     cells = _cells((points / jnp.where(width > 0, width, 1.0) + 1) / 2 * CLOUD_CELLS)
-    first, second = (jnp.stack([cells[:, plane[i]] for plane in PLANES], axis=1) for i in range(2))
-    stage, plane = jnp.arange(len(points))[:, None, None], jnp.arange(len(PLANES))[None, :, None]
-    return stage, plane, second, first
+    column = jnp.stack([cells[:, abscissa] for abscissa, _ in PLANES], axis=1)
+    row = jnp.stack([cells[:, ordinate] for _, ordinate in PLANES], axis=1)
+    stage = jnp.arange(len(points))[:, None, None]
+    plane = jnp.arange(len(PLANES))[None, :, None]
+    return stage, plane, row, column
+
+
+OFF_GRID = 1_000_000
+"""A cell outside every grid."""
 
 
 def _cells(places: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
-    """Return whole numbers, a huge one (off every grid) for what is negative or no number."""
-    valid = (places >= 0) & (places < 1e6)
-    return jnp.where(valid, jnp.where(valid, places, 0.0).astype(jnp.int32), 1_000_000)
+    """Return whole numbers, OFF_GRID for what is negative or NaN."""
+    valid = (places >= 0) & (places < OFF_GRID)
+    return jnp.where(valid, jnp.where(valid, places, 0.0).astype(jnp.int32), OFF_GRID)
 
 
 def close(
@@ -267,40 +317,44 @@ def close(
     tally: Tally,
 ) -> tuple[dict[str, Array], dict[str, Array]]:
     """Return (sums, largest) of a tile whose laps have ended."""
-    laps, counts, steps = tally.laps, counted.astype(jnp.int32), len(checks.transitions)
+    laps = tally.laps
+    counts = counted.astype(jnp.int32)
+    steps = len(checks.transitions)
     rms = jnp.sqrt(laps.square / max(steps + 1 - checks.settled, 1))
-    axes = jnp.arange(3)[:, None]
-
-    def lap_histogram(values):
-        return (
-            jnp.zeros((3, histogram.BUCKETS), jnp.int32)
-            .at[axes, histogram.bucket(values)]
-            .add(counts)
-        )
-
-    left = laps.events[EVENTS.index("e_outside_E")] > 0
-    stages = (
-        jnp.arange(len(laps.stage_events))[:, None, None],
-        jnp.arange(len(STAGE_EVENTS))[None, :, None],
-    )
-    return tally.sums | {
+    left = laps.events[find_row("e_outside_E")] > 0
+    events = jnp.arange(len(EVENT_NAMES))[:, None]
+    stages = jnp.arange(len(laps.stage_events))[:, None, None]
+    stage_events = jnp.arange(len(STAGE_EVENTS))[None, :, None]
+    by_event = jnp.zeros((len(EVENT_NAMES), steps + 1), jnp.int32)
+    by_plans = jnp.zeros(plans_each + 1, jnp.int32)
+    by_stage = jnp.zeros((*laps.stage_events.shape[:2], plans_each + 1), jnp.int32)
+    of_laps = {
         "laps": jnp.sum(counts, dtype=jnp.int32),
-        "events": jnp.zeros((len(EVENTS), steps + 1), jnp.int32)
-        .at[jnp.arange(len(EVENTS))[:, None], laps.events]
-        .add(counts),
-        "plans_by_lap": jnp.zeros(plans_each + 1, jnp.int32).at[laps.plans].add(counts),
-        "stage_events": jnp.zeros((*laps.stage_events.shape[:2], plans_each + 1), jnp.int32)
-        .at[(*stages, laps.stage_events)]
-        .add(counts),
-        "peak": lap_histogram(laps.peak),
-        "rms": lap_histogram(rms),
+        "events": by_event.at[events, laps.events].add(counts),
+        "plans_by_lap": by_plans.at[laps.plans].add(counts),
+        "stage_events": by_stage.at[stages, stage_events, laps.stage_events].add(counts),
+        "peak": _lap_histogram(laps.peak, counts),
+        "rms": _lap_histogram(rms, counts),
         "starts": _coverage(checks, starts, counts),
         "starts_that_left": _coverage(checks, starts, counts * left.astype(jnp.int32)),
-    }, tally.largest | {"ultimate_bound": checks.ultimate}
+    }
+    return tally.sums | of_laps, tally.largest | {"ultimate_bound": checks.ultimate}
 
 
-def _coverage(checks: Checks, starts: Float[Array, "batch 3"], counts: Int[Array, " batch"]):
+def _lap_histogram(
+    values: Float[Array, "3 batch"], counts: Int[Array, " batch"]
+) -> Int[Array, "3 buckets"]:
+    empty_buckets = jnp.zeros((3, histogram.BUCKETS), jnp.int32)
+    return empty_buckets.at[jnp.arange(3)[:, None], histogram.bucket(values)].add(counts)
+
+
+def _coverage(
+    checks: Checks, starts: Float[Array, "batch 3"], counts: Int[Array, " batch"]
+) -> Int[Array, "planes rows columns"]:
+    """Return how many starts lie in each cell of the box around E, plane by plane."""
     cells = _cells((starts / checks.error.upper + 1) / 2 * COVERAGE_CELLS)
-    first, second = (jnp.stack([cells[:, plane[i]] for plane in PLANES]) for i in range(2))
+    column = jnp.stack([cells[:, abscissa] for abscissa, _ in PLANES])
+    row = jnp.stack([cells[:, ordinate] for _, ordinate in PLANES])
+    plane = jnp.arange(len(PLANES))[:, None]
     grid = jnp.zeros((len(PLANES), COVERAGE_CELLS, COVERAGE_CELLS), jnp.int32)
-    return grid.at[jnp.arange(len(PLANES))[:, None], second, first].add(counts, mode="drop")
+    return grid.at[plane, row, column].add(counts, mode="drop")

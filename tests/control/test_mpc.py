@@ -187,7 +187,7 @@ def test_the_guarantee_holds_with_the_terminal_gain_in_the_tube_along_the_refere
     check_guarantee(
         design,
         *(
-            closed_loop.simulate(loops[name], plant, starts, 7)
+            closed_loop.run_realisations(loops[name], plant, starts, 7)
             for name in ("tube_mpc", "plain_mpc")
         ),
     )
@@ -200,7 +200,10 @@ def test_the_guarantee_holds_in_thousands_of_runs(robust_design, uncertified, ed
         starts = edge_starts(design, 2000, edge_share=0.8)
         check_guarantee(
             design,
-            *(closed_loop.simulate(loops[n], plant, starts, 8) for n in ("tube_mpc", "plain_mpc")),
+            *(
+                closed_loop.run_realisations(loops[n], plant, starts, 8)
+                for n in ("tube_mpc", "plain_mpc")
+            ),
         )
 
 
@@ -216,7 +219,7 @@ def disturbed(robust_design, edge_starts):
     starts = edge_starts(robust_design, BATCH)
     starts[: BATCH // 4] *= 1.5
     starts[0] = np.nan
-    return closed_loop.simulate(loops["tube_mpc"], plant, starts, 9)
+    return closed_loop.run_realisations(loops["tube_mpc"], plant, starts, 9)
 
 
 def test_without_a_plan_the_status_says_so_and_inputs_stay_finite(disturbed):
@@ -270,7 +273,7 @@ def test_without_restart_the_nominal_trajectory_knows_nothing_of_disturbances(pa
         closed_loop.controllers(paper_design)["tube_mpc"], restart=False
     )
     starts = np.tile(paper_design.problem.initial_error, (BATCH, 1))
-    trajectory = closed_loop.simulate(
+    trajectory = closed_loop.run_realisations(
         controller, closed_loop.slipping_robot(paper_design), starts, 10
     )
     problem, plain, nominal = paper_design.problem, PlainMpc(paper_design), starts[0]

@@ -117,7 +117,7 @@ def test_laps_of_the_ideal_robot_are_those_known_and_imperfection_uses_more(
     monkeypatch.setattr(beyond, "PROCESSES", ("iid",))
     laps = Laps(paper_design, 16, 0)
     starts = np.tile(paper_design.problem.initial_error, (16, 1))
-    known = closed_loop.simulate(
+    known = closed_loop.run_realisations(
         laps.controller, closed_loop.slipping_robot(paper_design, "iid"), starts, 0
     )
     found, expected = laps.usage(Imperfections()), lap_usage(paper_design, known)

@@ -104,13 +104,13 @@ def test_a_lost_worker_costs_nothing(local):
     with Cluster("local:2", local) as cluster:
         assert cluster.at_once == 2
         workers = sorted(cluster._client.run(os.getpid).values())
-        for block, statistics in cluster.computed(blocks):
+        for block, statistics in cluster.compute(blocks):
             if len(found) == 3:
                 os.kill(workers[0], signal.SIGKILL)
             found.append((block, statistics))
         assert sorted(cluster._client.run(os.getpid).values()) != workers
     assert sorted(block for block, _ in found) == list(blocks)
-    assert as_bytes(found) == as_bytes(local.computed(blocks))
+    assert as_bytes(found) == as_bytes(local.compute(blocks))
 
 
 @pytest.mark.slow
@@ -121,4 +121,4 @@ def test_workers_with_other_code_are_refused(local, monkeypatch):
         match="has another version of jaxtube or jax, or other devices; install the same",
     )
     with Cluster("local:1", local) as cluster, refused:
-        next(cluster.computed([0]))
+        next(cluster.compute([0]))

@@ -278,8 +278,8 @@ def test_the_noise_free_laps_are_the_ones_with_exact_slip(paper_run, paper_desig
             closed_loop.controllers(paper_design)["tube_mpc"],
             paper_design.problem.initial_error[None],
         )
-        lap = closed_loop.simulate(loop, closed_loop.exact_robot(paper_design), start, 0).errors[
-            :, 0
-        ]
+        lap = closed_loop.run_realisations(
+            loop, closed_loop.exact_robot(paper_design), start, 0
+        ).errors[:, 0]
         np.testing.assert_allclose(laps["tube_mpc"], lap, atol=WORLD_FRAME)
         assert np.abs(laps["tube_mpc"][-1]).max() < 0.01 < np.abs(laps["uncompensated"]).max()

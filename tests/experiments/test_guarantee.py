@@ -385,7 +385,7 @@ def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
         1,
         tuple(jax.local_devices()[:1]),
     )
-    statistics = montecarlo.merge(*(each for _, each in run.computed([0, 1])))
+    statistics = montecarlo.merge(*(each for _, each in run.compute([0, 1])))
     expected = montecarlo_report.summary(alone, Montecarlo(starts=attacking.starts), statistics)
     assert laws[attacking.name]["law"] == expected["law"]
     for event, each in expected["events"].items():

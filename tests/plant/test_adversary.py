@@ -178,7 +178,7 @@ def test_laps_under_the_adversary_use_more_of_the_error_set_than_drawn_extremes(
     loop, starts = closed_loop.controllers(paper_design)["compensated"], np.zeros((64, 3))
     reach = {}
     for process in ("iid", "vertex", "adversarial"):
-        trajectory = closed_loop.simulate(
+        trajectory = closed_loop.run_realisations(
             loop, closed_loop.slipping_robot(paper_design, process), starts, 0
         )
         reach[process] = np.abs(trajectory.errors).max(axis=(0, 1))

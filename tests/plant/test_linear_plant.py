@@ -135,7 +135,7 @@ def test_plan_deviations_of_the_tube_along_the_reference_are_judged_where_its_se
 ):
     design = uncertified("paper", *SEQUENCE)
     loop, plant = closed_loop.controllers(design)["tube_mpc"], closed_loop.linear_plant(design)
-    trajectory = closed_loop.simulate(loop, plant, edge_starts(design, BATCH), 12)
+    trajectory = closed_loop.run_realisations(loop, plant, edge_starts(design, BATCH), 12)
     found = closed_loop.plan_deviations(design, loop, plant, trajectory, seed=12)
     assert found.shape[1] >= 10 * BATCH
     assert metrics.tube_margins(design, found).min() >= INSIDE_TUBE

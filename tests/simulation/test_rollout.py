@@ -32,7 +32,7 @@ def paper_plant(paper_design):
 def tracked(paper_design, paper_loops, paper_plant):
     """256 laps of the linear law with slip compensation: the controller that compiles fastest."""
     starts = np.tile(paper_design.problem.initial_error, (BATCH, 1))
-    return closed_loop.simulate(paper_loops["compensated"], paper_plant, starts, 0)
+    return closed_loop.run_realisations(paper_loops["compensated"], paper_plant, starts, 0)
 
 
 # --------------------------------------------------------------------------------- world-frame laps
@@ -112,7 +112,7 @@ def test_noise_free_laps_are_those_of_a_world_frame_simulation(paper_design, pap
     controllers = plain_controllers(paper_design)
     expected = world_frame_lap(controllers.values())
     for number, name in enumerate(controllers):
-        errors = closed_loop.simulate(paper_loops[name], plant, start, 0).errors[:, 0]
+        errors = closed_loop.run_realisations(paper_loops[name], plant, start, 0).errors[:, 0]
         np.testing.assert_allclose(errors, expected[:, :, number], atol=WORLD_FRAME, err_msg=name)
 
 
@@ -129,7 +129,9 @@ def test_a_cosine_free_lap_with_the_exact_model_is_that_of_a_world_frame_simulat
     plain = plain_controllers(design)["tube_mpc"]
     expected = world_frame_lap([plain], cosine_free=True)[:, :, 0]
     loop, start = closed_loop.controllers(design)["tube_mpc"], design.problem.initial_error[None]
-    errors = closed_loop.simulate(loop, closed_loop.exact_robot(design), start, 0).errors[:, 0]
+    errors = closed_loop.run_realisations(loop, closed_loop.exact_robot(design), start, 0).errors[
+        :, 0
+    ]
     np.testing.assert_allclose(errors, expected, atol=WORLD_FRAME)
 
 
@@ -191,7 +193,7 @@ def test_longer_runs_begin_with_the_shorter_ones_and_go_on_by_index(
     paper_loops, paper_plant, tracked
 ):
     starts = np.tile(tracked.errors[0, 0], (BATCH + 5, 1))
-    longer = closed_loop.simulate(paper_loops["compensated"], paper_plant, starts, 0)
+    longer = closed_loop.run_realisations(paper_loops["compensated"], paper_plant, starts, 0)
     np.testing.assert_array_equal(longer.errors[:, :BATCH], tracked.errors)
     direct = rollout(
         paper_loops["compensated"],
@@ -206,8 +208,8 @@ def test_longer_runs_begin_with_the_shorter_ones_and_go_on_by_index(
 
 def test_seeds_reproduce_and_differ(paper_loops, paper_plant, tracked):
     starts = tracked.errors[0]
-    again = closed_loop.simulate(paper_loops["compensated"], paper_plant, starts, 0)
-    other = closed_loop.simulate(paper_loops["compensated"], paper_plant, starts, 1)
+    again = closed_loop.run_realisations(paper_loops["compensated"], paper_plant, starts, 0)
+    other = closed_loop.run_realisations(paper_loops["compensated"], paper_plant, starts, 1)
     np.testing.assert_array_equal(again.errors, tracked.errors)
     assert np.all(np.any(other.errors[1:] != tracked.errors[1:], axis=(0, 2)))
 
@@ -224,7 +226,7 @@ def test_keys_follow_the_index_beyond_32_bits():
 
 def test_progress_counts_every_run(paper_loops, paper_plant, tracked):
     counts = []
-    closed_loop.simulate(
+    closed_loop.run_realisations(
         paper_loops["compensated"],
         paper_plant,
         np.tile(tracked.errors[0, 0], (BATCH + 5, 1)),
@@ -265,7 +267,9 @@ def test_wheels_are_commanded_with_the_measured_slip(
 ):
     """Eqs. (7)-(8) solved for the slip that the controller divides by."""
     plant = dataclasses.replace(paper_plant, random=random)
-    trajectory = closed_loop.simulate(paper_loops["compensated"], plant, tracked.errors[0], 0)
+    trajectory = closed_loop.run_realisations(
+        paper_loops["compensated"], plant, tracked.errors[0], 0
+    )
     deficits = trajectory.inputs @ np.array([[1, 1], [TRACK_WIDTH / 2, -TRACK_WIDTH / 2]])
     slips = 1 - (paper_design.problem.schedule[:STEPS, None] - deficits) / trajectory.demanded
     assert slips.min() >= least - ROUNDING and slips.max() <= most + ROUNDING
@@ -275,7 +279,7 @@ def test_wheels_are_commanded_with_the_measured_slip(
 def test_without_compensation_wheels_ignore_the_slip(
     paper_design, paper_loops, paper_plant, tracked
 ):
-    trajectory = closed_loop.simulate(
+    trajectory = closed_loop.run_realisations(
         paper_loops["uncompensated"], paper_plant, tracked.errors[0], 0
     )
     deficits = trajectory.inputs @ np.array([[1, 1], [TRACK_WIDTH / 2, -TRACK_WIDTH / 2]])
@@ -288,7 +292,9 @@ def test_wheels_saturate_and_the_robot_moves_as_they_do(
 ):
     slow = dataclasses.replace(paper_plant.robot, wheel_speed_max=1.7, wheel_speed_min=1.5)
     plant = dataclasses.replace(paper_plant, robot=slow, relative_error=0.0)
-    trajectory = closed_loop.simulate(paper_loops["compensated"], plant, tracked.errors[0], 0)
+    trajectory = closed_loop.run_realisations(
+        paper_loops["compensated"], plant, tracked.errors[0], 0
+    )
     np.testing.assert_array_equal(trajectory.wheels, np.clip(trajectory.demanded, 1.5, 1.7))
     assert np.mean(trajectory.demanded > 1.7) > 0.1
     moved = ground_speeds(trajectory, paper_design.problem.schedule)
@@ -299,7 +305,9 @@ def test_wheels_saturate_and_the_robot_moves_as_they_do(
 def test_controllers_see_the_error_with_noise_within_its_bounds(paper_loops, paper_plant, tracked):
     bounds = np.array([0.01, 0.02, 0.03])
     noisy = dataclasses.replace(paper_plant, noise=jnp.asarray(bounds))
-    trajectory = closed_loop.simulate(paper_loops["local_gain"], noisy, tracked.errors[0], 0)
+    trajectory = closed_loop.run_realisations(
+        paper_loops["local_gain"], noisy, tracked.errors[0], 0
+    )
     noise = (trajectory.measured - trajectory.errors) / bounds
     assert np.abs(noise).max() <= 1 and np.all(np.abs(noise).max(axis=(0, 1)) > 0.99)
     assert np.all(np.abs(noise.mean(axis=(0, 1))) < 0.01) and np.all(

@@ -154,7 +154,7 @@ def poisoned(constrained):
 @pytest.fixture(scope="module")
 def blocks(poisoned):
     """The statistics of a whole block and of a partial one."""
-    return dict(poisoned.run(BLOCK + PARTIAL).computed([0, 1]))
+    return dict(poisoned.run(BLOCK + PARTIAL).compute([0, 1]))
 
 
 @pytest.fixture(scope="module")
@@ -286,7 +286,7 @@ def test_while_w_stays_in_W_no_tube_and_no_E_is_left(uncertified):
     design = uncertified("robust", SHORT)
     task = validation.make_task(design, "tube_mpc", "linear", "feasible", SEED)
     run = Run(task, 4 * BLOCK, 1, (jax.devices()[0],))
-    found = [statistics for _, statistics in run.computed(range(4))]
+    found = [statistics for _, statistics in run.compute(range(4))]
     joined = merge(merge(found[0], found[1]), merge(found[2], found[3]))
     assert joined["laps"] == 4 * BLOCK and joined["plans"] == 3 * joined["laps"]
     for name in (
@@ -325,12 +325,12 @@ def static(uncertified):
 
 @pytest.fixture(scope="module")
 def first_blocks(static):
-    return [as_bytes(found) for _, found in static.run(3 * BLOCK + 5).computed(range(4))]
+    return [as_bytes(found) for _, found in static.run(3 * BLOCK + 5).compute(range(4))]
 
 
 @pytest.mark.parametrize("first", [0, 2**31 - BLOCK, 2**31, 2**32 - BLOCK, 2**32, 2**40 + 2**32])
 def test_a_block_counts_the_laps_of_its_own_numbers(static, first_blocks, first):
-    found = dict(static.run(2**53).computed([first // BLOCK]))[first // BLOCK]
+    found = dict(static.run(2**53).compute([first // BLOCK]))[first // BLOCK]
     check_same(found, recount(static, record(static.task, first), first))
     assert (as_bytes(found) == first_blocks[0]) == (first == 0)
     assert found["plans"] == 0 and found["worst_lap/tube"].size == 0
@@ -346,10 +346,10 @@ def test_keys_are_distinct_around_the_ends_of_a_word():
 
 def test_a_partial_block_counts_only_its_laps_and_no_others_change(static, first_blocks):
     for realisations in (1, 5, TILE, BLOCK - 1):
-        [(_, found)] = static.run(realisations).computed([0])
+        [(_, found)] = static.run(realisations).compute([0])
         check_same(found, recount(static, record(static.task, 0, realisations), 0))
         assert len(found["worst_lap/error"]) == min(WORST, realisations)
-    longer = [as_bytes(found) for _, found in static.run(5 * BLOCK).computed(range(4))]
+    longer = [as_bytes(found) for _, found in static.run(5 * BLOCK).compute(range(4))]
     assert longer[:3] == first_blocks[:3] and longer[3] != first_blocks[3]
 
 
@@ -361,16 +361,16 @@ def test_without_validation_nothing_is_counted(static):
 
 
 def test_blocks_come_in_the_order_asked_for(static, first_blocks):
-    found = list(static.run(3 * BLOCK + 5).computed(iter([3, 0, 2])))
+    found = list(static.run(3 * BLOCK + 5).compute(iter([3, 0, 2])))
     assert [(number, as_bytes(value)) for number, value in found] == [
         (i, first_blocks[i]) for i in (3, 0, 2)
     ]
-    assert list(static.run(5).computed([])) == []
+    assert list(static.run(5).compute([])) == []
 
 
 @pytest.mark.slow
 def test_two_blocks_at_once_give_the_same_bytes(static, first_blocks):
-    found = dict(static.run(3 * BLOCK + 5, chunk=2).computed([0, 1, 3]))
+    found = dict(static.run(3 * BLOCK + 5, chunk=2).compute([0, 1, 3]))
     assert {number: as_bytes(value) for number, value in found.items()} == {
         i: first_blocks[i] for i in (0, 1, 3)
     }
@@ -456,4 +456,4 @@ if __name__ == "__main__":
     case = make_case(designed, "equal_gain", 1.0, 2.1)
     for count, chunk in ((1, 1), (1, 4), (4, 1), (3, 2)):
         run = Run(case.task, 3 * BLOCK + 5, chunk, tuple(jax.devices()[:count]))
-        print(digest([as_bytes(found) for _, found in run.computed(range(4))]))
+        print(digest([as_bytes(found) for _, found in run.compute(range(4))]))

@@ -153,7 +153,7 @@ class Laps:
 
     def _simulate(self, controller, plant) -> Trajectory:
         if len(self.starts) >= closed_loop.BLOCK:
-            return closed_loop.simulate(controller, plant, self.starts, self.seed)
+            return closed_loop.run_realisations(controller, plant, self.starts, self.seed)
         # Without the padding of a block: a quick look stays quick.
         keys = realisation_keys(self.seed, 0, len(self.starts))
         return jax.tree.map(np.asarray, rollout(controller, plant, keys, jnp.asarray(self.starts)))

@@ -143,7 +143,7 @@ def attack(law: BandedLaw, process: str, seed: int, advanced: Callable[[], objec
         keys = realisation_keys(seed, index * closed_loop.BLOCK, closed_loop.BLOCK)
         gains = jnp.asarray(law.gains(reference.wheels))
         controller = ScheduledGain(gains, closed_loop.make_wheel_map(law.problem))
-        trajectory = closed_loop.simulate(
+        trajectory = closed_loop.run_realisations(
             controller,
             _make_robot(law, reference, process),
             np.asarray(starts.draw(keys)),

@@ -8,11 +8,8 @@ hull of the projected vertices, and one of them as a solid. Ellipsoids {e : e^T 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 

@@ -101,9 +101,7 @@ def _judge(problem: Problem, errors: Float[np.ndarray, "steps+1 batch 3"]) -> Ru
     return Runs(usage, ~np.all(usage <= 1, axis=0))
 
 
-def _draw_tail(
-    axes: Axes, dt: float, usage: Float[np.ndarray, "times batch"], line: Line
-) -> None:
+def _draw_tail(axes: Axes, dt: float, usage: Float[np.ndarray, "times batch"], line: Line) -> None:
     """Draw the median, the 95 % quantile and the greatest usage, the band between the last two
     filled."""
     time = np.arange(len(usage)) * dt

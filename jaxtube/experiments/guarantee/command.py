@@ -200,7 +200,7 @@ def compute(attacks: list[Attack], missing: list[Iterator[int]]) -> dict:
     ) as bar:
         for each, wanted in zip(attacks, missing, strict=True):
             bar.set_postfix_str(f"{each.name}, {each.law.name}", refresh=False)
-            for block, statistics in each.run.computed(wanted):
+            for block, statistics in each.run.compute(wanted):
                 each.records.add(block, int(statistics["laps"]), statistics)
                 bar.update(BLOCK)
     laps = sum(each.records.laps for each in attacks) - before

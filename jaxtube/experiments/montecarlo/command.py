@@ -94,7 +94,7 @@ def compute(design: Design, options: Montecarlo, records: Records, missing: Iter
         source = stack.enter_context(connect(options.cluster, local)) if options.cluster else local
         bar = stack.enter_context(progress(local.realisations, "simulating", "laps", before))
         start, at_once = time.perf_counter(), source.at_once
-        for block, statistics in source.computed(itertools.chain([first], missing)):
+        for block, statistics in source.compute(itertools.chain([first], missing)):
             recorded = records.laps
             records.add(block, int(statistics["laps"]), statistics)
             violations += violating_laps(statistics)

@@ -30,10 +30,10 @@ from jaxtube.experiments.montecarlo import heat_figures, lap_figure, map_figure,
 from jaxtube.experiments.options import Montecarlo
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
-from jaxtube.simulation.laps import lap
 from jaxtube.simulation.starts import UniformStart
 from jaxtube.statistics import histogram
 from jaxtube.statistics import task as validation
+from jaxtube.statistics.lap import lap
 from jaxtube.statistics.run import Statistics
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.problem import Problem
@@ -108,9 +108,7 @@ def quantiles_by_step(
     counts = statistics["error_by_step"][:, coordinate]
     # The first bucket is open below, the last one above.
     return {
-        share: np.clip(
-            histogram.quantile(counts, share), histogram.EDGES[0], histogram.EDGES[-1]
-        )
+        share: np.clip(histogram.quantile(counts, share), histogram.EDGES[0], histogram.EDGES[-1])
         for share in SHADES
     }
 

@@ -24,7 +24,7 @@ from jaxtube.experiments.figures.style import (
     styled,
 )
 from jaxtube.plant.error_dynamics import world_pose
-from jaxtube.simulation.laps import Lap, Usage
+from jaxtube.statistics.lap import Lap, Usage
 from jaxtube.synthesis.problem import Problem
 
 SIDES = (Line("right wheel", "#009E73"), Line("left wheel", "#CC79A7"))

@@ -15,8 +15,8 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.metrics import TO_DISPLAY
 from jaxtube.experiments.run.record_file import differences
 from jaxtube.scenario.refusal import refusal
-from jaxtube.simulation.laps import Lap, lap
 from jaxtube.statistics import task as validation
+from jaxtube.statistics.lap import Lap, lap
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.problem import Problem
 

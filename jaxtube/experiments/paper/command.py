@@ -44,12 +44,12 @@ def run(scenario: Scenario, options: Paper) -> int:
         starts = np.tile(found.problem.initial_error, (options.realisations, 1))
         plant = closed_loop.slipping_robot(found)
         laps = {
-            name: closed_loop.simulate(loop, plant, starts, options.seed, bar.update)
+            name: closed_loop.run_realisations(loop, plant, starts, options.seed, bar.update)
             for name, loop in loops.items()
         }
         tube_mpc = closed_loop.make_tube_mpc(found)
         other = dataclasses.replace(tube_mpc, restart=not tube_mpc.restart)
-        other_restart = closed_loop.simulate(other, plant, starts, options.seed, bar.update)
+        other_restart = closed_loop.run_realisations(other, plant, starts, options.seed, bar.update)
         stressed = stress.run(robust, stress_runs, options.seed, bar.update)
     deviations = closed_loop.plan_deviations(found, tube_mpc, plant, laps["tube_mpc"], options.seed)
     _save_noise_free(found, loops, folder)
@@ -97,7 +97,8 @@ def _save_noise_free(found: Design, loops: dict, folder: RunFolder) -> None:
     plant = closed_loop.exact_robot(found)
     start = found.problem.initial_error[None]
     laps = {
-        name: closed_loop.simulate(loops[name], plant, start, 0).errors[:, 0] for name in NOISE_FREE
+        name: closed_loop.run_realisations(loops[name], plant, start, 0).errors[:, 0]
+        for name in NOISE_FREE
     }
     folder.save_arrays("noise_free", **laps)
 

@@ -49,7 +49,7 @@ def run(design: Design, count: int, seed: int, advanced=None) -> Stress:
     loops = closed_loop.controllers(design)
     runs = {
         case: {
-            name: closed_loop.simulate(loops[name], plant, starts, seed, advanced)
+            name: closed_loop.run_realisations(loops[name], plant, starts, seed, advanced)
             for name in ("tube_mpc", "plain_mpc")
         }
         for case, plant in plants.items()

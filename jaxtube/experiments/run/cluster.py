@@ -103,7 +103,7 @@ class Cluster:
         if self._local:
             self._local.close()
 
-    def computed(self, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
+    def compute(self, blocks: Iterable[int]) -> Iterator[tuple[int, Statistics]]:
         """Yield the statistics of blocks as they are ready, in any order."""
         pending = self._distributed.as_completed(
             loop=self._client.loop, with_results=True, raise_errors=False
@@ -180,7 +180,7 @@ class Job:
 
 def compute(job: Job, block: int) -> tuple[int, Statistics]:
     """Compute one block in a thread of a worker."""
-    [found] = _run_of_thread(threading.get_ident(), job).computed([block])
+    [found] = _run_of_thread(threading.get_ident(), job).compute([block])
     return found
 
 

@@ -1,6 +1,7 @@
 """One lap of a run again, from its number alone, with what it used of E and W.
 
-    w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k)  of the measured errors;    usage: 1 on a facet, more outside
+    w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k)     of the measured errors
+    usage  1 on a facet, more outside
 
 Every draw is a function of seed, lap and step, so that the lap is the one of the run, whatever ran
 beside it there.
@@ -70,8 +71,8 @@ def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
 
 
 def _usage(facets: Facets, points: Float[np.ndarray, "steps 3"]) -> Usage:
-    outside, boxes, _, share = jax.tree.map(np.asarray, judge(facets, jnp.asarray(points.T)))
-    return Usage(outside, boxes.T, share)
+    judged = jax.tree.map(np.asarray, judge(facets, jnp.asarray(points.T)))
+    return Usage(judged.outside, judged.outside_box.T, judged.usage)
 
 
 @jax.jit

@@ -1,0 +1,206 @@
+"""`montecarlo`: laps by the million, every period checked against the design."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, Protocol
+
+import jax
+
+from jaxtube.precision import in_64_bits
+from jaxtube.simulation.simulate import (
+    ControllerChoice,
+    PlantChoice,
+    SlipChoice,
+    choose_controller,
+    choose_plant,
+    choose_starts,
+)
+from jaxtube.statistics.events import EVENT_NAMES
+from jaxtube.statistics.run import BLOCK, Run, Statistics, Task, merge
+from jaxtube.statistics.summary import SamplingLaw, summarise
+from jaxtube.statistics.task import make_task
+from jaxtube.synthesis.design import Design
+
+
+class Store(Protocol):
+    """Where the statistics of blocks are kept: in memory, or in files that survive the process."""
+
+    def missing(self, laps: int) -> Iterator[int]:
+        """Yield the numbers of the blocks of a run that are not kept yet."""
+        ...
+
+    def add(self, block: int, laps: int, statistics: Statistics) -> None:
+        """Keep the statistics of a block."""
+        ...
+
+    def merged(self) -> Statistics:
+        """Return the statistics of all blocks kept, joined."""
+        ...
+
+
+class Memory:
+    """A store that does not outlive the process."""
+
+    def __init__(self):
+        self.blocks: dict[int, Statistics] = {}
+
+    def missing(self, laps: int) -> Iterator[int]:
+        """Yield the numbers of the blocks of a run that are not kept yet."""
+        yield from (block for block in range(-(-laps // BLOCK)) if block not in self.blocks)
+
+    def add(self, block: int, laps: int, statistics: Statistics) -> None:
+        """Keep the statistics of a block."""
+        self.blocks[block] = statistics
+
+    def merged(self) -> Statistics:
+        """Return the statistics of all blocks kept, joined."""
+        joined: Statistics = {}
+        for statistics in self.blocks.values():
+            joined = merge(joined, statistics) if joined else statistics
+        return joined
+
+
+class Share(NamedTuple):
+    """How often an event was seen, with the interval of the share of laps at 95 % confidence."""
+
+    laps: int
+    of: int
+    low: float
+    high: float
+
+    def __repr__(self) -> str:
+        return (
+            f"{self.laps:,} of {self.of:,} laps, share {self.low:.3g} to {self.high:.3g} "
+            "at 95 % confidence"
+        )
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MonteCarlo:
+    """A Monte Carlo run of a design.
+
+    Attributes:
+        design: that it is a run of.
+        law: what laps were drawn from; every bound holds for it alone.
+        seed: of every draw.
+        statistics: counts and extremes, joined over all laps.
+    """
+
+    design: Design
+    law: SamplingLaw
+    seed: int
+    statistics: Statistics
+
+    @cached_property
+    def summary(self) -> dict[str, Any]:
+        """Shares with intervals, quantiles and extremes, with units in the keys."""
+        return summarise(self.design, self.law, self.statistics)
+
+    @property
+    def laps(self) -> int:
+        """How many laps were run."""
+        return int(self.statistics["laps"])
+
+    def share(self, event: str) -> Share:
+        """Return how often an event was seen: a name of `jaxtube.statistics.events`.
+
+        Raises:
+            ValueError: for an unknown event, or one that a run of this kind cannot have.
+        """
+        events = self.summary["events"]
+        if event not in events:
+            known = "is unknown" if event not in EVENT_NAMES else "cannot occur in this run"
+            raise ValueError(f"event = {event!r}: {known}; choose one of {list(events)}")
+        low, high = events[event]["share_of_laps_interval"]
+        return Share(events[event]["laps"], self.laps, low, high)
+
+    def __repr__(self) -> str:
+        left_w = self.share("w_outside_W")
+        left_e = self.share("e_outside_E")
+        premise = "w stayed in W" if not left_w.laps else f"w left W in {left_w.laps:,} laps"
+        return (
+            f"<MonteCarlo: {left_e.laps:,} of {self.laps:,} laps left E (share at most "
+            f"{left_e.high:.3g} at 95 % confidence); {premise}; law: {self.summary['law']}; "
+            f"certificate: {self.design.certificate.verdict}>"
+        )
+
+
+@in_64_bits
+def montecarlo(
+    design: Design,
+    controller: ControllerChoice = "tube_mpc",
+    plant: PlantChoice = "robot",
+    *,
+    laps: int = 100_000,
+    starts: str = "scenario",
+    slip: SlipChoice = None,
+    seed: int = 0,
+    store: Store | None = None,
+) -> MonteCarlo:
+    """Run laps by the million and check every period against the sets of a design.
+
+    Args:
+        design: whose sets laps are checked against.
+        controller, plant, slip: as for `simulate`.
+        laps: how many; whole blocks of 4,096 are computed, and laps beyond the number not counted.
+        starts: "scenario", "feasible" or "edge", as for `simulate`.
+        seed: of every draw: lap i is a function of seed and i, whatever ran beside it.
+        store: where blocks are kept; those that it has are not computed again.
+
+    Returns:
+        The run, with exact counts and finite-sample bounds.
+
+    Raises:
+        ValueError: one line, for an unknown name.
+    """
+    store = store or Memory()
+    laps = int(laps)
+    law = name_law(design, controller, plant, starts, slip)
+    task = make_closed_loop_task(design, controller, plant, starts, slip, seed)
+    run = Run(task, laps, chunk=1, devices=tuple(jax.local_devices()))
+    compute_missing(run, store)
+    return MonteCarlo(design, law, seed, store.merged())
+
+
+def make_closed_loop_task(
+    design: Design,
+    controller: ControllerChoice,
+    plant: PlantChoice,
+    starts: str,
+    slip: SlipChoice,
+    seed: int,
+) -> Task:
+    """Return what every block of a run needs, from what `montecarlo` is given."""
+    return make_task(
+        design,
+        choose_controller(design, controller),
+        choose_plant(design, plant, slip),
+        choose_starts(design, starts),
+        seed,
+    )
+
+
+def name_law(
+    design: Design,
+    controller: ControllerChoice,
+    plant: PlantChoice,
+    starts: str,
+    slip: SlipChoice = None,
+) -> SamplingLaw:
+    """Return the names of what laps are drawn from."""
+    process = design.problem.scenario.slip.process if slip is None else slip
+    return SamplingLaw(_name(controller), _name(plant), starts, _name(process))
+
+
+def compute_missing(run: Run, store: Store) -> None:
+    """Compute the blocks of a run that a store lacks."""
+    missing = list(store.missing(run.realisations))
+    for block, statistics in run.compute(missing):
+        store.add(block, int(statistics["laps"]), statistics)
+
+
+def _name(choice: object) -> str:
+    return choice if isinstance(choice, str) else "own"

@@ -1,0 +1,215 @@
+"""The numbers of a Monte Carlo run: shares with bounds, quantiles, extremes.
+
+Shares of laps have Clopper-Pearson intervals; shares of steps or plans, which depend on each other
+within a lap, have intervals over laps (`jaxtube.statistics.intervals`). All hold for the one
+sampling law of the run.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+from jaxtyping import Int
+
+from jaxtube.coordinates import KEYS, TO_DISPLAY
+from jaxtube.plant.reference import settled_step
+from jaxtube.scenario import Scenario
+from jaxtube.statistics import histogram
+from jaxtube.statistics.events import EVENTS
+from jaxtube.statistics.intervals import mean_interval, share_interval
+from jaxtube.statistics.run import RANKED, Statistics
+from jaxtube.statistics.tally import STAGE_EVENTS
+from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.feasible import RAYS
+
+CONFIDENCE = 0.95
+QUANTILES = {"median": 0.5, "p95": 0.95, "p999": 0.999}
+
+STARTS = {
+    "scenario": "the scenario's start",
+    "feasible": f"starts uniform in the hull of {RAYS} boundary points of the feasible set",
+    "edge": f"starts on the hull of {RAYS} boundary points of the feasible set",
+}
+"""Initial errors by name, in words."""
+
+
+class SamplingLaw(NamedTuple):
+    """What laps are drawn from, by name; every bound holds for it alone.
+
+    Attributes:
+        controller: a name, or "own".
+        plant: "robot", "linear", "exact" or "own".
+        starts: "scenario", "feasible" or "edge".
+        process: of the slips: the scenario's, or a name, or "own".
+    """
+
+    controller: str
+    plant: str
+    starts: str
+    process: str
+
+    def describe(self, scenario: Scenario) -> str:
+        """Return the law in words."""
+        where = STARTS[self.starts]
+        if self.plant == "linear":
+            return (
+                f"{self.controller} on the linear model, w in W (half of the draws at its "
+                f"vertices), {where}"
+            )
+        if self.plant == "own":
+            return f"{self.controller} on a plant of the user's, {where}"
+        return f"{self.controller} on the slipping robot, {self._describe_slip(scenario)}, {where}"
+
+    def _describe_slip(self, scenario: Scenario) -> str:
+        slip = scenario.slip
+        noise = msgspec.structs.astuple(scenario.noise)
+        if self.plant == "exact":
+            return "slip known exactly, pose measured exactly"
+        names = {"true": "true slip", "measured": "measured slip", "both": "true and measured slip"}
+        measured = "pose measured exactly"
+        if any(noise):
+            along, across, heading = noise
+            measured = f"pose noise uniform within {along:.3g} m, {across:.3g} m, {heading:.3g} deg"
+        spread = "at" if self.process in ("vertex", "adversarial") else "uniform within"
+        return (
+            f"{names[slip.random]} ({self.process}) {spread} +-{slip.relative_error:.3g} of its "
+            f"nominal value, {measured}"
+        )
+
+
+def summarise(design: Design, law: SamplingLaw, statistics: Statistics) -> dict:
+    """Return the numbers of a run, plain, with units in the keys: functions of design, law and
+    statistics alone."""
+    problem = design.problem
+    steps = statistics["events"].shape[1] - 1
+    settled = settled_step(problem.reference)
+    numbers = {
+        "law": law.describe(problem.scenario),
+        "confidence": CONFIDENCE,
+        "laps": int(statistics["laps"]),
+        "steps_a_lap": steps,
+        "settled_s": settled * problem.reference.dt,
+        "events": _summarise_events(law, statistics, settled),
+        # Beyond each facet, in m, rad, m/s; negative inside.
+        "largest_excess": {
+            name: statistics[f"excess/{name}"] for name in ("disturbance", "error", "input")
+        },
+        "ultimate_bound": _by_coordinate(statistics["ultimate_bound"] * TO_DISPLAY),
+        "plans": int(statistics["plans"]),
+        "peak_error": _quantiles(statistics["peak"]),
+        "rms_error_settled": _quantiles(statistics["rms"]),
+        "disturbance": _quantiles(statistics["disturbance"]),
+        "worst": {name: _worst_laps(name, statistics) for name in RANKED},
+    }
+    return numbers | (_summarise_plans(design, law, statistics) if statistics["plans"] else {})
+
+
+def _summarise_events(law: SamplingLaw, statistics: Statistics, settled: int) -> dict[str, dict]:
+    """Return the events that a run of this kind can have."""
+    steps = statistics["events"].shape[1] - 1
+    missing = _missing(law, statistics)
+    numbers = {}
+    for event, row in zip(EVENTS, statistics["events"], strict=True):
+        if event.needs not in missing:
+            eligible = steps + 1 - settled if event.needs == "bound" else steps
+            numbers[event.name] = _summarise_event(row, eligible)
+    return numbers
+
+
+def _missing(law: SamplingLaw, statistics: Statistics) -> set[str]:
+    """Return what a run lacks of what events need."""
+    missing = set()
+    if not law.controller.endswith("mpc") and law.controller != "own":
+        missing.add("QP")
+    if law.plant == "linear":
+        missing.add("wheels")
+    if not np.all(np.isfinite(statistics["ultimate_bound"])):
+        missing.add("bound")
+    return missing
+
+
+def _summarise_event(row: Int[np.ndarray, " counts"], steps: int) -> dict:
+    row = row[: steps + 1]
+    laps = int(row[1:].sum())
+    total = int(row.sum())
+    mean, low, high = mean_interval(row, steps, CONFIDENCE)
+    return {
+        "laps": laps,
+        "share_of_laps": laps / total,
+        "share_of_laps_interval": share_interval(laps, total, CONFIDENCE),
+        "steps": int(row @ np.arange(steps + 1)),
+        "share_of_steps": mean,
+        "share_of_steps_interval": (low, high),
+    }
+
+
+def _summarise_plans(design: Design, law: SamplingLaw, statistics: Statistics) -> dict:
+    """Return what became of the plans that were followed: the tube in use by stage, all tubes, and
+    the cost."""
+    checked = [name for name in design.tubes if f"tube_outside/{name}" in statistics]
+    conditions = design.certificate.conditions
+    needed = [
+        conditions[name]
+        for name in ("plan_stays_feasible", "terminal_cost_decrease")
+        if name in conditions
+    ]
+    promised = law.controller == "tube_mpc" and all(condition.holds for condition in needed)
+    asked = statistics["plans_by_lap"]
+    return {
+        "states_where_a_plan_was_asked_for": int(asked.sum()) * (len(asked) - 1),
+        "tube": {
+            "used": design.problem.scenario.controller.tube,
+            "stages": [_summarise_stage(stage, asked) for stage in statistics["stage_events"]],
+            "largest_excess_by_stage": {
+                name: statistics[f"tube_excess/{name}"] for name in checked
+            },
+            "plans_outside_by_stage": {
+                name: statistics[f"tube_outside/{name}"] for name in checked
+            },
+        },
+        "cost": {
+            "fell_by_less_than_the_stage": int(statistics["cost_excesses"]),
+            "no_plan_one_step_later": int(statistics["next_plan_missing"]),
+            "largest_excess": float(statistics["cost_excess"]),
+            "promised_by_the_certificate": promised,
+        },
+    }
+
+
+def _summarise_stage(
+    stage: Int[np.ndarray, "events counts"], asked: Int[np.ndarray, " counts"]
+) -> dict[str, dict]:
+    rows = zip(STAGE_EVENTS, stage, strict=True)
+    return {name: _share_of_plans(row, asked) for name, row in rows}
+
+
+def _share_of_plans(row: Int[np.ndarray, " counts"], asked: Int[np.ndarray, " counts"]) -> dict:
+    """Return the share of plans in which an event occurred: a ratio of two means, each bounded at
+    half the risk."""
+    half = 1 - (1 - CONFIDENCE) / 2
+    most_plans = len(row) - 1
+    mean, low, high = mean_interval(row, most_plans, half)
+    plans, fewest, most = mean_interval(asked, most_plans, half)
+    largest = min(high / fewest, 1.0) if fewest else 1.0
+    return {"share": mean / plans, "interval": (low / most, largest)}
+
+
+def _quantiles(counts: Int[np.ndarray, "3 buckets"]) -> dict[str, dict[str, float]]:
+    return {
+        name: _by_coordinate((histogram.quantile(counts, share) * TO_DISPLAY).tolist())
+        for name, share in QUANTILES.items()
+    }
+
+
+def _by_coordinate(values) -> dict[str, float]:
+    return dict(zip(KEYS, values, strict=True))
+
+
+def _worst_laps(name: str, statistics: Statistics) -> list[dict]:
+    laps = statistics[f"worst_lap/{name}"]
+    usages = statistics[f"worst_usage/{name}"]
+    return [
+        {"lap": int(lap), "usage": float(usage)} for lap, usage in zip(laps, usages, strict=True)
+    ]
