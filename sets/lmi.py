@@ -82,7 +82,7 @@ def terminal_cost(
     input_weight: Float[np.ndarray, "m m"],
     objective: Objective = "trace_s",
 ) -> TerminalCost:
-    """Compute a quadratic terminal cost and vertex gains that decrease it by the stage cost at
+    """Return a quadratic terminal cost and vertex gains that decrease it by the stage cost at
     every vertex.
 
     Args:
@@ -203,7 +203,7 @@ def _solve(A, B, Q_factor, T, objective: Objective) -> tuple[np.ndarray, np.ndar
             problem.solve(solver=cp.CLARABEL, chordal_decomposition_enable=decompose, **settings)
         if problem.status in (cp.OPTIMAL, cp.INFEASIBLE):
             break
-    # What is inaccurate is scaled and checked afterwards.
+    # An inaccurate answer is scaled and checked afterwards.
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise RuntimeError(
             f"terminal_cost: Clarabel reports {problem.status}, not optimal; narrow the schedule "

@@ -1,4 +1,4 @@
-"""The linear-quadratic regulator, by a Riccati equation that is solved whatever the weights.
+"""The linear-quadratic regulator, for weights of any size and ratio.
 
     P = Q + A^T P (I + B R^-1 B^T P)^-1 A,    K = -(R + B^T P B)^-1 B^T P A
 
@@ -22,7 +22,7 @@ def lqr_gain(
     error_weight: Float[np.ndarray, "n n"],
     input_weight: Float[np.ndarray, "m m"],
 ) -> Float[np.ndarray, "m n"]:
-    """Compute the gain K of the discrete linear-quadratic regulator, u = +K e.
+    """Return the gain K of the discrete linear-quadratic regulator, u = +K e.
 
     Args:
         A, B: e+ = A e + B u.
