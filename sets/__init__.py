@@ -5,7 +5,8 @@
     invariant           maximal and minimal robust positively invariant sets
     few_facets          robust positively invariant sets of few facets
     control_invariant   maximal robust control invariant sets
-    lmi, lyapunov       terminal costs, with gains or for given ones
+    lmi, lyapunov       terminal costs, with gains or for given ones; gap, how good they are
+    riccati             linear-quadratic regulator
     certificate         margins of every condition in floats; exact, in rational arithmetic
     interval, supremum  rigorous bounds of functions over boxes
     robot               what a wheeled robot that slips adds: `sets.robot`
@@ -38,9 +39,10 @@ from sets.exact import (
     smallest_pivot,
 )
 from sets.few_facets import few_facet_rpi
+from sets.gap import optimality_gap
 from sets.interval import Dual, Interval
 from sets.invariant import Escape, MaximalRpi, maximal_rpi, minimal_rpi_bound
-from sets.lmi import TerminalCost, decrease_margins, lqr_gain, optimality_gap, terminal_cost
+from sets.lmi import TerminalCost, decrease_margins, terminal_cost
 from sets.lyapunov import cost_of_gains, stage_cost
 from sets.polytope import (
     ConvexSet,
@@ -51,6 +53,7 @@ from sets.polytope import (
     hull_vertices,
     support_function,
 )
+from sets.riccati import lqr_gain
 from sets.supremum import suprema
 from sets.tubes import (
     Section,

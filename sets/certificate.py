@@ -257,7 +257,7 @@ def escape_excess(
 def _find_worst(
     disturbance: Float[np.ndarray, "w n"], row: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, " n"]:
-    """Return the first vertex that is furthest along the row, whatever its last bits."""
+    """Return the vertex furthest along the row; among vertices equal up to rounding, the first."""
     heights = disturbance @ row
     slack = ROUNDING * np.abs(heights).max()
     return disturbance[np.flatnonzero(heights >= heights.max() - slack)[0]]

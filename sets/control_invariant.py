@@ -80,8 +80,8 @@ def maximal_rci(
             for A, B in zip(transitions, inputs, strict=True):
                 following = following.intersect(predecessor(A, B, target, error_set, limits))
         except ArithmeticError:
-            # Hundreds of facets that hardly differ, late in the sequence: what is known so far
-            # still holds.
+            # Late in the sequence hundreds of facets hardly differ; the last set still contains
+            # the maximal one.
             return ControlInvariant(current, tuple(volumes), False)
         if following.is_empty() or following.is_flat():
             return ControlInvariant(None, (*volumes, 0.0), True)

@@ -45,7 +45,7 @@ TIE = 1e-9
 
 @dataclass(frozen=True)
 class _Problem:
-    """What every set on the way must satisfy."""
+    """Loops, constraints and disturbance of the invariant set."""
 
     loops: Float[np.ndarray, "v n n"]
     constraints: Polytope
@@ -131,7 +131,7 @@ def _spread(points: Float[np.ndarray, "k n"], count: int) -> Float[np.ndarray, "
 
 
 def _find_first_largest(values: Float[np.ndarray, " k"]) -> int:
-    """Return the index of the largest value, of equal ones the first, whatever their last bits."""
+    """Return the index of the largest value; among values equal up to `TIE`, the first."""
     largest = values.max()
     return int(np.flatnonzero(values >= largest - TIE * abs(largest))[0])
 

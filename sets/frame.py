@@ -93,7 +93,7 @@ class Frame:
         return candidates[np.array(proper, dtype=bool)]
 
     def _supports_facet(self, row):
-        """Tell whether a row touches the set in a facet.
+        """Return whether a row touches the set in a facet.
 
         Rounding makes facets of rows that touch it in a face of lower dimension.
         """
@@ -277,7 +277,7 @@ def _compute_misfit(cost, rows, limits, solution, multipliers) -> float:
 
 
 def has_falling_ray(rows: Float[np.ndarray, "m n"], cost: Float[np.ndarray, " n"]) -> bool:
-    """Tell whether cost x falls along a ray of rows x <= 0, hence without bound over rows x <=
+    """Return whether cost x falls along a ray of rows x <= 0, hence without bound over rows x <=
     limits if not empty."""
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
     unit = rows / np.maximum(lengths, np.finfo(float).tiny)

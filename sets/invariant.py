@@ -169,14 +169,14 @@ def maximal_rpi(
 
 
 def _cuts(candidates: _Rows, rows: _Rows) -> Bool[np.ndarray, " k"]:
-    """Tell which candidates cut the set of the rows."""
+    """Return which candidates cut the set of the rows."""
     vertices = find_vertices(rows.normals, rows.offsets)
     return np.max(candidates.dual @ vertices.T, axis=1) > 1 + PRUNING
 
 
 def _find_escape(constraints: Polytope, rows: _Rows, room: Float[np.ndarray, " k"]) -> Escape:
-    """Return the run that leaves by the row with least room; of equal ones that of the first
-    constraint along the first loops, whatever their last bits."""
+    """Return the run that leaves by the row with least room; among rows equal up to `TIE`, the one
+    of the first constraint along the first loops."""
     equal = np.flatnonzero(room <= room.min() + TIE * rows.offsets)
     worst = min(equal, key=lambda i: (rows.roots[i], rows.paths[i]))
     root = rows.roots[worst]

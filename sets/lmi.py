@@ -23,6 +23,7 @@ identity as I_3.
 import contextlib
 import itertools
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -31,6 +32,13 @@ import scipy.linalg
 from jaxtyping import Float
 
 from sets.lyapunov import scale_to_decrease, stage_cost
+from sets.riccati import (
+    check_system,
+    compute_decrease,
+    compute_gain,
+    is_stabilising,
+    solve_riccati,
+)
 
 Objective = Literal["trace_s", "trace_p", "logdet"]
 
@@ -47,18 +55,12 @@ COST_FLOOR = 1e-4
 """Floor of S relative to the Riccati solutions, which keeps P <= P_riccati / COST_FLOOR.
 
 Trace S alone can drive S to a singular matrix, whose P and gains do not exist. The price of the
-floor is part of the gap that `optimality_gap` reports.
+floor is part of the gap that `sets.gap` reports.
 """
 
 SOLVER_TOLERANCES = (1e-10, 1e-9, 1e-8)
 """The first that the solver reaches counts, without and with its chordal decomposition: each stalls
 on some data."""
-
-VALUE_ITERATIONS = 100
-"""Any number gives a valid lower bound on the cost; more sharpen it."""
-
-DOUBLINGS = 60
-"""Doublings of the horizon after which a Riccati recursion without limit is given up."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +82,7 @@ def terminal_cost(
     input_weight: Float[np.ndarray, "m m"],
     objective: Objective = "trace_s",
 ) -> TerminalCost:
-    """Compute a quadratic terminal cost and vertex gains that decrease it by the stage cost at
+    """Return a quadratic terminal cost and vertex gains that decrease it by the stage cost at
     every vertex.
 
     Args:
@@ -104,25 +106,20 @@ def terminal_cost(
         raise ValueError(
             f"objective is {objective!r}: choose one of {', '.join(get_args(Objective))}"
         )
-    _check_system(A.shape[:1], A, B, error_weight, input_weight)
-    failure = None
-    last = None
-    for share in SHARES:
-        weights = _raise_weights(error_weight, input_weight, share)
-        if last is not None and all(map(np.array_equal, weights, last)):
-            continue
-        last = weights
+    check_system(A.shape[:1], A, B, error_weight, input_weight)
+    failure = RuntimeError(
+        "terminal_cost: the answer does not decrease at a vertex; rescale the weights"
+    )
+    for Q, R in _raise_in_turn(error_weight, input_weight):
         try:
-            terminal = _solve_scaled(A, B, *weights, objective)
+            terminal = _solve_scaled(A, B, Q, R, objective)
         except RuntimeError as refusal:
             failure = refusal
             continue
         margins = decrease_margins(A, B, terminal.gains, terminal.cost, error_weight, input_weight)
         if (margins >= 0).all():
             return terminal
-    raise failure or RuntimeError(
-        "terminal_cost: the answer does not decrease at a vertex; rescale the weights"
-    )
+    raise failure
 
 
 def _solve_scaled(A, B, Q, R, objective: Objective) -> TerminalCost:
@@ -135,8 +132,8 @@ def _solve_scaled(A, B, Q, R, objective: Objective) -> TerminalCost:
     riccati = [_find_scale(a, b, Q, R) for a, b in zip(A, B, strict=True)]
     L = np.linalg.cholesky(np.mean(riccati, axis=0))
     T = np.linalg.inv(L).T
-    F = np.linalg.inv(_compute_root(R))
-    S, Y, Z = _solve(L.T @ A @ T, L.T @ B @ F, _compute_root(Q) @ T, T, objective)
+    F = np.linalg.inv(compute_root(R))
+    S, Y, Z = _solve(L.T @ A @ T, L.T @ B @ F, compute_root(Q) @ T, T, objective)
     S_inverse = np.linalg.inv(S)
     P = L @ S_inverse @ L.T
     gains = F @ Y @ S_inverse @ L.T
@@ -144,32 +141,6 @@ def _solve_scaled(A, B, Q, R, objective: Objective) -> TerminalCost:
     P = scale_to_decrease((P + P.T) / 2, A + B @ gains, stage_cost(gains, Q, R))
     back = scipy.linalg.block_diag(L.T, L.T, np.eye(sum(B.shape[1:])))
     return TerminalCost(P, gains, back.T @ Z @ back, objective, _compute_value(P, objective))
-
-
-def lqr_gain(
-    A: Float[np.ndarray, "n n"],
-    B: Float[np.ndarray, "n m"],
-    error_weight: Float[np.ndarray, "n n"],
-    input_weight: Float[np.ndarray, "m m"],
-) -> Float[np.ndarray, "m n"]:
-    """Compute the gain K of the discrete linear-quadratic regulator, u = +K e.
-
-    Args:
-        A, B: e+ = A e + B u.
-        error_weight: Q >= 0.
-        input_weight: R > 0.
-
-    Returns:
-        K, for which A + B K is stable.
-
-    Raises:
-        ValueError: shapes or weights that are refused, or a pair without stabilising solution.
-
-    Source: Gonzalez et al. 2009, eq. (22).
-    """
-    _check_system((), A, B, error_weight, input_weight)
-    P = _solve_riccati(A, B, error_weight, input_weight)
-    return _compute_gain(A, B, P, input_weight)
 
 
 def decrease_margins(
@@ -195,74 +166,8 @@ def decrease_margins(
 
     Source: Gonzalez et al. 2009, eq. (32).
     """
-    surplus = _compute_decrease(A, B, gains, cost) - stage_cost(gains, error_weight, input_weight)
+    surplus = compute_decrease(A, B, gains, cost) - stage_cost(gains, error_weight, input_weight)
     return np.linalg.eigvalsh(surplus)[:, 0]
-
-
-def optimality_gap(
-    A: Float[np.ndarray, "vertices n n"],
-    B: Float[np.ndarray, "vertices n m"],
-    error_weight: Float[np.ndarray, "n n"],
-    input_weight: Float[np.ndarray, "m m"],
-    terminal: TerminalCost,
-) -> float:
-    """Bound how far a terminal cost is from the best one for its objective, by weak duality.
-
-    The objectives are concave in S, so none gains more over S_0 = P^-1 than its tangent <M, S -
-    S_0>, M = I, P^2 or P. For every Z_i >= 0, projected here, and every feasible (S, Y_i),
-
-        <M, S> <= <M, S> + sum_i <Z_i, L_i(S, Y_i)> = constant + <r, S> + sum_i <r_i, Y_i>,
-
-    and with any P_0 = G G^T below every feasible P, L_i >= 0 gives 0 <= G^T S G <= I and |R^(1/2)
-    Y_i G| <= 1: the residual terms are below a sum of positive eigenvalues and nuclear norms.
-
-    Args:
-        A, B, error_weight, input_weight: as given to `terminal_cost`.
-        terminal: its answer, or any other.
-
-    Returns:
-        An upper bound on the suboptimality, up to rounding of float64 and whatever the multipliers:
-        relative to trace S or trace P, absolute for log det S. Q and R are raised as in
-        `terminal_cost`.
-
-    Raises:
-        ValueError: shapes or weights that are refused.
-
-    Source: Vandenberghe, Boyd 1996, section 3 (weak duality of semidefinite programs).
-    """
-    _check_system(A.shape[:1], A, B, error_weight, input_weight)
-    n = A.shape[1]
-    P = terminal.cost
-    S = np.linalg.inv(P)
-    Q, R = _raise_weights(error_weight, input_weight, SHARES[0])
-    Q_root = _compute_root(Q)
-    R_root = _compute_root(R)
-    M, unit = {
-        "trace_s": (np.eye(n), np.trace(S)),
-        "trace_p": (P @ P, np.trace(P)),
-        "logdet": (P, 1.0),
-    }[terminal.objective]
-    Z = _project(terminal.multipliers)
-    Z_now = Z[:, :n, :n]
-    Z_next = Z[:, n : 2 * n, :n]
-    Z_error = Z[:, 2 * n : 3 * n, :n]
-    Z_input = Z[:, 3 * n :, :n]
-    own = Z_now + Z[:, n : 2 * n, n : 2 * n]
-    r = M + np.sum(own + 2 * _transpose(A) @ Z_next + 2 * Q_root @ Z_error, axis=0)
-    r_inputs = 2 * (_transpose(B) @ Z_next + R_root @ Z_input)
-    G_inverse = np.linalg.inv(np.linalg.cholesky(_bound_cost_below(A, B, Q, R)))
-    constant = np.trace(Z[:, 2 * n :, 2 * n :], axis1=1, axis2=2).sum()
-    along_cost = np.linalg.eigvalsh(G_inverse @ (r + r.T) @ G_inverse.T / 2)
-    along_gains = np.linalg.solve(R_root, r_inputs @ G_inverse.T)
-    from_cost = np.maximum(along_cost, 0).sum()
-    from_gains = np.linalg.svd(along_gains, compute_uv=False).sum()
-    return float((constant + from_cost + from_gains - np.trace(M @ S)) / unit)
-
-
-def _project(multipliers: np.ndarray) -> np.ndarray:
-    """Return the nearest positive semidefinite matrices."""
-    w, v = np.linalg.eigh((multipliers + _transpose(multipliers)) / 2)
-    return (v * np.maximum(w, 0)[:, None, :]) @ _transpose(v)
 
 
 def _solve(A, B, Q_factor, T, objective: Objective) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -298,7 +203,7 @@ def _solve(A, B, Q_factor, T, objective: Objective) -> tuple[np.ndarray, np.ndar
             problem.solve(solver=cp.CLARABEL, chordal_decomposition_enable=decompose, **settings)
         if problem.status in (cp.OPTIMAL, cp.INFEASIBLE):
             break
-    # What is inaccurate is scaled and checked afterwards.
+    # An inaccurate answer is scaled and checked afterwards.
     if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
         raise RuntimeError(
             f"terminal_cost: Clarabel reports {problem.status}, not optimal; narrow the schedule "
@@ -327,27 +232,6 @@ def _state_goal(
     return cp.Maximize(cp.log_det(S)), [], 1.0
 
 
-def _bound_cost_below(A, B, Q, R) -> np.ndarray:
-    """Bound every feasible P from below: value iteration from Q rises at each vertex and never
-    passes it."""
-    P = np.broadcast_to(Q, A.shape)
-    for _ in range(VALUE_ITERATIONS):
-        gains = _compute_gain(A, B, P, R)
-        P = P - _compute_decrease(A, B, gains, P) + stage_cost(gains, Q, R)
-    return P.mean(axis=0)
-
-
-def _compute_gain(A, B, P, R) -> np.ndarray:
-    """Return the inputs that minimise u^T R u + e+^T P e+, as a gain."""
-    return -np.linalg.solve(R + _transpose(B) @ P @ B, _transpose(B) @ P @ A)
-
-
-def _compute_decrease(A, B, gains, P) -> np.ndarray:
-    """Return P - Phi^T P Phi."""
-    Phi = A + B @ gains
-    return P - _transpose(Phi) @ P @ Phi
-
-
 def _compute_value(P: np.ndarray, objective: Objective) -> float:
     if objective == "logdet":
         return -float(np.linalg.slogdet(P)[1])
@@ -363,56 +247,29 @@ def _find_scale(A, B, Q, R) -> np.ndarray:
     try:
         P = scipy.linalg.solve_discrete_are(A, B, Q, R)
     except (np.linalg.LinAlgError, ValueError):
-        return _solve_riccati(A, B, Q, R)
-    gain = _compute_gain(A, B, P, R)
-    residual = _compute_decrease(A, B, gain, P) - Q - gain.T @ R @ gain
+        return solve_riccati(A, B, Q, R)
+    gain = compute_gain(A, B, P, R)
+    residual = compute_decrease(A, B, gain, P) - Q - gain.T @ R @ gain
     is_solution = np.abs(residual).max() <= 1e-10 * np.abs(P).max()
-    return P if is_solution and _is_stabilising(A, B, P, R) else _solve_riccati(A, B, Q, R)
+    return P if is_solution and is_stabilising(A, B, P, R) else solve_riccati(A, B, Q, R)
 
 
-def _solve_riccati(A, B, Q, R) -> np.ndarray:
-    """Return the stabilising solution of P = Q + A^T P (I + B R^-1 B^T P)^-1 A by a recursion whose
-    every step doubles the horizon of the cost P.
-
-    With G = B R^-1 B^T, Phi = A, P = Q at first:
-
-        Phi+ = Phi M Phi,    G+ = G + Phi M G Phi^T,    P+ = P + Phi^T P M Phi,    M = (I + G P)^-1
-
-    Unlike an ordered Schur form it depends on the ratio of the weights alone, however far apart.
-
-    Source: Chu, Fan, Lin, Wang 2004, Int. J. Control 77, 767-788.
-    """
-    eye = np.eye(len(A))
-    G = B @ np.linalg.solve(R, B.T)
-    Phi = A
-    P = Q
-    with np.errstate(all="ignore"):
-        for _ in range(DOUBLINGS):
-            M = np.linalg.inv(eye + G @ P)
-            rise = Phi.T @ P @ M @ Phi
-            G = G + Phi @ M @ G @ Phi.T
-            Phi = Phi @ M @ Phi
-            P = P + (rise + rise.T) / 2
-            if not all(np.isfinite(matrix).all() for matrix in (P, Phi, G)):
-                break
-            if np.abs(rise).max() <= 1e-16 * np.abs(P).max() and _is_stabilising(A, B, P, R):
-                return P
-    raise ValueError(
-        f"A = {A.tolist()} with this B has no stabilising gain: change the pair or weigh all errors"
-    )
-
-
-def _is_stabilising(A, B, P, R) -> bool:
-    loop = A + B @ _compute_gain(A, B, P, R)
-    return bool(np.abs(np.linalg.eigvals(loop)).max() < 1)
-
-
-def _compute_root(weight: np.ndarray) -> np.ndarray:
+def compute_root(weight: np.ndarray) -> np.ndarray:
     w, v = np.linalg.eigh(weight)
     return (v * np.sqrt(w)) @ v.T
 
 
-def _raise_weights(Q: np.ndarray, R: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
+def _raise_in_turn(Q: np.ndarray, R: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the weights raised to each of `SHARES`, those that differ from the ones before."""
+    known: list[np.ndarray] = []
+    for share in SHARES:
+        weights = raise_weights(Q, R, share)
+        if not known or not all(map(np.array_equal, weights, known)):
+            yield weights
+        known = list(weights)
+
+
+def raise_weights(Q: np.ndarray, R: np.ndarray, share: float) -> tuple[np.ndarray, np.ndarray]:
     """Return Q and R with their eigenvalues raised to a share of the largest of both, those of Q to
     `WEIGHT_FLOOR` at least."""
     most_error = np.linalg.eigvalsh(Q)[-1]
@@ -424,38 +281,3 @@ def _raise_weights(Q: np.ndarray, R: np.ndarray, share: float) -> tuple[np.ndarr
 def _raise_weight(weight: np.ndarray, least: float) -> np.ndarray:
     w, v = np.linalg.eigh(weight)
     return weight if w[0] >= least else (v * np.maximum(w, least)) @ v.T
-
-
-def _transpose(stack: np.ndarray) -> np.ndarray:
-    return np.swapaxes(stack, -1, -2)
-
-
-def _check_system(stack: tuple[int, ...], A, B, error_weight, input_weight) -> None:
-    """Refuse shapes and weights that the problem does not cover; `stack` is the leading shape of A
-    and B."""
-    n = A.shape[-1]
-    m = B.shape[-1]
-    expected = (
-        ("A", A, (*stack, n, n)),
-        ("B", B, (*stack, n, m)),
-        ("error_weight", error_weight, (n, n)),
-        ("input_weight", input_weight, (m, m)),
-    )
-    for name, matrix, shape in expected:
-        if matrix.shape != shape:
-            raise ValueError(f"{name} has shape {matrix.shape}: give it shape {shape}")
-        if not np.isfinite(matrix).all():
-            raise ValueError(f"{name} holds {matrix[~np.isfinite(matrix)][0]}: give finite numbers")
-    for name, weight in (("error_weight", error_weight), ("input_weight", input_weight)):
-        skew = np.abs(weight - weight.T).max()
-        if skew > 1e-12 * np.abs(weight).max():
-            raise ValueError(f"{name} differs from its transpose by {skew:.3g}: make it symmetric")
-    least, most = np.linalg.eigvalsh(error_weight)[[0, -1]]
-    if most <= 0 or least < -1e-12 * most:
-        raise ValueError(
-            f"error_weight has eigenvalues {least:.3g} to {most:.3g}: "
-            "make it semidefinite and not zero"
-        )
-    least = np.linalg.eigvalsh(input_weight)[0]
-    if least <= 0:
-        raise ValueError(f"input_weight has eigenvalue {least:.3g}: make it positive definite")

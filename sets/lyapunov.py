@@ -46,7 +46,7 @@ def cost_of_gains(
     error_weight: Float[np.ndarray, "n n"],
     input_weight: Float[np.ndarray, "m m"],
 ) -> Float[np.ndarray, "n n"]:
-    """Compute the terminal cost for gains that are given: P - Phi_i^T P Phi_i > Q + K_i^T R K_i,
+    """Return the terminal cost of gains that are given: P - Phi_i^T P Phi_i > Q + K_i^T R K_i,
     centred.
 
     Args:
@@ -132,7 +132,7 @@ def _minimise_trace(loops, stage) -> Float[np.ndarray, "n n"]:
         settings,
     )
     answer = solver.solve()
-    # What is not exact is scaled, centred and checked afterwards.
+    # An inaccurate answer is scaled, centred and checked afterwards.
     if str(answer.status) not in ("Solved", "AlmostSolved"):
         raise RuntimeError(
             f"cost_of_gains: Clarabel reports {answer.status}; the loops share no quadratic cost"

@@ -167,22 +167,22 @@ class Polytope:
         return centre, float(self.margin(centre))
 
     def is_empty(self) -> bool:
-        """Tell whether no point satisfies all rows."""
+        """Return whether no point satisfies all rows."""
         return self._frame is None
 
     def is_flat(self) -> bool:
-        """Tell whether the set is not empty and has no interior."""
+        """Return whether the set is not empty and has no interior."""
         return self._frame is not None and self._frame.equalities.size > 0
 
     def is_bounded(self) -> bool:
-        """Tell whether the set, empty ones included, fits in a box."""
+        """Return whether the set, empty ones included, fits in a box."""
         identity = np.eye(self.dimension)
         return bool((self.support(np.vstack([identity, -identity])) < np.inf).all())
 
     def contains(
         self, points: Float[np.ndarray, "*points dimension"], tolerance: float = 0.0
     ) -> Bool[np.ndarray, "*points"]:
-        """Tell which points satisfy H x <= h + tolerance ||H_i||; a NaN is outside every proper
+        """Return which points satisfy H x <= h + tolerance ||H_i||; a NaN is outside every proper
         subset."""
         lengths = np.linalg.norm(self.normals, axis=1)
         slacks = self._compute_slacks(points)

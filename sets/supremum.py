@@ -119,8 +119,7 @@ def suprema(
 def _find_first_largest(
     spread: Float[np.ndarray, "variables cells"],
 ) -> Int[np.ndarray, " cells"]:
-    """Return the variable that contributes most, of equal ones the first, whatever their last
-    bits."""
+    """Return the variable that contributes most; among variables equal up to `TIE`, the first."""
     return (spread >= (1 - TIE) * spread.max(axis=0)).argmax(axis=0)
 
 

@@ -6,8 +6,9 @@ import itertools
 
 import numpy as np
 
-from sets.lmi import Objective, lqr_gain, terminal_cost
+from sets.lmi import Objective, terminal_cost
 from sets.polytope import Polytope
+from sets.riccati import lqr_gain
 
 PERIOD = 0.1
 TRACK = 0.5

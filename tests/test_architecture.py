@@ -107,7 +107,8 @@ def test_inside_sets_everything_rests_on_polytope_alone():
         assert (
             violations(f"sets.{module}", "sets", allowed=("sets.polytope", f"sets.{module}")) == []
         )
-    assert violations("sets.lmi", "sets", allowed=("sets.lyapunov",)) == []
+    assert violations("sets.lmi", "sets", allowed=("sets.lyapunov", "sets.riccati")) == []
+    assert violations("sets.lyapunov", "sets") == violations("sets.riccati", "sets") == []
     assert violations("sets.exact", "sets") == violations("sets.interval", "sets") == []
 
 

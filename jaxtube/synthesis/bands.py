@@ -37,8 +37,8 @@ from jaxtube.synthesis.gains import Gain, decoupled_gain, exact_loops
 from jaxtube.synthesis.problem import Problem, input_constraints, make_problem
 from sets import certificate as check
 from sets.certificate import Certificate, Condition, judge
-from sets.invariant import MaximalRpi, SupportFunction, maximal_rpi, minimal_rpi_bound
-from sets.polytope import Polytope
+from sets.invariant import MaximalRpi, maximal_rpi, minimal_rpi_bound
+from sets.polytope import Polytope, SupportFunction
 from sets.robot.disturbance import DisturbanceBound
 
 COVER = 3

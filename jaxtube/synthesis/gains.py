@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from jaxtube.plant.model import VERTEX_SIDES, Model, bilinear_weights
 from jaxtube.synthesis.problem import Problem, region_corners
-from sets.lmi import lqr_gain
+from sets.riccati import lqr_gain
 
 Region = Float[np.ndarray, "2 2"]
 """A box of wheel speeds: lower and upper (right, left), m/s."""

@@ -7,7 +7,7 @@ whenever measured errors e_m, inputs u and reference wheel speeds th lie in thei
 errors satisfy |d| <= D and pose noise |n| <= nu now and after. A yaw kick sigma also moves the
 robot sideways by g_y sigma, g_y = T V / 2 at the centre of the schedule, which is why W is a
 segment plus a box and not a larger box. The bounds are proved by interval arithmetic rounded
-outwards, and come with the largest values really found.
+outwards, and come with the largest values found.
 
 Notation and the parts of w: `sets.robot.plant`. Source: the idea of a computed W follows Gonzalez,
 Fiacchini, Guzman, Alamo 2009, section III, where W is given; the bound itself is new.
@@ -170,7 +170,7 @@ class DisturbanceBound:
         lateral_per_yaw: g_y, m/rad.
         box: half widths (m, m, rad).
         ground_speeds: commanded ones, (lower, upper) by (right, left), m/s.
-        found_yaw, found_box, found_ground_speeds: the same numbers, really reached: the bounds lie
+        found_yaw, found_box, found_ground_speeds: values that are attained; the least bounds lie
             between them and W.
     """
 

@@ -133,8 +133,8 @@ def _find_yaw_rates(low: Row, high: Row, track_width: Fraction) -> Range:
 
 def _scale_tangent(x: Fraction, factor: Fraction) -> Range:
     """Enclose factor tan(x)/x."""
-    low, high = sorted(factor * ratio for ratio in tangent_ratio(x))
-    return low, high
+    products = [factor * ratio for ratio in tangent_ratio(x)]
+    return min(products), max(products)
 
 
 def _make_loop(gains: Row, turn: Fraction, advance: Fraction, T: Fraction) -> Matrix:
@@ -163,9 +163,9 @@ def exact_wheel_loops(
     """Return Phi at the four vertices of p, q = c +- b h = T V_r tan(x)/x, T V_l tan(x)/x over a
     box of wheel speeds.
 
-    Phi is affine in (p, q) too, and tan(x)/x is all but one: where the vertices of (h, c) allow the
+    Phi is affine in (p, q) too, and tan(x)/x is nearly one: where the vertices of (h, c) allow the
     fastest turn at the highest speed, these follow the wheels, so that reach is less and invariant
-    sets are larger. Outer, all but tight.
+    sets are larger. The range is an outer one and nearly tight.
     """
     k = exact_row(gains, "gains")
     T = Fraction(dt)

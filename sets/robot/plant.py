@@ -1,4 +1,4 @@
-"""What the linear model leaves out of one period of the sampled, slipping robot, split by cause.
+"""The residual of the linear model over one period of the sampled, slipping robot, by cause.
 
     e+ = f(e_m - n, v_a, w_a) + n+        w = e+ - A(th) e_m - B(th) u
 
@@ -75,7 +75,7 @@ class Kinematics:
                 )
 
     def predicts_like(self, other: Kinematics) -> bool:
-        """Tell whether both choose the same model, by name."""
+        """Return whether both choose the same model, by name."""
         if self.model != other.model:
             return False
         return self.model == "exact_jacobian" or self.discretisation == other.discretisation

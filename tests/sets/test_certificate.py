@@ -22,8 +22,8 @@ from sets.certificate import (
     terminal_margins,
 )
 from sets.invariant import maximal_rpi
-from sets.lmi import lqr_gain
 from sets.polytope import Polytope
+from sets.riccati import lqr_gain
 from sets.tubes import hull_tube, propagate, sequence_tube
 
 LOOPS = tube_loops()

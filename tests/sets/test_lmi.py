@@ -13,21 +13,13 @@ import scipy.linalg
 from tolerances import (
     GAP_LIMIT,
     GAP_ROUNDING,
-    LQR_REFERENCE,
     RICCATI_COST,
     RICCATI_GAIN,
-    SCALED_COST,
 )
 
-from sets import lmi
-from sets.lmi import (
-    Objective,
-    TerminalCost,
-    decrease_margins,
-    lqr_gain,
-    optimality_gap,
-    terminal_cost,
-)
+from sets.gap import optimality_gap
+from sets.lmi import Objective, TerminalCost, decrease_margins, terminal_cost
+from sets.riccati import lqr_gain
 
 Weights = tuple[np.ndarray, np.ndarray]
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
@@ -74,22 +66,6 @@ def solved(case: str, objective: Objective) -> tuple[Problem, TerminalCost]:
 
 each_case = pytest.mark.parametrize("case", CASES)
 each_objective = pytest.mark.parametrize("objective", OBJECTIVES)
-
-
-def test_lqr_gain_equals_the_reference_numbers():
-    expected = [[-0.951249, 0, 0], [0, -0.936687, -1.305797]]
-    np.testing.assert_allclose(
-        lqr_gain(model(0.85, 0.85), INPUT, *PAPER), expected, atol=LQR_REFERENCE
-    )
-
-
-def test_lqr_gain_is_a_fixed_point_of_policy_iteration():
-    A = model(1.2, 0.6)
-    B = INPUT
-    Q, R = COUPLED
-    gain = lqr_gain(A, B, Q, R)
-    P = scipy.linalg.solve_discrete_lyapunov((A + B @ gain).T, Q + gain.T @ R @ gain)
-    np.testing.assert_allclose((R + B.T @ P @ B) @ gain, -B.T @ P @ A, atol=LQR_REFERENCE)
 
 
 @each_objective
@@ -216,36 +192,6 @@ def test_weights_near_to_each_other_are_taken_as_they_are():
     unit = 1e-10
     scaled = terminal_cost(A, B, unit * Q, unit * R, "trace_p")
     np.testing.assert_allclose(scaled.value, unit * terminal.value, rtol=RICCATI_COST)
-
-
-@pytest.mark.parametrize("exponent", [-30, -10, 0, 6, 8, 12])
-def test_the_regulator_satisfies_its_riccati_equation_whatever_the_weights(exponent):
-    A = model(1.2, 0.6)
-    Q, R = COUPLED
-    R = 10.0**exponent * R
-    gain = lqr_gain(A, INPUT, Q, R)
-    loop = A + INPUT @ gain
-    assert np.abs(np.linalg.eigvals(loop)).max() < 1
-    P = scipy.linalg.solve_discrete_lyapunov(loop.T, Q + gain.T @ R @ gain)
-    best = -np.linalg.solve(R + INPUT.T @ P @ INPUT, INPUT.T @ P @ A)
-    np.testing.assert_allclose(gain, best, rtol=0, atol=RICCATI_GAIN * np.abs(gain).max())
-
-
-def test_the_regulator_depends_on_the_ratio_of_the_weights_alone():
-    A = model(1.2, 0.6)
-    Q, R = COUPLED
-    expected = lqr_gain(A, INPUT, Q, R)
-    for unit in (1e-30, 1e-10, 1e10):
-        found = lqr_gain(A, INPUT, unit * Q, unit * R)
-        np.testing.assert_allclose(found, expected, rtol=SCALED_COST)
-
-
-def test_the_riccati_cost_is_that_of_an_ordered_schur_form():
-    for weights in (PAPER, LATERAL, COUPLED):
-        A = model(1.2, 0.6)
-        expected = scipy.linalg.solve_discrete_are(A, INPUT, *weights)
-        found = lmi._solve_riccati(A, INPUT, *weights)
-        np.testing.assert_allclose(found, expected, atol=SCALED_COST * np.abs(expected).max())
 
 
 def test_margin_is_negative_where_the_cost_is_too_small():

@@ -27,7 +27,7 @@ from jaxtube.tuning.parameters import Variables, make_parameters
 from jaxtube.tuning.run import Descent, Log, Settings, descend
 from jaxtube.tuning.search import EvaluateValue, log_grid, nelder_mead, random_search
 from jaxtube.tuning.tuner import COMPARED, Point, Tuner
-from sets.lmi import lqr_gain
+from sets.riccati import lqr_gain
 
 GRADIENT = 3
 """What a gradient takes in evaluations: searches are judged after as many as there were gradients,
