@@ -1,26 +1,18 @@
-"""Batched strictly convex quadratic programs: `solve` and what it takes and returns; the methods
-are the modules."""
+"""Batched strictly convex quadratic programs: `solve` and what it takes and returns; each method
+has its own module."""
 
-from jaxtube.qp.solver import (
-    INFEASIBLE,
-    SOLVED,
-    STATUS_TEXT,
-    TOLERANCE,
-    UNSOLVED,
-    Factors,
-    Solution,
-    factorise,
-    solve,
-)
+from jaxtube.qp.fixed_point import TOLERANCE, Factors, factorise
+from jaxtube.qp.solver import Solution, solve
+from jaxtube.qp.status import INFEASIBLE, SOLVED, UNSOLVED, describe
 
 __all__ = [
     "INFEASIBLE",
     "SOLVED",
-    "STATUS_TEXT",
     "TOLERANCE",
     "UNSOLVED",
     "Factors",
     "Solution",
+    "describe",
     "factorise",
     "solve",
 ]
