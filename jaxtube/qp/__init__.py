@@ -1,7 +1,7 @@
 """Batched strictly convex quadratic programs: `solve` and what it takes and returns; each method
 has its own module."""
 
-from jaxtube.qp.fixed_point import TOLERANCE, Factors, factorise
+from jaxtube.qp.fixed_point import TOLERANCE, Factors, bound_tolerance, factorise
 from jaxtube.qp.solver import Solution, solve
 from jaxtube.qp.status import INFEASIBLE, SOLVED, UNSOLVED, describe
 
@@ -12,6 +12,7 @@ __all__ = [
     "UNSOLVED",
     "Factors",
     "Solution",
+    "bound_tolerance",
     "describe",
     "factorise",
     "solve",

@@ -2,11 +2,13 @@
 """ADMM and an active-set Newton method for batches of quadratic programs, both on one fixed-point
 equation.
 
-    minimise over x   1/2 x' P x + q' x   subject to   l <= A x <= u     has the answer x with multipliers y where
+    minimise over x   1/2 x' P x + q' x   subject to   l <= A x <= u
+has the answer x with multipliers y where
     P x + q + A' y = 0   and   A x = clip(A x + y / rho, l, u)   for any rho > 0.
 
 ADMM, over-relaxed, on the one vector v = A x + y / rho:
-    z = clip(v, l, u),   x = K (rho A' (2 z - v) - q),   v <- v + alpha (A x - z),   y = rho (v - z).
+    z = clip(v, l, u),   x = K (rho A' (2 z - v) - q),
+    v <- v + alpha (A x - z),   y = rho (v - z).
 Newton (semismooth): the rows with v outside [l, u] become equations, the others lose their
 multiplier; the equations are solved by augmented Lagrangian passes, so that their penalty leaves no
 error. It converges in a few steps or not at all: the iterate of smallest residual is kept.
@@ -108,7 +110,8 @@ def factorise(
     """
     if P.ndim < 2 or A.ndim < 2 or P.shape[-2:] != (A.shape[-1],) * 2 or not A.shape[-2]:
         raise ValueError(
-            f"P, A: shapes {P.shape} and {A.shape}; give (n, n) and (m, n), m >= 1 (one zero row will do)"
+            f"P, A: shapes {P.shape} and {A.shape}; give (n, n) and (m, n), m >= 1 (one zero row "
+            "will do)"
         )
     rows, norms = normalise_rows(A, xp)
     if xp is np:
@@ -200,6 +203,12 @@ def primal_scale(x: Float[Array, "n batch"]) -> Float[Array, " batch"]:
     """Return pi."""
     unit = PRIMAL_ROUNDING * jnp.finfo(x.dtype).eps / TOLERANCE[x.dtype.itemsize]
     return jnp.maximum(1.0, unit * jnp.max(jnp.abs(x), axis=0))
+
+
+def bound_tolerance(largest: float) -> float:
+    """Return by how much an answer that is SOLVED in float64, its entries up to `largest`, may miss
+    a bound, on rows of unit norm."""
+    return max(TOLERANCE[8], PRIMAL_ROUNDING * float(np.finfo(np.float64).eps) * largest)
 
 
 def residual(

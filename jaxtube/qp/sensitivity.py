@@ -2,13 +2,15 @@
 """Derivative of the answers of a batch of quadratic programs with respect to their data, in reverse
 mode.
 
-    P x + q + A' y = 0,    a_i x = b_i on the active rows (b = u where y > 0, l where y < 0),    y_i = 0 on the others
+    P x + q + A' y = 0,
+    a_i x = b_i on the active rows (b = u where y > 0, l where y < 0),    y_i = 0 on the others
 
 determine x and y, and their derivative as long as the active rows stay the same. Cotangents x_bar,
 y_bar become
 (1) d and nu, the answer and the multipliers of one more program:
     minimise over d   1/2 d' P d - x_bar' d   subject to   a_i d = y_bar_i on the active rows;
-(2) q_bar = -d,   b_bar = nu,   P_bar = -(d x' + x d') / 2,   A_bar = -(y d' + nu x'), summed over the batch.
+(2) q_bar = -d,   b_bar = nu,
+    P_bar = -(d x' + x d') / 2,   A_bar = -(y d' + nu x'), summed over the batch.
 
 Where a row is about to become active or to leave, x has one derivative on either side: a row that
 is active with a multiplier of zero counts as inactive. Where active rows depend on each other the

@@ -166,7 +166,8 @@ solve_batch.defvjp(solve_and_remember, pull_back)
 
 
 def solve_constrained(factors: Factors, instances: Instances, free: Solution) -> Solution:
-    """Run steps (2) to (5) on the instances that `free`, the unconstrained optimum, does not solve."""
+    """Run steps (2) to (5) on the instances that `free`, the unconstrained optimum, does not
+    solve."""
     A = factors.rows
     quadratic = interior_point.program(factors.hessian, jnp.concatenate([A, -A]))
     elastic = farkas.elastic_program(factors.hessian, A)

@@ -7,7 +7,8 @@ UNSOLVED = 2
 SENTENCES = {
     SOLVED: "solved: the residual is within the tolerance",
     INFEASIBLE: "infeasible: it is proved that no x meets the bounds; widen l or u",
-    UNSOLVED: "unsolved: if the residual is infinite look for NaN in the data, else use float64 or a better scaled P",
+    UNSOLVED: "unsolved: if the residual is infinite look for NaN in the data, else use float64 or "
+    "a better scaled P",
 }
 
 
