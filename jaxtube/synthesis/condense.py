@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtube import qp
-from jaxtube.control.mpc import AnyArray, Window
+from jaxtube.control.mpc import AnyArray, CondensedQp
 from jaxtube.scenario import ScenarioError
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import Terminal
@@ -125,7 +125,7 @@ def condense(
     terminal: Terminal,
     terminal_cost: Float[np.ndarray, "3 3"],
     bounds: Bounds,
-) -> Window:
+) -> CondensedQp:
     """Return the condensed QPs of all windows, numpy float64 (cast them for the device).
 
     Raises:
@@ -265,7 +265,7 @@ def weigh(
     cost: Cost,
     largest_errors: Float[AnyArray, "3"],
     xp: ModuleType = jnp,
-) -> Window:
+) -> CondensedQp:
     """Return the condensed QPs of a cost and of bounds.
 
     In jax they are differentiable in both and in the gains; numpy needs no compilation. Only the
@@ -279,7 +279,7 @@ def weigh(
     factors = qp.factorise(hessian, xp.asarray(ahead.rows), xp)
     free_inputs = solve_free(hessian, linear, factors.optimum)
     scale = xp.abs(hessian) @ xp.abs(free_inputs) + xp.abs(linear)
-    return Window(
+    return CondensedQp(
         factors=factors,
         linear=linear,
         cost_unit=xp.full(len(linear), unit),
@@ -335,7 +335,7 @@ def solve_free(
     return rough + optimum @ (hessian @ rough + linear)
 
 
-def residual_bound(problem: Problem, window: Window) -> float:
+def residual_bound(problem: Problem, window: CondensedQp) -> float:
     """Return by how much an accepted answer may miss a constraint, from any error in E, in the
     units of E and U."""
     directions = np.concatenate([np.eye(2), -np.eye(2)])
