@@ -1,7 +1,8 @@
 """Batched strictly convex quadratic programs: `solve` and what it takes and returns; each method
 has its own module."""
 
-from jaxtube.qp.fixed_point import TOLERANCE, Factors, bound_tolerance, factorise
+from jaxtube.qp.factors import Factors, factorise
+from jaxtube.qp.fixed_point import TOLERANCE, bound_tolerance
 from jaxtube.qp.solver import Solution, solve
 from jaxtube.qp.status import INFEASIBLE, SOLVED, UNSOLVED, describe
 

@@ -29,7 +29,7 @@ from jaxtyping import Bool, Float
 
 from jaxtube.qp import batched_ldl
 from jaxtube.qp.batched_ldl import matmul
-from jaxtube.qp.fixed_point import Factors
+from jaxtube.qp.factors import Factors
 
 PENALTY = {8: 1e6, 4: 1e3}
 """Penalty over rho, by bytes of a float.

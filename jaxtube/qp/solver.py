@@ -39,7 +39,8 @@ from jaxtyping import Bool, Float, Int
 from jaxtube.qp import farkas, fixed_point, interior_point, sensitivity
 from jaxtube.qp.batched_ldl import matmul
 from jaxtube.qp.blocks import block_sizes, update_in_blocks
-from jaxtube.qp.fixed_point import TOLERANCE, Factors, Instances, Iterate
+from jaxtube.qp.factors import Factors
+from jaxtube.qp.fixed_point import TOLERANCE, Instances, Iterate
 from jaxtube.qp.interior_point import BOLD, CAUTIOUS, Caution
 from jaxtube.qp.status import INFEASIBLE, SOLVED, UNSOLVED
 
