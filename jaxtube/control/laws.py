@@ -37,7 +37,7 @@ class TubeMpc:
         restart: start each prediction at the measured error, not at the nominal one.
     """
 
-    windows: mpc.Window
+    windows: mpc.CondensedQp
     index: Int[Array, " steps"]
     wheel_map: WheelMap
     restart: bool = True
@@ -52,7 +52,7 @@ class TubeMpc:
         """Itself, where its plans start at the measured error."""
         return self if self.restart else None
 
-    def window(self, step) -> mpc.Window:
+    def window(self, step) -> mpc.CondensedQp:
         """Return the condensed QP of a period."""
         return mpc.take_window(self.windows, self.index[step])
 

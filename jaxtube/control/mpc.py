@@ -1,5 +1,5 @@
-"""Tube-MPC on line: one condensed QP per instance, shared matrices along the reference, a backup
-for infeasible ones.
+"""Tube-MPC on line: one condensed QP per instance, with matrices shared along the reference, and a
+backup where it has no solution.
 
     min_g  sum_{j<N} e_j^T Q e_j + g_j^T R g_j + e_N^T P e_N
     s.t.   e_{j+1} = A(th_{k+j}) e_j + B g_j,   e_j in E_j,   g_j in U_j,   e_N in Omega_N
@@ -31,15 +31,16 @@ from jaxtyping import Bool, Float, Int
 from jaxtube import qp
 from jaxtube.qp.batched_ldl import matmul
 
-AnyArray = Any  # a design holds numpy, a controller jax arrays
+AnyArray = Any
+"""A design holds numpy arrays, a controller jax arrays."""
 
 ACTED = "acted"
-"""Name of what `act` returns, for reverse mode to keep: else a step is solved again."""
+"""Name under which reverse mode keeps what `act` returns; else each step is solved again."""
 
 
-class Window(NamedTuple):
-    """What the controller knows of the reference ahead, condensed; arrays carry a leading axis over
-    distinct windows.
+class CondensedQp(NamedTuple):
+    """The QP of one window of the reference, condensed: all that the controller knows of what lies
+    ahead. A stack of them has a leading axis over the distinct windows.
 
     Rows that no input reaches are kept apart as `check_*`: they only say whether the present error
     is admissible.
@@ -56,9 +57,7 @@ class Window(NamedTuple):
     check_upper: Float[AnyArray, " c"]
     free_inputs: Float[AnyArray, "n 3"]  # G: without constraints g = G e
     free_rows: Float[AnyArray, "m 3"]  # row_errors + rows G
-    free_scale: Float[
-        AnyArray, ""
-    ]  # |H| |G| + |F|, row sum: what rounding in H G e + F e is proportional to
+    free_scale: Float[AnyArray, ""]  # of rounding in H G e + F e: |H| |G| + |F|, row sum
     tube_gain: Float[AnyArray, "2 3"]  # K(th_k)
     terminal_gain: Float[AnyArray, "2 3"]  # Gamma(th_k)
     transition: Float[AnyArray, "3 3"]  # A(th_k)
@@ -66,16 +65,16 @@ class Window(NamedTuple):
 
 
 class MpcState(NamedTuple):
-    """Memory of the controller: the last plan, how much of it lies behind, and where the plan
-    expects the error."""
+    """Memory of the controller: the last plan, its stage that is due, and the error that the plan
+    predicts."""
 
     inputs: Float[Array, "batch horizon 2"]
-    stage: Int[Array, " batch"]  # of the plan's input that is due; the horizon: nothing is left
+    stage: Int[Array, " batch"]  # of the plan's input that is due; the horizon where none is left
     nominal: Float[Array, "batch 3"]
 
 
 class Plan(NamedTuple):
-    """Inputs g_0 .. g_{N-1} of every instance, and what its QP came to."""
+    """Inputs g_0 .. g_{N-1} of every instance, and the outcome of its QP."""
 
     inputs: Float[Array, "batch horizon 2"]
     status: Int[Array, " batch"]  # qp.SOLVED where there is a plan
@@ -94,17 +93,17 @@ class Diagnostics(NamedTuple):
 
 def initial_state(errors: Float[Array, "batch 3"], horizon: int) -> MpcState:
     """Return the memory before the first step: no plan, nominal error = measured error."""
-    batch = errors.shape[0]
-    return MpcState(
-        jnp.zeros((batch, horizon, 2), errors.dtype), jnp.full(batch, horizon, jnp.int32), errors
-    )
+    batch = len(errors)
+    no_inputs = jnp.zeros((batch, horizon, 2), errors.dtype)
+    at_the_end = jnp.full(batch, horizon, jnp.int32)
+    return MpcState(no_inputs, at_the_end, errors)
 
 
-def plan(window: Window, errors: Float[Array, "batch 3"]) -> Plan:
+def plan(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
     """Solve the QP of every instance from its own error.
 
     Args:
-        window: one window (no leading axis).
+        window: one QP (no leading axis).
         errors: start of each prediction, (m, m, rad).
 
     Returns:
@@ -112,41 +111,48 @@ def plan(window: Window, errors: Float[Array, "batch 3"]) -> Plan:
         the solver's tolerance. Its `residual` is that of the optimality conditions, or a bound on
         it.
     """
-    return jax.lax.cond(_all_free(window, errors), free_plan, constrained_plan, window, errors)
+    return jax.lax.cond(_are_all_free(window, errors), free_plan, constrained_plan, window, errors)
 
 
-def _all_free(window: Window, errors: Float[Array, "batch 3"]) -> Bool[Array, ""]:
-    """Return whether every instance meets all its rows without constraints, from the extremes of
-    each row."""
-    slack, values = _slack(errors), matmul(window.free_rows, errors.T)
-    checks = matmul(window.check_errors, errors.T)
-    rows = jnp.all(window.lower <= values.min(axis=1)) & jnp.all(values.max(axis=1) <= window.upper)
-    lower, upper = window.check_lower - slack, window.check_upper + slack
-    return rows & jnp.all(lower <= checks.min(axis=1)) & jnp.all(checks.max(axis=1) <= upper)
+def _are_all_free(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, ""]:
+    """Return whether the plan without constraints is that of every instance; only the extremes of
+    each row over the batch are compared."""
+    check_lower, check_upper = _check_bounds(window, errors)
+    plans_fit = _extremes_fit(window.lower, window.free_rows, errors, window.upper)
+    errors_fit = _extremes_fit(check_lower, window.check_errors, errors, check_upper)
+    return plans_fit & errors_fit
 
 
-def _free(window: Window, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
-    return _within(window.lower, window.free_rows, errors, window.upper)
+def _extremes_fit(
+    lower: Float[Array, " m"],
+    rows: Float[AnyArray, "m 3"],
+    errors: Float[Array, "batch 3"],
+    upper: Float[Array, " m"],
+) -> Bool[Array, ""]:
+    values = matmul(rows, errors.T)
+    return jnp.all(lower <= values.min(axis=1)) & jnp.all(values.max(axis=1) <= upper)
 
 
-def _admissible(window: Window, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
-    slack = _slack(errors)
-    return _within(
-        window.check_lower - slack, window.check_errors, errors, window.check_upper + slack
-    )
+def _is_free(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
+    """Return which instances the plan without constraints serves, were their errors admissible."""
+    values = _image(window.free_rows, errors)
+    return jnp.all((window.lower <= values) & (values <= window.upper), axis=1)
 
 
-def _slack(errors) -> float:
-    # As exact as the rows of the QP: what an admissible plan meets with equality, it meets to
-    # rounding when shifted.
-    return qp.TOLERANCE[errors.dtype.itemsize]
-
-
-def _within(
-    lower, rows: Float[AnyArray, "m 3"], errors: Float[Array, "batch 3"], upper
-) -> Bool[Array, " batch"]:
-    values = _image(rows, errors)
+def _is_admissible(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
+    """Return which errors meet the rows that no input reaches."""
+    lower, upper = _check_bounds(window, errors)
+    values = _image(window.check_errors, errors)
     return jnp.all((lower <= values) & (values <= upper), axis=1)
+
+
+def _check_bounds(
+    window: CondensedQp, errors: Float[Array, "batch 3"]
+) -> tuple[Float[Array, " c"], Float[Array, " c"]]:
+    """Return the bounds of the rows that no input reaches, widened to be as exact as the rows of
+    the QP: what an admissible plan meets with equality, it meets to rounding when shifted."""
+    slack = qp.TOLERANCE[errors.dtype.itemsize]
+    return window.check_lower - slack, window.check_upper + slack
 
 
 def _image(
@@ -154,47 +160,51 @@ def _image(
 ) -> Float[Array, "batch m"]:
     """Return matrix @ vector of every instance as a sum over few columns, which fuses with what is
     done to it next."""
-    return functools.reduce(
-        operator.add, (vectors[:, i, None] * matrix[:, i] for i in range(matrix.shape[1]))
-    )
+    terms = [vectors[:, i, None] * matrix[:, i] for i in range(matrix.shape[1])]
+    return functools.reduce(operator.add, terms)
 
 
-def free_plan(window: Window, errors: Float[Array, "batch 3"]) -> Plan:
+def free_plan(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
     """Return the plans without constraints: the answer of every instance that meets all of them
     this way."""
-    batch, inputs = len(errors), _image(window.free_inputs, errors)
+    batch = len(errors)
+    inputs = _image(window.free_inputs, errors)
     rounding = (inputs.shape[1] + 5) * jnp.finfo(errors.dtype).eps * window.free_scale
     residual = rounding * jnp.max(jnp.abs(errors), axis=1)
     solved = jnp.full(batch, qp.SOLVED, jnp.int32)
     return Plan(inputs.reshape(batch, -1, 2), solved, residual, jnp.zeros(batch, bool))
 
 
-def constrained_plan(window: Window, errors: Float[Array, "batch 3"]) -> Plan:
-    """Return the plans of a batch of which some instance does not meet its constraints freely."""
+def constrained_plan(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
+    """Return the plans of a batch of which some instance needs the solver."""
     shift = _image(window.row_errors, errors)
-    solution = qp.solve(
-        window.factors, _image(window.linear, errors), window.lower - shift, window.upper - shift
-    )
-    admissible = _admissible(window, errors)
+    gradient = _image(window.linear, errors)
+    solution = qp.solve(window.factors, gradient, window.lower - shift, window.upper - shift)
+    admissible = _is_admissible(window, errors)
     # Data that are not numbers are no proof of anything; their residual is infinite.
     excluded = ~admissible & jnp.isfinite(solution.residual)
     status = jnp.where(excluded, qp.INFEASIBLE, solution.status)
     active = (status == qp.SOLVED) & jnp.any(jnp.abs(solution.multipliers) > 0, axis=1)
-    solved = Plan(solution.x.reshape(len(errors), -1, 2), status, solution.residual, active)
-    # Not the solver's answer where there is a free one: no instance may depend on what others need.
-    free = admissible & _free(window, errors)
-    return _where(free, free_plan(window, errors), solved)
+    inputs = solution.x.reshape(len(errors), -1, 2)
+    solved = Plan(inputs, status, solution.residual, active)
+    # An instance with a free plan takes it even in a batch that is solved: its plan must not depend
+    # on the other instances.
+    free = admissible & _is_free(window, errors)
+    return _select(free, free_plan(window, errors), solved)
 
 
-def _where(chosen: Bool[Array, " batch"], one, other):
-    """Choose between two pytrees, instance by instance."""
-    return jax.tree.map(
-        lambda a, b: jnp.where(jnp.expand_dims(chosen, tuple(range(1, a.ndim))), a, b), one, other
-    )
+def _select(first_where: Bool[Array, " batch"], first, second):
+    """Return, instance by instance, the first pytree or the second."""
+
+    def select(a, b):
+        condition = jnp.expand_dims(first_where, tuple(range(1, a.ndim)))
+        return jnp.where(condition, a, b)
+
+    return jax.tree.map(select, first, second)
 
 
 def act(
-    window: Window, state: MpcState, errors: Float[Array, "batch 3"], restart: bool
+    window: CondensedQp, state: MpcState, errors: Float[Array, "batch 3"], restart: bool
 ) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
     """Return the virtual input of one step of the tube-MPC.
 
@@ -211,53 +221,56 @@ def act(
     # The derivative of a conditional keeps what any branch does: the rows of every instance, even
     # if none is active.
     constrained = jax.checkpoint(_act_constrained)
-    found = jax.lax.cond(
-        _all_free(window, start), _act_freely, constrained, window, state, start, errors
-    )
-    return jax.tree.map(functools.partial(checkpoint_name, name=ACTED), found)
+    all_free = _are_all_free(window, start)
+    step = jax.lax.cond(all_free, _act_freely, constrained, window, state, start, errors)
+    return jax.tree.map(functools.partial(checkpoint_name, name=ACTED), step)
 
 
-def _act_freely(window: Window, state: MpcState, start, errors):
+def _act_freely(window: CondensedQp, state: MpcState, start, errors):
     """Act where every instance has just made a free plan."""
-    found = free_plan(window, start)
-    due = found.inputs[:, 0]
+    plan = free_plan(window, start)
+    due = plan.inputs[:, 0]
     command = due + _image(window.tube_gain, errors - start)
-    following = MpcState(found.inputs, jnp.ones_like(state.stage), _expected(window, start, due))
-    return command, following, _diagnostics(found)
+    nominal = _predict(window, start, due)
+    following = MpcState(plan.inputs, jnp.ones_like(state.stage), nominal)
+    return command, following, _diagnose(plan)
 
 
-def _act_constrained(window: Window, state: MpcState, start, errors):
+def _act_constrained(window: CondensedQp, state: MpcState, start, errors):
     """Act where some instance needs the solver, or its backup."""
-    found = constrained_plan(window, start)
-    fresh = MpcState(found.inputs, jnp.zeros_like(state.stage), start)
-    now = _where(found.status == qp.SOLVED, fresh, state)
-    horizon, deviation = now.inputs.shape[1], errors - now.nominal
+    plan = constrained_plan(window, start)
+    fresh = MpcState(plan.inputs, jnp.zeros_like(state.stage), start)
+    now = _select(plan.status == qp.SOLVED, fresh, state)
+    horizon = now.inputs.shape[1]
+    deviation = errors - now.nominal
     due = jnp.take_along_axis(now.inputs, now.stage[:, None, None], axis=1, mode="clip")[:, 0]
     planned = due, _image(window.tube_gain, deviation)
     at_the_end = _image(window.terminal_gain, now.nominal), _image(window.terminal_gain, deviation)
-    due, feedback = _where(now.stage < horizon, planned, at_the_end)
-    following = MpcState(
-        now.inputs, jnp.minimum(now.stage + 1, horizon), _expected(window, now.nominal, due)
-    )
-    return due + feedback, following, _diagnostics(found)
+    due, feedback = _select(now.stage < horizon, planned, at_the_end)
+    nominal = _predict(window, now.nominal, due)
+    following = MpcState(now.inputs, jnp.minimum(now.stage + 1, horizon), nominal)
+    return due + feedback, following, _diagnose(plan)
 
 
-def _expected(window: Window, nominal: Float[Array, "batch 3"], inputs: Float[Array, "batch 2"]):
+def _predict(
+    window: CondensedQp, nominal: Float[Array, "batch 3"], inputs: Float[Array, "batch 2"]
+) -> Float[Array, "batch 3"]:
+    """Return the nominal error one step ahead."""
     return _image(window.transition, nominal) + _image(window.input_matrix, inputs)
 
 
-def _diagnostics(found: Plan) -> Diagnostics:
-    return Diagnostics(found.status, found.residual, found.active, found.status != qp.SOLVED)
+def _diagnose(plan: Plan) -> Diagnostics:
+    return Diagnostics(plan.status, plan.residual, plan.active, plan.status != qp.SOLVED)
 
 
 def no_diagnostics(errors: Float[Array, "batch 3"]) -> Diagnostics:
     """Return the diagnostics of a controller that solves no QP."""
-    none = jnp.zeros(errors.shape[0], bool)
-    return Diagnostics(
-        jnp.full(errors.shape[0], qp.SOLVED), jnp.zeros_like(errors[:, 0]), none, none
-    )
+    batch = len(errors)
+    solved = jnp.full(batch, qp.SOLVED)
+    never = jnp.zeros(batch, bool)
+    return Diagnostics(solved, jnp.zeros_like(errors[:, 0]), never, never)
 
 
-def take_window(windows: Window, index: Int[Array, ""]) -> Window:
-    """Return one window of a stack."""
+def take_window(windows: CondensedQp, index: Int[Array, ""]) -> CondensedQp:
+    """Return the QP of one window."""
     return jax.tree.map(lambda array: array[index], windows)

@@ -1,26 +1,20 @@
-"""Batched strictly convex quadratic programs: `solve` and what it takes and returns; the methods
-are the modules."""
+"""Batched strictly convex quadratic programs: `solve` and what it takes and returns; each method
+has its own module."""
 
-from jaxtube.qp.solver import (
-    INFEASIBLE,
-    SOLVED,
-    STATUS_TEXT,
-    TOLERANCE,
-    UNSOLVED,
-    Factors,
-    Solution,
-    factorise,
-    solve,
-)
+from jaxtube.qp.factors import Factors, factorise
+from jaxtube.qp.fixed_point import TOLERANCE, bound_tolerance
+from jaxtube.qp.solver import Solution, solve
+from jaxtube.qp.status import INFEASIBLE, SOLVED, UNSOLVED, describe
 
 __all__ = [
     "INFEASIBLE",
     "SOLVED",
-    "STATUS_TEXT",
     "TOLERANCE",
     "UNSOLVED",
     "Factors",
     "Solution",
+    "bound_tolerance",
+    "describe",
     "factorise",
     "solve",
 ]

@@ -18,11 +18,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
-# Accelerators round the factors of a product to fewer bits unless told not to; an error of 1e-2
-# would follow here.
 matmul = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
+"""Accelerators round the factors of a product to fewer bits unless told not to; an error of 1e-2
+would follow here."""
 
 
 class LDL(NamedTuple):
@@ -33,25 +33,27 @@ class LDL(NamedTuple):
     inverse_pivots: Float[Array, "n batch"]
 
 
-def pack(matrix: Float[Array, "n n"]) -> Float[Array, " pairs"]:
-    """Pack a symmetric matrix."""
-    return matrix[np.triu_indices(matrix.shape[0])]
+def pack(matrix: Float[Array, "*stack n n"]) -> Float[Array, "*stack pairs"]:
+    """Return a symmetric matrix, numpy or jax, packed."""
+    first, second = np.triu_indices(matrix.shape[-1])
+    return matrix[..., first, second]
 
 
-def pair_products(rows: Float[Array, "m n"]) -> Float[Array, "pairs m"]:
-    """Return the constant matrix that maps weights d to the packed A' diag(d) A, A being `rows`."""
-    first, second = np.triu_indices(rows.shape[1])
-    return (rows[:, first] * rows[:, second]).T
+def pair_products(rows: Float[Array, "*stack m n"]) -> Float[Array, "*stack pairs m"]:
+    """Return the constant matrix that maps weights d to the packed A' diag(d) A, A being `rows`,
+    numpy or jax."""
+    first, second = np.triu_indices(rows.shape[-1])
+    products = rows[..., first] * rows[..., second]
+    return products.swapaxes(-1, -2)
 
 
 def factorise(packed: Float[Array, "pairs batch"]) -> LDL:
-    """Factorise packed positive definite matrices; a pivot that rounding spoilt (not > 0) gives a
-    zero in x instead."""
-    n = round((2 * packed.shape[0] + 0.25) ** 0.5 - 0.5)
-    first, second = np.triu_indices(n)
-    position = np.zeros((n, n), int)
-    position[first, second] = position[second, first] = np.arange(first.size)
-    below = np.arange(n)[:, None]
+    """Return the factors of packed positive definite matrices; a pivot that rounding spoilt (not >
+    0) gives a zero in x."""
+    position = unpacking(packed.shape[0])
+    n = len(position)
+    index = np.arange(n)
+    below = index[:, None]
 
     def eliminate(k, s):
         row = jax.lax.dynamic_index_in_dim(s, k, 0, keepdims=False)
@@ -62,14 +64,25 @@ def factorise(packed: Float[Array, "pairs batch"]) -> LDL:
         return s - multiplier[:, None] * row[None]
 
     upper = jax.lax.fori_loop(0, n, eliminate, packed[position])
-    pivots = upper[np.arange(n), np.arange(n)]
+    pivots = upper[index, index]
     inverse_pivots = jnp.where(pivots > 0, 1 / pivots, 0.0)
     strictly_upper = np.triu(np.ones((n, n), bool), 1)[..., None]
-    return LDL(jnp.where(strictly_upper, upper * inverse_pivots[:, None], 0.0), inverse_pivots)
+    columns = jnp.where(strictly_upper, upper * inverse_pivots[:, None], 0.0)
+    return LDL(columns, inverse_pivots)
+
+
+def unpacking(pairs: int) -> Int[np.ndarray, "n n"]:
+    """Return where each entry of a symmetric matrix stands in its packed form."""
+    n = round((2 * pairs + 0.25) ** 0.5 - 0.5)
+    first, second = np.triu_indices(n)
+    position = np.zeros((n, n), int)
+    position[first, second] = np.arange(pairs)
+    position[second, first] = np.arange(pairs)
+    return position
 
 
 def solve(ldl: LDL, right: Float[Array, "n batch"]) -> Float[Array, "n batch"]:
-    """Solve a factorised batch of systems."""
+    """Return the answers of a factorised batch of systems."""
     n = right.shape[0]
     columns, inverse_pivots = ldl
 
@@ -80,6 +93,5 @@ def solve(ldl: LDL, right: Float[Array, "n batch"]) -> Float[Array, "n batch"]:
         k = n - 1 - j
         return x.at[k].add(-jnp.sum(columns[k] * x, axis=0))
 
-    return jax.lax.fori_loop(
-        0, n, backward, jax.lax.fori_loop(0, n, forward, right) * inverse_pivots
-    )
+    scaled = jax.lax.fori_loop(0, n, forward, right) * inverse_pivots
+    return jax.lax.fori_loop(0, n, backward, scaled)

@@ -22,19 +22,22 @@ from jaxtyping import Bool, Float
 from jaxtube.qp import batched_ldl, interior_point
 from jaxtube.qp.batched_ldl import matmul
 
-LARGEST_NORM = {8: 1e6, 4: 1e2}  # X, by bytes of a float: I / X^2 must stay above the rounding of H
+LARGEST_NORM = {8: 1e6, 4: 1e2}
+"""X, by bytes of a float: I / X^2 must stay above the rounding of H."""
 
 
 def elastic_program(
     hessian: Float[Array, "n n"], rows: Float[Array, "m n"]
 ) -> interior_point.Program:
-    """Prepare problem (1) in (x, t); a very small multiple of `hessian` as its cost makes the
-    answer unique."""
+    """Return problem (1) in (x, t); a very small multiple of `hessian` as its cost makes the answer
+    unique."""
     m, n = rows.shape
-    cost = jnp.finfo(rows.dtype).eps ** 0.66 * hessian / jnp.max(jnp.abs(hessian))
-    both = jnp.concatenate([rows, -rows, jnp.zeros_like(rows[:1])])
-    both = jnp.concatenate([both, -jnp.ones((2 * m + 1, 1), rows.dtype)], axis=1)
-    return interior_point.program(jnp.zeros((n + 1, n + 1), rows.dtype).at[:n, :n].set(cost), both)
+    dtype = rows.dtype
+    cost_of_x = jnp.finfo(dtype).eps ** 0.66 * hessian / jnp.max(jnp.abs(hessian))
+    cost = jnp.zeros((n + 1, n + 1), dtype).at[:n, :n].set(cost_of_x)
+    of_x = jnp.concatenate([rows, -rows, jnp.zeros((1, n), dtype)])
+    of_t = -jnp.ones((2 * m + 1, 1), dtype)
+    return interior_point.program(cost, jnp.concatenate([of_x, of_t], axis=1))
 
 
 def elastic_multipliers(
@@ -44,14 +47,16 @@ def elastic_multipliers(
     start: Float[Array, "n batch"],
     iterations: int,
 ) -> tuple[Float[Array, "m batch"], Float[Array, "m batch"]]:
-    """Solve (1) and return y_u, y_l >= 0, zero where the bound is infinite."""
-    m, n = l.shape[0], start.shape[0]
+    """Solve (1); return y_u, y_l >= 0, zero where the bound is infinite."""
+    m = len(l)
+    n = len(start)
     row_values = matmul(program.rows[:m, :n], start)
     violation = jnp.max(jnp.maximum(row_values - u, l - row_values), axis=0)
-    begin = jnp.concatenate([start, jnp.maximum(violation, 0.0)[None] + 1.0])
+    interior_t = jnp.maximum(violation, 0.0)[None] + 1.0
+    begin = jnp.concatenate([start, interior_t])
     q = jnp.zeros_like(begin).at[n].set(1.0)
     h = jnp.concatenate([u, -l, jnp.ones_like(u[:1])])
-    y = interior_point.solve(program, q, h, begin, iterations)[1]
+    _, y = interior_point.solve(program, q, h, begin, iterations)
     return y[:m], y[m : 2 * m]
 
 
@@ -63,22 +68,42 @@ def excludes(
     lower: Float[Array, "m batch"],
     tolerance: float,
 ) -> Bool[Array, " batch"]:
-    """Check (2) for multipliers >= 0 of the upper and lower bounds; true only with a margin far
-    above rounding."""
-    identity = jnp.eye(rows.shape[1], dtype=rows.dtype) / LARGEST_NORM[rows.dtype.itemsize] ** 2
-    two_sided = jnp.isfinite(l) & jnp.isfinite(u)
-    weights = jnp.where(two_sided, 1 / (1 + jnp.maximum(l * l, u * u)), 0.0)
-    packed = batched_ldl.pack(identity)[:, None] + matmul(batched_ldl.pair_products(rows), weights)
+    """Return whether (2) proves that no x meets the bounds.
+
+    Args:
+        rows: A.
+        l: lower bounds.
+        u: upper bounds.
+        upper: y_u >= 0, to any common scale.
+        lower: y_l >= 0, to the same scale.
+        tolerance: what the proof must exceed, relative to its terms; far above rounding.
+    """
     size = jnp.sum(upper + lower, axis=0)
-    upper, lower = upper / size, lower / size
+    upper = upper / size
+    lower = lower / size
     g = matmul(rows.T, upper - lower)
-    ldl = batched_ldl.factorise(packed)
-    length = jnp.sum(g * batched_ldl.solve(ldl, g), axis=0)
-    largest = jnp.sqrt((1 + jnp.sum(two_sided, axis=0).astype(g.dtype)) * jnp.maximum(length, 0.0))
+    largest, is_positive = largest_product(rows, l, u, g)
     from_below = jnp.where(lower > 0, lower * l, 0.0)
     from_above = jnp.where(upper > 0, upper * u, 0.0)
-    margin = tolerance * jnp.maximum(
-        1.0, jnp.sum(jnp.abs(from_below) + jnp.abs(from_above), axis=0)
-    )
-    positive = jnp.all(ldl.inverse_pivots > 0, axis=0)
-    return positive & (jnp.sum(from_below - from_above, axis=0) > largest + margin)
+    terms = jnp.sum(jnp.abs(from_below) + jnp.abs(from_above), axis=0)
+    margin = tolerance * jnp.maximum(1.0, terms)
+    return is_positive & (jnp.sum(from_below - from_above, axis=0) > largest + margin)
+
+
+def largest_product(
+    rows: Float[Array, "m n"],
+    l: Float[Array, "m batch"],
+    u: Float[Array, "m batch"],
+    g: Float[Array, "n batch"],
+) -> tuple[Float[Array, " batch"], Bool[Array, " batch"]]:
+    """Return sqrt(S g' H^-1 g), which |g'x| cannot exceed within the bounds, and whether H is
+    positive definite to rounding."""
+    n = rows.shape[1]
+    identity = jnp.eye(n, dtype=rows.dtype) / LARGEST_NORM[rows.dtype.itemsize] ** 2
+    two_sided = jnp.isfinite(l) & jnp.isfinite(u)
+    weights = jnp.where(two_sided, 1 / (1 + jnp.maximum(l * l, u * u)), 0.0)
+    products = matmul(batched_ldl.pair_products(rows), weights)
+    ldl = batched_ldl.factorise(batched_ldl.pack(identity)[:, None] + products)
+    length = jnp.sum(g * batched_ldl.solve(ldl, g), axis=0)
+    S = 1 + jnp.sum(two_sided, axis=0).astype(g.dtype)
+    return jnp.sqrt(S * jnp.maximum(length, 0.0)), jnp.all(ldl.inverse_pivots > 0, axis=0)

@@ -3,15 +3,15 @@
     minimise over x   1/2 x' P x + q' x   subject to   G x + s = h,  s >= 0
 
 P and G are shared by the batch, q and h are not; an infinite h drops its row. Each iteration
-(1) takes the affine direction, towards s y = 0, (2) sets the centring from the step that direction
-  allows,
-(3) corrects for its second-order term, (4) moves by one step length for x, s and y; `Caution`
-  bounds all three.
+(1) takes the affine direction, towards s y = 0,
+(2) sets the centring from the step that this direction allows,
+(3) corrects for its second-order term,
+(4) moves by one step length for x, s and y; `Caution` bounds all three.
 
 Notation: y >= 0 multipliers, mu = s'y / rows. The batch is the last axis. Source: Mehrotra, On the
 implementation of a primal-dual interior point method, SIAM J. Optimization 1992; Cartis 2009
-(Optimization Methods and Software 24, 35-62) shows that without such bounds it can cycle, as it
-did.
+(Optimization Methods and Software 24, 35-62) shows that without such bounds it can cycle; programs
+of this project's controllers made it cycle.
 """
 
 from typing import NamedTuple
@@ -38,7 +38,7 @@ BOLD = Caution(0.995, 0.0, 1e9)
 """Mehrotra's steps: few, but where more rows meet than there are unknowns they may run into the
 boundary and cycle."""
 CAUTIOUS = Caution(0.9, 0.1, 1.0)
-"""Steps that do not, and need more iterations."""
+"""Steps that do not cycle and need more iterations."""
 
 
 class Program(NamedTuple):
@@ -60,7 +60,7 @@ class State(NamedTuple):
 
 
 def program(hessian: Float[Array, "n n"], rows: Float[Array, "m n"]) -> Program:
-    """Prepare the shared data of min 1/2 x'Px + q'x s.t. Gx <= h, P being `hessian` and G `rows`."""
+    """Return the shared data of min 1/2 x'Px + q'x s.t. Gx <= h, P being `hessian` and G `rows`."""
     return Program(hessian, rows, batched_ldl.pack(hessian), batched_ldl.pair_products(rows))
 
 
@@ -80,16 +80,19 @@ def solve(
     kept = jnp.isfinite(h)
     h = jnp.where(kept, h, 0.0)
     slack = jnp.where(kept, jnp.maximum(h - matmul(shared.rows, start), 1.0), 1.0)
-    state = State(start, slack, jnp.where(kept, 1.0 / len(h), 0.0), jnp.ones(h.shape[1], bool))
+    multipliers = jnp.where(kept, 1.0 / len(h), 0.0)
+    begin = State(start, slack, multipliers, jnp.ones(h.shape[1], bool))
 
-    def unfinished(carry):
-        return (carry[0] < iterations) & jnp.any(carry[1].moves)
+    def is_unfinished(carry):
+        count, state = carry
+        return (count < iterations) & jnp.any(state.moves)
 
     def body(carry):
-        return carry[0] + 1, iterate(shared, q, h, kept, carry[1], caution)
+        count, state = carry
+        return count + 1, iterate(shared, q, h, kept, state, caution)
 
-    state = jax.lax.while_loop(unfinished, body, (0, state))[1]
-    return state.x, state.y
+    _, end = jax.lax.while_loop(is_unfinished, body, (0, begin))
+    return end.x, end.y
 
 
 def iterate(
@@ -102,12 +105,13 @@ def iterate(
 ) -> State:
     """Take one predictor-corrector step; an instance that is done, or whose numbers leave the
     floats, stays."""
-    (x, s, y, moves), P, G = state, shared.hessian, shared.rows
+    x, s, y, moves = state
+    P = shared.hessian
+    G = shared.rows
     count = jnp.maximum(jnp.sum(kept, axis=0), 1).astype(x.dtype)
     weights = jnp.where(kept, y / s, 0.0)
-    ldl = batched_ldl.factorise(
-        shared.packed_hessian[:, None] + matmul(shared.pair_products, weights)
-    )
+    system = shared.packed_hessian[:, None] + matmul(shared.pair_products, weights)
+    ldl = batched_ldl.factorise(system)
     dual_residual = matmul(P, x) + q + matmul(G.T, y)
     primal_residual = matmul(G, x) + s - h
 
@@ -121,17 +125,23 @@ def iterate(
     _, ds, dy = direction(s * y)  # (1)
     step = longest_step(state, ds, dy, caution.step)
     mu = jnp.sum(jnp.where(kept, s * y, 0.0), axis=0) / count
-    affine_mu = jnp.sum(jnp.where(kept, (s + step * ds) * (y + step * dy), 0.0), axis=0) / count
+    affine_products = (s + step * ds) * (y + step * dy)
+    affine_mu = jnp.sum(jnp.where(kept, affine_products, 0.0), axis=0) / count
     target = mu * jnp.clip((affine_mu / mu) ** 3, caution.centring, 1.0)  # (2)
     most = caution.correction * mu
-    dx, ds, dy = direction(s * y + jnp.clip(ds * dy, -most, most) - target)  # (3)
+    second_order = jnp.clip(ds * dy, -most, most)
+    dx, ds, dy = direction(s * y + second_order - target)  # (3)
     step = longest_step(state, ds, dy, caution.step)  # (4)
-    x, s, y = x + step * dx, s + step * ds, y + step * dy
+    x = x + step * dx
+    s = s + step * ds
+    y = y + step * dy
     # Beyond this mu the weights y / s differ by more than the floats resolve, and iterating on
     # loses what was found.
     moves &= mu > jnp.finfo(x.dtype).eps ** 0.75
-    moves &= jnp.all(jnp.isfinite(x), 0) & jnp.all(s > 0, 0) & jnp.all(y >= 0, 0)
-    return jax.tree.map(lambda new, old: jnp.where(moves, new, old), State(x, s, y, moves), state)
+    moves &= jnp.all(jnp.isfinite(x), axis=0)
+    moves &= jnp.all(s > 0, axis=0) & jnp.all(y >= 0, axis=0)
+    moved = State(x, s, y, moves)
+    return jax.tree.map(lambda new, old: jnp.where(moves, new, old), moved, state)
 
 
 def longest_step(
@@ -139,7 +149,6 @@ def longest_step(
 ) -> Float[Array, " batch"]:
     """Return the step, at most 1, that goes at most a share of the way to where some s or y would
     be zero."""
-    shrink = jnp.maximum(
-        jnp.max(-ds / state.s, 0), jnp.max(jnp.where(dy < 0, -dy / state.y, 0.0), 0)
-    )
-    return share / jnp.maximum(shrink, share)
+    shrink_s = jnp.max(-ds / state.s, axis=0)
+    shrink_y = jnp.max(jnp.where(dy < 0, -dy / state.y, 0.0), axis=0)
+    return share / jnp.maximum(jnp.maximum(shrink_s, shrink_y), share)

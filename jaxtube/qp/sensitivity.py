@@ -2,13 +2,15 @@
 """Derivative of the answers of a batch of quadratic programs with respect to their data, in reverse
 mode.
 
-    P x + q + A' y = 0,    a_i x = b_i on the active rows (b = u where y > 0, l where y < 0),    y_i = 0 on the others
+    P x + q + A' y = 0,
+    a_i x = b_i on the active rows (b = u where y > 0, l where y < 0),    y_i = 0 on the others
 
 determine x and y, and their derivative as long as the active rows stay the same. Cotangents x_bar,
 y_bar become
 (1) d and nu, the answer and the multipliers of one more program:
     minimise over d   1/2 d' P d - x_bar' d   subject to   a_i d = y_bar_i on the active rows;
-(2) q_bar = -d,   b_bar = nu,   P_bar = -(d x' + x d') / 2,   A_bar = -(y d' + nu x'), summed over the batch.
+(2) q_bar = -d,   b_bar = nu,
+    P_bar = -(d x' + x d') / 2,   A_bar = -(y d' + nu x'), summed over the batch.
 
 Where a row is about to become active or to leave, x has one derivative on either side: a row that
 is active with a multiplier of zero counts as inactive. Where active rows depend on each other the
@@ -27,12 +29,15 @@ from jaxtyping import Bool, Float
 
 from jaxtube.qp import batched_ldl
 from jaxtube.qp.batched_ldl import matmul
-from jaxtube.qp.fixed_point import Factors
+from jaxtube.qp.factors import Factors
 
-# Over rho, by bytes of a float. Each pass divides the error by about PENALTY times the least
-# eigenvalue of A P^-1 A' on the active rows, over rho; there is no good guess to begin with, so
-# that penalty and passes exceed those of polish.
 PENALTY = {8: 1e6, 4: 1e3}
+"""Penalty over rho, by bytes of a float.
+
+Each pass divides the error by about PENALTY times the least eigenvalue of A P^-1 A' on the active
+rows, over rho; there is no good guess to begin with, so that penalty and passes exceed those of
+polish.
+"""
 PASSES = 6
 
 
@@ -60,19 +65,21 @@ def adjoint(
 ) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"]]:
     """Solve (1) by augmented Lagrangian passes, so that their penalty leaves no error; return d and
     nu."""
-    A, P = factors.rows, factors.hessian
+    A = factors.rows
+    P = factors.hessian
     weights = jnp.where(active, factors.rho * PENALTY[x_bar.dtype.itemsize], 0.0)
-    ldl = batched_ldl.factorise(
-        factors.packed_hessian[:, None] + matmul(factors.pair_products, weights)
-    )
+    penalised = factors.packed_hessian[:, None] + matmul(factors.pair_products, weights)
+    ldl = batched_ldl.factorise(penalised)
 
     def correct(_, guess):
         d, nu = guess
-        gradient = matmul(P, d) - x_bar + matmul(A.T, nu + weights * (matmul(A, d) - y_bar))
+        multipliers = nu + weights * (matmul(A, d) - y_bar)
+        gradient = matmul(P, d) - x_bar + matmul(A.T, multipliers)
         d = d - batched_ldl.solve(ldl, gradient)
         return d, nu + weights * (matmul(A, d) - y_bar)
 
-    return jax.lax.fori_loop(0, PASSES, correct, (jnp.zeros_like(x_bar), jnp.zeros_like(y_bar)))
+    start = jnp.zeros_like(x_bar), jnp.zeros_like(y_bar)
+    return jax.lax.fori_loop(0, PASSES, correct, start)
 
 
 def shared_cotangents(
@@ -85,15 +92,18 @@ def shared_cotangents(
     """Return P_bar and A_bar of (2), as cotangents of `factors`; the batch is first, the rows are
     the caller's.
 
-    What else `factors` holds speeds the solver up and leaves the answer as it is: its cotangent is
-    zero.
+    The other fields of `factors` make the solver fast and leave the answer as it is: their
+    cotangents are zero.
     """
     half = matmul(d.T, x) / -2
-    rows_bar = jax.lax.cond(
-        jnp.any(multipliers != 0),
-        lambda: -(matmul(multipliers.T, d) + matmul(nu.T, x)),
-        lambda: jnp.zeros_like(factors.rows),
-    )
+
+    def active_rows_bar():
+        return -(matmul(multipliers.T, d) + matmul(nu.T, x))
+
+    def no_rows_bar():
+        return jnp.zeros_like(factors.rows)
+
+    rows_bar = jax.lax.cond(jnp.any(multipliers != 0), active_rows_bar, no_rows_bar)
     return jax.tree.map(jnp.zeros_like, factors)._replace(
         hessian=half + half.T,
         rows=rows_bar * factors.row_norms[:, None],

@@ -8,7 +8,7 @@ P > 0 (n, n) and A (m, n) are shared; q (batch, n) and l, u (batch, m), infinite
 absent, are not.
 
 (1) The unconstrained optimum -P^-1 q: the exact answer where it meets the bounds. If all do,
-  nothing else is done.
+    nothing else is done.
 (2) A fixed number of ADMM iterations, started at (1).
 (3) A few active-set Newton steps; each instance keeps its iterate of smallest residual.
 (4) An interior point method for the few that remain, then (3) again.
@@ -34,32 +34,20 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Bool, Float, Int, PyTree
+from jaxtyping import Bool, Float, Int
 
 from jaxtube.qp import farkas, fixed_point, interior_point, sensitivity
 from jaxtube.qp.batched_ldl import matmul
-from jaxtube.qp.fixed_point import Factors, Instances, Iterate
+from jaxtube.qp.blocks import block_sizes, update_in_blocks
+from jaxtube.qp.factors import Factors
+from jaxtube.qp.fixed_point import TOLERANCE, Instances, Iterate
+from jaxtube.qp.interior_point import BOLD, CAUTIOUS, Caution
+from jaxtube.qp.status import INFEASIBLE, SOLVED, UNSOLVED
 
-__all__ = [
-    "INFEASIBLE",
-    "SOLVED",
-    "STATUS_TEXT",
-    "UNSOLVED",
-    "Factors",
-    "Solution",
-    "factorise",
-    "kkt_residual",
-    "solve",
-]
-
-SOLVED, INFEASIBLE, UNSOLVED = 0, 1, 2
-STATUS_TEXT = {
-    SOLVED: "solved: the residual is within the tolerance",
-    INFEASIBLE: "infeasible, proved: no x meets the bounds; widen l, u or begin closer to the reference",
-    UNSOLVED: "unsolved: if the residual is infinite look for NaN in the data, else use float64, more iterations or a "
-    "better scaled P",
-}
-TOLERANCE = {8: 1e-9, 4: 5e-7}  # by bytes of a float
+ITERATIONS = 30
+"""Iterations of (2)."""
+POLISH_STEPS = 4
+"""Newton steps of (3)."""
 INTERIOR_ITERATIONS = 60
 RESCUE_STEPS = 64
 """Newton steps after (4): where a row misses its bound by 1e-8 they try several active sets before
@@ -76,18 +64,8 @@ class Solution(NamedTuple):
     residual: Float[Array, " batch"]
 
 
-def factorise(P: Float[Array, "n n"], A: Float[Array, "m n"]) -> Factors:
-    """Prepare what the batch shares, as `fixed_point.factorise`; differentiable in what the answer
-    depends on.
-
-    The rest makes the solver fast: its cotangents are zero, and reverse mode need not add them up.
-    """
-    factors = fixed_point.factorise(P, A)
-    fast = jax.tree.map(jax.lax.stop_gradient, factors)
-    return fast._replace(hessian=factors.hessian, rows=factors.rows, row_norms=factors.row_norms)
-
-
 Method = Callable[[Instances, Iterate], tuple[Iterate, Bool[Array, " batch"]]]
+"""What improves iterates and says which instances it proved infeasible."""
 
 
 def solve(
@@ -95,81 +73,86 @@ def solve(
     q: Float[Array, "batch n"],
     l: Float[Array, "*batch m"],
     u: Float[Array, "*batch m"],
-    *,
-    iterations: int = 30,
-    polish_steps: int = 4,
-    tolerance: float | None = None,
 ) -> Solution:
     """Solve the batch; never raises on data, never returns a NaN.
 
-    l, u may be (m,), common to all. `tolerance` is 1e-9 in float64 and 5e-7 in float32 unless
-    given. SOLVED: `kkt_residual` <= tolerance max(1, |q|_inf), or <= the rounding error of P x if
-    that is larger. INFEASIBLE: proved (see `farkas`), or l > u in some row. UNSOLVED: neither. x is
-    the best iterate; it is zero and the residual infinite where the data are not numbers or l > u.
-    Reverse mode gives the derivative of x and of the multipliers with respect to q, l, u and,
-    through `factorise`, to P and A; it is zero where the instance is not SOLVED, and everywhere for
-    the residual.
+    Args:
+        factors: of P and A, by `factorise`.
+        q: linear costs.
+        l: lower bounds, of every instance or common to all.
+        u: upper bounds, likewise.
+
+    Returns:
+        The best iterates. With the residual and the scales of `fixed_point`: SOLVED where the
+        residual is at most 1e-9 in float64, 5e-7 in float32, so that no row, scaled to unit norm,
+        misses its bounds by more than this (or the rounding of A x where that is larger),
+        whatever the size of the cost. INFEASIBLE where proved (see `farkas`), or where l > u in
+        some row. UNSOLVED: neither. x is zero and the residual infinite where the data are not
+        numbers or l > u.
+
+        Reverse mode gives the derivative of x and of the multipliers with respect to q, l, u and,
+        through `factorise`, to P and A; it is zero where the instance is not SOLVED, and everywhere
+        for the residual.
     """
-    tolerance = TOLERANCE[q.dtype.itemsize] if tolerance is None else tolerance
-    l, u = (jnp.broadcast_to(bound, (len(q), len(factors.rows))) for bound in (l, u))
-    return solve_batch(iterations, polish_steps, tolerance, factors, q, l, u)
+    shape = len(q), len(factors.rows)
+    return solve_batch(factors, q, jnp.broadcast_to(l, shape), jnp.broadcast_to(u, shape))
 
 
-@partial(jax.custom_vjp, nondiff_argnums=(0, 1, 2))
+@jax.custom_vjp
 def solve_batch(
-    iterations: int,
-    polish_steps: int,
-    tolerance: float,
     factors: Factors,
     q: Float[Array, "batch n"],
     l: Float[Array, "batch m"],
     u: Float[Array, "batch m"],
 ) -> Solution:
-    """Do what `solve` says."""
-    x, row_values = matmul(q, factors.optimum), matmul(q, factors.optimum_rows)  # (1)
-    residual = jnp.max(jnp.abs(matmul(x, factors.hessian) + q), axis=1)
-    rounding = (
-        2 * jnp.finfo(q.dtype).eps * jnp.max(jnp.abs(factors.hessian)) * jnp.max(jnp.abs(x), axis=1)
-    )
-    limit = jnp.maximum(tolerance * jnp.maximum(1.0, jnp.max(jnp.abs(q), axis=1)), rounding)
-    inside = jnp.all((l <= row_values) & (row_values <= u), axis=1) & (residual <= limit)
-    free = Solution(
-        x, jnp.zeros_like(l), jnp.where(inside, SOLVED, UNSOLVED).astype(jnp.int32), residual
-    )
-    general = partial(
-        solve_constrained, factors, Instances(q, l, u, limit), iterations, polish_steps, tolerance
-    )
-    return jax.lax.cond(jnp.all(inside), lambda free: free, general, free)
+    """Solve as `solve`, every instance with bounds of its own."""
+    x = matmul(q, factors.optimum)  # (1)
+    row_values = matmul(q, factors.optimum_rows)
+    scale = fixed_point.dual_scale(factors, q, x)
+    residual = jnp.max(jnp.abs(matmul(x, factors.hessian) + q), axis=1) / scale
+    is_inside = jnp.all((l <= row_values) & (row_values <= u), axis=1)
+    is_solved = is_inside & (residual <= TOLERANCE[q.dtype.itemsize])
+    status = jnp.where(is_solved, SOLVED, UNSOLVED).astype(jnp.int32)
+    free = Solution(x, jnp.zeros_like(l), status, residual)
+    general = partial(solve_constrained, factors, Instances(q, l, u, scale))
+    return jax.lax.cond(jnp.all(is_solved), lambda free: free, general, free)
 
 
-def solve_and_remember(
-    iterations: int, polish_steps: int, tolerance: float, factors: Factors, q, l, u
-):
-    """Solve, and keep what the derivative needs."""
-    solution = solve_batch(iterations, polish_steps, tolerance, factors, q, l, u)
+# ----------------------------------------------------------------------------------------------
+# derivative
+
+
+def solve_and_remember(factors: Factors, q, l, u) -> tuple[Solution, tuple]:
+    """Solve; return the answers and what their derivative needs."""
+    solution = solve_batch(factors, q, l, u)
     return solution, (factors, l, u, solution)
 
 
-def pull_back(
-    iterations: int, polish_steps: int, tolerance: float, saved: tuple, cotangent: Solution
-) -> tuple[Factors, Array, Array, Array]:
+def pull_back(saved: tuple, cotangent: Solution) -> tuple[Factors, Array, Array, Array]:
     """Return the cotangents of factors, q, l and u; only the instances with an active row cost more
     than a product."""
     factors, l, u, solution = saved
-    norms, zero, solved = factors.row_norms, jnp.zeros_like(l), solution.status == SOLVED
-    x_bar, y_bar = (jnp.where(solved[:, None], part, 0.0) for part in cotangent[:2])
+    norms = factors.row_norms
+    zero = jnp.zeros_like(l)
+    solved = solution.status == SOLVED
+    x_bar = jnp.where(solved[:, None], cotangent.x, 0.0)
+    y_bar = jnp.where(solved[:, None], cotangent.multipliers, 0.0)
     constrained = solved & jnp.any(solution.multipliers != 0, axis=1)
 
-    def block(given, _):
-        x, y, l, u, x_bar, y_bar = given
-        y, l, u, y_bar = y * norms, l / norms, u / norms, y_bar / norms
-        at_lower, at_upper = sensitivity.active_rows(factors, x.T, y.T, l.T, u.T)
-        d, nu = sensitivity.adjoint(factors, at_lower | at_upper, x_bar.T, y_bar.T)
-        return d.T, jnp.where(at_lower, nu, 0.0).T / norms, jnp.where(at_upper, nu, 0.0).T / norms
+    def solve_adjoint(data, _):
+        x, y, l, u, x_bar, y_bar = data
+        at_lower, at_upper = sensitivity.active_rows(
+            factors, x.T, (y * norms).T, (l / norms).T, (u / norms).T
+        )
+        d, nu = sensitivity.adjoint(factors, at_lower | at_upper, x_bar.T, (y_bar / norms).T)
+        l_bar = jnp.where(at_lower, nu, 0.0).T / norms
+        u_bar = jnp.where(at_upper, nu, 0.0).T / norms
+        return d.T, l_bar, u_bar
 
     free = jnp.where(solved[:, None], -matmul(x_bar, factors.optimum), 0.0)
-    given = solution.x, solution.multipliers, l, u, x_bar, y_bar
-    d, l_bar, u_bar = in_blocks(block, block_sizes()[0], constrained, given, (free, zero, zero))
+    data = solution.x, solution.multipliers, l, u, x_bar, y_bar
+    size, _ = block_sizes()
+    d, l_bar, u_bar = update_in_blocks(solve_adjoint, size, constrained, data, (free, zero, zero))
     shared = sensitivity.shared_cotangents(
         factors, solution.x, solution.multipliers, d, l_bar + u_bar
     )
@@ -179,54 +162,28 @@ def pull_back(
 solve_batch.defvjp(solve_and_remember, pull_back)
 
 
-def kkt_residual(
-    factors: Factors,
-    q: Float[Array, "batch n"],
-    l: Float[Array, "*batch m"],
-    u: Float[Array, "*batch m"],
-    x: Float[Array, "batch n"],
-    multipliers: Float[Array, "batch m"],
-) -> Float[Array, " batch"]:
-    """Return max(|P x + q + A'y|_inf, |A x - clip(A x + y, l, u)|_inf), rows scaled to unit 2-norm.
-
-    Infinite where a number is NaN or where bounds cross.
-    """
-    l, u = (jnp.broadcast_to(bound, multipliers.shape) for bound in (l, u))
-    given = unit_rows(factors, Instances(q, l, u, q[:, 0]))
-    return fixed_point.residual(factors, given, x.T, (multipliers * factors.row_norms).T)
+# ----------------------------------------------------------------------------------------------
+# steps (2) to (5)
 
 
-def unit_rows(factors: Factors, given: Instances) -> Instances:
-    """Turn instances as the caller gives them, batch first, into those of unit rows, batch last."""
-    norms = factors.row_norms
-    return Instances(given.q.T, (given.l / norms).T, (given.u / norms).T, given.limit)
-
-
-def solve_constrained(
-    factors: Factors,
-    given: Instances,
-    iterations: int,
-    polish_steps: int,
-    tolerance: float,
-    free: Solution,
-) -> Solution:
-    """Run steps (2) to (5) on the instances that `free`, the unconstrained optimum, does not solve."""
+def solve_constrained(factors: Factors, instances: Instances, free: Solution) -> Solution:
+    """Run steps (2) to (5) on the instances that `free`, the unconstrained optimum, does not
+    solve."""
     A = factors.rows
     quadratic = interior_point.program(factors.hessian, jnp.concatenate([A, -A]))
     elastic = farkas.elastic_program(factors.hessian, A)
 
-    def proved(block, upper, lower):
+    def is_excluded(block, upper, lower):
+        tolerance = TOLERANCE[block.q.dtype.itemsize]
         return farkas.excludes(A, block.l, block.u, upper, lower, tolerance)
 
     def split(block, best):
-        best = fixed_point.better(
-            factors, block, best._replace(residual=jnp.full_like(best.residual, jnp.inf)), *best[:2]
-        )
-        x, y = fixed_point.admm(factors, block, best.x, iterations)  # (2)
-        best = fixed_point.polish(factors, block, best, x, y, polish_steps)  # (3)
-        return best, fixed_point.crossing(block) | proved(
-            block, jnp.maximum(y, 0.0), jnp.maximum(-y, 0.0)
-        )
+        nothing = best._replace(residual=jnp.full_like(best.residual, jnp.inf))
+        best = fixed_point.keep_better(factors, block, nothing, best.x, best.y)
+        x, y = fixed_point.admm(factors, block, best.x, ITERATIONS)  # (2)
+        best = fixed_point.polish(factors, block, best, x, y, POLISH_STEPS)  # (3)
+        excluded = is_excluded(block, jnp.maximum(y, 0.0), jnp.maximum(-y, 0.0))
+        return best, fixed_point.has_crossing_bounds(block) | excluded
 
     def rescue(caution, block, best):
         h = jnp.concatenate([block.u, -block.l])
@@ -235,29 +192,24 @@ def solve_constrained(
         )  # (4)
         upper, lower = jnp.split(y, 2)
         best = fixed_point.polish(factors, block, best, x, upper - lower, RESCUE_STEPS)
-        return best, proved(block, upper, lower)
+        return best, is_excluded(block, upper, lower)
 
     def refute(block, best):
-        return best, proved(
-            block,
-            *farkas.elastic_multipliers(elastic, block.l, block.u, best.x, INTERIOR_ITERATIONS),
+        upper, lower = farkas.elastic_multipliers(
+            elastic, block.l, block.u, best.x, INTERIOR_ITERATIONS
         )
+        return best, is_excluded(block, upper, lower)
+
+    def rescue_all(solution, caution):
+        rescuer = partial(rescue, caution)
+        return improve(rescuer, rare_size, factors, instances, solution), None
 
     size, rare_size = block_sizes()
-    solution = improve(split, size, factors, given, free)
-    # One program for both: the cautious method for what the bold one leaves.
-    cautions = jax.tree.map(
-        lambda *each: jnp.array(each, A.dtype), interior_point.BOLD, interior_point.CAUTIOUS
-    )
-    solution = jax.lax.scan(
-        lambda now, caution: (
-            improve(partial(rescue, caution), rare_size, factors, given, now),
-            None,
-        ),
-        solution,
-        cautions,
-    )[0]
-    solution = improve(refute, rare_size, factors, given, solution)  # (5)
+    solution = improve(split, size, factors, instances, free)
+    # A scan compiles one program for both: the cautious method for what the bold one leaves.
+    cautions = Caution(*jnp.array([BOLD, CAUTIOUS], A.dtype).T)
+    solution, _ = jax.lax.scan(rescue_all, solution, cautions)
+    solution = improve(refute, rare_size, factors, instances, solution)  # (5)
     sound = jnp.isfinite(solution.residual)
     return solution._replace(
         x=jnp.where(sound[:, None], solution.x, 0.0),
@@ -265,53 +217,30 @@ def solve_constrained(
     )
 
 
-def block_sizes() -> tuple[int, int]:
-    """Return how many instances make a block, and how many where few are expected."""
-    # A processor's caches hold 64 instances and it pays for every one; an accelerator pays for
-    # every block.
-    return (64, 32) if jax.default_backend() == "cpu" else (8192, 1024)
-
-
 def improve(
-    method: Method, size: int, factors: Factors, given: Instances, solution: Solution
+    method: Method, size: int, factors: Factors, instances: Instances, solution: Solution
 ) -> Solution:
     """Apply a method once to every unsolved instance whose data are numbers, `size` of them at a
     time."""
     norms = factors.row_norms
+    tolerance = TOLERANCE[instances.q.dtype.itemsize]
 
-    def block(given, now):
-        given = unit_rows(factors, given)
-        best, infeasible = method(
-            given, Iterate(now.x.T, (now.multipliers * norms).T, now.residual)
-        )
-        status = jnp.where(
-            best.residual <= given.limit, SOLVED, jnp.where(infeasible, INFEASIBLE, UNSOLVED)
-        )
+    def improve_block(instances, solution):
+        instances = unit_rows(factors, instances)
+        start = Iterate(solution.x.T, (solution.multipliers * norms).T, solution.residual)
+        best, infeasible = method(instances, start)
+        otherwise = jnp.where(infeasible, INFEASIBLE, UNSOLVED)
+        status = jnp.where(best.residual <= tolerance, SOLVED, otherwise)
         return Solution(best.x.T, best.y.T / norms, status.astype(jnp.int32), best.residual)
 
     pending = (solution.status == UNSOLVED) & jnp.isfinite(solution.residual)
-    return in_blocks(block, size, pending, given, solution)
+    return update_in_blocks(improve_block, size, pending, instances, solution)
 
 
-def in_blocks(
-    method: Callable[[PyTree, PyTree], PyTree],
-    size: int,
-    pending: Bool[Array, " batch"],
-    given: PyTree,
-    found: PyTree,
-) -> PyTree:
-    """Replace what is found for the pending instances by method(given, found), `size` of them at a
-    time."""
-    batch = len(pending)
-    size = min(size, batch)
-
-    def block(carry):
-        pending, found = carry
-        index = jnp.nonzero(pending, size=size, fill_value=batch)[0]
-        new = method(
-            *jax.tree.map(lambda a: jnp.take(a, index, axis=0, mode="clip"), (given, found))
-        )
-        found = jax.tree.map(lambda old, new: old.at[index].set(new, mode="drop"), found, new)
-        return pending.at[index].set(False, mode="drop"), found
-
-    return jax.lax.while_loop(lambda carry: jnp.any(carry[0]), block, (pending, found))[1]
+def unit_rows(factors: Factors, instances: Instances) -> Instances:
+    """Return instances with the batch first and the caller's rows as those of unit rows, batch
+    last."""
+    norms = factors.row_norms
+    l = (instances.l / norms).T
+    u = (instances.u / norms).T
+    return Instances(instances.q.T, l, u, instances.dual_scale)

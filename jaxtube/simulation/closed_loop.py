@@ -73,7 +73,7 @@ def make_plain_mpc(design: Design) -> TubeMpc:
     return _make_mpc(design, design.plain_window)
 
 
-def _make_mpc(design: Design, windows: mpc.Window) -> TubeMpc:
+def _make_mpc(design: Design, windows: mpc.CondensedQp) -> TubeMpc:
     require_64_bits("controllers of a design")
     on_device = jax.tree.map(jnp.asarray, windows)
     return TubeMpc(on_device, jnp.asarray(design.windows.index), make_wheel_map(design.problem))

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linprog
 
-from jaxtube.control.mpc import Window
+from jaxtube.control.mpc import CondensedQp
 from jaxtube.scenario import ScenarioError
 from jaxtube.synthesis.problem import Problem
 from sets.polytope import Polytope
@@ -34,7 +34,7 @@ def noise_corners(problem: Problem) -> Float[np.ndarray, "corners 3"]:
 
 
 def reach_of_ray(
-    window: Window,
+    window: CondensedQp,
     index: int,
     direction: Float[np.ndarray, "3"],
     origin: Float[np.ndarray, "3"] | None = None,
@@ -58,7 +58,7 @@ def reach_of_ray(
     return float(answer.x[-1]) if answer.status == 0 else 0.0
 
 
-def shortfall(window: Window, index: int, error: Float[np.ndarray, "3"]) -> float:
+def shortfall(window: CondensedQp, index: int, error: Float[np.ndarray, "3"]) -> float:
     """Return by how much the rows must give way before `error` has a plan; <= 0 where it has one."""
     errors, rows, bounds = _constraints(window, index)
     answer = linprog(
@@ -72,7 +72,7 @@ def shortfall(window: Window, index: int, error: Float[np.ndarray, "3"]) -> floa
 
 
 def boundary(
-    window: Window, index: int, error_set: Polytope, count: int, seed: int = 0
+    window: CondensedQp, index: int, error_set: Polytope, count: int, seed: int = 0
 ) -> Float[np.ndarray, "count 3"]:
     """Return points on the boundary of F along `count` random directions, E being scaled to a cube
     for the draw.
@@ -86,7 +86,7 @@ def boundary(
 
 
 def true_starts(
-    window: Window, index: int, problem: Problem, count: int = RAYS, seed: int = 0
+    window: CondensedQp, index: int, problem: Problem, count: int = RAYS, seed: int = 0
 ) -> Float[np.ndarray, "k 3"]:
     """Return corners of a polytope of true errors from which there is a plan, whatever the noise of
     the pose.
@@ -129,7 +129,7 @@ def spread_starts(
     return starts
 
 
-def _constraints(window: Window, index: int):
+def _constraints(window: CondensedQp, index: int):
     """Return (errors, rows, bounds) of the one-sided rows  errors e + rows g <= bounds  of one
     window."""
     errors = np.concatenate([window.row_errors[index], window.check_errors[index]])

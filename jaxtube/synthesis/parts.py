@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.control.mpc import Window
+from jaxtube.control.mpc import CondensedQp
 from jaxtube.synthesis import condense
 from jaxtube.synthesis.condense import Bounds
 from jaxtube.synthesis.gains import Gain
@@ -32,16 +32,16 @@ class Condensed:
     bounds: Bounds
 
     @cached_property
-    def with_tube(self) -> Window:
+    def with_tube(self) -> CondensedQp:
         """The tube-MPC."""
         return self._condense(self.bounds)
 
     @cached_property
-    def without_tube(self) -> Window:
+    def without_tube(self) -> CondensedQp:
         """The MPC of E and U untightened, without a terminal set."""
         return self._condense(condense.plain_bounds(self.problem, self.windows, self.terminal))
 
-    def _condense(self, bounds: Bounds) -> Window:
+    def _condense(self, bounds: Bounds) -> CondensedQp:
         return condense.condense(self.problem, self.windows, self.terminal, self.cost, bounds)
 
 
@@ -76,12 +76,12 @@ class Design:
         return int(self.windows.index[0])
 
     @property
-    def tube_window(self) -> Window:
+    def tube_window(self) -> CondensedQp:
         """The condensed tube-MPC, window by window, numpy float64."""
         return self.condensed.with_tube
 
     @property
-    def plain_window(self) -> Window:
+    def plain_window(self) -> CondensedQp:
         """The condensed MPC without tube and terminal set."""
         return self.condensed.without_tube
 

@@ -17,19 +17,10 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxtube.control.mpc import AnyArray, Window
-from jaxtube.synthesis.condense import (
-    Bounds,
-    Cost,
-    Gains,
-    Prediction,
-    predict,
-    row_bounds,
-    weigh,
-    widths,
-    with_terminal_rows,
-)
+from jaxtube.control.mpc import AnyArray, CondensedQp
+from jaxtube.synthesis.condense import Bounds, Cost, Gains, row_bounds, weigh, widths
 from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.prediction import Prediction, predict, with_terminal_rows
 from jaxtube.synthesis.tightening import BACK_OFF
 from jaxtube.tuning.caps import Limits, make_limits
 from jaxtube.tuning.gains import GainMaps, differentiate_terminal_cost, make_gain_maps
@@ -172,7 +163,7 @@ def terminal_weight(fixed: Fixed, weights: Weights) -> Float[Array, "3 3"]:
     )
 
 
-def condense_windows(fixed: Fixed, weights: Weights) -> Window:
+def condense_windows(fixed: Fixed, weights: Weights) -> CondensedQp:
     """Return the condensed QPs along the reference."""
     gains = fixed.maps.window_gains.at(weights.kappa)[:, 0]
     cost = Cost(weights.error_weight, weights.input_weight, terminal_weight(fixed, weights))

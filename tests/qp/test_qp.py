@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 from tube_programs import BATCH, Family, easy, family, hard
 
 from jaxtube import qp
-from jaxtube.qp import batched_ldl, farkas, fixed_point
+from jaxtube.qp import batched_ldl, farkas, fixed_point, solver
 
 solve = jax.jit(qp.solve)
 factorise = jax.jit(qp.factorise)
@@ -38,14 +38,15 @@ def exact(P, A, q, l, u):
 
 
 def residual_by_hand(P, A, q, l, u, x, multipliers):
+    """The residual of answers of order one, relative to |q| where that is larger."""
     norms = np.linalg.norm(A, axis=1)
     norms[norms == 0] = 1
+    scale = np.maximum(1, np.abs(q).max(axis=1))
     stationarity = np.abs(x @ P + q + multipliers @ A).max(axis=1)
     values = x @ A.T / norms
-    distance = np.abs(values - np.clip(values + multipliers * norms, l / norms, u / norms)).max(
-        axis=1
-    )
-    return np.maximum(stationarity, distance)
+    shifted = values + multipliers * norms / scale[:, None]
+    distance = np.abs(values - np.clip(shifted, l / norms, u / norms)).max(axis=1)
+    return np.maximum(stationarity / scale, distance)
 
 
 def check(fam: Family, q, l, u) -> tuple[np.ndarray, np.ndarray]:
@@ -252,10 +253,12 @@ def test_polish_makes_most_iterates_exact_and_loses_none():
     @jax.jit
     def before_and_after(P, A, q, l, u):
         factors = qp.factorise(P, A)
-        given = qp.unit_rows(factors, fixed_point.Instances(q, l, u, q[:, 0]))
-        x, y = fixed_point.admm(factors, given, jnp.zeros_like(q.T), 30)
-        found = fixed_point.Iterate(x, y, fixed_point.residual(factors, given, x, y))
-        return found.residual, fixed_point.polish(factors, given, found, x, y, 4).residual
+        instances = fixed_point.Instances(q, l, u, jnp.ones(len(q)))
+        instances = solver.unit_rows(factors, instances)
+        x, y = fixed_point.admm(factors, instances, jnp.zeros_like(q.T), 30)
+        start = fixed_point.Iterate(x, y, fixed_point.residual(factors, instances, x, y))
+        polished = fixed_point.polish(factors, instances, start, x, y, 4)
+        return start.residual, polished.residual
 
     before, after = before_and_after(fam.P, fam.A, *programs)
     solution = answer(fam.P, fam.A, *programs)
@@ -301,3 +304,19 @@ def test_shapes_that_do_not_fit_are_refused():
         qp.factorise(jnp.eye(3), jnp.ones((5, 2)))
     with pytest.raises(ValueError, match="m >= 1"):
         qp.factorise(jnp.eye(3), jnp.ones((0, 3)))
+
+
+@pytest.mark.parametrize("factor", [1e8, 1e12])
+def test_the_size_of_the_cost_neither_moves_the_answer_nor_widens_the_bounds(factor):
+    fam = family(0)
+    q, l, u = (part[:200] for part in hard(fam, 0))
+    solution = answer(factor * fam.P, fam.A, factor * q, l, u)
+    x, feasible = exact(fam.P, fam.A, q, l, u)
+    solved = solution.status == qp.SOLVED
+    assert not (solved & ~feasible).any()
+    assert solved.sum() >= tol.QP_SHARE * feasible.sum()
+    norms = np.linalg.norm(fam.A, axis=1)
+    values = solution.x @ fam.A.T
+    missed = np.maximum(l - values, values - u) / norms
+    assert missed[solved].max() <= qp.bound_tolerance(1.0)
+    np.testing.assert_allclose(solution.x[solved], x[solved], atol=tol.QP_ANSWER)

@@ -11,7 +11,7 @@ import tolerances as tol
 from tube_programs import Family, family, hard
 
 from jaxtube import qp
-from jaxtube.qp import fixed_point
+from jaxtube.qp import fixed_point, solver
 
 COUNT = 400  # one shape for nearly all tests, so that one compilation serves them
 STEP = 1e-5
@@ -116,6 +116,12 @@ def test_agrees_with_differences_of_an_exact_solver(seed, part):
         assert (np.abs(products.sum(axis=1) - by_difference) <= tol.SENSITIVITY * scale).all()
 
 
+def differentiable_gain(factors: qp.Factors) -> qp.Factors:
+    """The factors with the derivative of the gain of the iterations, which `qp` leaves out."""
+    gram = factors.rows.T @ factors.rows
+    return factors._replace(admm_gain=jnp.linalg.inv(factors.hessian + factors.rho * gram))
+
+
 @pytest.mark.slow
 def test_agrees_with_unrolled_iterations():
     data = programs(0)
@@ -123,12 +129,12 @@ def test_agrees_with_unrolled_iterations():
     solution = gradient(data, x_bar)[1]
 
     def unrolled(data, x_bar):
-        factors = fixed_point.factorise(data[0], data[1])
-        given = qp.unit_rows(
-            factors, fixed_point.Instances(data[2], data[3], data[4], data[2][:, 0])
-        )
-        x, y = fixed_point.admm(factors, given, jnp.zeros_like(given.q), 600)
-        return jnp.sum(x.T * x_bar), fixed_point.residual(factors, given, x, y)
+        P, A, q, l, u = data
+        factors = differentiable_gain(qp.factorise(P, A))
+        instances = fixed_point.Instances(q, l, u, jnp.ones(len(q)))
+        instances = solver.unit_rows(factors, instances)
+        x, y = fixed_point.admm(factors, instances, jnp.zeros_like(instances.q), 600)
+        return jnp.sum(x.T * x_bar), fixed_point.residual(factors, instances, x, y)
 
     iterate = jax.jit(jax.grad(unrolled, has_aux=True))
     # The product of an infinite bound with its cotangent, zero, would be NaN.

@@ -13,7 +13,7 @@ import tuned
 
 from jaxtube import qp
 from jaxtube.control.laws import ScheduledGain, TubeMpc
-from jaxtube.qp import fixed_point
+from jaxtube.qp import fixed_point, solver
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.closed_loop import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys, rollout
@@ -306,10 +306,13 @@ def test_agrees_with_unrolled_iterations(monkeypatch):
 
     def unrolled(factors, q, lower, upper):
         # What the iterations go by has a derivative here, which `qp` leaves out.
-        factors = fixed_point.factorise(factors.hessian, factors.rows * factors.row_norms[:, None])
+        gram = factors.rows.T @ factors.rows
+        gain = jnp.linalg.inv(factors.hessian + factors.rho * gram)
+        factors = factors._replace(admm_gain=gain)
         # The product of an infinite bound with its cotangent, zero, would be NaN.
-        given = fixed_point.Instances(q, jnp.maximum(lower, -1e6), jnp.minimum(upper, 1e6), q[:, 0])
-        given = qp.unit_rows(factors, given)
+        scale = jnp.ones(len(q))
+        given = fixed_point.Instances(q, jnp.maximum(lower, -1e6), jnp.minimum(upper, 1e6), scale)
+        given = solver.unit_rows(factors, given)
         x, y = fixed_point.admm(factors, given, jnp.zeros_like(given.q), 400)
         status = jnp.full(len(q), qp.SOLVED, jnp.int32)
         return qp.Solution(

@@ -128,7 +128,7 @@ def shortened(plant, steps: int):
     )
 
 
-def active_rows(window: mpc.Window, errors, inputs, slack: float):
+def active_rows(window: mpc.CondensedQp, errors, inputs, slack: float):
     """Return which rows of each plan meet a bound, (batch, m)."""
     rows = window.factors.rows * window.factors.row_norms[:, None]
     values = errors @ window.row_errors.T + inputs.reshape(len(errors), -1) @ rows.T

@@ -1,0 +1,56 @@
+"""Work on the pending instances of a batch alone, a block of fixed size at a time, under jit."""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, PyTree
+
+
+def block_sizes() -> tuple[int, int]:
+    """Return how many instances make a block, and how many where few are expected."""
+    # A processor's caches hold 64 instances and it pays for every one; an accelerator pays for
+    # every block.
+    return (64, 32) if jax.default_backend() == "cpu" else (8192, 1024)
+
+
+def update_in_blocks(
+    method: Callable[[PyTree, PyTree], PyTree],
+    size: int,
+    pending: Bool[Array, " batch"],
+    data: PyTree,
+    answers: PyTree,
+) -> PyTree:
+    """Replace the answers of the pending instances by method(data, answers) of these instances.
+
+    Args:
+        method: called on `size` instances at once; the last block is filled up with copies of the
+            last instance of the batch.
+        size: of a block.
+        pending: the instances to work on; their number decides the cost.
+        data: arrays with the batch as their leading axis.
+        answers: the same, of the shapes and types that `method` returns.
+    """
+    batch = len(pending)
+    size = min(size, batch)
+
+    def is_unfinished(carry):
+        pending, _ = carry
+        return jnp.any(pending)
+
+    def update_block(carry):
+        pending, answers = carry
+        index = jnp.nonzero(pending, size=size, fill_value=batch)[0]
+
+        def gather(array):
+            return jnp.take(array, index, axis=0, mode="clip")
+
+        def scatter(array, block):
+            return array.at[index].set(block, mode="drop")
+
+        block = method(jax.tree.map(gather, data), jax.tree.map(gather, answers))
+        return scatter(pending, False), jax.tree.map(scatter, answers, block)
+
+    _, answers = jax.lax.while_loop(is_unfinished, update_block, (pending, answers))
+    return answers
