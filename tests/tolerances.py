@@ -130,14 +130,13 @@ ADAM_BY_HAND = 1e-13  # points of order one; the same sums in numpy
 DESCENT_OPTIMUM = 1e-8  # distance to the optimum of numbers of order one
 NOISY_OPTIMUM = 0.06  # distance after 400 steps under noise of deviation 0.3 in the gradient
 
-# jaxtube/tuning/tube.py, minimal.py, residual.py
+# jaxtube/tuning/tube.py, minimal.py, caps.py
 TUBE_REACH = 1e-9  # relative; sums of support numbers against vertices, of which those closer than 1e-10 are one
 TUBE_BOUND = 1e-7  # relative; where the iteration for the minimal set stops, tenfold
 TUBE_TIGHT = (
     1e-9  # relative; the fixed point itself, active facets found where that iteration stopped
 )
 TUBE_SLOPE = 1e-6  # relative to the gradient; central differences with steps of 1e-4 of a twentieth of the gains
-TUBE_RESIDUAL = 1e-12  # m and rad; differences of numbers of order one
 
 # sets/lyapunov.py, jaxtube/tuning/gains.py, loop.py, objective.py
 ACTIVE_ROW = (

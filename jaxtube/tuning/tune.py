@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import get_args
 
+from jaxtube.precision import in_64_bits
 from jaxtube.scenario import Scenario
 from jaxtube.synthesis.design import Design, design
 from jaxtube.synthesis.problem import Problem
@@ -89,6 +90,7 @@ class Tuned:
         )
 
 
+@in_64_bits
 def tune(
     scenario: Scenario,
     *,
@@ -104,7 +106,8 @@ def tune(
     log: Log | None = None,
     progress: Progress | None = None,
 ) -> Tuned:
-    """Tune weights and gains of a scenario by gradients through laps and through the tube.
+    """Tune weights and gains of a scenario by gradients through laps and through the tube, in 64
+    bits.
 
     Args:
         scenario: where tuning starts; its [tuning] says what it aims at.

@@ -98,7 +98,7 @@ class Loop:
             candidate = self.tuner.candidate(point)
             if candidate.frozen is not None:
                 break
-        design = finish(candidate.ingredients)
+        design = finish(candidate.prepared)
         first = int(design.windows.index[0])
         operating = design.problem.operating_set
         edge = boundary(design.tube_window, first, operating, LAPS - 1, seed)

@@ -3,6 +3,7 @@
 import dataclasses
 from functools import cache
 
+import jax
 import jax.numpy as jnp
 import msgspec
 import numpy as np
@@ -74,11 +75,12 @@ def entries(weights: Weights):
     return np.concatenate([of_errors, of_inputs, np.asarray(weights.kappa)])
 
 
+@jax.jit
 def weights_of(numbers) -> Weights:
     """Return weights and gains of their entries."""
-    return Weights(
-        _symmetric(numbers[:6], 3), _symmetric(numbers[6:9], 2), jnp.asarray(numbers[9:])
-    )
+    error_weight = _symmetric(numbers[:6], 3)
+    input_weight = _symmetric(numbers[6:9], 2)
+    return Weights(error_weight, input_weight, jnp.asarray(numbers[9:]))
 
 
 def problem_with(problem, weights: Weights):
