@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.plant.model import VERTEX_SIDES, Model, make_model
-from jaxtube.plant.recording import from_file
+from jaxtube.plant.recorded_reference import from_file
 from jaxtube.plant.reference import Reference, lemniscate, two_circles
 from jaxtube.plant.robot import Robot
 from jaxtube.scenario import Scenario, ScenarioError, check_reference_wheels, weight_matrix
