@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from jaxtube.plant.recording import Recording, read_recording
+from jaxtube.plant.recording import SLOWEST_RECORDING, Recording, read_recording
 from jaxtube.plant.reference import (
     Reference,
     count_periods,
@@ -25,9 +25,6 @@ from jaxtube.plant.reference import (
     refuse_too_many_periods,
     refuse_unless_positive,
 )
-
-SLOWEST_RECORDING = 1e-3
-"""Speed in m/s below which a recorded path has no heading."""
 
 SHARPEST_TURN = np.pi / 2.0
 """Turn in rad of one period beyond which the path is taken to reverse."""
@@ -92,11 +89,17 @@ def _find_headings(
 ) -> Float[np.ndarray, "periods+1"]:
     """Return the unwrapped directions of motion of a path that neither stops nor reverses."""
     speeds = np.linalg.norm(velocities, axis=-1)
-    stops = np.flatnonzero(speeds < SLOWEST_RECORDING)
-    if stops.size:
-        _refuse_stop(recording, float(samples[stops[0]]), float(speeds[stops[0]]))
     headings = np.unwrap(np.arctan2(velocities[:, 1], velocities[:, 0]))
+    stops = np.flatnonzero(speeds < SLOWEST_RECORDING)
     jumps = np.flatnonzero(np.abs(np.diff(headings)) > SHARPEST_TURN)
+    if stops.size or jumps.size:
+        _refuse_repeats(recording)
+    if stops.size:
+        raise ValueError(
+            f"{recording.path}: columns x_m, y_m: the path moves at {speeds[stops[0]]:.2g} m/s at "
+            f"{samples[stops[0]]:g} s, without a heading there; cut parts slower than "
+            f"{SLOWEST_RECORDING:g} m/s out"
+        )
     if jumps.size:
         turn = np.degrees(headings[jumps[0] + 1] - headings[jumps[0]])
         raise ValueError(
@@ -106,28 +109,18 @@ def _find_headings(
     return headings
 
 
-def _refuse_stop(recording: Recording, time: float, speed: float) -> None:
-    """Refuse a path that stands still at a time, by the cause."""
-    path = recording.path
-    steps = np.linalg.norm(np.diff(recording.positions, axis=0), axis=1)
-    repeats = np.flatnonzero(steps == 0.0)
+def _refuse_repeats(recording: Recording) -> None:
+    """Refuse a position that is given twice in a row."""
+    moves = np.diff(recording.positions, axis=0)
+    repeats = np.flatnonzero(~moves.any(axis=1))
     if repeats.size:
         first = recording.lines[repeats[0]]
         second = recording.lines[repeats[0] + 1]
         raise ValueError(
-            f"{path}: columns x_m, y_m: line {second} repeats the position of line {first} and "
-            "leaves the path without a heading; drop repeated positions and cut stops out"
+            f"{recording.path}: columns x_m, y_m: line {second} repeats the position of line "
+            f"{first} and leaves the path without a heading; drop repeated positions and cut stops "
+            "out"
         )
-    mean_speed = float(steps.sum()) / recording.duration
-    if mean_speed < SLOWEST_RECORDING:
-        raise ValueError(
-            f"{path}: column time_s: the path moves at {mean_speed:.2g} m/s on average; give "
-            "seconds (divide milliseconds by 1e3, microseconds by 1e6, nanoseconds by 1e9)"
-        )
-    raise ValueError(
-        f"{path}: columns x_m, y_m: the path moves at {speed:.2g} m/s at {time:g} s, without a "
-        f"heading there; cut parts slower than {SLOWEST_RECORDING:g} m/s out"
-    )
 
 
 def _follow_path(

@@ -21,6 +21,9 @@ COLUMNS = ("time_s", "x_m", "y_m")
 FEWEST_ROWS = 4
 """A cubic spline through fewer points would have freedom left to invent."""
 
+SLOWEST_RECORDING = 1e-3
+"""Speed in m/s below which a recorded path has no heading."""
+
 STAMP_UNITS = (
     (1e17, "nanoseconds", "1e9"),
     (1e14, "microseconds", "1e6"),
@@ -83,7 +86,7 @@ def read_recording(path: str | Path) -> Recording:
             f"{path}: {len(rows)} rows of {COLUMNS[0]} are too few; record at least {FEWEST_ROWS}"
         )
     first = rows[0].time
-    _refuse_other_units(path, float(first))
+    _refuse_stamps(path, float(first))
     time = np.array([float(row.time - first) for row in rows])
     stalled = np.flatnonzero(np.diff(time) <= 0.0)
     if stalled.size:
@@ -94,7 +97,9 @@ def read_recording(path: str | Path) -> Recording:
             f"{after.time}; sort the rows and drop repeated times"
         )
     positions = np.array([[row.x, row.y] for row in rows])
-    return Recording(path, [row.line for row in rows], time, positions)
+    recording = Recording(path, [row.line for row in rows], time, positions)
+    _refuse_slowness(recording)
+    return recording
 
 
 def _read_rows(path: str | Path, file: Iterable[str]) -> Iterator[Row]:
@@ -140,7 +145,7 @@ def _shorten(text: str) -> str:
     return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
 
 
-def _refuse_other_units(path: str | Path, first_stamp: float) -> None:
+def _refuse_stamps(path: str | Path, first_stamp: float) -> None:
     """Refuse stamps since 1970 that cannot be seconds."""
     for least, unit, divisor in STAMP_UNITS:
         if first_stamp >= least:
@@ -148,3 +153,14 @@ def _refuse_other_units(path: str | Path, first_stamp: float) -> None:
                 f"{path}: column time_s starts at {first_stamp:.4g}: {unit} since 1970; "
                 f"give seconds, divide the column by {divisor}"
             )
+
+
+def _refuse_slowness(recording: Recording) -> None:
+    """Refuse a robot so slow that time must be in another unit."""
+    length = float(np.linalg.norm(np.diff(recording.positions, axis=0), axis=1).sum())
+    mean_speed = length / recording.duration
+    if 0.0 < mean_speed < SLOWEST_RECORDING:
+        raise ValueError(
+            f"{recording.path}: column time_s: the path moves at {mean_speed:.2g} m/s on average; "
+            "give seconds (divide milliseconds by 1e3, microseconds by 1e6, nanoseconds by 1e9)"
+        )

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from continuous_time import error_rate
 from scipy.linalg import solve_discrete_are
 from tolerances import PAPER_GAIN, ROUNDING
 
@@ -34,7 +35,7 @@ def jacobians(step, schedule):
 
 
 def euler_step(error, wheels, slip, schedule):
-    return error + DT * error_dynamics.error_rate(error, wheels, slip, schedule, TRACK_WIDTH)
+    return error + DT * error_rate(error, wheels, slip, schedule, TRACK_WIDTH)
 
 
 def exact_step(error, wheels, slip, schedule):
