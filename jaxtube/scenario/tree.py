@@ -156,10 +156,10 @@ class Controller(Section, frozen=True):
 
     `tracking_gains` (k1 1/s, k2 rad/(m s), k3 1/s) take the place of the gains from
     `lmi_objective`: u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th. So do `vertex_gains`, of
-    u = +K(th) e: K row by row at the vertices (min, max), (min, min), (max, min), (max, max) of the box of wheel speeds
-    (right, left), bilinear between them. The terminal set is the maximal invariant one where that
-    has `terminal_facets` or fewer facets, else one of that many, or of up to twice as many where so
-    few carry none.
+    u = +K(th) e: K row by row at the vertices (min, max), (min, min), (max, min), (max, max) of the
+    box of wheel speeds (right, left), bilinear between them. The terminal set is the maximal
+    invariant one where that has `terminal_facets` or fewer facets, else one of that many, or of up
+    to twice as many where so few carry none.
     """
 
     dt_s: Positive = 0.1

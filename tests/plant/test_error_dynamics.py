@@ -1,4 +1,4 @@
-"""Laws of the tracking error; the oracle is a simulation of robot and reference in the world frame."""
+"""Laws of the tracking error, against a simulation of robot and reference in the world frame."""
 
 import jax
 import jax.numpy as jnp

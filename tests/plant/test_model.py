@@ -25,7 +25,7 @@ def made(model="consistent", discretisation="euler", slip=SLIP, box=BOX):
 
 
 def jacobians(step, schedule):
-    """Jacobians by error and by virtual input at zero, the wheels compensating the slip they meet."""
+    """Jacobians by error and by virtual input at zero; the wheels compensate their slip."""
 
     def next_error(error, deficits):
         wheels = robot.wheel_commands(deficits, jnp.array(schedule), jnp.array(SLIP), TRACK_WIDTH)
