@@ -5,9 +5,9 @@ robot.
     cosine_free   v = V cos e_th - u1
     x_exact       T v sinc(a) = cos a e_x + sin a e_y + T V s cos psi - (e_x + T Om e_y + T u1)
 
-and om = Om - u2 in all of them, with a = T om, A = T Om, s = sinc(A / 2) and psi = e_th + A / 2 - a. Over a period without slip
-error `x_exact` gives e_x+ = e_x + T Om e_y + T u1 and e_th+ = e_th + T u2 exactly: only the lateral
-error stays nonlinear,
+and om = Om - u2 in all of them, with a = T om, A = T Om, s = sinc(A / 2) and psi = e_th + A / 2 -
+a. Over a period without slip error `x_exact` gives e_x+ = e_x + T Om e_y + T u1 and e_th+ = e_th +
+T u2 exactly: only the lateral error stays nonlinear,
 
     e_y+ = e_y - tan(a / 2) (e_x + e_x+) + T V s sin(e_th + T u2 / 2) / cos(a / 2).
 

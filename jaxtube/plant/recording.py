@@ -1,17 +1,13 @@
-"""References along a recorded path: a CSV file of positions becomes held wheel speeds.
+"""Recorded paths: a CSV file of times and positions, read and checked.
 
-Cubic splines in time go through the recorded positions. At each period the reference stands at the
-pose it has really reached, sees the recording's next sample under the bearing beta from there, and
-turns by the mean of two turns: 2 (beta - phi), whose arc ends at the sample's position, and the one
-that ends with the sample's heading. To first order in lateral and heading error this is deadbeat:
-both are gone after two periods, so that the reference does not drift off the recording. The arc is
-as long as brings it abreast of the sample.
+Stamps since 1970 lose digits as floating-point numbers, so that times are exact decimals until the
+first one is subtracted.
 
-Source: the mean is new (the arc to the position alone has a heading error that alternates for ever,
-the one to the heading alone lets lateral errors add up); splines as in any textbook.
+Source: RFC 4180 for CSV; the header is this project's.
 """
 
 import csv
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -19,15 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import CubicSpline
-
-from jaxtube.plant.reference import (
-    Reference,
-    count_periods,
-    make_reference,
-    refuse_too_many_periods,
-    refuse_unless_positive,
-)
 
 COLUMNS = ("time_s", "x_m", "y_m")
 
@@ -36,9 +23,6 @@ FEWEST_ROWS = 4
 
 SLOWEST_RECORDING = 1e-3
 """Speed in m/s below which a recorded path has no heading."""
-
-SHARPEST_TURN = np.pi / 2.0
-"""Turn in rad of one period beyond which the path is taken to reverse."""
 
 STAMP_UNITS = (
     (1e17, "nanoseconds", "1e9"),
@@ -83,67 +67,16 @@ class Recording:
         return float(self.time[-1])
 
 
-def from_file(
-    path: str | Path, dt: float, preview: int, track_width: float, duration: float | None = None
-) -> Reference:
-    """Build a reference along a recorded path (module docstring).
-
-    Args:
-        path: CSV file with the header time_s,x_m,y_m; time increasing, the robot always moving
-            forwards.
-        dt: s.
-        preview: periods known beyond the run; past the end of the recording the last wheel speeds
-            are held.
-        track_width: m.
-        duration: of the run, s, a whole number of periods; by default the whole periods of the
-            recording.
-
-    Returns:
-        A reference that starts at the recorded pose and keeps to the recording: exactly where that
-        is made of arcs, else within about half of what a single arc from sample to sample misses.
-
-    Raises:
-        ValueError: in one line, for a file that is not UTF-8 CSV, a missing column, too few rows, a
-            bad number, time that does not increase or is not in seconds, a stop or a reversal in
-            the path, or a duration longer than the recording.
-    """
-    refuse_unless_positive(track_width=track_width, dt=dt)
-    recording = read_recording(path)
-    refuse_too_many_periods(recording.duration, dt)
-    recorded_steps = int(np.floor(recording.duration / dt * (1.0 + 1e-12)))
-    steps = recorded_steps if duration is None else count_periods(duration, dt)
-    if not 0 < steps <= recorded_steps:
-        raise ValueError(
-            f"{path}: column time_s covers {recording.duration:.9g} s but the duration asked for "
-            f"is {steps * dt:.9g} s; choose a duration from {dt:g} s to {recorded_steps * dt:.9g} s"
-        )
-    known = min(steps + preview, recorded_steps)
-    samples = dt * np.arange(known + 1)
-    spline = CubicSpline(recording.time, recording.positions)
-    positions = spline(samples)
-    headings = _find_headings(recording, samples, spline(samples, 1))
-    turns, lengths = _follow_path(positions, headings)
-    speeds = lengths / (dt * np.sinc(turns / (2.0 * np.pi)))
-    held = (0, steps + preview - known)
-    return make_reference(
-        start=np.append(positions[0], headings[0]),
-        speeds=np.pad(speeds, held, "edge"),
-        yaw_rates=np.pad(turns / dt, held, "edge"),
-        dt=dt,
-        steps=steps,
-        track_width=track_width,
-    )
-
-
 def read_recording(path: str | Path) -> Recording:
     """Read and check a recorded path.
 
     Raises:
-        ValueError: as `from_file`.
+        ValueError: in one line, for a file that is not UTF-8 CSV, a missing column, too few rows, a
+            bad number, or time that does not increase or is not in seconds.
     """
     try:
         with Path(path).open(newline="", encoding="utf-8-sig") as file:
-            rows = _read_rows(path, csv.reader(file))
+            rows = list(_read_rows(path, file))
     except UnicodeDecodeError:
         raise ValueError(f"{path}: is not UTF-8 text; save it as CSV in UTF-8") from None
     except csv.Error as error:
@@ -153,7 +86,7 @@ def read_recording(path: str | Path) -> Recording:
             f"{path}: {len(rows)} rows of {COLUMNS[0]} are too few; record at least {FEWEST_ROWS}"
         )
     first = rows[0].time
-    _refuse_other_units(path, float(first))
+    _refuse_stamps(path, float(first))
     time = np.array([float(row.time - first) for row in rows])
     stalled = np.flatnonzero(np.diff(time) <= 0.0)
     if stalled.size:
@@ -164,11 +97,14 @@ def read_recording(path: str | Path) -> Recording:
             f"{after.time}; sort the rows and drop repeated times"
         )
     positions = np.array([[row.x, row.y] for row in rows])
-    return Recording(path, [row.line for row in rows], time, positions)
+    recording = Recording(path, [row.line for row in rows], time, positions)
+    _refuse_slowness(recording)
+    return recording
 
 
-def _read_rows(path: str | Path, reader) -> list[Row]:
-    """Read the columns of a CSV reader by their names."""
+def _read_rows(path: str | Path, file: Iterable[str]) -> Iterator[Row]:
+    """Read the rows of a CSV file, its columns by their names."""
+    reader = csv.reader(file)
     header = [name.strip() for name in next(reader, [])]
     for column in COLUMNS:
         if column not in header:
@@ -177,7 +113,6 @@ def _read_rows(path: str | Path, reader) -> list[Row]:
                 f"write the header {','.join(COLUMNS)}, as CSV in UTF-8"
             )
     places = [header.index(column) for column in COLUMNS]
-    rows = []
     for fields in reader:
         if not fields:
             continue  # a blank line
@@ -186,8 +121,7 @@ def _read_rows(path: str | Path, reader) -> list[Row]:
         time = _read_number(path, COLUMNS[0], line, texts[0])
         x = _read_number(path, COLUMNS[1], line, texts[1])
         y = _read_number(path, COLUMNS[2], line, texts[2])
-        rows.append(Row(line, time, float(x), float(y)))
-    return rows
+        yield Row(line, time, float(x), float(y))
 
 
 def _read_number(path: str | Path, column: str, line: int, text: str | None) -> Decimal:
@@ -211,7 +145,7 @@ def _shorten(text: str) -> str:
     return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
 
 
-def _refuse_other_units(path: str | Path, first_stamp: float) -> None:
+def _refuse_stamps(path: str | Path, first_stamp: float) -> None:
     """Refuse stamps since 1970 that cannot be seconds."""
     for least, unit, divisor in STAMP_UNITS:
         if first_stamp >= least:
@@ -221,68 +155,12 @@ def _refuse_other_units(path: str | Path, first_stamp: float) -> None:
             )
 
 
-def _find_headings(
-    recording: Recording,
-    samples: Float[np.ndarray, "periods+1"],
-    velocities: Float[np.ndarray, "periods+1 2"],
-) -> Float[np.ndarray, "periods+1"]:
-    """Return the unwrapped directions of motion of a path that neither stops nor reverses."""
-    speeds = np.linalg.norm(velocities, axis=-1)
-    stops = np.flatnonzero(speeds < SLOWEST_RECORDING)
-    if stops.size:
-        _refuse_stop(recording, float(samples[stops[0]]), float(speeds[stops[0]]))
-    headings = np.unwrap(np.arctan2(velocities[:, 1], velocities[:, 0]))
-    jumps = np.flatnonzero(np.abs(np.diff(headings)) > SHARPEST_TURN)
-    if jumps.size:
-        turn = np.degrees(headings[jumps[0] + 1] - headings[jumps[0]])
+def _refuse_slowness(recording: Recording) -> None:
+    """Refuse a robot so slow that time must be in another unit."""
+    length = float(np.linalg.norm(np.diff(recording.positions, axis=0), axis=1).sum())
+    mean_speed = length / recording.duration
+    if 0.0 < mean_speed < SLOWEST_RECORDING:
         raise ValueError(
-            f"{recording.path}: columns x_m, y_m: the path turns by {turn:.0f} deg in the step at "
-            f"{samples[jumps[0]]:g} s; shorten dt, or smooth the recording"
+            f"{recording.path}: column time_s: the path moves at {mean_speed:.2g} m/s on average; "
+            "give seconds (divide milliseconds by 1e3, microseconds by 1e6, nanoseconds by 1e9)"
         )
-    return headings
-
-
-def _refuse_stop(recording: Recording, time: float, speed: float) -> None:
-    """Refuse a path that stands still at a time, by the cause."""
-    path = recording.path
-    steps = np.linalg.norm(np.diff(recording.positions, axis=0), axis=1)
-    repeats = np.flatnonzero(steps == 0.0)
-    if repeats.size:
-        first = recording.lines[repeats[0]]
-        second = recording.lines[repeats[0] + 1]
-        raise ValueError(
-            f"{path}: columns x_m, y_m: line {second} repeats the position of line {first} and "
-            "leaves the path without a heading; drop repeated positions and cut stops out"
-        )
-    mean_speed = float(steps.sum()) / recording.duration
-    if mean_speed < SLOWEST_RECORDING:
-        raise ValueError(
-            f"{path}: column time_s: the path moves at {mean_speed:.2g} m/s on average; give "
-            "seconds (divide milliseconds by 1e3, microseconds by 1e6, nanoseconds by 1e9)"
-        )
-    raise ValueError(
-        f"{path}: columns x_m, y_m: the path moves at {speed:.2g} m/s at {time:g} s, without a "
-        f"heading there; cut parts slower than {SLOWEST_RECORDING:g} m/s out"
-    )
-
-
-def _follow_path(
-    positions: Float[np.ndarray, "periods+1 2"], headings: Float[np.ndarray, "periods+1"]
-) -> tuple[Float[np.ndarray, "periods"], Float[np.ndarray, "periods"]]:
-    """Return (turns rad, chord lengths m) of arcs that keep to a path (module docstring)."""
-    points = positions @ np.array([1.0, 1.0j])  # the plane as complex numbers
-    position = points[0]
-    heading = headings[0]
-    turns = []
-    lengths = []
-    for target, target_heading in zip(points[1:], headings[1:], strict=True):
-        gap = (target - position) * np.exp(-1j * heading)  # in the frame of the pose reached
-        turn_to_position = 2.0 * np.angle(gap)
-        turn_to_heading = target_heading - heading
-        turn = (turn_to_position + turn_to_heading) / 2.0
-        length = (gap * np.exp(-0.5j * turn)).real
-        position += length * np.exp(1j * (heading + turn / 2.0))
-        heading += turn
-        turns.append(turn)
-        lengths.append(length)
-    return np.array(turns), np.array(lengths)

@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy.special import ellipj
 
 MOST_PERIODS = 1_000_000
-"""Most periods of a run: more than a day at 10 Hz, and what one lap keeps of it is still below 1 GB."""
+"""Most periods of a run: a day at 10 Hz has fewer, and one lap still fits into 1 GB."""
 
 TRANSIENT_S = 10.0
 """The first seconds, in which a run forgets its start."""
@@ -161,8 +161,8 @@ def refuse_too_many_periods(duration: float, dt: float) -> None:
     """Refuse a run that would ask for more memory than machines have."""
     if duration > MOST_PERIODS * dt:
         raise ValueError(
-            f"reference: duration = {duration:g} s has {duration / dt:.3g} periods of dt = {dt:g} s, "
-            f"more than {MOST_PERIODS:,}; shorten the run or lengthen dt"
+            f"reference: duration = {duration:g} s has {duration / dt:.3g} periods of dt = {dt:g} "
+            f"s, more than {MOST_PERIODS:,}; shorten the run or lengthen dt"
         )
 
 

@@ -1,9 +1,10 @@
 """Scenarios: a TOML file and overrides become a frozen tree of validated numbers, `Scenario`."""
 
-from .reading import experiments_folder, find, load, names
-from .refusal import ScenarioError
-from .rules import check_reference_wheels, weight_matrix
-from .tree import Scenario, to_toml
+from jaxtube.scenario.reading import experiments_folder, find, load, names, replace
+from jaxtube.scenario.reference_rules import check_reference_wheels
+from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.rules import weight_matrix
+from jaxtube.scenario.tree import Scenario, to_toml
 
 __all__ = [
     "Scenario",
@@ -13,6 +14,7 @@ __all__ = [
     "find",
     "load",
     "names",
+    "replace",
     "to_toml",
     "weight_matrix",
 ]

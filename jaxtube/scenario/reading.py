@@ -1,27 +1,17 @@
 """Find, read and override a scenario file; every refusal is one line with file, key, value and
 cure."""
 
-import difflib
-import math
 import re
 import tomllib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any, NoReturn, get_args, get_type_hints
+from typing import Any
 
 import msgspec
 
-from . import rules
-from .refusal import literal, refusal
-from .tree import Scenario
-
-WORDS = {
-    "int": "a whole number",
-    "float": "a number",
-    "str": "text",
-    "bool": "true or false",
-    "array": "a list",
-}
+from jaxtube.scenario.refusal import refusal
+from jaxtube.scenario.tree import Scenario
+from jaxtube.scenario.validation import find_default, validate
 
 
 def load(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
@@ -30,33 +20,45 @@ def load(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     Args:
         name_or_path: a name that `names` lists, or a path that ends in `.toml`.
         overrides: texts such as `controller.horizon=7`; values are TOML, bare words are strings.
-    Returns: the validated scenario. A relative `reference.file` starts at the scenario file, or at
-        the current folder where it is overridden, and is made absolute.
-    Raises: ScenarioError, one line.
+
+    Returns:
+        The validated scenario. A relative `reference.file` starts at the folder of the scenario
+        file, in an override at the current folder, and is made absolute.
+
+    Raises:
+        ScenarioError: one line.
     """
     path = find(name_or_path)
-    tree = _read(path, str(name_or_path))
-    overridden = _override(tree, overrides)
+    source = str(name_or_path)
+    tables = _read(path, source)
+    _make_file_absolute(tables, path.parent)
+    values = _parse_overrides(overrides)
+    return _override(tables, values, source)
 
-    def raise_refusal(key: str, value: Any, problem: str, cure: str) -> NoReturn:
-        by_override = any(f"{name}.".startswith(f"{key.split('[')[0]}.") for name in overridden)
-        raise refusal(
-            "override" if by_override else str(name_or_path), key, value, problem, cure
-        ) from None
 
-    def refuse(key: str, problem: str, cure: str) -> NoReturn:
-        section, name = key.split(".")
-        raise_refusal(key, getattr(getattr(scenario, section), name), problem, cure)
+def replace(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
+    """Return a scenario with other values, validated as a file is.
 
-    for key, value in _non_finite(tree):
-        raise_refusal(key, value, "is not finite", "give a finite number")
-    try:
-        scenario = msgspec.convert(tree, Scenario)
-    except msgspec.ValidationError as error:
-        raise_refusal(*_explain(str(error), tree))
-    scenario = _absolute(scenario, Path.cwd() if "reference.file" in overridden else path.parent)
-    rules.check(scenario, refuse)
-    return scenario
+        replace(scenario, {"controller.horizon": 7, "slip.process": "walk"})
+
+    Args:
+        scenario: the scenario to start from; it stays as it is.
+        values: dotted key -> value, or section -> section. Numbers, texts, lists, numpy arrays and
+            parts of other scenarios are taken. A relative `reference.file` starts at the current
+            folder.
+
+    Returns:
+        The scenario; without a `reference.duration_s` of its own a `reference.shape` that becomes
+        "file" brings the duration of its recording.
+
+    Raises:
+        ScenarioError: one line.
+    """
+    plain = {}
+    for key, value in values.items():
+        as_python = value.tolist() if hasattr(value, "tolist") else value
+        plain[key] = msgspec.to_builtins(as_python)
+    return _override(msgspec.to_builtins(scenario), plain, "scenario")
 
 
 def names() -> list[str]:
@@ -75,7 +77,8 @@ def experiments_folder() -> Path:
 def find(name_or_path: str | Path) -> Path:
     """Locate the file of a scenario; a path is taken as it is.
 
-    Raises: ScenarioError for a name that no scenario has.
+    Raises:
+        ScenarioError: for a name that no scenario has.
     """
     text = str(name_or_path)
     if text.endswith(".toml"):
@@ -88,123 +91,89 @@ def find(name_or_path: str | Path) -> Path:
 
 
 def _read(path: Path, source: str) -> dict[str, Any]:
+    """Read the tables of a TOML file; a byte order mark at its start is skipped."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
-        raise refusal(
-            source, "scenario", str(path), f"cannot be read ({reason})", "give a readable file"
-        ) from None
+        problem = f"cannot be read ({reason})"
+        cure = "give a readable file in UTF-8"
+        raise refusal(source, "scenario", str(path), problem, cure) from None
     try:
         return tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        number, line = _where(str(error), text)
-        problem = re.sub(r" \(at .*\)$", "", str(error))
-        raise refusal(
-            source, f"line {number}", line, f"not TOML ({problem})", "correct this line"
-        ) from None
+        number, line = _locate(str(error), text)
+        reason = re.sub(r" \(at .*\)$", "", str(error))
+        problem = f"not TOML ({reason})"
+        raise refusal(source, f"line {number}", line, problem, "correct this line") from None
 
 
-def _where(message: str, text: str) -> tuple[int, str]:
+def _locate(message: str, text: str) -> tuple[int, str]:
+    """Return number and text of the line that an error of TOML is about."""
     lines = text.rstrip().splitlines() or [""]
-    found = re.search(r"at line (\d+)", message)
-    number = min(int(found[1]), len(lines)) if found else len(lines)
+    place = re.search(r"at line (\d+)", message)
+    number = min(int(place[1]), len(lines)) if place else len(lines)
     return number, lines[number - 1].strip()
 
 
-def _override(tree: dict[str, Any], overrides: Iterable[str]) -> set[str]:
-    """Write the overrides into the tree and return their keys."""
-    keys = set()
+def _parse_overrides(overrides: Iterable[str]) -> dict[str, Any]:
+    """Read texts such as `controller.horizon=7` as dotted key -> value; the later one wins."""
+    values = {}
     for text in overrides:
-        key, equals, value = (part.strip() for part in text.partition("="))
+        left, equals, right = text.partition("=")
+        key = left.strip()
+        value = right.strip()
         if not key or not equals:
-            raise refusal(
-                "override", key or "key", value, "no key and value", "write controller.horizon=7"
-            )
-        section, dot, name = key.partition(".")
-        table = tree.setdefault(section, {}) if dot else tree
-        if isinstance(table, dict):
-            table[name or section] = _value(key, value)
-        keys.add(key)
-    return keys
+            cure = "write controller.horizon=7"
+            raise refusal("override", key or "key", value, "no key and value", cure)
+        values[key] = _parse_value(key, value)
+    return values
 
 
-def _value(key: str, text: str) -> Any:
-    """Read a value as TOML; what is no TOML is a string, and so is a bare word such as true where a
-    string belongs."""
+def _parse_value(key: str, text: str) -> Any:
+    """Read a value as TOML; text that is not TOML is a string, and so is a bare word such as true
+    where a string belongs."""
     try:
-        values = tomllib.loads(f"value = {text}")
+        table = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
         return text
-    wants_string = isinstance(_default(key), str) and not isinstance(values["value"], str)
-    return text if wants_string or len(values) > 1 else values["value"]
+    value = table["value"]
+    wants_string = isinstance(find_default(key), str) and not isinstance(value, str)
+    return text if wants_string or len(table) > 1 else value
 
 
-def _absolute(scenario: Scenario, folder: Path) -> Scenario:
-    reference = scenario.reference
-    if not reference.file:
-        return scenario
-    file = str(Path.cwd() / folder / reference.file)
-    return msgspec.structs.replace(
-        scenario, reference=msgspec.structs.replace(reference, file=file)
-    )
+def _override(tables: dict[str, Any], values: Mapping[str, Any], source: str) -> Scenario:
+    """Write overrides into tables and validate them.
+
+    Args:
+        tables: of the scenario, changed in place.
+        values: dotted key -> value.
+        source: where the tables came from, for messages.
+    """
+    for key, value in values.items():
+        section, dot, name = key.partition(".")
+        table = tables.setdefault(section, {}) if dot else tables
+        if isinstance(table, dict):
+            table[name or section] = value
+    if values.get("reference.shape") == "file" and "reference.duration_s" not in values:
+        # The duration that stands there was meant for another shape.
+        tables["reference"].pop("duration_s", None)
+    if "reference.file" in values:
+        _make_file_absolute(tables, Path.cwd())
+
+    def find_source(key: str) -> str:
+        place = f"{key.split('[')[0]}."
+        is_override = any(f"{name}.".startswith(place) for name in values)
+        return "override" if is_override else source
+
+    return validate(tables, find_source)
 
 
-def _non_finite(node: Any, key: str = "") -> Iterator[tuple[str, float]]:
-    if isinstance(node, dict):
-        for name, child in node.items():
-            yield from _non_finite(child, f"{key}.{name}" if key else name)
-    elif isinstance(node, list):
-        for index, child in enumerate(node):
-            yield from _non_finite(child, f"{key}[{index}]")
-    elif isinstance(node, float) and not math.isfinite(node):
-        yield key, node
-
-
-def _explain(message: str, tree: dict[str, Any]) -> tuple[str, Any, str, str]:
-    """Turn msgspec's "Expected `int`, got `str` - at `$.controller.horizon`" into key, value,
-    problem and cure."""
-    text, _, place = message.partition(" - at `$")
-    key = place.strip("`.")
-    value: Any = tree
-    for name in re.findall(r"\w+", key):
-        value = value[int(name)] if isinstance(value, list) else value[name]
-    unknown = re.fullmatch(r"Object contains unknown field `(.*)`", text, re.DOTALL)
-    if unknown:
-        full = f"{key}.{unknown[1]}" if key else unknown[1]
-        return full, value[unknown[1]], "unknown key" if key else "unknown section", _suggest(full)
-    if "." not in key:
-        return key, value, "must be a table", f"write [{key}] and its keys below it"
-    if text.startswith("Invalid enum value"):
-        return key, value, "unknown choice", f"choose one of {', '.join(_choices(key))}"
-    return key, value, _requirement(text), f"the default is {literal(_default(key))}"
-
-
-def _requirement(text: str) -> str:
-    expected = re.match(r"Expected `([^`]*)`([^,]*)", text)
-    if not expected:
-        return "is out of range"
-    kinds, bound = expected.groups()
-    return f"must be {' or '.join(WORDS[kind] for kind in kinds.split(' | '))}{bound}"
-
-
-def _suggest(key: str) -> str:
-    sections = Scenario.__struct_fields__
-    known = [
-        f"{section}.{name}"
-        for section in sections
-        for name in getattr(Scenario(), section).__struct_fields__
-    ]
-    same_name = [other for other in known if other.split(".")[1] == key.split(".")[-1]]
-    close = same_name or difflib.get_close_matches(key, [*sections, *known], n=1, cutoff=0.6)
-    return f"did you mean {close[0]}?" if close else f"the sections are {', '.join(sections)}"
-
-
-def _choices(key: str) -> tuple[str, ...]:
-    section, name = key.split(".")
-    return get_args(get_type_hints(type(getattr(Scenario(), section)))[name])
-
-
-def _default(key: str) -> Any:
-    section, _, name = key.split("[")[0].partition(".")
-    return getattr(getattr(Scenario(), section, None), name, None)
+def _make_file_absolute(tables: dict[str, Any], folder: Path) -> None:
+    """Let a relative `reference.file` start at a folder."""
+    reference = tables.get("reference")
+    if not isinstance(reference, dict):
+        return
+    file = reference.get("file")
+    if isinstance(file, str) and file:
+        reference["file"] = str(Path.cwd() / folder / file)

@@ -16,23 +16,31 @@ def refusal(source: str, key: str, value: Any, problem: str, cure: str) -> Scena
     Args:
         source: file, scenario name or "override".
         key: dotted key, such as `controller.horizon`.
-        problem, cure: clauses without a full stop.
+        value: the refused value, shown as TOML.
+        problem: a clause without a full stop.
+        cure: a clause without a full stop.
+
+    Returns:
+        The error, its message in one line that every UTF-8 terminal can print.
     """
     shown = literal(value)
     if len(shown) > SHOWN_CHARACTERS:
         shown = shown[: SHOWN_CHARACTERS - 3] + "..."
-    return ScenarioError(" ".join(f"{source}: {key} = {shown}: {problem}; {cure}".split()))
+    line = " ".join(f"{source}: {key} = {shown}: {problem}; {cure}".split())
+    return ScenarioError(line.encode("utf-8", "backslashreplace").decode("utf-8"))
 
 
 def literal(value: Any) -> str:
-    """Write a value as a TOML literal; reading it back gives an equal value."""
+    """Return a value as a TOML literal; reading it back gives an equal value."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
         # JSON leaves the delete character as it is; TOML does not allow that.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, list | tuple):
-        return f"[{', '.join(map(literal, value))}]"
+        entries = ", ".join(literal(entry) for entry in value)
+        return f"[{entries}]"
     if isinstance(value, dict):
-        return f"{{{', '.join(f'{key} = {literal(entry)}' for key, entry in value.items())}}}"
+        entries = ", ".join(f"{key} = {literal(entry)}" for key, entry in value.items())
+        return f"{{{entries}}}"
     return repr(value) if isinstance(value, int | float) else str(value)

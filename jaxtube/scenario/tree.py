@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from .refusal import literal
+from jaxtube.scenario.refusal import literal
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Negative = Annotated[float, msgspec.Meta(lt=0)]
@@ -20,6 +20,10 @@ NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 Fraction = Annotated[float, msgspec.Meta(ge=0, lt=1)]
 HeadingBound = Annotated[float, msgspec.Meta(gt=0, lt=90)]
 HeadingSpread = Annotated[float, msgspec.Meta(ge=0, lt=90)]
+
+DURATION_S = 30.0
+"""Duration of a run whose scenario gives none, s: the time axis of the paper's figures."""
+
 Weight = tuple[float | tuple[float, ...], ...]
 
 
@@ -36,33 +40,53 @@ class Robot(Section, frozen=True):
 
 
 class Reference(Section, frozen=True):
-    """The reference path and the box that its wheel speeds keep; `file` is read for the shape
-    "file" only.
+    """The reference path and the box that its wheel speeds keep.
 
-    `certified_for` says over which wheel speeds sets and certificate hold: the whole "box", under
-    arbitrary changes, or those that occur on the "path", in any order.
+    `file` goes with the shape "file" only. Without `duration_s` a recorded path runs for the whole
+    periods of the recording, any other shape for 30 s. `certified_for` says over which wheel speeds
+    sets and certificate hold: the whole "box", under arbitrary changes, or those that occur on the
+    "path", in any order.
     """
 
     shape: Literal["two_circles", "lemniscate", "file"] = "two_circles"
     file: str = ""
     radius_m: Positive = 2.5
     speed_mps: Positive = 1.36
-    duration_s: Positive = 30.0
+    duration_s: Positive | None = None
     wheel_speed_min_mps: float = 0.2
     wheel_speed_max_mps: float = 1.5
     certified_for: Literal["box", "path"] = "box"
 
+    def __post_init__(self) -> None:
+        """Fill in the duration, except that of a recording, which only the recording knows."""
+        if self.duration_s is None and self.shape != "file":
+            msgspec.structs.force_setattr(self, "duration_s", DURATION_S)
+
 
 class Slip(Section, frozen=True):
-    """Longitudinal slip of the wheels; `relative_error` bounds how far true and measured slip lie
-    apart, relative to the slip, `process` says how that evolves (`jaxtube.plant.slip`), and
-    `random` which of the two varies."""
+    """Longitudinal slip of the wheels.
+
+    The nominal slips are constants. A slip that varies stays within `relative_error` times the
+    nominal one of it, on either side. `random` says which slip varies: the "true" one while the
+    measured one is the nominal, the "measured" one while the true one is the nominal, or "both",
+    each on its own; sets and certificate cover what it says and no more. `process` says how the
+    deviation evolves (`jaxtube.plant.slip_processes`).
+    """
 
     nominal_right: Fraction = 0.2
     nominal_left: Fraction = 0.2
     relative_error: Fraction = 0.1
     process: Literal["iid", "constant", "walk", "patches", "vertex", "adversarial"] = "iid"
     random: Literal["true", "measured", "both"] = "true"
+
+    @property
+    def exact_wheels(self) -> tuple[str, ...]:
+        """Wheels ("right", "left") whose slip has no error at all, because the error or the nominal
+        slip that it is a fraction of is 0: certificates then take the slip as known exactly."""
+        right_error = self.nominal_right * self.relative_error
+        left_error = self.nominal_left * self.relative_error
+        errors = {"right": right_error, "left": left_error}
+        return tuple(wheel for wheel, error in errors.items() if error == 0.0)
 
 
 class Constraints(Section, frozen=True):
@@ -118,7 +142,8 @@ class Disturbance(Section, frozen=True):
 
 
 class Noise(Section, frozen=True):
-    """Bounds of the error of the measured pose, a box in the robot frame."""
+    """Bounds of the error of the measured pose: half widths of a box along the axes of the robot's
+    frame at that moment, not of the world's."""
 
     longitudinal_m: NonNegative = 0.0
     lateral_m: NonNegative = 0.0
@@ -129,11 +154,12 @@ class Controller(Section, frozen=True):
     """The predictive controller; a weight is a list of diagonal entries or a symmetric matrix, a
     list of rows.
 
-    `tracking_gains` (k1 1/s, k2 rad/(m s), k3 1/s) take the place of the gains from `lmi_objective`:
-    u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th. So do `vertex_gains`, of u = +K(th) e: K row by row at the vertices
-    (min, max), (min, min), (max, min), (max, max) of the box of wheel speeds (right, left), bilinear between them.
-    The terminal set is the maximal invariant one where that has `terminal_facets` or fewer, else one of that many, or
-    of up to twice as many where so few carry none.
+    `tracking_gains` (k1 1/s, k2 rad/(m s), k3 1/s) take the place of the gains from
+    `lmi_objective`: u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th. So do `vertex_gains`, of
+    u = +K(th) e: K row by row at the vertices (min, max), (min, min), (max, min), (max, max) of the
+    box of wheel speeds (right, left), bilinear between them. The terminal set is the maximal
+    invariant one where that has `terminal_facets` or fewer facets, else one of that many, or of up
+    to twice as many where so few carry none.
     """
 
     dt_s: Positive = 0.1
@@ -153,7 +179,8 @@ class Controller(Section, frozen=True):
 
 
 class Initial(Section, frozen=True):
-    """Pose of the robot at the start, in the frame of the reference's first pose."""
+    """Pose of the robot at the start, in the frame of the reference's first pose; a heading counts
+    modulo 360 degrees."""
 
     x_m: float = 0.1
     y_m: float = 0.1
@@ -161,13 +188,13 @@ class Initial(Section, frozen=True):
 
 
 class Tuning(Section, frozen=True):
-    """What `tune` minimises: a cost of each lap, its tail, the size of the tube, and soft margins.
+    """The objective of `tune`: the cost of a lap, its tail, the size of the tube, and soft margins.
 
-    A lap costs the sum of squares of RMS errors, once settled, and of the RMS effort, each over the
-    value given here; what has none is free. Effort is what the wheels are asked for beyond the
-    reference under nominal slip. Its RMS over all laps above `effort_limit_mps` costs steeply, and
-    so does what is used beyond `margin`, a share: of every cap by the tube at its widest, of the
-    error caps and of the greatest wheel speed in the laps.
+    A lap costs the sum of squares of RMS errors, once settled, and of the RMS effort, each divided
+    by the value given here; a quantity without a value is free. Effort is the difference between
+    the wheel speeds asked for and those of the reference under nominal slip. An RMS effort over all
+    laps above `effort_limit_mps` costs steeply. So does a utilisation above `margin`: of every cap
+    by the widest tube, and of the error caps and the greatest wheel speed in the laps.
     """
 
     longitudinal_m: Positive | None = None
@@ -182,7 +209,10 @@ class Tuning(Section, frozen=True):
 
 
 class Scenario(Section, frozen=True):
-    """One experiment: robot, reference, slip, sets, controller and start, and what tuning aims at."""
+    """One experiment: robot, reference, slip, sets, controller, start, and the aim of tuning.
+
+    Change values with `jaxtube.scenario.replace`.
+    """
 
     robot: Robot = Robot()
     reference: Reference = Reference()
@@ -201,7 +231,9 @@ def to_toml(scenario: Scenario) -> str:
     scenario."""
     tables = []
     for section in scenario.__struct_fields__:
-        values = msgspec.to_builtins(getattr(scenario, section))
-        lines = (f"{key} = {literal(value)}" for key, value in values.items() if value is not None)
-        tables.append("\n".join([f"[{section}]", *lines]))
+        lines = [f"[{section}]"]
+        for key, value in msgspec.to_builtins(getattr(scenario, section)).items():
+            if value is not None:
+                lines.append(f"{key} = {literal(value)}")
+        tables.append("\n".join(lines))
     return "\n\n".join(tables) + "\n"

@@ -13,6 +13,7 @@ Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (7)-(8), (11), section IV.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,10 +21,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.plant.model import VERTEX_SIDES, Model, make_model
-from jaxtube.plant.recording import from_file
+from jaxtube.plant.recorded_reference import from_file
 from jaxtube.plant.reference import Reference, lemniscate, two_circles
 from jaxtube.plant.robot import Robot
 from jaxtube.scenario import Scenario, ScenarioError, check_reference_wheels, weight_matrix
+from jaxtube.scenario.reference_rules import is_in_box
 from sets.polytope import Polytope
 from sets.robot.disturbance import DisturbanceBound
 
@@ -158,7 +160,10 @@ def make_problem(scenario: Scenario) -> Problem:
         scenario.robot.wheel_speed_min_mps,
         scenario.robot.wheel_speed_max_mps,
     )
-    box = _speed_box(scenario)
+    reference = _make_reference(scenario)
+    _refuse_fast_recording(scenario, reference)
+    check_reference_wheels(scenario, float(reference.wheels.min()), float(reference.wheels.max()))
+    box = _speed_box(scenario, reference)
     slip = np.array([scenario.slip.nominal_right, scenario.slip.nominal_left])
     model = make_model(
         settings.model,
@@ -168,9 +173,6 @@ def make_problem(scenario: Scenario) -> Problem:
         slip,
         (box[0], box[1]),
     )
-    reference = _make_reference(scenario)
-    _refuse_fast_recording(scenario, reference)
-    check_reference_wheels(scenario, float(reference.wheels.min()), float(reference.wheels.max()))
     operating = _operating_bounds(scenario)
     noise = error_vector(scenario.noise)
     disturbance = error_vector(scenario.disturbance)
@@ -219,11 +221,15 @@ def input_constraints(scenario: Scenario, robot: Robot) -> tuple[Polytope, Input
     return input_set, _make_input_rows(scenario, input_set)
 
 
-def _speed_box(scenario: Scenario) -> Float[np.ndarray, "2 2"]:
-    """Return the least and the greatest reference wheel speeds, each (right, left), m/s."""
+def _speed_box(scenario: Scenario, reference: Reference) -> Float[np.ndarray, "2 2"]:
+    """Return the least and the greatest reference wheel speeds, each (right, left), m/s.
+
+    A path on the edge of the scenario's box may leave it by rounding; the box returned holds it.
+    """
     section = scenario.reference
-    ends = [[section.wheel_speed_min_mps], [section.wheel_speed_max_mps]]
-    return np.repeat(ends, 2, axis=1)
+    lower = min(section.wheel_speed_min_mps, float(reference.wheels.min()))
+    upper = max(section.wheel_speed_max_mps, float(reference.wheels.max()))
+    return np.array([[lower, lower], [upper, upper]])
 
 
 def _refuse_fast_recording(scenario: Scenario, reference: Reference) -> None:
@@ -231,8 +237,7 @@ def _refuse_fast_recording(scenario: Scenario, reference: Reference) -> None:
     section = scenario.reference
     slowest = float(reference.wheels.min())
     fastest = float(reference.wheels.max())
-    inside = section.wheel_speed_min_mps <= slowest <= fastest <= section.wheel_speed_max_mps
-    if section.shape == "file" and not inside:
+    if section.shape == "file" and not is_in_box(section, slowest, fastest):
         raise ScenarioError(
             f"scenario: reference.file = {section.file}: the path asks the wheels for "
             f"{slowest:.4g} to {fastest:.4g} m/s, outside the box "
@@ -322,6 +327,7 @@ def _make_reference(scenario: Scenario) -> Reference:
             return from_file(
                 Path(section.file), settings.dt_s, preview, track_width, section.duration_s
             )
+        assert section.duration_s is not None  # which only a recording leaves open
         shape = {"two_circles": two_circles, "lemniscate": lemniscate}[section.shape]
         return shape(
             section.radius_m,
@@ -373,8 +379,11 @@ def _wheel_deficits(scenario: Scenario, robot: Robot) -> Float[np.ndarray, "2 2"
 
 def _initial_error(scenario: Scenario) -> Float[np.ndarray, "3"]:
     """Return the tracking error of the start, eq. (3), the reference being at the origin of its own
-    frame."""
+    frame; the heading error is in (-180, 180] degrees."""
     start = scenario.initial
     heading = np.deg2rad(start.heading_deg)
     turn = np.array([[np.cos(heading), np.sin(heading)], [-np.sin(heading), np.cos(heading)]])
-    return np.append(turn @ [-start.x_m, -start.y_m], -heading)
+    heading_error = -math.remainder(start.heading_deg, 360.0)
+    if heading_error == -180.0:
+        heading_error = 180.0
+    return np.append(turn @ [-start.x_m, -start.y_m], np.deg2rad(heading_error))

@@ -92,11 +92,13 @@ def at_point(scenario: Scenario, point: OperatingPoint) -> Scenario:
     """
     change = msgspec.structs.replace
     T = point.dt_s
+    duration = scenario.reference.duration_s
+    whole_periods = None if duration is None else max(round(duration / T), 1) * T
     reference = change(
         scenario.reference,
         wheel_speed_min_mps=point.slowest_mps,
         certified_for="box",
-        duration_s=max(round(scenario.reference.duration_s / T), 1) * T,
+        duration_s=whole_periods,
     )
     return change(
         scenario,

@@ -15,6 +15,7 @@ from jaxtube.plant import adversary, slip
 from jaxtube.plant.adversary import ALWAYS, FOREVER, LONGEST_HALF_PERIOD, Scheme, pushed_direction
 from jaxtube.plant.protocol import Measurement
 from jaxtube.plant.robot import Robot
+from jaxtube.plant.slip_processes import PROCESSES
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys
@@ -191,5 +192,5 @@ def test_a_lap_of_a_robot_that_begins_without_error_is_pushed_all_the_same():
     """The sign of zero: on a straight line nothing else would ever move it."""
     scheme = OUTWARD._replace(speed_weight=jnp.asarray(0.0))
     situation = slip.Situation(jnp.array([[0.0, -0.25], [0.0, 0.25]]), jnp.zeros(3))
-    xi, _ = slip.adversarial().deviation(jax.random.key(0), 0, scheme, situation)
+    xi, _ = PROCESSES["adversarial"].draw(jax.random.key(0), 0, scheme, situation)
     np.testing.assert_array_equal(xi, [1.0, -1.0])

@@ -5,6 +5,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from continuous_time import error_rate
 from scipy.linalg import solve_discrete_are
 from tolerances import PAPER_GAIN, ROUNDING
 
@@ -24,7 +25,7 @@ def made(model="consistent", discretisation="euler", slip=SLIP, box=BOX):
 
 
 def jacobians(step, schedule):
-    """Jacobians by error and by virtual input at zero, the wheels compensating the slip they meet."""
+    """Jacobians by error and by virtual input at zero; the wheels compensate their slip."""
 
     def next_error(error, deficits):
         wheels = robot.wheel_commands(deficits, jnp.array(schedule), jnp.array(SLIP), TRACK_WIDTH)
@@ -34,7 +35,7 @@ def jacobians(step, schedule):
 
 
 def euler_step(error, wheels, slip, schedule):
-    return error + DT * error_dynamics.error_rate(error, wheels, slip, schedule, TRACK_WIDTH)
+    return error + DT * error_rate(error, wheels, slip, schedule, TRACK_WIDTH)
 
 
 def exact_step(error, wheels, slip, schedule):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipkinc
-from tolerances import EXACT_ARCS, ROUNDING, SPLINE
+from tolerances import EXACT_ARCS, ROUNDING
 
 from jaxtube.plant import reference
 
@@ -15,15 +15,6 @@ MAKERS = {"two_circles": reference.two_circles, "lemniscate": reference.lemnisca
 
 def paper_eight(preview=5):
     return reference.two_circles(2.5, 1.36, 30.0, 0.1, preview, TRACK_WIDTH)
-
-
-def recorded_circle(path, radius=4.0, duration=12.0):
-    """Write half a turn at an uneven pace, a sample about each 0.1 s."""
-    time = np.linspace(0.0, duration, 121) + 3.0
-    angle = 0.25 * (time - 3.0) + 0.1 * np.sin(0.5 * (time - 3.0))
-    table = np.column_stack([time, radius * np.sin(angle), radius * (1.0 - np.cos(angle))])
-    np.savetxt(path, table, delimiter=",", header="time_s,x_m,y_m", comments="", fmt="%.17g")
-    return path
 
 
 @pytest.mark.parametrize("maker", MAKERS.values(), ids=MAKERS)
@@ -72,14 +63,11 @@ def test_the_papers_eight_has_two_wheel_speeds_and_its_window():
 
 
 def test_preview_prolongs_the_same_run():
-    short, long = paper_eight(0), paper_eight(20)
-    np.testing.assert_array_equal(long.wheels[:300], short.wheels)
-    np.testing.assert_array_equal(long.poses[:301], short.poses)
-
-
-def test_wheel_range_is_the_tightest_box():
-    lower, upper = reference.wheel_range(paper_eight())
-    np.testing.assert_allclose([lower, upper], [[1.224, 1.224], [1.496, 1.496]], atol=ROUNDING)
+    short = paper_eight(0)
+    long = paper_eight(20)
+    # Arrays of another length may be computed by other instructions.
+    np.testing.assert_allclose(long.wheels[:300], short.wheels, rtol=0, atol=ROUNDING)
+    np.testing.assert_allclose(long.poses[:301], short.poses, rtol=0, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("radius, speed", [(2.5, 1.36), (4.0, 0.7)])
@@ -118,100 +106,6 @@ def test_lemniscates_curvature_is_three_times_the_distance_over_the_half_width_s
     np.testing.assert_allclose(np.abs(curvature), 3 * distance / 7.5**2, atol=1e-3)
 
 
-@pytest.mark.parametrize("dt", [0.1, 1.0])
-def test_recorded_path_is_followed_at_the_recorded_times(tmp_path, dt):
-    # On a circle arcs are exact at whatever pace and step: what remains is the spline.
-    path = reference.from_file(recorded_circle(tmp_path / "path.csv"), dt, 0, TRACK_WIDTH, 11.0)
-    time = dt * np.arange(path.steps + 1)
-    angle = 0.25 * time + 0.1 * np.sin(0.5 * time)
-    exact = np.column_stack([4.0 * np.sin(angle), 4.0 * (1.0 - np.cos(angle)), angle])
-    np.testing.assert_allclose(path.poses, exact, atol=SPLINE)
-    assert path.steps == round(11.0 / dt)
-
-
-def test_recorded_path_is_held_past_its_end(tmp_path):
-    file = recorded_circle(tmp_path / "path.csv")
-    path = reference.from_file(file, 0.1, 7, TRACK_WIDTH)
-    assert path.steps == 120 and path.wheels.shape == (127, 2)
-    np.testing.assert_array_equal(path.wheels[120:], np.broadcast_to(path.wheels[119], (7, 2)))
-    np.testing.assert_array_equal(
-        path.poses[:121], reference.from_file(file, 0.1, 0, TRACK_WIDTH).poses
-    )
-    # Within the recording the preview knows what comes, and holds nothing.
-    preview = reference.from_file(file, 0.1, 7, TRACK_WIDTH, 5.0)
-    np.testing.assert_array_equal(preview.wheels, path.wheels[:57])
-
-
-def test_columns_may_come_in_any_order_among_others(tmp_path):
-    file = recorded_circle(tmp_path / "path.csv")
-    rows = [line.split(",") for line in file.read_text().splitlines()]
-    shuffled = tmp_path / "shuffled.csv"
-    shuffled.write_text(
-        "\n".join(f"{y}, {t},note,{x}".replace(" time_s,note", " time_s,note") for t, x, y in rows)
-    )
-    np.testing.assert_array_equal(
-        reference.from_file(shuffled, 0.1, 0, TRACK_WIDTH).poses,
-        reference.from_file(file, 0.1, 0, TRACK_WIDTH).poses,
-    )
-
-
-GOOD = [f"{0.5 * k},{0.4 * k},{0.01 * k * k}" for k in range(9)]
-HEADER = "time_s,x_m,y_m"
-
-
-@pytest.mark.parametrize(
-    "lines, duration, message",
-    [
-        (["time_s,x_m,y", *GOOD], None, "column y_m is missing.*write the header time_s,x_m,y_m"),
-        ([], None, "column time_s is missing"),
-        ([HEADER, *GOOD[:3]], None, "3 rows of time_s.*at least 4"),
-        (
-            [HEADER, *GOOD[:4], GOOD[3], *GOOD[4:]],
-            None,
-            "time_s does not increase in line 6: 1.5 then 1.5; sort",
-        ),
-        (
-            [HEADER, *GOOD[:2], "1.0,nan,0.04", *GOOD[3:]],
-            None,
-            "column x_m, line 4: 'nan' .*mend or drop",
-        ),
-        (
-            [HEADER, *GOOD[:2], "1.0,0.8,fast", *GOOD[3:]],
-            None,
-            "column y_m, line 4: 'fast' .*mend or drop",
-        ),
-        (
-            [HEADER, *GOOD[:2], "1.0,0.8", *GOOD[3:]],
-            None,
-            "column y_m, line 4: None .*mend or drop",
-        ),
-        (
-            [HEADER, *GOOD],
-            4.5,
-            "time_s covers 4 s but the duration asked for is 4.5 s; choose a duration from 0.1 s to 4 s",
-        ),
-        ([HEADER, *GOOD], 0.25, "duration = 0.25 s is no whole number of dt = 0.1 s"),
-        (
-            [HEADER, *[f"{k},1.0,2.0" for k in range(9)]],
-            None,
-            "columns x_m, y_m: .*0 m/s at 0 s.*cut",
-        ),
-        (
-            [HEADER, *[f"{k},{np.cos(k)},0.0" for k in range(9)]],
-            None,
-            "columns x_m, y_m: .*turns by .*shorten dt",
-        ),
-    ],
-)
-def test_bad_recordings_are_refused_in_one_line(tmp_path, lines, duration, message):
-    file = tmp_path / "bad.csv"
-    file.write_text("\n".join(lines))
-    with pytest.raises(ValueError, match=message) as caught:
-        reference.from_file(file, 0.1, 5, TRACK_WIDTH, duration)
-    assert "\n" not in str(caught.value)
-    assert "bad.csv" in str(caught.value) or duration == 0.25
-
-
 @pytest.mark.parametrize("maker", MAKERS.values(), ids=MAKERS)
 @pytest.mark.parametrize(
     "changed, message",
@@ -220,6 +114,10 @@ def test_bad_recordings_are_refused_in_one_line(tmp_path, lines, duration, messa
         ({"speed": float("nan")}, "speed = nan"),
         ({"dt": -0.1}, "dt = -0.1"),
         ({"duration": float("inf")}, "duration = inf"),
+        (
+            {"duration": 1e9},
+            "duration = 1e.09 s has 1e.10 periods of dt = 0.1 s, more than 1,000,000",
+        ),
         ({"duration": 30.05}, "duration = 30.05 s is no whole number of dt"),
         ({"track_width": 0.0}, "track_width = 0.0"),
     ],

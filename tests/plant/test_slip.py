@@ -1,5 +1,7 @@
 """Laws of the random slips: drawn by index, uniform, bounded, each process true to its name."""
 
+import pickle
+from dataclasses import dataclass
 from functools import cache, partial
 from typing import get_args, get_type_hints
 
@@ -11,11 +13,11 @@ from scipy.stats import chisquare, kstest
 from tolerances import CORRELATION, LEAST_P_VALUE, ROUNDING
 
 from jaxtube.plant import slip
+from jaxtube.plant.slip_processes import PATCH_SIZE, PROCESSES, STEP_SIZE, find_process
 from jaxtube.scenario.tree import Slip
 
 SEED = jax.random.key(20)
 HERE = slip.Situation(jnp.zeros((2, 2)), jnp.array([0.1, -0.2, 0.3]))
-PROCESSES = {name: make() for name, make in slip.PROCESSES.items()}
 UNIFORM = ("iid", "constant", "walk", "patches")
 DRAWN = (*UNIFORM, "vertex")  # and the adversary chooses
 
@@ -110,6 +112,35 @@ def test_dtype_is_that_of_the_situation(process, dtype):
     assert all(array.dtype == dtype for array in one_run(process, "both", 3, 3, here))
 
 
+@dataclass(frozen=True)
+class Fading:
+    """A process of a user: the right wheel loses its grip step by step, the left one by chance."""
+
+    rate: float = 0.25
+    opposed = False
+
+    def initial(self, key, dtype):
+        return jnp.zeros((), dtype)
+
+    def draw(self, key, step, memory, situation):
+        chance = jax.random.uniform(jax.random.fold_in(key, step), (), memory.dtype, -1.0, 1.0)
+        return jnp.stack([memory, chance]), jnp.minimum(memory + self.rate, 1.0)
+
+
+def test_a_process_of_a_user_drives_both_slips():
+    process = find_process(Fading())
+    true, measured = np.asarray(one_run(process, "both", 6, 4))
+    for deviations in (true, measured):
+        np.testing.assert_array_equal(deviations[:, 0], [0.0, 0.25, 0.5, 0.75, 1.0, 1.0])
+    assert not np.any(true[:, 1] == measured[:, 1])
+
+
+def test_equal_processes_share_one_compilation():
+    for name, process in PROCESSES.items():
+        copy = pickle.loads(pickle.dumps(process))
+        assert copy == process and hash(copy) == hash(process) and find_process(name) is process
+
+
 def test_scenarios_can_name_every_process_and_no_other():
     fields = get_type_hints(Slip)
     assert set(get_args(fields["process"])) == set(PROCESSES)
@@ -144,21 +175,21 @@ def test_constant_is_constant_in_a_run():
         )
 
 
-@pytest.mark.parametrize("step_size", [0.1, 1.5])
-def test_walk_takes_uniform_steps_and_is_reflected(step_size):
-    true, _ = np.asarray(many_runs(slip.walk(step_size), "true", 30, 2000))
+def test_walk_takes_uniform_steps_and_is_reflected():
+    true, _ = np.asarray(many_runs(PROCESSES["walk"], "true", 30, 2000))
     moves = true[:, 1:] - true[:, :-1]
-    assert np.all(np.abs(true) <= 1.0) and np.all(np.abs(moves) <= step_size + ROUNDING)
+    assert np.all(np.abs(true) <= 1.0)
+    assert np.all(np.abs(moves) <= STEP_SIZE + ROUNDING)
     assert is_uniform(true[:, -1])
-    if step_size < 1.0:
-        far_from_walls = np.abs(true[:, 7]) < 1.0 - step_size
-        assert is_uniform(moves[:, 7][far_from_walls], -step_size, step_size)
-        # Reflection, not clipping: nobody sticks to a wall.
-        assert not np.any(np.abs(true) == 1.0)
+    far_from_walls = np.abs(true[:, 7]) < 1.0 - STEP_SIZE
+    assert is_uniform(moves[:, 7][far_from_walls], -STEP_SIZE, STEP_SIZE)
+    # Reflection, not clipping: nobody sticks to a wall.
+    assert not np.any(np.abs(true) == 1.0)
 
 
 def test_patches_meet_the_same_slip_on_the_same_ground_at_any_time():
-    process, size = slip.patches(0.5), 0.5
+    process = PROCESSES["patches"]
+    size = PATCH_SIZE
     key = slip.realisation_key(SEED, 0, 5)
 
     def at(x, y, step=0, run_key=key):
@@ -169,7 +200,7 @@ def test_patches_meet_the_same_slip_on_the_same_ground_at_any_time():
     corners = (np.stack(np.meshgrid(np.arange(-6, 6), np.arange(-6, 6)), -1).reshape(-1, 2)) * size
     right, left = np.array([at(*corner) for corner in corners + 0.01]).T
     assert len(set(right)) == len(corners)  # every patch its own slip, those of negative index too
-    later = np.array([at(*corner, step=99) for corner in corners + 0.49])
+    later = np.array([at(*corner, step=99) for corner in corners + 0.99 * size])
     np.testing.assert_array_equal(later, np.stack([right, left], -1))
     # The left wheel, 7 m to the side, finds what the right wheel finds there: the ground is one.
     assert at(0.1 + 7.0, 0.1)[0] == at(0.1, 0.1)[1]
@@ -207,9 +238,7 @@ def test_deviated_slip_spans_the_relative_error():
 @pytest.mark.parametrize(
     "refused, message",
     [
-        (lambda: slip.walk(0.0), r"slip: step_size = 0.0 .*\(0, 2\]"),
-        (lambda: slip.walk(float("nan")), "slip: step_size = nan"),
-        (lambda: slip.patches(-1.0), "slip: patch_size = -1.0 .*positive"),
+        (lambda: find_process("wlak"), "slip: process = 'wlak' .*choose one of iid, constant"),
         (
             lambda: one_run(PROCESSES["iid"], "neither", 1, 0),
             "slip: random = 'neither' .*true, measured, both",

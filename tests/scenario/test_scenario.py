@@ -2,6 +2,7 @@
 one telling line."""
 
 import math
+import tomllib
 from pathlib import Path
 
 import msgspec
@@ -17,6 +18,7 @@ from jaxtube.scenario import (
     experiments_folder,
     load,
     names,
+    replace,
     to_toml,
     weight_matrix,
 )
@@ -78,6 +80,21 @@ REFUSED_OVERRIDES = [
         ["reference.duration_s = 0.05", "controller.dt_s = 0.1", "at least one step"],
     ),
     ("reference.shape=file", ['reference.file = ""', "is empty", "name the file"]),
+    (
+        "reference.file=poses.csv",
+        ["reference.file = ", "is not read", "two_circles", 'set reference.shape = "file"'],
+    ),
+    (
+        "reference.duration_s=1e9",
+        ["reference.duration_s = 1000000000.0", "1e+10 steps", "1,000,000 steps", "100000 s"],
+    ),
+    (
+        "reference.wheel_speed_min_mps=0",
+        ["reference.wheel_speed_min_mps = 0", "reference stand", "above 0"],
+    ),
+    ("reference.duration_s=soon", ['reference.duration_s = "soon"', "a number or left out"]),
+    ("slip.process=\udcff", ['slip.process = "\\udcff"', "not UTF-8", "write or rename"]),
+    ("slip.\udcff=1", ["slip.\\udcff = 1", "not UTF-8"]),
     ("slip.nominal_right=1", ["slip.nominal_right = 1", "< 1", "default is 0.2"]),
     ("slip.nominal_left=-0.1", ["slip.nominal_left = -0.1", ">= 0", "default is 0.2"]),
     ("slip.nominal_left=0.95", ["slip.nominal_left = 0.95", "1.045", "below 1"]),
@@ -134,7 +151,12 @@ REFUSED_FILES = [
     ),
     (
         "[reference]\nshape = 'file'\nfile = 'no-such.csv'",
-        ["reference.file", "No such file", "name a readable file"],
+        [
+            "reference.file",
+            "No such file",
+            "name a readable file",
+            "the folder of the scenario file, in an override at the current folder",
+        ],
     ),
 ]
 
@@ -183,6 +205,11 @@ def test_the_file_of_the_paper_spells_every_key_and_comments_it():
 def test_writing_and_reading_are_inverse(scenario, tmp_path_factory):
     path = tmp_path_factory.getbasetemp() / "round-trip.toml"
     path.write_text(to_toml(scenario), encoding="utf-8")
+    with path.open("rb") as file:
+        assert msgspec.convert(tomllib.load(file), Scenario) == scenario
+    named = msgspec.structs.replace(scenario.reference, file="")
+    scenario = msgspec.structs.replace(scenario, reference=named)
+    path.write_text(to_toml(scenario), encoding="utf-8")
     assert load(path) == scenario
 
 
@@ -204,6 +231,83 @@ def test_overrides_replace_single_keys():
     assert (scenario.controller.horizon, scenario.controller.tube) == (7, "hull")
     assert (scenario.reference.shape, scenario.slip.random) == ("lemniscate", "true")
     assert scenario.robot == Scenario().robot
+
+
+def test_a_byte_order_mark_is_skipped(tmp_path):
+    text = to_toml(Scenario())
+    (tmp_path / "marked.toml").write_text(text, encoding="utf-8-sig")
+    assert load(tmp_path / "marked.toml") == Scenario()
+
+
+def test_refusals_can_be_printed_whatever_the_name():
+    for name in ("\udcff", "\udcff.toml"):
+        line = refusal_of(name)
+        line.encode("utf-8")
+        assert "\\udcff" in line
+
+
+def test_periods_too_many_are_refused_by_their_number():
+    line = refusal_of("paper", ["controller.dt_s=1e-9"])
+    assert "reference.duration_s = 30.0" in line and "1,000,000 steps at most, 0.001 s" in line
+
+
+def test_a_recording_runs_for_as_long_as_it_is_unless_a_duration_is_given(tmp_path):
+    file = tmp_path / "poses.csv"
+    file.write_text("")
+    overrides = ["reference.shape=file", f"reference.file={file}"]
+    assert load("paper", overrides).reference.duration_s is None
+    assert load("paper", [*overrides, "reference.duration_s=20"]).reference.duration_s == 20.0
+    own = tmp_path / "own.toml"
+    own.write_text('[reference]\nshape = "file"\nfile = "poses.csv"\nduration_s = 30.0\n')
+    assert load(own).reference.duration_s == 30.0
+    recorded = replace(Scenario(), {"reference.shape": "file", "reference.file": str(file)})
+    assert recorded.reference.duration_s is None
+    (tmp_path / "again.toml").write_text(to_toml(recorded))
+    assert load(tmp_path / "again.toml") == recorded
+
+
+def test_values_are_replaced_by_dotted_keys_and_validated():
+    values = {
+        "controller.horizon": 7,
+        "controller.error_weight": np.diag([1.0, 2.0, 3.0]),
+        "slip.relative_error": np.float64(0.3),
+        "noise": load("certified").noise,
+        "operating.heading_deg": None,
+    }
+    scenario = replace(Scenario(), values)
+    assert scenario.controller.horizon == 7
+    assert scenario.controller.error_weight == ((1.0, 0.0, 0.0), (0.0, 2.0, 0.0), (0.0, 0.0, 3.0))
+    assert scenario.slip.relative_error == 0.3
+    assert scenario.noise == load("certified").noise
+    assert scenario.robot == Scenario().robot
+    assert replace(scenario, {}) == scenario
+    assert Scenario().controller.horizon == 5
+
+
+@pytest.mark.parametrize(
+    "values, fragments",
+    [
+        ({"controller.horizn": 7}, ["override: controller.horizn = 7", "did you mean"]),
+        ({"slip.nominal_left": 0.95}, ["override: slip.nominal_left = 0.95", "below 1"]),
+        ({"slip.process": 3}, ["override: slip.process = 3", "text"]),
+    ],
+)
+def test_replaced_values_are_refused_as_those_of_files(values, fragments):
+    with pytest.raises(ScenarioError) as caught:
+        replace(Scenario(), values)
+    assert [fragment for fragment in fragments if fragment not in str(caught.value)] == []
+
+
+@pytest.mark.parametrize(
+    "values, wheels",
+    [
+        ({}, ()),
+        ({"slip.nominal_right": 0.0}, ("right",)),
+        ({"slip.relative_error": 0.0}, ("right", "left")),
+    ],
+)
+def test_slip_without_error_is_told(values, wheels):
+    assert replace(Scenario(), values).slip.exact_wheels == wheels
 
 
 def test_the_later_override_wins():
@@ -252,6 +356,7 @@ def test_a_path_starts_at_the_scenario_file_and_in_an_override_at_the_current_fo
 def test_reference_wheels_on_the_edge_of_the_box_are_inside():
     assert load("paper", [f"reference.speed_mps={1.5 / 1.1!r}"])
     check_reference_wheels(Scenario(), 0.2, 1.5)
+    check_reference_wheels(Scenario(), 0.2 - 1e-10, 1.5 + 1e-10)
 
 
 @pytest.mark.parametrize(

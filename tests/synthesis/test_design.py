@@ -277,3 +277,12 @@ def test_a_start_without_a_plan_is_refused_with_the_share_that_has_one(robust_de
 
 def test_the_start_of_the_scenario_is_the_one_judged_by_default(robust_design):
     refuse_infeasible_start(robust_design)
+
+
+@pytest.mark.parametrize(
+    "heading, error",
+    [(360.0, 0.0), (-350.0, -10.0), (190.0, 170.0), (180.0, 180.0), (-180.0, 180.0)],
+)
+def test_the_initial_heading_error_counts_modulo_a_turn(heading, error):
+    problem = make_problem(load("paper", [f"initial.heading_deg={heading}"]))
+    assert np.rad2deg(problem.initial_error[2]) == pytest.approx(error, abs=1e-9)
