@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.coordinates import NAMES
 from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics import histogram
@@ -20,7 +21,6 @@ from jaxtube.statistics.checks import Checks
 from jaxtube.statistics.run import RANKED, Statistics
 from jaxtube.statistics.tally import EVENTS, PLANES, STAGE_EVENTS
 
-NAMES = coordinates_table.NAMES
 UNITS = ("m", "m", "rad")
 CLOUD_REACH = 2.0
 """The cells of a cloud reach so many times as far as the box around the section."""
