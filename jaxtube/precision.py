@@ -21,7 +21,7 @@ def in_64_bits(function: Callable[Parameters, Answer]) -> Callable[Parameters, A
     """Return a function that computes in 64 bits and leaves JAX's configuration as it was."""
 
     @functools.wraps(function)
-    def computed(*arguments: Parameters.args, **keywords: Parameters.kwargs) -> Answer:
+    def compute(*arguments: Parameters.args, **keywords: Parameters.kwargs) -> Answer:
         with jax.enable_x64(True):
             return function(*arguments, **keywords)
 

@@ -4,10 +4,15 @@ the command line."""
 import sys
 
 from jaxtube.experiments import environment
-from jaxtube.experiments.cli import main
+from jaxtube.experiments.cli import INTERRUPTED, INTERRUPTED_LINE, main
 
 if __name__ == "__main__":
+    environment.print_any_character()
     environment.use_float64()
     environment.compile_in_one_piece()
     environment.keep_compiled_programs()
-    sys.exit(main())
+    environment.end_after_interrupt(INTERRUPTED_LINE, INTERRUPTED)
+    code = main()
+    if code == INTERRUPTED:
+        environment.leave(code)
+    sys.exit(code)

@@ -20,7 +20,7 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from jaxtube.experiments.options import COMMANDS, Check, title
+from jaxtube.experiments.options import COMMANDS, CheckOptions, title
 from jaxtube.scenario import Scenario, ScenarioError, experiments_folder, find, load, names
 
 MISSING = object()
@@ -42,19 +42,20 @@ class Claims(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     metric: tuple[Metric, ...] = ()
 
 
-def run(scenario: Scenario | None, options: Check) -> int:
+def run(scenario: Scenario | None, options: CheckOptions) -> int:
     """Print one line a metric; returns 0 when all hold, else 1.
 
     Raises: ScenarioError for a scenario without expected metrics that was asked for by name.
     """
-    chosen = options.names or (
-        (options.scenario,) if scenario else tuple(filter(_has_claims, names()))
-    )
-    if not chosen:
+    checked = _checked_names(scenario, options)
+    if not checked:
         raise ScenarioError(
-            f"{experiments_folder()}: no scenario has an expected.toml; name a scenario that has one"
+            f"{experiments_folder()}: no scenario has an expected.toml; name a scenario that has "
+            "one"
         )
-    verdicts = Counter(verdict for name in chosen for verdict in _check(name, options))
+    verdicts: Counter[str] = Counter()
+    for name in checked:
+        verdicts.update(_check(name, options))
     print(f"{verdicts['ok']} ok, {verdicts['off']} off, {verdicts['skipped']} skipped")
     return 1 if verdicts["off"] else 0
 
@@ -73,9 +74,17 @@ def resolve(metrics: Any, path: str) -> Any:
 def holds(actual: Any, metric: Metric) -> bool:
     """Say whether a metric is the expected one: numbers within the tolerance, anything else equal
     and of one type."""
-    if type(actual) in (int, float) and type(metric.value) in (int, float):
+    numbers = (int, float)  # bool, a subclass of int, is none
+    if type(actual) in numbers and type(metric.value) in numbers:
         return abs(actual - metric.value) <= metric.tolerance
     return type(actual) is type(metric.value) and actual == metric.value
+
+
+def _checked_names(scenario: Scenario | None, options: CheckOptions) -> tuple[str, ...]:
+    """Return the scenarios that were named, or all that have claims."""
+    if options.names:
+        return options.names
+    return (options.scenario,) if scenario else tuple(filter(_has_claims, names()))
 
 
 def _has_claims(name: str) -> bool:
@@ -89,7 +98,8 @@ def _claims_file(name: str) -> Path:
 def _read_claims(name: str) -> tuple[Metric, ...]:
     path = _claims_file(name)
     try:
-        claims = msgspec.convert(tomllib.loads(path.read_text(encoding="utf-8")), Claims).metric
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+        claims = msgspec.convert(tree, Claims).metric
     except OSError as error:
         raise ScenarioError(
             f"{path}: cannot be read ({error.strerror}); write the expected metrics there"
@@ -106,22 +116,23 @@ def _read_claims(name: str) -> tuple[Metric, ...]:
     return claims
 
 
-def _check(name: str, options: Check) -> list[str]:
+def _check(name: str, options: CheckOptions) -> list[str]:
     claims = _read_claims(name)
-    commands = {claim.command for claim in claims} - ({"paper"} if options.quick else set())
-    results = {command: _replay(command, name, options) for command in sorted(commands)}
+    commands = {claim.command for claim in claims}
+    if options.quick:
+        commands.discard("paper")
+    results = {command: _run_again(command, name, options) for command in sorted(commands)}
     return [_judge(name, claim, results) for claim in claims]
 
 
-def _replay(command: str, name: str, options: Check) -> Any:
+def _run_again(command: str, name: str, options: CheckOptions) -> Any:
     """Run a command on a scenario and return its metrics; an empty table when the run did not end
     well."""
     out = Path(options.out or "runs") / f"check-{title(name)}" / command
     kind = COMMANDS[command]
     settings = kind(scenario=name, out=str(out), seed=options.seed, overrides=options.overrides)
-    code = importlib.import_module(f"{__package__}.{kind.module}").run(
-        load(name, options.overrides), settings
-    )
+    module = importlib.import_module(f"{__package__}.{kind.module}")
+    code = module.run(load(name, options.overrides), settings)
     if code:
         print(f"{name}: {command} ended with exit code {code}")
         return {}
@@ -129,16 +140,15 @@ def _replay(command: str, name: str, options: Check) -> Any:
 
 
 def _judge(name: str, claim: Metric, results: dict[str, Any]) -> str:
-    if claim.command not in results:
-        verdict, found = "skipped", "not run"
-    else:
+    verdict = "skipped"
+    shown = "not run"
+    if claim.command in results:
         actual = resolve(results[claim.command], claim.path)
-        verdict, found = (
-            "ok" if holds(actual, claim) else "off",
-            "missing" if actual is MISSING else str(actual),
-        )
+        verdict = "ok" if holds(actual, claim) else "off"
+        shown = "missing" if actual is MISSING else str(actual)
     bound = f" +- {claim.tolerance:g}" if claim.tolerance else ""
     print(
-        f"{verdict:8}{name}  {claim.path}  {found}  expected {claim.value}{bound}  ({claim.provenance})"
+        f"{verdict:8}{name}  {claim.path}  {shown}  expected {claim.value}{bound}  "
+        f"({claim.provenance})"
     )
     return verdict

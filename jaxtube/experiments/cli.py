@@ -2,7 +2,8 @@
 and one line.
 
     0  done        1  a checked metric is off        2  bad input
-    3  an empty tightened set; an empty terminal set or a failed certificate under --require-certificate
+    3  an empty tightened set; under --require-certificate also an empty terminal set,
+       or a failed certificate
     4  interrupted, or stopped by a full disk; the same command goes on
 
 Nothing heavy is imported before a command runs.
@@ -17,9 +18,9 @@ import io
 import itertools
 import os
 import re
+import shutil
 import sys
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 
 import tyro
 from tyro.extras import subcommand_type_from_defaults
@@ -31,9 +32,12 @@ DESCRIPTION = (
     "Any key of the scenario is overridden by controller.horizon=7 or --controller.horizon 7."
 )
 DEFAULT_COMMAND = "paper"
-BAD_INPUT, EMPTY_SET, INTERRUPTED = 2, 3, 4
-SEED_LIMIT = 2**63
-REALISATIONS_LIMIT = 2**53
+BAD_INPUT = 2
+EMPTY_SET = 3
+INTERRUPTED = 4
+INTERRUPTED_LINE = "interrupted; run the same command again"
+LEAST_COLUMNS = 40
+"""The parser takes gigabytes to lay out its help in a few columns."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -43,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = parse(sys.argv[1:] if arguments is None else arguments)
         return run(options) if options else 0
     except KeyboardInterrupt:
-        return _report("interrupted; run the same command again", INTERRUPTED)
+        return _report(INTERRUPTED_LINE, INTERRUPTED)
     except BrokenPipeError:
         # Whoever read the output has enough of it, as `| head` does; the interpreter must not flush
         # into that pipe.
@@ -54,7 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         return _report(f"{error.strerror}; make room and run the same command again", INTERRUPTED)
     except ValueError as error:
-        code = _exit_code(error)
+        code = _find_exit_code(error)
         if code is None:
             raise
         return _report(str(error), code)
@@ -66,28 +70,16 @@ def parse(arguments: Sequence[str]) -> Options | None:
 
     Raises: ScenarioError, one line.
     """
-    words, overrides = _split(arguments)
-    if not words or (words[0].startswith("-") and words[0] not in ("-h", "--help")):
+    words, overrides = _split(_check_text(arguments))
+    asks_for_help = words[:1] in (["-h"], ["--help"])
+    if not asks_for_help and (not words or words[0].startswith("-")):
         words = [DEFAULT_COMMAND, *words]
-    errors = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(errors):
-            options = tyro.cli(
-                subcommand_type_from_defaults(
-                    {name: kind() for name, kind in COMMANDS.items()},
-                    {name: inspect.getdoc(kind) or "" for name, kind in COMMANDS.items()},
-                ),
-                default=COMMANDS[DEFAULT_COMMAND](),
-                args=words,
-                prog=PROGRAM,
-                description=DESCRIPTION,
-                config=(tyro.conf.FlagCreatePairsOff,),
-            )
-    except SystemExit as stop:
-        if not stop.code:
-            return None
-        raise _refusal(f"{_sentence(errors.getvalue())}; see {PROGRAM} --help") from None
-    _check(options)
+    options = _parse_options(words)
+    if options is None:
+        return None
+    broken_rule = options.find_broken_rule()
+    if broken_rule:
+        raise _refuse(broken_rule)
     return dataclasses.replace(options, overrides=tuple(overrides))
 
 
@@ -100,12 +92,28 @@ def run(options: Options) -> int:
         return importlib.import_module(f"{__package__}.{options.module}").run(scenario, options)
     except ScenarioError as error:
         # What only a design can find out is not told where the scenario came from.
-        raise ScenarioError(re.sub("^scenario:", f"{options.scenario}:", str(error))) from None
+        line = str(error)
+        if line.startswith("scenario:"):
+            line = f"{options.scenario}{line.removeprefix('scenario')}"
+        raise ScenarioError(line) from None
+
+
+def _check_text(arguments: Sequence[str]) -> Sequence[str]:
+    """Refuse words that hold bytes of no text: they could not be written to any file."""
+    for word in arguments:
+        try:
+            word.encode()
+        except UnicodeEncodeError:
+            shown = word.encode(errors="backslashreplace").decode()
+            raise _refuse(f"{shown}: is no text in UTF-8; give a name without such bytes") from None
+    return arguments
 
 
 def _split(arguments: Iterable[str]) -> tuple[list[str], list[str]]:
     """Take the overrides `a.b=1`, `--a.b=1` and `--a.b 1` out of the words, all as `a.b=1`."""
-    words, overrides, pending = [], [], ""
+    words = []
+    overrides = []
+    pending = ""
     for word in arguments:
         if pending:
             overrides.append(f"{pending}={word}")
@@ -117,77 +125,79 @@ def _split(arguments: Iterable[str]) -> tuple[list[str], list[str]]:
         else:
             words.append(word)
     if pending:
-        raise _refusal(f"{pending}: has no value; write {pending}=VALUE")
+        raise _refuse(f"{pending}: has no value; write {pending}=VALUE")
     return words, overrides
 
 
-def _check(options: Options) -> None:
-    if not 0 <= options.seed < SEED_LIMIT:
-        raise _refusal(
-            f"--seed = {options.seed}: is out of range; give a whole number from 0 to 2^63 - 1"
-        )
-    realisations = getattr(options, "realisations", 1)
-    if not (realisations >= 1 and realisations == int(min(realisations, REALISATIONS_LIMIT))):
-        raise _refusal(
-            f"--realisations = {realisations}: is no whole number from 1 to 2^53; simulate at least one run"
-        )
-    for name, least in (
-        ("chunk", 1),
-        ("devices", 0),
-        ("points", 2),
-        ("evaluations", 1),
-        ("laps", 1),
-        ("held_out", 1),
-        ("patience", 1),
-    ):
-        if (count := getattr(options, name, least)) < least:
-            raise _refusal(
-                f"--{name.replace('_', '-')} = {count}: is out of range; give a whole number from {least}"
+def _parse_options(words: list[str]) -> Options | None:
+    """Parse a command and its options; None after help."""
+    if shutil.get_terminal_size().columns < LEAST_COLUMNS:
+        os.environ["COLUMNS"] = str(LEAST_COLUMNS)
+    commands = subcommand_type_from_defaults(
+        {name: kind() for name, kind in COMMANDS.items()},
+        {name: inspect.getdoc(kind) or "" for name, kind in COMMANDS.items()},
+    )
+    errors = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(errors):
+            return tyro.cli(
+                commands,
+                default=COMMANDS[DEFAULT_COMMAND](),
+                args=words,
+                prog=PROGRAM,
+                description=DESCRIPTION,
+                config=(tyro.conf.FlagCreatePairsOff,),
             )
-    if not 0 < (rate := getattr(options, "learning_rate", 1.0)) < float("inf"):
-        raise _refusal(
-            f"--learning-rate = {rate}: is out of range; give a positive number, such as 0.1"
-        )
-    if Path(options.out).is_file():
-        raise _refusal(f"--out = {options.out}: is a file; name a folder")
+    except SystemExit as stop:
+        if not stop.code:
+            return None
+        raise _refuse(f"{_shorten(errors.getvalue())}; see {PROGRAM} --help") from None
 
 
-def _sentence(box: str) -> str:
+def _shorten(box: str) -> str:
     """Reduce the box that the parser draws around its message to what is wrong and the nearest
     right word."""
-    lines = [re.sub(r"\x1b\[[0-9;]*m|[|│╭╮╰╯]", "", line).strip() for line in box.splitlines()[1:]]
-    groups = itertools.groupby(lines, lambda line: set(line) <= set("-+─"))
-    first, *paragraphs = [list(group) for ruled, group in groups if not ruled] or [
-        ["not understood"]
-    ]
+    first, *others = _paragraphs(box) or [["not understood"]]
     sentences = [" ".join(first).rstrip(".")]
-    for heading, *others in paragraphs:
-        if heading.startswith("Available"):
-            sentences.append(" ".join([heading, *others]))
-        if heading.startswith("Perhaps you meant") and others:
-            sentences.append(f"did you mean {others[0].split()[0]}?")
+    for paragraph in others:
+        if paragraph[0].startswith("Available"):
+            sentences.append(" ".join(paragraph))
+        if paragraph[0].startswith("Perhaps you meant") and len(paragraph) > 1:
+            sentences.append(f"did you mean {paragraph[1].split()[0]}?")
     return "; ".join(sentences)
 
 
-def _refusal(text: str) -> ValueError:
+def _paragraphs(box: str) -> list[list[str]]:
+    """Return the lines inside a box, below its title and without colours, cut at its rules."""
+    lines = [re.sub(r"\x1b\[[0-9;]*m|[|│╭╮╰╯]", "", line).strip() for line in box.splitlines()[1:]]
+    groups = itertools.groupby(lines, lambda line: set(line) <= set("-+─"))
+    return [list(group) for is_rule, group in groups if not is_rule]
+
+
+def _refuse(text: str) -> ValueError:
     from jaxtube.scenario import ScenarioError
 
     return ScenarioError(f"command line: {text}")
 
 
-def _exit_code(error: ValueError) -> int | None:
+def _find_exit_code(error: ValueError) -> int | None:
+    """Return the exit code of an error that users can mend, None for a fault of the program."""
     from jaxtube.scenario import ScenarioError
 
     if isinstance(error, ScenarioError):
         return BAD_INPUT
-    from jaxtube.experiments.run.records import RecordsError
+    from jaxtube.experiments.run.store import StoreError
     from jaxtube.synthesis.design import EmptySetError
 
-    if isinstance(error, RecordsError):
+    if isinstance(error, StoreError):
         return INTERRUPTED
     return EMPTY_SET if isinstance(error, EmptySetError) else None
 
 
 def _report(line: str, code: int) -> int:
-    print(" ".join(line.split()), file=sys.stderr)
+    """Print one line on the standard error, which never raises for a character, and return the
+    code."""
+    text = " ".join(line.split())
+    encoding = sys.stderr.encoding or "utf-8"
+    print(text.encode(encoding, "backslashreplace").decode(encoding), file=sys.stderr)
     return code

@@ -1,10 +1,21 @@
-"""What jax has to be told by the environment before it is imported."""
+"""What the process of a command needs before JAX is imported, and where it ends."""
 
 import hashlib
 import importlib.metadata
+import io
+import multiprocessing
 import os
 import platform
+import signal
+import socket
+import sys
+import threading
+import time
 from pathlib import Path
+from typing import NoReturn
+
+GRACE_SECONDS = 3.0
+"""Time that the main thread has to end by itself after Ctrl-C."""
 
 
 def use_float64() -> None:
@@ -28,11 +39,60 @@ def keep_compiled_programs() -> None:
     folder for each kind.
     """
     home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    info = Path("/proc/cpuinfo")
-    features = (
-        {line for line in info.read_text().splitlines() if line.startswith("flags")}
-        if info.exists()
-        else ()
-    )
-    kind = hashlib.sha256(f"{platform.machine()} {sorted(features)}".encode()).hexdigest()[:16]
+    features = sorted(_find_processor_features())
+    kind = hashlib.sha256(f"{platform.machine()} {features}".encode()).hexdigest()[:16]
     os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(home / "jaxtube" / kind))
+
+
+def print_any_character() -> None:
+    """Let a report reach a terminal that lacks one of its characters: the character is escaped."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
+
+
+def end_after_interrupt(line: str, code: int) -> None:
+    """Let Ctrl-C end the process within GRACE_SECONDS, whatever the main thread does.
+
+    The main thread sees an interrupt only between two instructions of Python: a compiled program
+    runs on, and a callback of a library may swallow the exception.
+
+    Args:
+        line: what is then printed on the standard error.
+        code: the exit code.
+    """
+    reader, writer = socket.socketpair()
+    writer.setblocking(False)
+    signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+
+    def watch(writer: socket.socket) -> None:
+        while signal.SIGINT not in reader.recv(1):
+            continue
+        time.sleep(GRACE_SECONDS)
+        print(line, file=sys.stderr)
+        leave(code)
+
+    # The thread holds the writer too: it would be closed with the last reference.
+    threading.Thread(target=watch, args=(writer,), daemon=True).start()
+
+
+def leave(code: int) -> NoReturn:
+    """End the process and its children at once.
+
+    Not by `sys.exit`: the threads of a device may still run a program, and they crash when the
+    interpreter takes down what they use. Files are complete at any time, or not there.
+    """
+    for child in multiprocessing.active_children():
+        child.terminate()
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except OSError:
+            continue
+    os._exit(code)
+
+
+def _find_processor_features() -> set[str]:
+    info = Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    return {line for line in lines if line.startswith("flags")}

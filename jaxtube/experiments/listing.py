@@ -9,9 +9,9 @@ def run(scenario: Scenario | None, options: Options) -> int:
 
     Raises: ScenarioError when one of them cannot be used.
     """
-    chosen = [options.scenario] if scenario else names()
-    width = max(map(len, chosen), default=0)
-    for name in chosen:
+    listed = [options.scenario] if scenario else names()
+    width = max(map(len, listed), default=0)
+    for name in listed:
         load(name, options.overrides)
         print(f"{name:{width}}  {summary(name)}")
     return 0

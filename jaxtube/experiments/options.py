@@ -1,16 +1,59 @@
-"""The options of each command, from which the parser is built.
+"""The options of each command, from which the parser is built; each option holds the rule of its
+values.
 
 Every command takes a scenario, the folder of its run, a seed, and overrides of single keys.
 """
 
+import math
 import shlex
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 from tyro.conf import Positional, Suppress, arg
 
 PROGRAM = "python -m jaxtube.experiments"
+SEED_LIMIT = 2**63
+REALISATIONS_LIMIT = 2**53
+LAPS_LIMIT = 2**64
+
+ControllerName = Literal[
+    "tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated", "uncompensated"
+]
+
+
+class Rule(NamedTuple):
+    """What the value of an option has to be; `words` say what is wrong with another one, and the
+    cure."""
+
+    is_kept: Callable[[Any], bool]
+    words: str
+
+
+def at_least(least: int) -> Rule:
+    """Return the rule of a count."""
+    return Rule(lambda value: value >= least, f"is out of range; give a whole number from {least}")
+
+
+def _is_count_of_laps(value: float) -> bool:
+    return 1 <= value <= REALISATIONS_LIMIT and value == math.floor(value)
+
+
+def _is_lap(value: int | None) -> bool:
+    return value is None or 0 <= value < LAPS_LIMIT
+
+
+LAPS = Rule(_is_count_of_laps, "is no whole number from 1 to 2^53; simulate at least one run")
+LAP = Rule(_is_lap, "is out of range; give a lap's number, from 0 to below 2^64")
+SEED = Rule(
+    lambda value: 0 <= value < SEED_LIMIT,
+    "is out of range; give a whole number from 0 to 2^63 - 1",
+)
+RATE = Rule(
+    lambda value: 0 < value < math.inf, "is out of range; give a positive number, such as 0.1"
+)
+FOLDER = Rule(lambda value: not Path(value).is_file(), "is a file; name a folder")
 
 
 @dataclass(frozen=True)
@@ -23,10 +66,10 @@ class Options:
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "paper"
     """a scenario that `list` prints, or a file"""
     out: Annotated[
-        str, arg(metavar="DIR", help_behavior_hint="(default: runs/COMMAND-SCENARIO)")
+        str, arg(metavar="DIR", help_behavior_hint="(default: runs/COMMAND-SCENARIO)"), FOLDER
     ] = ""
     """folder of the run"""
-    seed: Annotated[int, arg(metavar="INT")] = 0
+    seed: Annotated[int, arg(metavar="INT"), SEED] = 0
     """seed of every random draw"""
     # Not tuple[str, ...]: to check that default, the parser would load a library that takes a third
     # of the help's time.
@@ -37,58 +80,82 @@ class Options:
         """The folder of the run."""
         return Path(self.out or f"runs/{self.command}-{title(self.scenario)}")
 
+    @property
+    def scenario_files(self) -> list[Path]:
+        """The files that scenarios are read from, those that come with the project left out."""
+        names = [self.scenario, getattr(self, "against", "")]
+        return [Path(name) for name in names if Path(name).suffix == ".toml"]
+
+    def find_broken_rule(self) -> str:
+        """Say in one line which option has a value that breaks its rule; empty where none does."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            for rule in getattr(field.type, "__metadata__", ()):
+                if isinstance(rule, Rule) and not rule.is_kept(value):
+                    return f"{flag(field.name)} = {value}: {rule.words}"
+        return ""
+
 
 @dataclass(frozen=True)
-class Paper(Options):
+class PaperOptions(Options):
     """Reproduce the paper's comparison of controllers (the default command)."""
 
-    command, module = "paper", "paper.command"
+    command = "paper"
+    module = "paper.command"
 
-    realisations: Annotated[int, arg(metavar="INT")] = 256
+    realisations: Annotated[int, arg(metavar="INT"), LAPS] = 256
     """number of simulated runs of each controller"""
     require_certificate: bool = False
     """exit with 3 when the terminal set is empty or the certificate fails"""
 
 
 @dataclass(frozen=True)
-class Design(Options):
+class DesignOptions(Options):
     """Compute tubes, gains and terminal set of a scenario, and check their certificate."""
 
-    command, module = "design", "design.command"
+    command = "design"
+    module = "design.command"
 
     optimise: bool = False
     """first search the caps and tracking gains whose tube fills least of what it may use"""
     require_certificate: bool = False
     """exit with 3 when the terminal set is empty or the certificate fails"""
 
+    @property
+    def folder(self) -> Path:
+        """The folder of the run: another one for the design that the optimiser finds."""
+        folder = super().folder
+        return Path(f"{folder}-optimised") if self.optimise and not self.out else folder
+
 
 @dataclass(frozen=True)
-class Montecarlo(Options):
+class MontecarloOptions(Options):
     """Run laps by the million and check every period against the design; resumes where it was
     interrupted."""
 
-    command, module = "montecarlo", "montecarlo.command"
+    command = "montecarlo"
+    module = "montecarlo.command"
 
-    realisations: Annotated[float, arg(metavar="COUNT")] = 1e5
+    realisations: Annotated[float, arg(metavar="COUNT"), LAPS] = 1e5
     """number of laps, such as 1e6"""
-    controller: Literal[
-        "tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated", "uncompensated"
-    ] = "tube_mpc"
+    controller: ControllerName = "tube_mpc"
     """controller of the closed loop"""
     plant: Literal["robot", "linear"] = "robot"
     """the slipping robot, or the prediction model with w drawn in W"""
     starts: Literal["scenario", "feasible", "edge"] = "scenario"
     """the scenario's start, or uniform in the feasible set of the tube-MPC, or on its edge"""
-    chunk: Annotated[int, arg(metavar="BLOCKS")] = 1
+    chunk: Annotated[int, arg(metavar="BLOCKS"), at_least(1)] = 1
     """blocks that a device works through in one dispatch; changes no result"""
     devices: Annotated[
-        int, arg(metavar="COUNT", help_behavior_hint="(default: all; processors count as devices)")
+        int,
+        arg(metavar="COUNT", help_behavior_hint="(default: all; processors count as devices)"),
+        at_least(0),
     ] = 0
     """devices of this machine to use; changes no result"""
     cluster: Annotated[str, arg(metavar="local:N|ADDRESS", help_behavior_hint="")] = ""
     """workers that compute the blocks: N started here, or those of a Dask scheduler, such as
     tcp://host:8786"""
-    replay: Annotated[int, arg(metavar="LAP", help_behavior_hint="")] = -1
+    replay: Annotated[int | None, arg(metavar="LAP", help_behavior_hint=""), LAP] = None
     """draw this lap of the run, by its number, instead of running any"""
     netcdf: bool = False
     """also write statistics.nc, which opens in xarray"""
@@ -96,24 +163,25 @@ class Montecarlo(Options):
     @property
     def folder(self) -> Path:
         """The folder of the run: one for each law that the options can name."""
-        chosen = [getattr(self, name) for name in ("controller", "plant", "starts")]
-        usual = [getattr(type(self), name) for name in ("controller", "plant", "starts")]
-        law = [
-            f"-{value}" for value, default in zip(chosen, usual, strict=True) if value != default
-        ]
-        return Path(self.out) if self.out else Path(f"{super().folder}{''.join(law)}")
+        if self.out:
+            return super().folder
+        name = str(super().folder)
+        for option in ("controller", "plant", "starts"):
+            value = getattr(self, option)
+            if value != getattr(type(self), option):
+                name += f"-{value}"
+        return Path(name)
 
 
 @dataclass(frozen=True)
-class Falsify(Options):
+class FalsifyOptions(Options):
     """Search the smallest margins by gradient: slips, noise and start that drive a closed loop out
     of its limits."""
 
-    command, module = "falsify", "falsify.command"
+    command = "falsify"
+    module = "falsify.command"
 
-    controller: Literal[
-        "tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated", "uncompensated"
-    ] = "tube_mpc"
+    controller: ControllerName = "tube_mpc"
     """controller of the closed loop"""
     plant: Literal["robot", "linear"] = "robot"
     """the slipping robot, or the prediction model with w in W"""
@@ -128,21 +196,24 @@ class Falsify(Options):
 
 
 @dataclass(frozen=True)
-class Guarantee(Options):
+class GuaranteeOptions(Options):
     """Attack a certified design by the million laps, and another one beside it; sets claims against
     what was seen."""
 
-    command, module = "guarantee", "guarantee.command"
+    command = "guarantee"
+    module = "guarantee.command"
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "certified"
     """a scenario that `list` prints, or a file"""
     against: Annotated[str, arg(metavar="NAME|FILE.toml")] = "paper"
     """the scenario whose sets, gains and model are attacked on the same robot, path and slip"""
-    realisations: Annotated[float, arg(metavar="COUNT")] = 1e5
+    realisations: Annotated[float, arg(metavar="COUNT"), LAPS] = 1e5
     """number of laps of each design, such as 1e6: spread over five slip processes; the edge comes
     on top"""
     devices: Annotated[
-        int, arg(metavar="COUNT", help_behavior_hint="(default: all; processors count as devices)")
+        int,
+        arg(metavar="COUNT", help_behavior_hint="(default: all; processors count as devices)"),
+        at_least(0),
     ] = 0
     """devices of this machine to use; changes no result"""
     require_certificate: bool = False
@@ -151,44 +222,46 @@ class Guarantee(Options):
     @property
     def folder(self) -> Path:
         """The folder of the run: one for each pair of designs."""
-        usual = self.against == type(self).against
-        return (
-            super().folder if self.out or usual else Path(f"{super().folder}-{title(self.against)}")
-        )
+        if self.out or self.against == type(self).against:
+            return super().folder
+        return Path(f"{super().folder}-{title(self.against)}")
 
 
 @dataclass(frozen=True)
-class Maps(Options):
+class MapsOptions(Options):
     """Map what can be guaranteed: over slip error, speed range and period, for three ways to choose
     a design."""
 
-    command, module = "maps", "maps.command"
+    command = "maps"
+    module = "maps.command"
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "certified"
     """a scenario that `list` prints, or a file; it needs caps"""
-    points: Annotated[int, arg(metavar="COUNT")] = 4
+    points: Annotated[int, arg(metavar="COUNT"), at_least(2)] = 4
     """values along each axis, the scenario's own come on top"""
     feasible: bool = False
     """also the feasible set by the horizon, beside the largest control invariant set"""
 
 
 @dataclass(frozen=True)
-class Beyond(Options):
+class BeyondOptions(Options):
     """Measure how imperfect the robot may be before a lap leaves W, and before it leaves what is
     certified."""
 
-    command, module = "beyond", "beyond.command"
+    command = "beyond"
+    module = "beyond.command"
 
-    realisations: Annotated[int, arg(metavar="INT")] = 1024
+    realisations: Annotated[int, arg(metavar="INT"), LAPS] = 1024
     """number of laps under each of four slip processes, at each level of each imperfection"""
 
 
 @dataclass(frozen=True)
-class Tune(Options):
+class TuneOptions(Options):
     """Tune weights and gains by gradients through laps and through the tube; what comes out is
     certified."""
 
-    command, module = "tune", "tune.command"
+    command = "tune"
+    module = "tune.command"
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "untuned"
     """a scenario that `list` prints, or a file: where tuning starts, and under [tuning] what it
@@ -197,15 +270,15 @@ class Tune(Options):
     """what moves: Q, R and gains, or some of them; diagonal: those of Q and R"""
     method: Literal["lbfgs", "adam"] = "lbfgs"
     """L-BFGS-B on the same laps in every evaluation, or Adam with fresh ones in each"""
-    evaluations: Annotated[int, arg(metavar="COUNT")] = 120
+    evaluations: Annotated[int, arg(metavar="COUNT"), at_least(1)] = 120
     """gradients at most"""
-    laps: Annotated[int, arg(metavar="COUNT")] = 128
+    laps: Annotated[int, arg(metavar="COUNT"), at_least(1)] = 128
     """laps in each evaluation"""
-    held_out: Annotated[int, arg(metavar="COUNT")] = 256
+    held_out: Annotated[int, arg(metavar="COUNT"), at_least(1)] = 256
     """laps, others than those, that judge every iterate"""
-    learning_rate: Annotated[float, arg(metavar="RATE")] = 0.1
+    learning_rate: Annotated[float, arg(metavar="RATE"), RATE] = 0.1
     """of Adam, in the logarithms of weights and gains"""
-    patience: Annotated[int, arg(metavar="COUNT")] = 40
+    patience: Annotated[int, arg(metavar="COUNT"), at_least(1)] = 40
     """iterates without a better held-out objective after which to stop"""
     compare: bool = False
     """also tune weights and gains alone, search without gradients, and drive paths that tuning
@@ -215,20 +288,23 @@ class Tune(Options):
 
 
 @dataclass(frozen=True)
-class Bench(Options):
-    """Measure laps a second on one device, on all of them, and on one and two workers of a cluster."""
+class BenchOptions(Options):
+    """Measure laps a second on one device, on all of them, and on one and two workers of a
+    cluster."""
 
-    command = module = "bench"
+    command = "bench"
+    module = "bench"
 
-    blocks: Annotated[int, arg(metavar="COUNT")] = 16
+    blocks: Annotated[int, arg(metavar="COUNT"), at_least(1)] = 16
     """blocks of 4,096 laps in each of three rounds"""
 
 
 @dataclass(frozen=True)
-class List(Options):
+class ListOptions(Options):
     """List the scenarios that come with the project (--scenario: only this one)."""
 
-    command, module = "list", "listing"
+    command = "list"
+    module = "listing"
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml", help_behavior_hint="(default: all)")] = (
         ""
@@ -237,10 +313,12 @@ class List(Options):
 
 
 @dataclass(frozen=True)
-class Check(Options):
-    """Run scenarios again and compare their metrics with the expected ones; exit 1 when any is off."""
+class CheckOptions(Options):
+    """Run scenarios again and compare their metrics with the expected ones; exit 1 when any is
+    off."""
 
-    command = module = "check"
+    command = "check"
+    module = "check"
 
     names: Positional[
         Annotated[tuple[str, ...], arg(metavar="[NAME|FILE.toml ...]", help_behavior_hint="")]
@@ -255,17 +333,17 @@ class Check(Options):
 COMMANDS: dict[str, type[Options]] = {
     kind.command: kind
     for kind in (
-        Paper,
-        Design,
-        Montecarlo,
-        Falsify,
-        Guarantee,
-        Maps,
-        Beyond,
-        Tune,
-        Bench,
-        List,
-        Check,
+        PaperOptions,
+        DesignOptions,
+        MontecarloOptions,
+        FalsifyOptions,
+        GuaranteeOptions,
+        MapsOptions,
+        BeyondOptions,
+        TuneOptions,
+        BenchOptions,
+        ListOptions,
+        CheckOptions,
     )
 }
 
@@ -279,14 +357,20 @@ def title(scenario: str) -> str:
     return path.stem if path.stem != "scenario" else path.resolve().parent.name
 
 
+def flag(name: str) -> str:
+    """Return an option as it is written on the command line."""
+    return f"--{name.replace('_', '-')}"
+
+
 def command_line(options: Options) -> str:
-    """Write the command that has these options, for a shell; options at their default are left out."""
+    """Return the command that has these options, for a shell; options at their default are left
+    out."""
     words = [*PROGRAM.split(), options.command]
     for field in fields(options):
         value = getattr(options, field.name)
         if isinstance(value, tuple):
             words += value
         elif value != field.default:
-            words.append(f"--{field.name.replace('_', '-')}")
+            words.append(flag(field.name))
             words += [] if value is True else [str(value)]
     return shlex.join(words)

@@ -3,7 +3,7 @@ any machine.
 
 Each octave [2^p, 2^(p+1)) is cut into 8 buckets of equal width, read off the bits of the number. A
 value is known to 12 % at worst. What is smaller than the first edge counts in the first bucket,
-what is larger than the last, is infinite or no number, in the last.
+what is larger than the last, is infinite or NaN, in the last.
 
 The buckets are those of a floating-point number's exponent and leading bits (Tene, HdrHistogram,
 2012).
@@ -15,25 +15,26 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-CUTS = 8  # buckets an octave
-LEAST, GREATEST = (
-    -12,
-    1,
-)  # exponents of the first and the last edge: 0.24 mm to 2 m, or the same in rad
+CUTS = 8
+"""Buckets an octave."""
+LEAST = -12
+GREATEST = 1
+"""Exponents of the first and the last edge: 0.24 mm to 2 m, or the same in rad."""
 BUCKETS = CUTS * (GREATEST - LEAST)
-EDGES = 2.0 ** np.repeat(np.arange(LEAST, GREATEST), CUTS) * np.tile(
-    1 + np.arange(CUTS) / CUTS, GREATEST - LEAST
-)
+OCTAVES = np.repeat(2.0 ** np.arange(LEAST, GREATEST), CUTS)
+EDGES = OCTAVES * np.tile(1 + np.arange(CUTS) / CUTS, GREATEST - LEAST)
 """Lower edges of the buckets."""
+BITS = {4: (jnp.int32, 23, 127), 8: (jnp.int64, 52, 1023)}
+"""Integer type, bits of the mantissa and bias of the exponent, by the bytes of a float."""
 
 
 def bucket(values: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     """Return the number of the bucket of |value|, 0 .. BUCKETS - 1."""
-    kind, mantissa, bias = {4: (jnp.int32, 23, 127), 8: (jnp.int64, 52, 1023)}[
-        values.dtype.itemsize
-    ]
-    leading = jax.lax.bitcast_convert_type(jnp.abs(values), kind) >> (mantissa - 3)
-    return jnp.clip(leading - (bias + LEAST) * CUTS, 0, BUCKETS - 1).astype(jnp.int32)
+    kind, mantissa, bias = BITS[values.dtype.itemsize]
+    bits = jax.lax.bitcast_convert_type(jnp.abs(values), kind)
+    leading = bits >> (mantissa - 3)
+    number = leading - (bias + LEAST) * CUTS
+    return jnp.clip(number, 0, BUCKETS - 1).astype(jnp.int32)
 
 
 def quantile(
@@ -44,17 +45,16 @@ def quantile(
 
     The last bucket is open: a quantile in it is infinite.
     """
+    counts = np.asarray(counts)
     cumulative = np.cumsum(counts, axis=-1, dtype=np.int64)
     total = cumulative[..., -1:]
     wanted = share * total
     index = np.sum(cumulative < wanted, axis=-1, keepdims=True)
     before = np.take_along_axis(cumulative - counts, index, axis=-1)
-    inside = (wanted - before) / np.maximum(
-        np.take_along_axis(np.asarray(counts), index, axis=-1), 1
-    )
-    lower, upper = np.append(0.0, EDGES[1:])[index], np.append(EDGES[1:], np.inf)[index]
-    with np.errstate(invalid="ignore"):
-        found = np.where(
-            np.isinf(upper), np.inf, lower + inside * np.where(np.isinf(upper), 0.0, upper - lower)
-        )
-    return np.where(total > 0, found, np.nan)[..., 0]
+    inside = (wanted - before) / np.maximum(np.take_along_axis(counts, index, axis=-1), 1)
+    lower = np.append(0.0, EDGES[1:])[index]
+    upper = np.append(EDGES[1:], np.inf)[index]
+    is_open = np.isinf(upper)
+    width = np.where(is_open, 0.0, upper) - np.where(is_open, 0.0, lower)
+    values = np.where(is_open, np.inf, lower + inside * width)
+    return np.where(total > 0, values, np.nan)[..., 0]

@@ -21,7 +21,7 @@ from jaxtube.experiments.beyond.command import (
     search,
 )
 from jaxtube.experiments.cli import main, parse
-from jaxtube.experiments.options import Beyond
+from jaxtube.experiments.options import BeyondOptions
 from jaxtube.plant.imperfect import Imperfections
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import Trajectory
@@ -160,13 +160,14 @@ def test_the_command_writes_levels_with_units_and_prints_a_table(tmp_path, capsy
         if imperfection.title not in text
     ] == []
     names = {"beyond.png", "beyond.pdf", "metrics.json", "manifest.json", "scenario.toml"}
+    names |= {"report.txt"}
     assert {path.name for path in tmp_path.iterdir()} == names
 
 
 def test_the_options_of_the_command_are_those_of_its_module():
     options = parse(["beyond"])
     assert (
-        isinstance(options, Beyond)
+        isinstance(options, BeyondOptions)
         and options.realisations == 1024
         and str(options.folder) == "runs/beyond-paper"
     )

@@ -1,8 +1,11 @@
 """Laws of the command line: exit codes, one line for bad input, complete run folders, claims really
 compared."""
 
+import dataclasses
+import io
 import json
 import math
+import os
 import shlex
 import subprocess
 import sys
@@ -66,8 +69,8 @@ def error_line(capsys, *words) -> str:
 
 
 def test_the_default_command_is_the_paper():
-    assert parse([]) == parse(["paper"]) == command_options.Paper()
-    assert parse(["--realisations", "32"]) == command_options.Paper(realisations=32)
+    assert parse([]) == parse(["paper"]) == command_options.PaperOptions()
+    assert parse(["--realisations", "32"]) == command_options.PaperOptions(realisations=32)
 
 
 def test_the_three_forms_of_an_override_are_one():
@@ -76,10 +79,10 @@ def test_the_three_forms_of_an_override_are_one():
         ["--controller.horizon=7"],
         ["--controller.horizon", "7"],
     ):
-        assert parse(["design", *words, "--seed", "3"]) == command_options.Design(
+        assert parse(["design", *words, "--seed", "3"]) == command_options.DesignOptions(
             seed=3, overrides=("controller.horizon=7",)
         )
-    assert parse(["--initial.x_m", "-0.1"]) == command_options.Paper(
+    assert parse(["--initial.x_m", "-0.1"]) == command_options.PaperOptions(
         overrides=("initial.x_m=-0.1",)
     )
 
@@ -107,8 +110,8 @@ def test_the_written_command_line_reads_back_as_the_same_options():
     [("paper", "paper"), ("a/mine.toml", "mine"), ("wet/scenario.toml", "wet")],
 )
 def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title):
-    assert str(command_options.Design(scenario=scenario).folder) == f"runs/design-{title}"
-    assert str(command_options.Design(scenario=scenario, out="here").folder) == "here"
+    assert str(command_options.DesignOptions(scenario=scenario).folder) == f"runs/design-{title}"
+    assert str(command_options.DesignOptions(scenario=scenario, out="here").folder) == "here"
 
 
 @pytest.mark.parametrize(
@@ -118,7 +121,8 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
             ["papr"],
             [
                 "papr",
-                "paper, design, montecarlo, falsify, guarantee, maps, beyond, tune, bench, list, check",
+                "paper, design, montecarlo, falsify, guarantee, maps, beyond, tune, bench, list, "
+                "check",
             ],
         ),
         (["paper", "else"], ["else"]),
@@ -127,6 +131,13 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
         (["--seed", "three"], ["--seed", "three"]),
         (["--seed", "-1"], ["--seed = -1", "from 0"]),
         (["--realisations", "0"], ["--realisations", "at least one"]),
+        (["montecarlo", "--realisations", "2.5"], ["--realisations = 2.5", "whole number"]),
+        (["montecarlo", "--replay", "-5"], ["--replay = -5", "from 0"]),
+        (["montecarlo", "--replay", str(2**64)], ["--replay = 18446744073709551616", "2^64"]),
+        (["tune", "--learning-rate", "nan"], ["--learning-rate = nan", "positive"]),
+        (["bench", "--blocks", "0"], ["--blocks = 0", "from 1"]),
+        (["design", "controller.tube=\udcff"], [r"controller.tube=\udcff", "UTF-8"]),
+        (["design", "--out", "a\udcff"], [r"a\udcff", "UTF-8"]),
         (["design", "--realisations", "3"], ["--realisations"]),
         (["maps", "--points", "1"], ["--points = 1", "from 2"]),
         (["maps", "--scenario", "paper"], ["operating", "no caps", "--scenario certified"]),
@@ -151,6 +162,27 @@ def test_an_out_folder_that_cannot_be_is_bad_input(tmp_path, capsys, fake_runs):
     )
 
 
+def test_help_in_a_narrow_terminal_ends(tmp_path):
+    """In a few columns the parser would take gigabytes and minutes."""
+    limit = "import resource; resource.setrlimit(resource.RLIMIT_AS, (2**32, 2**32)); "
+    code = limit + "from jaxtube.experiments.cli import main; main(['design', '--help'])"
+    environment = os.environ | {"COLUMNS": "5"}
+    help = subprocess.run(
+        [sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=60
+    )
+    assert help.returncode == 0 and "usage:" in help.stdout
+    assert max(map(len, help.stdout.splitlines())) > 30
+
+
+def test_an_error_line_never_raises(monkeypatch, empty_set_error):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii", errors="strict")
+    monkeypatch.setattr(sys, "stderr", stream)
+    fail_with(monkeypatch, empty_set_error("s\u00b2 and \udcff"))
+    assert main(["design"]) == 3
+    stream.flush()
+    assert stream.buffer.getvalue() == b"s\\xb2 and \\udcff\n"
+
+
 @pytest.mark.parametrize("words", [["--help"], ["-h"], ["paper", "--help"], ["check", "--help"]])
 def test_help_ends_with_0(words, capsys):
     assert main(words) == 0
@@ -159,8 +191,10 @@ def test_help_ends_with_0(words, capsys):
 
 def test_help_imports_nothing_heavy():
     code = (
-        "import sys; from jaxtube.experiments import __main__; assert __main__.main(['--help']) == 0; "
-        "heavy = {'jax', 'numpy', 'scipy', 'matplotlib', 'cvxpy', 'sets'} & set(sys.modules); assert not heavy, heavy"
+        "import sys; from jaxtube.experiments import __main__\n"
+        "assert __main__.main(['--help']) == 0\n"
+        "heavy = {'jax', 'numpy', 'scipy', 'matplotlib', 'cvxpy', 'sets'} & set(sys.modules)\n"
+        "assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
@@ -199,6 +233,50 @@ def test_a_fault_of_the_program_keeps_its_traceback(monkeypatch, empty_set_error
     fail_with(monkeypatch, ValueError("a fault"))
     with pytest.raises(ValueError, match="a fault"):
         main(["design"])
+
+
+def test_an_interrupted_process_ends_at_once_with_4(tmp_path):
+    """Also where a thread that nobody can stop is still at work, as that of a device is."""
+    (tmp_path / "jaxtube_probe.py").write_text(
+        "import sys, threading, time, types\n"
+        "module = types.ModuleType('design')\n"
+        "def run(scenario, options):\n"
+        "    threading.Thread(target=time.sleep, args=(60,)).start()\n"
+        "    raise KeyboardInterrupt\n"
+        "module.run = run\n"
+        "sys.modules['jaxtube.experiments.design.command'] = module\n"
+        "sys.argv = ['jaxtube.experiments', 'design']\n"
+        "import runpy\n"
+        "runpy.run_module('jaxtube.experiments', run_name='__main__', alter_sys=True)\n"
+    )
+    command = [sys.executable, tmp_path / "jaxtube_probe.py"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=50)
+    assert ended.returncode == 4
+    assert ended.stderr == "interrupted; run the same command again\n"
+
+
+def test_an_interrupt_that_is_swallowed_ends_the_process_all_the_same(tmp_path):
+    """As by a callback of a library; a compiled program that cannot be interrupted is alike."""
+    (tmp_path / "jaxtube_probe.py").write_text(
+        "import os, signal, sys, time, types\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
+        "module = types.ModuleType('design')\n"
+        "def run(scenario, options):\n"
+        "    try:\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "        time.sleep(1)\n"
+        "    except KeyboardInterrupt:\n"
+        "        time.sleep(60)\n"
+        "module.run = run\n"
+        "sys.modules['jaxtube.experiments.design.command'] = module\n"
+        "sys.argv = ['jaxtube.experiments', 'design']\n"
+        "import runpy\n"
+        "runpy.run_module('jaxtube.experiments', run_name='__main__', alter_sys=True)\n"
+    )
+    command = [sys.executable, tmp_path / "jaxtube_probe.py"]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=50)
+    assert ended.returncode == 4
+    assert ended.stderr == "interrupted; run the same command again\n"
 
 
 def test_the_process_computes_in_float64_and_ends_with_the_exit_code(tmp_path):
@@ -244,15 +322,64 @@ def test_a_run_folder_says_what_was_asked_and_what_came_out(tmp_path, fake_runs)
     ]
 
 
-def test_a_new_run_takes_the_metrics_of_the_last_one_away(tmp_path, fake_runs):
-    options = command_options.Design(out=str(tmp_path))
-    run_folder.create(Scenario(), options).save_metrics({"a": 1})
-    run_folder.create(Scenario(), options)
-    assert not (tmp_path / "metrics.json").exists()
+def test_a_run_that_fails_leaves_the_files_of_the_last_one(tmp_path, monkeypatch, capsys):
+    words = ["design", "--out", str(tmp_path)]
+    create = run_folder.create
+
+    def succeed(scenario, options):
+        folder = create(scenario, options)
+        folder.report("certified")
+        folder.save_metrics({"a": 1})
+        return 0
+
+    def fail(scenario, options):
+        create(scenario, options)
+        raise KeyboardInterrupt
+
+    replace_module(monkeypatch, "jaxtube.experiments.design.command", run=succeed)
+    assert main(words) == 0
+    assert capsys.readouterr().out == (tmp_path / "report.txt").read_text() == "certified\n"
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    replace_module(monkeypatch, "jaxtube.experiments.design.command", run=fail)
+    assert main([*words, "controller.horizon=7"]) == 4
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    replace_module(monkeypatch, "jaxtube.experiments.design.command", run=succeed)
+    assert main([*words, "controller.horizon=7"]) == 0
+    assert load(tmp_path / "scenario.toml").controller.horizon == 7
+
+
+@pytest.mark.parametrize("reads", ["this", "another"])
+def test_a_scenario_that_no_run_wrote_is_never_overwritten(reads, tmp_path, capsys, fake_runs):
+    mine = "# written by hand\n[controller]\nhorizon = 4\n"
+    path = tmp_path / "scenario.toml"
+    path.write_text(mine)
+    scenario = str(path) if reads == "this" else "paper"
+    line = error_line(capsys, "design", "--scenario", scenario, "--out", str(tmp_path))
+    assert line.startswith("command line: --out = ")
+    assert "would overwrite" in line and "name another folder" in line
+    assert path.read_text() == mine
+    assert [path.name for path in tmp_path.iterdir()] == ["scenario.toml"]
+
+
+def test_a_run_goes_on_from_the_scenario_it_wrote_but_does_not_change_it(
+    tmp_path, capsys, fake_runs
+):
+    words = ["design", "--out", str(tmp_path), "--scenario"]
+    path = tmp_path / "scenario.toml"
+    assert main([*words, "paper"]) == 0
+    assert main([*words, str(path)]) == 0
+    assert "which it reads" in error_line(capsys, *words, str(path), "controller.horizon=7")
+    assert main([*words, "robust"]) == 0
+
+
+def test_an_optimised_design_has_a_folder_of_its_own():
+    options = command_options.DesignOptions(scenario="certified", optimise=True)
+    assert str(options.folder) == "runs/design-certified-optimised"
+    assert str(dataclasses.replace(options, out="here").folder) == "here"
 
 
 def test_metrics_are_plain_finite_and_sorted(tmp_path):
-    folder = run_folder.create(Scenario(), command_options.Design(out=str(tmp_path)))
+    folder = run_folder.create(Scenario(), command_options.DesignOptions(out=str(tmp_path)))
     folder.save_metrics(
         {
             "b": np.float32(0.5),
@@ -268,7 +395,7 @@ def test_metrics_are_plain_finite_and_sorted(tmp_path):
 
 
 def test_a_write_that_fails_leaves_the_earlier_file(tmp_path):
-    folder = run_folder.create(Scenario(), command_options.Design(out=str(tmp_path)))
+    folder = run_folder.create(Scenario(), command_options.DesignOptions(out=str(tmp_path)))
     folder.save_arrays("states", error=np.arange(3.0))
     with pytest.raises(ValueError):
         folder.save_arrays("states", error=np.array([object()]))
@@ -280,7 +407,7 @@ def test_a_write_that_fails_leaves_the_earlier_file(tmp_path):
 def test_figures_are_png_and_pdf_and_repeat_bit_by_bit(tmp_path):
     from matplotlib.figure import Figure
 
-    folder = run_folder.create(Scenario(), command_options.Design(out=str(tmp_path)))
+    folder = run_folder.create(Scenario(), command_options.DesignOptions(out=str(tmp_path)))
     contents = []
     for _ in range(2):
         figure = Figure()

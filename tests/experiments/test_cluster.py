@@ -4,6 +4,7 @@ costs one line."""
 import dataclasses
 import os
 import signal
+import socket
 
 import distributed
 import jax
@@ -70,6 +71,15 @@ def test_what_is_no_cluster_costs_one_line(known, tmp_path, capsys, name):
         distributed.default_client()
 
 
+def test_an_address_that_answers_but_is_no_scheduler_costs_one_line(known, tmp_path, capsys):
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        name = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
+        words = [*WORDS, "--realisations", "10", "--out", str(tmp_path / "run")]
+        assert main([*words, "--cluster", name]) == 2
+    [line] = [line for line in capsys.readouterr().err.splitlines() if "simulating" not in line]
+    assert line.startswith(f'command line: --cluster = "{name}": cannot be reached (TimeoutError)')
+
+
 def test_a_job_is_the_run_as_plain_arrays(local):
     """What travels loses no bit of the task, and names no device."""
     job = Job.of(local, pinned=False)
@@ -78,8 +88,10 @@ def test_a_job_is_the_run_as_plain_arrays(local):
     assert again.realisations == local.realisations and again.at_once == 1
     for one, other in zip(jax.tree.leaves(local.task), jax.tree.leaves(again.task), strict=True):
         if one is local.task.seed_key:
-            one, other = jax.random.key_data(one), jax.random.key_data(other)
-        one, other = np.asarray(one), np.asarray(other)
+            one = jax.random.key_data(one)
+            other = jax.random.key_data(other)
+        one = np.asarray(one)
+        other = np.asarray(other)
         assert (
             one.dtype == other.dtype
             and one.shape == other.shape
@@ -100,7 +112,8 @@ def test_the_workers_of_this_machine_give_the_same_bytes(known, tmp_path):
 
 @pytest.mark.slow
 def test_a_lost_worker_costs_nothing(local):
-    blocks, found = range(20), []
+    blocks = range(20)
+    found = []
     with Cluster("local:2", local) as cluster:
         assert cluster.at_once == 2
         workers = sorted(cluster._client.run(os.getpid).values())

@@ -173,9 +173,11 @@ def test_the_design_command_writes_what_was_designed(
     assert {path.name for path in tmp_path.iterdir()} == {
         "metrics.json",
         "manifest.json",
+        "report.txt",
         "scenario.toml",
     }
     text = capsys.readouterr().out
+    assert text.startswith((tmp_path / "report.txt").read_text())
     assert (
         "* summed" in text
         and f"{found['terminal_facets']} facets" in text
@@ -211,7 +213,8 @@ def test_the_paper_command_writes_every_file(paper_run):
     code, folder, _ = paper_run
     assert code == 0
     names = {f"{name}.{kind}" for name in FIGURES for kind in ("png", "pdf")}
-    names |= {"metrics.json", "manifest.json", "scenario.toml", "noise_free.npz"}
+    names |= {"metrics.json", "manifest.json", "scenario.toml", "report.txt"}
+    names |= {"laps.npz", "noise_free.npz"}
     assert {path.name for path in folder.iterdir()} == names
     assert all(path.stat().st_size > 0 for path in folder.iterdir())
 
@@ -243,6 +246,20 @@ def test_the_metrics_of_the_paper_command_are_complete(paper_run, paper_design):
         "reproduced",
         "not reproduced",
     }
+
+
+@pytest.mark.slow
+def test_the_laps_behind_the_figures_are_saved(paper_run, paper_design):
+    _, folder, found = paper_run
+    steps = paper_design.problem.reference.steps
+    shapes = {"errors": (steps + 1, REALISATIONS, 3), "inputs": (steps, REALISATIONS, 2)}
+    shapes["wheels"] = shapes["inputs"]
+    with np.load(folder / "laps.npz") as laps:
+        assert set(laps) == {f"{name}_{kind}" for name in CONTROLLERS for kind in shapes}
+        for name in laps:
+            assert laps[name].shape == shapes[name.rpartition("_")[2]]
+        fastest = np.abs(laps["tube_mpc_wheels"]).max()
+    assert fastest == pytest.approx(found["controllers"]["tube_mpc"]["wheel_speed_max_mps"])
 
 
 @pytest.mark.slow

@@ -3,6 +3,7 @@ nothing is lost."""
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -22,7 +23,7 @@ from jaxtube.experiments.guarantee.attack import (
     under,
 )
 from jaxtube.experiments.montecarlo import report as montecarlo_report
-from jaxtube.experiments.options import Montecarlo
+from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.plant.robot import Robot
 from jaxtube.plant.slipping import SlippingRobot
@@ -350,6 +351,20 @@ def small(monkeypatch):
     return design
 
 
+def test_the_laps_are_announced_with_the_share_that_is_recorded():
+    """Whole blocks under every law: more than was asked for."""
+    laps = laps_of_a_law(5000, command.BLOCK)
+    attacks = [
+        command.Attack(name, law, SimpleNamespace(realisations=laps), SimpleNamespace(laps=10))
+        for name in ("mine", "other")
+        for law in LAWS
+    ]
+    line = command.announcement(attacks)
+    total = laps * len(LAWS)
+    assert line.startswith(f"{total:,} laps of each of 2 designs, in whole blocks of ")
+    assert line.endswith(f"{20 * len(LAWS)} of {2 * total:,} are recorded")
+
+
 @pytest.mark.slow
 def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
     small, tmp_path, capsys, monkeypatch
@@ -386,7 +401,9 @@ def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
         tuple(jax.local_devices()[:1]),
     )
     statistics = montecarlo.merge(*(each for _, each in run.compute([0, 1])))
-    expected = montecarlo_report.summary(alone, Montecarlo(starts=attacking.starts), statistics)
+    expected = montecarlo_report.summary(
+        alone, MontecarloOptions(starts=attacking.starts), statistics
+    )
     assert laws[attacking.name]["law"] == expected["law"]
     for event, each in expected["events"].items():
         assert laws[attacking.name]["events"][event]["steps"] == each["steps"]

@@ -12,29 +12,24 @@ from jaxtube.experiments.maps import command as maps
 from jaxtube.experiments.maps import figures as maps_figures
 from jaxtube.experiments.maps import points as maps_points
 from jaxtube.experiments.maps.points import DESIGNS, Grid, Log, Point, make_grid
-from jaxtube.scenario import load
+from jaxtube.scenario import ScenarioError, load
 from jaxtube.synthesis.ratio import Guarantee, OperatingPoint
 
 OWN = OperatingPoint(0.1, 1.224, 0.1)
+IDENTITY = {"scenario": "certified"}
 GRID = Grid((0.0, 0.1, 0.2), (0.3, 0.8, 1.224), (0.05, 0.1, 0.2), OWN)
 
 
 def invented(design: str, scenario, start) -> Guarantee:
     """Return a ratio that grows with the slip error and with the speed range, and where the search
     started."""
-    error, slowest, period = (
-        scenario.slip.relative_error,
-        scenario.reference.wheel_speed_min_mps,
-        scenario.controller.dt_s,
-    )
+    error = scenario.slip.relative_error
+    slowest = scenario.reference.wheel_speed_min_mps
+    period = scenario.controller.dt_s
     if design == "paper" and period > 0.15:
         return Guarantee(reason="none")
-    ratio = (
-        {"paper": 3.0, "weighted": 1.0, "optimised": 0.5}[design]
-        + 2 * error
-        + 0.5 * (1.224 - slowest)
-        - 0.05
-    )
+    least = {"paper": 3.0, "weighted": 1.0, "optimised": 0.5}[design]
+    ratio = least + 2 * error + 0.5 * (1.224 - slowest) - 0.05
     ends = None if design != "optimised" else (error, slowest, period, *(start or ())[:3])
     return Guarantee(ratio, 1.0, "lateral error", "", "", ends)
 
@@ -55,7 +50,8 @@ def in_threads(monkeypatch):
 
 @pytest.fixture
 def found(in_threads, tmp_path):
-    return maps_points.compute(load("certified"), GRID, Log(tmp_path / "points.jsonl"))
+    with Log(tmp_path / "points", IDENTITY) as log:
+        return maps_points.compute(load("certified"), GRID, log)
 
 
 def test_every_condition_starts_from_one_that_comes_before_it():
@@ -96,16 +92,24 @@ def test_each_search_starts_from_its_neighbours_optimum(found):
 
 
 def test_an_interrupted_run_goes_on_and_ends_with_the_same_points(found, in_threads, tmp_path):
-    lines = (tmp_path / "points.jsonl").read_text().splitlines(keepends=True)
-    assert len(lines) == len(GRID.points())
-    (tmp_path / "cut.jsonl").write_text("".join(lines[:10]) + lines[10][:25])
+    entries = sorted((tmp_path / "points").glob("*.record"))
+    assert len(entries) == len(GRID.points())
+    for path in entries[11:]:
+        path.unlink()
+    entries[10].write_bytes(entries[10].read_bytes()[:-5])
     in_threads.clear()
-    resumed = maps_points.compute(load("certified"), GRID, Log(tmp_path / "cut.jsonl"))
+    with Log(tmp_path / "points", IDENTITY) as log:
+        assert log.damaged == [f"{entries[10]}: is damaged; it is removed and computed again"]
+        resumed = maps_points.compute(load("certified"), GRID, log)
     assert resumed == found
-    assert len(in_threads) == len(lines) - 10
-    assert sorted((tmp_path / "cut.jsonl").read_text().splitlines()) == sorted(
-        line.strip() for line in lines
-    )
+    assert len(in_threads) == len(entries) - 10
+    with Log(tmp_path / "points", IDENTITY) as log:
+        assert len(log.records) == len(entries)
+
+
+def test_points_of_another_run_are_refused(found, tmp_path):
+    with pytest.raises(ScenarioError, match="points holds another run: scenario = "):
+        Log(tmp_path / "points", {"scenario": "paper"})
 
 
 def test_a_failure_of_the_program_ends_the_run_and_keeps_what_was_done(
@@ -117,10 +121,10 @@ def test_a_failure_of_the_program_ends_the_run_and_keeps_what_was_done(
         return invented(design, scenario, start)
 
     monkeypatch.setattr(maps_points, "guarantee", fail_late)
-    log = Log(tmp_path / "points.jsonl")
-    with pytest.raises(ZeroDivisionError):
+    with Log(tmp_path / "points", IDENTITY) as log, pytest.raises(ZeroDivisionError):
         maps_points.compute(load("certified"), GRID, log)
-    kept = [record["design"] for record in Log(tmp_path / "points.jsonl").records]
+    with Log(tmp_path / "points", IDENTITY) as reopened:
+        kept = [record["design"] for record in reopened.records]
     assert kept == [record["design"] for record in log.records]
     assert "optimised" in kept and "paper" not in kept
 
@@ -184,7 +188,7 @@ def test_the_command_writes_figures_and_all_numbers(in_threads, tmp_path, capsys
     assert main(["maps", "--points", "2", "--out", str(tmp_path)]) == 0
     names = {path.name for path in tmp_path.iterdir() if not path.name.startswith("points-")}
     figures = {f"ratio_{name}.{kind}" for name in ("speed", "period") for kind in ("png", "pdf")}
-    assert names == figures | {"scenario.toml", "manifest.json", "metrics.json"}
+    assert names == figures | {"scenario.toml", "manifest.json", "metrics.json", "report.txt"}
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert len(metrics["points"]) == len(DESIGNS) * 3 * (2 + 3 - 1)
     assert all(

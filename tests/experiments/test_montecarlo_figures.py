@@ -13,7 +13,7 @@ from tolerances import DRAWN
 from jaxtube.experiments.montecarlo import figures as montecarlo_figures
 from jaxtube.experiments.montecarlo import heat_figures
 from jaxtube.experiments.montecarlo import report as montecarlo_report
-from jaxtube.experiments.options import Montecarlo
+from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.statistics import histogram
 from jaxtube.statistics import task as validation
 from jaxtube.statistics.intervals import share_interval
@@ -112,7 +112,7 @@ def task(found):
 
 
 def summary_of(found, statistics, **options):
-    return montecarlo_report.summary(found, Montecarlo(**options), statistics)
+    return montecarlo_report.summary(found, MontecarloOptions(**options), statistics)
 
 
 @pytest.fixture(scope="module")
@@ -200,9 +200,9 @@ def test_shares_are_drawn_with_their_intervals_and_bounds_where_none_was_seen(ev
     unseen = [share.high for row in rows for share in row.shares.values() if not share.value]
     caps = [line.get_xdata()[0] for line in chart.lines if line.get_marker() == "|"]
     assert caps == pytest.approx(unseen) and len(arrows) == len(unseen) and max(arrows) < min(caps)
-    assert tuple(proof.lines[1].get_xydata()[0]) == pytest.approx((LAPS, 1 - 0.05 ** (1 / LAPS)))
+    assert tuple(proof.lines[1].get_xydata()[0]) == pytest.approx((LAPS, 1 - 0.025 ** (1 / LAPS)))
     laps, bounds = proof.lines[0].get_data()
-    assert bounds == pytest.approx(1 - 0.05 ** (1 / laps))
+    assert bounds == pytest.approx(1 - 0.025 ** (1 / laps))
 
 
 def test_events_that_a_run_cannot_have_are_not_listed(found, quiet):
@@ -288,7 +288,7 @@ def test_a_run_in_which_nothing_was_counted_is_drawn_without_tube_and_starts(
         drawn[name] = figure
 
     folder = types.SimpleNamespace(save_figure=save_figure)
-    options = Montecarlo(controller="local_gain")
+    options = MontecarloOptions(controller="local_gain")
     montecarlo_figures.draw(
         found, options, quiet, summary_of(found, quiet, controller="local_gain"), folder
     )

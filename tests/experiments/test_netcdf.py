@@ -1,6 +1,7 @@
-"""Statistics come back from NetCDF as they were, under names, and a missing library costs one line."""
+"""Statistics come back from NetCDF as they were, under names; a missing library costs one line."""
 
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,10 +9,13 @@ import pytest
 from jaxtube.experiments.montecarlo import netcdf
 from jaxtube.scenario import ScenarioError
 from jaxtube.statistics import histogram
+from jaxtube.statistics.checks import Facets, Sections
 from jaxtube.statistics.run import RANKED
 from jaxtube.statistics.tally import CLOUD_CELLS, COVERAGE_CELLS, EVENTS, HEAT_CELLS, STAGE_EVENTS
 
-STEPS, HORIZON, PLANS = 6, 4, 2
+STEPS = 6
+HORIZON = 4
+PLANS = 2
 
 
 @pytest.fixture
@@ -52,18 +56,40 @@ def statistics():
     return found
 
 
-def test_statistics_come_back_bit_by_bit_under_named_coordinates(statistics, tmp_path):
+@pytest.fixture
+def checks():
+    """The sets and grids of an invented run; the first facet of W is slanted."""
+    normals = np.concatenate([np.eye(3), -np.eye(3)])
+    limits = np.array([0.3, 0.25, 0.5])
+    box = Facets(normals, np.tile(limits, 2), -limits, limits)
+    slanted = np.concatenate([[[0.0, 0.6, 0.8]], normals[1:]])
+    widths = np.arange(1, HORIZON + 1)[:, None] * [0.1, 0.2, 0.3]
+    sections = Facets(None, None, -widths[None], widths[None])
+    return SimpleNamespace(
+        map_corner=np.array([-1.0, 2.0]),
+        map_cell=0.5,
+        error=box,
+        disturbance=box._replace(normals=slanted),
+        input=Facets(np.eye(2), np.ones(4), None, None),
+        tube="paper",
+        tubes={"paper": Sections(sections, np.zeros(STEPS, int))},
+    )
+
+
+def test_statistics_come_back_bit_by_bit_under_named_coordinates(statistics, checks, tmp_path):
     xarray = pytest.importorskip("xarray")
     pytest.importorskip("h5netcdf")
     pytest.importorskip("h5py")
-    netcdf.save(tmp_path / "statistics.nc", statistics)
+    attributes = {"scenario": "[robot]\n", "seed": 3, "law": "invented"}
+    netcdf.save(tmp_path / "statistics.nc", statistics, checks, attributes)
     assert [path.name for path in tmp_path.iterdir()] == ["statistics.nc"]
     with xarray.open_dataset(tmp_path / "statistics.nc") as dataset:
         assert set(dataset.data_vars) == {name.replace("/", "_") for name in statistics}
         for name, value in statistics.items():
             back = dataset[name.replace("/", "_")]
             assert back.dtype == value.dtype and np.array_equal(back.values, value)
-        events, later = dataset["events"], dataset["error_by_step"]
+        events = dataset["events"]
+        later = dataset["error_by_step"]
         assert np.array_equal(
             events.sel(event="e_outside_E"), statistics["events"][EVENTS.index("e_outside_E")]
         )
@@ -76,11 +102,29 @@ def test_statistics_come_back_bit_by_bit_under_named_coordinates(statistics, tmp
         cloud = dataset["cloud"].sel(stage=2, plane="lateral,heading")
         assert np.array_equal(cloud, statistics["cloud"][1, 2])
         assert dataset["tube_outside_paper"].dims == ("stage",)
+        assert dataset.attrs == attributes
+
+
+def test_cells_have_places_and_coordinates_have_units(statistics, checks):
+    found = netcdf.coordinates(statistics, checks)
+    for name, (dimensions, values, *_) in found.items():
+        assert np.ndim(values) == (1 if isinstance(dimensions, str) else len(dimensions)), name
+    rows, columns = HEAT_CELLS
+    np.testing.assert_allclose(found["map_column"][1], -1 + 0.5 * (np.arange(columns) + 0.5))
+    np.testing.assert_allclose(found["map_row"][1], 2 + 0.5 * (np.arange(rows) + 0.5))
+    assert found["unit"][1].tolist() == ["m", "m", "rad"]
+    assert found["error_facet_unit"][1].tolist() == ["m", "m", "rad"] * 2
+    edge = 2 - 2 / CLOUD_CELLS
+    assert found["cloud_row"][1][[0, -1]] == pytest.approx([-edge, edge])
+    np.testing.assert_array_equal(found["section_half_width"][1][:, 1], 0.2 * np.arange(1, 5))
+    assert found["start_column"][1][-1] == pytest.approx(1 - 1 / COVERAGE_CELLS)
 
 
 @pytest.mark.parametrize("missing", ["xarray", "h5netcdf", "h5py"])
-def test_a_missing_library_is_named_with_its_cure(statistics, tmp_path, monkeypatch, missing):
+def test_a_missing_library_is_named_with_its_cure(
+    statistics, checks, tmp_path, monkeypatch, missing
+):
     monkeypatch.setitem(sys.modules, missing, None)
     with pytest.raises(ScenarioError, match=r"is not installed; pip install 'jaxtube\[results\]'"):
-        netcdf.save(tmp_path / "statistics.nc", statistics)
+        netcdf.save(tmp_path / "statistics.nc", statistics, checks, {})
     assert not any(tmp_path.iterdir())

@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from jaxtube.experiments.run import record_file, records
-from jaxtube.experiments.run.records import Records, RecordsError
+from jaxtube.experiments.run.records import Records
+from jaxtube.experiments.run.store import StoreError
 from jaxtube.scenario import ScenarioError
 
 BLOCK_SIZE = 8
@@ -124,8 +125,9 @@ def test_the_statistics_are_those_of_all_laps(tmp_path, small, quick):
 
 
 def test_every_state_of_the_folder_on_the_way_leads_to_the_same_files(tmp_path, small, monkeypatch):
-    """A process killed between two calls of the system leaves the folder as it is at the next one."""
-    folder, snapshots = tmp_path / "run", []
+    """A process killed between two calls of the system leaves the folder as it is at the next."""
+    folder = tmp_path / "run"
+    snapshots = []
 
     def photographed(call):
         def shot(*arguments):
@@ -152,7 +154,9 @@ def test_every_state_of_the_folder_on_the_way_leads_to_the_same_files(tmp_path, 
 
 
 def test_a_killed_process_loses_no_block_that_it_said_was_recorded(tmp_path):
-    blocks, told, killed = 3 * 64 + 9, set(), 0
+    blocks = 3 * 64 + 9
+    told = set()
+    killed = 0
     random = np.random.default_rng(0)
     for _ in range(5):
         with subprocess.Popen(
@@ -313,7 +317,7 @@ def test_damage_during_the_run_is_told_and_the_next_run_repairs_it(tmp_path, qui
             run.add(block, BLOCK_SIZE, statistics(block, BLOCK_SIZE))
         (tmp_path / "run" / records._name(range(1, 2))).write_bytes(b"")
         with pytest.raises(
-            RecordsError,
+            StoreError,
             match="was damaged meanwhile; the 16 laps recorded there are safe; run the same",
         ):
             run.merged()
@@ -338,10 +342,8 @@ def test_records_of_another_run_are_refused_and_left_alone(tmp_path, quick):
     line = str(caught.value)
     assert line.startswith("command line: --out = ") and "\n" not in line
     assert "seed = 3 there, 4 here; scenario.controller.horizon = 5 there, 7 here; " in line
-    assert (
-        "scenario.controller.weights.1 = 2.0 there, 3.0 here; and 2 more; name another --out, or delete"
-        in line
-    )
+    weights = "scenario.controller.weights.1 = 2.0 there, 3.0 here; and 2 more"
+    assert f"{weights}; name another --out, or delete" in line
     assert files(tmp_path / "records") == before
     with opened(tmp_path / "records") as run:
         assert run.laps == 3 * BLOCK_SIZE
@@ -417,7 +419,9 @@ def failing(code):
 )
 def test_a_failing_disk_costs_one_line_and_no_record(tmp_path, small, monkeypatch, call, code, nth):
     continued(tmp_path / "run", 4 * BLOCK_SIZE, range(3))
-    before, calls, works = files(tmp_path / "run"), [], getattr(os, call)
+    before = files(tmp_path / "run")
+    calls = []
+    works = getattr(os, call)
 
     def breaking(*arguments):
         # The temporary file is unlinked after it was renamed, to no effect.
@@ -426,16 +430,14 @@ def test_a_failing_disk_costs_one_line_and_no_record(tmp_path, small, monkeypatc
         return failing(code)() if len(calls) == nth else works(*arguments)
 
     with opened(tmp_path / "run") as run:
-        with monkeypatch.context() as patch, pytest.raises(RecordsError) as caught:
+        with monkeypatch.context() as patch, pytest.raises(StoreError) as caught:
             patch.setattr(os, call, breaking)
             run.add(3, BLOCK_SIZE, statistics(3, BLOCK_SIZE))
         safe = 24 if nth == 1 and call != "unlink" else 32
         assert run.laps == safe
     line = str(caught.value)
-    assert (
-        f"recording block 3 failed ({os.strerror(code)}); the {safe} laps recorded there are safe; run"
-        in line
-    )
+    failed = f"recording block 3 failed ({os.strerror(code)})"
+    assert f"{failed}; the {safe} laps recorded there are safe; run" in line
     assert "\n" not in line
     assert not list((tmp_path / "run").glob(".*"))
     assert before.items() <= files(tmp_path / "run").items()
@@ -453,7 +455,7 @@ def test_a_file_that_the_system_cuts_short_is_never_seen(tmp_path):
         resource.setrlimit(resource.RLIMIT_FSIZE, (200, hard))
         try:
             with pytest.raises(
-                RecordsError, match=r"recording block 1 failed \(File too large\); the 8 laps"
+                StoreError, match=r"recording block 1 failed \(File too large\); the 8 laps"
             ):
                 run.add(1, BLOCK_SIZE, statistics(1, BLOCK_SIZE))
         finally:
@@ -468,7 +470,7 @@ def test_a_disk_that_cannot_be_read_is_no_damage(tmp_path, monkeypatch):
     before = files(tmp_path)
     with (
         monkeypatch.context() as patch,
-        pytest.raises(RecordsError, match="opening the records failed"),
+        pytest.raises(StoreError, match="opening the records failed"),
     ):
         patch.setattr("pathlib.Path.read_bytes", failing(errno.EIO))
         opened(tmp_path)

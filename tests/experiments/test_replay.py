@@ -169,14 +169,28 @@ def test_the_command_adds_to_the_folder_of_a_run_and_takes_nothing_away(
     assert main([*words, "--replay", "5"]) == 0
     assert {name: (tmp_path / name).read_bytes() for name in before} == before
     assert {path.name for path in tmp_path.iterdir()} == set(before) | {
-        f"replay-5.{kind}" for kind in ("png", "pdf", "npz")
+        f"replay-5.{kind}" for kind in ("png", "pdf", "npz", "txt")
     }
-    assert "lap 5; law: local_gain" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert printed.startswith("lap 5; law: local_gain")
+    assert printed.startswith((tmp_path / "replay-5.txt").read_text())
     saved = np.load(tmp_path / "replay-5.npz")
     assert np.array_equal(saved["errors"], lap.trajectory.errors)
     assert np.array_equal(saved["slip_deviations"], lap.slips)
     assert main([*words, "--replay", str(2**64)]) == 2
     assert "--replay" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("laps_of_run", "said"), [(5, True), (6, False)])
+def test_a_lap_beyond_the_run_is_said_to_be(
+    known, tmp_path, monkeypatch, capsys, laps_of_run, said
+):
+    monkeypatch.setattr(replay, "refuse_another_run", lambda *arguments: None)
+    (tmp_path / "identity.json").write_text("{}")
+    (tmp_path / "metrics.json").write_text(f'{{"laps": {laps_of_run}}}')
+    assert main([*WORDS, "--out", str(tmp_path), "--replay", "5"]) == 0
+    line = f"lap 5 is beyond the run in {tmp_path}/, which has 5 laps"
+    assert (line in capsys.readouterr().out) == said
 
 
 def test_a_folder_that_cannot_be_made_is_refused(known, tmp_path, capsys):

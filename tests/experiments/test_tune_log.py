@@ -13,14 +13,15 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from jaxtube.experiments.run.records import RecordsError
+from jaxtube.experiments.run.store import StoreError
 from jaxtube.experiments.tune.log import Log
 from jaxtube.scenario import ScenarioError
 from jaxtube.tuning.descent import adam, lbfgs
 from jaxtube.tuning.search import nelder_mead, random_search
 
 IDENTITY = {"seed": 3, "scenario": {"controller": {"horizon": 5, "weights": [1.0, 2.0]}}}
-START, NAMES = np.array([-1.2, 1.0, 0.3]), ("a", "b", "c")
+START = np.array([-1.2, 1.0, 0.3])
+NAMES = ("a", "b", "c")
 
 
 class Killed(BaseException):
@@ -36,7 +37,10 @@ class Objective:
     """A rugged, noisy objective with its log; counts what is computed and is killed at a call."""
 
     def __init__(self, log, killed_at=-1, seconds=0.0):
-        self.log, self.killed_at, self.seconds, self.computed = log, killed_at, seconds, 0
+        self.log = log
+        self.killed_at = killed_at
+        self.seconds = seconds
+        self.computed = 0
 
     def counted(self, answer):
         if self.computed == self.killed_at:
@@ -134,9 +138,11 @@ def test_a_run_killed_after_any_number_of_answers_ends_at_the_same_bits(tmp_path
 def test_a_killed_process_loses_nothing_that_was_logged(tmp_path):
     """SIGKILL, while another answer is computed or written."""
     script = (
-        "import sys; from pathlib import Path; import jax; jax.config.update('jax_enable_x64', True)\n"
+        "import sys; from pathlib import Path; import jax\n"
+        "jax.config.update('jax_enable_x64', True)\n"
         "sys.path.insert(0, sys.argv[1]); from test_tune_log import *\n"
-        "with Log(Path(sys.argv[2]), IDENTITY) as log: METHODS['adam'](Objective(log, seconds=0.05))\n"
+        "with Log(Path(sys.argv[2]), IDENTITY) as log:\n"
+        "    METHODS['adam'](Objective(log, seconds=0.05))\n"
     )
     folder = tmp_path / "killed"
     process = subprocess.Popen(
@@ -216,7 +222,7 @@ def test_another_identity_is_refused_and_nothing_touched(tmp_path, quick):
         "command line: --out = .*log holds another run: scenario.controller.horizon",
         str(refused.value),
     )
-    assert "5 there, 6 here; name another --out, or delete it" in str(refused.value)
+    assert "5 there, 6 here; name another --out, or delete that folder" in str(refused.value)
     assert "\n" not in str(refused.value) and files(tmp_path / "log") == before
     Log(tmp_path / "log", IDENTITY).close()
 
@@ -238,8 +244,10 @@ def test_another_question_is_refused(tmp_path, quick, given, named):
         assert (ask(log, 0), ask(log, 1)) == (0, 1)
         with pytest.raises(ScenarioError) as refused:
             log.remember("adam", given, lambda: {"y": 4.0})
-        told = f"adam-000002.record answers another {named}, so other code or settings wrote it; name another --out"
-        assert told in str(refused.value) and f"or delete {tmp_path / 'log'}" in str(refused.value)
+        told = f"adam-000002.record answers another {named}, so other code or settings wrote it"
+        assert f"{told}; name another --out" in str(
+            refused.value
+        ) and f"or delete {tmp_path / 'log'}" in str(refused.value)
         assert "\n" not in str(refused.value)
     assert files(tmp_path / "log") == before
 
@@ -259,7 +267,7 @@ def test_an_open_log_is_refused_to_others_until_it_is_closed(tmp_path):
     Log(tmp_path, IDENTITY).close()
 
 
-@pytest.mark.parametrize("stream", ["", "Adam", "a/b", "../a", "blocks", "2adam"])
+@pytest.mark.parametrize("stream", ["", "Adam", "a/b", "../a", "2adam"])
 def test_names_that_cannot_be_files_are_refused(tmp_path, stream):
     with Log(tmp_path, IDENTITY) as log, pytest.raises(ValueError, match="stream = "):
         log.remember(stream, {}, lambda: {})
@@ -281,7 +289,8 @@ def test_answers_that_are_no_numbers_are_refused(tmp_path):
 def test_a_damaged_entry_is_computed_again(tmp_path, quick, number, damage):
     filled(tmp_path)
     path = tmp_path / f"adam-{number:06d}.record"
-    record, other = path.read_bytes(), (tmp_path / "adam-000000.record").read_bytes()
+    record = path.read_bytes()
+    other = (tmp_path / "adam-000000.record").read_bytes()
     flipped = record[:200] + bytes([record[200] ^ 1]) + record[201:]
     path.write_bytes(
         {"flipped": flipped, "cut": record[:-9], "empty": b"", "renamed": other}[damage]
@@ -327,10 +336,13 @@ def test_a_full_disk_is_told_in_one_line(tmp_path, quick, monkeypatch):
     with Log(tmp_path, IDENTITY) as log:
         assert [ask(log, number) for number in range(4)] == [0, 1, 4, 9]
         monkeypatch.setattr(os, "fsync", full)
-        with pytest.raises(RecordsError) as told:
+        with pytest.raises(StoreError) as told:
             ask(log, 4)
-    failed = "logging adam-000004.record failed (No space left on device); the 4 evaluations logged there are safe"
-    assert str(told.value) == f"{tmp_path}: {failed}; run the same command again to continue"
+    failed = "logging adam-000004.record failed (No space left on device)"
+    safe = "the 4 evaluations logged there are safe"
+    assert (
+        str(told.value) == f"{tmp_path}: {failed}; {safe}; run the same command again to continue"
+    )
     monkeypatch.undo()
     with Log(tmp_path, IDENTITY) as log:
         assert [ask(log, number) for number in range(5)] == [0, 1, 4, 9, 16]

@@ -17,7 +17,8 @@ CONFIDENCES = (0.5, 0.95, 1 - 1e-6)
 def density(events: int, trials: int):
     """The beta density of which the integral from p to one is P(K <= events), K binomial(trials,
     p)."""
-    a, b = mpmath.mpf(events + 1), mpmath.mpf(trials - events)
+    a = mpmath.mpf(events + 1)
+    b = mpmath.mpf(trials - events)
     constant = mpmath.loggamma(a + b) - mpmath.loggamma(a) - mpmath.loggamma(b)
     return lambda x: mpmath.exp(constant + (a - 1) * mpmath.log(x) + (b - 1) * mpmath.log1p(-x))
 
@@ -70,11 +71,9 @@ def test_the_bounds_of_the_share_are_the_roots_of_the_binomial_tails(trials, con
 @pytest.mark.parametrize("trials", [1, 2, 1000, 10**6, 10**12])
 def test_never_and_always_have_closed_forms(trials, confidence):
     with mpmath.workdps(40):
-        root = mpmath.root(mpmath.mpf(1 - confidence), trials)
-        (zero, high), (low, one) = (
-            share_interval(0, trials, confidence),
-            share_interval(trials, trials, confidence),
-        )
+        root = mpmath.root(mpmath.mpf(1 - confidence) / 2, trials)
+        zero, high = share_interval(0, trials, confidence)
+        low, one = share_interval(trials, trials, confidence)
         assert zero == 0 and one == 1
         assert abs(high / (1 - root) - 1) < tol.ROUNDING
         assert abs(low / root - 1) < tol.ROUNDING
@@ -82,21 +81,45 @@ def test_never_and_always_have_closed_forms(trials, confidence):
 
 @pytest.mark.parametrize("trials", [1, 2, 3, 7, 30, 200])
 @pytest.mark.parametrize("confidence", [0.8, 0.95])
-def test_each_bound_of_the_share_has_its_risk(trials, confidence):
+def test_the_interval_of_the_share_covers_every_share_by_exact_sums(trials, confidence):
     bounds = np.array([share_interval(events, trials, confidence) for events in range(trials + 1)])
-    # Coverage is least just beyond a bound.
+    missed_above, missed_below = missed(bounds, trials)
+    half = (1 - confidence) / 2 + tol.SHARE_COVERAGE
+    assert missed_above.max() <= half
+    assert missed_below.max() <= half
+
+
+def missed(bounds, trials):
+    """Return the probabilities, over all outcomes of binomial trials, that the true share lies
+    below its interval, and above it; for shares beside every bound, where they are greatest."""
     shares = np.unique([np.nextafter(bounds, 0), bounds, np.nextafter(bounds, 1)])[:, None]
     probability = stats.binom.pmf(np.arange(trials + 1), trials, shares)
-    above, below = bounds[:, 0] > shares, bounds[:, 1] < shares
-    assert (probability * above).sum(axis=1).max() <= 1 - confidence + tol.SHARE_COVERAGE
-    assert (probability * below).sum(axis=1).max() <= 1 - confidence + tol.SHARE_COVERAGE
-    assert (probability * (above | below)).sum(axis=1).max() <= 1.5 * (
-        1 - confidence
-    ) + tol.SHARE_COVERAGE
-    inner = (slice(None), slice(1, -1))
-    assert (probability * (above | below))[inner].sum(
-        axis=1
-    ).max() <= 1 - confidence + tol.SHARE_COVERAGE
+    above = bounds[:, 0] > shares
+    below = bounds[:, 1] < shares
+    return (probability * above).sum(axis=1), (probability * below).sum(axis=1)
+
+
+@pytest.mark.parametrize("laps", [2, 3, 10, 60, 400])
+@pytest.mark.parametrize("confidence", [0.5, 0.8, 0.95])
+def test_the_mean_interval_covers_by_exact_sums_where_a_lap_has_the_event_in_all_its_steps(
+    laps, confidence
+):
+    outcomes = range(laps + 1)
+    bounds = np.array([mean_interval(np.array([laps - k, k]), 1, confidence)[1:] for k in outcomes])
+    missed_above, missed_below = missed(bounds, laps)
+    assert (missed_above + missed_below).max() <= 1 - confidence + tol.SHARE_COVERAGE
+
+
+@pytest.mark.parametrize("laps", [2, 30, 8192, 10**9])
+def test_few_laps_with_an_event_bound_its_steps_as_they_bound_the_laps(laps):
+    """The share of steps is below that of laps: its bound is not looser."""
+    for events in (0, 1, 2):
+        histogram = np.zeros(301, int)
+        histogram[0] = laps - events
+        histogram[300] = events
+        share_high = share_interval(events, laps)[1]
+        if events == 0 or laps > 30:
+            assert mean_interval(histogram, 300)[2] == share_high
 
 
 def test_the_share_interval_is_monotone():
@@ -133,7 +156,8 @@ EXPECTATION = {
 @pytest.mark.parametrize("laps", [2, 20, 200])
 @pytest.mark.parametrize("kind", LAPS)
 def test_the_mean_interval_covers_the_expectation(kind, laps):
-    samples, confidence = LAPS[kind](np.random.default_rng(laps), (400, laps)), 0.8
+    confidence = 0.8
+    samples = LAPS[kind](np.random.default_rng(laps), (400, laps))
     found = [mean_interval(np.bincount(sample, minlength=41), 40, confidence) for sample in samples]
     mean, low, high = np.array(found).T
     np.testing.assert_allclose(mean, samples.mean(axis=1) / 40, rtol=tol.ROUNDING)
@@ -159,7 +183,7 @@ def test_laps_without_an_event_bound_the_mean_as_they_bound_the_share_of_laps():
     histogram[0] = 10**9
     mean, low, high = mean_interval(histogram, 300, 0.8)
     assert mean == low == 0
-    assert high == pytest.approx(share_interval(0, 10**9, 0.95)[1], rel=tol.ROUNDING)
+    assert high == pytest.approx(share_interval(0, 10**9, 0.8)[1], rel=tol.ROUNDING)
 
 
 def test_the_mean_interval_shrinks_with_laps_and_grows_with_confidence():

@@ -20,9 +20,10 @@ from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.experiments.beyond import figures as beyond_figures
-from jaxtube.experiments.options import Beyond
+from jaxtube.experiments.options import BeyondOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.progress import progress
+from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.plant.imperfect import Imperfections, ImperfectRobot, shifted_preview
 from jaxtube.scenario import Scenario
 from jaxtube.simulation import closed_loop
@@ -96,7 +97,7 @@ class Search(NamedTuple):
     most: float
 
 
-def run(scenario: Scenario, options: Beyond) -> int:
+def run(scenario: Scenario, options: BeyondOptions) -> int:
     """Run the command."""
     found = design(scenario)
     refuse_infeasible_start(found)
@@ -109,7 +110,7 @@ def run(scenario: Scenario, options: Beyond) -> int:
             bar.total -= most_tried(*tried) - len(searches[name].usages)
     folder.save_metrics(metrics(searches, options.realisations))
     folder.save_figure(beyond_figures.usages(panels(searches)), "beyond")
-    print(table(searches, options.realisations))
+    folder.report(table(searches, options.realisations))
     print(f"\nwritten to {folder.path}/")
     return 0
 
@@ -272,23 +273,32 @@ def panels(searches: dict[str, Search]) -> list[beyond_figures.Panel]:
 
 def table(searches: dict[str, Search], realisations: int) -> str:
     """Return what was found as a table."""
-    head = (
-        f"{'imperfection':<34}{'first w outside W':>18}{'first violation':>17}  {'unit':<9}violated"
+    columns = [
+        left("imperfection"),
+        Column("first w outside W"),
+        Column("first violation"),
+        left("unit"),
+        left("violated"),
+    ]
+    rows = [_row(IMPERFECTIONS[name], search) for name, search in searches.items()]
+    return (
+        f"{format_table(columns, rows)}\n\n{realisations:,} laps of each slip process: "
+        f"{', '.join(PROCESSES)}. A limit of acceleration is 1 / level."
     )
-    lines = [head, "-" * len(head)]
-    for name, search in searches.items():
-        title, unit, *_ = IMPERFECTIONS[name]
-        levels = [
-            f"none to {search.most:g}" if x is None else f"{x:.3g}"
-            for x in (search.disturbance, search.violation)
-        ]
-        violated = (
-            "; ".join(search.usages[search.violation].violations)
-            if search.violation is not None
-            else "nothing"
-        )
-        lines.append(f"{title:<34}{levels[0]:>18}{levels[1]:>17}  {unit:<9}{violated}")
-    lines.append(
-        f"\n{realisations:,} laps of each slip process: {', '.join(PROCESSES)}. A limit of acceleration is 1 / level."
-    )
-    return "\n".join(lines)
+
+
+def _row(imperfection: Imperfection, search: Search) -> list[str]:
+    violated = "nothing"
+    if search.violation is not None:
+        violated = "; ".join(search.usages[search.violation].violations)
+    return [
+        imperfection.title,
+        _level(search.disturbance, search.most),
+        _level(search.violation, search.most),
+        imperfection.unit,
+        violated,
+    ]
+
+
+def _level(level: float | None, most: float) -> str:
+    return f"none to {most:g}" if level is None else f"{level:.3g}"

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.control.laws import ScheduledGain
-from jaxtube.experiments.options import Design as DesignOptions
+from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.conditions import condition_lines
 from jaxtube.experiments.run.progress import progress
@@ -72,13 +72,13 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     """Run the command; returns 3 where a certificate is required and fails."""
     law = make_law(scenario)
     folder = run_folder.create(scenario, options)
-    print(report(law))
+    folder.report(report(law))
     attacks = {}
     if law.invariant.polytope is not None:
         with progress(len(PROCESSES) * REFERENCES, "attacking", "references") as bar:
             for process in PROCESSES:
                 attacks[process] = attack(law, process, options.seed, bar.update)
-        print("\n" + attack_report(attacks))
+        folder.report("\n" + attack_report(attacks))
     folder.save_metrics(metrics(law, attacks))
     print(f"\nwritten to {folder.path}/")
     return 3 if options.require_certificate and not law.certificate.holds_for_robot else 0

@@ -12,7 +12,7 @@ from jaxtyping import Bool
 from jaxtube.experiments.design import banded
 from jaxtube.experiments.design.report import report
 from jaxtube.experiments.design.seen import disturbance_line
-from jaxtube.experiments.options import Design as DesignOptions
+from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.progress import progress
@@ -45,11 +45,12 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
         scenario = find_caps_and_gains(scenario)
     made = design(scenario)
     numbers = metrics.design_metrics(made)
-    print(report(made, numbers.get("ultimate_bound")))
+    text = report(made, numbers.get("ultimate_bound"))
+    print(text)
     refuse_infeasible_start(made)
-    folder = run_folder.create(scenario, options)
+    folder = run_folder.create(scenario, options, printed=text)
     disturbance = simulate_disturbance(made, options.seed)
-    print("\n" + disturbance_line(made, disturbance, "the local gain"))
+    folder.report("\n" + disturbance_line(made, disturbance, "the local gain"))
     folder.save_metrics({**numbers, "disturbance": disturbance})
     print(f"\nwritten to {folder.path}/")
     return exit_code(made.certificate, options.require_certificate)
@@ -66,7 +67,7 @@ def find_caps_and_gains(scenario: Scenario) -> Scenario:
     problem = make_problem(scenario)
     starts = search_starts(problem)
     try:
-        with progress(len(starts), "optimising", "starts") as bar:
+        with progress(len(starts), "optimising", "starts", starting="starting") as bar:
 
             def show(ratio: float) -> None:
                 bar.set_postfix_str(f"largest share {ratio:.3f}", refresh=False)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from jaxtube.experiments.falsify.report import Row, facet, metrics, report, violated
-from jaxtube.experiments.options import Falsify
+from jaxtube.experiments.options import FalsifyOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
@@ -29,7 +29,7 @@ TARGETS = {"error": ("error",), "input": ("input", "wheels"), "tube": ("tube",)}
 """The limits of each target."""
 
 
-def run(scenario: Scenario, options: Falsify) -> int:
+def run(scenario: Scenario, options: FalsifyOptions) -> int:
     """Run the command; returns 0, whatever was found."""
     if options.replay:
         return play_again(scenario, options)
@@ -39,7 +39,7 @@ def run(scenario: Scenario, options: Falsify) -> int:
     )
     folder = run_folder.create(scenario, options)
     rows = search(setting, names, options)
-    print(report(setting, rows))
+    folder.report(report(setting, rows))
     folder.save_metrics(metrics(setting, rows))
     for name, row in rows.items():
         played = usage.replay(
@@ -51,7 +51,7 @@ def run(scenario: Scenario, options: Falsify) -> int:
     return 0
 
 
-def limit_names(options: Falsify) -> list[str]:
+def limit_names(options: FalsifyOptions) -> list[str]:
     """Return the limits that are searched, in the order of the table."""
     if not 0 < options.seconds < np.inf:
         raise refusal(
@@ -76,7 +76,7 @@ def limit_names(options: Falsify) -> list[str]:
     ]
 
 
-def search(setting: Setting, names: list[str], options: Falsify) -> dict[str, Row]:
+def search(setting: Setting, names: list[str], options: FalsifyOptions) -> dict[str, Row]:
     """Search each limit for its share of the time, then draw laps for as long as the searches took."""
     pool, found, sampled = drawn_starts(setting, options.seed), {}, {}
     with progress(2 * len(names), "searching", "limits") as bar:
@@ -133,13 +133,16 @@ def draw(
 
 
 def save(
-    scenario: Scenario, options: Falsify, folder: RunFolder, name: str, worst: Worst, played: Replay
+    scenario: Scenario,
+    options: FalsifyOptions,
+    folder: RunFolder,
+    name: str,
+    worst: Worst,
+    played: Replay,
 ) -> None:
     """Save what it takes to play a worst case again, and what came out."""
     kind = "counterexample" if violated(worst) else "worst"
     lap = played.trajectory
-    for other in ("counterexample", "worst"):  # of an earlier search
-        (folder.path / f"{other}_{name}.npz").unlink(missing_ok=True)
     numbers = {key: value for key, value in dataclasses.asdict(worst).items() if key != "attack"}
     folder.save_arrays(
         f"{kind}_{name}",
@@ -156,9 +159,11 @@ def save(
         wheels=lap.wheels[:, 0],
         **({} if played.deviations is None else {"deviations": played.deviations}),
     )
+    of_an_earlier_search = "worst" if kind == "counterexample" else "counterexample"
+    (folder.path / f"{of_an_earlier_search}_{name}.npz").unlink(missing_ok=True)
 
 
-def play_again(scenario: Scenario, options: Falsify) -> int:
+def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
     """Play a saved worst case again, compare it with what was saved, and draw it beside its file."""
     path = Path(options.replay)
     saved = _read(path)
@@ -181,11 +186,14 @@ def play_again(scenario: Scenario, options: Falsify) -> int:
     difference = float(np.max(np.abs(played.trajectory.errors[:, 0] - saved["errors"])))
     what, margin, unit = facet(setting.limits(name)[name], name, worst)
     kept = "violation" if violated(worst) else "no violation"
-    print(f"{kept}: margin {margin:.9g} {unit} of the limit `{name}` at step {worst.step} ({what})")
-    print(
-        f"saved margin differs by {abs(worst.margin - before.margin):.2g}, saved errors by {difference:.2g}"
+    folder = RunFolder(path.parent)
+    folder.report(
+        f"{kept}: margin {margin:.9g} {unit} of the limit `{name}` at step {worst.step} ({what})\n"
+        f"saved margin differs by {abs(worst.margin - before.margin):.2g}, "
+        f"saved errors by {difference:.2g}",
+        f"replay_{name}",
     )
-    draw(setting, RunFolder(path.parent), f"replay_{name}", name, worst, played)
+    draw(setting, folder, f"replay_{name}", name, worst, played)
     print(f"drawn in {path.parent}/replay_{name}.png")
     return 0
 

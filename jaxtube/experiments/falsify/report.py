@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.falsification.search import Search, Worst
 from jaxtube.falsification.setting import Setting
 from jaxtube.plant.reference import TRANSIENT_S
@@ -115,24 +116,37 @@ def verdict(setting: Setting, rows: dict[str, Row]) -> str:
 
 def report(setting: Setting, rows: dict[str, Row]) -> str:
     """Return the verdict and the table."""
-    lines = [verdict(setting, rows), ""]
-    lines.append(
-        f"{'':<18}{'---------------- by gradient -----------------':>47}{'--- drawn laps ---':>24}"
-    )
-    heads = f"{'certified':>10}{'usage':>9}{'margin':>19}{'laps':>9}{'seconds':>10}{'usage':>12}{'laps':>12}"
-    lines.append(f"{'limit':<8}{heads}  where")
-    for name, row in rows.items():
-        what, margin, unit = facet(setting.limits(name)[name], name, row.worst)
-        drawn = row.sampled
-        lines.append(
-            f"{name:<8}{_certified_words(setting, name):>10}{row.worst.usage:9.4f}{f'{margin:.4g} {unit}':>19}"
-            f"{row.search.laps:9,}{row.search.seconds:10.1f}{drawn.usage(name):12.4f}{drawn.laps:12,}  "
-            f"step {row.worst.step}, {what}"
-        )
-    lines += ["", NOTE]
+    columns = [
+        left("limit"),
+        Column("by gradient\ncertified"),
+        Column("by gradient\nusage"),
+        Column("by gradient\nmargin"),
+        Column("by gradient\nlaps"),
+        Column("by gradient\nseconds"),
+        Column("drawn laps\nusage"),
+        Column("drawn laps\nlaps"),
+        left("where"),
+    ]
+    body = [_limit_row(setting, name, row) for name, row in rows.items()]
+    lines = [verdict(setting, rows), "", format_table(columns, body), "", NOTE]
     if "tube" in rows and setting.found.tube.follows_reference:
         lines.append(WIDEST)
     return "\n".join(lines)
+
+
+def _limit_row(setting: Setting, name: str, row: Row) -> list[str]:
+    what, margin, unit = facet(setting.limits(name)[name], name, row.worst)
+    return [
+        name,
+        _certified_words(setting, name),
+        f"{row.worst.usage:.4f}",
+        f"{margin:.4g} {unit}",
+        f"{row.search.laps:,}",
+        f"{row.search.seconds:.1f}",
+        f"{row.sampled.usage(name):.4f}",
+        f"{row.sampled.laps:,}",
+        f"step {row.worst.step}, {what}",
+    ]
 
 
 def _certified_words(setting: Setting, name: str) -> str:

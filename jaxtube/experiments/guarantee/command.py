@@ -36,7 +36,7 @@ from jaxtube.experiments.guarantee.attack import (
 from jaxtube.experiments.guarantee.claims import Tested
 from jaxtube.experiments.montecarlo import command as blocks
 from jaxtube.experiments.montecarlo import report as montecarlo_report
-from jaxtube.experiments.options import Guarantee, Montecarlo, title
+from jaxtube.experiments.options import GuaranteeOptions, MontecarloOptions, title
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.experiments.run.folder import RunFolder
@@ -63,7 +63,7 @@ class Attack(NamedTuple):
     records: Records
 
 
-def run(scenario: Scenario, options: Guarantee) -> int:
+def run(scenario: Scenario, options: GuaranteeOptions) -> int:
     """Run the command; returns 3 where a certificate is required and the first design has none."""
     scenarios = {
         title(options.scenario): scenario,
@@ -77,6 +77,7 @@ def run(scenario: Scenario, options: Guarantee) -> int:
             attacks[name], notes[name] = attacked(stack, name, found, options)
         every = list(itertools.chain(*attacks.values()))
         missing = [each.records.missing(each.run.realisations) for each in every]
+        print(announcement(every), file=sys.stderr)
         folder = run_folder.create(scenario, options)
         performance = compute(every, missing)
         statistics = {
@@ -92,6 +93,17 @@ def run(scenario: Scenario, options: Guarantee) -> int:
     return exit_code(certificate, options.require_certificate)
 
 
+def announcement(attacks: list[Attack]) -> str:
+    """Return one line: how many laps are about to be run."""
+    laps = sum(each.run.realisations for each in attacks)
+    recorded = sum(each.records.laps for each in attacks)
+    designs = len({each.name for each in attacks})
+    return (
+        f"{laps // designs:,} laps of each of {designs} designs, in whole blocks of {BLOCK:,} under "
+        f"each of {len(LAWS)} laws; {recorded:,} of {laps:,} are recorded"
+    )
+
+
 def save(folder: RunFolder, tested: list[Tested], performance: dict) -> None:
     """Write metrics and tables, and print the report."""
     other = to_toml(tested[0].scenario).encode()
@@ -99,16 +111,16 @@ def save(folder: RunFolder, tested: list[Tested], performance: dict) -> None:
     write_atomically(folder.path / "against.toml", lambda file: file.write(other))
     write_atomically(folder.path / "guarantee.md", lambda file: file.write(markdown))
     folder.save_metrics(guarantee_claims.metrics(tested))
-    print(guarantee_report.text(tested))
+    folder.report(guarantee_report.text(tested))
     if performance:
         folder.save_json("performance", performance)
-        print(
+        folder.report(
             f"\n{performance['laps']:,} laps computed in {performance['seconds']:.1f} s, with compilation"
         )
     print(f"\nguarantee.md, metrics.json, both scenarios and the records are in {folder.path}/")
 
 
-def against(scenario: Scenario, options: Guarantee) -> Scenario:
+def against(scenario: Scenario, options: GuaranteeOptions) -> Scenario:
     """Return the scenario to compare with, on the first one's robot.
 
     Raises: ScenarioError, one line, for the first scenario itself and where both do not go
@@ -164,7 +176,7 @@ def certified(name: str, scenario: Scenario) -> Design:
 
 
 def attacked(
-    stack: contextlib.ExitStack, name: str, found: Design, options: Guarantee
+    stack: contextlib.ExitStack, name: str, found: Design, options: GuaranteeOptions
 ) -> tuple[list[Attack], str]:
     """Open the records of every law; return (attacks, why starts are not spread over the feasible
     set)."""
@@ -185,10 +197,10 @@ def attacked(
     return attacks, why
 
 
-def identity(found: Design, law: Law, options: Guarantee) -> dict:
+def identity(found: Design, law: Law, options: GuaranteeOptions) -> dict:
     """Return all that determines the statistics of a block."""
     scenario = under(found, law).problem.scenario
-    known = blocks.identity(scenario, Montecarlo(seed=options.seed, starts=law.starts))
+    known = blocks.identity(scenario, MontecarloOptions(seed=options.seed, starts=law.starts))
     return known | {"edge_seconds": EDGE_SECONDS} if law.edge else known
 
 
@@ -213,7 +225,7 @@ def judged(
     """Sum up a design that was attacked, with what its laps saw of w in W."""
     summaries = {}
     for law, counts in statistics.items():
-        options = Montecarlo(seed=seed, starts="scenario" if why else law.starts)
+        options = MontecarloOptions(seed=seed, starts="scenario" if why else law.starts)
         summaries[law.name] = montecarlo_report.summary(under(found, law), options, counts)
     seen = disturbance_line(found, disturbance(found, statistics), "the tube-MPC under all laws")
     notes = [f"{name}, {seen}"]

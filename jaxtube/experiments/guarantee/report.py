@@ -3,9 +3,8 @@ every law."""
 
 from __future__ import annotations
 
-import itertools
 import textwrap
-from collections.abc import Collection, Iterable
+from collections.abc import Collection
 
 from jaxtube.experiments.guarantee.claims import (
     CLAIMS,
@@ -19,9 +18,10 @@ from jaxtube.experiments.guarantee.claims import (
     steps,
     violating,
 )
+from jaxtube.experiments.run.table import Column, format_table, left
 
-CLAIM, LABEL, CELL, WIDTH = 29, 10, 34, 110
-"""Columns of the table of claims, and of all text."""
+WIDTH = 110
+"""Columns of all text."""
 SHOWN = tuple(VIOLATIONS)[:-1]
 
 
@@ -98,53 +98,54 @@ def verdict(design: Tested) -> str:
 
 def claim_table(tested: list[Tested]) -> str:
     """Return the claims side by side, three lines each: claimed, proved, seen."""
-    lines = [
-        _row("claim", "", [design.name for design in tested]),
-        "-" * WIDTH,
-    ]
+    columns = [left("claim"), left(""), *(left(design.name) for design in tested)]
+    rows = []
     for claim in CLAIMS:
-        found = [cells(claim, design) for design in tested]
-        lines.append(_rows(claim.title, zip(HEADINGS, zip(*found, strict=True), strict=True)))
-    found = zip(*map(totals, tested), strict=True)
-    lines += [_rows(title, [("", row)]) for title, row in zip(TOTALS, found, strict=True)]
-    return "\n".join(lines)
+        words = [cells(claim, design) for design in tested]
+        rows += _claim_rows(claim.title, dict(zip(HEADINGS, zip(*words, strict=True), strict=True)))
+    words = [totals(design) for design in tested]
+    for title, row in zip(TOTALS, zip(*words, strict=True), strict=True):
+        rows += _claim_rows(title, {"": row})
+    return format_table(columns, rows, WIDTH)
 
 
-def _rows(title: str, rows) -> str:
-    """Lay out one claim: its title to the left of its labelled rows, cells wrapped; rows without
-    words are left out."""
-    lines = []
-    for label, words in rows:
+def _claim_rows(title: str, labelled: dict[str, tuple[str, ...]]) -> list[list[str]]:
+    """Return the rows of one claim, the first with its title; rows without words are left out."""
+    rows = []
+    for label, words in labelled.items():
         if any(words):
-            columns = itertools.zip_longest(
-                *(textwrap.wrap(cell or "-", CELL) for cell in words), fillvalue=""
-            )
-            lines += [(label if i == 0 else "", list(cells)) for i, cells in enumerate(columns)]
-    titles = textwrap.wrap(title, CLAIM)
-    lines += [("", [])] * (len(titles) - len(lines))
-    titles += [""] * (len(lines) - len(titles))
-    return "\n".join(
-        _row(part, label, cells) for part, (label, cells) in zip(titles, lines, strict=True)
-    )
-
-
-def _row(title: str, label: str, columns: Iterable[str]) -> str:
-    return f"{title:<{CLAIM}} {label:<{LABEL}}{''.join(f' {column:<{CELL}}' for column in columns)}".rstrip()
+            rows.append(["" if rows else title, label, *(word or "-" for word in words)])
+    return rows
 
 
 def law_table(design: Tested) -> str:
     """Return one line a law: laps in which each event occurred, rows active, greatest usage of W
     and E, the bound."""
-    head = f"{design.name:<16}{'laps':>9}{'steps':>8}{''.join(f'{VIOLATIONS[name]:>8}' for name in SHOWN)}"
-    head += f"{'active':>8}{'W':>6}{'E':>5}{'at most':>10}"
-    lines = [head, "-" * len(head)]
-    for name, law in design.laws.items():
-        counts = "".join(f"{law['events'][event]['laps']:>8}" for event in SHOWN)
-        active = f"{law['events']['row_active']['share_of_steps']:.2%}"
-        w, e = (law["worst"][kind][0]["usage"] for kind in ("disturbance", "error"))
-        line = f"{name:<16}{law['laps']:>9,}{steps(law) / 1e6:>7.3g}M{counts}{active:>8}{w:>6.2f}{e:>5.2f}"
-        lines.append(f"{line}{_percent(bound(law)):>10}")
-    return "\n".join(lines)
+    columns = [
+        left(design.name),
+        Column("laps"),
+        Column("steps"),
+        *(Column(VIOLATIONS[name]) for name in SHOWN),
+        Column("active"),
+        Column("W"),
+        Column("E"),
+        Column("at most"),
+    ]
+    rows = [_law_row(name, law) for name, law in design.laws.items()]
+    return format_table(columns, rows, WIDTH)
+
+
+def _law_row(name: str, law: dict) -> list[str]:
+    return [
+        name,
+        f"{law['laps']:,}",
+        f"{steps(law) / 1e6:.3g}M",
+        *(str(law["events"][event]["laps"]) for event in SHOWN),
+        f"{law['events']['row_active']['share_of_steps']:.2%}",
+        f"{law['worst']['disturbance'][0]['usage']:.2f}",
+        f"{law['worst']['error'][0]['usage']:.2f}",
+        _percent(bound(law)),
+    ]
 
 
 def legend() -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
 from dataclasses import asdict
 
 import numpy as np
@@ -13,11 +14,13 @@ from jaxtube.experiments.maps import feasible as maps_feasible
 from jaxtube.experiments.maps import figures as maps_figures
 from jaxtube.experiments.maps.figures import ratio_table
 from jaxtube.experiments.maps.points import Found, Grid, Log, Point, compute, make_grid
-from jaxtube.experiments.options import Maps
+from jaxtube.experiments.options import MapsOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.scenario import Scenario, ScenarioError, to_toml
 from jaxtube.synthesis.problem import make_problem
-from jaxtube.synthesis.ratio import Guarantee, OperatingPoint
+from jaxtube.synthesis.ratio import Guarantee
 
 TITLES = {
     "paper": "the paper's weights, model and map",
@@ -26,7 +29,7 @@ TITLES = {
 }
 
 
-def run(scenario: Scenario, options: Maps) -> int:
+def run(scenario: Scenario, options: MapsOptions) -> int:
     """Run the command; an interrupted run goes on from the points in its folder.
 
     Raises: ScenarioError where the scenario has no caps, which two of the three designs need.
@@ -39,7 +42,8 @@ def run(scenario: Scenario, options: Maps) -> int:
     problem = make_problem(scenario)
     grid = make_grid(scenario, float(problem.reference.wheels.min()), options.points)
     folder = run_folder.create(scenario, options)
-    found = compute(scenario, grid, Log(folder.path / f"points-{_digest(scenario, grid)}.jsonl"))
+    with open_log(folder, "points", {"grid": asdict(grid)}, scenario) as log:
+        found = compute(scenario, grid, log)
     folder.save_figure(maps_figures.ratio_map(grid, found, "slowest_mps"), "ratio_speed")
     folder.save_figure(maps_figures.ratio_map(grid, found, "dt_s"), "ratio_period")
     metrics = {"grid": asdict(grid) | {"own": grid.own._asdict()}, "border": borders(grid, found)}
@@ -52,22 +56,30 @@ def run(scenario: Scenario, options: Maps) -> int:
         }
         for point, result in sorted(found.items())
     ]
-    print(report(grid, metrics["border"], found))
+    folder.report(report(grid, metrics["border"], found))
     if options.feasible:
-        log = Log(folder.path / f"feasible-{_digest(scenario)}.jsonl")
-        metrics["feasible"] = maps_feasible.feasible_sets(scenario, log)
+        with open_log(folder, "feasible", {}, scenario) as log:
+            metrics["feasible"] = maps_feasible.feasible_sets(scenario, log)
         figure = maps_figures.feasible_figure(metrics["feasible"], problem.operating_set.vertices())
         folder.save_figure(figure, "feasible_set")
-        print(feasible_report(metrics["feasible"]))
+        folder.report(feasible_report(metrics["feasible"]))
     folder.save_metrics(metrics)
     print(f"\nwritten to {folder.path}/")
     return 0
 
 
-def _digest(scenario: Scenario, grid: Grid | None = None) -> str:
-    """Name scenario, grid and code: results of others are not mixed in."""
-    law = [to_toml(scenario), None if grid is None else asdict(grid), run_folder.source_hashes()]
-    return hashlib.sha256(json.dumps(law).encode()).hexdigest()[:12]
+def open_log(folder: RunFolder, name: str, settings: dict, scenario: Scenario) -> Log:
+    """Open a log of results in a folder of its own for each scenario, settings and code."""
+    identity = {
+        "scenario": to_toml(scenario),
+        "settings": settings,
+        "source_sha256": run_folder.source_hashes(),
+    }
+    digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:12]
+    log = Log(folder.path / f"{name}-{digest}", identity)
+    for line in log.damaged:
+        print(line, file=sys.stderr)
+    return log
 
 
 def borders(grid: Grid, found: Found) -> dict:
@@ -116,37 +128,41 @@ def _reach(values, results: list[Guarantee]) -> tuple[float | None, float | None
 def report(grid: Grid, border: dict, found: Found) -> str:
     """Return the borders of the three designs as a table."""
     own = grid.own
-    slip, speed = (
-        f"slip error from {own.slowest_mps:g} m/s on",
-        f"wheel speed at {own.slip_error:.0%}",
-    )
-    lines = [f"{'guaranteed':<40}{'largest ' + slip:<40}lowest {speed}"]
-    for design, title in TITLES.items():
-        row = border[design]
-        error = _words(
-            row["largest_slip_error_computed"], row["largest_slip_error_interpolated"], 100, "%"
-        )
-        slowest = _words(
-            row["lowest_wheel_speed_mps_computed"],
-            row["lowest_wheel_speed_mps_interpolated"],
-            1,
-            "m/s",
-        )
-        easiest = found[
-            Point(design, OperatingPoint(grid.slip_errors[0], own.slowest_mps, own.dt_s))
-        ]
-        if error == "none" and easiest.ratio is not None:
-            error += f": ratio {easiest.ratio:.2f} without slip error"
-        lines.append(f"  {title:<38}{error:<40}{slowest}")
-    share = {design: [point for point in found if point.design == design] for design in TITLES}
-    counts = ", ".join(
-        f"{sum(found[p].holds for p in points)} of {len(points)}" for points in share.values()
-    )
+    columns = [
+        left("guaranteed"),
+        left(f"largest slip error from {own.slowest_mps:g} m/s on"),
+        left(f"lowest wheel speed at {own.slip_error:.0%}"),
+    ]
+    rows = [_border_row(grid, border, found, design) for design in TITLES]
+    counts = ", ".join(_count(found, design) for design in TITLES)
     failed = sum(result.ratio is None for result in found.values())
-    lines.append(f"points with a guarantee: {counts}; without any design: {failed}")
+    lines = [
+        format_table(columns, rows),
+        f"points with a guarantee: {counts}; without any design: {failed}",
+    ]
     for axis, values in (("slowest_mps", grid.slowest_mps), ("dt_s", grid.periods_s)):
         lines += ["", _ratios(grid, found, axis, values)]
     return "\n".join(lines)
+
+
+def _border_row(grid: Grid, border: dict, found: Found, design: str) -> list[str]:
+    row = border[design]
+    error = _words(
+        row["largest_slip_error_computed"], row["largest_slip_error_interpolated"], 100, "%"
+    )
+    slowest = _words(
+        row["lowest_wheel_speed_mps_computed"], row["lowest_wheel_speed_mps_interpolated"], 1, "m/s"
+    )
+    condition = grid.own._replace(slip_error=grid.slip_errors[0])
+    easiest = found[Point(design, condition)]
+    if error == "none" and easiest.ratio is not None:
+        error += f": ratio {easiest.ratio:.2f} without slip error"
+    return [TITLES[design], error, slowest]
+
+
+def _count(found: Found, design: str) -> str:
+    results = [result for point, result in found.items() if point.design == design]
+    return f"{sum(result.holds for result in results)} of {len(results)}"
 
 
 def _words(computed: float | None, interpolated: float | None, scale: float, unit: str) -> str:
@@ -158,33 +174,36 @@ def _words(computed: float | None, interpolated: float | None, scale: float, uni
 def _ratios(grid: Grid, found: Found, axis: str, values) -> str:
     """Return the ratios of the optimised design, values downwards and slip errors across."""
     name = {"slowest_mps": "from [m/s]", "dt_s": "period [s]"}[axis]
-    lines = ["optimised: ratio by slip error"]
-    lines.append(f"  {name:>10}" + "".join(f"{error:>9.3%}" for error in grid.slip_errors))
-    for value, row in zip(values, ratio_table(grid, found, "optimised", axis), strict=True):
-        lines.append(
-            f"  {value:>10.4g}"
-            + "".join("     none" if np.isnan(ratio) else f"{ratio:9.3f}" for ratio in row)
-        )
-    return "\n".join(lines)
+    columns = [Column(name), *(Column(f"{error:.3%}") for error in grid.slip_errors)]
+    rows = []
+    for value, ratios in zip(values, ratio_table(grid, found, "optimised", axis), strict=True):
+        words = ["none" if np.isnan(ratio) else f"{ratio:.3f}" for ratio in ratios]
+        rows.append([f"{value:.4g}", *words])
+    return f"optimised: ratio by slip error\n{format_table(columns, rows)}"
 
 
 def feasible_report(sets: dict) -> str:
     """Return the volumes of feasible sets as a table."""
-    largest, whole = sets["control_invariant"], sets["operating_volume"]
+    largest = sets["control_invariant"]
+    whole = sets["operating_volume"]
     state = "settled" if largest["settled"] else "NOT settled"
-    lines = [
-        "",
-        f"largest control invariant set: {largest['volume'] / whole:.1%} of the caps (bound from outside, {state} "
-        f"after {largest['steps']} steps)",
-        "horizon   of the caps   of the invariant set   certified",
+    columns = [
+        Column("horizon"),
+        Column("of the caps"),
+        Column("of the invariant set"),
+        left("certified"),
     ]
-    for record in sets["horizons"]:
-        if record["volume"] is None:
-            lines.append(f"{record['horizon']:7d}   none: {record['reason']}")
-            continue
-        of_largest = f"{record['volume'] / largest['volume']:.1%}" if largest["volume"] else "-"
-        certified = f"no: {', '.join(record['failing'])}" if record["failing"] else "yes"
-        lines.append(
-            f"{record['horizon']:7d}{record['volume'] / whole:14.1%}{of_largest:>23}   {certified}"
-        )
-    return "\n".join(lines)
+    rows = [_feasible_row(record, largest["volume"], whole) for record in sets["horizons"]]
+    return (
+        f"\nlargest control invariant set: {largest['volume'] / whole:.1%} of the caps (bound from "
+        f"outside, {state} after {largest['steps']} steps)\n{format_table(columns, rows)}"
+    )
+
+
+def _feasible_row(record: dict, largest: float, whole: float) -> list[str]:
+    horizon = str(record["horizon"])
+    if record["volume"] is None:
+        return [horizon, "none", "", record["reason"]]
+    of_largest = f"{record['volume'] / largest:.1%}" if largest else "-"
+    certified = f"no: {', '.join(record['failing'])}" if record["failing"] else "yes"
+    return [horizon, f"{record['volume'] / whole:.1%}", of_largest, certified]

@@ -38,7 +38,7 @@ def feasible_sets(scenario: Scenario, log: Log) -> dict:
     """
     known = {record["horizon"]: record for record in log.records}
     problem = complete_problem(scenario)
-    with progress(len(HORIZONS) + 1, "feasible sets", "sets", len(known)) as bar:
+    with progress(len(HORIZONS) + 1, "feasible sets", "sets", len(known), "starting") as bar:
         for horizon in (None, *HORIZONS):
             if horizon not in known:
                 found = _largest(problem) if horizon is None else _of_horizon(scenario, horizon)

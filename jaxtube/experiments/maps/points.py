@@ -9,19 +9,18 @@ start is a function of the grid alone.
 
 from __future__ import annotations
 
-import json
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
-from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.experiments.run.progress import progress
+from jaxtube.experiments.run.store import Store
 from jaxtube.scenario import Scenario
 from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, at_point, caps_and_gains, guarantee
 
@@ -66,7 +65,7 @@ class Grid:
         return [Point(design, condition) for design in DESIGNS for condition in self.conditions()]
 
     def towards_own(self, condition: OperatingPoint) -> OperatingPoint | None:
-        """Return the neighbour one step closer to the scenario's own condition, None for that one."""
+        """Return the neighbour one step closer to the scenario's own condition, None for it."""
         for name, values in (
             ("slowest_mps", self.slowest_mps),
             ("dt_s", self.periods_s),
@@ -112,21 +111,60 @@ def make_grid(scenario: Scenario, slowest_wheel: float, count: int) -> Grid:
 
 
 class Log:
-    """A file of JSON lines that survives an interruption: a line cut short is dropped, and every
-    new one is flushed."""
+    """JSON values that survive an interruption, in the order in which they were added; each is an
+    entry of a store, which belongs to this object until it is closed."""
 
-    def __init__(self, path: Path):
-        lines = path.read_text().splitlines(keepends=True) if path.exists() else []
-        complete = [line for line in lines if line.endswith("\n")]
-        if lines != complete:
-            write_atomically(path, lambda file: file.write("".join(complete).encode()))
-        self.path, self.records = path, [json.loads(line) for line in complete]
+    def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
+        """Open the log in a folder, made where it is absent.
+
+        Args:
+            folder: `RUN/NAME`, where RUN is what `--out` names; it holds nothing else.
+            identity: all that determines the values, as plain JSON values.
+
+        Raises:
+            ScenarioError: the folder cannot be written to, is open in another process, or holds
+                entries with another identity.
+            StoreError: the disk failed.
+        """
+        self._store = Store(folder, identity)
+        self.records: list[dict] = []
+        try:
+            with self._store.explain_failure("opening the log", self._safe):
+                entries = self._store.read_all("computed again")
+        except BaseException:
+            self.close()
+            raise
+        self._count = 1 + max(map(int, entries), default=-1)
+        self.records += [entry.header["value"] for entry in entries.values()]
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the folder to others."""
+        self._store.close()
+
+    @property
+    def damaged(self) -> list[str]:
+        """A line for each damaged entry met at opening, which is gone."""
+        return self._store.damaged
 
     def append(self, record: dict) -> None:
-        """Add a record to the file."""
-        with self.path.open("a") as file:
-            file.write(json.dumps(record) + "\n")
-        self.records.append(record)
+        """Add a value; once this returns, it outlives the process.
+
+        Raises: StoreError when the disk failed.
+        """
+        name = f"{self._count:06d}"
+        with self._store.explain_failure(f"logging {name}", self._safe):
+            entry = self._store.write(name, {"value": record}, {})
+        self._count += 1
+        self.records.append(entry.header["value"])
+
+    def _safe(self) -> str:
+        return f"the {len(self.records)} results logged there are safe"
 
 
 def compute(scenario: Scenario, grid: Grid, log: Log) -> Found:
@@ -142,7 +180,7 @@ def compute(scenario: Scenario, grid: Grid, log: Log) -> Found:
     if not waiting:
         return found
     with (
-        progress(len(grid.points()), "designing", "points", len(found)) as bar,
+        progress(len(grid.points()), "designing", "points", len(found), "starting") as bar,
         _workers(len(waiting)) as workers,
     ):
 

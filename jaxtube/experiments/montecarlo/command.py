@@ -21,12 +21,13 @@ import numpy as np
 
 from jaxtube.experiments.montecarlo import netcdf, replay
 from jaxtube.experiments.montecarlo import report as montecarlo_report
-from jaxtube.experiments.options import Montecarlo
+from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.records import Records
-from jaxtube.scenario import Scenario
+from jaxtube.scenario import Scenario, to_toml
+from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics import task as validation
 from jaxtube.statistics.run import BLOCK, TILE, Run, Statistics
@@ -37,7 +38,7 @@ from jaxtube.synthesis.design import design as make_design
 LEFT_E = EVENTS.index("e_outside_E")
 
 
-def run(scenario: Scenario, options: Montecarlo) -> int:
+def run(scenario: Scenario, options: MontecarloOptions) -> int:
     """Run the command."""
     use_devices(options.devices)
     if options.netcdf:
@@ -45,7 +46,7 @@ def run(scenario: Scenario, options: Montecarlo) -> int:
     found = make_design(scenario)
     if options.starts == "scenario":
         refuse_infeasible_start(found)
-    if options.replay >= 0:
+    if options.replay is not None:
         return replay.run(found, options, identity(scenario, options))
     records = Records(
         options.folder / "records", identity(scenario, options), montecarlo.merge, BLOCK
@@ -64,21 +65,34 @@ def run(scenario: Scenario, options: Montecarlo) -> int:
 
 def use_devices(count: int) -> None:
     """Let every processor of this machine be a device of its own, unless JAX has already settled
-    that."""
-    try:
-        jax.config.update("jax_num_cpu_devices", count or len(os.sched_getaffinity(0)))
-    except RuntimeError:
-        return
+    that.
+
+    Args:
+        count: devices wanted, 0 for all.
+
+    Raises: ScenarioError where there are fewer.
+    """
+    processors = len(os.sched_getaffinity(0))
+    # JAX refuses once its devices are settled.
+    with contextlib.suppress(RuntimeError):
+        jax.config.update("jax_num_cpu_devices", min(count or processors, processors))
+    present = jax.local_device_count()
+    if count > present:
+        problem = f"this machine has {present}"
+        cure = f"give 1 to {present}, or 0 for all"
+        raise refusal("command line", "--devices", count, problem, cure)
 
 
-def identity(scenario: Scenario, options: Montecarlo) -> dict:
+def identity(scenario: Scenario, options: MontecarloOptions) -> dict:
     """Return all that determines the statistics of a block."""
     return run_folder.identity(scenario, options, ("controller", "plant", "starts")) | {
         "tile_size": TILE
     }
 
 
-def compute(design: Design, options: Montecarlo, records: Records, missing: Iterator[int]) -> dict:
+def compute(
+    design: Design, options: MontecarloOptions, records: Records, missing: Iterator[int]
+) -> dict:
     """Compute the missing blocks and record them; return what it took, nothing where nothing was
     missing."""
     first = next(missing, None)
@@ -149,7 +163,11 @@ def validation_share(local: Run) -> float:
 
 
 def save(
-    found: Design, options: Montecarlo, folder: RunFolder, statistics: Statistics, performance: dict
+    found: Design,
+    options: MontecarloOptions,
+    folder: RunFolder,
+    statistics: Statistics,
+    performance: dict,
 ) -> None:
     """Write statistics, metrics and figures, and print the report."""
     from jaxtube.experiments.montecarlo import figures as montecarlo_figures
@@ -160,7 +178,23 @@ def save(
     if performance:
         folder.save_json("performance", performance)
     if options.netcdf:
-        netcdf.save(folder.path / "statistics.nc", statistics)
+        save_netcdf(found, options, folder, statistics, summary["law"])
     montecarlo_figures.draw(found, options, statistics, summary, folder)
-    print(montecarlo_report.text(options, summary, performance))
+    folder.report(montecarlo_report.text(options, summary, performance))
     print(f"\nfigures, metrics.json, statistics.npz and the records are in {folder.path}/")
+
+
+def save_netcdf(
+    found: Design, options: MontecarloOptions, folder: RunFolder, statistics: Statistics, law: str
+) -> None:
+    """Write statistics.nc."""
+    task = validation.make_task(
+        found, options.controller, options.plant, options.starts, options.seed
+    )
+    attributes = {
+        "title": f"statistics of {int(statistics['laps']):,} laps",
+        "law": law,
+        "seed": options.seed,
+        "scenario": to_toml(found.problem.scenario),
+    }
+    netcdf.save(folder.path / "statistics.nc", statistics, task.checks, attributes)

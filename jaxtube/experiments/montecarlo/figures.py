@@ -27,7 +27,7 @@ from jaxtube.experiments.figures.style import (
     styled,
 )
 from jaxtube.experiments.montecarlo import heat_figures, lap_figure, map_figure, shares_figure
-from jaxtube.experiments.options import Montecarlo
+from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
 from jaxtube.simulation.starts import UniformStart
@@ -46,7 +46,11 @@ BEYOND = {"color": "0.5", "alpha": 0.12, "linewidth": 0}
 
 
 def draw(
-    design: Design, options: Montecarlo, statistics: Statistics, summary: dict, folder: RunFolder
+    design: Design,
+    options: MontecarloOptions,
+    statistics: Statistics,
+    summary: dict,
+    folder: RunFolder,
 ) -> None:
     """Draw the figures of a run into its folder; those that have nothing to show are left out."""
     task = validation.make_task(
@@ -66,7 +70,7 @@ def draw(
     if isinstance(task.starts, UniformStart):
         corners = np.asarray(task.starts.triangles).reshape(-1, 3)
         drawings["coverage"] = lambda: heat_figures.coverage(problem, statistics, summary, corners)
-    with progress(len(drawings), "drawing", "figures") as bar:
+    with progress(len(drawings), "drawing", "figures", starting="starting") as bar:
         for name, figure in drawings.items():
             folder.save_figure(figure(), name)
             bar.update()

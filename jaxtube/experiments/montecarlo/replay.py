@@ -4,14 +4,15 @@ wheels in words."""
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from jaxtube import qp
 from jaxtube.experiments.montecarlo import report as montecarlo_report
-from jaxtube.experiments.options import Montecarlo
-from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.options import MontecarloOptions
+from jaxtube.experiments.run.folder import RunFolder, unwritable
 from jaxtube.experiments.run.metrics import TO_DISPLAY
 from jaxtube.experiments.run.record_file import differences
 from jaxtube.scenario.refusal import refusal
@@ -20,11 +21,10 @@ from jaxtube.statistics.lap import Lap, lap
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.problem import Problem
 
-LAPS_LIMIT = 2**64
 WHEELS = ("right", "left")
 
 
-def run(design: Design, options: Montecarlo, identity: dict[str, Any]) -> int:
+def run(design: Design, options: MontecarloOptions, identity: dict[str, Any]) -> int:
     """Draw lap `options.replay` into the run's folder, beside what is there, and print what it
     used.
 
@@ -34,20 +34,9 @@ def run(design: Design, options: Montecarlo, identity: dict[str, Any]) -> int:
     from jaxtube.experiments.montecarlo import lap_figure
 
     number = options.replay
-    if number >= LAPS_LIMIT:
-        raise refusal(
-            "command line", "--replay", number, "is out of range", "give a lap's number below 2^64"
-        )
+    assert number is not None
     folder, name = RunFolder(options.folder), f"replay-{number}"
-    recorded = folder.path / "identity.json"
-    if recorded.exists() and (
-        found := differences(json.loads(recorded.read_text()), json.loads(json.dumps(identity)))
-    ):
-        problem, cure = (
-            f"{folder.path} holds another run: {found}",
-            "give its options, or name another --out",
-        )
-        raise refusal("command line", "--replay", number, problem, cure)
+    refuse_another_run(folder.path, number, identity)
     try:
         folder.path.mkdir(parents=True, exist_ok=True)
         task = validation.make_task(
@@ -57,14 +46,35 @@ def run(design: Design, options: Montecarlo, identity: dict[str, Any]) -> int:
         folder.save_arrays(name, **_arrays(found))
         folder.save_figure(lap_figure.draw(design.problem, found), name)
     except OSError as error:
-        problem = f"cannot be written to ({error.strerror})"
-        raise refusal(
-            "command line", "--out", str(folder.path), problem, "name a folder you may write to"
-        ) from None
+        raise unwritable(folder.path, error) from None
     law = montecarlo_report.law(design.problem.scenario, options)
-    print(f"lap {number:,}; law: {law}; seed {options.seed}", text(design, found), sep="\n\n")
-    print(f"\n{name}.png, {name}.pdf and {name}.npz are in {folder.path}/")
+    title = f"lap {number:,}; law: {law}; seed {options.seed}"
+    folder.report(f"{title}\n\n{text(design, found)}", name)
+    laps = recorded_laps(folder.path)
+    if laps is not None and number >= laps:
+        print(f"\nlap {number:,} is beyond the run in {folder.path}/, which has {laps:,} laps")
+    print(f"\n{name}.png, {name}.pdf, {name}.npz and {name}.txt are in {folder.path}/")
     return 0
+
+
+def refuse_another_run(folder: Path, number: int, identity: dict[str, Any]) -> None:
+    """Raise ScenarioError where the folder holds a run of another identity."""
+    recorded = folder / "identity.json"
+    if not recorded.exists():
+        return
+    difference = differences(json.loads(recorded.read_text()), json.loads(json.dumps(identity)))
+    if difference:
+        problem = f"{folder} holds another run: {difference}"
+        cure = "give its options, or name another --out"
+        raise refusal("command line", "--replay", number, problem, cure)
+
+
+def recorded_laps(folder: Path) -> int | None:
+    """Return the laps of the run in a folder, None where no run was completed there."""
+    path = folder / "metrics.json"
+    if not path.exists() or not (folder / "identity.json").exists():
+        return None
+    return json.loads(path.read_text())["laps"]
 
 
 def _arrays(found: Lap) -> dict[str, Any]:

@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxtube.experiments.montecarlo import tube_reach
-from jaxtube.experiments.options import Montecarlo
+from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run.metrics import COORDINATES, TO_DISPLAY
+from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.plant.reference import settled_step
 from jaxtube.scenario import Scenario
 from jaxtube.statistics import histogram
@@ -46,7 +47,7 @@ EVENT_WORDS = {
 }
 
 
-def summary(design: Design, options: Montecarlo, statistics: Statistics) -> dict:
+def summary(design: Design, options: MontecarloOptions, statistics: Statistics) -> dict:
     """Return the numbers of a run, plain, with units in the keys: functions of design, options and
     statistics alone."""
     problem, steps = design.problem, statistics["events"].shape[1] - 1
@@ -92,7 +93,7 @@ def summary(design: Design, options: Montecarlo, statistics: Statistics) -> dict
     }
 
 
-def left_out(options: Montecarlo, statistics: Statistics) -> set[str]:
+def left_out(options: MontecarloOptions, statistics: Statistics) -> set[str]:
     """Return the events that a run of this kind cannot have, so that nothing is said of them."""
     missing = (
         set()
@@ -105,7 +106,7 @@ def left_out(options: Montecarlo, statistics: Statistics) -> set[str]:
     )
 
 
-def _plans(design: Design, options: Montecarlo, statistics: Statistics) -> dict:
+def _plans(design: Design, options: MontecarloOptions, statistics: Statistics) -> dict:
     """Return what became of the plans that were followed: the tube in use by stage, all tubes, and
     the cost."""
     checked = [name for name in design.tubes if f"tube_outside/{name}" in statistics]
@@ -143,7 +144,7 @@ def _plans(design: Design, options: Montecarlo, statistics: Statistics) -> dict:
     }
 
 
-def law(scenario: Scenario, options: Montecarlo) -> str:
+def law(scenario: Scenario, options: MontecarloOptions) -> str:
     """Return the sampling law in words; every bound holds for it alone."""
     where = {
         "scenario": "the scenario's start",
@@ -204,7 +205,7 @@ def _quantiles(counts: Int[np.ndarray, "3 buckets"]) -> dict:
     }
 
 
-def text(options: Montecarlo, found: dict, performance: dict) -> str:
+def text(options: MontecarloOptions, found: dict, performance: dict) -> str:
     """Return the report; the verdict on the tube's premise is its first line."""
     parts = [
         verdict(found),
@@ -257,76 +258,94 @@ def _interval(interval: tuple[float, float], events: int) -> str:
 
 
 def _event_table(found: dict) -> str:
-    label = f"each at {found['confidence']:.0%} on its own"
-    lines = [
-        f"{label:<28}{'laps':>12}{'share of laps, interval':>30}{'share of steps':>16}{'interval':>26}"
+    columns = [
+        left(f"each at {found['confidence']:.0%} on its own"),
+        Column("laps"),
+        Column("share of laps, interval"),
+        Column("share of steps"),
+        Column("interval"),
     ]
-    for name, event in found["events"].items():
-        laps = _interval(event["share_of_laps_interval"], event["laps"])
-        steps = _interval(event["share_of_steps_interval"], event["steps"])
-        share = f"{event['share_of_steps']:.4%}" if event["steps"] else "0"
-        lines.append(f"{EVENT_WORDS[name]:<28}{event['laps']:>12,}{laps:>30}{share:>16}{steps:>26}")
-    if "outside_ultimate_bound" in found["events"]:
-        bound = ", ".join(f"{value:.3g}" for value in found["ultimate_bound"].values())
-        lines.append(
-            f"ultimate bound ({bound}; m, m, deg): holds the measured error from {found['settled_s']:.3g} s on "
-            "while w is in W and no row is active"
-        )
-    return "\n".join(lines)
+    table = format_table(columns, [_event_row(*item) for item in found["events"].items()])
+    if "outside_ultimate_bound" not in found["events"]:
+        return table
+    bound = ", ".join(f"{value:.3g}" for value in found["ultimate_bound"].values())
+    return (
+        f"{table}\nultimate bound ({bound}; m, m, deg): holds the measured error from "
+        f"{found['settled_s']:.3g} s on while w is in W and no row is active"
+    )
+
+
+def _event_row(name: str, event: dict) -> list[str]:
+    return [
+        EVENT_WORDS[name],
+        f"{event['laps']:,}",
+        _interval(event["share_of_laps_interval"], event["laps"]),
+        f"{event['share_of_steps']:.4%}" if event["steps"] else "0",
+        _interval(event["share_of_steps_interval"], event["steps"]),
+    ]
 
 
 def _tube_table(found: dict) -> str:
     tube = found["tube"]
-    lines = [
-        f"{found['plans']:,} plans from the measured error, followed to their end; share of them outside R_j of "
-        f"the tube `{tube['used']}`",
-        f"{'':<6}{'any facet':>12}{'interval':>24}{'longitudinal':>14}{'lateral':>12}{'heading':>12}",
+    cost = found["cost"]
+    asked = found["states_where_a_plan_was_asked_for"]
+    columns = [
+        left(""),
+        Column("any facet"),
+        Column("interval"),
+        Column("longitudinal"),
+        Column("lateral"),
+        Column("heading"),
     ]
-    for j, stage in enumerate(tube["stages"], 1):
-        low, high = stage["outside"]["interval"]
-        shares = [stage[name]["share"] for name in STAGE_EVENTS]
-        interval = f"{low:.4%} to {high:.4%}"
-        lines.append(
-            f"R_{j:<4}{shares[0]:>12.4%}{interval:>24}"
-            + f"{shares[1]:>14.4%}{shares[2]:>12.4%}{shares[3]:>12.4%}"
-        )
-    lines.append("largest excess over a facet, all stages (m or rad; negative: inside):")
-    worst = {
-        name: float(np.max(values)) for name, values in tube["largest_excess_by_stage"].items()
-    }
-    lines.append("  " + ", ".join(f"{name} {value:.3g}" for name, value in worst.items()))
-    cost, asked = found["cost"], found["states_where_a_plan_was_asked_for"]
-    lines.append(f"there was no plan at {asked - found['plans']:,} of {asked:,} states")
+    rows = [_stage_row(j, stage) for j, stage in enumerate(tube["stages"], 1)]
+    worst = ", ".join(
+        f"{name} {float(np.max(values)):.3g}"
+        for name, values in tube["largest_excess_by_stage"].items()
+    )
     promise = (
         "promises more"
         if cost["promised_by_the_certificate"]
         else "makes no promise for this design"
     )
-    lines.append(
-        f"one undisturbed step later: no plan in {cost['no_plan_one_step_later']:,} cases, a cost that fell by less "
-        f"than that of the step in {cost['fell_by_less_than_the_stage']:,} (the certificate {promise})"
-    )
+    lines = [
+        f"{found['plans']:,} plans from the measured error, followed to their end; share of them "
+        f"outside R_j of the tube `{tube['used']}`",
+        format_table(columns, rows),
+        "largest excess over a facet, all stages (m or rad; negative: inside):",
+        f"  {worst}",
+        f"there was no plan at {asked - found['plans']:,} of {asked:,} states",
+        f"one undisturbed step later: no plan in {cost['no_plan_one_step_later']:,} cases, a cost "
+        "that fell by less than that of the step in "
+        f"{cost['fell_by_less_than_the_stage']:,} (the certificate {promise})",
+    ]
     return "\n".join(lines)
+
+
+def _stage_row(j: int, stage: dict) -> list[str]:
+    low, high = stage["outside"]["interval"]
+    outside, *by_coordinate = (stage[name]["share"] for name in STAGE_EVENTS)
+    return [
+        f"R_{j}",
+        f"{outside:.4%}",
+        f"{low:.4%} to {high:.4%}",
+        *(f"{share:.4%}" for share in by_coordinate),
+    ]
 
 
 def _quantile_table(found: dict) -> str:
-    lines = [
-        f"{'':<26}"
-        + "".join(f"{f'{name} {unit}':>18}" for unit in ("median", "99.9 %") for name in AXES)
-    ]
-    settled = f"RMS error from {found['settled_s']:.3g} s on"
+    quantiles = {"median": "median", "p999": "99.9 %"}
+    headings = [f"{name} {unit}" for unit in quantiles.values() for name in AXES]
     rows = {
         "largest error of a lap": "peak_error",
-        settled: "rms_error_settled",
+        f"RMS error from {found['settled_s']:.3g} s on": "rms_error_settled",
         "w, steps": "disturbance",
     }
+    body = []
     for label, key in rows.items():
-        cells = [
-            found[key][quantile][name] for quantile in ("median", "p999") for name in COORDINATES
-        ]
-        lines.append(f"{label:<26}" + "".join(f"{value:>18.3g}" for value in cells))
-    lines.append("quantiles are read off buckets and up to 12 % too large or too small")
-    return "\n".join(lines)
+        values = [found[key][quantile][name] for quantile in quantiles for name in COORDINATES]
+        body.append([label, *(f"{value:.3g}" for value in values)])
+    table = format_table([left(""), *map(Column, headings)], body)
+    return f"{table}\nquantiles are read off buckets and up to 12 % too large or too small"
 
 
 AXES = ("e_x [m]", "e_y [m]", "e_th [deg]")

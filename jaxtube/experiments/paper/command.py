@@ -14,15 +14,17 @@ import numpy as np
 from jaxtube.experiments.design.command import exit_code
 from jaxtube.experiments.design.report import report
 from jaxtube.experiments.design.seen import disturbance_line
-from jaxtube.experiments.options import Paper, title
+from jaxtube.experiments.options import PaperOptions, title
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.paper.claims import claims, table
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
+from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.scenario import Scenario, load
 from jaxtube.simulation import closed_loop
+from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.design import Design, design, refuse_infeasible_start
 
 STRESS_RUNS = 40
@@ -31,7 +33,7 @@ STRESS_RUNS = 40
 NOISE_FREE = ("uncompensated", "compensated", "tube_mpc", "plain_mpc")
 
 
-def run(scenario: Scenario, options: Paper) -> int:
+def run(scenario: Scenario, options: PaperOptions) -> int:
     """Run the command; returns 3 where a certificate is required and fails."""
     found = design(scenario)
     refuse_infeasible_start(found)
@@ -53,6 +55,7 @@ def run(scenario: Scenario, options: Paper) -> int:
         stressed = stress.run(robust, stress_runs, options.seed, bar.update)
     deviations = closed_loop.plan_deviations(found, tube_mpc, plant, laps["tube_mpc"], options.seed)
     _save_noise_free(found, loops, folder)
+    _save_laps(laps, folder)
     measured = _metrics(found, robust, laps, other_restart, stressed, deviations)
     measured = {**metrics.design_metrics(found), **measured}
     rows = claims(measured)
@@ -66,8 +69,10 @@ def run(scenario: Scenario, options: Paper) -> int:
         _restart_note(measured),
         _stress_table(measured),
     ]
-    print(*parts, table(rows), sep="\n\n")
-    print(f"\nfigures, metrics.json, noise_free.npz and manifest.json are in {folder.path}/")
+    folder.report("\n\n".join([*parts, table(rows)]))
+    print(
+        f"\nfigures, metrics.json, laps.npz, noise_free.npz and manifest.json are in {folder.path}/"
+    )
     return exit_code(found.certificate, options.require_certificate)
 
 
@@ -103,6 +108,17 @@ def _save_noise_free(found: Design, loops: dict, folder: RunFolder) -> None:
     folder.save_arrays("noise_free", **laps)
 
 
+def _save_laps(laps: dict[str, Trajectory], folder: RunFolder) -> None:
+    """Save errors, inputs and wheel speeds of all laps of each controller, in single precision: the
+    figures can be drawn again from them."""
+    arrays = {}
+    for name, lap in laps.items():
+        arrays[f"{name}_errors"] = np.asarray(lap.errors, np.float32)
+        arrays[f"{name}_inputs"] = np.asarray(lap.inputs, np.float32)
+        arrays[f"{name}_wheels"] = np.asarray(lap.wheels, np.float32)
+    folder.save_arrays("laps", **arrays)
+
+
 def _save_figures(
     found: Design, name: str, laps, robust: Design, stressed, deviations, folder: RunFolder
 ) -> None:
@@ -127,7 +143,7 @@ def _save_figures(
         "stress": lambda: stress_figure(robust.problem, cases, stressed.boundary),
         "stress_terminal_set": lambda: set_figures.terminal_set(robust, "robust"),
     }
-    with progress(len(drawings), "drawing", "figures") as bar:
+    with progress(len(drawings), "drawing", "figures", starting="starting") as bar:
         for figure_name, draw in drawings.items():
             folder.save_figure(draw(), figure_name)
             bar.update()
@@ -146,60 +162,72 @@ def _stress_cases(stressed: stress.Stress) -> list[dict]:
 
 def _comparison(measured: dict) -> str:
     """Return the controllers side by side: medians over realisations."""
-    head = f"{'':<15}{'':>9}{'largest (median)':>36}{'RMS (median)':>36}"
-    units = f"{'e_x [m]':>12}{'e_y [m]':>12}{'e_th [deg]':>12}"
-    lines = [
-        head,
-        f"{'controller':<15}{'outside E':>9}{units}{units}{'active':>9}{'wheel [m/s]':>13}",
+    errors = (("e_x", "m"), ("e_y", "m"), ("e_th", "deg"))
+    columns = [
+        left("controller"),
+        Column("outside E"),
+        *(Column(f"largest\n(median)\n{name}", unit) for name, unit in errors),
+        *(Column(f"RMS\n(median)\n{name}", unit) for name, unit in errors),
+        Column("active"),
+        Column("wheel", "m/s"),
     ]
-    for name, numbers in measured["controllers"].items():
-        largest, rms = (
-            numbers[kind]["whole_run"]["median"].values() for kind in ("max_error", "rms_error")
-        )
-        errors = "".join(f"{value:12.5f}" for value in (*largest, *rms))
-        share, wheel = numbers["active_share"], numbers["wheel_speed_max_mps"]
-        lines.append(
-            f"{name:<15}{numbers['violation_share']:9.1%}{errors}{share:9.2%}{wheel:13.3f}"
-        )
+    rows = [_compared(name, numbers) for name, numbers in measured["controllers"].items()]
     inside = measured["plan_deviations"]
     shares = ", ".join(f"{share:.1%}" for share in inside["share_outside_by_stage"])
-    lines.append(
-        f"of {inside['plans']} plans followed to their end these shares leave R_1, R_2, ..: {shares}"
+    note = (
+        f"of {inside['plans']} plans followed to their end these shares leave R_1, R_2, ..: "
+        f"{shares}"
     )
-    return "\n".join(lines)
+    return f"{format_table(columns, rows)}\n{note}"
+
+
+def _compared(name: str, numbers: dict) -> list[str]:
+    """Return the row of one controller."""
+    largest = numbers["max_error"]["whole_run"]["median"].values()
+    rms = numbers["rms_error"]["whole_run"]["median"].values()
+    return [
+        name,
+        f"{numbers['violation_share']:.1%}",
+        *(f"{value:.5f}" for value in largest),
+        *(f"{value:.5f}" for value in rms),
+        f"{numbers['active_share']:.2%}",
+        f"{numbers['wheel_speed_max_mps']:.3f}",
+    ]
 
 
 def _stress_table(measured: dict) -> str:
     """Return the stress runs of the design `robust`, with and without tube."""
-    columns = (
-        "runs",
-        "outside E",
-        "infeasible QPs",
-        "recovered runs",
-        "every w in W",
-        "of these outside E",
-    )
-    lines = [
-        "design `robust`, starts all over the feasible set of the tube-MPC",
-        f"{'plant':<24}{'controller':<10}"
-        + "".join(f"{name:>{len(name) + 2}}" for name in columns),
+    columns = [
+        left("plant"),
+        left("controller"),
+        Column("runs"),
+        Column("outside E"),
+        Column("infeasible QPs"),
+        Column("recovered runs"),
+        Column("every w in W"),
+        Column("of these outside E"),
     ]
-    for case, runs in measured["stress"].items():
-        for name, numbers in runs.items():
-            recovered = f"{numbers['runs_recovered']}/{numbers['runs_with_infeasible_QP']}"
-            values = (
-                numbers["runs"],
-                numbers["runs_outside_E"],
-                numbers["infeasible_QPs"],
-                recovered,
-                numbers["runs_with_every_w_in_W"],
-                numbers["runs_outside_E_with_every_w_in_W"],
-            )
-            cells = "".join(
-                f"{value:>{len(head) + 2}}" for head, value in zip(columns, values, strict=True)
-            )
-            lines.append(f"{stress.CASES[case]:<24}{name:<10}{cells}")
-    return "\n".join(lines)
+    rows = [
+        _stressed(stress.CASES[case], name, numbers)
+        for case, runs in measured["stress"].items()
+        for name, numbers in runs.items()
+    ]
+    title = "design `robust`, starts all over the feasible set of the tube-MPC"
+    return f"{title}\n{format_table(columns, rows)}"
+
+
+def _stressed(case: str, controller: str, numbers: dict) -> list[str]:
+    """Return the row of one controller in one case."""
+    return [
+        case,
+        controller,
+        str(numbers["runs"]),
+        str(numbers["runs_outside_E"]),
+        str(numbers["infeasible_QPs"]),
+        f"{numbers['runs_recovered']}/{numbers['runs_with_infeasible_QP']}",
+        str(numbers["runs_with_every_w_in_W"]),
+        str(numbers["runs_outside_E_with_every_w_in_W"]),
+    ]
 
 
 def _restart_note(measured: dict) -> str:

@@ -1,4 +1,5 @@
-"""Files that appear complete or not at all: each is written under a temporary name, then renamed."""
+"""Files that appear complete or not at all: each is written under a temporary name, then
+renamed."""
 
 import os
 from collections.abc import Callable

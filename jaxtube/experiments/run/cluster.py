@@ -11,6 +11,7 @@ thread on a device of its own.
 
 from __future__ import annotations
 
+import asyncio
 import dataclasses
 import functools
 import itertools
@@ -18,6 +19,7 @@ import os
 import threading
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import jax
@@ -35,6 +37,21 @@ LOSSES = 20
 """Workers that may be lost while they compute the same block, before the run gives up."""
 
 
+def import_distributed(name: str) -> ModuleType:
+    """Return Dask's library of clusters.
+
+    Args:
+        name: what `--cluster` gives.
+
+    Raises: ScenarioError where it is not installed.
+    """
+    try:
+        import distributed
+    except ImportError:
+        raise _refuse(name, "needs Dask", "pip install 'jaxtube[cluster]'") from None
+    return distributed
+
+
 class Cluster:
     """The workers that an option names; a context."""
 
@@ -49,47 +66,15 @@ class Cluster:
             ScenarioError: no such cluster, or no Dask; later, for a worker with another version of
                 the code.
         """
-        try:
-            import distributed
-        except ImportError:
-            raise _refuse(name, "needs Dask", "pip install 'jaxtube[cluster]'") from None
-        self._distributed, self._name, self._local = distributed, name, None
-        self._client = self._connect(name)
+        self._distributed = import_distributed(name)
+        self._name = name
+        self._local = None
+        self._client = self._connect()
         self._client.wait_for_workers(1)
         # A task of its own, not data put on a worker: should that worker be lost, the scheduler can
         # make it again.
-        self._job = self._client.submit(
-            _same, Job.of(run, pinned=name.startswith("local:")), pure=False
-        )
-
-    def _connect(self, name: str):
-        from dask.config import set as configure
-
-        kind, _, count = name.partition(":")
-        # The profiler of a worker looks at its threads a hundred times a second; blocks take a
-        # second each. A client that fails to connect would stay the process's default, and xarray
-        # would ask it for its locks.
-        configure(
-            {
-                "distributed.scheduler.allowed-failures": LOSSES,
-                "distributed.worker.profile.enabled": False,
-            }
-        )
-        try:
-            if kind == "local":
-                workers = int(count)
-                if workers < 1:
-                    raise ValueError("no workers")
-                self._local = self._distributed.LocalCluster(
-                    n_workers=workers, threads_per_worker=1, dashboard_address=None
-                )
-                return self._distributed.Client(self._local, set_as_default=False)
-            return self._distributed.Client(name, timeout=SECONDS_TO_CONNECT, set_as_default=False)
-        except (OSError, ValueError, TimeoutError) as error:
-            problem = f"cannot be reached ({error or type(error).__name__})"
-            raise _refuse(
-                name, problem, "write local:N, or the address of a running scheduler"
-            ) from None
+        job = Job.of(run, pinned=self._is_local)
+        self._job = self._client.submit(_return, job, pure=False)
 
     def __enter__(self) -> Cluster:
         return self
@@ -108,40 +93,97 @@ class Cluster:
         pending = self._distributed.as_completed(
             loop=self._client.loop, with_results=True, raise_errors=False
         )
-        source, under_way = iter(blocks), {}
+        source = iter(blocks)
+        block_of = {}
 
         def submit(block: int) -> None:
             future = self._client.submit(compute, self._job, block, pure=False)
-            under_way[future] = block
+            block_of[future] = block
             pending.add(future)
 
         def top_up() -> None:
             # Workers come and go: how many there are is asked each time.
-            room = IN_FLIGHT * self.at_once - len(under_way)
+            room = IN_FLIGHT * self.at_once - len(block_of)
             for block in itertools.islice(source, max(room, 0)):
                 submit(block)
 
         top_up()
         for future, result in pending:
-            block = under_way.pop(future)
+            block = block_of.pop(future)
             if future.status == "finished":
                 top_up()
                 yield result
-            elif isinstance(failure := future.exception(), self._distributed.KilledWorker):
+            elif isinstance(future.exception(), self._distributed.KilledWorker):
                 submit(block)
-            elif isinstance(failure, StrangerError):
-                raise _refuse(
-                    self._name,
-                    str(failure),
-                    "install the same jaxtube and jax on all, of the same kind",
-                )
             else:
-                raise failure
+                raise self._explain(future.exception())
 
     @property
     def at_once(self) -> int:
         """Blocks that the workers there are now compute at a time."""
         return max(sum(self._client.nthreads().values()), 1)
+
+    @property
+    def _is_local(self) -> bool:
+        return self._name.partition(":")[0] == "local"
+
+    def _connect(self) -> Any:
+        from dask.config import set as configure
+
+        # The profiler of a worker looks at its threads a hundred times a second; blocks take a
+        # second each.
+        settings = {
+            "distributed.scheduler.allowed-failures": LOSSES,
+            "distributed.worker.profile.enabled": False,
+        }
+        configure(settings)
+        try:
+            address = self._start_workers() if self._is_local else self._check_scheduler()
+            # Not the process's default: xarray would ask it for its locks.
+            return self._distributed.Client(
+                address, timeout=SECONDS_TO_CONNECT, set_as_default=False
+            )
+        except (OSError, ValueError) as error:
+            problem = f"cannot be reached ({str(error) or type(error).__name__})"
+            cure = "write local:N, or the address of a running scheduler"
+            raise _refuse(self._name, problem, cure) from None
+
+    def _start_workers(self) -> Any:
+        """Start workers on this machine.
+
+        Raises: ValueError for what is no number of workers.
+        """
+        count = int(self._name.partition(":")[2])
+        if count < 1:
+            raise ValueError("no workers")
+        self._local = self._distributed.LocalCluster(
+            n_workers=count, threads_per_worker=1, dashboard_address=None
+        )
+        return self._local
+
+    def _check_scheduler(self) -> str:
+        """Ask the address whether a scheduler is there, and return it.
+
+        A client that fails to connect waits longer than it was told, and prints a traceback later.
+
+        Raises: OSError, of which TimeoutError is one; ValueError for what is no address.
+        """
+
+        async def ask() -> str:
+            async with self._distributed.rpc(self._name) as scheduler:
+                return (await scheduler.identity())["type"]
+
+        kind = asyncio.run(asyncio.wait_for(ask(), SECONDS_TO_CONNECT))
+        if kind != "Scheduler":
+            raise ValueError(f"a {kind.lower()} answers there")
+        return self._name
+
+    def _explain(self, failure: BaseException) -> BaseException:
+        """Return what to raise for a block that failed."""
+        if not isinstance(failure, StrangerError):
+            return failure
+        cure = "install the same jaxtube and jax on all, of the same kind"
+        return _refuse(self._name, str(failure), cure)
 
 
 class StrangerError(RuntimeError):
@@ -163,13 +205,8 @@ class Job:
         """Take a run apart."""
         task = dataclasses.replace(run.task, seed_key=None)
         arrays = jax.tree.map(np.asarray, task)
-        return cls(
-            arrays,
-            np.asarray(jax.random.key_data(run.task.seed_key)),
-            run.realisations,
-            _versions(),
-            pinned,
-        )
+        key_data = np.asarray(jax.random.key_data(run.task.seed_key))
+        return cls(arrays, key_data, run.realisations, _find_versions(), pinned)
 
     def on(self, device) -> Run:
         """Return the run on one device."""
@@ -180,11 +217,13 @@ class Job:
 
 def compute(job: Job, block: int) -> tuple[int, Statistics]:
     """Compute one block in a thread of a worker."""
-    [found] = _run_of_thread(threading.get_ident(), job).compute([block])
-    return found
+    run = _run_of_thread(threading.get_ident(), job)
+    [result] = run.compute([block])
+    return result
 
 
 _threads: dict[int, int] = {}
+"""Number of each thread of this worker, in the order in which they started."""
 
 
 @functools.lru_cache(maxsize=64)
@@ -194,21 +233,23 @@ def _run_of_thread(thread: int, job: Job) -> Run:
     if job.pinned:
         # The threads that JAX is about to start inherit the processor of the one that starts them.
         processors = sorted(os.sched_getaffinity(0))
-        os.sched_setaffinity(0, {processors[int(get_worker().name) % len(processors)]})
+        number = int(get_worker().name) % len(processors)
+        os.sched_setaffinity(0, {processors[number]})
     jax.config.update("jax_enable_x64", job.versions["bits"] == "64")
-    if _versions() != job.versions:
+    if _find_versions() != job.versions:
         raise StrangerError(
             f"{get_worker().address} has another version of jaxtube or jax, or other devices"
         )
     devices = jax.local_devices()
-    return job.on(devices[_threads.setdefault(thread, len(_threads)) % len(devices)])
+    number = _threads.setdefault(thread, len(_threads)) % len(devices)
+    return job.on(devices[number])
 
 
-def _same(job: Job) -> Job:
+def _return(job: Job) -> Job:
     return job
 
 
-def _versions() -> dict[str, str]:
+def _find_versions() -> dict[str, str]:
     packages = {name: version(name) or "" for name in ("jax", "jaxlib", "numpy")}
     bits = str(jax.dtypes.canonicalize_dtype(float).itemsize * 8)
     return source_hashes() | packages | {"backend": jax.default_backend(), "bits": bits}

@@ -8,18 +8,21 @@ from sets.certificate import Certificate
 
 WIDTH = 110
 INDENT = " " * 9
-SIGNS = {(True, True): "holds", (True, False): "FAILS", (False, True): "yes", (False, False): "no"}
-"""Words of a condition, by whether it is required and whether it holds."""
+REQUIRED = {True: "holds", False: "FAILS"}
+INFORMATIVE = {True: "yes", False: "no"}
+"""A condition that holds, and one that does not, in a word."""
 
 
 def condition_lines(certificate: Certificate, required: bool) -> list[str]:
     """Return the conditions of a certificate as lines: those required, or those for information."""
+    words = REQUIRED if required else INFORMATIVE
     lines = []
     for condition in certificate.checked:
-        if condition.required == required:
-            sign = SIGNS[required, condition.holds]
-            lines.append(f"  {sign:<6} {condition.name:<32} margin {condition.margin:10.3g}")
-            lines += textwrap.wrap(
-                condition.sentence, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT
-            )
+        if condition.required != required:
+            continue
+        word = words[condition.holds]
+        lines.append(f"  {word:<6} {condition.name:<32} margin {condition.margin:10.3g}")
+        lines += textwrap.wrap(
+            condition.sentence, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT
+        )
     return lines

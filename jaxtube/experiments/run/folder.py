@@ -1,11 +1,14 @@
 """The folder of a run: what was asked, what came out, and what produced it.
 
-    scenario.toml    the scenario with every key spelled out
-    manifest.json    versions, platform, hashes of scenario and sources, command line, seed, date, git commit
     metrics.json     plain numbers, units in the key; there once the run is complete
+    scenario.toml    the scenario with every key spelled out
+    manifest.json    versions, platform, hashes of scenario and sources, command line, seed, date,
+                     git commit
+    report.txt       what was printed
     NAME.png, NAME.pdf, NAME.npz
 
-Files appear complete or not at all.
+Files appear complete or not at all. Those of an earlier run are replaced, each by the new one, and
+not before: a run that fails leaves them as they are.
 """
 
 import hashlib
@@ -17,8 +20,9 @@ import os
 import platform
 import subprocess
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -29,7 +33,7 @@ import numpy as np
 from jaxtube.experiments.options import Options, command_line
 from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.scenario import Scenario, to_toml
-from jaxtube.scenario.refusal import refusal
+from jaxtube.scenario.refusal import ScenarioError, refusal
 
 PACKAGES = (
     "jaxtube",
@@ -42,32 +46,56 @@ PACKAGES = (
     "msgspec",
     "matplotlib",
 )
+COMPUTING_PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "clarabel")
+"""Those whose version may change the numbers of a run."""
+SCENARIOS = ("scenario.toml", "against.toml", "tuned.toml")
+"""Scenarios that commands write."""
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The folder of one run; its methods write files into it."""
+    """The folder of one run; its methods write files into it.
+
+    Attributes:
+        path: the folder.
+        scenario: text of scenario.toml, written with the metrics.
+        manifest: content of manifest.json, written with the metrics.
+    """
 
     path: Path
+    scenario: str = ""
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+    _printed: list[str] = field(default_factory=list)
+
+    def report(self, text: str, name: str = "report") -> None:
+        """Print a part of the report, and save all parts so far as NAME.txt."""
+        print(text)
+        self._printed.append(f"{text}\n")
+        self._write_text(f"{name}.txt", "".join(self._printed))
 
     def save_metrics(self, metrics: Mapping[str, Any]) -> None:
-        """Write metrics.json with sorted keys; numbers that are not finite become null.
+        """Write scenario.toml and manifest.json, then metrics.json with sorted keys; numbers that
+        are not finite become null.
 
         Raises: TypeError for what is no number, text, list or mapping.
         """
-        self._write_json("metrics.json", _plain(metrics))
+        plain = _make_plain(metrics)
+        if self.manifest:
+            self._write_text("scenario.toml", self.scenario)
+            self._write_json("manifest.json", self.manifest)
+        self._write_json("metrics.json", plain)
 
     def save_figure(self, figure: Any, name: str) -> None:
-        """Write a matplotlib figure as NAME.png and NAME.pdf; the same figure gives the same bytes."""
-        self._write(f"{name}.png", lambda file: figure.savefig(file, format="png", dpi=200))
+        """Write a matplotlib figure as NAME.png and NAME.pdf; equal figures give equal bytes."""
         undated = {"CreationDate": None}
+        self._write(f"{name}.png", lambda file: figure.savefig(file, format="png", dpi=200))
         self._write(
             f"{name}.pdf", lambda file: figure.savefig(file, format="pdf", metadata=undated)
         )
 
     def save_json(self, name: str, content: Mapping[str, Any]) -> None:
         """Write NAME.json like metrics.json."""
-        self._write_json(f"{name}.json", _plain(content))
+        self._write_json(f"{name}.json", _make_plain(content))
 
     def save_arrays(self, name: str, **arrays: Any) -> None:
         """Write arrays as NAME.npz."""
@@ -78,53 +106,90 @@ class RunFolder:
 
     def _write_json(self, name: str, content: Any) -> None:
         text = json.dumps(content, indent=2, sort_keys=True, allow_nan=False, ensure_ascii=False)
-        self._write(name, lambda file: file.write(f"{text}\n".encode()))
+        self._write_text(name, f"{text}\n")
+
+    def _write_text(self, name: str, text: str) -> None:
+        self._write(name, lambda file: file.write(text.encode()))
 
     def _write(self, name: str, write: Callable[[BinaryIO], Any]) -> None:
         write_atomically(self.path / name, write)
 
 
-def create(scenario: Scenario, options: Options) -> RunFolder:
-    """Make the folder of a run with scenario.toml and manifest.json, and without the metrics of an
-    earlier run.
+def create(scenario: Scenario, options: Options, printed: str = "") -> RunFolder:
+    """Make the folder of a run, in which nothing is written yet.
 
-    Raises: ScenarioError when the folder cannot be made or written to.
+    Args:
+        scenario: of the run.
+        options: of the command, which name the folder.
+        printed: first part of the report, printed already.
+
+    Raises: ScenarioError when the folder cannot be made or written to, and when the run would
+        overwrite a scenario that no run has written.
     """
-    folder, text = RunFolder(options.folder), to_toml(scenario)
+    text = to_toml(scenario)
+    folder = options.folder
     try:
-        folder.path.mkdir(parents=True, exist_ok=True)
-        (folder.path / "metrics.json").unlink(missing_ok=True)
-        folder._write("scenario.toml", lambda file: file.write(text.encode()))
-        folder._write_json("manifest.json", _manifest(text, options))
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+        _refuse_to_overwrite(text, options)
     except OSError as error:
-        problem = f"cannot be written to ({error.strerror})"
-        raise refusal(
-            "command line", "--out", str(folder.path), problem, "name a folder you may write to"
-        ) from None
-    return folder
+        raise unwritable(folder, error) from None
+    report = [f"{printed}\n"] if printed else []
+    return RunFolder(folder, text, _describe(text, options), report)
+
+
+def unwritable(folder: Path, error: OSError) -> ScenarioError:
+    """Return the one line that refuses a folder that cannot be written to."""
+    problem = f"cannot be written to ({error.strerror})"
+    return refusal("command line", "--out", str(folder), problem, "name a folder you may write to")
+
+
+def _refuse_to_overwrite(text: str, options: Options) -> None:
+    """Refuse a folder where a file would be lost that users may have written."""
+    folder = options.folder
+    for path in options.scenario_files:
+        in_folder = path.resolve().parent == folder.resolve() and path.name in SCENARIOS
+        if in_folder and path.read_text() != text:
+            problem = f"the run would overwrite {path}, which it reads"
+            raise refusal("command line", "--out", str(folder), problem, "name another folder")
+    path = folder / "scenario.toml"
+    if path.exists() and path.read_bytes() != text.encode() and not _is_of_a_run(path):
+        problem = f"the run would overwrite {path}, which no run has written"
+        raise refusal("command line", "--out", str(folder), problem, "name another folder")
+
+
+def _is_of_a_run(path: Path) -> bool:
+    """Tell whether the manifest beside a scenario.toml is that of the run that wrote it."""
+    try:
+        manifest = json.loads((path.parent / "manifest.json").read_bytes())
+        return manifest["scenario_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
+    except (OSError, ValueError, LookupError, TypeError):
+        return False
 
 
 def identity(scenario: Scenario, options: Options, names: Iterable[str]) -> dict[str, Any]:
     """Return all that determines the numbers of a run: scenario, seed, the named options, code,
     packages, device."""
-    jax, file = sys.modules["jax"], scenario.reference.file
+    import jax
+
+    file = scenario.reference.file
+    digest = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
     return {
         "scenario": msgspec.to_builtins(scenario),
-        "reference_file_sha256": hashlib.sha256(Path(file).read_bytes()).hexdigest()
-        if file
-        else "",
+        "reference_file_sha256": digest,
         "seed": options.seed,
         **{name: getattr(options, name) for name in names},
         "source_sha256": source_hashes(),
-        "packages": {
-            name: version(name) for name in ("jax", "jaxlib", "numpy", "scipy", "clarabel")
-        },
+        "packages": {name: version(name) for name in COMPUTING_PACKAGES},
         "backend": jax.default_backend(),
         "bits": jax.dtypes.canonicalize_dtype(float).itemsize * 8,
     }
 
 
-def _manifest(scenario_text: str, options: Options) -> dict[str, Any]:
+def _describe(scenario_text: str, options: Options) -> dict[str, Any]:
+    """Return the manifest of a run that starts now."""
+    jax = sys.modules.get("jax")
     return {
         "command_line": command_line(options),
         "seed": options.seed,
@@ -136,12 +201,10 @@ def _manifest(scenario_text: str, options: Options) -> dict[str, Any]:
             "machine": platform.machine(),
             "cpus": os.cpu_count(),
         },
-        "devices": [str(device) for device in sys.modules["jax"].devices()]
-        if "jax" in sys.modules
-        else [],
+        "devices": [str(device) for device in jax.devices()] if jax else [],
         "scenario_sha256": hashlib.sha256(scenario_text.encode()).hexdigest(),
         "source_sha256": source_hashes(),
-        "git_commit": _git_commit(),
+        "git_commit": _find_commit(),
     }
 
 
@@ -172,40 +235,32 @@ def _source_hash(folder: Path) -> str:
     return digest.hexdigest()
 
 
-def _git_commit() -> str | None:
+def _find_commit() -> str | None:
     """Name the commit of a source checkout, with "-dirty" when files differ from it; None for an
     installed package."""
     root = _package_folder("jaxtube").parent
     if not (root / ".git").exists():
         return None
-    describe = [
-        "git",
-        "-C",
-        str(root),
-        "describe",
-        "--always",
-        "--dirty",
-        "--abbrev=40",
-        "--exclude=*",
-    ]
+    describe = ["describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    command = ["git", "-C", str(root), *describe]
     try:
-        return subprocess.run(describe, capture_output=True, text=True, check=True).stdout.strip()
+        return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
     except (OSError, subprocess.CalledProcessError):
         return None
 
 
-def _plain(value: Any) -> Any:
+def _make_plain(value: Any) -> Any:
     """Reduce a value to what JSON holds."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(entry) for key, entry in value.items()}
+        return {str(key): _make_plain(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(entry) for entry in value]
+        return [_make_plain(entry) for entry in value]
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, str | int):
         return value
     if hasattr(value, "tolist"):
-        return _plain(value.tolist())
+        return _make_plain(value.tolist())
     raise TypeError(
         f"metric {value!r}: neither number, text, list nor mapping; convert it before it is saved"
     )

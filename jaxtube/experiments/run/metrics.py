@@ -1,4 +1,5 @@
-"""The numbers of a run: what `metrics.json` holds, plain and with units in the keys."""
+"""The numbers of a design and of its laps: what `metrics.json` holds, plain and with units in the
+keys."""
 
 from __future__ import annotations
 
@@ -19,43 +20,49 @@ COORDINATES = KEYS
 
 def design_metrics(design: Design) -> dict:
     """Return the numbers of the sets, gains and certificate."""
-    problem, terminal = design.problem, design.terminal
-    maximal, invariant = terminal.maximal.polytope, terminal.invariant
+    problem = design.problem
+    terminal = design.terminal
+    maximal = terminal.maximal.polytope
+    invariant = terminal.invariant
     deficits = wheel_rows(problem.robot.track_width)
-    return {
+    least_input = -problem.input_set.support(-deficits)
+    largest_input = problem.input_set.support(deficits)
+    volumes = {name: sections[-1].polytope().volume() for name, sections in design.tubes.items()}
+    numbers = {
         "lqr_gain": design.lqr_gain,
         "tube_half_widths": {name: tube_half_widths(design, name) for name in design.tubes},
-        "tube_volume": {
-            name: sections[-1].polytope().volume() for name, sections in design.tubes.items()
-        },
+        "tube_volume": volumes,
         "input_support": {name: tube_input_support(design, name) for name in design.tubes},
-        "input_set_p_q": np.stack(
-            [-problem.input_set.support(-deficits), problem.input_set.support(deficits)], 1
-        ),
+        "input_set_p_q": np.stack([least_input, largest_input], 1),
         "lmi_cost": design.cost.cost,
         "lmi_objective_value": design.cost.value,
-        "terminal_gains": design.terminal.gains.vertices,
+        "terminal_gains": terminal.gains.vertices,
         "terminal_half_widths": None if maximal is None else _half_widths(maximal),
         "terminal_facets": None if invariant is None else len(invariant.offsets),
         "terminal_facets_maximal": None if maximal is None else len(maximal.offsets),
-        "terminal_volume_share": design.terminal.volume_share,
+        "terminal_volume_share": terminal.volume_share,
         "terminal_constraint_facets": len(terminal.constraint_normals),
         "terminal_fallback": bool(terminal.fallback),
-        "certificate": {
-            name: {
-                "holds": c.holds,
-                "margin": c.margin,
-                "required": c.required,
-                "scope": c.scope,
-                "sentence": c.sentence,
-            }
-            for name, c in design.certificate.conditions.items()
-        },
+        "certificate": _conditions(design),
         "certified": design.certificate.holds_for_robot,
         "certified_for_model": design.certificate.holds_for_model,
         "assumptions": list(design.certificate.assumptions),
-        **({} if problem.disturbance_bound is None else _computed(design)),
         "design_seconds": design.seconds,
+    }
+    return numbers if problem.disturbance_bound is None else numbers | _computed(design)
+
+
+def _conditions(design: Design) -> dict:
+    """Return every condition of the certificate as plain values."""
+    return {
+        name: {
+            "holds": condition.holds,
+            "margin": condition.margin,
+            "required": condition.required,
+            "scope": condition.scope,
+            "sentence": condition.sentence,
+        }
+        for name, condition in design.certificate.conditions.items()
     }
 
 
@@ -64,16 +71,15 @@ def _computed(design: Design) -> dict:
     widest."""
     bound = design.problem.disturbance_bound
     assert bound is not None
+    slowest, fastest = bound.ground_speeds
+    box_shares = bound.found_box / np.maximum(bound.box, 1e-300)
     return {
         "disturbance_bound": {
             "yaw_deg": np.rad2deg(bound.yaw),
             "lateral_per_yaw_m_per_rad": bound.lateral_per_yaw,
-            **dict(zip(COORDINATES, bound.box * TO_DISPLAY, strict=True)),
-            "found_share": [
-                bound.found_yaw / bound.yaw,
-                *(bound.found_box / np.maximum(bound.box, 1e-300)),
-            ],
-            "ground_speed_range_mps": [bound.ground_speeds[0].min(), bound.ground_speeds[1].max()],
+            **by_coordinate(bound.box * TO_DISPLAY),
+            "found_share": [bound.found_yaw / bound.yaw, *box_shares],
+            "ground_speed_range_mps": [slowest.min(), fastest.max()],
         },
         "cap_shares": cap_shares(design.problem, design.terminal.gains),
         "ultimate_bound": _ultimate(design),
@@ -86,12 +92,19 @@ def _ultimate(design: Design) -> dict | None:
         widths = ultimate_bound(design.problem, design.terminal.gains)
     except ValueError:
         return None
-    return dict(zip(COORDINATES, widths * TO_DISPLAY, strict=True))
+    return by_coordinate(widths * TO_DISPLAY)
+
+
+def by_coordinate(values: Float[np.ndarray, "3"]) -> dict[str, float]:
+    """Return one number of each coordinate by its key."""
+    return dict(zip(COORDINATES, values, strict=True))
 
 
 def _half_widths(polytope: Polytope) -> Float[np.ndarray, "3"]:
     """Return the half widths (m, m, deg) of the smallest symmetric box that holds a set."""
-    return np.maximum(polytope.support(np.eye(3)), polytope.support(-np.eye(3))) * TO_DISPLAY
+    above = polytope.support(np.eye(3))
+    below = polytope.support(-np.eye(3))
+    return np.maximum(above, below) * TO_DISPLAY
 
 
 def tube_half_widths(design: Design, name: str) -> Float[np.ndarray, "horizon+1 3"]:
@@ -115,28 +128,28 @@ def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
     limits = problem.error_set.offsets[:3]
     errors = np.abs(trajectory.errors)
     # Counted as "not inside", so that NaN is a violation.
-    by_coordinate = ~np.all(errors <= limits, axis=0)
-    outside = by_coordinate.any(axis=1)
+    left = ~np.all(errors <= limits, axis=0)
+    outside = left.any(axis=1)
     settled = min(settled_step(problem.reference), len(errors) - 1)
+    late = errors[settled:]
     status = trajectory.diagnostics.status
+    saturated = np.any(trajectory.demanded != trajectory.wheels, axis=2)
     return {
         "realisations": errors.shape[1],
         "violation_share": float(outside.mean()),
         "violating_realisations": int(outside.sum()),
-        "violation_share_by_coordinate": dict(
-            zip(COORDINATES, by_coordinate.mean(axis=0).tolist(), strict=True)
-        ),
+        "violation_share_by_coordinate": by_coordinate(left.mean(axis=0).tolist()),
         "max_error": {
             "whole_run": _spread(errors.max(axis=0)),
-            "after_10_s": _spread(errors[settled:].max(axis=0)),
+            "after_10_s": _spread(late.max(axis=0)),
         },
         "rms_error": {
             "whole_run": _spread(np.sqrt((errors**2).mean(axis=0))),
-            "after_10_s": _spread(np.sqrt((errors[settled:] ** 2).mean(axis=0))),
+            "after_10_s": _spread(np.sqrt((late**2).mean(axis=0))),
         },
         "wheel_speed_max_mps": float(np.max(np.abs(trajectory.wheels))),
         "wheel_speed_mean_mps": float(np.mean(trajectory.wheels)),
-        "saturated_share": float(np.mean(np.any(trajectory.demanded != trajectory.wheels, axis=2))),
+        "saturated_share": float(np.mean(saturated)),
         "qp_status": {
             "solved": int(np.sum(status == qp.SOLVED)),
             "infeasible": int(np.sum(status == qp.INFEASIBLE)),
@@ -156,32 +169,29 @@ def _spread(values: Float[np.ndarray, "runs 3"]) -> dict:
         "p95": np.quantile(shown, 0.95, axis=0),
         "worst": shown.max(0),
     }
-    return {
-        name: dict(zip(COORDINATES, found.tolist(), strict=True))
-        for name, found in statistics.items()
-    }
+    return {name: by_coordinate(values.tolist()) for name, values in statistics.items()}
 
 
 def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs 3"]) -> dict:
-    """Return how often and how far w(k) leaves W: per coordinate (W's half widths) and altogether."""
+    """Return how often and how far w(k) leaves W: by coordinate (its half widths) and in all."""
     W = design.problem.disturbance_set
     widths = W.support(np.eye(3))
-    outside, left = ~(np.abs(residuals) <= widths), ~(W.margin(residuals) >= 0)
+    sizes = np.abs(residuals)
+    margins = W.margin(residuals)
+    # Counted as "not inside", so that NaN is outside.
+    beyond_widths = ~(sizes <= widths)
+    outside = ~(margins >= 0)
     return {
-        "steps": int(left.size),
-        "share_of_steps_outside": float(left.mean()),
-        "share_of_steps_outside_by_coordinate": dict(
-            zip(COORDINATES, outside.mean(axis=(0, 1)).tolist(), strict=True)
+        "steps": int(outside.size),
+        "share_of_steps_outside": float(outside.mean()),
+        "share_of_steps_outside_by_coordinate": by_coordinate(
+            beyond_widths.mean(axis=(0, 1)).tolist()
         ),
-        "largest": dict(
-            zip(
-                COORDINATES, (np.abs(residuals).max(axis=(0, 1)) * TO_DISPLAY).tolist(), strict=True
-            )
-        ),
-        "allowed": dict(zip(COORDINATES, (widths * TO_DISPLAY).tolist(), strict=True)),
-        "runs_with_every_w_inside": int(np.sum(~left.any(axis=0))),
-        "margin": float(np.min(W.margin(residuals))),
-        "every_w_inside": not left.any(),
+        "largest": by_coordinate((sizes.max(axis=(0, 1)) * TO_DISPLAY).tolist()),
+        "allowed": by_coordinate((widths * TO_DISPLAY).tolist()),
+        "runs_with_every_w_inside": int(np.sum(~outside.any(axis=0))),
+        "margin": float(np.min(margins)),
+        "every_w_inside": not outside.any(),
     }
 
 
@@ -189,11 +199,12 @@ def deviation_metrics(design: Design, deviations: Float[np.ndarray, "horizon sam
     """Return how many deviations from plans left the tube in use, and the smallest facet margin,
     stage by stage."""
     margins = tube_margins(design, deviations)
+    outside = ~(margins >= 0)
     return {
         "plans": margins.shape[1],
         "samples": margins.size,
-        "share_outside": float(np.mean(~(margins >= 0))),
-        "share_outside_by_stage": np.mean(~(margins >= 0), axis=1),
+        "share_outside": float(np.mean(outside)),
+        "share_outside_by_stage": np.mean(outside, axis=1),
         "margin_by_stage": margins.min(axis=1),
     }
 
@@ -204,9 +215,8 @@ def tube_margins(
     """Return the facet margin of every deviation in its section R_j, j = 1..N (`sequence`: the
     widest one's)."""
     sections = design.tube[1:]
-    return np.stack(
-        [
-            section.polytope().margin(points)
-            for section, points in zip(sections, deviations, strict=True)
-        ]
-    )
+    margins = [
+        section.polytope().margin(points)
+        for section, points in zip(sections, deviations, strict=True)
+    ]
+    return np.stack(margins)

@@ -1,11 +1,47 @@
 """Progress of anything that takes more than moments: a bar in a terminal, a plain line now and then
-elsewhere."""
+elsewhere.
+
+The first units take the time of compilation as well: until they are done "compiling" is shown, and
+the time left is estimated from there on.
+"""
 
 import sys
+import time
+from collections.abc import MutableMapping
+from typing import Any
 
 from tqdm import tqdm
 
 SECONDS_BETWEEN_LINES = 15.0
+SECONDS_BETWEEN_DRAWINGS = 0.2
+LINE = "{desc}: {n_fmt} of {total_fmt}{unit}, {rate_fmt}, {elapsed} gone, {remaining} left{postfix}"
+
+
+class Progress(tqdm):
+    """A bar whose clock starts with its first units."""
+
+    starting: str
+    """What is shown until then, such as "compiling"; empty once they are done."""
+
+    @property
+    def format_dict(self) -> MutableMapping[str, Any]:
+        """What the bar shows; nothing of speed and time before the first units."""
+        shown = super().format_dict
+        if getattr(self, "starting", ""):
+            shown["bar_format"] = f"{{desc}}: {self.starting}"
+        return shown
+
+    def update(self, n: float | None = 1) -> bool | None:
+        """Count units; the first ones start the clock."""
+        if not self.starting:
+            return super().update(n)
+        self.starting = ""
+        self.n += n or 0
+        self.initial = self.n
+        self.last_print_n = self.n
+        self.start_t = time.time()  # tqdm's own clock
+        self.last_print_t = self.start_t
+        return self.refresh()
 
 
 class _Lines:
@@ -19,17 +55,25 @@ class _Lines:
         sys.stderr.flush()
 
 
-def progress(total: int, title: str, unit: str, done: int = 0) -> tqdm:
-    """Return a tqdm bar on the standard error that counts `total` units, `done` of which an earlier
-    run did."""
+def progress(
+    total: int, title: str, unit: str, done: int = 0, starting: str = "compiling"
+) -> Progress:
+    """Return a bar on the standard error.
+
+    Args:
+        total: units in all.
+        title: of the work, a participle.
+        unit: plural.
+        done: units that an earlier run did.
+        starting: what is shown until the first units are done.
+    """
+    settings = {"total": total, "initial": done, "desc": title, "unit": f" {unit}", "delay": 1e-9}
     if sys.stderr.isatty():
-        return tqdm(total=total, initial=done, desc=title, unit=f" {unit}", mininterval=0.2)
-    line = f"{title}: {{n_fmt}} of {{total_fmt}} {unit}, {{rate_fmt}}, {{elapsed}} gone, {{remaining}} left{{postfix}}"
-    return tqdm(
-        total=total,
-        initial=done,
-        unit=f" {unit}",
-        mininterval=SECONDS_BETWEEN_LINES,
-        bar_format=line,
-        file=_Lines(),
-    )
+        bar = Progress(**settings, mininterval=SECONDS_BETWEEN_DRAWINGS)
+    else:
+        bar = Progress(
+            **settings, mininterval=SECONDS_BETWEEN_LINES, bar_format=LINE, file=_Lines()
+        )
+    bar.starting = starting
+    bar.refresh()
+    return bar

@@ -14,7 +14,9 @@ from typing import Any
 
 import numpy as np
 
-SHOWN_KEYS, SHOWN_CHARACTERS = 3, 24
+SHOWN_KEYS = 3
+SHOWN_CHARACTERS = 24
+"""Of a difference between two runs, in a message."""
 
 Statistics = dict[str, np.ndarray]
 
@@ -28,7 +30,8 @@ def encode(header: Mapping[str, Any], statistics: Mapping[str, Any]) -> bytes:
 
     Raises: ValueError for statistics that are neither integers nor floats.
     """
-    payload, arrays = io.BytesIO(), dict[str, Any](plain(statistics))
+    payload = io.BytesIO()
+    arrays: dict[str, Any] = plain(statistics)
     np.savez_compressed(payload, **arrays)
     content = json.dumps(header, sort_keys=True).encode() + b"\n" + payload.getvalue()
     return _seal(content) + content
@@ -64,15 +67,16 @@ def plain(statistics: Mapping[str, Any]) -> Statistics:
 def differences(there: Any, here: Any) -> str:
     """Name the first dotted keys in which two JSON values differ, with both values; empty when they
     are equal."""
-    there, here = dict(_leaves(there)), dict(_leaves(here))
-    keys = [key for key in here | there if here.get(key) != there.get(key)]
+    first = dict(_leaves(there))
+    second = dict(_leaves(here))
+    keys = [key for key in second | first if second.get(key) != first.get(key)]
     shown = [
-        f"{key} = {_short(there.get(key))} there, {_short(here.get(key))} here"
+        f"{key} = {_shorten(first.get(key))} there, {_shorten(second.get(key))} here"
         for key in keys[:SHOWN_KEYS]
     ]
-    return "; ".join(shown) + (
-        f"; and {len(keys) - SHOWN_KEYS} more" if len(keys) > SHOWN_KEYS else ""
-    )
+    if len(keys) > SHOWN_KEYS:
+        shown.append(f"and {len(keys) - SHOWN_KEYS} more")
+    return "; ".join(shown)
 
 
 def _seal(content: bytes) -> bytes:
@@ -89,6 +93,7 @@ def _leaves(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
         yield from _leaves(entry, f"{key}.{name}" if key else str(name))
 
 
-def _short(text: str | None) -> str:
-    text = "absent" if text is None else text
+def _shorten(text: str | None) -> str:
+    if text is None:
+        return "absent"
     return text if len(text) <= SHOWN_CHARACTERS else text[: SHOWN_CHARACTERS - 3] + "..."

@@ -2,9 +2,9 @@
 killed.
 
 Block i holds the realisations i b .. (i+1) b - 1 of a run, b to the block; the last block may be
-partial. Its statistics are one file, written atomically, and 64 aligned files of full blocks become
-one: of n blocks, about 64 log_64 n files are left. The statistics of n realisations are a fold over
-a tree that n and b alone determine,
+partial. Its statistics are one entry of a store, and 64 aligned entries of full blocks become one:
+of n blocks, about 64 log_64 n files are left. The statistics of n realisations are a fold over a
+tree that n and b alone determine,
 
     S[a, a + 64 s) = (..(S[a, a + s) + S[a + s, a + 2 s)) + ..) + S[a + 63 s, a + 64 s),
 
@@ -12,46 +12,26 @@ with + the run's own merge, so even sums of floats are the same bits for every o
 any interruption.
 
     blocks-FIRST-LAST.record     the statistics of a range of blocks
-    lock                         held while the records are open
 """
 
-import contextlib
-import fcntl
+from __future__ import annotations
+
 import functools
-import json
-import os
 import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any, Self
 
-from jaxtube.experiments.run.atomic import write_atomically
-from jaxtube.experiments.run.record_file import (
-    DamagedError,
-    Statistics,
-    decode,
-    differences,
-    encode,
-    plain,
-)
+from jaxtube.experiments.run.record_file import DamagedError, Statistics, plain
+from jaxtube.experiments.run.store import SUFFIX, Entry, Store
 from jaxtube.scenario.refusal import refusal
 
-FORMAT = 1
-SIZES = tuple(64**level for level in range(6))  # blocks in one file
-
-
-class RecordsError(ValueError):
-    """The disk failed; the message is one line with what happened, what is safe, and how to go on."""
+SIZES = tuple(64**level for level in range(6))
+"""Blocks in one entry."""
 
 
 class Records:
-    """The records in one folder, which belongs to this object until it is closed.
-
-    damaged: a line for each damaged file met at opening; those files are gone and their blocks are
-    missing again.
-    """
-
-    damaged: list[str]
+    """The records in one folder, which belongs to this object until it is closed."""
 
     def __init__(
         self,
@@ -74,18 +54,15 @@ class Records:
         Raises:
             ScenarioError: the folder cannot be written to, is open in another process, or holds
                 records with another identity; in this last case no record was touched.
-            RecordsError: the disk failed later.
+            StoreError: the disk failed later.
         """
-        self.damaged = []
-        self._folder, self._merge, self._block_size = folder, merge, block_size
-        self._identity = json.loads(
-            json.dumps({"record_format": FORMAT, "block_size": block_size, **identity})
-        )
+        self._merge = merge
+        self._block_size = block_size
         self._laps: dict[range, int] = {}
-        self._lock = self._locked()
+        self._store = Store(folder, {"block_size": block_size, **identity})
         try:
-            with self._explained("opening the records"):
-                self._clear(self._scan())
+            with self._store.explain_failure("opening the records", self._safe):
+                self._store.remove(self._scan())
                 for blocks in sorted(self._laps, key=len):
                     self._compact(blocks)
         except BaseException:
@@ -100,7 +77,13 @@ class Records:
 
     def close(self) -> None:
         """Leave the folder to others."""
-        self._lock.close()
+        self._store.close()
+
+    @property
+    def damaged(self) -> list[str]:
+        """A line for each damaged file met at opening: those files are gone, their blocks are
+        missing again."""
+        return self._store.damaged
 
     @property
     def laps(self) -> int:
@@ -114,12 +97,13 @@ class Records:
 
         Raises: ScenarioError when more realisations are recorded than asked for.
         """
-        recorded = max(
-            (blocks.start * self._block_size + laps for blocks, laps in self._laps.items()),
-            default=0,
-        )
+        ends = [blocks.start * self._block_size + laps for blocks, laps in self._laps.items()]
+        recorded = max(ends, default=0)
         if recorded > realisations:
-            problem = f"{self._folder} goes up to {recorded}, and the statistics of fewer cannot be cut out of it"
+            problem = (
+                f"{self._store.folder} goes up to {recorded}, and the statistics of fewer cannot "
+                "be cut out of it"
+            )
             cure = f"ask for at least {recorded}, or name another --out"
             raise refusal("command line", "--realisations", realisations, problem, cure)
         return self._missing(realisations)
@@ -131,7 +115,7 @@ class Records:
             laps: realisations counted in it; fewer than block_size in a partial block only.
             statistics: arrays of integers or floats.
 
-        Raises: RecordsError when the disk failed; ValueError for a block that is not missing and
+        Raises: StoreError when the disk failed; ValueError for a block that is not missing and
         for other arrays.
         """
         if block < 0 or not 0 < laps <= self._block_size:
@@ -143,7 +127,7 @@ class Records:
                 f"block {block}, laps = {laps}: as many are recorded; add what is missing"
             )
         blocks = range(block, block + 1)
-        with self._explained(f"recording block {block}"):
+        with self._store.explain_failure(f"recording block {block}", self._safe):
             self._write(blocks, int(laps), statistics)
             self._laps[blocks] = int(laps)
             self._compact(blocks)
@@ -154,18 +138,22 @@ class Records:
         Once nothing is missing they are the same bytes for every order of arrival and any
         interruption.
 
-        Raises: RecordsError for a file that was damaged since the opening.
+        Raises: StoreError for a file that was damaged since the opening.
         """
-        with self._explained("reading the records"):
+        with self._store.explain_failure("reading the records", self._safe):
             return self._fold(sorted(self._laps, key=lambda blocks: blocks.start))
 
-    # -------------------------------------------------------------------------------------------------
+    def _safe(self) -> str:
+        return f"the {self.laps} laps recorded there are safe"
+
+    # ----------------------------------------------------------------------------------------------
     # what is there
 
     def _missing(self, realisations: int) -> Iterator[int]:
-        block, b = 0, self._block_size
-        while block * b < realisations:
-            if self._recorded(block) < min(b, realisations - block * b):
+        block = 0
+        size = self._block_size
+        while block * size < realisations:
+            if self._recorded(block) < min(size, realisations - block * size):
                 yield block
             blocks = self._range_of(block)
             block = blocks.stop if blocks else block + 1
@@ -176,39 +164,36 @@ class Records:
 
     def _range_of(self, block: int) -> range | None:
         """Return the range whose record holds a block."""
-        return next(
-            (blocks for size in SIZES if (blocks := _aligned(block, size)) in self._laps), None
-        )
+        ranges = (_aligned(block, size) for size in SIZES)
+        return next((blocks for blocks in ranges if blocks in self._laps), None)
 
     def _scan(self) -> list[Path]:
-        """Find the records that count, changing nothing, and return the files that are of no use."""
-        ranges = {path: _blocks(path.name) for path in sorted(self._folder.glob("blocks-*.record"))}
-        useless = list(self._folder.glob(".blocks-*"))
+        """Find the records that count, changing nothing; return the files that are of no use."""
+        ranges = {path: _blocks(path.name) for path in self._store.paths()}
+        useless = self._store.leftovers()
         for path, blocks in sorted(ranges.items(), key=lambda item: -len(item[1])):
             # A process killed between a merge and its clearing up leaves parts of a larger range.
             if not blocks or self._range_of(blocks.start) or not self._count(blocks):
                 useless.append(path)
-        self.damaged += [
-            f"{path}: is no record; it is removed" for path, blocks in ranges.items() if not blocks
-        ]
+        for path, blocks in ranges.items():
+            if not blocks:
+                self.damaged.append(f"{path}: is no record; it is removed")
         return useless
 
     def _count(self, blocks: range) -> bool:
         """Take a record into account unless it is damaged."""
         try:
-            self._laps[blocks] = self._read(blocks)[0]
+            self._laps[blocks] = self._read(blocks).header["laps"]
         except DamagedError:
-            path, named = self._path(blocks), f"blocks {blocks[0]} to {blocks[-1]}"
+            path = self._path(blocks)
             self.damaged.append(
-                f"{path}: is damaged; it is removed, and {named} are computed again"
+                f"{path}: is damaged; it is removed, and blocks {blocks[0]} to {blocks[-1]} are "
+                "computed again"
             )
-        return blocks in self._laps
+            return False
+        return True
 
-    def _clear(self, useless: list[Path]) -> None:
-        for path in useless:
-            path.unlink()
-
-    # ----------------------------------------------------------------------------------------------------
+    # ----------------------------------------------------------------------------------------------
     # compaction
 
     def _compact(self, blocks: range) -> None:
@@ -224,11 +209,11 @@ class Records:
         self._write(whole, laps, self._fold(parts))
         # With the power a rename may be lost; the parts may go only when the whole is on the disk
         # for good.
-        _synchronise(self._folder)
-        self._laps = {kept: count for kept, count in self._laps.items() if kept not in parts} | {
-            whole: laps
-        }
-        self._clear([self._path(part) for part in parts])
+        self._store.synchronise()
+        for part in parts:
+            del self._laps[part]
+        self._laps[whole] = laps
+        self._store.remove(map(self._path, parts))
         self._compact(whole)
 
     def _fold(self, ranges: list[range]) -> Statistics:
@@ -238,73 +223,23 @@ class Records:
 
     def _load(self, blocks: range) -> Statistics:
         try:
-            return self._read(blocks)[1]
+            return self._read(blocks).arrays
         except DamagedError:
             del self._laps[blocks]
-            raise self._error(f"{_name(blocks)} was damaged meanwhile") from None
+            problem = f"{_name(blocks)} was damaged meanwhile"
+            raise self._store.fail(problem, self._safe()) from None
 
-    # ---------------------------------------------------------------------------------------------------------
-    # files
+    # ----------------------------------------------------------------------------------------------
+    # entries
 
     def _path(self, blocks: range) -> Path:
-        return self._folder / _name(blocks)
+        return self._store.folder / _name(blocks)
 
     def _write(self, blocks: range, laps: int, statistics: Mapping[str, Any]) -> None:
-        header = {"first": blocks[0], "last": blocks[-1], "laps": laps, "identity": self._identity}
-        record = encode(header, statistics)
-        write_atomically(self._path(blocks), lambda file: file.write(record))
+        self._store.write(_stem(blocks), {"laps": laps}, statistics)
 
-    def _read(self, blocks: range) -> tuple[int, Statistics]:
-        """Return the laps and the statistics of a record.
-
-        Raises: DamagedError; ScenarioError when its identity is another.
-        """
-        header, statistics = decode(self._path(blocks).read_bytes())
-        if found := differences(header["identity"], self._identity):
-            problem, cure = (
-                f"{self._folder} holds another run: {found}",
-                "name another --out, or delete that folder",
-            )
-            raise refusal("command line", "--out", str(self._folder.parent), problem, cure)
-        if range(header["first"], header["last"] + 1) != blocks:
-            raise DamagedError
-        return header["laps"], statistics
-
-    def _locked(self) -> BinaryIO:
-        """Make the folder and take its lock, which the system gives back when the process ends,
-        killed or not."""
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            with contextlib.ExitStack() as unless_taken:
-                lock = unless_taken.enter_context((self._folder / "lock").open("ab"))
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                unless_taken.pop_all()
-                return lock
-        except BlockingIOError:
-            problem, cure = (
-                "another process is writing there",
-                "wait for it, stop it, or name another --out",
-            )
-        except OSError as error:
-            problem, cure = (
-                f"cannot be written to ({error.strerror})",
-                "name a folder you may write to",
-            )
-        raise refusal("command line", "--out", str(self._folder.parent), problem, cure)
-
-    @contextlib.contextmanager
-    def _explained(self, action: str) -> Iterator[None]:
-        """Turn an error of the disk into one line."""
-        try:
-            yield
-        except OSError as error:
-            raise self._error(f"{action} failed ({error.strerror or error})") from error
-
-    def _error(self, problem: str) -> RecordsError:
-        safe = f"the {self.laps} laps recorded there are safe"
-        return RecordsError(
-            f"{self._folder}: {problem}; {safe}; run the same command again to continue"
-        )
+    def _read(self, blocks: range) -> Entry:
+        return self._store.read(_stem(blocks))
 
 
 def _aligned(block: int, size: int) -> range:
@@ -312,25 +247,19 @@ def _aligned(block: int, size: int) -> range:
     return range(first, first + size)
 
 
+def _stem(blocks: range) -> str:
+    return f"blocks-{blocks[0]:010d}-{blocks[-1]:010d}"
+
+
 def _name(blocks: range) -> str:
-    return f"blocks-{blocks[0]:010d}-{blocks[-1]:010d}.record"
+    return f"{_stem(blocks)}{SUFFIX}"
 
 
 def _blocks(name: str) -> range:
     """Return the range a file's name tells; empty for a name that no record has."""
     match = re.fullmatch(r"blocks-([0-9]{10,18})-([0-9]{10,18})\.record", name)
-    blocks = range(int(match[1]), int(match[2]) + 1) if match else range(0)
-    known = (
-        len(blocks) in SIZES
-        and blocks == _aligned(blocks.start, len(blocks))
-        and _name(blocks) == name
-    )
-    return blocks if known else range(0)
-
-
-def _synchronise(folder: Path) -> None:
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+    if not match:
+        return range(0)
+    blocks = range(int(match[1]), int(match[2]) + 1)
+    is_aligned = len(blocks) in SIZES and blocks == _aligned(blocks.start, len(blocks))
+    return blocks if is_aligned and _name(blocks) == name else range(0)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from jaxtube.experiments.options import Tune
+from jaxtube.experiments.options import TuneOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.experiments.run.folder import RunFolder
@@ -32,7 +32,7 @@ BROKEN_OFF = 2
 SETTINGS = ("variables", "method", "evaluations", "laps", "held_out", "learning_rate", "patience")
 
 
-def run(scenario: Scenario, options: Tune) -> int:
+def run(scenario: Scenario, options: TuneOptions) -> int:
     """Run the command; returns 3 where no iterate is certified, 2 where the descent broke off."""
     tuner = make_tuner(
         scenario,
@@ -69,7 +69,7 @@ def run(scenario: Scenario, options: Tune) -> int:
     return 0
 
 
-def make_settings(options: Tune) -> Settings:
+def make_settings(options: TuneOptions) -> Settings:
     """Return how the descent runs."""
     return Settings(options.method, options.evaluations, options.patience, options.learning_rate)
 
@@ -122,7 +122,7 @@ def save_result(tuned: Tuned, file: TunedFile, accept_uncertified: bool) -> str:
 def report(folder: RunFolder, tuned: Tuned) -> dict:
     """Print, draw and save what came out, and return the numbers."""
     summary = tune_report.summarise(tuned)
-    print(summary.text)
+    folder.report(summary.text)
     folder.save_arrays("iterates", **tune_report.iterate_arrays(tuned))
     tune_report.draw(folder, tuned)
     return summary.numbers

@@ -50,7 +50,7 @@ def run(folder: RunFolder, tuned: Tuned, log: Log, settings: Settings) -> dict:
     paths = drive_paths(tuner.problem.scenario, entries)
     tuned_result = entries[1].result
     parts = [table(entries), grid_lines(tuned_result, grids), path_lines(paths)]
-    print("\n" + "\n\n".join("\n".join(lines) for lines in parts))
+    folder.report("\n" + "\n\n".join("\n".join(lines) for lines in parts))
     groups = _groups(entries, grids, front)
     folder.save_figure(front_figure(groups, tuner.aim.effort_limit), "front")
     folder.save_figure(comparison_figure(_comparison_rows(paths)), "comparison")

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.experiments.tune import figures as tune_figures
 from jaxtube.experiments.tune.parameter_figure import parameter_figure
 from jaxtube.experiments.tune.result import (
@@ -52,11 +53,15 @@ def summarise(tuned: Tuned) -> Summary:
     effort_increase = after.overall_effort / before.overall_effort - 1
     weights = weights_at(tuner, tuned.best.point)
     outcome = tuned.descent.outcome
+    columns = [
+        left(f"{COMPARED_LAPS} laps seen by neither tuning nor stopping"),
+        Column("start"),
+        Column("tuned"),
+    ]
     lines = [
         f"{outcome.evaluations} gradients of {tuner.laps} laps; {outcome.sentence}",
         "",
-        f"{COMPARED_LAPS} laps seen by neither tuning nor stopping{'start':>18}{'tuned':>12}",
-        *(f"  {name:<44}{first:>14}{second:>12}" for name, first, second in _rows(before, after)),
+        format_table(columns, _rows(before, after)),
         "",
         f"lateral error once settled: {fall[0]:.1%} less (95 %: {fall[1]:.1%} to {fall[2]:.1%}), "
         f"effort {effort_increase:+.1%}",

@@ -1,0 +1,29 @@
+"""Laws of progress: compilation is no speed; the time left is estimated from the first units on."""
+
+import time
+
+from jaxtube.experiments.run import progress as module
+from jaxtube.experiments.run.progress import progress
+
+
+def test_compilation_is_said_and_not_counted_in_the_time_left(monkeypatch, capsys):
+    monkeypatch.setattr(module, "SECONDS_BETWEEN_LINES", 0.0)
+    now = [1000.0]
+    with progress(100, "simulating", "laps", done=10) as bar:
+        monkeypatch.setattr(bar, "_time", lambda: now[0])
+        monkeypatch.setattr(time, "time", lambda: now[0])
+        assert capsys.readouterr().err == "simulating: compiling\n"
+        now[0] += 60.0
+        bar.update(10)
+        assert capsys.readouterr().err.startswith("simulating: 20 of 100 laps, ?")
+        now[0] += 2.0
+        bar.update(20)
+        line = capsys.readouterr().err
+        assert "40 of 100 laps" in line and "10.00 laps/s" in line and "00:06 left" in line
+
+
+def test_work_without_compilation_names_its_own_start(capsys):
+    with progress(3, "drawing", "figures", starting="starting") as bar:
+        bar.update(3)
+    lines = capsys.readouterr().err.splitlines()
+    assert lines[0] == "drawing: starting" and lines[-1].startswith("drawing: 3 of 3 figures")
