@@ -140,9 +140,7 @@ def _draw_stretch(axes: Axes, paths: list[Path], poses, stretch: Stretch, every:
     axes.set(title=stretch.title, xlabel="$x$ [m]", ylabel="$y$ [m]")
     # The longer side of the panel shows more than the stretch, so the lines go on beyond it.
     length = stretch.last + 1 - stretch.first
-    around = np.arange(
-        max(stretch.first - length, 0), min(stretch.last + length, len(poses))
-    )
+    around = np.arange(max(stretch.first - length, 0), min(stretch.last + length, len(poses)))
     instants = around[(around - stretch.first) % every == 0]
     inside = np.arange(stretch.first, stretch.last + 1)
     for path in paths:
@@ -150,7 +148,9 @@ def _draw_stretch(axes: Axes, paths: list[Path], poses, stretch: Stretch, every:
         colour = path.line.colour
         axes.plot(single[..., 0], single[..., 1], color=colour, linewidth=0.4, alpha=0.25)
         draw_line(axes, path.median[around, 0], path.median[around, 1], path.line)
-        axes.plot(path.median[instants, 0], path.median[instants, 1], color=colour, **DOTS, zorder=5)
+        axes.plot(
+            path.median[instants, 0], path.median[instants, 1], color=colour, **DOTS, zorder=5
+        )
     axes.plot(poses[around, 0], poses[around, 1], **REFERENCE)
     axes.plot(poses[instants, 0], poses[instants, 1], color="0.15", **DOTS, zorder=4)
     shown = np.concatenate([poses[inside, :2], *[path.median[inside] for path in paths]])

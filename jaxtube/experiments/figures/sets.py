@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from jaxtube.coordinates import COORDINATES, NAMES, PLANES
+from jaxtube.coordinates import NAMES, PLANES
 from jaxtube.experiments.figures.solid import draw_solid, prepare_solid
 from jaxtube.experiments.figures.style import (
     LIMIT,
@@ -31,6 +31,7 @@ from jaxtube.experiments.figures.style import (
     label_plane,
     line_keys,
     page_figure,
+    row_text,
     styled,
 )
 from jaxtube.synthesis.design import Design
@@ -212,15 +213,6 @@ def _draw_escape(design: Design, name: str) -> Figure:
     axes.plot(steps, reach[-1], "o", color=OUTSIDE, markersize=4)
     axes.axhline(escape.offset, **LIMIT, label="constraint")
     axes.set_xlabel(f"steps ({steps} pass the constraint)")
-    axes.set_ylabel(f"${_row_text(escape.normal)}$, in m and rad")
+    axes.set_ylabel(f"${row_text(escape.normal)}$, in m and rad")
     axes.legend(loc="lower right")
     return figure
-
-
-def _row_text(normal: Float[np.ndarray, "3"]) -> str:
-    """Return a constraint's row as text, such as e_y - 0.5 e_theta."""
-    terms = []
-    for value, coordinate in zip(normal, COORDINATES, strict=True):
-        if value:
-            terms.append(f"{value:+.3g}\\,{coordinate.error}")
-    return "".join(terms).replace("+1\\,", "+").replace("-1\\,", "-").removeprefix("+")

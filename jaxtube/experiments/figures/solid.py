@@ -52,9 +52,7 @@ def _visible_facets(
     across = np.cos(elevation)
     viewer = [across * np.cos(azimuth), across * np.sin(azimuth), np.sin(elevation)]
     hull = ConvexHull(points)
-    planes, facet_of = np.unique(
-        np.round(hull.equations, ROUNDING), axis=0, return_inverse=True
-    )
+    planes, facet_of = np.unique(np.round(hull.equations, ROUNDING), axis=0, return_inverse=True)
     facets = []
     for number, plane in enumerate(planes):
         normal = plane[:3]

@@ -101,9 +101,7 @@ def _judge(problem: Problem, errors: Float[np.ndarray, "steps+1 batch 3"]) -> Ru
     return Runs(usage, ~np.all(usage <= 1, axis=0))
 
 
-def _draw_tail(
-    axes: Axes, dt: float, usage: Float[np.ndarray, "times batch"], line: Line
-) -> None:
+def _draw_tail(axes: Axes, dt: float, usage: Float[np.ndarray, "times batch"], line: Line) -> None:
     """Draw the median, the 95 % quantile and the greatest usage, the band between the last two
     filled."""
     time = np.arange(len(usage)) * dt
@@ -137,7 +135,9 @@ def _count(runs: Mapping[str, Runs]) -> str:
     total = len(runs["tube"].leaves)
     without = runs["plain"].leaves.sum()
     with_tube = runs["tube"].leaves.sum()
-    return f"leave $\\mathcal{{E}}$: {without:,} without tube, {with_tube:,} with, of {total:,}"
+    return (
+        f"of {total:,} runs leave $\\mathcal{{E}}$:\n{without:,} without tube, {with_tube:,} with"
+    )
 
 
 def _keys() -> list:

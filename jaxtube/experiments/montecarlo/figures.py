@@ -108,9 +108,7 @@ def quantiles_by_step(
     counts = statistics["error_by_step"][:, coordinate]
     # The first bucket is open below, the last one above.
     return {
-        share: np.clip(
-            histogram.quantile(counts, share), histogram.EDGES[0], histogram.EDGES[-1]
-        )
+        share: np.clip(histogram.quantile(counts, share), histogram.EDGES[0], histogram.EDGES[-1])
         for share in SHADES
     }
 
