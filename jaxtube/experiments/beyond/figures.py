@@ -40,7 +40,7 @@ LEVELS = {
     "delay": "delay of commands [periods]",
     "sluggishness": "1 / greatest acceleration [s²/m]",
     "sideslip": "sideways by forward speed [–]",
-    "slip_change": "share of the slip error that changes [–]",
+    "slip_change": "share of the last slip error that lasts [–]",
     "preview": "shift of the reference [periods]",
 }
 """What the levels of an imperfection are, with their unit."""

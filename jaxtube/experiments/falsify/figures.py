@@ -174,7 +174,7 @@ def _first_instant(name: str) -> int:
 def _find_settled(
     problem: Problem, name: str, worst: Worst, reach: Float[np.ndarray, "steps facets"]
 ) -> Settled | None:
-    """Return the greatest usage once laps have settled, None where the worst one of all is later."""
+    """Return the greatest usage once laps have settled, None where the worst of all is later."""
     first = settled_step(problem.reference)
     later = reach[first - _first_instant(name) :]
     if worst.step >= first or not len(later):

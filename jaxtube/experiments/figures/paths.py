@@ -136,7 +136,7 @@ def _mark_place(axes: Axes, place: Float[np.ndarray, "2"], letter: str) -> None:
 
 
 def _draw_stretch(axes: Axes, paths: list[Path], poses, stretch: Stretch, every: int) -> None:
-    """Draw a stretch of the run: single runs, medians, and where everyone is at the same instants."""
+    """Draw a stretch: single runs, medians, and where everyone is at the same instants."""
     axes.set(title=stretch.title, xlabel="$x$ [m]", ylabel="$y$ [m]")
     # The longer side of the panel shows more than the stretch, so the lines go on beyond it.
     length = stretch.last + 1 - stretch.first

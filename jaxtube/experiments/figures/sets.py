@@ -8,11 +8,8 @@ hull of the projected vertices, and one of them as a solid. Ellipsoids {e : e^T 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from jaxtyping import Float
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
@@ -122,12 +119,10 @@ def design_sets(design: Design, name: str) -> Figure:
         name: of the design, for the title.
     """
     tube = design.problem.scenario.controller.tube
-    last = f"$R_{{{design.problem.horizon}}}$"
+    section = f"last section $R_{{{design.problem.horizon}}}$ of the tube “{tube}”"
     sets = {
         LIMITS._replace(label="limits on errors"): design.problem.operating_set.vertices(),
-        SECTION._replace(label=f"last section {last} of the tube “{tube}”"): design.tubes[tube][
-            -1
-        ].vertices(),
+        SECTION._replace(label=section): design.tubes[tube][-1].vertices(),
     }
     if design.terminal.invariant is not None:
         sets[INVARIANT] = design.terminal.invariant.vertices()

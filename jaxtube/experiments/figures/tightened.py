@@ -67,7 +67,7 @@ def _draw_error_bounds(axes: Axes, design: Design, coordinate: int) -> None:
 
 
 def _draw_input_sets(whole: Axes, corner: Axes, design: Design) -> None:
-    """Draw U and the nested U_j, whole and magnified at the corner of the greatest forward demand."""
+    """Draw U and the nested U_j, whole and at the corner of the greatest forward demand."""
     bounds = design.bounds.inputs[int(design.windows.index[0])]
     rows = design.problem.input_rows.inputs
     corners = design.problem.input_set.vertices()

@@ -48,6 +48,7 @@ LOOKS: dict[str, dict[str, Any]] = {
     "no design found": {**MARK, "marker": "x", "markersize": 5},
 }
 """Marks of what became of a point."""
+MOST_TICKS = 7
 OWN = "the scenario"
 OWN_LOOK = {**MARK, "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 0.9}
 
@@ -95,6 +96,11 @@ def _draw_cells(
     axes.pcolormesh(x, y, cells, norm=norm, cmap=COLOURS, edgecolor="white", linewidth=0.5)
     axes.grid(False)
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+    # Few values are ticks themselves: nothing is known in between.
+    if len(x) <= MOST_TICKS:
+        axes.set_xticks(100 * np.array(grid.slip_errors))
+    if len(y) <= MOST_TICKS:
+        axes.set_yticks(_values(grid, axis))
 
 
 def _make_edges(places: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k+1"]:

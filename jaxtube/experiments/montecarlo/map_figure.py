@@ -1,4 +1,4 @@
-"""The map of a Monte Carlo run: along the reference, how large the errors of almost all laps are."""
+"""The map of a Monte Carlo run: how large the errors of almost all laps are along the path."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ def _draw_strip(axes: Axes, widths: Float[np.ndarray, " n"], unbounded: float) -
 
 
 def _draw_group(axes: Axes, group: Group, abscissa: Float[np.ndarray, " designs"]) -> None:
-    """Draw the marks of designs, hollow where they are not certified, and names where they are few."""
+    """Draw the marks of designs, hollow where not certified, and names where they are few."""
     look = LOOKS[group.kind]
     lateral = 1e3 * group.lateral
     for shown, face in ((~group.certified, "white"), (group.certified, look["color"])):
