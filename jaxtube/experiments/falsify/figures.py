@@ -142,7 +142,8 @@ def worst_run(
     strips = _make_strips(worst)
     settled = _find_settled(problem, name, worst, reaches[0][name]) if reaches else None
     figure = page_figure(3.3 + 0.16 * len(strips))
-    left, right = figure.subfigures(1, 2, width_ratios=(1.15, 1))
+    halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
+    left, right = halves
     panels = left.subplots(len(tracks), 1, sharex=True)
     last = worst.step if name == "tube" else len(tracks[0].values) - 1
     for axes, track in zip(panels, tracks, strict=True):

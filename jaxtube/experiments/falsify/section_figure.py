@@ -46,7 +46,7 @@ def worst_section(design: Design, worst: Worst, played: Replay) -> Figure:
         design: gives the tube in use; of `sequence` that of the widest window.
         worst, played: the worst case of the limit `tube` and its replay.
     """
-    sections = design.tubes[design.problem.scenario.controller.tube]
+    sections = design.tube
     stage = worst.step - worst.when
     deviations = values_of("tube", played)
     normal = sections[stage].polytope().normals[worst.facet]

@@ -59,13 +59,12 @@ def tube_sections(design: Design, name: str) -> Figure:
         name: of the design, for the title.
     """
     lines = {tube: line for tube, line in TUBES.items() if tube in design.tubes}
-    used = design.problem.scenario.controller.tube
     last = f"R_{{{design.problem.horizon}}}"
     figure = page_figure(6.0)
     figure.suptitle(f"Design “{name}”: sections $R_1, \\ldots, {last}$ of the tubes, projected")
-    solid = _draw_views(figure, MILLIMETRES, f"${last}$ of the tube in use, “{used}”")
-    corners = design.tubes[used][-1].vertices() * MILLIMETRES.factors
-    draw_solid(solid, corners, lines[used].colour)
+    solid = _draw_views(figure, MILLIMETRES, f"${last}$ of the tube in use, “{design.tube.name}”")
+    corners = design.tube[-1].vertices() * MILLIMETRES.factors
+    draw_solid(solid, corners, lines[design.tube.name].colour)
     for tube, line in lines.items():
         for section in design.tubes[tube][1:]:
             width = 1.2 if section is design.tubes[tube][-1] else 0.7
@@ -118,11 +117,10 @@ def design_sets(design: Design, name: str) -> Figure:
         design: gives the sets.
         name: of the design, for the title.
     """
-    tube = design.problem.scenario.controller.tube
-    section = f"last section $R_{{{design.problem.horizon}}}$ of the tube “{tube}”"
+    section = f"last section $R_{{{design.problem.horizon}}}$ of the tube “{design.tube.name}”"
     sets = {
         LIMITS._replace(label="limits on errors"): design.problem.operating_set.vertices(),
-        SECTION._replace(label=section): design.tubes[tube][-1].vertices(),
+        SECTION._replace(label=section): design.tube[-1].vertices(),
     }
     if design.terminal.invariant is not None:
         sets[INVARIANT] = design.terminal.invariant.vertices()

@@ -163,7 +163,7 @@ def mark_key(label: str, colour: str, **look) -> Line2D:
     return Line2D([], [], linestyle="none", color=colour, label=label, **look)
 
 
-def area_key(label: str, colour: str, alpha: float = 1.0) -> Patch:
+def area_key(label: str, colour: Any, alpha: float = 1.0) -> Patch:
     """Return the legend's entry of a filled area."""
     return Patch(color=colour, alpha=alpha, linewidth=0, label=label)
 

@@ -34,9 +34,8 @@ def tightened_sets(design: Design, name: str) -> Figure:
         design: gives the bounds.
         name: of the design, for the title.
     """
-    tube = design.problem.scenario.controller.tube
     figure = page_figure(4.4)
-    figure.suptitle(f"Design “{name}”: limits less the tube “{tube}”")
+    figure.suptitle(f"Design “{name}”: limits less the tube “{design.tube.name}”")
     panels = figure.subplots(2, 3)
     for coordinate, axes in enumerate(panels[0]):
         _draw_error_bounds(axes, design, coordinate)

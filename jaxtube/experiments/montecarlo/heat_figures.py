@@ -189,8 +189,9 @@ def draw_cells(axes: Axes, values: np.ndarray, ends, norm: LogNorm, colours) -> 
     """Draw cells, rows upwards, between the ends [(least, greatest) of x, of y]; cells of 0 stay
     empty."""
     rows, columns = values.shape
-    x = np.linspace(*ends[0], columns + 1)
-    y = np.linspace(*ends[1], rows + 1)
+    (left, right), (bottom, top) = ends
+    x = np.linspace(left, right, columns + 1)
+    y = np.linspace(bottom, top, rows + 1)
     cells = np.ma.masked_less_equal(values, 0)
     axes.pcolormesh(x, y, cells, norm=norm, cmap=colours, rasterized=True)
 
