@@ -11,7 +11,7 @@ from tolerances import CLOSED_LOOP, REPLAYED
 
 from jaxtube import qp
 from jaxtube.experiments.cli import main
-from jaxtube.experiments.figures.sets import OUTSIDE
+from jaxtube.experiments.figures.style import OUTSIDE
 from jaxtube.experiments.montecarlo import lap_figure, replay
 from jaxtube.simulation import closed_loop, laps
 from jaxtube.statistics import task as validation
@@ -130,7 +130,7 @@ def test_qps_without_solution_and_wheels_at_their_limits_are_counted(found, lap)
 
 def test_a_lap_is_drawn_with_its_errors_its_disturbances_and_their_limits(found, lap):
     figure = lap_figure.draw(found.problem, lap)
-    panels = np.reshape(figure.axes, (3, 3))
+    panels = np.reshape(figure.axes, (4, 3))
     worst = int(np.argmax(lap.of_error_set.share)) + 1
     for i, limit in enumerate((0.3, 0.3, 20.0)):
         curve, ring, *levels = panels[1, i].lines
@@ -139,8 +139,14 @@ def test_a_lap_is_drawn_with_its_errors_its_disturbances_and_their_limits(found,
             (worst * 0.1, lap.trajectory.errors[worst, i] * DEGREES[i])
         )
         assert [level.get_ydata()[0] for level in levels] == pytest.approx([-limit, limit])
-    limits, outside = (5.0, 5.0, 0.2), lap.of_disturbance_set.by_coordinate
-    for i, axes in enumerate(panels[2]):
+    settled = 100 + int(np.argmax(lap.of_error_set.share[99:]))
+    for axes in panels[2]:
+        diamond = axes.lines[1]
+        assert diamond.get_xdata()[0] == pytest.approx(0.1 * settled)
+        assert axes.get_xlim() == pytest.approx((10.0, 30.0))
+    limits = (5.0, 5.0, 0.2)
+    outside = lap.of_disturbance_set.by_coordinate
+    for i, axes in enumerate(panels[3]):
         inside, beyond, *levels = axes.lines
         assert len(inside.get_xdata()) + len(beyond.get_xdata()) == len(lap.disturbance)
         assert len(beyond.get_xdata()) == outside[:, i].sum() and beyond.get_color() == OUTSIDE
@@ -154,7 +160,7 @@ def test_a_lap_of_the_linear_plant_shows_its_inputs(found, task):
     lap = laps.lap(found, dataclasses.replace(task, plant=closed_loop.linear_plant(found)), SEED, 0)
     assert np.all(np.isnan(lap.trajectory.wheels)) and not lap.of_disturbance_set.outside.any()
     assert lap.slips is None and "wheels" not in replay.text(found, lap)
-    panels = np.reshape(lap_figure.draw(found.problem, lap).axes, (3, 3))
+    panels = np.reshape(lap_figure.draw(found.problem, lap).axes, (4, 3))
     for i in range(2):
         assert panels[0, 1 + i].lines[0].get_ydata() == pytest.approx(lap.trajectory.inputs[:, i])
 

@@ -265,7 +265,7 @@ def panels(searches: dict[str, Search]) -> list[beyond_figures.Panel]:
         tried = np.array(list(search.usages))
         shown.append(
             beyond_figures.Panel(
-                kind.title, kind.unit, kind.whole, tried, error, disturbance, search.violation
+                name, kind.title, kind.whole, tried, error, disturbance, search.violation
             )
         )
     return shown

@@ -12,9 +12,10 @@ from jaxtyping import Bool
 from jaxtube.experiments.design import banded
 from jaxtube.experiments.design.report import report
 from jaxtube.experiments.design.seen import disturbance_line
-from jaxtube.experiments.options import DesignOptions
+from jaxtube.experiments.options import DesignOptions, title
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
+from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
 from jaxtube.scenario import Scenario, ScenarioError
 from jaxtube.simulation import closed_loop
@@ -52,8 +53,16 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     disturbance = simulate_disturbance(made, options.seed)
     folder.report("\n" + disturbance_line(made, disturbance, "the local gain"))
     folder.save_metrics({**numbers, "disturbance": disturbance})
+    draw_sets(made, title(options.scenario), folder)
     print(f"\nwritten to {folder.path}/")
     return exit_code(made.certificate, options.require_certificate)
+
+
+def draw_sets(made: Design, name: str, folder: RunFolder) -> None:
+    """Draw limits, tube and terminal set into the folder."""
+    from jaxtube.experiments.figures.sets import design_sets
+
+    folder.save_figure(design_sets(made, name), "sets")
 
 
 def find_caps_and_gains(scenario: Scenario) -> Scenario:

@@ -120,16 +120,15 @@ def draw(
     row=None,
 ) -> None:
     """Draw a worst case: its lap, and for the tube the section that it comes nearest to."""
-    from jaxtube.experiments.falsify import figures as falsify_figures
+    from jaxtube.experiments.falsify.figures import worst_run
+    from jaxtube.experiments.falsify.section_figure import worst_section
 
+    problem = setting.found.problem
     reaches = (row.search.reach, row.sampled.reach) if row and name != "tube" else None
-    folder.save_figure(
-        falsify_figures.worst_run(setting.found.problem, name, worst, played, reaches), title
-    )
+    figure = worst_run(problem, setting.lap_limits, name, worst, played, reaches)
+    folder.save_figure(figure, title)
     if name == "tube":
-        folder.save_figure(
-            falsify_figures.worst_section(setting.found, worst, played), f"{title}_section"
-        )
+        folder.save_figure(worst_section(setting.found, worst, played), f"{title}_section")
 
 
 def save(

@@ -7,7 +7,8 @@ another.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import warnings
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -77,9 +78,21 @@ def leaves_error_set(
     return ~np.all(np.abs(errors) <= limits, axis=(0, 2))
 
 
+def quantiles(
+    values: Float[np.ndarray, "times batch"], shares: Sequence[float]
+) -> Float[np.ndarray, "shares times"]:
+    """Return quantiles over the runs at each time; runs that are NaN are left out."""
+    if not np.isnan(values).any():
+        return np.quantile(values, shares, axis=1)
+    with warnings.catch_warnings():
+        # Where every run is NaN, so is the quantile.
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return np.nanquantile(values, shares, axis=1)
+
+
 def draw_band(axes: Axes, time, values: Float[np.ndarray, "times batch"], line: Line) -> None:
     """Draw median, 5 to 95 % band and the extremes of many runs."""
-    least, low, median, high, greatest = np.quantile(values, QUANTILES, axis=1)
+    least, low, median, high, greatest = quantiles(values, QUANTILES)
     axes.fill_between(time, least, greatest, color=line.colour, alpha=0.15, linewidth=0)
     axes.fill_between(time, low, high, color=line.colour, alpha=0.3, linewidth=0)
     # Edges tell apart bands that lie on each other.

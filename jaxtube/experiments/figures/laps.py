@@ -207,10 +207,11 @@ def _draw_margins(
 def _draw_box(
     axes: Axes, values: Float[np.ndarray, " runs"], place: float, colour: str, filled: bool
 ) -> None:
-    """Draw quartiles as a box, the median as a bar and the extremes as whiskers."""
+    """Draw quartiles as a box, the median as a bar and the extremes as whiskers; runs that are NaN
+    are left out."""
     face = colour if filled else "white"
     axes.boxplot(
-        values,
+        values[~np.isnan(values)],
         positions=[place],
         orientation="horizontal",
         widths=BOX_WIDTH,

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxtube.experiments.figures.curves import Curve, label_in_lines, make_curves
+from jaxtube.experiments.figures.curves import Curve, label_in_lines, make_curves, quantiles
 from jaxtube.experiments.figures.style import (
     REFERENCE,
     Line,
@@ -103,7 +103,8 @@ def trajectories(problem: Problem, runs: Mapping[str, Any]) -> Figure:
 
 def _make_path(curve: Curve, poses: Float[np.ndarray, "steps+1 3"]) -> Path:
     runs = np.asarray(jax.jit(world_pose)(curve.errors, poses[:, None]))[..., :2]
-    return Path(curve.line, runs, np.median(runs, axis=1))
+    median = [quantiles(runs[..., i], [0.5])[0] for i in range(2)]
+    return Path(curve.line, runs, np.stack(median, axis=1))
 
 
 def _start_stretch(reference: Reference) -> Stretch:
@@ -114,8 +115,8 @@ def _start_stretch(reference: Reference) -> Stretch:
 def _apart_stretch(reference: Reference, curves: Mapping[str, Curve]) -> Stretch:
     """Return the stretch around the greatest median lateral error of a controller, once the start
     is over."""
-    medians = [np.median(curve.errors[..., 1], axis=1) for curve in curves.values()]
-    lateral = np.max(np.abs(medians), axis=0)
+    medians = [quantiles(curve.errors[..., 1], [0.5])[0] for curve in curves.values()]
+    lateral = np.nan_to_num(np.max(np.abs(medians), axis=0))
     over = min(round(START_S / reference.dt), reference.steps)
     middle = over + int(np.argmax(lateral[over:]))
     half = round(APART_S / reference.dt)
@@ -136,7 +137,7 @@ def _mark_place(axes: Axes, place: Float[np.ndarray, "2"], letter: str) -> None:
 
 
 def _draw_stretch(axes: Axes, paths: list[Path], poses, stretch: Stretch, every: int) -> None:
-    """Draw a stretch of the run: single runs, medians, and where everyone is at the same instants."""
+    """Draw a stretch: single runs, medians, and where everyone is at the same instants."""
     axes.set(title=stretch.title, xlabel="$x$ [m]", ylabel="$y$ [m]")
     # The longer side of the panel shows more than the stretch, so the lines go on beyond it.
     length = stretch.last + 1 - stretch.first
@@ -154,8 +155,8 @@ def _draw_stretch(axes: Axes, paths: list[Path], poses, stretch: Stretch, every:
     axes.plot(poses[around, 0], poses[around, 1], **REFERENCE)
     axes.plot(poses[instants, 0], poses[instants, 1], color="0.15", **DOTS, zorder=4)
     shown = np.concatenate([poses[inside, :2], *[path.median[inside] for path in paths]])
-    least = shown.min(axis=0)
-    greatest = shown.max(axis=0)
+    least = np.nanmin(shown, axis=0)
+    greatest = np.nanmax(shown, axis=0)
     margin = 0.08 * np.max(greatest - least)
     axes.set_xlim(least[0] - margin, greatest[0] + margin, auto=True)
     axes.set_ylim(least[1] - margin, greatest[1] + margin, auto=True)

@@ -45,8 +45,7 @@ def realisations_in_tube(
         design: gives the tube; for `sequence` the one along the widest window.
         deviations: e - e_nominal at stages 1..N, (m, m, rad).
     """
-    tube = design.problem.scenario.controller.tube
-    sections = design.tubes[tube][1:]
+    sections = design.tube[1:]
     outside = ~(tube_margins(design, deviations) >= 0)
     last = len(sections) - 1
     stages = np.unique(np.linspace(0, last, min(last + 1, STAGES)).round().astype(int))
@@ -65,7 +64,7 @@ def realisations_in_tube(
     keys = [
         mark_key("deviation inside what is drawn of $R_j$", INSIDE),
         mark_key("outside", OUTSIDE),
-        *line_keys([Line(f"$R_j$ of the tube “{tube}”, projected", "0.1")]),
+        *line_keys([Line(f"$R_j$ of the tube “{design.tube.name}”, projected", "0.1")]),
     ]
     bottom_legend(figure, keys)
     return figure

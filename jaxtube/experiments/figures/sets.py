@@ -13,7 +13,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
-from jaxtube.coordinates import COORDINATES, NAMES, PLANES
+from jaxtube.coordinates import NAMES, PLANES
 from jaxtube.experiments.figures.solid import draw_solid, prepare_solid
 from jaxtube.experiments.figures.style import (
     LIMIT,
@@ -28,6 +28,7 @@ from jaxtube.experiments.figures.style import (
     label_plane,
     line_keys,
     page_figure,
+    row_text,
     styled,
 )
 from jaxtube.synthesis.design import Design
@@ -58,13 +59,12 @@ def tube_sections(design: Design, name: str) -> Figure:
         name: of the design, for the title.
     """
     lines = {tube: line for tube, line in TUBES.items() if tube in design.tubes}
-    used = design.problem.scenario.controller.tube
     last = f"R_{{{design.problem.horizon}}}"
     figure = page_figure(6.0)
     figure.suptitle(f"Design “{name}”: sections $R_1, \\ldots, {last}$ of the tubes, projected")
-    solid = _draw_views(figure, MILLIMETRES, f"${last}$ of the tube in use, “{used}”")
-    corners = design.tubes[used][-1].vertices() * MILLIMETRES.factors
-    draw_solid(solid, corners, lines[used].colour)
+    solid = _draw_views(figure, MILLIMETRES, f"${last}$ of the tube in use, “{design.tube.name}”")
+    corners = design.tube[-1].vertices() * MILLIMETRES.factors
+    draw_solid(solid, corners, lines[design.tube.name].colour)
     for tube, line in lines.items():
         for section in design.tubes[tube][1:]:
             width = 1.2 if section is design.tubes[tube][-1] else 0.7
@@ -117,13 +117,10 @@ def design_sets(design: Design, name: str) -> Figure:
         design: gives the sets.
         name: of the design, for the title.
     """
-    tube = design.problem.scenario.controller.tube
-    last = f"$R_{{{design.problem.horizon}}}$"
+    section = f"last section $R_{{{design.problem.horizon}}}$ of the tube “{design.tube.name}”"
     sets = {
         LIMITS._replace(label="limits on errors"): design.problem.operating_set.vertices(),
-        SECTION._replace(label=f"last section {last} of the tube “{tube}”"): design.tubes[tube][
-            -1
-        ].vertices(),
+        SECTION._replace(label=section): design.tube[-1].vertices(),
     }
     if design.terminal.invariant is not None:
         sets[INVARIANT] = design.terminal.invariant.vertices()
@@ -209,15 +206,6 @@ def _draw_escape(design: Design, name: str) -> Figure:
     axes.plot(steps, reach[-1], "o", color=OUTSIDE, markersize=4)
     axes.axhline(escape.offset, **LIMIT, label="constraint")
     axes.set_xlabel(f"steps ({steps} pass the constraint)")
-    axes.set_ylabel(f"${_row_text(escape.normal)}$, in m and rad")
+    axes.set_ylabel(f"${row_text(escape.normal)}$, in m and rad")
     axes.legend(loc="lower right")
     return figure
-
-
-def _row_text(normal: Float[np.ndarray, "3"]) -> str:
-    """Return a constraint's row as text, such as e_y - 0.5 e_theta."""
-    terms = []
-    for value, coordinate in zip(normal, COORDINATES, strict=True):
-        if value:
-            terms.append(f"{value:+.3g}\\,{coordinate.error}")
-    return "".join(terms).replace("+1\\,", "+").replace("-1\\,", "-").removeprefix("+")

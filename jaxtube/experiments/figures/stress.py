@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from jaxtube.coordinates import TO_DISPLAY
+from jaxtube.experiments.figures.curves import quantiles
 from jaxtube.experiments.figures.style import (
     CONTROLLERS,
     LIMIT,
@@ -105,7 +106,7 @@ def _draw_tail(axes: Axes, dt: float, usage: Float[np.ndarray, "times batch"], l
     """Draw the median, the 95 % quantile and the greatest usage, the band between the last two
     filled."""
     time = np.arange(len(usage)) * dt
-    median, high, greatest = 100 * np.quantile(usage, (0.5, 0.95, 1.0), axis=1)
+    median, high, greatest = 100 * quantiles(usage, (0.5, 0.95, 1.0))
     axes.fill_between(time, high, greatest, color=line.colour, alpha=0.25, linewidth=0)
     draw_line(axes, time, np.stack([median, high], axis=1), line, linewidth=0.6)
     draw_line(axes, time, greatest, line)
@@ -135,7 +136,9 @@ def _count(runs: Mapping[str, Runs]) -> str:
     total = len(runs["tube"].leaves)
     without = runs["plain"].leaves.sum()
     with_tube = runs["tube"].leaves.sum()
-    return f"leave $\\mathcal{{E}}$: {without:,} without tube, {with_tube:,} with, of {total:,}"
+    return (
+        f"of {total:,} runs leave $\\mathcal{{E}}$:\n{without:,} without tube, {with_tube:,} with"
+    )
 
 
 def _keys() -> list:

@@ -85,6 +85,10 @@ LIMIT_EDGE = {"edgecolor": "0.15", "linewidth": 0.9, "linestyle": (0, (5, 2))}
 REFERENCE = {"color": "0.15", "linewidth": 1.0, "linestyle": (0, (1, 1.2))}
 
 
+NEGLIGIBLE = 1e-9
+"""Entries of a constraint's normal that are not written."""
+
+
 class Scale(NamedTuple):
     """Units of the three coordinates on an axis, and the factors to them from (m, m, rad)."""
 
@@ -159,7 +163,7 @@ def mark_key(label: str, colour: str, **look) -> Line2D:
     return Line2D([], [], linestyle="none", color=colour, label=label, **look)
 
 
-def area_key(label: str, colour: str, alpha: float = 1.0) -> Patch:
+def area_key(label: str, colour: Any, alpha: float = 1.0) -> Patch:
     """Return the legend's entry of a filled area."""
     return Patch(color=colour, alpha=alpha, linewidth=0, label=label)
 
@@ -178,6 +182,15 @@ def disturbance_label(coordinate: int, absolute: bool = False) -> str:
     if absolute:
         symbol = f"|{symbol}|"
     return f"${symbol}$ [{MILLIMETRES.units[coordinate]}]"
+
+
+def row_text(normal: Float[np.ndarray, "3"]) -> str:
+    """Return the left side of a constraint on errors as LaTeX, such as e_y - 0.5 e_theta."""
+    terms = []
+    for value, coordinate in zip(normal, COORDINATES, strict=True):
+        if abs(value) > NEGLIGIBLE:
+            terms.append(f"{value:+.3g}\\,{coordinate.error}")
+    return "".join(terms).replace("+1\\,", "+").replace("-1\\,", "-").removeprefix("+")
 
 
 def label_plane(axes: Axes, plane: tuple[int, int], scale: Scale = METRES) -> None:

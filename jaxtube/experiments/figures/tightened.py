@@ -34,9 +34,8 @@ def tightened_sets(design: Design, name: str) -> Figure:
         design: gives the bounds.
         name: of the design, for the title.
     """
-    tube = design.problem.scenario.controller.tube
     figure = page_figure(4.4)
-    figure.suptitle(f"Design “{name}”: limits less the tube `{tube}`")
+    figure.suptitle(f"Design “{name}”: limits less the tube “{design.tube.name}”")
     panels = figure.subplots(2, 3)
     for coordinate, axes in enumerate(panels[0]):
         _draw_error_bounds(axes, design, coordinate)
@@ -67,7 +66,7 @@ def _draw_error_bounds(axes: Axes, design: Design, coordinate: int) -> None:
 
 
 def _draw_input_sets(whole: Axes, corner: Axes, design: Design) -> None:
-    """Draw U and the nested U_j, whole and magnified at the corner of the greatest forward demand."""
+    """Draw U and the nested U_j, whole and at the corner of the greatest forward demand."""
     bounds = design.bounds.inputs[int(design.windows.index[0])]
     rows = design.problem.input_rows.inputs
     corners = design.problem.input_set.vertices()

@@ -111,6 +111,7 @@ def save(folder: RunFolder, tested: list[Tested], performance: dict) -> None:
     write_atomically(folder.path / "against.toml", lambda file: file.write(other))
     write_atomically(folder.path / "guarantee.md", lambda file: file.write(markdown))
     folder.save_metrics(guarantee_claims.metrics(tested))
+    _draw(folder, tested)
     folder.report(guarantee_report.text(tested))
     if performance:
         folder.save_json("performance", performance)
@@ -118,6 +119,12 @@ def save(folder: RunFolder, tested: list[Tested], performance: dict) -> None:
             f"\n{performance['laps']:,} laps computed in {performance['seconds']:.1f} s, with compilation"
         )
     print(f"\nguarantee.md, metrics.json, both scenarios and the records are in {folder.path}/")
+
+
+def _draw(folder: RunFolder, tested: list[Tested]) -> None:
+    from jaxtube.experiments.guarantee.figures import laws_figure
+
+    folder.save_figure(laws_figure(tested), "laws")
 
 
 def against(scenario: Scenario, options: GuaranteeOptions) -> Scenario:

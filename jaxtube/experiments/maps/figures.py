@@ -3,28 +3,31 @@ horizon."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from jaxtube.coordinates import TO_DISPLAY
 from jaxtube.experiments.figures.style import (
     LIMIT,
-    TO_DISPLAY,
     Line,
     bottom_legend,
     draw_polygon,
-    error_label,
+    label_plane,
     line_keys,
     mark_key,
     page_figure,
     styled,
 )
 from jaxtube.experiments.maps.points import Found, Grid, Point
+from jaxtube.synthesis.ratio import Guarantee
 
 TITLES = {
     "paper": "(a) the paper's weights and model",
@@ -37,84 +40,101 @@ LEVELS = (0.2, 0.35, 0.5, 0.65, 0.8, 1.0, 1.3, 1.8, 3.0, 5.0, 8.0)
 COLOURS = LinearSegmentedColormap.from_list(
     "ratio", ["#0b3f78", "#2b7bba", "#d9e9f5", "#fde3cf", "#f2a268", "#a63f00"]
 )
-HOLDS = {"marker": "o", "markersize": 3.5, "markerfacecolor": "black", "markeredgewidth": 0.7}
-ABOVE = {**HOLDS, "markerfacecolor": "white"}
-WHEELS = {**ABOVE, "marker": "s"}
-NONE = {**HOLDS, "marker": "x", "markersize": 5}
-OWN = {**HOLDS, "marker": "o", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 0.9}
-BORDER = Line("ratio = 1, the border of what is guaranteed", "black")
-
-FEASIBLE = {
-    "operating": Line("caps $\\mathcal{E}_{op}$", LIMIT["color"], LIMIT["linestyle"]),
-    "largest": Line("largest control invariant set $C$", "#009E73", (0, (4, 1.5))),
-    "last": Line("feasible set $F_N$", "#0072B2"),
-    "first": Line("feasible set $F_N$", "#D55E00", (0, (1, 1))),
+MARK: dict[str, Any] = {"marker": "o", "markersize": 3.5, "markeredgewidth": 0.7}
+LOOKS: dict[str, dict[str, Any]] = {
+    "guaranteed": {**MARK, "markerfacecolor": "black"},
+    "not guaranteed": {**MARK, "markerfacecolor": "white"},
+    "wheels too weak": {**MARK, "markerfacecolor": "white", "marker": "s"},
+    "no design found": {**MARK, "marker": "x", "markersize": 5},
 }
+"""Marks of what became of a point."""
+MOST_TICKS = 7
+OWN = "the scenario"
+OWN_LOOK = {**MARK, "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 0.9}
+
+LIMITS = Line("caps $\\mathcal{E}_{op}$", LIMIT["color"], LIMIT["linestyle"])
+LARGEST = Line("largest control invariant set $C$", "#009E73", (0, (4, 1.5)))
+LAST = Line("feasible set $F_N$", "#0072B2")
+FIRST = Line("feasible set $F_N$", "#D55E00", (0, (1, 1)))
 
 
 @styled
 def ratio_map(grid: Grid, found: Found, axis: str) -> Figure:
-    """Draw the ratio of the three designs over slip error and "slowest_mps" or "dt_s"; dots are
-    what was computed.
-
-    Between dots colours and border are interpolated.
-    """
-    values = grid.slowest_mps if axis == "slowest_mps" else grid.periods_s
-    figure = page_figure(3.3)
+    """Draw the ratio of the three designs over slip error and "slowest_mps" or "dt_s", a cell a
+    point that was computed."""
+    figure = page_figure(3.4)
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
     norm = BoundaryNorm(LEVELS, COLOURS.N, extend="both")
+    outcomes = set()
     for axes, (design, title) in zip(panels, TITLES.items(), strict=True):
-        _draw_ratio(axes, grid, found, design, axis, values, norm)
-        axes.set_title(title, pad=8)
-        axes.set_xlabel("slip error [%]")
+        _draw_cells(axes, grid, ratio_table(grid, found, design, axis), axis, norm)
+        outcomes |= _draw_marks(axes, grid, found, design, axis)
+        axes.set(title=title, xlabel="slip error [%]")
     panels[0].set_ylabel(AXES[axis])
-    bar = figure.colorbar(
-        ScalarMappable(norm, COLOURS), ax=panels, label="largest share of a cap", pad=0.015
-    )
+    scale = ScalarMappable(norm, COLOURS)
+    bar = figure.colorbar(scale, ax=panels, label="largest share of a cap", pad=0.015)
     bar.set_ticks(list(LEVELS))
     bar.ax.grid(False)
     keys = [
-        *line_keys([BORDER]),
-        mark_key("guaranteed", "black", **HOLDS),
-        mark_key("not guaranteed", "black", **ABOVE),
-        mark_key("wheels too weak", "black", **WHEELS),
-        mark_key("no design found", "black", **NONE),
-        mark_key("the scenario", "black", **OWN),
+        mark_key(outcome, "black", **look) for outcome, look in LOOKS.items() if outcome in outcomes
     ]
-    bottom_legend(figure, keys)
+    bottom_legend(figure, [*keys, mark_key(OWN, "black", **OWN_LOOK)], columns=5)
     return figure
 
 
-def _draw_ratio(
-    axes: Axes, grid: Grid, found: Found, design: str, axis: str, values, norm: BoundaryNorm
+def _values(grid: Grid, axis: str) -> Sequence[float]:
+    return grid.slowest_mps if axis == "slowest_mps" else grid.periods_s
+
+
+def _draw_cells(
+    axes: Axes, grid: Grid, ratios: Float[np.ndarray, "values errors"], axis: str, norm
 ) -> None:
-    errors = 100 * np.array(grid.slip_errors)
-    ratios = np.ma.masked_invalid(ratio_table(grid, found, design, axis))
-    if not ratios.mask.all():
-        axes.contourf(errors, values, ratios, LEVELS, norm=norm, cmap=COLOURS, extend="both")
-        if ratios.min() < 1 < ratios.max():
-            axes.contour(errors, values, ratios, [1.0], colors=BORDER.colour, linewidths=1.8)
-    for value in values:
+    """Draw a cell around every point, up to half of the way to its neighbours."""
+    x = _make_edges(100 * np.array(grid.slip_errors))
+    y = _make_edges(np.array(_values(grid, axis)))
+    cells = np.ma.masked_invalid(ratios)
+    axes.pcolormesh(x, y, cells, norm=norm, cmap=COLOURS, edgecolor="white", linewidth=0.5)
+    axes.grid(False)
+    axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
+    # Few values are ticks themselves: nothing is known in between.
+    if len(x) <= MOST_TICKS:
+        axes.set_xticks(100 * np.array(grid.slip_errors))
+    if len(y) <= MOST_TICKS:
+        axes.set_yticks(_values(grid, axis))
+
+
+def _make_edges(places: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k+1"]:
+    """Return the borders of cells around increasing places."""
+    if len(places) == 1:
+        return places[0] + np.array([-0.5, 0.5])
+    middles = (places[1:] + places[:-1]) / 2
+    first = 2 * places[0] - middles[0]
+    last = 2 * places[-1] - middles[-1]
+    return np.array([first, *middles, last])
+
+
+def _draw_marks(axes: Axes, grid: Grid, found: Found, design: str, axis: str) -> set[str]:
+    """Mark what became of every point, and the scenario's own; return the outcomes that occur."""
+    outcomes = set()
+    for value in _values(grid, axis):
         for error in grid.slip_errors:
             condition = grid.own._replace(slip_error=error, **{axis: value})
-            one = found[Point(design, condition)]
-            below = one.ratio is not None and one.ratio < 1
-            look = NONE if one.ratio is None else HOLDS if one.holds else WHEELS if below else ABOVE
-            axes.plot(
-                100 * error, value, color="black", linestyle="none", clip_on=False, zorder=3, **look
-            )
+            outcome = _outcome(found[Point(design, condition)])
+            outcomes.add(outcome)
+            look = {"color": "black", "linestyle": "none", "zorder": 3}
+            axes.plot(100 * error, value, **look, **LOOKS[outcome])
             if condition == grid.own:
-                axes.plot(
-                    100 * error,
-                    value,
-                    color="black",
-                    linestyle="none",
-                    clip_on=False,
-                    zorder=3,
-                    **OWN,
-                )
-    axes.grid(False)
-    axes.set(xlim=(errors[0], errors[-1]), ylim=(values[0], values[-1]))
+                axes.plot(100 * error, value, **look, **OWN_LOOK)
+    return outcomes
+
+
+def _outcome(guarantee: Guarantee) -> str:
+    """Return the key of LOOKS of a point."""
+    if guarantee.ratio is None:
+        return "no design found"
+    if guarantee.holds:
+        return "guaranteed"
+    return "wheels too weak" if guarantee.ratio < 1 else "not guaranteed"
 
 
 def ratio_table(
@@ -122,14 +142,12 @@ def ratio_table(
 ) -> Float[np.ndarray, "values errors"]:
     """Return the ratios over "slowest_mps" or "dt_s" (rows) and slip error; NaN where no design was
     found."""
-    values = grid.slowest_mps if axis == "slowest_mps" else grid.periods_s
-    rows = [
-        [
-            found[Point(design, grid.own._replace(slip_error=error, **{axis: value}))].ratio
-            for error in grid.slip_errors
+    rows = []
+    for value in _values(grid, axis):
+        conditions = [
+            grid.own._replace(slip_error=error, **{axis: value}) for error in grid.slip_errors
         ]
-        for value in values
-    ]
+        rows.append([found[Point(design, condition)].ratio for condition in conditions])
     return np.array(rows, dtype=float)
 
 
@@ -143,48 +161,38 @@ def feasible_figure(sets: dict, operating: Float[np.ndarray, "8 3"]) -> Figure:
     """
     figure = page_figure(3.2)
     volumes, left, right = figure.subplots(1, 3)
-    shown = [record for record in sets["horizons"] if record["volume"] is not None]
-    horizons = [record["horizon"] for record in shown]
-    sizes = np.array([record["volume"] for record in shown])
-    largest = sets["control_invariant"]
-    volumes.plot(
-        horizons,
-        100 * sizes / sets["operating_volume"],
-        "o-",
-        color=FEASIBLE["last"].colour,
-        markersize=3,
-    )
-    volumes.axhline(
-        100 * largest["volume"] / sets["operating_volume"],
-        color=FEASIBLE["largest"].colour,
-        linestyle=FEASIBLE["largest"].dashes,
-    )
-    volumes.axhline(100, **LIMIT)
-    volumes.set(
-        xlabel="horizon $N$ [steps]", ylabel="volume [% of $\\mathcal{E}_{op}$]", ylim=(0, 106)
-    )
-    volumes.set_title("(a) volume")
-    volumes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    lines = dict(FEASIBLE)
-    corners = {"operating": operating}
-    if largest["corners"]:
-        corners["largest"] = np.array(largest["corners"])
-    for name, record in (("last", shown[-1]), ("first", shown[0])) if shown else ():
-        corners[name] = np.array(record["corners"])
-        lines[name] = lines[name]._replace(label=f"feasible set $F_{{{record['horizon']}}}$")
-    for axes, plane, letter in ((left, (1, 2), "b"), (right, (0, 2), "c")):
-        for name, points in corners.items():
-            look = {
-                "edgecolor": lines[name].colour,
-                "linestyle": lines[name].dashes,
-                "linewidth": 1.2,
-            }
+    records = [record for record in sets["horizons"] if record["volume"] is not None]
+    _draw_volumes(volumes, sets, records)
+    shown = [(LIMITS, operating)]
+    corners = sets["control_invariant"]["corners"]
+    if corners:
+        shown.append((LARGEST, np.array(corners)))
+    if records:
+        for line, record in ((LAST, records[-1]), (FIRST, records[0])):
+            label = f"feasible set $F_{{{record['horizon']}}}$"
+            shown.append((line._replace(label=label), np.array(record["corners"])))
+    for axes, plane, title in (
+        (left, (1, 2), "(b) lateral and heading error"),
+        (right, (0, 2), "(c) longitudinal and heading error"),
+    ):
+        for line, points in shown:
+            look = {"edgecolor": line.colour, "linestyle": line.dashes, "linewidth": 1.2}
             draw_polygon(axes, (points * TO_DISPLAY)[:, plane], **look)
-        axes.set(
-            xlabel=error_label(plane[0]),
-            ylabel=error_label(plane[1]),
-            title=f"({letter}) projections",
-        )
-    handles: list[Line2D] = line_keys([lines[name] for name in corners])
-    bottom_legend(figure, handles, columns=4)
+        label_plane(axes, plane)
+        axes.set_title(title)
+    bottom_legend(figure, line_keys([line for line, _ in shown]), columns=4)
     return figure
+
+
+def _draw_volumes(axes: Axes, sets: dict, records: list[dict]) -> None:
+    """Draw the volumes of the feasible sets and of the control invariant set, in % of the caps."""
+    whole = sets["operating_volume"]
+    horizons = [record["horizon"] for record in records]
+    sizes = [100 * record["volume"] / whole for record in records]
+    largest = 100 * sets["control_invariant"]["volume"] / whole
+    axes.plot(horizons, sizes, "o-", color=LAST.colour, markersize=3)
+    axes.axhline(largest, color=LARGEST.colour, linestyle=LARGEST.dashes)
+    axes.axhline(100, **LIMIT)
+    axes.set(title="(a) volume", xlabel="horizon $N$ [steps]", ylim=(0, 106))
+    axes.set_ylabel("volume [% of $\\mathcal{E}_{op}$]")
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -108,7 +108,7 @@ def error_quantiles(problem: Problem, statistics: Statistics) -> Figure:
 def quantiles_by_step(
     statistics: Statistics, coordinate: int
 ) -> dict[float, Float[np.ndarray, " steps"]]:
-    """Return the quantiles of |e| over the laps, by share and step, inside the histogram's edges."""
+    """Return quantiles of |e| over the laps, by share and step, inside the histogram's edges."""
     counts = statistics["error_by_step"][:, coordinate]
     # The first bucket is open below, the last one above.
     return {
@@ -155,7 +155,7 @@ def split_at(
 
 @styled
 def disturbance(problem: Problem, statistics: Statistics, summary: dict) -> Figure:
-    """Draw how |w| is distributed in each coordinate, and how often it exceeds a size, against W."""
+    """Draw how |w| is distributed by coordinate, and how often it exceeds a size, against W."""
     limits = problem.disturbance_set.support(np.eye(3))
     normals = validation.facets(problem.disturbance_set).normals
     # The two facets across each axis; W may have slanted ones besides.

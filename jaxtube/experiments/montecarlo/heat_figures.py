@@ -1,5 +1,4 @@
-"""Heat maps of a Monte Carlo run: deviations from plans against the tube, positions along the
-reference, starts.
+"""Heat maps of a Monte Carlo run: deviations from plans against the tube, and starts.
 
 Cells hold whole numbers in logarithmic colours; a cell in which nothing was counted stays white.
 """
@@ -14,27 +13,30 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import LinearSegmentedColormap, ListedColormap, LogNorm
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from jaxtube.experiments.figures.sets import IN_MILLIMETRES, OUTSIDE, SMALL_UNITS
+from jaxtube.coordinates import TO_DISPLAY
 from jaxtube.experiments.figures.style import (
     LIMIT,
-    TO_DISPLAY,
+    LIMIT_EDGE,
+    MILLIMETRES,
+    OUTSIDE,
     Line,
+    area_key,
     bottom_legend,
     draw_polygon,
     error_label,
+    label_plane,
+    line_key,
     line_keys,
     page_figure,
     styled,
 )
-from jaxtube.statistics.checks import Checks
 from jaxtube.statistics.run import Statistics
 from jaxtube.statistics.tally import PLANES
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.problem import Problem
+from sets.tubes import Section
 
 COLUMNS = 5
 """Stages side by side."""
@@ -43,11 +45,12 @@ CLOUD_REACH = 2.0
 COUNTS = LinearSegmentedColormap.from_list(
     "counts", ["#d9e9f5", "#7fb5dc", "#2b7bba", "#0b3f78", "#04173a"]
 )
-GREY = "0.88"
-HULL = "#009E73"
 SHARES = LinearSegmentedColormap.from_list(
     "shares", ["#fde3cf", "#f2a268", "#d55e00", "#7f2704", "#3a1000"]
 )
+NONE_LEFT = "0.88"
+STARTS = Line("set of the starts, projected", "#009E73")
+NOTE_BOX = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.2}
 
 
 @styled
@@ -58,7 +61,8 @@ def tube_cloud(design: Design, statistics: Statistics, summary: dict) -> Figure:
     The sections of the tube `sequence` change along the reference: its clouds are scaled to the
     section in the widest window, which is drawn.
     """
-    sections, clouds = design.tube[1:], statistics["cloud"]
+    sections = design.tube[1:]
+    clouds = statistics["cloud"]
     columns = min(len(sections), COLUMNS)
     bands = -(-len(sections) // columns)
     figure = page_figure(0.9 + 4.4 * bands)
@@ -66,88 +70,56 @@ def tube_cloud(design: Design, statistics: Statistics, summary: dict) -> Figure:
     norm = count_norm(clouds)
     for stage, section in enumerate(sections):
         band, column = divmod(stage, columns)
-        corners = section.vertices() * IN_MILLIMETRES
-        reach = CLOUD_REACH * np.abs(corners).max(axis=0)
-        # Where the section is flat, cells reach 1 m or 1 rad.
-        reach = np.where(reach > 0, reach, IN_MILLIMETRES)
-        for row, plane in enumerate(PLANES):
-            axes = panels[len(PLANES) * band + row, column]
-            heat(axes, clouds[stage, row], [(-reach[i], reach[i]) for i in plane], norm, COUNTS)
-            draw_polygon(axes, corners[:, plane], edgecolor=OUTSIDE, linewidth=1.3)
-            if beyond := summary["plans"] - int(clouds[stage, row].sum()):
-                note = f"{100 * beyond / summary['plans']:.2g} % beyond"
-                box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.85, "pad": 1.2}
-                axes.text(
-                    0.97,
-                    0.04,
-                    note,
-                    transform=axes.transAxes,
-                    ha="right",
-                    fontsize=6.5,
-                    bbox=box,
-                    zorder=2.4,
-                )
-            axes.set_xlabel(error_label(plane[0], unit=SMALL_UNITS[plane[0]]), labelpad=1)
-            for axis in (axes.xaxis, axes.yaxis):
-                axis.set_major_locator(MaxNLocator(4, symmetric=True))
-        found = summary["tube"]["stages"][stage]["outside"]
-        words = share_words(found["share"], found["interval"])
-        panels[len(PLANES) * band, column].set_title(f"$j = {stage + 1}$: {words}")
+        rows = panels[len(PLANES) * band : len(PLANES) * (band + 1), column]
+        _draw_stage(rows, section, clouds[stage], summary["plans"], norm)
+        outside = summary["tube"]["stages"][stage]["outside"]
+        words = share_words(outside["share"], outside["interval"])
+        rows[0].set_title(f"$j = {stage + 1}$: {words}")
     for row, axes in enumerate(panels[:, 0]):
-        coordinate = PLANES[row % len(PLANES)][1]
-        axes.set_ylabel(error_label(coordinate, unit=SMALL_UNITS[coordinate]), labelpad=1)
+        plane = PLANES[row % len(PLANES)]
+        axes.set_ylabel(error_label(plane[1], MILLIMETRES), labelpad=1)
     for axes in panels.flat:
         if not axes.has_data():
             axes.set_axis_off()
     colour_bar(figure, panels, norm, COUNTS, "plans in a cell")
-    key = f"$R_j$ of the tube `{design.tube.name}`, projected" + (
-        "; widest window" if design.tube.follows_reference else ""
-    )
-    bottom_legend(figure, line_keys([Line(f"{key}; {summary['plans']:,} plans", OUTSIDE)]))
+    widest = "; widest window" if design.tube.follows_reference else ""
+    label = f"$R_j$ of the tube “{design.tube.name}”, projected{widest}; {summary['plans']:,} plans"
+    bottom_legend(figure, line_keys([Line(label, OUTSIDE)]))
     return figure
+
+
+def _draw_stage(
+    rows, section: Section, clouds: Int[np.ndarray, "planes cells cells"], plans: int, norm: LogNorm
+) -> None:
+    """Draw the clouds of one stage, a plane a row, with the section around them."""
+    corners = section.vertices() * MILLIMETRES.factors
+    reach = CLOUD_REACH * np.abs(corners).max(axis=0)
+    # Where the section is flat, cells reach 1 m or 1 rad.
+    reach = np.where(reach > 0, reach, MILLIMETRES.factors)
+    for axes, plane, cloud in zip(rows, PLANES, clouds, strict=True):
+        draw_cells(axes, cloud, [(-reach[i], reach[i]) for i in plane], norm, COUNTS)
+        draw_polygon(axes, corners[:, plane], edgecolor=OUTSIDE, linewidth=1.3)
+        beyond = plans - int(cloud.sum())
+        if beyond:
+            _note_beyond(axes, beyond / plans)
+        axes.set_xlabel(error_label(plane[0], MILLIMETRES), labelpad=1)
+        axes.xaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+        axes.yaxis.set_major_locator(MaxNLocator(4, symmetric=True))
+
+
+def _note_beyond(axes: Axes, share: float) -> None:
+    """Say what share of the plans lies beyond the cells."""
+    note = f"{100 * share:.2g} % beyond"
+    look: dict[str, Any] = {"ha": "right", "fontsize": 6.5, "bbox": NOTE_BOX, "zorder": 2.4}
+    axes.text(0.97, 0.04, note, transform=axes.transAxes, **look)
 
 
 def share_words(share: float, interval: tuple[float, float]) -> str:
     """Return what share is outside, with its interval, in two lines."""
     low, high = (100 * bound for bound in interval)
-    return (
-        f"{100 * share:.3g} % outside\n({low:.3g} to {high:.3g} %)"
-        if share
-        else f"none outside\n(at most {high:.2g} %)"
-    )
-
-
-@styled
-def trajectory_map(
-    problem: Problem, checks: Checks, counts: Int[np.ndarray, "rows columns"]
-) -> Figure:
-    """Draw how often robots were where, in the world frame, with the reference; turned to lie where
-    it is tall.
-
-    Args:
-        problem: gives the reference.
-        checks: give the grid.
-        counts: of the run.
-    """
-    corner, cell = np.asarray(checks.map_corner), float(checks.map_cell)
-    ends = [(corner[i], corner[i] + cell * size) for i, size in enumerate(counts.shape[::-1])]
-    poses = problem.reference.poses[: problem.reference.steps + 1, :2]
-    low, high = poses.min(axis=0), poses.max(axis=0)
-    margin = np.min(low - corner)
-    shown = np.stack([low - margin, high + margin])
-    width, height = np.ptp(shown, axis=0)
-    order = [1, 0] if height > width else [0, 1]
-    figure = page_figure(1.0 + 5.7 * min(height, width) / max(height, width))
-    axes, norm = figure.subplots(), count_norm(counts)
-    heat(axes, counts if order == [0, 1] else counts.T, [ends[i] for i in order], norm, COUNTS)
-    axes.plot(*poses[:, order].T, color=OUTSIDE, linewidth=0.8)
-    axes.set(aspect="equal", xlim=shown[:, order[0]], ylim=shown[:, order[1]])
-    axes.set(xlabel=f"${'xy'[order[0]]}$ [m]", ylabel=f"${'xy'[order[1]]}$ [m]")
-    if order == [1, 0]:
-        axes.invert_yaxis()  # a rotation, no mirror image
-    colour_bar(figure, axes, norm, COUNTS, f"visits of a cell of {100 * cell:.3g} cm")
-    bottom_legend(figure, line_keys([Line(f"reference; {counts.sum():,} visits", OUTSIDE)]))
-    return figure
+    if not share:
+        return f"none outside\n(at most {high:.2g} %)"
+    return f"{100 * share:.3g} % outside\n({low:.3g} to {high:.3g} %)"
 
 
 @styled
@@ -162,47 +134,47 @@ def coverage(
         summary: of the run.
         hull: corners of the set that the starts are drawn from, (m, m, rad).
     """
-    starts, left = statistics["starts"], statistics["starts_that_left"]
+    starts = statistics["starts"]
+    left = statistics["starts_that_left"]
     shares = 100 * left / np.maximum(starts, 1)
-    limits = problem.error_set.support(np.eye(3)) * TO_DISPLAY
+    least_share = np.min(shares, where=left > 0, initial=1.0)
+    count_colours = count_norm(starts)
+    share_colours = LogNorm(least_share, 100.0)
     figure = page_figure(5.2)
     panels = figure.subplots(2, 3)
-    norms = (
-        count_norm(starts),
-        LogNorm(min(1.0, np.min(shares, where=left > 0, initial=1.0)), 100.0),
-    )
+    limits = problem.error_set.support(np.eye(3)) * TO_DISPLAY
     for column, plane in enumerate(PLANES):
+        counted, shared = panels[:, column]
         ends = [(-limits[i], limits[i]) for i in plane]
-        heat(panels[0, column], starts[column], ends, norms[0], COUNTS)
-        heat(panels[1, column], starts[column], ends, norms[0], ListedColormap([GREY]))
-        heat(panels[1, column], shares[column], ends, norms[1], SHARES)
-        for axes in panels[:, column]:
-            box = np.array([(x, y) for x in ends[0] for y in ends[1]])
-            draw_polygon(
-                axes,
-                box,
-                **{"edgecolor" if key == "color" else key: look for key, look in LIMIT.items()},
-            )
-            draw_polygon(
-                axes, hull[:, plane] * TO_DISPLAY[list(plane)], edgecolor=HULL, linewidth=1.2
-            )
-            axes.set_ylabel(error_label(plane[1]), labelpad=0)
-            axes.set(xlim=np.multiply(ends[0], 1.08), ylim=np.multiply(ends[1], 1.08))
-        panels[1, column].set_xlabel(error_label(plane[0]))
+        draw_cells(counted, starts[column], ends, count_colours, COUNTS)
+        draw_cells(shared, starts[column], ends, count_colours, ListedColormap([NONE_LEFT]))
+        draw_cells(shared, shares[column], ends, share_colours, SHARES)
+        for axes in (counted, shared):
+            _draw_bounds(axes, ends, hull[:, plane] * TO_DISPLAY[list(plane)])
+            label_plane(axes, plane)
+        counted.set_xlabel("")
     panels[0, 1].set_title(f"starts of {summary['laps']:,} laps")
-    panels[1, 1].set_title(_share_left(summary["events"]["e_outside_E"], summary["laps"]))
-    colour_bar(figure, panels[0], norms[0], COUNTS, "laps in a cell")
-    colour_bar(figure, panels[1], norms[1], SHARES, "of them left $\\mathcal{E}$ [%]")
+    panels[1, 1].set_title(_words_of_left(summary["events"]["e_outside_E"], summary["laps"]))
+    colour_bar(figure, panels[0], count_colours, COUNTS, "laps in a cell")
+    colour_bar(figure, panels[1], share_colours, SHARES, "of them left $\\mathcal{E}$ [%]")
     keys = [
-        Line2D([], [], label="limits of $\\mathcal{E}$", **LIMIT),
-        *line_keys([Line("set of the starts, projected", HULL)]),
-        Patch(color=GREY, label="none left $\\mathcal{E}$"),
+        line_key("limits of $\\mathcal{E}$", **LIMIT),
+        *line_keys([STARTS]),
+        area_key("none left $\\mathcal{E}$", NONE_LEFT),
     ]
     bottom_legend(figure, keys)
     return figure
 
 
-def _share_left(event: dict, laps: int) -> str:
+def _draw_bounds(axes: Axes, ends, hull: Float[np.ndarray, "k 2"]) -> None:
+    """Draw the limits of E and the set of the starts."""
+    box = np.array(np.meshgrid(*ends)).reshape(2, -1).T
+    draw_polygon(axes, box, **LIMIT_EDGE)
+    draw_polygon(axes, hull, edgecolor=STARTS.colour, linewidth=1.2)
+    axes.set(xlim=np.multiply(ends[0], 1.08), ylim=np.multiply(ends[1], 1.08))
+
+
+def _words_of_left(event: dict, laps: int) -> str:
     low, high = (100 * bound for bound in event["share_of_laps_interval"])
     interval = f"{low:.3g} to {high:.3g} %" if event["laps"] else f"at most {high:.2g} %"
     return f"{event['laps']:,} of {laps:,} laps left $\\mathcal{{E}}$ ({interval})"
@@ -213,20 +185,19 @@ def count_norm(counts: Int[np.ndarray, "*shape"]) -> LogNorm:
     return LogNorm(1, max(int(np.max(counts, initial=0)), 10))
 
 
-def heat(axes: Axes, values: np.ndarray, limits, norm: LogNorm, colours) -> None:
-    """Draw cells, rows upwards, between limits [(least, greatest) of x, of y]; cells of 0 stay
+def draw_cells(axes: Axes, values: np.ndarray, ends, norm: LogNorm, colours) -> None:
+    """Draw cells, rows upwards, between the ends [(least, greatest) of x, of y]; cells of 0 stay
     empty."""
-    edges = [
-        np.linspace(least, greatest, count + 1)
-        for (least, greatest), count in zip(limits, values.shape[::-1], strict=True)
-    ]
+    rows, columns = values.shape
+    (left, right), (bottom, top) = ends
+    x = np.linspace(left, right, columns + 1)
+    y = np.linspace(bottom, top, rows + 1)
     cells = np.ma.masked_less_equal(values, 0)
-    axes.pcolormesh(*edges, cells, norm=norm, cmap=colours, rasterized=True)
+    axes.pcolormesh(x, y, cells, norm=norm, cmap=colours, rasterized=True)
 
 
 def colour_bar(figure: Figure, panels: Any, norm: LogNorm, colours, label: str) -> None:
     """Put the scale of the colours beside panels."""
-    bar = figure.colorbar(
-        ScalarMappable(norm, colours), ax=panels, label=label, aspect=35, pad=0.015
-    )
+    scale = ScalarMappable(norm, colours)
+    bar = figure.colorbar(scale, ax=panels, label=label, aspect=35, pad=0.015)
     bar.ax.grid(False)

@@ -3,103 +3,142 @@ behind it."""
 
 from __future__ import annotations
 
-import jax.numpy as jnp
+from typing import Any, NamedTuple
+
+import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from jaxtube.experiments.figures.sets import IN_MILLIMETRES, INSIDE, OUTSIDE, SMALL_UNITS
 from jaxtube.experiments.figures.style import (
+    INSIDE,
     LIMIT,
+    METRES,
+    MILLIMETRES,
+    OUTSIDE,
     REFERENCE,
-    TO_DISPLAY,
     Line,
     bottom_legend,
+    disturbance_label,
     error_label,
+    line_key,
     line_keys,
     mark_key,
     page_figure,
     styled,
 )
 from jaxtube.plant.error_dynamics import world_pose
-from jaxtube.statistics.lap import Lap, Usage
+from jaxtube.plant.reference import settled_step
+from jaxtube.statistics.lap import Lap
 from jaxtube.synthesis.problem import Problem
 
 SIDES = (Line("right wheel", "#009E73"), Line("left wheel", "#CC79A7"))
-DISTURBANCES = ("w_x", "w_y", "w_\\theta")
-WORST = {
+WORST: dict[str, Any] = {
     "marker": "o",
     "markersize": 6,
     "markerfacecolor": "none",
     "markeredgecolor": OUTSIDE,
     "linestyle": "none",
 }
+WORST_SETTLED: dict[str, Any] = {**WORST, "marker": "D", "markersize": 5}
+"""Marks of the step that uses most of E, and of the one that does once the lap has settled."""
+
+
+class Worst(NamedTuple):
+    """The steps at which a lap uses most of E: of the whole lap, and once it has settled."""
+
+    step: int
+    settled: int | None  # None for a lap that is too short to settle
+    share: float
+    settled_share: float
 
 
 @styled
 def draw(problem: Problem, lap: Lap) -> Figure:
-    """Draw a lap; a ring marks where it used most of E.
+    """Draw a lap; a ring marks where it used most of E, a diamond where it did once settled.
 
     Args:
         problem: gives reference, limits and period.
         lap: of the linear plant, which has no wheels, the virtual inputs are shown instead.
     """
-    figure, worst = page_figure(5.8), int(np.argmax(lap.of_error_set.share)) + 1
-    most = [
-        f"{100 * usage.share.max():.4g} % of $\\mathcal{{{name}}}$"
-        for name, usage in _usages(lap).items()
-    ]
-    figure.suptitle(f"Lap {lap.number:,}: at most {' and '.join(most)} used", fontsize=10)
-    panels = figure.subplots(3, 3)
-    _path(panels[0, 0], problem, lap, worst)
+    worst = _find_worst(problem, lap)
+    figure = page_figure(7.0)
+    figure.suptitle(_title(problem, lap, worst))
+    panels = figure.subplots(4, 3)
+    _draw_path(panels[0, 0], problem, lap, worst)
     if lap.slips is None:
-        _inputs(panels[0, 1:], problem, lap)
+        _draw_inputs(panels[0, 1:], problem, lap)
     else:
-        _wheels(panels[0, 1], problem, lap)
-        _slips(panels[0, 2], problem, lap.slips)
+        _draw_wheels(panels[0, 1], problem, lap)
+        _draw_slips(panels[0, 2], problem, lap.slips)
+    first_settled = settled_step(problem.reference)
     for coordinate in range(3):
-        _error(panels[1, coordinate], problem, lap, worst, coordinate)
-        _disturbance(panels[2, coordinate], problem, lap, coordinate)
-    for axes in panels.flat[1:]:
-        axes.set_xlim(0, problem.reference.steps * problem.reference.dt)
-    for axes in (*panels[0, 1:], *panels[2]):
-        axes.set_xlabel("time [s]")
+        whole, settled, disturbance = panels[1:, coordinate]
+        _draw_error(whole, problem, lap, worst, coordinate)
+        _draw_settled_error(settled, problem, lap, worst, coordinate)
+        _draw_disturbance(disturbance, problem, lap, coordinate)
+        disturbance.set_xlabel("time [s]")
+    end = problem.reference.steps * problem.reference.dt
+    for axes in (*panels[0, 1:], *panels[1], *panels[3]):
+        axes.set_xlim(0, end)
+    for axes in panels[2]:
+        axes.set_xlim(min(first_settled * problem.reference.dt, 0.99 * end), end)
+    panels[1, 1].set_title("whole lap and the limits of $\\mathcal{E}$")
+    panels[2, 1].set_title("once settled, magnified")
     bottom_legend(figure, _keys(lap), columns=4)
     return figure
 
 
-def _usages(lap: Lap) -> dict[str, Usage]:
-    return {"E": lap.of_error_set, "W": lap.of_disturbance_set}
+def _find_worst(problem: Problem, lap: Lap) -> Worst:
+    share = lap.of_error_set.share
+    step = int(np.argmax(share)) + 1
+    first = settled_step(problem.reference)
+    if first >= len(share):
+        return Worst(step, None, share[step - 1], np.nan)
+    settled = first + int(np.argmax(share[first - 1 :]))
+    return Worst(step, settled, share[step - 1], share[settled - 1])
 
 
-def _path(axes: Axes, problem: Problem, lap: Lap, worst: int) -> None:
+def _title(problem: Problem, lap: Lap, worst: Worst) -> str:
+    dt = problem.reference.dt
+    of_errors = f"{100 * worst.share:.4g} % of $\\mathcal{{E}}$ at {worst.step * dt:.3g} s"
+    if worst.settled is not None:
+        once = f"once settled {100 * worst.settled_share:.4g} % at {worst.settled * dt:.3g} s"
+        of_errors = f"{of_errors}, {once}"
+    of_disturbances = f"{100 * lap.of_disturbance_set.share.max():.4g} % of $\\mathcal{{W}}$"
+    return f"Lap {lap.number:,} uses at most {of_errors}; {of_disturbances}"
+
+
+def _draw_path(axes: Axes, problem: Problem, lap: Lap, worst: Worst) -> None:
     poses = problem.reference.poses[: len(lap.trajectory.errors)]
-    path = np.asarray(world_pose(jnp.asarray(lap.trajectory.errors), jnp.asarray(poses)))[:, :2]
-    axes.plot(*path.T, color=INSIDE)
-    axes.plot(*poses[:, :2].T, **REFERENCE)
-    axes.plot(*path[worst], **WORST)
+    path = np.asarray(jax.jit(world_pose)(lap.trajectory.errors, poses))
+    axes.plot(path[:, 0], path[:, 1], color=INSIDE)
+    axes.plot(poses[:, 0], poses[:, 1], **REFERENCE)
+    axes.plot(path[worst.step, 0], path[worst.step, 1], **WORST)
+    if worst.settled is not None:
+        axes.plot(path[worst.settled, 0], path[worst.settled, 1], **WORST_SETTLED)
     axes.set(title="path", xlabel="$x$ [m]", ylabel="$y$ [m]")
     axes.set_aspect("equal", adjustable="datalim")
 
 
-def _inputs(row, problem: Problem, lap: Lap) -> None:
+def _draw_inputs(row, problem: Problem, lap: Lap) -> None:
     """Draw the virtual inputs."""
-    time = np.arange(len(lap.trajectory.inputs)) * problem.reference.dt
-    for index, (axes, label) in enumerate(zip(row, ("$u_1$ [m/s]", "$u_2$ [rad/s]"), strict=True)):
-        axes.step(time, lap.trajectory.inputs[:, index], where="post", color=INSIDE, linewidth=0.8)
+    inputs = lap.trajectory.inputs
+    time = np.arange(len(inputs)) * problem.reference.dt
+    labels = ("$u_1$ [m/s]", "$u_2$ [rad/s]")
+    for axes, values, label in zip(row, inputs.T, labels, strict=True):
+        axes.step(time, values, where="post", color=INSIDE, linewidth=0.8)
         axes.set(title="virtual input", ylabel=label)
 
 
-def _wheels(axes: Axes, problem: Problem, lap: Lap) -> None:
+def _draw_wheels(axes: Axes, problem: Problem, lap: Lap) -> None:
     """Draw the wheel speeds with those of the reference, and the limits that they come near."""
-    time = np.arange(len(lap.trajectory.wheels)) * problem.reference.dt
+    wheels = lap.trajectory.wheels
+    time = np.arange(len(wheels)) * problem.reference.dt
     for wheel, side in enumerate(SIDES):
         axes.step(time, problem.schedule[: len(time), wheel], where="post", **REFERENCE)
-        axes.step(
-            time, lap.trajectory.wheels[:, wheel], where="post", color=side.colour, linewidth=1.0
-        )
+        axes.step(time, wheels[:, wheel], where="post", color=side.colour, linewidth=1.0)
     low, high = axes.get_ylim()
     for limit in (problem.robot.wheel_speed_min, problem.robot.wheel_speed_max):
         if low <= limit <= high:
@@ -107,48 +146,74 @@ def _wheels(axes: Axes, problem: Problem, lap: Lap) -> None:
     axes.set(title="wheels", ylabel="speed [m/s]")
 
 
-def _slips(axes: Axes, problem: Problem, slips: Float[np.ndarray, "steps 2 2"]) -> None:
+def _draw_slips(axes: Axes, problem: Problem, slips: Float[np.ndarray, "steps 2 2"]) -> None:
     """Draw by how much the slip that varies differs from the nominal one; the true one where both
     do."""
     settings = problem.scenario.slip
     kind = "measured" if settings.random == "measured" else "true"
-    deviations = 100 * settings.relative_error * slips[:, ("true", "measured").index(kind)]
+    varying = slips[:, ("true", "measured").index(kind)]
+    deviations = 100 * settings.relative_error * varying
     time = np.arange(len(deviations)) * problem.reference.dt
     for values, side in zip(deviations.T, SIDES, strict=True):
         axes.plot(time, values, ".", color=side.colour, markersize=2.5)
     axes.set(title=f"{kind} slip", ylabel="off nominal [%]")
 
 
-def _error(axes: Axes, problem: Problem, lap: Lap, worst: int, coordinate: int) -> None:
-    values = lap.trajectory.errors[:, coordinate] * TO_DISPLAY[coordinate]
-    limit = problem.error_set.support(np.eye(3)[coordinate]) * TO_DISPLAY[coordinate]
-    axes.plot(np.arange(len(values)) * problem.reference.dt, values, color=INSIDE, linewidth=1.0)
-    axes.plot(worst * problem.reference.dt, values[worst], **WORST)
-    for level in (-limit, limit):
-        axes.axhline(level, **LIMIT)
+def _draw_error(axes: Axes, problem: Problem, lap: Lap, worst: Worst, coordinate: int) -> None:
+    """Draw an error over the whole lap, with its limits."""
+    scale = METRES.factors[coordinate]
+    values = lap.trajectory.errors[:, coordinate] * scale
+    limit = problem.error_set.support(np.eye(3)[coordinate]) * scale
+    dt = problem.reference.dt
+    axes.plot(np.arange(len(values)) * dt, values, color=INSIDE, linewidth=1.0)
+    axes.plot(worst.step * dt, values[worst.step], **WORST)
+    axes.axhline(-limit, **LIMIT)
+    axes.axhline(limit, **LIMIT)
     axes.set_ylabel(error_label(coordinate), labelpad=0)
 
 
-def _disturbance(axes: Axes, problem: Problem, lap: Lap, coordinate: int) -> None:
+def _draw_settled_error(
+    axes: Axes, problem: Problem, lap: Lap, worst: Worst, coordinate: int
+) -> None:
+    """Draw an error from where the lap has settled, in small units."""
+    first = settled_step(problem.reference)
+    values = lap.trajectory.errors[:, coordinate] * MILLIMETRES.factors[coordinate]
+    dt = problem.reference.dt
+    time = np.arange(first, len(values)) * dt
+    axes.plot(time, values[first:], color=INSIDE, linewidth=1.0)
+    if worst.settled is not None:
+        axes.plot(worst.settled * dt, values[worst.settled], **WORST_SETTLED)
+    axes.set_ylabel(error_label(coordinate, MILLIMETRES), labelpad=0)
+
+
+def _draw_disturbance(axes: Axes, problem: Problem, lap: Lap, coordinate: int) -> None:
     """Draw w at the ends of the periods, those beyond W in this coordinate in another colour."""
-    values = lap.disturbance[:, coordinate] * IN_MILLIMETRES[coordinate]
-    limit = problem.disturbance_set.support(np.eye(3)[coordinate]) * IN_MILLIMETRES[coordinate]
+    scale = MILLIMETRES.factors[coordinate]
+    values = lap.disturbance[:, coordinate] * scale
+    limit = problem.disturbance_set.support(np.eye(3)[coordinate]) * scale
     time = (np.arange(len(values)) + 1) * problem.reference.dt
     outside = lap.of_disturbance_set.by_coordinate[:, coordinate]
-    for chosen, colour in ((~outside, INSIDE), (outside, OUTSIDE)):
-        axes.plot(time[chosen], values[chosen], ".", color=colour, markersize=2.5)
-    for level in (-limit, limit):
-        axes.axhline(level, **LIMIT)
-    axes.set_ylabel(f"${DISTURBANCES[coordinate]}$ [{SMALL_UNITS[coordinate]}]", labelpad=0)
+    _draw_dots(axes, time, values, ~outside, INSIDE)
+    _draw_dots(axes, time, values, outside, OUTSIDE)
+    axes.axhline(-limit, **LIMIT)
+    axes.axhline(limit, **LIMIT)
+    axes.set_ylabel(disturbance_label(coordinate), labelpad=0)
     axes.set_title(f"{100 * outside.mean():.3g} % of the steps outside")
+
+
+def _draw_dots(axes: Axes, time, values, shown: Bool[np.ndarray, " steps"], colour: str) -> None:
+    axes.plot(time[shown], values[shown], ".", color=colour, markersize=2.5)
 
 
 def _keys(lap: Lap) -> list:
     keys = [
-        Line2D([], [], label="limits of $\\mathcal{E}$, $\\mathcal{W}$", **LIMIT),
-        Line2D([], [], label="most of $\\mathcal{E}$ used", **WORST),
+        line_key("limits of $\\mathcal{E}$, $\\mathcal{W}$", **LIMIT),
+        line_key("most of $\\mathcal{E}$ used", **WORST),
+        line_key("most once settled", **WORST_SETTLED),
         mark_key("$w$ inside its limits", INSIDE, markersize=3),
         mark_key("$w$ outside", OUTSIDE, markersize=3),
-        Line2D([], [], label="reference", **REFERENCE),
+        line_key("reference", **REFERENCE),
     ]
-    return keys if lap.slips is None else keys + line_keys(SIDES)
+    if lap.slips is not None:
+        keys += line_keys(SIDES)
+    return keys

@@ -1,4 +1,4 @@
-"""The map of a Monte Carlo run: along the reference, how large the errors of almost all laps are."""
+"""The map of a Monte Carlo run: how large the errors of almost all laps are along the path."""
 
 from __future__ import annotations
 
@@ -6,18 +6,22 @@ import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
-from matplotlib.colors import ListedColormap, LogNorm
+from matplotlib.colors import ListedColormap, Normalize
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from jaxtube.coordinates import COORDINATES
 from jaxtube.experiments.figures.style import (
     MILLIMETRES,
+    OUTSIDE,
     area_key,
     bottom_legend,
+    line_key,
     page_figure,
     styled,
 )
 from jaxtube.experiments.montecarlo.heat_figures import COUNTS
+from jaxtube.plant.reference import settled_step
 from jaxtube.statistics import histogram
 from jaxtube.statistics.checks import Checks
 from jaxtube.statistics.run import Statistics
@@ -27,12 +31,16 @@ SHARE = 0.999
 """Share of the laps whose error is smaller than what is drawn."""
 VISITED = "0.88"
 PATH_WIDTH = 3.5
+LEAST_SPAN = 1e-3
+"""Share of the least size by which the colours span more than one size."""
 
 
 @styled
 def error_map(problem: Problem, checks: Checks, statistics: Statistics) -> Figure:
     """Draw the reference in the colours of the 99.9 % quantile of |e|, one panel a coordinate, over
     the cells that laps visited.
+
+    The colours span what is met once laps have settled.
 
     Args:
         problem: gives the reference.
@@ -49,11 +57,15 @@ def error_map(problem: Problem, checks: Checks, statistics: Statistics) -> Figur
         path = _draw_path(axes, problem, statistics, coordinate)
         axes.set(title=f"$|{COORDINATES[coordinate].error}|$", aspect="equal", xlabel="$x$ [m]")
         label = f"{100 * SHARE:g} % of the laps below [{MILLIMETRES.units[coordinate]}]"
-        bar = figure.colorbar(path, ax=axes, label=label, orientation="horizontal", aspect=25)
+        bar = figure.colorbar(
+            path, ax=axes, label=label, orientation="horizontal", aspect=25, extend="max"
+        )
+        bar.locator = MaxNLocator(5)
         bar.ax.grid(False)
     panels[0].set_ylabel("$y$ [m]")
     visits = f"cells of {100 * cell:.3g} cm that laps visited ({counts.sum():,} visits)"
-    bottom_legend(figure, [area_key(visits, VISITED)])
+    larger = line_key("larger, before laps have settled", color=OUTSIDE, linewidth=PATH_WIDTH)
+    bottom_legend(figure, [larger, area_key(visits, VISITED)])
     return figure
 
 
@@ -87,8 +99,10 @@ def _draw_path(
     sizes = np.nan_to_num(inside, nan=histogram.EDGES[1]) * MILLIMETRES.factors[coordinate]
     order = np.argsort(sizes, kind="stable")
     segments = np.stack([places[:-1], places[1:]], axis=1)
-    norm = LogNorm(sizes.min(), max(sizes.max(), 1.5 * sizes.min()))
-    path = LineCollection(list(segments[order]), cmap=COUNTS, norm=norm, linewidth=PATH_WIDTH)
+    settled = sizes[min(settled_step(problem.reference), len(sizes) - 1) :]
+    norm = Normalize(settled.min(), max(settled.max(), (1 + LEAST_SPAN) * settled.min()))
+    look = {"cmap": COUNTS.with_extremes(over=OUTSIDE), "linewidth": PATH_WIDTH}
+    path = LineCollection(list(segments[order]), norm=norm, **look)
     path.set_array(sizes[order])
     path.set_capstyle("round")
     axes.add_collection(path)

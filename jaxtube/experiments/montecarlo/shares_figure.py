@@ -1,4 +1,4 @@
-"""The figure of the verdict of a Monte Carlo run: shares of what must not happen, with intervals."""
+"""The verdict of a Monte Carlo run as a figure: shares of what must not happen, with intervals."""
 
 from __future__ import annotations
 
@@ -66,11 +66,15 @@ def share_rows(summary: dict) -> list[Row]:
 
 def _event_row(summary: dict, name: str) -> Row:
     event = summary["events"][name]
-    shares = {
+    return Row(f"{ROWS[name]}: {event['laps']:,} laps", make_shares(event))
+
+
+def make_shares(event: dict) -> dict[str, Share]:
+    """Return the shares of laps and of steps with an event, with their intervals."""
+    return {
         kind: Share(event[f"share_of_{kind}"], *event[f"share_of_{kind}_interval"])
         for kind in ("laps", "steps")
     }
-    return Row(f"{ROWS[name]}: {event['laps']:,} laps", shares)
 
 
 def _stage_rows(summary: dict) -> list[Row]:

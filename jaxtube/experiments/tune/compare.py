@@ -23,7 +23,8 @@ from scipy import stats
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.tune import baselines as tune_baselines
 from jaxtube.experiments.tune.baselines import GRADIENT, Entry, Spots, result_spot
-from jaxtube.experiments.tune.front_figure import Group, Kind, comparison_figure, front_figure
+from jaxtube.experiments.tune.comparison_figure import comparison_figure
+from jaxtube.experiments.tune.front_figure import Group, Kind, front_figure
 from jaxtube.experiments.tune.paths import Drives, drive_numbers, drive_paths, path_lines
 from jaxtube.experiments.tune.result import (
     COMPARED_LAPS,

@@ -12,7 +12,8 @@ from jaxtyping import Float
 
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left
-from jaxtube.experiments.tune import figures as tune_figures
+from jaxtube.experiments.tune.figures import error_figure, tube_figure
+from jaxtube.experiments.tune.learning_figure import Curve, learning_figure
 from jaxtube.experiments.tune.parameter_figure import parameter_figure
 from jaxtube.experiments.tune.result import (
     COMPARED_LAPS,
@@ -161,10 +162,10 @@ def draw(folder: RunFolder, tuned: Tuned) -> None:
     limit = tuner.aim.effort_limit if np.isfinite(tuner.aim.effort_limit) else None
     curves = {METHODS[tuned.descent.method]: _curve(arrays)}
     caps = tuner.problem.operating_set.offsets[:3]
-    folder.save_figure(tune_figures.learning_figure(curves, limit), "learning")
-    tubes = tune_figures.tube_figure(_tube(tuner, start), _tube(tuner, best), caps)
+    folder.save_figure(learning_figure(curves, limit), "learning")
+    tubes = tube_figure(_tube(tuner, start), _tube(tuner, best), caps)
     folder.save_figure(tubes, "tube")
-    errors = tune_figures.error_figure(
+    errors = error_figure(
         _drawn_errors(tuner, start),
         _drawn_errors(tuner, best),
         tuner.problem.model.dt,
@@ -181,9 +182,9 @@ def draw(folder: RunFolder, tuned: Tuned) -> None:
     folder.save_figure(parameters, "parameters")
 
 
-def _curve(arrays: dict[str, np.ndarray]) -> tune_figures.Curve:
+def _curve(arrays: dict[str, np.ndarray]) -> Curve:
     """Return the learning curve of a descent."""
-    return tune_figures.Curve(
+    return Curve(
         iteration=np.arange(len(arrays["held_out"])),
         objective=arrays["objective"],
         held_out=arrays["held_out"],
