@@ -286,3 +286,17 @@ def test_the_start_of_the_scenario_is_the_one_judged_by_default(robust_design):
 def test_the_initial_heading_error_counts_modulo_a_turn(heading, error):
     problem = make_problem(load("paper", [f"initial.heading_deg={heading}"]))
     assert np.rad2deg(problem.initial_error[2]) == pytest.approx(error, abs=1e-9)
+
+
+@pytest.mark.parametrize("rounding", [-1e-10, 0.0, 1e-10])
+def test_a_path_on_the_edge_of_the_box_lies_in_the_certified_region(rounding):
+    slowest = 1.36 * (1 - 0.5 / 5.4) + rounding
+    fastest = 1.36 * (1 + 0.5 / 5.4) - rounding
+    box = [
+        f"reference.wheel_speed_min_mps={slowest!r}",
+        f"reference.wheel_speed_max_mps={fastest!r}",
+    ]
+    problem = make_problem(load("certified", ["reference.radius_m=2.7", *box]))
+    lower, upper = problem.regions[0]
+    assert np.all((lower <= problem.reference.wheels) & (problem.reference.wheels <= upper))
+    np.testing.assert_allclose([lower[0], upper[0]], [slowest, fastest], rtol=0, atol=1e-9)
