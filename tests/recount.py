@@ -16,11 +16,13 @@ from tolerances import COUNTED
 
 from jaxtube import qp
 from jaxtube.control import mpc
+from jaxtube.coordinates import PLANES
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import LoopState, Trajectory, follow_plan
+from jaxtube.statistics.events import EVENT_NAMES, find_row
 from jaxtube.statistics.histogram import BUCKETS, EDGES
 from jaxtube.statistics.run import WORST
-from jaxtube.statistics.tally import CLOUD_CELLS, COVERAGE_CELLS, EVENTS, HEAT_CELLS, PLANES
+from jaxtube.statistics.tally import CLOUD_CELLS, COVERAGE_CELLS, HEAT_CELLS
 from sets.tubes import sequence_tube
 
 AXES = ("longitudinal", "lateral", "heading")
@@ -78,8 +80,8 @@ def flags_of(case, laps, w):
         "outside_ultimate_bound": late & ~np.all(settled <= case.task.checks.ultimate, axis=-1),
         "not_finite": ~(np.isfinite(e).all(axis=-1) & np.isfinite(laps.inputs).all(axis=-1)),
     }
-    assert set(found) == set(EVENTS)
-    return np.stack([found[name] for name in EVENTS], axis=-1)
+    assert set(found) == set(EVENT_NAMES)
+    return np.stack([found[name] for name in EVENT_NAMES], axis=-1)
 
 
 def positions(design, errors):
@@ -113,7 +115,7 @@ def recount(case, laps: Trajectory, first: int) -> dict:
         positions(case.design, e).reshape(-1, 2),
     )
     starts, reach = laps.errors[0], sets["error"].support(np.eye(3))
-    left = flags[..., EVENTS.index("e_outside_E")].any(axis=0)
+    left = flags[..., find_row("e_outside_E")].any(axis=0)
     found = {
         "laps": count,
         "events": by_lap(flags, steps),

@@ -24,7 +24,7 @@ from jaxtube.plant.reference import settled_step
 from jaxtube.scenario import Scenario
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys
-from jaxtube.statistics import task as validation
+from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import BLOCK, Run
 from jaxtube.synthesis.design import Design, design
 from jaxtube.synthesis.feasible import boundary, spread_starts
@@ -50,7 +50,7 @@ def run(scenario: Scenario, options: BenchOptions) -> int:
     if found.problem.given_gains:
         numbers["gradient"], text = gradient_cost(found)
         folder.report(text)
-    task = validation.make_task(found, "tube_mpc", "robot", "scenario", options.seed)
+    task = make_closed_loop_task(found, "tube_mpc", "robot", "scenario", None, options.seed)
     devices = tuple(jax.local_devices())
     speeds = {}
     for count in sorted({1, len(devices)}):

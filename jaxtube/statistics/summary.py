@@ -87,6 +87,7 @@ def summarise(design: Design, law: SamplingLaw, statistics: Statistics) -> dict:
     settled = settled_step(problem.reference)
     numbers = {
         "law": law.describe(problem.scenario),
+        "certificate": design.certificate.verdict,
         "confidence": CONFIDENCE,
         "laps": int(statistics["laps"]),
         "steps_a_lap": steps,

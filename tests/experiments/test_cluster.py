@@ -15,7 +15,7 @@ from jaxtube.experiments.cli import main
 from jaxtube.experiments.montecarlo import command
 from jaxtube.experiments.run import cluster as clusters
 from jaxtube.experiments.run.cluster import Cluster, Job
-from jaxtube.statistics import task as validation
+from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import BLOCK, Run
 
 pytest.importorskip("distributed")
@@ -38,7 +38,7 @@ def known(monkeypatch, design):
 
 @pytest.fixture
 def local(design):
-    task = validation.make_task(design, "equal_gain", "robot", "scenario", 3)
+    task = make_closed_loop_task(design, "equal_gain", "robot", "scenario", None, 3)
     return Run(task, 20 * BLOCK - 5, 1, (jax.devices()[0],))
 
 

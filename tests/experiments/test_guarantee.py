@@ -22,17 +22,16 @@ from jaxtube.experiments.guarantee.attack import (
     make_tasks,
     under,
 )
-from jaxtube.experiments.montecarlo import report as montecarlo_report
-from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.plant.robot import Robot
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario, ScenarioError, load
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.statistics import run as montecarlo
+from jaxtube.statistics.events import EVENT_NAMES
+from jaxtube.statistics.montecarlo import make_closed_loop_task, name_law
 from jaxtube.statistics.run import BLOCK, Run
-from jaxtube.statistics.tally import EVENTS
-from jaxtube.statistics.task import make_task
+from jaxtube.statistics.summary import summarise
 from sets.certificate import Certificate, Condition
 
 REFERENCE = "reference.duration_s=2"
@@ -187,7 +186,7 @@ ROBOT = (*claims.PREMISE, "true_error_in_e", "wheel_limits")
 
 def law(laps=4096, steps=300, plans=8000, usage=0.9, **seen):
     """Return the summary of a law: `seen` laps with an event, or cost and tube as counts of plans."""
-    events = {name: {"laps": seen.get(name, 0), "share_of_steps": 0.01} for name in EVENTS}
+    events = {name: {"laps": seen.get(name, 0), "share_of_steps": 0.01} for name in EVENT_NAMES}
     return {
         "laps": laps,
         "steps_a_lap": steps,
@@ -382,7 +381,7 @@ def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
             yield found
 
     with monkeypatch.context() as patch:
-        patch.setattr(Run, "computed", interrupted)
+        patch.setattr(Run, "compute", interrupted)
         assert main([*WORDS, "--out", str(parts)]) == 4
     assert main([*WORDS, "--out", str(parts)]) == 0
     for name in ("metrics.json", "guarantee.md"):
@@ -395,15 +394,14 @@ def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
     attacking = LAWS[-1]
     alone = under(small(load("certified", [REFERENCE])), attacking)
     run = Run(
-        make_task(alone, "tube_mpc", "robot", attacking.starts, 0),
+        make_closed_loop_task(alone, "tube_mpc", "robot", attacking.starts, None, 0),
         128,
         1,
         tuple(jax.local_devices()[:1]),
     )
     statistics = montecarlo.merge(*(each for _, each in run.compute([0, 1])))
-    expected = montecarlo_report.summary(
-        alone, MontecarloOptions(starts=attacking.starts), statistics
-    )
+    sampling = name_law(alone, "tube_mpc", "robot", attacking.starts)
+    expected = summarise(alone, sampling, statistics)
     assert laws[attacking.name]["law"] == expected["law"]
     for event, each in expected["events"].items():
         assert laws[attacking.name]["events"][event]["steps"] == each["steps"]

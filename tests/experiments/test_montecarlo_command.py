@@ -22,8 +22,8 @@ from jaxtube.experiments.montecarlo import report as montecarlo_report
 from jaxtube.scenario import load
 from jaxtube.statistics import histogram
 from jaxtube.statistics import run as montecarlo
+from jaxtube.statistics.events import EVENT_NAMES, find_row
 from jaxtube.statistics.intervals import mean_interval, share_interval
-from jaxtube.statistics.tally import EVENTS
 from jaxtube.synthesis.design import design as designed
 from sets.certificate import Certificate
 
@@ -82,14 +82,14 @@ def test_the_metrics_are_those_of_the_statistics(undisturbed):
     laps, steps = BLOCKS * BLOCK, 30
     assert found["laps"] == statistics["laps"] == laps and found["steps_a_lap"] == steps
     # A static gain solves no QP: nothing is said of any.
-    assert set(found["events"]) == set(EVENTS) - {
+    assert set(found["events"]) == set(EVENT_NAMES) - {
         "qp_infeasible",
         "qp_unsolved",
         "row_active",
         "backup",
     }
     for name in found["events"].keys() - {"outside_ultimate_bound"}:
-        row = statistics["events"][EVENTS.index(name)]
+        row = statistics["events"][find_row(name)]
         event = found["events"][name]
         assert event["laps"] == laps - row[0] and event["share_of_laps"] == (laps - row[0]) / laps
         assert event["steps"] == sum(count * times for times, count in enumerate(row))

@@ -12,13 +12,13 @@ from tolerances import DRAWN
 from jaxtube.coordinates import NAMES, TO_DISPLAY
 from jaxtube.experiments.montecarlo import figures as montecarlo_figures
 from jaxtube.experiments.montecarlo import heat_figures, map_figure, shares_figure
-from jaxtube.experiments.montecarlo import report as montecarlo_report
-from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.statistics import histogram
-from jaxtube.statistics import task as validation
+from jaxtube.statistics.events import EVENT_NAMES, find_row
 from jaxtube.statistics.intervals import share_interval
+from jaxtube.statistics.montecarlo import make_closed_loop_task, name_law
 from jaxtube.statistics.run import RANKED
-from jaxtube.statistics.tally import CLOUD_CELLS, COVERAGE_CELLS, EVENTS, HEAT_CELLS, STAGE_EVENTS
+from jaxtube.statistics.summary import summarise
+from jaxtube.statistics.tally import CLOUD_CELLS, COVERAGE_CELLS, HEAT_CELLS, STAGE_EVENTS
 
 LAPS = 40
 PLANS_EACH = 3
@@ -44,7 +44,7 @@ def quiet(design):
     horizon = design.problem.horizon
     smallest = np.zeros((3, histogram.BUCKETS), np.int64)
     smallest[:, 0] = LAPS
-    events = np.zeros((len(EVENTS), steps + 1), np.int64)
+    events = np.zeros((len(EVENT_NAMES), steps + 1), np.int64)
     events[:, 0] = LAPS
     stage_events = np.zeros((horizon, len(STAGE_EVENTS), PLANS_EACH + 1), np.int64)
     stage_events[..., 0] = LAPS
@@ -116,16 +116,17 @@ def eventful(design, quiet):
 
 def _set_event(statistics, event, by_lap):
     steps = statistics["events"].shape[1] - 1
-    statistics["events"][EVENTS.index(event)] = np.bincount(by_lap, minlength=steps + 1)
+    statistics["events"][find_row(event)] = np.bincount(by_lap, minlength=steps + 1)
 
 
 @pytest.fixture(scope="module")
 def task(design):
-    return validation.make_task(design, "local_gain", "robot", "scenario", 0)
+    return make_closed_loop_task(design, "local_gain", "robot", "scenario", None, 0)
 
 
 def summary_of(design, statistics, **options):
-    return montecarlo_report.summary(design, MontecarloOptions(**options), statistics)
+    options = {"controller": "tube_mpc", "plant": "robot", "starts": "scenario"} | options
+    return summarise(design, name_law(design, **options), statistics)
 
 
 @pytest.fixture(scope="module")

@@ -10,8 +10,9 @@ from jaxtube.experiments.montecarlo import netcdf
 from jaxtube.scenario import ScenarioError
 from jaxtube.statistics import histogram
 from jaxtube.statistics.checks import Facets, Sections
+from jaxtube.statistics.events import EVENT_NAMES, find_row
 from jaxtube.statistics.run import RANKED
-from jaxtube.statistics.tally import CLOUD_CELLS, COVERAGE_CELLS, EVENTS, HEAT_CELLS, STAGE_EVENTS
+from jaxtube.statistics.tally import CLOUD_CELLS, COVERAGE_CELLS, HEAT_CELLS, STAGE_EVENTS
 
 STEPS = 6
 HORIZON = 4
@@ -23,7 +24,7 @@ def statistics():
     """Invented statistics, no two numbers alike."""
     generator = np.random.default_rng(8)
     shapes = {
-        "events": (len(EVENTS), STEPS + 1),
+        "events": (len(EVENT_NAMES), STEPS + 1),
         "stage_events": (HORIZON, len(STAGE_EVENTS), PLANS + 1),
         "plans_by_lap": (PLANS + 1,),
         "error_by_step": (STEPS, 3, histogram.BUCKETS),
@@ -91,7 +92,7 @@ def test_statistics_come_back_bit_by_bit_under_named_coordinates(statistics, che
         events = dataset["events"]
         later = dataset["error_by_step"]
         assert np.array_equal(
-            events.sel(event="e_outside_E"), statistics["events"][EVENTS.index("e_outside_E")]
+            events.sel(event="e_outside_E"), statistics["events"][find_row("e_outside_E")]
         )
         heading = later.sel(coordinate="heading", step=STEPS)
         assert np.array_equal(heading, statistics["error_by_step"][-1, 2])

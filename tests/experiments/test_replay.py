@@ -14,7 +14,7 @@ from jaxtube.experiments.cli import main
 from jaxtube.experiments.figures.style import OUTSIDE
 from jaxtube.experiments.montecarlo import lap_figure, replay
 from jaxtube.simulation import closed_loop, laps
-from jaxtube.statistics import task as validation
+from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import Run
 
 SEED, LAPS = 11, 24
@@ -29,7 +29,7 @@ def found(uncertified):
 
 @pytest.fixture(scope="module")
 def task(found):
-    return validation.make_task(found, "local_gain", "robot", "feasible", SEED)
+    return make_closed_loop_task(found, "local_gain", "robot", "feasible", None, SEED)
 
 
 @pytest.fixture
@@ -37,13 +37,13 @@ def known(found, task, monkeypatch):
     """Hand out the design and the task of these tests to the command, where it asks for them."""
 
     def make_task(*arguments):
-        assert arguments == (found, "local_gain", "robot", "feasible", SEED)
+        assert arguments == (found, "local_gain", "robot", "feasible", None, SEED)
         return task
 
     monkeypatch.setattr(
         "jaxtube.experiments.montecarlo.command.make_design", lambda scenario: found
     )
-    monkeypatch.setattr("jaxtube.statistics.task.make_task", make_task)
+    monkeypatch.setattr("jaxtube.experiments.montecarlo.replay.make_closed_loop_task", make_task)
 
 
 @pytest.fixture(scope="module")

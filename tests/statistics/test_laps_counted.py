@@ -18,9 +18,10 @@ from tolerances import COUNTED, COUNTED_ROUNDING, PLAN_OF_ORACLE, SOLVED_ROUNDIN
 from jaxtube.scenario import load
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
 from jaxtube.statistics import run as montecarlo
-from jaxtube.statistics import task as validation
+from jaxtube.statistics.events import EVENT_NAMES, find_row
+from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import RANKED, WORST, Run, first_plan, merge, plan_steps
-from jaxtube.statistics.tally import EVENTS
+from jaxtube.statistics.task import facets
 from jaxtube.synthesis.design import Design, design
 from sets.polytope import Polytope
 
@@ -76,7 +77,7 @@ def make_case(found, controller, spread, most_mps):
     """Build a case in which everything happens: narrower sets and slower wheels than those of the
     design, wide starts, and a stage cost against which plans do not always improve."""
     task, problem = (
-        validation.make_task(found, controller, "robot", "feasible", SEED),
+        make_closed_loop_task(found, controller, "robot", "feasible", None, SEED),
         found.problem,
     )
     sets = {
@@ -86,10 +87,7 @@ def make_case(found, controller, spread, most_mps):
     }
     checks = dataclasses.replace(
         task.checks,
-        **{
-            name: jax.tree.map(jnp.asarray, validation.facets(polytope))
-            for name, polytope in sets.items()
-        },
+        **{name: jax.tree.map(jnp.asarray, facets(polytope)) for name, polytope in sets.items()},
         ultimate=jnp.array([0.02, 0.05, 0.02]),
         settled=20,
         error_weight=2.5 * task.checks.error_weight,
@@ -167,7 +165,7 @@ def test_a_block_of_the_tube_mpc_counts_what_its_laps_do(poisoned, blocks, laps,
     expected = recount(poisoned, laps[block], block * BLOCK)
     check_same(blocks[block], expected, SOLVED_ROUNDING)
     # Every event happens in some laps, and most not in all: no count holds trivially.
-    for name, row in zip(EVENTS, expected["events"], strict=True):
+    for name, row in zip(EVENT_NAMES, expected["events"], strict=True):
         if block == 0 or name not in ("not_finite", "qp_unsolved"):
             assert row[1:].sum() > 0, name
         assert row.sum() == (BLOCK, PARTIAL)[block]
@@ -189,9 +187,9 @@ def test_a_lap_that_is_no_number_is_a_violation_and_the_worst_of_all(blocks, lap
         "not_finite",
         "backup",
     ):
-        assert found["events"][EVENTS.index(name), steps] >= 1, name
+        assert found["events"][find_row(name), steps] >= 1, name
     np.testing.assert_array_equal(
-        found["events"][EVENTS.index("not_finite")], [BLOCK - 1, *[0] * (steps - 1), 1]
+        found["events"][find_row("not_finite")], [BLOCK - 1, *[0] * (steps - 1), 1]
     )
     for name in ("error", "disturbance"):
         assert found[f"worst_lap/{name}"][0] == VICTIM and found[f"worst_usage/{name}"][0] == np.inf
@@ -284,7 +282,7 @@ def test_no_plan_is_followed_where_the_reference_ends_before_it(steps):
 @pytest.mark.slow
 def test_while_w_stays_in_W_no_tube_and_no_E_is_left(uncertified):
     design = uncertified("robust", SHORT)
-    task = validation.make_task(design, "tube_mpc", "linear", "feasible", SEED)
+    task = make_closed_loop_task(design, "tube_mpc", "linear", "feasible", None, SEED)
     run = Run(task, 4 * BLOCK, 1, (jax.devices()[0],))
     found = [statistics for _, statistics in run.compute(range(4))]
     joined = merge(merge(found[0], found[1]), merge(found[2], found[3]))
@@ -297,7 +295,7 @@ def test_while_w_stays_in_W_no_tube_and_no_E_is_left(uncertified):
         "qp_unsolved",
         "backup",
     ):
-        assert joined["events"][EVENTS.index(name), 1:].sum() == 0, name
+        assert joined["events"][find_row(name), 1:].sum() == 0, name
     for name in design.tubes:
         assert joined[f"tube_outside/{name}"].sum() == 0
         assert joined[f"tube_excess/{name}"].max() <= COUNTED
@@ -306,9 +304,9 @@ def test_while_w_stays_in_W_no_tube_and_no_E_is_left(uncertified):
     assert joined["excess/disturbance"].max() <= COUNTED and joined["excess/error"].max() <= 0
     assert (
         joined["cost_excesses"] == joined["next_plan_missing"] == 0
-        and joined["events"][EVENTS.index("row_active"), 1:].sum() > 0
+        and joined["events"][find_row("row_active"), 1:].sum() > 0
     )
-    assert joined["events"][EVENTS.index("outside_ultimate_bound"), 1:].sum() == 0
+    assert joined["events"][find_row("outside_ultimate_bound"), 1:].sum() == 0
 
 
 # -------------------------------------------------------------------------- whatever the way it ran

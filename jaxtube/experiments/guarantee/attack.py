@@ -25,7 +25,7 @@ from jaxtyping import Float, Int, Key
 from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.slipping import SlipMemory, SlippingRobot
 from jaxtube.simulation import closed_loop
-from jaxtube.statistics import task as validation
+from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import Task
 from jaxtube.synthesis.design import Design
 
@@ -150,6 +150,7 @@ def make_tasks(found: Design, seed: int) -> tuple[dict[Law, Task], str]:
 
 def _task(found: Design, law: Law, seed: int) -> tuple[Task, str]:
     try:
-        return validation.make_task(found, "tube_mpc", "robot", law.starts, seed), ""
+        return make_closed_loop_task(found, "tube_mpc", "robot", law.starts, None, seed), ""
     except ValueError as error:
-        return validation.make_task(found, "tube_mpc", "robot", "scenario", seed), str(error)
+        task = make_closed_loop_task(found, "tube_mpc", "robot", "scenario", None, seed)
+        return task, str(error)

@@ -35,7 +35,6 @@ from jaxtube.experiments.guarantee.attack import (
 )
 from jaxtube.experiments.guarantee.claims import Tested
 from jaxtube.experiments.montecarlo import command as blocks
-from jaxtube.experiments.montecarlo import report as montecarlo_report
 from jaxtube.experiments.options import GuaranteeOptions, MontecarloOptions, title
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.atomic import write_atomically
@@ -48,8 +47,10 @@ from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics import histogram
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.checks import OUTSIDE
+from jaxtube.statistics.events import find_row
+from jaxtube.statistics.montecarlo import name_law
 from jaxtube.statistics.run import BLOCK, Run, Statistics
-from jaxtube.statistics.tally import EVENTS
+from jaxtube.statistics.summary import summarise
 from jaxtube.synthesis.design import Design, EmptySetError
 from jaxtube.synthesis.design import design as make_design
 
@@ -85,7 +86,7 @@ def run(scenario: Scenario, options: GuaranteeOptions) -> int:
         }
     # The other design comes first, as what the first scenario is measured against.
     tested = [
-        judged(name, designs[name], statistics[name], notes[name], options.seed)
+        judged(name, designs[name], statistics[name], notes[name])
         for name in reversed(designs.keys())
     ]
     save(folder, tested, performance)
@@ -226,14 +227,13 @@ def compute(attacks: list[Attack], missing: list[Iterator[int]]) -> dict:
     return {"laps": laps, "seconds": time.perf_counter() - started} if laps else {}
 
 
-def judged(
-    name: str, found: Design, statistics: dict[Law, Statistics], why: str, seed: int
-) -> Tested:
+def judged(name: str, found: Design, statistics: dict[Law, Statistics], why: str) -> Tested:
     """Sum up a design that was attacked, with what its laps saw of w in W."""
     summaries = {}
     for law, counts in statistics.items():
-        options = MontecarloOptions(seed=seed, starts="scenario" if why else law.starts)
-        summaries[law.name] = montecarlo_report.summary(under(found, law), options, counts)
+        design = under(found, law)
+        sampling = name_law(design, "tube_mpc", "robot", "scenario" if why else law.starts)
+        summaries[law.name] = summarise(design, sampling, counts)
     seen = disturbance_line(found, disturbance(found, statistics), "the tube-MPC under all laws")
     notes = [f"{name}, {seen}"]
     if why:
@@ -249,9 +249,7 @@ def disturbance(found: Design, statistics: dict[Law, Statistics]) -> dict:
     )
 
     def share(event: str) -> float:
-        return (
-            sum(int(row[EVENTS.index(event)] @ np.arange(row.shape[1])) for row in counts) / steps
-        )
+        return sum(int(row[find_row(event)] @ np.arange(row.shape[1])) for row in counts) / steps
 
     largest = histogram.quantile(
         np.sum([found["disturbance"] for found in statistics.values()], axis=0), 1.0

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 import jax
 import numpy as np
 
-from jaxtube.experiments.montecarlo import netcdf, replay
+from jaxtube.experiments.montecarlo import netcdf, replay, tube_reach
 from jaxtube.experiments.montecarlo import report as montecarlo_report
 from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run import folder as run_folder
@@ -29,13 +29,12 @@ from jaxtube.experiments.run.records import Records
 from jaxtube.scenario import Scenario, to_toml
 from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics import run as montecarlo
-from jaxtube.statistics import task as validation
-from jaxtube.statistics.run import BLOCK, TILE, Run, Statistics
-from jaxtube.statistics.tally import EVENTS
+from jaxtube.statistics.events import find_row
+from jaxtube.statistics.montecarlo import make_closed_loop_task, name_law
+from jaxtube.statistics.run import BLOCK, TILE, Run, Statistics, Task
+from jaxtube.statistics.summary import summarise
 from jaxtube.synthesis.design import Design, refuse_infeasible_start
 from jaxtube.synthesis.design import design as make_design
-
-LEFT_E = EVENTS.index("e_outside_E")
 
 
 def run(scenario: Scenario, options: MontecarloOptions) -> int:
@@ -98,16 +97,17 @@ def compute(
     first = next(missing, None)
     if first is None:
         return {}
-    task = validation.make_task(
-        design, options.controller, options.plant, options.starts, options.seed
-    )
+    task = make_task(design, options)
     devices = tuple(jax.local_devices()[: options.devices or None])
     local = Run(task, int(options.realisations), options.chunk, devices)
-    before, violations, seconds = records.laps, violating_laps(records.merged()), []
+    before = records.laps
+    violations = violating_laps(records.merged())
+    seconds = []
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(connect(options.cluster, local)) if options.cluster else local
         bar = stack.enter_context(progress(local.realisations, "simulating", "laps", before))
-        start, at_once = time.perf_counter(), source.at_once
+        at_once = source.at_once
+        start = time.perf_counter()
         for block, statistics in source.compute(itertools.chain([first], missing)):
             recorded = records.laps
             records.add(block, int(statistics["laps"]), statistics)
@@ -115,10 +115,18 @@ def compute(
             bar.set_postfix_str(f"{violations} left E", refresh=False)
             bar.update(records.laps - recorded)
             seconds.append(time.perf_counter() - start)
-    found = {"laps": records.laps - before, **rate(seconds, at_once)}
+    performance = {"laps": records.laps - before, **rate(seconds, at_once)}
     if not options.cluster and len(seconds) >= ENOUGH * local.at_once:
-        found["validation_share"] = validation_share(local)
-    return found | {"peak_memory_bytes": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024}
+        performance["validation_share"] = validation_share(local)
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return performance | {"peak_memory_bytes": peak}
+
+
+def make_task(design: Design, options: MontecarloOptions) -> Task:
+    """Return what every block of the run needs."""
+    return make_closed_loop_task(
+        design, options.controller, options.plant, options.starts, None, options.seed
+    )
 
 
 def connect(cluster: str, local: Run):
@@ -143,7 +151,7 @@ def rate(seconds: list[float], at_once: int) -> dict:
 
 def violating_laps(statistics: Statistics) -> int:
     """Return how many laps left E."""
-    return int(statistics["events"][LEFT_E, 1:].sum()) if statistics else 0
+    return int(statistics["events"][find_row("e_outside_E"), 1:].sum()) if statistics else 0
 
 
 ENOUGH = 20
@@ -172,25 +180,31 @@ def save(
     """Write statistics, metrics and figures, and print the report."""
     from jaxtube.experiments.montecarlo import figures as montecarlo_figures
 
-    summary = montecarlo_report.summary(found, options, statistics)
+    law = name_law(found, options.controller, options.plant, options.starts)
+    summary = summarise(found, law, statistics)
+    if options.plant == "linear":
+        summary["reach"] = tube_reach.metrics(found, options.seed)
     folder.save_arrays("statistics", **statistics)
     folder.save_metrics(summary)
     if performance:
         folder.save_json("performance", performance)
+    task = make_task(found, options)
     if options.netcdf:
-        save_netcdf(found, options, folder, statistics, summary["law"])
-    montecarlo_figures.draw(found, options, statistics, summary, folder)
-    folder.report(montecarlo_report.text(options, summary, performance))
+        save_netcdf(found, options, task, folder, statistics, summary["law"])
+    montecarlo_figures.draw(found, task, options.seed, statistics, summary, folder)
+    folder.report(montecarlo_report.text(options.seed, summary, performance))
     print(f"\nfigures, metrics.json, statistics.npz and the records are in {folder.path}/")
 
 
 def save_netcdf(
-    found: Design, options: MontecarloOptions, folder: RunFolder, statistics: Statistics, law: str
+    found: Design,
+    options: MontecarloOptions,
+    task: Task,
+    folder: RunFolder,
+    statistics: Statistics,
+    law: str,
 ) -> None:
     """Write statistics.nc."""
-    task = validation.make_task(
-        found, options.controller, options.plant, options.starts, options.seed
-    )
     attributes = {
         "title": f"statistics of {int(statistics['laps']):,} laps",
         "law": law,

@@ -27,14 +27,13 @@ from jaxtube.experiments.figures.style import (
     styled,
 )
 from jaxtube.experiments.montecarlo import heat_figures, lap_figure, map_figure, shares_figure
-from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
 from jaxtube.simulation.starts import UniformStart
 from jaxtube.statistics import histogram
-from jaxtube.statistics import task as validation
 from jaxtube.statistics.lap import lap
-from jaxtube.statistics.run import Statistics
+from jaxtube.statistics.run import Statistics, Task
+from jaxtube.statistics.task import facets
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.problem import Problem
 
@@ -47,15 +46,13 @@ BEYOND = {"color": "0.5", "alpha": 0.12, "linewidth": 0}
 
 def draw(
     design: Design,
-    options: MontecarloOptions,
+    task: Task,
+    seed: int,
     statistics: Statistics,
     summary: dict,
     folder: RunFolder,
 ) -> None:
     """Draw the figures of a run into its folder; those that have nothing to show are left out."""
-    task = validation.make_task(
-        design, options.controller, options.plant, options.starts, options.seed
-    )
     problem = design.problem
     worst = summary["worst"]["error"][0]["lap"]
     drawings = {
@@ -63,7 +60,7 @@ def draw(
         "error_quantiles": lambda: error_quantiles(problem, statistics),
         "disturbance": lambda: disturbance(problem, statistics, summary),
         "map": lambda: map_figure.error_map(problem, task.checks, statistics),
-        "worst": lambda: lap_figure.draw(problem, lap(design, task, options.seed, worst)),
+        "worst": lambda: lap_figure.draw(problem, lap(design, task, seed, worst)),
     }
     if summary["plans"]:
         drawings["tube_cloud"] = lambda: heat_figures.tube_cloud(design, statistics, summary)
@@ -157,10 +154,10 @@ def split_at(
 def disturbance(problem: Problem, statistics: Statistics, summary: dict) -> Figure:
     """Draw how |w| is distributed by coordinate, and how often it exceeds a size, against W."""
     limits = problem.disturbance_set.support(np.eye(3))
-    normals = validation.facets(problem.disturbance_set).normals
+    normals = facets(problem.disturbance_set).normals
     # The two facets across each axis; W may have slanted ones besides.
     across = np.abs(normals).T == 1.0
-    excess = [np.max(statistics["excess/disturbance"][facets]) for facets in across]
+    excess = [np.max(statistics["excess/disturbance"][rows]) for rows in across]
     figure = page_figure(4.4)
     panels = figure.subplots(2, 3, sharex="col")
     for i, column in enumerate(panels.T):

@@ -13,13 +13,14 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.coordinates import NAMES
+from jaxtube.coordinates import NAMES, PLANES
 from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics import histogram
 from jaxtube.statistics.checks import Checks
+from jaxtube.statistics.events import EVENT_NAMES
 from jaxtube.statistics.run import RANKED, Statistics
-from jaxtube.statistics.tally import EVENTS, PLANES, STAGE_EVENTS
+from jaxtube.statistics.tally import STAGE_EVENTS
 
 UNITS = ("m", "m", "rad")
 CLOUD_REACH = 2.0
@@ -115,7 +116,7 @@ def coordinates(statistics: Statistics, checks: Checks) -> dict[str, tuple]:
     plans = statistics["stage_events"].shape[-1]
     planes = [f"{NAMES[first]},{NAMES[second]}" for first, second in PLANES]
     plain = {
-        "event": np.array(EVENTS),
+        "event": np.array(EVENT_NAMES),
         "steps_with_event": np.arange(steps + 1),
         "stage": np.arange(1, stages + 1),
         "stage_event": np.array(STAGE_EVENTS),

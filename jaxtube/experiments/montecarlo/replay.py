@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from jaxtube import qp
-from jaxtube.experiments.montecarlo import report as montecarlo_report
 from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run.folder import RunFolder, unwritable
 from jaxtube.experiments.run.metrics import TO_DISPLAY
 from jaxtube.experiments.run.record_file import differences
 from jaxtube.scenario.refusal import refusal
-from jaxtube.statistics import task as validation
 from jaxtube.statistics.lap import Lap, lap
+from jaxtube.statistics.montecarlo import make_closed_loop_task, name_law
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.problem import Problem
 
@@ -35,20 +34,22 @@ def run(design: Design, options: MontecarloOptions, identity: dict[str, Any]) ->
 
     number = options.replay
     assert number is not None
-    folder, name = RunFolder(options.folder), f"replay-{number}"
+    folder = RunFolder(options.folder)
+    name = f"replay-{number}"
     refuse_another_run(folder.path, number, identity)
     try:
         folder.path.mkdir(parents=True, exist_ok=True)
-        task = validation.make_task(
-            design, options.controller, options.plant, options.starts, options.seed
+        task = make_closed_loop_task(
+            design, options.controller, options.plant, options.starts, None, options.seed
         )
         found = lap(design, task, options.seed, number)
         folder.save_arrays(name, **_arrays(found))
         folder.save_figure(lap_figure.draw(design.problem, found), name)
     except OSError as error:
         raise unwritable(folder.path, error) from None
-    law = montecarlo_report.law(design.problem.scenario, options)
-    title = f"lap {number:,}; law: {law}; seed {options.seed}"
+    law = name_law(design, options.controller, options.plant, options.starts)
+    words = law.describe(design.problem.scenario)
+    title = f"lap {number:,}; law: {words}; seed {options.seed}"
     folder.report(f"{title}\n\n{text(design, found)}", name)
     laps = recorded_laps(folder.path)
     if laps is not None and number >= laps:
