@@ -253,7 +253,7 @@ def test_a_run_in_which_nothing_was_counted_is_drawn_without_tube_and_starts(
     folder = types.SimpleNamespace(save_figure=save_figure)
     options = Montecarlo(controller="local_gain")
     summary = summary_of(design, quiet, controller="local_gain")
-    montecarlo_figures.draw(design, options, quiet, summary, folder)
+    montecarlo_figures.draw(design, task, 0, quiet, summary, folder)
     assert set(drawn) == {"violations", "error_quantiles", "disturbance", "map", "worst"}
     assert drawn["worst"].get_suptitle().startswith("Lap 7 uses")
 
