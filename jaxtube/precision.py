@@ -25,7 +25,7 @@ def in_64_bits(function: Callable[Parameters, Answer]) -> Callable[Parameters, A
         with jax.enable_x64(True):
             return function(*arguments, **keywords)
 
-    return computed
+    return compute
 
 
 def require_64_bits(what: str) -> None:
