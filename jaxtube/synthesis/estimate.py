@@ -16,7 +16,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.synthesis.disturbance import ground_speed_limits, kinematics, operation
-from jaxtube.synthesis.problem import Problem, error_vector, region_corners
+from jaxtube.synthesis.limits import error_vector
+from jaxtube.synthesis.problem import Problem, region_corners
 from sets.robot.plant import Period, split_residual
 
 DIRECTIONS = 120

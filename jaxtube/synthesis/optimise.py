@@ -1,7 +1,8 @@
 """The optimiser of a certified design: caps and tracking gains under which the tube fills least of
 what it may use.
 
-    minimise  max  h_R(row) / offset  over the rows of E_op, U and the coupling,    R the minimal RPI set of the gains
+    minimise  max  h_R(row) / offset  over the rows of E_op, U and the coupling,
+              R the minimal RPI set of the gains
 
 over the caps of the measured error, of the inputs, of |e_x| / a + |u2| / b <= 1, and (k1, k2, k3).
 Wider caps admit a wider disturbance set W, narrower ones leave less room for it: the optimum is
@@ -27,7 +28,8 @@ from jaxtube.scenario import Scenario
 from jaxtube.synthesis.advice import say_what_widens
 from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits
 from jaxtube.synthesis.estimate import STEP, Estimate
-from jaxtube.synthesis.problem import Problem, error_vector, make_problem
+from jaxtube.synthesis.limits import error_vector
+from jaxtube.synthesis.problem import Problem, make_problem
 
 NAMES = (
     "longitudinal_m",
