@@ -8,8 +8,11 @@ With the terminal gains Gamma(th) bilinear in the schedule and Omega invariant f
 * `T-B`    Omega' for D, which contains Psi_{N-1} W for every product of N - 1 tube loops, in
            E - R_{N-1} with Gamma_i Omega' in U - K R_{N-1};   e_N in Omega' - D
 
-With `T-A` and `T-B` the plan stays feasible. Where the set is empty, e_N in E - R_N takes its place and the design says so. Sources: Gonzalez,
-Fiacchini, Guzman, Alamo 2009, section III-E; Kolmanovsky and Gilbert 1998; Blanchini 1999.
+With `T-A` and `T-B` the plan stays feasible. Where the set is empty, e_N in E - R_N takes its place
+and the design says so.
+
+Sources: Gonzalez, Fiacchini, Guzman, Alamo 2009, section III-E; Kolmanovsky and Gilbert 1998;
+Blanchini 1999.
 """
 
 from __future__ import annotations

@@ -44,7 +44,8 @@ def test_every_schedule_has_its_bands_gain(law):
 
 
 def test_no_order_of_schedules_and_disturbances_leaves_the_invariant_set(law):
-    random, omega = np.random.default_rng(1), law.invariant.polytope
+    random = np.random.default_rng(1)
+    omega = law.invariant.polytope
     corners = np.concatenate([band.corners for band in law.bands])
     errors = omega.vertices()[random.integers(len(omega.vertices()), size=4000)]
     for _ in range(40):
@@ -64,7 +65,8 @@ def test_no_order_of_schedules_and_disturbances_leaves_the_invariant_set(law):
 
 
 def test_disturbances_of_a_band_lie_in_its_w(law):
-    random, count = np.random.default_rng(2), 50_000
+    random = np.random.default_rng(2)
+    count = 50_000
     for band in law.bands:
         where = operation(band.problem)
         low, high = where.box
