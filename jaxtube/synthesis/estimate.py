@@ -16,11 +16,14 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.synthesis.disturbance import ground_speed_limits, kinematics, operation
-from jaxtube.synthesis.problem import Problem, error_vector, region_corners
+from jaxtube.synthesis.limits import error_vector
+from jaxtube.synthesis.problem import Problem, region_corners
 from sets.robot.plant import Period, split_residual
 
 DIRECTIONS = 120
 """Facets of the polygon around the minimal RPI set in (e_y, e_th)."""
+USUAL_TRACK_WIDTH_M = 0.5
+"""Track width of the robot that numbers are for; lengths of another one are scaled by its own."""
 MOST_STEPS = 500
 """Steps after which a polygon that still grows is not bounded."""
 UNBOUNDED = 1e3
@@ -89,7 +92,8 @@ class Estimate:
         turns = np.abs(self.corners @ [1.0, -1.0])
         self.yaw_rate = float(np.max(turns)) / model.track_width
         angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-        self.directions = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        lateral = np.cos(angles) * USUAL_TRACK_WIDTH_M / model.track_width
+        self.directions = np.stack([lateral, np.sin(angles)], axis=1)
 
     def shares(self, logarithms: Float[np.ndarray, " 11"]) -> Shares | None:
         """Return the shares of caps and limits, None where the loops have no bounded tube."""

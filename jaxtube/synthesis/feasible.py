@@ -1,7 +1,7 @@
 """Where the MPC has a plan: the feasible set of initial errors, probed by linear programs.
 
-F = {e : some g meets  lower <= row_errors e + rows g <= upper}  is convex; rays from the origin reach its boundary,
-and the hull of the points reached lies inside it.
+F = {e : some g meets  lower <= row_errors e + rows g <= upper}  is convex; rays from the origin
+reach its boundary, and the hull of the points reached lies inside it.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ def reach_of_ray(
 
 
 def shortfall(window: CondensedQp, index: int, error: Float[np.ndarray, "3"]) -> float:
-    """Return by how much the rows must give way before `error` has a plan; <= 0 where it has one."""
+    """Return by how much rows must give way before `error` has a plan; <= 0 where it has one."""
     errors, rows, bounds = _constraints(window, index)
     answer = linprog(
         np.append(np.zeros(rows.shape[1]), 1.0),

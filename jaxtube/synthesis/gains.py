@@ -2,7 +2,8 @@
 certified regions.
 
     bilinear    K(th) between its values at the four vertices of the box
-    decoupled   u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th,  T Om the model's own A_12:  e_x+ = (1 - T k1) e_x + w_x
+    decoupled   u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th,  T Om the model's own A_12,
+                so that  e_x+ = (1 - T k1) e_x + w_x
 
 Under the exact Jacobian the loop of a decoupled gain depends on h and c alone, and affinely: it is
 bilinear in the stretched wheel speeds. So a few loops stand for all: mixtures of those at the
@@ -30,7 +31,7 @@ Region = Float[np.ndarray, "2 2"]
 
 @dataclass(frozen=True, eq=False)
 class Gain:
-    """A gain u = +K(th) e, bilinear in the schedule, and its loops over the regions of a problem."""
+    """A gain u = +K(th) e, bilinear in the schedule, with its loops over a problem's regions."""
 
     model: Model
     regions: Float[np.ndarray, "m 2 2"]
@@ -52,7 +53,7 @@ class Gain:
 
     @cached_property
     def corner_gains(self) -> Float[np.ndarray, "4m 2 3"]:
-        """Gains at the corners of the regions, whose mixtures hold every gain that is used there."""
+        """Gains at the corners of the regions, whose mixtures hold every gain used there."""
         return self.along(region_corners(self.regions))
 
     @cached_property
@@ -73,7 +74,7 @@ class Gain:
     def mixture(
         self, schedules: Float[np.ndarray, "k 2"], region: Region
     ) -> Float[np.ndarray, "k 4"]:
-        """Return the weights of a region's loops whose mixture the loop at each schedule is to be."""
+        """Return the weights that mix a region's loops to the loop at each schedule."""
         return bilinear_weights(schedules, *region)
 
     def coverage_gap(
@@ -104,7 +105,7 @@ class StretchedGain(Gain):
     def mixture(
         self, schedules: Float[np.ndarray, "k 2"], region: Region
     ) -> Float[np.ndarray, "k 4"]:
-        """Return the weights of a region's loops whose mixture the loop at each schedule is to be."""
+        """Return the weights that mix a region's loops to the loop at each schedule."""
         return bilinear_weights(self.model.stretched(schedules), *self.model.stretched_box(*region))
 
 

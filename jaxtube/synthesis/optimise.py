@@ -1,7 +1,8 @@
 """The optimiser of a certified design: caps and tracking gains under which the tube fills least of
 what it may use.
 
-    minimise  max  h_R(row) / offset  over the rows of E_op, U and the coupling,    R the minimal RPI set of the gains
+    minimise  max  h_R(row) / offset  over the rows of E_op, U and the coupling,
+              R the minimal RPI set of the gains
 
 over the caps of the measured error, of the inputs, of |e_x| / a + |u2| / b <= 1, and (k1, k2, k3).
 Wider caps admit a wider disturbance set W, narrower ones leave less room for it: the optimum is
@@ -26,8 +27,9 @@ from scipy.optimize import minimize
 from jaxtube.scenario import Scenario
 from jaxtube.synthesis.advice import say_what_widens
 from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits
-from jaxtube.synthesis.estimate import STEP, Estimate
-from jaxtube.synthesis.problem import Problem, error_vector, make_problem
+from jaxtube.synthesis.estimate import STEP, USUAL_TRACK_WIDTH_M, Estimate
+from jaxtube.synthesis.limits import error_vector
+from jaxtube.synthesis.problem import Problem, make_problem
 
 NAMES = (
     "longitudinal_m",
@@ -39,14 +41,12 @@ NAMES = (
     "turning_longitudinal_m",
     "turning_yaw_rate_radps",
 )
-START_TRACK_WIDTH_M = 0.5
-"""Track width of the robot that `STARTS` are for; a robot of another size has them scaled."""
 STARTS = (
     (0.105, 0.29, 17.0, 0.35, 0.80, 0.90, 0.14, 1.05, 9.5, 7.0, 9.0),
     (0.125, 0.145, 18.5, 0.31, 0.80, 1.30, 0.126, 1.44, 9.5, 11.0, 6.0),
 )
 """Starts of the search: caps in the order of `NAMES` (the least speed deficit by its size), k1, k2,
-k3."""
+k3; for a robot of the usual track width."""
 LENGTH_POWERS = (1, 1, 0, 1, 1, 0, 1, 0, 0, -1, 0)
 """Powers of a length by which each number of a start grows with the robot."""
 CORRECTIONS = 3
@@ -117,7 +117,7 @@ def optimise(
 def search_starts(problem: Problem) -> list[tuple[float, ...]]:
     """Return the starts of a search: the scenario's own caps and gains, where it gives all, and
     `STARTS` in the robot's size."""
-    size = problem.robot.track_width / START_TRACK_WIDTH_M
+    size = problem.robot.track_width / USUAL_TRACK_WIDTH_M
     factors = size ** np.array(LENGTH_POWERS, float)
     scaled = [tuple((factors * start).tolist()) for start in np.array(STARTS)]
     own = caps_and_gains(problem.scenario)

@@ -1,16 +1,19 @@
 """Whether anything can be guaranteed at one slip error, speed range and period, for three ways to
 choose a design.
 
-    ratio = max  h_R(row) / offset  over the rows of E_op, U and the coupling,    R the minimal RPI set of the gain
+    ratio = max  h_R(row) / offset  over the rows of E_op, U and the coupling,
+            R the minimal RPI set of the gain
 
 below 1 the caps hold an invariant set. W is computed for the slipping robot, over every order of
 wheel speeds.
 
-* `paper`      the paper's weights, model and input map; its gain of section III-B or that of its LMI, under the
-               wheel limits and E alone, unless W is hopeless there, or under all caps of the scenario; what fills least
-* `weighted`   LMI gains of diag(1, 3, 1) and 0.3 I for the `consistent` model under `x_exact`, the scenario's caps,
-               the objective that leaves least
-* `optimised`  caps and tracking gains of `jaxtube.synthesis.optimise` for the exact Jacobian under `x_exact`
+* `paper`      the paper's weights, model and input map; its gain of section III-B or that of its
+               LMI, under the wheel limits and E alone, unless W is hopeless there, or under all
+               caps of the scenario; whichever fills least
+* `weighted`   LMI gains of diag(1, 3, 1) and 0.3 I for the `consistent` model under `x_exact`, the
+               scenario's caps, the objective that fills least
+* `optimised`  caps and tracking gains of `jaxtube.synthesis.optimise` for the exact Jacobian under
+               `x_exact`
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, sections III-B, III-E and IV, for `paper`; the
 others are new.
@@ -79,14 +82,14 @@ class Guarantee:
 
     @property
     def holds(self) -> bool:
-        """Whether an invariant set lies inside all caps, and the wheels can do what it may ask for."""
+        """Whether an invariant set lies inside all caps, and the wheels can do what it asks for."""
         if self.ratio is None or self.wheels is None:
             return False
         return self.ratio < 1 and self.wheels <= 1
 
 
 def at_point(scenario: Scenario, point: OperatingPoint) -> Scenario:
-    """Return the scenario at an operating point: W computed, every order of wheel speeds in the box.
+    """Return the scenario at an operating point: W computed, any order of wheel speeds in the box.
 
     The path, which no ratio depends on, is followed for a whole number of periods.
     """

@@ -4,12 +4,15 @@ constraint on e_N.
 With the terminal gains Gamma(th) bilinear in the schedule and Omega invariant for A_i + B Gamma_i:
 
 * `paper`  Omega for W, in E with Gamma_i Omega in U;      e_N in Omega - R_N        (eq. (30))
-* `T-A`    the same with K = Gamma and `sequence` tubes;   e_N in Omega - R_{N|k}    (then the plan stays feasible)
-* `T-B`    Omega' for D, which contains Psi_{N-1} W for every product of N - 1 tube loops, in E - R_{N-1} with
-           Gamma_i Omega' in U - K R_{N-1};                e_N in Omega' - D         (then the plan stays feasible)
+* `T-A`    the same with K = Gamma and `sequence` tubes;   e_N in Omega - R_{N|k}
+* `T-B`    Omega' for D, which contains Psi_{N-1} W for every product of N - 1 tube loops, in
+           E - R_{N-1} with Gamma_i Omega' in U - K R_{N-1};   e_N in Omega' - D
 
-Where the set is empty, e_N in E - R_N takes its place and the design says so. Sources: Gonzalez,
-Fiacchini, Guzman, Alamo 2009, section III-E; Kolmanovsky and Gilbert 1998; Blanchini 1999.
+With `T-A` and `T-B` the plan stays feasible. Where the set is empty, e_N in E - R_N takes its place
+and the design says so.
+
+Sources: Gonzalez, Fiacchini, Guzman, Alamo 2009, section III-E; Kolmanovsky and Gilbert 1998;
+Blanchini 1999.
 """
 
 from __future__ import annotations
@@ -139,7 +142,7 @@ def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tighten
 
 
 def set_back_off(problem: Problem) -> float:
-    """Return by how much the invariant set stays inside the limits, and the disturbance is widened."""
+    """Return by how much the invariant set stays inside the limits, and W is widened."""
     return (problem.horizon + 2) * BACK_OFF
 
 

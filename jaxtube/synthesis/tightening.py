@@ -17,9 +17,6 @@ from jaxtyping import Float
 from jaxtube.synthesis.advice import say_what_helps
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.tubes import Tube
-from jaxtube.synthesis.windows import Windows
-
-__all__ = ["BACK_OFF", "EmptySetError", "Tightening", "Windows", "refuse_empty", "tighten"]
 
 BACK_OFF = 1e-7
 """What constraints are drawn in by for the solver, once more at every stage: more than the residual

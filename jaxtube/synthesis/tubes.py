@@ -1,6 +1,7 @@
 """The four tubes of a design: sets R_0 .. R_N that hold the deviation from a plan, j steps ahead.
 
-    Tube           one row of sections, for every order of wheel speeds in the regions (`paper`, `hull`, `summed`)
+    Tube           one row of sections, for every order of wheel speeds in the regions
+                   (`paper`, `hull`, `summed`)
     FollowingTube  sections along the reference, its own in every window (`sequence`)
 
 Whoever uses a tube asks it: for its support numbers, window by window, for the inputs it takes, and
@@ -22,7 +23,8 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxtube.synthesis.gains import Gain
-from jaxtube.synthesis.problem import InputRows, Problem
+from jaxtube.synthesis.limits import InputRows
+from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.windows import Windows
 from sets import tubes
 from sets.polytope import Polytope

@@ -175,6 +175,8 @@ def test_the_design_command_writes_what_was_designed(
         "manifest.json",
         "report.txt",
         "scenario.toml",
+        "sets.pdf",
+        "sets.png",
     }
     text = capsys.readouterr().out
     assert text.startswith((tmp_path / "report.txt").read_text())

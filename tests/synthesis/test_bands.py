@@ -8,8 +8,9 @@ import pytest
 from tolerances import ROUNDING
 
 from jaxtube.scenario import ScenarioError, load
-from jaxtube.synthesis import bands
-from jaxtube.synthesis.bands import Band, make_law
+from jaxtube.synthesis.bands import make_law
+from jaxtube.synthesis.certificate import law as law_certificate
+from jaxtube.synthesis.certificate.law import Band
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.disturbance import kinematics, operation
 from sets.robot.disturbance import residual
@@ -43,7 +44,8 @@ def test_every_schedule_has_its_bands_gain(law):
 
 
 def test_no_order_of_schedules_and_disturbances_leaves_the_invariant_set(law):
-    random, omega = np.random.default_rng(1), law.invariant.polytope
+    random = np.random.default_rng(1)
+    omega = law.invariant.polytope
     corners = np.concatenate([band.corners for band in law.bands])
     errors = omega.vertices()[random.integers(len(omega.vertices()), size=4000)]
     for _ in range(40):
@@ -63,7 +65,8 @@ def test_no_order_of_schedules_and_disturbances_leaves_the_invariant_set(law):
 
 
 def test_disturbances_of_a_band_lie_in_its_w(law):
-    random, count = np.random.default_rng(2), 50_000
+    random = np.random.default_rng(2)
+    count = 50_000
     for band in law.bands:
         where = operation(band.problem)
         low, high = where.box
@@ -82,11 +85,13 @@ def test_disturbances_of_a_band_lie_in_its_w(law):
 
 def test_boxes_and_corner_loops_cover_their_band(law):
     for band in law.bands:
-        assert bands.coverage_gap(band) <= ROUNDING
+        assert law_certificate.coverage_gap(band) <= ROUNDING
         few = dataclasses.replace(
             band.problem, regions=band.problem.regions[: len(band.problem.regions) // 2]
         )
-        assert bands.coverage_gap(Band(band.corners, few, band.gain, band.loops)) == np.inf
+        assert (
+            law_certificate.coverage_gap(Band(band.corners, few, band.gain, band.loops)) == np.inf
+        )
 
 
 def test_a_wider_w_in_one_band_breaks_the_certificate(law):
@@ -95,9 +100,9 @@ def test_a_wider_w_in_one_band_breaks_the_certificate(law):
         first.problem, disturbance_set=first.problem.disturbance_set.scale(1.5)
     )
     changed = (dataclasses.replace(first, problem=wide), *law.bands[1:])
-    assert bands.certify_law(law.problem, changed, law.invariant, law.shares).failing == [
-        "invariant_set"
-    ]
+    assert law_certificate.certify_law(
+        law.problem, changed, law.invariant.polytope, law.shares
+    ).failing == ["invariant_set"]
 
 
 def test_other_commands_refuse_bands_in_one_line():

@@ -35,8 +35,10 @@ REFERENCE = [
     *("operating.yaw_rate_deficit_radps=0.9", "controller.tracking_gains=[3.0, 6.5, 6.5]"),
     *("operating.turning_longitudinal_m=1e3", "operating.turning_yaw_rate_radps=1e3"),
 ]
-YAW, BOX = 0.0208, np.array([8.90e-3, 19.26e-3, np.deg2rad(0.04)])
-SUPPORTS, VOLUME = np.array([29.7e-3, 191.4e-3, np.deg2rad(12.3)]), 0.0250
+YAW = 0.0208
+BOX = np.array([8.90e-3, 19.26e-3, np.deg2rad(0.04)])
+SUPPORTS = np.array([29.7e-3, 191.4e-3, np.deg2rad(12.3)])
+VOLUME = 0.0250
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +96,11 @@ def test_with_its_own_w_the_reference_design_has_its_supports_and_its_terminal_s
 
 
 def test_disturbances_of_the_coupled_operation_lie_in_w(certified):
-    problem, random, count = certified.problem, np.random.default_rng(1), 200_000
-    where, bound = operation(problem), problem.disturbance_bound
+    problem = certified.problem
+    random = np.random.default_rng(1)
+    count = 200_000
+    where = operation(problem)
+    bound = problem.disturbance_bound
     low, high = where.box
     points = random.uniform(low, high, (count, 12))
     extreme = random.random((count, 12)) < 0.5
@@ -116,7 +121,8 @@ def test_pieces_of_the_coupling_cover_the_operation_and_no_more(certified):
     where = operation(certified.problem)
     lower, upper = where.pieces()
     a, b = where.coupling
-    turns, half = where.inputs[1, 1], where.errors[1, 0]
+    turns = where.inputs[1, 1]
+    half = where.errors[1, 0]
     for turn in np.linspace(-turns, turns, 41):
         at = (lower[4] <= turn + ROUNDING) & (turn <= upper[4] + ROUNDING)
         assert at.any()
@@ -125,7 +131,8 @@ def test_pieces_of_the_coupling_cover_the_operation_and_no_more(certified):
 
 
 def test_every_loop_of_the_box_is_a_mixture_of_the_vertex_loops(certified):
-    problem, gain = certified.problem, certified.tube_gain
+    problem = certified.problem
+    gain = certified.tube_gain
     loops, gains = gain.pairs
     vertices = np.concatenate(
         [loops.reshape(len(loops), -1), gains.reshape(len(loops), -1)], axis=1
@@ -154,7 +161,8 @@ def test_tracking_gains_decouple_the_longitudinal_error(certified):
 
 
 def test_what_the_controller_keeps_and_the_noise_fill_the_promise(certified):
-    problem, noise = certified.problem, np.array([1e-3, 1e-3, np.deg2rad(0.02)])
+    problem = certified.problem
+    noise = np.array([1e-3, 1e-3, np.deg2rad(0.02)])
     promised = problem.operating_set.support(np.eye(3)) + noise
     np.testing.assert_allclose(problem.error_set.support(np.eye(3)), promised, atol=ROUNDING)
     np.testing.assert_allclose(promised, [0.151, 0.2426, np.deg2rad(16.52)], atol=ROUNDING)
@@ -171,11 +179,9 @@ def test_noise_without_caps_takes_its_share_of_the_constraints():
 
 
 def test_true_starts_have_a_plan_whatever_the_noise(certified):
-    window, index, problem = (
-        certified.tube_window,
-        int(certified.windows.index[0]),
-        certified.problem,
-    )
+    window = certified.tube_window
+    index = int(certified.windows.index[0])
+    problem = certified.problem
     noise = problem.error_set.offsets[:3] - problem.operating_set.offsets[:3]
     corners = noise * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     for start in true_starts(window, index, problem, 60)[::8]:
@@ -307,8 +313,47 @@ def test_caps_come_in_groups():
 
 
 def test_cost_of_the_gains_decreases_along_every_pair(certified):
-    problem, P = certified.problem, certified.cost.cost
+    problem = certified.problem
+    P = certified.cost.cost
     for loop, gain in zip(*certified.tube_gain.pairs, strict=True):
         stage = problem.error_weight + gain.T @ problem.input_weight @ gain
         assert np.linalg.eigvalsh(P - loop.T @ P @ loop - stage)[0] >= -CERTIFICATE_MARGIN
     assert np.all(np.abs(P - P.T) <= CLOSED_LOOP)
+
+
+def test_the_share_of_a_refused_start_leaves_room_for_the_noise(certified):
+    error = np.array([0.14, 0.2, 0.25])
+    with pytest.raises(ScenarioError, match=r"at most \d+% as far") as refusal:
+        refuse_infeasible_start(certified, error)
+    share = int(str(refusal.value).split("at most ")[1].split("%")[0]) / 100
+    refuse_infeasible_start(certified, share * error)
+    with pytest.raises(ScenarioError):
+        refuse_infeasible_start(certified, (share + 0.011) * error)
+
+
+def test_a_start_within_the_caps_and_the_feasible_set_of_the_tube_alone_is_not_enough(certified):
+    """Plans exist beyond the cap of the heading error, where W is not proved."""
+    cap = certified.problem.operating_set.offsets[2]
+    beyond = np.array([0.0, 0.0, 1.1 * cap])
+    assert shortfall(certified.tube_window, certified.first_window, beyond) <= 0
+    with pytest.raises(ScenarioError, match="times as far as it may"):
+        refuse_infeasible_start(certified, beyond)
+
+
+def test_a_design_is_told_in_a_few_lines_with_its_verdict_first(certified):
+    text = repr(certified)
+    assert text.startswith("CERTIFIED: every required condition holds\n")
+    assert len(text.splitlines()) <= 5
+    assert len(text) < 500
+
+
+def test_without_noise_along_the_path_nothing_is_negative():
+    problem = complete_problem(load("certified", ["noise.longitudinal_m=0"]))
+    np.testing.assert_array_equal(operation(problem).noise[0], 0.0)
+
+
+def test_a_flat_w_is_refused_in_one_line():
+    exact = ["slip.relative_error=0", "noise.longitudinal_m=0", "noise.lateral_m=0"]
+    with pytest.raises(ScenarioError, match="W is flat") as refused:
+        complete_problem(load("certified", [*exact, "noise.heading_deg=0"]))
+    assert "\n" not in str(refused.value)

@@ -13,7 +13,7 @@ from jaxtube.scenario import load
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.tightening import BACK_OFF
-from sets.certificate import Certificate
+from sets.certificate import Certificate, escape_excess
 from sets.tubes import hull_tube
 
 REQUIRED = [
@@ -31,7 +31,7 @@ REQUIRED = [
     "disturbance_bound_proved",
     "solver_residual",
 ]
-PREMISE = "disturbance_bound_proved"  # of the paper's W, which is assumed: refuted
+PREMISE = "disturbance_bound_proved"  # the paper's W, which is assumed, is refuted
 RESIDUAL = 1e-8
 
 
@@ -344,3 +344,27 @@ def test_a_nominal_error_that_is_never_reset_needs_more_room(robust_design, rece
     assert certificate.conditions["nominal_error_never_reset"].margin == pytest.approx(
         -missing, abs=CERTIFICATE_MARGIN
     )
+
+
+def test_a_set_that_backed_off_constraints_alone_exclude_may_exist(uncertified, recertify):
+    design = uncertified("paper", "controller.lmi_objective=trace_p")
+    escape = design.terminal.maximal.escape
+    loops = design.terminal.gains.loops
+    excess, _ = escape_excess(
+        loops, design.terminal.disturbance.vertices(), escape.normal, 0.0, escape.loops
+    )
+    barely = dataclasses.replace(escape, offset=float(excess) - BACK_OFF)
+    maximal = dataclasses.replace(design.terminal.maximal, escape=barely)
+    terminal = dataclasses.replace(design.terminal, maximal=maximal)
+    condition = recertify(design, terminal=terminal).conditions["terminal_set_invariant"]
+    assert not condition.holds
+    assert "inside constraints backed off by 7e-07" in condition.sentence
+    assert "there may be one" in condition.sentence
+
+
+def test_order_of_wheel_speeds_is_promised_where_it_was_checked(uncertified, following, recertify):
+    assert "in any order" in recertify(following).assumptions[2]
+    along = uncertified("paper", "controller.tube=sequence", "controller.terminal=T-B")
+    assert "in any order" not in recertify(along).assumptions[2]
+    shared = uncertified("robust")
+    assert "in any order" in recertify(shared).assumptions[2]

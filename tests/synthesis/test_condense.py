@@ -28,7 +28,8 @@ def condensed(request, uncertified):
 
 def samples(found, seed, count=3):
     """Yield (window, schedules ahead, error, inputs) at random for every distinct window."""
-    generator, N = np.random.default_rng(seed), found.problem.horizon
+    generator = np.random.default_rng(seed)
+    N = found.problem.horizon
     for window, schedules in enumerate(found.windows.schedules):
         for _ in range(count):
             yield window, schedules, generator.normal(size=3), generator.normal(size=(N, 2))
@@ -39,7 +40,8 @@ def take(found, window, which="tube_window"):
 
 
 def test_windows_are_the_stretches_of_the_reference(condensed):
-    problem, windows = condensed.problem, condensed.windows
+    problem = condensed.problem
+    windows = condensed.windows
     for step, window in enumerate(windows.index):
         ahead = problem.schedule[step : step + problem.horizon]
         np.testing.assert_allclose(windows.schedules[window], ahead, atol=1e2 * ROUNDING)
@@ -49,10 +51,8 @@ def test_windows_are_the_stretches_of_the_reference(condensed):
 
 def test_the_next_error_is_that_of_a_step_by_step_simulation(condensed):
     for window, schedules, error, inputs in samples(condensed, 1):
-        w, expected = (
-            take(condensed, window),
-            simulate_model(condensed.problem, schedules, error, inputs),
-        )
+        w = take(condensed, window)
+        expected = simulate_model(condensed.problem, schedules, error, inputs)
         step = w.transition @ error + w.input_matrix @ inputs[0]
         np.testing.assert_allclose(step, expected[1], atol=CLOSED_LOOP)
 
@@ -71,7 +71,8 @@ def plain_cost(found, schedules, error, inputs):
 def test_the_quadratic_program_has_the_cost_of_the_plan_up_to_one_factor(condensed):
     ratios = []
     for window, schedules, error, inputs in samples(condensed, 2):
-        w, g = take(condensed, window), inputs.ravel()
+        w = take(condensed, window)
+        g = inputs.ravel()
         expected = plain_cost(condensed, schedules, error, inputs) - plain_cost(
             condensed, schedules, error, 0 * inputs
         )
@@ -86,26 +87,24 @@ def test_the_quadratic_program_has_the_cost_of_the_plan_up_to_one_factor(condens
 
 def section_of(found, window, j):
     """R_j of a window."""
-    if found.problem.scenario.controller.tube == "sequence":
+    if found.tube.follows_reference:
         return sequence_tube(found.windows.loops[window], found.problem.disturbance_set)[j]
-    return found.tubes[found.problem.scenario.controller.tube][j]
+    return found.tube[j]
 
 
 def input_reach(found, window, schedules, j, row):
     """Support number of K R_j along a row of U, over every gain that may act."""
-    vertices = (
-        [schedules[j]]
-        if found.problem.scenario.controller.tube == "sequence"
-        else found.problem.model.vertices
-    )
+    vertices = [schedules[j]] if found.tube.follows_reference else found.problem.model.vertices
     section = section_of(found, window, j)
     return max(section.support(row @ tube_gain(found, wheels))[0] for wheels in vertices)
 
 
 def plain_rows(found, window, schedules, error, inputs):
     """Return the arrays (values, lower, upper) of every constraint on a plan, one after the other."""
-    problem, errors = found.problem, simulate_model(found.problem, schedules, error, inputs)
-    limits, rows = problem.error_set.offsets[:3], []
+    problem = found.problem
+    errors = simulate_model(found.problem, schedules, error, inputs)
+    limits = problem.error_set.offsets[:3]
+    rows = []
     for j in range(1, problem.horizon):
         for axis in range(3):
             left = (
@@ -114,7 +113,8 @@ def plain_rows(found, window, schedules, error, inputs):
                 - (j + 1) * BACK_OFF
             )
             rows.append((errors[j, axis], -left, left))
-    b, U = problem.robot.track_width, problem.input_set.offsets
+    b = problem.robot.track_width
+    U = problem.input_set.offsets
     for j in range(problem.horizon):
         for wheel, sign in enumerate((1, -1)):
             row = np.array([1, sign * b / 2])
@@ -123,7 +123,8 @@ def plain_rows(found, window, schedules, error, inputs):
                 -U[2 + wheel] + input_reach(found, window, schedules, j, -row) + (j + 1) * BACK_OFF
             )
             rows.append((row @ inputs[j], lower, upper))
-    terminal, last = found.terminal, (problem.horizon + 1) * BACK_OFF
+    terminal = found.terminal
+    last = (problem.horizon + 1) * BACK_OFF
     for row, offset in zip(
         terminal.constraint_normals, terminal.constraint_offsets[window], strict=True
     ):
@@ -133,10 +134,12 @@ def plain_rows(found, window, schedules, error, inputs):
 
 def unreached_rows(found):
     """Tell which constraints no input moves: their values are the same for any two plans."""
-    schedules, N = found.windows.schedules[0], found.problem.horizon
+    schedules = found.windows.schedules[0]
+    N = found.problem.horizon
     generator = np.random.default_rng(4)
     plans = generator.normal(size=(2, N, 2))
-    first, second = (plain_rows(found, 0, schedules, np.ones(3), inputs)[0] for inputs in plans)
+    first = plain_rows(found, 0, schedules, np.ones(3), plans[0])[0]
+    second = plain_rows(found, 0, schedules, np.ones(3), plans[1])[0]
     return np.abs(first - second) <= CLOSED_LOOP
 
 
@@ -172,8 +175,11 @@ def test_no_input_reaches_the_lateral_error_one_step_ahead_and_every_other_row_i
 
 
 def test_without_tube_the_rows_are_E_and_U_themselves_and_no_terminal_set(condensed):
-    problem, unreached = condensed.problem, unreached_rows(condensed)
-    E, U, N = problem.error_set.offsets[:3], problem.input_set.offsets, problem.horizon
+    problem = condensed.problem
+    unreached = unreached_rows(condensed)
+    E = problem.error_set.offsets[:3]
+    U = problem.input_set.offsets
+    N = problem.horizon
     facets = len(condensed.terminal.constraint_normals)
     upper = np.concatenate([np.tile(E, N - 1), np.tile(U[:2], N), np.full(facets, np.inf)])
     lower = np.concatenate([np.tile(-E, N - 1), np.tile(-U[2:], N), np.full(facets, -np.inf)])
@@ -202,9 +208,11 @@ def test_gains_of_a_window_are_those_of_its_first_schedule(condensed):
 
 
 def test_the_static_laws_are_the_tubes_gain_and_the_mpc_without_constraints(robust_design):
-    loops, plain = closed_loop.controllers(robust_design), PlainMpc(robust_design)
+    loops = closed_loop.controllers(robust_design)
+    plain = PlainMpc(robust_design)
     for step in (0, 112, 115, 299):
-        wheels, qp = robust_design.problem.schedule[step], plain.qp(step)
+        wheels = robust_design.problem.schedule[step]
+        qp = plain.qp(step)
         first_inputs = -np.linalg.solve(qp.hessian, qp.linear)[:2]
         np.testing.assert_allclose(
             loops["local_gain"].gains[step], tube_gain(robust_design, wheels), atol=CLOSED_LOOP

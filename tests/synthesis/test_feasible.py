@@ -25,7 +25,8 @@ def probed(request, uncertified):
 def test_just_inside_the_boundary_an_exact_solver_has_a_plan_and_just_outside_none(probed):
     design, qp, points = probed
     E = design.problem.error_set
-    by_e, by_rows = 0, 0
+    by_e = 0
+    by_rows = 0
     for point in points:
         assert E.contains(point, CLOSED_LOOP) and qp.solve(point * (1 - LINEAR_PROGRAM)) is not None
         beyond = 1.01 * point
@@ -59,7 +60,8 @@ def test_a_ray_ends_where_its_end_says_whatever_the_length_of_the_direction(prob
 
 def test_where_not_even_the_origin_has_a_plan_rays_end_at_once(probed):
     design, _, points = probed
-    window, index = design.tube_window, int(design.windows.index[0])
+    window = design.tube_window
+    index = int(design.windows.index[0])
     impossible = window._replace(upper=window.lower - 0.1 * np.isfinite(window.lower))
     assert reach_of_ray(impossible, index, points[0]) == 0
     assert shortfall(impossible, index, np.zeros(3)) > 0
@@ -67,7 +69,8 @@ def test_where_not_even_the_origin_has_a_plan_rays_end_at_once(probed):
 
 def test_boundary_points_follow_the_seed_and_lie_all_around(probed):
     design, _, points = probed
-    window, E = int(design.windows.index[0]), design.problem.error_set
+    window = int(design.windows.index[0])
+    E = design.problem.error_set
     np.testing.assert_array_equal(boundary(design.tube_window, window, E, COUNT, seed=2), points)
     assert not np.any(
         np.all(boundary(design.tube_window, window, E, COUNT, seed=3) == points, axis=1)

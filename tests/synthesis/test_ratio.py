@@ -98,9 +98,7 @@ def test_a_ratio_below_1_holds_only_where_the_wheels_can_follow():
 @pytest.mark.slow
 def test_a_search_from_a_neighbours_optimum_ends_where_a_fresh_one_does(certified):
     scenario = at_point(certified, OWN._replace(slip_error=0.12))
-    near, fresh = (
-        guarantee("optimised", scenario, caps_and_gains(certified)),
-        guarantee("optimised", scenario),
-    )
+    near = guarantee("optimised", scenario, caps_and_gains(certified))
+    fresh = guarantee("optimised", scenario)
     assert near.holds and fresh.holds and near.ratio is not None
     assert near.ratio == pytest.approx(fresh.ratio, rel=NEARBY_SEARCH)

@@ -94,7 +94,8 @@ def test_margins_agree_with_those_of_the_float_certificate(designed, overrides):
 @pytest.mark.parametrize("overrides", CHOICES)
 def test_the_room_of_the_terminal_set_is_that_of_its_vertices(designed, overrides):
     found = designed(overrides)
-    problem, margins = found.problem, recheck(found).margins
+    problem = found.problem
+    margins = recheck(found).margins
     points = found.terminal.invariant.vertices()
     laws = problem.input_rows.on_errors(found.terminal.gains.corner_gains)
     inputs = problem.input_rows.offsets[:, None] - laws @ points.T

@@ -12,7 +12,7 @@ from jaxtube.plant.reference import settled_step
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.certificate.fill import cap_shares, ultimate_bound
 from jaxtube.synthesis.design import Design
-from jaxtube.synthesis.problem import InputRows, wheel_rows
+from jaxtube.synthesis.limits import InputRows, wheel_rows
 from sets.polytope import Polytope
 
 COORDINATES = KEYS

@@ -6,14 +6,15 @@ reference. With th any wheel speeds (each float stands for the binary rational i
 K(th) the exact loop and gain of the sampled model, W = {sigma (0, g_y, 1) : |sigma| <= yaw} + box,
 and the sets of the design by their float rows and offsets:
 
-    disturbance          W lies in the polytope that the float certificate used                    (up to ROUNDING)
-    schedules            every window of the reference lies in one of the regions               (up to ROUNDING)
-    gains                loops and gains along the windows are Phi(th) and K(th)                    (up to ROUNDING)
-    terminal invariant   Phi(th) Omega + W in Omega                                           for th in the regions
+    disturbance          W lies in the polytope that the float certificate used   (up to ROUNDING)
+    schedules            every window of the reference lies in one region         (up to ROUNDING)
+    gains                loops and gains along the windows are Phi(th) and K(th)  (up to ROUNDING)
+    terminal invariant   Phi(th) Omega + W in Omega                        for th in the regions
     terminal errors      Omega in E
-    terminal inputs      D K(th) + C <= d over Omega                                          for th in the regions
-    cost                 Phi(th)^T P Phi(th) + Q + K(th)^T R K(th) <= P                       for th in the regions
-    nonempty, reach, shifted, returns      of the sets used on line, along the windows: `sets.robot.exact_tube`
+    terminal inputs      D K(th) + C <= d over Omega                       for th in the regions
+    cost                 Phi(th)^T P Phi(th) + Q + K(th)^T R K(th) <= P    for th in the regions
+    nonempty, reach,     of the sets used on line, along the windows: `sets.robot.exact_tube`
+    shifted, returns
 
 What is proved, is proved of Phi(th) and K(th). On line the gain is a float and so are the matrices
 of the prediction: `gains` says how close both are. The difference acts like a disturbance of some

@@ -4,6 +4,7 @@ at all."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -17,7 +18,7 @@ from sets.certificate import Condition, judge
 from sets.invariant import Escape, maximal_rpi
 from sets.lmi import Objective, terminal_cost
 
-OBJECTIVES: tuple[Objective, ...] = ("trace_s", "trace_p", "logdet")
+OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
 """Objectives of the LMI that the scenario may choose from."""
 
 

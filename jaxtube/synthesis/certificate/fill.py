@@ -1,6 +1,6 @@
 """Utilisation of each cap by the widest tube of a gain.
 
-    share(row) = h_R(row) / offset        R an invariant outer bound of the minimal RPI set of the gain
+    share(row) = h_R(row) / offset,   R an invariant outer bound of the minimal RPI set of the gain
 
 The largest share is the ratio of a design: below 1 an invariant set exists inside all caps, above
 it none may. R is a polytope with the rows of the caps and a ring of facets in the plane of lateral
@@ -28,7 +28,7 @@ MOST_NESTED = 12
 SETTLED = 0.01
 """Relative change of the half widths at which nested sets have settled."""
 RING = 60
-"""Facets of the ring; the ratio of the reference design is then 0.4 % above the smallest possible."""
+"""Facets of the ring; they make the ratio of the reference design 0.4 % larger than need be."""
 
 
 def cap_shares(problem: Problem, gain: Gain) -> dict[str, float]:
@@ -53,14 +53,14 @@ def _of_pairs(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, " half"]:
 
 
 def widest_tube(problem: Problem, gain: Gain) -> Polytope | None:
-    """Return an invariant outer bound of the minimal RPI set of a gain, None where none was found."""
+    """Return an invariant outer bound of a gain's minimal RPI set, None where none was found."""
     caps = admissible_set(problem, gain)
     normals = np.concatenate([caps.normals / caps.offsets[:, None], ring_normals(problem)])
     return minimal_rpi_bound(gain.loops, problem.disturbance_set.support, normals)
 
 
 def ring_normals(problem: Problem) -> Float[np.ndarray, "RING 3"]:
-    """Return directions all around the plane of lateral and heading error, in units of their caps."""
+    """Return directions around the plane of lateral and heading error, in units of their caps."""
     angles = 2 * np.pi * np.arange(RING) / RING
     lateral, heading = problem.operating_set.offsets[1:3]
     return np.stack([np.zeros(RING), np.cos(angles) / lateral, np.sin(angles) / heading], axis=1)

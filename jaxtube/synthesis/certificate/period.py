@@ -24,6 +24,10 @@ from jaxtube.synthesis.problem import Problem, region_corners
 
 Numbers = Float[np.ndarray, " n"]
 
+ALONG = (-1.0, -0.5, 0.0, 0.5, 1.0)
+"""Shares of the longitudinal cap that are tried: with a coupling its edge lies at other inputs for
+each."""
+
 
 @dataclass(frozen=True, eq=False)
 class Situations:
@@ -55,8 +59,7 @@ def extreme_situations(problem: Problem) -> Situations:
     Where input and error are coupled both are shrunk until their row is met.
     """
     half_widths = problem.operating_set.offsets[:3]
-    signs = [(x, y, heading) for x in (-1, 1) for y in (-1, 1) for heading in (-1, 0, 1)]
-    errors = half_widths * np.array(signs)
+    errors = half_widths * np.array(list(itertools.product(ALONG, (-1, 1), (-1, 0, 1))))
     vertices = problem.input_set.vertices()
     inputs = np.concatenate([vertices, (vertices + np.roll(vertices, 1, axis=0)) / 2])
     wheels = np.unique(region_corners(problem.regions), axis=0)

@@ -10,7 +10,8 @@ from jaxtyping import Float
 
 from jaxtube.synthesis.certificate.period import find_disturbances
 from jaxtube.synthesis.disturbance import ground_speed_limits, kinematics, operation
-from jaxtube.synthesis.problem import Problem, error_vector
+from jaxtube.synthesis.limits import error_vector
+from jaxtube.synthesis.problem import Problem
 from sets import certificate as check
 from sets.certificate import Condition, judge
 from sets.robot.disturbance import DisturbanceBound, disturbance_bound
@@ -22,7 +23,7 @@ PREMISE = "disturbance_bound_proved"
 
 
 def check_robot(problem: Problem) -> Iterator[Condition]:
-    """Yield the conditions that the guarantee for the linear model needs to be one for the robot."""
+    """Yield the conditions that make a guarantee for the linear model one for the robot."""
     yield check_true_error(problem)
     yield check_disturbance_set(problem)
     if not _is_limited_by_wheels(problem):

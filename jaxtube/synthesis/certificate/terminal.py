@@ -111,7 +111,7 @@ def _check_plan_stays_feasible(design: Design, residual: float) -> Condition:
 
 
 def _terminal_margins(design: Design) -> Iterator[dict[str, float]]:
-    """Yield the margins of the terminal inclusions, by name, over all steps that they are due at."""
+    """Yield the margins of the terminal inclusions, by name, at every step they are due at."""
     if not design.tube.follows_reference:
         yield _margins_in_any_order(design)
         return

@@ -1,0 +1,174 @@
+"""Limits on errors and inputs: E from the caps, and U from the caps or from the wheel limits.
+
+    U: caps on u1, u2, or a parallelogram in p = u1 + (b/2) u2, q = u1 - (b/2) u2, per wheel
+       V - (1 - i) v_max <= p, q <= V - (1 - i) v_min
+       for every reference speed V and slip i it may meet
+
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (7)-(8), (11).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxtube.plant.robot import Robot
+from jaxtube.scenario import Scenario, ScenarioError
+from sets.polytope import Polytope
+
+
+@dataclass(frozen=True, eq=False)
+class InputRows:
+    """Constraints  inputs u + errors e <= offsets  of one period; the second half of the rows is
+    minus the first.
+
+    The rows of U, where e does not count, and with a coupling |e_x| / a + |u2| / b <= 1 its four.
+    """
+
+    inputs: Float[np.ndarray, "k 2"]
+    errors: Float[np.ndarray, "k 3"]
+    offsets: Float[np.ndarray, " k"]
+
+    def on_errors(self, gains: Float[np.ndarray, "... 2 3"]) -> Float[np.ndarray, "... k 3"]:
+        """Return the rows on the error under u = K e."""
+        return self.inputs @ gains + self.errors
+
+    @classmethod
+    def of(cls, input_set: Polytope) -> InputRows:
+        """Return the rows of a set of inputs."""
+        count = len(input_set.offsets)
+        return cls(input_set.normals, np.zeros((count, 3)), input_set.offsets)
+
+
+def error_vector(section) -> Float[np.ndarray, "3"]:
+    """Return (m, m, rad) of a scenario section with longitudinal_m, lateral_m and heading_deg."""
+    return np.array([section.longitudinal_m, section.lateral_m, np.deg2rad(section.heading_deg)])
+
+
+def wheel_rows(track_width: float) -> Float[np.ndarray, "2 2"]:
+    """Return the matrix that takes (u1, u2) to (p, q), the deficits of the right and the left
+    wheel, m/s."""
+    return np.array([[1.0, track_width / 2], [1.0, -track_width / 2]])
+
+
+def wheel_deficit_bounds(
+    robot: Robot,
+    slowest: float,
+    fastest: float,
+    slip_range: tuple[float, float],
+    heading_range: float = 0.0,
+) -> tuple[float, float]:
+    """Return (least, greatest) p that the wheel limits allow for every reference speed and slip in
+    the ranges.
+
+    Args:
+        robot: the limits.
+        slowest, fastest: reference wheel speeds, m/s; equal ones follow a known reference.
+        slip_range: least and greatest slip.
+        heading_range: bound of the heading error, rad, where the input map is cosine-free and adds
+            V (cos e_th - 1).
+    """
+    lost = fastest * (1 - np.cos(heading_range))
+    grips = [1 - slip for slip in slip_range]
+    least = fastest - min(grip * robot.wheel_speed_max for grip in grips)
+    greatest = slowest - lost - max(grip * robot.wheel_speed_min for grip in grips)
+    return float(least), float(greatest)
+
+
+def operating_bounds(scenario: Scenario) -> Float[np.ndarray, "3"]:
+    """Return half widths of the measured error: the caps, where none is given what the noise leaves
+    of E."""
+    left = error_vector(scenario.constraints) - error_vector(scenario.noise)
+    operating = scenario.operating
+    caps = left.copy()
+    if operating.longitudinal_m is not None:
+        caps[0] = operating.longitudinal_m
+    if operating.lateral_m is not None:
+        caps[1] = operating.lateral_m
+    if operating.heading_deg is not None:
+        caps[2] = np.deg2rad(operating.heading_deg)
+    return np.minimum(caps, left)
+
+
+def input_constraints(scenario: Scenario, robot: Robot) -> tuple[Polytope, InputRows]:
+    """Return U, and the rows on input and error that are U and the coupling."""
+    input_set = _make_input_set(scenario, robot)
+    return input_set, _make_input_rows(scenario, input_set)
+
+
+def _make_input_set(scenario: Scenario, robot: Robot) -> Polytope:
+    """Return U: the caps on u1 and u2 where they are given, else what the wheel limits allow of p
+    and q."""
+    operating = scenario.operating
+    if operating.yaw_rate_deficit_radps is None:
+        return _wheel_limited_inputs(robot, _wheel_deficits(scenario, robot))
+    assert operating.speed_deficit_min_mps is not None
+    assert operating.speed_deficit_max_mps is not None
+    turning = operating.yaw_rate_deficit_radps
+    return Polytope.box(
+        np.array([operating.speed_deficit_min_mps, -turning]),
+        np.array([operating.speed_deficit_max_mps, turning]),
+    )
+
+
+def _wheel_limited_inputs(robot: Robot, bounds: Float[np.ndarray, "2 2"]) -> Polytope:
+    """Return U from [[p_min, p_max], [q_min, q_max]]: rows p, q, -p, -q."""
+    rows = wheel_rows(robot.track_width)
+    return Polytope(np.vstack([rows, -rows]), np.concatenate([bounds[:, 1], -bounds[:, 0]]))
+
+
+def _make_input_rows(scenario: Scenario, input_set: Polytope) -> InputRows:
+    """Return the rows of U and of the coupling, each half in the same order."""
+    operating = scenario.operating
+    rows = InputRows.of(input_set)
+    if operating.turning_longitudinal_m is None or operating.turning_yaw_rate_radps is None:
+        return rows
+    turning = np.array([0.0, 1 / operating.turning_yaw_rate_radps])
+    along = np.array([1 / operating.turning_longitudinal_m, 0.0, 0.0])
+    coupled = InputRows(np.stack([turning, -turning]), np.stack([along, along]), np.ones(2))
+    half = len(rows.offsets) // 2
+    return InputRows(
+        np.concatenate([rows.inputs[:half], coupled.inputs, rows.inputs[half:], -coupled.inputs]),
+        np.concatenate([rows.errors[:half], coupled.errors, rows.errors[half:], -coupled.errors]),
+        np.concatenate(
+            [rows.offsets[:half], coupled.offsets, rows.offsets[half:], coupled.offsets]
+        ),
+    )
+
+
+def _wheel_deficits(scenario: Scenario, robot: Robot) -> Float[np.ndarray, "2 2"]:
+    """Return [[p_min, p_max], [q_min, q_max]] over the box of reference speeds and every slip, in
+    m/s."""
+    maps_speed = scenario.controller.input_map != "paper"
+    heading = np.deg2rad(scenario.constraints.heading_deg) if maps_speed else 0.0
+    section = scenario.reference
+    slip = scenario.slip
+    bounds = np.array(
+        [
+            wheel_deficit_bounds(
+                robot,
+                section.wheel_speed_min_mps,
+                section.wheel_speed_max_mps,
+                (nominal * (1 - slip.relative_error), nominal * (1 + slip.relative_error)),
+                heading,
+            )
+            for nominal in (slip.nominal_right, slip.nominal_left)
+        ]
+    )
+    if np.any(bounds[:, 0] >= 0):
+        raise ScenarioError(
+            f"scenario: robot.wheel_speed_max_mps = {robot.wheel_speed_max}: the wheels cannot "
+            f"follow every reference speed under the greatest slip: they are "
+            f"{bounds[:, 0].max():.4g} m/s too slow; widen the wheel limits or lower "
+            "reference.wheel_speed_max_mps"
+        )
+    if np.any(bounds[:, 1] <= 0):
+        raise ScenarioError(
+            f"scenario: robot.wheel_speed_min_mps = {robot.wheel_speed_min}: the wheels cannot "
+            f"turn as slowly as the reference under the least slip: they are "
+            f"{-bounds[:, 1].min():.4g} m/s too fast; lower robot.wheel_speed_min_mps or raise "
+            "reference.wheel_speed_min_mps"
+        )
+    return bounds

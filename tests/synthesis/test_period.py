@@ -1,0 +1,93 @@
+"""Laws of the witness for W: its period is that of the bound's own plant, and it stays in what is
+certified."""
+
+import numpy as np
+import pytest
+from tolerances import RESIDUAL_ROUNDING, ROUNDING
+
+from jaxtube.scenario import load
+from jaxtube.synthesis.certificate.period import (
+    Situations,
+    extreme_situations,
+    find_disturbances,
+    next_errors,
+)
+from jaxtube.synthesis.disturbance import complete_problem, kinematics, operation
+from jaxtube.synthesis.problem import make_problem
+from sets.robot.disturbance import residual
+
+COUNT = 500
+
+
+def random_situations(problem, seed=0) -> Situations:
+    random = np.random.default_rng(seed)
+    return Situations(
+        errors=random.uniform(-0.3, 0.3, (COUNT, 3)),
+        inputs=random.uniform(-0.8, 0.8, (COUNT, 2)),
+        wheels=random.uniform(0.2, 1.5, (COUNT, 2)),
+        slip=random.uniform(0.1, 0.3, (COUNT, 2)),
+        measured_slip=random.uniform(0.1, 0.3, (COUNT, 2)),
+        noise=random.uniform(-0.01, 0.01, (COUNT, 3)),
+    )
+
+
+def disturbances_by_the_bounds_plant(problem, situations):
+    relative = situations.slip - situations.measured_slip
+    wheel_errors = relative / (1 - situations.measured_slip)
+    points = np.hstack(
+        [
+            situations.errors,
+            situations.inputs,
+            situations.wheels,
+            wheel_errors,
+            situations.noise,
+        ]
+    )
+    none = np.zeros_like(situations.noise)
+    w, _, _ = residual(operation(problem), kinematics(problem), points, none)
+    return w
+
+
+@pytest.mark.parametrize("input_map", ["paper", "cosine_free", "x_exact"])
+def test_a_period_in_the_world_frame_is_that_of_the_bounds_plant(input_map):
+    problem = make_problem(load("paper", [f"controller.input_map={input_map}"]))
+    situations = random_situations(problem)
+    A, B = problem.model.matrices(situations.wheels)
+    predicted = np.einsum("nij,nj->ni", A, situations.errors)
+    predicted += np.einsum("nij,nj->ni", B, situations.inputs)
+    w = next_errors(problem, situations) - predicted
+    expected = disturbances_by_the_bounds_plant(problem, situations)
+    np.testing.assert_allclose(w, expected, rtol=0, atol=RESIDUAL_ROUNDING)
+
+
+def test_what_is_met_under_the_exact_jacobian_is_what_the_bound_is_made_of():
+    problem = complete_problem(load("certified"))
+    situations = extreme_situations(problem)
+    expected = disturbances_by_the_bounds_plant(problem, situations)
+    np.testing.assert_allclose(find_disturbances(problem), expected, rtol=0, atol=RESIDUAL_ROUNDING)
+
+
+@pytest.mark.parametrize("name", ["paper", "certified"])
+def test_extremes_lie_in_what_is_certified_and_reach_its_limits(name):
+    problem = make_problem(load(name))
+    situations = extreme_situations(problem)
+    rows = problem.input_rows
+    used = situations.inputs @ rows.inputs.T + situations.errors @ rows.errors.T
+    assert np.all(used <= rows.offsets + ROUNDING)
+    np.testing.assert_allclose(used.max(axis=0), rows.offsets, atol=ROUNDING)
+    assert problem.operating_set.margin(situations.errors).min() >= -ROUNDING
+    low, high = problem.model.box
+    assert np.all((situations.wheels >= low) & (situations.wheels <= high))
+    # One of true and measured slip is nominal.
+    nominal = 0.2
+    deviates = np.stack([situations.slip != nominal, situations.measured_slip != nominal])
+    assert not np.any(deviates.any(axis=2).all(axis=0))
+
+
+def test_where_both_slips_vary_they_are_extreme_together():
+    problem = make_problem(load("paper", ["slip.random=both"]))
+    situations = extreme_situations(problem)
+    errors = (situations.slip - situations.measured_slip) / (1 - situations.measured_slip)
+    np.testing.assert_allclose(
+        np.abs(errors).max(axis=0), operation(problem).wheel_error, rtol=1e-12
+    )
