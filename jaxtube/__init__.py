@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from jaxtube.falsification.falsify import Falsification, falsify
     from jaxtube.plant.protocol import Command, Measurement, Plant
     from jaxtube.plant.slip import SlipProcess
-    from jaxtube.results import read, save
+    from jaxtube.results import read
     from jaxtube.scenario import Scenario, ScenarioError, load
     from jaxtube.simulation.simulate import Laps, simulate
     from jaxtube.statistics.montecarlo import MonteCarlo, montecarlo
@@ -51,7 +51,6 @@ HOMES = {
     "load": "jaxtube.scenario",
     "montecarlo": "jaxtube.statistics.montecarlo",
     "read": "jaxtube.results",
-    "save": "jaxtube.results",
     "simulate": "jaxtube.simulation.simulate",
     "tune": "jaxtube.tuning.tune",
 }
@@ -78,7 +77,6 @@ __all__ = [
     "load",
     "montecarlo",
     "read",
-    "save",
     "simulate",
     "tune",
 ]

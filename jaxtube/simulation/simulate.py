@@ -5,22 +5,30 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from jaxtube import qp
+from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.own import adapt_controller
 from jaxtube.control.protocol import Controller
+from jaxtube.coordinates import NAMES
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip import SlipProcess
 from jaxtube.precision import in_64_bits
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import Trajectory, realisation_keys
 from jaxtube.simulation.starts import FixedStart, Starts, uniform_start
+from jaxtube.storage import Stored, write_result
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.feasible import true_starts
+
+DIAGNOSTICS = "diagnostics_"
+"""Begins the names of the arrays of diagnostics in a folder."""
 
 ControllerChoice = str | Controller | Callable[..., Float[Array, "batch 2"]]
 PlantChoice = str | Plant
@@ -66,6 +74,30 @@ class Laps:
     def rms(self) -> Float[np.ndarray, "3"]:
         """RMS errors over all laps and the whole reference, (m, m, rad)."""
         return np.sqrt(np.mean(self.errors**2, axis=(0, 1)))
+
+    def save(self, folder: str | Path) -> Path:
+        """Save the laps in a folder, for `jaxtube.read`; return the folder."""
+        facts = {"controller": self.controller, "plant": self.plant, "seed": self.seed}
+        arrays = self.trajectory._asdict()
+        diagnostics = arrays.pop("diagnostics")._asdict()
+        arrays |= {f"{DIAGNOSTICS}{name}": values for name, values in diagnostics.items()}
+        plain = {name: np.asarray(values) for name, values in arrays.items()}
+        scenario = self.design.problem.scenario
+        return write_result(folder, Stored("laps", scenario, facts, plain))
+
+    @classmethod
+    def restore(cls, design: Design, stored: Stored) -> Laps:
+        """Return laps that were saved, of their design made again."""
+        arrays = stored.arrays
+        diagnostics = Diagnostics._make(arrays[f"{DIAGNOSTICS}{n}"] for n in Diagnostics._fields)
+        names = [name for name in Trajectory._fields if name != "diagnostics"]
+        trajectory = Trajectory._make([*(arrays[name] for name in names), diagnostics])
+        return cls(design, trajectory=trajectory, **stored.facts)
+
+    def to_xarray(self) -> Any:
+        """Return the laps as an xarray Dataset with named dimensions: pip install
+        'jaxtube[results]'."""
+        return lap_dataset(self)
 
     def __repr__(self) -> str:
         count = self.errors.shape[1]
@@ -170,3 +202,44 @@ def choose_starts(design: Design, starts: str) -> Starts:
 
 def _name(choice: object) -> str:
     return choice if isinstance(choice, str) else "own"
+
+
+def lap_dataset(laps: Laps) -> Any:
+    """Return laps as an xarray Dataset.
+
+    Raises:
+        ImportError: where xarray is not installed; the message says how to.
+    """
+    try:
+        import xarray
+    except ImportError as error:
+        raise ImportError("xarray is not installed; pip install 'jaxtube[results]'") from error
+    trajectory = laps.trajectory
+    diagnostics = trajectory.diagnostics
+    by_error = ("instant", "lap", "coordinate")
+    by_wheel = ("period", "lap", "wheel")
+    by_period = ("period", "lap")
+    instants, count, _ = laps.errors.shape
+    dt = laps.design.problem.reference.dt
+    variables = {
+        "errors": (by_error, laps.errors, {"long_name": "true tracking errors"}),
+        "measured": (by_error, trajectory.measured, {"long_name": "measured tracking errors"}),
+        "inputs": (("period", "lap", "input"), trajectory.inputs),
+        "wheels": (by_wheel, trajectory.wheels, {"units": "m/s"}),
+        "demanded": (by_wheel, trajectory.demanded, {"units": "m/s"}),
+        "qp_status": (by_period, diagnostics.status),
+        "qp_residual": (by_period, diagnostics.residual),
+        "active": (by_period, diagnostics.active),
+        "backup": (by_period, diagnostics.backup),
+    }
+    coordinates = {
+        "instant": ("instant", dt * np.arange(instants), {"units": "s"}),
+        "period": ("period", dt * np.arange(instants - 1), {"units": "s"}),
+        "lap": ("lap", np.arange(count)),
+        "coordinate": ("coordinate", list(NAMES)),
+        "unit": ("coordinate", ["m", "m", "rad"]),
+        "input": ("input", ["speed deficit", "yaw rate deficit"]),
+        "wheel": ("wheel", ["right", "left"]),
+    }
+    attributes = {"controller": laps.controller, "plant": laps.plant, "seed": laps.seed}
+    return xarray.Dataset(variables, coordinates, attributes)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import jax
@@ -22,6 +23,7 @@ from jaxtube.statistics.events import EVENT_NAMES
 from jaxtube.statistics.run import BLOCK, Run, Statistics, Task, merge
 from jaxtube.statistics.summary import SamplingLaw, summarise
 from jaxtube.statistics.task import make_task
+from jaxtube.storage import Stored, write_result
 from jaxtube.synthesis.design import Design
 
 
@@ -116,6 +118,18 @@ class MonteCarlo:
             raise ValueError(f"event = {event!r}: {known}; choose one of {list(events)}")
         low, high = events[event]["share_of_laps_interval"]
         return Share(events[event]["laps"], self.laps, low, high)
+
+    def save(self, folder: str | Path) -> Path:
+        """Save the run in a folder, for `jaxtube.read`; return the folder."""
+        facts = {"law": self.law._asdict(), "seed": self.seed}
+        scenario = self.design.problem.scenario
+        return write_result(folder, Stored("montecarlo", scenario, facts, self.statistics))
+
+    @classmethod
+    def restore(cls, design: Design, stored: Stored) -> MonteCarlo:
+        """Return a run that was saved, of its design made again."""
+        law = SamplingLaw(**stored.facts["law"])
+        return cls(design, law, stored.facts["seed"], stored.arrays)
 
     def __repr__(self) -> str:
         left_w = self.share("w_outside_W")

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 
+import jax
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.control.mpc import CondensedQp
+from jaxtube.storage import Stored, write_result
 from jaxtube.synthesis import condense
 from jaxtube.synthesis.condense import Bounds
 from jaxtube.synthesis.gains import Gain
@@ -84,6 +87,16 @@ class Design:
     def plain_window(self) -> CondensedQp:
         """The condensed MPC without tube and terminal set."""
         return self.condensed.without_tube
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return the numbers of the tube-MPC, by their place in the condensed QPs."""
+        leaves, _ = jax.tree_util.tree_flatten_with_path(self.tube_window)
+        return {jax.tree_util.keystr(place): np.asarray(value) for place, value in leaves}
+
+    def save(self, folder: str | Path) -> Path:
+        """Save the design in a folder, for `jaxtube.read`; return the folder."""
+        facts = {"verdict": self.certificate.verdict}
+        return write_result(folder, Stored("design", self.problem.scenario, facts, self.arrays()))
 
     def __repr__(self) -> str:
         settings = self.problem.scenario.controller

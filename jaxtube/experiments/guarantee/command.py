@@ -21,6 +21,7 @@ import jax
 import msgspec
 import numpy as np
 
+from jaxtube.atomic import write_atomically
 from jaxtube.experiments.design.command import exit_code
 from jaxtube.experiments.design.seen import disturbance_line
 from jaxtube.experiments.guarantee import claims as guarantee_claims
@@ -37,7 +38,6 @@ from jaxtube.experiments.guarantee.claims import Tested
 from jaxtube.experiments.montecarlo import command as blocks
 from jaxtube.experiments.options import GuaranteeOptions, MontecarloOptions, title
 from jaxtube.experiments.run import folder as run_folder
-from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.metrics import COORDINATES, TO_DISPLAY
 from jaxtube.experiments.run.progress import progress

@@ -30,8 +30,8 @@ from typing import Any, BinaryIO
 import msgspec
 import numpy as np
 
+from jaxtube.atomic import write_atomically
 from jaxtube.experiments.options import Options, command_line
-from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.scenario import Scenario, to_toml
 from jaxtube.scenario.refusal import ScenarioError, refusal
 

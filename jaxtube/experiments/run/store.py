@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple, Self
 
-from jaxtube.experiments.run.atomic import write_atomically
+from jaxtube.atomic import write_atomically
 from jaxtube.experiments.run.record_file import (
     DamagedError,
     Statistics,

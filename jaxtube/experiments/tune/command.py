@@ -12,9 +12,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from jaxtube.atomic import write_atomically
 from jaxtube.experiments.options import TuneOptions
 from jaxtube.experiments.run import folder as run_folder
-from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.tune import compare as tune_compare
 from jaxtube.experiments.tune import report as tune_report
