@@ -37,7 +37,7 @@ RESIDUAL = 1e-8
 
 @pytest.fixture
 def recertify(monkeypatch):
-    """Certify a design again with parts replaced, without the conditions that are for information."""
+    """Certify a design again with parts replaced, most conditions for information left out."""
     module = importlib.import_module("jaxtube.synthesis.certificate.certify")
     monkeypatch.setattr(module, "say_what_exists", lambda design: ())
 

@@ -100,7 +100,7 @@ def input_reach(found, window, schedules, j, row):
 
 
 def plain_rows(found, window, schedules, error, inputs):
-    """Return the arrays (values, lower, upper) of every constraint on a plan, one after the other."""
+    """Return (values, lower, upper) of every constraint on a plan, one after the other."""
     problem = found.problem
     errors = simulate_model(found.problem, schedules, error, inputs)
     limits = problem.error_set.offsets[:3]
