@@ -10,6 +10,7 @@ from matplotlib.text import Annotation
 from tolerances import DRAWN
 
 from jaxtube.coordinates import NAMES, TO_DISPLAY
+from jaxtube.experiments.guarantee.figures import laws_figure
 from jaxtube.experiments.montecarlo import figures as montecarlo_figures
 from jaxtube.experiments.montecarlo import heat_figures, map_figure, shares_figure
 from jaxtube.statistics import histogram
@@ -196,6 +197,21 @@ def test_events_that_a_run_cannot_have_are_not_listed(summary):
     without_plans = {**summary, "plans": 0, "events": events}
     labels = [row.label for row in shares_figure.share_rows(without_plans)]
     assert len(labels) == 2 and labels[1].startswith("not finite")
+
+
+def test_laws_are_drawn_design_by_design(summary):
+    laws = {"iid": summary, "edge-vertex": summary}
+    tested = [types.SimpleNamespace(name=name, laws=laws) for name in ("mine", "other")]
+    figure = laws_figure(tested)
+    assert_presentable(figure)
+    for axes in figure.axes[::2]:
+        assert [label.get_text() for label in axes.get_yticklabels()] == list(laws)
+    shares = [
+        share.value
+        for row in shares_figure.share_rows(summary)[:2]
+        for share in row.shares.values()
+    ]
+    assert all(axes.get_xlim()[0] < min(shares) for axes in figure.axes), "no dot is cut"
 
 
 def test_clouds_hold_what_was_counted_stage_by_stage(design, eventful, summary):
