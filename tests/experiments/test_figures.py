@@ -96,9 +96,11 @@ def test_a_figure_is_drawn_without_a_warning_and_its_axes_tell_units(
 
 
 def test_the_three_coordinates_are_those_of_the_results_files():
-    assert list(KEYS) == ["longitudinal_m", "lateral_m", "heading_deg"]
+    keys = " ".join(KEYS)
+    assert keys == "longitudinal_m lateral_m heading_deg"
     assert [coordinate.error for coordinate in COORDINATES] == ["e_x", "e_y", "e_\\theta"]
-    assert pytest.approx([1.0, 1.0, 180 / np.pi], rel=1e-15) == TO_DISPLAY
+    factors = [float(factor) for factor in TO_DISPLAY]
+    assert factors == pytest.approx([1.0, 1.0, 180 / np.pi], rel=1e-15)
 
 
 def test_errors_are_drawn_with_the_limits_of_e_and_the_share_outside(problem, runs):

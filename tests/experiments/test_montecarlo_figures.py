@@ -10,6 +10,7 @@ from matplotlib.text import Annotation
 from tolerances import DRAWN
 
 from jaxtube.coordinates import NAMES, TO_DISPLAY
+from jaxtube.experiments.guarantee.figures import laws_figure
 from jaxtube.experiments.montecarlo import figures as montecarlo_figures
 from jaxtube.experiments.montecarlo import heat_figures, map_figure, shares_figure
 from jaxtube.statistics import histogram
@@ -198,6 +199,21 @@ def test_events_that_a_run_cannot_have_are_not_listed(summary):
     assert len(labels) == 2 and labels[1].startswith("not finite")
 
 
+def test_laws_are_drawn_design_by_design(summary):
+    laws = {"iid": summary, "edge-vertex": summary}
+    tested = [types.SimpleNamespace(name=name, laws=laws) for name in ("mine", "other")]
+    figure = laws_figure(tested)
+    assert_presentable(figure)
+    for axes in figure.axes[::2]:
+        assert [label.get_text() for label in axes.get_yticklabels()] == list(laws)
+    shares = [
+        share.value
+        for row in shares_figure.share_rows(summary)[:2]
+        for share in row.shares.values()
+    ]
+    assert all(axes.get_xlim()[0] < min(shares) for axes in figure.axes), "no dot is cut"
+
+
 def test_clouds_hold_what_was_counted_stage_by_stage(design, eventful, summary):
     figure = heat_figures.tube_cloud(design, eventful, summary)
     assert_presentable(figure)
@@ -241,17 +257,13 @@ def test_coverage_tells_where_laps_started_and_what_share_left_e(problem, eventf
     assert figure.axes[4].get_title().startswith("3 of 40 laps left")
 
 
-def test_a_run_in_which_nothing_was_counted_is_drawn_without_tube_and_starts(
-    design, quiet, task, monkeypatch
-):
-    monkeypatch.setattr("jaxtube.statistics.task.make_task", lambda *arguments: task)
+def test_a_run_in_which_nothing_was_counted_is_drawn_without_tube_and_starts(design, quiet, task):
     drawn = {}
 
     def save_figure(figure, name):
         drawn[name] = save(figure)
 
     folder = types.SimpleNamespace(save_figure=save_figure)
-    options = Montecarlo(controller="local_gain")
     summary = summary_of(design, quiet, controller="local_gain")
     montecarlo_figures.draw(design, task, 0, quiet, summary, folder)
     assert set(drawn) == {"violations", "error_quantiles", "disturbance", "map", "worst"}

@@ -47,7 +47,8 @@ SETTLED_DIAMOND: dict[str, Any] = {
     "linestyle": "none",
     "zorder": 5,
 }
-BEFORE_S, AFTER_S = 2.0, 0.6
+BEFORE_S = 2.0
+AFTER_S = 0.6
 """Seconds of the path that are shown before and after the worst step."""
 ATTACK_S = 10.0
 """Seconds of the attack that are shown before the worst step."""

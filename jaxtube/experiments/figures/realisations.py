@@ -89,5 +89,6 @@ def _draw_points(axes: Axes, points: Float[np.ndarray, "k 2"], colour: str) -> N
         color=colour,
         markersize=1.5,
         alpha=0.6,
-        rasterized=True,
+        # An empty picture would take as long as a full one.
+        rasterized=len(points) > 0,
     )

@@ -14,11 +14,13 @@ from jaxtube.experiments.figures.style import Scale, error_label
 
 BOX = (1.0, 1.0, 0.75)
 """Sides of the box that the picture fills."""
-AZIMUTH, ELEVATION = -55, 20
+AZIMUTH = -55
+ELEVATION = 20
 """Where the viewer stands, deg."""
 LIGHT = np.array([-0.3, -0.75, 0.6])
 """Direction towards the lamp, in the coordinates of the box."""
-DARKEST, BRIGHTEST = 0.75, 0.2
+DARKEST = 0.75
+BRIGHTEST = 0.2
 """Shares of its colour that a facet has which faces away from the lamp, and towards it."""
 
 FLAT = 1e-6

@@ -127,7 +127,7 @@ def _draw_starts(
     axes.plot(some[:, 0], some[:, 1], ".", color="0.75", markersize=1.0, rasterized=True)
     for kind, name in STRESSED.items():
         left = starts[runs[kind].leaves]
-        look = {"color": CONTROLLERS[name].colour, "linestyle": "none", "rasterized": True}
+        look = {"color": CONTROLLERS[name].colour, "linestyle": "none", "rasterized": len(left) > 0}
         axes.plot(left[:, 0], left[:, 1], **MARKS[kind], **look)
 
 

@@ -10,6 +10,7 @@ from jaxtube.experiments.montecarlo.shares_figure import (
     ROWS,
     Row,
     draw_shares,
+    find_least,
     make_shares,
     share_keys,
 )
@@ -34,8 +35,7 @@ def laws_figure(tested: list[Tested]) -> Figure:
             draw_shares(axes, rows)
             axes.set_title(f"design “{design.name}”: {ROWS[event]}")
             every += rows
-    least = min(share.high for row in every for share in row.shares.values()) / 30
-    panels[0, 0].set_xlim(least, 1.6)
+    panels[0, 0].set_xlim(find_least(every), 1.6)
     for axes in panels[0]:
         axes.set_xlabel("")
     confidence = next(iter(tested[0].laws.values()))["confidence"]

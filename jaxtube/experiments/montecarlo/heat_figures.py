@@ -116,7 +116,7 @@ def _note_beyond(axes: Axes, share: float) -> None:
 
 def share_words(share: float, interval: tuple[float, float]) -> str:
     """Return what share is outside, with its interval, in two lines."""
-    low, high = (100 * bound for bound in interval)
+    low, high = 100 * np.array(interval)
     if not share:
         return f"none outside\n(at most {high:.2g} %)"
     return f"{100 * share:.3g} % outside\n({low:.3g} to {high:.3g} %)"
@@ -175,7 +175,7 @@ def _draw_bounds(axes: Axes, ends, hull: Float[np.ndarray, "k 2"]) -> None:
 
 
 def _words_of_left(event: dict, laps: int) -> str:
-    low, high = (100 * bound for bound in event["share_of_laps_interval"])
+    low, high = 100 * np.array(event["share_of_laps_interval"])
     interval = f"{low:.3g} to {high:.3g} %" if event["laps"] else f"at most {high:.2g} %"
     return f"{event['laps']:,} of {laps:,} laps left $\\mathcal{{E}}$ ({interval})"
 

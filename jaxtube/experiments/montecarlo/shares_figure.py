@@ -38,6 +38,8 @@ LOOKS = {
     "steps": {"marker": "D", "color": OUTSIDE, "markersize": 4},
     "plans": {"marker": "s", "color": "#009E73", "markersize": 4.5},
 }
+ARROW = 6
+"""Length of an arrow below a bound, as a ratio of shares."""
 OFFSET = 0.17
 """Distance of a share from the middle of its row, where the row has two."""
 
@@ -113,10 +115,17 @@ def draw_shares(axes: Axes, rows: list[Row]) -> None:
         offsets = (-OFFSET, OFFSET) if len(row.shares) > 1 else (0.0,)
         for offset, (kind, share) in zip(offsets, row.shares.items(), strict=True):
             _draw_share(axes, place + offset, share, kind)
-    least = min(share.high for row in rows for share in row.shares.values()) / 30
     axes.set_yticks(range(len(rows)), [row.label for row in rows])
-    axes.set(xscale="log", xlim=(least, 1.6), ylim=(len(rows) - 0.5, -0.5), xlabel="share")
+    axes.set(
+        xscale="log", xlim=(find_least(rows), 1.6), ylim=(len(rows) - 0.5, -0.5), xlabel="share"
+    )
     axes.grid(False, axis="y")
+
+
+def find_least(rows: list[Row]) -> float:
+    """Return where the axis of shares begins: below every dot and every arrow."""
+    shares = [share for row in rows for share in row.shares.values()]
+    return min(share.value or share.high / ARROW for share in shares) / 3
 
 
 def share_keys(rows: list[Row], confidence: float) -> list:
@@ -151,7 +160,7 @@ def _draw_share(axes: Axes, place: float, share: Share, kind: str) -> None:
         "shrinkA": 0,
         "shrinkB": 0,
     }
-    axes.annotate("", (share.high / 6, place), (share.high, place), arrowprops=arrow)
+    axes.annotate("", (share.high / ARROW, place), (share.high, place), arrowprops=arrow)
 
 
 def _draw_proof(axes: Axes, summary: dict) -> None:

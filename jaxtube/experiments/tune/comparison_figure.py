@@ -23,7 +23,8 @@ OTHERS: tuple[dict[str, Any], ...] = (
     {"color": "#56B4E9", "marker": "P", "markersize": 4.5},
 )
 """Looks of compared designs, the last of which is drawn as tuned."""
-ROW, HEADING = 0.19, 0.24
+ROW = 0.19
+HEADING = 0.24
 """Heights of a design's and of a reference's row, inches."""
 
 

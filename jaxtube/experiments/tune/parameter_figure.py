@@ -26,7 +26,8 @@ DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (4, 1, 1, 1)))
 LABEL_SIZE = 8
 SPACING = 1.35
 """Distance between names above each other, in sizes of their font."""
-NEAR, FAR = 1.06, 1.22
+NEAR = 1.06
+FAR = 1.22
 """Where names begin, in widths of the panel: beside few lines, and beside many, whose names lie far
 from their ends."""
 UNITS = {"Q": "1/m², 1/rad²", "R": "s²/m², s²/rad²"}

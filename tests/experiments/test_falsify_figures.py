@@ -1,0 +1,88 @@
+"""Figures of worst cases: what a run uses of a limit is drawn where the run lies."""
+
+import dataclasses
+import types
+
+import numpy as np
+import pytest
+from figure_checks import assert_presentable
+from tolerances import DRAWN
+
+from jaxtube.experiments.falsify.figures import make_tracks, worst_run
+from jaxtube.experiments.falsify.section_figure import worst_section
+from jaxtube.falsification.search import Worst
+from jaxtube.falsification.setting import lap_limits
+from jaxtube.simulation.usage import Replay, values_of
+
+STEP = 3
+"""The worst one of an invented lap, long before it has settled."""
+
+
+@pytest.fixture(scope="module")
+def design(uncertified):
+    return uncertified("paper")
+
+
+@pytest.fixture(scope="module")
+def played(design):
+    """An invented lap of wheel speeds and inputs that are not about the middle of their limits."""
+    generator = np.random.default_rng(7)
+    steps = design.problem.reference.steps
+    lap = types.SimpleNamespace(
+        errors=generator.uniform(-0.1, 0.1, (steps + 1, 1, 3)),
+        inputs=generator.uniform(-0.1, 0.2, (steps, 1, 2)),
+        demanded=generator.uniform(1.2, 1.9, (steps, 1, 2)),
+    )
+    return Replay(lap, 1.2 * np.stack([section.vertices()[0] for section in design.tube[1:]]))
+
+
+def usage_of(limits, name, played):
+    """Return how much the lap uses of every facet, step by step, as laps are judged."""
+    limit = limits[name]
+    normals = np.asarray(limit.normals[0])
+    centre = np.asarray(limit.centre)
+    values = values_of(name, played)[1 if name == "error" else 0 :]
+    room = np.asarray(limit.offsets[0]) - normals @ centre
+    return (values - centre) @ normals.T / room
+
+
+def make_worst(design, name):
+    attack = {"true": np.ones((design.problem.reference.steps, 2)), "start": np.zeros((1, 3))}
+    return Worst(1.1, -0.1, STEP, 0, STEP - 1 if name == "tube" else 0, attack)
+
+
+@pytest.mark.parametrize("name", ["error", "input", "wheels"])
+def test_usage_is_drawn_where_the_run_that_uses_it_lies(name, design, played):
+    limits = lap_limits(design)
+    usage = usage_of(limits, name, played)
+    for track in make_tracks(design.problem, limits, name, played):
+        for facet in track.facets:
+            drawn = track.value_at(usage[:, facet], facet)
+            assert drawn == pytest.approx(track.values[-len(usage) :], abs=DRAWN)
+
+
+@pytest.mark.parametrize("name", ["error", "input", "wheels", "tube"])
+def test_a_worst_run_is_drawn_with_and_without_what_others_met(name, design, played):
+    limits = lap_limits(design)
+    worst = make_worst(design, name)
+    assert_presentable(worst_run(design.problem, limits, name, worst, played))
+    if name == "tube":
+        return
+    reach = {name: usage_of(limits, name, played)}
+    figure = worst_run(design.problem, limits, name, worst, played, (reach, reach))
+    assert_presentable(figure)
+    later = reach[name][100 - (1 if name == "error" else 0) :]
+    title = figure.axes[0].get_title()
+    assert title.startswith("worst: 110 % of the limit at 0.3 s; once settled")
+    assert f"settled {100 * later.max():.3g} %" in title
+
+
+def test_the_facet_is_a_line_where_it_is_seen_edge_on(design, played):
+    for facet, normal in enumerate(design.tube[1].polytope().normals):
+        worst = dataclasses.replace(make_worst(design, "tube"), facet=facet)
+        figure = worst_section(design, worst, played)
+        assert_presentable(figure)
+        shares = [bar.get_height() for bar in figure.axes[2].patches]
+        assert shares == pytest.approx([120.0] * design.problem.horizon)
+        assert np.count_nonzero(np.abs(normal) > 1e-9) == 1, "R_1 of this design is a box"
+        assert all(len(axes.lines) == 3 for axes in figure.axes[:2])
