@@ -7,9 +7,7 @@ import measure
 import pytest
 
 ROOT = Path(__file__).parents[1]
-MODULES = [
-    module for package in measure.PACKAGES for module in measure.read_modules(ROOT, package)
-]
+MODULES = [module for package in measure.PACKAGES for module in measure.read_modules(ROOT, package)]
 
 
 def test_no_tuple_is_assigned_to_a_tuple():

@@ -193,8 +193,8 @@ def test_the_design_command_writes_what_was_designed(
 @pytest.fixture(scope="module")
 def paper_run(tmp_path_factory, paper_design, robust_design):
     """(exit code, folder, metrics) of `paper` with few realisations."""
-    pytest.importorskip("jaxtube.experiments.figures.laps")
-    pytest.importorskip("jaxtube.experiments.figures.sets")
+    pytest.importorskip("jaxtube.figures.laps")
+    pytest.importorskip("jaxtube.figures.sets")
     folder = tmp_path_factory.mktemp("paper")
     with pytest.MonkeyPatch.context() as patch:
         designs = {"paper": paper_design, "robust": robust_design}

@@ -10,12 +10,12 @@ from figure_checks import assert_presentable, extent, legend_texts, save
 from tolerances import DRAWN
 
 from jaxtube.coordinates import COORDINATES, KEYS, TO_DISPLAY
-from jaxtube.experiments.figures import laps, sets
-from jaxtube.experiments.figures.paths import trajectories
-from jaxtube.experiments.figures.realisations import realisations_in_tube
-from jaxtube.experiments.figures.stress import stress
-from jaxtube.experiments.figures.style import CONTROLLERS, INSIDE, MILLIMETRES, OUTSIDE
-from jaxtube.experiments.figures.tightened import tightened_sets
+from jaxtube.figures import laps, sets
+from jaxtube.figures.paths import trajectories
+from jaxtube.figures.realisations import realisations_in_tube
+from jaxtube.figures.stress import stress
+from jaxtube.figures.style import CONTROLLERS, INSIDE, MILLIMETRES, OUTSIDE
+from jaxtube.figures.tightened import tightened_sets
 from sets.certificate import escape_excess
 from sets.invariant import Escape, MaximalRpi
 

@@ -8,13 +8,13 @@ from matplotlib.text import Annotation, Text
 from quadprog import solve_qp
 from tolerances import DRAWN, SPREAD
 
-from jaxtube.experiments.figures.style import CENTIMETRES
-from jaxtube.experiments.figures.ticks import spans_decade
 from jaxtube.experiments.tune.comparison_figure import comparison_figure
 from jaxtube.experiments.tune.figures import error_figure, settled_rms, tube_figure
 from jaxtube.experiments.tune.front_figure import Group, front_figure
 from jaxtube.experiments.tune.learning_figure import Curve, learning_figure
 from jaxtube.experiments.tune.parameter_figure import parameter_figure, spread
+from jaxtube.figures.style import CENTIMETRES
+from jaxtube.figures.ticks import spans_decade
 from sets.polytope import Polytope
 
 HALF_WIDTHS = np.array([0.3, 0.3, np.deg2rad(20.0)])

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MaxNLocator, NullLocator
 
 from jaxtube.coordinates import COORDINATES
-from jaxtube.experiments.figures.style import (
+from jaxtube.figures.style import (
     LIMIT,
     OUTSIDE,
     Line,

@@ -60,7 +60,7 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
 
 def draw_sets(made: Design, name: str, folder: RunFolder) -> None:
     """Draw limits, tube and terminal set into the folder."""
-    from jaxtube.experiments.figures.sets import design_sets
+    from jaxtube.figures.sets import design_sets
 
     folder.save_figure(design_sets(made, name), "sets")
 

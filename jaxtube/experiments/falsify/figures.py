@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from jaxtube.coordinates import COORDINATES, TO_DISPLAY
 from jaxtube.experiments.falsify.report import CAPS
-from jaxtube.experiments.figures.style import (
+from jaxtube.falsification.search import Worst
+from jaxtube.figures.style import (
     CONTROLLERS,
     LIMIT,
     REFERENCE,
@@ -24,7 +25,6 @@ from jaxtube.experiments.figures.style import (
     page_figure,
     styled,
 )
-from jaxtube.falsification.search import Worst
 from jaxtube.plant.error_dynamics import world_pose
 from jaxtube.plant.reference import settled_step
 from jaxtube.simulation.usage import Limits, Replay, values_of

@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from jaxtube.experiments.figures.style import (
+from jaxtube.falsification.search import Worst
+from jaxtube.figures.style import (
     INSIDE,
     LIMIT,
     MILLIMETRES,
@@ -24,7 +25,6 @@ from jaxtube.experiments.figures.style import (
     row_text,
     styled,
 )
-from jaxtube.falsification.search import Worst
 from jaxtube.simulation.usage import Replay, values_of
 from jaxtube.synthesis.design import Design
 from sets.tubes import Section

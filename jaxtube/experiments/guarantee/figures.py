@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from jaxtube.experiments.figures.style import bottom_legend, page_figure, styled
 from jaxtube.experiments.guarantee.claims import Tested
 from jaxtube.experiments.montecarlo.shares_figure import (
     ROWS,
@@ -14,6 +13,7 @@ from jaxtube.experiments.montecarlo.shares_figure import (
     make_shares,
     share_keys,
 )
+from jaxtube.figures.style import bottom_legend, page_figure, styled
 
 EVENTS = ("w_outside_W", "e_outside_E")
 ROW = 0.32

@@ -15,7 +15,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxtube.coordinates import TO_DISPLAY
-from jaxtube.experiments.figures.style import (
+from jaxtube.experiments.maps.points import Found, Grid, Point
+from jaxtube.figures.style import (
     LIMIT,
     Line,
     bottom_legend,
@@ -26,7 +27,6 @@ from jaxtube.experiments.figures.style import (
     page_figure,
     styled,
 )
-from jaxtube.experiments.maps.points import Found, Grid, Point
 from jaxtube.synthesis.ratio import Guarantee
 
 TITLES = {

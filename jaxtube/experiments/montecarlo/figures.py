@@ -11,7 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxtube.coordinates import NAMES
-from jaxtube.experiments.figures.style import (
+from jaxtube.experiments.montecarlo import heat_figures, lap_figure, map_figure, shares_figure
+from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.progress import progress
+from jaxtube.figures.style import (
     INSIDE,
     LIMIT,
     METRES,
@@ -26,9 +29,6 @@ from jaxtube.experiments.figures.style import (
     page_figure,
     styled,
 )
-from jaxtube.experiments.montecarlo import heat_figures, lap_figure, map_figure, shares_figure
-from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.experiments.run.progress import progress
 from jaxtube.simulation.starts import UniformStart
 from jaxtube.statistics import histogram
 from jaxtube.statistics.lap import lap

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxtube.coordinates import TO_DISPLAY
-from jaxtube.experiments.figures.style import (
+from jaxtube.figures.style import (
     LIMIT,
     LIMIT_EDGE,
     MILLIMETRES,

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxtube.experiments.figures.style import (
+from jaxtube.figures.style import (
     INSIDE,
     LIMIT,
     METRES,

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxtube.coordinates import COORDINATES
-from jaxtube.experiments.figures.style import (
+from jaxtube.experiments.montecarlo.heat_figures import COUNTS
+from jaxtube.figures.style import (
     MILLIMETRES,
     OUTSIDE,
     area_key,
@@ -20,7 +21,6 @@ from jaxtube.experiments.figures.style import (
     page_figure,
     styled,
 )
-from jaxtube.experiments.montecarlo.heat_figures import COUNTS
 from jaxtube.plant.reference import settled_step
 from jaxtube.statistics import histogram
 from jaxtube.statistics.checks import Checks

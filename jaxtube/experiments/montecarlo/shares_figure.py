@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxtube.experiments.figures.style import (
+from jaxtube.figures.style import (
     INSIDE,
     OUTSIDE,
     bottom_legend,

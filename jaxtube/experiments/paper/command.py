@@ -122,12 +122,12 @@ def _save_laps(laps: dict[str, Trajectory], folder: RunFolder) -> None:
 def _save_figures(
     found: Design, name: str, laps, robust: Design, stressed, deviations, folder: RunFolder
 ) -> None:
-    from jaxtube.experiments.figures import laps as lap_figures
-    from jaxtube.experiments.figures import sets as set_figures
-    from jaxtube.experiments.figures.paths import trajectories
-    from jaxtube.experiments.figures.realisations import realisations_in_tube
-    from jaxtube.experiments.figures.stress import stress as stress_figure
-    from jaxtube.experiments.figures.tightened import tightened_sets
+    from jaxtube.figures import laps as lap_figures
+    from jaxtube.figures import sets as set_figures
+    from jaxtube.figures.paths import trajectories
+    from jaxtube.figures.realisations import realisations_in_tube
+    from jaxtube.figures.stress import stress as stress_figure
+    from jaxtube.figures.tightened import tightened_sets
 
     problem = found.problem
     cases = _stress_cases(stressed)

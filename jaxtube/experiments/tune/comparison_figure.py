@@ -9,9 +9,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxtube.experiments.figures.style import page_figure, styled
-from jaxtube.experiments.figures.ticks import plain_ticks, spans_decade
 from jaxtube.experiments.tune.figures import AFTER, BEFORE
+from jaxtube.figures.style import page_figure, styled
+from jaxtube.figures.ticks import plain_ticks, spans_decade
 
 LABEL_SIZE = 8
 TUNED: dict[str, Any] = {"color": AFTER.colour, "marker": "o", "markersize": 6}

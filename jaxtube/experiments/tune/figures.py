@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxtube.coordinates import COORDINATES, PLANES
-from jaxtube.experiments.figures.style import (
+from jaxtube.figures.style import (
     CENTIMETRES,
     LIMIT,
     LIMIT_EDGE,

@@ -15,7 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, NullLocator
 
-from jaxtube.experiments.figures.style import (
+from jaxtube.experiments.tune.figures import AFTER
+from jaxtube.experiments.tune.place_names import GAPS, place_names
+from jaxtube.figures.style import (
     LIMIT,
     bottom_legend,
     line_key,
@@ -23,9 +25,7 @@ from jaxtube.experiments.figures.style import (
     page_figure,
     styled,
 )
-from jaxtube.experiments.figures.ticks import plain_ticks, spans_decade
-from jaxtube.experiments.tune.figures import AFTER
-from jaxtube.experiments.tune.place_names import GAPS, place_names
+from jaxtube.figures.ticks import plain_ticks, spans_decade
 
 Kind = Literal["grid", "front", "search", "start", "tuned"]
 LOOKS: dict[Kind, dict[str, Any]] = {

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from jaxtube.experiments.figures.style import (
+from jaxtube.figures.style import (
     LIMIT,
     area_key,
     bottom_legend,
@@ -24,7 +24,7 @@ from jaxtube.experiments.figures.style import (
     page_figure,
     styled,
 )
-from jaxtube.experiments.figures.ticks import plain_ticks, spans_decade
+from jaxtube.figures.ticks import plain_ticks, spans_decade
 
 LOOKS = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "D"))
 """Colours and marks of runs shown together."""

@@ -17,8 +17,8 @@ from matplotlib.text import Annotation
 from matplotlib.ticker import MaxNLocator
 from scipy.optimize import isotonic_regression
 
-from jaxtube.experiments.figures.style import area_key, bottom_legend, page_figure, styled
-from jaxtube.experiments.figures.ticks import plain_ticks, spans_decade
+from jaxtube.figures.style import area_key, bottom_legend, page_figure, styled
+from jaxtube.figures.ticks import plain_ticks, spans_decade
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (4, 1, 1, 1)))

@@ -10,7 +10,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from scipy.spatial import ConvexHull
 
-from jaxtube.experiments.figures.style import Scale, error_label
+from jaxtube.figures.style import Scale, error_label
 
 BOX = (1.0, 1.0, 0.75)
 """Sides of the box that the picture fills."""

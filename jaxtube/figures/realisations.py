@@ -7,7 +7,8 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxtube.experiments.figures.style import (
+from jaxtube.experiments.run.metrics import tube_margins
+from jaxtube.figures.style import (
     INSIDE,
     MILLIMETRES,
     OUTSIDE,
@@ -20,7 +21,6 @@ from jaxtube.experiments.figures.style import (
     page_figure,
     styled,
 )
-from jaxtube.experiments.run.metrics import tube_margins
 from jaxtube.synthesis.design import Design
 from sets.polytope import Polytope
 

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 
-from jaxtube.experiments.figures.style import CONTROLLERS, Line, area_key, draw_line
+from jaxtube.figures.style import CONTROLLERS, Line, area_key, draw_line
 from jaxtube.synthesis.problem import Problem
 
 COINCIDE = 1e-5

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from jaxtube.coordinates import NAMES, PLANES
-from jaxtube.experiments.figures.solid import draw_solid, prepare_solid
-from jaxtube.experiments.figures.style import (
+from jaxtube.figures.solid import draw_solid, prepare_solid
+from jaxtube.figures.style import (
     LIMIT,
     METRES,
     MILLIMETRES,

@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from jaxtube.coordinates import COORDINATES, TO_DISPLAY
-from jaxtube.experiments.figures.curves import (
+from jaxtube.figures.curves import (
     BAND_KEYS,
     Curve,
     draw_band,
@@ -24,7 +24,7 @@ from jaxtube.experiments.figures.curves import (
     leaves_error_set,
     make_curves,
 )
-from jaxtube.experiments.figures.style import (
+from jaxtube.figures.style import (
     LIMIT,
     REFERENCE,
     area_key,

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from jaxtube.coordinates import TO_DISPLAY
-from jaxtube.experiments.figures.curves import quantiles
-from jaxtube.experiments.figures.style import (
+from jaxtube.figures.curves import quantiles
+from jaxtube.figures.style import (
     CONTROLLERS,
     LIMIT,
     Line,

@@ -11,8 +11,8 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxtube.experiments.figures.curves import Curve, label_in_lines, make_curves, quantiles
-from jaxtube.experiments.figures.style import (
+from jaxtube.figures.curves import Curve, label_in_lines, make_curves, quantiles
+from jaxtube.figures.style import (
     REFERENCE,
     Line,
     draw_line,

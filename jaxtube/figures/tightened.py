@@ -9,7 +9,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from jaxtube.coordinates import NAMES, TO_DISPLAY
-from jaxtube.experiments.figures.style import (
+from jaxtube.figures.style import (
     INSIDE,
     LIMIT,
     LIMIT_EDGE,
