@@ -241,17 +241,13 @@ def test_coverage_tells_where_laps_started_and_what_share_left_e(problem, eventf
     assert figure.axes[4].get_title().startswith("3 of 40 laps left")
 
 
-def test_a_run_in_which_nothing_was_counted_is_drawn_without_tube_and_starts(
-    design, quiet, task, monkeypatch
-):
-    monkeypatch.setattr("jaxtube.statistics.task.make_task", lambda *arguments: task)
+def test_a_run_in_which_nothing_was_counted_is_drawn_without_tube_and_starts(design, quiet, task):
     drawn = {}
 
     def save_figure(figure, name):
         drawn[name] = save(figure)
 
     folder = types.SimpleNamespace(save_figure=save_figure)
-    options = Montecarlo(controller="local_gain")
     summary = summary_of(design, quiet, controller="local_gain")
     montecarlo_figures.draw(design, task, 0, quiet, summary, folder)
     assert set(drawn) == {"violations", "error_quantiles", "disturbance", "map", "worst"}

@@ -13,7 +13,8 @@ from jaxtube import qp
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.figures.style import OUTSIDE
 from jaxtube.experiments.montecarlo import lap_figure, replay
-from jaxtube.simulation import closed_loop, laps
+from jaxtube.simulation import closed_loop
+from jaxtube.statistics import lap as laps
 from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import Run
 
