@@ -121,7 +121,7 @@ def test_where_no_start_has_a_plan_laps_begin_at_the_scenario_s_start(uncertifie
     def nowhere(*sets, **settings):
         raise ScenarioError("scenario: no start has a plan")
 
-    monkeypatch.setattr("jaxtube.statistics.task.true_starts", nowhere)
+    monkeypatch.setattr("jaxtube.simulation.simulate.true_starts", nowhere)
     found = uncertified("robust", REFERENCE)
     tasks, why = make_tasks(found, 0)
     assert why == "scenario: no start has a plan"
@@ -371,10 +371,11 @@ def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     assert main([*WORDS, "--out", str(whole)]) == 0
     assert main([*WORDS, "--out", str(whole), "--require-certificate"]) == 3
-    computed, count = Run.computed, []
+    compute = Run.compute
+    count = []
 
     def interrupted(self, blocks):
-        for found in computed(self, blocks):
+        for found in compute(self, blocks):
             count.append(found[0])
             if len(count) == 9:
                 raise KeyboardInterrupt

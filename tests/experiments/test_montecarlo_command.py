@@ -155,14 +155,14 @@ def test_a_verdict_without_violations_bounds_them():
 def test_more_realisations_continue_a_run(undisturbed, quick, tmp_path, monkeypatch):
     """Partial last blocks are computed again, all others are kept."""
     computed = []
-    original = montecarlo.Run.computed
+    original = montecarlo.Run.compute
 
     def watched(self, blocks):
         for block, found in original(self, blocks):
             computed.append(block)
             yield block, found
 
-    monkeypatch.setattr(montecarlo.Run, "computed", watched)
+    monkeypatch.setattr(montecarlo.Run, "compute", watched)
     assert run(tmp_path, 1) == run(tmp_path, 3 * BLOCK + 7) == run(tmp_path, BLOCKS * BLOCK) == 0
     assert computed == [0, 0, 1, 2, 3, *range(3, BLOCKS)]
     assert statistics_of(tmp_path) == statistics_of(undisturbed)
