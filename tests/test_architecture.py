@@ -153,12 +153,18 @@ def test_every_room_has_a_place_in_the_order():
     assert names == set(ROOMS)
 
 
+def is_lookup_of_a_drawing(entry: Import) -> bool:
+    """Say whether a result looks up how it is drawn, at the moment when it is asked to."""
+    return entry.inside_function and entry.within("jaxtube.figures")
+
+
 def test_no_import_points_to_a_later_room():
     level = {f"jaxtube.{name}": number for number, name in enumerate(ROOMS)}
     upwards = [
         f"{module} -> {entry.name}"
         for module, entries in GRAPH.items()
         for entry in entries
+        if not is_lookup_of_a_drawing(entry)
         for name, number in level.items()
         if entry.within(name) and number > level.get(".".join(module.split(".")[:2]), len(ROOMS))
     ]
@@ -170,7 +176,8 @@ def test_no_modules_import_each_other():
         return max((name for name in GRAPH if entry.within(name)), key=len, default=None)
 
     edges = {
-        module: {defining_module(entry) for entry in entries} - {None}
+        module: {defining_module(entry) for entry in entries if not is_lookup_of_a_drawing(entry)}
+        - {None}
         for module, entries in GRAPH.items()
     }
     assert list(graphlib.TopologicalSorter(edges).static_order())

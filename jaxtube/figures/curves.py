@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from matplotlib.axes import Axes
 
-from jaxtube.figures.style import CONTROLLERS, Line, area_key, draw_line
+from jaxtube.figures.style import Line, area_key, controller_lines, draw_line
 from jaxtube.synthesis.problem import Problem
 
 COINCIDE = 1e-5
@@ -41,11 +41,10 @@ class Curve(NamedTuple):
 def make_curves(runs: Mapping[str, Any]) -> dict[str, Curve]:
     """Return the runs in drawing order; those that coincide appear once, under the name listed
     last."""
-    names = [name for name in CONTROLLERS if name in runs]
+    lines = controller_lines(runs)
     curves: dict[str, Curve] = {}
-    for name in reversed(names):
+    for name, line in reversed(lines.items()):
         errors = np.asarray(runs[name].errors)
-        line = CONTROLLERS[name]
         twin = _find_twin(curves, errors)
         if twin is None:
             curves[name] = Curve(line, errors, np.asarray(runs[name].wheels))

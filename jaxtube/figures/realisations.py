@@ -7,7 +7,6 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from jaxtube.experiments.run.metrics import tube_margins
 from jaxtube.figures.style import (
     INSIDE,
     MILLIMETRES,
@@ -46,7 +45,7 @@ def realisations_in_tube(
         deviations: e - e_nominal at stages 1..N, (m, m, rad).
     """
     sections = design.tube[1:]
-    outside = ~(tube_margins(design, deviations) >= 0)
+    outside = ~(design.tube.margins(deviations) >= 0)
     last = len(sections) - 1
     stages = np.unique(np.linspace(0, last, min(last + 1, STAGES)).round().astype(int))
     figure = page_figure(3.6)

@@ -78,6 +78,22 @@ CONTROLLERS = {
 }
 """By name, in the order in which they are listed; a later one is drawn over an earlier one."""
 
+OWN_COLOURS = ("#332288", "#882255", "#44AA99", "#999933")
+"""Of controllers that are none of these."""
+
+
+def controller_lines(names: Iterable[str]) -> dict[str, Line]:
+    """Return the look of each controller, in drawing order: the known ones first."""
+    listed = list(names)
+    known = {name: line for name, line in CONTROLLERS.items() if name in listed}
+    others = [name for name in listed if name not in CONTROLLERS]
+    own = {
+        name: Line(name, OWN_COLOURS[number % len(OWN_COLOURS)])
+        for number, name in enumerate(others)
+    }
+    return known | own
+
+
 INSIDE = "#0072B2"
 OUTSIDE = "#D55E00"
 """Colours of what respects a limit and of what passes it."""

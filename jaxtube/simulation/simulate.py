@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -26,6 +26,9 @@ from jaxtube.simulation.starts import FixedStart, Starts, uniform_start
 from jaxtube.storage import Stored, write_result
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.feasible import true_starts
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DIAGNOSTICS = "diagnostics_"
 """Begins the names of the arrays of diagnostics in a folder."""
@@ -74,6 +77,15 @@ class Laps:
     def rms(self) -> Float[np.ndarray, "3"]:
         """RMS errors over all laps and the whole reference, (m, m, rad)."""
         return np.sqrt(np.mean(self.errors**2, axis=(0, 1)))
+
+    def plot(self, *others: Laps) -> Figure:
+        """Draw the errors against time and limits, beside those of other laps; return the figure."""
+        from jaxtube.figures.laps import errors
+
+        runs = {laps.controller: laps for laps in (self, *others)}
+        if len(runs) <= len(others):
+            raise ValueError("others: two laps have controllers of one name; draw one at a time")
+        return errors(self.design.problem, {name: laps.trajectory for name, laps in runs.items()})
 
     def save(self, folder: str | Path) -> Path:
         """Save the laps in a folder, for `jaxtube.read`; return the folder."""

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import jax
 
@@ -25,6 +25,9 @@ from jaxtube.statistics.summary import SamplingLaw, summarise
 from jaxtube.statistics.task import make_task
 from jaxtube.storage import Stored, write_result
 from jaxtube.synthesis.design import Design
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 class Store(Protocol):
@@ -118,6 +121,12 @@ class MonteCarlo:
             raise ValueError(f"event = {event!r}: {known}; choose one of {list(events)}")
         low, high = events[event]["share_of_laps_interval"]
         return Share(events[event]["laps"], self.laps, low, high)
+
+    def plot(self) -> Figure:
+        """Draw the shares of what must not happen, with their intervals; return the figure."""
+        from jaxtube.figures.shares import violations
+
+        return violations(self.summary)
 
     def save(self, folder: str | Path) -> Path:
         """Save the run in a folder, for `jaxtube.read`; return the folder."""

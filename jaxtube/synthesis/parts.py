@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -22,6 +23,9 @@ from jaxtube.synthesis.tubes import Tube
 from jaxtube.synthesis.windows import Windows
 from sets.certificate import Certificate
 from sets.lmi import TerminalCost
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,6 +96,12 @@ class Design:
         """Return the numbers of the tube-MPC, by their place in the condensed QPs."""
         leaves, _ = jax.tree_util.tree_flatten_with_path(self.tube_window)
         return {jax.tree_util.keystr(place): np.asarray(value) for place, value in leaves}
+
+    def plot(self, name: str = "") -> Figure:
+        """Draw the limits, the terminal set and the last section of the tube; return the figure."""
+        from jaxtube.figures.sets import design_sets
+
+        return design_sets(self, name)
 
     def save(self, folder: str | Path) -> Path:
         """Save the design in a folder, for `jaxtube.read`; return the folder."""

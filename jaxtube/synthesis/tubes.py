@@ -74,6 +74,13 @@ class Tube(Sequence[Section]):
         by_gain = [section.support(row) for row in rows.on_errors(self.gain.corner_gains)]
         return np.max(by_gain, axis=0)[None]
 
+    def margins(
+        self, deviations: Float[np.ndarray, "horizon samples 3"]
+    ) -> Float[np.ndarray, "horizon samples"]:
+        """Return the facet margin of deviations from plans in R_1 .. R_N, those that are shown."""
+        sections = zip(self.sections[1:], deviations, strict=True)
+        return np.stack([section.polytope().margin(points) for section, points in sections])
+
     def half_widths(self) -> Float[np.ndarray, "horizon+1 3"]:
         """Return the half widths of R_0 .. R_N, (m, m, rad), the largest over the windows."""
         return np.stack([self.support(j, np.eye(3)).max(axis=0) for j in range(len(self))])

@@ -12,7 +12,8 @@ from tolerances import DRAWN
 from jaxtube.coordinates import NAMES, TO_DISPLAY
 from jaxtube.experiments.guarantee.figures import laws_figure
 from jaxtube.experiments.montecarlo import figures as montecarlo_figures
-from jaxtube.experiments.montecarlo import heat_figures, map_figure, shares_figure
+from jaxtube.experiments.montecarlo import heat_figures, map_figure
+from jaxtube.figures import shares as shares_figure
 from jaxtube.statistics import histogram
 from jaxtube.statistics.events import EVENT_NAMES, find_row
 from jaxtube.statistics.intervals import share_interval

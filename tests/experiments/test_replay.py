@@ -7,11 +7,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtube.experiments.figures.style import OUTSIDE
 from tolerances import CLOSED_LOOP, REPLAYED
 
 from jaxtube import qp
 from jaxtube.experiments.cli import main
-from jaxtube.experiments.figures.style import OUTSIDE
 from jaxtube.experiments.montecarlo import lap_figure, replay
 from jaxtube.simulation import closed_loop
 from jaxtube.statistics import lap as laps

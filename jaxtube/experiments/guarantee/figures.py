@@ -5,7 +5,7 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from jaxtube.experiments.guarantee.claims import Tested
-from jaxtube.experiments.montecarlo.shares_figure import (
+from jaxtube.figures.shares import (
     ROWS,
     Row,
     draw_shares,

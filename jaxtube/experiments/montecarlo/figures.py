@@ -11,9 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxtube.coordinates import NAMES
-from jaxtube.experiments.montecarlo import heat_figures, lap_figure, map_figure, shares_figure
+from jaxtube.experiments.montecarlo import heat_figures, lap_figure, map_figure
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
+from jaxtube.figures import shares as shares_figure
 from jaxtube.figures.style import (
     INSIDE,
     LIMIT,
