@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int, Key
+from jax import Array
+from jaxtyping import Float, Int, Key
 
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import SearchablePlant
