@@ -81,7 +81,7 @@ SENSITIVITY_EXCLUDED = (
 )
 SENSITIVITY_FLOAT32 = 1e-2  # relative, on the worst conditioned of the active rows
 
-# jaxtube/falsify.py
+# jaxtube/falsification
 FALSIFY_CLOSED_FORM = 1e-9  # relative; worst cases of linear loops against sums of support numbers
 FALSIFY_REPLAY = 1e-9  # m and rad; laps that are played again
 FALSIFY_SLOPE = 1e-6  # relative; central differences with steps of 1e-5

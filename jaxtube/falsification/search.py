@@ -1,15 +1,15 @@
 """Search for violations: all bounded uncertainties at once, moved by the gradient of the whole
 closed loop.
 
-    maximise  n_i (x_k - c) / (h_i - n_i c)   over the start and every deviation, for one facet i and one step k
+    maximise  n_i (x_k - c) / (h_i - n_i c)    over the start and every deviation
 
-is the usage of a limit: 1 on its facet, above 1 outside. For one facet at one step it is close to
-linear in the uncertainties, so each instance of a batch has a target of its own and climbs by the
-steps of `attack`, while every lap played is judged at all facets and steps, whatever its target
-was. Rounds take turns:
+is the usage of facet i of a limit at step k: 1 on the facet, above 1 outside. It is close to
+linear in the uncertainties, so each instance of a batch has a cell of its own, a facet at a step,
+and climbs by the steps of `ascent`, while every lap played is judged at all facets and steps,
+whatever its cell was. Rounds take turns:
 
-(1) explore: targets spread over facets and steps, from vertices at random;
-(2) polish: the worst facets and steps of the last round, from the laps that reached them;
+(1) explore: cells spread over facets and steps, from vertices at random;
+(2) polish: the worst cells of the last round, from the laps that reached them;
 (3) enumerate, for plans that are followed: every sequence of vertices in the window of the worst
   one, where few.
 
@@ -19,9 +19,10 @@ specifications, American Control Conference 2014, for falsification by gradients
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -29,19 +30,20 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.control.follow import PlanFollower
 from jaxtube.control.protocol import Controller
-from jaxtube.falsification.climb import (
+from jaxtube.falsification.ascent import (
+    Aim,
     Attack,
-    Uncertainty,
-    begun,
-    climb,
+    ascend,
+    draw_vertex_attack,
     find_uncertainties,
-    mean_attack,
-    vertex_attack,
+    make_mean_attack,
+    start_ascent,
 )
-from jaxtube.plant.protocol import SearchablePlant
-from jaxtube.simulation.usage import Limit, Limits, replay, values_of
+from jaxtube.falsification.cells import DURING_PERIODS, Cells
+from jaxtube.falsification.worst import Worst, confirm
+from jaxtube.plant.protocol import SearchablePlant, Uncertainty
+from jaxtube.simulation.usage import Limits
 
 SWEEPS = 8
 """Gradients a round at most."""
@@ -54,30 +56,8 @@ CONVERGED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Worst:
-    """The worst case found of one limit.
-
-    Attributes:
-        usage: 1 on the facet, above 1 outside.
-        margin: offset - normal x in the unit of the facet; negative outside.
-        step: of errors and tubes the number of periods after which it is met, of inputs and wheels
-            the period itself.
-        facet: row of the limit; of a tube, of stage step - when, counted from 1.
-        when: step of the plan that is followed; 0 for the other limits.
-        attack: by name, time first: `start` (1, 3), and the entries of a script.
-    """
-
-    usage: float
-    margin: float
-    step: int
-    facet: int
-    when: int
-    attack: dict[str, np.ndarray]
-
-
-@dataclass(eq=False)
 class Search:
-    """What a search came to.
+    """What a search found.
 
     Attributes:
         worst: the worst case by limit.
@@ -89,21 +69,44 @@ class Search:
 
     worst: dict[str, Worst]
     reach: dict[str, Float[np.ndarray, "stages facets"]]
-    laps: int = 0
-    seconds: float = 0.0
-    course: list[tuple[float, str, float]] = field(default_factory=list)
+    laps: int
+    seconds: float
+    course: list[tuple[float, str, float]]
+
+
+class Space(NamedTuple):
+    """What a search moves in.
+
+    Attributes:
+        aims: names of the limits that are aimed at.
+        plan_steps: at which a followed plan may begin.
+    """
+
+    controller: Controller
+    plant: SearchablePlant
+    limits: Limits
+    uncertainties: dict[str, Uncertainty]
+    aims: Sequence[str]
+    plan_steps: Int[np.ndarray, " k"]
 
 
 class _Round(NamedTuple):
-    """What a round begins with: attacks, the cell each aims at, and the step of the plan each
-    follows."""
+    """What a round begins with."""
 
     attack: Attack
-    cell: Int[np.ndarray, " batch"]
-    when: Int[np.ndarray, " batch"]
+    cell: Int[np.ndarray, " batch"]  # that each instance aims at
+    when: Int[np.ndarray, " batch"]  # step of the plan that each follows
 
 
-class _Found(NamedTuple):
+class _Outcome(NamedTuple):
+    """One batch of laps."""
+
+    played: _Round
+    best: Float[np.ndarray, " cells"]  # greatest usage of every cell
+    member: Int[np.ndarray, " cells"]  # the instance that had it
+
+
+class _Case(NamedTuple):
     """The worst case of a limit so far; attacks are (times, 1, n)."""
 
     usage: float
@@ -115,178 +118,172 @@ class _Found(NamedTuple):
 class _Searcher:
     """One search on its way."""
 
-    def __init__(
-        self,
-        controller,
-        plant,
-        limits: Limits,
-        sets: dict[str, Uncertainty],
-        aims,
-        windows,
-        seed,
-        batch,
-    ):
-        self.controller, self.plant, self.limits, self.sets = controller, plant, limits, sets
-        self.vertices = {name: jnp.asarray(each.vertices) for name, each in sets.items()}
-        self.windows, self.generator, self.batch = windows, np.random.default_rng(seed), batch
-        steps = len(plant.reference_wheels)
-        self.shapes = {
-            name: (
-                len(limits[name].offsets) if name == "tube" else steps,
-                limits[name].offsets.shape[1],
-            )
-            for name in sorted(limits)
+    def __init__(self, space: Space, seed: int, batch: int):
+        self.space = space
+        self.generator = np.random.default_rng(seed)
+        self.batch = batch
+        self.vertices = {
+            name: jnp.asarray(uncertainty.vertices)
+            for name, uncertainty in space.uncertainties.items()
         }
-        ends = np.cumsum([stages * facets for stages, facets in self.shapes.values()])
-        self.slices = {
-            name: slice(a, b) for name, a, b in zip(self.shapes, [0, *ends[:-1]], ends, strict=True)
-        }
-        # One facet after the other, so that a grid over the cells covers facets and steps.
-        cells = {
-            name: np.arange(s.start, s.stop).reshape(self.shapes[name]).T.ravel()
-            for name, s in self.slices.items()
-        }
-        self.aims = np.concatenate([cells[name] for name in aims])
-        self.found: dict[str, _Found] = {}
-        self.search = Search(
-            {}, {name: np.full(shape, -np.inf) for name, shape in self.shapes.items()}
-        )
+        self.cells = Cells(space.limits, len(space.plant.reference_wheels))
+        self.aims = np.concatenate([self.cells.list_by_facet(name) for name in space.aims])
+        self.cases: dict[str, _Case] = {}
+        self.reach = {name: np.full(shape, -np.inf) for name, shape in self.cells.shapes.items()}
+        self.course: list[tuple[float, str, float]] = []
+        self.laps = 0
+        self.start = 0.0
+        self.last: _Outcome | None = None
 
     def warm_up(self) -> None:
         """Compile."""
-        now, cell = begun(mean_attack(self.sets, self.batch)), jnp.zeros(self.batch, jnp.int32)
-        loop = self._loop(np.zeros(self.batch))
-        jax.block_until_ready(climb(loop, self.plant, self.limits, self.vertices, now, cell))
+        zeros = np.zeros(self.batch, int)
+        attack = make_mean_attack(self.space.uncertainties, self.batch)
+        ascent = start_ascent(attack)
+        jax.block_until_ready(self._ascend(ascent, _Round(attack, zeros, zeros)))
 
     def run(self, seconds: float) -> Search:
-        """Search until nothing worse is found or the time is up, and replay what was found."""
+        """Search until nothing worse is found or the time is up, and replay the worst cases."""
         self.start = time.perf_counter()
-        stale, rounds = 0, self._rounds()
+        rounds = self._generate_rounds()
+        stale = 0
         while stale < PATIENCE and self._elapsed() < seconds:
-            before = {name: found.usage for name, found in self.found.items()}
-            self._play(next(rounds), lambda: self._elapsed() >= seconds)
-            gains = [found.usage - before.get(name, -np.inf) for name, found in self.found.items()]
+            before = {name: case.usage for name, case in self.cases.items()}
+            self._play(next(rounds), seconds)
+            gains = [case.usage - before.get(name, -np.inf) for name, case in self.cases.items()]
             stale = 0 if max(gains) > CONVERGED else stale + 1
-        self.search.seconds = self._elapsed()
-        self.search.worst = {name: self._confirmed(name) for name in self.found}
-        return self.search
+        elapsed = self._elapsed()
+        worst = {name: self._confirm(name) for name in self.cases}
+        return Search(worst, self.reach, self.laps, elapsed, self.course)
 
-    def _rounds(self) -> Iterator[_Round]:
+    def _generate_rounds(self) -> Iterator[_Round]:
         # The first begins without deviations, where the gradient is the fairest.
-        yield _Round(mean_attack(self.sets, self.batch), *self._grid())
+        attack = make_mean_attack(self.space.uncertainties, self.batch)
+        yield _Round(attack, *self._spread())
         while True:
-            yield self.polished()
-            if "tube" in self.limits:
-                yield from self._enumerated()
-            yield _Round(vertex_attack(self.sets, self.batch, self.generator), *self._grid())
+            yield self._polish()
+            if "tube" in self.space.limits:
+                yield from self._enumerate()
+            attack = draw_vertex_attack(self.space.uncertainties, self.batch, self.generator)
+            yield _Round(attack, *self._spread())
 
-    def _play(self, given: _Round, stop: Callable[[], bool]) -> None:
-        """Climb until no instance expects a gain, and judge every lap on the way."""
-        loop, cell = self._loop(given.when), jnp.asarray(given.cell, jnp.int32)
-        now = begun(given.attack)
+    def _play(self, begin: _Round, seconds: float) -> None:
+        """Climb until no instance expects a gain or the time is up, and judge every lap."""
+        ascent = start_ascent(begin.attack)
         for _ in range(SWEEPS):
-            played = given._replace(attack=now.candidate)
-            now, best, member, gain = climb(loop, self.plant, self.limits, self.vertices, now, cell)
-            best, member = np.asarray(best), np.asarray(member)
-            self._judge(best, member, played)
-            if float(gain) <= CONVERGED or stop():
+            played = begin._replace(attack=ascent.candidate)
+            sweep = self._ascend(ascent, begin)
+            self.last = _Outcome(played, np.asarray(sweep.best), np.asarray(sweep.member))
+            self._judge(self.last)
+            if float(sweep.gain) <= CONVERGED or self._elapsed() >= seconds:
                 break
-        self.polished = lambda: self._worst_cells(best, member, played)
+            ascent = sweep.ascent
 
-    def _loop(self, when):
-        return (
-            PlanFollower(self.controller, jnp.asarray(when, jnp.int32))
-            if "tube" in self.limits
-            else self.controller
+    def _ascend(self, ascent, begin: _Round):
+        space = self.space
+        cell = jnp.asarray(begin.cell, jnp.int32)
+        when = jnp.asarray(begin.when, jnp.int32)
+        return ascend(
+            space.controller, space.plant, space.limits, self.vertices, ascent, Aim(cell, when)
         )
 
-    def _judge(self, best, member, played: _Round) -> None:
-        self.search.laps += self.batch
-        for name, cells in self.slices.items():
-            reach = best[cells].reshape(self.shapes[name])
-            self.search.reach[name] = np.maximum(self.search.reach[name], reach)
-            cell = cells.start + int(np.argmax(best[cells]))
-            if name not in self.found or best[cell] > self.found[name].usage:
-                index = int(member[cell])
-                attack = {
-                    key: np.asarray(values)[:, index : index + 1]
-                    for key, values in played.attack.items()
-                }
-                self.found[name] = _Found(float(best[cell]), cell, int(played.when[index]), attack)
-                self.search.course.append((self._elapsed(), name, float(best[cell])))
+    def _judge(self, outcome: _Outcome) -> None:
+        """Note what a batch reached, and its cases that are worse than all before."""
+        self.laps += self.batch
+        for name, cells in self.cells.slices.items():
+            reach = self.cells.pick(name, outcome.best)
+            self.reach[name] = np.maximum(self.reach[name], reach)
+            cell = cells.start + int(np.argmax(reach))
+            usage = float(outcome.best[cell])
+            if name in self.cases and usage <= self.cases[name].usage:
+                continue
+            index = int(outcome.member[cell])
+            attack = {
+                key: np.asarray(values)[:, index : index + 1]
+                for key, values in outcome.played.attack.items()
+            }
+            self.cases[name] = _Case(usage, cell, int(outcome.played.when[index]), attack)
+            self.course.append((self._elapsed(), name, usage))
 
-    def _grid(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return cells spread evenly over facets and steps, and windows at random."""
-        places = (
-            (np.arange(self.batch) + self.generator.random(self.batch))
-            * len(self.aims)
-            / self.batch
-        )
-        return self.aims[places.astype(int)], self.generator.choice(self.windows, self.batch)
+    def _spread(self) -> tuple[Int[np.ndarray, " batch"], Int[np.ndarray, " batch"]]:
+        """Return cells spread evenly over facets and steps, and plan steps at random."""
+        places = np.arange(self.batch) + self.generator.random(self.batch)
+        cell = self.aims[(places * len(self.aims) / self.batch).astype(int)]
+        return cell, self.generator.choice(self.space.plan_steps, self.batch)
 
-    def _worst_cells(self, best, member, played: _Round) -> _Round:
-        """Return the laps that reached the worst cells, each with its cell as its target."""
-        cell = np.resize(self.aims[np.argsort(-best[self.aims])], self.batch)
-        index = member[cell]
-        return _Round(
-            {name: values[:, index] for name, values in played.attack.items()},
-            cell,
-            played.when[index],
-        )
+    def _polish(self) -> _Round:
+        """Return the laps of the last batch that reached the worst cells, aiming at these."""
+        assert self.last is not None
+        played = self.last.played
+        worst_first = self.aims[np.argsort(-self.last.best[self.aims])]
+        cell = np.resize(worst_first, self.batch)
+        index = self.last.member[cell]
+        attack = {name: values[:, index] for name, values in played.attack.items()}
+        return _Round(attack, cell, played.when[index])
 
-    def _enumerated(self) -> Iterator[_Round]:
+    def _enumerate(self) -> Iterator[_Round]:
         """Yield all sequences of vertices in the window of the worst plan, a batch at a time, where
         they are few."""
-        found, horizon = self.found["tube"], self.shapes["tube"][0]
-        names = [
-            name
-            for name, each in self.sets.items()
-            if name not in ("start", "noise") and each.times > 1
-        ]
-        counts = [len(self.sets[name].vertices) for name in names for _ in range(horizon)]
-        total = int(np.prod(counts))
+        case = self.cases["tube"]
+        horizon = self.cells.shapes["tube"][0]
+        names = self._list_sequences()
+        vertices = {name: self.space.uncertainties[name].vertices for name in names}
+        counts = [len(vertices[name]) for name in names for _ in range(horizon)]
+        total = math.prod(counts)
         if not names or total > ENUMERATED:
             return
+        plan = slice(case.when, case.when + horizon)
+        cell = np.full(self.batch, case.cell)
+        when = np.full(self.batch, case.when)
         for first in range(0, total, self.batch):
-            picks = np.stack(np.unravel_index(np.arange(first, first + self.batch) % total, counts))
+            numbers = np.arange(first, first + self.batch) % total
+            digits = np.stack(np.unravel_index(numbers, counts))
+            choices = digits.reshape(len(names), horizon, self.batch)
             attack = {
-                name: np.repeat(values, self.batch, axis=1) for name, values in found.attack.items()
+                name: np.repeat(values, self.batch, axis=1) for name, values in case.attack.items()
             }
-            for name, pick in zip(
-                names, picks.reshape(len(names), horizon, self.batch), strict=True
-            ):
-                attack[name][found.when : found.when + horizon] = self.sets[name].vertices[pick]
-            alike = (np.full(self.batch, number) for number in (found.cell, found.when))
-            yield _Round({name: jnp.asarray(values) for name, values in attack.items()}, *alike)
+            for name, choice in zip(names, choices, strict=True):
+                attack[name][plan] = vertices[name][choice]
+            on_device = {name: jnp.asarray(values) for name, values in attack.items()}
+            yield _Round(on_device, cell, when)
+
+    def _list_sequences(self) -> list[str]:
+        """Return the uncertainties that are enumerated: those with a value for every period."""
+        return [
+            name
+            for name, uncertainty in self.space.uncertainties.items()
+            if name not in ("start", "noise") and uncertainty.times > 1
+        ]
 
     def _elapsed(self) -> float:
         return time.perf_counter() - self.start
 
-    def _confirmed(self, name: str) -> Worst:
-        found = self.found[name]
-        stage, facet = divmod(found.cell - self.slices[name].start, self.shapes[name][1])
-        step = (
-            stage
-            + (0 if name in ("input", "wheels") else 1)
-            + (found.when if name == "tube" else 0)
-        )
-        # What comes later plays no part: it is left at the mean.
-        attack = {key: np.array(values[:, 0]) for key, values in found.attack.items()}
+    def _confirm(self, name: str) -> Worst:
+        """Return the worst case of a limit as its replay has it.
+
+        Whatever comes later plays no part: it is left at the mean.
+        """
+        case = self.cases[name]
+        stage, facet = self.cells.locate(name, case.cell)
+        is_during = name in DURING_PERIODS
+        step = case.when + stage + (0 if is_during else 1)
+        attack = {key: np.array(values[:, 0]) for key, values in case.attack.items()}
         for key, values in attack.items():
-            later = step + (key == "noise" or name in ("input", "wheels"))
-            values[later:] = self.sets[key].vertices.mean(axis=0)
-        unconfirmed = Worst(found.usage, np.nan, step, facet, found.when, attack)
-        return replayed(self.controller, self.plant, self.limits[name], name, unconfirmed)
+            later = step + int(key == "noise" or is_during)
+            values[later:] = self.space.uncertainties[key].vertices.mean(axis=0)
+        unconfirmed = Worst(name, case.usage, np.nan, step, facet, case.when, attack)
+        limit = self.space.limits[name]
+        return confirm(self.space.controller, self.space.plant, limit, unconfirmed)
 
 
-def falsify(
+def search_worst_cases(
     controller: Controller,
     plant: SearchablePlant,
     limits: Limits,
     starts: Float[np.ndarray, "k 3"],
     *,
     aims: Sequence[str] = (),
-    windows: Int[np.ndarray, " windows"] | None = None,
+    plan_steps: Int[np.ndarray, " k"] | None = None,
     seconds: float = 60.0,
     seed: int = 0,
     batch: int = 256,
@@ -295,16 +292,17 @@ def falsify(
     draw.
 
     Args:
-        controller: any; for the limit `tube` a TubeMpc whose plans restart at the measured error.
-        plant: the slipping robot or the linear plant; its law of drawing gives way to its bounds.
+        controller: any; for the limit `tube` one whose plans restart at the measured error.
+        plant: the slipping robot, the linear plant, or another one that says what bounds its draws;
+            its law of drawing gives way to these bounds.
         limits: by name (module `usage`): some of `error`, `input` and `wheels`, or `tube` alone,
             since following a plan is another closed loop.
         starts: vertices of the polytope of initial errors, (m, m, rad); a single one fixes the
             start.
         aims: limits that are aimed at, all unless given; every limit is judged.
-        windows: steps at which the plan that is followed may begin; all unless given.
+        plan_steps: steps at which the plan that is followed may begin; all unless given.
         seconds: after which the search ends at the latest, compilation not counted.
-        seed: of targets and random vertices.
+        seed: of cells and random vertices.
         batch: laps played at once.
 
     Returns:
@@ -312,39 +310,37 @@ def falsify(
         nothing.
 
     Raises:
-        ValueError: one line, for a slip process that is not searched or limits that do not go
-            together or with the plant.
+        ValueError: one line, for a slip process that is not searched, or limits that do not go
+            together, with the plant, or with the controller.
     """
     if not limits or ("tube" in limits and len(limits) > 1):
         raise ValueError(
-            f"limits = {sorted(limits)}: give some of `error`, `input` and `wheels`, or `tube` alone"
+            f"limits = {sorted(limits)}: do not go together; give some of `error`, `input` and "
+            "`wheels`, or `tube` alone"
         )
     if "wheels" in limits and not plant.has_wheels:
         raise ValueError(
             "limits = `wheels`: the linear plant has none; leave it out or give the slipping robot"
         )
-    sets = find_uncertainties(plant, starts)
-    if "tube" not in limits:
-        windows = np.zeros(1, int)
-    elif windows is None:
-        windows = np.arange(len(plant.reference_wheels) - len(limits["tube"].offsets) + 1)
-    searcher = _Searcher(
-        controller, plant, limits, sets, aims or sorted(limits), windows, seed, batch
+    space = Space(
+        controller=controller,
+        plant=plant,
+        limits=limits,
+        uncertainties=find_uncertainties(plant, starts),
+        aims=aims or sorted(limits),
+        plan_steps=_choose_plan_steps(plant, limits, plan_steps),
     )
+    searcher = _Searcher(space, seed, batch)
     searcher.warm_up()
     return searcher.run(seconds)
 
 
-def replayed(controller, plant, limit: Limit, name: str, worst: Worst) -> Worst:
-    """Return a worst case with the usage and margin of its replay."""
-    values = values_of(name, replay(controller, plant, worst.attack, name, worst.when))[
-        worst.step - worst.when
-    ]
-    stage = worst.step - worst.when - 1 if name == "tube" else 0
-    normal, offset = (
-        np.asarray(limit.normals[stage, worst.facet]),
-        float(limit.offsets[stage, worst.facet]),
-    )
-    margin = float(offset - normal @ values)
-    usage = 1 - margin / (offset - float(normal @ np.asarray(limit.centre)))
-    return Worst(usage, margin, worst.step, worst.facet, worst.when, worst.attack)
+def _choose_plan_steps(
+    plant: SearchablePlant, limits: Limits, plan_steps: Int[np.ndarray, " k"] | None
+) -> Int[np.ndarray, " k"]:
+    if "tube" not in limits:
+        return np.zeros(1, int)
+    if plan_steps is not None:
+        return plan_steps
+    horizon = len(limits["tube"].offsets)
+    return np.arange(len(plant.reference_wheels) - horizon + 1)

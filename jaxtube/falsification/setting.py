@@ -7,21 +7,28 @@ meant.
 from __future__ import annotations
 
 import dataclasses
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.control.laws import TubeMpc
+from jaxtube.control.laws import TubeMpc, planner_of
 from jaxtube.control.protocol import Controller
-from jaxtube.falsification import climb as attack
-from jaxtube.plant.protocol import SearchablePlant
-from jaxtube.scenario import Scenario, ScenarioError
-from jaxtube.simulation import closed_loop, usage
+from jaxtube.plant.protocol import Plant, SearchablePlant
+from jaxtube.scenario import ScenarioError
+from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys
+from jaxtube.simulation.simulate import (
+    ControllerChoice,
+    PlantChoice,
+    SlipChoice,
+    choose_controller,
+    choose_plant,
+    name_choice,
+)
 from jaxtube.simulation.starts import uniform_start
-from jaxtube.simulation.usage import Limit, Limits
-from jaxtube.synthesis.design import Design, design, refuse_infeasible_start
+from jaxtube.simulation.usage import Limit, Limits, make_limit, make_tube_limit
+from jaxtube.synthesis.design import Design, refuse_infeasible_start
 from jaxtube.synthesis.feasible import true_starts
 from sets.polytope import hull_vertices
 
@@ -31,18 +38,35 @@ INSIDE = 0.999
 POOL = 4096
 """Starts that drawn laps choose from."""
 
+TARGETS = {"error": ("error",), "input": ("input", "wheels"), "tube": ("tube",)}
+"""The limits of each target."""
+
 
 class Setting(NamedTuple):
-    """A closed loop and what is searched of it."""
+    """A closed loop and what is searched of it.
 
-    found: Design
+    Attributes:
+        design: whose limits are searched.
+        controller_name: "own" for a user's.
+        plant_name: "own" for a user's.
+        controller: that acts.
+        planner: whose plans are followed, restarted at the measured error; None without a tube.
+        plant: whose draws give way to the attack.
+        lap_limits: E, U and, of a plant with wheels, their speeds.
+        tube_limits: R_1 .. R_N; empty without a planner.
+        plan_steps: at which a followed plan may begin.
+        starts: vertices of the polytope of initial errors, (m, m, rad).
+    """
+
+    design: Design
     controller_name: str
+    plant_name: str
     controller: Controller
-    planner: TubeMpc | None  # the same, its plans restarted: those that are followed
+    planner: TubeMpc | None
     plant: SearchablePlant
     lap_limits: Limits
     tube_limits: Limits
-    windows: Int[np.ndarray, " windows"]
+    plan_steps: Int[np.ndarray, " k"]
     starts: Float[np.ndarray, "k 3"]
 
     def limits(self, name: str) -> Limits:
@@ -56,81 +80,181 @@ class Setting(NamedTuple):
         assert self.planner is not None
         return self.planner
 
+    def limit_names(self, target: str) -> list[str]:
+        """Return the limits of a target that the loop has, in the order of the table.
+
+        Raises:
+            ValueError: for an unknown target, or the tube of a controller that keeps none.
+        """
+        choices = ["all", *TARGETS]
+        if target not in choices:
+            raise ValueError(f"target = {target!r}: is unknown; choose one of {choices}")
+        if target == "tube" and self.planner is None:
+            raise ValueError(
+                f'target = "tube": controller = {self.controller_name} keeps no tube; choose '
+                '"tube_mpc", or another target'
+            )
+        present = self.lap_limits | self.tube_limits
+        groups = TARGETS.values() if target == "all" else [TARGETS[target]]
+        return [name for group in groups for name in group if name in present]
+
 
 def make_setting(
-    scenario: Scenario, controller: str, plant: str, starts: str, seed: int
+    design: Design,
+    controller: ControllerChoice = "tube_mpc",
+    plant: PlantChoice = "robot",
+    starts: str = "scenario",
+    slip: SlipChoice = None,
+    seed: int = 0,
 ) -> Setting:
-    """Design a scenario and set up what is searched.
+    """Set up what is searched.
+
+    Args:
+        design: whose limits are searched.
+        controller, plant, slip: as for `simulate`; the plant says what bounds its draws.
+        starts: "scenario", or "feasible", anywhere in the feasible set of the tube-MPC.
+        seed: of the shape of the feasible set.
 
     Raises:
-        ScenarioError: for a start without a plan, or a slip process that is not searched.
+        ValueError: one line, for an unknown name, a slip process or a plant that is not searched.
+        ScenarioError: for a start without a plan, or a reference too short for one.
     """
-    found = design(scenario)
-    if starts == "scenario":
-        refuse_infeasible_start(found)
-    loop = closed_loop.controllers(found)[controller]
-    acting = (
-        closed_loop.linear_plant(found) if plant == "linear" else closed_loop.slipping_robot(found)
-    )
-    vertices = (
-        found.problem.initial_error[None]
-        if starts == "scenario"
-        else feasible_vertices(found, seed)
-    )
+    if starts == "scenario" and isinstance(controller, str):
+        refuse_infeasible_start(design)
+    loop = choose_controller(design, controller)
+    acting = _require_searchable(choose_plant(design, plant, slip))
     try:
-        attack.find_uncertainties(acting, vertices)
+        acting.uncertainties()
     except ValueError as error:
-        raise ScenarioError(f"scenario: {error}") from None
-    limits, tube, windows = lap_limits(found), {}, np.zeros(1, int)
-    if plant == "linear":
-        del limits["wheels"]
-    planner = None
-    if isinstance(loop, TubeMpc):
-        planner = dataclasses.replace(loop, restart=True)
-        tube, windows = {"tube": tube_limit(found)}, followed_windows(found)
-        if not len(windows):
-            steps, horizon = found.problem.reference.steps, found.problem.horizon
-            raise ScenarioError(
-                f"scenario: reference.duration_s = {scenario.reference.duration_s}: {steps} steps are fewer than "
-                f"controller.horizon = {horizon}, so that no plan can be followed; run for longer"
-            )
-    return Setting(found, controller, loop, planner, acting, limits, tube, windows, vertices)
+        is_of_scenario = slip is None and isinstance(plant, str)
+        raise ScenarioError(f"scenario: {error}" if is_of_scenario else str(error)) from None
+    lap_limits = make_lap_limits(design)
+    if not acting.has_wheels:
+        del lap_limits["wheels"]
+    planner = choose_planner(design, controller, loop)
+    return Setting(
+        design=design,
+        controller_name=name_choice(controller),
+        plant_name=name_choice(plant),
+        controller=loop,
+        planner=planner,
+        plant=acting,
+        lap_limits=lap_limits,
+        tube_limits={"tube": make_tube_limits(design)} if planner else {},
+        plan_steps=find_plan_steps(design) if planner else np.zeros(1, int),
+        starts=choose_start_vertices(design, starts, seed),
+    )
 
 
-def feasible_vertices(found: Design, seed: int) -> Float[np.ndarray, "k 3"]:
+def _require_searchable(plant: Plant) -> SearchablePlant:
+    """Return a plant whose draws can give way to an attack.
+
+    Raises:
+        ValueError: for a plant that does not say what bounds them.
+    """
+    members = ("has_wheels", "uncertainties", "under_script")
+    missing = [member for member in members if not hasattr(plant, member)]
+    if missing:
+        raise ValueError(
+            f"plant = {type(plant).__name__}: has no {', '.join(missing)}, which a search needs; "
+            "add what jaxtube.plant.protocol.SearchablePlant asks, or choose "
+            '"robot", "exact" or "linear"'
+        )
+    return cast(SearchablePlant, plant)
+
+
+def choose_planner(
+    design: Design, controller: ControllerChoice, loop: Controller
+) -> TubeMpc | None:
+    """Return the tube-MPC whose plans the tube is judged at, restarted at the measured error; None
+    for a controller that keeps no tube."""
+    if not isinstance(controller, str):
+        return planner_of(loop)
+    if controller != "tube_mpc":
+        return None
+    return dataclasses.replace(closed_loop.make_tube_mpc(design), restart=True)
+
+
+def choose_start_vertices(design: Design, starts: str, seed: int) -> Float[np.ndarray, "k 3"]:
+    """Return the vertices of the polytope of starts of a name.
+
+    Raises:
+        ValueError: for an unknown name, or where no start has a plan.
+    """
+    if starts == "scenario":
+        return design.problem.initial_error[None]
+    if starts == "feasible":
+        return find_feasible_vertices(design, seed)
+    raise ValueError(f'starts = {starts!r}: is unknown; choose "scenario" or "feasible"')
+
+
+def find_feasible_vertices(design: Design, seed: int) -> Float[np.ndarray, "k 3"]:
     """Return the vertices of a polytope of starts from which the tube-MPC has a plan."""
-    points = true_starts(found.tube_window, int(found.windows.index[0]), found.problem, seed=seed)
+    points = true_starts(design.tube_window, design.first_window, design.problem, seed=seed)
     return INSIDE * hull_vertices(points)
 
 
-def lap_limits(found: Design) -> Limits:
+def make_lap_limits(design: Design) -> Limits:
     """Return E, U and the wheels' limits."""
-    problem, robot = found.problem, found.problem.robot
-    identity, middle = np.eye(2), (robot.wheel_speed_min + robot.wheel_speed_max) / 2
+    problem = design.problem
+    robot = problem.robot
+    identity = np.eye(2)
+    middle = (robot.wheel_speed_min + robot.wheel_speed_max) / 2
     speeds = [robot.wheel_speed_max] * 2 + [-robot.wheel_speed_min] * 2
     return {
-        "error": usage.limit(problem.error_set.normals, problem.error_set.offsets),
-        "input": usage.limit(problem.input_set.normals, problem.input_set.offsets),
-        "wheels": usage.limit(np.vstack([identity, -identity]), speeds, [middle] * 2),
+        "error": make_limit(problem.error_set.normals, problem.error_set.offsets),
+        "input": make_limit(problem.input_set.normals, problem.input_set.offsets),
+        "wheels": make_limit(np.vstack([identity, -identity]), speeds, [middle] * 2),
     }
 
 
-def tube_limit(found: Design) -> Limit:
+def make_tube_limits(design: Design) -> Limit:
     """Return R_1 .. R_N of the tube in use; of `sequence` those of the widest window."""
-    sections = [section.polytope() for section in found.tube[1:]]
-    return usage.tube_limit([(section.normals, section.offsets) for section in sections])
+    sections = [section.polytope() for section in design.tube[1:]]
+    return make_tube_limit([(section.normals, section.offsets) for section in sections])
 
 
-def drawn_starts(setting: Setting, seed: int) -> Float[np.ndarray, "count 3"]:
+def find_plan_steps(design: Design) -> Int[np.ndarray, " k"]:
+    """Return the steps at which a plan may begin that is judged: of the tube `sequence` those with
+    the widest window ahead.
+
+    Raises:
+        ScenarioError: where there are none.
+    """
+    problem = design.problem
+    steps = problem.reference.steps
+    if steps < problem.horizon:
+        raise ScenarioError(_say_too_short(design))
+    starts = np.arange(steps - problem.horizon + 1)
+    followed = starts[design.tube.shows(design.windows.index[starts])]
+    if not len(followed):
+        raise ScenarioError(
+            'scenario: controller.tube = "sequence": the widest window comes only within the last '
+            "horizon of the reference, where no plan can be followed to its end; "
+            'choose "summed" or "hull"'
+        )
+    return followed
+
+
+def _say_too_short(design: Design) -> str:
+    steps = design.problem.reference.steps
+    horizon = design.problem.horizon
+    duration = design.problem.scenario.reference.duration_s
+    if duration is None:
+        what = f"reference.file: the {steps} steps of the recording"
+        cure = "drive for longer"
+    else:
+        what = f"reference.duration_s = {duration}: {steps} steps"
+        cure = "run for longer"
+    return (
+        f"scenario: {what} are fewer than controller.horizon = {horizon}, so that no plan can be "
+        f"followed; {cure}, or shorten the horizon"
+    )
+
+
+def draw_starts(setting: Setting, seed: int) -> Float[np.ndarray, "count 3"]:
     """Return the pool that drawn laps start from: the one start, or starts uniform in the hull that
     is searched."""
     if len(setting.starts) == 1:
         return setting.starts
     return np.asarray(uniform_start(setting.starts).draw(realisation_keys(seed, 0, POOL)))
-
-
-def followed_windows(found: Design) -> np.ndarray:
-    """Return the steps at which a plan may begin that is judged: of the tube `sequence` those of
-    its widest window."""
-    steps = np.arange(found.problem.reference.steps - found.problem.horizon + 1)
-    return steps[found.tube.shows(found.windows.index[steps])]

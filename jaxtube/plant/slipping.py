@@ -181,8 +181,10 @@ class SlippingRobot:
             ValueError: for a slip process that ties its deviations to each other or to the ground.
         """
         if self.process not in ("iid", "constant"):
+            is_own = not isinstance(self.process, str)
+            name = type(self.process).__name__ if is_own else self.process
             raise ValueError(
-                f'slip.process = "{self.process}": is not searched; choose "iid", which contains '
+                f'slip.process = "{name}": is not searched; choose "iid", which contains '
                 'it, or "constant"'
             )
         steps = len(self.reference_wheels)

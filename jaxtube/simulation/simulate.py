@@ -166,7 +166,7 @@ def simulate(
                 f"starts: shape {errors.shape} is not (laps, 3); give one initial error a lap"
             )
     trajectory = closed_loop.run_realisations(loop, acting, errors, seed)
-    return Laps(design, _name(controller), _name(plant), seed, trajectory)
+    return Laps(design, name_choice(controller), name_choice(plant), seed, trajectory)
 
 
 def choose_controller(design: Design, controller: ControllerChoice) -> Controller:
@@ -212,7 +212,8 @@ def choose_starts(design: Design, starts: str) -> Starts:
     return uniform_start(points, edge=starts == "edge")
 
 
-def _name(choice: object) -> str:
+def name_choice(choice: object) -> str:
+    """Return the name of what was chosen, "own" for a user's own."""
     return choice if isinstance(choice, str) else "own"
 
 

@@ -1,33 +1,35 @@
-"""How far closed loops use their limits: laps that are drawn, given by a script, or played again
-one by one.
+"""Utilisation of the limits of a closed loop, on laps that are drawn, scripted, or replayed.
 
     usage = n (x - c) / (h - n c)        1 on the facet n x = h, above 1 outside, 0 at the centre c
 
 Limits have names: `error` true tracking errors (m, m, rad), `input` virtual inputs (m/s, rad/s),
 `wheels` speeds asked for before saturation (right, left) m/s, and `tube` deviations from a plan
-that is followed to its end.
+that is followed to its end. Following a plan is another closed loop, so `tube` stands alone.
 """
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, Key
 
 from jaxtube import qp
 from jaxtube.control import mpc
 from jaxtube.control.follow import PlanFollower
-from jaxtube.plant.protocol import Script
+from jaxtube.control.laws import TubeMpc, planner_of
+from jaxtube.control.protocol import Controller
+from jaxtube.plant.protocol import Plant, Script, SearchablePlant
 from jaxtube.plant.slipping import DRAWN
 from jaxtube.simulation.rollout import (
     LoopState,
+    Period,
+    Trajectory,
     begin,
     follow_plan,
     realisation_keys,
@@ -45,67 +47,124 @@ class Limit(NamedTuple):
     centre: Float[Array, " n"]
 
 
-def limit(normals, offsets, centre=None) -> Limit:
-    """Return the limit of one set {x : normals x <= offsets}; its centre, the origin unless given,
-    lies inside."""
-    normals, offsets = (
-        np.atleast_3d(np.asarray(normals, float)[None]),
-        np.asarray(offsets, float)[None],
-    )
-    centre = np.zeros(normals.shape[-1]) if centre is None else np.asarray(centre, float)
-    if not np.all(offsets > normals @ centre):
+Limits = dict[str, Limit]
+"""Limits by name; see the module."""
+
+Observe = Callable[[LoopState, Period], dict[str, Array]]
+
+
+def make_limit(normals, offsets, centre=None) -> Limit:
+    """Return the limit of one set {x : normals x <= offsets}.
+
+    Args:
+        normals: (facets, n).
+        offsets: (facets,).
+        centre: a point strictly inside, the origin unless given.
+
+    Raises:
+        ValueError: where the centre lies outside.
+    """
+    rows = np.asarray(normals, float)
+    bounds = np.asarray(offsets, float)
+    point = np.zeros(rows.shape[1]) if centre is None else np.asarray(centre, float)
+    if not np.all(bounds > rows @ point):
         raise ValueError(
-            f"centre = {centre.tolist()}: lies outside the limit; give a point inside every facet"
+            f"centre = {point.tolist()}: lies outside the limit; give a point inside every facet"
         )
-    return Limit(jnp.asarray(normals), jnp.asarray(offsets), jnp.asarray(centre))
+    return Limit(jnp.asarray(rows[None]), jnp.asarray(bounds[None]), jnp.asarray(point))
 
 
-def tube_limit(sections: list[tuple[np.ndarray, np.ndarray]]) -> Limit:
-    """Return the limit on deviations from a plan from (normals, offsets) of R_1 .. R_N, padded to
-    equal length."""
+def make_tube_limit(sections: list[tuple[np.ndarray, np.ndarray]]) -> Limit:
+    """Return the limit on deviations from a plan.
+
+    Args:
+        sections: (normals, offsets) of R_1 .. R_N; shorter ones are padded with facets 0 x <= 1.
+    """
     facets = max(len(offsets) for _, offsets in sections)
-    normals, offsets = np.zeros((len(sections), facets, 3)), np.ones((len(sections), facets))
-    for j, (rows, bounds) in enumerate(sections):
-        normals[j, : len(rows)], offsets[j, : len(rows)] = rows, bounds
+    normals = np.zeros((len(sections), facets, 3))
+    offsets = np.ones((len(sections), facets))
+    for stage, (rows, bounds) in enumerate(sections):
+        normals[stage, : len(rows)] = rows
+        offsets[stage, : len(rows)] = bounds
     return Limit(jnp.asarray(normals), jnp.asarray(offsets), jnp.zeros(3))
 
 
-Limits = dict[str, Limit]
-
-
 def play(
-    controller, plant, keys, errors: Float[Array, "batch 3"], script: Script | None = None
-) -> dict[str, Array]:
-    """Run all realisations and return what limits look at, (steps, batch, n): after each period, or
-    during it.
+    controller: Controller,
+    plant: SearchablePlant,
+    keys: Key[Array, " batch"],
+    errors: Float[Array, "batch 3"],
+    script: Script | None = None,
+) -> dict[str, Float[Array, "steps batch n"]]:
+    """Run laps and return the quantities that have limits, period by period.
 
-    `error` true tracking errors, `input` virtual inputs, `wheels` speeds asked for, `tube`
-    deviations from a followed plan; `backup` (steps, batch) says where there was no plan. With a
-    script its values take the place of draws. Reverse mode keeps the state, the draws and the
-    answers of each period, and computes the rest again.
+    With a script its values take the place of draws. Reverse mode keeps the state, the draws and
+    the answers of each period, and computes the rest again.
+
+    Returns:
+        `error` after each period; `input`, `wheels` and `backup`, (steps, batch), where there was
+        no plan, during it.
     """
+
+    def observe(following: LoopState, happened: Period) -> dict[str, Array]:
+        return {
+            "error": following.errors,
+            "input": happened.inputs,
+            "wheels": happened.demanded,
+            "backup": happened.diagnostics.backup,
+        }
+
+    return _scan_periods(controller, plant, keys, errors, script, observe)
+
+
+def play_plans(
+    follower: PlanFollower,
+    plant: SearchablePlant,
+    keys: Key[Array, " batch"],
+    errors: Float[Array, "batch 3"],
+    horizon: int,
+    script: Script | None = None,
+) -> Float[Array, "horizon batch 3"]:
+    """Run laps and return the deviations from their followed plans after 1 .. `horizon` steps, zero
+    where there was no plan; otherwise as `play`."""
+
+    def observe(following: LoopState, happened: Period) -> dict[str, Array]:
+        return {"tube": following.memory.deviation(following.measured)}
+
+    deviations = _scan_periods(follower, plant, keys, errors, script, observe)["tube"]
+    stages = jnp.arange(horizon, dtype=follower.when.dtype)
+    periods = follower.when + stages[:, None]
+    return jnp.take_along_axis(deviations, periods[:, :, None], axis=0, mode="clip")
+
+
+def _scan_periods(
+    controller: Controller,
+    plant: SearchablePlant,
+    keys: Key[Array, " batch"],
+    errors: Float[Array, "batch 3"],
+    script: Script | None,
+    observe: Observe,
+) -> dict[str, Array]:
+    """Run laps and stack what is observed of each period."""
     steps = len(plant.reference_wheels)
-    script = script or {}
-    of_period = {name: _read_period(values, steps, name) for name, values in script.items()}
+    entries = {name: _read_periods(values, steps, name) for name, values in (script or {}).items()}
+
+    def choose_plant(values: Script) -> Plant:
+        return plant if script is None else plant.under_script(values)
 
     @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(DRAWN, mpc.ACTED))
     def period(state: LoopState, now):
-        step, values = now
-        now_plant = plant
-        if script:
-            now_plant = plant.under_script({name: value[None] for name, value in values.items()})
-        following, happened = run_period(controller, now_plant, keys, step, state)
-        seen = {"error": following.errors, "input": happened.inputs, "wheels": happened.demanded}
-        seen["backup"] = happened.diagnostics.backup
-        if isinstance(controller, PlanFollower):
-            seen["tube"] = following.memory.deviation(following.measured)
-        return following, seen
+        step, of_period = now
+        acting = choose_plant({name: values[None] for name, values in of_period.items()})
+        following, happened = run_period(controller, acting, keys, step, state)
+        return following, observe(following, happened)
 
-    state = begin(controller, plant.under_script(script) if script else plant, keys, errors)
-    return jax.lax.scan(period, state, (jnp.arange(steps), of_period))[1]
+    start = begin(controller, choose_plant(script or {}), keys, errors)
+    _, seen = jax.lax.scan(period, start, (jnp.arange(steps), entries))
+    return seen
 
 
-def _read_period(
+def _read_periods(
     values: Float[Array, "times batch n"], steps: int, name: str
 ) -> Float[Array, "steps batch n"]:
     """Return what a script says in the course of every period.
@@ -118,130 +177,109 @@ def _read_period(
     return values[instants]
 
 
-def usages(
-    controller, limits: Limits, seen: dict[str, Array]
+def play_limits(
+    controller: Controller,
+    plant: SearchablePlant,
+    limits: Limits,
+    keys: Key[Array, " batch"],
+    errors: Float[Array, "batch 3"],
+    when: Int[Array, " batch"],
+    script: Script | None = None,
 ) -> dict[str, Float[Array, "stages facets batch"]]:
-    """Return the usage of every facet at every step, or at every stage of the followed plan."""
-    found = {}
-    for name, each in limits.items():
-        values = seen[name]
-        if name == "tube":
-            stages = (
-                controller.when
-                + jnp.arange(len(each.offsets), dtype=controller.when.dtype)[:, None]
-            )
-            values = jnp.take_along_axis(values, stages[:, :, None], axis=0, mode="clip")
-        away = values - each.centre
-        room = each.offsets - jnp.sum(each.normals * each.centre, axis=2)
-        reach = sum(each.normals[:, :, i, None] * away[:, None, :, i] for i in range(away.shape[2]))
-        found[name] = reach / room[:, :, None]
-    return found
+    """Run laps and return the usage of every limit: of `tube` at every stage of the plan made at
+    step `when`, of the others at every step.
+
+    Raises:
+        ValueError: for the limit `tube` and a controller without plans that can be followed.
+    """
+    if "tube" not in limits:
+        return compute_usages(limits, play(controller, plant, keys, errors, script))
+    follower = PlanFollower(_find_planner(controller), when)
+    horizon = len(limits["tube"].offsets)
+    deviations = play_plans(follower, plant, keys, errors, horizon, script)
+    return compute_usages(limits, {"tube": deviations})
+
+
+def compute_usages(
+    limits: Limits, seen: dict[str, Float[Array, "stages batch n"]]
+) -> dict[str, Float[Array, "stages facets batch"]]:
+    """Return the usage of every facet at every step, or at every stage of a followed plan."""
+    return {name: _compute_usage(limit, seen[name]) for name, limit in limits.items()}
+
+
+def _compute_usage(
+    limit: Limit, values: Float[Array, "stages batch n"]
+) -> Float[Array, "stages facets batch"]:
+    away = values - limit.centre
+    room = limit.offsets - jnp.sum(limit.normals * limit.centre, axis=2)
+    terms = [limit.normals[:, :, i, None] * away[:, None, :, i] for i in range(away.shape[2])]
+    return sum(terms[1:], start=terms[0]) / room[:, :, None]
+
+
+def _find_planner(controller: Controller) -> TubeMpc:
+    planner = planner_of(controller)
+    if planner is None:
+        raise ValueError(
+            "limits = `tube`: the controller has no plans that restart at the measured error; give "
+            "a TubeMpc with restart = True, or other limits"
+        )
+    return planner
 
 
 class Replay(NamedTuple):
-    """One attack played on its own: the lap, and for the tube the deviations from its plan after 1
-    .. N steps."""
+    """One lap under a script, and for `tube` the deviations from its plan after 1 .. N steps."""
 
-    trajectory: Any
+    trajectory: Trajectory
     deviations: Float[np.ndarray, "horizon 3"] | None
 
 
-def replay(controller, plant, attack: dict[str, np.ndarray], name: str, when: int = 0) -> Replay:
-    """Play one attack by `rollout`, and for the limit `tube` by `follow_plan` from its step on.
+def replay(
+    controller: Controller,
+    plant: SearchablePlant,
+    attack: dict[str, np.ndarray],
+    name: str,
+    when: int = 0,
+) -> Replay:
+    """Run one lap by `rollout`, and for the limit `tube` the plan of its step `when` by
+    `follow_plan`.
 
-    The lap of a tube's attack is that of the controller up to the plan; what follows it there is
-    another future.
+    Up to the plan the lap is that of the followed plan; from there on it is another future.
+
+    Args:
+        controller: any; for `tube` one whose plans restart at the measured error.
+        plant: any whose uncertainties are known.
+        attack: by name, time first: `start` (1, 3) and the entries of a script, of one lap.
+        name: of the limit.
+        when: step at which the plan is made.
     """
     script = {key: jnp.asarray(values)[:, None] for key, values in attack.items() if key != "start"}
     acting = plant.under_script(script)
-    trajectory = jax.tree.map(
-        np.asarray, rollout(controller, acting, None, jnp.asarray(attack["start"]))
-    )
+    keys = realisation_keys(0, 0, 1)  # a script draws nothing
+    lap = rollout(controller, acting, keys, jnp.asarray(attack["start"]))
+    trajectory = jax.tree.map(np.asarray, lap)
     if name != "tube":
         return Replay(trajectory, None)
+    planner = _find_planner(controller)
     step = jnp.asarray(when)
-    keys = realisation_keys(0, 0, 1)  # a script draws nothing
-    state = begin(controller, acting, keys, jnp.asarray(trajectory.errors[when]), step)
-    found = _plan(controller, step, state.measured)
-    if int(found.status[0]) != qp.SOLVED:
-        return Replay(trajectory, np.zeros((found.inputs.shape[1], 3)))
-    deviations = follow_plan(controller, acting, keys, state, step, found)
+    state = begin(planner, acting, keys, jnp.asarray(trajectory.errors[when]), step)
+    plan = _make_plan(planner, step, state.measured)
+    if int(plan.status[0]) != qp.SOLVED:
+        return Replay(trajectory, np.zeros((plan.inputs.shape[1], 3)))
+    deviations = follow_plan(planner, acting, keys, state, step, plan)
     return Replay(trajectory, np.asarray(deviations[:, 0]))
 
 
 @jax.jit
-def _plan(controller, step, measured):
-    return mpc.plan(controller.window(step), measured)
+def _make_plan(planner: TubeMpc, step, measured: Float[Array, "1 3"]) -> mpc.Plan:
+    return mpc.plan(planner.window(step), measured)
 
 
-def values_of(name: str, found: Replay) -> Float[np.ndarray, "steps n"]:
-    """Return what a limit looks at, entry k after period k; of inputs and wheels during it, of a
-    tube at stage k."""
-    lap = found.trajectory
+def values_of(name: str, played: Replay) -> Float[np.ndarray, "steps n"]:
+    """Return the quantity that a limit bounds: errors at every instant, inputs and wheels in every
+    period, deviations from a plan at every stage from 0."""
+    lap = played.trajectory
     if name == "tube":
-        assert found.deviations is not None
-        return np.concatenate([np.zeros((1, 3)), found.deviations])
-    return {"error": lap.errors, "input": lap.inputs, "wheels": lap.demanded}[name][:, 0]
-
-
-@dataclass(frozen=True)
-class Sampled:
-    """The worst of many drawn laps: greatest usage by step and facet, how many laps, and the
-    seconds they took."""
-
-    reach: dict[str, Float[np.ndarray, "stages facets"]]
-    laps: int
-    seconds: float
-
-    def usage(self, name: str) -> float:
-        """Return the greatest usage of a limit."""
-        return float(np.max(self.reach[name]))
-
-
-@jax.jit
-def _extremes(controller, plant, limits: Limits, key, starts):
-    keys = jax.random.split(key, len(starts))
-    found = usages(controller, limits, play(controller, plant, keys, starts))
-    return {name: jnp.max(each, axis=2) for name, each in found.items()}
-
-
-def sample(
-    controller,
-    plant,
-    limits: Limits,
-    starts: Float[np.ndarray, "k 3"],
-    *,
-    windows: Int[np.ndarray, " windows"] | None = None,
-    seconds: float = 60.0,
-    seed: int = 0,
-    batch: int = 256,
-    laps: int | None = None,
-) -> Sampled:
-    """Draw laps by the plant's own law and keep the extremes alone: what a search has to beat in
-    the same time.
-
-    Args:
-        starts: a pool of initial errors from which each lap draws its own.
-        laps: after which it ends if the time is not up before; others as for `falsify`.
-    """
-    generator, key, pool = (
-        np.random.default_rng(seed),
-        jax.random.key(seed),
-        jnp.asarray(starts, float),
-    )
-    windows = np.zeros(1, int) if windows is None else np.asarray(windows)
-
-    def draw(index):
-        when = jnp.asarray(generator.choice(windows, batch), jnp.int32)
-        acting = PlanFollower(controller, when) if "tube" in limits else controller
-        chosen = pool[generator.integers(len(pool), size=batch)]
-        return _extremes(acting, plant, limits, jax.random.fold_in(key, index), chosen)
-
-    reach = {name: np.asarray(value) for name, value in draw(0).items()}  # compiles
-    begun, count = time.perf_counter(), 0
-    while time.perf_counter() - begun < seconds and (laps is None or count < laps):
-        count += batch
-        reach = {
-            name: np.maximum(reach[name], value) for name, value in draw(count // batch).items()
-        }
-    return Sampled(reach, count, time.perf_counter() - begun)
+        assert played.deviations is not None
+        return np.concatenate([np.zeros((1, 3)), played.deviations])
+    values = {"error": lap.errors, "input": lap.inputs, "wheels": lap.demanded}[name]
+    return np.asarray(values)[:, 0]

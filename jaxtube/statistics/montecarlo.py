@@ -18,6 +18,7 @@ from jaxtube.simulation.simulate import (
     choose_controller,
     choose_plant,
     choose_starts,
+    name_choice,
 )
 from jaxtube.statistics.events import EVENT_NAMES
 from jaxtube.statistics.run import BLOCK, Run, Statistics, Task, merge
@@ -215,7 +216,7 @@ def name_law(
 ) -> SamplingLaw:
     """Return the names of what laps are drawn from."""
     process = design.problem.scenario.slip.process if slip is None else slip
-    return SamplingLaw(_name(controller), _name(plant), starts, _name(process))
+    return SamplingLaw(name_choice(controller), name_choice(plant), starts, name_choice(process))
 
 
 def compute_missing(run: Run, store: Store) -> None:
@@ -223,7 +224,3 @@ def compute_missing(run: Run, store: Store) -> None:
     missing = list(store.missing(run.realisations))
     for block, statistics in run.compute(missing):
         store.add(block, int(statistics["laps"]), statistics)
-
-
-def _name(choice: object) -> str:
-    return choice if isinstance(choice, str) else "own"

@@ -12,17 +12,26 @@ from oracles import model
 from tolerances import FALSIFY_CLOSED_FORM, FALSIFY_REPLAY, FALSIFY_SLOPE, INSIDE_TUBE, ROUNDING
 
 from jaxtube.falsification import setting as falsify_setting
-from jaxtube.falsification.climb import begun, climb, find_uncertainties, mean_attack
-from jaxtube.falsification.search import falsify, replayed
+from jaxtube.falsification.ascent import (
+    Aim,
+    ascend,
+    find_uncertainties,
+    make_mean_attack,
+    start_ascent,
+)
+from jaxtube.falsification.sample import sample
+from jaxtube.falsification.search import search_worst_cases
+from jaxtube.falsification.worst import confirm
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys, rollout
-from jaxtube.simulation.usage import limit, play, replay, sample, usages
+from jaxtube.simulation.usage import compute_usages, make_limit, play, replay
 from sets.polytope import Polytope
 
 DT, TRACK_WIDTH = 0.1, 0.5
 SHORT = 40  # steps of the short laps
 BATCH = 128
-EXTREMES = 0.05  # relative; the mean over facets and steps of the greatest of 1024 draws against 1024 others
+EXTREMES = 0.05
+"""Relative: mean over facets and steps of the greatest of 1024 draws, against 1024 others."""
 
 
 def shortened(plant, steps):
@@ -46,7 +55,7 @@ def robot(paper_design):
 @pytest.fixture(scope="module")
 def error_limit(paper_design):
     E = paper_design.problem.error_set
-    return {"error": limit(E.normals, E.offsets)}
+    return {"error": make_limit(E.normals, E.offsets)}
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +66,7 @@ def start(paper_design):
 @pytest.fixture(scope="module")
 def searched(gain, robot, error_limit, start):
     """A search on the slipping robot from the scenario's start."""
-    return falsify(gain, robot, error_limit, start, seconds=8, batch=BATCH)
+    return search_worst_cases(gain, robot, error_limit, start, seconds=8, batch=BATCH)
 
 
 # --------------------------------------------------------------------------- closed-form worst case
@@ -66,15 +75,14 @@ def searched(gain, robot, error_limit, start):
 def closed_form(design, starts, steps):
     """Give the largest n e(k) / h of every facet of E: support numbers of start and disturbances,
     by plain products."""
-    problem, E, W = (
-        design.problem,
-        design.problem.error_set,
-        design.problem.disturbance_set.vertices(),
-    )
+    problem = design.problem
+    E = problem.error_set
+    W = problem.disturbance_set.vertices()
     gains = design.tube_gain.at(problem.model.weights(problem.schedule[:steps]))
     reach = []
     for end in range(1, steps + 1):
-        rows, total = E.normals, np.zeros(len(E.offsets))
+        rows = E.normals
+        total = np.zeros(len(E.offsets))
         for step in reversed(range(end)):
             total = total + np.max(rows @ W.T, axis=1)
             A, B = model(problem, problem.schedule[step])
@@ -94,7 +102,7 @@ def test_on_the_linear_plant_every_closed_form_worst_case_is_reached(
     )
     steps = 20
     plant = shortened(closed_loop.linear_plant(paper_design), steps)
-    found = falsify(gain, plant, error_limit, starts, seconds=20, batch=120)
+    found = search_worst_cases(gain, plant, error_limit, starts, seconds=20, batch=120)
     expected = closed_form(paper_design, starts, steps)
     # 120 instances aim at 120 facets and steps, one each.
     np.testing.assert_allclose(found.reach["error"], expected, rtol=FALSIFY_CLOSED_FORM)
@@ -111,7 +119,7 @@ def test_disturbances_in_a_general_polytope_are_searched_by_its_vertices(
     W = np.array([[0.01, 0, 0], [-0.002, 0.01, 0], [-0.002, -0.004, 0.02], [0, -0.003, -0.01]])
     plant = shortened(closed_loop.linear_plant(paper_design), 20)
     plant = dataclasses.replace(plant, disturbance_vertices=jnp.asarray(W))
-    found = falsify(gain, plant, error_limit, start, seconds=20, batch=120)
+    found = search_worst_cases(gain, plant, error_limit, start, seconds=20, batch=120)
     problem = dataclasses.replace(paper_design.problem, disturbance_set=Polytope.from_vertices(W))
     twin = dataclasses.replace(paper_design, problem=problem)
     np.testing.assert_allclose(
@@ -126,12 +134,10 @@ def world_frame_lap(design, attack, steps):
     """Drive robot and reference as unicycles in the world frame under given slip deviations; give
     the errors."""
     gains = design.tube_gain.at(design.problem.model.weights(design.problem.schedule[: steps + 1]))
-    x, y, phi = (
-        -attack["start"][0, 0],
-        -attack["start"][0, 1],
-        -attack["start"][0, 2],
-    )  # of a start without heading
-    X = Y = PHI = 0.0
+    x, y, phi = -attack["start"][0]  # of a start without heading
+    X = 0.0
+    Y = 0.0
+    PHI = 0.0
     errors = np.zeros((steps + 1, 3))
 
     def arc(x, y, phi, v, w):
@@ -145,7 +151,8 @@ def world_frame_lap(design, attack, steps):
         )
 
     for step in range(steps + 1):
-        ahead, aside = X - x, Y - y
+        ahead = X - x
+        aside = Y - y
         errors[step, 0] = np.cos(phi) * ahead + np.sin(phi) * aside
         errors[step, 1] = np.cos(phi) * aside - np.sin(phi) * ahead
         errors[step, 2] = PHI - phi
@@ -163,7 +170,8 @@ def world_frame_lap(design, attack, steps):
 
 
 def test_the_reported_margin_is_that_of_a_world_frame_simulation(paper_design, searched):
-    worst, E = searched.worst["error"], paper_design.problem.error_set
+    worst = searched.worst["error"]
+    E = paper_design.problem.error_set
     assert np.all(np.abs(worst.attack["true"]) <= 1)
     errors = world_frame_lap(paper_design, worst.attack, SHORT)
     slack = E.offsets[worst.facet] - E.normals[worst.facet] @ errors[worst.step]
@@ -181,7 +189,7 @@ def test_everything_bounded_is_searched_and_stays_within_bounds(gain, robot, err
     noise = jnp.array([0.01, 0.02, 0.03])
     plant = dataclasses.replace(robot, noise=noise, random="both", process=process)
     starts = np.array([[0.1, 0, 0], [0, 0.1, 0.1], [-0.1, -0.1, 0], [0, 0, -0.1]])
-    found = falsify(gain, plant, error_limit, starts, seconds=2, batch=32)
+    found = search_worst_cases(gain, plant, error_limit, starts, seconds=2, batch=32)
     attack = found.worst["error"].attack
     times = {"iid": SHORT, "constant": 1}[process]
     shapes = {"start": (1, 3), "true": (times, 2), "measured": (times, 2), "noise": (SHORT + 1, 3)}
@@ -196,9 +204,8 @@ def test_everything_bounded_is_searched_and_stays_within_bounds(gain, robot, err
     worst = found.worst["error"]
     for name in shapes:
         tamed = attack | {name: 0.5 * attack[name]}
-        less = replayed(
-            gain, plant, error_limit["error"], "error", dataclasses.replace(worst, attack=tamed)
-        )
+        milder = dataclasses.replace(worst, attack=tamed)
+        less = confirm(gain, plant, error_limit["error"], milder)
         assert less.usage < worst.usage
 
 
@@ -206,18 +213,18 @@ def test_steps_of_the_search_never_leave_the_polytope_of_starts(gain, robot, err
     starts = np.random.default_rng(3).normal(size=(12, 3)) * [0.1, 0.1, 0.2]
     sets = find_uncertainties(robot, starts)
     vertices = {name: jnp.asarray(each.vertices) for name, each in sets.items()}
-    now = begun(mean_attack(sets, 6))
-    hull, moved = Polytope.from_vertices(starts), 0.0
+    ascent = start_ascent(make_mean_attack(sets, 6))
+    hull = Polytope.from_vertices(starts)
+    moved = 0.0
     for sweep in range(5):
-        cell = jnp.asarray(
-            np.arange(6) + 6 * 7 * sweep, jnp.int32
-        )  # targets change: vertices are left again
-        now = climb(gain, robot, error_limit, vertices, now, cell)[0]._replace(
-            length=jnp.full(6, 0.7)
-        )
-        candidates = np.asarray(now.candidate["start"][0])
+        # Aims change: vertices are left again.
+        cell = jnp.asarray(np.arange(6) + 6 * 7 * sweep, jnp.int32)
+        aim = Aim(cell, jnp.zeros(6, jnp.int32))
+        ascent = ascend(gain, robot, error_limit, vertices, ascent, aim).ascent
+        ascent = ascent._replace(length=jnp.full(6, 0.7))
+        candidates = np.asarray(ascent.candidate["start"][0])
         assert hull.margin(candidates).min() >= INSIDE_TUBE
-        assert max(np.abs(np.asarray(now.candidate["true"])).max(), 0) <= 1
+        assert max(np.abs(np.asarray(ascent.candidate["true"])).max(), 0) <= 1
         moved = max(moved, np.abs(candidates - starts.mean(axis=0)).max())
     assert moved > 0.05
 
@@ -255,7 +262,7 @@ def test_the_gradient_agrees_with_every_sequence_of_vertices(gain, robot, error_
     )
     normals, offsets = (np.asarray(array[0]) for array in error_limit["error"][:2])
     exhaustive = np.max(errors[1:] @ normals.T / offsets, axis=1)
-    found = falsify(gain, plant, error_limit, start, seconds=10, batch=18)
+    found = search_worst_cases(gain, plant, error_limit, start, seconds=10, batch=18)
     # Inside the box nothing is much worse than at its corners; the search may find that little
     # more.
     assert np.all(found.reach["error"] >= exhaustive - FALSIFY_REPLAY)
@@ -265,7 +272,7 @@ def test_the_gradient_agrees_with_every_sequence_of_vertices(gain, robot, error_
 def test_the_gradient_of_the_usage_is_that_of_finite_differences(gain, robot, error_limit, start):
     def usage(attack):
         seen = play(gain, robot, None, attack["start"][0], {"true": attack["true"]})
-        return jnp.sum(usages(gain, error_limit, seen)["error"][24, 1])
+        return jnp.sum(compute_usages(error_limit, seen)["error"][24, 1])
 
     generator = np.random.default_rng(5)
     attack = {
@@ -293,16 +300,14 @@ def test_no_attack_within_the_assumptions_breaks_the_guarantee(robust_design):
     tube."""
     plant = shortened(closed_loop.linear_plant(robust_design), 30)
     loop = closed_loop.controllers(robust_design)["tube_mpc"]
-    starts, limits = (
-        falsify_setting.feasible_vertices(robust_design, 0),
-        falsify_setting.lap_limits(robust_design),
-    )
+    starts = falsify_setting.find_feasible_vertices(robust_design, 0)
+    limits = falsify_setting.make_lap_limits(robust_design)
     del limits["wheels"]
-    found = falsify(loop, plant, limits, starts, seconds=20)
+    found = search_worst_cases(loop, plant, limits, starts, seconds=20)
     # Rows are active: the search works at the edge of what is allowed.
     assert all(0.9 < worst.usage <= 1 + 1e-8 for worst in found.worst.values())
-    tube = {"tube": falsify_setting.tube_limit(robust_design)}
-    followed = falsify(loop, plant, tube, starts, seconds=20)
+    tube = {"tube": falsify_setting.make_tube_limits(robust_design)}
+    followed = search_worst_cases(loop, plant, tube, starts, seconds=20)
     # Along any facet the first section is reached exactly; a replay by the function that follows
     # plans confirms it.
     assert followed.worst["tube"].usage == pytest.approx(1, abs=FALSIFY_CLOSED_FORM)
@@ -313,9 +318,9 @@ def test_no_attack_within_the_assumptions_breaks_the_guarantee(robust_design):
 def test_a_counterexample_with_active_rows_is_confirmed_by_its_replay(robust_design):
     plant = shortened(closed_loop.slipping_robot(robust_design), 30)
     loop = closed_loop.controllers(robust_design)["tube_mpc"]
-    limits = {"error": falsify_setting.lap_limits(robust_design)["error"]}
-    found = falsify(
-        loop, plant, limits, falsify_setting.feasible_vertices(robust_design, 0), seconds=20
+    limits = {"error": falsify_setting.make_lap_limits(robust_design)["error"]}
+    found = search_worst_cases(
+        loop, plant, limits, falsify_setting.find_feasible_vertices(robust_design, 0), seconds=20
     )
     worst = found.worst["error"]
     assert worst.usage > 1
@@ -332,15 +337,15 @@ def test_what_cannot_be_searched_is_refused(
 
     walking = dataclasses.replace(robot, process="walk")
     with pytest.raises(ValueError, match=r'slip.process = "walk".*"iid"'):
-        falsify(gain, walking, error_limit, start)
+        search_worst_cases(gain, walking, error_limit, start)
     with pytest.raises(ValueError, match="limits"):
-        falsify(gain, robot, error_limit | {"tube": error_limit["error"]}, start)
+        search_worst_cases(gain, robot, error_limit | {"tube": error_limit["error"]}, start)
     with pytest.raises(ValueError, match="wheels"):
-        falsify(
+        search_worst_cases(
             gain, closed_loop.linear_plant(paper_design), {"wheels": error_limit["error"]}, start
         )
     with pytest.raises(ValueError, match="centre"):
-        limit(np.eye(2), np.ones(2), [2.0, 0.0])
+        make_limit(np.eye(2), np.ones(2), [2.0, 0.0])
     (tmp_path / "text.npz").write_text("no archive")
     np.savez(tmp_path / "other.npz", a=1)
     for words, fragment in (
@@ -359,8 +364,9 @@ def test_the_command_saves_worst_cases_that_replay_to_the_same_margin(
     capsys, tmp_path, monkeypatch, uncertified
 ):
     from jaxtube.experiments.cli import main
+    from jaxtube.experiments.falsify import command
 
-    monkeypatch.setattr(falsify_setting, "design", lambda scenario: uncertified("paper", *words))
+    monkeypatch.setattr(command, "design", lambda scenario: uncertified("paper", *words))
     words = ["reference.duration_s=3", "controller.tube=summed", "noise.lateral_m=0.001"]
     options = [
         "--controller",

@@ -7,163 +7,133 @@ ordinary rollout.
 
 from __future__ import annotations
 
-import dataclasses
 import zipfile
 from pathlib import Path
 
 import numpy as np
 
-from jaxtube.experiments.falsify.report import Row, facet, metrics, report, violated
+from jaxtube.experiments.falsify.report import metrics, report
 from jaxtube.experiments.options import FalsifyOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
-from jaxtube.falsification.search import Search, Worst, falsify, replayed
-from jaxtube.falsification.setting import Setting, drawn_starts, make_setting
+from jaxtube.falsification.cases import Row, describe_facet, is_violated
+from jaxtube.falsification.falsify import search_setting
+from jaxtube.falsification.setting import Setting, make_setting
+from jaxtube.falsification.worst import Worst, confirm
 from jaxtube.scenario import Scenario, to_toml
 from jaxtube.scenario.refusal import refusal
-from jaxtube.simulation import usage
-from jaxtube.simulation.usage import Replay
+from jaxtube.simulation.usage import Replay, replay
+from jaxtube.synthesis.design import design
 
-TARGETS = {"error": ("error",), "input": ("input", "wheels"), "tube": ("tube",)}
-"""The limits of each target."""
+NUMBERS = ("usage", "margin", "step", "facet", "when")
+"""The numbers of a worst case that are saved under their own names."""
 
 
 def run(scenario: Scenario, options: FalsifyOptions) -> int:
     """Run the command; returns 0, whatever was found."""
     if options.replay:
         return play_again(scenario, options)
-    names = limit_names(options)
+    refuse_options(options)
     setting = make_setting(
-        scenario, options.controller, options.plant, options.starts, options.seed
+        design(scenario), options.controller, options.plant, options.starts, seed=options.seed
     )
+    names = setting.limit_names(options.target)
     folder = run_folder.create(scenario, options)
-    rows = search(setting, names, options)
-    folder.report(report(setting, rows))
-    folder.save_metrics(metrics(setting, rows))
-    for name, row in rows.items():
-        played = usage.replay(
-            setting.loop(name), setting.plant, row.worst.attack, name, row.worst.when
+    with progress(2 * len(names), "searching", "limits") as bar:
+        falsification = search_setting(
+            setting,
+            options.target,
+            seconds=options.seconds,
+            seed=options.seed,
+            advanced=bar.update,
         )
-        save(scenario, options, folder, name, row.worst, played)
-        draw(setting, folder, f"worst_{name}", name, row.worst, played, row)
+    folder.report(report(falsification))
+    folder.save_metrics(metrics(falsification))
+    for name, row in falsification.rows.items():
+        played = replay_worst(setting, row.worst)
+        save(scenario, setting, options.starts, folder, row.worst, played)
+        draw(setting, folder, f"worst_{name}", row.worst, played, row)
     print(f"\nworst cases, figures, metrics.json and manifest.json are in {folder.path}/")
     return 0
 
 
-def limit_names(options: FalsifyOptions) -> list[str]:
-    """Return the limits that are searched, in the order of the table."""
+def refuse_options(options: FalsifyOptions) -> None:
+    """Raise ScenarioError, one line, for options that do not go together, before anything is
+    designed."""
     if not 0 < options.seconds < np.inf:
         raise refusal(
             "command line", "--seconds", options.seconds, "is no time", "give a positive number"
         )
-    names = [
-        name
-        for target, group in TARGETS.items()
-        if options.target in (target, "all")
-        for name in group
-    ]
-    if options.controller != "tube_mpc" and options.target == "tube":
-        cure = "choose --controller tube_mpc"
-        raise refusal(
-            "command line", "--target", "tube", f"{options.controller} keeps no tube", cure
-        )
-    absent = {"tube"} if options.controller != "tube_mpc" else set()
-    return [
-        name
-        for name in names
-        if name not in absent | ({"wheels"} if options.plant == "linear" else set())
-    ]
+    if options.target == "tube" and options.controller != "tube_mpc":
+        problem = f"{options.controller} keeps no tube"
+        raise refusal("command line", "--target", "tube", problem, "choose --controller tube_mpc")
 
 
-def search(setting: Setting, names: list[str], options: FalsifyOptions) -> dict[str, Row]:
-    """Search each limit for its share of the time, then draw laps for as long as the searches took."""
-    pool, found, sampled = drawn_starts(setting, options.seed), {}, {}
-    with progress(2 * len(names), "searching", "limits") as bar:
-        for name in names:
-            given = setting.loop(name), setting.plant, setting.limits(name), setting.starts
-            share, windows = options.seconds / len(names), setting.windows
-            found[name] = falsify(
-                *given, aims=[name], windows=windows, seconds=share, seed=options.seed
-            )
-            bar.update()
-        for group in (
-            [name for name in names if name != "tube"],
-            [name for name in names if name == "tube"],
-        ):
-            if group:
-                given = setting.loop(group[0]), setting.plant, setting.limits(group[0]), pool
-                seconds = sum(found[name].seconds for name in group)
-                drawn = usage.sample(
-                    *given, windows=setting.windows, seconds=seconds, seed=options.seed
-                )
-                sampled |= dict.fromkeys(group, drawn)
-                bar.update(len(group))
-    return {name: Row(_worst(name, found), found[name], sampled[name]) for name in names}
-
-
-def _worst(name: str, found: dict[str, Search]) -> Worst:
-    """Return the worst case of a limit, which may have been met on the way to another one."""
-    return max(
-        (each.worst[name] for each in found.values() if name in each.worst),
-        key=lambda worst: worst.usage,
-    )
+def replay_worst(setting: Setting, worst: Worst) -> Replay:
+    """Play a worst case once more on its own."""
+    loop = setting.loop(worst.limit)
+    return replay(loop, setting.plant, worst.attack, worst.limit, worst.when)
 
 
 def draw(
     setting: Setting,
     folder: RunFolder,
     title: str,
-    name: str,
     worst: Worst,
     played: Replay,
-    row=None,
+    row: Row | None = None,
 ) -> None:
     """Draw a worst case: its lap, and for the tube the section that it comes nearest to."""
     from jaxtube.experiments.falsify.figures import worst_run
     from jaxtube.experiments.falsify.section_figure import worst_section
 
-    problem = setting.found.problem
-    reaches = (row.search.reach, row.sampled.reach) if row and name != "tube" else None
-    figure = worst_run(problem, setting.lap_limits, name, worst, played, reaches)
+    problem = setting.design.problem
+    is_tube = worst.limit == "tube"
+    reaches = (row.search.reach, row.sampled.reach) if row and not is_tube else None
+    figure = worst_run(problem, setting.lap_limits, worst.limit, worst, played, reaches)
     folder.save_figure(figure, title)
-    if name == "tube":
-        folder.save_figure(worst_section(setting.found, worst, played), f"{title}_section")
+    if is_tube:
+        folder.save_figure(worst_section(setting.design, worst, played), f"{title}_section")
 
 
 def save(
     scenario: Scenario,
-    options: FalsifyOptions,
+    setting: Setting,
+    starts: str,
     folder: RunFolder,
-    name: str,
     worst: Worst,
     played: Replay,
 ) -> None:
     """Save what it takes to play a worst case again, and what came out."""
-    kind = "counterexample" if violated(worst) else "worst"
+    name = worst.limit
+    kind = "counterexample" if is_violated(worst) else "worst"
+    other_kind = "worst" if is_violated(worst) else "counterexample"
     lap = played.trajectory
-    numbers = {key: value for key, value in dataclasses.asdict(worst).items() if key != "attack"}
+    attack = {f"attack_{key}": values for key, values in worst.attack.items()}
+    deviations = {} if played.deviations is None else {"deviations": played.deviations}
     folder.save_arrays(
         f"{kind}_{name}",
         scenario=to_toml(scenario),
         limit=name,
-        controller=options.controller,
-        plant=options.plant,
-        starts=options.starts,
-        **numbers,
-        **{f"attack_{key}": values for key, values in worst.attack.items()},
+        controller=setting.controller_name,
+        plant=setting.plant_name,
+        starts=starts,
+        **{key: getattr(worst, key) for key in NUMBERS},
+        **attack,
         errors=lap.errors[:, 0],
         measured=lap.measured[:, 0],
         inputs=lap.inputs[:, 0],
         wheels=lap.wheels[:, 0],
-        **({} if played.deviations is None else {"deviations": played.deviations}),
+        **deviations,
     )
-    of_an_earlier_search = "worst" if kind == "counterexample" else "counterexample"
-    (folder.path / f"{of_an_earlier_search}_{name}.npz").unlink(missing_ok=True)
+    # One that an earlier search left in the same folder.
+    (folder.path / f"{other_kind}_{name}.npz").unlink(missing_ok=True)
 
 
 def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
-    """Play a saved worst case again, compare it with what was saved, and draw it beside its file."""
+    """Play a saved worst case again, compare it with what was saved, and draw it beside its
+    file."""
     path = Path(options.replay)
     saved = _read(path)
     if str(saved["scenario"]) != to_toml(scenario):
@@ -171,30 +141,41 @@ def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
         raise refusal(
             "command line", "--replay", str(path), "was found with another scenario", cure
         )
-    name = str(saved["limit"])
     setting = make_setting(
-        scenario, str(saved["controller"]), str(saved["plant"]), str(saved["starts"]), options.seed
+        design(scenario),
+        str(saved["controller"]),
+        str(saved["plant"]),
+        str(saved["starts"]),
+        seed=options.seed,
     )
-    attack = {key.removeprefix("attack_"): saved[key] for key in saved if key.startswith("attack_")}
-    before = Worst(
-        **{key: saved[key].item() for key in ("usage", "margin", "step", "facet", "when")},
-        attack=attack,
-    )
-    worst = replayed(setting.loop(name), setting.plant, setting.limits(name)[name], name, before)
-    played = usage.replay(setting.loop(name), setting.plant, attack, name, worst.when)
+    before = _read_worst(saved)
+    name = before.limit
+    limit = setting.limits(name)[name]
+    worst = confirm(setting.loop(name), setting.plant, limit, before)
+    played = replay_worst(setting, worst)
     difference = float(np.max(np.abs(played.trajectory.errors[:, 0] - saved["errors"])))
-    what, margin, unit = facet(setting.limits(name)[name], name, worst)
-    kept = "violation" if violated(worst) else "no violation"
+    words, margin, unit = describe_facet(limit, worst)
+    verdict = "violation" if is_violated(worst) else "no violation"
     folder = RunFolder(path.parent)
     folder.report(
-        f"{kept}: margin {margin:.9g} {unit} of the limit `{name}` at step {worst.step} ({what})\n"
-        f"saved margin differs by {abs(worst.margin - before.margin):.2g}, "
+        f"{verdict}: margin {margin:.9g} {unit} of the limit `{name}` at step {worst.step} "
+        f"({words})\nsaved margin differs by {abs(worst.margin - before.margin):.2g}, "
         f"saved errors by {difference:.2g}",
         f"replay_{name}",
     )
-    draw(setting, folder, f"replay_{name}", name, worst, played)
+    draw(setting, folder, f"replay_{name}", worst, played)
     print(f"drawn in {path.parent}/replay_{name}.png")
     return 0
+
+
+def _read_worst(saved: dict[str, np.ndarray]) -> Worst:
+    numbers = {key: saved[key].item() for key in NUMBERS}
+    attack = {
+        key.removeprefix("attack_"): values
+        for key, values in saved.items()
+        if key.startswith("attack_")
+    }
+    return Worst(limit=str(saved["limit"]), attack=attack, **numbers)
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:

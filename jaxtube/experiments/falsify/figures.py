@@ -12,8 +12,8 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from jaxtube.coordinates import COORDINATES, TO_DISPLAY
-from jaxtube.experiments.falsify.report import CAPS
-from jaxtube.falsification.search import Worst
+from jaxtube.falsification.cases import CAPS
+from jaxtube.falsification.worst import Worst
 from jaxtube.figures.style import (
     CONTROLLERS,
     LIMIT,

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from jaxtube.falsification.search import Worst
+from jaxtube.falsification.worst import Worst
 from jaxtube.figures.style import (
     INSIDE,
     LIMIT,

@@ -1,0 +1,143 @@
+"""The worst case of each limit in words: what its facet bounds, what the certificate promises, and
+the verdict over all of them."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxtube.falsification.sample import Sampled
+from jaxtube.falsification.search import Search
+from jaxtube.falsification.setting import Setting
+from jaxtube.falsification.worst import Worst
+from jaxtube.simulation.usage import Limit
+from jaxtube.synthesis.disturbance import ground_speed_limits
+
+BEYOND = 1e-9
+"""Usage beyond 1 that is rounding."""
+
+ERRORS = (
+    ("longitudinal error", 1.0, "m"),
+    ("lateral error", 1.0, "m"),
+    ("heading error", np.rad2deg(1.0), "deg"),
+)
+"""What each error is called, and its unit with the factor into it."""
+
+WHEELS = ("right wheel", "left wheel")
+CAPS = (("speed deficit", "m/s"), ("yaw rate deficit", "rad/s"))
+"""What each virtual input is called where U is a box of caps, and its unit."""
+
+
+class Row(NamedTuple):
+    """What a search found of one limit.
+
+    Attributes:
+        worst: the worst case, of all searches.
+        search: the one that aimed at this limit.
+        sampled: drawn laps to compare with.
+    """
+
+    worst: Worst
+    search: Search
+    sampled: Sampled
+
+    @property
+    def is_violated(self) -> bool:
+        """Whether the limit is left by more than rounding."""
+        return is_violated(self.worst)
+
+
+class Facet(NamedTuple):
+    """What a worst case comes to on its facet."""
+
+    words: str
+    margin: float
+    unit: str
+
+
+def is_violated(worst: Worst) -> bool:
+    """Tell whether the limit is left by more than rounding."""
+    return worst.usage > 1 + BEYOND
+
+
+def describe_facet(limit: Limit, worst: Worst) -> Facet:
+    """Return what the facet of a worst case bounds, and the margin in its unit."""
+    if worst.limit == "tube":
+        return _describe_section(limit, worst)
+    coordinate = worst.facet % (len(limit.offsets[0]) // 2)
+    if worst.limit == "error":
+        what, factor, unit = ERRORS[coordinate]
+    elif worst.limit == "input" and np.count_nonzero(limit.normals[0, worst.facet]) == 1:
+        what, unit = CAPS[coordinate]
+        factor = 1.0
+    else:
+        kind = " deficit" if worst.limit == "input" else ""
+        what = f"{WHEELS[coordinate]}{kind}"
+        factor = 1.0
+        unit = "m/s"
+    bound = _describe_bound(limit, worst, factor)
+    return Facet(f"{what} {bound} {unit}", worst.margin * factor, unit)
+
+
+def _describe_bound(limit: Limit, worst: Worst, factor: float) -> str:
+    """Return the bound of a facet; upper bounds come first in a limit, lower ones after them."""
+    offset = float(limit.offsets[0, worst.facet]) * factor
+    is_upper = worst.facet < len(limit.offsets[0]) // 2
+    return f"<= {offset:.3g}" if is_upper else f">= {-offset:.3g}"
+
+
+def _describe_section(limit: Limit, worst: Worst) -> Facet:
+    stage = worst.step - worst.when
+    normal = np.asarray(limit.normals[stage - 1, worst.facet])
+    place = f"at stage {stage} of the plan of step {worst.when}, facet {worst.facet} of R_{stage}"
+    along = np.flatnonzero(np.abs(normal) > 1e-9 * np.max(np.abs(normal)))
+    if len(along) == 1:
+        coordinate, factor, unit = ERRORS[along[0]]
+        return Facet(f"{coordinate} {place}", worst.margin * factor, unit)
+    rounded = " ".join(f"{entry:.2f}" for entry in normal)
+    return Facet(f"{place}, normal ({rounded})", worst.margin, "m and rad")
+
+
+def compute_certified_usage(setting: Setting, name: str) -> float:
+    """Return the usage of a limit that the certificate lets no lap pass, infinite where it promises
+    nothing: to other controllers than the tube-MPC, and on a user's plant."""
+    design = setting.design
+    bound = design.problem.disturbance_bound
+    is_covered = setting.controller_name == "tube_mpc" and setting.plant_name != "own"
+    if bound is None or not design.certificate.holds_for_robot or not is_covered:
+        return np.inf
+    if name != "wheels":
+        return 1.0
+    robot = design.problem.robot
+    grip = ground_speed_limits(design.problem)[1] / robot.wheel_speed_max
+    ends = bound.ground_speeds / grip
+    middle = (robot.wheel_speed_max + robot.wheel_speed_min) / 2
+    half = (robot.wheel_speed_max - robot.wheel_speed_min) / 2
+    return float(np.max(np.abs(ends - middle)) / half)
+
+
+def list_worst_first(rows: dict[str, Row]) -> list[str]:
+    """Return the limits by their usage, the greatest first."""
+    return sorted(rows, key=lambda name: -rows[name].worst.usage)
+
+
+def say_verdict(setting: Setting, rows: dict[str, Row]) -> str:
+    """Return one line: what was found, the worst first."""
+    names = list_worst_first(rows)
+    violated = [name for name in names if rows[name].is_violated]
+    kept = [name for name in names if name not in violated]
+    name = names[0]
+    worst = rows[name].worst
+    words, margin, unit = describe_facet(setting.limits(name)[name], worst)
+    place = f"at step {worst.step} ({words})"
+    if not violated:
+        return (
+            f"no violation found; smallest margin {margin:.4g} {unit} of the limit `{name}` {place}"
+        )
+    line = f"violation found: {name} by {-margin:.4g} {unit} {place}"
+    if violated[1:]:
+        line += f"; also of {', '.join(violated[1:])}"
+    if kept:
+        line += f"; none found of {', '.join(kept)}"
+    return line

@@ -1,0 +1,165 @@
+"""`falsify`: the worst case of a closed loop, searched by gradient and compared with drawn laps in
+equal time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from jaxtube.falsification.cases import Row, list_worst_first, say_verdict
+from jaxtube.falsification.sample import Sampled, sample
+from jaxtube.falsification.search import Search, search_worst_cases
+from jaxtube.falsification.setting import Setting, draw_starts, make_setting
+from jaxtube.falsification.worst import Worst
+from jaxtube.precision import in_64_bits
+from jaxtube.simulation.simulate import ControllerChoice, PlantChoice, SlipChoice
+from jaxtube.synthesis.design import Design
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Falsification:
+    """The worst cases of a closed loop.
+
+    Attributes:
+        design: whose limits were searched.
+        setting: what was searched.
+        seed: of every draw.
+        rows: by limit: the worst case, its search, and drawn laps to compare with.
+    """
+
+    design: Design
+    setting: Setting
+    seed: int
+    rows: dict[str, Row]
+
+    @property
+    def worst(self) -> Worst:
+        """The worst case of all limits, by usage."""
+        return self.rows[list_worst_first(self.rows)[0]].worst
+
+    @property
+    def is_violated(self) -> bool:
+        """Whether any limit is left by more than rounding."""
+        return any(row.is_violated for row in self.rows.values())
+
+    @property
+    def verdict(self) -> str:
+        """What was found, in one line."""
+        return say_verdict(self.setting, self.rows)
+
+    def __repr__(self) -> str:
+        setting = self.setting
+        loop = f"{setting.controller_name} on the {setting.plant_name}"
+        searched = sum(row.search.laps for row in self.rows.values())
+        return (
+            f"<Falsification: {self.verdict}\n{loop}; {searched:,} laps by gradient; "
+            f"certificate: {self.design.certificate.verdict}>"
+        )
+
+
+@in_64_bits
+def falsify(
+    design: Design,
+    controller: ControllerChoice = "tube_mpc",
+    plant: PlantChoice = "robot",
+    *,
+    target: str = "all",
+    starts: str = "scenario",
+    slip: SlipChoice = None,
+    seconds: float = 60.0,
+    seed: int = 0,
+    advanced: Callable[[], object] | None = None,
+) -> Falsification:
+    """Search the smallest margins of a closed loop by gradient, over everything bounded that its
+    plant would draw.
+
+    Args:
+        design: whose limits are searched.
+        controller: as for `simulate`.
+        plant: as for `simulate`; a plant of your own says what bounds its draws
+            (`jaxtube.plant.protocol.SearchablePlant`).
+        target: "error" (E), "input" (U and the wheels' limits), "tube" (the sections around a plan
+            that is followed), or "all".
+        starts: "scenario", or "feasible": anywhere in the feasible set of the tube-MPC.
+        slip: the scenario's process unless given; "iid" or "constant", others are not boxes.
+        seconds: of all searches, without compilation; drawn laps take as long again.
+        seed: of every draw.
+        advanced: called whenever a limit has been searched, and again when its laps are drawn.
+
+    Returns:
+        The worst cases, each as its replay has it. Where none is violated, nothing is proved.
+
+    Raises:
+        ValueError: one line, for an unknown name, or a slip process or a plant that is not
+            searched.
+    """
+    setting = make_setting(design, controller, plant, starts, slip, seed)
+    return search_setting(setting, target, seconds=seconds, seed=seed, advanced=advanced)
+
+
+def search_setting(
+    setting: Setting,
+    target: str = "all",
+    *,
+    seconds: float = 60.0,
+    seed: int = 0,
+    advanced: Callable[[], object] | None = None,
+) -> Falsification:
+    """Search each limit of a target for its share of the time, then draw laps for as long as the
+    searches took; arguments as for `falsify`."""
+    if not 0 < seconds < float("inf"):
+        raise ValueError(f"seconds = {seconds}: is no time; give a positive number")
+    names = setting.limit_names(target)
+    searches: dict[str, Search] = {}
+    for name in names:
+        searches[name] = search_worst_cases(
+            setting.loop(name),
+            setting.plant,
+            setting.limits(name),
+            setting.starts,
+            aims=[name],
+            plan_steps=setting.plan_steps,
+            seconds=seconds / len(names),
+            seed=seed,
+        )
+        if advanced:
+            advanced()
+    sampled = _sample_limits(setting, searches, seed, advanced)
+    rows = {name: Row(_find_worst(name, searches), searches[name], sampled[name]) for name in names}
+    return Falsification(setting.design, setting, seed, rows)
+
+
+def _sample_limits(
+    setting: Setting,
+    searches: dict[str, Search],
+    seed: int,
+    advanced: Callable[[], object] | None,
+) -> dict[str, Sampled]:
+    """Draw laps for as long as the searches took; one draw serves all limits of a lap."""
+    pool = draw_starts(setting, seed)
+    of_laps = [name for name in searches if name != "tube"]
+    of_plans = [name for name in searches if name == "tube"]
+    sampled: dict[str, Sampled] = {}
+    for group in (of_laps, of_plans):
+        if not group:
+            continue
+        drawn = sample(
+            setting.loop(group[0]),
+            setting.plant,
+            setting.limits(group[0]),
+            pool,
+            plan_steps=setting.plan_steps,
+            seconds=sum(searches[name].seconds for name in group),
+            seed=seed,
+        )
+        for name in group:
+            sampled[name] = drawn
+            if advanced:
+                advanced()
+    return sampled
+
+
+def _find_worst(name: str, searches: dict[str, Search]) -> Worst:
+    """Return the worst case of a limit, which may have been met on the way to another one."""
+    cases = [search.worst[name] for search in searches.values() if name in search.worst]
+    return max(cases, key=lambda worst: worst.usage)

@@ -1,0 +1,93 @@
+"""Drawn laps of a closed loop and their extremes, to compare a search with."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float, Int, Key
+
+from jaxtube.control.protocol import Controller
+from jaxtube.plant.protocol import SearchablePlant
+from jaxtube.simulation.usage import Limits, play_limits
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """The extremes of many drawn laps.
+
+    Attributes:
+        reach: greatest usage by limit; by step, or stage of a plan, and facet.
+        laps: how many were drawn.
+        seconds: that they took.
+    """
+
+    reach: dict[str, Float[np.ndarray, "stages facets"]]
+    laps: int
+    seconds: float
+
+    def usage(self, name: str) -> float:
+        """Return the greatest usage of a limit."""
+        return float(np.max(self.reach[name]))
+
+
+def sample(
+    controller: Controller,
+    plant: SearchablePlant,
+    limits: Limits,
+    starts: Float[np.ndarray, "k 3"],
+    *,
+    plan_steps: Int[np.ndarray, " k"] | None = None,
+    seconds: float = 60.0,
+    seed: int = 0,
+    batch: int = 256,
+    laps: int | None = None,
+) -> Sampled:
+    """Draw laps by the plant's own law and keep their extremes: what a search has to beat in the
+    same time.
+
+    Args:
+        controller, plant, limits, seconds, seed, batch: as for `search_worst_cases`.
+        starts: pool of initial errors, (m, m, rad), from which each lap draws its own.
+        plan_steps: steps from which each lap draws that of its followed plan; 0 unless given.
+        laps: after which it ends if the time is not up before.
+    """
+    generator = np.random.default_rng(seed)
+    key = jax.random.key(seed)
+    pool = jnp.asarray(starts, float)
+    choices = np.zeros(1, int) if plan_steps is None else np.asarray(plan_steps)
+
+    def draw(block: int) -> dict[str, np.ndarray]:
+        when = jnp.asarray(generator.choice(choices, batch), jnp.int32)
+        errors = pool[generator.integers(len(pool), size=batch)]
+        block_key = jax.random.fold_in(key, block)
+        extremes = _find_extremes(controller, plant, limits, block_key, errors, when)
+        return {name: np.asarray(usage) for name, usage in extremes.items()}
+
+    reach = draw(0)  # compiles
+    start = time.perf_counter()
+    blocks = 0
+    while time.perf_counter() - start < seconds and (laps is None or blocks * batch < laps):
+        blocks += 1
+        drawn = draw(blocks)
+        reach = {name: np.maximum(reach[name], drawn[name]) for name in reach}
+    return Sampled(reach, blocks * batch, time.perf_counter() - start)
+
+
+@jax.jit
+def _find_extremes(
+    controller: Controller,
+    plant: SearchablePlant,
+    limits: Limits,
+    key: Key[Array, ""],
+    errors: Float[Array, "batch 3"],
+    when: Int[Array, " batch"],
+) -> dict[str, Float[Array, "stages facets"]]:
+    """Draw one batch of laps and return the greatest usages over it."""
+    keys = jax.random.split(key, len(errors))
+    usages = play_limits(controller, plant, limits, keys, errors, when)
+    return {name: jnp.max(usage, axis=2) for name, usage in usages.items()}

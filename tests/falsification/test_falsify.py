@@ -1,0 +1,148 @@
+"""`falsify` takes controllers, plants and slips of a user's own, or refuses them in one line."""
+
+import re
+from types import SimpleNamespace
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tolerances import FALSIFY_REPLAY
+
+import jaxtube as jt
+from jaxtube.control.protocol import Feedback
+from jaxtube.falsification.setting import find_plan_steps, make_setting
+from jaxtube.simulation import closed_loop
+from jaxtube.simulation.usage import replay
+
+
+@pytest.fixture(scope="module")
+def design(uncertified):
+    """Three seconds of the paper's reference."""
+    return uncertified("paper", "reference.duration_s=3", "controller.tube=summed")
+
+
+class Damped:
+    """An own controller with a memory, no pytree: u = K e, a little of the last input kept."""
+
+    def __init__(self, design):
+        gain = jnp.asarray(design.lqr_gain)
+        wheel_map = closed_loop.make_wheel_map(design.problem)
+        self.feedback = Feedback(lambda errors, wheels: errors @ gain.T, wheel_map)
+
+    def initial(self, errors):
+        return jnp.zeros_like(errors[:, :2])
+
+    def act(self, step, memory, measurement, reference_wheels):
+        command, _, diagnostics = self.feedback.act(step, (), measurement, reference_wheels)
+        inputs = 0.9 * command.inputs + 0.1 * memory
+        wheel_map = self.feedback.wheel_map
+        return (
+            wheel_map.command(inputs, measurement, reference_wheels),
+            inputs,
+            diagnostics,
+        )
+
+
+@pytest.fixture(scope="module")
+def of_own_controller(design):
+    calls = []
+    result = jt.falsify(
+        design,
+        Damped(design),
+        target="error",
+        slip="constant",
+        seconds=0.5,
+        advanced=lambda: calls.append(1),
+    )
+    assert len(calls) == 2
+    return result
+
+
+def test_a_controller_of_ones_own_is_falsified(design, of_own_controller):
+    setting = of_own_controller.setting
+    worst = of_own_controller.worst
+    assert list(of_own_controller.rows) == ["error"]
+    assert worst.limit == "error"
+    assert worst.attack["true"].shape == (1, 2)
+    lap = replay(setting.controller, setting.plant, worst.attack, "error").trajectory
+    E = design.problem.error_set
+    usage = lap.errors[1:, 0] @ E.normals.T / E.offsets
+    assert np.max(usage) == pytest.approx(worst.usage, abs=FALSIFY_REPLAY)
+    row = of_own_controller.rows["error"]
+    assert worst.usage >= row.sampled.usage("error") - FALSIFY_REPLAY
+
+
+def test_the_verdict_comes_first(of_own_controller):
+    shown = repr(of_own_controller).splitlines()
+    assert shown[0] == f"<Falsification: {of_own_controller.verdict}"
+    assert shown[1].startswith("own on the robot; ")
+    assert len(shown) == 2
+
+
+def test_a_law_that_answers_nan_violates(design):
+    def law(errors, reference_wheels):
+        broken = jnp.abs(errors[:, :1]) > 0.05
+        return jnp.where(broken, jnp.nan, errors[:, :2])
+
+    result = jt.falsify(design, law, "exact", target="error", seconds=0.1)
+    assert result.is_violated
+    assert result.worst.usage == np.inf
+    assert result.verdict.startswith("violation found: error")
+
+
+class Heading(NamedTuple):
+    """A plant that can be simulated and not searched."""
+
+    reference_wheels: jnp.ndarray
+
+
+class Drift:
+    """A slip process of ones own."""
+
+
+@pytest.mark.parametrize(
+    ("choices", "fragment"),
+    [
+        ({"target": "pose"}, "choose one of ['all', 'error', 'input', 'tube']"),
+        ({"target": "tube", "controller": "local_gain"}, 'choose "tube_mpc"'),
+        ({"target": "tube", "controller": lambda errors, wheels: errors[:, :2]}, "own keeps no"),
+        ({"starts": "edge"}, 'choose "scenario" or "feasible"'),
+        ({"seconds": 0.0}, "give a positive number"),
+        ({"slip": Drift()}, 'slip.process = "Drift": is not searched; choose "iid"'),
+        ({"slip": "walk"}, 'slip.process = "walk": is not searched; choose "iid"'),
+        ({"plant": Heading(jnp.ones((30, 2)))}, "plant = Heading: has no has_wheels"),
+    ],
+)
+def test_what_cannot_be_searched_is_refused_in_one_line(design, choices, fragment):
+    with pytest.raises(ValueError, match=re.escape(fragment)) as refused:
+        jt.falsify(design, **choices)
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("controller", "plant", "limits"),
+    [
+        ("tube_mpc", "robot", ["error", "input", "wheels", "tube"]),
+        ("tube_mpc", "linear", ["error", "input", "tube"]),
+        ("plain_mpc", "robot", ["error", "input", "wheels"]),
+    ],
+)
+def test_limits_are_those_that_the_loop_has(design, controller, plant, limits):
+    assert make_setting(design, controller, plant).limit_names("all") == limits
+
+
+@pytest.mark.parametrize(
+    ("duration", "fragment"),
+    [
+        (0.4, "reference.duration_s = 0.4: 4 steps are fewer than controller.horizon = 5"),
+        (None, "reference.file: the 4 steps of the recording are fewer"),
+    ],
+)
+def test_a_reference_shorter_than_the_horizon_is_refused(duration, fragment):
+    reference = SimpleNamespace(steps=4)
+    scenario = SimpleNamespace(reference=SimpleNamespace(duration_s=duration))
+    problem = SimpleNamespace(reference=reference, horizon=5, scenario=scenario)
+    with pytest.raises(jt.ScenarioError, match=re.escape(fragment)) as refused:
+        find_plan_steps(SimpleNamespace(problem=problem))
+    assert "None" not in str(refused.value)
