@@ -101,8 +101,9 @@ class Comparison(NamedTuple):
             for chosen in (self.feasible, ~self.feasible)
         ]
         return (
-            f"solved, infeasible, unsolved: {counts[0]} of the feasible and {counts[1]} of the infeasible ones; "
-            f"worst error {self.errors.max(initial=0):.2g}; by active rows {np.bincount(self.active).tolist()}"
+            f"solved, infeasible, unsolved: {counts[0]} of the feasible and {counts[1]} of the "
+            f"infeasible ones; worst error {self.errors.max(initial=0):.2g}; by active rows "
+            f"{np.bincount(self.active).tolist()}"
         )
 
 
