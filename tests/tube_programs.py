@@ -6,8 +6,10 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-BATCH, FACETS = 2000, 20  # one shape for nearly all tests, so that one compilation serves them
-HORIZON, DT = 5, 0.1
+BATCH = 2000
+FACETS = 20
+HORIZON = 5
+DT = 0.1
 
 
 class Family(NamedTuple):
@@ -37,7 +39,8 @@ def family(seed: int) -> Family:
     inputs = DT * np.array([[1.0, 0], [0, 0], [0, 1]])
     weight = np.diag([1, 1, 0.01])
     terminal = 1.2 * solve_discrete_are(model, inputs, weight, np.eye(2))
-    reach, drift = [np.zeros((3, 2 * HORIZON))], [np.eye(3)]
+    reach = [np.zeros((3, 2 * HORIZON))]
+    drift = [np.eye(3)]
     for j in range(HORIZON):
         reach.append(model @ reach[-1])
         reach[-1][:, 2 * j : 2 * j + 2] += inputs
@@ -63,7 +66,10 @@ def family(seed: int) -> Family:
         (a @ reach[HORIZON], a @ drift[HORIZON], -np.inf, b)
         for a, b in zip(normals, heights, strict=True)
     ]
-    A, offset, lower, upper = (np.array(part) for part in zip(*rows, strict=True))
+    A = np.array([row[0] for row in rows])
+    offset = np.array([row[1] for row in rows])
+    lower = np.array([row[2] for row in rows])
+    upper = np.array([row[3] for row in rows])
     is_input = (np.arange(len(A)) >= len(states)) & (np.arange(len(A)) < len(states) + len(wheels))
     return Family(P, A, gradient, offset, lower, upper, is_input)
 

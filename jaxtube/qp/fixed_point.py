@@ -45,7 +45,7 @@ multipliers."""
 PASSES = 3
 DUAL_ROUNDING = 2
 """Errors of P x below this multiple of eps |P| |x| count as rounding."""
-PRIMAL_ROUNDING = 16
+PRIMAL_ROUNDING = 4
 """Errors of A x below this multiple of eps |x| count as rounding."""
 
 

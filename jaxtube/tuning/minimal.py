@@ -131,6 +131,13 @@ def minimal_reach(
 def _multipliers(
     normals: Float[Array, "k 3"], facets: Int[Array, "r 3"], rows: Float[Array, "r 3"]
 ) -> Float[Array, "r 3"]:
-    """Return the weights of three normals whose sum is the row."""
-    columns = jnp.swapaxes(normals[facets], 1, 2)
-    return jnp.linalg.solve(columns, rows[..., None])[..., 0]
+    """Return the weights of three normals whose sum is the row, by Cramer's rule.
+
+    Not by a batched LAPACK call: two of them in one program may wait for each other (`qp.factors`).
+    """
+    first, second, third = jnp.moveaxis(normals[facets], 1, 0)
+    cofactors = jnp.stack(
+        [jnp.cross(second, third), jnp.cross(third, first), jnp.cross(first, second)], axis=1
+    )
+    determinant = jnp.sum(first * cofactors[:, 0], axis=-1)
+    return jnp.einsum("rwn,rn->rw", cofactors, rows) / determinant[:, None]

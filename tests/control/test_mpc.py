@@ -41,7 +41,9 @@ def recorded(trajectory, count, seed, steps=None):
 def compare_recorded(design, trajectory, chosen, with_tube=True):
     """Return (error of each input against DAQP, number of active rows) of recorded QPs; all must
     have a plan."""
-    plain, errors, active = PlainMpc(design, with_tube), [], []
+    plain = PlainMpc(design, with_tube)
+    errors = []
+    active = []
     for step, run in zip(*chosen, strict=True):
         inputs, multipliers = plain.qp(step).solve(trajectory.measured[step, run])
         errors.append(np.abs(inputs[:2] - trajectory.inputs[step, run]).max())
@@ -99,8 +101,9 @@ class Comparison(NamedTuple):
             for chosen in (self.feasible, ~self.feasible)
         ]
         return (
-            f"solved, infeasible, unsolved: {counts[0]} of the feasible and {counts[1]} of the infeasible ones; "
-            f"worst error {self.errors.max(initial=0):.2g}; by active rows {np.bincount(self.active).tolist()}"
+            f"solved, infeasible, unsolved: {counts[0]} of the feasible and {counts[1]} of the "
+            f"infeasible ones; worst error {self.errors.max(initial=0):.2g}; by active rows "
+            f"{np.bincount(self.active).tolist()}"
         )
 
 
@@ -179,11 +182,9 @@ def test_the_guarantee_holds_with_the_terminal_gain_in_the_tube_along_the_refere
     uncertified, edge_starts
 ):
     design = uncertified("paper", *SEQUENCE)
-    loops, plant, starts = (
-        closed_loop.controllers(design),
-        closed_loop.linear_plant(design),
-        edge_starts(design, 512),
-    )
+    loops = closed_loop.controllers(design)
+    plant = closed_loop.linear_plant(design)
+    starts = edge_starts(design, 512)
     check_guarantee(
         design,
         *(
@@ -196,7 +197,8 @@ def test_the_guarantee_holds_with_the_terminal_gain_in_the_tube_along_the_refere
 @pytest.mark.slow
 def test_the_guarantee_holds_in_thousands_of_runs(robust_design, uncertified, edge_starts):
     for design in (robust_design, uncertified("paper", *SEQUENCE)):
-        loops, plant = closed_loop.controllers(design), closed_loop.linear_plant(design)
+        loops = closed_loop.controllers(design)
+        plant = closed_loop.linear_plant(design)
         starts = edge_starts(design, 2000, edge_share=0.8)
         check_guarantee(
             design,
@@ -214,7 +216,8 @@ def test_the_guarantee_holds_in_thousands_of_runs(robust_design, uncertified, ed
 def disturbed(robust_design, edge_starts):
     """The tube-MPC of `robust` under ten times W; many starts are beyond its feasible set, one is
     not a number."""
-    loops, plant = closed_loop.controllers(robust_design), closed_loop.linear_plant(robust_design)
+    loops = closed_loop.controllers(robust_design)
+    plant = closed_loop.linear_plant(robust_design)
     plant = dataclasses.replace(plant, disturbance_vertices=10 * plant.disturbance_vertices)
     starts = edge_starts(robust_design, BATCH)
     starts[: BATCH // 4] *= 1.5
@@ -223,7 +226,8 @@ def disturbed(robust_design, edge_starts):
 
 
 def test_without_a_plan_the_status_says_so_and_inputs_stay_finite(disturbed):
-    status, backup = disturbed.diagnostics.status, disturbed.diagnostics.backup
+    status = disturbed.diagnostics.status
+    backup = disturbed.diagnostics.backup
     assert np.mean(status[0, 1 : BATCH // 4] == qp.INFEASIBLE) > 0.5
     assert np.all(status[0, BATCH // 4 :] == qp.SOLVED)
     np.testing.assert_array_equal(backup, status != qp.SOLVED)
@@ -242,12 +246,17 @@ def test_a_start_that_is_not_a_number_is_never_taken_for_a_plan(disturbed):
 
 
 def test_the_backup_follows_the_last_plan_then_the_terminal_gain(robust_design, disturbed):
-    problem, plain = robust_design.problem, PlainMpc(robust_design)
-    backup, used = disturbed.diagnostics.backup, dict(plan=0, gain=0)
+    problem = robust_design.problem
+    plain = PlainMpc(robust_design)
+    backup = disturbed.diagnostics.backup
+    used = dict(plan=0, gain=0)
     for run in range(1, BATCH, 2):
-        inputs, errors, age = None, None, 0
+        inputs = None
+        errors = None
+        age = 0
         for step in range(100):
-            error, wheels = disturbed.measured[step, run], problem.schedule[step]
+            error = disturbed.measured[step, run]
+            wheels = problem.schedule[step]
             if not backup[step, run]:
                 inputs, errors = plain.qp(step).plan(error)
                 age = 0
@@ -276,7 +285,9 @@ def test_without_restart_the_nominal_trajectory_knows_nothing_of_disturbances(pa
     trajectory = closed_loop.run_realisations(
         controller, closed_loop.slipping_robot(paper_design), starts, 10
     )
-    problem, plain, nominal = paper_design.problem, PlainMpc(paper_design), starts[0]
+    problem = paper_design.problem
+    plain = PlainMpc(paper_design)
+    nominal = starts[0]
     for step, wheels in enumerate(problem.schedule[: problem.reference.steps]):
         inputs, errors = plain.qp(step).plan(nominal)
         expected = (

@@ -32,7 +32,8 @@ def test_frozen_loop_with_slip_compensation_has_the_designed_poles(reference_whe
 
 
 def test_without_compensation_the_robot_falls_behind():
-    wheels, slip = jnp.array([1.5, 1.2]), jnp.array([0.2, 0.2])
+    wheels = jnp.array([1.5, 1.2])
+    slip = jnp.array([0.2, 0.2])
     speed = robot.body_velocity(wheels, 0.0, TRACK_WIDTH)[0]
     compensated = closed_loop_rate(jnp.zeros(3), wheels, slip, slip)
     uncompensated = closed_loop_rate(jnp.zeros(3), wheels, 0.0, slip)
@@ -42,7 +43,8 @@ def test_without_compensation_the_robot_falls_behind():
 
 @pytest.mark.parametrize("speed", [0.0, -0.0, 1e-300, -1e-9, 1e-3])
 def test_a_standing_reference_gives_finite_inputs_and_gradients(speed):
-    wheels, error = jnp.array([speed + 0.1, speed - 0.1]), jnp.array([0.1, 0.2, 0.3])
+    wheels = jnp.array([speed + 0.1, speed - 0.1])
+    error = jnp.array([0.1, 0.2, 0.3])
     inputs = baselines.tracking_input(error, wheels, TRACK_WIDTH)
     slopes = jax.jacobian(baselines.tracking_input, argnums=(0, 1))(error, wheels, TRACK_WIDTH)
     # The gain is at most that at the slowest reference speed: 0.2 / 0.01 on 0.2 m, plus 1.2 on 0.3

@@ -27,10 +27,17 @@ def answer(P, A, q, l, u, dtype: type = np.float64) -> qp.Solution:
     return jax.tree.map(lambda a: np.asarray(a)[: len(q)], solution)
 
 
+def first(count, programs):
+    """The first of q, l and u."""
+    q, l, u = programs
+    return q[:count], l[:count], u[:count]
+
+
 def exact(P, A, q, l, u):
     """x and whether it exists, by a dual active-set solver."""
     sense = np.zeros(len(A), np.int32)
-    l, u = np.maximum(l, -1e30), np.minimum(u, 1e30)
+    l = np.maximum(l, -1e30)
+    u = np.minimum(u, 1e30)
     found = [
         daqp.solve(P, q[i], A, u[i], l[i], sense, primal_tol=tol.QP_ORACLE) for i in range(len(q))
     ]
@@ -52,8 +59,10 @@ def residual_by_hand(P, A, q, l, u, x, multipliers):
 def check(fam: Family, q, l, u) -> tuple[np.ndarray, np.ndarray]:
     """Check the contract of `solve`; return which instances are feasible and how many rows each has
     active."""
-    solution, (x, feasible) = answer(fam.P, fam.A, q, l, u), exact(fam.P, fam.A, q, l, u)
-    solved, infeasible = solution.status == qp.SOLVED, solution.status == qp.INFEASIBLE
+    solution = answer(fam.P, fam.A, q, l, u)
+    x, feasible = exact(fam.P, fam.A, q, l, u)
+    solved = solution.status == qp.SOLVED
+    infeasible = solution.status == qp.INFEASIBLE
     assert not (solved & ~feasible).any()
     assert not (infeasible & feasible).any()
     assert solved.sum() >= tol.QP_SHARE * feasible.sum()
@@ -80,16 +89,19 @@ def test_a_second_exact_solver_agrees():
     programs = hard(fam, 7)
     solution = answer(fam.P, fam.A, *programs)
     for i in np.flatnonzero(solution.status == qp.SOLVED)[:100]:
-        q, l, u = (part[i] for part in programs)
+        q = programs[0][i]
+        l = programs[1][i]
+        u = programs[2][i]
         bounded = np.isfinite(l)
-        C, b = np.vstack([-fam.A, fam.A[bounded]]), np.concatenate([-u, l[bounded]])
+        C = np.vstack([-fam.A, fam.A[bounded]])
+        b = np.concatenate([-u, l[bounded]])
         np.testing.assert_allclose(
             solution.x[i], quadprog.solve_qp(fam.P, -q, C.T, b)[0], atol=tol.QP_ANSWER
         )
 
 
 def edge(fam: Family, direction):
-    """The largest t for which the error t * direction is feasible, by a linear program in (x, t)."""
+    """The largest t for which the error t * direction is feasible, by a linear program in x, t."""
     finite = np.isfinite(fam.lower)
     rows = np.column_stack([fam.A, fam.offset @ direction])
     found = linprog(
@@ -115,7 +127,8 @@ def test_the_edge_of_the_feasible_set_is_where_linear_programming_puts_it():
 def test_float32_follows_float64():
     fam = family(0)
     rounded = [np.float32(part).astype(float) for part in (fam.P, fam.A, *hard(fam, 0))]
-    double, single = answer(*rounded), answer(*rounded, dtype=np.float32)
+    double = answer(*rounded)
+    single = answer(*rounded, dtype=np.float32)
     solved = (double.status == qp.SOLVED) & (single.status == qp.SOLVED)
     assert solved.sum() >= tol.QP_SHARE_FLOAT32 * (double.status == qp.SOLVED).sum()
     np.testing.assert_allclose(single.x[solved], double.x[solved], atol=tol.QP_ANSWER_FLOAT32)
@@ -153,7 +166,8 @@ def test_a_constrained_instance_leaves_the_free_ones_as_they_are():
 
 def degenerate(kind: str):
     """Twenty rows of the family, the others replaced by rows that break solvers."""
-    fam, rng = family(1), np.random.default_rng(1)
+    fam = family(1)
+    rng = np.random.default_rng(1)
     A = fam.A.copy()
     x = rng.uniform(-0.5, 0.5, (100, 10))
     q = rng.normal(size=(100, 10)) * 3
@@ -164,11 +178,13 @@ def degenerate(kind: str):
     if kind == "badly scaled":
         A *= np.geomspace(1e-4, 1e4, len(A))[:, None]
     width = rng.uniform(0, 0.1, (100, len(A))) * np.linalg.norm(A, axis=1)
-    l, u = x @ A.T - width, x @ A.T + width
+    l = x @ A.T - width
+    u = x @ A.T + width
     if kind == "equalities":
         l[:, 10:14] = u[:, 10:14] = (x @ A.T)[:, 10:14]
     if kind == "no bounds":
-        l[:, ::2], u[:, 1::3] = -np.inf, np.inf
+        l[:, ::2] = -np.inf
+        u[:, 1::3] = np.inf
     return fam.P, A, q, l, u
 
 
@@ -187,15 +203,18 @@ def test_degenerate_rows_are_solved(kind):
 
 def test_a_row_of_zeros_asks_whether_zero_is_allowed():
     P, A, q, l, u = degenerate("zero rows")
-    l[:, -1], u[:, -1] = np.where(np.arange(100) % 2, 0.01, -0.01), 0.02
+    l[:, -1] = np.where(np.arange(100) % 2, 0.01, -0.01)
+    u[:, -1] = 0.02
     status = answer(P, A, q, l, u).status
     assert (status == np.where(np.arange(100) % 2, qp.INFEASIBLE, qp.SOLVED)).all()
 
 
 def test_crossing_bounds_are_infeasible():
     fam = family(0)
-    q, l, u = (part[:3] for part in easy(fam, 0))
-    l[0, 4], u[1, -1], l[2, 2] = u[0, 4] + 1e-12, -np.inf, np.inf
+    q, l, u = first(3, easy(fam, 0))
+    l[0, 4] = u[0, 4] + 1e-12
+    u[1, -1] = -np.inf
+    l[2, 2] = np.inf
     solution = answer(fam.P, fam.A, q, l, u)
     assert (solution.status == qp.INFEASIBLE).all() and np.isposinf(solution.residual).all()
     assert not solution.x.any() and not solution.multipliers.any()
@@ -204,10 +223,11 @@ def test_crossing_bounds_are_infeasible():
 @pytest.mark.parametrize("poison", [np.nan, np.inf])
 def test_what_is_not_a_number_is_unsolved_and_spoils_nothing_else(poison):
     fam = family(0)
-    q, l, u = (part[:200] for part in hard(fam, 0))
+    q, l, u = first(200, hard(fam, 0))
     clean = answer(fam.P, fam.A, q, l, u)
     q[3, 2] = poison
-    l[4, 1], u[5, 0] = np.nan, np.nan
+    l[4, 1] = np.nan
+    u[5, 0] = np.nan
     solution = answer(fam.P, fam.A, q, l, u)
     assert (solution.status[3:6] == qp.UNSOLVED).all() and np.isposinf(solution.residual[3:6]).all()
     assert not solution.x[3:6].any() and np.isfinite(solution.multipliers).all()
@@ -226,12 +246,11 @@ def test_a_hessian_that_is_not_positive_definite_is_unsolved():
 @pytest.mark.slow
 def test_a_scan_over_programs_with_fewer_rows_than_unknowns_is_exact():
     rng = np.random.default_rng(2)
-    root, A = rng.normal(size=(3, 10, 10)), rng.normal(size=(3, 6, 10))
-    P, q, bound = (
-        root @ root.transpose(0, 2, 1) + np.eye(10),
-        3 * rng.normal(size=(3, 50, 10)),
-        np.full(6, 0.2),
-    )
+    root = rng.normal(size=(3, 10, 10))
+    A = rng.normal(size=(3, 6, 10))
+    P = root @ root.transpose(0, 2, 1) + np.eye(10)
+    q = 3 * rng.normal(size=(3, 50, 10))
+    bound = np.full(6, 0.2)
     stack = jax.vmap(qp.factorise)(jnp.asarray(P), jnp.asarray(A))
 
     def step(_, given):
@@ -269,15 +288,14 @@ def test_polish_makes_most_iterates_exact_and_loses_none():
 
 
 def test_no_multipliers_exclude_a_set_that_holds_a_point():
-    fam, rng = family(0), np.random.default_rng(4)
+    fam = family(0)
+    rng = np.random.default_rng(4)
     unit = fam.A / np.linalg.norm(fam.A, axis=1)[:, None]
     excludes = jax.jit(farkas.excludes)
     for reach in (1e-3, 1.0, 1e2):
         values = unit @ rng.uniform(-reach, reach, (10, BATCH))
-        l, u = (
-            values - rng.exponential(0.01, values.shape),
-            values + rng.exponential(0.01, values.shape),
-        )
+        l = values - rng.exponential(0.01, values.shape)
+        u = values + rng.exponential(0.01, values.shape)
         upper, lower = rng.exponential(1, (2, *values.shape)) * (
             rng.random((2, *values.shape)) < 0.05
         )
@@ -287,7 +305,9 @@ def test_no_multipliers_exclude_a_set_that_holds_a_point():
 
 def test_ldl_solves_what_numpy_solves():
     rng = np.random.default_rng(5)
-    A, d, r = rng.normal(size=(12, 7)), rng.exponential(1, (12, 9)), rng.normal(size=(7, 9))
+    A = rng.normal(size=(12, 7))
+    d = rng.exponential(1, (12, 9))
+    r = rng.normal(size=(7, 9))
 
     @jax.jit
     def solved(A, d, r):
@@ -309,7 +329,7 @@ def test_shapes_that_do_not_fit_are_refused():
 @pytest.mark.parametrize("factor", [1e8, 1e12])
 def test_the_size_of_the_cost_neither_moves_the_answer_nor_widens_the_bounds(factor):
     fam = family(0)
-    q, l, u = (part[:200] for part in hard(fam, 0))
+    q, l, u = first(200, hard(fam, 0))
     solution = answer(factor * fam.P, fam.A, factor * q, l, u)
     x, feasible = exact(fam.P, fam.A, q, l, u)
     solved = solution.status == qp.SOLVED

@@ -53,9 +53,11 @@ def free_programs(fam: Family) -> list[np.ndarray]:
 
 def exact(P, A, q, l, u):
     """x and multipliers by a dual active-set solver; NaN where there is no answer."""
-    sense, found = np.zeros(len(A), np.int32), []
+    sense = np.zeros(len(A), np.int32)
+    found = []
     for i in range(len(q)):
-        low, high = np.maximum(l[i], -1e30), np.minimum(u[i], 1e30)
+        low = np.maximum(l[i], -1e30)
+        high = np.minimum(u[i], 1e30)
         x, _, flag, info = daqp.solve(P, q[i], A, high, low, sense, primal_tol=tol.QP_ORACLE)
         found.append((x, info["lam"]) if flag == 1 else (x * np.nan, info["lam"] * np.nan))
     return [np.array(part) for part in zip(*found, strict=True)]
@@ -72,7 +74,8 @@ def difference(data, part: int, direction):
 
     The rows that are active must be the same at all points, and their multipliers unique.
     """
-    base, derivative = exact(*data), [0.0, 0.0]
+    base = exact(*data)
+    derivative = [0.0, 0.0]
     same = np.isfinite(base[0]).all(axis=1)
     for steps, weight in DIFFERENCE.items():
         end = exact(*moved(data, part, steps * STEP * direction))
@@ -95,7 +98,8 @@ def direction_of(part: int, data, rng):
     "seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
 )
 def test_agrees_with_differences_of_an_exact_solver(seed, part):
-    data, rng = programs(seed), np.random.default_rng(seed)
+    data = programs(seed)
+    rng = np.random.default_rng(seed)
     bars = rng.normal(size=data[2].shape), rng.normal(size=data[3].shape)
     direction = direction_of(part, data, rng)
     derivative, same, (_, multipliers) = difference(data, part, direction)
@@ -111,7 +115,8 @@ def test_agrees_with_differences_of_an_exact_solver(seed, part):
         products = gradient(data, *kept_bars)[0][part] * direction
         by_difference = np.where(kept[:, None], derivative[which] * bars[which], 0.0).sum(axis=1)
         if part < 2:  # common to the batch, whose derivatives are summed
-            products, by_difference = products.reshape(1, -1), by_difference.sum(keepdims=True)
+            products = products.reshape(1, -1)
+            by_difference = by_difference.sum(keepdims=True)
         scale = np.maximum(np.abs(products).sum(axis=1), 1e-2)
         assert (np.abs(products.sum(axis=1) - by_difference) <= tol.SENSITIVITY * scale).all()
 
@@ -141,10 +146,8 @@ def test_agrees_with_unrolled_iterations():
     arrays = [jnp.asarray(np.maximum(part, -1e6)) for part in data]
     kept = (solution.status == qp.SOLVED) & (np.asarray(iterate(arrays, x_bar)[1]) < tol.QP_ORACLE)
     assert (kept & solution.multipliers.any(axis=1)).sum() > 50
-    found, (expected, _) = (
-        gradient(data, x_bar * kept[:, None])[0],
-        iterate(arrays, x_bar * kept[:, None]),
-    )
+    found = gradient(data, x_bar * kept[:, None])[0]
+    expected, _ = iterate(arrays, x_bar * kept[:, None])
     expected[0] = (expected[0] + expected[0].T) / 2
     for mine, other in zip(found, expected, strict=True):
         np.testing.assert_allclose(
@@ -153,7 +156,8 @@ def test_agrees_with_unrolled_iterations():
 
 
 def test_what_has_no_answer_has_no_derivative_and_leaves_the_others_as_they_are():
-    data, rng = programs(0), np.random.default_rng(2)
+    data = programs(0)
+    rng = np.random.default_rng(2)
     bars = rng.normal(size=data[2].shape), rng.normal(size=data[3].shape)
     solved = gradient(data, *bars)[1].status == qp.SOLVED
     spoilt = np.flatnonzero(solved)[[0, 7, 20, 30]]
@@ -183,9 +187,11 @@ def test_a_hessian_that_is_not_positive_definite_has_no_derivative():
 
 
 def test_without_active_rows_the_derivative_is_that_of_the_unconstrained_optimum():
-    fam, rng = family(0), np.random.default_rng(3)
+    fam = family(0)
+    rng = np.random.default_rng(3)
     data = free_programs(fam)
-    x_bar, y_bar = rng.normal(size=data[2].shape), rng.normal(size=data[3].shape)
+    x_bar = rng.normal(size=data[2].shape)
+    y_bar = rng.normal(size=data[3].shape)
     (P_bar, A_bar, *found), solution = gradient(data, x_bar, y_bar)
     assert not solution.multipliers.any()
     d = np.linalg.solve(fam.P, x_bar.T).T
@@ -208,13 +214,19 @@ def test_a_constrained_instance_leaves_the_derivatives_of_the_free_ones_as_they_
 
 
 def test_rows_that_depend_on_each_other_share_the_derivative_of_one():
-    (P, A, *_), rng = programs(1), np.random.default_rng(5)
-    rows, copies, others = slice(0, 20), slice(20, 40), slice(20, None)
+    P, A, *_ = programs(1)
+    rng = np.random.default_rng(5)
+    rows = slice(0, 20)
+    copies = slice(20, 40)
+    others = slice(20, None)
     scale = rng.uniform(0.1, 10, 20)
-    twice, once = A.copy(), A.copy()
-    twice[others], once[others] = 0.0, 0.0
+    twice = A.copy()
+    once = A.copy()
+    twice[others] = 0.0
+    once[others] = 0.0
     twice[copies] = A[rows] * scale[:, None]
-    q, bound = 3 * rng.normal(size=(COUNT, 10)), np.ones((COUNT, len(A)))
+    q = 3 * rng.normal(size=(COUNT, 10))
+    bound = np.ones((COUNT, len(A)))
     bound[:, rows] = rng.uniform(0.1, 0.3, (COUNT, 20))
     wider = bound.copy()
     wider[:, copies] = bound[:, rows] * scale
@@ -232,7 +244,8 @@ def test_rows_that_depend_on_each_other_share_the_derivative_of_one():
 
 @pytest.mark.slow
 def test_float32_follows_float64():
-    data, rng = programs(2), np.random.default_rng(6)
+    data = programs(2)
+    rng = np.random.default_rng(6)
     data = [np.float32(part).astype(float) for part in data]
     x_bar = rng.normal(size=data[2].shape)
     (_, _, *double), exact = gradient(data, x_bar)
@@ -250,12 +263,11 @@ def test_float32_follows_float64():
 
 @pytest.mark.slow
 def test_a_scan_of_checkpoints_differentiates_a_closed_loop():
-    fam, rng = family(0), np.random.default_rng(7)
+    fam = family(0)
+    rng = np.random.default_rng(7)
     feedback = jnp.asarray(np.eye(3) + 0.1 * rng.normal(size=(3, 3)))
-    effect, start = (
-        jnp.asarray(0.1 * rng.normal(size=(10, 3))),
-        jnp.asarray(0.3 * rng.normal(size=(40, 3))),
-    )
+    effect = jnp.asarray(0.1 * rng.normal(size=(10, 3)))
+    start = jnp.asarray(0.3 * rng.normal(size=(40, 3)))
     stack = np.stack([fam.P, 1.5 * fam.P, 2 * fam.P]), np.stack([fam.A, fam.A, fam.A[::-1]])
 
     def cost(data):
@@ -274,7 +286,8 @@ def test_a_scan_of_checkpoints_differentiates_a_closed_loop():
     (_, trace), found = run(data)
     assert (trace[1] == qp.SOLVED).all() and (trace[0] != 0).any(axis=2).mean() > 0.3
     for part in range(5):
-        direction, total = rng.normal(size=data[part].shape), 0.0
+        direction = rng.normal(size=data[part].shape)
+        total = 0.0
         direction = direction + direction.swapaxes(1, 2) if part == 0 else direction
         for steps, weight in DIFFERENCE.items():
             (value, ends), _ = run(moved(data, part, steps * STEP * direction))

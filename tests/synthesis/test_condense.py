@@ -1,13 +1,21 @@
 """Laws of the condensed QP: predictions, cost, rows and bounds are those of plain loops over the
-stages."""
+stages; many windows and long horizons are condensed in no time."""
+
+import dataclasses
+import re
+import subprocess
+import sys
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import SEQUENCE, TIGHT, PlainMpc, model, simulate_model, terminal_gain, tube_gain
 from tolerances import CLOSED_LOOP, ROUNDING, WORLD_FRAME
 
 from jaxtube.simulation import closed_loop
+from jaxtube.synthesis import condense
+from jaxtube.synthesis.prediction import predict
 from jaxtube.synthesis.tightening import BACK_OFF
 from sets.tubes import sequence_tube
 
@@ -73,9 +81,9 @@ def test_the_quadratic_program_has_the_cost_of_the_plan_up_to_one_factor(condens
     for window, schedules, error, inputs in samples(condensed, 2):
         w = take(condensed, window)
         g = inputs.ravel()
-        expected = plain_cost(condensed, schedules, error, inputs) - plain_cost(
-            condensed, schedules, error, 0 * inputs
-        )
+        moving = plain_cost(condensed, schedules, error, inputs)
+        standing = plain_cost(condensed, schedules, error, 0 * inputs)
+        expected = moving - standing
         ratios.append(expected / (g @ w.factors.hessian @ g / 2 + w.linear @ error @ g))
     np.testing.assert_allclose(ratios, ratios[0], rtol=1e3 * CLOSED_LOOP)
     largest = np.max(
@@ -100,9 +108,9 @@ def input_reach(found, window, schedules, j, row):
 
 
 def plain_rows(found, window, schedules, error, inputs):
-    """Return (values, lower, upper) of every constraint on a plan, one after the other."""
+    """Return the arrays (values, lower, upper) of every constraint on a plan in turn."""
     problem = found.problem
-    errors = simulate_model(found.problem, schedules, error, inputs)
+    errors = simulate_model(problem, schedules, error, inputs)
     limits = problem.error_set.offsets[:3]
     rows = []
     for j in range(1, problem.horizon):
@@ -230,3 +238,65 @@ def test_the_free_plan_is_the_optimum_without_constraints(condensed):
         )
         rows = w.row_errors @ error + w.factors.rows * w.factors.row_norms[:, None] @ inputs
         np.testing.assert_allclose(w.free_rows @ error, rows, atol=CLOSED_LOOP)
+
+
+# ---------------------------------------------------------------------------- many windows, in jax
+
+
+def condense_in_jax(found, bounds):
+    """The condensed QPs of a design as tuning computes them."""
+    problem = found.problem
+    ahead = predict(problem, found.windows, found.bounds.terminal_normals)
+    schedules = found.windows.schedules[:, 0]
+    gains = condense.Gains(found.windows.gains[:, 0], found.terminal.gains.along(schedules))
+    cost = condense.Cost(problem.error_weight, problem.input_weight, found.cost.cost)
+    ahead, gains, cost = jax.tree.map(jnp.asarray, (ahead, gains, cost))
+    return condense.weigh(
+        ahead, condense.row_bounds(bounds, ahead), gains, cost, condense.widths(problem)
+    )
+
+
+def test_jax_condenses_as_numpy_does(uncertified):
+    found = uncertified(*CASES["sequence, T-A"])
+    windows = jax.jit(lambda: condense_in_jax(found, found.bounds))()
+    arrays = jax.tree.leaves(windows)
+    for mine, expected in zip(arrays, jax.tree.leaves(found.tube_window), strict=True):
+        np.testing.assert_allclose(mine, expected, rtol=CLOSED_LOOP, atol=CLOSED_LOOP)
+
+
+def test_no_lapack_call_of_the_differentiated_program_has_a_batch(uncertified):
+    """Two such calls of one program may wait for each other for ever (see `qp.factors`)."""
+    found = uncertified(*CASES["sequence, T-A"])
+
+    def total(errors):
+        bounds = dataclasses.replace(found.bounds, errors=errors)
+        windows = condense_in_jax(found, bounds)
+        return jnp.sum(windows.free_rows) + jnp.sum(windows.factors.rho), windows
+
+    program = jax.jit(jax.grad(total, has_aux=True)).lower(jnp.asarray(found.bounds.errors))
+    calls = [line for line in program.as_text().splitlines() if "custom_call @lapack" in line]
+    assert len(found.windows.schedules) > 1 and calls
+    for call in calls:
+        assert not re.search(r"tensor<\d+x\d+x\d+x", call), call
+
+
+LONG = """
+from jaxtube.scenario import load
+from jaxtube.synthesis.design import prepare
+from jaxtube.synthesis.disturbance import complete_problem
+
+found = prepare(complete_problem(load({name!r}, {overrides!r})))
+print(len(found.tube_window.linear))
+"""
+LONG_PATH = ("reference.shape=lemniscate", "reference.duration_s=60")
+
+
+@pytest.mark.parametrize(
+    ("name", "overrides", "windows"),
+    [("paper", LONG_PATH, 600), ("certified", ("controller.horizon=25",), 50)],
+)
+def test_many_windows_and_long_horizons_do_not_stand_still(name, overrides, windows):
+    program = LONG.format(name=name, overrides=overrides)
+    command = [sys.executable, "-c", program]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    assert int(answer.stdout) == windows
