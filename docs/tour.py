@@ -5,8 +5,6 @@
 # worst case, and gains tuned by gradient. Run it as a script, or cell by cell.
 
 # %%
-import tempfile
-
 import jaxtube as jt
 import sets
 
@@ -82,7 +80,6 @@ print(tuned)
 # ## Save, and read back
 
 # %%
-with tempfile.TemporaryDirectory() as folder:
-    design.save(folder)
-    same = jt.read(folder)
+folder = design.save("runs/tour")
+same = jt.read(folder)
 print(same.certificate.verdict)
