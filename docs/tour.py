@@ -39,8 +39,8 @@ print(f"largest invariant set: {len(again.polytope.offsets)} facets")
 # %% [markdown]
 # ## Simulate
 #
-# An own controller is a function u = f(errors, reference wheels) on a batch of measured errors. This
-# one is the tube's gain at the centre of the speed range, without prediction.
+# An own controller is a function u = f(errors, reference wheels) on a batch of measured errors.
+# This one is the tube's gain at the centre of the speed range, without prediction.
 
 # %%
 K = design.tube_gain.nominal
