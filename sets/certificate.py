@@ -247,9 +247,9 @@ def escape_excess(
     rows = [normal]
     for index in reversed(path):
         rows.append(rows[-1] @ loops[index])
-    first, *others = [_find_worst(disturbance, row) for row in reversed(rows)]
-    state = first
-    for index, worst in zip(path, others, strict=True):
+    disturbances = [_find_worst(disturbance, row) for row in reversed(rows)]
+    state = disturbances[0]
+    for index, worst in zip(path, disturbances[1:], strict=True):
         state = loops[index] @ state + worst
     return float(normal @ state - offset), state
 
