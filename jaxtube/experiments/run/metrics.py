@@ -15,8 +15,6 @@ from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.limits import InputRows, wheel_rows
 from sets.polytope import Polytope
 
-COORDINATES = KEYS
-
 
 def design_metrics(design: Design) -> dict:
     """Return the numbers of the sets, gains and certificate."""
@@ -97,7 +95,7 @@ def _ultimate(design: Design) -> dict | None:
 
 def by_coordinate(values: Float[np.ndarray, "3"]) -> dict[str, float]:
     """Return one number of each coordinate by its key."""
-    return dict(zip(COORDINATES, values, strict=True))
+    return dict(zip(KEYS, values, strict=True))
 
 
 def _half_widths(polytope: Polytope) -> Float[np.ndarray, "3"]:
