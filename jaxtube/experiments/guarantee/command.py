@@ -37,6 +37,7 @@ from jaxtube.experiments.montecarlo import command as blocks
 from jaxtube.experiments.options import GuaranteeOptions, MontecarloOptions, title
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.metrics import by_coordinate
 from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.records import Records
@@ -226,7 +227,8 @@ def summarise_attacks(
         sampling = name_law(limited, "tube_mpc", "robot", "scenario" if reason else law.starts)
         summaries[law.name] = summarise(limited, sampling, counts)
     disturbance = sum_up_disturbances(design, statistics.values())
-    notes = [f"{name}, {disturbance_line(design, disturbance, 'the tube-MPC under all laws')}"]
+    seen = disturbance_line(design, disturbance, "the tube-MPC under all laws")
+    notes = [f"{name}, {describe_error_set(design.problem)}", f"{name}, {seen}"]
     if reason:
         because = reason.removeprefix("scenario: ")
         notes.append(f"starts of {name}: the scenario's, since {because}")

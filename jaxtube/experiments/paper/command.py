@@ -26,6 +26,7 @@ from jaxtube.experiments.paper.report import comparison, restart_note, stress_ta
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.progress import progress
 from jaxtube.scenario import Scenario, load
 from jaxtube.simulation import closed_loop
@@ -94,6 +95,7 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
         report(design),
         disturbance_line(design, measured["disturbance"], "the tube MPC"),
         comparison(measured),
+        describe_error_set(design.problem),
         restart_note(measured),
         stress_table(measured),
         table(rows),

@@ -3,10 +3,10 @@ stress."""
 
 from __future__ import annotations
 
+from jaxtube.coordinates import COORDINATES
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.run.table import Column, format_table, left
 
-ERRORS = (("e_x", "m"), ("e_y", "m"), ("e_th", "deg"))
 WIDTH = 100
 """Columns of a table."""
 
@@ -16,8 +16,8 @@ def comparison(measured: dict) -> str:
     columns = [
         left("controller"),
         Column("outside E"),
-        *(Column(f"largest\n(median)\n{name}", unit) for name, unit in ERRORS),
-        *(Column(f"RMS\n(median)\n{name}", unit) for name, unit in ERRORS),
+        *_error_columns("largest"),
+        *_error_columns("RMS"),
         Column("active"),
         Column("wheel", "m/s"),
     ]
@@ -31,6 +31,13 @@ def comparison(measured: dict) -> str:
         f"of {inside['plans']} plans followed to their end these shares leave R_1, R_2, ..: "
         f"{shares}"
     )
+
+
+def _error_columns(kind: str) -> list[Column]:
+    return [
+        Column(f"{kind}\n(median)\n{coordinate.symbol}", coordinate.unit)
+        for coordinate in COORDINATES
+    ]
 
 
 def _compare(name: str, numbers: dict) -> list[str]:

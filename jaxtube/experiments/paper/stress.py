@@ -96,7 +96,7 @@ def _metrics(design: Design, trajectory: Trajectory) -> dict:
     outside = ~np.all(np.abs(trajectory.errors) <= limits, axis=(0, 2))
     # On the linear plant w is drawn in W; rounding of the reconstruction must not count.
     in_w = np.all(np.abs(residuals) <= widths * (1 + 1e-9), axis=(0, 2))
-    no_plan = diagnostics.status != qp.SOLVED
+    no_plan = np.asarray(diagnostics.status) != qp.SOLVED
     stopped = no_plan.any(axis=0)
     return {
         "runs": outside.size,

@@ -93,7 +93,7 @@ def _ultimate(design: Design) -> dict | None:
     return by_coordinate(widths * TO_DISPLAY)
 
 
-def by_coordinate(values: Float[np.ndarray, "3"]) -> dict[str, float]:
+def by_coordinate(values: Float[np.ndarray, "3"] | list[float]) -> dict[str, float]:
     """Return one number of each coordinate by its key."""
     return dict(zip(KEYS, values, strict=True))
 
