@@ -156,7 +156,7 @@ def count_laps_outside(statistics: Statistics) -> int:
 
 
 ENOUGH = 20
-"""Dispatches of a run that is long enough to measure the share of the checks: it takes four more."""
+"""Dispatches of a run that is long enough for the share of the checks, which takes four more."""
 
 
 def measure_validation_share(local: Run) -> float:

@@ -3,7 +3,7 @@ stress."""
 
 from __future__ import annotations
 
-from jaxtube.coordinates import COORDINATES
+from jaxtube.coordinates import COORDINATES, KEYS
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.run.table import Column, format_table, left
 
@@ -15,40 +15,38 @@ def comparison(measured: dict) -> str:
     """Return the controllers side by side: medians over realisations."""
     columns = [
         left("controller"),
-        Column("outside E"),
+        Column("outside\nE"),
         *_error_columns("largest"),
         *_error_columns("RMS"),
         Column("active"),
-        Column("wheel", "m/s"),
+        Column("wheel\n[m/s]"),
     ]
     rows = [_compare(name, numbers) for name, numbers in measured["controllers"].items()]
     inside = measured["plan_deviations"]
     shares = ", ".join(f"{share:.1%}" for share in inside["share_outside_by_stage"])
     return (
         f"{format_table(columns, rows, WIDTH)}\n"
-        "outside E: share of the runs that leave the error constraints; active: share of the steps "
-        "in which\na constraint of the plan is active; wheel: largest speed of a wheel\n"
+        "outside E: share of the runs that leave the error constraints; largest, RMS: medians over "
+        "the runs;\nactive: share of the steps in which a constraint of the plan is active; "
+        "wheel: largest wheel speed\n"
         f"of {inside['plans']} plans followed to their end these shares leave R_1, R_2, ..: "
         f"{shares}"
     )
 
 
 def _error_columns(kind: str) -> list[Column]:
-    return [
-        Column(f"{kind}\n(median)\n{coordinate.symbol}", coordinate.unit)
-        for coordinate in COORDINATES
-    ]
+    return [Column(f"{kind}\n{coordinate.symbol}", coordinate.unit) for coordinate in COORDINATES]
 
 
 def _compare(name: str, numbers: dict) -> list[str]:
     """Return the row of one controller."""
-    largest = numbers["max_error"]["whole_run"]["median"].values()
-    rms = numbers["rms_error"]["whole_run"]["median"].values()
+    largest = numbers["max_error"]["whole_run"]["median"]
+    rms = numbers["rms_error"]["whole_run"]["median"]
     return [
         name,
         f"{numbers['violation_share']:.1%}",
-        *(f"{value:.5f}" for value in largest),
-        *(f"{value:.5f}" for value in rms),
+        *(f"{largest[key]:.5f}" for key in KEYS),
+        *(f"{rms[key]:.5f}" for key in KEYS),
         f"{numbers['active_share']:.2%}",
         f"{numbers['wheel_speed_max_mps']:.3f}",
     ]
@@ -61,10 +59,10 @@ def stress_table(measured: dict) -> str:
         left("controller"),
         Column("runs"),
         Column("outside E"),
-        Column("infeasible QPs"),
+        Column("infeasible\nQPs"),
         Column("recovered"),
-        Column("every w in W"),
-        Column("of these outside E"),
+        Column("every w\nin W"),
+        Column("of these\noutside E"),
     ]
     rows = []
     for case, by_controller in measured["stress"].items():
