@@ -3,6 +3,8 @@ bounds, quantiles, extremes."""
 
 from __future__ import annotations
 
+import textwrap
+
 import numpy as np
 
 from jaxtube.coordinates import COORDINATES, KEYS, NAMES
@@ -60,7 +62,7 @@ def findings(summary: dict) -> str:
         shares = [stage["outside"]["share"] for stage in summary["tube"]["stages"]]
         worst = int(np.argmax(shares)) + 1
         lines.append(
-            f"share of the plans that leave the tube: at most {max(shares):.2%}, R_{worst}"
+            f"largest share of the plans outside the tube: {max(shares):.2%}, at R_{worst}"
         )
     return "\n  ".join(lines)
 
@@ -80,8 +82,9 @@ def _describe_disturbance(summary: dict) -> list[str]:
 
 
 def _describe_law(seed: int, summary: dict) -> str:
+    law = textwrap.fill(summary["law"], WIDTH, initial_indent="  ", subsequent_indent="  ")
     return (
-        f"law, what laps are drawn from; all bounds hold for it alone:\n  {summary['law']}\n"
+        f"law, what laps are drawn from; all bounds hold for it alone:\n{law}\n"
         f"  {summary['laps']:,} laps, seed {seed}"
     )
 
@@ -123,8 +126,7 @@ def _describe_ultimate_bound(summary: dict) -> str:
     units = ", ".join(coordinate.unit for coordinate in COORDINATES)
     return (
         f"  ultimate bound ({bound}; {units}): holds the measured error from "
-        f"{summary['settled_s']:.3g} s on while w is in W\n"
-        "  and no constraint of the plan is active"
+        f"{summary['settled_s']:.3g} s on\n  while w is in W and no constraint of the plan is active"
     )
 
 
