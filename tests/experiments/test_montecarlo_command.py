@@ -114,8 +114,8 @@ def test_the_metrics_are_those_of_the_statistics(undisturbed):
     assert found["plans"] == 0
     assert "reach" not in found
     assert found["law"] == (
-        "equal_gain on the slipping robot, true slip (iid) uniform within +-0.2 of its nominal value, "
-        "pose noise uniform within 0 m, 0.002 m, 0 deg, the scenario's start"
+        "equal_gain on the slipping robot, true slip (iid) uniform within +-0.2 of its nominal "
+        "value, pose noise uniform within 0 m, 0.002 m, 0 deg, the scenario's start"
     )
 
 
@@ -164,7 +164,7 @@ def test_the_report_explains_every_event_and_says_which_limits_it_means(
     for event in EVENTS:
         is_explained = f"{event.words}: {event.meaning}" in report
         assert is_explained == (event.name in found["events"] and not event.part)
-    assert "E, limits of the true error: |e_x| 0.3 m, |e_y| 0.3 m, |e_th| 20 deg " in report
+    assert "E, limits of the true error: |e_x| 0.3 m, |e_y| 0.3 m, |e_th| 20 deg\n" in report
 
 
 # ------------------------------------------------------------------------ interrupted and continued

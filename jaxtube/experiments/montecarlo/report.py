@@ -126,7 +126,8 @@ def _describe_ultimate_bound(summary: dict) -> str:
     units = ", ".join(coordinate.unit for coordinate in COORDINATES)
     return (
         f"  ultimate bound ({bound}; {units}): holds the measured error from "
-        f"{summary['settled_s']:.3g} s on\n  while w is in W and no constraint of the plan is active"
+        f"{summary['settled_s']:.3g} s on\n"
+        "  while w is in W and no constraint of the plan is active"
     )
 
 
