@@ -7,12 +7,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxtube.experiments.figures.style import OUTSIDE
 from tolerances import CLOSED_LOOP, REPLAYED
 
 from jaxtube import qp
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.montecarlo import lap_figure, replay
+from jaxtube.figures.style import OUTSIDE
 from jaxtube.simulation import closed_loop
 from jaxtube.statistics import lap as laps
 from jaxtube.statistics.montecarlo import make_closed_loop_task

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.atomic import write_atomically
 from jaxtube.coordinates import NAMES, PLANES, SI_UNITS
-from jaxtube.experiments.run.atomic import write_atomically
 from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics import histogram
 from jaxtube.statistics.checks import Checks

@@ -59,11 +59,7 @@ def findings(summary: dict) -> str:
         f"share of the laps that leave E: {interval}",
     ]
     if summary["plans"]:
-        shares = [stage["outside"]["share"] for stage in summary["tube"]["stages"]]
-        worst = int(np.argmax(shares)) + 1
-        lines.append(
-            f"largest share of the plans outside the tube: {max(shares):.2%}, at R_{worst}"
-        )
+        lines.append(_describe_plans(summary["tube"]["stages"]))
     return "\n  ".join(lines)
 
 
@@ -79,6 +75,15 @@ def _describe_disturbance(summary: dict) -> list[str]:
         f"w outside W in {outside['share_of_steps']:.2%} of the steps ({low:.2%} to {high:.2%})",
         f"  by coordinate: {', '.join(f'{name} {share:.2%}' for name, share in shares.items())}",
     ]
+
+
+def _describe_plans(stages: list[dict]) -> str:
+    shares = [stage["outside"]["share"] for stage in stages]
+    largest = max(shares)
+    if not largest:
+        return "no plan that was followed left the tube"
+    stage = 1 + shares.index(largest)
+    return f"largest share of the plans outside the tube: {largest:.2%}, at R_{stage}"
 
 
 def _describe_law(seed: int, summary: dict) -> str:

@@ -193,11 +193,11 @@ def _save_laps(laps: dict[str, Trajectory], folder: RunFolder) -> None:
 
 def _make_drawings(design: Design, name: str, simulated: Simulated) -> Drawings:
     """Return what draws each figure of a design and its laps, by name."""
-    from jaxtube.experiments.figures import laps as lap_figures
-    from jaxtube.experiments.figures.paths import trajectories
-    from jaxtube.experiments.figures.realisations import realisations_in_tube
-    from jaxtube.experiments.figures.sets import tube_sections
-    from jaxtube.experiments.figures.tightened import tightened_sets
+    from jaxtube.figures import laps as lap_figures
+    from jaxtube.figures.paths import trajectories
+    from jaxtube.figures.realisations import realisations_in_tube
+    from jaxtube.figures.sets import tube_sections
+    from jaxtube.figures.tightened import tightened_sets
 
     problem = design.problem
     laps = simulated.laps
@@ -215,7 +215,7 @@ def _make_drawings(design: Design, name: str, simulated: Simulated) -> Drawings:
 
 def _make_stress_drawings(stressed: Design, runs: stress.Stress) -> Drawings:
     """Return what draws the runs under stress."""
-    from jaxtube.experiments.figures.stress import stress as draw_stress
+    from jaxtube.figures.stress import stress as draw_stress
 
     cases = [
         {
@@ -229,7 +229,7 @@ def _make_stress_drawings(stressed: Design, runs: stress.Stress) -> Drawings:
 
 
 def _draw_terminal_set(design: Design, name: str) -> Figure:
-    from jaxtube.experiments.figures.sets import terminal_set
+    from jaxtube.figures.sets import terminal_set
 
     return terminal_set(design, name)
 

@@ -196,7 +196,7 @@ def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs
 def deviation_metrics(design: Design, deviations: Float[np.ndarray, "horizon samples 3"]) -> dict:
     """Return how many deviations from plans left the tube in use, and the smallest facet margin,
     stage by stage."""
-    margins = tube_margins(design, deviations)
+    margins = design.tube.margins(deviations)
     outside = ~(margins >= 0)
     return {
         "plans": margins.shape[1],
@@ -205,16 +205,3 @@ def deviation_metrics(design: Design, deviations: Float[np.ndarray, "horizon sam
         "share_outside_by_stage": np.mean(outside, axis=1),
         "margin_by_stage": margins.min(axis=1),
     }
-
-
-def tube_margins(
-    design: Design, deviations: Float[np.ndarray, "horizon samples 3"]
-) -> Float[np.ndarray, "horizon samples"]:
-    """Return the facet margin of every deviation in its section R_j, j = 1..N (`sequence`: the
-    widest one's)."""
-    sections = design.tube[1:]
-    margins = [
-        section.polytope().margin(points)
-        for section, points in zip(sections, deviations, strict=True)
-    ]
-    return np.stack(margins)
