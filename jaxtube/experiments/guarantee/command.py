@@ -19,6 +19,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from jaxtube.atomic import write_atomically
 from jaxtube.coordinates import NAMES, TO_DISPLAY
 from jaxtube.experiments.design.command import exit_code
 from jaxtube.experiments.design.seen import disturbance_line
