@@ -17,6 +17,7 @@ class Coordinate(NamedTuple):
 
     name: str
     letter: str  # index of its symbol, LaTeX
+    plain: str  # index of its symbol, plain text
     unit: str  # of display
     to_display: float  # from SI units with rad
 
@@ -24,6 +25,11 @@ class Coordinate(NamedTuple):
     def key(self) -> str:
         """Name with unit, as in metrics.json."""
         return f"{self.name}_{self.unit}"
+
+    @property
+    def symbol(self) -> str:
+        """Symbol of the tracking error, plain text."""
+        return f"e_{self.plain}"
 
     @property
     def error(self) -> str:
@@ -37,14 +43,15 @@ class Coordinate(NamedTuple):
 
 
 COORDINATES = (
-    Coordinate("longitudinal", "x", "m", 1.0),
-    Coordinate("lateral", "y", "m", 1.0),
-    Coordinate("heading", "\\theta", "deg", float(np.rad2deg(1.0))),
+    Coordinate("longitudinal", "x", "x", "m", 1.0),
+    Coordinate("lateral", "y", "y", "m", 1.0),
+    Coordinate("heading", "\\theta", "th", "deg", float(np.rad2deg(1.0))),
 )
 NAMES = tuple(coordinate.name for coordinate in COORDINATES)
 KEYS = tuple(coordinate.key for coordinate in COORDINATES)
 TO_DISPLAY = np.array([coordinate.to_display for coordinate in COORDINATES])
 """Factors from (m, m, rad) to (m, m, deg)."""
+SI_UNITS = ("m", "m", "rad")
 
 PLANES = ((0, 1), (0, 2), (1, 2))
 """Pairs of coordinates that a projection shows, abscissa first."""

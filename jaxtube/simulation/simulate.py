@@ -16,7 +16,7 @@ from jaxtube import qp
 from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.own import adapt_controller
 from jaxtube.control.protocol import Controller
-from jaxtube.coordinates import NAMES
+from jaxtube.coordinates import NAMES, SI_UNITS
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip import SlipProcess
 from jaxtube.precision import in_64_bits
@@ -250,7 +250,7 @@ def lap_dataset(laps: Laps) -> Any:
         "period": ("period", dt * np.arange(instants - 1), {"units": "s"}),
         "lap": ("lap", np.arange(count)),
         "coordinate": ("coordinate", list(NAMES)),
-        "unit": ("coordinate", ["m", "m", "rad"]),
+        "unit": ("coordinate", list(SI_UNITS)),
         "input": ("input", ["speed deficit", "yaw rate deficit"]),
         "wheel": ("wheel", ["right", "left"]),
     }

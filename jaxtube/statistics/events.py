@@ -68,6 +68,11 @@ EVENTS = (
 EVENT_NAMES = tuple(event.name for event in EVENTS)
 
 
+def find_event(name: str) -> Event:
+    """Return the event of a name."""
+    return EVENTS[find_row(name)]
+
+
 def find_row(name: str) -> int:
     """Return the row of an event in `statistics["events"]`."""
     return EVENT_NAMES.index(name)

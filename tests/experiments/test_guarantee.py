@@ -18,9 +18,9 @@ from jaxtube.experiments.guarantee.attack import (
     LAWS,
     PROCESSES,
     AnySlipRobot,
-    laps_of_a_law,
+    apply_law,
+    count_laps,
     make_tasks,
-    under,
 )
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.plant.robot import Robot
@@ -28,7 +28,7 @@ from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario, ScenarioError, load
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.statistics import run as montecarlo
-from jaxtube.statistics.events import EVENT_NAMES
+from jaxtube.statistics.events import EVENT_NAMES, find_event
 from jaxtube.statistics.montecarlo import make_closed_loop_task, name_law
 from jaxtube.statistics.run import BLOCK, Run
 from jaxtube.statistics.summary import summarise
@@ -41,8 +41,9 @@ REFERENCE = "reference.duration_s=2"
 
 @pytest.mark.parametrize("realisations", [1, BLOCK, 5 * BLOCK, 5 * BLOCK + 1, 10**5, 10**6])
 def test_laps_are_split_evenly_into_whole_blocks_and_no_more_than_needed(realisations):
-    laps = laps_of_a_law(realisations, BLOCK)
-    assert laps % BLOCK == 0 and laps >= BLOCK
+    laps = count_laps(realisations, BLOCK)
+    assert laps % BLOCK == 0
+    assert laps >= BLOCK
     assert len(PROCESSES) * (laps - BLOCK) < realisations <= len(PROCESSES) * laps
 
 
@@ -55,7 +56,7 @@ WHEEL_MAP = WheelMap(0.5, 0.1)
 
 
 @jax.jit
-def driven(robot, keys, errors):
+def drive(robot, keys, errors):
     """Return the errors after the reference, under inputs that follow what is measured."""
 
     def period(step, carry):
@@ -66,54 +67,48 @@ def driven(robot, keys, errors):
         following, memory, _ = robot.advance(keys, step, memory, errors, command)
         return following, memory
 
-    return jax.lax.fori_loop(
-        0, len(robot.reference_wheels), period, (errors, robot.initial(keys, errors))
-    )[0]
+    start = (errors, robot.initial(keys, errors))
+    end, _ = jax.lax.fori_loop(0, len(robot.reference_wheels), period, start)
+    return end
 
 
 def test_a_robot_of_any_process_moves_as_the_robot_of_that_process_alone():
-    generator, steps, laps = np.random.default_rng(0), 12, 6
-    wheels, poses = (
-        jnp.asarray(generator.uniform(1.0, 1.5, (steps, 2))),
-        jnp.asarray(generator.normal(size=(steps + 1, 3))),
-    )
+    generator = np.random.default_rng(0)
+    steps = 12
+    laps = 6
     ideal = SlippingRobot(
-        Robot(0.5, -3.0, 3.0),
-        0.1,
-        wheels,
-        poses,
-        jnp.array([0.2, 0.15]),
-        0.3,
-        jnp.full(3, 1e-3),
-        PROCESSES[0],
-        "both",
+        robot=Robot(0.5, -3.0, 3.0),
+        dt=0.1,
+        reference_wheels=jnp.asarray(generator.uniform(1.0, 1.5, (steps, 2))),
+        reference_poses=jnp.asarray(generator.normal(size=(steps + 1, 3))),
+        nominal_slip=jnp.array([0.2, 0.15]),
+        relative_error=0.3,
+        noise=jnp.full(3, 1e-3),
+        process=PROCESSES[0],
+        random="both",
     )
-    keys, errors, ends = (
-        realisation_keys(3, 0, laps),
-        jnp.asarray(generator.normal(size=(laps, 3))),
-        [],
-    )
+    keys = realisation_keys(3, 0, laps)
+    errors = jnp.asarray(generator.normal(size=(laps, 3)))
+    ends = []
     for number, process in enumerate(PROCESSES):
-        alone = driven(dataclasses.replace(ideal, process=process), keys, errors)
-        chosen = driven(AnySlipRobot(ideal, jnp.asarray(number, jnp.int32)), keys, errors)
-        np.testing.assert_allclose(chosen, alone, rtol=0, atol=CLOSED_LOOP)
-        ends.append(chosen)
+        alone = drive(dataclasses.replace(ideal, process=process), keys, errors)
+        numbered = drive(AnySlipRobot(ideal, jnp.asarray(number, jnp.int32)), keys, errors)
+        np.testing.assert_allclose(numbered, alone, rtol=0, atol=CLOSED_LOOP)
+        ends.append(numbered)
     assert len(np.unique(ends, axis=0)) == len(PROCESSES)
 
 
 def test_all_laws_of_one_kind_are_one_program(uncertified):
     """What is compiled depends on structure and shapes alone."""
     tasks, why = make_tasks(uncertified("robust", REFERENCE), 0)
-    kinds = {
+    programs = {
         law: (jax.tree.structure(task), str(jax.tree.map(jnp.shape, task)))
         for law, task in tasks.items()
     }
-    assert why == "" and tuple(kinds) == LAWS
-    assert (
-        len(set(kinds.values()))
-        == 2
-        == len({kinds[law] for law in LAWS if law.process == "vertex"})
-    )
+    assert why == ""
+    assert tuple(programs) == LAWS
+    of_vertices = {programs[law] for law in LAWS if law.process == "vertex"}
+    assert len(set(programs.values())) == len(of_vertices) == 2
     assert len(tasks[LAWS[-1]].checks.transitions) == 10
 
 
@@ -122,14 +117,13 @@ def test_where_no_start_has_a_plan_laps_begin_at_the_scenario_s_start(uncertifie
         raise ScenarioError("scenario: no start has a plan")
 
     monkeypatch.setattr("jaxtube.simulation.simulate.true_starts", nowhere)
-    found = uncertified("robust", REFERENCE)
-    tasks, why = make_tasks(found, 0)
+    design = uncertified("robust", REFERENCE)
+    tasks, why = make_tasks(design, 0)
     assert why == "scenario: no start has a plan"
     keys = realisation_keys(0, 0, 3)
+    expected = np.tile(design.problem.initial_error, (3, 1))
     for task in tasks.values():
-        np.testing.assert_array_equal(
-            task.starts.draw(keys), np.tile(found.problem.initial_error, (3, 1))
-        )
+        np.testing.assert_array_equal(task.starts.draw(keys), expected)
 
 
 # ----------------------------------------------------------------------------------- the same robot
@@ -141,7 +135,7 @@ def test_both_designs_drive_the_same_robot_and_keep_their_own_sets():
         ["slip.relative_error=0.07", "robot.wheel_speed_max_mps=2.9", "reference.radius_m=2.6"],
     )
     own = load("paper")
-    joined = command.same_robot(own, first, "paper")
+    joined = command.put_on_robot(own, first, "paper")
     for section in ("robot", "slip", "noise", "initial"):
         assert getattr(joined, section) == getattr(first, section)
     for section in ("constraints", "operating", "disturbance", "controller"):
@@ -153,7 +147,7 @@ def test_both_designs_drive_the_same_robot_and_keep_their_own_sets():
 def test_a_path_that_the_other_design_does_not_cover_is_refused_in_one_line():
     fast = load("certified", ["reference.speed_mps=1.45", "reference.wheel_speed_max_mps=1.6"])
     with pytest.raises(ScenarioError, match=r"^--against paper: reference.speed_mps = 1.45: .*$"):
-        command.same_robot(load("paper"), fast, "paper")
+        command.put_on_robot(load("paper"), fast, "paper")
 
 
 @pytest.mark.parametrize(
@@ -168,7 +162,9 @@ def test_a_path_that_the_other_design_does_not_cover_is_refused_in_one_line():
 def test_bad_words_cost_one_line(words, named, capsys):
     assert main(["guarantee", *words]) == 2
     output = capsys.readouterr()
-    assert output.out == "" and output.err.count("\n") == 1 and named in output.err
+    assert output.out == ""
+    assert output.err.count("\n") == 1
+    assert named in output.err
 
 
 # ----------------------------------------------------------------------------------- claims, tables
@@ -179,13 +175,15 @@ HOLDING = (
     *claims.TERMINAL,
     "true_error_in_e",
     "input_sets_not_empty",
+    "wheel_limits",
+    "terminal_cost_decrease",
+    claims.RATIONALS,
 )
-HOLDING += ("wheel_limits", "terminal_cost_decrease", claims.RATIONALS)
 ROBOT = (*claims.PREMISE, "true_error_in_e", "wheel_limits")
 
 
 def law(laps=4096, steps=300, plans=8000, usage=0.9, **seen):
-    """Return the summary of a law: `seen` laps with an event, or cost and tube as counts of plans."""
+    """Return the summary of a law; `seen` are laps with an event, or plans by "cost" and "tube"."""
     events = {name: {"laps": seen.get(name, 0), "share_of_steps": 0.01} for name in EVENT_NAMES}
     return {
         "laps": laps,
@@ -201,7 +199,7 @@ def law(laps=4096, steps=300, plans=8000, usage=0.9, **seen):
     }
 
 
-def attacked(*failing, absent=(), laws=None, name="mine"):
+def make_tested(*failing, absent=(), laws=None, name="mine"):
     conditions = []
     for condition in dict.fromkeys(HOLDING):
         if condition not in absent:
@@ -212,7 +210,7 @@ def attacked(*failing, absent=(), laws=None, name="mine"):
     return claims.Tested(name, Scenario(), Certificate(tuple(conditions)), laws)
 
 
-def certified(design) -> set[str]:
+def find_certified(design) -> set[str]:
     return {claim.title for claim in claims.CLAIMS if claims.judge(claim, design).certified}
 
 
@@ -220,39 +218,36 @@ TITLES = {claim.title for claim in claims.CLAIMS}
 
 
 def test_where_every_condition_holds_every_claim_is_certified():
-    assert certified(attacked()) == TITLES
+    assert find_certified(make_tested()) == TITLES
 
 
 @pytest.mark.parametrize("condition", claims.PREMISE)
 @pytest.mark.parametrize("missing", [False, True])
 def test_without_a_disturbance_set_that_holds_nothing_is_certified_of_the_robot(condition, missing):
-    design = attacked(absent=[condition]) if missing else attacked(condition)
-    kept = certified(design)
+    design = make_tested(absent=[condition]) if missing else make_tested(condition)
+    kept = find_certified(design)
     assert kept <= {claim.title for claim in claims.CLAIMS if not claim.on_robot}
     assert "W holds every disturbance of the robot" not in kept
 
 
 @pytest.mark.parametrize("condition", sorted(set(HOLDING) - set(claims.PREMISE)))
 def test_a_condition_that_fails_takes_its_claims_with_it_and_shows_its_margin(condition):
-    lost = TITLES - certified(attacked(condition))
-    assert (
-        lost == {claim.title for claim in claims.CLAIMS if condition in claim.conditions} != set()
-    )
-    words = [
-        report.cells(claim, attacked(condition))[1]
-        for claim in claims.CLAIMS
-        if condition in claim.conditions
-    ]
-    assert all("(-0.25)" in each for each in words)
+    design = make_tested(condition)
+    resting = [claim for claim in claims.CLAIMS if condition in claim.conditions]
+    assert resting
+    assert TITLES - find_certified(design) == {claim.title for claim in resting}
+    for claim in resting:
+        _, proved, _ = report.cells(claim, design)
+        assert "(-0.25)" in proved
 
 
 def test_a_condition_that_was_never_checked_certifies_nothing():
     """Except for the limits of the wheels where they are U itself."""
     for condition in set(HOLDING) - {"wheel_limits"}:
-        assert certified(attacked(absent=[condition])) < TITLES
-    assert certified(attacked(absent=["wheel_limits"])) == TITLES
+        assert find_certified(make_tested(absent=[condition])) < TITLES
+    assert find_certified(make_tested(absent=["wheel_limits"])) == TITLES
     *_, exact = claims.CLAIMS
-    assert not claims.judge(exact, attacked(absent=[claims.RATIONALS])).claimed
+    assert not claims.judge(exact, make_tested(absent=[claims.RATIONALS])).claimed
 
 
 def test_counts_add_up_over_the_laws_and_name_the_worst_by_its_share():
@@ -261,7 +256,7 @@ def test_counts_add_up_over_the_laws_and_name_the_worst_by_its_share():
         "vertex": law(laps=100, e_outside_E=2),
         "patches": law(cost=5, plans=9),
     }
-    design = attacked(laws=laws)
+    design = make_tested(laws=laws)
     by_title = {claim.title: claims.judge(claim, design).seen for claim in claims.CLAIMS}
     assert by_title["the error stays in E"] == claims.Count(5, 8292, "laps", "vertex", 2, 100)
     assert by_title["the tube holds the error around a plan"] == claims.Count(
@@ -276,16 +271,18 @@ def test_counts_add_up_over_the_laws_and_name_the_worst_by_its_share():
 
 @pytest.mark.parametrize("event", claims.VIOLATIONS)
 def test_each_event_alone_is_a_violation(event):
-    assert claims.violating(law(**{event: 11})) == (11, 11)
+    assert claims.bound_violating_laps(law(**{event: 11})) == (11, 11)
 
 
 def test_violating_laps_lie_between_the_largest_count_and_the_sum_and_the_bound_takes_the_most():
-    one = law(laps=1000, e_outside_E=30, qp_infeasible=50)
-    assert claims.violating(one) == (50, 80)
-    assert claims.violating(law(laps=60, e_outside_E=30, qp_infeasible=50)) == (50, 60)
-    assert claims.bound(one) == claims.bound(law(laps=1000, u_outside_U=80)) > 0.08
+    both = {"e_outside_E": 30, "qp_infeasible": 50}
+    one = law(laps=1000, **both)
+    assert claims.bound_violating_laps(one) == (50, 80)
+    assert claims.bound_violating_laps(law(laps=60, **both)) == (50, 60)
+    bound = claims.bound_violating_share
+    assert bound(one) == bound(law(laps=1000, u_outside_U=80)) > 0.08
     # Clopper and Pearson without events: (1 - bound)^laps = 5 %.
-    assert (1 - claims.bound(law(laps=1000))) ** 1000 == pytest.approx(0.05, rel=1e-12)
+    assert (1 - bound(law(laps=1000))) ** 1000 == pytest.approx(0.05, rel=1e-12)
 
 
 def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
@@ -293,26 +290,37 @@ def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
         f"edge-{name}": law(laps=10**7, plans=10**9, w_outside_W=10**7, u_outside_U=9, usage=123.4)
         for name in PROCESSES
     }
-    designs = [attacked(*HOLDING, laws=large, name="the-other-one"), attacked()]
-    assert max(map(len, report.text(designs).splitlines())) <= report.WIDTH
-    assert "the-other-one: NOT CERTIFIED" in report.text(
-        designs
-    ) and "\nmine: CERTIFIED; 0 laps" in report.text(designs)
-    for table in report.markdown(designs).split("\n\n"):
+    designs = [make_tested(*HOLDING, laws=large, name="the-other-one"), make_tested()]
+    text = report.text(designs)
+    assert max(map(len, text.splitlines())) <= report.WIDTH
+    assert "the-other-one: NOT CERTIFIED" in text
+    assert "\nmine: CERTIFIED; 0 laps" in text
+    markdown = report.markdown(designs)
+    for table in markdown.split("\n\n"):
         rows = [line for line in table.splitlines() if line.startswith("|")]
         assert len({row.count("|") for row in rows}) <= 1
-    assert all(claim.title in report.markdown(designs) for claim in claims.CLAIMS)
+    assert all(claim.title in markdown for claim in claims.CLAIMS)
+
+
+def test_the_legend_explains_every_column_of_an_event():
+    legend = report.legend()
+    for name in report.SHOWN:
+        event = find_event(name)
+        assert f"{event.words}: {event.meaning}" in legend
 
 
 def test_the_metrics_are_plain_and_hold_every_verdict(tmp_path):
-    RunFolder(tmp_path).save_metrics(
-        claims.metrics([attacked("true_error_in_e"), attacked(name="other")])
-    )
-    found = json.loads((tmp_path / "metrics.json").read_text())["designs"]
-    assert [found[name]["certified"] for name in ("mine", "other")] == [False, True]
-    assert set(found["mine"]["claims"]) == TITLES
-    assert found["mine"]["claims"]["the error stays in E"]["seen"]["of"] == 8192
-    assert found["other"]["laws"]["iid"]["share_of_violating_laps_at_most"] == claims.bound(law())
+    tested = [make_tested("true_error_in_e"), make_tested(name="other")]
+    RunFolder(tmp_path).save_metrics(claims.metrics(tested))
+    designs = json.loads((tmp_path / "metrics.json").read_text())["designs"]
+    mine = designs["mine"]
+    other = designs["other"]
+    assert not mine["certified"]
+    assert other["certified"]
+    assert set(mine["claims"]) == TITLES
+    assert mine["claims"]["the error stays in E"]["seen"]["of"] == 8192
+    expected = claims.bound_violating_share(law())
+    assert other["laws"]["iid"]["share_of_violating_laps_at_most"] == expected
 
 
 # -------------------------------------------------------------------------------- the whole command
@@ -352,13 +360,13 @@ def small(monkeypatch):
 
 def test_the_laps_are_announced_with_the_share_that_is_recorded():
     """Whole blocks under every law: more than was asked for."""
-    laps = laps_of_a_law(5000, command.BLOCK)
+    laps = count_laps(5000, command.BLOCK)
     attacks = [
         command.Attack(name, law, SimpleNamespace(realisations=laps), SimpleNamespace(laps=10))
         for name in ("mine", "other")
         for law in LAWS
     ]
-    line = command.announcement(attacks)
+    line = command.describe_laps(attacks)
     total = laps * len(LAWS)
     assert line.startswith(f"{total:,} laps of each of 2 designs, in whole blocks of ")
     assert line.endswith(f"{20 * len(LAWS)} of {2 * total:,} are recorded")
@@ -368,18 +376,19 @@ def test_the_laps_are_announced_with_the_share_that_is_recorded():
 def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
     small, tmp_path, capsys, monkeypatch
 ):
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    whole = tmp_path / "whole"
+    parts = tmp_path / "parts"
     assert main([*WORDS, "--out", str(whole)]) == 0
     assert main([*WORDS, "--out", str(whole), "--require-certificate"]) == 3
     compute = Run.compute
-    count = []
+    seen = []
 
     def interrupted(self, blocks):
-        for found in compute(self, blocks):
-            count.append(found[0])
-            if len(count) == 9:
+        for block, statistics in compute(self, blocks):
+            seen.append(block)
+            if len(seen) == 9:
                 raise KeyboardInterrupt
-            yield found
+            yield block, statistics
 
     with monkeypatch.context() as patch:
         patch.setattr(Run, "compute", interrupted)
@@ -388,23 +397,19 @@ def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
     for name in ("metrics.json", "guarantee.md"):
         assert (whole / name).read_bytes() == (parts / name).read_bytes()
     laws = json.loads((whole / "metrics.json").read_text())["designs"]["certified"]["laws"]
-    assert set(laws) == {each.name for each in LAWS} and all(
-        each["laps"] == 128 for each in laws.values()
-    )
+    assert set(laws) == {law.name for law in LAWS}
+    assert all(law["laps"] == 128 for law in laws.values())
 
     attacking = LAWS[-1]
-    alone = under(small(load("certified", [REFERENCE])), attacking)
-    run = Run(
-        make_closed_loop_task(alone, "tube_mpc", "robot", attacking.starts, None, 0),
-        128,
-        1,
-        tuple(jax.local_devices()[:1]),
-    )
-    statistics = montecarlo.merge(*(each for _, each in run.compute([0, 1])))
+    recorded = laws[attacking.name]
+    alone = apply_law(small(load("certified", [REFERENCE])), attacking)
+    task = make_closed_loop_task(alone, "tube_mpc", "robot", attacking.starts, None, 0)
+    run = Run(task, 128, 1, tuple(jax.local_devices()[:1]))
+    statistics = montecarlo.merge(*(counts for _, counts in run.compute([0, 1])))
     sampling = name_law(alone, "tube_mpc", "robot", attacking.starts)
     expected = summarise(alone, sampling, statistics)
-    assert laws[attacking.name]["law"] == expected["law"]
-    for event, each in expected["events"].items():
-        assert laws[attacking.name]["events"][event]["steps"] == each["steps"]
-    usage = laws[attacking.name]["worst"]["disturbance"][0]["usage"]
+    assert recorded["law"] == expected["law"]
+    for event, numbers in expected["events"].items():
+        assert recorded["events"][event]["steps"] == numbers["steps"]
+    usage = recorded["worst"]["disturbance"][0]["usage"]
     assert usage == pytest.approx(expected["worst"]["disturbance"][0]["usage"], rel=1e-9)

@@ -9,46 +9,46 @@ from tolerances import CLOSED_LOOP, PAPER_GAIN, ROUNDING
 
 from jaxtube import qp
 from jaxtube.control.mpc import Diagnostics
+from jaxtube.coordinates import KEYS
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.run import metrics
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import Trajectory
 from sets.tubes import sequence_tube
 
-STEPS, RUNS = 300, 12
+STEPS = 300
+RUNS = 12
 LIMITS = np.array([0.3, 0.3, np.deg2rad(20)])
-NAMES = ("longitudinal_m", "lateral_m", "heading_deg")
 DEGREES = np.array([1, 1, 180 / np.pi])
 
 
 def made_up(seed=0):
-    """A trajectory of random numbers inside E; arrays are writable, so that tests can break them."""
+    """Return a trajectory of random numbers inside E, in arrays that tests can break."""
     generator = np.random.default_rng(seed)
     errors = 0.9 * LIMITS * generator.uniform(-1, 1, (STEPS + 1, RUNS, 3))
     # Larger at the start than later, so that the transient matters.
     errors[100:] *= 0.5
     demanded = generator.uniform(0.5, 1.9, (STEPS, RUNS, 2))
-    status = generator.choice(
-        [qp.SOLVED, qp.INFEASIBLE, qp.UNSOLVED], p=[0.9, 0.06, 0.04], size=(STEPS, RUNS)
-    )
+    outcomes = [qp.SOLVED, qp.INFEASIBLE, qp.UNSOLVED]
+    status = generator.choice(outcomes, p=[0.9, 0.06, 0.04], size=(STEPS, RUNS))
     diagnostics = Diagnostics(
-        status,
-        generator.uniform(0, 1e-8, status.shape),
-        generator.random(status.shape) < 0.2,
-        status != qp.SOLVED,
+        status=status,
+        residual=generator.uniform(0, 1e-8, status.shape),
+        active=generator.random(status.shape) < 0.2,
+        backup=status != qp.SOLVED,
     )
     return Trajectory(
-        errors,
-        errors.copy(),
-        generator.normal(size=(STEPS, RUNS, 2)),
-        np.minimum(demanded, 1.8),
-        demanded,
-        diagnostics,
+        errors=errors,
+        measured=errors.copy(),
+        inputs=generator.normal(size=(STEPS, RUNS, 2)),
+        wheels=np.minimum(demanded, 1.8),
+        demanded=demanded,
+        diagnostics=diagnostics,
     )
 
 
 def numbers(values):
-    return [values[name] for name in NAMES]
+    return [values[name] for name in KEYS]
 
 
 # -------------------------------------------------------------------------------------- controllers
@@ -64,7 +64,8 @@ def test_violations_count_every_run_that_is_not_inside_and_nan_is_not(paper_desi
     trajectory.errors[5:9, 4] = np.inf
     trajectory.errors[5, 5, 1] = 0.3
     found = metrics.controller_metrics(paper_design, trajectory)
-    assert found["realisations"] == RUNS and found["violating_realisations"] == 5
+    assert found["realisations"] == RUNS
+    assert found["violating_realisations"] == 5
     assert found["violation_share"] == pytest.approx(5 / RUNS)
     np.testing.assert_allclose(
         numbers(found["violation_share_by_coordinate"]), np.array([2, 3, 2]) / RUNS
@@ -75,11 +76,13 @@ def test_violations_count_every_run_that_is_not_inside_and_nan_is_not(paper_desi
 def test_errors_are_summed_up_run_by_run(paper_design, span, first):
     trajectory = made_up()
     found = metrics.controller_metrics(paper_design, trajectory)
-    largest, rms = np.zeros((RUNS, 3)), np.zeros((RUNS, 3))
+    largest = np.zeros((RUNS, 3))
+    rms = np.zeros((RUNS, 3))
     for run in range(RUNS):
         later = trajectory.errors[first:, run] * DEGREES
-        largest[run] = [max(abs(value) for value in column) for column in later.T]
-        rms[run] = [np.sqrt(sum(value**2 for value in column) / len(column)) for column in later.T]
+        for i, column in enumerate(later.T):
+            largest[run, i] = max(abs(value) for value in column)
+            rms[run, i] = np.sqrt(sum(value**2 for value in column) / len(column))
     for key, values in (("max_error", largest), ("rms_error", rms)):
         ordered = np.sort(values, axis=0)
         median = (ordered[RUNS // 2 - 1] + ordered[RUNS // 2]) / 2
@@ -96,42 +99,39 @@ def test_wheels_and_status_are_counted(paper_design):
     trajectory.wheels[3, 4, 1] = -2.5
     found = metrics.controller_metrics(paper_design, trajectory)
     assert found["wheel_speed_max_mps"] == 2.5
-    assert found["wheel_speed_mean_mps"] == pytest.approx(
-        trajectory.wheels.sum() / (STEPS * RUNS * 2)
-    )
+    mean = trajectory.wheels.sum() / (STEPS * RUNS * 2)
+    assert found["wheel_speed_mean_mps"] == pytest.approx(mean)
     clipped = (trajectory.demanded > 1.8).any(axis=2)
     clipped[3, 4] = True
     assert found["saturated_share"] == pytest.approx(clipped.mean())
     status = trajectory.diagnostics.status.ravel().tolist()
     assert found["qp_status"] == {
-        "solved": status.count(0), "infeasible": status.count(1), "unsolved": status.count(2)
-    }  # fmt: skip
+        "solved": status.count(qp.SOLVED),
+        "infeasible": status.count(qp.INFEASIBLE),
+        "unsolved": status.count(qp.UNSOLVED),
+    }
     assert sum(found["qp_status"].values()) == STEPS * RUNS
-    assert found["active_share"] == pytest.approx(
-        trajectory.diagnostics.active.sum() / (STEPS * RUNS)
-    )
+    active = trajectory.diagnostics.active.sum() / (STEPS * RUNS)
+    assert found["active_share"] == pytest.approx(active)
     assert found["backup_share"] == pytest.approx(1 - status.count(0) / len(status))
     assert found["qp_residual_max"] == trajectory.diagnostics.residual.max()
 
 
 def test_a_run_shorter_than_the_transient_is_judged_by_where_it_ends(paper_design):
     whole = made_up()
-    short = type(whole)(
-        *(array[:31] for array in whole[:5]),
-        Diagnostics(*(array[:30] for array in whole.diagnostics)),
-    )
+    diagnostics = Diagnostics(*(array[:30] for array in whole.diagnostics))
+    short = Trajectory(*(array[:31] for array in whole[:5]), diagnostics)
     found = metrics.controller_metrics(paper_design, short)
-    np.testing.assert_allclose(
-        numbers(found["max_error"]["after_10_s"]["worst"]),
-        np.abs(short.errors[-1] * DEGREES).max(axis=0),
-    )
+    expected = np.abs(short.errors[-1] * DEGREES).max(axis=0)
+    np.testing.assert_allclose(numbers(found["max_error"]["after_10_s"]["worst"]), expected)
 
 
 # ------------------------------------------------------------------------------------- disturbances
 
 
 def test_residuals_are_what_the_model_does_not_predict(paper_design):
-    trajectory, problem = made_up(), paper_design.problem
+    trajectory = made_up()
+    problem = paper_design.problem
     residuals = closed_loop.model_residuals(paper_design, trajectory)
     for step in (0, 57, 114, 299):
         A, B = model(problem, problem.schedule[step])
@@ -145,14 +145,16 @@ def test_disturbances_outside_W_are_counted_step_by_step(paper_design):
     widths = np.array([0.005, 0.005, np.deg2rad(0.2)])
     residuals = widths * np.random.default_rng(1).uniform(-0.9, 0.9, (STEPS, RUNS, 3))
     inside = metrics.disturbance_metrics(paper_design, residuals)
-    assert inside["share_of_steps_outside"] == 0 and inside["runs_with_every_w_inside"] == RUNS
+    assert inside["share_of_steps_outside"] == 0
+    assert inside["runs_with_every_w_inside"] == RUNS
     assert inside["margin"] == pytest.approx(np.min(widths - np.abs(residuals)))
     residuals[3, 0] = widths * [1.5, 0.5, -3.0]
     residuals[4, 0, 1] = -1.2 * widths[1]
     residuals[4, 1, 2] = np.nan
     found = metrics.disturbance_metrics(paper_design, residuals)
     steps = STEPS * RUNS
-    assert found["steps"] == steps and found["share_of_steps_outside"] == pytest.approx(3 / steps)
+    assert found["steps"] == steps
+    assert found["share_of_steps_outside"] == pytest.approx(3 / steps)
     np.testing.assert_allclose(
         numbers(found["share_of_steps_outside_by_coordinate"]), np.array([1, 1, 2]) / steps
     )
@@ -167,25 +169,28 @@ def test_disturbances_outside_W_are_counted_step_by_step(paper_design):
 def test_deviations_are_judged_by_the_section_of_their_stage(paper_design):
     sections = paper_design.tubes["paper"][1:]
     generator = np.random.default_rng(2)
-    mixtures = [
-        generator.dirichlet(np.ones(len(s.vertices())), 50) @ s.vertices() for s in sections
-    ]
+    mixtures = []
+    for section in sections:
+        vertices = section.vertices()
+        mixtures.append(generator.dirichlet(np.ones(len(vertices)), 50) @ vertices)
     deviations = np.stack(mixtures)
     found = metrics.deviation_metrics(paper_design, deviations)
-    assert (
-        found["plans"] == 50
-        and found["samples"] == 250
-        and found["share_outside"] == 0
-        and np.all(found["margin_by_stage"] >= 0)
-    )
-    # One tip of a section is outside the one before, and what is no number is outside.
-    tip = sections[2].vertices()[np.argmax(sections[2].vertices()[:, 1])]
-    deviations[1, 0], deviations[2, 0], deviations[4, 3] = tip, 0.999 * tip, np.nan
+    assert found["plans"] == 50
+    assert found["samples"] == 250
+    assert found["share_outside"] == 0
+    assert np.all(found["margin_by_stage"] >= 0)
+    # One tip of a section is outside the one before, and NaN is outside.
+    vertices = sections[2].vertices()
+    tip = vertices[np.argmax(vertices[:, 1])]
+    deviations[1, 0] = tip
+    deviations[2, 0] = 0.999 * tip
+    deviations[4, 3] = np.nan
     found = metrics.deviation_metrics(paper_design, deviations)
     np.testing.assert_allclose(found["share_outside_by_stage"], [0, 0.02, 0, 0, 0.02])
     assert found["share_outside"] == pytest.approx(2 / 250)
     expected = paper_design.tubes["paper"][2].polytope().margin(tip)
-    assert found["margin_by_stage"][1] == pytest.approx(expected) and expected < 0
+    assert expected < 0
+    assert found["margin_by_stage"][1] == pytest.approx(expected)
 
 
 # ------------------------------------------------------------------------------------------- design
@@ -208,44 +213,35 @@ def test_design_metrics_are_the_known_numbers_of_the_paper(paper_design):
         found["input_support"]["paper"], [0, 0.0175, 0.0378, 0.0606, 0.0856, 0.1124], atol=6e-5
     )
     np.testing.assert_allclose(found["input_set_p_q"], [[-0.84, 2.54]] * 2, atol=ROUNDING)
-    assert (
-        set(found["tube_volume"])
-        == set(found["tube_half_widths"])
-        == {"paper", "hull", "summed", "sequence"}
-    )
-    for tube in found["tube_half_widths"].values():
-        assert tube.shape == (6, 3) and np.all(tube[0] == 0) and np.all(np.diff(tube, axis=0) > 0)
-    assert (
-        found["terminal_facets_maximal"] >= found["terminal_facets"]
-        and 0 < found["terminal_volume_share"] <= 1
-    )
+    tubes = {"paper", "hull", "summed", "sequence"}
+    assert set(found["tube_volume"]) == tubes
+    assert set(found["tube_half_widths"]) == tubes
+    for widths in found["tube_half_widths"].values():
+        assert widths.shape == (6, 3)
+        assert np.all(widths[0] == 0)
+        assert np.all(np.diff(widths, axis=0) > 0)
+    assert found["terminal_facets_maximal"] >= found["terminal_facets"]
+    assert 0 < found["terminal_volume_share"] <= 1
     np.testing.assert_array_less(found["terminal_half_widths"], LIMITS * DEGREES * (1 + ROUNDING))
     assert found["certified"] == paper_design.certificate.holds_for_robot
-    assert all(
-        {"holds", "margin", "required", "scope", "sentence"} == set(c)
-        for c in found["certificate"].values()
-    )
+    for condition in found["certificate"].values():
+        assert set(condition) == {"holds", "margin", "required", "scope", "sentence"}
 
 
 def test_the_widest_section_along_the_reference_is_reported_for_the_sequence_tube(paper_design):
     W = paper_design.problem.disturbance_set
     tubes = [sequence_tube(loops, W) for loops in paper_design.windows.loops]
-    expected = (
-        np.max([[section.support(np.eye(3)) for section in tube] for tube in tubes], axis=0)
-        * DEGREES
-    )
-    np.testing.assert_allclose(
-        metrics.tube_half_widths(paper_design, "sequence"), expected, atol=CLOSED_LOOP
-    )
+    by_window = [[section.support(np.eye(3)) for section in tube] for tube in tubes]
+    expected = np.max(by_window, axis=0) * DEGREES
+    found = metrics.tube_half_widths(paper_design, "sequence")
+    np.testing.assert_allclose(found, expected, atol=CLOSED_LOOP)
 
 
 def test_where_there_is_no_terminal_set_its_numbers_are_missing(uncertified):
     found = metrics.design_metrics(uncertified("robust", *TIGHT))
-    assert (
-        found["terminal_facets"] is None
-        and found["terminal_volume_share"] is None
-        and found["terminal_fallback"]
-    )
+    assert found["terminal_facets"] is None
+    assert found["terminal_volume_share"] is None
+    assert found["terminal_fallback"]
     assert found["terminal_constraint_facets"] == 6
 
 
@@ -256,24 +252,23 @@ def test_stress_metrics_tell_runs_apart_by_whether_every_w_was_in_W(paper_design
     """Four runs of the model itself: quiet; a kick out of W; out of E by its start; without plans
     for a while."""
     problem = paper_design.problem
-    errors, status = np.zeros((STEPS + 1, 4, 3)), np.zeros((STEPS, 4), int)
+    errors = np.zeros((STEPS + 1, 4, 3))
     errors[0, 2, 1] = 0.35
-    status[50:53, 3], status[70:75, 3], status[299, 1], status[10, 1] = (
-        qp.INFEASIBLE,
-        qp.INFEASIBLE,
-        qp.UNSOLVED,
-        1,
-    )
+    status = np.zeros((STEPS, 4), int)
+    status[50:53, 3] = qp.INFEASIBLE
+    status[70:75, 3] = qp.INFEASIBLE
+    status[299, 1] = qp.UNSOLVED
+    status[10, 1] = qp.INFEASIBLE
     for step in range(STEPS):
         errors[step + 1] = errors[step] @ model(problem, problem.schedule[step])[0].T
         errors[step + 1, 1, 0] += 0.4 * (step == 20)
     active = np.zeros_like(status, bool)
-    active[:5, 0], active[20:26, 2] = True, True
+    active[:5, 0] = True
+    active[20:26, 2] = True
     no_wheels = np.full((STEPS, 4, 2), np.nan)
-    diagnostics = Diagnostics(status, np.zeros(status.shape), active, status != 0)
-    trajectory = Trajectory(
-        errors, errors, np.zeros((STEPS, 4, 2)), no_wheels, no_wheels, diagnostics
-    )
+    diagnostics = Diagnostics(status, np.zeros(status.shape), active, status != qp.SOLVED)
+    inputs = np.zeros((STEPS, 4, 2))
+    trajectory = Trajectory(errors, errors, inputs, no_wheels, no_wheels, diagnostics)
     runs = SimpleNamespace(runs={"case": {"tube_mpc": trajectory}})
     found = stress.metrics(paper_design, runs)["case"]["tube_mpc"]
     outside = ~np.all(np.abs(errors) <= LIMITS, axis=(0, 2))

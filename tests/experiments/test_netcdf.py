@@ -88,18 +88,15 @@ def test_statistics_come_back_bit_by_bit_under_named_coordinates(statistics, che
         assert set(dataset.data_vars) == {name.replace("/", "_") for name in statistics}
         for name, value in statistics.items():
             back = dataset[name.replace("/", "_")]
-            assert back.dtype == value.dtype and np.array_equal(back.values, value)
-        events = dataset["events"]
+            assert back.dtype == value.dtype
+            assert np.array_equal(back.values, value)
+        outside = dataset["events"].sel(event="e_outside_E")
+        assert np.array_equal(outside, statistics["events"][find_row("e_outside_E")])
         later = dataset["error_by_step"]
-        assert np.array_equal(
-            events.sel(event="e_outside_E"), statistics["events"][find_row("e_outside_E")]
-        )
         heading = later.sel(coordinate="heading", step=STEPS)
         assert np.array_equal(heading, statistics["error_by_step"][-1, 2])
-        assert (
-            heading.bucket.values[9] == histogram.EDGES[9]
-            and heading.bucket_upper.values[9] == histogram.EDGES[10]
-        )
+        assert heading.bucket.values[9] == histogram.EDGES[9]
+        assert heading.bucket_upper.values[9] == histogram.EDGES[10]
         cloud = dataset["cloud"].sel(stage=2, plane="lateral,heading")
         assert np.array_equal(cloud, statistics["cloud"][1, 2])
         assert dataset["tube_outside_paper"].dims == ("stage",)

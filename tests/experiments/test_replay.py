@@ -7,52 +7,53 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jaxtube.experiments.figures.style import OUTSIDE
 from tolerances import CLOSED_LOOP, REPLAYED
 
 from jaxtube import qp
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.montecarlo import lap_figure, replay
+from jaxtube.figures.style import OUTSIDE
 from jaxtube.simulation import closed_loop
 from jaxtube.statistics import lap as laps
 from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import Run
 
-SEED, LAPS = 11, 24
+SEED = 11
+LAPS = 24
 WORDS = ["montecarlo", "--controller", "local_gain", "--starts", "feasible", "--seed", str(SEED)]
 DEGREES = np.array([1.0, 1.0, np.rad2deg(1.0)])
 
 
 @pytest.fixture(scope="module")
-def found(uncertified):
+def design(uncertified):
     return uncertified("paper")
 
 
 @pytest.fixture(scope="module")
-def task(found):
-    return make_closed_loop_task(found, "local_gain", "robot", "feasible", None, SEED)
+def task(design):
+    return make_closed_loop_task(design, "local_gain", "robot", "feasible", None, SEED)
 
 
 @pytest.fixture
-def known(found, task, monkeypatch):
+def known(design, task, monkeypatch):
     """Hand out the design and the task of these tests to the command, where it asks for them."""
 
     def make_task(*arguments):
-        assert arguments == (found, "local_gain", "robot", "feasible", None, SEED)
+        assert arguments == (design, "local_gain", "robot", "feasible", None, SEED)
         return task
 
     monkeypatch.setattr(
-        "jaxtube.experiments.montecarlo.command.make_design", lambda scenario: found
+        "jaxtube.experiments.montecarlo.command.make_design", lambda scenario: design
     )
     monkeypatch.setattr("jaxtube.experiments.montecarlo.replay.make_closed_loop_task", make_task)
 
 
 @pytest.fixture(scope="module")
-def lap(found, task):
-    return laps.lap(found, task, SEED, 5)
+def lap(design, task):
+    return laps.lap(design, task, SEED, 5)
 
 
-def test_the_worst_laps_use_again_what_the_run_recorded(found, task):
+def test_the_worst_laps_use_again_what_the_run_recorded(design, task):
     run = Run(task, LAPS, 1, tuple(jax.devices()[:1]))
     ((_, statistics),) = run.collect([0], run.dispatch([0]))
     for kind, used in (
@@ -60,20 +61,19 @@ def test_the_worst_laps_use_again_what_the_run_recorded(found, task):
         ("disturbance", lambda lap: lap.of_disturbance_set),
     ):
         worst = statistics[f"worst_lap/{kind}"][:2]
-        assert len(set(worst)) == 2 and max(worst) < LAPS
+        assert len(set(worst)) == 2
+        assert max(worst) < LAPS
         for number, usage in zip(worst, statistics[f"worst_usage/{kind}"], strict=False):
-            found_usage = used(laps.lap(found, task, SEED, int(number)))
-            assert found_usage.share.max() == pytest.approx(usage, abs=REPLAYED)
-            assert found_usage.outside.any() == (usage > 1 + REPLAYED)
+            again = used(laps.lap(design, task, SEED, int(number)))
+            assert again.share.max() == pytest.approx(usage, abs=REPLAYED)
+            assert again.outside.any() == (usage > 1 + REPLAYED)
 
 
-def test_the_slips_of_a_lap_move_the_robot_along_its_path(found, task, lap):
+def test_the_slips_of_a_lap_move_the_robot_along_its_path(design, task, lap):
     plant = task.plant
-    assert (
-        np.all(np.abs(lap.slips) <= 1)
-        and np.all(lap.slips[:, 1] == 0)
-        and np.std(lap.slips[:, 0]) > 0.5
-    )
+    assert np.all(np.abs(lap.slips) <= 1)
+    assert np.all(lap.slips[:, 1] == 0)
+    assert np.std(lap.slips[:, 0]) > 0.5
     errors = jnp.asarray(lap.trajectory.errors[:-1])
     demanded = jnp.asarray(lap.trajectory.demanded)
     true = jnp.asarray(lap.slips[:, 0])
@@ -82,17 +82,17 @@ def test_the_slips_of_a_lap_move_the_robot_along_its_path(found, task, lap):
     assert wheels == pytest.approx(lap.trajectory.wheels, abs=CLOSED_LOOP)
 
 
-def test_laps_beyond_four_thousand_million_are_laps_of_their_own(found, task, lap):
-    far = laps.lap(found, task, SEED, 2**32 + 5)
+def test_laps_beyond_four_thousand_million_are_laps_of_their_own(design, task, lap):
+    far = laps.lap(design, task, SEED, 2**32 + 5)
     assert np.max(np.abs(far.trajectory.errors[0] - lap.trajectory.errors[0])) > 1e-3
-    again = laps.lap(found, task, SEED, 2**32 + 5)
+    again = laps.lap(design, task, SEED, 2**32 + 5)
     assert np.array_equal(far.trajectory.errors, again.trajectory.errors)
 
 
-def test_usage_is_that_of_the_coordinate_furthest_out(found, lap):
+def test_usage_is_that_of_the_coordinate_furthest_out(design, lap):
     for usage, limits, values in (
-        (lap.of_error_set, found.problem.error_set, lap.trajectory.errors[1:]),
-        (lap.of_disturbance_set, found.problem.disturbance_set, lap.disturbance),
+        (lap.of_error_set, design.problem.error_set, lap.trajectory.errors[1:]),
+        (lap.of_disturbance_set, design.problem.disturbance_set, lap.disturbance),
     ):
         relative = np.abs(values) / limits.support(np.eye(3))
         assert usage.share == pytest.approx(relative.max(axis=1))
@@ -100,37 +100,38 @@ def test_usage_is_that_of_the_coordinate_furthest_out(found, lap):
         assert np.array_equal(usage.outside, usage.by_coordinate.any(axis=1))
 
 
-def test_the_report_names_the_largest_values_and_when(found, lap):
-    text = replay.text(found, lap)
+def test_the_report_names_the_largest_values_and_when(design, lap):
+    text = replay.text(design, lap)
     step = int(np.argmax(np.abs(lap.disturbance[:, 2])))
     (row,) = [line.split() for line in text.splitlines() if line.startswith("w_th [deg]")]
     assert float(row[2]) == pytest.approx(np.rad2deg(abs(lap.disturbance[step, 2])), rel=1e-4)
-    assert row[3] == "0.2" and float(row[5]) == pytest.approx(
-        (step + 1) * found.problem.reference.dt
-    )
+    assert row[3] == "0.2"
+    assert float(row[5]) == pytest.approx((step + 1) * design.problem.reference.dt)
     outside = int(lap.of_disturbance_set.outside.sum())
-    assert f"left in {outside} of {len(lap.disturbance)} periods" in text and outside > 0
-    assert "QPs" not in text and "reached in 0 of" in text
-    assert f"{len(lap.disturbance)} solved, 0 infeasible" in replay.text(
-        found, lap._replace(plans=True)
-    )
+    assert outside > 0
+    assert f"W: left in {outside} of {len(lap.disturbance)} periods" in text
+    assert "E, limits of the true error: |e_x| 0.3 m, |e_y| 0.3 m, |e_th| 20 deg\n" in text
+    assert "QPs" not in text
+    assert "reached in 0 of" in text
+    planned = replay.text(design, lap._replace(plans=True))
+    assert f"{len(lap.disturbance)} solved, 0 infeasible" in planned
 
 
-def test_qps_without_solution_and_wheels_at_their_limits_are_counted(found, lap):
-    status, wheels = lap.trajectory.diagnostics.status.copy(), lap.trajectory.demanded.copy()
-    status[:3], status[3], wheels[7:9] = qp.INFEASIBLE, qp.UNSOLVED, 9.0
+def test_qps_without_solution_and_wheels_at_their_limits_are_counted(design, lap):
+    status = lap.trajectory.diagnostics.status.copy()
+    status[:3] = qp.INFEASIBLE
+    status[3] = qp.UNSOLVED
+    demanded = lap.trajectory.demanded.copy()
+    demanded[7:9] = 9.0
     diagnostics = lap.trajectory.diagnostics._replace(status=status)
-    text = replay.text(
-        found,
-        lap._replace(
-            plans=True, trajectory=lap.trajectory._replace(diagnostics=diagnostics, demanded=wheels)
-        ),
-    )
-    assert "3 infeasible, 1 unsolved" in text and "reached in 2 of" in text
+    trajectory = lap.trajectory._replace(diagnostics=diagnostics, demanded=demanded)
+    text = replay.text(design, lap._replace(plans=True, trajectory=trajectory))
+    assert "3 infeasible, 1 unsolved" in text
+    assert "reached in 2 of" in text
 
 
-def test_a_lap_is_drawn_with_its_errors_its_disturbances_and_their_limits(found, lap):
-    figure = lap_figure.draw(found.problem, lap)
+def test_a_lap_is_drawn_with_its_errors_its_disturbances_and_their_limits(design, lap):
+    figure = lap_figure.draw(design.problem, lap)
     panels = np.reshape(figure.axes, (4, 3))
     worst = int(np.argmax(lap.of_error_set.share)) + 1
     for i, limit in enumerate((0.3, 0.3, 20.0)):
@@ -150,18 +151,22 @@ def test_a_lap_is_drawn_with_its_errors_its_disturbances_and_their_limits(found,
     for i, axes in enumerate(panels[3]):
         inside, beyond, *levels = axes.lines
         assert len(inside.get_xdata()) + len(beyond.get_xdata()) == len(lap.disturbance)
-        assert len(beyond.get_xdata()) == outside[:, i].sum() and beyond.get_color() == OUTSIDE
+        assert len(beyond.get_xdata()) == outside[:, i].sum()
+        assert beyond.get_color() == OUTSIDE
         assert np.all(np.abs(beyond.get_ydata()) > limits[i])
         assert [level.get_ydata()[0] for level in levels] == pytest.approx([-limits[i], limits[i]])
     assert panels[0, 1].lines[1].get_ydata() == pytest.approx(lap.trajectory.wheels[:, 0])
     assert panels[0, 2].lines[1].get_ydata() == pytest.approx(10 * lap.slips[:, 0, 1])
 
 
-def test_a_lap_of_the_linear_plant_shows_its_inputs(found, task):
-    lap = laps.lap(found, dataclasses.replace(task, plant=closed_loop.linear_plant(found)), SEED, 0)
-    assert np.all(np.isnan(lap.trajectory.wheels)) and not lap.of_disturbance_set.outside.any()
-    assert lap.slips is None and "wheels" not in replay.text(found, lap)
-    panels = np.reshape(lap_figure.draw(found.problem, lap).axes, (4, 3))
+def test_a_lap_of_the_linear_plant_shows_its_inputs(design, task):
+    linear = dataclasses.replace(task, plant=closed_loop.linear_plant(design))
+    lap = laps.lap(design, linear, SEED, 0)
+    assert np.all(np.isnan(lap.trajectory.wheels))
+    assert not lap.of_disturbance_set.outside.any()
+    assert lap.slips is None
+    assert "wheels" not in replay.text(design, lap)
+    panels = np.reshape(lap_figure.draw(design.problem, lap).axes, (4, 3))
     for i in range(2):
         assert panels[0, 1 + i].lines[0].get_ydata() == pytest.approx(lap.trajectory.inputs[:, i])
 
@@ -179,7 +184,7 @@ def test_the_command_adds_to_the_folder_of_a_run_and_takes_nothing_away(
         f"replay-5.{kind}" for kind in ("png", "pdf", "npz", "txt")
     }
     printed = capsys.readouterr().out
-    assert printed.startswith("lap 5; law: local_gain")
+    assert printed.startswith(f"lap 5; seed {SEED}; drawn from local_gain")
     assert printed.startswith((tmp_path / "replay-5.txt").read_text())
     saved = np.load(tmp_path / "replay-5.npz")
     assert np.array_equal(saved["errors"], lap.trajectory.errors)

@@ -10,7 +10,6 @@ from tolerances import AT_A_VERTEX, CLOSED_LOOP, INSIDE_TUBE
 
 from jaxtube import qp
 from jaxtube.control import mpc
-from jaxtube.experiments.run import metrics
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import begin, follow_plan, realisation_keys
 from sets.tubes import sequence_tube
@@ -138,4 +137,4 @@ def test_plan_deviations_of_the_tube_along_the_reference_are_judged_where_its_se
     trajectory = closed_loop.run_realisations(loop, plant, edge_starts(design, BATCH), 12)
     found = closed_loop.plan_deviations(design, loop, plant, trajectory, seed=12)
     assert found.shape[1] >= 10 * BATCH
-    assert metrics.tube_margins(design, found).min() >= INSIDE_TUBE
+    assert design.tube.margins(found).min() >= INSIDE_TUBE

@@ -1,11 +1,11 @@
-"""The closed loops that put a guarantee to the test: sampling laws of the slip, and starts all over
-the feasible set.
+"""The closed loops that put a guarantee to the test: one sampling law for each slip process and
+kind of start.
 
-    laps     the whole reference, starts uniform in the feasible set
-    edge     its first second, starts on the edge of that set, where constraints bind
+    whole laps       the whole reference, starts uniform in the feasible set
+    from the edge    its first second, starts on the edge of that set, where constraints bind
 
-All laws of one kind are one program, which compiles once: which process draws the slips is data. A
-lap meets the draws that the command `montecarlo` gives the lap of its number under that process and
+All laws of one kind share one compiled program: the process that draws the slips is data. A lap
+meets the draws that the command `montecarlo` gives the lap of its number under that process and
 those starts.
 """
 
@@ -18,12 +18,12 @@ from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import msgspec
 from jax import Array
 from jaxtyping import Float, Int, Key
 
 from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.slipping import SlipMemory, SlippingRobot
+from jaxtube.scenario import replace
 from jaxtube.simulation import closed_loop
 from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import Task
@@ -52,22 +52,24 @@ class Law(NamedTuple):
         return "edge" if self.edge else "feasible"
 
 
-LAWS = (*map(Law, PROCESSES), *(Law(process, edge=True) for process in EDGE_PROCESSES))
+WHOLE_LAPS = tuple(Law(process) for process in PROCESSES)
+FROM_THE_EDGE = tuple(Law(process, edge=True) for process in EDGE_PROCESSES)
+LAWS = WHOLE_LAPS + FROM_THE_EDGE
 
 
-def laps_of_a_law(realisations: int, block: int) -> int:
-    """Return the laps of each law: an equal share of those asked for over the processes, up to
-    whole blocks."""
+def count_laps(realisations: int, block: int) -> int:
+    """Return the laps of each law: an equal share of those asked for over the processes, rounded up
+    to whole blocks."""
     return -(-realisations // (len(PROCESSES) * block)) * block
 
 
-@partial(jax.tree_util.register_dataclass, data_fields=["ideal", "chosen"], meta_fields=[])
+@partial(jax.tree_util.register_dataclass, data_fields=["ideal", "number"], meta_fields=[])
 @dataclass(frozen=True)
 class AnySlipRobot:
-    """The slipping robot whose process, one of PROCESSES, is chosen by its number."""
+    """The slipping robot whose slip process is data: its number in PROCESSES."""
 
     ideal: SlippingRobot
-    chosen: Int[Array, ""]
+    number: Int[Array, ""]
 
     has_wheels = True
 
@@ -88,7 +90,7 @@ class AnySlipRobot:
         """Draw the pose noise of an instant and the slips of the period that begins there."""
         ideal = self.ideal
         branches = [partial(self._draw, number, keys, step) for number in range(len(PROCESSES))]
-        memory = jax.lax.switch(self.chosen, branches, memory, errors)
+        memory = jax.lax.switch(self.number, branches, memory, errors)
         measured_errors = ideal.measure_errors(keys, step, errors)
         return Measurement(measured_errors, ideal.slip(memory.measured)), memory
 
@@ -115,42 +117,44 @@ class AnySlipRobot:
         return self.ideal.advance(keys, step, memory, errors, command)
 
 
-def under(found: Design, law: Law) -> Design:
-    """Return a design whose scenario has the law's process, for laps on the edge with the first
-    second alone."""
-    problem, windows = found.problem, found.windows
-    scenario, reference = problem.scenario, problem.reference
-    slip = msgspec.structs.replace(scenario.slip, process=law.process)
-    scenario = msgspec.structs.replace(scenario, slip=slip)
+def apply_law(design: Design, law: Law) -> Design:
+    """Return a design whose scenario has the law's slip process and, for laps from the edge, whose
+    reference ends after EDGE_SECONDS."""
+    problem = design.problem
+    reference = problem.reference
+    windows = design.windows
+    scenario = replace(problem.scenario, {"slip.process": law.process})
     if law.edge:
-        reference = dataclasses.replace(
-            reference, steps=min(round(EDGE_SECONDS / reference.dt), reference.steps)
-        )
-        windows = dataclasses.replace(windows, index=windows.index[: reference.steps])
-    return dataclasses.replace(
-        found,
-        problem=dataclasses.replace(problem, scenario=scenario, reference=reference),
-        windows=windows,
-    )
+        steps = min(round(EDGE_SECONDS / reference.dt), reference.steps)
+        reference = dataclasses.replace(reference, steps=steps)
+        windows = dataclasses.replace(windows, index=windows.index[:steps])
+    problem = dataclasses.replace(problem, scenario=scenario, reference=reference)
+    return dataclasses.replace(design, problem=problem, windows=windows)
 
 
-def make_tasks(found: Design, seed: int) -> tuple[dict[Law, Task], str]:
-    """Return what every law's blocks need, and why starts are not spread, "" where they are."""
-    tasks, why = {}, ""
-    for edge in (False, True):
-        alike = [law for law in LAWS if law.edge == edge]
-        task, why = _task(under(found, alike[0]), alike[0], seed)
+def make_tasks(design: Design, seed: int) -> tuple[dict[Law, Task], str]:
+    """Return what the blocks of every law need.
+
+    Returns:
+        The tasks in the order of LAWS; and why starts are not spread over the feasible set, ""
+        where they are.
+    """
+    tasks = {}
+    why = ""
+    for laws in (WHOLE_LAPS, FROM_THE_EDGE):
+        limited = apply_law(design, laws[0])
+        task, why = _make_task(limited, laws[0].starts, seed)
         # The name of a process is part of a program: it is one name for all.
-        ideal = closed_loop.slipping_robot(under(found, alike[0]), PROCESSES[0])
-        for law in alike:
-            chosen = jnp.asarray(PROCESSES.index(law.process), jnp.int32)
-            tasks[law] = dataclasses.replace(task, plant=AnySlipRobot(ideal, chosen))
+        ideal = closed_loop.slipping_robot(limited, PROCESSES[0])
+        for law in laws:
+            number = jnp.asarray(PROCESSES.index(law.process), jnp.int32)
+            tasks[law] = dataclasses.replace(task, plant=AnySlipRobot(ideal, number))
     return tasks, why
 
 
-def _task(found: Design, law: Law, seed: int) -> tuple[Task, str]:
+def _make_task(design: Design, starts: str, seed: int) -> tuple[Task, str]:
     try:
-        return make_closed_loop_task(found, "tube_mpc", "robot", law.starts, None, seed), ""
+        return make_closed_loop_task(design, "tube_mpc", "robot", starts, None, seed), ""
     except ValueError as error:
-        task = make_closed_loop_task(found, "tube_mpc", "robot", "scenario", None, seed)
+        task = make_closed_loop_task(design, "tube_mpc", "robot", "scenario", None, seed)
         return task, str(error)

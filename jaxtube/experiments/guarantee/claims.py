@@ -2,9 +2,9 @@
 shown.
 
 A lap violates the guarantee where any of VIOLATIONS occurs in any of its periods. Laps are counted
-event by event, so of several events the violating laps lie between the largest count and the sum.
-Bounds are one-sided (Clopper-Pearson), one law at a time: they hold for laps drawn by that law, and
-for no other.
+event by event, so the number of laps with at least one of several events lies between the largest
+count and the sum. Bounds are one-sided (Clopper-Pearson), one law at a time: they hold for laps
+drawn by that law, and for no other.
 """
 
 from __future__ import annotations
@@ -18,19 +18,20 @@ from jaxtube.statistics.intervals import largest_share
 from sets.certificate import Certificate
 
 CONFIDENCE = 0.95
-VIOLATIONS = {
-    "w_outside_W": "w out W",
-    "e_outside_E": "e out E",
-    "u_outside_U": "u out U",
-    "wheels_saturated": "wheels",
-    "qp_infeasible": "no plan",
-    "qp_unsolved": "unsolv.",
-    "not_finite": "not a number",
-}
+VIOLATIONS = (
+    "w_outside_W",
+    "e_outside_E",
+    "u_outside_U",
+    "wheels_saturated",
+    "qp_infeasible",
+    "qp_unsolved",
+    "not_finite",
+)
+"""Events of `jaxtube.statistics.events`."""
 
 
 class Tested(NamedTuple):
-    """A design that was attacked: `laws` holds the summary of its laps under each law, by name."""
+    """A design that was attacked; `laws` holds the summary of its laps by the name of the law."""
 
     name: str
     scenario: Scenario
@@ -39,9 +40,17 @@ class Tested(NamedTuple):
     note: str = ""
 
 
+class Seen(NamedTuple):
+    """How often something was seen under one law: in so many of how many laps, or plans that were
+    followed."""
+
+    times: int
+    of: int
+    unit: str
+
+
 class Count(NamedTuple):
-    """How often something was seen: laps, or plans that were followed, of so many; by law where it
-    was seen most."""
+    """How often something was seen under all laws, and under the law where its share is largest."""
 
     seen: int
     of: int
@@ -52,18 +61,20 @@ class Count(NamedTuple):
 
 
 class Claim(NamedTuple):
-    """A part of the guarantee: conditions of the certificate that it needs, the first its own, and
-    what refutes it.
+    """A part of the guarantee.
 
-    A claim on the robot needs a W that holds as well; one that is not is on the model. `refuted`
-    reads, from the summary of one law, (times seen, of how many, unit); None where laps cannot
-    tell.
+    Attributes:
+        title: in words.
+        conditions: of the certificate that it needs, its own first.
+        on_robot: whether it is on the robot, so that W must hold as well, or on the model alone.
+        refutation: how often the summary of one law refutes it; None where laps cannot tell.
+        scope: how far it goes, in words.
     """
 
     title: str
     conditions: tuple[str, ...]
     on_robot: bool = True
-    refuted: Callable[[dict], tuple[int, int, str]] | None = None
+    refutation: Callable[[dict], Seen] | None = None
     scope: Callable[[Scenario], str] = lambda scenario: ""
 
 
@@ -78,33 +89,36 @@ class Verdict(NamedTuple):
     seen: Count | None
 
 
-def _laps_with(*events: str) -> Callable[[dict], tuple[int, int, str]]:
-    return lambda law: (max(law["events"][name]["laps"] for name in events), law["laps"], "laps")
+def _laps_with(*events: str) -> Callable[[dict], Seen]:
+    """Return what counts the laps with the most frequent of some events."""
+
+    def count(law: dict) -> Seen:
+        return Seen(max(law["events"][name]["laps"] for name in events), law["laps"], "laps")
+
+    return count
 
 
-def _plans_outside(law: dict) -> tuple[int, int, str]:
-    """Count, of the plans that were followed, those outside the tube at the stage where most of
-    them are."""
+def _plans_outside(law: dict) -> Seen:
+    """Count the plans outside the tube, at the stage where most of them are."""
     if not law["plans"]:
-        return 0, 0, "plans"
+        return Seen(0, 0, "plans")
     tube = law["tube"]
-    return max(map(int, tube["plans_outside_by_stage"][tube["used"]])), law["plans"], "plans"
+    outside = tube["plans_outside_by_stage"][tube["used"]]
+    return Seen(max(map(int, outside)), law["plans"], "plans")
 
 
-def _cost_excesses(law: dict) -> tuple[int, int, str]:
-    return (
-        (law["cost"]["fell_by_less_than_the_stage"] if law["plans"] else 0),
-        law["plans"],
-        "plans",
-    )
+def _cost_excesses(law: dict) -> Seen:
+    """Count the plans whose cost fell by less than that of the step."""
+    excesses = law["cost"]["fell_by_less_than_the_stage"] if law["plans"] else 0
+    return Seen(excesses, law["plans"], "plans")
 
 
 def _wheel_speeds(scenario: Scenario) -> str:
     reference = scenario.reference
     span = f"{reference.wheel_speed_min_mps:g} to {reference.wheel_speed_max_mps:g} m/s"
-    return (
-        f"{span}, any order" if reference.certified_for == "box" else f"those of the path in {span}"
-    )
+    if reference.certified_for == "box":
+        return f"{span}, any order"
+    return f"those of the path in {span}"
 
 
 def _slip_error(scenario: Scenario) -> str:
@@ -116,7 +130,10 @@ def _disturbance_set(scenario: Scenario) -> str:
     section = scenario.disturbance
     if section.bound == "computed":
         return "W is computed"
-    return f"W assumed: {section.longitudinal_m:g} m, {section.lateral_m:g} m, {section.heading_deg:g} deg"
+    return (
+        f"W assumed: {section.longitudinal_m:g} m, {section.lateral_m:g} m, "
+        f"{section.heading_deg:g} deg"
+    )
 
 
 PREMISE = ("disturbance_bound_proved",)
@@ -127,45 +144,53 @@ CLAIMS = (
     Claim(
         "W holds every disturbance of the robot",
         PREMISE,
-        False,
-        _laps_with("w_outside_W"),
-        _disturbance_set,
+        on_robot=False,
+        refutation=_laps_with("w_outside_W"),
+        scope=_disturbance_set,
     ),
-    Claim("an invariant terminal set exists over the certified wheel speeds", TERMINAL, False),
+    Claim(
+        "an invariant terminal set exists over the certified wheel speeds",
+        TERMINAL,
+        on_robot=False,
+    ),
     Claim(
         "a plan is followed by a plan",
         RECURSION,
-        refuted=_laps_with("qp_infeasible", "qp_unsolved"),
+        refutation=_laps_with("qp_infeasible", "qp_unsolved"),
     ),
     Claim(
         "the tube holds the error around a plan",
         ("tightening_covers_reach",),
-        refuted=_plans_outside,
+        refutation=_plans_outside,
     ),
     Claim(
-        "the error stays in E", ("true_error_in_e", *RECURSION), refuted=_laps_with("e_outside_E")
+        "the error stays in E",
+        ("true_error_in_e", *RECURSION),
+        refutation=_laps_with("e_outside_E"),
     ),
     Claim(
-        "inputs stay in U", ("input_sets_not_empty", *RECURSION), refuted=_laps_with("u_outside_U")
+        "inputs stay in U",
+        ("input_sets_not_empty", *RECURSION),
+        refutation=_laps_with("u_outside_U"),
     ),
     Claim(
         "wheels stay within their limits",
         ("wheel_limits", *RECURSION),
-        refuted=_laps_with("wheels_saturated"),
+        refutation=_laps_with("wheels_saturated"),
     ),
     Claim(
         "the cost of the model decreases",
         ("terminal_cost_decrease", "plan_stays_feasible"),
-        False,
-        _cost_excesses,
+        on_robot=False,
+        refutation=_cost_excesses,
     ),
     Claim(
         "wheel speeds covered",
         ("vertices_cover_schedule", "terminal_set_invariant"),
         scope=_wheel_speeds,
     ),
-    Claim("slip error covered", ("disturbance_bound_proved",), False, scope=_slip_error),
-    Claim("checked in exact arithmetic", (RATIONALS,), False),
+    Claim("slip error covered", PREMISE, on_robot=False, scope=_slip_error),
+    Claim("checked in exact arithmetic", (RATIONALS,), on_robot=False),
 )
 WORDS = {
     "disturbance_bound_proved": "W is not proved to hold w",
@@ -173,6 +198,7 @@ WORDS = {
     RATIONALS: "in floating point only",
     "terminal_set_invariant": "no invariant set",
 }
+"""What it means that a condition fails, where its name does not say so."""
 
 
 def judge(claim: Claim, design: Tested) -> Verdict:
@@ -182,17 +208,20 @@ def judge(claim: Claim, design: Tested) -> Verdict:
     # Without caps of its own a design takes U from the wheel limits: what keeps U then keeps the
     # wheels.
     names = [name for name in claim.conditions if name in known or name != "wheel_limits"]
-    failing = [name for name in names if not _holds(design, name)]
-    reasons = [_reason(design, name) for name in failing]
+    reasons = [_say_what_fails(design, name) for name in names if not _holds(design, name)]
     if claim.on_robot and not all(_holds(design, name) for name in PREMISE):
         reasons.append("W does not hold")
     proof = f"no: {', '.join(reasons)}" if reasons else f"yes, margin {known[names[0]].margin:.3g}"
-    other = known.get("invariant_set_for_tube_gain")
-    if claim.conditions == TERMINAL and other and not other.holds:
-        proof += f"; but not for the gain of the tube ({other.margin:.3g})"
-    claimed = claim.conditions != (RATIONALS,) or RATIONALS in known
-    seen = count(claim.refuted, design.laws) if claim.refuted else None
-    return Verdict(claimed, claim.scope(design.scenario), not reasons, proof, seen)
+    own_gain = known.get("invariant_set_for_tube_gain")
+    if claim.conditions == TERMINAL and own_gain and not own_gain.holds:
+        proof += f"; but not for the gain of the tube ({own_gain.margin:.3g})"
+    return Verdict(
+        claimed=claim.conditions != (RATIONALS,) or RATIONALS in known,
+        scope=claim.scope(design.scenario),
+        certified=not reasons,
+        proof=proof,
+        seen=count(claim.refutation, design.laws) if claim.refutation else None,
+    )
 
 
 def _holds(design: Tested, name: str) -> bool:
@@ -200,41 +229,39 @@ def _holds(design: Tested, name: str) -> bool:
     return condition is not None and condition.holds
 
 
-def _reason(design: Tested, name: str) -> str:
-    """Say why a condition fails, with its margin where it has one."""
-    words, condition = (
-        WORDS.get(name, name.replace("_", " ")),
-        design.certificate.conditions.get(name),
-    )
-    return (
-        words
-        if condition is None or math.isinf(condition.margin)
-        else f"{words} ({condition.margin:.3g})"
-    )
+def _say_what_fails(design: Tested, name: str) -> str:
+    """Return in words that a condition fails, with its margin where it has one."""
+    words = WORDS.get(name, name.replace("_", " "))
+    condition = design.certificate.conditions.get(name)
+    if condition is None or math.isinf(condition.margin):
+        return words
+    return f"{words} ({condition.margin:.3g})"
 
 
-def count(refuted: Callable[[dict], tuple[int, int, str]], laws: dict[str, dict]) -> Count:
-    """Add up over the laws how often a claim was refuted, and name the law under which it was most
-    of all."""
-    found = {name: refuted(law) for name, law in laws.items()}
-    worst = max(found, key=lambda name: found[name][0] / max(found[name][1], 1))
-    seen, of, unit = found[worst]
-    total, of_all = sum(each[0] for each in found.values()), sum(each[1] for each in found.values())
-    return Count(total, of_all, unit, worst if seen else "", seen, of)
+def count(refutation: Callable[[dict], Seen], laws: dict[str, dict]) -> Count:
+    """Add up over the laws how often a claim was refuted, and name the law under which its share
+    was largest."""
+    by_law = {name: refutation(law) for name, law in laws.items()}
+    worst = max(by_law, key=lambda name: by_law[name].times / max(by_law[name].of, 1))
+    most = by_law[worst]
+    times = sum(seen.times for seen in by_law.values())
+    of = sum(seen.of for seen in by_law.values())
+    return Count(times, of, most.unit, worst if most.times else "", most.times, most.of)
 
 
-def violating(law: dict, events: Collection[str] = tuple(VIOLATIONS)) -> tuple[int, int]:
-    """Return the least and the most laps that can have had one of some events."""
+def bound_violating_laps(law: dict, events: Collection[str] = VIOLATIONS) -> tuple[int, int]:
+    """Return the least and the largest number of laps that can have had one of some events."""
     laps = [law["events"][name]["laps"] for name in events]
     return max(laps), min(sum(laps), law["laps"])
 
 
-def bound(law: dict) -> float:
-    """Return the share of laps by this law that violate the guarantee, at most, at CONFIDENCE."""
-    return largest_share(violating(law)[1], law["laps"], 1 - CONFIDENCE)
+def bound_violating_share(law: dict) -> float:
+    """Return the largest share of laps by this law that violate the guarantee, at CONFIDENCE."""
+    _, most = bound_violating_laps(law)
+    return largest_share(most, law["laps"], 1 - CONFIDENCE)
 
 
-def steps(law: dict) -> int:
+def count_steps(law: dict) -> int:
     """Return the periods that were checked."""
     return law["laps"] * law["steps_a_lap"]
 
@@ -249,26 +276,30 @@ def metrics(tested: list[Tested]) -> dict:
 
 
 def _metrics(design: Tested) -> dict:
-    verdicts = {claim.title: judge(claim, design) for claim in CLAIMS}
+    certificate = design.certificate
     return {
-        "certified": design.certificate.holds_for_robot,
-        "certified_for_model": design.certificate.holds_for_model,
+        "certified": certificate.holds_for_robot,
+        "certified_for_model": certificate.holds_for_model,
         "certificate": {
-            name: {"holds": each.holds, "margin": each.margin, "scope": each.scope}
-            for name, each in design.certificate.conditions.items()
+            name: {"holds": condition.holds, "margin": condition.margin, "scope": condition.scope}
+            for name, condition in certificate.conditions.items()
         },
-        "claims": {
-            name: each._asdict() | {"seen": each.seen._asdict() if each.seen else None}
-            for name, each in verdicts.items()
-        },
-        "laws": {
-            name: law
-            | {
-                "violating_laps_least": violating(law)[0],
-                "violating_laps_most": violating(law)[1],
-                "share_of_violating_laps_at_most": bound(law),
-            }
-            for name, law in design.laws.items()
-        },
+        "claims": {claim.title: _verdict_metrics(judge(claim, design)) for claim in CLAIMS},
+        "laws": {name: law | _bounds(law) for name, law in design.laws.items()},
         "note": design.note,
+    }
+
+
+def _verdict_metrics(verdict: Verdict) -> dict:
+    seen = verdict.seen._asdict() if verdict.seen else None
+    return verdict._asdict() | {"seen": seen}
+
+
+def _bounds(law: dict) -> dict:
+    """Return the bounds on the laps of a law that violate the guarantee."""
+    least, most = bound_violating_laps(law)
+    return {
+        "violating_laps_least": least,
+        "violating_laps_most": most,
+        "share_of_violating_laps_at_most": bound_violating_share(law),
     }

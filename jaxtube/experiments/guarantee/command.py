@@ -2,26 +2,25 @@
 robot.
 
 Both designs get robot, slip, noise, path and start of the first scenario; sets, gains, model and
-input map stay their own, and so do the wheel speeds each of them promises to cover. Every law's
-blocks are recorded in a folder of their own, `records-DESIGN-LAW`, so that a killed run goes on
+input map stay their own, and so do the wheel speeds each of them promises to cover. The blocks of
+each law are recorded in a folder of their own, `records-DESIGN-LAW`, so that a killed run continues
 with nothing lost.
 """
 
 from __future__ import annotations
 
 import contextlib
-import itertools
 import re
 import sys
 import time
-from collections.abc import Iterator
-from typing import NamedTuple, NoReturn
+from collections.abc import Collection, Iterator
+from typing import NamedTuple
 
 import jax
-import msgspec
 import numpy as np
 
 from jaxtube.atomic import write_atomically
+from jaxtube.coordinates import NAMES, TO_DISPLAY
 from jaxtube.experiments.design.command import exit_code
 from jaxtube.experiments.design.seen import disturbance_line
 from jaxtube.experiments.guarantee import claims as guarantee_claims
@@ -30,19 +29,20 @@ from jaxtube.experiments.guarantee.attack import (
     EDGE_SECONDS,
     LAWS,
     Law,
-    laps_of_a_law,
+    apply_law,
+    count_laps,
     make_tasks,
-    under,
 )
 from jaxtube.experiments.guarantee.claims import Tested
 from jaxtube.experiments.montecarlo import command as blocks
 from jaxtube.experiments.options import GuaranteeOptions, MontecarloOptions, title
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.experiments.run.metrics import COORDINATES, TO_DISPLAY
+from jaxtube.experiments.run.limits import describe_error_set
+from jaxtube.experiments.run.metrics import by_coordinate
 from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.records import Records
-from jaxtube.scenario import Scenario, ScenarioError, load, rules, to_toml
+from jaxtube.scenario import Scenario, ScenarioError, load, replace, to_toml
 from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics import histogram
 from jaxtube.statistics import run as montecarlo
@@ -54,11 +54,16 @@ from jaxtube.statistics.summary import summarise
 from jaxtube.synthesis.design import Design, EmptySetError
 from jaxtube.synthesis.design import design as make_design
 
+SHARED = ("robot", "slip", "noise", "initial", "reference")
+"""Sections that both designs take from the first scenario."""
+COVERED = ("wheel_speed_min_mps", "wheel_speed_max_mps", "certified_for")
+"""Keys of [reference] that a design keeps: the wheel speeds that it promises to cover."""
+
 
 class Attack(NamedTuple):
     """One design under one law: its blocks and where they are recorded."""
 
-    name: str
+    name: str  # of the design
     law: Law
     run: Run
     records: Records
@@ -66,202 +71,212 @@ class Attack(NamedTuple):
 
 def run(scenario: Scenario, options: GuaranteeOptions) -> int:
     """Run the command; returns 3 where a certificate is required and the first design has none."""
-    scenarios = {
-        title(options.scenario): scenario,
-        title(options.against): against(scenario, options),
-    }
+    first = title(options.scenario)
+    other = title(options.against)
+    scenarios = {first: scenario, other: load_other(scenario, options)}
     blocks.use_devices(options.devices)
-    designs = {name: certified(name, each) for name, each in scenarios.items()}
+    designs = make_designs(scenarios)
+    attacks = []
+    reasons = {}
     with contextlib.ExitStack() as stack:
-        attacks, notes = {}, {}
-        for name, found in designs.items():
-            attacks[name], notes[name] = attacked(stack, name, found, options)
-        every = list(itertools.chain(*attacks.values()))
-        missing = [each.records.missing(each.run.realisations) for each in every]
-        print(announcement(every), file=sys.stderr)
+        for name, design in designs.items():
+            opened, reasons[name] = open_attacks(stack, name, design, options)
+            attacks += opened
+        missing = [attack.records.missing(attack.run.realisations) for attack in attacks]
+        print(describe_laps(attacks), file=sys.stderr)
         folder = run_folder.create(scenario, options)
-        performance = compute(every, missing)
-        statistics = {
-            name: {each.law: each.records.merged() for each in attacks[name]} for name in designs
-        }
+        performance = compute(attacks, missing)
+        statistics = merge_records(attacks)
     # The other design comes first, as what the first scenario is measured against.
     tested = [
-        judged(name, designs[name], statistics[name], notes[name])
-        for name in reversed(designs.keys())
+        summarise_attacks(name, designs[name], statistics[name], reasons[name])
+        for name in (other, first)
     ]
     save(folder, tested, performance)
-    certificate = designs[title(options.scenario)].certificate
-    return exit_code(certificate, options.require_certificate)
+    return exit_code(designs[first].certificate, options.require_certificate)
 
 
-def announcement(attacks: list[Attack]) -> str:
+def load_other(scenario: Scenario, options: GuaranteeOptions) -> Scenario:
+    """Return the scenario to compare with, on the robot of the first one.
+
+    Raises:
+        ScenarioError: one line, for the first scenario itself and where both do not go together.
+    """
+    if title(options.against) == title(options.scenario):
+        problem = "has the name of the scenario itself"
+        raise refusal("command line", "--against", options.against, problem, "name another one")
+    return put_on_robot(load(options.against), scenario, options.against)
+
+
+def put_on_robot(own: Scenario, first: Scenario, source: str) -> Scenario:
+    """Return a scenario with robot, slip, noise, path and start of another one; the wheel speeds it
+    covers stay its own.
+
+    Args:
+        own: the scenario.
+        first: gives the robot.
+        source: what the user calls `own`.
+
+    Raises:
+        ScenarioError: one line, where both do not go together.
+    """
+    shared = {section: getattr(first, section) for section in SHARED}
+    covered = {f"reference.{key}": getattr(own.reference, key) for key in COVERED}
+    try:
+        return replace(own, shared | covered)
+    except ScenarioError as error:
+        raise _name_source(error, f"--against {source}") from None
+
+
+def make_designs(scenarios: dict[str, Scenario]) -> dict[str, Design]:
+    """Return designs with their certificates, by the name of the scenario.
+
+    Raises:
+        ScenarioError, EmptySetError: one line that names the scenario.
+    """
+    designs = {}
+    for name, scenario in scenarios.items():
+        try:
+            designs[name] = make_design(scenario)
+        except (ScenarioError, EmptySetError) as error:
+            raise _name_source(error, name) from None
+    return designs
+
+
+def _name_source(error: ValueError, source: str) -> ValueError:
+    """Return the same error about a source that the user knows."""
+    return type(error)(re.sub("^(scenario|override):", f"{source}:", str(error)))
+
+
+def open_attacks(
+    stack: contextlib.ExitStack, name: str, design: Design, options: GuaranteeOptions
+) -> tuple[list[Attack], str]:
+    """Open the records of every law.
+
+    Returns:
+        The attacks; and why starts are not spread over the feasible set, "" where they are.
+    """
+    tasks, reason = make_tasks(design, options.seed)
+    devices = tuple(jax.local_devices()[: options.devices or None])
+    laps = count_laps(int(options.realisations), BLOCK)
+    attacks = []
+    for law in LAWS:
+        folder = options.folder / f"records-{name}-{law.name}"
+        opened = Records(folder, identity(design, law, options), montecarlo.merge, BLOCK)
+        records = stack.enter_context(opened)
+        for line in records.damaged:
+            print(line, file=sys.stderr)
+        attacks.append(Attack(name, law, Run(tasks[law], laps, 1, devices), records))
+    return attacks, reason
+
+
+def identity(design: Design, law: Law, options: GuaranteeOptions) -> dict:
+    """Return all that determines the statistics of a block."""
+    scenario = apply_law(design, law).problem.scenario
+    known = blocks.identity(scenario, MontecarloOptions(seed=options.seed, starts=law.starts))
+    return known | {"edge_seconds": EDGE_SECONDS} if law.edge else known
+
+
+def describe_laps(attacks: list[Attack]) -> str:
     """Return one line: how many laps are about to be run."""
-    laps = sum(each.run.realisations for each in attacks)
-    recorded = sum(each.records.laps for each in attacks)
-    designs = len({each.name for each in attacks})
+    laps = sum(attack.run.realisations for attack in attacks)
+    recorded = sum(attack.records.laps for attack in attacks)
+    designs = len({attack.name for attack in attacks})
     return (
-        f"{laps // designs:,} laps of each of {designs} designs, in whole blocks of {BLOCK:,} under "
-        f"each of {len(LAWS)} laws; {recorded:,} of {laps:,} are recorded"
+        f"{laps // designs:,} laps of each of {designs} designs, in whole blocks of {BLOCK:,} "
+        f"under each of {len(LAWS)} laws; {recorded:,} of {laps:,} are recorded"
     )
 
 
+def compute(attacks: list[Attack], missing: list[Iterator[int]]) -> dict:
+    """Compute and record the missing blocks; return what it took, {} where none was missing."""
+    laps = sum(attack.run.realisations for attack in attacks)
+    before = sum(attack.records.laps for attack in attacks)
+    start = time.perf_counter()
+    with progress(laps, "attacking", "laps", before) as bar:
+        for attack, wanted in zip(attacks, missing, strict=True):
+            bar.set_postfix_str(f"{attack.name}, {attack.law.name}", refresh=False)
+            for block, statistics in attack.run.compute(wanted):
+                attack.records.add(block, int(statistics["laps"]), statistics)
+                bar.update(BLOCK)
+    computed = sum(attack.records.laps for attack in attacks) - before
+    return {"laps": computed, "seconds": time.perf_counter() - start} if computed else {}
+
+
+def merge_records(attacks: list[Attack]) -> dict[str, dict[Law, Statistics]]:
+    """Return the statistics of all blocks, by design and law."""
+    statistics: dict[str, dict[Law, Statistics]] = {attack.name: {} for attack in attacks}
+    for attack in attacks:
+        statistics[attack.name][attack.law] = attack.records.merged()
+    return statistics
+
+
+def summarise_attacks(
+    name: str, design: Design, statistics: dict[Law, Statistics], reason: str
+) -> Tested:
+    """Return what became of a design that was attacked, with what its laps saw of w in W.
+
+    Args:
+        name: of the design.
+        design: it.
+        statistics: by law.
+        reason: why starts are not spread over the feasible set, "" where they are.
+    """
+    summaries = {}
+    for law, counts in statistics.items():
+        limited = apply_law(design, law)
+        sampling = name_law(limited, "tube_mpc", "robot", "scenario" if reason else law.starts)
+        summaries[law.name] = summarise(limited, sampling, counts)
+    disturbance = sum_up_disturbances(design, statistics.values())
+    seen = disturbance_line(design, disturbance, "the tube-MPC under all laws")
+    notes = [f"{name}, {describe_error_set(design.problem)}", f"{name}, {seen}"]
+    if reason:
+        because = reason.removeprefix("scenario: ")
+        notes.append(f"starts of {name}: the scenario's, since {because}")
+    return Tested(name, design.problem.scenario, design.certificate, summaries, "\n".join(notes))
+
+
+def sum_up_disturbances(design: Design, statistics: Collection[Statistics]) -> dict:
+    """Return how often and how far w left W, all laws together."""
+    steps = sum(int(law["laps"]) * (law["events"].shape[1] - 1) for law in statistics)
+
+    def find_share(event: str) -> float:
+        return sum(_count_steps(law, event) for law in statistics) / steps
+
+    outside = [find_share(f"w_outside_{name}") for name in NAMES]
+    sizes = np.sum([law["disturbance"] for law in statistics], axis=0)
+    excess = max(float(np.max(law["excess/disturbance"])) for law in statistics)
+    widths = design.problem.disturbance_set.support(np.eye(3))
+    return {
+        "steps": steps,
+        "share_of_steps_outside": find_share("w_outside_W"),
+        "share_of_steps_outside_by_coordinate": by_coordinate(outside),
+        "largest": by_coordinate(histogram.quantile(sizes, 1.0) * TO_DISPLAY),
+        "allowed": by_coordinate(widths * TO_DISPLAY),
+        "margin": OUTSIDE - excess,
+    }
+
+
+def _count_steps(statistics: Statistics, event: str) -> int:
+    """Return the steps in which an event occurred."""
+    laps = statistics["events"][find_row(event)]
+    return int(laps @ np.arange(len(laps)))
+
+
 def save(folder: RunFolder, tested: list[Tested], performance: dict) -> None:
-    """Write metrics and tables, and print the report."""
+    """Write metrics, tables and figure, and print the report."""
+    from jaxtube.experiments.guarantee.figures import laws_figure
+
     other = to_toml(tested[0].scenario).encode()
     markdown = guarantee_report.markdown(tested).encode()
     write_atomically(folder.path / "against.toml", lambda file: file.write(other))
     write_atomically(folder.path / "guarantee.md", lambda file: file.write(markdown))
     folder.save_metrics(guarantee_claims.metrics(tested))
-    _draw(folder, tested)
+    folder.save_figure(laws_figure(tested), "laws")
     folder.report(guarantee_report.text(tested))
     if performance:
         folder.save_json("performance", performance)
-        folder.report(
-            f"\n{performance['laps']:,} laps computed in {performance['seconds']:.1f} s, with compilation"
-        )
+        laps = performance["laps"]
+        seconds = performance["seconds"]
+        folder.report(f"\n{laps:,} laps computed in {seconds:.1f} s, with compilation")
     print(f"\nguarantee.md, metrics.json, both scenarios and the records are in {folder.path}/")
-
-
-def _draw(folder: RunFolder, tested: list[Tested]) -> None:
-    from jaxtube.experiments.guarantee.figures import laws_figure
-
-    folder.save_figure(laws_figure(tested), "laws")
-
-
-def against(scenario: Scenario, options: GuaranteeOptions) -> Scenario:
-    """Return the scenario to compare with, on the first one's robot.
-
-    Raises: ScenarioError, one line, for the first scenario itself and where both do not go
-    together.
-    """
-    if title(options.against) == title(options.scenario):
-        problem, cure = "has the name of the scenario itself", "name another one"
-        raise refusal("command line", "--against", options.against, problem, cure)
-    return same_robot(load(options.against), scenario, options.against)
-
-
-def same_robot(own: Scenario, first: Scenario, source: str) -> Scenario:
-    """Give one scenario the robot, slip, noise, path and start of another; the wheel speeds it
-    covers stay its own.
-
-    Raises: ScenarioError, one line, where both do not go together.
-    """
-    covered = own.reference
-    reference = msgspec.structs.replace(
-        first.reference,
-        wheel_speed_min_mps=covered.wheel_speed_min_mps,
-        wheel_speed_max_mps=covered.wheel_speed_max_mps,
-        certified_for=covered.certified_for,
-    )
-    joined = msgspec.structs.replace(
-        own,
-        robot=first.robot,
-        slip=first.slip,
-        noise=first.noise,
-        initial=first.initial,
-        reference=reference,
-    )
-
-    def refuse(key: str, problem: str, cure: str) -> NoReturn:
-        section, name = key.split(".")
-        raise refusal(
-            f"--against {source}", key, getattr(getattr(joined, section), name), problem, cure
-        )
-
-    rules.check(joined, refuse)
-    return joined
-
-
-def certified(name: str, scenario: Scenario) -> Design:
-    """Return a design with its certificate.
-
-    Raises: ScenarioError, EmptySetError, one line that names the scenario.
-    """
-    try:
-        return make_design(scenario)
-    except (ScenarioError, EmptySetError) as error:
-        raise type(error)(re.sub("^scenario:", f"{name}:", str(error))) from None
-
-
-def attacked(
-    stack: contextlib.ExitStack, name: str, found: Design, options: GuaranteeOptions
-) -> tuple[list[Attack], str]:
-    """Open the records of every law; return (attacks, why starts are not spread over the feasible
-    set)."""
-    tasks, why = make_tasks(found, options.seed)
-    devices, laps = (
-        tuple(jax.local_devices()[: options.devices or None]),
-        laps_of_a_law(int(options.realisations), BLOCK),
-    )
-    attacks = []
-    for law in LAWS:
-        folder = options.folder / f"records-{name}-{law.name}"
-        records = stack.enter_context(
-            Records(folder, identity(found, law, options), montecarlo.merge, BLOCK)
-        )
-        for line in records.damaged:
-            print(line, file=sys.stderr)
-        attacks.append(Attack(name, law, Run(tasks[law], laps, 1, devices), records))
-    return attacks, why
-
-
-def identity(found: Design, law: Law, options: GuaranteeOptions) -> dict:
-    """Return all that determines the statistics of a block."""
-    scenario = under(found, law).problem.scenario
-    known = blocks.identity(scenario, MontecarloOptions(seed=options.seed, starts=law.starts))
-    return known | {"edge_seconds": EDGE_SECONDS} if law.edge else known
-
-
-def compute(attacks: list[Attack], missing: list[Iterator[int]]) -> dict:
-    """Compute and record the blocks that are missing; return what it took, nothing where none was."""
-    before, started = sum(each.records.laps for each in attacks), time.perf_counter()
-    with progress(
-        sum(each.run.realisations for each in attacks), "attacking", "laps", before
-    ) as bar:
-        for each, wanted in zip(attacks, missing, strict=True):
-            bar.set_postfix_str(f"{each.name}, {each.law.name}", refresh=False)
-            for block, statistics in each.run.compute(wanted):
-                each.records.add(block, int(statistics["laps"]), statistics)
-                bar.update(BLOCK)
-    laps = sum(each.records.laps for each in attacks) - before
-    return {"laps": laps, "seconds": time.perf_counter() - started} if laps else {}
-
-
-def judged(name: str, found: Design, statistics: dict[Law, Statistics], why: str) -> Tested:
-    """Sum up a design that was attacked, with what its laps saw of w in W."""
-    summaries = {}
-    for law, counts in statistics.items():
-        design = under(found, law)
-        sampling = name_law(design, "tube_mpc", "robot", "scenario" if why else law.starts)
-        summaries[law.name] = summarise(design, sampling, counts)
-    seen = disturbance_line(found, disturbance(found, statistics), "the tube-MPC under all laws")
-    notes = [f"{name}, {seen}"]
-    if why:
-        notes.append(f"starts of {name}: the scenario's, since {why.removeprefix('scenario: ')}")
-    return Tested(name, found.problem.scenario, found.certificate, summaries, "\n".join(notes))
-
-
-def disturbance(found: Design, statistics: dict[Law, Statistics]) -> dict:
-    """Return how often and how far w left W, all laws together."""
-    counts = [found["events"] for found in statistics.values()]
-    steps = sum(
-        int(found["laps"]) * (found["events"].shape[1] - 1) for found in statistics.values()
-    )
-
-    def share(event: str) -> float:
-        return sum(int(row[find_row(event)] @ np.arange(row.shape[1])) for row in counts) / steps
-
-    largest = histogram.quantile(
-        np.sum([found["disturbance"] for found in statistics.values()], axis=0), 1.0
-    )
-    by_coordinate = [share(f"w_outside_{name}") for name in ("longitudinal", "lateral", "heading")]
-    widths = found.problem.disturbance_set.support(np.eye(3))
-    return {
-        "steps": steps,
-        "share_of_steps_outside": share("w_outside_W"),
-        "share_of_steps_outside_by_coordinate": dict(zip(COORDINATES, by_coordinate, strict=True)),
-        "largest": dict(zip(COORDINATES, largest * TO_DISPLAY, strict=True)),
-        "allowed": dict(zip(COORDINATES, widths * TO_DISPLAY, strict=True)),
-        "margin": OUTSIDE
-        - max(float(np.max(found["excess/disturbance"])) for found in statistics.values()),
-    }

@@ -13,53 +13,40 @@ from jaxtube.experiments.guarantee.claims import (
     Claim,
     Count,
     Tested,
-    bound,
+    bound_violating_laps,
+    bound_violating_share,
+    count_steps,
     judge,
-    steps,
-    violating,
 )
 from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.statistics.events import find_event
 
-WIDTH = 110
+WIDTH = 100
 """Columns of all text."""
-SHOWN = tuple(VIOLATIONS)[:-1]
+SHOWN = VIOLATIONS[:-1]
+"""Events with a column of their own: laps that are not finite leave E or U as well."""
 
 
 def cells(claim: Claim, design: Tested) -> tuple[str, str, str]:
     """Return in words what a design claims, what is certified of it, and what was seen."""
     verdict = judge(claim, design)
-    claimed = "no" if not verdict.claimed else f"yes: {verdict.scope}" if verdict.scope else "yes"
-    return claimed, verdict.proof, _seen(verdict.seen) if verdict.seen else ""
+    claimed = "yes" if verdict.claimed else "no"
+    if verdict.claimed and verdict.scope:
+        claimed = f"yes: {verdict.scope}"
+    return claimed, verdict.proof, _say_what_was_seen(verdict.seen)
 
 
-def _seen(count: Count) -> str:
+def _say_what_was_seen(count: Count | None) -> str:
+    if count is None:
+        return ""
     text = f"{count.seen:,} of {count.of:,} {count.unit}"
-    return (
-        f"{text}; most: {_percent(count.seen_there / count.of_there)}, {count.worst}"
-        if count.seen
-        else text
-    )
+    if not count.seen:
+        return text
+    return f"{text}; most: {_percent(count.seen_there / count.of_there)}, {count.worst}"
 
 
 def _percent(share: float) -> str:
     return f"{100 * share:.3g}%"
-
-
-def totals(design: Tested) -> tuple[str, ...]:
-    """Return in words the cells of TOTALS."""
-    laws = design.laws
-    worst = max(laws, key=lambda name: bound(laws[name]))
-    return (
-        f"{sum(law['laps'] for law in laws.values()):,} in {sum(map(steps, laws.values())):,} steps",
-        _total(laws, tuple(VIOLATIONS)),
-        _total(laws, [name for name in VIOLATIONS if name != "w_outside_W"]),
-        f"{_percent(bound(laws[worst]))} ({worst})",
-    )
-
-
-def _total(laws: dict[str, dict], events: Collection[str]) -> str:
-    least, most = (sum(violating(law, events)[i] for law in laws.values()) for i in range(2))
-    return f"{least:,}" if least == most else f"{least:,} to {most:,}"
 
 
 TOTALS = (
@@ -71,29 +58,56 @@ TOTALS = (
 HEADINGS = ("claimed", "proved", "seen")
 
 
+def totals(design: Tested) -> tuple[str, ...]:
+    """Return in words the cells of TOTALS."""
+    laws = design.laws
+    laps = sum(law["laps"] for law in laws.values())
+    steps = sum(map(count_steps, laws.values()))
+    beyond_premise = [name for name in VIOLATIONS if name != "w_outside_W"]
+    shares = {name: bound_violating_share(law) for name, law in laws.items()}
+    worst = max(shares, key=lambda name: shares[name])
+    return (
+        f"{laps:,} in {steps:,} steps",
+        _say_how_many(laws, VIOLATIONS),
+        _say_how_many(laws, beyond_premise),
+        f"{_percent(shares[worst])} ({worst})",
+    )
+
+
+def _say_how_many(laws: dict[str, dict], events: Collection[str]) -> str:
+    """Return in words how many laps had one of some events."""
+    bounds = [bound_violating_laps(law, events) for law in laws.values()]
+    least = sum(fewest for fewest, _ in bounds)
+    largest = sum(most for _, most in bounds)
+    return f"{least:,}" if least == largest else f"{least:,} to {largest:,}"
+
+
 def text(tested: list[Tested]) -> str:
-    """Return the report as text of at most 110 columns."""
+    """Return the report as text of at most WIDTH columns."""
     parts = [verdict(design) for design in tested]
     parts.append(claim_table(tested))
     parts += [law_table(design) for design in tested]
-    parts += [legend(), *(design.note for design in tested if design.note)]
-    return "\n\n".join("\n".join(_wrapped(part)) for part in parts)
+    parts += [legend(), *_notes(tested)]
+    return "\n\n".join("\n".join(_wrap(part)) for part in parts)
 
 
-def _wrapped(part: str) -> list[str]:
-    return [
-        line
-        for row in part.split("\n")
-        for line in (textwrap.wrap(row, WIDTH) if len(row) > WIDTH else [row])
-    ]
+def _notes(tested: list[Tested]) -> list[str]:
+    return [design.note for design in tested if design.note]
+
+
+def _wrap(part: str) -> list[str]:
+    lines = []
+    for line in part.split("\n"):
+        lines += textwrap.wrap(line, WIDTH) if len(line) > WIDTH else [line]
+    return lines
 
 
 def verdict(design: Tested) -> str:
     """Return one line: certified or not, and what the attack came to."""
-    tried, violations, *_ = totals(design)
+    laps, violations, *_ = totals(design)
     failing = ", ".join(design.certificate.failing)
     proved = "CERTIFIED" if design.certificate.holds_for_robot else f"NOT CERTIFIED ({failing})"
-    return f"{design.name}: {proved}; {violations} laps of {tried} violate what is claimed"
+    return f"{design.name}: {proved}; {violations} laps of {laps} violate what is claimed"
 
 
 def claim_table(tested: list[Tested]) -> str:
@@ -101,31 +115,39 @@ def claim_table(tested: list[Tested]) -> str:
     columns = [left("claim"), left(""), *(left(design.name) for design in tested)]
     rows = []
     for claim in CLAIMS:
-        words = [cells(claim, design) for design in tested]
-        rows += _claim_rows(claim.title, dict(zip(HEADINGS, zip(*words, strict=True), strict=True)))
-    words = [totals(design) for design in tested]
-    for title, row in zip(TOTALS, zip(*words, strict=True), strict=True):
-        rows += _claim_rows(title, {"": row})
+        by_heading = zip(*[cells(claim, design) for design in tested], strict=True)
+        rows += _claim_rows(claim.title, HEADINGS, list(by_heading))
+    by_total = zip(*map(totals, tested), strict=True)
+    for title, words in zip(TOTALS, by_total, strict=True):
+        rows += _claim_rows(title, ("",), [words])
     return format_table(columns, rows, WIDTH)
 
 
-def _claim_rows(title: str, labelled: dict[str, tuple[str, ...]]) -> list[list[str]]:
-    """Return the rows of one claim, the first with its title; rows without words are left out."""
+def _claim_rows(
+    title: str, headings: Collection[str], words: list[tuple[str, ...]]
+) -> list[list[str]]:
+    """Return the rows of one claim, the first with its title; rows without words are left out.
+
+    Args:
+        title: of the claim.
+        headings: one for each row.
+        words: of each row, by design.
+    """
     rows = []
-    for label, words in labelled.items():
-        if any(words):
-            rows.append(["" if rows else title, label, *(word or "-" for word in words)])
+    for heading, by_design in zip(headings, words, strict=True):
+        if any(by_design):
+            rows.append(["" if rows else title, heading, *(cell or "-" for cell in by_design)])
     return rows
 
 
 def law_table(design: Tested) -> str:
-    """Return one line a law: laps in which each event occurred, rows active, greatest usage of W
-    and E, the bound."""
+    """Return one line a law: laps in which each event occurred, steps with active rows, largest
+    usage of W and E, the bound."""
     columns = [
         left(design.name),
         Column("laps"),
         Column("steps"),
-        *(Column(VIOLATIONS[name]) for name in SHOWN),
+        *(Column(find_event(name).words) for name in SHOWN),
         Column("active"),
         Column("W"),
         Column("E"),
@@ -139,65 +161,79 @@ def _law_row(name: str, law: dict) -> list[str]:
     return [
         name,
         f"{law['laps']:,}",
-        f"{steps(law) / 1e6:.3g}M",
+        f"{count_steps(law) / 1e6:.3g}M",
         *(str(law["events"][event]["laps"]) for event in SHOWN),
         f"{law['events']['row_active']['share_of_steps']:.2%}",
         f"{law['worst']['disturbance'][0]['usage']:.2f}",
         f"{law['worst']['error'][0]['usage']:.2f}",
-        _percent(bound(law)),
+        _percent(bound_violating_share(law)),
     ]
 
 
 def legend() -> str:
     """Return what the columns mean."""
-    return (
-        "Laps by law: w outside W, e outside E, u outside U, wheels asked beyond their limits, QP infeasible, QP "
-        "unsolved; a lap with any of these violates the guarantee. at most: the share of such laps among all that the "
-        f"law draws ({CONFIDENCE:.0%}, one-sided, Clopper-Pearson). active: share of steps with active rows. W, E: how "
-        "far w and e went, 1 being the edge of the set. edge-: the first second, from the edge of the feasible set; "
-        "the others: whole laps, from all over it."
-    )
+    meanings = [f"  {find_event(name).words}: {find_event(name).meaning}" for name in SHOWN]
+    lines = [
+        "Each row is a law, which laps are drawn from: the process of the slips, over whole laps "
+        "from starts all over the feasible set; edge-: the first second, from its edge.",
+        "Laps in which, at least once:",
+        *meanings,
+        "A lap with any of these violates the guarantee.",
+        f"at most: share of such laps among all that the law draws ({CONFIDENCE:.0%}, one-sided, "
+        "Clopper-Pearson)",
+        "active: share of the steps in which a constraint of the plan is active",
+        "W, E: how far w and e went, as a share of the set; 1 is its boundary",
+    ]
+    return "\n".join(lines)
 
 
 def markdown(tested: list[Tested]) -> str:
     """Return the same tables in Markdown."""
-    head = ["claim", *(f"{design.name}: {heading}" for design in tested for heading in HEADINGS)]
-    rows = [
-        [claim.title, *(cell for each in tested for cell in cells(claim, each))] for claim in CLAIMS
-    ]
-    totalled = [totals(design) for design in tested]
-    rows += [
-        [title, *(c for cell in row for c in ("", "", cell))]
-        for title, *row in zip(TOTALS, *totalled, strict=True)
-    ]
-    parts = [*map(verdict, tested), _markdown_table(head, rows)]
-    parts += [_markdown_table(*_law_rows(design)) for design in tested]
-    return (
-        "\n\n".join([*parts, legend(), *(design.note for design in tested if design.note)]) + "\n"
-    )
+    parts = [*map(verdict, tested), _claims_in_markdown(tested)]
+    parts += [_laws_in_markdown(design) for design in tested]
+    parts += [legend(), *_notes(tested)]
+    return "\n\n".join(parts) + "\n"
 
 
-def _law_rows(design: Tested) -> tuple[list[str], list[list[str]]]:
-    head = [design.name, "laps", "steps", *VIOLATIONS.values(), "active", "W", "E", "at most"]
+def _claims_in_markdown(tested: list[Tested]) -> str:
+    head = ["claim"]
+    for design in tested:
+        head += [f"{design.name}: {heading}" for heading in HEADINGS]
     rows = []
-    for name, law in design.laws.items():
-        counts = [f"{law['events'][event]['laps']:,}" for event in VIOLATIONS]
-        used = [f"{law['worst'][kind][0]['usage']:.4g}" for kind in ("disturbance", "error")]
-        active = f"{law['events']['row_active']['share_of_steps']:.2%}"
-        rows.append(
-            [
-                name,
-                f"{law['laps']:,}",
-                f"{steps(law):,}",
-                *counts,
-                active,
-                *used,
-                _percent(bound(law)),
-            ]
-        )
-    return head, rows
+    for claim in CLAIMS:
+        row = [claim.title]
+        for design in tested:
+            row += cells(claim, design)
+        rows.append(row)
+    by_total = zip(*map(totals, tested), strict=True)
+    for title, words in zip(TOTALS, by_total, strict=True):
+        row = [title]
+        for cell in words:
+            row += ["", "", cell]
+        rows.append(row)
+    return _format_markdown(head, rows)
 
 
-def _markdown_table(head: list[str], rows: list[list[str]]) -> str:
+def _laws_in_markdown(design: Tested) -> str:
+    events = [find_event(name).words for name in VIOLATIONS]
+    head = [design.name, "laps", "steps", *events, "active", "W", "E", "at most"]
+    rows = [_law_in_markdown(name, law) for name, law in design.laws.items()]
+    return _format_markdown(head, rows)
+
+
+def _law_in_markdown(name: str, law: dict) -> list[str]:
+    return [
+        name,
+        f"{law['laps']:,}",
+        f"{count_steps(law):,}",
+        *(f"{law['events'][event]['laps']:,}" for event in VIOLATIONS),
+        f"{law['events']['row_active']['share_of_steps']:.2%}",
+        f"{law['worst']['disturbance'][0]['usage']:.4g}",
+        f"{law['worst']['error'][0]['usage']:.4g}",
+        _percent(bound_violating_share(law)),
+    ]
+
+
+def _format_markdown(head: list[str], rows: list[list[str]]) -> str:
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(cell or '-' for cell in line)} |" for line in lines)

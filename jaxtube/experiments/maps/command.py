@@ -1,12 +1,18 @@
 """`maps`: what can be guaranteed, over slip error and speed range, over slip error and period, and
-by the horizon."""
+by the horizon.
+
+The ratio of a design is the largest share of a cap that its tube fills at its widest: below 1 there
+is a guarantee.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import asdict
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,7 +26,7 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.scenario import Scenario, ScenarioError, to_toml
 from jaxtube.synthesis.problem import make_problem
-from jaxtube.synthesis.ratio import Guarantee
+from jaxtube.synthesis.ratio import Guarantee, OperatingPoint
 
 TITLES = {
     "paper": "the paper's weights, model and map",
@@ -29,43 +35,53 @@ TITLES = {
 }
 
 
+RATIO = "ratio: largest share of a cap that the widest tube fills; a guarantee needs less than 1"
+
+
 def run(scenario: Scenario, options: MapsOptions) -> int:
     """Run the command; an interrupted run goes on from the points in its folder.
 
-    Raises: ScenarioError where the scenario has no caps, which two of the three designs need.
+    Raises:
+        ScenarioError: where the scenario has no caps, which two of the three designs need.
     """
     if scenario.operating.yaw_rate_deficit_radps is None:
         raise ScenarioError(
-            "scenario: [operating] has no caps to compare designs under; choose --scenario certified, or copy what "
-            "`design --optimise` prints"
+            "scenario: [operating] has no caps to compare designs under; choose --scenario "
+            "certified, or copy what `design --optimise` prints"
         )
     problem = make_problem(scenario)
     grid = make_grid(scenario, float(problem.reference.wheels.min()), options.points)
     folder = run_folder.create(scenario, options)
     with open_log(folder, "points", {"grid": asdict(grid)}, scenario) as log:
-        found = compute(scenario, grid, log)
-    folder.save_figure(maps_figures.ratio_map(grid, found, "slowest_mps"), "ratio_speed")
-    folder.save_figure(maps_figures.ratio_map(grid, found, "dt_s"), "ratio_period")
-    metrics = {"grid": asdict(grid) | {"own": grid.own._asdict()}, "border": borders(grid, found)}
-    metrics["points"] = [
-        {
-            "design": point.design,
-            **point.condition._asdict(),
-            **asdict(result),
-            "holds": result.holds,
-        }
-        for point, result in sorted(found.items())
-    ]
-    folder.report(report(grid, metrics["border"], found))
+        results = compute(scenario, grid, log)
+    folder.save_figure(maps_figures.ratio_map(grid, results, "slowest_mps"), "ratio_speed")
+    folder.save_figure(maps_figures.ratio_map(grid, results, "dt_s"), "ratio_period")
+    border = find_borders(grid, results)
+    folder.report(report(grid, border, results))
+    metrics = {
+        "grid": asdict(grid) | {"own": grid.own._asdict()},
+        "border": border,
+        "points": [_point_metrics(*item) for item in sorted(results.items())],
+    }
     if options.feasible:
         with open_log(folder, "feasible", {}, scenario) as log:
-            metrics["feasible"] = maps_feasible.feasible_sets(scenario, log)
-        figure = maps_figures.feasible_figure(metrics["feasible"], problem.operating_set.vertices())
+            sets = maps_feasible.feasible_sets(scenario, log)
+        metrics["feasible"] = sets
+        figure = maps_figures.feasible_figure(sets, problem.operating_set.vertices())
         folder.save_figure(figure, "feasible_set")
-        folder.report(feasible_report(metrics["feasible"]))
+        folder.report(feasible_report(sets))
     folder.save_metrics(metrics)
     print(f"\nwritten to {folder.path}/")
     return 0
+
+
+def _point_metrics(point: Point, result: Guarantee) -> dict:
+    return {
+        "design": point.design,
+        **point.condition._asdict(),
+        **asdict(result),
+        "holds": result.holds,
+    }
 
 
 def open_log(folder: RunFolder, name: str, settings: dict, scenario: Scenario) -> Log:
@@ -82,104 +98,119 @@ def open_log(folder: RunFolder, name: str, settings: dict, scenario: Scenario) -
     return log
 
 
-def borders(grid: Grid, found: Found) -> dict:
-    """Return, by design, how far guarantees reach from the easy end of slip error, speed and
-    period.
+def find_borders(grid: Grid, results: Found) -> dict:
+    """Return, by design, how far guarantees reach from the easy end of slip error and speed.
 
     `..._computed` is the last value of the grid with a guarantee, all easier ones having one too;
     `..._interpolated` where the ratio passes 1, linearly between grid values; None where not even
     the easiest value has one, and the end of the grid where all have one.
     """
-    summary = {}
+    borders = {}
+    errors = [grid.own._replace(slip_error=error) for error in grid.slip_errors]
+    speeds = [grid.own._replace(slowest_mps=speed) for speed in reversed(grid.slowest_mps)]
     for design in TITLES:
-        at = grid.own
-        errors = [found[Point(design, at._replace(slip_error=value))] for value in grid.slip_errors]
-        speeds = [
-            found[Point(design, at._replace(slowest_mps=value))] for value in grid.slowest_mps
-        ]
-        summary[design] = {}
-        for name, values, results in (
-            ("largest_slip_error", grid.slip_errors, errors),
-            ("lowest_wheel_speed_mps", grid.slowest_mps[::-1], speeds[::-1]),
-        ):
-            computed, interpolated = _reach(values, results)
-            summary[design] |= {f"{name}_computed": computed, f"{name}_interpolated": interpolated}
-    return summary
+        error = _find_border(design, errors, "slip_error", results)
+        speed = _find_border(design, speeds, "slowest_mps", results)
+        borders[design] = {
+            "largest_slip_error_computed": error.computed,
+            "largest_slip_error_interpolated": error.interpolated,
+            "lowest_wheel_speed_mps_computed": speed.computed,
+            "lowest_wheel_speed_mps_interpolated": speed.interpolated,
+        }
+    return borders
 
 
-def _reach(values, results: list[Guarantee]) -> tuple[float | None, float | None]:
-    """Return the last value with a guarantee, and where the ratio passes 1 beyond it."""
+class Border(NamedTuple):
+    """The last value with a guarantee, and where the ratio passes 1 beyond it; None where no value
+    has one."""
+
+    computed: float | None
+    interpolated: float | None
+
+
+def _find_border(
+    design: str, conditions: list[OperatingPoint], name: str, results: Found
+) -> Border:
+    """Return the border of a design along conditions, the easiest one first."""
+    values = [getattr(condition, name) for condition in conditions]
+    return interpolate([results[Point(design, condition)] for condition in conditions], values)
+
+
+def interpolate(results: list[Guarantee], values: list[float]) -> Border:
+    """Return the border of the guarantees among values, the easiest one first."""
     holding = [result.holds for result in results]
     count = holding.index(False) if False in holding else len(holding)
     if count == 0:
-        return None, None
+        return Border(None, None)
     last = values[count - 1]
     if count == len(values):
-        return last, last
-    before, after = results[count - 1].ratio, results[count].ratio
+        return Border(last, last)
+    before = results[count - 1].ratio
+    after = results[count].ratio
     # The wheels or the search may give up before the ratio passes 1: then nothing is known beyond
     # the last value.
-    if after is None or after < 1:
-        return last, last
-    assert before is not None
-    return last, float(np.interp(1.0, [before, after], [last, values[count]]))
+    if before is None or after is None or after < 1:
+        return Border(last, last)
+    return Border(last, float(np.interp(1.0, [before, after], [last, values[count]])))
 
 
-def report(grid: Grid, border: dict, found: Found) -> str:
-    """Return the borders of the three designs as a table."""
+def report(grid: Grid, borders: dict, results: Found) -> str:
+    """Return the borders of the three designs, and the ratios of the optimised one."""
     own = grid.own
     columns = [
         left("guaranteed"),
         left(f"largest slip error from {own.slowest_mps:g} m/s on"),
         left(f"lowest wheel speed at {own.slip_error:.0%}"),
     ]
-    rows = [_border_row(grid, border, found, design) for design in TITLES]
-    counts = ", ".join(_count(found, design) for design in TITLES)
-    failed = sum(result.ratio is None for result in found.values())
+    rows = [_border_row(grid, borders[design], results, design) for design in TITLES]
+    counts = ", ".join(_count(results, design) for design in TITLES)
+    failed = sum(result.ratio is None for result in results.values())
     lines = [
         format_table(columns, rows),
         f"points with a guarantee: {counts}; without any design: {failed}",
+        RATIO,
     ]
     for axis, values in (("slowest_mps", grid.slowest_mps), ("dt_s", grid.periods_s)):
-        lines += ["", _ratios(grid, found, axis, values)]
+        lines += ["", _format_ratios(grid, results, axis, values)]
     return "\n".join(lines)
 
 
-def _border_row(grid: Grid, border: dict, found: Found, design: str) -> list[str]:
-    row = border[design]
-    error = _words(
-        row["largest_slip_error_computed"], row["largest_slip_error_interpolated"], 100, "%"
+def _border_row(grid: Grid, border: dict, results: Found, design: str) -> list[str]:
+    error = Border(border["largest_slip_error_computed"], border["largest_slip_error_interpolated"])
+    speed = Border(
+        border["lowest_wheel_speed_mps_computed"], border["lowest_wheel_speed_mps_interpolated"]
     )
-    slowest = _words(
-        row["lowest_wheel_speed_mps_computed"], row["lowest_wheel_speed_mps_interpolated"], 1, "m/s"
-    )
-    condition = grid.own._replace(slip_error=grid.slip_errors[0])
-    easiest = found[Point(design, condition)]
-    if error == "none" and easiest.ratio is not None:
-        error += f": ratio {easiest.ratio:.2f} without slip error"
-    return [TITLES[design], error, slowest]
+    largest = _say_where(error, 100, "%")
+    without_error = grid.own._replace(slip_error=grid.slip_errors[0])
+    easiest = results[Point(design, without_error)]
+    if error.computed is None and easiest.ratio is not None:
+        largest += f": ratio {easiest.ratio:.2f} without slip error"
+    return [TITLES[design], largest, _say_where(speed, 1, "m/s")]
 
 
-def _count(found: Found, design: str) -> str:
-    results = [result for point, result in found.items() if point.design == design]
-    return f"{sum(result.holds for result in results)} of {len(results)}"
+def _count(results: Found, design: str) -> str:
+    of_design = [result for point, result in results.items() if point.design == design]
+    return f"{sum(result.holds for result in of_design)} of {len(of_design)}"
 
 
-def _words(computed: float | None, interpolated: float | None, scale: float, unit: str) -> str:
-    if computed is None or interpolated is None:
+def _say_where(border: Border, scale: float, unit: str) -> str:
+    if border.computed is None or border.interpolated is None:
         return "none"
-    return f"{scale * computed:.4g} {unit} (border about {scale * interpolated:.3g} {unit})"
+    return (
+        f"{scale * border.computed:.4g} {unit} "
+        f"(border about {scale * border.interpolated:.3g} {unit})"
+    )
 
 
-def _ratios(grid: Grid, found: Found, axis: str, values) -> str:
+def _format_ratios(grid: Grid, results: Found, axis: str, values: Sequence[float]) -> str:
     """Return the ratios of the optimised design, values downwards and slip errors across."""
     name = {"slowest_mps": "from [m/s]", "dt_s": "period [s]"}[axis]
     columns = [Column(name), *(Column(f"{error:.3%}") for error in grid.slip_errors)]
     rows = []
-    for value, ratios in zip(values, ratio_table(grid, found, "optimised", axis), strict=True):
+    for value, ratios in zip(values, ratio_table(grid, results, "optimised", axis), strict=True):
         words = ["none" if np.isnan(ratio) else f"{ratio:.3f}" for ratio in ratios]
         rows.append([f"{value:.4g}", *words])
-    return f"optimised: ratio by slip error\n{format_table(columns, rows)}"
+    return f"{TITLES['optimised']}: ratio by slip error\n{format_table(columns, rows)}"
 
 
 def feasible_report(sets: dict) -> str:
@@ -195,8 +226,9 @@ def feasible_report(sets: dict) -> str:
     ]
     rows = [_feasible_row(record, largest["volume"], whole) for record in sets["horizons"]]
     return (
-        f"\nlargest control invariant set: {largest['volume'] / whole:.1%} of the caps (bound from "
-        f"outside, {state} after {largest['steps']} steps)\n{format_table(columns, rows)}"
+        f"\nlargest control invariant set: {largest['volume'] / whole:.1%} of the volume of the "
+        f"caps (outer bound, {state} after {largest['steps']} steps)\n"
+        f"{format_table(columns, rows)}"
     )
 
 

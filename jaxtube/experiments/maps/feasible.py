@@ -3,22 +3,21 @@ keep.
 
     F_N: measured errors from which there is a plan of N steps in the first window of the reference,
          inside the hull of its boundary along random directions
-    C:   the maximal robust control invariant set of the four corners of the speed range, of a controller that knows the
-         present wheel speeds alone, outside of it as far as the iteration got
+    C:   the maximal robust control invariant set over the four corners of the speed range, for a
+         controller that knows the present wheel speeds alone; an outer bound where the iteration
+         has not settled
 
 F_N may leave C: its plan knows N steps of the reference ahead, C is for any order.
 """
 
 from __future__ import annotations
 
-import msgspec
 import numpy as np
-from jaxtyping import Float
 
 from jaxtube.experiments.maps.points import Log
 from jaxtube.experiments.run.progress import progress
-from jaxtube.scenario import Scenario
-from jaxtube.synthesis.design import design
+from jaxtube.scenario import Scenario, replace
+from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.feasible import boundary
 from jaxtube.synthesis.problem import Problem
@@ -30,8 +29,8 @@ DIRECTIONS = 600
 
 
 def feasible_sets(scenario: Scenario, log: Log) -> dict:
-    """Return volumes and corners by horizon, those of C, and of E_op; each is saved in the log at
-    once.
+    """Return volumes and corners by horizon, those of C, and the volume of the caps; each set is
+    saved in the log at once.
 
     Horizons at which no design exists have no volume, but the reason; `failing` names the
     conditions that fail.
@@ -40,11 +39,12 @@ def feasible_sets(scenario: Scenario, log: Log) -> dict:
     problem = complete_problem(scenario)
     with progress(len(HORIZONS) + 1, "feasible sets", "sets", len(known), "starting") as bar:
         for horizon in (None, *HORIZONS):
-            if horizon not in known:
-                found = _largest(problem) if horizon is None else _of_horizon(scenario, horizon)
-                known[horizon] = {"horizon": horizon, **found}
-                log.append(known[horizon])
-                bar.update()
+            if horizon in known:
+                continue
+            numbers = _largest(problem) if horizon is None else _of_horizon(scenario, horizon)
+            known[horizon] = {"horizon": horizon, **numbers}
+            log.append(known[horizon])
+            bar.update()
     return {
         "operating_volume": problem.operating_set.volume(),
         "control_invariant": known[None],
@@ -53,32 +53,33 @@ def feasible_sets(scenario: Scenario, log: Log) -> dict:
 
 
 def _of_horizon(scenario: Scenario, horizon: int) -> dict:
-    settings = msgspec.structs.replace(scenario.controller, horizon=horizon)
+    """Return F_N, or why there is no design."""
     try:
-        found = design(msgspec.structs.replace(scenario, controller=settings))
+        design = make_design(replace(scenario, {"controller.horizon": horizon}))
     except ValueError as error:
         return {"volume": None, "reason": str(error)}
-    window, problem = int(found.windows.index[0]), found.problem
-    points = boundary(found.tube_window, window, problem.operating_set, DIRECTIONS)
-    return {**_hull(points), "failing": found.certificate.failing}
+    caps = design.problem.operating_set
+    points = boundary(design.tube_window, design.first_window, caps, DIRECTIONS)
+    hull = Polytope.from_vertices(points)
+    return {**_measure(hull), "failing": design.certificate.failing}
 
 
 def _largest(problem: Problem) -> dict:
+    """Return C."""
     rows = problem.input_rows
-    found = maximal_rci(
-        *problem.model.matrices(np.unique(problem.corners, axis=0)),
+    corners = np.unique(problem.corners, axis=0)
+    iteration = maximal_rci(
+        *problem.model.matrices(corners),
         problem.operating_set,
         Limits(rows.inputs, rows.errors, rows.offsets),
         problem.disturbance_set.support,
     )
-    steps = {"steps": len(found.volumes) - 1, "settled": found.settled}
-    return (
-        {**steps, "volume": 0.0, "corners": []}
-        if found.polytope is None
-        else {**steps, **_hull(found.polytope)}
-    )
+    steps = {"steps": len(iteration.volumes) - 1, "settled": iteration.settled}
+    if iteration.polytope is None:
+        return {**steps, "volume": 0.0, "corners": []}
+    return {**steps, **_measure(iteration.polytope)}
 
 
-def _hull(found: Polytope | Float[np.ndarray, "k 3"]) -> dict:
-    hull = found if isinstance(found, Polytope) else Polytope.from_vertices(found)
-    return {"volume": hull.volume(), "corners": hull.vertices().round(6).tolist()}
+def _measure(polytope: Polytope) -> dict:
+    """Return volume and corners, (m, m, rad), of a set."""
+    return {"volume": polytope.volume(), "corners": polytope.vertices().round(6).tolist()}

@@ -1,10 +1,10 @@
-"""The points of `maps`: a grid of conditions, computed by several processes, each saved as soon as
-it is known.
+"""The points of `maps`: a grid of conditions, computed by several processes, each point saved as
+soon as it is known.
 
 A search starts from the optimum of the neighbour that lies one step closer to the scenario's own
 condition: along the speed range or the period first, then along the slip error. So the points form
-a tree, and those whose start is known are computed side by side. Their order changes no number: a
-start is a function of the grid alone.
+a tree, and those whose start is known are computed side by side. The order in which they end
+changes no number: a start is a function of the grid alone.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.store import Store
@@ -27,10 +28,10 @@ from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, at_point, caps_an
 DESIGNS = ("optimised", "weighted", "paper")
 """In the order in which they are computed: the searches wait for each other, the others fill the
 gaps."""
-SLIP_ERRORS = 0.0, 0.3
+SLIP_ERRORS = (0.0, 0.3)
 SLOWEST_MPS = 0.2
 """Where the lower end of the speed range starts; it ends at the slowest wheel of the reference."""
-PERIODS_S = 0.05, 0.2
+PERIODS_S = (0.05, 0.2)
 
 
 class Point(NamedTuple):
@@ -57,8 +58,8 @@ class Grid:
         it starts from."""
         pairs = [(slowest, self.own.dt_s) for slowest in self.slowest_mps]
         pairs += [(self.own.slowest_mps, period) for period in self.periods_s]
-        found = {OperatingPoint(error, *pair) for pair in pairs for error in self.slip_errors}
-        return sorted(found, key=lambda condition: (self._steps(condition), condition))
+        conditions = {OperatingPoint(error, *pair) for pair in pairs for error in self.slip_errors}
+        return sorted(conditions, key=lambda condition: (self._steps(condition), condition))
 
     def points(self) -> list[Point]:
         """Return all points, designs in the order of `DESIGNS`."""
@@ -66,23 +67,28 @@ class Grid:
 
     def towards_own(self, condition: OperatingPoint) -> OperatingPoint | None:
         """Return the neighbour one step closer to the scenario's own condition, None for it."""
-        for name, values in (
-            ("slowest_mps", self.slowest_mps),
-            ("dt_s", self.periods_s),
-            ("slip_error", self.slip_errors),
-        ):
-            here, own = (
-                values.index(getattr(condition, name)),
-                values.index(getattr(self.own, name)),
-            )
+        for name in ("slowest_mps", "dt_s", "slip_error"):
+            values = self.axes[name]
+            here = values.index(getattr(condition, name))
+            own = values.index(getattr(self.own, name))
             if here != own:
-                return condition._replace(**{name: values[here + (1 if own > here else -1)]})
+                step = 1 if own > here else -1
+                return condition._replace(**{name: values[here + step]})
         return None
 
+    @property
+    def axes(self) -> dict[str, tuple[float, ...]]:
+        """The values by condition, in the order of `OperatingPoint`."""
+        return {
+            "slip_error": self.slip_errors,
+            "slowest_mps": self.slowest_mps,
+            "dt_s": self.periods_s,
+        }
+
     def _steps(self, condition: OperatingPoint) -> int:
-        values = (self.slip_errors, self.slowest_mps, self.periods_s)
-        places = zip(values, condition, self.own, strict=True)
-        return sum(abs(axis.index(here) - axis.index(own)) for axis, here, own in places)
+        """Return the steps from a condition to the scenario's own."""
+        places = zip(self.axes.values(), condition, self.own, strict=True)
+        return sum(abs(values.index(here) - values.index(own)) for values, here, own in places)
 
 
 def make_grid(scenario: Scenario, slowest_wheel: float, count: int) -> Grid:
@@ -99,15 +105,18 @@ def make_grid(scenario: Scenario, slowest_wheel: float, count: int) -> Grid:
         float(scenario.controller.dt_s),
     )
     top = max(np.floor(1e3 * slowest_wheel + 1e-6) / 1e3, own.slowest_mps)
-    axes = (
-        (np.linspace(*SLIP_ERRORS, count), own.slip_error),
-        (np.linspace(min(SLOWEST_MPS, own.slowest_mps), top, count), own.slowest_mps),
-        (np.geomspace(*PERIODS_S, count), own.dt_s),
+    bottom = min(SLOWEST_MPS, own.slowest_mps)
+    return Grid(
+        slip_errors=_make_axis(np.linspace(*SLIP_ERRORS, count), own.slip_error),
+        slowest_mps=_make_axis(np.linspace(bottom, top, count), own.slowest_mps),
+        periods_s=_make_axis(np.geomspace(*PERIODS_S, count), own.dt_s),
+        own=own,
     )
-    rounded = [
-        tuple(sorted({*np.round(values, 4).tolist(), float(extra)})) for values, extra in axes
-    ]
-    return Grid(rounded[0], rounded[1], rounded[2], own)
+
+
+def _make_axis(values: Float[np.ndarray, " count"], own: float) -> tuple[float, ...]:
+    """Return values with 4 decimals and the scenario's own, increasing."""
+    return tuple(sorted({*np.round(values, 4).tolist(), float(own)}))
 
 
 class Log:
@@ -175,53 +184,51 @@ def compute(scenario: Scenario, grid: Grid, log: Log) -> Found:
         grid: the points.
         log: of an earlier run of the same scenario, grid and code, or empty.
     """
-    found = dict(map(_from_record, log.records))
-    waiting = [point for point in grid.points() if point not in found]
+    results = dict(map(_from_record, log.records))
+    waiting = [point for point in grid.points() if point not in results]
     if not waiting:
-        return found
+        return results
     with (
-        progress(len(grid.points()), "designing", "points", len(found), "starting") as bar,
-        _workers(len(waiting)) as workers,
+        progress(len(grid.points()), "designing", "points", len(results), "starting") as bar,
+        _make_workers(len(waiting)) as workers,
     ):
 
         def keep(point: Point, result: Guarantee) -> None:
-            found[point] = result
+            results[point] = result
             log.append({"design": point.design, **point.condition._asdict(), **asdict(result)})
             bar.update()
 
-        _work_through(scenario, grid, waiting, found, workers, keep)
-    return found
+        _work_through(scenario, grid, waiting, results, workers, keep)
+    return results
 
 
 def _from_record(record: dict) -> tuple[Point, Guarantee]:
-    result = dict(record)
-    point = Point(
-        result.pop("design"), OperatingPoint(*(result.pop(name) for name in OperatingPoint._fields))
-    )
-    start = result.pop("caps_and_gains")
-    return point, Guarantee(**result, caps_and_gains=None if start is None else tuple(start))
+    values = dict(record)
+    design = values.pop("design")
+    condition = OperatingPoint(*(values.pop(name) for name in OperatingPoint._fields))
+    start = values.pop("caps_and_gains")
+    result = Guarantee(**values, caps_and_gains=None if start is None else tuple(start))
+    return Point(design, condition), result
 
 
 def _work_through(
     scenario: Scenario,
     grid: Grid,
     waiting: list[Point],
-    found: Found,
+    results: Found,
     workers: Executor,
     keep: Callable[[Point, Guarantee], None],
 ) -> None:
     """Give the workers two points each whose start is known, and keep what comes back."""
     running = {}
+    most = 2 * _count_processors()
     try:
         while waiting or running:
-            for point in _ready(grid, waiting, found, 2 * _worker_count() - len(running)):
+            for point in _find_ready(grid, waiting, results)[: most - len(running)]:
                 waiting.remove(point)
-                start = _start(scenario, grid, point, found)
-                running[
-                    workers.submit(
-                        guarantee, point.design, at_point(scenario, point.condition), start
-                    )
-                ] = point
+                condition = at_point(scenario, point.condition)
+                start = _find_start(scenario, grid, point, results)
+                running[workers.submit(guarantee, point.design, condition, start)] = point
             for done in wait(running, return_when=FIRST_COMPLETED).done:
                 keep(running.pop(done), done.result())
     except BaseException:
@@ -229,40 +236,40 @@ def _work_through(
         raise
 
 
-def _ready(grid: Grid, waiting: Iterable[Point], found: Found, most: int) -> list[Point]:
-    """Return the first points of those whose start is known."""
-    ready = []
-    for point in waiting:
-        neighbour = grid.towards_own(point.condition)
-        if (
-            point.design != "optimised"
-            or neighbour is None
-            or point._replace(condition=neighbour) in found
-        ):
-            ready.append(point)
-    return ready[:most]
+def _find_ready(grid: Grid, waiting: Iterable[Point], results: Found) -> list[Point]:
+    """Return the points whose start is known."""
+    return [point for point in waiting if _has_start(grid, point, results)]
 
 
-def _start(scenario: Scenario, grid: Grid, point: Point, found: Found) -> tuple[float, ...] | None:
+def _has_start(grid: Grid, point: Point, results: Found) -> bool:
+    neighbour = grid.towards_own(point.condition)
+    if point.design != "optimised" or neighbour is None:
+        return True
+    return point._replace(condition=neighbour) in results
+
+
+def _find_start(
+    scenario: Scenario, grid: Grid, point: Point, results: Found
+) -> tuple[float, ...] | None:
+    """Return caps and gains at which a search starts, None for the designs that need none."""
     if point.design != "optimised":
         return None
     neighbour = grid.towards_own(point.condition)
-    return (
-        caps_and_gains(scenario)
-        if neighbour is None
-        else found[Point("optimised", neighbour)].caps_and_gains
-    )
+    if neighbour is None:
+        return caps_and_gains(scenario)
+    return results[Point("optimised", neighbour)].caps_and_gains
 
 
-def _worker_count() -> int:
+def _count_processors() -> int:
+    """Return the processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _workers(most: int) -> Executor:
+def _make_workers(most: int) -> Executor:
+    """Return a pool of processes, one for each processor but no more than `most`."""
     # One thread each: the matrices are small, and threads that wait for each other made a search
     # three times as long.
-    os.environ.update(
-        dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-    )
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[name] = "1"
     # Not forked: a fork copies the locks of JAX's threads.
-    return ProcessPoolExecutor(min(_worker_count(), most), get_context("spawn"))
+    return ProcessPoolExecutor(min(_count_processors(), most), get_context("spawn"))

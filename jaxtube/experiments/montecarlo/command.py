@@ -2,8 +2,8 @@
 the process.
 
 Open the records, compute the blocks that are missing, join all of them, report. The statistics are
-the same bytes whatever was interrupted and wherever the blocks were computed; only
-`performance.json` tells one run from another.
+the same bytes whatever was interrupted and wherever the blocks were computed; `performance.json`
+alone differs between two runs.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import resource
 import sys
 import time
 from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import jax
 import numpy as np
@@ -36,29 +37,30 @@ from jaxtube.statistics.summary import summarise
 from jaxtube.synthesis.design import Design, refuse_infeasible_start
 from jaxtube.synthesis.design import design as make_design
 
+if TYPE_CHECKING:
+    from jaxtube.experiments.run.cluster import Cluster
+
 
 def run(scenario: Scenario, options: MontecarloOptions) -> int:
     """Run the command."""
     use_devices(options.devices)
     if options.netcdf:
         netcdf.libraries()
-    found = make_design(scenario)
+    design = make_design(scenario)
     if options.starts == "scenario":
-        refuse_infeasible_start(found)
+        refuse_infeasible_start(design)
+    known = identity(scenario, options)
     if options.replay is not None:
-        return replay.run(found, options, identity(scenario, options))
-    records = Records(
-        options.folder / "records", identity(scenario, options), montecarlo.merge, BLOCK
-    )
-    with records:
+        return replay.run(design, options, known)
+    with Records(options.folder / "records", known, montecarlo.merge, BLOCK) as records:
         for line in records.damaged:
             print(line, file=sys.stderr)
         missing = records.missing(int(options.realisations))
         folder = run_folder.create(scenario, options)
-        folder.save_json("identity", identity(scenario, options))
-        performance = compute(found, options, records, missing)
+        folder.save_json("identity", known)
+        performance = compute(design, options, records, missing)
         statistics = records.merged()
-    save(found, options, folder, statistics, performance)
+    save(design, options, folder, statistics, performance)
     return 0
 
 
@@ -69,7 +71,8 @@ def use_devices(count: int) -> None:
     Args:
         count: devices wanted, 0 for all.
 
-    Raises: ScenarioError where there are fewer.
+    Raises:
+        ScenarioError: where there are fewer.
     """
     processors = len(os.sched_getaffinity(0))
     # JAX refuses once its devices are settled.
@@ -84,16 +87,14 @@ def use_devices(count: int) -> None:
 
 def identity(scenario: Scenario, options: MontecarloOptions) -> dict:
     """Return all that determines the statistics of a block."""
-    return run_folder.identity(scenario, options, ("controller", "plant", "starts")) | {
-        "tile_size": TILE
-    }
+    known = run_folder.identity(scenario, options, ("controller", "plant", "starts"))
+    return known | {"tile_size": TILE}
 
 
 def compute(
     design: Design, options: MontecarloOptions, records: Records, missing: Iterator[int]
 ) -> dict:
-    """Compute the missing blocks and record them; return what it took, nothing where nothing was
-    missing."""
+    """Compute and record the missing blocks; return what it took, {} where none was missing."""
     first = next(missing, None)
     if first is None:
         return {}
@@ -101,7 +102,7 @@ def compute(
     devices = tuple(jax.local_devices()[: options.devices or None])
     local = Run(task, int(options.realisations), options.chunk, devices)
     before = records.laps
-    violations = violating_laps(records.merged())
+    outside = count_laps_outside(records.merged())
     seconds = []
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(connect(options.cluster, local)) if options.cluster else local
@@ -111,13 +112,13 @@ def compute(
         for block, statistics in source.compute(itertools.chain([first], missing)):
             recorded = records.laps
             records.add(block, int(statistics["laps"]), statistics)
-            violations += violating_laps(statistics)
-            bar.set_postfix_str(f"{violations} left E", refresh=False)
+            outside += count_laps_outside(statistics)
+            bar.set_postfix_str(f"{outside} left E", refresh=False)
             bar.update(records.laps - recorded)
             seconds.append(time.perf_counter() - start)
-    performance = {"laps": records.laps - before, **rate(seconds, at_once)}
+    performance = {"laps": records.laps - before, **measure_rate(seconds, at_once)}
     if not options.cluster and len(seconds) >= ENOUGH * local.at_once:
-        performance["validation_share"] = validation_share(local)
+        performance["validation_share"] = measure_validation_share(local)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return performance | {"peak_memory_bytes": peak}
 
@@ -129,14 +130,14 @@ def make_task(design: Design, options: MontecarloOptions) -> Task:
     )
 
 
-def connect(cluster: str, local: Run):
+def connect(cluster: str, local: Run) -> Cluster:
     """Return the cluster that an option names, a context; its library is needed only here."""
     from jaxtube.experiments.run.cluster import Cluster
 
     return Cluster(cluster, local)
 
 
-def rate(seconds: list[float], at_once: int) -> dict:
+def measure_rate(seconds: list[float], at_once: int) -> dict:
     """Return the time to the first results, which holds the compilation, and laps a second from
     there on.
 
@@ -149,16 +150,16 @@ def rate(seconds: list[float], at_once: int) -> dict:
     return {"seconds": seconds[-1], "first_results_seconds": first, "laps_per_second": speed}
 
 
-def violating_laps(statistics: Statistics) -> int:
+def count_laps_outside(statistics: Statistics) -> int:
     """Return how many laps left E."""
     return int(statistics["events"][find_row("e_outside_E"), 1:].sum()) if statistics else 0
 
 
 ENOUGH = 20
-"""Dispatches of a run that is long enough to be measured: the share of the checks takes four more."""
+"""Dispatches of a run that is long enough for the share of the checks, which takes four more."""
 
 
-def validation_share(local: Run) -> float:
+def measure_validation_share(local: Run) -> float:
     """Return the share of the computing time that the checks take: the same laps with and without
     them, in turns."""
     blocks = list(range(local.at_once))
@@ -171,7 +172,7 @@ def validation_share(local: Run) -> float:
 
 
 def save(
-    found: Design,
+    design: Design,
     options: MontecarloOptions,
     folder: RunFolder,
     statistics: Statistics,
@@ -180,35 +181,23 @@ def save(
     """Write statistics, metrics and figures, and print the report."""
     from jaxtube.experiments.montecarlo import figures as montecarlo_figures
 
-    law = name_law(found, options.controller, options.plant, options.starts)
-    summary = summarise(found, law, statistics)
+    law = name_law(design, options.controller, options.plant, options.starts)
+    summary = summarise(design, law, statistics)
     if options.plant == "linear":
-        summary["reach"] = tube_reach.metrics(found, options.seed)
+        summary["reach"] = tube_reach.metrics(design, options.seed)
     folder.save_arrays("statistics", **statistics)
     folder.save_metrics(summary)
     if performance:
         folder.save_json("performance", performance)
-    task = make_task(found, options)
+    task = make_task(design, options)
     if options.netcdf:
-        save_netcdf(found, options, task, folder, statistics, summary["law"])
-    montecarlo_figures.draw(found, task, options.seed, statistics, summary, folder)
-    folder.report(montecarlo_report.text(options.seed, summary, performance))
+        attributes = {
+            "title": f"statistics of {int(statistics['laps']):,} laps",
+            "law": summary["law"],
+            "seed": options.seed,
+            "scenario": to_toml(design.problem.scenario),
+        }
+        netcdf.save(folder.path / "statistics.nc", statistics, task.checks, attributes)
+    montecarlo_figures.draw(design, task, options.seed, statistics, summary, folder)
+    folder.report(montecarlo_report.text(design.problem, options.seed, summary, performance))
     print(f"\nfigures, metrics.json, statistics.npz and the records are in {folder.path}/")
-
-
-def save_netcdf(
-    found: Design,
-    options: MontecarloOptions,
-    task: Task,
-    folder: RunFolder,
-    statistics: Statistics,
-    law: str,
-) -> None:
-    """Write statistics.nc."""
-    attributes = {
-        "title": f"statistics of {int(statistics['laps']):,} laps",
-        "law": law,
-        "seed": options.seed,
-        "scenario": to_toml(found.problem.scenario),
-    }
-    netcdf.save(folder.path / "statistics.nc", statistics, task.checks, attributes)

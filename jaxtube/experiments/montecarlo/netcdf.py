@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.atomic import write_atomically
-from jaxtube.coordinates import NAMES, PLANES
+from jaxtube.coordinates import NAMES, PLANES, SI_UNITS
 from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics import histogram
 from jaxtube.statistics.checks import Checks
@@ -22,7 +22,6 @@ from jaxtube.statistics.events import EVENT_NAMES
 from jaxtube.statistics.run import RANKED, Statistics
 from jaxtube.statistics.tally import STAGE_EVENTS
 
-UNITS = ("m", "m", "rad")
 CLOUD_REACH = 2.0
 """The cells of a cloud reach so many times as far as the box around the section."""
 DIMENSIONS = {
@@ -68,7 +67,8 @@ EXPLANATIONS = {
 def libraries() -> Any:
     """Return xarray.
 
-    Raises: ScenarioError where it, or what it writes NetCDF with, is not installed.
+    Raises:
+        ScenarioError: where it, or what it writes NetCDF with, is not installed.
     """
     try:
         import h5netcdf  # noqa: F401
@@ -76,9 +76,8 @@ def libraries() -> Any:
         import xarray
     except ImportError as error:
         problem = f"{error.name} is not installed"
-        raise refusal(
-            "command line", "--netcdf", True, problem, "pip install 'jaxtube[results]'"
-        ) from None
+        cure = "pip install 'jaxtube[results]'"
+        raise refusal("command line", "--netcdf", True, problem, cure) from None
     return xarray
 
 
@@ -93,7 +92,9 @@ def save(
         checks: what the run was measured against, which gives the grids.
         attributes: of the whole file, such as scenario, seed and law.
 
-    Raises: ScenarioError as `libraries`, OSError where the file cannot be written.
+    Raises:
+        ScenarioError: as `libraries`.
+        OSError: where the file cannot be written.
     """
     variables = {
         name.replace("/", "_"): _make_variable(name, value) for name, value in statistics.items()
@@ -128,7 +129,7 @@ def coordinates(statistics: Statistics, checks: Checks) -> dict[str, tuple]:
         plain[f"{name}_facet"] = np.arange(len(statistics[f"excess/{name}"]))
     return {
         **{name: (name, values) for name, values in plain.items()},
-        "unit": ("coordinate", np.array(UNITS), {"long_name": "unit of the coordinate"}),
+        "unit": ("coordinate", np.array(SI_UNITS), {"long_name": "unit of the coordinate"}),
         "step": ("step", np.arange(1, steps + 1), {"long_name": "periods gone"}),
         **_buckets(),
         **_facet_units(checks),
@@ -187,21 +188,11 @@ def _cloud_cells(statistics: Statistics, checks: Checks) -> dict[str, tuple]:
     reach = np.maximum(np.asarray(sections.upper), -np.asarray(sections.lower))
     half_widths = reach.max(axis=0)
     rows, columns = statistics["cloud"].shape[-2:]
-    explanation = (
-        "centre of the cell, in half widths of the box around the section, {} of the plane"
-    )
-    box = "half widths of the box around the section, the largest along the reference"
+    unit = "half widths of the box around the section"
+    box = f"{unit}, the largest along the reference"
     return {
-        "cloud_column": (
-            "cloud_column",
-            CLOUD_REACH * _centres(columns),
-            {"long_name": explanation.format("first coordinate")},
-        ),
-        "cloud_row": (
-            "cloud_row",
-            CLOUD_REACH * _centres(rows),
-            {"long_name": explanation.format("second coordinate")},
-        ),
+        **_centre("cloud_column", CLOUD_REACH * _centres(columns), unit, "first"),
+        **_centre("cloud_row", CLOUD_REACH * _centres(rows), unit, "second"),
         "section_half_width": (("stage", "coordinate"), half_widths, {"long_name": box}),
     }
 
@@ -209,21 +200,18 @@ def _cloud_cells(statistics: Statistics, checks: Checks) -> dict[str, tuple]:
 def _start_cells(statistics: Statistics, checks: Checks) -> dict[str, tuple]:
     """Return the centres of the cells of the starts, and the limits they are multiples of."""
     rows, columns = statistics["starts"].shape[-2:]
-    explanation = "centre of the cell, in limits of E, {} of the plane"
     limits = np.asarray(checks.error.upper)
     return {
-        "start_column": (
-            "start_column",
-            _centres(columns),
-            {"long_name": explanation.format("first coordinate")},
-        ),
-        "start_row": (
-            "start_row",
-            _centres(rows),
-            {"long_name": explanation.format("second coordinate")},
-        ),
+        **_centre("start_column", _centres(columns), "limits of E", "first"),
+        **_centre("start_row", _centres(rows), "limits of E", "second"),
         "error_limit": ("coordinate", limits, {"long_name": "half widths of E"}),
     }
+
+
+def _centre(name: str, values: Float[np.ndarray, " cells"], unit: str, which: str) -> dict:
+    """Return the coordinate of the centres of cells along an axis of a plane."""
+    explanation = f"centre of the cell, in {unit}, {which} coordinate of the plane"
+    return {name: (name, values, {"long_name": explanation})}
 
 
 def _centres(cells: int) -> Float[np.ndarray, " cells"]:

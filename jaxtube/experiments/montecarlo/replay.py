@@ -1,5 +1,5 @@
-"""`montecarlo --replay LAP`: one lap of a run again, drawn, saved, and what it used of E, W and the
-wheels in words."""
+"""`montecarlo --replay LAP`: simulate one lap of a run again, draw it, save it, and say what it
+used of E, W and the wheels."""
 
 from __future__ import annotations
 
@@ -8,27 +8,34 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxtube import qp
+from jaxtube.coordinates import COORDINATES
 from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run.folder import RunFolder, unwritable
-from jaxtube.experiments.run.metrics import TO_DISPLAY
+from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.record_file import differences
+from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.scenario.refusal import refusal
-from jaxtube.statistics.lap import Lap, lap
+from jaxtube.statistics.events import find_event
+from jaxtube.statistics.lap import Lap, Usage, lap
 from jaxtube.statistics.montecarlo import make_closed_loop_task, name_law
 from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.problem import Problem
+from sets.polytope import Polytope
 
 WHEELS = ("right", "left")
+QP_STATUS = {"solved": qp.SOLVED, "infeasible": qp.INFEASIBLE, "unsolved": qp.UNSOLVED}
 
 
 def run(design: Design, options: MontecarloOptions, identity: dict[str, Any]) -> int:
     """Draw lap `options.replay` into the run's folder, beside what is there, and print what it
     used.
 
-    Raises: ScenarioError where the number is none of a lap, the folder holds a run of another
-        identity, or it cannot be made or written to.
+    Raises:
+        ScenarioError: where the folder holds a run of another identity, or cannot be made or
+            written to.
     """
     from jaxtube.experiments.montecarlo import lap_figure
 
@@ -36,22 +43,20 @@ def run(design: Design, options: MontecarloOptions, identity: dict[str, Any]) ->
     assert number is not None
     folder = RunFolder(options.folder)
     name = f"replay-{number}"
+    choice = (options.controller, options.plant, options.starts)
     refuse_another_run(folder.path, number, identity)
     try:
         folder.path.mkdir(parents=True, exist_ok=True)
-        task = make_closed_loop_task(
-            design, options.controller, options.plant, options.starts, None, options.seed
-        )
-        found = lap(design, task, options.seed, number)
-        folder.save_arrays(name, **_arrays(found))
-        folder.save_figure(lap_figure.draw(design.problem, found), name)
+        task = make_closed_loop_task(design, *choice, None, options.seed)
+        replayed = lap(design, task, options.seed, number)
+        folder.save_arrays(name, **_make_arrays(replayed))
+        folder.save_figure(lap_figure.draw(design.problem, replayed), name)
     except OSError as error:
         raise unwritable(folder.path, error) from None
-    law = name_law(design, options.controller, options.plant, options.starts)
-    words = law.describe(design.problem.scenario)
-    title = f"lap {number:,}; law: {words}; seed {options.seed}"
-    folder.report(f"{title}\n\n{text(design, found)}", name)
-    laps = recorded_laps(folder.path)
+    law = name_law(design, *choice).describe(design.problem.scenario)
+    title = f"lap {number:,}; seed {options.seed}; drawn from {law}"
+    folder.report(f"{title}\n\n{text(design, replayed)}", name)
+    laps = read_laps(folder.path)
     if laps is not None and number >= laps:
         print(f"\nlap {number:,} is beyond the run in {folder.path}/, which has {laps:,} laps")
     print(f"\n{name}.png, {name}.pdf, {name}.npz and {name}.txt are in {folder.path}/")
@@ -63,14 +68,15 @@ def refuse_another_run(folder: Path, number: int, identity: dict[str, Any]) -> N
     recorded = folder / "identity.json"
     if not recorded.exists():
         return
-    difference = differences(json.loads(recorded.read_text()), json.loads(json.dumps(identity)))
+    plain = json.loads(json.dumps(identity))
+    difference = differences(json.loads(recorded.read_text()), plain)
     if difference:
         problem = f"{folder} holds another run: {difference}"
         cure = "give its options, or name another --out"
         raise refusal("command line", "--replay", number, problem, cure)
 
 
-def recorded_laps(folder: Path) -> int | None:
+def read_laps(folder: Path) -> int | None:
     """Return the laps of the run in a folder, None where no run was completed there."""
     path = folder / "metrics.json"
     if not path.exists() or not (folder / "identity.json").exists():
@@ -78,64 +84,115 @@ def recorded_laps(folder: Path) -> int | None:
     return json.loads(path.read_text())["laps"]
 
 
-def _arrays(found: Lap) -> dict[str, Any]:
-    trajectory = found.trajectory
-    names = ("errors", "measured", "inputs", "wheels", "demanded")
-    arrays = {name: getattr(trajectory, name) for name in names} | {
-        "qp_status": trajectory.diagnostics.status
+def _make_arrays(replayed: Lap) -> dict[str, Any]:
+    """Return what NAME.npz holds."""
+    trajectory = replayed.trajectory
+    arrays = {
+        "errors": trajectory.errors,
+        "measured": trajectory.measured,
+        "inputs": trajectory.inputs,
+        "wheels": trajectory.wheels,
+        "demanded": trajectory.demanded,
+        "qp_status": trajectory.diagnostics.status,
+        "disturbance": replayed.disturbance,
+        "usage_of_E": replayed.of_error_set.share,
+        "usage_of_W": replayed.of_disturbance_set.share,
     }
-    arrays |= {"disturbance": found.disturbance}
-    arrays |= {"usage_of_E": found.of_error_set.share, "usage_of_W": found.of_disturbance_set.share}
-    return arrays if found.slips is None else arrays | {"slip_deviations": found.slips}
+    if replayed.slips is not None:
+        arrays["slip_deviations"] = replayed.slips
+    return arrays
 
 
-def text(design: Design, found: Lap) -> str:
+def text(design: Design, replayed: Lap) -> str:
     """Return what a lap used of E, W and the wheels, where, and how its QPs ended."""
     problem = design.problem
-    lines = [f"{'':<12}{'largest':>12}{'limit':>12}{'used':>11}{'at':>10}"]
-    for letter, limits, values, usage in (
-        ("e", problem.error_set, found.trajectory.errors[1:], found.of_error_set),
-        ("w", problem.disturbance_set, found.disturbance, found.of_disturbance_set),
-    ):
-        widths, sizes = limits.support(np.eye(3)), np.abs(values)
-        for i, name in enumerate(("x [m]", "y [m]", "th [deg]")):
-            step, scale = int(np.argmax(sizes[:, i])), TO_DISPLAY[i]
-            used = f"{sizes[step, i] / widths[i]:.2%}" if widths[i] else "-"
-            numbers = f"{sizes[step, i] * scale:>12.5g}{widths[i] * scale:>12.5g}{used:>11}"
-            lines.append(f"{f'{letter}_{name}':<12}{numbers}{_seconds(problem, step):>10}")
-        name, step = {"e": "E", "w": "W"}[letter], int(np.argmax(usage.share))
-        left = f"left in {np.sum(usage.outside)} of {len(usage.outside)} periods"
-        lines.append(
-            f"{name + ', whole':<12}{'':>24}{usage.share[step]:>11.2%}{_seconds(problem, step):>10}   {left}"
+    errors = np.asarray(replayed.trajectory.errors)[1:]
+    columns = [left(""), Column("largest"), Column("limit"), Column("used"), Column("at")]
+    rows = [
+        *_rows("e", problem.error_set, errors, problem),
+        _whole_row("E", replayed.of_error_set, problem),
+        *_rows("w", problem.disturbance_set, replayed.disturbance, problem),
+        _whole_row("W", replayed.of_disturbance_set, problem),
+    ]
+    lines = [
+        format_table(columns, rows),
+        "",
+        describe_error_set(problem),
+        _say_how_often("E", replayed.of_error_set),
+        _say_how_often("W", replayed.of_disturbance_set),
+        *_say_wheels(problem, replayed),
+        *_say_qps(replayed),
+    ]
+    return "\n".join(lines)
+
+
+def _rows(
+    letter: str, limits: Polytope, values: Float[np.ndarray, "steps 3"], problem: Problem
+) -> list[list[str]]:
+    """Return one row a coordinate: its largest value, its limit, the share used, and when."""
+    widths = limits.support(np.eye(3))
+    sizes = np.abs(values)
+    rows = []
+    for i, coordinate in enumerate(COORDINATES):
+        step = int(np.argmax(sizes[:, i]))
+        largest = sizes[step, i]
+        rows.append(
+            [
+                f"{letter}_{coordinate.plain} [{coordinate.unit}]",
+                f"{largest * coordinate.to_display:.5g}",
+                f"{widths[i] * coordinate.to_display:.5g}",
+                f"{largest / widths[i]:.2%}" if widths[i] else "-",
+                _say_when(problem, step),
+            ]
         )
-    return "\n".join([*lines, "", *_wheels(problem, found), *_planning(found)])
+    return rows
 
 
-def _seconds(problem: Problem, step: int) -> str:
+def _whole_row(name: str, usage: Usage, problem: Problem) -> list[str]:
+    """Return the row of a set: by the facet that is used most."""
+    step = int(np.argmax(usage.share))
+    return [f"{name}, whole", "", "", f"{usage.share[step]:.2%}", _say_when(problem, step)]
+
+
+def _say_when(problem: Problem, step: int) -> str:
     """Return the time at the end of a period, at which its error and its disturbance show."""
     return f"{(step + 1) * problem.reference.dt:.4g} s"
 
 
-def _wheels(problem: Problem, found: Lap) -> list[str]:
-    if found.slips is None:
+def _say_how_often(name: str, usage: Usage) -> str:
+    return f"{name}: left in {np.sum(usage.outside)} of {len(usage.outside)} periods"
+
+
+def _say_wheels(problem: Problem, replayed: Lap) -> list[str]:
+    """Return one line on the wheels of a robot; none of a linear plant, which has none."""
+    if replayed.slips is None:
         return []
-    wheels, robot = found.trajectory.wheels, problem.robot
+    robot = problem.robot
+    wheels = replayed.trajectory.wheels
     ranges = [
         f"{side} {wheels[:, i].min():.4g} to {wheels[:, i].max():.4g} m/s"
         for i, side in enumerate(WHEELS)
     ]
-    saturated = int(np.sum(np.any(found.trajectory.demanded != wheels, axis=1)))
+    saturated = int(np.sum(np.any(replayed.trajectory.demanded != wheels, axis=1)))
     limits = f"{robot.wheel_speed_min:.4g} to {robot.wheel_speed_max:.4g} m/s"
     return [
-        f"wheels: {', '.join(ranges)}; limits {limits}, reached in {saturated} of {len(wheels)} periods"
+        f"wheels: {', '.join(ranges)}; limits {limits}, reached in {saturated} of {len(wheels)} "
+        "periods"
     ]
 
 
-def _planning(found: Lap) -> list[str]:
-    if not found.plans:
+def _say_qps(replayed: Lap) -> list[str]:
+    """Return one line on the QPs; none of a controller without."""
+    if not replayed.plans:
         return []
-    diagnostics = found.trajectory.diagnostics
-    kinds = {"solved": qp.SOLVED, "infeasible": qp.INFEASIBLE, "unsolved": qp.UNSOLVED}
-    counts = [f"{int(np.sum(diagnostics.status == kind))} {name}" for name, kind in kinds.items()]
-    others = f"some row active in {np.sum(diagnostics.active)}, backup in use in {np.sum(diagnostics.backup)}"
-    return [f"QPs: {', '.join(counts)}; {others}"]
+    diagnostics = replayed.trajectory.diagnostics
+    counts = [
+        f"{int(np.sum(diagnostics.status == status))} {name}" for name, status in QP_STATUS.items()
+    ]
+    active = find_event("row_active").meaning
+    backup = find_event("backup").meaning
+    return [
+        f"QPs: {', '.join(counts)}",
+        f"periods in which {active}: {np.sum(diagnostics.active)}; in backup ({backup}): "
+        f"{np.sum(diagnostics.backup)}",
+    ]

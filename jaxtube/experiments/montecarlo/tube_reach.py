@@ -1,7 +1,8 @@
 """How tight the four tubes are: deviations sampled under switching schedules, and the exact reach
 of every facet.
 
-    deviation+ = Phi(th) deviation + w,   w in W,   th anywhere in its box (`sequence`: along the reference)
+    deviation+ = Phi(th) deviation + w,   w in W,   th anywhere in its box (`sequence`: along the
+                                                    reference)
     reach of c after N steps = max over sequences of sum_m h_W([Phi_{N-1} .. Phi_m]^T c)
 
 A facet's ratio is its offset over that reach: 1 is exact, more is conservative, less would refute
@@ -10,37 +11,47 @@ the tube.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from typing import NamedTuple
+
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.synthesis.design import Design
 from sets.certificate import reach_supports
 from sets.polytope import Polytope
 from sets.tubes import Section, sequence_tube
 
-SAMPLES, PART = 1_000_000, 50_000
+SAMPLES = 1_000_000
+PART = 50_000
+"""Samples drawn at once."""
+WIDTH = 100
+"""Columns of the table."""
+
+
+class Excess(NamedTuple):
+    """Largest excess of sampled deviations over any facet of any section."""
+
+    switching: dict[str, float]  # by tube, under switching schedules
+    along: float  # of `sequence`, along the reference
 
 
 def metrics(design: Design, seed: int) -> dict:
     """Return, by tube, the largest excess of sampled deviations over any facet and the facets'
     ratios at j = N."""
-    switching, along = _sampled(design, seed)
+    excess = sample(design, seed)
     W = design.problem.disturbance_set.vertices()
-    found = {}
+    by_tube = {}
     for name, sections in design.tubes.items():
-        facets = _unit_facets(sections[-1])
         if sections.follows_reference:
             ratios = _ratios_along(design, W)
-            found[name] = {"largest_excess": along, "least_share_reached": 1 / ratios.max()}
+            numbers = {"largest_excess": excess.along, "least_share_reached": 1 / ratios.max()}
         else:
-            loops = design.tube_gain.loops
-            steps = len(sections) - 1
-            reach = np.array(
-                [reach_supports(loops, W, normal, steps)[0][-1] for normal in facets.normals]
-            )
-            ratios = facets.offsets / reach
-            found[name] = {"largest_excess": switching[name]}
-        found[name] |= {
+            facets = _unit_facets(sections[-1])
+            ratios = facets.offsets / _reach(design, W, facets, len(sections) - 1)
+            numbers = {"largest_excess": excess.switching[name]}
+        by_tube[name] = numbers | {
             "samples": SAMPLES,
             "facets": len(ratios),
             "ratio_to_reach": {
@@ -49,69 +60,98 @@ def metrics(design: Design, seed: int) -> dict:
                 "greatest": ratios.max(),
             },
         }
-    return found
+    return by_tube
 
 
-def table(found: dict) -> str:
+def table(by_tube: dict) -> str:
     """Return the numbers of `metrics` as text."""
-    lines = [
-        "tubes against w in W and schedules that switch at will (`sequence`: along the reference)",
-        f"{'tube':<10}{'samples':>12}{'largest excess':>18}{'facets of R_N':>16}"
-        f"{'offset / exact reach, least, mean, most':>42}",
+    columns = [
+        left("tube"),
+        Column("samples"),
+        Column("largest excess"),
+        Column("facets of R_N"),
+        *(Column(f"offset / exact reach\n{statistic}") for statistic in ("least", "mean", "most")),
     ]
-    for name, numbers in found.items():
-        ratio = numbers["ratio_to_reach"]
-        spread = f"{ratio['least']:.6f}  {ratio['mean']:.6f}  {ratio['greatest']:.6f}"
-        lines.append(
-            f"{name:<10}{numbers['samples']:>12,}{numbers['largest_excess']:>18.3g}{numbers['facets']:>16}{spread:>42}"
-        )
-    lines.append(
+    rows = [_row(name, numbers) for name, numbers in by_tube.items()]
+    return (
+        "tubes against w in W and schedules that switch at will (`sequence`: along the reference)\n"
+        f"{format_table(columns, rows, WIDTH)}\n"
         "the closed-form worst w, played along the reference, reaches every facet of `sequence` to "
-        f"{found['sequence']['least_share_reached']:.4%} at least"
+        f"{by_tube['sequence']['least_share_reached']:.4%} at least"
     )
-    return "\n".join(lines)
+
+
+def _row(name: str, numbers: dict) -> list[str]:
+    ratios = numbers["ratio_to_reach"].values()
+    return [
+        name,
+        f"{numbers['samples']:,}",
+        f"{numbers['largest_excess']:.3g}",
+        str(numbers["facets"]),
+        *(f"{ratio:.6f}" for ratio in ratios),
+    ]
 
 
 def _unit_facets(section: Section) -> Polytope:
+    """Return a section with normals of length 1."""
     polytope = section.polytope()
     scale = np.linalg.norm(polytope.normals, axis=1)
     return Polytope(polytope.normals / scale[:, None], polytope.offsets / scale)
 
 
-def _sampled(design: Design, seed: int) -> tuple[dict[str, float], float]:
-    """Return the largest excess over any facet of any section: by tube under switching schedules,
-    and along it."""
-    W, N = design.problem.disturbance_set.vertices(), design.problem.horizon
-    shared = {
-        name: [_unit_facets(s) for s in found[1:]]
-        for name, found in design.tubes.items()
-        if not found.follows_reference
-    }
-    tubes = [
-        sequence_tube(loops, design.problem.disturbance_set)[1:] for loops in design.windows.loops
-    ]
-    windows = [[_unit_facets(section) for section in sections] for sections in tubes]
-    vertices = design.tube_gain.loops
-    excess, along = dict.fromkeys(shared, -np.inf), -np.inf
+def _reach(
+    design: Design, W: Float[np.ndarray, "v 3"], facets: Polytope, steps: int
+) -> Float[np.ndarray, " facets"]:
+    """Return the exact reach of each facet after some steps."""
+    loops = design.tube_gain.loops
+    return np.array([reach_supports(loops, W, normal, steps)[0][-1] for normal in facets.normals])
+
+
+def sample(design: Design, seed: int) -> Excess:
+    """Sample deviations from every tube."""
+    tubes = {}
+    for name, sections in design.tubes.items():
+        if not sections.follows_reference:
+            tubes[name] = [_unit_facets(section) for section in sections[1:]]
+    return Excess(_sample_switching(design, tubes, seed), _sample_along(design, seed))
+
+
+def _sample_switching(
+    design: Design, tubes: dict[str, list[Polytope]], seed: int
+) -> dict[str, float]:
+    """Return the largest excess by tube under schedules that switch between the corner loops."""
+    W = design.problem.disturbance_set.vertices()
+    loops = design.tube_gain.loops
+    excess = dict.fromkeys(tubes, -np.inf)
     for part in range(SAMPLES // PART):
         generator = np.random.default_rng([seed, part])
-        switched = vertices[generator.integers(len(vertices), size=(N, PART))]
-        for j, points in enumerate(_deviations(switched, W, generator)):
-            for name, sections in shared.items():
-                excess[name] = max(excess[name], float(np.max(_excess(sections[j], points))))
-    for window, sections in enumerate(windows):
+        choices = generator.integers(len(loops), size=(design.problem.horizon, PART))
+        for stage, points in enumerate(_deviations(loops[choices], W, generator)):
+            for name, sections in tubes.items():
+                excess[name] = max(excess[name], _largest_excess(sections[stage], points))
+    return excess
+
+
+def _sample_along(design: Design, seed: int) -> float:
+    """Return the largest excess over the sections of `sequence`, each window along its loops."""
+    W = design.problem.disturbance_set
+    by_window = design.windows.loops
+    samples = -(-SAMPLES // len(by_window))
+    excess = -np.inf
+    for window, loops in enumerate(by_window):
+        sections = [_unit_facets(section) for section in sequence_tube(loops, W)[1:]]
         generator = np.random.default_rng([seed, SAMPLES // PART + window])
-        known = np.broadcast_to(
-            design.windows.loops[window][:, None], (N, -(-SAMPLES // len(windows)), 3, 3)
-        )
-        for j, points in enumerate(_deviations(known, W, generator)):
-            along = max(along, float(np.max(_excess(sections[j], points))))
-    return excess, along
+        known = np.broadcast_to(loops[:, None], (len(loops), samples, 3, 3))
+        for stage, points in enumerate(_deviations(known, W.vertices(), generator)):
+            excess = max(excess, _largest_excess(sections[stage], points))
+    return excess
 
 
 def _deviations(
-    loops: Float[np.ndarray, "horizon samples 3 3"], W: Float[np.ndarray, "v 3"], generator
-):
+    loops: Float[np.ndarray, "horizon samples 3 3"],
+    W: Float[np.ndarray, "v 3"],
+    generator: np.random.Generator,
+) -> Iterator[Float[np.ndarray, "samples 3"]]:
     """Yield deviations after 1 .. N steps; half of the samples keep to the vertices of W, half are
     uniform mixtures."""
     samples = loops.shape[1]
@@ -124,10 +164,9 @@ def _deviations(
         yield deviation
 
 
-def _excess(
-    polytope: Polytope, points: Float[np.ndarray, "samples 3"]
-) -> Float[np.ndarray, "samples f"]:
-    return points @ polytope.normals.T - polytope.offsets
+def _largest_excess(polytope: Polytope, points: Float[np.ndarray, "samples 3"]) -> float:
+    """Return by how much points pass facets at most; negative inside."""
+    return float(np.max(points @ polytope.normals.T - polytope.offsets))
 
 
 def _ratios_along(design: Design, W: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, " facets"]:
@@ -136,25 +175,24 @@ def _ratios_along(design: Design, W: Float[np.ndarray, "v 3"]) -> Float[np.ndarr
     ratios = []
     for loops in design.windows.loops:
         facets = _unit_facets(sequence_tube(loops, design.problem.disturbance_set)[-1])
-        ratios.append(
-            facets.offsets
-            / np.einsum("fi,fi->f", facets.normals, _worst_end(loops, W, facets.normals))
-        )
+        ends = _worst_ends(loops, W, facets.normals)
+        ratios.append(facets.offsets / np.einsum("fi,fi->f", facets.normals, ends))
     return np.concatenate(ratios)
 
 
-def _worst_end(
+def _worst_ends(
     loops: Float[np.ndarray, "horizon 3 3"],
     W: Float[np.ndarray, "v 3"],
     normals: Float[np.ndarray, "f 3"],
-):
+) -> Float[np.ndarray, "f 3"]:
     """Return where each direction's worst disturbances, argmax of w' [Phi .. Phi]^T c, end when
     they are played."""
-    directions, choices = normals, []
+    directions = normals
+    disturbances = []
     for loop in loops[::-1]:
-        choices.append(W[np.argmax(directions @ W.T, axis=1)])
+        disturbances.append(W[np.argmax(directions @ W.T, axis=1)])
         directions = directions @ loop
     deviation = np.zeros_like(normals)
-    for loop, w in zip(loops, choices[::-1], strict=True):
+    for loop, w in zip(loops, disturbances[::-1], strict=True):
         deviation = deviation @ loop.T + w
     return deviation

@@ -1,17 +1,18 @@
 """Runs in which the tube matters: starts spread over the feasible set, w in W on the linear plant,
 slip that persists.
 
-On the linear plant with w in W the guarantee is a theorem, so a single run outside E or one QP
-without a plan refutes the code. On the nonlinear plant it holds for the runs in which every w
-stayed in W; these are counted.
+On the linear plant with w in W the guarantee of a certified design is a theorem, so a single run
+outside E or one QP without a plan refutes the code. On the nonlinear plant it holds for the runs in
+which every w stayed in W; these are counted.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxtube import qp
 from jaxtube.simulation import closed_loop
@@ -28,33 +29,55 @@ CASES = {
 
 @dataclass(frozen=True, eq=False)
 class Stress:
-    """Starts, the boundary points of the feasible set they were drawn from, and the runs by case
-    and controller."""
+    """Starts, the corners of the set they were drawn from, and the runs by case and controller."""
 
-    boundary: Float[np.ndarray, "rays 3"]
+    boundary: Float[np.ndarray, "corners 3"]
     starts: Float[np.ndarray, "runs 3"]
     runs: dict[str, dict[str, Trajectory]]
 
 
-def run(design: Design, count: int, seed: int, advanced=None) -> Stress:
-    """Run tube-MPC and MPC without tube from the same starts, in each case."""
-    first_window = int(design.windows.index[0])
-    points = true_starts(design.tube_window, first_window, design.problem, seed=seed)
-    starts = spread_starts(points, count, seed)
+def find_starts(design: Design, seed: int) -> Float[np.ndarray, "corners 3"]:
+    """Return corners of a set of true errors from which there is a plan.
+
+    Raises:
+        ScenarioError: where no error has a plan.
+    """
+    return true_starts(design.tube_window, design.first_window, design.problem, seed=seed)
+
+
+def run(
+    design: Design,
+    boundary: Float[np.ndarray, "corners 3"],
+    count: int,
+    seed: int,
+    advanced: Callable[[int], object] | None = None,
+) -> Stress:
+    """Run tube-MPC and MPC without tube from the same starts, in each case.
+
+    Args:
+        design: under stress.
+        boundary: corners of the set of starts, of `find_starts`.
+        count: runs of each controller in each case.
+        seed: of every draw.
+        advanced: called with the number of runs of each block that has been run.
+    """
+    starts = spread_starts(boundary, count, seed)
     plants = {
         "linear_w_in_W": closed_loop.linear_plant(design),
         "slip_constant": closed_loop.slipping_robot(design, "constant"),
         "slip_patches": closed_loop.slipping_robot(design, "patches"),
     }
-    loops = closed_loop.controllers(design)
-    runs = {
-        case: {
-            name: closed_loop.run_realisations(loops[name], plant, starts, seed, advanced)
-            for name in ("tube_mpc", "plain_mpc")
-        }
-        for case, plant in plants.items()
+    loops = {
+        "tube_mpc": closed_loop.make_tube_mpc(design),
+        "plain_mpc": closed_loop.make_plain_mpc(design),
     }
-    return Stress(points, starts, runs)
+    runs = {}
+    for case, plant in plants.items():
+        runs[case] = {
+            name: closed_loop.run_realisations(loop, plant, starts, seed, advanced)
+            for name, loop in loops.items()
+        }
+    return Stress(boundary, starts, runs)
 
 
 def metrics(design: Design, stress: Stress) -> dict:
@@ -68,11 +91,12 @@ def metrics(design: Design, stress: Stress) -> dict:
 def _metrics(design: Design, trajectory: Trajectory) -> dict:
     limits = design.problem.error_set.offsets[:3]
     widths = design.problem.disturbance_set.support(np.eye(3))
+    residuals = closed_loop.model_residuals(design, trajectory)
+    diagnostics = trajectory.diagnostics
     outside = ~np.all(np.abs(trajectory.errors) <= limits, axis=(0, 2))
     # On the linear plant w is drawn in W; rounding of the reconstruction must not count.
-    residuals = closed_loop.model_residuals(design, trajectory)
     in_w = np.all(np.abs(residuals) <= widths * (1 + 1e-9), axis=(0, 2))
-    no_plan = trajectory.diagnostics.status != qp.SOLVED
+    no_plan = np.asarray(diagnostics.status) != qp.SOLVED
     stopped = no_plan.any(axis=0)
     return {
         "runs": outside.size,
@@ -80,21 +104,22 @@ def _metrics(design: Design, trajectory: Trajectory) -> dict:
         "share_outside_E": float(outside.mean()),
         "runs_with_every_w_in_W": int(in_w.sum()),
         "runs_outside_E_with_every_w_in_W": int((outside & in_w).sum()),
-        "infeasible_QPs": int((trajectory.diagnostics.status == qp.INFEASIBLE).sum()),
-        "unsolved_QPs": int((trajectory.diagnostics.status == qp.UNSOLVED).sum()),
+        "infeasible_QPs": int((diagnostics.status == qp.INFEASIBLE).sum()),
+        "unsolved_QPs": int((diagnostics.status == qp.UNSOLVED).sum()),
         "runs_with_infeasible_QP": int(stopped.sum()),
         "runs_with_infeasible_QP_and_every_w_in_W": int((stopped & in_w).sum()),
         "runs_recovered": int((stopped & ~no_plan[-1]).sum()),
-        "longest_backup_steps": int(_longest(no_plan)),
-        "share_of_steps_with_active_row": float(trajectory.diagnostics.active.mean()),
-        "share_of_first_10_steps_with_active_row": float(trajectory.diagnostics.active[:10].mean()),
+        "longest_backup_steps": _longest(no_plan),
+        "share_of_steps_with_active_row": float(diagnostics.active.mean()),
+        "share_of_first_10_steps_with_active_row": float(diagnostics.active[:10].mean()),
     }
 
 
-def _longest(flags) -> int:
-    """Return the length of the longest unbroken stretch of True along the first axis."""
-    longest = length = np.zeros(flags.shape[1], int)
+def _longest(flags: Bool[np.ndarray, "steps runs"]) -> int:
+    """Return the length of the longest unbroken stretch of True in any run."""
+    length = np.zeros(flags.shape[1], int)
+    longest = length
     for row in flags:
         length = np.where(row, length + 1, 0)
         longest = np.maximum(longest, length)
-    return longest.max()
+    return int(longest.max())

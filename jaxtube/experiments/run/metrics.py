@@ -15,8 +15,6 @@ from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.limits import InputRows, wheel_rows
 from sets.polytope import Polytope
 
-COORDINATES = KEYS
-
 
 def design_metrics(design: Design) -> dict:
     """Return the numbers of the sets, gains and certificate."""
@@ -95,9 +93,9 @@ def _ultimate(design: Design) -> dict | None:
     return by_coordinate(widths * TO_DISPLAY)
 
 
-def by_coordinate(values: Float[np.ndarray, "3"]) -> dict[str, float]:
+def by_coordinate(values: Float[np.ndarray, "3"] | list[float]) -> dict[str, float]:
     """Return one number of each coordinate by its key."""
-    return dict(zip(COORDINATES, values, strict=True))
+    return dict(zip(KEYS, values, strict=True))
 
 
 def _half_widths(polytope: Polytope) -> Float[np.ndarray, "3"]:
@@ -198,7 +196,7 @@ def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs
 def deviation_metrics(design: Design, deviations: Float[np.ndarray, "horizon samples 3"]) -> dict:
     """Return how many deviations from plans left the tube in use, and the smallest facet margin,
     stage by stage."""
-    margins = tube_margins(design, deviations)
+    margins = design.tube.margins(deviations)
     outside = ~(margins >= 0)
     return {
         "plans": margins.shape[1],
@@ -207,16 +205,3 @@ def deviation_metrics(design: Design, deviations: Float[np.ndarray, "horizon sam
         "share_outside_by_stage": np.mean(outside, axis=1),
         "margin_by_stage": margins.min(axis=1),
     }
-
-
-def tube_margins(
-    design: Design, deviations: Float[np.ndarray, "horizon samples 3"]
-) -> Float[np.ndarray, "horizon samples"]:
-    """Return the facet margin of every deviation in its section R_j, j = 1..N (`sequence`: the
-    widest one's)."""
-    sections = design.tube[1:]
-    margins = [
-        section.polytope().margin(points)
-        for section, points in zip(sections, deviations, strict=True)
-    ]
-    return np.stack(margins)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.coordinates import COORDINATES
 from jaxtube.synthesis.certificate.period import find_disturbances
 from jaxtube.synthesis.disturbance import ground_speed_limits, kinematics, operation
 from jaxtube.synthesis.limits import error_vector
@@ -16,8 +17,6 @@ from sets import certificate as check
 from sets.certificate import Condition, judge
 from sets.robot.disturbance import DisturbanceBound, disturbance_bound
 
-COORDINATES = (("longitudinal", 1.0, "m"), ("lateral", 1.0, "m"), ("heading", np.rad2deg(1), "deg"))
-"""Names of the coordinates of w, and the units they are told in."""
 PREMISE = "disturbance_bound_proved"
 """The condition that makes a guarantee for the linear model one for the robot."""
 
@@ -127,10 +126,11 @@ def _say_what_leaves(problem: Problem, met: Float[np.ndarray, "n 3"], room: floa
     worst = int(np.argmax(found / np.maximum(allowed, np.finfo(float).tiny)))
     if found[worst] <= allowed[worst]:
         return f"a disturbance passes a facet of W by {-room:.3g}"
-    name, scale, unit = COORDINATES[worst]
+    coordinate = COORDINATES[worst]
+    unit = coordinate.unit
     return (
-        f"a {name} disturbance of {scale * found[worst]:.3g} {unit} is found where W allows "
-        f"{scale * allowed[worst]:.3g} {unit}"
+        f"a {coordinate.name} disturbance of {coordinate.to_display * found[worst]:.3g} {unit} is "
+        f"found where W allows {coordinate.to_display * allowed[worst]:.3g} {unit}"
     )
 
 

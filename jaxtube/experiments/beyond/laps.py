@@ -1,0 +1,123 @@
+"""What laps of a design's tube-MPC use of E, W and the wheels on a robot made imperfect."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from jaxtube import qp
+from jaxtube.control.laws import TubeMpc
+from jaxtube.coordinates import NAMES
+from jaxtube.plant.imperfect import Imperfections, ImperfectRobot, shifted_preview
+from jaxtube.simulation import closed_loop
+from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
+from jaxtube.synthesis.design import Design
+
+PROCESSES = ("iid", "vertex", "constant", "adversarial")
+ROUNDING = 1e-9
+"""Usage beyond 1 that is rounding."""
+
+
+class Usage(NamedTuple):
+    """What laps at one level used, by slip process; above 1 is outside."""
+
+    error: Float[np.ndarray, "processes 3"]  # of E, by coordinate, true errors
+    disturbance: Float[np.ndarray, " processes"]  # of W
+    wheels: Float[np.ndarray, " processes"]  # of the range of speeds, as asked for
+    without_plan: Float[np.ndarray, " processes"]  # periods
+
+    @property
+    def leaves_disturbance_set(self) -> bool:
+        """Whether some w lies outside W; NaN counts as outside."""
+        return bool(np.any(_is_outside(self.disturbance)))
+
+    @property
+    def violations(self) -> list[str]:
+        """What was violated, and under which slips; NaN is a violation."""
+        failed = {f"{name} error": _is_outside(self.error[:, i]) for i, name in enumerate(NAMES)}
+        failed["wheel speed"] = _is_outside(self.wheels)
+        failed["no plan"] = ~(self.without_plan == 0)
+        return [
+            f"{name} ({', '.join(np.array(PROCESSES)[processes])})"
+            for name, processes in failed.items()
+            if processes.any()
+        ]
+
+
+def _is_outside(usage: Float[np.ndarray, " processes"]) -> Bool[np.ndarray, " processes"]:
+    """Return where a usage is above 1; NaN is."""
+    return ~(usage <= 1 + ROUNDING)
+
+
+class Laps:
+    """Laps of a design's tube-MPC on its robot made imperfect; each slip process compiles once."""
+
+    def __init__(self, design: Design, realisations: int, seed: int):
+        """Prepare the closed loops."""
+        self.design = design
+        self.seed = seed
+        self.starts = np.tile(design.problem.initial_error, (realisations, 1))
+        self.controller = closed_loop.make_tube_mpc(design)
+        self.ideal = [closed_loop.slipping_robot(design, process) for process in PROCESSES]
+
+    def at(
+        self, name: str, update: Callable[[], object] = lambda: None
+    ) -> Callable[[float], Usage]:
+        """Return the usage as a function of the level of one imperfection.
+
+        Args:
+            name: of the imperfection; of a "preview" the worse of its signs counts.
+            update: called after each level.
+        """
+
+        def usage(level: float) -> Usage:
+            if name == "preview":
+                early = self.usage(Imperfections(), -int(level))
+                late = self.usage(Imperfections(), int(level))
+                used = Usage(*map(np.maximum, early, late))
+            else:
+                used = self.usage(Imperfections()._replace(**{name: level}))
+            update()
+            return used
+
+        return usage
+
+    def usage(self, imperfections: Imperfections, shift: int = 0) -> Usage:
+        """Return what laps with these imperfections use, whose controller expects changes `shift`
+        periods early."""
+        # Arrays of one type: another mixture of numbers and arrays would be another program.
+        level = Imperfections(*(jnp.asarray(value, float) for value in imperfections))
+        index = shifted_preview(self.controller.index, self.ideal[0].reference_wheels, shift)
+        controller = dataclasses.replace(self.controller, index=index)
+        by_process = []
+        for ideal in self.ideal:
+            trajectory = self._simulate(controller, ImperfectRobot(ideal, level))
+            by_process.append(lap_usage(self.design, trajectory))
+        return Usage(*map(np.array, zip(*by_process, strict=True)))
+
+    def _simulate(self, controller: TubeMpc, plant: ImperfectRobot) -> Trajectory:
+        if len(self.starts) >= closed_loop.BLOCK:
+            return closed_loop.run_realisations(controller, plant, self.starts, self.seed)
+        # Without the padding of a block: a quick look stays quick.
+        keys = realisation_keys(self.seed, 0, len(self.starts))
+        return jax.tree.map(np.asarray, rollout(controller, plant, keys, jnp.asarray(self.starts)))
+
+
+def lap_usage(design: Design, trajectory: Trajectory) -> tuple:
+    """Return the fields of a `Usage` for one process."""
+    problem = design.problem
+    robot = problem.robot
+    W = problem.disturbance_set
+    error = np.max(np.abs(trajectory.errors), axis=(0, 1)) / problem.error_set.offsets[:3]
+    residuals = closed_loop.model_residuals(design, trajectory) @ W.normals.T
+    middle = (robot.wheel_speed_max + robot.wheel_speed_min) / 2
+    reach = (robot.wheel_speed_max - robot.wheel_speed_min) / 2
+    wheels = np.max(np.abs(trajectory.demanded - middle)) / reach
+    without_plan = float(np.sum(trajectory.diagnostics.status != qp.SOLVED))
+    return error, np.max(residuals / W.offsets), wheels, without_plan

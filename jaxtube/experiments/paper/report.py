@@ -1,0 +1,107 @@
+"""The tables of `paper`: controllers side by side, the scheme with the other restart, runs under
+stress."""
+
+from __future__ import annotations
+
+from jaxtube.coordinates import COORDINATES, KEYS
+from jaxtube.experiments.paper import stress
+from jaxtube.experiments.run.table import Column, format_table, left
+
+WIDTH = 100
+"""Columns of a table."""
+
+
+def comparison(measured: dict) -> str:
+    """Return the controllers side by side: medians over realisations."""
+    columns = [
+        left("controller"),
+        Column("outside\nE"),
+        *_error_columns("largest"),
+        *_error_columns("RMS"),
+        Column("active"),
+        Column("wheel\n[m/s]"),
+    ]
+    rows = [_compare(name, numbers) for name, numbers in measured["controllers"].items()]
+    inside = measured["plan_deviations"]
+    shares = ", ".join(f"{share:.1%}" for share in inside["share_outside_by_stage"])
+    return (
+        f"{format_table(columns, rows, WIDTH)}\n"
+        "outside E: share of the runs that leave the error constraints; largest, RMS: medians over "
+        "the runs;\nactive: share of the steps in which a constraint of the plan is active; "
+        "wheel: largest wheel speed\n"
+        f"of {inside['plans']} plans followed to their end these shares leave R_1, R_2, ..: "
+        f"{shares}"
+    )
+
+
+def _error_columns(kind: str) -> list[Column]:
+    return [Column(f"{kind}\n{coordinate.symbol}", coordinate.unit) for coordinate in COORDINATES]
+
+
+def _compare(name: str, numbers: dict) -> list[str]:
+    """Return the row of one controller."""
+    largest = numbers["max_error"]["whole_run"]["median"]
+    rms = numbers["rms_error"]["whole_run"]["median"]
+    return [
+        name,
+        f"{numbers['violation_share']:.1%}",
+        *(f"{largest[key]:.5f}" for key in KEYS),
+        *(f"{rms[key]:.5f}" for key in KEYS),
+        f"{numbers['active_share']:.2%}",
+        f"{numbers['wheel_speed_max_mps']:.3f}",
+    ]
+
+
+def stress_table(measured: dict) -> str:
+    """Return the runs of the design under stress, with and without tube."""
+    columns = [
+        left("plant"),
+        left("controller"),
+        Column("runs"),
+        Column("outside E"),
+        Column("infeasible\nQPs"),
+        Column("recovered"),
+        Column("every w\nin W"),
+        Column("of these\noutside E"),
+    ]
+    rows = []
+    for case, by_controller in measured["stress"].items():
+        for name, numbers in by_controller.items():
+            rows.append(_stress_row(stress.CASES[case], name, numbers))
+    design = measured["stress_design"]
+    return (
+        f"under stress: design `{design}`, starts all over the feasible set of its tube-MPC\n"
+        f"{format_table(columns, rows, WIDTH)}\n"
+        "outside E, every w in W: counts of runs; recovered: of the runs that had no plan at some "
+        "step, those\nthat had one at the last step"
+    )
+
+
+def _stress_row(case: str, controller: str, numbers: dict) -> list[str]:
+    """Return the row of one controller in one case."""
+    return [
+        case,
+        controller,
+        str(numbers["runs"]),
+        str(numbers["runs_outside_E"]),
+        str(numbers["infeasible_QPs"]),
+        f"{numbers['runs_recovered']} of {numbers['runs_with_infeasible_QP']}",
+        str(numbers["runs_with_every_w_in_W"]),
+        str(numbers["runs_outside_E_with_every_w_in_W"]),
+    ]
+
+
+def restart_note(measured: dict) -> str:
+    """Return one line on the scheme that resets its nominal error where the scenario's does not."""
+    other = measured["other_restart"]
+    usual = measured["controllers"]["tube_mpc"]
+    restart = str(other["restart"]).lower()
+    return (
+        f"with restart = {restart}: lateral RMS {_lateral_rms(other):.5f} m against "
+        f"{_lateral_rms(usual):.5f} m, outside E {other['violation_share']:.1%}, QPs infeasible "
+        f"{other['qp_status']['infeasible']}"
+    )
+
+
+def _lateral_rms(numbers: dict) -> float:
+    return numbers["rms_error"]["whole_run"]["median"]["lateral_m"]
