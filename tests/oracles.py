@@ -28,7 +28,8 @@ TIGHT = ("robot.wheel_speed_max_mps=2.2", "robot.wheel_speed_min_mps=0.5")
 def yaw_rate(problem, wheels):
     """Give the yaw rate of the prediction model at reference wheel speeds (right, left)."""
     slip = problem.scenario.slip
-    right, left = (1 - slip.nominal_right, 1 - slip.nominal_left)
+    right = 1 - slip.nominal_right
+    left = 1 - slip.nominal_left
     if problem.scenario.controller.model == "consistent":
         right = left = 1.0
     return (right * wheels[0] - left * wheels[1]) / problem.scenario.robot.track_width_m
@@ -36,7 +37,8 @@ def yaw_rate(problem, wheels):
 
 def model(problem, wheels):
     """Give A and B of the prediction model at reference wheel speeds (right, left)."""
-    settings, rates = problem.scenario.controller, np.zeros((5, 5))
+    settings = problem.scenario.controller
+    rates = np.zeros((5, 5))
     rates[0, 1] = yaw_rate(problem, wheels)
     rates[1, 0] = -rates[0, 1]
     rates[1, 2] = (wheels[0] + wheels[1]) / 2
@@ -85,7 +87,8 @@ class PlainQp:
     one-sided rows."""
 
     def __init__(self, design, step, with_tube=True):
-        problem, window = design.problem, design.windows.index[step]
+        problem = design.problem
+        window = design.windows.index[step]
         self.horizon = N = problem.horizon
         schedule = problem.schedule[step : step + N]
         units = np.eye(3 + 2 * N)
@@ -101,8 +104,10 @@ class PlainQp:
         )
         cost = cost + sum(2 * stage.T @ problem.input_weight @ stage for stage in inputs)
         # DAQP reads a matrix as it lies in memory, whatever its strides.
-        self.hessian, self.linear = np.ascontiguousarray(cost[3:, 3:]), cost[3:, :3]
-        E, U = problem.error_set.normals, problem.input_set.normals
+        self.hessian = np.ascontiguousarray(cost[3:, 3:])
+        self.linear = cost[3:, :3]
+        E = problem.error_set.normals
+        U = problem.input_set.normals
         rows = [E @ stage for stage in self.predictions[1:N]] + [U @ stage for stage in inputs]
         if with_tube:
             offsets = [
@@ -114,7 +119,9 @@ class PlainQp:
         else:
             offsets = [problem.error_set.offsets] * (N - 1) + [problem.input_set.offsets] * N
         rows = np.concatenate(rows)
-        self.rows, self.row_errors, self.offsets = rows[:, 3:], rows[:, :3], np.concatenate(offsets)
+        self.rows = rows[:, 3:]
+        self.row_errors = rows[:, :3]
+        self.offsets = np.concatenate(offsets)
         self.reached = np.abs(self.rows).max(axis=1) > REACHED
 
     def limits(self, error):
@@ -126,7 +133,8 @@ class PlainQp:
         limits = self.limits(error)
         if np.any(limits[~self.reached] < -KKT):
             return None
-        G, h = np.ascontiguousarray(self.rows[self.reached]), limits[self.reached]
+        G = np.ascontiguousarray(self.rows[self.reached])
+        h = limits[self.reached]
         answer, _, flag, info = daqp.solve(
             self.hessian,
             self.linear @ error,
@@ -165,7 +173,9 @@ class PlainMpc:
     """The QPs along the reference, one for each distinct stretch of it, built when it is first met."""
 
     def __init__(self, design, with_tube=True):
-        self.design, self.with_tube, self.found = design, with_tube, {}
+        self.design = design
+        self.with_tube = with_tube
+        self.found = {}
 
     def qp(self, step):
         """Give the QP of one step."""

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from tolerances import ARCS_OF_A_PERIOD, CLOSED_LOOP, EXACT_ARCS, ROUNDING
+from tolerances import CLOSED_LOOP, EXACT_ARCS, ROUNDING
 
 from jaxtube.control.laws import TrackingLaw
 from jaxtube.control.protocol import WheelMap
@@ -21,7 +21,13 @@ from jaxtube.plant.slip import deviated
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation.rollout import realisation_keys, rollout
 
-DT, TRACK_WIDTH, CASES, BATCH = 0.1, 0.5, 6, 8
+ARCS_OF_A_PERIOD = 1e-5
+"""In m; positions while wheels change speed by 1 m/s, arcs of a sixteenth of a period."""
+
+DT = 0.1
+TRACK_WIDTH = 0.5
+CASES = 6
+BATCH = 8
 LEVELS = {"lag": 0.05, "delay": 0.35, "sluggishness": 0.4, "sideslip": 0.2, "slip_change": 0.7}
 
 
@@ -126,7 +132,8 @@ def test_a_period_is_that_of_the_world_frame(names, period):
     errors, motion = period
     plant = imperfect(slipping_robot(), **{name: LEVELS[name] for name in names})
     driven, wheels = drive(plant, 0, errors, motion)
-    reference, level = np.asarray(plant.reference_wheels[0]), plant.imperfections
+    reference = np.asarray(plant.reference_wheels[0])
+    level = plant.imperfections
     cases = [integrate(errors[i], reference, motion, level, i) for i in range(CASES)]
     expected, reached = (np.array(each) for each in zip(*cases, strict=True))
     held = not {"lag", "sluggishness"} & set(names)
@@ -167,7 +174,8 @@ def test_without_imperfections_the_robot_is_the_ideal_one(lap):
     ideal = slipping_robot(
         process="adversarial", random="both", noise=jnp.array([0.001, 0.001, 0.0005])
     )
-    found, expected = lap(imperfect(ideal)), lap(ideal)
+    found = lap(imperfect(ideal))
+    expected = lap(ideal)
     np.testing.assert_allclose(found.errors[1], expected.errors[1], atol=ROUNDING)
     for name in ("errors", "measured", "inputs", "wheels", "demanded"):
         np.testing.assert_allclose(
@@ -201,9 +209,11 @@ def turned(ideal, trajectory, step):
     extreme slips."""
     pairs = jnp.array(list(itertools.product((-1.0, 1.0), repeat=2)))
     slips = deviated(ideal.nominal_slip, ideal.relative_error, pairs)
-    ground, reference = trajectory.wheels[step, :, None] * (1 - slips), ideal.reference_wheels[step]
+    ground = trajectory.wheels[step, :, None] * (1 - slips)
+    reference = ideal.reference_wheels[step]
     lost = trajectory.errors[step + 1, :, 2] - trajectory.errors[step, :, 2]
-    right, left = ground[..., 0], ground[..., 1]
+    right = ground[..., 0]
+    left = ground[..., 1]
     return DT * (reference[0] - reference[1]) / TRACK_WIDTH - lost, DT * (
         right - left
     ) / TRACK_WIDTH
@@ -229,10 +239,8 @@ def test_sideslip_pushes_the_lateral_error_where_the_slips_push_the_heading_erro
         imperfect(dataclasses.replace(ideal, relative_error=0.0)),
     )
     found, expected, rolled = (lap(plant) for plant in plants)
-    pushed, turned = (
-        found.errors[1] - expected.errors[1],
-        expected.errors[1, :, 2] - rolled.errors[1, :, 2],
-    )
+    pushed = found.errors[1] - expected.errors[1]
+    turned = expected.errors[1, :, 2] - rolled.errors[1, :, 2]
     turning = np.abs(turned) > 5e-3  # slips that differ; equal ones change the turn by 1.4 mrad
     assert 0 < turning.sum() < BATCH
     moved = DT * found.wheels[0, turning].mean(axis=1) * (1 - 0.2)

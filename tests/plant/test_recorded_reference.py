@@ -4,11 +4,14 @@ it."""
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
-from tolerances import ROUNDING, SPLINE
+from tolerances import ROUNDING
 
 from jaxtube.plant import reference
 from jaxtube.plant.recorded_reference import from_file
 from jaxtube.scenario import reference_rules
+
+SPLINE = 1e-4
+"""In m and rad; cubic splines through a smooth path sampled each 0.1 s."""
 
 TRACK_WIDTH = 0.5
 
