@@ -108,7 +108,9 @@ def plane_counts(points, cells, reach):
 
 def recount(case, laps: Trajectory, first: int) -> dict:
     """Return the statistics of recorded laps, but those of plans."""
-    checks, sets, steps, count = case.task.checks, case.sets, *laps.inputs.shape[:2]
+    checks = case.task.checks
+    sets = case.sets
+    steps, count = laps.inputs.shape[:2]
     w = closed_loop.model_residuals(case.design, laps)
     e = laps.errors[1:]
     flags = flags_of(case, laps, w)
@@ -246,10 +248,9 @@ def recount_plans(case, laps: Trajectory, keys, stops, first: int) -> dict:
     own = design.problem.scenario.controller.tube
     N = design.problem.horizon
     followed = {step: follow(case, solver, laps, keys, step) for step in stops}
-    made, most, cost = (
-        np.stack([getattr(found, name) for found in followed.values()])
-        for name in ("made", "excess", "cost")
-    )
+    made = np.stack([plans.made for plans in followed.values()])
+    most = np.stack([plans.excess for plans in followed.values()])
+    cost = np.stack([plans.cost for plans in followed.values()])
     found = {
         "plans": made.sum(),
         "plans_by_lap": np.bincount(made.sum(axis=0), minlength=len(stops) + 1),
@@ -286,10 +287,9 @@ def join(parts):
     joined = {}
     for name in parts[0]:
         if name.startswith("worst"):
-            usage, lap = (
-                np.concatenate([part[f"worst_{key}/{name.partition('/')[2]}"] for part in parts])
-                for key in ("usage", "lap")
-            )
+            ranked = name.partition("/")[2]
+            usage = np.concatenate([part[f"worst_usage/{ranked}"] for part in parts])
+            lap = np.concatenate([part[f"worst_lap/{ranked}"] for part in parts])
             order = np.lexsort((lap, -usage))[:WORST]
             joined[name] = (usage if "usage" in name else lap)[order]
         else:

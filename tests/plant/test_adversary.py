@@ -94,7 +94,7 @@ def test_no_other_extreme_slips_push_the_error_further_over_one_exact_period(ran
     for dt, width in ((1e-5, 0.3), (0.1, 0.15)):
         errors = jnp.asarray(generator.uniform(-1, 1, (STATES, 3)) * [width, width, 0.35])
         results = one_period(robot_at_some_state(random, dt), keys, errors, inputs)
-        direction, wheels, chosen, possible = (np.asarray(array) for array in results)
+        direction, wheels, chosen, possible = map(np.asarray, results)
         assert np.all(wheels > 0)
         assert set(np.sign(direction[:, 0])) == set(np.sign(direction[:, 1])) == {-1, 0, 1}
         np.testing.assert_allclose(chosen, possible.max(axis=0), rtol=0, atol=ROUNDING)

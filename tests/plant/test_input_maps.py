@@ -86,7 +86,7 @@ def test_maps_keep_the_dtype_inside_jit(input_map, dtype):
 def test_x_exact_keeps_its_promise_in_the_world_frame(draws):
     """The promised rows against poses integrated in the world frame, 100 Runge-Kutta steps a
     period."""
-    inputs, errors, wheels = (np.asarray(part) for part in draws)
+    inputs, errors, wheels = map(np.asarray, draws)
     acting = acting_input("x_exact", *draws, TRACK_WIDTH, DT)
     ground = np.asarray(wheel_commands(acting, draws[2], 0.2, TRACK_WIDTH)) * 0.8
 

@@ -88,7 +88,7 @@ def deviations(robust_design, stressed):
 
 
 def test_deviations_from_a_plan_obey_the_tubes_recursion(robust_design, deviations):
-    """deviation+ = (A + B K) deviation + w: whatever the plan was, only the disturbances move it."""
+    """Whatever the plan was, only disturbances move it: deviation+ = (A + B K) deviation + w."""
     plant = closed_loop.linear_plant(robust_design)
     keys = realisation_keys(11, 0, BATCH)
     windows = robust_design.windows

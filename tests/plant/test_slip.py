@@ -217,7 +217,8 @@ def test_pose_noise_is_uniform_in_its_box_and_new_at_each_step():
         lambda i, step: slip.pose_noise(slip.realisation_key(SEED, 0, i), step, half_widths),
         (0, None),
     )
-    now, next_ = (np.asarray(draw(jnp.arange(3000), step)) for step in (0, 1))
+    now = np.asarray(draw(jnp.arange(3000), 0))
+    next_ = np.asarray(draw(jnp.arange(3000), 1))
     assert (
         is_uniform(now[:, 0], -0.001, 0.001)
         and is_uniform(now[:, 1], -0.002, 0.002)

@@ -218,11 +218,12 @@ def test_seeds_reproduce_and_differ(paper_loops, paper_plant, tracked):
 
 
 def test_keys_follow_the_index_beyond_32_bits():
-    data = [
-        jax.random.key_data(realisation_keys(3, first, count))
-        for first, count in ((2**32 - 2, 4), (0, 4), (2**32, 1))
-    ]
-    across, low, high = (np.asarray(words) for words in data)
+    def find_words(first, count):
+        return np.asarray(jax.random.key_data(realisation_keys(3, first, count)))
+
+    across = find_words(2**32 - 2, 4)
+    low = find_words(0, 4)
+    high = find_words(2**32, 1)
     np.testing.assert_array_equal(across[2:3], high)
     assert len(np.unique(np.concatenate([across, low]), axis=0)) == 8
 

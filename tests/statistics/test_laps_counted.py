@@ -212,9 +212,11 @@ def check_companions(task, errors, everything_free):
     """Compare the laps from given starts with those of the same batch with one start that is no
     number."""
     keys = realisation_keys(SEED, 0, TILE)
-    run = lambda starts: jax.tree.map(
-        np.asarray, rollout(task.controller, task.plant, keys, jnp.asarray(starts))
-    )
+
+    def run(starts):
+        laps = rollout(task.controller, task.plant, keys, jnp.asarray(starts))
+        return jax.tree.map(np.asarray, laps)
+
     clean = run(errors)
     spoilt = run(np.where(np.arange(TILE)[:, None] == VICTIM, np.nan, errors))
     assert everything_free == (not clean.diagnostics.active.any())
