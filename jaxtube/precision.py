@@ -40,5 +40,6 @@ def require_64_bits(what: str) -> None:
     if jax.dtypes.canonicalize_dtype(float).itemsize < 8:
         raise RuntimeError(
             f"{what}: JAX computes in 32 bits here, and certificates are for 64; use "
-            "jaxtube.simulate, .montecarlo, .falsify, or call it inside `with jax.enable_x64(True):`"
+            "jaxtube.simulate, .montecarlo or .falsify, or call it inside "
+            "`with jax.enable_x64(True):`"
         )

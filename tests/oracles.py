@@ -26,17 +26,19 @@ TIGHT = ("robot.wheel_speed_max_mps=2.2", "robot.wheel_speed_min_mps=0.5")
 
 
 def yaw_rate(problem, wheels):
-    """Give the yaw rate of the prediction model at reference wheel speeds (right, left)."""
+    """Return the yaw rate of the prediction model at reference wheel speeds (right, left)."""
     slip = problem.scenario.slip
-    right, left = (1 - slip.nominal_right, 1 - slip.nominal_left)
+    right = 1 - slip.nominal_right
+    left = 1 - slip.nominal_left
     if problem.scenario.controller.model == "consistent":
         right = left = 1.0
     return (right * wheels[0] - left * wheels[1]) / problem.scenario.robot.track_width_m
 
 
 def model(problem, wheels):
-    """Give A and B of the prediction model at reference wheel speeds (right, left)."""
-    settings, rates = problem.scenario.controller, np.zeros((5, 5))
+    """Return A and B of the prediction model at reference wheel speeds (right, left)."""
+    settings = problem.scenario.controller
+    rates = np.zeros((5, 5))
     rates[0, 1] = yaw_rate(problem, wheels)
     rates[1, 0] = -rates[0, 1]
     rates[1, 2] = (wheels[0] + wheels[1]) / 2
@@ -47,7 +49,7 @@ def model(problem, wheels):
 
 
 def terminal_gain(design, wheels):
-    """Give Gamma(th): bilinear in the wheel speeds between (min, max), (min, min), (max, min),
+    """Return Gamma(th): bilinear in the wheel speeds between (min, max), (min, min), (max, min),
     (max, max)."""
     reference = design.problem.scenario.reference
     width = reference.wheel_speed_max_mps - reference.wheel_speed_min_mps
@@ -59,7 +61,7 @@ def terminal_gain(design, wheels):
 
 
 def tube_gain(design, wheels):
-    """Give K(th): for T-A the terminal gain, else K^n + K^r dV_r + K^l dV_l, which cancels the
+    """Return K(th): for T-A the terminal gain, else K^n + K^r dV_r + K^l dV_l, which cancels the
     first rows of A."""
     problem = design.problem
     if problem.scenario.controller.terminal == "T-A":
@@ -72,7 +74,7 @@ def tube_gain(design, wheels):
 
 
 def simulate_model(problem, schedule, error, inputs):
-    """Give e_0 .. e_N of the prediction model."""
+    """Return e_0 .. e_N of the prediction model."""
     errors = [np.asarray(error, float)]
     for wheels, step_input in zip(schedule, inputs, strict=True):
         A, B = model(problem, wheels)
@@ -85,7 +87,8 @@ class PlainQp:
     one-sided rows."""
 
     def __init__(self, design, step, with_tube=True):
-        problem, window = design.problem, design.windows.index[step]
+        problem = design.problem
+        window = design.windows.index[step]
         self.horizon = N = problem.horizon
         schedule = problem.schedule[step : step + N]
         units = np.eye(3 + 2 * N)
@@ -101,8 +104,10 @@ class PlainQp:
         )
         cost = cost + sum(2 * stage.T @ problem.input_weight @ stage for stage in inputs)
         # DAQP reads a matrix as it lies in memory, whatever its strides.
-        self.hessian, self.linear = np.ascontiguousarray(cost[3:, 3:]), cost[3:, :3]
-        E, U = problem.error_set.normals, problem.input_set.normals
+        self.hessian = np.ascontiguousarray(cost[3:, 3:])
+        self.linear = cost[3:, :3]
+        E = problem.error_set.normals
+        U = problem.input_set.normals
         rows = [E @ stage for stage in self.predictions[1:N]] + [U @ stage for stage in inputs]
         if with_tube:
             offsets = [
@@ -114,19 +119,22 @@ class PlainQp:
         else:
             offsets = [problem.error_set.offsets] * (N - 1) + [problem.input_set.offsets] * N
         rows = np.concatenate(rows)
-        self.rows, self.row_errors, self.offsets = rows[:, 3:], rows[:, :3], np.concatenate(offsets)
+        self.rows = rows[:, 3:]
+        self.row_errors = rows[:, :3]
+        self.offsets = np.concatenate(offsets)
         self.reached = np.abs(self.rows).max(axis=1) > REACHED
 
     def limits(self, error):
-        """Give the bounds on G g from one error."""
+        """Return the bounds on G g from one error."""
         return self.offsets - self.row_errors @ error
 
     def solve(self, error):
-        """Give (g, multipliers) by DAQP, or None where no g meets the rows."""
+        """Return (g, multipliers) by DAQP, or None where no g meets the rows."""
         limits = self.limits(error)
         if np.any(limits[~self.reached] < -KKT):
             return None
-        G, h = np.ascontiguousarray(self.rows[self.reached]), limits[self.reached]
+        G = np.ascontiguousarray(self.rows[self.reached])
+        h = limits[self.reached]
         answer, _, flag, info = daqp.solve(
             self.hessian,
             self.linear @ error,
@@ -139,7 +147,7 @@ class PlainQp:
         return (np.array(answer), np.array(info["lam"])) if flag == 1 else None
 
     def shortfall(self, error):
-        """Give by how much the rows must give way before there is a plan: at most 0 where there is
+        """Return by how much the rows must give way before there is a plan, at most 0 if there is
         one."""
         columns = np.column_stack([self.rows, -np.ones(len(self.rows))])
         cost = np.eye(columns.shape[1])[-1]
@@ -153,7 +161,7 @@ class PlainQp:
         return answer.fun
 
     def plan(self, error):
-        """Give the inputs (N, 2) and errors e_0 .. e_N of the best plan, None where there is none."""
+        """Return the inputs (N, 2) and errors e_0 .. e_N of the best plan, or None."""
         answer = self.solve(error)
         if answer is None:
             return None
@@ -162,13 +170,15 @@ class PlainQp:
 
 
 class PlainMpc:
-    """The QPs along the reference, one for each distinct stretch of it, built when it is first met."""
+    """The QPs along the reference, one for each distinct stretch, built when it is first met."""
 
     def __init__(self, design, with_tube=True):
-        self.design, self.with_tube, self.found = design, with_tube, {}
+        self.design = design
+        self.with_tube = with_tube
+        self.found = {}
 
     def qp(self, step):
-        """Give the QP of one step."""
+        """Return the QP of one step."""
         ahead = self.design.problem.schedule[step : step + self.design.problem.horizon]
         key = ahead.round(9).tobytes()
         if key not in self.found:

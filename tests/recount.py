@@ -59,8 +59,11 @@ def by_lap(flags, largest):
 
 def flags_of(case, laps, w):
     """Return every event at every step, (steps, laps, events) by name."""
-    sets, robot, e = case.sets, case.task.plant.robot, laps.errors[1:]
-    off_w, off_e = outside(sets["disturbance"], w), outside(sets["error"], e)
+    sets = case.sets
+    robot = case.task.plant.robot
+    e = laps.errors[1:]
+    off_w = outside(sets["disturbance"], w)
+    off_e = outside(sets["error"], e)
     late = np.arange(1, len(e) + 1)[:, None] >= case.task.checks.settled
     settled = np.abs(laps.measured[1:])
     found = {
@@ -105,16 +108,19 @@ def plane_counts(points, cells, reach):
 
 def recount(case, laps: Trajectory, first: int) -> dict:
     """Return the statistics of recorded laps, but those of plans."""
-    checks, sets, steps, count = case.task.checks, case.sets, *laps.inputs.shape[:2]
-    w, e = closed_loop.model_residuals(case.design, laps), laps.errors[1:]
+    checks = case.task.checks
+    sets = case.sets
+    steps, count = laps.inputs.shape[:2]
+    w = closed_loop.model_residuals(case.design, laps)
+    e = laps.errors[1:]
     flags = flags_of(case, laps, w)
     late = e[checks.settled - 1 :]
-    corner, cell = np.asarray(checks.map_corner), float(checks.map_cell)
-    end, place = (
-        corner + cell * np.array(HEAT_CELLS[::-1]),
-        positions(case.design, e).reshape(-1, 2),
-    )
-    starts, reach = laps.errors[0], sets["error"].support(np.eye(3))
+    corner = np.asarray(checks.map_corner)
+    cell = float(checks.map_cell)
+    end = corner + cell * np.array(HEAT_CELLS[::-1])
+    place = positions(case.design, e).reshape(-1, 2)
+    starts = laps.errors[0]
+    reach = sets["error"].support(np.eye(3))
     left = flags[..., find_row("e_outside_E")].any(axis=0)
     found = {
         "laps": count,
@@ -156,8 +162,12 @@ class Plans(NamedTuple):
 
 def best_plans(design, solver, step, errors) -> Plans:
     """Solve every lap's own QP, and sum up what its plan costs along the predicted errors."""
-    problem, found = design.problem, []
-    qp, Q, R, P = solver.qp(step), problem.error_weight, problem.input_weight, design.cost.cost
+    problem = design.problem
+    found = []
+    qp = solver.qp(step)
+    Q = problem.error_weight
+    R = problem.input_weight
+    P = design.cost.cost
     A, B = model(problem, problem.schedule[step])
     for error in errors:
         answer = qp.plan(error) if np.isfinite(error).all() else None
@@ -206,7 +216,8 @@ class Followed(NamedTuple):
 def follow(case, solver, laps: Trajectory, keys, step) -> Followed:
     """Plan at a step of recorded laps, follow the plans, and plan again where they expect to be one
     step later."""
-    task, measured = case.task, laps.measured[step]
+    task = case.task
+    measured = laps.measured[step]
     plans = best_plans(case.design, solver, step, measured)
     later = best_plans(case.design, solver, step + 1, plans.expected)
     errors = jnp.asarray(laps.errors[step])
@@ -217,11 +228,9 @@ def follow(case, solver, laps: Trajectory, keys, step) -> Followed:
     deviations = np.asarray(
         follow_plan(task.controller, task.plant, keys, state, jnp.asarray(step), given)
     )
-    Q, R, g = (
-        np.asarray(task.checks.error_weight),
-        np.asarray(task.checks.input_weight),
-        plans.inputs[:, 0],
-    )
+    Q = np.asarray(task.checks.error_weight)
+    R = np.asarray(task.checks.input_weight)
+    g = plans.inputs[:, 0]
     too_much = (
         later.cost
         - plans.cost
@@ -234,13 +243,14 @@ def follow(case, solver, laps: Trajectory, keys, step) -> Followed:
 
 def recount_plans(case, laps: Trajectory, keys, stops, first: int) -> dict:
     """Return what the plans made at the steps `stops` of recorded laps come to."""
-    design, solver = case.design, PlainMpc(case.design)
-    own, N = design.problem.scenario.controller.tube, design.problem.horizon
+    design = case.design
+    solver = PlainMpc(case.design)
+    own = design.problem.scenario.controller.tube
+    N = design.problem.horizon
     followed = {step: follow(case, solver, laps, keys, step) for step in stops}
-    made, most, cost = (
-        np.stack([getattr(found, name) for found in followed.values()])
-        for name in ("made", "excess", "cost")
-    )
+    made = np.stack([plans.made for plans in followed.values()])
+    most = np.stack([plans.excess for plans in followed.values()])
+    cost = np.stack([plans.cost for plans in followed.values()])
     found = {
         "plans": made.sum(),
         "plans_by_lap": np.bincount(made.sum(axis=0), minlength=len(stops) + 1),
@@ -277,10 +287,9 @@ def join(parts):
     joined = {}
     for name in parts[0]:
         if name.startswith("worst"):
-            usage, lap = (
-                np.concatenate([part[f"worst_{key}/{name.partition('/')[2]}"] for part in parts])
-                for key in ("usage", "lap")
-            )
+            ranked = name.partition("/")[2]
+            usage = np.concatenate([part[f"worst_usage/{ranked}"] for part in parts])
+            lap = np.concatenate([part[f"worst_lap/{ranked}"] for part in parts])
             order = np.lexsort((lap, -usage))[:WORST]
             joined[name] = (usage if "usage" in name else lap)[order]
         else:

@@ -79,7 +79,7 @@ class Laps:
         return np.sqrt(np.mean(self.errors**2, axis=(0, 1)))
 
     def plot(self, *others: Laps) -> Figure:
-        """Draw the errors against time and limits, beside those of other laps; return the figure."""
+        """Draw the errors against time and limits, beside other laps; return the figure."""
         from jaxtube.figures.laps import errors
 
         runs = {laps.controller: laps for laps in (self, *others)}

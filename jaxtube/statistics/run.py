@@ -183,7 +183,7 @@ def _statistics(block: int, arrays: dict[str, np.ndarray], place: int) -> Statis
 
 @partial(jax.jit, static_argnums=0)
 def _simulate(mesh: Mesh, task: Task, words, counts, numbers, validate):
-    """Run blocks, spread over the devices; each device works through its own one after the other."""
+    """Run blocks, spread over the devices; each device works through its own in turn."""
     spread = PartitionSpec("devices")
     same = PartitionSpec()
 

@@ -24,11 +24,11 @@ FIGURES |= {"tube_sections", "tightened_sets", "terminal_set", "stress_terminal_
 
 
 @pytest.fixture
-def known_designs(monkeypatch, paper_design, robust_design):
+def known_designs(monkeypatch, certified_paper_design, robust_design):
     """Hand out the session's designs where a scenario differs in its start at most."""
 
     def design(scenario):
-        for known in (paper_design, robust_design):
+        for known in (certified_paper_design, robust_design):
             same = known.problem.scenario
             if replace(scenario, {"initial": same.initial}) == same:
                 return dataclasses.replace(known, problem=make_problem(scenario))
@@ -85,7 +85,7 @@ def test_an_empty_tightened_set_ends_with_3_and_leaves_no_folder(command, tmp_pa
 
 
 def test_a_failed_certificate_is_reported_and_ends_with_3_only_on_request(
-    tmp_path, capsys, known_designs, paper_design
+    tmp_path, capsys, known_designs, certified_paper_design
 ):
     assert run(tmp_path, "design") == 0
     assert run(tmp_path, "design", "--require-certificate") == 3
@@ -178,7 +178,7 @@ def test_the_design_command_writes_what_was_designed(
 
 
 @pytest.fixture(scope="module")
-def paper_run(tmp_path_factory, paper_design, robust_design):
+def paper_run(tmp_path_factory, certified_paper_design, robust_design):
     """(exit code, folder, metrics) of `paper` with few realisations."""
     pytest.importorskip("jaxtube.figures.laps")
     pytest.importorskip("jaxtube.figures.sets")
@@ -186,7 +186,9 @@ def paper_run(tmp_path_factory, paper_design, robust_design):
     with pytest.MonkeyPatch.context() as patch:
 
         def design(scenario):
-            known = robust_design if scenario.controller.tube == "summed" else paper_design
+            known = (
+                robust_design if scenario.controller.tube == "summed" else certified_paper_design
+            )
             assert known.problem.scenario == scenario
             return known
 
@@ -207,10 +209,10 @@ def test_the_paper_command_writes_every_file(paper_run):
 
 
 @pytest.mark.slow
-def test_the_metrics_of_the_paper_command_are_complete(paper_run, paper_design):
+def test_the_metrics_of_the_paper_command_are_complete(paper_run, certified_paper_design):
     _, _, found = paper_run
-    check_design_metrics(found, paper_design)
-    steps = paper_design.problem.reference.steps
+    check_design_metrics(found, certified_paper_design)
+    steps = certified_paper_design.problem.reference.steps
     assert set(found["controllers"]) == CONTROLLERS
     for numbers in found["controllers"].values():
         assert numbers["realisations"] == REALISATIONS
@@ -235,9 +237,9 @@ def test_the_metrics_of_the_paper_command_are_complete(paper_run, paper_design):
 
 
 @pytest.mark.slow
-def test_the_laps_behind_the_figures_are_saved(paper_run, paper_design):
+def test_the_laps_behind_the_figures_are_saved(paper_run, certified_paper_design):
     _, folder, found = paper_run
-    steps = paper_design.problem.reference.steps
+    steps = certified_paper_design.problem.reference.steps
     shapes = {"errors": (steps + 1, REALISATIONS, 3), "inputs": (steps, REALISATIONS, 2)}
     shapes["wheels"] = shapes["inputs"]
     with np.load(folder / "laps.npz") as laps:
@@ -274,16 +276,18 @@ def test_the_design_of_another_scenario_is_itself_put_under_stress(
 
 
 @pytest.mark.slow
-def test_the_noise_free_laps_are_the_ones_with_exact_slip(paper_run, paper_design):
+def test_the_noise_free_laps_are_the_ones_with_exact_slip(paper_run, certified_paper_design):
     _, folder, _ = paper_run
     with np.load(folder / "noise_free.npz") as laps:
         assert set(laps) == {"uncompensated", "compensated", "tube_mpc", "plain_mpc"}
         for name in laps:
             assert laps[name].shape == (301, 3)
-            np.testing.assert_array_equal(laps[name][0], paper_design.problem.initial_error)
-        loop = closed_loop.controllers(paper_design)["tube_mpc"]
-        plant = closed_loop.exact_robot(paper_design)
-        start = paper_design.problem.initial_error[None]
+            np.testing.assert_array_equal(
+                laps[name][0], certified_paper_design.problem.initial_error
+            )
+        loop = closed_loop.controllers(certified_paper_design)["tube_mpc"]
+        plant = closed_loop.exact_robot(certified_paper_design)
+        start = certified_paper_design.problem.initial_error[None]
         lap = closed_loop.run_realisations(loop, plant, start, 0).errors[:, 0]
         np.testing.assert_allclose(laps["tube_mpc"], lap, atol=WORLD_FRAME)
         assert np.abs(laps["tube_mpc"][-1]).max() < 0.01 < np.abs(laps["uncompensated"]).max()

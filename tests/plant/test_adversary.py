@@ -20,7 +20,8 @@ from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys
 
-STATES, TRACK_WIDTH = 1000, 0.5
+STATES = 1000
+TRACK_WIDTH = 0.5
 WHEEL_MAP = WheelMap(TRACK_WIDTH, 0.1)
 
 
@@ -87,12 +88,13 @@ def test_no_other_extreme_slips_push_the_error_further_over_one_exact_period(ran
     The choice is by the rate of the error: best over short periods everywhere, over 0.1 s where no
     two tie in it.
     """
-    generator, keys = np.random.default_rng(1), realisation_keys(2, 0, STATES)
+    generator = np.random.default_rng(1)
+    keys = realisation_keys(2, 0, STATES)
     inputs = jnp.asarray(generator.uniform(-1, 1, (STATES, 2)) * [0.3, 0.5])
     for dt, width in ((1e-5, 0.3), (0.1, 0.15)):
         errors = jnp.asarray(generator.uniform(-1, 1, (STATES, 3)) * [width, width, 0.35])
         results = one_period(robot_at_some_state(random, dt), keys, errors, inputs)
-        direction, wheels, chosen, possible = (np.asarray(array) for array in results)
+        direction, wheels, chosen, possible = map(np.asarray, results)
         assert np.all(wheels > 0)
         assert set(np.sign(direction[:, 0])) == set(np.sign(direction[:, 1])) == {-1, 0, 1}
         np.testing.assert_allclose(chosen, possible.max(axis=0), rtol=0, atol=ROUNDING)
@@ -176,7 +178,8 @@ def test_waves_turn_every_half_period_whatever_the_error(half_period, offset, st
 
 
 def test_laps_under_the_adversary_use_more_of_the_error_set_than_drawn_extremes(paper_design):
-    loop, starts = closed_loop.controllers(paper_design)["compensated"], np.zeros((64, 3))
+    loop = closed_loop.controllers(paper_design)["compensated"]
+    starts = np.zeros((64, 3))
     reach = {}
     for process in ("iid", "vertex", "adversarial"):
         trajectory = closed_loop.run_realisations(

@@ -113,7 +113,8 @@ def test_error_rate_is_the_derivative_of_advance_at_its_end(cases):
 def test_derivatives_by_wheel_speed_are_exact_at_and_near_straight_lines(yaw_rate):
     # Oracle: turning by w from rest at e = 0 for T ends at e = Rot(-T w) (-chord); d/dw by
     # quadrature of the path.
-    dt, speed = 0.1, 1.3
+    dt = 0.1
+    speed = 1.3
 
     def lateral(w):
         wheels = jnp.stack([speed + w * TRACK_WIDTH / 2, speed - w * TRACK_WIDTH / 2])

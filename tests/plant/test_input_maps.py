@@ -10,7 +10,8 @@ from jaxtube.plant.error_dynamics import advance
 from jaxtube.plant.input_maps import INPUT_MAPS, acting_input
 from jaxtube.plant.robot import wheel_commands
 
-TRACK_WIDTH, DT = 0.5, 0.1
+TRACK_WIDTH = 0.5
+DT = 0.1
 
 
 @pytest.fixture(scope="module")
@@ -31,11 +32,13 @@ def after_a_period(input_map, inputs, errors, wheels):
 def test_x_exact_leaves_one_nonlinear_row(draws):
     u1, u2 = np.asarray(draws[0]).T
     e_x, e_y, e_th = np.asarray(draws[1]).T
-    V, Om = np.asarray(draws[2]).mean(axis=1), np.asarray(draws[2]) @ [1.0, -1.0] / TRACK_WIDTH
+    V = np.asarray(draws[2]).mean(axis=1)
+    Om = np.asarray(draws[2]) @ [1.0, -1.0] / TRACK_WIDTH
     following = after_a_period("x_exact", *draws)
     np.testing.assert_allclose(following[:, 0], e_x + DT * Om * e_y + DT * u1, atol=ROUNDING)
     np.testing.assert_allclose(following[:, 2], e_th + DT * u2, atol=ROUNDING)
-    a, s = DT * (Om - u2), np.sinc(DT * Om / 2 / np.pi)
+    a = DT * (Om - u2)
+    s = np.sinc(DT * Om / 2 / np.pi)
     lateral = e_y - np.tan(a / 2) * (e_x + following[:, 0])
     lateral += DT * V * s * np.sin(e_th + DT * u2 / 2) / np.cos(a / 2)
     np.testing.assert_allclose(following[:, 1], lateral, atol=ROUNDING)
@@ -83,12 +86,13 @@ def test_maps_keep_the_dtype_inside_jit(input_map, dtype):
 def test_x_exact_keeps_its_promise_in_the_world_frame(draws):
     """The promised rows against poses integrated in the world frame, 100 Runge-Kutta steps a
     period."""
-    inputs, errors, wheels = (np.asarray(part) for part in draws)
+    inputs, errors, wheels = map(np.asarray, draws)
     acting = acting_input("x_exact", *draws, TRACK_WIDTH, DT)
     ground = np.asarray(wheel_commands(acting, draws[2], 0.2, TRACK_WIDTH)) * 0.8
 
     def driven(pose, speeds):
-        v, om = speeds.mean(axis=1), speeds @ [1.0, -1.0] / TRACK_WIDTH
+        v = speeds.mean(axis=1)
+        om = speeds @ [1.0, -1.0] / TRACK_WIDTH
         h = DT / 100
         for _ in range(100):
             x, y, phi = pose.T
@@ -111,15 +115,19 @@ def test_x_exact_keeps_its_promise_in_the_world_frame(draws):
             -e_th,
         ]
     )
-    robot, reference = driven(robot.T, ground), driven(np.zeros_like(errors), wheels)
-    gap, phi = reference - robot, robot[:, 2]
+    robot = driven(robot.T, ground)
+    reference = driven(np.zeros_like(errors), wheels)
+    gap = reference - robot
+    phi = robot[:, 2]
     along = np.cos(phi) * gap[:, 0] + np.sin(phi) * gap[:, 1]
     Om = wheels @ [1.0, -1.0] / TRACK_WIDTH
     np.testing.assert_allclose(
         along, e_x + DT * Om * e_y + DT * inputs[:, 0], rtol=0, atol=RESIDUAL_ROUNDING
     )
     np.testing.assert_allclose(gap[:, 2], e_th + DT * inputs[:, 1], rtol=0, atol=RESIDUAL_ROUNDING)
-    a, s, across = DT * (Om - inputs[:, 1]), np.sinc(DT * Om / 2 / np.pi), gap[:, 1] * np.cos(phi)
+    a = DT * (Om - inputs[:, 1])
+    s = np.sinc(DT * Om / 2 / np.pi)
+    across = gap[:, 1] * np.cos(phi)
     lateral = e_y - np.tan(a / 2) * (e_x + along)
     lateral += DT * wheels.mean(axis=1) * s * np.sin(e_th + DT * inputs[:, 1] / 2) / np.cos(a / 2)
     np.testing.assert_allclose(

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import SEQUENCE, model
-from tolerances import AT_A_VERTEX, CLOSED_LOOP, INSIDE_TUBE
+from tolerances import CLOSED_LOOP, INSIDE_TUBE
 
 from jaxtube import qp
 from jaxtube.control import mpc
@@ -14,13 +14,18 @@ from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import begin, follow_plan, realisation_keys
 from sets.tubes import sequence_tube
 
-BATCH, STEPS = closed_loop.BLOCK, 300
+AT_A_VERTEX = 1e-8
+"""Relative; a disturbance of 3 mm rebuilt from errors of order one."""
+
+BATCH = closed_loop.BLOCK
+STEPS = 300
 
 
 @pytest.fixture(scope="module")
 def disturbances(robust_design, stressed):
     """w(k) = e(k+1) - A e(k) - B u(k) of the stressed runs, by plain products."""
-    problem, found = robust_design.problem, []
+    problem = robust_design.problem
+    found = []
     trajectory = stressed["tube_mpc"]
     for step in range(STEPS):
         A, B = model(problem, problem.schedule[step])
@@ -68,11 +73,10 @@ planned = jax.jit(mpc.plan)
 def deviations(robust_design, stressed):
     """(step, deviations (N, runs, 3) from plans followed to their end, whether there was a plan) at
     some steps."""
-    loop, plant = (
-        closed_loop.controllers(robust_design)["tube_mpc"],
-        closed_loop.linear_plant(robust_design),
-    )
-    keys, found = realisation_keys(11, 0, BATCH), []
+    loop = closed_loop.controllers(robust_design)["tube_mpc"]
+    plant = closed_loop.linear_plant(robust_design)
+    keys = realisation_keys(11, 0, BATCH)
+    found = []
     for step in (0, 1, 40, 113, 114, 115, 116, 230):
         starts = jnp.asarray(stressed["tube_mpc"].errors[step, :BATCH])
         state = begin(loop, plant, keys, starts)
@@ -83,12 +87,10 @@ def deviations(robust_design, stressed):
 
 
 def test_deviations_from_a_plan_obey_the_tubes_recursion(robust_design, deviations):
-    """deviation+ = (A + B K) deviation + w: whatever the plan was, only the disturbances move it."""
-    plant, keys, windows = (
-        closed_loop.linear_plant(robust_design),
-        realisation_keys(11, 0, BATCH),
-        robust_design.windows,
-    )
+    """Whatever the plan was, only disturbances move it: deviation+ = (A + B K) deviation + w."""
+    plant = closed_loop.linear_plant(robust_design)
+    keys = realisation_keys(11, 0, BATCH)
+    windows = robust_design.windows
     draw = jax.jit(jax.vmap(plant.disturbance, (0, None)))
     for step, found, planned in deviations:
         assert planned.all()
@@ -101,7 +103,9 @@ def test_deviations_from_a_plan_obey_the_tubes_recursion(robust_design, deviatio
 
 @pytest.mark.parametrize("tube", ["paper", "hull", "summed", "sequence"])
 def test_deviations_from_a_plan_stay_inside_every_tube(robust_design, deviations, tube):
-    problem, windows, reached = robust_design.problem, robust_design.windows, 0.0
+    problem = robust_design.problem
+    windows = robust_design.windows
+    reached = 0.0
     for step, found, _ in deviations:
         sections = robust_design.tubes[tube]
         if tube == "sequence":
@@ -116,10 +120,8 @@ def test_deviations_from_a_plan_stay_inside_every_tube(robust_design, deviations
 
 
 def test_plan_deviations_of_a_run_leave_out_what_had_no_plan(robust_design, stressed):
-    loop, plant = (
-        closed_loop.controllers(robust_design)["tube_mpc"],
-        closed_loop.linear_plant(robust_design),
-    )
+    loop = closed_loop.controllers(robust_design)["tube_mpc"]
+    plant = closed_loop.linear_plant(robust_design)
     trajectory = stressed["tube_mpc"]
     outside = trajectory._replace(errors=trajectory.errors.copy())
     outside.errors[:, :100] = [5.0, 5.0, 0.0]
@@ -133,7 +135,8 @@ def test_plan_deviations_of_the_tube_along_the_reference_are_judged_where_its_se
     uncertified, edge_starts
 ):
     design = uncertified("paper", *SEQUENCE)
-    loop, plant = closed_loop.controllers(design)["tube_mpc"], closed_loop.linear_plant(design)
+    loop = closed_loop.controllers(design)["tube_mpc"]
+    plant = closed_loop.linear_plant(design)
     trajectory = closed_loop.run_realisations(loop, plant, edge_starts(design, BATCH), 12)
     found = closed_loop.plan_deviations(design, loop, plant, trajectory, seed=12)
     assert found.shape[1] >= 10 * BATCH

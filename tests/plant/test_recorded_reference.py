@@ -4,11 +4,14 @@ it."""
 import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
-from tolerances import ROUNDING, SPLINE
+from tolerances import ROUNDING
 
 from jaxtube.plant import reference
 from jaxtube.plant.recorded_reference import from_file
 from jaxtube.scenario import reference_rules
+
+SPLINE = 1e-4
+"""In m and rad; cubic splines through a smooth path sampled each 0.1 s."""
 
 TRACK_WIDTH = 0.5
 
@@ -194,7 +197,7 @@ def test_other_encodings_are_refused_with_file_and_cure(tmp_path, encoding):
     file = tmp_path / "saved.csv"
     text = "\n".join(["time_s,x_m,y_m,Stra\u00dfe", *[f"{row}," for row in GOOD]])
     file.write_bytes(text.encode(encoding))
-    with pytest.raises(ValueError, match="saved.csv: .*UTF-8") as caught:
+    with pytest.raises(ValueError, match=r"saved\.csv: .*UTF-8") as caught:
         from_file(file, 0.1, 0, TRACK_WIDTH)
     assert "\n" not in str(caught.value)
 
@@ -202,7 +205,7 @@ def test_other_encodings_are_refused_with_file_and_cure(tmp_path, encoding):
 def test_a_recording_of_too_many_periods_is_refused(tmp_path):
     file = tmp_path / "good.csv"
     file.write_text("\n".join([HEADER, *GOOD]))
-    with pytest.raises(ValueError, match="has 4e.09 periods of dt = 1e-09 s, more than 1,000,000"):
+    with pytest.raises(ValueError, match=r"has 4e.09 periods of dt = 1e-09 s, more than 1,000,000"):
         from_file(file, 1e-9, 0, TRACK_WIDTH)
 
 

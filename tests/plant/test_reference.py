@@ -72,7 +72,8 @@ def test_preview_prolongs_the_same_run():
 
 @pytest.mark.parametrize("radius, speed", [(2.5, 1.36), (4.0, 0.7)])
 def test_lemniscate_stays_on_the_curve_of_its_radius(radius, speed):
-    half_width, dt = 3 * radius, 0.1
+    half_width = 3 * radius
+    dt = 0.1
     # The textbook curve from its crossing, turned by 45 degrees, with its arc length by the
     # elliptic integral.
     t = np.linspace(-np.pi / 2, 3 * np.pi / 2, 50_001)

@@ -59,12 +59,14 @@ def test_commands_realise_the_deficits_they_are_asked_for(draws):
 def test_a_wrong_slip_acts_as_the_closed_form_says(draws):
     _, reference_wheels, slip = draws
     measured = slip * 0.9
-    u1, u2 = 0.2, -0.4
+    u1 = 0.2
+    u2 = -0.4
     deficits = jnp.full_like(slip, 1.0) * jnp.array([u1, u2])
     commands = robot.wheel_commands(deficits, reference_wheels, measured, TRACK_WIDTH)
     acting = robot.virtual_input(commands, reference_wheels, slip, TRACK_WIDTH)
     d_r, d_l = np.asarray((slip - measured) / (1.0 - measured)).T
-    p, q = u1 + TRACK_WIDTH / 2 * u2, u1 - TRACK_WIDTH / 2 * u2
+    p = u1 + TRACK_WIDTH / 2 * u2
+    q = u1 - TRACK_WIDTH / 2 * u2
     V_r, V_l = np.asarray(reference_wheels).T
     np.testing.assert_allclose(
         acting[:, 0], u1 + ((V_r - p) * d_r + (V_l - q) * d_l) / 2, atol=1e2 * ROUNDING
@@ -91,14 +93,16 @@ def test_wheels_stand_half_a_track_width_beside_the_robot():
 
 
 def test_leading_axes_broadcast():
-    one, four = jnp.ones(2), jnp.ones((4, 2))
+    one = jnp.ones(2)
+    four = jnp.ones((4, 2))
     for deficits, reference_wheels in ((one, four), (four, one)):
         assert robot.wheel_commands(deficits, reference_wheels, 0.1, TRACK_WIDTH).shape == (4, 2)
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_functions_keep_the_dtype_they_are_given_inside_jit(dtype):
-    pair, pose = jnp.full((3, 2), 0.5, dtype), jnp.ones((3, 3), dtype)
+    pair = jnp.full((3, 2), 0.5, dtype)
+    pose = jnp.ones((3, 3), dtype)
 
     @jax.jit
     def everything(robot_):

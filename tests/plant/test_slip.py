@@ -10,11 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.stats import chisquare, kstest
-from tolerances import CORRELATION, LEAST_P_VALUE, ROUNDING
+from tolerances import LEAST_P_VALUE, ROUNDING
 
 from jaxtube.plant import slip
 from jaxtube.plant.slip_processes import PATCH_SIZE, PROCESSES, STEP_SIZE, find_process
 from jaxtube.scenario.tree import Slip
+
+CORRELATION = 0.08
+"""Over four standard deviations of the correlation of 3000 independent pairs."""
 
 SEED = jax.random.key(20)
 HERE = slip.Situation(jnp.zeros((2, 2)), jnp.array([0.1, -0.2, 0.3]))
@@ -79,7 +82,8 @@ def test_wheels_and_runs_are_independent(name):
 
 @pytest.mark.parametrize("name", PROCESSES)
 def test_draws_do_not_depend_on_the_batch(name):
-    alone, among = np.asarray(one_run(PROCESSES[name], "both", 41, 2345)), runs(name)[:, 2345]
+    alone = np.asarray(one_run(PROCESSES[name], "both", 41, 2345))
+    among = runs(name)[:, 2345]
     # A walk adds numbers up, and compilers may fuse that; all else is the same bits.
     np.testing.assert_allclose(alone, among, rtol=0.0, atol=ROUNDING if name == "walk" else 0.0)
 
@@ -213,7 +217,8 @@ def test_pose_noise_is_uniform_in_its_box_and_new_at_each_step():
         lambda i, step: slip.pose_noise(slip.realisation_key(SEED, 0, i), step, half_widths),
         (0, None),
     )
-    now, next_ = (np.asarray(draw(jnp.arange(3000), step)) for step in (0, 1))
+    now = np.asarray(draw(jnp.arange(3000), 0))
+    next_ = np.asarray(draw(jnp.arange(3000), 1))
     assert (
         is_uniform(now[:, 0], -0.001, 0.001)
         and is_uniform(now[:, 1], -0.002, 0.002)

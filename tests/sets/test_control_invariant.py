@@ -4,10 +4,13 @@ projection."""
 import numpy as np
 import pytest
 from scipy.optimize import linprog
-from tolerances import CONTROL_INVARIANT, SET_RELATIVE
+from tolerances import SET_RELATIVE
 
 from sets.control_invariant import SETTLED, Limits, maximal_rci, predecessor
 from sets.polytope import Polytope
+
+CONTROL_INVARIANT = 1e-7
+"""In m, rad and units of the inputs; linear programs of numbers below one."""
 
 
 def decoupled(gain: float, disturbance: float):

@@ -21,10 +21,17 @@ from exact_problem import (
     floats,
     maximal,
 )
-from tolerances import EXACT_AGAINST_FLOAT, EXACT_ENCLOSURE, EXACT_JACOBIAN, EXACT_WHEEL_TRAVEL
+from tolerances import EXACT_AGAINST_FLOAT
 
 from sets.exact import exact_invariance_margin, exact_row
 from sets.robot.exact_tube import exact_vertex_loops, exact_wheel_loops, schedule_box, tangent_ratio
+
+EXACT_ENCLOSURE = 2.0**-76
+"""A few steps of the grid of 2^-80 on which enclosures are rounded."""
+EXACT_JACOBIAN = 1e-8
+"""Central differences with steps of 1e-5."""
+EXACT_WHEEL_TRAVEL = 1e-3
+"""In m; what a period's turn, at most 0.13 rad here, adds to the way of a wheel."""
 
 
 @pytest.mark.parametrize("x", [0.0, 1e-9, 0.0272, -0.3, 0.77, 1.0, -1.0])

@@ -6,7 +6,6 @@ from fractions import Fraction
 import mpmath
 import numpy as np
 import pytest
-from tolerances import INTERVAL_WIDTH
 
 from sets.interval import (
     QUARTER_TURN,
@@ -25,6 +24,9 @@ from sets.interval import (
     square,
 )
 from sets.supremum import suprema
+
+INTERVAL_WIDTH = 1e-13
+"""Of an enclosure at a point, numbers of order one."""
 
 # each function of an angle with its textbook form, which cancels near 0: hence the many digits
 FUNCTIONS = {

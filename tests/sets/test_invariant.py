@@ -7,13 +7,19 @@ import numpy as np
 import pytest
 from paper_problem import W, terminal_problem
 from scipy.optimize import linprog
-from tolerances import CLOSED_FORM, MAXIMAL_SET, SUPPORT_PROGRAM, TUBE_ROUNDING
+from tolerances import TUBE_ROUNDING
 
 import sets.few_facets
 from sets.few_facets import few_facet_rpi
 from sets.invariant import INFLATION, maximal_rpi, minimal_rpi_bound
 from sets.polytope import Polytope
 from sets.tubes import hull_tube
+
+SUPPORT_PROGRAM = 1e-8
+"""Linear programs against their answer in exact arithmetic."""
+MAXIMAL_SET = 1e-6
+"""The set is built for a disturbance wider by as much."""
+CLOSED_FORM = 1e-9
 
 # (slowest wheel, lateral weights, objective): where a set exists, and where none does
 FOUND = {

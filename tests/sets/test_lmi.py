@@ -10,16 +10,17 @@ from typing import get_args
 import numpy as np
 import pytest
 import scipy.linalg
-from tolerances import (
-    GAP_LIMIT,
-    GAP_ROUNDING,
-    RICCATI_COST,
-    RICCATI_GAIN,
-)
+from tolerances import RICCATI_GAIN
 
 from sets.gap import optimality_gap
 from sets.lmi import Objective, TerminalCost, decrease_margins, terminal_cost
 from sets.riccati import lqr_gain
+
+RICCATI_COST = 1e-6
+"""Relative; semidefinite program against the Riccati solution."""
+GAP_LIMIT = 1e-4
+"""Relative for traces, absolute for log det."""
+GAP_ROUNDING = 1e-9
 
 Weights = tuple[np.ndarray, np.ndarray]
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]

@@ -4,9 +4,16 @@ modeller."""
 import cvxpy
 import numpy as np
 import pytest
-from tolerances import CENTRED_CURVATURE, CENTRED_SLOPE, LEAST_TRACE, SCALED_COST
+from tolerances import SCALED_COST
 
 from sets.lyapunov import CENTRING, centring, cost_of_gains, stage_cost, symmetric_basis
+
+LEAST_TRACE = 1e-6
+"""Relative; what a semidefinite program's answer is known to."""
+CENTRED_SLOPE = 1e-8
+"""Newton decrement of the centred cost, whose objective is of order ten."""
+CENTRED_CURVATURE = 1e-6
+"""Relative; central differences with steps of a thousandth."""
 
 SEEDS = range(4)
 

@@ -20,13 +20,16 @@ from scipy.spatial import ConvexHull
 
 from sets import frame
 from sets.polytope import Polytope, convex_hull, hull_vertices
-from tests.tolerances import (
-    SET_CHEBYSHEV,
-    SET_DECIDED,
-    SET_NEAR_DUPLICATE,
-    SET_RELATIVE,
-    SET_SAME_POINT,
-)
+from tests.tolerances import SET_RELATIVE
+
+SET_CHEBYSHEV = 1e-8
+"""Radii, found by a linear program; support numbers of unbounded sets."""
+SET_DECIDED = 1e-7
+"""Margin below which an oracle does not decide emptiness or membership."""
+SET_NEAR_DUPLICATE = 1e-9
+"""Merged points and rows."""
+SET_SAME_POINT = 1e-8
+"""Distance below which brute force takes two vertices for one."""
 
 CASES = 1000
 LAWS = 9

@@ -7,14 +7,7 @@ import itertools
 import numpy as np
 import pytest
 from paper_problem import GRIP, PERIOD, TRACK, U, W, corners, tube_gains, tube_loop, tube_loops
-from tolerances import (
-    LONG_TUBE,
-    TUBE_GAIN_REACH,
-    TUBE_HALF_WIDTH,
-    TUBE_HALF_WIDTH_DEG,
-    TUBE_ROUNDING,
-    TUBE_VOLUME,
-)
+from tolerances import TUBE_ROUNDING
 
 from sets.polytope import Polytope
 from sets.tubes import (
@@ -27,6 +20,17 @@ from sets.tubes import (
     sequence_tube,
     summed_tube,
 )
+
+TUBE_HALF_WIDTH = 0.5e-6
+"""In m; the reference half widths are printed to six decimals."""
+TUBE_HALF_WIDTH_DEG = 0.5e-5
+"""And to five in degrees."""
+TUBE_VOLUME = 0.5e-9
+"""The reference volumes are printed to five digits."""
+TUBE_GAIN_REACH = 0.5e-4
+"""In m/s; printed to four decimals."""
+LONG_TUBE = 0.5e-3
+"""In m; printed to three decimals."""
 
 N = 5
 SLOPES = [

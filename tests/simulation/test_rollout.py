@@ -15,7 +15,9 @@ from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys, rollout
 
 BATCH = closed_loop.BLOCK
-DT, TRACK_WIDTH, STEPS = 0.1, 0.5, 300
+DT = 0.1
+TRACK_WIDTH = 0.5
+STEPS = 300
 
 
 @pytest.fixture(scope="module")
@@ -46,13 +48,15 @@ def eight(step):
 
 def tracking_law(error, reference):
     """The linear law with double poles at 0.6 rad/s: k1 = k3 = 2 a, k2 = (a^2 - Om^2) / V."""
-    speed, turn = reference.mean(), (reference[0] - reference[1]) / TRACK_WIDTH
+    speed = reference.mean()
+    turn = (reference[0] - reference[1]) / TRACK_WIDTH
     return np.array([-1.2 * error[0], -(0.36 - turn**2) / speed * error[1] - 1.2 * error[2]])
 
 
 def plain_controllers(design):
     """(virtual input as a function of step and error, slip it compensates) by name."""
-    tube, plain = PlainMpc(design), PlainMpc(design, with_tube=False)
+    tube = PlainMpc(design)
+    plain = PlainMpc(design, with_tube=False)
     return {
         "uncompensated": (lambda step, error: tracking_law(error, eight(step)), 0.0),
         "compensated": (lambda step, error: tracking_law(error, eight(step)), 0.2),
@@ -63,7 +67,8 @@ def plain_controllers(design):
 
 def error_in_robot_frame(robot, reference):
     """Eq. (3), robots along the last axis."""
-    (x, y), phi = reference[:2] - robot[:2], robot[2]
+    (x, y) = reference[:2] - robot[:2]
+    phi = robot[2]
     return np.stack(
         [np.cos(phi) * x + np.sin(phi) * y, -np.sin(phi) * x + np.cos(phi) * y, reference[2] - phi]
     )
@@ -85,7 +90,9 @@ def world_frame_lap(controllers, cosine_free=False):
     poses[:2, :count] = 0.1
     errors = [error_in_robot_frame(poses[:, :count], poses[:, count:])]
     for step in range(STEPS):
-        reference, speeds, turns = eight(step), [], []
+        reference = eight(step)
+        speeds = []
+        turns = []
         for (control, compensated), error in zip(controllers, errors[-1].T, strict=True):
             u1, u2 = control(step, error)
             u1 += reference.mean() * (1 - np.cos(error[2])) if cosine_free else 0
@@ -93,10 +100,8 @@ def world_frame_lap(controllers, cosine_free=False):
             ground = np.clip((reference - deficits) / (1 - compensated), -3, 3) * (1 - 0.2)
             speeds.append(ground.mean())
             turns.append((ground[0] - ground[1]) / TRACK_WIDTH)
-        speeds, turns = (
-            np.append(speeds, reference.mean()),
-            np.append(turns, np.diff(reference[::-1]) / TRACK_WIDTH),
-        )
+        speeds = np.append(speeds, reference.mean())
+        turns = np.append(turns, np.diff(reference[::-1]) / TRACK_WIDTH)
         rate = lambda t, flat, v=speeds, w=turns: unicycles(flat.reshape(3, -1), v, w).ravel()  # noqa: E731
         poses = (
             solve_ivp(rate, (0, DT), poses.ravel(), "DOP853", rtol=1e-12, atol=1e-13)
@@ -108,7 +113,8 @@ def world_frame_lap(controllers, cosine_free=False):
 
 
 def test_noise_free_laps_are_those_of_a_world_frame_simulation(paper_design, paper_loops):
-    plant, start = closed_loop.exact_robot(paper_design), paper_design.problem.initial_error[None]
+    plant = closed_loop.exact_robot(paper_design)
+    start = paper_design.problem.initial_error[None]
     controllers = plain_controllers(paper_design)
     expected = world_frame_lap(controllers.values())
     for number, name in enumerate(controllers):
@@ -128,7 +134,8 @@ def test_a_cosine_free_lap_with_the_exact_model_is_that_of_a_world_frame_simulat
     design = uncertified("robust", *(f"controller.{setting}" for setting in settings))
     plain = plain_controllers(design)["tube_mpc"]
     expected = world_frame_lap([plain], cosine_free=True)[:, :, 0]
-    loop, start = closed_loop.controllers(design)["tube_mpc"], design.problem.initial_error[None]
+    loop = closed_loop.controllers(design)["tube_mpc"]
+    start = design.problem.initial_error[None]
     errors = closed_loop.run_realisations(loop, closed_loop.exact_robot(design), start, 0).errors[
         :, 0
     ]
@@ -153,10 +160,8 @@ def test_a_trajectory_has_time_first_then_realisations_and_starts_at_the_start(
 def test_a_realisation_does_not_depend_on_its_companions(robust_design, stressed, edge_starts):
     """The same keys and starts in reverse order: other neighbours in every block that the solver
     gathers."""
-    loop, plant = (
-        closed_loop.controllers(robust_design)["tube_mpc"],
-        closed_loop.linear_plant(robust_design),
-    )
+    loop = closed_loop.controllers(robust_design)["tube_mpc"]
+    plant = closed_loop.linear_plant(robust_design)
     order = np.random.default_rng(1).permutation(BATCH)
     starts = edge_starts(robust_design, 512)[:BATCH]
     mixed = rollout(loop, plant, realisation_keys(5, 0, BATCH)[order], jnp.asarray(starts[order]))
@@ -181,10 +186,8 @@ def test_a_realisation_alone_is_the_one_in_the_batch(paper_loops, paper_plant, t
 
 @pytest.mark.slow
 def test_a_realisation_of_the_mpc_alone_is_the_one_in_the_batch(robust_design, stressed):
-    loop, plant = (
-        closed_loop.controllers(robust_design)["tube_mpc"],
-        closed_loop.linear_plant(robust_design),
-    )
+    loop = closed_loop.controllers(robust_design)["tube_mpc"]
+    plant = closed_loop.linear_plant(robust_design)
     busiest = int(stressed["tube_mpc"].diagnostics.active.sum(axis=0).argmax())
     check_alone(loop, plant, stressed["tube_mpc"], 5, busiest)
 
@@ -215,11 +218,12 @@ def test_seeds_reproduce_and_differ(paper_loops, paper_plant, tracked):
 
 
 def test_keys_follow_the_index_beyond_32_bits():
-    data = [
-        jax.random.key_data(realisation_keys(3, first, count))
-        for first, count in ((2**32 - 2, 4), (0, 4), (2**32, 1))
-    ]
-    across, low, high = (np.asarray(words) for words in data)
+    def find_words(first, count):
+        return np.asarray(jax.random.key_data(realisation_keys(3, first, count)))
+
+    across = find_words(2**32 - 2, 4)
+    low = find_words(0, 4)
+    high = find_words(2**32, 1)
     np.testing.assert_array_equal(across[2:3], high)
     assert len(np.unique(np.concatenate([across, low]), axis=0)) == 8
 
@@ -250,10 +254,8 @@ def test_the_true_slip_stays_within_its_bounds_of_the_measured_one(paper_design,
     on it."""
     yaw = ground_speeds(tracked, paper_design.problem.schedule)
     right, left = np.moveaxis(tracked.wheels, -1, 0)
-    most, least = (
-        (right * 0.82 - left * 0.78) / TRACK_WIDTH,
-        (right * 0.78 - left * 0.82) / TRACK_WIDTH,
-    )
+    most = (right * 0.82 - left * 0.78) / TRACK_WIDTH
+    least = (right * 0.78 - left * 0.82) / TRACK_WIDTH
     assert np.all((least - ROUNDING <= yaw) & (yaw <= most + ROUNDING))
     spread = (yaw - least) / (most - least)
     assert spread.min() < 0.05 and spread.max() > 0.95

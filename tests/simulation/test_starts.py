@@ -60,7 +60,8 @@ def test_half_spaces_hold_the_share_of_their_volume(points, draws):
 
 
 def test_a_start_is_a_function_of_its_key(points, draws):
-    start, keys = uniform_start(points), realisation_keys(7, 0, 100)
+    start = uniform_start(points)
+    keys = realisation_keys(7, 0, 100)
     order = np.random.default_rng(0).permutation(100)
     draw = jax.jit(start.draw)
     np.testing.assert_allclose(draw(keys[order]), draws[order], rtol=0, atol=ROUNDING)

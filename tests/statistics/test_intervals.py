@@ -11,6 +11,13 @@ from scipy import stats
 
 from jaxtube.statistics.intervals import mean_interval, share_interval
 
+SHARE_BOUND = 1e-10
+"""Relative; bounds of a share against roots in many digits."""
+SHARE_COVERAGE = 1e-12
+"""Exact sums of binomial probabilities."""
+SUM_OF_LAPS = 1e-3
+"""Relative; widths of 1e-12 around means of order one."""
+
 CONFIDENCES = (0.5, 0.95, 1 - 1e-6)
 
 
@@ -59,10 +66,10 @@ def test_the_bounds_of_the_share_are_the_roots_of_the_binomial_tails(trials, con
         for events in outcomes(trials):
             low, high = share_interval(events, trials, confidence)
             assert low < events / trials < high
-            assert error_of_share(events - 1, trials, low, 1 - risk) < tol.SHARE_BOUND
+            assert error_of_share(events - 1, trials, low, 1 - risk) < SHARE_BOUND
             # A bound closer to one than floats are is one.
             if high < 1:
-                assert error_of_share(events, trials, high, risk) < tol.SHARE_BOUND
+                assert error_of_share(events, trials, high, risk) < SHARE_BOUND
             else:
                 assert tail(events, trials, 1 - mpmath.mpf(2) ** -54) > risk
 
@@ -84,7 +91,7 @@ def test_never_and_always_have_closed_forms(trials, confidence):
 def test_the_interval_of_the_share_covers_every_share_by_exact_sums(trials, confidence):
     bounds = np.array([share_interval(events, trials, confidence) for events in range(trials + 1)])
     missed_above, missed_below = missed(bounds, trials)
-    half = (1 - confidence) / 2 + tol.SHARE_COVERAGE
+    half = (1 - confidence) / 2 + SHARE_COVERAGE
     assert missed_above.max() <= half
     assert missed_below.max() <= half
 
@@ -107,7 +114,7 @@ def test_the_mean_interval_covers_by_exact_sums_where_a_lap_has_the_event_in_all
     outcomes = range(laps + 1)
     bounds = np.array([mean_interval(np.array([laps - k, k]), 1, confidence)[1:] for k in outcomes])
     missed_above, missed_below = missed(bounds, laps)
-    assert (missed_above + missed_below).max() <= 1 - confidence + tol.SHARE_COVERAGE
+    assert (missed_above + missed_below).max() <= 1 - confidence + SHARE_COVERAGE
 
 
 @pytest.mark.parametrize("laps", [2, 30, 8192, 10**9])
@@ -201,7 +208,7 @@ def test_sums_of_the_mean_interval_outgrow_machine_integers():
     mean, low, high = mean_interval(histogram, 1000)
     assert mean == 1999 / 2000
     width = math.sqrt(2 * (0.5 / 1000) ** 2 * math.log(160) / 2**62)
-    assert [mean - low, high - mean] == pytest.approx([width] * 2, rel=tol.SUM_OF_LAPS)
+    assert [mean - low, high - mean] == pytest.approx([width] * 2, rel=SUM_OF_LAPS)
 
 
 def test_one_lap_says_nothing():

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from recount import join, recount, recount_plans
-from tolerances import COUNTED, COUNTED_ROUNDING, PLAN_OF_ORACLE, SOLVED_ROUNDING
+from tolerances import COUNTED
 
 from jaxtube.scenario import load
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
@@ -25,7 +25,16 @@ from jaxtube.statistics.task import facets
 from jaxtube.synthesis.design import Design, design
 from sets.polytope import Polytope
 
-BLOCK, TILE, SEED = 512, 128, 6
+COUNTED_ROUNDING = 1e-10
+"""Extremes, which are sums in another order; a lap's rounding grows over its steps."""
+SOLVED_ROUNDING = 1e-8
+"""The same where a solver of residual 1e-8 answers."""
+PLAN_OF_ORACLE = 1e-6
+"""Relative; plans of the batched solver against an active-set method."""
+
+BLOCK = 512
+TILE = 128
+SEED = 6
 SHORT = "reference.duration_s=3"
 NOISE = ("noise.longitudinal_m=0.001", "noise.lateral_m=0.002", "noise.heading_deg=0.1")
 
@@ -76,10 +85,8 @@ def scaled(polytope, factor):
 def make_case(found, controller, spread, most_mps):
     """Build a case in which everything happens: narrower sets and slower wheels than those of the
     design, wide starts, and a stage cost against which plans do not always improve."""
-    task, problem = (
-        make_closed_loop_task(found, controller, "robot", "feasible", None, SEED),
-        found.problem,
-    )
+    task = make_closed_loop_task(found, controller, "robot", "feasible", None, SEED)
+    problem = found.problem
     sets = {
         "disturbance": scaled(problem.disturbance_set, 1.2),
         "error": scaled(problem.error_set, 0.8),
@@ -132,7 +139,8 @@ def as_bytes(statistics):
 # -------------------------------------------------------------------------- a block of the tube-MPC
 
 
-VICTIM, PARTIAL = 77, 200
+VICTIM = 77
+PARTIAL = 200
 
 
 @pytest.fixture(scope="module")
@@ -178,7 +186,8 @@ def test_a_lap_that_is_no_number_is_a_violation_and_the_worst_of_all(blocks, lap
         np.isnan(laps[0].errors[:, VICTIM]).all()
         and np.isnan(laps[0].errors[0]).any(axis=-1).sum() == 1
     )
-    found, steps = blocks[0], len(laps[0].inputs)
+    found = blocks[0]
+    steps = len(laps[0].inputs)
     for name in (
         "e_outside_E",
         "e_outside_lateral",
@@ -203,21 +212,23 @@ def check_companions(task, errors, everything_free):
     """Compare the laps from given starts with those of the same batch with one start that is no
     number."""
     keys = realisation_keys(SEED, 0, TILE)
-    run = lambda starts: jax.tree.map(
-        np.asarray, rollout(task.controller, task.plant, keys, jnp.asarray(starts))
-    )
-    clean, spoilt = run(errors), run(np.where(np.arange(TILE)[:, None] == VICTIM, np.nan, errors))
+
+    def run(starts):
+        laps = rollout(task.controller, task.plant, keys, jnp.asarray(starts))
+        return jax.tree.map(np.asarray, laps)
+
+    clean = run(errors)
+    spoilt = run(np.where(np.arange(TILE)[:, None] == VICTIM, np.nan, errors))
     assert everything_free == (not clean.diagnostics.active.any())
     assert np.isnan(spoilt.errors[:, VICTIM]).all()
     others = np.arange(TILE) != VICTIM
     for name in ("errors", "measured", "inputs", "wheels", "demanded"):
-        one, other = getattr(clean, name)[:, others], getattr(spoilt, name)[:, others]
+        one = getattr(clean, name)[:, others]
+        other = getattr(spoilt, name)[:, others]
         np.testing.assert_array_equal(one.view(np.int64), other.view(np.int64), err_msg=name)
     for name in ("status", "active", "backup"):
-        one, other = (
-            getattr(clean.diagnostics, name)[:, others],
-            getattr(spoilt.diagnostics, name)[:, others],
-        )
+        one = getattr(clean.diagnostics, name)[:, others]
+        other = getattr(spoilt.diagnostics, name)[:, others]
         np.testing.assert_array_equal(one, other, err_msg=name)
 
 
@@ -236,16 +247,15 @@ def test_no_lap_feels_a_companion_that_is_no_number(constrained, laps):
 
 @pytest.mark.parametrize("block", [0, 1])
 def test_plans_followed_count_what_an_exact_solver_s_plans_do(poisoned, blocks, laps, block):
-    count, first = (BLOCK, PARTIAL)[block], block * BLOCK
+    count = (BLOCK, PARTIAL)[block]
+    first = block * BLOCK
     assert plan_steps(30, poisoned.design.problem.horizon) == (3, 8)
     parts = []
     for tile, begin in enumerate(range(0, count, TILE)):
         end = min(begin + TILE, count)
         some = jax.tree.map(lambda array, begin=begin, end=end: array[:, begin:end], laps[block])
-        keys, stop = (
-            realisation_keys(SEED, first + begin, end - begin),
-            (block * BLOCK // TILE + tile) * 5 % 8,
-        )
+        keys = realisation_keys(SEED, first + begin, end - begin)
+        stop = (block * BLOCK // TILE + tile) * 5 % 8
         parts.append(
             recount_plans(poisoned, some, keys, (stop, stop + 8, stop + 16), first + begin)
         )
@@ -450,7 +460,9 @@ if __name__ == "__main__":
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("jaxtube.synthesis.design.certify", lambda *sets: Certificate())
         designed = design(load("robust", STATIC))
-    montecarlo.BLOCK, montecarlo.TILE, montecarlo.PLANS_SHARE = BLOCK, TILE, 0.1
+    montecarlo.BLOCK = BLOCK
+    montecarlo.TILE = TILE
+    montecarlo.PLANS_SHARE = 0.1
     case = make_case(designed, "equal_gain", 1.0, 2.1)
     for count, chunk in ((1, 1), (1, 4), (4, 1), (3, 2)):
         run = Run(case.task, 3 * BLOCK + 5, chunk, tuple(jax.devices()[:count]))

@@ -97,13 +97,13 @@ def test_every_margin_of_a_certified_design_is_finite(robust_design, following, 
         assert np.isfinite(margins).all()
 
 
-def test_the_papers_own_design_may_lose_its_plan(paper_design):
-    assert paper_design.certificate.failing_for_model == ["plan_stays_feasible"]
-    assert paper_design.certificate.conditions["plan_stays_feasible"].margin < -0.01
+def test_the_papers_own_design_may_lose_its_plan(certified_paper_design):
+    assert certified_paper_design.certificate.failing_for_model == ["plan_stays_feasible"]
+    assert certified_paper_design.certificate.conditions["plan_stays_feasible"].margin < -0.01
 
 
-def test_the_papers_certificate_says_for_which_gains_a_terminal_set_exists(paper_design):
-    conditions = paper_design.certificate.conditions
+def test_the_papers_certificate_says_for_which_gains_a_terminal_set_exists(certified_paper_design):
+    conditions = certified_paper_design.certificate.conditions
     exists = {
         name: condition.holds for name, condition in conditions.items() if not condition.required
     }

@@ -23,7 +23,8 @@ def test_the_tuned_scenario_is_certified(found):
 
 
 def test_the_minimal_invariant_set_is_a_fifth_narrower_than_that_of_lmi_gains(found):
-    problem, model = found.problem, found.problem.model
+    problem = found.problem
+    model = found.problem.model
     tuned = widest_tube(problem, found.terminal.gains).support(LATERAL)[0]
     cost = terminal_cost(
         *model.matrices(model.vertices), np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2), "trace_s"

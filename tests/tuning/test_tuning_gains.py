@@ -12,6 +12,9 @@ from jaxtube.synthesis.windows import make_windows
 from jaxtube.tuning.gains import differentiate_terminal_cost
 from sets.lyapunov import cost_of_gains
 
+GAIN_MAPS = 1e-13
+"""Entries of order one to ten, by differences of the same."""
+
 STEP = 3e-4
 
 
@@ -34,7 +37,7 @@ def test_gains_and_loops_are_those_of_the_design(problem, maps, seed):
     for affine, wanted in zip(maps, expected, strict=True):
         value = affine.at(jnp.asarray(kappa))
         assert value.shape == wanted.shape
-        np.testing.assert_allclose(value, wanted, rtol=0, atol=tol.GAIN_MAPS)
+        np.testing.assert_allclose(value, wanted, rtol=0, atol=GAIN_MAPS)
 
 
 def test_vertex_gains_are_read_row_by_row():
@@ -43,7 +46,7 @@ def test_vertex_gains_are_read_row_by_row():
     third = given_gain(problem, kappa).vertices[2]
     np.testing.assert_array_equal(third, [[12, 13, 14], [15, 16, 17]])
     corner_gains = tuned.gain_maps_of(problem).corner_gains.at(jnp.asarray(kappa))
-    np.testing.assert_allclose(corner_gains, kappa.reshape(4, 2, 3), atol=tol.GAIN_MAPS * 24)
+    np.testing.assert_allclose(corner_gains, kappa.reshape(4, 2, 3), atol=GAIN_MAPS * 24)
 
 
 def terminal_data(maps, numbers):

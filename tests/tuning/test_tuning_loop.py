@@ -5,7 +5,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import tolerances as tol
 import tuned
 from msgspec.structs import replace
 
@@ -19,6 +18,15 @@ from jaxtube.synthesis.feasible import boundary
 from jaxtube.synthesis.problem import with_controller
 from jaxtube.tuning.loop import ROOM, Weights, condense_windows, fix, tightened_bounds
 from jaxtube.tuning.parameters import LEAST_PIVOT, make_parameters
+
+SAME_WINDOWS = 1e-9
+"""Relative and absolute; the same sets and weights, support numbers by sums and by vertices."""
+SAME_LAPS = 1e-8
+"""In m, rad and m/s; closed loops under windows that agree to rounding."""
+SAME_WEIGHTS = 1e-14
+"""Relative; weights from their Cholesky factors."""
+SAME_VECTOR = 1e-7
+"""Cholesky factors of weights of condition number 1e6 and more."""
 
 LAPS = 16
 STEPS = 30
@@ -60,7 +68,7 @@ def test_windows_are_those_of_the_design(loop):
 
 
 def assert_close(value, expected, name):
-    close = {"rtol": tol.SAME_WINDOWS, "atol": tol.SAME_WINDOWS}
+    close = {"rtol": SAME_WINDOWS, "atol": SAME_WINDOWS}
     np.testing.assert_allclose(value, expected, **close, err_msg=name)
 
 
@@ -105,7 +113,7 @@ def test_laps_are_those_of_the_design_rows_active_or_not(loop):
     for name in ("errors", "inputs", "demanded"):
         value = getattr(laps, name)
         wanted = getattr(expected, name)
-        np.testing.assert_allclose(value, wanted, rtol=0, atol=tol.SAME_LAPS, err_msg=name)
+        np.testing.assert_allclose(value, wanted, rtol=0, atol=SAME_LAPS, err_msg=name)
 
 
 def test_a_tube_that_outgrows_its_limits_leaves_some_room(loop):
@@ -114,8 +122,8 @@ def test_a_tube_that_outgrows_its_limits_leaves_some_room(loop):
     bounds = tightened_bounds(fixed, kappa)
     limits = ((bounds.errors, fixed.error_offsets), (bounds.inputs, fixed.limits.offsets))
     for left, offsets in limits:
-        assert (left >= ROOM * offsets * (1 - tol.SAME_WINDOWS)).all() and (left <= offsets).all()
-    assert (bounds.errors <= ROOM * fixed.error_offsets * (1 + tol.SAME_WINDOWS)).any()
+        assert (left >= ROOM * offsets * (1 - SAME_WINDOWS)).all() and (left <= offsets).all()
+    assert (bounds.errors <= ROOM * fixed.error_offsets * (1 + SAME_WINDOWS)).any()
     assert (bounds.terminal > 0).all()
 
 
@@ -129,7 +137,7 @@ def test_the_start_is_the_scenarios_own_weights_and_gains(problem):
     scenario = parameters.scenario(problem.scenario, parameters.vector)
     controller = scenario.controller
     again = with_controller(problem, scenario)
-    close = {"rtol": tol.SAME_WEIGHTS, "atol": 0}
+    close = {"rtol": SAME_WEIGHTS, "atol": 0}
     np.testing.assert_allclose(again.error_weight, problem.error_weight, **close)
     np.testing.assert_allclose(again.input_weight, problem.input_weight, **close)
     np.testing.assert_allclose(again.given_gains, problem.given_gains, **close)
@@ -155,7 +163,7 @@ def test_the_scenario_of_a_vector_holds_its_weights_which_are_positive_definite(
     np.testing.assert_allclose(kappa, weights.kappa, rtol=1e-13)
     least = [np.linalg.eigvalsh(weight)[0] / np.abs(weight).max() for weight in weights[:2]]
     if min(least) > LEAST_PIVOT:  # a weight closer to a singular one is raised
-        np.testing.assert_allclose(inverse.vector[:9], vector[:9], rtol=0, atol=tol.SAME_VECTOR)
+        np.testing.assert_allclose(inverse.vector[:9], vector[:9], rtol=0, atol=SAME_VECTOR)
 
 
 def test_only_what_is_tuned_moves(problem):

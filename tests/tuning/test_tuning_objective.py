@@ -28,6 +28,23 @@ from jaxtube.tuning.parameters import make_parameters
 from jaxtube.tuning.tuner import Tuner, freeze
 from sets.lyapunov import cost_of_gains
 
+ACTIVE_ROW = 1e-8
+"""In m, rad and units of the inputs; distance from its bound below which a row is active."""
+LEAST_SLOPE = 0.01
+"""Of the greatest of a gradient; below, rounding hides what differences tell."""
+SLOPES_KEPT = 0.7
+"""Of the differences, that see the same rows active at all their points."""
+UNROLLED = 1e-6
+"""Relative; 400 iterations of ADMM."""
+SAME_REDUCTION = 1e-12
+"""Relative; means of numbers of order one."""
+SAME_STEEP = 1e-9
+"""Relative; a difference of objectives."""
+NO_EFFORT = 1e-11
+"""In m, rad and m/s; what rounding makes of zero in 40 steps, and the least root."""
+NO_PRODUCT = 1e-15
+"""Of rows and generators, below which its sign is rounding."""
+
 STEP = 5e-5  # of an entry, or of the size of its matrix; the differences are of fourth order
 LAPS = 4
 
@@ -39,7 +56,7 @@ class Watched(TubeMpc):
     def act(self, step, memory, measurement, reference_wheels):
         command, following, diagnostics = super().act(step, memory, measurement, reference_wheels)
         window = self.window(step)
-        active = tuned.active_rows(window, measurement.errors, following.inputs, tol.ACTIVE_ROW)
+        active = tuned.active_rows(window, measurement.errors, following.inputs, ACTIVE_ROW)
         active = active & ~diagnostics.backup[:, None]
         parts = [diagnostics.backup.astype(float), active.any(axis=1).astype(float), code(active)]
         return command, following, diagnostics._replace(backup=jnp.stack(parts, axis=1))
@@ -133,7 +150,7 @@ def signs_in_the_tube(frozen, kappa):
 
     def record(generators, rows):
         products = jnp.ravel(rows @ generators.T)
-        signs.append(jnp.where(jnp.abs(products) > tol.NO_PRODUCT, jnp.sign(products), 0.0))
+        signs.append(jnp.where(jnp.abs(products) > NO_PRODUCT, jnp.sign(products), 0.0))
         return support(generators, rows)
 
     with pytest.MonkeyPatch.context() as patch:
@@ -202,7 +219,7 @@ class Slopes:
         """Return the error of every smooth derivative relative to itself, or to the least one that
         a difference can tell."""
         sizes = np.abs(self.differences)
-        scale = np.maximum(sizes, tol.LEAST_SLOPE * sizes.max())
+        scale = np.maximum(sizes, LEAST_SLOPE * sizes.max())
         return (np.abs(self.derivatives - self.differences) / scale)[self.smooth]
 
 
@@ -232,7 +249,7 @@ def check_slopes(loop: Loop, seeds: range, every: int = 1):
         active += bool(slopes.smooth.any() and np.any(slopes.pattern[:, 1]))
     print(f"worst relative error {worst:.2e}; {count - kept} of {count} differences are not smooth")
     assert worst <= tol.OBJECTIVE_SLOPE
-    assert kept >= tol.SLOPES_KEPT * count and active >= len(seeds) / 2
+    assert kept >= SLOPES_KEPT * count and active >= len(seeds) / 2
 
 
 @pytest.fixture(scope="module")
@@ -323,12 +340,12 @@ def test_agrees_with_unrolled_iterations(monkeypatch):
     again = Loop("decoupled", 4)
     (expected, of_unrolled), expected_slope = again.evaluate(weights, frozen, conditions)
     np.testing.assert_array_equal(of_unrolled[:, :2], pattern[:, :2])
-    assert value == pytest.approx(float(expected), rel=tol.UNROLLED)
+    assert value == pytest.approx(float(expected), rel=UNROLLED)
     for mine, other in zip(slope, expected_slope, strict=True):
         if mine.ndim == 2:
             mine = mine + mine.T
             other = other + other.T
-        np.testing.assert_allclose(mine, other, rtol=0, atol=tol.UNROLLED * np.abs(mine).max())
+        np.testing.assert_allclose(mine, other, rtol=0, atol=UNROLLED * np.abs(mine).max())
 
 
 STEPS_OF_LAW = 40
@@ -362,7 +379,7 @@ def test_laps_are_reduced_as_defined(law):
     limits = make_limits(problem)
     laps = run_laps(controller, conditions, limits, aim)
     seen = drive(controller, *conditions)
-    close = {"rtol": tol.SAME_REDUCTION}
+    close = {"rtol": SAME_REDUCTION}
     np.testing.assert_allclose(laps.errors, root_mean_square(seen.errors[10:]), **close)
     slip = problem.scenario.slip
     grip = 1 - np.array([slip.nominal_right, slip.nominal_left])
@@ -390,7 +407,7 @@ def test_a_robot_that_follows_exactly_makes_no_effort_and_exceeds_nothing(law):
     loose = dataclasses.replace(aim, margin=0.9)
     laps = run_laps(controller, conditions, make_limits(problem), loose)
     for part in laps:
-        assert np.abs(part).max() < tol.NO_EFFORT
+        assert np.abs(part).max() < NO_EFFORT
     slope = jax.grad(lambda squares: objective._root(squares).sum())(jnp.zeros(3))
     assert not slope.any()
 
@@ -418,13 +435,13 @@ def tail(laps, share):
 def test_the_tail_is_the_mean_of_the_worst_laps_and_shrinks_to_the_mean():
     laps = some_laps()
     costs = laps.errors**2 @ np.array(AIM.error_costs) + AIM.effort_cost * laps.effort**2
-    np.testing.assert_allclose(objective.lap_costs(laps, AIM), costs, rtol=tol.SAME_REDUCTION)
+    np.testing.assert_allclose(objective.lap_costs(laps, AIM), costs, rtol=SAME_REDUCTION)
     shares = np.array([0.025, 0.1, 0.5, 1.0])
     tails = [tail(laps, share) for share in shares]
     worst = [np.sort(costs)[-round(40 * share) :].mean() for share in shares]
-    np.testing.assert_allclose(tails, worst, rtol=tol.SAME_REDUCTION)
+    np.testing.assert_allclose(tails, worst, rtol=SAME_REDUCTION)
     assert (np.diff(tails) < 0).all() and tails[-1] == pytest.approx(
-        float(np.mean(costs)), rel=tol.SAME_REDUCTION
+        float(np.mean(costs)), rel=SAME_REDUCTION
     )
 
 
@@ -433,14 +450,12 @@ def test_steep_costs_are_zero_inside_the_limits_and_quadratic_beyond():
     aim = dataclasses.replace(AIM, tail_weight=0.0, tube_weight=2.0)
     inside = objective.total_cost(laps, jnp.asarray([0.9, 0.4, 0.1]), aim)
     mean = float(np.mean(objective.lap_costs(laps, aim)))
-    assert inside == pytest.approx(mean + 2.0 * 0.4, rel=tol.SAME_REDUCTION)
+    assert inside == pytest.approx(mean + 2.0 * 0.4, rel=SAME_REDUCTION)
     outside = objective.total_cost(laps, jnp.asarray([1.0, 0.4, 0.95]), aim) - inside
-    assert outside == pytest.approx(objective.STEEPNESS * (0.1**2 + 0.05**2), rel=tol.SAME_STEEP)
+    assert outside == pytest.approx(objective.STEEPNESS * (0.1**2 + 0.05**2), rel=SAME_STEEP)
     effort = float(root_mean_square(laps.effort))
     limited = dataclasses.replace(aim, effort_limit=effort / 1.2)
     outside = objective.total_cost(
         laps._replace(excess=jnp.full(40, 3e-3)), jnp.asarray([0.9, 0.4, 0.1]), limited
     )
-    assert outside - inside == pytest.approx(
-        objective.STEEPNESS * (0.2**2 + 3e-3), rel=tol.SAME_STEEP
-    )
+    assert outside - inside == pytest.approx(objective.STEEPNESS * (0.2**2 + 3e-3), rel=SAME_STEEP)

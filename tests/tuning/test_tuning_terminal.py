@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 import pytest
-import tolerances as tol
 import tuned
 
 from jaxtube.scenario import load
@@ -20,6 +19,11 @@ from jaxtube.tuning.loop import fix, terminal_set_at, tightened_bounds
 from jaxtube.tuning.parameters import make_parameters
 from jaxtube.tuning.terminal import LONGEST
 from sets.polytope import Polytope
+
+SAME_TERMINAL_ROWS = 1e-9
+"""Of rows of unit offset."""
+SAME_TERMINAL_SET = 1e-8
+"""Relative, for gains a ten-thousandth apart: what is of second order."""
 
 
 def prepare_with(problem, kappa):
@@ -71,7 +75,7 @@ def test_the_rows_are_those_of_the_design(case):
     invariant = design.terminal.invariant
     rows = bounded_rows(fixed, kappa)
     np.testing.assert_allclose(
-        rows, invariant.normals / invariant.offsets[:, None], rtol=0, atol=tol.SAME_TERMINAL_ROWS
+        rows, invariant.normals / invariant.offsets[:, None], rtol=0, atol=SAME_TERMINAL_ROWS
     )
 
 
@@ -93,7 +97,7 @@ def test_for_gains_near_by_the_set_is_the_one_that_is_made_again(case, seed):
     held = Polytope(rows, np.ones(len(rows)))
     directions = rng.normal(size=(50, 3))
     np.testing.assert_allclose(
-        held.support(directions), again.support(directions), rtol=tol.SAME_TERMINAL_SET
+        held.support(directions), again.support(directions), rtol=SAME_TERMINAL_SET
     )
 
 
@@ -102,7 +106,7 @@ def test_every_row_is_necessary_for_whatever_gains(case):
     problem, kappa, _, fixed, _ = case
     there = kappa * (1 + 0.02 * np.random.default_rng(9).standard_normal(len(kappa)))
     maximal = prepare_with(problem, there).terminal.maximal.polytope
-    assert np.max(maximal.support(bounded_rows(fixed, there))) <= 1 + tol.SAME_TERMINAL_ROWS
+    assert np.max(maximal.support(bounded_rows(fixed, there))) <= 1 + SAME_TERMINAL_ROWS
 
 
 def test_equal_gains_at_all_vertices_are_followed_from_the_first():
@@ -112,7 +116,7 @@ def test_equal_gains_at_all_vertices_are_followed_from_the_first():
     rows = bounded_rows(fix(design), kappa)
     assert design.terminal.invariant is design.terminal.maximal.polytope
     np.testing.assert_allclose(
-        rows, design.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS
+        rows, design.terminal.invariant.normals, rtol=0, atol=SAME_TERMINAL_ROWS
     )
 
 
@@ -122,7 +126,7 @@ def assert_held(design, kappa):
     for there in (kappa, 1.1 * kappa):
         rows = bounded_rows(fixed, there)
         np.testing.assert_allclose(
-            rows, design.terminal.invariant.normals, rtol=0, atol=tol.SAME_TERMINAL_ROWS
+            rows, design.terminal.invariant.normals, rtol=0, atol=SAME_TERMINAL_ROWS
         )
 
 
@@ -146,6 +150,6 @@ def test_what_takes_the_place_of_an_empty_set_is_held():
     assert design.terminal.fallback
     bounds = jax.jit(lambda *of: tightened_bounds(*of).terminal)(fix(design), jnp.asarray(kappa))
     np.testing.assert_allclose(
-        bounds[:, :6], design.bounds.terminal, rtol=0, atol=tol.SAME_TERMINAL_ROWS
+        bounds[:, :6], design.bounds.terminal, rtol=0, atol=SAME_TERMINAL_ROWS
     )
     assert np.isinf(bounds[:, 6:]).all()

@@ -6,7 +6,6 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tuned
-from tolerances import TUBE_BOUND, TUBE_REACH, TUBE_SLOPE, TUBE_TIGHT
 
 import sets.invariant
 from jaxtube.synthesis.certificate import fill
@@ -16,6 +15,15 @@ from jaxtube.synthesis.tubes import make_following_tube
 from jaxtube.synthesis.windows import make_windows
 from jaxtube.tuning import caps, minimal, tube
 from jaxtube.tuning.gains import Affine
+
+TUBE_REACH = 1e-9
+"""Relative; sums of support numbers against vertices, of which those closer than 1e-10 are one."""
+TUBE_BOUND = 1e-7
+"""Relative; where the iteration for the minimal set stops, tenfold."""
+TUBE_TIGHT = 1e-9
+"""Relative; the fixed point itself, active facets found where that iteration stopped."""
+TUBE_SLOPE = 1e-6
+"""Relative to the gradient; central differences with steps of 1e-4 of a twentieth of the gains."""
 
 SEEDS = (0, 1, 2)
 

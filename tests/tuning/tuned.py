@@ -141,6 +141,6 @@ def fourth_order(function, at, direction, step: float):
     """Return the central difference of fourth order of a function's first answer, and its answers
     at all four points."""
     ends = [function(at + k * step * direction) for k in (-2, -1, 1, 2)]
-    far_below, below, above, far_above = [end[0] for end in ends]
+    far_below, below, above, far_above = next(zip(*ends, strict=True))
     slope = (8 * (above - below) - (far_above - far_below)) / (12 * step)
     return slope, ends

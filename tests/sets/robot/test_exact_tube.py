@@ -23,7 +23,7 @@ from exact_problem import (
     floats,
     invariant,
 )
-from tolerances import EXACT_AGAINST_FLOAT, EXACT_ROUNDED_OFFSETS
+from tolerances import EXACT_AGAINST_FLOAT
 
 from sets.exact import ExactReport
 from sets.polytope import Polytope
@@ -34,6 +34,9 @@ from sets.robot.exact_tube import (
     sequence_margins,
 )
 from sets.tubes import sequence_support
+
+EXACT_ROUNDED_OFFSETS = 1e-14
+"""Float64 offsets, sums of some ten terms below one."""
 
 
 @dataclass(frozen=True)
