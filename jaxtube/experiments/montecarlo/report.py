@@ -164,13 +164,8 @@ def _tube_table(summary: dict) -> str:
 
 def _stage_row(j: int, stage: dict) -> list[str]:
     low, high = stage["outside"]["interval"]
-    outside, *by_coordinate = (stage[name]["share"] for name in STAGE_EVENTS)
-    return [
-        f"R_{j}",
-        f"{outside:.4%}",
-        f"{low:.4%} to {high:.4%}",
-        *(f"{share:.4%}" for share in by_coordinate),
-    ]
+    shares = [f"{stage[name]['share']:.4%}" for name in STAGE_EVENTS]
+    return [f"R_{j}", shares[0], f"{low:.4%} to {high:.4%}", *shares[1:]]
 
 
 def _quantile_table(summary: dict) -> str:
