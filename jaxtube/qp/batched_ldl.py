@@ -43,8 +43,8 @@ def pair_products(rows: Float[Array, "*stack m n"]) -> Float[Array, "*stack pair
     """Return the constant matrix that maps weights d to the packed A' diag(d) A, A being `rows`,
     numpy or jax."""
     first, second = np.triu_indices(rows.shape[-1])
-    products = rows[..., first] * rows[..., second]
-    return products.swapaxes(-1, -2)
+    columns = rows.swapaxes(-1, -2)
+    return columns[..., first, :] * columns[..., second, :]
 
 
 def factorise(packed: Float[Array, "pairs batch"]) -> LDL:
