@@ -327,14 +327,10 @@ def test_a_counterexample_with_active_rows_is_confirmed_by_its_replay(robust_des
     assert found.reach["error"].max() == pytest.approx(worst.usage, rel=1e-6)
 
 
-# -------------------------------------------------------------------------------------- the command
+# ------------------------------------------------------------------------------------------ refused
 
 
-def test_what_cannot_be_searched_is_refused(
-    paper_design, gain, robot, error_limit, start, capsys, tmp_path
-):
-    from jaxtube.experiments.cli import main
-
+def test_what_cannot_be_searched_is_refused(paper_design, gain, robot, error_limit, start):
     walking = dataclasses.replace(robot, process="walk")
     with pytest.raises(ValueError, match=r'slip.process = "walk".*"iid"'):
         search_worst_cases(gain, walking, error_limit, start)
@@ -346,49 +342,3 @@ def test_what_cannot_be_searched_is_refused(
         )
     with pytest.raises(ValueError, match="centre"):
         make_limit(np.eye(2), np.ones(2), [2.0, 0.0])
-    (tmp_path / "text.npz").write_text("no archive")
-    np.savez(tmp_path / "other.npz", a=1)
-    for words, fragment in (
-        (["--seconds", "0"], "--seconds = 0.0"),
-        (["--target", "tube", "--controller", "local_gain"], "choose --controller tube_mpc"),
-        (["--replay", str(tmp_path / "none.npz")], "No such file"),
-        (["--replay", str(tmp_path / "text.npz")], "no archive"),
-        (["--replay", str(tmp_path / "other.npz")], "no worst case"),
-    ):
-        assert main(["falsify", *words]) == 2
-        line = capsys.readouterr().err
-        assert fragment in line and line.count("\n") == 1
-
-
-def test_the_command_saves_worst_cases_that_replay_to_the_same_margin(
-    capsys, tmp_path, monkeypatch, uncertified
-):
-    from jaxtube.experiments.cli import main
-    from jaxtube.experiments.falsify import command
-
-    monkeypatch.setattr(command, "design", lambda scenario: uncertified("paper", *words))
-    words = ["reference.duration_s=3", "controller.tube=summed", "noise.lateral_m=0.001"]
-    options = [
-        "--controller",
-        "local_gain",
-        "--target",
-        "error",
-        "--seconds",
-        "1",
-        "--out",
-        str(tmp_path),
-    ]
-    assert main(["falsify", *options, *words]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("no violation found; smallest margin")
-    for name in ("metrics.json", "scenario.toml", "worst_error.npz", "worst_error.png"):
-        assert (tmp_path / name).stat().st_size > 0
-    assert main(["falsify", "--replay", str(tmp_path / "worst_error.npz"), *words]) == 0
-    said = capsys.readouterr().out
-    differences = [
-        float(word.rstrip(",")) for word in said.splitlines()[1].split() if word[0].isdigit()
-    ]
-    assert len(differences) == 2 and max(differences) <= FALSIFY_REPLAY
-    assert (tmp_path / "replay_error.png").stat().st_size > 0
-    assert main(["falsify", "--replay", str(tmp_path / "worst_error.npz")]) == 2
-    assert "another scenario" in capsys.readouterr().err

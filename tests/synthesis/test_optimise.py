@@ -1,18 +1,13 @@
-"""Laws of the search's starts, and of what the command does with its result."""
+"""Laws of the search's starts, and of the advice."""
 
-import tomllib
-
-import msgspec
 import numpy as np
-import pytest
 from tolerances import ROUNDING
 
-from jaxtube.experiments.design import command
-from jaxtube.scenario import ScenarioError, load
+from jaxtube.scenario import load
 from jaxtube.synthesis.advice import say_what_helps, say_what_widens
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.estimate import Estimate
-from jaxtube.synthesis.optimise import STARTS, Optimum, caps_and_gains, search_starts
+from jaxtube.synthesis.optimise import STARTS, caps_and_gains, search_starts
 from jaxtube.synthesis.problem import make_problem
 
 SIZE = 2.0
@@ -51,27 +46,6 @@ def test_starts_of_a_robot_of_twice_the_size_fill_its_caps_alike():
         found = Estimate(larger).shares(np.log(same))
         np.testing.assert_allclose(found.caps, expected.caps, rtol=1e3 * ROUNDING)
         np.testing.assert_allclose(found.limits, expected.limits, atol=1e3 * ROUNDING)
-
-
-def test_the_lines_to_copy_are_toml_that_gives_the_scenario_back():
-    scenario = load("certified")
-    text = command.scenario_lines(Optimum(scenario, 0.45))
-    sections = tomllib.loads(text)
-    assert sections["controller"]["tracking_gains"] == list(scenario.controller.tracking_gains)
-    caps = msgspec.structs.asdict(scenario.operating)
-    assert sections["operating"] == {
-        name: cap for name, cap in caps.items() if isinstance(cap, float)
-    }
-
-
-def test_a_tube_that_outgrows_every_choice_ends_in_one_line_with_its_cause(monkeypatch, capsys):
-    scenario = load("certified", ["noise.lateral_m=0.003"])
-    monkeypatch.setattr(command, "optimise", lambda *arguments: Optimum(scenario, 1.17))
-    with pytest.raises(ScenarioError, match=r"fills 117\.0% of a cap at best") as refused:
-        command.find_caps_and_gains(scenario)
-    assert "\n" not in str(refused.value)
-    assert "noise" in str(refused.value)
-    assert "[operating]" not in capsys.readouterr().out
 
 
 def test_advice_names_what_has_an_effect():
