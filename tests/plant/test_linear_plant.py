@@ -119,13 +119,14 @@ def test_deviations_from_a_plan_stay_inside_every_tube(robust_design, deviations
     assert reached > 0.9
 
 
-def test_plan_deviations_of_a_run_leave_out_what_had_no_plan(robust_design, stressed):
+def test_plan_deviations_of_a_run_leave_out_what_had_no_plan(robust_design, stressed, monkeypatch):
+    monkeypatch.setattr(closed_loop, "PLAN_DISTANCE", 100)
     loop = closed_loop.controllers(robust_design)["tube_mpc"]
     plant = closed_loop.linear_plant(robust_design)
     trajectory = stressed["tube_mpc"]
     outside = trajectory._replace(errors=trajectory.errors.copy())
     outside.errors[:, :100] = [5.0, 5.0, 0.0]
-    found = closed_loop.plan_deviations(robust_design, loop, plant, outside, seed=11, every=100)
+    found = closed_loop.plan_deviations(robust_design, loop, plant, outside, seed=11)
     assert found.shape == (robust_design.problem.horizon, 3 * (BATCH - 100), 3) and np.all(
         np.isfinite(found)
     )

@@ -32,7 +32,7 @@ SOLVED_ROUNDING = 1e-8
 PLAN_OF_ORACLE = 1e-6
 """Relative; plans of the batched solver against an active-set method."""
 
-BLOCK = 512
+BLOCK = 256
 TILE = 128
 SEED = 6
 SHORT = "reference.duration_s=3"

@@ -91,6 +91,7 @@ class Loop:
     def __init__(self, kind: str, steps: int):
         problem = tuned.problem_of(kind)
         self.parameters = make_parameters(problem)
+        self.weights = jax.jit(self.parameters.weights)
         settled = min(100, steps // 3)
         aim = objective.make_aim(problem.scenario, settled)
         aim = dataclasses.replace(aim, effort_limit=0.05, tail_share=0.5)
@@ -176,7 +177,8 @@ class Slopes:
     def __init__(self, loop: Loop, seed: int, every: int):
         self._loop = loop
         point, self._frozen, self._conditions = loop.random_point(seed)
-        self._weights, pull_back = jax.vjp(loop.parameters.weights, jnp.asarray(point))
+        self._weights = loop.weights(jnp.asarray(point))
+        _, pull_back = jax.vjp(loop.weights, jnp.asarray(point))
         (_, self.pattern), slope = loop.evaluate(self._weights, self._frozen, self._conditions)
         self._signs = np.asarray(signs_in_the_tube(self._frozen, self._weights.kappa))
         chosen = slice(seed % every, None, every)
@@ -187,7 +189,7 @@ class Slopes:
         along_entries = sizes * tuned.slope_of_entries(slope)
         self.derivatives = np.append(along_numbers[chosen], along_entries[chosen])
         pairs = [
-            *self._differentiate(loop.parameters.weights, point, np.diag(unit)[chosen]),
+            *self._differentiate(loop.weights, point, np.diag(unit)[chosen]),
             *self._differentiate(tuned.weights_of, entries, np.diag(sizes)[chosen]),
         ]
         self.differences = np.array([difference for difference, _ in pairs])
@@ -279,7 +281,7 @@ def test_derivatives_of_whole_laps_are_differences_with_the_host_solved_again(ki
 def test_the_slope_of_the_terminal_set_counts(monkeypatch):
     loop = Loop("firm", 15)
     point, frozen, conditions = loop.random_point(0)
-    weights = loop.parameters.weights(jnp.asarray(point))
+    weights = loop.weights(jnp.asarray(point))
     slope = loop.evaluate(weights, frozen, conditions)[1].kappa
 
     def hold(*arguments):
@@ -292,7 +294,7 @@ def test_the_slope_of_the_terminal_set_counts(monkeypatch):
 
 def test_a_lap_without_plans_counts_its_backups_and_has_the_derivative_of_its_terminal_gain(short):
     point, frozen, conditions = short.random_point(0)
-    weights = short.parameters.weights(jnp.asarray(point))
+    weights = short.weights(jnp.asarray(point))
     starts = conditions.starts
     outside = conditions._replace(starts=starts.at[:].set(20 * starts[1]))
     (value, told), slope = short.evaluate(weights, frozen, outside)
@@ -304,7 +306,7 @@ def test_a_lap_without_plans_counts_its_backups_and_has_the_derivative_of_its_te
 
 def test_a_lap_without_plans_leaves_the_derivatives_of_the_others_finite(short):
     point, frozen, conditions = short.random_point(0)
-    weights = short.parameters.weights(jnp.asarray(point))
+    weights = short.weights(jnp.asarray(point))
     starts = conditions.starts
     mixed = conditions._replace(starts=starts.at[2].set(2 * starts[2]))
     (value, told), slope = short.evaluate(weights, frozen, mixed)
@@ -317,7 +319,7 @@ def test_a_lap_without_plans_leaves_the_derivatives_of_the_others_finite(short):
 def test_agrees_with_unrolled_iterations(monkeypatch):
     loop = Loop("decoupled", 4)
     point, frozen, conditions = loop.random_point(1)
-    weights = loop.parameters.weights(jnp.asarray(point))
+    weights = loop.weights(jnp.asarray(point))
     (value, pattern), slope = loop.evaluate(weights, frozen, conditions)
     assert (pattern[:, 1] > 0).sum() >= 2
 
