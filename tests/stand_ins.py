@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from jaxtube.tuning.objective import Laps
+from jaxtube.tuning.objective import LapMeasures
 
 
 def run_laps(vector, frozen, conditions, *rest):
@@ -12,7 +12,7 @@ def run_laps(vector, frozen, conditions, *rest):
     drawn = np.array([np.random.default_rng(key).uniform(1e-3, 2e-3, 5) for key in data])
     numbers = drawn * (2.0 + np.sin(np.sum(np.asarray(vector))))
     nothing = np.zeros(len(data))
-    return Laps(numbers[:, :3], numbers[:, 3], numbers[:, 4], nothing, nothing)
+    return LapMeasures(numbers[:, :3], numbers[:, 3], numbers[:, 4], nothing, nothing)
 
 
 def value_and_gradient(vector, *rest):

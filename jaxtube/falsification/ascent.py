@@ -75,7 +75,7 @@ class Ascent(NamedTuple):
     length: Float[Array, " batch"]  # of the next step
 
 
-class Aim(NamedTuple):
+class CellAim(NamedTuple):
     """What each instance of a batch aims at."""
 
     cell: Int[Array, " batch"]  # number of its cell (`cells.Cells`)
@@ -104,7 +104,7 @@ def ascend(
     limits: Limits,
     vertices: dict[str, Float[Array, "v n"]],
     ascent: Ascent,
-    aim: Aim,
+    aim: CellAim,
 ) -> Sweep:
     """Play the candidates of a batch and take one step with each.
 

@@ -17,7 +17,7 @@ DURING_PERIODS = ("input", "wheels")
 """Limits of what happens during a period; the others are met at its end."""
 
 
-class Cells:
+class UsageCells:
     """The cells of some limits.
 
     Attributes:

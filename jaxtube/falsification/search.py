@@ -32,15 +32,15 @@ from jaxtyping import Float, Int
 
 from jaxtube.control.protocol import Controller
 from jaxtube.falsification.ascent import (
-    Aim,
     Attack,
+    CellAim,
     ascend,
     draw_vertex_attack,
     find_uncertainties,
     make_mean_attack,
     start_ascent,
 )
-from jaxtube.falsification.cells import DURING_PERIODS, Cells
+from jaxtube.falsification.cells import DURING_PERIODS, UsageCells
 from jaxtube.falsification.worst import Worst, confirm
 from jaxtube.plant.protocol import SearchablePlant, Uncertainty
 from jaxtube.simulation.usage import Limits
@@ -126,7 +126,7 @@ class _Searcher:
             name: jnp.asarray(uncertainty.vertices)
             for name, uncertainty in space.uncertainties.items()
         }
-        self.cells = Cells(space.limits, len(space.plant.reference_wheels))
+        self.cells = UsageCells(space.limits, len(space.plant.reference_wheels))
         self.aims = np.concatenate([self.cells.list_by_facet(name) for name in space.aims])
         self.cases: dict[str, _Case] = {}
         self.reach = {name: np.full(shape, -np.inf) for name, shape in self.cells.shapes.items()}
@@ -184,7 +184,7 @@ class _Searcher:
         cell = jnp.asarray(begin.cell, jnp.int32)
         when = jnp.asarray(begin.when, jnp.int32)
         return ascend(
-            space.controller, space.plant, space.limits, self.vertices, ascent, Aim(cell, when)
+            space.controller, space.plant, space.limits, self.vertices, ascent, CellAim(cell, when)
         )
 
     def _judge(self, outcome: _Outcome) -> None:

@@ -44,7 +44,7 @@ OFFSET = 0.17
 """Distance of a share from the middle of its row, where the row has two."""
 
 
-class Share(NamedTuple):
+class DrawnShare(NamedTuple):
     """A share with its interval."""
 
     value: float
@@ -52,34 +52,34 @@ class Share(NamedTuple):
     high: float
 
 
-class Row(NamedTuple):
+class DrawnRow(NamedTuple):
     """One line of the chart: what is counted and how often it was seen, and the shares."""
 
     label: str
-    shares: dict[str, Share]
+    shares: dict[str, DrawnShare]
 
 
-def share_rows(summary: dict) -> list[Row]:
+def share_rows(summary: dict) -> list[DrawnRow]:
     """Return what the chart of shares lists: W and E, stages of the tube in use, then the other
     events."""
     events = [_event_row(summary, name) for name in ROWS if name in summary["events"]]
     return [*events[:2], *_stage_rows(summary), *events[2:]]
 
 
-def _event_row(summary: dict, name: str) -> Row:
+def _event_row(summary: dict, name: str) -> DrawnRow:
     event = summary["events"][name]
-    return Row(f"{ROWS[name]}: {event['laps']:,} laps", make_shares(event))
+    return DrawnRow(f"{ROWS[name]}: {event['laps']:,} laps", make_shares(event))
 
 
-def make_shares(event: dict) -> dict[str, Share]:
+def make_shares(event: dict) -> dict[str, DrawnShare]:
     """Return the shares of laps and of steps with an event, with their intervals."""
     return {
-        kind: Share(event[f"share_of_{kind}"], *event[f"share_of_{kind}_interval"])
+        kind: DrawnShare(event[f"share_of_{kind}"], *event[f"share_of_{kind}_interval"])
         for kind in ("laps", "steps")
     }
 
 
-def _stage_rows(summary: dict) -> list[Row]:
+def _stage_rows(summary: dict) -> list[DrawnRow]:
     if not summary["plans"]:
         return []
     tube = summary["tube"]
@@ -88,8 +88,8 @@ def _stage_rows(summary: dict) -> list[Row]:
     listed = np.linspace(1, len(outside), min(len(outside), STAGES)).round().astype(int)
     rows = []
     for j in np.unique(listed):
-        share = Share(outside[j - 1]["share"], *outside[j - 1]["interval"])
-        rows.append(Row(f"outside $R_{{{j}}}$: {counts[j - 1]:,} plans", {"plans": share}))
+        share = DrawnShare(outside[j - 1]["share"], *outside[j - 1]["interval"])
+        rows.append(DrawnRow(f"outside $R_{{{j}}}$: {counts[j - 1]:,} plans", {"plans": share}))
     return rows
 
 
@@ -109,7 +109,7 @@ def violations(summary: dict) -> Figure:
     return figure
 
 
-def draw_shares(axes: Axes, rows: list[Row]) -> None:
+def draw_shares(axes: Axes, rows: list[DrawnRow]) -> None:
     """Draw the shares of all rows on a logarithmic axis."""
     for place, row in enumerate(rows):
         offsets = (-OFFSET, OFFSET) if len(row.shares) > 1 else (0.0,)
@@ -122,13 +122,13 @@ def draw_shares(axes: Axes, rows: list[Row]) -> None:
     axes.grid(False, axis="y")
 
 
-def find_least(rows: list[Row]) -> float:
+def find_least(rows: list[DrawnRow]) -> float:
     """Return where the axis of shares begins: below every dot and every arrow."""
     shares = [share for row in rows for share in row.shares.values()]
     return min(share.value or share.high / ARROW for share in shares) / 3
 
 
-def share_keys(rows: list[Row], confidence: float) -> list:
+def share_keys(rows: list[DrawnRow], confidence: float) -> list:
     """Return the legend's entries of the kinds of shares that occur, and of the intervals."""
     keys = [
         mark_key(f"share of {kind}", look["color"], **_without_colour(look))
@@ -143,7 +143,7 @@ def _without_colour(look: dict) -> dict:
     return {key: value for key, value in look.items() if key != "color"}
 
 
-def _draw_share(axes: Axes, place: float, share: Share, kind: str) -> None:
+def _draw_share(axes: Axes, place: float, share: DrawnShare, kind: str) -> None:
     """Draw a share with its interval, or, where nothing was seen, an arrow down from the bound."""
     look = LOOKS[kind]
     colour = look["color"]

@@ -53,7 +53,7 @@ class Imperfections(NamedTuple):
     )
 
 
-class Memory(NamedTuple):
+class ImperfectMemory(NamedTuple):
     """What a period leaves to the next one."""
 
     slip: SlipMemory
@@ -97,7 +97,9 @@ class ImperfectRobot:
         """The reference, m/s."""
         return self.ideal.reference_wheels
 
-    def initial(self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> Memory:
+    def initial(
+        self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]
+    ) -> ImperfectMemory:
         """Return the memory of slips and wheels."""
         ideal = self.ideal
         none = jnp.zeros_like(errors[:, :2])
@@ -105,11 +107,15 @@ class ImperfectRobot:
             none, ideal.reference_wheels[0], ideal.nominal_slip, ideal.robot.track_width
         )
         wheels = saturate(commands, ideal.robot)
-        return Memory(ideal.initial(keys, errors), wheels, wheels, none)
+        return ImperfectMemory(ideal.initial(keys, errors), wheels, wheels, none)
 
     def sense(
-        self, keys: Key[Array, " batch"], step, memory: Memory, errors: Float[Array, "batch 3"]
-    ) -> tuple[Measurement, Memory]:
+        self,
+        keys: Key[Array, " batch"],
+        step,
+        memory: ImperfectMemory,
+        errors: Float[Array, "batch 3"],
+    ) -> tuple[Measurement, ImperfectMemory]:
         """Draw the pose noise of an instant and the slips of the period that begins there."""
         measurement, slip = self.ideal.sense(keys, step, memory.slip, errors)
         return measurement, memory._replace(slip=slip)
@@ -118,7 +124,7 @@ class ImperfectRobot:
         self,
         keys: Key[Array, " batch"],
         step,
-        memory: Memory,
+        memory: ImperfectMemory,
         errors: Float[Array, "batch 3"],
         command: Command,
     ) -> Advance:
@@ -138,7 +144,7 @@ class ImperfectRobot:
             drift=(slip_error[:, 1] - slip_error[:, 0]) / 2.0,
         )
         following, wheels = self.drive(step, errors, motion)
-        return Advance(following, Memory(memory.slip, wheels, commands, true), commands)
+        return Advance(following, ImperfectMemory(memory.slip, wheels, commands, true), commands)
 
     def drive(
         self, step, errors: Float[Array, "batch 3"], motion: Motion

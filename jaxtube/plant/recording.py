@@ -36,7 +36,7 @@ LONGEST_SHOWN = 40
 """Characters of the user's own text that a message shows."""
 
 
-class Row(NamedTuple):
+class RecordedRow(NamedTuple):
     """One row of the file."""
 
     line: int
@@ -102,7 +102,7 @@ def read_recording(path: str | Path) -> Recording:
     return recording
 
 
-def _read_rows(path: str | Path, file: Iterable[str]) -> Iterator[Row]:
+def _read_rows(path: str | Path, file: Iterable[str]) -> Iterator[RecordedRow]:
     """Read the rows of a CSV file, its columns by their names."""
     reader = csv.reader(file)
     header = [name.strip() for name in next(reader, [])]
@@ -121,7 +121,7 @@ def _read_rows(path: str | Path, file: Iterable[str]) -> Iterator[Row]:
         time = _read_number(path, COLUMNS[0], line, texts[0])
         x = _read_number(path, COLUMNS[1], line, texts[1])
         y = _read_number(path, COLUMNS[2], line, texts[2])
-        yield Row(line, time, float(x), float(y))
+        yield RecordedRow(line, time, float(x), float(y))
 
 
 def _read_number(path: str | Path, column: str, line: int, text: str | None) -> Decimal:

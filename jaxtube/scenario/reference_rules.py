@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from jaxtube.scenario.refusal import refusal
-from jaxtube.scenario.tree import Reference, Scenario
+from jaxtube.scenario.tree import ReferenceTable, Scenario
 
 Refuse = Callable[[str, str, str], NoReturn]
 
@@ -21,7 +21,7 @@ MOST_PERIODS = 1_000_000
 """Most periods of a run: a day at 10 Hz has fewer, and one lap still fits into 1 GB."""
 
 
-def check(scenario: Scenario, refuse: Refuse) -> None:
+def check_reference(scenario: Scenario, refuse: Refuse) -> None:
     """Refuse the first key of the reference that breaks a rule."""
     _check_slowest(scenario, refuse)
     _check_duration(scenario, refuse)
@@ -59,7 +59,7 @@ def check_reference_wheels(
     _check_wheels(scenario.reference, slowest_mps, fastest_mps, refuse)
 
 
-def is_in_box(reference: Reference, slowest_mps: float, fastest_mps: float) -> bool:
+def is_in_box(reference: ReferenceTable, slowest_mps: float, fastest_mps: float) -> bool:
     """Return whether wheel speeds lie in the box of the reference, up to rounding; NaN does not."""
     low = reference.wheel_speed_min_mps
     high = reference.wheel_speed_max_mps
@@ -67,7 +67,9 @@ def is_in_box(reference: Reference, slowest_mps: float, fastest_mps: float) -> b
     return low - rounding <= slowest_mps and fastest_mps <= high + rounding
 
 
-def _check_wheels(reference: Reference, slowest: float, fastest: float, refuse: Refuse) -> None:
+def _check_wheels(
+    reference: ReferenceTable, slowest: float, fastest: float, refuse: Refuse
+) -> None:
     if is_in_box(reference, slowest, fastest):
         return
     low = reference.wheel_speed_min_mps

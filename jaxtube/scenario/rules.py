@@ -12,7 +12,15 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.scenario import reference_rules
-from jaxtube.scenario.tree import Controller, Operating, Reference, Robot, Scenario, Slip, Weight
+from jaxtube.scenario.tree import (
+    ControllerTable,
+    Operating,
+    ReferenceTable,
+    RobotTable,
+    Scenario,
+    Slip,
+    Weight,
+)
 
 Refuse = Callable[[str, str, str], NoReturn]
 """Called with (dotted key, problem, cure); raises."""
@@ -30,7 +38,7 @@ INPUT_CAPS = ("speed_deficit_min_mps", "speed_deficit_max_mps", "yaw_rate_defici
 COUPLING = ("turning_longitudinal_m", "turning_yaw_rate_radps")
 
 
-def check(scenario: Scenario, refuse: Refuse) -> None:
+def check_rules(scenario: Scenario, refuse: Refuse) -> None:
     """Refuse the first key that breaks a rule: call `refuse(key, problem, cure)`, which raises."""
     _check_order(scenario.robot, "robot", refuse)
     _check_order(scenario.reference, "reference", refuse)
@@ -41,7 +49,7 @@ def check(scenario: Scenario, refuse: Refuse) -> None:
     _check_gains(scenario.controller, refuse)
     _check_vertex_gains(scenario, refuse)
     _check_bands(scenario, refuse)
-    reference_rules.check(scenario, refuse)
+    reference_rules.check_reference(scenario, refuse)
 
 
 def weight_matrix(weight: Weight) -> Float[np.ndarray, "n n"]:
@@ -61,7 +69,7 @@ def weight_matrix(weight: Weight) -> Float[np.ndarray, "n n"]:
     )
 
 
-def _check_order(section: Robot | Reference, name: str, refuse: Refuse) -> None:
+def _check_order(section: RobotTable | ReferenceTable, name: str, refuse: Refuse) -> None:
     low = section.wheel_speed_min_mps
     high = section.wheel_speed_max_mps
     if not low < high:
@@ -133,7 +141,7 @@ def _check_bands(scenario: Scenario, refuse: Refuse) -> None:
         refuse(key, "bring their own caps and gains", cure)
 
 
-def _check_gains(controller: Controller, refuse: Refuse) -> None:
+def _check_gains(controller: ControllerTable, refuse: Refuse) -> None:
     if controller.tracking_gains and len(controller.tracking_gains) != 3:
         refuse("controller.tracking_gains", "are not three", "give [k1, k2, k3]")
     serves_both = controller.terminal == "T-A" and controller.tube == "sequence"
@@ -167,7 +175,7 @@ def _check_vertex_gains(scenario: Scenario, refuse: Refuse) -> None:
         refuse(key, problem, cure)
 
 
-def _check_weights(controller: Controller, refuse: Refuse) -> None:
+def _check_weights(controller: ControllerTable, refuse: Refuse) -> None:
     error_key = "controller.error_weight"
     smallest, rounding = _find_smallest(controller.error_weight, ERROR_SIZE, error_key, refuse)
     if smallest < -rounding:

@@ -27,11 +27,11 @@ DURATION_S = 30.0
 Weight = tuple[float | tuple[float, ...], ...]
 
 
-class Section(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A table of the scenario file."""
 
 
-class Robot(Section, frozen=True):
+class RobotTable(Table, frozen=True):
     """The robot: distance between its wheels and the speeds that the wheels can run."""
 
     track_width_m: Positive = 0.5
@@ -39,7 +39,7 @@ class Robot(Section, frozen=True):
     wheel_speed_max_mps: float = 3.0
 
 
-class Reference(Section, frozen=True):
+class ReferenceTable(Table, frozen=True):
     """The reference path and the box that its wheel speeds keep.
 
     `file` goes with the shape "file" only. Without `duration_s` a recorded path runs for the whole
@@ -63,7 +63,7 @@ class Reference(Section, frozen=True):
             msgspec.structs.force_setattr(self, "duration_s", DURATION_S)
 
 
-class Slip(Section, frozen=True):
+class Slip(Table, frozen=True):
     """Longitudinal slip of the wheels.
 
     The nominal slips are constants. A slip that varies stays within `relative_error` times the
@@ -89,7 +89,7 @@ class Slip(Section, frozen=True):
         return tuple(wheel for wheel, error in errors.items() if error == 0.0)
 
 
-class Constraints(Section, frozen=True):
+class Constraints(Table, frozen=True):
     """Half widths of the error set E, a box in the robot frame."""
 
     longitudinal_m: Positive = 0.3
@@ -97,7 +97,7 @@ class Constraints(Section, frozen=True):
     heading_deg: HeadingBound = 20.0
 
 
-class Band(Section, frozen=True):
+class BandTable(Table, frozen=True):
     """Caps and tracking gains for mean reference wheel speeds up to `below_mps`, above those of the
     band before."""
 
@@ -110,7 +110,7 @@ class Band(Section, frozen=True):
     tracking_gains: tuple[Positive, Positive, Positive]
 
 
-class Operating(Section, frozen=True):
+class Operating(Table, frozen=True):
     """Where the controller may operate, inside constraints and wheel limits; a key left out sets no
     cap of its own.
 
@@ -128,10 +128,10 @@ class Operating(Section, frozen=True):
     yaw_rate_deficit_radps: Positive | None = None
     turning_longitudinal_m: Positive | None = None
     turning_yaw_rate_radps: Positive | None = None
-    bands: tuple[Band, ...] = ()
+    bands: tuple[BandTable, ...] = ()
 
 
-class Disturbance(Section, frozen=True):
+class DisturbanceTable(Table, frozen=True):
     """The disturbance set W of one step: `assumed`, a box of these half widths in the robot frame,
     or `computed`."""
 
@@ -141,7 +141,7 @@ class Disturbance(Section, frozen=True):
     heading_deg: HeadingSpread = 0.2
 
 
-class Noise(Section, frozen=True):
+class Noise(Table, frozen=True):
     """Bounds of the error of the measured pose: half widths of a box along the axes of the robot's
     frame at that moment, not of the world's."""
 
@@ -150,7 +150,7 @@ class Noise(Section, frozen=True):
     heading_deg: HeadingSpread = 0.0
 
 
-class Controller(Section, frozen=True):
+class ControllerTable(Table, frozen=True):
     """The predictive controller; a weight is a list of diagonal entries or a symmetric matrix, a
     list of rows.
 
@@ -178,7 +178,7 @@ class Controller(Section, frozen=True):
     restart: bool = True
 
 
-class Initial(Section, frozen=True):
+class Initial(Table, frozen=True):
     """Pose of the robot at the start, in the frame of the reference's first pose; a heading counts
     modulo 360 degrees."""
 
@@ -187,7 +187,7 @@ class Initial(Section, frozen=True):
     heading_deg: float = 0.0
 
 
-class Tuning(Section, frozen=True):
+class Tuning(Table, frozen=True):
     """The objective of `tune`: the cost of a lap, its tail, the size of the tube, and soft margins.
 
     A lap costs the sum of squares of RMS errors, once settled, and of the RMS effort, each divided
@@ -208,20 +208,20 @@ class Tuning(Section, frozen=True):
     margin: Annotated[float, msgspec.Meta(gt=0, le=1)] = 0.9
 
 
-class Scenario(Section, frozen=True):
+class Scenario(Table, frozen=True):
     """One experiment: robot, reference, slip, sets, controller, start, and the aim of tuning.
 
     Change values with `jaxtube.scenario.replace`.
     """
 
-    robot: Robot = Robot()
-    reference: Reference = Reference()
+    robot: RobotTable = RobotTable()
+    reference: ReferenceTable = ReferenceTable()
     slip: Slip = Slip()
     constraints: Constraints = Constraints()
     operating: Operating = Operating()
-    disturbance: Disturbance = Disturbance()
+    disturbance: DisturbanceTable = DisturbanceTable()
     noise: Noise = Noise()
-    controller: Controller = Controller()
+    controller: ControllerTable = ControllerTable()
     initial: Initial = Initial()
     tuning: Tuning = Tuning()
 

@@ -52,7 +52,7 @@ def validate(tables: Mapping[str, Any], find_source: Callable[[str], str]) -> Sc
         section, name = key.split(".")
         raise_refusal(key, getattr(getattr(scenario, section), name), problem, cure)
 
-    rules.check(scenario, refuse)
+    rules.check_rules(scenario, refuse)
     return scenario
 
 

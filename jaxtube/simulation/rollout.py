@@ -48,7 +48,7 @@ class LoopState(NamedTuple):
         return self.measurement.errors
 
 
-class Period(NamedTuple):
+class PeriodOutcome(NamedTuple):
     """What happened in one period: what was asked of the wheels, what they did, and how the
     controller found it."""
 
@@ -76,13 +76,13 @@ def run_period(
     keys: Key[Array, " batch"],
     step: Int[Array, ""],
     state: LoopState,
-) -> tuple[LoopState, Period]:
+) -> tuple[LoopState, PeriodOutcome]:
     """Run one period of the closed loop, the one that begins at `step`."""
     command, memory, diagnostics = controller.act(
         step, state.memory, state.measurement, plant.reference_wheels[step]
     )
     following, wheels = _move(plant, keys, step, state, command)
-    happened = Period(command.inputs, wheels, command.wheels, diagnostics)
+    happened = PeriodOutcome(command.inputs, wheels, command.wheels, diagnostics)
     return following._replace(memory=memory), happened
 
 

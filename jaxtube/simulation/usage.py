@@ -28,7 +28,7 @@ from jaxtube.plant.protocol import Plant, Script, SearchablePlant
 from jaxtube.plant.slipping import DRAWN
 from jaxtube.simulation.rollout import (
     LoopState,
-    Period,
+    PeriodOutcome,
     Trajectory,
     begin,
     follow_plan,
@@ -50,7 +50,7 @@ class Limit(NamedTuple):
 Limits = dict[str, Limit]
 """Limits by name; see the module."""
 
-Observe = Callable[[LoopState, Period], dict[str, Array]]
+Observe = Callable[[LoopState, PeriodOutcome], dict[str, Array]]
 
 
 def make_limit(normals, offsets, centre=None) -> Limit:
@@ -106,7 +106,7 @@ def play(
         no plan, during it.
     """
 
-    def observe(following: LoopState, happened: Period) -> dict[str, Array]:
+    def observe(following: LoopState, happened: PeriodOutcome) -> dict[str, Array]:
         return {
             "error": following.errors,
             "input": happened.inputs,
@@ -128,7 +128,7 @@ def play_plans(
     """Run laps and return the deviations from their followed plans after 1 .. `horizon` steps, zero
     where there was no plan; otherwise as `play`."""
 
-    def observe(following: LoopState, happened: Period) -> dict[str, Array]:
+    def observe(following: LoopState, happened: PeriodOutcome) -> dict[str, Array]:
         return {"tube": following.memory.deviation(following.measured)}
 
     deviations = _scan_periods(follower, plant, keys, errors, script, observe)["tube"]

@@ -103,7 +103,7 @@ class Judgement(NamedTuple):
     usage: Float[Array, " batch"]  # 1 on a facet, more outside, relative to its offset
 
 
-def judge(facets: Facets, points: Float[Array, "n batch"]) -> Judgement:
+def judge_points(facets: Facets, points: Float[Array, "n batch"]) -> Judgement:
     """Compare points with a polytope."""
     excess = matmul(facets.normals, points) - facets.offsets[:, None]
     outside = ~jnp.all(excess <= OUTSIDE, axis=0)

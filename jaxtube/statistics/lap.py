@@ -21,7 +21,7 @@ from jaxtube.control.laws import TubeMpc
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
-from jaxtube.statistics.checks import Facets, judge
+from jaxtube.statistics.checks import Facets, judge_points
 from jaxtube.statistics.run import Task
 from jaxtube.synthesis.design import Design
 
@@ -71,7 +71,7 @@ def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
 
 
 def _usage(facets: Facets, points: Float[np.ndarray, "steps 3"]) -> Usage:
-    judged = jax.tree.map(np.asarray, judge(facets, jnp.asarray(points.T)))
+    judged = jax.tree.map(np.asarray, judge_points(facets, jnp.asarray(points.T)))
     return Usage(judged.outside, judged.outside_box.T, judged.usage)
 
 

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-class Store(Protocol):
+class BlockStore(Protocol):
     """Where the statistics of blocks are kept: in memory, or in files that survive the process."""
 
     def missing(self, laps: int) -> Iterator[int]:
@@ -47,7 +47,7 @@ class Store(Protocol):
         ...
 
 
-class Memory:
+class MemoryStore:
     """A store that does not outlive the process."""
 
     def __init__(self):
@@ -162,7 +162,7 @@ def montecarlo(
     starts: str = "scenario",
     slip: SlipChoice = None,
     seed: int = 0,
-    store: Store | None = None,
+    store: BlockStore | None = None,
 ) -> MonteCarlo:
     """Run laps by the million and check every period against the sets of a design.
 
@@ -180,7 +180,7 @@ def montecarlo(
     Raises:
         ValueError: one line, for an unknown name.
     """
-    store = store or Memory()
+    store = store or MemoryStore()
     laps = int(laps)
     law = name_law(design, controller, plant, starts, slip)
     task = make_closed_loop_task(design, controller, plant, starts, slip, seed)
@@ -219,7 +219,7 @@ def name_law(
     return SamplingLaw(name_choice(controller), name_choice(plant), starts, name_choice(process))
 
 
-def compute_missing(run: Run, store: Store) -> None:
+def compute_missing(run: Run, store: BlockStore) -> None:
     """Compute the blocks of a run that a store lacks."""
     missing = list(store.missing(run.realisations))
     for block, statistics in run.compute(missing):

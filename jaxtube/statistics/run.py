@@ -232,7 +232,7 @@ def simulate_block(
         plans, distance = plan_steps(len(task.checks.transitions), task.checks.horizon)
         shift = first_plan(number % max(distance, 1) * tiles + place, max(distance, 1))
         stops = shift + distance * jnp.arange(plans, dtype=jnp.int32)
-        return run_laps(task, keys, counted, stops, validate)
+        return run_tile(task, keys, counted, stops, validate)
 
     sums, largest, usage = jax.lax.map(tile, jnp.arange(tiles, dtype=jnp.int32))
     sums = jax.tree.map(lambda array: jnp.sum(array, axis=0, dtype=jnp.int32), sums)
@@ -243,7 +243,7 @@ def simulate_block(
     return sums | largest | ranked | numbers
 
 
-def run_laps(
+def run_tile(
     task: Task, keys: Key[Array, " batch"], counted, stops: Int[Array, " plans"], validate
 ):
     """Run a tile of laps from start to end; return (sums, largest, by lap the usage of the sets

@@ -24,9 +24,9 @@ from jaxtube.control.laws import TubeMpc
 from jaxtube.coordinates import PLANES
 from jaxtube.plant.error_dynamics import world_pose
 from jaxtube.qp.batched_ldl import matmul
-from jaxtube.simulation.rollout import LoopState, Period
+from jaxtube.simulation.rollout import LoopState, PeriodOutcome
 from jaxtube.statistics import histogram
-from jaxtube.statistics.checks import Checks, Facets, Judgement, judge
+from jaxtube.statistics.checks import Checks, Facets, Judgement, judge_points
 from jaxtube.statistics.events import EVENT_NAMES, find_row
 
 COST_ROUNDING = 1e-9
@@ -46,12 +46,12 @@ class Tally(NamedTuple):
     """What one tile of laps has come to so far; `laps` fields run over its laps, the others are
     joined already."""
 
-    laps: Laps
+    laps: LapNumbers
     sums: dict[str, Int[Array, "*shape"]]
     largest: dict[str, Float[Array, "*shape"]]
 
 
-class Laps(NamedTuple):
+class LapNumbers(NamedTuple):
     """Numbers of each lap."""
 
     events: Int[Array, "events batch"]
@@ -65,7 +65,7 @@ class Laps(NamedTuple):
 def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
     """Return a tally of nothing."""
     steps = len(checks.transitions)
-    laps = Laps(
+    laps = LapNumbers(
         events=jnp.zeros((len(EVENT_NAMES), batch), jnp.int32),
         plans=jnp.zeros(batch, jnp.int32),
         stage_events=jnp.zeros((horizon, len(STAGE_EVENTS), batch), jnp.int32),
@@ -101,7 +101,7 @@ class Judgements(NamedTuple):
 
 
 def find_events(
-    checks: Checks, judged: Judgements, happened: Period, after: LoopState, settled
+    checks: Checks, judged: Judgements, happened: PeriodOutcome, after: LoopState, settled
 ) -> dict[str, Bool[Array, " batch"]]:
     """Return which events of `jaxtube.statistics.events` one period of every lap had."""
     diagnostics = happened.diagnostics
@@ -130,7 +130,7 @@ def observe(
     checks: Checks,
     step: Int[Array, ""],
     before: LoopState,
-    happened: Period,
+    happened: PeriodOutcome,
     after: LoopState,
     counted: Bool[Array, " batch"],
     tally: Tally,
@@ -141,9 +141,9 @@ def observe(
     B = checks.input_matrices[step]
     w = after.measured.T - matmul(A, before.measured.T) - matmul(B, happened.inputs.T)
     judged = Judgements(
-        judge(checks.disturbance, w),
-        judge(checks.error, e),
-        judge(checks.input, happened.inputs.T),
+        judge_points(checks.disturbance, w),
+        judge_points(checks.error, e),
+        judge_points(checks.input, happened.inputs.T),
     )
     settled = step + 1 >= checks.settled
     events = find_events(checks, judged, happened, after, settled)
@@ -205,7 +205,7 @@ def _observe_tubes(
     largest = dict(tally.largest)
     for name, sections in checks.tubes.items():
         facets = sections.at(step)
-        judged = jax.vmap(judge)(facets, points)
+        judged = jax.vmap(judge_points)(facets, points)
         left = jnp.sum(judged.outside & counted, axis=1, dtype=jnp.int32)
         sums[f"tube_outside/{name}"] += left
         key = f"tube_excess/{name}"

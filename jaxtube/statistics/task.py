@@ -51,7 +51,7 @@ def make_checks(design: Design, controller: Controller) -> Checks:
         input=facets(problem.input_set),
         tubes={name: sections(design, name) for name in compared},
         tube=used,
-        ultimate=ultimate_bound(design, controller, settled),
+        ultimate=bound_settled_error(design, controller, settled),
         settled=settled,
         poses=poses,
         map_corner=corner,
@@ -118,7 +118,9 @@ def _pad(section: Facets, facets: int) -> Facets:
     return section._replace(normals=normals, offsets=offsets)
 
 
-def ultimate_bound(design: Design, controller: Controller, settled: int) -> Float[np.ndarray, "3"]:
+def bound_settled_error(
+    design: Design, controller: Controller, settled: int
+) -> Float[np.ndarray, "3"]:
     """Return half widths that hold the measured error from step `settled` on while w is in W and no
     row is active.
 

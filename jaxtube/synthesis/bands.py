@@ -28,7 +28,7 @@ from jaxtyping import Float, Int
 
 from jaxtube.scenario import Scenario
 from jaxtube.synthesis.certificate.fill import ring_normals
-from jaxtube.synthesis.certificate.law import Band, admissible_set, certify_law
+from jaxtube.synthesis.certificate.law import LawBand, certify_law, law_admissible_set
 from jaxtube.synthesis.disturbance import with_computed_bound
 from jaxtube.synthesis.gains import decoupled_gain, exact_loops
 from jaxtube.synthesis.limits import input_constraints
@@ -48,7 +48,7 @@ class BandedLaw:
     certificate, seconds."""
 
     problem: Problem
-    bands: tuple[Band, ...]
+    bands: tuple[LawBand, ...]
     invariant: MaximalRpi
     shares: dict[str, float]
     certificate: Certificate
@@ -76,7 +76,7 @@ def make_law(scenario: Scenario) -> BandedLaw:
     bands = _make_bands(problem)
     loops = np.concatenate([band.loops for band in bands])
     supports = [band.problem.disturbance_set.support for band in bands for _ in band.loops]
-    caps = admissible_set(problem, bands)
+    caps = law_admissible_set(problem, bands)
     inner = Polytope(caps.normals, caps.offsets * (1 - check.ROUNDING) - check.ROUNDING)
     invariant = maximal_rpi(loops, inner, supports)
     shares = _cap_shares(problem, bands, loops, supports)
@@ -85,7 +85,7 @@ def make_law(scenario: Scenario) -> BandedLaw:
     return BandedLaw(problem, bands, invariant, shares, certificate, seconds)
 
 
-def _make_bands(problem: Problem) -> tuple[Band, ...]:
+def _make_bands(problem: Problem) -> tuple[LawBand, ...]:
     """Return the bands from slow to fast, each from the end of the one before."""
     made = []
     slowest = problem.scenario.reference.wheel_speed_min_mps
@@ -95,7 +95,7 @@ def _make_bands(problem: Problem) -> tuple[Band, ...]:
     return tuple(made)
 
 
-def _make_band(problem: Problem, index: int, slowest: float, fastest: float) -> Band:
+def _make_band(problem: Problem, index: int, slowest: float, fastest: float) -> LawBand:
     """Return the band of mean wheel speeds between two ends."""
     settings = problem.scenario.operating.bands[index]
     scenario = _with_caps_of_band(problem.scenario, index)
@@ -112,7 +112,7 @@ def _make_band(problem: Problem, index: int, slowest: float, fastest: float) -> 
         regions=_covering_boxes(low, high, slowest, fastest),
     )
     gain = decoupled_gain(problem, settings.tracking_gains)
-    band = Band(corners, with_computed_bound(of_band), gain, np.zeros((0, 3, 3)))
+    band = LawBand(corners, with_computed_bound(of_band), gain, np.zeros((0, 3, 3)))
     stretched = np.concatenate([corners, band.farthest_stretch * corners])
     return replace(band, loops=exact_loops(gain, stretched))
 
@@ -144,14 +144,14 @@ def _covering_boxes(
 
 def _cap_shares(
     problem: Problem,
-    bands: tuple[Band, ...],
+    bands: tuple[LawBand, ...],
     loops: Float[np.ndarray, "v 3 3"],
     supports: list[SupportFunction],
 ) -> dict[str, float]:
     """Return the share of E_op's caps, and of the input caps of every band, that the law's tube
     fills at its widest."""
     E = problem.operating_set
-    caps = admissible_set(problem, bands)
+    caps = law_admissible_set(problem, bands)
     normals = np.concatenate([caps.normals / caps.offsets[:, None], ring_normals(problem)])
     tube = minimal_rpi_bound(loops, supports, normals)
     names = ["longitudinal error", "lateral error", "heading error"]

@@ -51,7 +51,7 @@ class Caps(NamedTuple):
     coupled_turning: float
 
 
-class Disturbance(NamedTuple):
+class EstimatedDisturbance(NamedTuple):
     """W by its yaw kick, rad, and the box of the rest (m, m, rad), and the (least, greatest)
     commanded ground speed, m/s."""
 
@@ -118,7 +118,7 @@ class Estimate:
         ]
         return Shares(np.array(filled), self.limits(caps, w))
 
-    def limits(self, caps: Caps, w: Disturbance) -> Float[np.ndarray, " limits"]:
+    def limits(self, caps: Caps, w: EstimatedDisturbance) -> Float[np.ndarray, " limits"]:
         """Return how far caps, start and ground speeds use the limits beside the caps."""
         errors = np.array([caps.longitudinal, caps.lateral, caps.heading])
         used = [*(errors / self.error_limits)]
@@ -135,7 +135,7 @@ class Estimate:
         used.append(1 + (self.slowest - least) / self.fastest)
         return np.array(used)
 
-    def disturbance(self, caps: Caps) -> Disturbance:
+    def disturbance(self, caps: Caps) -> EstimatedDisturbance:
         """Return W and the ground speeds at corners of the operating set."""
         coupled = _coupled_corners(caps)
         axes = [
@@ -158,10 +158,10 @@ class Estimate:
         box = np.array([*(widths + self.noise[:2]), 2 * self.noise[2]])
         least = float(min(parts.right.min(), parts.left.min()))
         greatest = float(max(parts.right.max(), parts.left.max()))
-        return Disturbance(float(np.max(np.abs(parts.yaw))), box, (least, greatest))
+        return EstimatedDisturbance(float(np.max(np.abs(parts.yaw))), box, (least, greatest))
 
     def lateral_tube(
-        self, k1: float, k2: float, k3: float, w: Disturbance
+        self, k1: float, k2: float, k3: float, w: EstimatedDisturbance
     ) -> Float[np.ndarray, "points 2"] | None:
         """Return corners of a polygon around the minimal RPI set in (e_y, e_th), None where it does
         not settle."""

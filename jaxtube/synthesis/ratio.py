@@ -54,7 +54,7 @@ class OperatingPoint(NamedTuple):
     dt_s: float
 
 
-class Candidate(NamedTuple):
+class DesignCandidate(NamedTuple):
     """One gain for one problem, by its name; without them, why there are none."""
 
     choice: str
@@ -127,7 +127,7 @@ def guarantee(design: str, scenario: Scenario, start: Sequence[float] | None = N
     return _least(candidates(scenario))
 
 
-def _least(candidates: Iterator[Candidate]) -> Guarantee:
+def _least(candidates: Iterator[DesignCandidate]) -> Guarantee:
     """Return the guarantee of the candidate of least ratio, or the reason of the last one where all
     fail."""
     best = Guarantee()
@@ -156,7 +156,7 @@ def _guarantee(choice: str, problem: Problem, gain: Gain) -> Guarantee:
     return Guarantee(shares[binding], wheels, binding, choice)
 
 
-def _paper(scenario: Scenario) -> Iterator[Candidate]:
+def _paper(scenario: Scenario) -> Iterator[DesignCandidate]:
     change = msgspec.structs.replace
     usual = Scenario()
     controller = change(
@@ -168,18 +168,18 @@ def _paper(scenario: Scenario) -> Iterator[Candidate]:
             widest = float(np.max(problem.disturbance_set.support(np.eye(3)[:2])))
             if widest > HOPELESS_M:
                 reason = f"{limits}: disturbances of up to {widest:.3g} m in a step"
-                yield Candidate(limits, reason=reason)
+                yield DesignCandidate(limits, reason=reason)
                 continue
             lmi_gain = terminal_cost_and_gain(problem)[1]
             local_gain = compensating_gain(problem)
         except (ValueError, RuntimeError) as error:
-            yield Candidate(limits, reason=str(error))
+            yield DesignCandidate(limits, reason=str(error))
             continue
-        yield Candidate(f"{limits}, LMI", problem, lmi_gain)
-        yield Candidate(f"{limits}, section III-B", problem, local_gain)
+        yield DesignCandidate(f"{limits}, LMI", problem, lmi_gain)
+        yield DesignCandidate(f"{limits}, section III-B", problem, local_gain)
 
 
-def _weighted(scenario: Scenario) -> Iterator[Candidate]:
+def _weighted(scenario: Scenario) -> Iterator[DesignCandidate]:
     change = msgspec.structs.replace
     controller = change(
         scenario.controller,
@@ -194,15 +194,15 @@ def _weighted(scenario: Scenario) -> Iterator[Candidate]:
     try:
         problem = complete_problem(scenario)
     except ValueError as error:
-        yield Candidate("", reason=str(error))
+        yield DesignCandidate("", reason=str(error))
         return
     for objective in OBJECTIVES:
         controller = change(scenario.controller, lmi_objective=objective)
         own = replace(problem, scenario=change(scenario, controller=controller))
         try:
-            yield Candidate(objective, own, terminal_cost_and_gain(own)[1])
+            yield DesignCandidate(objective, own, terminal_cost_and_gain(own)[1])
         except (ValueError, RuntimeError) as error:
-            yield Candidate(objective, reason=str(error))
+            yield DesignCandidate(objective, reason=str(error))
 
 
 def _optimised(scenario: Scenario, start: Sequence[float] | None) -> Guarantee:

@@ -23,7 +23,7 @@ from jaxtube.tuning.tube import closed_loop_rows, largest
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
-class Limits:
+class CapLimits:
     """What the tube may use: |e| <= widths (m, m, rad) and inputs u + errors e <= offsets.
 
     The second half of the input rows is minus the first.
@@ -35,10 +35,10 @@ class Limits:
     offsets: Float[Array, " k"]
 
 
-def make_limits(problem: Problem) -> Limits:
+def make_limits(problem: Problem) -> CapLimits:
     """Return what the tube of a design may use."""
     rows = problem.input_rows
-    return Limits(
+    return CapLimits(
         widths=jnp.asarray(problem.operating_set.offsets[:3]),
         inputs=jnp.asarray(rows.inputs),
         errors=jnp.asarray(rows.errors),
@@ -46,7 +46,7 @@ def make_limits(problem: Problem) -> Limits:
     )
 
 
-def cap_normals(limits: Limits, gains: Float[Array, "v 2 3"]) -> Float[Array, "facets 3"]:
+def cap_normals(limits: CapLimits, gains: Float[Array, "v 2 3"]) -> Float[Array, "facets 3"]:
     """Return the facet normals of the bound: the rows of all caps over their offsets, and a ring of
     RING facets.
 
@@ -63,12 +63,12 @@ def cap_normals(limits: Limits, gains: Float[Array, "v 2 3"]) -> Float[Array, "f
 
 
 def find_active_caps(
-    limits: Limits,
+    limits: CapLimits,
     loops: Float[Array, "v 3 3"],
     generators: Float[Array, "g 3"],
     gains: Float[Array, "w 2 3"],
 ) -> ActiveFacets | None:
-    """Find what `cap_shares` holds, offline and anew wherever the gains have moved.
+    """Find what `shares_of_caps` holds, offline and anew wherever the gains have moved.
 
     Returns:
         None where no bound was found.
@@ -77,9 +77,9 @@ def find_active_caps(
     return find_active_facets(np.asarray(loops), np.asarray(generators), normals, normals[:-RING])
 
 
-def cap_shares(
+def shares_of_caps(
     active: ActiveFacets,
-    limits: Limits,
+    limits: CapLimits,
     loops: Float[Array, "v 3 3"],
     generators: Float[Array, "g 3"],
     gains: Float[Array, "w 2 3"],

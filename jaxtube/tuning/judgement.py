@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.tuning.objective import Aim, Laps, lap_costs, total_cost
+from jaxtube.tuning.objective import Aim, LapMeasures, lap_costs, total_cost
 from jaxtube.tuning.parameters import Point
 
 LAP_ARRAYS = ("costs", "errors", "effort", "settled_effort", "backups", "shares")
@@ -21,7 +21,7 @@ def pool(values: Float[np.ndarray, " laps"]) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-class Judgement(NamedTuple):
+class HeldOutJudgement(NamedTuple):
     """What laps and a certificate say of a point; the arrays are empty where nothing could be
     played."""
 
@@ -61,10 +61,10 @@ class Judgement(NamedTuple):
         }
 
 
-def read_judgement(point: Point, arrays: Mapping[str, np.ndarray]) -> Judgement:
-    """Return the judgement that `Judgement.arrays` wrote."""
+def read_judgement(point: Point, arrays: Mapping[str, np.ndarray]) -> HeldOutJudgement:
+    """Return the judgement that `HeldOutJudgement.arrays` wrote."""
     words = bytes(arrays["failing"]).decode().split("; ")
-    return Judgement(
+    return HeldOutJudgement(
         point=point,
         held_out=float(arrays["held_out"]),
         certified=bool(arrays["certified"]),
@@ -75,14 +75,14 @@ def read_judgement(point: Point, arrays: Mapping[str, np.ndarray]) -> Judgement:
 
 def judge_laps(
     point: Point,
-    laps: Laps,
+    laps: LapMeasures,
     shares: Float[np.ndarray, " caps"],
     aim: Aim,
     failing: tuple[str, ...],
-) -> Judgement:
+) -> HeldOutJudgement:
     """Return the judgement of a point from its laps (as numpy arrays) and what its certificate
     lacks."""
-    return Judgement(
+    return HeldOutJudgement(
         point=point,
         held_out=float(total_cost(laps, jnp.asarray(shares), aim)),
         certified=not failing,
@@ -96,10 +96,10 @@ def judge_laps(
     )
 
 
-def judge_without_laps(point: Point, reason: str) -> Judgement:
+def judge_without_laps(point: Point, reason: str) -> HeldOutJudgement:
     """Return the judgement of a point that has no closed loop."""
     empty = np.empty(0)
-    return Judgement(
+    return HeldOutJudgement(
         point=point,
         held_out=np.inf,
         certified=False,

@@ -22,13 +22,13 @@ from jaxtube.synthesis.condense import Bounds, Cost, Gains, row_bounds, weigh, w
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.prediction import Prediction, predict, with_terminal_rows
 from jaxtube.synthesis.tightening import BACK_OFF
-from jaxtube.tuning.caps import Limits, make_limits
+from jaxtube.tuning.caps import CapLimits, make_limits
 from jaxtube.tuning.gains import GainMaps, differentiate_terminal_cost, make_gain_maps
 from jaxtube.tuning.terminal import TerminalRows, compute_terminal_set, trace_terminal_rows
 from jaxtube.tuning.tube import (
     closed_loop_rows,
     disturbance_generators,
-    sequence_reach,
+    reach_along,
     sequence_reaches,
 )
 
@@ -54,7 +54,7 @@ class Fixed(NamedTuple):
     generators: Float[AnyArray, "g 3"]  # of W
     error_rows: Float[AnyArray, "6 3"]
     error_offsets: Float[AnyArray, " 6"]
-    limits: Limits
+    limits: CapLimits
     terminal_rows: TerminalRows
     terminal_cost: Float[AnyArray, "3 3"]
     widths: Float[AnyArray, "3"]
@@ -95,7 +95,7 @@ def _padded_terminal_constraint(
     """Return normals and offsets of the terminal set before the tube is taken off, filled up to a
     multiple of `terminal_facets` with copies of the first row that bound nothing."""
     normals = design.terminal.constraint_normals
-    reach = sequence_reach(
+    reach = reach_along(
         jnp.asarray(design.windows.loops[:1]),
         jnp.asarray(generators),
         jnp.asarray(normals)[None],
@@ -137,7 +137,7 @@ def tightened_bounds(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
     inputs = sequence_reaches(loops, fixed.generators, input_rows)
     normals, offsets = terminal_set_at(fixed, kappa)
     terminal_rows = jnp.broadcast_to(normals, (count, *normals.shape))
-    last = sequence_reach(loops, fixed.generators, terminal_rows, horizon)
+    last = reach_along(loops, fixed.generators, terminal_rows, horizon)
     back_off = BACK_OFF * jnp.arange(1.0, horizon + 1)[:, None]
     last_back_off = (horizon + 1) * BACK_OFF * jnp.linalg.norm(normals, axis=1)
 

@@ -30,7 +30,7 @@ from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario
 from jaxtube.simulation.usage import play
-from jaxtube.tuning.caps import Limits, cap_shares
+from jaxtube.tuning.caps import CapLimits, shares_of_caps
 from jaxtube.tuning.loop import Fixed, Weights, condense_windows
 from jaxtube.tuning.minimal import ActiveFacets
 
@@ -46,7 +46,7 @@ class Conditions(NamedTuple):
     starts: Float[Array, "laps 3"]  # tracking errors (m, m, rad)
 
 
-class Laps(NamedTuple):
+class LapMeasures(NamedTuple):
     """Laps reduced to what counts; the leading axis is the realisations."""
 
     errors: Float[AnyArray, "laps 3"]  # RMS once settled (m, m, rad)
@@ -110,7 +110,9 @@ def _inverse_square(scale: float | None) -> float:
     return 0.0 if scale is None else 1.0 / scale**2
 
 
-def run_laps(controller: Controller, conditions: Conditions, limits: Limits, aim: Aim) -> Laps:
+def measure_laps(
+    controller: Controller, conditions: Conditions, limits: CapLimits, aim: Aim
+) -> LapMeasures:
     """Run laps of a controller and reduce each to what counts; differentiable."""
     plant = conditions.plant
     seen = play(controller, plant, conditions.keys, conditions.starts)
@@ -123,7 +125,7 @@ def run_laps(controller: Controller, conditions: Conditions, limits: Limits, aim
     error_excess = jnp.maximum(error_share - aim.margin, 0.0)
     wheel_excess = jnp.maximum(wheel_share - aim.margin, 0.0)
     excess = jnp.sum(error_excess**2, axis=2) + jnp.sum(wheel_excess**2, axis=2)
-    return Laps(
+    return LapMeasures(
         errors=_root(errors),
         effort=_root(jnp.mean(effort, axis=0)),
         settled_effort=_root(jnp.mean(effort[first:], axis=0)),
@@ -137,12 +139,12 @@ def _root(squares: Float[Array, "..."]) -> Float[Array, "..."]:
     return jnp.sqrt(jnp.maximum(squares, 1e-24))
 
 
-def lap_costs(laps: Laps, aim: Aim) -> Float[Array, " laps"]:
+def lap_costs(laps: LapMeasures, aim: Aim) -> Float[Array, " laps"]:
     """Return c of every lap."""
     return laps.errors**2 @ jnp.array(aim.error_costs) + aim.effort_cost * laps.effort**2
 
 
-def total_cost(laps: Laps, shares: Float[Array, " caps"], aim: Aim) -> Float[Array, ""]:
+def total_cost(laps: LapMeasures, shares: Float[Array, " caps"], aim: Aim) -> Float[Array, ""]:
     """Return J of laps and of the shares of the caps that the tube fills (longitudinal, lateral,
     heading, ..)."""
     costs = lap_costs(laps, aim)
@@ -182,12 +184,12 @@ class Frozen:
         """Return the share of each cap that the tube fills at its widest."""
         loops = self.fixed.maps.vertex_loops.at(kappa)
         gains = self.fixed.maps.corner_gains.at(kappa)
-        return cap_shares(self.active, self.fixed.limits, loops, self.fixed.generators, gains)
+        return shares_of_caps(self.active, self.fixed.limits, loops, self.fixed.generators, gains)
 
 
-def run_tube_mpc(weights: Weights, frozen: Frozen, conditions: Conditions, aim: Aim) -> Laps:
+def run_tube_mpc(weights: Weights, frozen: Frozen, conditions: Conditions, aim: Aim) -> LapMeasures:
     """Return the laps of the tube-MPC with these weights and gains; differentiable in them."""
-    return run_laps(frozen.controller(weights), conditions, frozen.fixed.limits, aim)
+    return measure_laps(frozen.controller(weights), conditions, frozen.fixed.limits, aim)
 
 
 def objective(

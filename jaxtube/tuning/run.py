@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxtube.tuning.descent import adam, lbfgs
-from jaxtube.tuning.judgement import Judgement, read_judgement
+from jaxtube.tuning.judgement import HeldOutJudgement, read_judgement
 from jaxtube.tuning.parameters import Point
 from jaxtube.tuning.tuner import NO_DESIGN, Tuner
 from jaxtube.tuning.watch import Evaluate, Inspect, Outcome
@@ -68,7 +68,7 @@ class Progress(Protocol):
     def evaluated(self) -> None:
         """Count an evaluation."""
 
-    def inspected(self, judgement: Judgement, is_best: bool) -> None:
+    def inspected(self, judgement: HeldOutJudgement, is_best: bool) -> None:
         """Take note of an iterate; `is_best` where it is the best certified one so far."""
 
 
@@ -78,7 +78,7 @@ class NoProgress:
     def evaluated(self) -> None:
         """Do nothing."""
 
-    def inspected(self, judgement: Judgement, is_best: bool) -> None:
+    def inspected(self, judgement: HeldOutJudgement, is_best: bool) -> None:
         """Do nothing."""
 
 
@@ -89,7 +89,7 @@ class Descent:
 
     method: Method
     outcome: Outcome
-    judged: list[Judgement]
+    judged: list[HeldOutJudgement]
     objective: Float[np.ndarray, " iterates"]
 
     @property
@@ -97,7 +97,7 @@ class Descent:
         """Which iterates are certified."""
         return np.array([judgement.certified for judgement in self.judged])
 
-    def best(self, accept_uncertified: bool = False) -> Judgement | None:
+    def best(self, accept_uncertified: bool = False) -> HeldOutJudgement | None:
         """Return the iterate of the least held-out objective among the certified ones, or among
         all; None where none qualifies."""
         iterates = [self.outcome.best_certified]
@@ -163,7 +163,7 @@ class _Journal:
     """Answers of a tuner as a descent asks for them, logged and kept."""
 
     def __init__(self, tuner: Tuner, log: Log, progress: Progress, name: str) -> None:
-        self.judged: list[Judgement] = []
+        self.judged: list[HeldOutJudgement] = []
         self._tuner = tuner
         self._log = log
         self._progress = progress
@@ -184,9 +184,9 @@ class _Journal:
         self._progress.evaluated()
         return value, answer["gradient"]
 
-    def inspect(self, iteration: int, point: Point) -> Judgement:
+    def inspect(self, iteration: int, point: Point) -> HeldOutJudgement:
         """Return the held-out judgement of an iterate."""
-        judgement = judge(self._tuner, self._log, f"{self._name}-held-out", point)
+        judgement = judge_iterate(self._tuner, self._log, f"{self._name}-held-out", point)
         self.judged.append(judgement)
         is_best = judgement.certified and judgement.held_out < self._best
         if is_best:
@@ -205,7 +205,7 @@ class _Journal:
         return objective
 
 
-def judge(tuner: Tuner, log: Log, stream: str, point: Point) -> Judgement:
+def judge_iterate(tuner: Tuner, log: Log, stream: str, point: Point) -> HeldOutJudgement:
     """Return the held-out judgement of a point, from the log where it is there."""
     answer = log.remember(stream, {"point": point}, lambda: tuner.inspect(point).arrays())
     return read_judgement(point, answer)

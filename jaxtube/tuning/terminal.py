@@ -28,7 +28,7 @@ from jaxtyping import Float, Int
 from jaxtube.control.mpc import AnyArray
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.terminal import Terminal, set_back_off
-from jaxtube.tuning.caps import Limits
+from jaxtube.tuning.caps import CapLimits
 from jaxtube.tuning.tube import closed_loop_rows, support
 from sets.invariant import INFLATION
 from sets.polytope import Polytope
@@ -110,7 +110,7 @@ def compute_terminal_set(
     gains: Float[Array, "corners 2 3"],
     generators: Float[Array, "g 3"],
     errors: tuple[Float[Array, "6 3"], Float[Array, " 6"]],
-    limits: Limits,
+    limits: CapLimits,
 ) -> tuple[Float[Array, "facets 3"], Float[Array, " facets"]]:
     """Return normals and offsets of the terminal set, before the tube is taken off.
 

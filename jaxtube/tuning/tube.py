@@ -48,7 +48,7 @@ def largest(values: Float[Array, "n *k"]) -> Float[Array, "*k"]:
     return jnp.take_along_axis(values, attained, axis=0)[0]
 
 
-def sequence_reach(
+def reach_along(
     loops: Float[Array, "windows horizon 3 3"],
     generators: Float[Array, "g 3"],
     rows: Float[Array, "windows k 3"],
@@ -83,7 +83,7 @@ def sequence_reaches(
             (`closed_loop_rows`).
     """
     stages = range(rows.shape[1])
-    return jnp.stack([sequence_reach(loops, generators, rows[:, j], j) for j in stages], axis=1)
+    return jnp.stack([reach_along(loops, generators, rows[:, j], j) for j in stages], axis=1)
 
 
 def closed_loop_rows(

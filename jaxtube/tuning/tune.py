@@ -11,7 +11,7 @@ from jaxtube.precision import in_64_bits
 from jaxtube.scenario import Scenario
 from jaxtube.synthesis.design import Design, design
 from jaxtube.synthesis.problem import Problem
-from jaxtube.tuning.judgement import Judgement
+from jaxtube.tuning.judgement import HeldOutJudgement
 from jaxtube.tuning.parameters import Variables
 from jaxtube.tuning.run import Descent, Log, Method, Progress, Settings, descend
 from jaxtube.tuning.tuner import Tuner, failing_conditions, make_tuner
@@ -35,13 +35,13 @@ class Tuned:
 
     tuner: Tuner
     descent: Descent
-    best: Judgement | None
+    best: HeldOutJudgement | None
     scenario: Scenario | None
     design: Design | None
     failing: tuple[str, ...]
 
     @property
-    def start(self) -> Judgement:
+    def start(self) -> HeldOutJudgement:
         """The start, judged on the held-out laps."""
         return self.descent.judged[0]
 

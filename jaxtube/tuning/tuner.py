@@ -27,16 +27,16 @@ from jaxtube.synthesis.design import Design, finish, prepare, refuse_infeasible_
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.problem import Problem, with_controller
 from jaxtube.tuning.caps import find_active_caps, make_limits
-from jaxtube.tuning.judgement import Judgement, judge_laps, judge_without_laps
+from jaxtube.tuning.judgement import HeldOutJudgement, judge_laps, judge_without_laps
 from jaxtube.tuning.loop import fix
 from jaxtube.tuning.objective import (
     Aim,
     Conditions,
     Frozen,
-    Laps,
+    LapMeasures,
     make_aim,
+    measure_laps,
     objective,
-    run_laps,
     run_tube_mpc,
     total_cost,
 )
@@ -78,7 +78,7 @@ def _value_and_gradient(
 
 _tube_shares = jax.jit(Frozen.tube_shares)
 _controller = jax.jit(Frozen.controller)
-_run_controller = jax.jit(run_laps)
+_run_controller = jax.jit(measure_laps)
 
 
 @dataclass(eq=False)
@@ -147,7 +147,7 @@ class Tuner:
 
     def play(
         self, point: Point, first: int, count: int
-    ) -> tuple[Laps, Float[np.ndarray, " caps"]] | None:
+    ) -> tuple[LapMeasures, Float[np.ndarray, " caps"]] | None:
         """Return laps over given draws and the tube's shares of the caps, None without a closed
         loop."""
         frozen = self.candidate(point).frozen
@@ -155,21 +155,21 @@ class Tuner:
             return None
         vector = jnp.asarray(point)
 
-        def run(conditions: Conditions) -> Laps:
+        def run(conditions: Conditions) -> LapMeasures:
             return _run_laps(vector, frozen, conditions, self.parameters, self.aim)
 
         shares = _tube_shares(frozen, self.parameters.weights(vector).kappa)
         return self._run_batches(run, first, count), np.asarray(shares)
 
-    def inspect(self, point: Point) -> Judgement:
+    def inspect(self, point: Point) -> HeldOutJudgement:
         """Return the judgement of a point on the held-out laps."""
         return self._judge(point, HELD_OUT, self.held_out)
 
-    def compare(self, point: Point, laps: int) -> Judgement:
+    def compare(self, point: Point, laps: int) -> HeldOutJudgement:
         """Return the judgement of a point over laps that nothing before has seen."""
         return self._judge(point, COMPARED, laps)
 
-    def _judge(self, point: Point, first: int, count: int) -> Judgement:
+    def _judge(self, point: Point, first: int, count: int) -> HeldOutJudgement:
         candidate = self.candidate(point)
         played = self.play(point, first, count)
         if candidate.prepared is None or played is None:
@@ -188,16 +188,18 @@ class Tuner:
             raise ValueError(f"point: has no closed loop ({candidate.reason}); choose another")
         return _controller(candidate.frozen, self.parameters.weights(jnp.asarray(point)))
 
-    def drive(self, controller: Controller, first: int, count: int) -> Laps:
+    def drive(self, controller: Controller, first: int, count: int) -> LapMeasures:
         """Return laps of any controller over given draws."""
         limits = make_limits(self.problem)
 
-        def run(conditions: Conditions) -> Laps:
+        def run(conditions: Conditions) -> LapMeasures:
             return _run_controller(controller, conditions, limits, self.aim)
 
         return self._run_batches(run, first, count)
 
-    def _run_batches(self, run: Callable[[Conditions], Laps], first: int, count: int) -> Laps:
+    def _run_batches(
+        self, run: Callable[[Conditions], LapMeasures], first: int, count: int
+    ) -> LapMeasures:
         """Return `count` laps, run in batches of one shape, so that they compile once."""
         batches = []
         for start in range(first, first + count, self.laps):

@@ -49,7 +49,7 @@ class Stop(enum.StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class Iterate:
+class WatchedIterate:
     """An inspected iterate; iteration 0 is the start."""
 
     iteration: int
@@ -81,8 +81,8 @@ class Outcome:
     evaluations: int
     stop: Stop
     sentence: str
-    best_certified: Iterate | None
-    best_uncertified: Iterate | None
+    best_certified: WatchedIterate | None
+    best_uncertified: WatchedIterate | None
 
 
 class Ended(Exception):
@@ -110,8 +110,8 @@ class Watch:
     evaluations: int = 0
     lowest: float = math.inf
     beyond_cliff: int = 0
-    best_certified: Iterate | None = None
-    best_uncertified: Iterate | None = None
+    best_certified: WatchedIterate | None = None
+    best_uncertified: WatchedIterate | None = None
     point: Point = field(init=False)
 
     def __post_init__(self) -> None:
@@ -156,7 +156,7 @@ class Watch:
         self.point = np.array(point)
         self.iteration += 1
         inspection = self.inspector(self.iteration, np.array(point))
-        iterate = Iterate(self.iteration, self.point, float(inspection.held_out))
+        iterate = WatchedIterate(self.iteration, self.point, float(inspection.held_out))
         if inspection.certified:
             self.best_certified = _better(iterate, self.best_certified)
         else:
@@ -185,7 +185,7 @@ class Watch:
     def _parameter(self, index: int, point: Point) -> str:
         return f"parameter {self.names[index]} = {point[index]:.4g}"
 
-    def _out_of_patience(self, best: Iterate | None) -> Ended:
+    def _out_of_patience(self, best: WatchedIterate | None) -> Ended:
         least = "any finite number"
         if best:
             least = f"{best.held_out:.4g} of iteration {best.iteration}"
@@ -204,7 +204,7 @@ class Watch:
         )
 
 
-def _better(iterate: Iterate, best: Iterate | None) -> Iterate | None:
+def _better(iterate: WatchedIterate, best: WatchedIterate | None) -> WatchedIterate | None:
     """Return the better of two iterates; one without a finite held-out value is never better."""
     if not math.isfinite(iterate.held_out):
         return best

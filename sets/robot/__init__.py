@@ -11,7 +11,7 @@ from sets.robot.disturbance import (
     Operation,
     disturbance_bound,
     disturbance_parts,
-    residual,
+    model_residual,
     wheel_error_bound,
 )
 from sets.robot.exact_tube import (
@@ -38,8 +38,8 @@ __all__ = [
     "exact_vertex_feedbacks",
     "exact_vertex_loops",
     "exact_wheel_loops",
+    "model_residual",
     "plane_rows",
-    "residual",
     "schedule_box",
     "sequence_margins",
     "split_residual",

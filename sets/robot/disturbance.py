@@ -335,7 +335,7 @@ def disturbance_parts(
     return widths
 
 
-def residual(
+def model_residual(
     operation: Operation,
     kinematics: Kinematics,
     points: Float[np.ndarray, "samples 12"],

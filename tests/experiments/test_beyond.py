@@ -13,7 +13,7 @@ from jaxtube.control.mpc import Diagnostics
 from jaxtube.experiments.beyond import command as beyond
 from jaxtube.experiments.beyond import figures as beyond_figures
 from jaxtube.experiments.beyond import laps as beyond_laps
-from jaxtube.experiments.beyond.laps import Laps, Usage, lap_usage
+from jaxtube.experiments.beyond.laps import ImperfectLaps, LapUsage, lap_usage
 from jaxtube.experiments.beyond.search import HALVINGS, IMPERFECTIONS, most_tried, search
 from jaxtube.experiments.cli import main, parse
 from jaxtube.experiments.options import BeyondOptions
@@ -27,7 +27,7 @@ LEVELS = [0.5**halved for halved in range(8, -1, -1)]
 
 def usage(error=0.0, disturbance=0.0, wheels=0.0, without_plan=0.0):
     """What laps used, the same under every slip process."""
-    return Usage(
+    return LapUsage(
         error=np.tile([0.1, error, 0.2], (COUNT, 1)),
         disturbance=np.full(COUNT, disturbance),
         wheels=np.full(COUNT, wheels),
@@ -122,7 +122,7 @@ def test_laps_of_the_ideal_robot_are_those_known_and_imperfection_uses_more(
     paper_design, monkeypatch
 ):
     monkeypatch.setattr(beyond_laps, "PROCESSES", ("iid",))
-    laps = Laps(paper_design, 16, 0)
+    laps = ImperfectLaps(paper_design, 16, 0)
     starts = np.tile(paper_design.problem.initial_error, (16, 1))
     plant = closed_loop.slipping_robot(paper_design, "iid")
     known = closed_loop.run_realisations(laps.controller, plant, starts, 0)
@@ -142,12 +142,12 @@ def test_laps_of_the_ideal_robot_are_those_known_and_imperfection_uses_more(
 def known_usage(monkeypatch, paper_design):
     """Let the laps of the command use what is known: of E the level, of W ten times as much."""
 
-    class KnownLaps(Laps):
+    class KnownLaps(ImperfectLaps):
         def usage(self, imperfections, shift=0):
             return proportional(1.0 if shift else 0.07, 0.01)(max(*imperfections, abs(shift) / 2))
 
     monkeypatch.setattr(beyond, "make_design", lambda scenario: paper_design)
-    monkeypatch.setattr(beyond, "Laps", KnownLaps)
+    monkeypatch.setattr(beyond, "ImperfectLaps", KnownLaps)
 
 
 def test_the_command_writes_levels_with_units_and_prints_a_table(tmp_path, capsys, known_usage):

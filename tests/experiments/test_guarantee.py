@@ -211,7 +211,7 @@ def make_tested(*failing, absent=(), laws=None, name="mine"):
 
 
 def find_certified(design) -> set[str]:
-    return {claim.title for claim in claims.CLAIMS if claims.judge(claim, design).certified}
+    return {claim.title for claim in claims.CLAIMS if claims.judge_claim(claim, design).certified}
 
 
 TITLES = {claim.title for claim in claims.CLAIMS}
@@ -247,7 +247,7 @@ def test_a_condition_that_was_never_checked_certifies_nothing():
         assert find_certified(make_tested(absent=[condition])) < TITLES
     assert find_certified(make_tested(absent=["wheel_limits"])) == TITLES
     *_, exact = claims.CLAIMS
-    assert not claims.judge(exact, make_tested(absent=[claims.RATIONALS])).claimed
+    assert not claims.judge_claim(exact, make_tested(absent=[claims.RATIONALS])).claimed
 
 
 def test_counts_add_up_over_the_laws_and_name_the_worst_by_its_share():
@@ -257,7 +257,7 @@ def test_counts_add_up_over_the_laws_and_name_the_worst_by_its_share():
         "patches": law(cost=5, plans=9),
     }
     design = make_tested(laws=laws)
-    by_title = {claim.title: claims.judge(claim, design).seen for claim in claims.CLAIMS}
+    by_title = {claim.title: claims.judge_claim(claim, design).seen for claim in claims.CLAIMS}
     assert by_title["the error stays in E"] == claims.Count(5, 8292, "laps", "vertex", 2, 100)
     assert by_title["the tube holds the error around a plan"] == claims.Count(
         2, 16009, "plans", "iid", 2, 8000
@@ -362,7 +362,7 @@ def test_the_laps_are_announced_with_the_share_that_is_recorded():
     """Whole blocks under every law: more than was asked for."""
     laps = count_laps(5000, command.BLOCK)
     attacks = [
-        command.Attack(name, law, SimpleNamespace(realisations=laps), SimpleNamespace(laps=10))
+        command.LawRun(name, law, SimpleNamespace(realisations=laps), SimpleNamespace(laps=10))
         for name in ("mine", "other")
         for law in LAWS
     ]

@@ -11,7 +11,7 @@ from jaxtube.experiments.cli import main
 from jaxtube.experiments.maps import command as maps
 from jaxtube.experiments.maps import figures as maps_figures
 from jaxtube.experiments.maps import points as maps_points
-from jaxtube.experiments.maps.points import DESIGNS, Grid, Log, Point, make_grid
+from jaxtube.experiments.maps.points import DESIGNS, Grid, Point, PointLog, make_grid
 from jaxtube.scenario import ScenarioError, load
 from jaxtube.synthesis.ratio import Guarantee, OperatingPoint
 
@@ -50,7 +50,7 @@ def in_threads(monkeypatch):
 
 @pytest.fixture
 def found(in_threads, tmp_path):
-    with Log(tmp_path / "points", IDENTITY) as log:
+    with PointLog(tmp_path / "points", IDENTITY) as log:
         return maps_points.compute(load("certified"), GRID, log)
 
 
@@ -93,18 +93,18 @@ def test_an_interrupted_run_goes_on_and_ends_with_the_same_points(found, in_thre
         path.unlink()
     entries[10].write_bytes(entries[10].read_bytes()[:-5])
     in_threads.clear()
-    with Log(tmp_path / "points", IDENTITY) as log:
+    with PointLog(tmp_path / "points", IDENTITY) as log:
         assert log.damaged == [f"{entries[10]}: is damaged; it is removed and computed again"]
         resumed = maps_points.compute(load("certified"), GRID, log)
     assert resumed == found
     assert len(in_threads) == len(entries) - 10
-    with Log(tmp_path / "points", IDENTITY) as log:
+    with PointLog(tmp_path / "points", IDENTITY) as log:
         assert len(log.records) == len(entries)
 
 
 def test_points_of_another_run_are_refused(found, tmp_path):
     with pytest.raises(ScenarioError, match="points holds another run: scenario = "):
-        Log(tmp_path / "points", {"scenario": "paper"})
+        PointLog(tmp_path / "points", {"scenario": "paper"})
 
 
 def test_a_failure_of_the_program_ends_the_run_and_keeps_what_was_done(
@@ -116,9 +116,9 @@ def test_a_failure_of_the_program_ends_the_run_and_keeps_what_was_done(
         return invented(design, scenario, start)
 
     monkeypatch.setattr(maps_points, "guarantee", fail_late)
-    with Log(tmp_path / "points", IDENTITY) as log, pytest.raises(ZeroDivisionError):
+    with PointLog(tmp_path / "points", IDENTITY) as log, pytest.raises(ZeroDivisionError):
         maps_points.compute(load("certified"), GRID, log)
-    with Log(tmp_path / "points", IDENTITY) as reopened:
+    with PointLog(tmp_path / "points", IDENTITY) as reopened:
         kept = [record["design"] for record in reopened.records]
     assert kept == [record["design"] for record in log.records]
     assert "optimised" in kept

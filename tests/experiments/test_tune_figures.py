@@ -11,7 +11,7 @@ from tolerances import DRAWN, SPREAD
 from jaxtube.experiments.tune.comparison_figure import comparison_figure
 from jaxtube.experiments.tune.figures import error_figure, settled_rms, tube_figure
 from jaxtube.experiments.tune.front_figure import Group, front_figure
-from jaxtube.experiments.tune.learning_figure import Curve, learning_figure
+from jaxtube.experiments.tune.learning_figure import LearningCurve, learning_figure
 from jaxtube.experiments.tune.parameter_figure import parameter_figure, spread
 from jaxtube.figures.style import CENTIMETRES
 from jaxtube.figures.ticks import spans_decade
@@ -32,7 +32,7 @@ def make_curve(iterates=60, uncertified=10):
     held_out[iterates // 3] = np.inf
     objective = base * (1 + 0.02 * generator.normal(size=iterates))
     objective[iterates // 2] = np.nan
-    return Curve(
+    return LearningCurve(
         iteration=i,
         objective=objective,
         held_out=held_out,
@@ -88,7 +88,7 @@ def test_the_magnified_panel_is_there_where_enough_iterates_are_close_to_the_bes
 
 
 def test_a_run_of_one_iterate_is_drawn():
-    first = Curve(*(values[:1] for values in make_curve()))
+    first = LearningCurve(*(values[:1] for values in make_curve()))
     save(learning_figure({"": first}, LIMIT))
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from jaxtube.experiments.run.store import StoreError
-from jaxtube.experiments.tune.log import Log
+from jaxtube.experiments.tune.log import TuningLog
 from jaxtube.scenario import ScenarioError
 from jaxtube.tuning.descent import adam, lbfgs
 from jaxtube.tuning.search import nelder_mead, random_search
@@ -92,13 +92,13 @@ def bits(outcome):
 
 def finished(method, folder):
     """Run to the end; return the outcome and the number of answers computed."""
-    with Log(folder, IDENTITY) as log:
+    with TuningLog(folder, IDENTITY) as log:
         objective = Objective(log)
         return bits(METHODS[method](objective)), objective.computed
 
 
 def filled(folder, count=4):
-    with Log(folder, IDENTITY) as log:
+    with TuningLog(folder, IDENTITY) as log:
         for number in range(count):
             ask(log, number)
 
@@ -128,7 +128,7 @@ def test_a_run_killed_after_any_number_of_answers_ends_at_the_same_bits(tmp_path
     undisturbed, count = finished(method, tmp_path / "once")
     for killed_at in range(count):
         folder = tmp_path / f"killed-{killed_at}"
-        with pytest.raises(Killed), Log(folder, IDENTITY) as log:
+        with pytest.raises(Killed), TuningLog(folder, IDENTITY) as log:
             METHODS[method](Objective(log, killed_at))
         assert finished(method, folder) == (undisturbed, count - killed_at)
         assert files(folder) == files(tmp_path / "once")
@@ -141,7 +141,7 @@ def test_a_killed_process_loses_nothing_that_was_logged(tmp_path):
         "import sys; from pathlib import Path; import jax\n"
         "jax.config.update('jax_enable_x64', True)\n"
         "sys.path.insert(0, sys.argv[1]); from test_tune_log import *\n"
-        "with Log(Path(sys.argv[2]), IDENTITY) as log:\n"
+        "with TuningLog(Path(sys.argv[2]), IDENTITY) as log:\n"
         "    METHODS['adam'](Objective(log, seconds=0.05))\n"
     )
     folder = tmp_path / "killed"
@@ -153,7 +153,7 @@ def test_a_killed_process_loses_nothing_that_was_logged(tmp_path):
         assert process.poll() is None
         time.sleep(0.01)
     with pytest.raises(ScenarioError, match="another process is writing there; wait for it"):
-        Log(folder, IDENTITY)
+        TuningLog(folder, IDENTITY)
     process.send_signal(signal.SIGKILL)
     assert process.wait() == -signal.SIGKILL
     undisturbed, count = finished("adam", tmp_path / "once")
@@ -174,7 +174,7 @@ def test_answers_come_back_with_the_same_bits_types_and_layout(tmp_path, quick):
     }
     seen = []
     for _ in range(2):
-        with Log(tmp_path, IDENTITY) as log:
+        with TuningLog(tmp_path, IDENTITY) as log:
             arrays = log.remember("adam", {"x": 1.0}, lambda: answer)
         seen.append(
             {name: (a.dtype, a.shape, a.strides, a.tobytes()) for name, a in arrays.items()}
@@ -189,7 +189,7 @@ def test_answers_come_back_with_the_same_bits_types_and_layout(tmp_path, quick):
 
 def test_streams_are_counted_apart(tmp_path, quick):
     for order in (("adam", "adam-2", "adam", "random"), ("random", "adam", "adam", "adam-2")):
-        with Log(tmp_path, IDENTITY) as log:
+        with TuningLog(tmp_path, IDENTITY) as log:
             for name in order:
                 log.remember(name, {"stream": len(name)}, lambda: {"y": 1.0})
             assert log.entries == 4
@@ -203,7 +203,7 @@ def test_streams_are_counted_apart(tmp_path, quick):
 
 
 def test_what_is_computed_may_fail_and_be_asked_again(tmp_path, quick):
-    with Log(tmp_path, IDENTITY) as log:
+    with TuningLog(tmp_path, IDENTITY) as log:
         with pytest.raises(ZeroDivisionError):
             log.remember("adam", {"x": 0.0}, lambda: {"y": 1 / 0})
         assert log.entries == 0 and ask(log, 0, value=7.0) == 7.0
@@ -217,14 +217,14 @@ def test_another_identity_is_refused_and_nothing_touched(tmp_path, quick):
     before = files(tmp_path / "log")
     other = IDENTITY | {"scenario": {"controller": {"horizon": 6, "weights": [1.0, 2.0]}}}
     with pytest.raises(ScenarioError) as refused:
-        Log(tmp_path / "log", other)
+        TuningLog(tmp_path / "log", other)
     assert re.match(
         "command line: --out = .*log holds another run: scenario.controller.horizon",
         str(refused.value),
     )
     assert "5 there, 6 here; name another --out, or delete that folder" in str(refused.value)
     assert "\n" not in str(refused.value) and files(tmp_path / "log") == before
-    Log(tmp_path / "log", IDENTITY).close()
+    TuningLog(tmp_path / "log", IDENTITY).close()
 
 
 @pytest.mark.parametrize(
@@ -240,7 +240,7 @@ def test_another_identity_is_refused_and_nothing_touched(tmp_path, quick):
 def test_another_question_is_refused(tmp_path, quick, given, named):
     filled(tmp_path / "log")
     before = files(tmp_path / "log")
-    with Log(tmp_path / "log", IDENTITY) as log:
+    with TuningLog(tmp_path / "log", IDENTITY) as log:
         assert (ask(log, 0), ask(log, 1)) == (0, 1)
         with pytest.raises(ScenarioError) as refused:
             log.remember("adam", given, lambda: {"y": 4.0})
@@ -254,28 +254,31 @@ def test_another_question_is_refused(tmp_path, quick, given, named):
 
 def test_a_minus_zero_is_another_question(tmp_path, quick):
     filled(tmp_path)
-    with Log(tmp_path, IDENTITY) as log, pytest.raises(ScenarioError, match="answers another x"):
+    with (
+        TuningLog(tmp_path, IDENTITY) as log,
+        pytest.raises(ScenarioError, match="answers another x"),
+    ):
         log.remember("adam", {"x": -0.0}, lambda: {"y": 0})
 
 
 def test_an_open_log_is_refused_to_others_until_it_is_closed(tmp_path):
     with (
-        Log(tmp_path, IDENTITY),
+        TuningLog(tmp_path, IDENTITY),
         pytest.raises(ScenarioError, match="another process is writing there"),
     ):
-        Log(tmp_path, IDENTITY)
-    Log(tmp_path, IDENTITY).close()
+        TuningLog(tmp_path, IDENTITY)
+    TuningLog(tmp_path, IDENTITY).close()
 
 
 @pytest.mark.parametrize("stream", ["", "Adam", "a/b", "../a", "2adam"])
 def test_names_that_cannot_be_files_are_refused(tmp_path, stream):
-    with Log(tmp_path, IDENTITY) as log, pytest.raises(ValueError, match="stream = "):
+    with TuningLog(tmp_path, IDENTITY) as log, pytest.raises(ValueError, match="stream = "):
         log.remember(stream, {}, lambda: {})
 
 
 def test_answers_that_are_no_numbers_are_refused(tmp_path):
     with (
-        Log(tmp_path, IDENTITY) as log,
+        TuningLog(tmp_path, IDENTITY) as log,
         pytest.raises(ValueError, match="neither integers nor floats"),
     ):
         log.remember("adam", {}, lambda: {"y": np.array("text")})
@@ -295,7 +298,7 @@ def test_a_damaged_entry_is_computed_again(tmp_path, quick, number, damage):
     path.write_bytes(
         {"flipped": flipped, "cut": record[:-9], "empty": b"", "renamed": other}[damage]
     )
-    with Log(tmp_path, IDENTITY) as log:
+    with TuningLog(tmp_path, IDENTITY) as log:
         assert (
             log.damaged == [f"{path}: is damaged; it is removed and computed again"]
             and not path.exists()
@@ -313,7 +316,7 @@ def test_a_damaged_entry_is_computed_again(tmp_path, quick, number, damage):
 def test_entries_after_a_damaged_one_are_refused_unless_the_questions_are_the_same(tmp_path, quick):
     filled(tmp_path)
     (tmp_path / "adam-000001.record").unlink()
-    with Log(tmp_path, IDENTITY) as log:
+    with TuningLog(tmp_path, IDENTITY) as log:
         assert [ask(log, 0), ask(log, 1, value=1.5)] == [0, 1.5]
         with pytest.raises(ScenarioError, match=r"adam-000002\.record answers another x"):
             ask(log, 2.5)
@@ -322,7 +325,7 @@ def test_entries_after_a_damaged_one_are_refused_unless_the_questions_are_the_sa
 def test_what_a_killed_process_left_half_written_is_cleared(tmp_path, quick):
     filled(tmp_path)
     (tmp_path / ".adam-000004.record.1234").write_bytes(b"half")
-    with Log(tmp_path, IDENTITY) as log:
+    with TuningLog(tmp_path, IDENTITY) as log:
         assert log.damaged == [] and log.entries == 4
     assert sorted(files(tmp_path)) == [f"adam-{number:06d}.record" for number in range(4)]
 
@@ -333,7 +336,7 @@ def test_a_full_disk_is_told_in_one_line(tmp_path, quick, monkeypatch):
     def full(descriptor):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    with Log(tmp_path, IDENTITY) as log:
+    with TuningLog(tmp_path, IDENTITY) as log:
         assert [ask(log, number) for number in range(4)] == [0, 1, 4, 9]
         monkeypatch.setattr(os, "fsync", full)
         with pytest.raises(StoreError) as told:
@@ -344,5 +347,5 @@ def test_a_full_disk_is_told_in_one_line(tmp_path, quick, monkeypatch):
         str(told.value) == f"{tmp_path}: {failed}; {safe}; run the same command again to continue"
     )
     monkeypatch.undo()
-    with Log(tmp_path, IDENTITY) as log:
+    with TuningLog(tmp_path, IDENTITY) as log:
         assert [ask(log, number) for number in range(5)] == [0, 1, 4, 9, 16]

@@ -13,7 +13,7 @@ from tolerances import FALSIFY_CLOSED_FORM, FALSIFY_REPLAY, FALSIFY_SLOPE, INSID
 
 from jaxtube.falsification import setting as falsify_setting
 from jaxtube.falsification.ascent import (
-    Aim,
+    CellAim,
     ascend,
     find_uncertainties,
     make_mean_attack,
@@ -219,7 +219,7 @@ def test_steps_of_the_search_never_leave_the_polytope_of_starts(gain, robot, err
     for sweep in range(5):
         # Aims change: vertices are left again.
         cell = jnp.asarray(np.arange(6) + 6 * 7 * sweep, jnp.int32)
-        aim = Aim(cell, jnp.zeros(6, jnp.int32))
+        aim = CellAim(cell, jnp.zeros(6, jnp.int32))
         ascent = ascend(gain, robot, error_limit, vertices, ascent, aim).ascent
         ascent = ascent._replace(length=jnp.full(6, 0.7))
         candidates = np.asarray(ascent.candidate["start"][0])

@@ -10,10 +10,10 @@ from tolerances import ROUNDING
 from jaxtube.scenario import ScenarioError, load
 from jaxtube.synthesis.bands import make_law
 from jaxtube.synthesis.certificate import law as law_certificate
-from jaxtube.synthesis.certificate.law import Band
+from jaxtube.synthesis.certificate.law import LawBand
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.disturbance import kinematics, operation
-from sets.robot.disturbance import residual
+from sets.robot.disturbance import model_residual
 
 SLOWEST = 0.62  # the three faster bands of the scenario: W of the slow ones takes as long again
 
@@ -79,7 +79,7 @@ def test_disturbances_of_a_band_lie_in_its_w(law):
         room = a * np.maximum(1 - np.abs(points[:, 4]) / b, 0)
         points[:, 0] = np.clip(points[:, 0], -room, room)
         noise = random.choice([-1, 1], (count, 3)) * where.noise
-        w, _, _ = residual(where, kinematics(band.problem), points, noise)
+        w, _, _ = model_residual(where, kinematics(band.problem), points, noise)
         assert band.problem.disturbance_set.margin(w).min() >= -ROUNDING
 
 
@@ -90,7 +90,8 @@ def test_boxes_and_corner_loops_cover_their_band(law):
             band.problem, regions=band.problem.regions[: len(band.problem.regions) // 2]
         )
         assert (
-            law_certificate.coverage_gap(Band(band.corners, few, band.gain, band.loops)) == np.inf
+            law_certificate.coverage_gap(LawBand(band.corners, few, band.gain, band.loops))
+            == np.inf
         )
 
 

@@ -10,7 +10,7 @@ from tolerances import TUBE_ROUNDING
 
 from jaxtube.plant import input_maps, model
 from jaxtube.scenario import load
-from jaxtube.scenario.tree import Controller
+from jaxtube.scenario.tree import ControllerTable
 from jaxtube.synthesis.certificate.exact import recheck
 from jaxtube.synthesis.certificate.existence import OBJECTIVES
 from jaxtube.synthesis.design import prepare
@@ -84,7 +84,7 @@ def test_windows_of_a_gain_hold_its_loops(robust_design):
 
 
 def test_choices_of_the_scenario_are_those_of_plant_model_and_sets():
-    choices = get_type_hints(Controller)
+    choices = get_type_hints(ControllerTable)
     assert get_args(choices["input_map"]) == plant.INPUT_MAPS == tuple(input_maps.INPUT_MAPS)
     assert get_args(choices["model"]) == plant.MODELS == model.MODELS
     assert get_args(choices["discretisation"]) == plant.DISCRETISATIONS == model.DISCRETISATIONS

@@ -366,7 +366,7 @@ def law():
     return problem, controller, plant, aim
 
 
-run_laps = jax.jit(objective.run_laps)
+run_laps = jax.jit(objective.measure_laps)
 drive = jax.jit(rollout.__wrapped__)
 
 
@@ -419,7 +419,7 @@ def some_laps(count=40):
     errors = jnp.asarray(rng.uniform(0, 0.01, (count, 3)))
     effort = jnp.asarray(rng.uniform(0, 0.03, count))
     nothing = jnp.zeros(count)
-    return objective.Laps(errors, effort, effort, nothing, nothing)
+    return objective.LapMeasures(errors, effort, effort, nothing, nothing)
 
 
 AIM = objective.Aim((1e4, 2e4, 0.0), 50.0, 0.05, 1.0, 1.0, 0.0, 0.9, 0)

@@ -147,9 +147,9 @@ def test_the_empty_sum_reaches_nothing_and_one_step_reaches_w(decoupled):
     loops = tuned.gain_maps_of(decoupled).window_loops.at(jnp.asarray(numbers))[:1]
     W = generators_of(decoupled)
     rows = jnp.asarray(np.eye(3))[None]
-    assert not tube.sequence_reach(loops, W, rows, 0).any()
+    assert not tube.reach_along(loops, W, rows, 0).any()
     np.testing.assert_allclose(
-        tube.sequence_reach(loops, W, rows, 1), tube.support(W, rows), rtol=TUBE_REACH
+        tube.reach_along(loops, W, rows, 1), tube.support(W, rows), rtol=TUBE_REACH
     )
 
 
@@ -163,7 +163,7 @@ def shares_at(problem, active, numbers):
     """Return the differentiable shares of caps."""
     loops, gains = loops_and_gains(problem, numbers)
     limits = caps.make_limits(problem)
-    return caps.cap_shares(active, limits, loops, generators_of(problem), gains)
+    return caps.shares_of_caps(active, limits, loops, generators_of(problem), gains)
 
 
 def shares_of_design(problem, numbers):
@@ -221,7 +221,7 @@ def test_a_wider_w_widens_the_bound_as_its_slope_says(decoupled):
     W = generators_of(decoupled)
     active = caps.find_active_caps(limits, loops, W, gains)
     assert active is not None
-    shares_of_w = jax.jit(lambda W: caps.cap_shares(active, limits, loops, W, gains))
+    shares_of_w = jax.jit(lambda W: caps.shares_of_caps(active, limits, loops, W, gains))
     shares, slope = jax.jvp(shares_of_w, (W,), (W,))
     np.testing.assert_allclose(slope, shares, rtol=TUBE_TIGHT)
 
@@ -243,8 +243,8 @@ def test_single_precision_stays_single(decoupled):
     rows = single(np.eye(3))[None]
     loops, gains = single(loops_and_gains(decoupled, numbers))
     shapes = (
-        jax.eval_shape(lambda: tube.sequence_reach(loops[None], W, rows, 3)),
-        jax.eval_shape(caps.cap_shares, active, limits, loops, W, gains),
+        jax.eval_shape(lambda: tube.reach_along(loops[None], W, rows, 3)),
+        jax.eval_shape(caps.shares_of_caps, active, limits, loops, W, gains),
         jax.eval_shape(single(tuned.gain_maps_of(decoupled)).vertex_loops.at, single(numbers)),
     )
     assert {leaf.dtype for leaf in jax.tree.leaves(shapes)} == {jnp.dtype("float32")}

@@ -12,11 +12,11 @@ from __future__ import annotations
 import numpy as np
 
 from jaxtube.experiments.beyond import figures as beyond_figures
-from jaxtube.experiments.beyond.laps import PROCESSES, Laps, Usage
+from jaxtube.experiments.beyond.laps import PROCESSES, ImperfectLaps, LapUsage
 from jaxtube.experiments.beyond.search import (
     IMPERFECTIONS,
     Imperfection,
-    Search,
+    LevelSearch,
     levels,
     most_tried,
     search,
@@ -38,7 +38,7 @@ def run(scenario: Scenario, options: BeyondOptions) -> int:
     design = make_design(scenario)
     refuse_infeasible_start(design)
     folder = run_folder.create(scenario, options)
-    laps = Laps(design, options.realisations, options.seed)
+    laps = ImperfectLaps(design, options.realisations, options.seed)
     searches = search_all(laps, design.problem.horizon)
     folder.save_metrics(metrics(searches, options.realisations))
     folder.save_figure(beyond_figures.usages(panels(searches)), "beyond")
@@ -47,7 +47,7 @@ def run(scenario: Scenario, options: BeyondOptions) -> int:
     return 0
 
 
-def search_all(laps: Laps, horizon: int) -> dict[str, Search]:
+def search_all(laps: ImperfectLaps, horizon: int) -> dict[str, LevelSearch]:
     """Search the first levels of every imperfection."""
     planned = {name: levels(kind, horizon) for name, kind in IMPERFECTIONS.items()}
     most = {name: most_tried(planned[name], kind.whole) for name, kind in IMPERFECTIONS.items()}
@@ -59,7 +59,7 @@ def search_all(laps: Laps, horizon: int) -> dict[str, Search]:
     return searches
 
 
-def metrics(searches: dict[str, Search], realisations: int) -> dict:
+def metrics(searches: dict[str, LevelSearch], realisations: int) -> dict:
     """Return what was found, by imperfection; a level that was not found is null."""
     by_imperfection = {name: _metrics(IMPERFECTIONS[name], searches[name]) for name in searches}
     return {
@@ -69,7 +69,7 @@ def metrics(searches: dict[str, Search], realisations: int) -> dict:
     }
 
 
-def _metrics(imperfection: Imperfection, search: Search) -> dict:
+def _metrics(imperfection: Imperfection, search: LevelSearch) -> dict:
     key = imperfection.key
     return {
         f"first_w_outside_W_{key}": search.disturbance,
@@ -80,12 +80,12 @@ def _metrics(imperfection: Imperfection, search: Search) -> dict:
     }
 
 
-def _violations(search: Search) -> list[str]:
+def _violations(search: LevelSearch) -> list[str]:
     """Return what was violated at the first level with a violation."""
     return [] if search.violation is None else search.usages[search.violation].violations
 
 
-def _largest(usage: Usage) -> dict:
+def _largest(usage: LapUsage) -> dict:
     """Return the largest usage over the slip processes."""
     return {
         "usage_of_E": usage.error.max(axis=0),
@@ -95,12 +95,12 @@ def _largest(usage: Usage) -> dict:
     }
 
 
-def panels(searches: dict[str, Search]) -> list[beyond_figures.Panel]:
+def panels(searches: dict[str, LevelSearch]) -> list[beyond_figures.Panel]:
     """Return what the figure shows of the searches."""
     return [_make_panel(name, search) for name, search in searches.items()]
 
 
-def _make_panel(name: str, search: Search) -> beyond_figures.Panel:
+def _make_panel(name: str, search: LevelSearch) -> beyond_figures.Panel:
     imperfection = IMPERFECTIONS[name]
     usages = search.usages.values()
     return beyond_figures.Panel(
@@ -114,7 +114,7 @@ def _make_panel(name: str, search: Search) -> beyond_figures.Panel:
     )
 
 
-def table(searches: dict[str, Search], realisations: int) -> str:
+def table(searches: dict[str, LevelSearch], realisations: int) -> str:
     """Return what was found as a table."""
     columns = [
         left("imperfection"),
@@ -131,7 +131,7 @@ def table(searches: dict[str, Search], realisations: int) -> str:
     )
 
 
-def _row(imperfection: Imperfection, search: Search) -> list[str]:
+def _row(imperfection: Imperfection, search: LevelSearch) -> list[str]:
     return [
         imperfection.title,
         _say_level(search.disturbance, search.most),

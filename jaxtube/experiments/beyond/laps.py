@@ -24,7 +24,7 @@ ROUNDING = 1e-9
 """Usage beyond 1 that is rounding."""
 
 
-class Usage(NamedTuple):
+class LapUsage(NamedTuple):
     """What laps at one level used, by slip process; above 1 is outside."""
 
     error: Float[np.ndarray, "processes 3"]  # of E, by coordinate, true errors
@@ -55,7 +55,7 @@ def _is_outside(usage: Float[np.ndarray, " processes"]) -> Bool[np.ndarray, " pr
     return ~(usage <= 1 + ROUNDING)
 
 
-class Laps:
+class ImperfectLaps:
     """Laps of a design's tube-MPC on its robot made imperfect; each slip process compiles once."""
 
     def __init__(self, design: Design, realisations: int, seed: int):
@@ -68,7 +68,7 @@ class Laps:
 
     def at(
         self, name: str, update: Callable[[], object] = lambda: None
-    ) -> Callable[[float], Usage]:
+    ) -> Callable[[float], LapUsage]:
         """Return the usage as a function of the level of one imperfection.
 
         Args:
@@ -76,11 +76,11 @@ class Laps:
             update: called after each level.
         """
 
-        def usage(level: float) -> Usage:
+        def usage(level: float) -> LapUsage:
             if name == "preview":
                 early = self.usage(Imperfections(), -int(level))
                 late = self.usage(Imperfections(), int(level))
-                used = Usage(*map(np.maximum, early, late))
+                used = LapUsage(*map(np.maximum, early, late))
             else:
                 used = self.usage(Imperfections()._replace(**{name: level}))
             update()
@@ -88,7 +88,7 @@ class Laps:
 
         return usage
 
-    def usage(self, imperfections: Imperfections, shift: int = 0) -> Usage:
+    def usage(self, imperfections: Imperfections, shift: int = 0) -> LapUsage:
         """Return what laps with these imperfections use, whose controller expects changes `shift`
         periods early."""
         # Arrays of one type: another mixture of numbers and arrays would be another program.
@@ -99,7 +99,7 @@ class Laps:
         for ideal in self.ideal:
             trajectory = self._simulate(controller, ImperfectRobot(ideal, level))
             by_process.append(lap_usage(self.design, trajectory))
-        return Usage(*map(np.array, zip(*by_process, strict=True)))
+        return LapUsage(*map(np.array, zip(*by_process, strict=True)))
 
     def _simulate(self, controller: TubeMpc, plant: ImperfectRobot) -> Trajectory:
         if len(self.starts) >= closed_loop.BLOCK:
@@ -110,7 +110,7 @@ class Laps:
 
 
 def lap_usage(design: Design, trajectory: Trajectory) -> tuple:
-    """Return the fields of a `Usage` for one process."""
+    """Return the fields of a `LapUsage` for one process."""
     problem = design.problem
     robot = problem.robot
     W = problem.disturbance_set

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxtube.experiments.beyond.laps import Usage
+from jaxtube.experiments.beyond.laps import LapUsage
 
 DOUBLINGS = 8
 HALVINGS = 5
@@ -42,10 +42,10 @@ IMPERFECTIONS = {
 }
 
 
-class Search(NamedTuple):
+class LevelSearch(NamedTuple):
     """What was found for one imperfection; None where no level up to `most` does it."""
 
-    usages: dict[float, Usage]  # by level, increasing
+    usages: dict[float, LapUsage]  # by level, increasing
     disturbance: float | None  # first level with a w outside W
     violation: float | None  # first level with a violation
     most: float
@@ -63,7 +63,7 @@ def most_tried(levels: list[float], whole: bool) -> int:
     return 1 + len(levels) + (0 if whole else 2 * HALVINGS)
 
 
-def search(usage: Callable[[float], Usage], levels: list[float], whole: bool) -> Search:
+def search(usage: Callable[[float], LapUsage], levels: list[float], whole: bool) -> LevelSearch:
     """Find the first level with a w outside W and the first with a violation.
 
     Args:
@@ -84,21 +84,21 @@ def search(usage: Callable[[float], Usage], levels: list[float], whole: bool) ->
     halvings = 0 if whole else HALVINGS
     disturbance = _refine(usage, usages, _leaves_disturbance_set, halvings)
     violation = _refine(usage, usages, _has_violation, halvings)
-    return Search(dict(sorted(usages.items())), disturbance, violation, levels[-1])
+    return LevelSearch(dict(sorted(usages.items())), disturbance, violation, levels[-1])
 
 
-def _leaves_disturbance_set(usage: Usage) -> bool:
+def _leaves_disturbance_set(usage: LapUsage) -> bool:
     return usage.leaves_disturbance_set
 
 
-def _has_violation(usage: Usage) -> bool:
+def _has_violation(usage: LapUsage) -> bool:
     return bool(usage.violations)
 
 
 def _refine(
-    usage: Callable[[float], Usage],
-    usages: dict[float, Usage],
-    fails: Callable[[Usage], bool],
+    usage: Callable[[float], LapUsage],
+    usages: dict[float, LapUsage],
+    fails: Callable[[LapUsage], bool],
     halvings: int,
 ) -> float | None:
     """Halve the gap below the least level that fails; what is tried is added to `usages`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxtube.experiments.design.banded_attack import PROCESSES, REFERENCES, Attack, attack
+from jaxtube.experiments.design.banded_attack import PROCESSES, REFERENCES, BandedLaps, attack
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.conditions import condition_lines
@@ -79,7 +79,7 @@ def _verdict(law: BandedLaw) -> str:
     return f"CERTIFIED for wheel speeds of {low[0]:g} to {high[0]:g} m/s in any order"
 
 
-def attack_report(attacks: dict[str, Attack]) -> str:
+def attack_report(attacks: dict[str, BandedLaps]) -> str:
     """Return the laps run against the law as text."""
     lines = [
         "laps with wheel speeds jumping anywhere in the range, from starts all over the invariant "
@@ -96,7 +96,7 @@ def attack_report(attacks: dict[str, Attack]) -> str:
     return "\n".join(lines)
 
 
-def metrics(law: BandedLaw, attacks: dict[str, Attack]) -> dict:
+def metrics(law: BandedLaw, attacks: dict[str, BandedLaps]) -> dict:
     """Return the numbers of the law and of the attack."""
     omega = law.invariant.polytope
     return {

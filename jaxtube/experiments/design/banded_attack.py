@@ -1,4 +1,4 @@
-"""Attack on a tracking law scheduled on speed.
+"""Attacks on a tracking law scheduled on speed.
 
 References whose wheel speeds jump anywhere in the certified range at every step, or stay for a
 while, from starts all over the invariant set, under slips at their extremes, chosen against the
@@ -33,7 +33,7 @@ OUTSIDE = 1e-12
 
 
 @dataclass(frozen=True)
-class Attack:
+class BandedLaps:
     """Laps under one slip process: how many, and in how many steps something was left, with the
     largest uses."""
 
@@ -46,9 +46,9 @@ class Attack:
     used_set: float
     used_w: float
 
-    def joined(self, other: Attack) -> Attack:
+    def joined(self, other: BandedLaps) -> BandedLaps:
         """Return both attacks as one."""
-        return Attack(
+        return BandedLaps(
             self.laps + other.laps,
             self.steps + other.steps,
             self.outside_set + other.outside_set,
@@ -60,10 +60,10 @@ class Attack:
         )
 
 
-NO_LAPS = Attack(0, 0, 0, 0, 0, 0, 0.0, 0.0)
+NO_LAPS = BandedLaps(0, 0, 0, 0, 0, 0, 0.0, 0.0)
 
 
-def attack(law: BandedLaw, process: str, seed: int, advanced: Callable[[], object]) -> Attack:
+def attack(law: BandedLaw, process: str, seed: int, advanced: Callable[[], object]) -> BandedLaps:
     """Run laps of the law under one slip process and count what is left."""
     starts = _make_starts(law)
     total = NO_LAPS
@@ -122,7 +122,9 @@ def random_reference(law: BandedLaw, generator: np.random.Generator) -> Referenc
     return from_wheels(low + shares * (high - low), model.dt, model.track_width)
 
 
-def _count(law: BandedLaw, wheels: Float[np.ndarray, "steps 2"], trajectory: Trajectory) -> Attack:
+def _count(
+    law: BandedLaw, wheels: Float[np.ndarray, "steps 2"], trajectory: Trajectory
+) -> BandedLaps:
     omega = law.invariant.polytope
     assert omega is not None
     A, B = law.problem.model.matrices(wheels)
@@ -141,7 +143,7 @@ def _count(law: BandedLaw, wheels: Float[np.ndarray, "steps 2"], trajectory: Tra
         used_rows = u[steps] @ rows.inputs.T + e[:-1][steps] @ rows.errors.T
         outside_caps[steps] = ~np.all(used_rows <= rows.offsets + OUTSIDE, axis=2)
     saturated = np.any(trajectory.wheels != trajectory.demanded, axis=2)
-    return Attack(
+    return BandedLaps(
         laps=e.shape[1],
         steps=w.shape[0] * w.shape[1],
         outside_set=int(np.sum(~(used_set <= 1 + OUTSIDE))),

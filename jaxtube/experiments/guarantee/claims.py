@@ -201,7 +201,7 @@ WORDS = {
 """What it means that a condition fails, where its name does not say so."""
 
 
-def judge(claim: Claim, design: Tested) -> Verdict:
+def judge_claim(claim: Claim, design: Tested) -> Verdict:
     """Return whether a design makes a claim, whether its certificate proves it, and how often it
     was seen to fail."""
     known = design.certificate.conditions
@@ -284,7 +284,7 @@ def _metrics(design: Tested) -> dict:
             name: {"holds": condition.holds, "margin": condition.margin, "scope": condition.scope}
             for name, condition in certificate.conditions.items()
         },
-        "claims": {claim.title: _verdict_metrics(judge(claim, design)) for claim in CLAIMS},
+        "claims": {claim.title: _verdict_metrics(judge_claim(claim, design)) for claim in CLAIMS},
         "laws": {name: law | _bounds(law) for name, law in design.laws.items()},
         "note": design.note,
     }

@@ -60,7 +60,7 @@ COVERED = ("wheel_speed_min_mps", "wheel_speed_max_mps", "certified_for")
 """Keys of [reference] that a design keeps: the wheel speeds that it promises to cover."""
 
 
-class Attack(NamedTuple):
+class LawRun(NamedTuple):
     """One design under one law: its blocks and where they are recorded."""
 
     name: str  # of the design
@@ -150,7 +150,7 @@ def _name_source(error: ValueError, source: str) -> ValueError:
 
 def open_attacks(
     stack: contextlib.ExitStack, name: str, design: Design, options: GuaranteeOptions
-) -> tuple[list[Attack], str]:
+) -> tuple[list[LawRun], str]:
     """Open the records of every law.
 
     Returns:
@@ -166,7 +166,7 @@ def open_attacks(
         records = stack.enter_context(opened)
         for line in records.damaged:
             print(line, file=sys.stderr)
-        attacks.append(Attack(name, law, Run(tasks[law], laps, 1, devices), records))
+        attacks.append(LawRun(name, law, Run(tasks[law], laps, 1, devices), records))
     return attacks, reason
 
 
@@ -177,7 +177,7 @@ def identity(design: Design, law: Law, options: GuaranteeOptions) -> dict:
     return known | {"edge_seconds": EDGE_SECONDS} if law.edge else known
 
 
-def describe_laps(attacks: list[Attack]) -> str:
+def describe_laps(attacks: list[LawRun]) -> str:
     """Return one line: how many laps are about to be run."""
     laps = sum(attack.run.realisations for attack in attacks)
     recorded = sum(attack.records.laps for attack in attacks)
@@ -188,7 +188,7 @@ def describe_laps(attacks: list[Attack]) -> str:
     )
 
 
-def compute(attacks: list[Attack], missing: list[Iterator[int]]) -> dict:
+def compute(attacks: list[LawRun], missing: list[Iterator[int]]) -> dict:
     """Compute and record the missing blocks; return what it took, {} where none was missing."""
     laps = sum(attack.run.realisations for attack in attacks)
     before = sum(attack.records.laps for attack in attacks)
@@ -203,7 +203,7 @@ def compute(attacks: list[Attack], missing: list[Iterator[int]]) -> dict:
     return {"laps": computed, "seconds": time.perf_counter() - start} if computed else {}
 
 
-def merge_records(attacks: list[Attack]) -> dict[str, dict[Law, Statistics]]:
+def merge_records(attacks: list[LawRun]) -> dict[str, dict[Law, Statistics]]:
     """Return the statistics of all blocks, by design and law."""
     statistics: dict[str, dict[Law, Statistics]] = {attack.name: {} for attack in attacks}
     for attack in attacks:

@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 from jaxtube.experiments.guarantee.claims import Tested
 from jaxtube.figures.shares import (
     ROWS,
-    Row,
+    DrawnRow,
     draw_shares,
     find_least,
     make_shares,
@@ -30,7 +30,8 @@ def laws_figure(tested: list[Tested]) -> Figure:
     for row, event in zip(panels, EVENTS, strict=True):
         for axes, design in zip(row, tested, strict=True):
             rows = [
-                Row(name, make_shares(law["events"][event])) for name, law in design.laws.items()
+                DrawnRow(name, make_shares(law["events"][event]))
+                for name, law in design.laws.items()
             ]
             draw_shares(axes, rows)
             axes.set_title(f"design “{design.name}”: {ROWS[event]}")

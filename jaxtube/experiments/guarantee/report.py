@@ -16,7 +16,7 @@ from jaxtube.experiments.guarantee.claims import (
     bound_violating_laps,
     bound_violating_share,
     count_steps,
-    judge,
+    judge_claim,
 )
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.statistics.events import find_event
@@ -29,7 +29,7 @@ SHOWN = VIOLATIONS[:-1]
 
 def cells(claim: Claim, design: Tested) -> tuple[str, str, str]:
     """Return in words what a design claims, what is certified of it, and what was seen."""
-    verdict = judge(claim, design)
+    verdict = judge_claim(claim, design)
     claimed = "yes" if verdict.claimed else "no"
     if verdict.claimed and verdict.scope:
         claimed = f"yes: {verdict.scope}"

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtube.experiments.maps import feasible as maps_feasible
 from jaxtube.experiments.maps import figures as maps_figures
 from jaxtube.experiments.maps.figures import ratio_table
-from jaxtube.experiments.maps.points import Found, Grid, Log, Point, compute, make_grid
+from jaxtube.experiments.maps.points import Found, Grid, Point, PointLog, compute, make_grid
 from jaxtube.experiments.options import MapsOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
@@ -84,7 +84,7 @@ def _point_metrics(point: Point, result: Guarantee) -> dict:
     }
 
 
-def open_log(folder: RunFolder, name: str, settings: dict, scenario: Scenario) -> Log:
+def open_log(folder: RunFolder, name: str, settings: dict, scenario: Scenario) -> PointLog:
     """Open a log of results in a folder of its own for each scenario, settings and code."""
     identity = {
         "scenario": to_toml(scenario),
@@ -92,7 +92,7 @@ def open_log(folder: RunFolder, name: str, settings: dict, scenario: Scenario) -
         "source_sha256": run_folder.source_hashes(),
     }
     digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:12]
-    log = Log(folder.path / f"{name}-{digest}", identity)
+    log = PointLog(folder.path / f"{name}-{digest}", identity)
     for line in log.damaged:
         print(line, file=sys.stderr)
     return log

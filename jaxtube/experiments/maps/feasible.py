@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxtube.experiments.maps.points import Log
+from jaxtube.experiments.maps.points import PointLog
 from jaxtube.experiments.run.progress import progress
 from jaxtube.scenario import Scenario, replace
 from jaxtube.synthesis.design import design as make_design
@@ -28,7 +28,7 @@ HORIZONS = tuple(range(1, 11))
 DIRECTIONS = 600
 
 
-def feasible_sets(scenario: Scenario, log: Log) -> dict:
+def feasible_sets(scenario: Scenario, log: PointLog) -> dict:
     """Return volumes and corners by horizon, those of C, and the volume of the caps; each set is
     saved in the log at once.
 

@@ -119,7 +119,7 @@ def _make_axis(values: Float[np.ndarray, " count"], own: float) -> tuple[float, 
     return tuple(sorted({*np.round(values, 4).tolist(), float(own)}))
 
 
-class Log:
+class PointLog:
     """JSON values that survive an interruption, in the order in which they were added; each is an
     entry of a store, which belongs to this object until it is closed."""
 
@@ -176,7 +176,7 @@ class Log:
         return f"the {len(self.records)} results logged there are safe"
 
 
-def compute(scenario: Scenario, grid: Grid, log: Log) -> Found:
+def compute(scenario: Scenario, grid: Grid, log: PointLog) -> Found:
     """Compute the points that the log does not hold, each saved at once, and return all.
 
     Args:

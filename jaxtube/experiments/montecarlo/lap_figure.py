@@ -45,7 +45,7 @@ WORST_SETTLED: dict[str, Any] = {**WORST, "marker": "D", "markersize": 5}
 """Marks of the step that uses most of E, and of the one that does once the lap has settled."""
 
 
-class Worst(NamedTuple):
+class WorstInstant(NamedTuple):
     """The steps at which a lap uses most of E: of the whole lap, and once it has settled."""
 
     step: int
@@ -90,17 +90,17 @@ def draw(problem: Problem, lap: Lap) -> Figure:
     return figure
 
 
-def _find_worst(problem: Problem, lap: Lap) -> Worst:
+def _find_worst(problem: Problem, lap: Lap) -> WorstInstant:
     share = lap.of_error_set.share
     step = int(np.argmax(share)) + 1
     first = settled_step(problem.reference)
     if first >= len(share):
-        return Worst(step, None, share[step - 1], np.nan)
+        return WorstInstant(step, None, share[step - 1], np.nan)
     settled = first + int(np.argmax(share[first - 1 :]))
-    return Worst(step, settled, share[step - 1], share[settled - 1])
+    return WorstInstant(step, settled, share[step - 1], share[settled - 1])
 
 
-def _title(problem: Problem, lap: Lap, worst: Worst) -> str:
+def _title(problem: Problem, lap: Lap, worst: WorstInstant) -> str:
     dt = problem.reference.dt
     of_errors = f"{100 * worst.share:.4g} % of $\\mathcal{{E}}$ at {worst.step * dt:.3g} s"
     if worst.settled is not None:
@@ -110,7 +110,7 @@ def _title(problem: Problem, lap: Lap, worst: Worst) -> str:
     return f"Lap {lap.number:,} uses at most {of_errors}; {of_disturbances}"
 
 
-def _draw_path(axes: Axes, problem: Problem, lap: Lap, worst: Worst) -> None:
+def _draw_path(axes: Axes, problem: Problem, lap: Lap, worst: WorstInstant) -> None:
     poses = problem.reference.poses[: len(lap.trajectory.errors)]
     path = np.asarray(jax.jit(world_pose)(lap.trajectory.errors, poses))
     axes.plot(path[:, 0], path[:, 1], color=INSIDE)
@@ -159,7 +159,9 @@ def _draw_slips(axes: Axes, problem: Problem, slips: Float[np.ndarray, "steps 2 
     axes.set(title=f"{kind} slip", ylabel="off nominal [%]")
 
 
-def _draw_error(axes: Axes, problem: Problem, lap: Lap, worst: Worst, coordinate: int) -> None:
+def _draw_error(
+    axes: Axes, problem: Problem, lap: Lap, worst: WorstInstant, coordinate: int
+) -> None:
     """Draw an error over the whole lap, with its limits."""
     scale = METRES.factors[coordinate]
     values = lap.trajectory.errors[:, coordinate] * scale
@@ -173,7 +175,7 @@ def _draw_error(axes: Axes, problem: Problem, lap: Lap, worst: Worst, coordinate
 
 
 def _draw_settled_error(
-    axes: Axes, problem: Problem, lap: Lap, worst: Worst, coordinate: int
+    axes: Axes, problem: Problem, lap: Lap, worst: WorstInstant, coordinate: int
 ) -> None:
     """Draw an error from where the lap has settled, in small units."""
     first = settled_step(problem.reference)

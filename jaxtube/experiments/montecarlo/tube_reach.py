@@ -40,7 +40,7 @@ class Excess(NamedTuple):
 def metrics(design: Design, seed: int) -> dict:
     """Return, by tube, the largest excess of sampled deviations over any facet and the facets'
     ratios at j = N."""
-    excess = sample(design, seed)
+    excess = sample_deviations(design, seed)
     W = design.problem.disturbance_set.vertices()
     by_tube = {}
     for name, sections in design.tubes.items():
@@ -107,7 +107,7 @@ def _reach(
     return np.array([reach_supports(loops, W, normal, steps)[0][-1] for normal in facets.normals])
 
 
-def sample(design: Design, seed: int) -> Excess:
+def sample_deviations(design: Design, seed: int) -> Excess:
     """Sample deviations from every tube."""
     tubes = {}
     for name, sections in design.tubes.items():

@@ -73,7 +73,7 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     stressed = make_design(load(stressed_name)) if stressed_name != name else design
     boundary = stress.find_starts(stressed, options.seed)
     folder = run_folder.create(scenario, options)
-    simulated = simulate(design, stressed, boundary, options)
+    simulated = simulate_laps(design, stressed, boundary, options)
     _save_noise_free(design, folder)
     _save_laps(simulated.laps, folder)
     measured = {
@@ -107,7 +107,7 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     return exit_code(design.certificate, options.require_certificate)
 
 
-def simulate(
+def simulate_laps(
     design: Design,
     stressed: Design,
     boundary: Float[np.ndarray, "corners 3"],

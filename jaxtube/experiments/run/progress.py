@@ -17,7 +17,7 @@ SECONDS_BETWEEN_DRAWINGS = 0.2
 LINE = "{desc}: {n_fmt} of {total_fmt}{unit}, {rate_fmt}, {elapsed} gone, {remaining} left{postfix}"
 
 
-class Progress(tqdm):
+class ProgressBar(tqdm):
     """A bar whose clock starts with its first units."""
 
     starting: str
@@ -57,7 +57,7 @@ class _Lines:
 
 def progress(
     total: int, title: str, unit: str, done: int = 0, starting: str = "compiling"
-) -> Progress:
+) -> ProgressBar:
     """Return a bar on the standard error.
 
     Args:
@@ -69,9 +69,9 @@ def progress(
     """
     settings = {"total": total, "initial": done, "desc": title, "unit": f" {unit}", "delay": 1e-9}
     if sys.stderr.isatty():
-        bar = Progress(**settings, mininterval=SECONDS_BETWEEN_DRAWINGS)
+        bar = ProgressBar(**settings, mininterval=SECONDS_BETWEEN_DRAWINGS)
     else:
-        bar = Progress(
+        bar = ProgressBar(
             **settings, mininterval=SECONDS_BETWEEN_LINES, bar_format=LINE, file=_Lines()
         )
     bar.starting = starting

@@ -8,7 +8,7 @@ from typing import Self
 import numpy as np
 
 from jaxtube.experiments.run.progress import progress
-from jaxtube.tuning.judgement import Judgement
+from jaxtube.tuning.judgement import HeldOutJudgement
 from jaxtube.tuning.run import Settings
 
 
@@ -16,7 +16,7 @@ class DescentBar:
     """Bar that counts the gradients of a descent and shows its last iterate."""
 
     def __init__(
-        self, settings: Settings, name: str, save: Callable[[Judgement], None] | None = None
+        self, settings: Settings, name: str, save: Callable[[HeldOutJudgement], None] | None = None
     ) -> None:
         """Begin the bar.
 
@@ -41,16 +41,16 @@ class DescentBar:
         """Count an evaluation."""
         self._bar.update()
 
-    def inspected(self, judgement: Judgement, is_best: bool) -> None:
+    def inspected(self, judgement: HeldOutJudgement, is_best: bool) -> None:
         """Show an iterate, and save it where it is the best certified one so far."""
         if is_best:
             self._best = judgement.held_out
             if self._save:
                 self._save(judgement)
-        self._bar.set_postfix_str(describe(judgement, self._best), refresh=False)
+        self._bar.set_postfix_str(describe_iterate(judgement, self._best), refresh=False)
 
 
-def describe(judgement: Judgement, best: float) -> str:
+def describe_iterate(judgement: HeldOutJudgement, best: float) -> str:
     """Return an iterate in a few words, and the least objective of a certified one."""
     if not judgement.has_laps:
         return f"no closed loop ({judgement.failing[0]})"

@@ -21,8 +21,8 @@ from jaxtube.experiments.tune.front_figure import Kind
 from jaxtube.experiments.tune.result import COMPARED_LAPS, Result, run_comparison, weights_at
 from jaxtube.simulation.closed_loop import make_wheel_map
 from jaxtube.synthesis.problem import Problem, with_controller
-from jaxtube.tuning.judgement import Judgement, pool
-from jaxtube.tuning.objective import Laps, lap_costs, total_cost
+from jaxtube.tuning.judgement import HeldOutJudgement, pool
+from jaxtube.tuning.objective import LapMeasures, lap_costs, total_cost
 from jaxtube.tuning.parameters import Variables, make_parameters
 from jaxtube.tuning.run import Descent, Log, Settings, descend
 from jaxtube.tuning.search import EvaluateValue, log_grid, nelder_mead, random_search
@@ -62,7 +62,7 @@ GRID = {
 """Diagonal Q and R of a full grid: 200 points in all. R11 is the unit."""
 
 
-class Entry(NamedTuple):
+class ComparedDesign(NamedTuple):
     """One design of the comparison: where it is, what it came to, and what that took."""
 
     name: str
@@ -88,7 +88,7 @@ def with_variables(tuner: Tuner, variables: Variables) -> Tuner:
     return dataclasses.replace(tuner, parameters=make_parameters(tuner.problem, variables))
 
 
-def tune_parts(tuner: Tuner, log: Log, settings: Settings) -> list[Entry]:
+def tune_parts(tuner: Tuner, log: Log, settings: Settings) -> list[ComparedDesign]:
     """Tune Q and R alone, and the gains alone."""
     entries = []
     parts: tuple[Variables, ...] = ("weights", "gains")
@@ -97,7 +97,7 @@ def tune_parts(tuner: Tuner, log: Log, settings: Settings) -> list[Entry]:
         descent = _descend(part, log, settings, variables)
         point = _best(descent).point
         entries.append(
-            Entry(
+            ComparedDesign(
                 name=f"{variables} alone",
                 tuner=part,
                 point=point,
@@ -114,13 +114,15 @@ def _descend(tuner: Tuner, log: Log, settings: Settings, name: str) -> Descent:
         return descend(tuner, settings, log, bar, name)
 
 
-def _best(descent: Descent) -> Judgement:
+def _best(descent: Descent) -> HeldOutJudgement:
     """Return the best certified iterate, of none the best one."""
     best = descent.best() or descent.best(accept_uncertified=True)
     return best or descent.judged[0]
 
 
-def search_without_gradients(tuner: Tuner, log: Log, budget: int, seed: int) -> list[Entry]:
+def search_without_gradients(
+    tuner: Tuner, log: Log, budget: int, seed: int
+) -> list[ComparedDesign]:
     """Search without gradients over the same variables."""
     start = tuner.parameters.vector
     with progress(2 * budget, "searching without gradients", "evaluations") as bar:
@@ -137,7 +139,7 @@ def search_without_gradients(tuner: Tuner, log: Log, budget: int, seed: int) -> 
         for spent in (budget // GRADIENT, budget):
             best = search.points[int(np.argmin(search.values[:spent]))]
             result = run_comparison(tuner, best)
-            entries.append(Entry(f"{name}, {spent}", tuner, best, result, spent, "search"))
+            entries.append(ComparedDesign(f"{name}, {spent}", tuner, best, result, spent, "search"))
     return entries
 
 
@@ -153,13 +155,13 @@ def _logged_value(tuner: Tuner, log: Log, stream: str, bar: Any) -> EvaluateValu
     return value
 
 
-def search_static_lqr(tuner: Tuner, log: Log, budget: int, seed: int) -> Entry:
+def search_static_lqr(tuner: Tuner, log: Log, budget: int, seed: int) -> ComparedDesign:
     """Search Q and R of static LQR gains; the objective is that of the laps alone, for there is no
     tube."""
     weights = with_variables(tuner, "weights")
     start = weights.parameters.vector
 
-    def cost(laps: Laps) -> float:
+    def cost(laps: LapMeasures) -> float:
         return float(total_cost(laps, jnp.zeros(3), tuner.aim))
 
     def compute(point: Point) -> dict[str, float]:
@@ -185,10 +187,10 @@ def search_static_lqr(tuner: Tuner, log: Log, budget: int, seed: int) -> Entry:
         half_widths=None,
         fill=np.nan,
     )
-    return Entry("static LQR", weights, best, result, budget, "search", static=True)
+    return ComparedDesign("static LQR", weights, best, result, budget, "search", static=True)
 
 
-def run_static_lqr(tuner: Tuner, point: Point, first: int, count: int) -> Laps:
+def run_static_lqr(tuner: Tuner, point: Point, first: int, count: int) -> LapMeasures:
     """Return the laps of the LQR gains of a point's Q and R."""
     problem = tuner.problem
     weights = weights_at(tuner, point)

@@ -19,9 +19,9 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.tune import compare as tune_compare
 from jaxtube.experiments.tune import report as tune_report
 from jaxtube.experiments.tune.bar import DescentBar
-from jaxtube.experiments.tune.log import Log
+from jaxtube.experiments.tune.log import TuningLog
 from jaxtube.scenario import Scenario, load, to_toml
-from jaxtube.tuning.judgement import Judgement
+from jaxtube.tuning.judgement import HeldOutJudgement
 from jaxtube.tuning.run import Settings
 from jaxtube.tuning.tune import Tuned, assumption, run_tuner
 from jaxtube.tuning.tuner import Tuner, make_tuner
@@ -42,7 +42,7 @@ def run(scenario: Scenario, options: TuneOptions) -> int:
         seed=options.seed,
     )
     settings = make_settings(options)
-    with Log(options.folder / "log", run_folder.identity(scenario, options, SETTINGS)) as log:
+    with TuningLog(options.folder / "log", run_folder.identity(scenario, options, SETTINGS)) as log:
         for line in log.damaged:
             print(line, file=sys.stderr)
         folder = run_folder.create(scenario, options)
@@ -89,7 +89,7 @@ class TunedFile:
         self._tuner = tuner
         self._start = start
 
-    def save(self, judgement: Judgement) -> None:
+    def save(self, judgement: HeldOutJudgement) -> None:
         """Write an iterate as a scenario."""
         problem = self._tuner.problem
         if judgement.certified:
@@ -121,7 +121,7 @@ def save_result(tuned: Tuned, file: TunedFile, accept_uncertified: bool) -> str:
 
 def report(folder: RunFolder, tuned: Tuned) -> dict:
     """Print, draw and save what came out, and return the numbers."""
-    summary = tune_report.summarise(tuned)
+    summary = tune_report.summarise_tuning(tuned)
     folder.report(summary.text)
     folder.save_arrays("iterates", **tune_report.iterate_arrays(tuned))
     tune_report.draw(folder, tuned)

@@ -22,7 +22,7 @@ from scipy import stats
 
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.tune import baselines as tune_baselines
-from jaxtube.experiments.tune.baselines import GRADIENT, Entry, Spots, result_spot
+from jaxtube.experiments.tune.baselines import GRADIENT, ComparedDesign, Spots, result_spot
 from jaxtube.experiments.tune.comparison_figure import comparison_figure
 from jaxtube.experiments.tune.front_figure import Group, Kind, front_figure
 from jaxtube.experiments.tune.paths import Drives, drive_numbers, drive_paths, path_lines
@@ -63,7 +63,7 @@ def run(folder: RunFolder, tuned: Tuned, log: Log, settings: Settings) -> dict:
     }
 
 
-def make_entries(tuned: Tuned, log: Log, settings: Settings) -> list[Entry]:
+def make_entries(tuned: Tuned, log: Log, settings: Settings) -> list[ComparedDesign]:
     """Return the designs of the comparison: start, tuned, and the baselines."""
     tuner = tuned.tuner
     assert tuned.best is not None
@@ -71,15 +71,15 @@ def make_entries(tuned: Tuned, log: Log, settings: Settings) -> list[Entry]:
     best = tuned.best.point
     budget = GRADIENT * tuned.descent.outcome.evaluations
     return [
-        Entry("start", tuner, start, run_comparison(tuner, start), 0, "start"),
-        Entry("tuned", tuner, best, run_comparison(tuner, best), budget, "tuned"),
+        ComparedDesign("start", tuner, start, run_comparison(tuner, start), 0, "start"),
+        ComparedDesign("tuned", tuner, best, run_comparison(tuner, best), budget, "tuned"),
         *tune_baselines.tune_parts(tuner, log, settings),
         *tune_baselines.search_without_gradients(tuner, log, budget, tuner.seed),
         tune_baselines.search_static_lqr(tuner, log, budget, tuner.seed),
     ]
 
 
-def table(entries: list[Entry]) -> list[str]:
+def table(entries: list[ComparedDesign]) -> list[str]:
     """Return the comparison as lines."""
     tuned = entries[1].result
     lines = [
@@ -92,7 +92,7 @@ def table(entries: list[Entry]) -> list[str]:
     return [*lines, *(_table_line(entry, tuned) for entry in entries)]
 
 
-def _table_line(entry: Entry, tuned: Result) -> str:
+def _table_line(entry: ComparedDesign, tuned: Result) -> str:
     result = entry.result
     width = "-" if result.half_widths is None else f"{100 * result.half_widths[1]:.2f} cm"
     objective = "-" if entry.static else f"{result.objective:.4f}"
@@ -119,7 +119,7 @@ def grid_lines(tuned: Result, grids: dict[str, Spots]) -> list[str]:
     return lines
 
 
-def _entry_numbers(entry: Entry, tuned: Result) -> dict:
+def _entry_numbers(entry: ComparedDesign, tuned: Result) -> dict:
     return {
         **result_numbers(entry.result),
         "evaluations": entry.evaluations,
@@ -127,7 +127,7 @@ def _entry_numbers(entry: Entry, tuned: Result) -> dict:
     }
 
 
-def _groups(entries: list[Entry], grids: dict[str, Spots], front: Spots) -> list[Group]:
+def _groups(entries: list[ComparedDesign], grids: dict[str, Spots], front: Spots) -> list[Group]:
     groups = [_group(entry.name, entry.kind, result_spot(entry.result)) for entry in entries]
     groups += [_group(f"grid, {name}", "grid", spots) for name, spots in grids.items()]
     return [*groups, _group("front", "front", front)]

@@ -28,7 +28,7 @@ HEADING = 0.24
 """Heights of a design's and of a reference's row, inches."""
 
 
-class Row(NamedTuple):
+class ComparedRow(NamedTuple):
     """One design on one reference: mean of the lateral RMS and the ends of its interval, m."""
 
     reference: str
@@ -45,10 +45,10 @@ def comparison_figure(
     """Draw mean lateral errors with their intervals, reference by reference.
 
     Args:
-        rows: as in `Row`; the design met last is drawn as the tuned one.
+        rows: as in `ComparedRow`; the design met last is drawn as the tuned one.
         confidence: of the intervals.
     """
-    every = [Row(*row) for row in rows]
+    every = [ComparedRow(*row) for row in rows]
     references = list(dict.fromkeys(row.reference for row in every))
     looks = _choose_looks(list(dict.fromkeys(row.design for row in every)))
     figure = page_figure(0.65 + HEADING * len(references) + ROW * len(rows))
@@ -82,7 +82,7 @@ def _choose_looks(designs: list[str]) -> dict[str, dict[str, Any]]:
     return {**looks, designs[-1]: TUNED}
 
 
-def _draw_row(axes: Axes, place: float, row: Row, look: dict[str, Any]) -> None:
+def _draw_row(axes: Axes, place: float, row: ComparedRow, look: dict[str, Any]) -> None:
     """Draw and write the mean of a design with its interval, in mm."""
     mean = 1e3 * row.mean
     low = 1e3 * row.low

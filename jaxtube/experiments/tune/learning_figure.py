@@ -46,7 +46,7 @@ MAGNIFIED_FROM = 3
 """Iterates close to the best from which on they are magnified."""
 
 
-class Curve(NamedTuple):
+class LearningCurve(NamedTuple):
     """The iterates of a run, one an entry; what was not computed is NaN or infinite."""
 
     iteration: Int[np.ndarray, " iterates"]
@@ -72,7 +72,7 @@ class Curve(NamedTuple):
 
 
 @styled
-def learning_figure(curves: Mapping[str, Curve], effort_limit: float | None) -> Figure:
+def learning_figure(curves: Mapping[str, LearningCurve], effort_limit: float | None) -> Figure:
     """Draw objectives, lateral errors and effort by iteration.
 
     Where objectives span more than a decade, another panel magnifies those of certified iterates
@@ -118,7 +118,7 @@ def learning_figure(curves: Mapping[str, Curve], effort_limit: float | None) -> 
     return figure
 
 
-def _draw_run(panels: Mapping[Any, Axes], curve: Curve, look: tuple[str, str]) -> None:
+def _draw_run(panels: Mapping[Any, Axes], curve: LearningCurve, look: tuple[str, str]) -> None:
     """Draw the objectives, errors and effort of one run."""
     for name in ("cost", "certified"):
         if name in panels:
@@ -128,7 +128,7 @@ def _draw_run(panels: Mapping[Any, Axes], curve: Curve, look: tuple[str, str]) -
     _draw_iterates(panels["effort"], curve, curve.effort, look)
 
 
-def _draw_objective(axes: Axes, curve: Curve, colour: str) -> None:
+def _draw_objective(axes: Axes, curve: LearningCurve, colour: str) -> None:
     """Draw the band of the laps' costs and the objective that was minimised."""
     low = _mask_infinite(curve.low)
     high = _mask_infinite(curve.high)
@@ -137,7 +137,7 @@ def _draw_objective(axes: Axes, curve: Curve, colour: str) -> None:
 
 
 def _draw_iterates(
-    axes: Axes, curve: Curve, values: Float[np.ndarray, " iterates"], look: tuple[str, str]
+    axes: Axes, curve: LearningCurve, values: Float[np.ndarray, " iterates"], look: tuple[str, str]
 ) -> None:
     """Draw a line through all iterates, marks on each of them and the mark of the returned one."""
     colour, marker = look
@@ -156,7 +156,7 @@ def _mask_infinite(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
     return np.where(np.isfinite(values), values, np.nan)
 
 
-def _show_close(axes: Axes, runs: list[Curve]) -> None:
+def _show_close(axes: Axes, runs: list[LearningCurve]) -> None:
     """Let the ordinate end around the certified iterates close to the best, with their bands."""
     close = [values[curve.close] for curve in runs for values in curve[2:5]]
     values = _mask_infinite(np.concatenate(close))
@@ -166,7 +166,7 @@ def _show_close(axes: Axes, runs: list[Curve]) -> None:
     axes.set_ylim(least - margin, greatest + margin)
 
 
-def _run_key(name: str, curve: Curve, look: tuple[str, str]) -> Line2D:
+def _run_key(name: str, curve: LearningCurve, look: tuple[str, str]) -> Line2D:
     """Return the entry of a run, with what it came to."""
     text = "no certified iterate"
     best = curve.returned
@@ -180,7 +180,7 @@ def _run_key(name: str, curve: Curve, look: tuple[str, str]) -> Line2D:
     return line_key(label, color=look[0], marker=look[1], markersize=4)
 
 
-def _keys(runs: list[Curve], effort_limit: float | None) -> list:
+def _keys(runs: list[LearningCurve], effort_limit: float | None) -> list:
     mark: dict[str, Any] = {"marker": "o", "markersize": 3.5, "color": "0.25", "linewidth": 0.9}
     keys: list[Any] = []
     if any(curve.certified.any() for curve in runs):

@@ -27,7 +27,7 @@ ANSWER = "answer "
 """Prefixes of the arrays of a question and of its answer."""
 
 
-class Log:
+class TuningLog:
     """The log in one folder, which belongs to this object until it is closed."""
 
     def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:

@@ -10,10 +10,10 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.experiments.tune.baselines import Entry, run_static_lqr
+from jaxtube.experiments.tune.baselines import ComparedDesign, run_static_lqr
 from jaxtube.experiments.tune.result import reduction, reduction_numbers
 from jaxtube.scenario import Scenario, ScenarioError, experiments_folder
-from jaxtube.scenario.tree import Reference
+from jaxtube.scenario.tree import ReferenceTable
 from jaxtube.simulation import closed_loop
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.problem import Problem
@@ -38,7 +38,7 @@ Drives = dict[str, Drive]
 """The designs on one path, by their names."""
 
 
-def unseen_paths(scenario: Scenario) -> dict[str, Reference]:
+def unseen_paths(scenario: Scenario) -> dict[str, ReferenceTable]:
     """Return the scenario's path, a lemniscate at its speed, and a recorded one, all within its box
     of wheel speeds."""
     own = scenario.reference
@@ -47,7 +47,7 @@ def unseen_paths(scenario: Scenario) -> dict[str, Reference]:
     return {"eight (tuned on)": own, "lemniscate": lemniscate, "recorded": recorded}
 
 
-def drive_paths(scenario: Scenario, entries: list[Entry]) -> dict[str, Drives]:
+def drive_paths(scenario: Scenario, entries: list[ComparedDesign]) -> dict[str, Drives]:
     """Drive every design on every path; start and tuned are certified for each.
 
     A path that cannot be driven is named on the standard error; one on which the start has no
@@ -70,7 +70,7 @@ def drive_paths(scenario: Scenario, entries: list[Entry]) -> dict[str, Drives]:
     return paths
 
 
-def _drive(entry: Entry, problem: Problem) -> Drive | None:
+def _drive(entry: ComparedDesign, problem: Problem) -> Drive | None:
     """Return a design on the path of a problem, None where an empty set leaves no closed loop."""
     robot = closed_loop.robot_of(problem)
     tuner = dataclasses.replace(entry.tuner, problem=problem, plant=robot)

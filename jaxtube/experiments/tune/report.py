@@ -13,7 +13,7 @@ from jaxtyping import Float
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.experiments.tune.figures import error_figure, tube_figure
-from jaxtube.experiments.tune.learning_figure import Curve, learning_figure
+from jaxtube.experiments.tune.learning_figure import LearningCurve, learning_figure
 from jaxtube.experiments.tune.parameter_figure import parameter_figure
 from jaxtube.experiments.tune.result import (
     COMPARED_LAPS,
@@ -26,7 +26,7 @@ from jaxtube.experiments.tune.result import (
 )
 from jaxtube.simulation.usage import play
 from jaxtube.synthesis.certificate.fill import widest_tube
-from jaxtube.tuning.judgement import Judgement, pool
+from jaxtube.tuning.judgement import HeldOutJudgement, pool
 from jaxtube.tuning.loop import Weights
 from jaxtube.tuning.parameters import Point
 from jaxtube.tuning.tune import Tuned
@@ -44,7 +44,7 @@ class Summary(NamedTuple):
     numbers: dict
 
 
-def summarise(tuned: Tuned) -> Summary:
+def summarise_tuning(tuned: Tuned) -> Summary:
     """Compare the start with the iterate that is returned, and say what its certificate came to."""
     tuner = tuned.tuner
     assert tuned.best is not None
@@ -132,7 +132,7 @@ def iterate_arrays(tuned: Tuned) -> dict[str, np.ndarray]:
     judged = descent.judged
     weights = [weights_at(tuned.tuner, judgement.point) for judgement in judged]
 
-    def read(number: Callable[[Judgement], float]) -> Float[np.ndarray, " iterates"]:
+    def read(number: Callable[[HeldOutJudgement], float]) -> Float[np.ndarray, " iterates"]:
         values = [number(each) if each.has_laps else np.nan for each in judged]
         return np.array(values, float)
 
@@ -182,9 +182,9 @@ def draw(folder: RunFolder, tuned: Tuned) -> None:
     folder.save_figure(parameters, "parameters")
 
 
-def _curve(arrays: dict[str, np.ndarray]) -> Curve:
+def _curve(arrays: dict[str, np.ndarray]) -> LearningCurve:
     """Return the learning curve of a descent."""
-    return Curve(
+    return LearningCurve(
         iteration=np.arange(len(arrays["held_out"])),
         objective=arrays["objective"],
         held_out=arrays["held_out"],

@@ -25,7 +25,7 @@ SAMPLES = 200
 
 
 @dataclass(frozen=True, eq=False)
-class Band:
+class LawBand:
     """One band: the problem under its caps (regions: boxes that cover it), its gain and what its
     loops are hulls of."""
 
@@ -51,7 +51,7 @@ class Band:
         return float(np.max(self.problem.model.stretched(self.corners) / self.corners))
 
 
-def admissible_set(problem: Problem, bands: tuple[Band, ...]) -> Polytope:
+def law_admissible_set(problem: Problem, bands: tuple[LawBand, ...]) -> Polytope:
     """Return {e in E_op : the inputs of every band lie within its caps}."""
     E = problem.operating_set
     rows = [rows for band in bands for rows in band.rows]
@@ -60,7 +60,7 @@ def admissible_set(problem: Problem, bands: tuple[Band, ...]) -> Polytope:
 
 
 def certify_law(
-    problem: Problem, bands: tuple[Band, ...], omega: Polytope | None, shares: dict[str, float]
+    problem: Problem, bands: tuple[LawBand, ...], omega: Polytope | None, shares: dict[str, float]
 ) -> Certificate:
     """Re-check a law: invariance of Omega band by band, caps, coverage, W, wheel limits.
 
@@ -81,7 +81,7 @@ def certify_law(
 
 
 def _check_invariance(
-    problem: Problem, bands: tuple[Band, ...], omega: Polytope | None, shares: dict[str, float]
+    problem: Problem, bands: tuple[LawBand, ...], omega: Polytope | None, shares: dict[str, float]
 ) -> list[Condition]:
     if omega is None:
         binding = max(shares, key=lambda name: shares[name])
@@ -103,7 +103,7 @@ def _check_invariance(
         "disturbances, in any order.",
         f"Some band leaves the set by {-margin:.3g}.",
     )
-    margin = admissible_set(problem, bands).containment_margin(omega)
+    margin = law_admissible_set(problem, bands).containment_margin(omega)
     caps = judge(
         "caps",
         margin,
@@ -113,7 +113,7 @@ def _check_invariance(
     return [invariance, caps]
 
 
-def _check_wheels(problem: Problem, bands: tuple[Band, ...]) -> Condition:
+def _check_wheels(problem: Problem, bands: tuple[LawBand, ...]) -> Condition:
     slowest, fastest = ground_speed_limits(problem)
     speeds = np.stack([band.bound.ground_speeds for band in bands])
     least = speeds[:, 0].min(axis=0)
@@ -129,7 +129,7 @@ def _check_wheels(problem: Problem, bands: tuple[Band, ...]) -> Condition:
     )
 
 
-def _check_coverage(bands: tuple[Band, ...]) -> Condition:
+def _check_coverage(bands: tuple[LawBand, ...]) -> Condition:
     gap = max(coverage_gap(band) for band in bands)
     return judge(
         "vertices_cover_bands",
@@ -140,7 +140,7 @@ def _check_coverage(bands: tuple[Band, ...]) -> Condition:
     )
 
 
-def _check_disturbance_sets(bands: tuple[Band, ...]) -> Condition:
+def _check_disturbance_sets(bands: tuple[LawBand, ...]) -> Condition:
     """Return the condition on the W that has least room, of all bands."""
     return min(
         (check_disturbance_set(band.problem) for band in bands),
@@ -148,7 +148,7 @@ def _check_disturbance_sets(bands: tuple[Band, ...]) -> Condition:
     )
 
 
-def coverage_gap(band: Band) -> float:
+def coverage_gap(band: LawBand) -> float:
     """Return by how much loops at sampled wheel speeds miss those of their stretched speeds, or
     these the corners'; infinite where the boxes miss some of the band."""
     shares = np.random.default_rng(0).dirichlet(np.ones(len(band.corners)), SAMPLES)

@@ -19,7 +19,7 @@ from sets.robot.disturbance import (
     Operation,
     disturbance_bound,
     disturbance_parts,
-    residual,
+    model_residual,
     wheel_error_bound,
 )
 from sets.robot.plant import INPUT_MAPS, Kinematics, Period, plane_rows, split_residual
@@ -161,7 +161,7 @@ def predicted(kinematics: Kinematics, points: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("where", [EIGHT, PAPER], ids=["eight", "paper"])
 def test_residuals_are_what_the_plant_does_less_what_the_model_says(kinematics, where):
     points, after = samples(where, 3000)
-    w, kick, speeds = residual(where, kinematics, points, after)
+    w, kick, speeds = model_residual(where, kinematics, points, after)
     error, wheels = next_error(kinematics.input_map, points)
     np.testing.assert_allclose(
         w, error + after - predicted(kinematics, points), rtol=0, atol=RESIDUAL_ROUNDING
@@ -177,7 +177,7 @@ def test_residuals_are_what_the_plant_does_less_what_the_model_says(kinematics, 
 def test_residuals_agree_with_an_integration_in_the_world_frame(input_map):
     kinematics = Kinematics(input_map)
     points, after = samples(EIGHT, 12, seed=3)
-    w, _, speeds = residual(EIGHT, kinematics, points, after)
+    w, _, speeds = model_residual(EIGHT, kinematics, points, after)
 
     def drive(pose, wheels):
         def rate(_, pose):
@@ -251,7 +251,7 @@ def test_models_are_those_of_the_controller(kinematics):
 def assert_holds(
     bound, where: Operation, kinematics: Kinematics, points: np.ndarray, after: np.ndarray
 ) -> None:
-    w, kick, speeds = residual(where, kinematics, points, after)
+    w, kick, speeds = model_residual(where, kinematics, points, after)
     rest = w - kick[:, None] * [0.0, bound.lateral_per_yaw, 1.0]
     assert np.abs(kick).max() <= bound.yaw
     assert (np.abs(rest).max(axis=0) <= bound.box + 1e-15).all()  # w itself is rounded
@@ -264,7 +264,9 @@ def test_no_sample_lies_outside(kinematics):
     bound = bound_of(kinematics)
     assert_holds(bound, EIGHT, kinematics, *vertices(EIGHT))
     assert_holds(bound, EIGHT, kinematics, *samples(EIGHT, 20_000))
-    assert bound.polytope().contains(residual(EIGHT, kinematics, *samples(EIGHT, 500))[0]).all()
+    assert (
+        bound.polytope().contains(model_residual(EIGHT, kinematics, *samples(EIGHT, 500))[0]).all()
+    )
 
 
 def test_no_sample_of_many_lies_outside():
@@ -358,7 +360,7 @@ def test_parts_are_the_differences_that_define_them(kinematics):
     idle = points * np.array([1, 1, 1, 0, 0, *[1] * 7])
     nominal = next_error(name, points, slipping=False, noisy=False)[0]
     slipping = next_error(name, points, noisy=False)[0]
-    kick = residual(EIGHT, kinematics, points, after)[1][:, None] * [
+    kick = model_residual(EIGHT, kinematics, points, after)[1][:, None] * [
         0.0,
         EIGHT.period.lateral_per_yaw,
         1.0,
