@@ -23,7 +23,7 @@ COMPILED = "JAX_COMPILATION_CACHE_DIR"
 def emit_loops_directly():
     """Let XLA emit fused loops as LLVM IR at once, which halves the time that compiling takes.
 
-    Sums may be rounded otherwise at another place in a batch.
+    Two branches of a program may then round the same sum otherwise.
     """
     # An unknown flag is fatal, so it is passed only to the releases that were seen to know it.
     if importlib.metadata.version("jaxlib").startswith("0.10."):

@@ -149,11 +149,14 @@ def test_a_period_is_that_of_the_world_frame(names, period):
 @pytest.mark.slow
 def test_positions_are_of_second_order_in_the_arcs_while_wheels_change_speed(period):
     plant = imperfect(slipping_robot(), lag=0.08)
-    coarse, fine, exact = [
-        drive(dataclasses.replace(plant, arcs=arcs), 0, *period)[0] for arcs in (4, 8, 256)
-    ]
-    ratio = np.abs(coarse - exact).max() / np.abs(fine - exact).max()
-    assert 3.5 < ratio < 4.5
+
+    def drive_in(arcs):
+        return drive(dataclasses.replace(plant, arcs=arcs), 0, *period)[0]
+
+    exact = drive_in(256)
+    coarse = np.abs(drive_in(4) - exact).max()
+    fine = np.abs(drive_in(8) - exact).max()
+    assert 3.5 < coarse / fine < 4.5
 
 
 def test_wheels_that_lag_or_are_limited_follow_a_period_as_its_two_halves(period):

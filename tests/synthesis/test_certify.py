@@ -117,7 +117,7 @@ def test_the_papers_certificate_says_for_which_gains_a_terminal_set_exists(certi
 
 
 def test_zero_order_hold_is_not_covered_by_its_vertices(uncertified, recertify):
-    design = uncertified("paper", "controller.discretisation=zoh", "controller.tube=hull")
+    design = uncertified("robust", "controller.discretisation=zoh", "controller.tube=hull")
     certificate = recertify(design)
     assert "vertices_cover_schedule" in certificate.failing_for_model
     assert "zero-order hold" in certificate.conditions["vertices_cover_schedule"].sentence
