@@ -164,7 +164,8 @@ class PointLog:
     def append(self, record: dict) -> None:
         """Add a value; once this returns, it outlives the process.
 
-        Raises: StoreError when the disk failed.
+        Raises:
+            StoreError: the disk failed.
         """
         name = f"{self._count:06d}"
         with self._store.explain_failure(f"logging {name}", self._safe):
