@@ -293,6 +293,9 @@ def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
     designs = [make_tested(*HOLDING, laws=large, name="the-other-one"), make_tested()]
     text = report.text(designs)
     assert max(map(len, text.splitlines())) <= report.WIDTH
+    for design in designs:
+        for table in report.law_tables(design):
+            assert max(map(len, table.splitlines())) <= report.WIDTH
     assert "the-other-one: NOT CERTIFIED" in text
     assert "\nmine: CERTIFIED; 0 laps" in text
     markdown = report.markdown(designs)
@@ -304,7 +307,7 @@ def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
 
 def test_the_legend_explains_every_column_of_an_event():
     legend = report.legend()
-    for name in report.SHOWN:
+    for name in claims.VIOLATIONS:
         event = find_event(name)
         assert f"{event.words}: {event.meaning}" in legend
 

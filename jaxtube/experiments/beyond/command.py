@@ -126,8 +126,8 @@ def table(searches: dict[str, LevelSearch], realisations: int) -> str:
     rows = [_row(IMPERFECTIONS[name], search) for name, search in searches.items()]
     return (
         f"{format_table(columns, rows, WIDTH)}\n\n{realisations:,} laps of each slip process: "
-        f"{', '.join(PROCESSES)}. A limit of acceleration is 1 / level.\n"
-        "In parentheses: the slip processes under which a limit is violated at that level."
+        f"{', '.join(PROCESSES)};\nin parentheses: those under which a limit is violated at that "
+        "level. A limit of acceleration is 1 / level."
     )
 
 

@@ -23,8 +23,6 @@ from jaxtube.statistics.events import find_event
 
 WIDTH = 100
 """Columns of all text."""
-SHOWN = VIOLATIONS[:-1]
-"""Events with a column of their own: laps that are not finite leave E or U as well."""
 
 
 def cells(claim: Claim, design: Tested) -> tuple[str, str, str]:
@@ -86,7 +84,8 @@ def text(tested: list[Tested]) -> str:
     """Return the report as text of at most WIDTH columns."""
     parts = [verdict(design) for design in tested]
     parts.append(claim_table(tested))
-    parts += [law_table(design) for design in tested]
+    for design in tested:
+        parts += law_tables(design)
     parts += [legend(), *_notes(tested)]
     return "\n\n".join("\n".join(_wrap(part)) for part in parts)
 
@@ -140,49 +139,53 @@ def _claim_rows(
     return rows
 
 
-def law_table(design: Tested) -> str:
-    """Return one line a law: laps in which each event occurred, steps with active rows, largest
-    usage of W and E, the bound."""
-    columns = [
-        left(design.name),
-        Column("laps"),
-        Column("steps"),
-        *(Column(find_event(name).words) for name in SHOWN),
-        Column("active"),
-        Column("W"),
-        Column("E"),
-        Column("at most"),
+def law_tables(design: Tested) -> list[str]:
+    """Return a line for each law: the laps in which each event occurred; and how far w and e went,
+    with the bound on the violating laps."""
+    columns = [left(design.name), Column("laps")]
+    columns += [Column(find_event(name).words) for name in VIOLATIONS]
+    events = [_event_row(name, law) for name, law in design.laws.items()]
+    usages = [_usage_row(name, law) for name, law in design.laws.items()]
+    return [
+        format_table(columns, events, WIDTH),
+        format_table([left(design.name), *map(Column, USAGES)], usages, WIDTH),
     ]
-    rows = [_law_row(name, law) for name, law in design.laws.items()]
-    return format_table(columns, rows, WIDTH)
 
 
-def _law_row(name: str, law: dict) -> list[str]:
+USAGES = ("steps", "active", "w, share of W", "e, share of E", "violating share at most")
+
+
+def _event_row(name: str, law: dict) -> list[str]:
     return [
         name,
         f"{law['laps']:,}",
-        f"{count_steps(law) / 1e6:.3g}M",
-        *(str(law["events"][event]["laps"]) for event in SHOWN),
+        *(f"{law['events'][event]['laps']:,}" for event in VIOLATIONS),
+    ]
+
+
+def _usage_row(name: str, law: dict) -> list[str]:
+    return [
+        name,
+        f"{count_steps(law):,}",
         f"{law['events']['row_active']['share_of_steps']:.2%}",
-        f"{law['worst']['disturbance'][0]['usage']:.2f}",
-        f"{law['worst']['error'][0]['usage']:.2f}",
+        f"{law['worst']['disturbance'][0]['usage']:.3f}",
+        f"{law['worst']['error'][0]['usage']:.3f}",
         _percent(bound_violating_share(law)),
     ]
 
 
 def legend() -> str:
     """Return what the columns mean."""
-    meanings = [f"  {find_event(name).words}: {find_event(name).meaning}" for name in SHOWN]
+    events = [find_event(name) for name in VIOLATIONS]
     lines = [
         "Each row is a law, which laps are drawn from: the process of the slips, over whole laps "
         "from starts all over the feasible set; edge-: the first second, from its edge.",
         "Laps in which, at least once:",
-        *meanings,
-        "A lap with any of these violates the guarantee.",
-        f"at most: share of such laps among all that the law draws ({CONFIDENCE:.0%}, one-sided, "
-        "Clopper-Pearson)",
-        "active: share of the steps in which a constraint of the plan is active",
-        "W, E: how far w and e went, as a share of the set; 1 is its boundary",
+        *(f"  {event.words}: {event.meaning}" for event in events),
+        "A lap with any of these violates the guarantee; violating share: of such laps among all "
+        f"that the law draws ({CONFIDENCE:.0%}, one-sided, Clopper-Pearson).",
+        "active: share of the steps in which a constraint of the plan is active; shares of W and "
+        "E: how far w and e went, 1 being the boundary of the set.",
     ]
     return "\n".join(lines)
 
@@ -216,22 +219,10 @@ def _claims_in_markdown(tested: list[Tested]) -> str:
 
 def _laws_in_markdown(design: Tested) -> str:
     events = [find_event(name).words for name in VIOLATIONS]
-    head = [design.name, "laps", "steps", *events, "active", "W", "E", "at most"]
-    rows = [_law_in_markdown(name, law) for name, law in design.laws.items()]
-    return _format_markdown(head, rows)
-
-
-def _law_in_markdown(name: str, law: dict) -> list[str]:
-    return [
-        name,
-        f"{law['laps']:,}",
-        f"{count_steps(law):,}",
-        *(f"{law['events'][event]['laps']:,}" for event in VIOLATIONS),
-        f"{law['events']['row_active']['share_of_steps']:.2%}",
-        f"{law['worst']['disturbance'][0]['usage']:.4g}",
-        f"{law['worst']['error'][0]['usage']:.4g}",
-        _percent(bound_violating_share(law)),
-    ]
+    rows = []
+    for name, law in design.laws.items():
+        rows.append(_event_row(name, law) + _usage_row(name, law)[1:])
+    return _format_markdown([design.name, "laps", *events, *USAGES], rows)
 
 
 def _format_markdown(head: list[str], rows: list[list[str]]) -> str:
