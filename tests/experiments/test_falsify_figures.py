@@ -10,8 +10,8 @@ from tolerances import DRAWN
 
 from jaxtube.experiments.falsify.figures import make_tracks, worst_run
 from jaxtube.experiments.falsify.section_figure import worst_section
-from jaxtube.falsification.search import Worst
-from jaxtube.falsification.setting import lap_limits
+from jaxtube.falsification.setting import make_lap_limits
+from jaxtube.falsification.worst import Worst
 from jaxtube.simulation.usage import Replay, values_of
 
 STEP = 3
@@ -48,12 +48,13 @@ def usage_of(limits, name, played):
 
 def make_worst(design, name):
     attack = {"true": np.ones((design.problem.reference.steps, 2)), "start": np.zeros((1, 3))}
-    return Worst(1.1, -0.1, STEP, 0, STEP - 1 if name == "tube" else 0, attack)
+    when = STEP - 1 if name == "tube" else 0
+    return Worst(name, 1.1, -0.1, STEP, 0, when, attack)
 
 
 @pytest.mark.parametrize("name", ["error", "input", "wheels"])
 def test_usage_is_drawn_where_the_run_that_uses_it_lies(name, design, played):
-    limits = lap_limits(design)
+    limits = make_lap_limits(design)
     usage = usage_of(limits, name, played)
     for track in make_tracks(design.problem, limits, name, played):
         for facet in track.facets:
@@ -63,7 +64,7 @@ def test_usage_is_drawn_where_the_run_that_uses_it_lies(name, design, played):
 
 @pytest.mark.parametrize("name", ["error", "input", "wheels", "tube"])
 def test_a_worst_run_is_drawn_with_and_without_what_others_met(name, design, played):
-    limits = lap_limits(design)
+    limits = make_lap_limits(design)
     worst = make_worst(design, name)
     assert_presentable(worst_run(design.problem, limits, name, worst, played))
     if name == "tube":
