@@ -24,10 +24,13 @@ if TYPE_CHECKING:
     from jaxtube.plant.protocol import Command, Measurement, Plant
     from jaxtube.plant.slip import SlipProcess
     from jaxtube.results import read
-    from jaxtube.scenario import Scenario, ScenarioError, load
+    from jaxtube.scenario.reading import load
+    from jaxtube.scenario.refusal import ScenarioError
+    from jaxtube.scenario.tree import Scenario
     from jaxtube.simulation.simulate import Laps, simulate
     from jaxtube.statistics.montecarlo import MonteCarlo, montecarlo
-    from jaxtube.synthesis.design import Design, EmptySetError, design
+    from jaxtube.synthesis.design import EmptySetError, design
+    from jaxtube.synthesis.parts import Design
     from jaxtube.tuning.tune import Tuned, tune
 
 HOMES = {

@@ -7,7 +7,8 @@ from pathlib import Path
 from jaxtube.simulation.simulate import Laps
 from jaxtube.statistics.montecarlo import MonteCarlo
 from jaxtube.storage import read_result, refuse_differences, refuse_folder
-from jaxtube.synthesis.design import Design, design
+from jaxtube.synthesis.design import design
+from jaxtube.synthesis.parts import Design
 
 RESTORERS = {"laps": Laps.restore, "montecarlo": MonteCarlo.restore}
 """By kind of result, how it is made of its design and of what was read."""

@@ -18,8 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxtube.atomic import write_atomically
-from jaxtube.scenario import Scenario, ScenarioError, load, to_toml
-from jaxtube.scenario.refusal import refusal
+from jaxtube.scenario.reading import load
+from jaxtube.scenario.refusal import ScenarioError, refusal
+from jaxtube.scenario.tree import Scenario, to_toml
 
 SCHEMA = 1
 """Of result.json: raised where an older reader would misunderstand a newer folder."""

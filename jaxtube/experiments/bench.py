@@ -21,13 +21,14 @@ from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.cluster import Cluster, import_distributed
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.plant.reference import settled_step
-from jaxtube.scenario import Scenario
+from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import BLOCK, Run
-from jaxtube.synthesis.design import Design, design
+from jaxtube.synthesis.design import design
 from jaxtube.synthesis.feasible import boundary, spread_starts
+from jaxtube.synthesis.parts import Design
 from jaxtube.tuning.objective import Conditions, make_aim, objective
 from jaxtube.tuning.parameters import make_parameters
 from jaxtube.tuning.tuner import freeze

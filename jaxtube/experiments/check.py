@@ -21,7 +21,9 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from jaxtube.experiments.options import COMMANDS, CheckOptions, title
-from jaxtube.scenario import Scenario, ScenarioError, experiments_folder, find, load, names
+from jaxtube.scenario.reading import experiments_folder, find, load, names
+from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.tree import Scenario
 
 MISSING = object()
 

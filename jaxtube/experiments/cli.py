@@ -85,7 +85,8 @@ def parse(arguments: Sequence[str]) -> Options | None:
 
 def run(options: Options) -> int:
     """Load the scenario, where one is given, and run the command's own module."""
-    from jaxtube.scenario import ScenarioError, load
+    from jaxtube.scenario.reading import load
+    from jaxtube.scenario.refusal import ScenarioError
 
     scenario = load(options.scenario, options.overrides) if options.scenario else None
     try:
@@ -175,14 +176,14 @@ def _paragraphs(box: str) -> list[list[str]]:
 
 
 def _refuse(text: str) -> ValueError:
-    from jaxtube.scenario import ScenarioError
+    from jaxtube.scenario.refusal import ScenarioError
 
     return ScenarioError(f"command line: {text}")
 
 
 def _find_exit_code(error: ValueError) -> int | None:
     """Return the exit code of an error that users can mend, None for a fault of the program."""
-    from jaxtube.scenario import ScenarioError
+    from jaxtube.scenario.refusal import ScenarioError
 
     if isinstance(error, ScenarioError):
         return BAD_INPUT

@@ -1,7 +1,8 @@
 """`list`: the scenarios that come with the project, each with the first comment of its file."""
 
 from jaxtube.experiments.options import Options
-from jaxtube.scenario import Scenario, find, load, names
+from jaxtube.scenario.reading import find, load, names
+from jaxtube.scenario.tree import Scenario
 
 
 def run(scenario: Scenario | None, options: Options) -> int:

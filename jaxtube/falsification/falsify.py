@@ -13,7 +13,7 @@ from jaxtube.falsification.setting import Setting, draw_starts, make_setting
 from jaxtube.falsification.worst import Worst
 from jaxtube.precision import in_64_bits
 from jaxtube.simulation.simulate import ControllerChoice, PlantChoice, SlipChoice
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from jaxtube.control.laws import TubeMpc, planner_of
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant, SearchablePlant
-from jaxtube.scenario import ScenarioError
+from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.simulation.simulate import (
@@ -28,8 +28,9 @@ from jaxtube.simulation.simulate import (
 )
 from jaxtube.simulation.starts import uniform_start
 from jaxtube.simulation.usage import Limit, Limits, make_limit, make_tube_limit
-from jaxtube.synthesis.design import Design, refuse_infeasible_start
+from jaxtube.synthesis.design import refuse_infeasible_start
 from jaxtube.synthesis.feasible import true_starts
+from jaxtube.synthesis.parts import Design
 from sets.polytope import hull_vertices
 
 INSIDE = 0.999

@@ -31,7 +31,7 @@ from jaxtube.figures.style import (
     row_text,
     styled,
 )
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 from sets.polytope import Polytope
 
 TUBES = {

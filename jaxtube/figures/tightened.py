@@ -21,7 +21,7 @@ from jaxtube.figures.style import (
     page_figure,
     styled,
 )
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 from sets.polytope import Polytope
 
 

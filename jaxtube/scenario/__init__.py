@@ -3,8 +3,7 @@
 from jaxtube.scenario.reading import experiments_folder, find, load, names, replace
 from jaxtube.scenario.reference_rules import check_reference_wheels
 from jaxtube.scenario.refusal import ScenarioError
-from jaxtube.scenario.rules import weight_matrix
-from jaxtube.scenario.tree import Scenario, to_toml
+from jaxtube.scenario.tree import Scenario, to_toml, weight_matrix
 
 __all__ = [
     "Scenario",

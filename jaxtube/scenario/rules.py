@@ -9,7 +9,6 @@ from collections.abc import Callable
 from typing import NoReturn
 
 import numpy as np
-from jaxtyping import Float
 
 from jaxtube.scenario import reference_rules
 from jaxtube.scenario.tree import (
@@ -20,6 +19,7 @@ from jaxtube.scenario.tree import (
     Scenario,
     Slip,
     Weight,
+    weight_matrix,
 )
 
 Refuse = Callable[[str, str, str], NoReturn]
@@ -50,23 +50,6 @@ def check_rules(scenario: Scenario, refuse: Refuse) -> None:
     _check_vertex_gains(scenario, refuse)
     _check_bands(scenario, refuse)
     reference_rules.check_reference(scenario, refuse)
-
-
-def weight_matrix(weight: Weight) -> Float[np.ndarray, "n n"]:
-    """Expand a weight, a list of n diagonal entries or of n rows, to its matrix.
-
-    Raises:
-        ValueError: for anything else.
-    """
-    rows = [row for row in weight if isinstance(row, tuple)]
-    if not rows:
-        return np.diag(np.array(weight, dtype=float))
-    if len(rows) == len(weight) and all(len(row) == len(weight) for row in rows):
-        return np.array(weight, dtype=float)
-    raise ValueError(
-        f"weight = {weight}: neither diagonal entries nor a square matrix; "
-        "give n numbers or n rows of n"
-    )
 
 
 def _check_order(section: RobotTable | ReferenceTable, name: str, refuse: Refuse) -> None:

@@ -11,6 +11,8 @@ its figures.
 from typing import Annotated, Literal
 
 import msgspec
+import numpy as np
+from jaxtyping import Float
 
 from jaxtube.scenario.refusal import literal
 
@@ -237,3 +239,20 @@ def to_toml(scenario: Scenario) -> str:
                 lines.append(f"{key} = {literal(value)}")
         tables.append("\n".join(lines))
     return "\n\n".join(tables) + "\n"
+
+
+def weight_matrix(weight: Weight) -> Float[np.ndarray, "n n"]:
+    """Expand a weight, a list of n diagonal entries or of n rows, to its matrix.
+
+    Raises:
+        ValueError: for anything else.
+    """
+    rows = [row for row in weight if isinstance(row, tuple)]
+    if not rows:
+        return np.diag(np.array(weight, dtype=float))
+    if len(rows) == len(weight) and all(len(row) == len(weight) for row in rows):
+        return np.array(weight, dtype=float)
+    raise ValueError(
+        f"weight = {weight}: neither diagonal entries nor a square matrix; "
+        "give n numbers or n rows of n"
+    )

@@ -28,7 +28,7 @@ from jaxtube.simulation.rollout import (
     realisation_keys,
     rollout,
 )
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem, error_vector
 
 BLOCK = 256

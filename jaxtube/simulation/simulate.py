@@ -24,8 +24,8 @@ from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import Trajectory, realisation_keys
 from jaxtube.simulation.starts import FixedStart, Starts, uniform_start
 from jaxtube.storage import Stored, write_result
-from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.feasible import true_starts
+from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

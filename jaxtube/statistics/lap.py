@@ -23,7 +23,7 @@ from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
 from jaxtube.statistics.checks import Facets, judge_points
 from jaxtube.statistics.run import Task
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 
 
 class Usage(NamedTuple):

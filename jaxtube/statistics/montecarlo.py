@@ -25,7 +25,7 @@ from jaxtube.statistics.run import BLOCK, Run, Statistics, Task, merge
 from jaxtube.statistics.summary import SamplingLaw, summarise
 from jaxtube.statistics.task import make_task
 from jaxtube.storage import Stored, write_result
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -16,7 +16,7 @@ from jaxtube.simulation.starts import Starts
 from jaxtube.statistics.checks import Checks, Facets, Sections
 from jaxtube.statistics.run import Task
 from jaxtube.statistics.tally import HEAT_CELLS
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 from sets.polytope import Polytope
 
 MAP_MARGIN_M = 0.4

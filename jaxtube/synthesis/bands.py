@@ -26,7 +26,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.scenario import Scenario
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.certificate.fill import ring_normals
 from jaxtube.synthesis.certificate.law import LawBand, certify_law, law_admissible_set
 from jaxtube.synthesis.disturbance import with_computed_bound

@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.control.mpc import AnyArray, CondensedQp
-from jaxtube.scenario import ScenarioError
+from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis.prediction import Prediction, predict
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import Terminal

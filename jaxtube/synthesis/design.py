@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.scenario import Scenario, ScenarioError
+from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis import condense
 from jaxtube.synthesis.advice import say_what_helps
 from jaxtube.synthesis.certificate.certify import certify

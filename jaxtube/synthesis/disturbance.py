@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.scenario import Scenario, ScenarioError
+from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.problem import Problem, make_problem
 from sets.polytope import Polytope
 from sets.robot.disturbance import Operation, disturbance_bound, wheel_error_bound

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from scipy.optimize import linprog
 
 from jaxtube.control.mpc import CondensedQp
-from jaxtube.scenario import ScenarioError
+from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis.problem import Problem
 from sets.polytope import Polytope
 

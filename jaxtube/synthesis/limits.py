@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.plant.robot import Robot
-from jaxtube.scenario import Scenario, ScenarioError
+from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.tree import Scenario
 from sets.polytope import Polytope
 
 

@@ -24,7 +24,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
-from jaxtube.scenario import Scenario
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.advice import say_what_widens
 from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits
 from jaxtube.synthesis.estimate import STEP, USUAL_TRACK_WIDTH_M, Estimate

@@ -23,8 +23,9 @@ from jaxtube.plant.model import VERTEX_SIDES, Model, make_model
 from jaxtube.plant.recorded_reference import from_file
 from jaxtube.plant.reference import Reference, lemniscate, two_circles
 from jaxtube.plant.robot import Robot
-from jaxtube.scenario import Scenario, ScenarioError, check_reference_wheels, weight_matrix
-from jaxtube.scenario.reference_rules import is_in_box
+from jaxtube.scenario.reference_rules import check_reference_wheels, is_in_box
+from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.tree import Scenario, weight_matrix
 from jaxtube.synthesis.limits import (
     InputRows,
     error_vector,

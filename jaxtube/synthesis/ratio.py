@@ -28,7 +28,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
-from jaxtube.scenario import Scenario
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.certificate.existence import OBJECTIVES
 from jaxtube.synthesis.certificate.fill import cap_shares
 from jaxtube.synthesis.disturbance import complete_problem

@@ -28,7 +28,7 @@ from jaxtube.control.laws import TubeMpc
 from jaxtube.control.mpc import AnyArray
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.slipping import SlippingRobot
-from jaxtube.scenario import Scenario
+from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation.usage import play
 from jaxtube.tuning.caps import CapLimits, shares_of_caps
 from jaxtube.tuning.loop import Fixed, Weights, condense_windows

@@ -21,7 +21,7 @@ from jax import Array
 from jaxtyping import Bool, Float
 
 from jaxtube.control.mpc import AnyArray
-from jaxtube.scenario import Scenario
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.loop import Weights
 

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from typing import get_args
 
 from jaxtube.precision import in_64_bits
-from jaxtube.scenario import Scenario
-from jaxtube.synthesis.design import Design, design
+from jaxtube.scenario.tree import Scenario
+from jaxtube.synthesis.design import design
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.judgement import HeldOutJudgement
 from jaxtube.tuning.parameters import Variables

@@ -20,11 +20,13 @@ from jaxtube.control.laws import TubeMpc
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.reference import settled_step
 from jaxtube.plant.slipping import SlippingRobot
-from jaxtube.scenario import Scenario, ScenarioError
+from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys
-from jaxtube.synthesis.design import Design, finish, prepare, refuse_infeasible_start
+from jaxtube.synthesis.design import finish, prepare, refuse_infeasible_start
 from jaxtube.synthesis.disturbance import complete_problem
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem, with_controller
 from jaxtube.tuning.caps import find_active_caps, make_limits
 from jaxtube.tuning.judgement import HeldOutJudgement, judge_laps, judge_without_laps

@@ -22,7 +22,8 @@ from jaxtube.statistics.events import EVENT_NAMES, find_row
 from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import RANKED, WORST, Run, first_plan, merge, plan_steps
 from jaxtube.statistics.task import facets
-from jaxtube.synthesis.design import Design, design
+from jaxtube.synthesis.design import design
+from jaxtube.synthesis.parts import Design
 from sets.polytope import Polytope
 
 COUNTED_ROUNDING = 1e-10

@@ -10,8 +10,8 @@ from oracles import SEQUENCE
 from tolerances import CERTIFICATE_MARGIN
 
 from jaxtube.scenario import load
-from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.gains import Gain
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.tightening import BACK_OFF
 from sets.certificate import Certificate, escape_excess
 from sets.tubes import hull_tube

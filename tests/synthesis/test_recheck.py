@@ -12,7 +12,8 @@ from tolerances import EXACT_AGAINST_FLOAT
 from jaxtube.scenario import load
 from jaxtube.synthesis.certificate.exact import disturbance_points, recheck
 from jaxtube.synthesis.condense import residual_bound
-from jaxtube.synthesis.design import Design, design
+from jaxtube.synthesis.design import design
+from jaxtube.synthesis.parts import Design
 from sets.certificate import ROUNDING
 from sets.polytope import Polytope
 

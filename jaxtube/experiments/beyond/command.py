@@ -25,7 +25,7 @@ from jaxtube.experiments.options import BeyondOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.table import Column, format_table, left
-from jaxtube.scenario import Scenario
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.design import refuse_infeasible_start
 

@@ -17,7 +17,7 @@ from jaxtube.coordinates import NAMES
 from jaxtube.plant.imperfect import Imperfections, ImperfectRobot, shifted_preview
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 
 PROCESSES = ("iid", "vertex", "constant", "adversarial")
 ROUNDING = 1e-9

@@ -9,7 +9,7 @@ from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.conditions import condition_lines
 from jaxtube.experiments.run.progress import progress
-from jaxtube.scenario import Scenario
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.bands import BandedLaw, make_law
 
 

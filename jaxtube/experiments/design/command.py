@@ -17,13 +17,15 @@ from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
-from jaxtube.scenario import Scenario, ScenarioError
+from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.advice import say_what_widens
-from jaxtube.synthesis.design import Design, design, refuse_infeasible_start
+from jaxtube.synthesis.design import design, refuse_infeasible_start
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.optimise import Optimum, optimise, search_starts
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import make_problem
 from sets.certificate import Certificate
 

@@ -7,8 +7,8 @@ import numpy as np
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.conditions import condition_lines
 from jaxtube.synthesis.advice import say_what_helps
-from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.disturbance import kinematics, operation
+from jaxtube.synthesis.parts import Design
 from sets.robot.disturbance import disturbance_parts
 
 LABEL = 16

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 
 
 def disturbance_line(design: Design, disturbance: dict, loop: str) -> str:

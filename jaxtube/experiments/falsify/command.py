@@ -21,8 +21,8 @@ from jaxtube.falsification.cases import Row, describe_facet, is_violated
 from jaxtube.falsification.falsify import search_setting
 from jaxtube.falsification.setting import Setting, make_setting
 from jaxtube.falsification.worst import Worst, confirm
-from jaxtube.scenario import Scenario, to_toml
 from jaxtube.scenario.refusal import refusal
+from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.simulation.usage import Replay, replay
 from jaxtube.synthesis.design import design
 

@@ -26,7 +26,7 @@ from jaxtube.figures.style import (
     styled,
 )
 from jaxtube.simulation.usage import Replay, values_of
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 from sets.tubes import Section
 
 FACET = {"color": OUTSIDE, "linewidth": 2.2, "solid_capstyle": "butt"}

@@ -23,11 +23,11 @@ from jaxtyping import Float, Int, Key
 
 from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.slipping import SlipMemory, SlippingRobot
-from jaxtube.scenario import replace
+from jaxtube.scenario.reading import replace
 from jaxtube.simulation import closed_loop
 from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import Task
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 
 PROCESSES = ("iid", "vertex", "constant", "adversarial", "patches")
 EDGE_PROCESSES = ("vertex", "adversarial")

@@ -13,7 +13,7 @@ import math
 from collections.abc import Callable, Collection
 from typing import NamedTuple
 
-from jaxtube.scenario import Scenario
+from jaxtube.scenario.tree import Scenario
 from jaxtube.statistics.intervals import largest_share
 from sets.certificate import Certificate
 

@@ -42,8 +42,9 @@ from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.metrics import by_coordinate
 from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.records import Records
-from jaxtube.scenario import Scenario, ScenarioError, load, replace, to_toml
-from jaxtube.scenario.refusal import refusal
+from jaxtube.scenario.reading import load, replace
+from jaxtube.scenario.refusal import ScenarioError, refusal
+from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.statistics import histogram
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.checks import OUTSIDE
@@ -51,8 +52,9 @@ from jaxtube.statistics.events import find_row
 from jaxtube.statistics.montecarlo import name_law
 from jaxtube.statistics.run import BLOCK, Run, Statistics
 from jaxtube.statistics.summary import summarise
-from jaxtube.synthesis.design import Design, EmptySetError
+from jaxtube.synthesis.design import EmptySetError
 from jaxtube.synthesis.design import design as make_design
+from jaxtube.synthesis.parts import Design
 
 SHARED = ("robot", "slip", "noise", "initial", "reference")
 """Sections that both designs take from the first scenario."""

@@ -24,7 +24,8 @@ from jaxtube.experiments.options import MapsOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left
-from jaxtube.scenario import Scenario, ScenarioError, to_toml
+from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.ratio import Guarantee, OperatingPoint
 

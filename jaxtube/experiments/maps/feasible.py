@@ -16,7 +16,8 @@ import numpy as np
 
 from jaxtube.experiments.maps.points import PointLog
 from jaxtube.experiments.run.progress import progress
-from jaxtube.scenario import Scenario, replace
+from jaxtube.scenario.reading import replace
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.feasible import boundary

@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.store import Store
-from jaxtube.scenario import Scenario
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, at_point, caps_and_gains, guarantee
 
 DESIGNS = ("optimised", "weighted", "paper")

@@ -27,15 +27,16 @@ from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.records import Records
-from jaxtube.scenario import Scenario, to_toml
 from jaxtube.scenario.refusal import refusal
+from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.events import find_row
 from jaxtube.statistics.montecarlo import make_closed_loop_task, name_law
 from jaxtube.statistics.run import BLOCK, TILE, Run, Statistics, Task
 from jaxtube.statistics.summary import summarise
-from jaxtube.synthesis.design import Design, refuse_infeasible_start
 from jaxtube.synthesis.design import design as make_design
+from jaxtube.synthesis.design import refuse_infeasible_start
+from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
     from jaxtube.experiments.run.cluster import Cluster

@@ -35,7 +35,7 @@ from jaxtube.statistics import histogram
 from jaxtube.statistics.lap import lap
 from jaxtube.statistics.run import Statistics, Task
 from jaxtube.statistics.task import facets
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 
 SHADES = {0.5: 0.6, 0.9: 0.35, 0.999: 0.15}

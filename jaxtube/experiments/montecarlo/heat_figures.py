@@ -34,7 +34,7 @@ from jaxtube.figures.style import (
 )
 from jaxtube.statistics.run import Statistics
 from jaxtube.statistics.tally import PLANES
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from sets.tubes import Section
 

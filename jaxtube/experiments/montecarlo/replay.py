@@ -21,7 +21,7 @@ from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics.events import find_event
 from jaxtube.statistics.lap import Lap, Usage, lap
 from jaxtube.statistics.montecarlo import make_closed_loop_task, name_law
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from sets.polytope import Polytope
 

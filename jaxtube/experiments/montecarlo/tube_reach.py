@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.experiments.run.table import Column, format_table, left
-from jaxtube.synthesis.design import Design
+from jaxtube.synthesis.parts import Design
 from sets.certificate import reach_supports
 from sets.polytope import Polytope
 from sets.tubes import Section, sequence_tube

@@ -28,11 +28,13 @@ from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.progress import progress
-from jaxtube.scenario import Scenario, load
+from jaxtube.scenario.reading import load
+from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import Trajectory
-from jaxtube.synthesis.design import Design, refuse_infeasible_start
 from jaxtube.synthesis.design import design as make_design
+from jaxtube.synthesis.design import refuse_infeasible_start
+from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,8 +17,8 @@ from jaxtyping import Bool, Float
 from jaxtube import qp
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import Trajectory
-from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.feasible import spread_starts, true_starts
+from jaxtube.synthesis.parts import Design
 
 CASES = {
     "linear_w_in_W": "linear plant, w in W",

@@ -32,8 +32,8 @@ import numpy as np
 
 from jaxtube.atomic import write_atomically
 from jaxtube.experiments.options import Options, command_line
-from jaxtube.scenario import Scenario, to_toml
 from jaxtube.scenario.refusal import ScenarioError, refusal
+from jaxtube.scenario.tree import Scenario, to_toml
 
 PACKAGES = (
     "jaxtube",

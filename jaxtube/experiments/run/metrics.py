@@ -11,8 +11,8 @@ from jaxtube.coordinates import KEYS, TO_DISPLAY
 from jaxtube.plant.reference import settled_step
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.certificate.fill import cap_shares, ultimate_bound
-from jaxtube.synthesis.design import Design
 from jaxtube.synthesis.limits import InputRows, wheel_rows
+from jaxtube.synthesis.parts import Design
 from sets.polytope import Polytope
 
 

@@ -9,23 +9,22 @@ import numpy as np
 
 from jaxtube.experiments.run.progress import progress
 from jaxtube.tuning.judgement import HeldOutJudgement
-from jaxtube.tuning.run import Settings
 
 
 class DescentBar:
     """Bar that counts the gradients of a descent and shows its last iterate."""
 
     def __init__(
-        self, settings: Settings, name: str, save: Callable[[HeldOutJudgement], None] | None = None
+        self, evaluations: int, name: str, save: Callable[[HeldOutJudgement], None] | None = None
     ) -> None:
         """Begin the bar.
 
         Args:
-            settings: whose evaluations are counted.
+            evaluations: that the descent may take.
             name: of the descent.
             save: is told of every certified iterate that is the best so far.
         """
-        self._bar = progress(settings.evaluations, f"tuning {name}", "gradients")
+        self._bar = progress(evaluations, f"tuning {name}", "gradients")
         self._save = save
         self._best = np.inf
 

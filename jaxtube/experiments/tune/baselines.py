@@ -110,7 +110,7 @@ def tune_parts(tuner: Tuner, log: Log, settings: Settings) -> list[ComparedDesig
 
 
 def _descend(tuner: Tuner, log: Log, settings: Settings, name: str) -> Descent:
-    with DescentBar(settings, name) as bar:
+    with DescentBar(settings.evaluations, name) as bar:
         return descend(tuner, settings, log, bar, name)
 
 

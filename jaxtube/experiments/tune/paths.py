@@ -12,8 +12,9 @@ from jaxtyping import Float
 
 from jaxtube.experiments.tune.baselines import ComparedDesign, run_static_lqr
 from jaxtube.experiments.tune.result import reduction, reduction_numbers
-from jaxtube.scenario import Scenario, ScenarioError, experiments_folder
-from jaxtube.scenario.tree import ReferenceTable
+from jaxtube.scenario.reading import experiments_folder
+from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.tree import ReferenceTable, Scenario
 from jaxtube.simulation import closed_loop
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.problem import Problem

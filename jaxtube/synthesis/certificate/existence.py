@@ -7,15 +7,15 @@ from collections.abc import Iterator
 from typing import get_args
 
 import numpy as np
-from jaxtyping import Float
 
+from jaxtube.synthesis.certificate.escape import escape_margin
 from jaxtube.synthesis.gains import Gain, vertex_gain
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import admissible_set
 from sets import certificate as check
 from sets.certificate import Condition, judge
-from sets.invariant import Escape, maximal_rpi
+from sets.invariant import maximal_rpi
 from sets.lmi import Objective, terminal_cost
 
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
@@ -79,16 +79,3 @@ def _say_whether_exists(problem: Problem, name: str, label: str, gain: Gain) -> 
         refuted,
         "information",
     )
-
-
-def escape_margin(
-    escape: Escape | None,
-    loops: Float[np.ndarray, "v 3 3"],
-    disturbance: Float[np.ndarray, "w 3"],
-) -> float:
-    """Return minus what an escape passes its constraint by, -inf where none does: then nothing is
-    proved."""
-    if escape is None:
-        return -np.inf
-    excess, _ = check.escape_excess(loops, disturbance, escape.normal, escape.offset, escape.loops)
-    return -excess if excess > 0 else -np.inf

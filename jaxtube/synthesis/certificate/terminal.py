@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.synthesis.certificate.existence import escape_margin
+from jaxtube.synthesis.certificate.escape import escape_margin
 from jaxtube.synthesis.certificate.stages import margins_along_reference
 from jaxtube.synthesis.condense import Bounds, tube_bounds
 from jaxtube.synthesis.gains import Gain
