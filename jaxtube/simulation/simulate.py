@@ -16,11 +16,11 @@ from jaxtube import qp
 from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.own import adapt_controller
 from jaxtube.control.protocol import Controller
-from jaxtube.coordinates import NAMES, SI_UNITS
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip import SlipProcess
 from jaxtube.precision import in_64_bits
 from jaxtube.simulation import closed_loop
+from jaxtube.simulation.dataset import make_dataset
 from jaxtube.simulation.rollout import Trajectory, realisation_keys
 from jaxtube.simulation.starts import FixedStart, Starts, uniform_start
 from jaxtube.storage import Stored, write_result
@@ -109,7 +109,8 @@ class Laps:
     def to_xarray(self) -> Any:
         """Return the laps as an xarray Dataset with named dimensions: pip install
         'jaxtube[results]'."""
-        return lap_dataset(self)
+        attributes = {"controller": self.controller, "plant": self.plant, "seed": self.seed}
+        return make_dataset(self.trajectory, self.design.problem.reference.dt, attributes)
 
     def __repr__(self) -> str:
         count = self.errors.shape[1]
@@ -215,44 +216,3 @@ def choose_starts(design: Design, starts: str) -> Starts:
 def name_choice(choice: object) -> str:
     """Return the name of what was chosen, "own" for a user's own."""
     return choice if isinstance(choice, str) else "own"
-
-
-def lap_dataset(laps: Laps) -> Any:
-    """Return laps as an xarray Dataset.
-
-    Raises:
-        ImportError: where xarray is not installed; the message says how to.
-    """
-    try:
-        import xarray
-    except ImportError as error:
-        raise ImportError("xarray is not installed; pip install 'jaxtube[results]'") from error
-    trajectory = laps.trajectory
-    diagnostics = trajectory.diagnostics
-    by_error = ("instant", "lap", "coordinate")
-    by_wheel = ("period", "lap", "wheel")
-    by_period = ("period", "lap")
-    instants, count, _ = laps.errors.shape
-    dt = laps.design.problem.reference.dt
-    variables = {
-        "errors": (by_error, laps.errors, {"long_name": "true tracking errors"}),
-        "measured": (by_error, trajectory.measured, {"long_name": "measured tracking errors"}),
-        "inputs": (("period", "lap", "input"), trajectory.inputs),
-        "wheels": (by_wheel, trajectory.wheels, {"units": "m/s"}),
-        "demanded": (by_wheel, trajectory.demanded, {"units": "m/s"}),
-        "qp_status": (by_period, diagnostics.status),
-        "qp_residual": (by_period, diagnostics.residual),
-        "active": (by_period, diagnostics.active),
-        "backup": (by_period, diagnostics.backup),
-    }
-    coordinates = {
-        "instant": ("instant", dt * np.arange(instants), {"units": "s"}),
-        "period": ("period", dt * np.arange(instants - 1), {"units": "s"}),
-        "lap": ("lap", np.arange(count)),
-        "coordinate": ("coordinate", list(NAMES)),
-        "unit": ("coordinate", list(SI_UNITS)),
-        "input": ("input", ["speed deficit", "yaw rate deficit"]),
-        "wheel": ("wheel", ["right", "left"]),
-    }
-    attributes = {"controller": laps.controller, "plant": laps.plant, "seed": laps.seed}
-    return xarray.Dataset(variables, coordinates, attributes)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 import jax
 
 from jaxtube.precision import in_64_bits
+from jaxtube.scenario.tree import to_toml
 from jaxtube.simulation.simulate import (
     ControllerChoice,
     PlantChoice,
@@ -20,6 +21,7 @@ from jaxtube.simulation.simulate import (
     choose_starts,
     name_choice,
 )
+from jaxtube.statistics.dataset import make_dataset
 from jaxtube.statistics.events import EVENT_NAMES
 from jaxtube.statistics.run import BLOCK, Run, Statistics, Task, merge
 from jaxtube.statistics.summary import SamplingLaw, summarise
@@ -134,6 +136,17 @@ class MonteCarlo:
         facts = {"law": self.law._asdict(), "seed": self.seed}
         scenario = self.design.problem.scenario
         return write_result(folder, Stored("montecarlo", scenario, facts, self.statistics))
+
+    def to_xarray(self) -> Any:
+        """Return the statistics as an xarray Dataset with named dimensions: pip install
+        'jaxtube[results]'."""
+        attributes = {
+            "title": f"statistics of {self.laps:,} laps",
+            "law": self.summary["law"],
+            "seed": self.seed,
+            "scenario": to_toml(self.design.problem.scenario),
+        }
+        return make_dataset(self.design, self.statistics, attributes)
 
     @classmethod
     def restore(cls, design: Design, stored: Stored) -> MonteCarlo:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from jaxtube.control.laws import free_gains_of
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant
-from jaxtube.plant.reference import settled_step
+from jaxtube.plant.reference import Reference, settled_step
 from jaxtube.simulation.starts import Starts
 from jaxtube.statistics.checks import Checks, Facets, Sections
 from jaxtube.statistics.run import Task
@@ -40,9 +40,7 @@ def make_checks(design: Design, controller: Controller) -> Checks:
     compared = [name for name in design.tubes if name == used or affordable(design, name)]
     transitions, inputs = problem.model.matrices(problem.schedule[:steps])
     settled = settled_step(reference)
-    poses = reference.poses[: steps + 1]
-    corner = poses[:, :2].min(axis=0) - MAP_MARGIN_M
-    size = np.ptp(poses[:, :2], axis=0) + 2 * MAP_MARGIN_M
+    map_corner, map_cell = lay_map_grid(reference)
     checks = Checks(
         transitions=transitions,
         input_matrices=inputs,
@@ -53,14 +51,22 @@ def make_checks(design: Design, controller: Controller) -> Checks:
         tube=used,
         ultimate=bound_settled_error(design, controller, settled),
         settled=settled,
-        poses=poses,
-        map_corner=corner,
-        map_cell=np.max(size / np.array(HEAT_CELLS[::-1])),
+        poses=reference.poses[: steps + 1],
+        map_corner=map_corner,
+        map_cell=map_cell,
         cost_errors=cost_of_errors(design),
         error_weight=problem.error_weight,
         input_weight=problem.input_weight,
     )
     return jax.tree.map(jnp.asarray, checks)
+
+
+def lay_map_grid(reference: Reference) -> tuple[Float[np.ndarray, "2"], np.float64]:
+    """Return the lower left corner of the trajectory map and the side of its square cells, m."""
+    places = reference.poses[: reference.steps + 1, :2]
+    corner = places.min(axis=0) - MAP_MARGIN_M
+    size = np.ptp(places, axis=0) + 2 * MAP_MARGIN_M
+    return corner, np.max(size / np.array(HEAT_CELLS[::-1]))
 
 
 def facets(polytope: Polytope) -> Facets:

@@ -28,12 +28,11 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.records import Records
 from jaxtube.scenario.refusal import refusal
-from jaxtube.scenario.tree import Scenario, to_toml
+from jaxtube.scenario.tree import Scenario
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.events import find_row
-from jaxtube.statistics.montecarlo import make_closed_loop_task, name_law
+from jaxtube.statistics.montecarlo import MonteCarlo, make_closed_loop_task, name_law
 from jaxtube.statistics.run import BLOCK, TILE, Run, Statistics, Task
-from jaxtube.statistics.summary import summarise
 from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.design import refuse_infeasible_start
 from jaxtube.synthesis.parts import Design
@@ -46,7 +45,7 @@ def run(scenario: Scenario, options: MontecarloOptions) -> int:
     """Run the command."""
     use_devices(options.devices)
     if options.netcdf:
-        netcdf.libraries()
+        netcdf.require_libraries()
     design = make_design(scenario)
     if options.starts == "scenario":
         refuse_infeasible_start(design)
@@ -183,7 +182,8 @@ def save(
     from jaxtube.experiments.montecarlo import figures as montecarlo_figures
 
     law = name_law(design, options.controller, options.plant, options.starts)
-    summary = summarise(design, law, statistics)
+    result = MonteCarlo(design, law, options.seed, statistics)
+    summary = dict(result.summary)
     if options.plant == "linear":
         summary["reach"] = tube_reach.metrics(design, options.seed)
     folder.save_arrays("statistics", **statistics)
@@ -192,13 +192,7 @@ def save(
         folder.save_json("performance", performance)
     task = make_task(design, options)
     if options.netcdf:
-        attributes = {
-            "title": f"statistics of {int(statistics['laps']):,} laps",
-            "law": summary["law"],
-            "seed": options.seed,
-            "scenario": to_toml(design.problem.scenario),
-        }
-        netcdf.save(folder.path / "statistics.nc", statistics, task.checks, attributes)
+        netcdf.save(folder.path / "statistics.nc", result)
     montecarlo_figures.draw(design, task, options.seed, statistics, summary, folder)
     folder.report(montecarlo_report.text(design.problem, options.seed, summary, performance))
     print(f"\nfigures, metrics.json, statistics.npz and the records are in {folder.path}/")

@@ -1,219 +1,34 @@
-"""The statistics of a Monte Carlo run as NetCDF: named dimensions and coordinates, which xarray and
-others open.
-
-The slash of a name, such as `excess/error`, becomes an underscore. Lengths are in m, angles in rad.
-"""
+"""The statistics of a Monte Carlo run as a NetCDF file, which xarray and others open."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from jaxtyping import Float
 
 from jaxtube.atomic import write_atomically
-from jaxtube.coordinates import NAMES, PLANES, SI_UNITS
 from jaxtube.scenario.refusal import refusal
-from jaxtube.statistics import histogram
-from jaxtube.statistics.checks import Checks
-from jaxtube.statistics.events import EVENT_NAMES
-from jaxtube.statistics.run import RANKED, Statistics
-from jaxtube.statistics.tally import STAGE_EVENTS
-
-CLOUD_REACH = 2.0
-"""The cells of a cloud reach so many times as far as the box around the section."""
-DIMENSIONS = {
-    "events": ("event", "steps_with_event"),
-    "stage_events": ("stage", "stage_event", "plans_with_event"),
-    "plans_by_lap": ("plans_with_event",),
-    "ultimate_bound": ("coordinate",),
-    "error_by_step": ("step", "coordinate", "bucket"),
-    **{name: ("coordinate", "bucket") for name in ("disturbance", "peak", "rms")},
-    "map": ("map_row", "map_column"),
-    "cloud": ("stage", "plane", "cloud_row", "cloud_column"),
-    **{name: ("plane", "start_row", "start_column") for name in ("starts", "starts_that_left")},
-    **{f"excess/{name}": (f"{name}_facet",) for name in ("disturbance", "error", "input")},
-    **{
-        f"{key}/{name}": (f"rank_{name}",)
-        for key in ("worst_lap", "worst_usage")
-        for name in RANKED
-    },
-}
-"""Of each statistic; those of a tube run over its stages, the others are single numbers."""
-
-EXPLANATIONS = {
-    "events": "laps that had the event in so many of their steps",
-    "stage_events": "laps that had the event in so many of their plans",
-    "error_by_step": "laps with |e| in the bucket, after each period",
-    "disturbance": "steps with |w| in the bucket",
-    "peak": "laps whose largest |e| is in the bucket",
-    "rms": "laps whose RMS error, once settled, is in the bucket",
-    "map": "robots that ended a period in the cell",
-    "cloud": "plans whose deviation is in the cell; cells reach to twice the section's box",
-    "starts": "laps that started in the cell; cells span E",
-    "starts_that_left": "those of them that left E",
-    "laps": "laps of the run",
-    "plans": "plans followed to their end",
-    "plans_by_lap": "laps with so many plans",
-    "next_plan_missing": "plans without another one where they expected the error a step later",
-    "cost_excesses": "plans whose cost fell by less than that of the step",
-    "cost_excess": "largest V+ - V + cost of the step; negative: every cost fell by more",
-    "ultimate_bound": "half widths of the settled error while w is in W and no row is active",
-}
+from jaxtube.statistics.montecarlo import MonteCarlo
 
 
-def libraries() -> Any:
-    """Return xarray.
-
-    Raises:
-        ScenarioError: where it, or what it writes NetCDF with, is not installed.
-    """
+def require_libraries() -> None:
+    """Raise ScenarioError, one line, where xarray, or what it writes NetCDF with, is not
+    installed."""
     try:
         import h5netcdf  # noqa: F401
         import h5py  # noqa: F401
-        import xarray
+        import xarray  # noqa: F401
     except ImportError as error:
         problem = f"{error.name} is not installed"
         cure = "pip install 'jaxtube[results]'"
         raise refusal("command line", "--netcdf", True, problem, cure) from None
-    return xarray
 
 
-def save(
-    path: Path, statistics: Statistics, checks: Checks, attributes: Mapping[str, str | int]
-) -> None:
-    """Write statistics as NetCDF; the file appears complete or not at all.
-
-    Args:
-        path: the file.
-        statistics: of a run.
-        checks: what the run was measured against, which gives the grids.
-        attributes: of the whole file, such as scenario, seed and law.
+def save(path: Path, run: MonteCarlo) -> None:
+    """Write the dataset of a run as NetCDF; the file appears complete or not at all.
 
     Raises:
-        ScenarioError: as `libraries`.
+        ScenarioError: as `require_libraries`.
         OSError: where the file cannot be written.
     """
-    variables = {
-        name.replace("/", "_"): _make_variable(name, value) for name, value in statistics.items()
-    }
-    dataset = libraries().Dataset(variables, coordinates(statistics, checks), dict(attributes))
+    require_libraries()
+    dataset = run.to_xarray()
     write_atomically(path, lambda file: dataset.to_netcdf(file.name, engine="h5netcdf"))
-
-
-def _make_variable(name: str, value: Any) -> tuple:
-    """Return (dimensions, values, attributes)."""
-    of_stages = ("stage",) if name.startswith("tube_") else ()
-    attributes = {"long_name": EXPLANATIONS[name]} if name in EXPLANATIONS else {}
-    return DIMENSIONS.get(name, of_stages), np.asarray(value), attributes
-
-
-def coordinates(statistics: Statistics, checks: Checks) -> dict[str, tuple]:
-    """Return the coordinates, by name: (dimensions, values, attributes)."""
-    steps = len(statistics["error_by_step"])
-    stages = len(statistics["cloud"])
-    plans = statistics["stage_events"].shape[-1]
-    planes = [f"{NAMES[first]},{NAMES[second]}" for first, second in PLANES]
-    plain = {
-        "event": np.array(EVENT_NAMES),
-        "steps_with_event": np.arange(steps + 1),
-        "stage": np.arange(1, stages + 1),
-        "stage_event": np.array(STAGE_EVENTS),
-        "plans_with_event": np.arange(plans),
-        "coordinate": np.array(NAMES),
-        "plane": np.array(planes),
-    }
-    for name in ("disturbance", "error", "input"):
-        plain[f"{name}_facet"] = np.arange(len(statistics[f"excess/{name}"]))
-    return {
-        **{name: (name, values) for name, values in plain.items()},
-        "unit": ("coordinate", np.array(SI_UNITS), {"long_name": "unit of the coordinate"}),
-        "step": ("step", np.arange(1, steps + 1), {"long_name": "periods gone"}),
-        **_buckets(),
-        **_facet_units(checks),
-        **_map_cells(statistics, checks),
-        **_cloud_cells(statistics, checks),
-        **_start_cells(statistics, checks),
-    }
-
-
-def _buckets() -> dict[str, tuple]:
-    lower = np.append(0.0, histogram.EDGES[1:])
-    upper = np.append(histogram.EDGES[1:], np.inf)
-    of_unit = "in the unit of the coordinate"
-    return {
-        "bucket": ("bucket", lower, {"long_name": f"lower edge, {of_unit}"}),
-        "bucket_upper": ("bucket", upper, {"long_name": f"upper edge, {of_unit}"}),
-    }
-
-
-def _facet_units(checks: Checks) -> dict[str, tuple]:
-    """Return the unit in which the excess over each facet is given."""
-    units = {
-        "disturbance": list(map(_find_unit, np.asarray(checks.disturbance.normals))),
-        "error": list(map(_find_unit, np.asarray(checks.error.normals))),
-        "input": ["m/s"] * len(checks.input.offsets),
-    }
-    return {
-        f"{name}_facet_unit": (f"{name}_facet", np.array(values)) for name, values in units.items()
-    }
-
-
-def _find_unit(normal: Float[np.ndarray, "3"]) -> str:
-    """Return the unit along a facet's normal; a slanted one mixes both."""
-    along = np.abs(normal) > 1e-9 * np.max(np.abs(normal))
-    if along[2]:
-        return "m and rad" if along[:2].any() else "rad"
-    return "m"
-
-
-def _map_cells(statistics: Statistics, checks: Checks) -> dict[str, tuple]:
-    """Return the centres of the cells of the map, in the world's frame."""
-    rows, columns = statistics["map"].shape
-    corner = np.asarray(checks.map_corner)
-    cell = float(checks.map_cell)
-    x = corner[0] + cell * (np.arange(columns) + 0.5)
-    y = corner[1] + cell * (np.arange(rows) + 0.5)
-    return {
-        "map_column": ("map_column", x, {"long_name": "x of the cell's centre", "units": "m"}),
-        "map_row": ("map_row", y, {"long_name": "y of the cell's centre", "units": "m"}),
-    }
-
-
-def _cloud_cells(statistics: Statistics, checks: Checks) -> dict[str, tuple]:
-    """Return the centres of the cells of the clouds, and the boxes they are multiples of."""
-    sections = checks.tubes[checks.tube].facets
-    reach = np.maximum(np.asarray(sections.upper), -np.asarray(sections.lower))
-    half_widths = reach.max(axis=0)
-    rows, columns = statistics["cloud"].shape[-2:]
-    unit = "half widths of the box around the section"
-    box = f"{unit}, the largest along the reference"
-    return {
-        **_centre("cloud_column", CLOUD_REACH * _centres(columns), unit, "first"),
-        **_centre("cloud_row", CLOUD_REACH * _centres(rows), unit, "second"),
-        "section_half_width": (("stage", "coordinate"), half_widths, {"long_name": box}),
-    }
-
-
-def _start_cells(statistics: Statistics, checks: Checks) -> dict[str, tuple]:
-    """Return the centres of the cells of the starts, and the limits they are multiples of."""
-    rows, columns = statistics["starts"].shape[-2:]
-    limits = np.asarray(checks.error.upper)
-    return {
-        **_centre("start_column", _centres(columns), "limits of E", "first"),
-        **_centre("start_row", _centres(rows), "limits of E", "second"),
-        "error_limit": ("coordinate", limits, {"long_name": "half widths of E"}),
-    }
-
-
-def _centre(name: str, values: Float[np.ndarray, " cells"], unit: str, which: str) -> dict:
-    """Return the coordinate of the centres of cells along an axis of a plane."""
-    explanation = f"centre of the cell, in {unit}, {which} coordinate of the plane"
-    return {name: (name, values, {"long_name": explanation})}
-
-
-def _centres(cells: int) -> Float[np.ndarray, " cells"]:
-    """Return the centres of equal cells from -1 to 1."""
-    return (2 * np.arange(cells) + 1) / cells - 1
