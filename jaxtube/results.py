@@ -4,34 +4,51 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from jaxtube.falsification.falsify import Falsification
+from jaxtube.precision import in_64_bits
 from jaxtube.simulation.simulate import Laps
 from jaxtube.statistics.montecarlo import MonteCarlo
-from jaxtube.storage import read_result, refuse_differences, refuse_folder
+from jaxtube.storage import Stored, read_result, refuse_differences, refuse_folder
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.parts import Design
+from jaxtube.tuning.tune import Tuned
 
-RESTORERS = {"laps": Laps.restore, "montecarlo": MonteCarlo.restore}
+Result = Design | Laps | MonteCarlo | Falsification | Tuned
+
+OF_A_DESIGN = {
+    "laps": Laps.restore,
+    "montecarlo": MonteCarlo.restore,
+    "falsification": Falsification.restore,
+}
 """By kind of result, how it is made of its design and of what was read."""
+KINDS = ("design", "tuned", *OF_A_DESIGN)
 
 
-def read(folder: str | Path) -> Design | Laps | MonteCarlo:
-    """Read what the `save` of a design, of laps or of a Monte Carlo run has written.
+@in_64_bits
+def read(folder: str | Path) -> Result:
+    """Read what the `save` of a result has written.
 
-    A design is made again from its scenario, and so is that of laps and runs; its arrays must equal
-    those that were saved.
+    A design is made again from its scenario, and so is that of any other result; its arrays must
+    equal those that were saved.
 
     Raises:
         ScenarioError: one line, for a folder that holds no result, is damaged or of another
             version, or whose design comes out differently here.
     """
     stored = read_result(folder)
+    if stored.kind not in KINDS:
+        raise refuse_folder(folder, f"holds a {stored.kind!r}, which is unknown")
+    try:
+        return _restore(stored)
+    except KeyError as error:
+        raise refuse_folder(folder, f"is damaged: {error.args[0]} is missing") from None
+
+
+def _restore(stored: Stored) -> Result:
+    if stored.kind == "tuned":
+        return Tuned.restore(stored)
     made = design(stored.scenario)
     if stored.kind == "design":
         refuse_differences(stored.arrays, made.arrays())
         return made
-    if stored.kind not in RESTORERS:
-        raise refuse_folder(folder, f"holds a {stored.kind!r}, which is unknown")
-    try:
-        return RESTORERS[stored.kind](made, stored)
-    except KeyError as error:
-        raise refuse_folder(folder, f"is damaged: {error.args[0]} is missing") from None
+    return OF_A_DESIGN[stored.kind](made, stored)

@@ -22,6 +22,9 @@ from jaxtube.scenario.reading import load
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario, to_toml
 
+Arrays = Mapping[str, Any]
+"""Arrays, numbers and lists of them by name, or such mappings again."""
+
 SCHEMA = 1
 """Of result.json: raised where an older reader would misunderstand a newer folder."""
 AGREEMENT = 1e-9
@@ -70,6 +73,30 @@ def read_result(folder: str | Path) -> Stored:
     if schema != SCHEMA:
         raise refuse_folder(path, f"holds a {kind!r} of another version")
     return Stored(kind, load(path / "scenario.toml"), facts, arrays)
+
+
+def flatten(nested: Arrays, above: str = "") -> dict[str, np.ndarray]:
+    """Return nested arrays side by side, each named by its path, such as `error/worst/usage`."""
+    flat = {}
+    for name, value in nested.items():
+        path = f"{above}{name}"
+        if isinstance(value, Mapping):
+            flat |= flatten(value, f"{path}/")
+        else:
+            flat[path] = np.asarray(value)
+    return flat
+
+
+def nest(flat: Mapping[str, np.ndarray]) -> dict[str, Any]:
+    """Return what `flatten` was given, but for empty mappings."""
+    nested: dict[str, Any] = {}
+    for path, value in flat.items():
+        *above, name = path.split("/")
+        inner = nested
+        for part in above:
+            inner = inner.setdefault(part, {})
+        inner[name] = value
+    return nested
 
 
 def refuse_folder(folder: str | Path, problem: str) -> ScenarioError:

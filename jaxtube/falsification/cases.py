@@ -9,9 +9,9 @@ import numpy as np
 
 from jaxtube.falsification.sample import Sampled
 from jaxtube.falsification.search import Search
-from jaxtube.falsification.setting import Setting
+from jaxtube.falsification.setting import LoopLimits
 from jaxtube.falsification.worst import Worst
-from jaxtube.simulation.usage import Limit
+from jaxtube.simulation.usage import Limit, Replay
 from jaxtube.synthesis.disturbance import ground_speed_limits
 
 BEYOND = 1e-9
@@ -36,11 +36,13 @@ class Row(NamedTuple):
         worst: the worst case, of all searches.
         search: the one that aimed at this limit.
         sampled: drawn laps to compare with.
+        played: the worst case, played once more on its own.
     """
 
     worst: Worst
     search: Search
     sampled: Sampled
+    played: Replay
 
     @property
     def is_violated(self) -> bool:
@@ -99,12 +101,12 @@ def _describe_section(limit: Limit, worst: Worst) -> Facet:
     return Facet(f"{place}, normal ({rounded})", worst.margin, "m and rad")
 
 
-def compute_certified_usage(setting: Setting, name: str) -> float:
+def compute_certified_usage(limits: LoopLimits, name: str) -> float:
     """Return the usage of a limit that the certificate lets no lap pass, infinite where it promises
     nothing: to other controllers than the tube-MPC, and on a user's plant."""
-    design = setting.design
+    design = limits.design
     bound = design.problem.disturbance_bound
-    is_covered = setting.controller_name == "tube_mpc" and setting.plant_name != "own"
+    is_covered = limits.controller == "tube_mpc" and limits.plant != "own"
     if bound is None or not design.certificate.holds_for_robot or not is_covered:
         return np.inf
     if name != "wheels":
@@ -122,14 +124,14 @@ def list_worst_first(rows: dict[str, Row]) -> list[str]:
     return sorted(rows, key=lambda name: -rows[name].worst.usage)
 
 
-def say_verdict(setting: Setting, rows: dict[str, Row]) -> str:
+def say_verdict(limits: LoopLimits, rows: dict[str, Row]) -> str:
     """Return one line: what was found, the worst first."""
     names = list_worst_first(rows)
     violated = [name for name in names if rows[name].is_violated]
     kept = [name for name in names if name not in violated]
     name = names[0]
     worst = rows[name].worst
-    words, margin, unit = describe_facet(setting.limits(name)[name], worst)
+    words, margin, unit = describe_facet(limits.all[name], worst)
     place = f"at step {worst.step} ({words})"
     if not violated:
         return (

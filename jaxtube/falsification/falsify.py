@@ -5,15 +5,28 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from jaxtube.falsification.cases import Row, list_worst_first, say_verdict
 from jaxtube.falsification.sample import Sampled, sample
 from jaxtube.falsification.search import Search, search_worst_cases
-from jaxtube.falsification.setting import Setting, draw_starts, make_setting
+from jaxtube.falsification.setting import (
+    LoopLimits,
+    Setting,
+    draw_starts,
+    make_loop_limits,
+    make_setting,
+)
+from jaxtube.falsification.storing import list_row_arrays, read_row
 from jaxtube.falsification.worst import Worst
 from jaxtube.precision import in_64_bits
 from jaxtube.simulation.simulate import ControllerChoice, PlantChoice, SlipChoice
+from jaxtube.storage import Stored, flatten, nest, write_result
 from jaxtube.synthesis.parts import Design
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -21,16 +34,19 @@ class Falsification:
     """The worst cases of a closed loop.
 
     Attributes:
-        design: whose limits were searched.
-        setting: what was searched.
+        limits: that were searched, and whose they are.
         seed: of every draw.
         rows: by limit: the worst case, its search, and drawn laps to compare with.
     """
 
-    design: Design
-    setting: Setting
+    limits: LoopLimits
     seed: int
     rows: dict[str, Row]
+
+    @property
+    def design(self) -> Design:
+        """The design whose limits were searched."""
+        return self.limits.design
 
     @property
     def worst(self) -> Worst:
@@ -45,11 +61,52 @@ class Falsification:
     @property
     def verdict(self) -> str:
         """What was found, in one line."""
-        return say_verdict(self.setting, self.rows)
+        return say_verdict(self.limits, self.rows)
+
+    def plot(self, limit: str = "") -> Figure:
+        """Draw the worst case of a limit, of all limits unless one is named; return the figure.
+
+        For "tube" it shows the deviation from the plan in its section, else the lap and its attack.
+
+        Raises:
+            ValueError: for a limit that was not searched.
+        """
+        from jaxtube.figures.worst import worst_run
+        from jaxtube.figures.worst_section import worst_section
+
+        name = limit or self.worst.limit
+        if name not in self.rows:
+            raise ValueError(f"limit = {name!r}: was not searched; choose one of {list(self.rows)}")
+        row = self.rows[name]
+        if name == "tube":
+            return worst_section(self.design, row.worst, row.played)
+        reaches = (row.search.reach, row.sampled.reach)
+        return worst_run(self.design.problem, self.limits.of_laps, row.worst, row.played, reaches)
+
+    def save(self, folder: str | Path) -> Path:
+        """Save the worst cases in a folder, for `jaxtube.read`; return the folder."""
+        facts = {
+            "controller": self.limits.controller,
+            "plant": self.limits.plant,
+            "limits": list(self.limits.all),
+            "rows": list(self.rows),
+            "seed": self.seed,
+        }
+        arrays = flatten({name: list_row_arrays(row) for name, row in self.rows.items()})
+        scenario = self.design.problem.scenario
+        return write_result(folder, Stored("falsification", scenario, facts, arrays))
+
+    @classmethod
+    def restore(cls, design: Design, stored: Stored) -> Falsification:
+        """Return worst cases that were saved, of their design made again."""
+        facts = stored.facts
+        limits = make_loop_limits(design, facts["controller"], facts["plant"], facts["limits"])
+        arrays = nest(stored.arrays)
+        rows = {name: read_row(name, arrays[name]) for name in facts["rows"]}
+        return cls(limits, facts["seed"], rows)
 
     def __repr__(self) -> str:
-        setting = self.setting
-        loop = f"{setting.controller_name} on the {setting.plant_name}"
+        loop = f"{self.limits.controller} on the {self.limits.plant}"
         searched = sum(row.search.laps for row in self.rows.values())
         return (
             f"<Falsification: {self.verdict}\n{loop}; {searched:,} laps by gradient; "
@@ -109,13 +166,13 @@ def search_setting(
     searches took; arguments as for `falsify`."""
     if not 0 < seconds < float("inf"):
         raise ValueError(f"seconds = {seconds}: is no time; give a positive number")
-    names = setting.limit_names(target)
+    names = setting.limits.choose_names(target)
     searches: dict[str, Search] = {}
     for name in names:
         searches[name] = search_worst_cases(
             setting.loop(name),
             setting.plant,
-            setting.limits(name),
+            setting.limits.judged_with(name),
             setting.starts,
             aims=[name],
             plan_steps=setting.plan_steps,
@@ -125,8 +182,11 @@ def search_setting(
         if advanced:
             advanced()
     sampled = _sample_limits(setting, searches, seed, advanced)
-    rows = {name: Row(_find_worst(name, searches), searches[name], sampled[name]) for name in names}
-    return Falsification(setting.design, setting, seed, rows)
+    rows = {}
+    for name in names:
+        worst = _find_worst(name, searches)
+        rows[name] = Row(worst, searches[name], sampled[name], setting.replay(worst))
+    return Falsification(setting.limits, seed, rows)
 
 
 def _sample_limits(
@@ -146,7 +206,7 @@ def _sample_limits(
         drawn = sample(
             setting.loop(group[0]),
             setting.plant,
-            setting.limits(group[0]),
+            setting.limits.judged_with(group[0]),
             pool,
             plan_steps=setting.plan_steps,
             seconds=sum(searches[name].seconds for name in group),

@@ -7,6 +7,7 @@ meant.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -14,6 +15,7 @@ from jaxtyping import Float, Int
 
 from jaxtube.control.laws import TubeMpc, planner_of
 from jaxtube.control.protocol import Controller
+from jaxtube.falsification.worst import Worst
 from jaxtube.plant.protocol import Plant, SearchablePlant
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.simulation import closed_loop
@@ -27,7 +29,14 @@ from jaxtube.simulation.simulate import (
     name_choice,
 )
 from jaxtube.simulation.starts import uniform_start
-from jaxtube.simulation.usage import Limit, Limits, make_limit, make_tube_limit
+from jaxtube.simulation.usage import (
+    Limit,
+    Limits,
+    Replay,
+    make_limit,
+    make_tube_limit,
+    replay,
+)
 from jaxtube.synthesis.design import refuse_infeasible_start
 from jaxtube.synthesis.feasible import true_starts
 from jaxtube.synthesis.parts import Design
@@ -43,45 +52,33 @@ TARGETS = {"error": ("error",), "input": ("input", "wheels"), "tube": ("tube",)}
 """The limits of each target."""
 
 
-class Setting(NamedTuple):
-    """A closed loop and what is searched of it.
+class LoopLimits(NamedTuple):
+    """The limits of a closed loop, and whose they are.
 
     Attributes:
-        design: whose limits are searched.
-        controller_name: "own" for a user's.
-        plant_name: "own" for a user's.
-        controller: that acts.
-        planner: whose plans are followed, restarted at the measured error; None without a tube.
-        plant: whose draws give way to the attack.
-        lap_limits: E, U and, of a plant with wheels, their speeds.
-        tube_limits: R_1 .. R_N; empty without a planner.
-        plan_steps: at which a followed plan may begin.
-        starts: vertices of the polytope of initial errors, (m, m, rad).
+        design: gives the limits.
+        controller: its name, "own" for a user's.
+        plant: its name, "own" for a user's.
+        of_laps: E, U and, of a plant with wheels, their speeds.
+        of_plans: R_1 .. R_N; empty for a controller that keeps no tube.
     """
 
     design: Design
-    controller_name: str
-    plant_name: str
-    controller: Controller
-    planner: TubeMpc | None
-    plant: SearchablePlant
-    lap_limits: Limits
-    tube_limits: Limits
-    plan_steps: Int[np.ndarray, " k"]
-    starts: Float[np.ndarray, "k 3"]
+    controller: str
+    plant: str
+    of_laps: Limits
+    of_plans: Limits
 
-    def limits(self, name: str) -> Limits:
+    @property
+    def all(self) -> Limits:
+        """All limits by name."""
+        return self.of_laps | self.of_plans
+
+    def judged_with(self, name: str) -> Limits:
         """Return the limits that are judged together with one."""
-        return self.tube_limits if name == "tube" else self.lap_limits
+        return self.of_plans if name in self.of_plans else self.of_laps
 
-    def loop(self, name: str) -> Controller:
-        """Return the controller on which one limit is searched."""
-        if name != "tube":
-            return self.controller
-        assert self.planner is not None
-        return self.planner
-
-    def limit_names(self, target: str) -> list[str]:
+    def choose_names(self, target: str) -> list[str]:
         """Return the limits of a target that the loop has, in the order of the table.
 
         Raises:
@@ -90,14 +87,45 @@ class Setting(NamedTuple):
         choices = ["all", *TARGETS]
         if target not in choices:
             raise ValueError(f"target = {target!r}: is unknown; choose one of {choices}")
-        if target == "tube" and self.planner is None:
+        if target == "tube" and not self.of_plans:
             raise ValueError(
-                f'target = "tube": controller = {self.controller_name} keeps no tube; choose '
+                f'target = "tube": controller = {self.controller} keeps no tube; choose '
                 '"tube_mpc", or another target'
             )
-        present = self.lap_limits | self.tube_limits
         groups = TARGETS.values() if target == "all" else [TARGETS[target]]
-        return [name for group in groups for name in group if name in present]
+        return [name for group in groups for name in group if name in self.all]
+
+
+class Setting(NamedTuple):
+    """A closed loop and what is searched of it.
+
+    Attributes:
+        limits: that are searched.
+        controller: that acts.
+        planner: whose plans are followed, restarted at the measured error; None without a tube.
+        plant: whose draws give way to the attack.
+        plan_steps: at which a followed plan may begin.
+        starts: vertices of the polytope of initial errors, (m, m, rad).
+    """
+
+    limits: LoopLimits
+    controller: Controller
+    planner: TubeMpc | None
+    plant: SearchablePlant
+    plan_steps: Int[np.ndarray, " k"]
+    starts: Float[np.ndarray, "k 3"]
+
+    def loop(self, name: str) -> Controller:
+        """Return the controller on which one limit is searched."""
+        if name != "tube":
+            return self.controller
+        assert self.planner is not None
+        return self.planner
+
+    def replay(self, worst: Worst) -> Replay:
+        """Play a worst case once more on its own."""
+        loop = self.loop(worst.limit)
+        return replay(loop, self.plant, worst.attack, worst.limit, worst.when)
 
 
 def make_setting(
@@ -129,19 +157,17 @@ def make_setting(
     except ValueError as error:
         is_of_scenario = slip is None and isinstance(plant, str)
         raise ScenarioError(f"scenario: {error}" if is_of_scenario else str(error)) from None
-    lap_limits = make_lap_limits(design)
-    if not acting.has_wheels:
-        del lap_limits["wheels"]
     planner = choose_planner(design, controller, loop)
+    names = ["error", "input"]
+    if acting.has_wheels:
+        names.append("wheels")
+    if planner is not None:
+        names.append("tube")
     return Setting(
-        design=design,
-        controller_name=name_choice(controller),
-        plant_name=name_choice(plant),
+        limits=make_loop_limits(design, name_choice(controller), name_choice(plant), names),
         controller=loop,
         planner=planner,
         plant=acting,
-        lap_limits=lap_limits,
-        tube_limits={"tube": make_tube_limits(design)} if planner else {},
         plan_steps=find_plan_steps(design) if planner else np.zeros(1, int),
         starts=choose_start_vertices(design, starts, seed),
     )
@@ -193,6 +219,15 @@ def find_feasible_vertices(design: Design, seed: int) -> Float[np.ndarray, "k 3"
     """Return the vertices of a polytope of starts from which the tube-MPC has a plan."""
     points = true_starts(design.tube_window, design.first_window, design.problem, seed=seed)
     return INSIDE * hull_vertices(points)
+
+
+def make_loop_limits(
+    design: Design, controller: str, plant: str, names: Sequence[str]
+) -> LoopLimits:
+    """Return those limits of a design that a closed loop has, by their names."""
+    of_laps = {name: limit for name, limit in make_lap_limits(design).items() if name in names}
+    of_plans = {"tube": make_tube_limits(design)} if "tube" in names else {}
+    return LoopLimits(design, controller, plant, of_laps, of_plans)
 
 
 def make_lap_limits(design: Design) -> Limits:

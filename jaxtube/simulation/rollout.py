@@ -8,10 +8,12 @@ Draws depend on the key of a realisation and the step alone.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float, Int, Key
 
@@ -21,6 +23,9 @@ from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.protocol import Controller
 from jaxtube.plant import slip as slips
 from jaxtube.plant.protocol import Command, Measurement, Memory, Plant
+
+DIAGNOSTICS = "diagnostics_"
+"""Begins the names of the arrays of diagnostics in a file."""
 
 
 class Trajectory(NamedTuple):
@@ -32,6 +37,20 @@ class Trajectory(NamedTuple):
     wheels: Float[Array, "steps batch 2"]  # wheel speeds (right, left) after saturation, m/s
     demanded: Float[Array, "steps batch 2"]  # before saturation
     diagnostics: Diagnostics
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """Return all arrays as numpy arrays, for a file."""
+        arrays = self._asdict()
+        diagnostics = arrays.pop("diagnostics")._asdict()
+        arrays |= {f"{DIAGNOSTICS}{name}": values for name, values in diagnostics.items()}
+        return {name: np.asarray(values) for name, values in arrays.items()}
+
+
+def read_trajectory(arrays: Mapping[str, np.ndarray]) -> Trajectory:
+    """Return the trajectory that `Trajectory.arrays` wrote."""
+    diagnostics = Diagnostics._make(arrays[f"{DIAGNOSTICS}{name}"] for name in Diagnostics._fields)
+    names = [name for name in Trajectory._fields if name != "diagnostics"]
+    return Trajectory._make([*(arrays[name] for name in names), diagnostics])
 
 
 class LoopState(NamedTuple):

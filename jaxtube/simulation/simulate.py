@@ -13,7 +13,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxtube import qp
-from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.own import adapt_controller
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant
@@ -21,7 +20,11 @@ from jaxtube.plant.slip import SlipProcess
 from jaxtube.precision import in_64_bits
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.dataset import make_dataset
-from jaxtube.simulation.rollout import Trajectory, realisation_keys
+from jaxtube.simulation.rollout import (
+    Trajectory,
+    read_trajectory,
+    realisation_keys,
+)
 from jaxtube.simulation.starts import FixedStart, Starts, uniform_start
 from jaxtube.storage import Stored, write_result
 from jaxtube.synthesis.feasible import true_starts
@@ -29,9 +32,6 @@ from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-DIAGNOSTICS = "diagnostics_"
-"""Begins the names of the arrays of diagnostics in a folder."""
 
 ControllerChoice = str | Controller | Callable[..., Float[Array, "batch 2"]]
 PlantChoice = str | Plant
@@ -90,21 +90,14 @@ class Laps:
     def save(self, folder: str | Path) -> Path:
         """Save the laps in a folder, for `jaxtube.read`; return the folder."""
         facts = {"controller": self.controller, "plant": self.plant, "seed": self.seed}
-        arrays = self.trajectory._asdict()
-        diagnostics = arrays.pop("diagnostics")._asdict()
-        arrays |= {f"{DIAGNOSTICS}{name}": values for name, values in diagnostics.items()}
-        plain = {name: np.asarray(values) for name, values in arrays.items()}
+        arrays = self.trajectory.arrays()
         scenario = self.design.problem.scenario
-        return write_result(folder, Stored("laps", scenario, facts, plain))
+        return write_result(folder, Stored("laps", scenario, facts, arrays))
 
     @classmethod
     def restore(cls, design: Design, stored: Stored) -> Laps:
         """Return laps that were saved, of their design made again."""
-        arrays = stored.arrays
-        diagnostics = Diagnostics._make(arrays[f"{DIAGNOSTICS}{n}"] for n in Diagnostics._fields)
-        names = [name for name in Trajectory._fields if name != "diagnostics"]
-        trajectory = Trajectory._make([*(arrays[name] for name in names), diagnostics])
-        return cls(design, trajectory=trajectory, **stored.facts)
+        return cls(design, trajectory=read_trajectory(stored.arrays), **stored.facts)
 
     def to_xarray(self) -> Any:
         """Return the laps as an xarray Dataset with named dimensions: pip install

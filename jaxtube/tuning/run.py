@@ -97,6 +97,13 @@ class Descent:
         """Which iterates are certified."""
         return np.array([judgement.certified for judgement in self.judged])
 
+    def measure(
+        self, number: Callable[[HeldOutJudgement], float]
+    ) -> Float[np.ndarray, " iterates"]:
+        """Return a number of every iterate, NaN of those without laps."""
+        values = [number(each) if each.has_laps else np.nan for each in self.judged]
+        return np.array(values, float)
+
     def best(self, accept_uncertified: bool = False) -> HeldOutJudgement | None:
         """Return the iterate of the least held-out objective among the certified ones, or among
         all; None where none qualifies."""

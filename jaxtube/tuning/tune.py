@@ -4,19 +4,25 @@ best iterate, and its design made anew."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import get_args
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
 
 from jaxtube.precision import in_64_bits
 from jaxtube.scenario.tree import Scenario
+from jaxtube.storage import Stored, flatten, nest, refuse_differences, write_result
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.judgement import HeldOutJudgement
 from jaxtube.tuning.parameters import Variables
 from jaxtube.tuning.run import Descent, Log, Method, Progress, Settings, descend
+from jaxtube.tuning.storing import list_descent_arrays, list_descent_facts, read_descent
 from jaxtube.tuning.tuner import Tuner, failing_conditions, make_tuner
 from jaxtube.tuning.watch import Stop
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -77,6 +83,56 @@ class Tuned:
         twice = "; checked once more in rational arithmetic" if self.is_rechecked else ""
         what_for = assumption(self.tuner.problem)
         return f"CERTIFIED{what_for}: every required condition holds{twice}"
+
+    def plot(self) -> Figure:
+        """Draw objectives, lateral errors and effort by iteration; return the figure."""
+        from jaxtube.figures.learning import draw_descent
+
+        return draw_descent(self.descent, self.tuner.aim.effort_limit)
+
+    def save(self, folder: str | Path) -> Path:
+        """Save the result in a folder, for `jaxtube.read`; return the folder.
+
+        The scenario there is that where tuning started.
+        """
+        tuner = self.tuner
+        facts = {
+            "laps": tuner.laps,
+            "held_out": tuner.held_out,
+            "seed": tuner.seed,
+            "moves": list(tuner.parameters.moves),
+            "failing": list(self.failing),
+            "best": None if self.best is None else self._find_iteration(self.best),
+            **list_descent_facts(self.descent),
+        }
+        designed = {} if self.design is None else self.design.arrays()
+        arrays = flatten({"descent": list_descent_arrays(self.descent), "design": designed})
+        return write_result(folder, Stored("tuned", tuner.problem.scenario, facts, arrays))
+
+    @classmethod
+    def restore(cls, stored: Stored) -> Tuned:
+        """Return a result that was saved, its design made again.
+
+        Raises:
+            ScenarioError: where the design comes out differently.
+        """
+        facts = stored.facts
+        arrays = nest(stored.arrays)
+        sizes = {name: facts[name] for name in ("laps", "held_out", "seed")}
+        tuner = make_tuner(stored.scenario, **sizes)
+        tuner.parameters = replace(tuner.parameters, moves=tuple(facts["moves"]))
+        descent = read_descent(facts, arrays["descent"])
+        failing = tuple(facts["failing"])
+        if facts["best"] is None:
+            return cls(tuner, descent, None, None, None, failing)
+        best = descent.judged[facts["best"]]
+        scenario = tuner.parameters.scenario(stored.scenario, best.point)
+        designed = design(scenario)
+        refuse_differences(arrays["design"], designed.arrays())
+        return cls(tuner, descent, best, scenario, designed, failing)
+
+    def _find_iteration(self, judgement: HeldOutJudgement) -> int:
+        return next(i for i, each in enumerate(self.descent.judged) if each is judgement)
 
     def __repr__(self) -> str:
         laps = len(self.start.costs)

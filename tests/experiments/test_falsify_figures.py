@@ -8,10 +8,10 @@ import pytest
 from figure_checks import assert_presentable
 from tolerances import DRAWN
 
-from jaxtube.experiments.falsify.figures import make_tracks, worst_run
-from jaxtube.experiments.falsify.section_figure import worst_section
 from jaxtube.falsification.setting import make_lap_limits
 from jaxtube.falsification.worst import Worst
+from jaxtube.figures.worst import make_tracks, worst_run
+from jaxtube.figures.worst_section import worst_section
 from jaxtube.simulation.usage import Replay, values_of
 
 STEP = 3
@@ -66,11 +66,11 @@ def test_usage_is_drawn_where_the_run_that_uses_it_lies(name, design, played):
 def test_a_worst_run_is_drawn_with_and_without_what_others_met(name, design, played):
     limits = make_lap_limits(design)
     worst = make_worst(design, name)
-    assert_presentable(worst_run(design.problem, limits, name, worst, played))
+    assert_presentable(worst_run(design.problem, limits, worst, played))
     if name == "tube":
         return
     reach = {name: usage_of(limits, name, played)}
-    figure = worst_run(design.problem, limits, name, worst, played, (reach, reach))
+    figure = worst_run(design.problem, limits, worst, played, (reach, reach))
     assert_presentable(figure)
     later = reach[name][100 - (1 if name == "error" else 0) :]
     title = figure.axes[0].get_title()

@@ -11,8 +11,8 @@ from tolerances import DRAWN, SPREAD
 from jaxtube.experiments.tune.comparison_figure import comparison_figure
 from jaxtube.experiments.tune.figures import error_figure, settled_rms, tube_figure
 from jaxtube.experiments.tune.front_figure import Group, front_figure
-from jaxtube.experiments.tune.learning_figure import LearningCurve, learning_figure
 from jaxtube.experiments.tune.parameter_figure import parameter_figure, spread
+from jaxtube.figures.learning import LearningCurve, learning_figure
 from jaxtube.figures.style import CENTIMETRES
 from jaxtube.figures.ticks import spans_decade
 from sets.polytope import Polytope

@@ -1,19 +1,24 @@
 """`falsify` takes controllers, plants and slips of a user's own, or refuses them in one line."""
 
+import dataclasses
 import re
 from types import SimpleNamespace
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from figure_checks import assert_presentable
 from tolerances import FALSIFY_REPLAY
 
 import jaxtube as jt
+from jaxtube import results
 from jaxtube.control.protocol import Feedback
-from jaxtube.falsification.setting import find_plan_steps, make_setting
+from jaxtube.falsification.setting import find_plan_steps, make_loop_limits, make_setting
+from jaxtube.falsification.worst import Worst
 from jaxtube.simulation import closed_loop
-from jaxtube.simulation.usage import replay
+from jaxtube.simulation.usage import Replay
 
 
 @pytest.fixture(scope="module")
@@ -60,16 +65,15 @@ def of_own_controller(design):
 
 
 def test_a_controller_of_ones_own_is_falsified(design, of_own_controller):
-    setting = of_own_controller.setting
     worst = of_own_controller.worst
     assert list(of_own_controller.rows) == ["error"]
     assert worst.limit == "error"
     assert worst.attack["true"].shape == (1, 2)
-    lap = replay(setting.controller, setting.plant, worst.attack, "error").trajectory
+    row = of_own_controller.rows["error"]
+    lap = row.played.trajectory
     E = design.problem.error_set
     usage = lap.errors[1:, 0] @ E.normals.T / E.offsets
     assert np.max(usage) == pytest.approx(worst.usage, abs=FALSIFY_REPLAY)
-    row = of_own_controller.rows["error"]
     assert worst.usage >= row.sampled.usage("error") - FALSIFY_REPLAY
 
 
@@ -78,6 +82,56 @@ def test_the_verdict_comes_first(of_own_controller):
     assert shown[0] == f"<Falsification: {of_own_controller.verdict}"
     assert shown[1].startswith("own on the robot; ")
     assert len(shown) == 2
+
+
+@pytest.fixture
+def of_a_tube(design, of_own_controller):
+    """Worst cases of a controller that keeps a tube, invented."""
+    row = of_own_controller.rows["error"]
+    case = row.worst
+    worst = Worst("tube", 0.9, 0.1, 2, 0, 1, case.attack)
+    search = dataclasses.replace(row.search, worst={"tube": worst}, course=[])
+    played = Replay(row.played.trajectory, np.full((design.problem.horizon, 3), 1e-4))
+    limits = make_loop_limits(design, "tube_mpc", "robot", ["error", "tube"])
+    rows = {"error": row, "tube": row._replace(worst=worst, search=search, played=played)}
+    return dataclasses.replace(of_own_controller, limits=limits, rows=rows)
+
+
+def test_worst_cases_are_drawn(of_own_controller, of_a_tube):
+    assert_presentable(of_own_controller.plot())
+    assert_presentable(of_a_tube.plot("tube"))
+    with pytest.raises(ValueError, match="limit = 'wheels': was not searched"):
+        of_a_tube.plot("wheels")
+
+
+@pytest.mark.parametrize("kind", ["of_own_controller", "of_a_tube"])
+def test_worst_cases_are_read_as_they_were_saved(kind, request, design, tmp_path, monkeypatch):
+    monkeypatch.setattr(results, "design", lambda scenario: design)
+    saved = request.getfixturevalue(kind)
+    with jax.enable_x64(False):
+        again = jt.read(saved.save(tmp_path))
+    assert repr(again) == repr(saved)
+    assert again.seed == saved.seed
+    assert list(again.rows) == list(saved.rows)
+    for name, row in saved.rows.items():
+        same = again.rows[name]
+        assert_same(same.worst, row.worst)
+        assert_same(same.search.worst[name], row.search.worst[name])
+        assert same.search.course == row.search.course
+        assert same.sampled.laps == row.sampled.laps
+        for leaf, other in zip(
+            jax.tree.leaves(same.played), jax.tree.leaves(row.played), strict=True
+        ):
+            np.testing.assert_array_equal(leaf, other)
+        assert same.search.reach.keys() == row.search.reach.keys()
+        np.testing.assert_array_equal(same.sampled.reach["error"], row.sampled.reach["error"])
+
+
+def assert_same(worst, other):
+    assert worst.attack.keys() == other.attack.keys()
+    for name, values in worst.attack.items():
+        np.testing.assert_array_equal(values, other.attack[name])
+    assert dataclasses.replace(worst, attack={}).__dict__ == {**other.__dict__, "attack": {}}
 
 
 def test_a_law_that_answers_nan_violates(design):
@@ -129,7 +183,7 @@ def test_what_cannot_be_searched_is_refused_in_one_line(design, choices, fragmen
     ],
 )
 def test_limits_are_those_that_the_loop_has(design, controller, plant, limits):
-    assert make_setting(design, controller, plant).limit_names("all") == limits
+    assert make_setting(design, controller, plant).limits.choose_names("all") == limits
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import stand_ins
+from figure_checks import assert_presentable
 
+import jaxtube as jt
 from jaxtube.scenario import ScenarioError, load
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.tuning.run import NoProgress
@@ -93,6 +95,45 @@ def test_without_a_certified_iterate_nothing_is_returned_and_what_it_lacks_is_to
     assert uncertified.best is uncertified.scenario is uncertified.design is None
     assert "terminal_set_invariant" in uncertified.failing
     assert repr(uncertified).startswith("<Tuned: NOT CERTIFIED: terminal_set_invariant")
+
+
+def assert_same_judgements(one, other):
+    assert len(one.judged) == len(other.judged)
+    for judgement, again in zip(one.judged, other.judged, strict=True):
+        np.testing.assert_array_equal(judgement.point, again.point)
+        assert judgement.arrays().keys() == again.arrays().keys()
+        for name, values in judgement.arrays().items():
+            np.testing.assert_array_equal(values, again.arrays()[name])
+
+
+@pytest.mark.parametrize("kind", ["result", "uncertified"])
+def test_a_result_is_read_as_it_was_saved(kind, request, tmp_path, monkeypatch):
+    saved = request.getfixturevalue(kind)
+    designed = []
+
+    def design(scenario):
+        designed.append(scenario)
+        return saved.design
+
+    monkeypatch.setattr("jaxtube.tuning.tune.design", design)
+    again = jt.read(saved.save(tmp_path))
+    assert repr(again) == repr(saved)
+    assert again.sentence == saved.sentence
+    assert again.failing == saved.failing
+    assert again.scenario == saved.scenario
+    assert designed == ([] if saved.scenario is None else [saved.scenario])
+    assert again.tuner.parameters.moves == saved.tuner.parameters.moves
+    assert_same_judgements(again.descent, saved.descent)
+    np.testing.assert_array_equal(again.descent.objective, saved.descent.objective)
+    for name in ("best_certified", "best_uncertified"):
+        iterate = getattr(saved.descent.outcome, name)
+        same = getattr(again.descent.outcome, name)
+        assert (iterate and iterate.rank) == (same and same.rank)
+
+
+def test_a_result_draws_its_descent(result, uncertified):
+    assert_presentable(result.plot())
+    assert_presentable(uncertified.plot())
 
 
 def test_an_uncertified_iterate_is_chosen_only_when_accepted(uncertified):

@@ -19,11 +19,11 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
 from jaxtube.falsification.cases import Row, describe_facet, is_violated
 from jaxtube.falsification.falsify import search_setting
-from jaxtube.falsification.setting import Setting, make_setting
+from jaxtube.falsification.setting import LoopLimits, make_setting
 from jaxtube.falsification.worst import Worst, confirm
 from jaxtube.scenario.refusal import refusal
 from jaxtube.scenario.tree import Scenario, to_toml
-from jaxtube.simulation.usage import Replay, replay
+from jaxtube.simulation.usage import Replay
 from jaxtube.synthesis.design import design
 
 NUMBERS = ("usage", "margin", "step", "facet", "when")
@@ -38,7 +38,7 @@ def run(scenario: Scenario, options: FalsifyOptions) -> int:
     setting = make_setting(
         design(scenario), options.controller, options.plant, options.starts, seed=options.seed
     )
-    names = setting.limit_names(options.target)
+    names = setting.limits.choose_names(options.target)
     folder = run_folder.create(scenario, options)
     with progress(2 * len(names), "searching", "limits") as bar:
         falsification = search_setting(
@@ -51,9 +51,8 @@ def run(scenario: Scenario, options: FalsifyOptions) -> int:
     folder.report(report(falsification))
     folder.save_metrics(metrics(falsification))
     for name, row in falsification.rows.items():
-        played = replay_worst(setting, row.worst)
-        save(scenario, setting, options.starts, folder, row.worst, played)
-        draw(setting, folder, f"worst_{name}", row.worst, played, row)
+        save(setting.limits, options.starts, folder, row.worst, row.played)
+        draw(setting.limits, folder, f"worst_{name}", row.worst, row.played, row)
     print(f"\nworst cases, figures, metrics.json and manifest.json are in {folder.path}/")
     return 0
 
@@ -70,14 +69,8 @@ def refuse_options(options: FalsifyOptions) -> None:
         raise refusal("command line", "--target", "tube", problem, "choose --controller tube_mpc")
 
 
-def replay_worst(setting: Setting, worst: Worst) -> Replay:
-    """Play a worst case once more on its own."""
-    loop = setting.loop(worst.limit)
-    return replay(loop, setting.plant, worst.attack, worst.limit, worst.when)
-
-
 def draw(
-    setting: Setting,
+    limits: LoopLimits,
     folder: RunFolder,
     title: str,
     worst: Worst,
@@ -85,21 +78,19 @@ def draw(
     row: Row | None = None,
 ) -> None:
     """Draw a worst case: its lap, and for the tube the section that it comes nearest to."""
-    from jaxtube.experiments.falsify.figures import worst_run
-    from jaxtube.experiments.falsify.section_figure import worst_section
+    from jaxtube.figures.worst import worst_run
+    from jaxtube.figures.worst_section import worst_section
 
-    problem = setting.design.problem
     is_tube = worst.limit == "tube"
     reaches = (row.search.reach, row.sampled.reach) if row and not is_tube else None
-    figure = worst_run(problem, setting.lap_limits, worst.limit, worst, played, reaches)
+    figure = worst_run(limits.design.problem, limits.of_laps, worst, played, reaches)
     folder.save_figure(figure, title)
     if is_tube:
-        folder.save_figure(worst_section(setting.design, worst, played), f"{title}_section")
+        folder.save_figure(worst_section(limits.design, worst, played), f"{title}_section")
 
 
 def save(
-    scenario: Scenario,
-    setting: Setting,
+    limits: LoopLimits,
     starts: str,
     folder: RunFolder,
     worst: Worst,
@@ -114,10 +105,10 @@ def save(
     deviations = {} if played.deviations is None else {"deviations": played.deviations}
     folder.save_arrays(
         f"{kind}_{name}",
-        scenario=to_toml(scenario),
+        scenario=to_toml(limits.design.problem.scenario),
         limit=name,
-        controller=setting.controller_name,
-        plant=setting.plant_name,
+        controller=limits.controller,
+        plant=limits.plant,
         starts=starts,
         **{key: getattr(worst, key) for key in NUMBERS},
         **attack,
@@ -150,9 +141,9 @@ def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
     )
     before = _read_worst(saved)
     name = before.limit
-    limit = setting.limits(name)[name]
+    limit = setting.limits.all[name]
     worst = confirm(setting.loop(name), setting.plant, limit, before)
-    played = replay_worst(setting, worst)
+    played = setting.replay(worst)
     difference = float(np.max(np.abs(played.trajectory.errors[:, 0] - saved["errors"])))
     words, margin, unit = describe_facet(limit, worst)
     verdict = "violation" if is_violated(worst) else "no violation"
@@ -163,7 +154,7 @@ def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
         f"saved errors by {difference:.2g}",
         f"replay_{name}",
     )
-    draw(setting, folder, f"replay_{name}", worst, played)
+    draw(setting.limits, folder, f"replay_{name}", worst, played)
     print(f"drawn in {path.parent}/replay_{name}.png")
     return 0
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.falsification.cases import Row, compute_certified_usage, describe_facet
 from jaxtube.falsification.falsify import Falsification
-from jaxtube.falsification.setting import Setting
+from jaxtube.falsification.setting import LoopLimits
 from jaxtube.plant.reference import TRANSIENT_S
 
 NOTE = (
@@ -35,18 +35,18 @@ def report(falsification: Falsification) -> str:
         Column("drawn laps\nlaps"),
         left("where"),
     ]
-    setting = falsification.setting
+    limits = falsification.limits
     rows = falsification.rows
-    body = [_make_line(setting, name, row) for name, row in rows.items()]
+    body = [_make_line(limits, name, row) for name, row in rows.items()]
     lines = [falsification.verdict, "", format_table(columns, body), "", NOTE]
     if "tube" in rows and falsification.design.tube.follows_reference:
         lines.append(WIDEST)
     return "\n".join(lines)
 
 
-def _make_line(setting: Setting, name: str, row: Row) -> list[str]:
-    words, margin, unit = describe_facet(setting.limits(name)[name], row.worst)
-    certified = compute_certified_usage(setting, name)
+def _make_line(limits: LoopLimits, name: str, row: Row) -> list[str]:
+    words, margin, unit = describe_facet(limits.all[name], row.worst)
+    certified = compute_certified_usage(limits, name)
     return [
         name,
         f"<= {certified:.4f}" if np.isfinite(certified) else "nothing",
@@ -62,15 +62,15 @@ def _make_line(setting: Setting, name: str, row: Row) -> list[str]:
 
 def metrics(falsification: Falsification) -> dict[str, Any]:
     """Return the numbers of the search."""
-    limits = {
-        name: _measure_row(falsification.setting, name, row)
+    measured = {
+        name: _measure_row(falsification.limits, name, row)
         for name, row in falsification.rows.items()
     }
-    return {"limits": limits, "violation": falsification.is_violated}
+    return {"limits": measured, "violation": falsification.is_violated}
 
 
-def _measure_row(setting: Setting, name: str, row: Row) -> dict[str, Any]:
-    words, margin, unit = describe_facet(setting.limits(name)[name], row.worst)
+def _measure_row(limits: LoopLimits, name: str, row: Row) -> dict[str, Any]:
+    words, margin, unit = describe_facet(limits.all[name], row.worst)
     numbers: dict[str, Any] = {
         "violation": row.is_violated,
         "facet": words,
@@ -78,7 +78,7 @@ def _measure_row(setting: Setting, name: str, row: Row) -> dict[str, Any]:
         "margin": margin,
         "margin_unit": unit,
         "usage": row.worst.usage,
-        "certified_usage": compute_certified_usage(setting, name),
+        "certified_usage": compute_certified_usage(limits, name),
         "seconds": row.search.seconds,
         "laps": row.search.laps,
         "drawn_usage": row.sampled.usage(name),
@@ -87,7 +87,7 @@ def _measure_row(setting: Setting, name: str, row: Row) -> dict[str, Any]:
     }
     if name == "tube":
         return numbers
-    settled = round(TRANSIENT_S / setting.design.problem.reference.dt)
+    settled = round(TRANSIENT_S / limits.design.problem.reference.dt)
     of_search = _measure_facets("", row.search.reach[name], settled)
     of_draws = _measure_facets("drawn_", row.sampled.reach[name], settled)
     return numbers | of_search | of_draws

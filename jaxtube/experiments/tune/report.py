@@ -13,7 +13,6 @@ from jaxtyping import Float
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.experiments.tune.figures import error_figure, tube_figure
-from jaxtube.experiments.tune.learning_figure import LearningCurve, learning_figure
 from jaxtube.experiments.tune.parameter_figure import parameter_figure
 from jaxtube.experiments.tune.result import (
     COMPARED_LAPS,
@@ -24,9 +23,10 @@ from jaxtube.experiments.tune.result import (
     run_comparison,
     weights_at,
 )
+from jaxtube.figures.learning import make_curve
 from jaxtube.simulation.usage import play
 from jaxtube.synthesis.certificate.fill import widest_tube
-from jaxtube.tuning.judgement import HeldOutJudgement, pool
+from jaxtube.tuning.judgement import pool
 from jaxtube.tuning.loop import Weights
 from jaxtube.tuning.parameters import Point
 from jaxtube.tuning.tune import Tuned
@@ -34,7 +34,6 @@ from jaxtube.tuning.tuner import COMPARED, Tuner
 from sets.polytope import Polytope
 
 DRAWN_LAPS = 128
-METHODS = {"adam": "Adam", "lbfgs": "L-BFGS-B"}
 
 
 class Summary(NamedTuple):
@@ -129,26 +128,22 @@ def _matrix_lines(name: str, matrix: Float[np.ndarray, "n n"]) -> list[str]:
 def iterate_arrays(tuned: Tuned) -> dict[str, np.ndarray]:
     """Return every iterate with its results, as arrays over the iterations."""
     descent = tuned.descent
-    judged = descent.judged
-    weights = [weights_at(tuned.tuner, judgement.point) for judgement in judged]
-
-    def read(number: Callable[[HeldOutJudgement], float]) -> Float[np.ndarray, " iterates"]:
-        values = [number(each) if each.has_laps else np.nan for each in judged]
-        return np.array(values, float)
-
+    curve = make_curve(descent)
+    points = [judgement.point for judgement in descent.judged]
+    weights = [weights_at(tuned.tuner, point) for point in points]
     return {
-        "point": np.stack([judgement.point for judgement in judged]),
+        "point": np.stack(points),
         "error_weight": np.stack([each.error_weight for each in weights]),
         "input_weight": np.stack([each.input_weight for each in weights]),
         "gains": np.stack([each.kappa for each in weights]),
-        "objective": descent.objective,
-        "held_out": np.array([judgement.held_out for judgement in judged]),
-        "certified": descent.certified,
-        "lateral_m": read(lambda judgement: judgement.lateral),
-        "effort_mps": read(lambda judgement: judgement.overall_effort),
-        "cost_low": read(lambda judgement: float(np.quantile(judgement.costs, 0.1))),
-        "cost_high": read(lambda judgement: float(np.quantile(judgement.costs, 0.9))),
-        "lateral_share": read(lambda judgement: judgement.shares[1]),
+        "objective": curve.objective,
+        "held_out": curve.held_out,
+        "certified": curve.certified,
+        "lateral_m": curve.lateral,
+        "effort_mps": curve.effort,
+        "cost_low": curve.low,
+        "cost_high": curve.high,
+        "lateral_share": descent.measure(lambda judgement: judgement.shares[1]),
     }
 
 
@@ -159,10 +154,8 @@ def draw(folder: RunFolder, tuned: Tuned) -> None:
     start = tuner.parameters.vector
     best = tuned.best.point
     arrays = iterate_arrays(tuned)
-    limit = tuner.aim.effort_limit if np.isfinite(tuner.aim.effort_limit) else None
-    curves = {METHODS[tuned.descent.method]: _curve(arrays)}
     caps = tuner.problem.operating_set.offsets[:3]
-    folder.save_figure(learning_figure(curves, limit), "learning")
+    folder.save_figure(tuned.plot(), "learning")
     tubes = tube_figure(_tube(tuner, start), _tube(tuner, best), caps)
     folder.save_figure(tubes, "tube")
     errors = error_figure(
@@ -180,20 +173,6 @@ def draw(folder: RunFolder, tuned: Tuned) -> None:
         arrays["certified"],
     )
     folder.save_figure(parameters, "parameters")
-
-
-def _curve(arrays: dict[str, np.ndarray]) -> LearningCurve:
-    """Return the learning curve of a descent."""
-    return LearningCurve(
-        iteration=np.arange(len(arrays["held_out"])),
-        objective=arrays["objective"],
-        held_out=arrays["held_out"],
-        low=arrays["cost_low"],
-        high=arrays["cost_high"],
-        certified=arrays["certified"],
-        lateral=arrays["lateral_m"],
-        effort=arrays["effort_mps"],
-    )
 
 
 def _tube(tuner: Tuner, point: Point) -> Polytope | None:

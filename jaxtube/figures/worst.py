@@ -125,7 +125,7 @@ def _labels(problem: Problem, name: str) -> list[str]:
 
 @styled
 def worst_run(
-    problem: Problem, limits: Limits, name: str, worst: Worst, played: Replay, reaches=None
+    problem: Problem, limits: Limits, worst: Worst, played: Replay, reaches=None
 ) -> Figure:
     """Draw the run that comes nearest to a limit: what the limit bounds, the path around the worst
     step, the attack.
@@ -133,11 +133,11 @@ def worst_run(
     Args:
         problem: gives the reference and the period.
         limits: of a lap.
-        name: the limit.
         worst, played: the worst case and its replay.
         reaches: greatest usage by step and facet that the search met, and that drawn laps met, by
             limit.
     """
+    name = worst.limit
     dt = problem.reference.dt
     tracks = make_tracks(problem, limits, name, played)
     strips = _make_strips(worst)

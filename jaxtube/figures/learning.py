@@ -25,7 +25,9 @@ from jaxtube.figures.style import (
     styled,
 )
 from jaxtube.figures.ticks import plain_ticks, spans_decade
+from jaxtube.tuning.run import Descent
 
+METHODS = {"adam": "Adam", "lbfgs": "L-BFGS-B"}
 LOOKS = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "D"))
 """Colours and marks of runs shown together."""
 RETURNED: dict[str, Any] = {
@@ -69,6 +71,27 @@ class LearningCurve(NamedTuple):
         """Certified iterates whose held-out objective is at most twice the returned one's."""
         best = np.nan if self.returned is None else self.held_out[self.returned]
         return self.certified & (self.held_out <= 2 * best)
+
+
+def make_curve(descent: Descent) -> LearningCurve:
+    """Return the learning curve of a descent."""
+    held_out = np.array([judgement.held_out for judgement in descent.judged])
+    return LearningCurve(
+        iteration=np.arange(len(held_out)),
+        objective=descent.objective,
+        held_out=held_out,
+        low=descent.measure(lambda judgement: float(np.quantile(judgement.costs, 0.1))),
+        high=descent.measure(lambda judgement: float(np.quantile(judgement.costs, 0.9))),
+        certified=descent.certified,
+        lateral=descent.measure(lambda judgement: judgement.lateral),
+        effort=descent.measure(lambda judgement: judgement.overall_effort),
+    )
+
+
+def draw_descent(descent: Descent, effort_limit: float) -> Figure:
+    """Draw the learning curve of a descent; the limit of the effort, m/s, only where finite."""
+    curves = {METHODS[descent.method]: make_curve(descent)}
+    return learning_figure(curves, effort_limit if np.isfinite(effort_limit) else None)
 
 
 @styled
