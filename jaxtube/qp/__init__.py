@@ -4,7 +4,7 @@ has its own module."""
 from jaxtube.qp.factors import Factors, factorise
 from jaxtube.qp.fixed_point import TOLERANCE, bound_tolerance
 from jaxtube.qp.solver import Solution, solve
-from jaxtube.qp.status import INFEASIBLE, SOLVED, UNSOLVED, describe
+from jaxtube.qp.status import INFEASIBLE, SOLVED, UNSOLVED, describe, describe_unsolved
 
 __all__ = [
     "INFEASIBLE",
@@ -15,6 +15,7 @@ __all__ = [
     "Solution",
     "bound_tolerance",
     "describe",
+    "describe_unsolved",
     "factorise",
     "solve",
 ]

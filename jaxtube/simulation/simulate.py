@@ -69,9 +69,15 @@ class Laps:
         return int(np.sum(~np.all(np.abs(self.errors) <= limits, axis=(0, 2))))
 
     @property
+    def statuses(self) -> dict[int, int]:
+        """How many QPs have each status that occurs (`jaxtube.qp.describe` has the words)."""
+        values, counts = np.unique(self.trajectory.diagnostics.status, return_counts=True)
+        return dict(zip(values.tolist(), counts.tolist(), strict=True))
+
+    @property
     def without_plan(self) -> int:
         """How many QPs were not solved."""
-        return int(np.sum(self.trajectory.diagnostics.status != qp.SOLVED))
+        return sum(count for status, count in self.statuses.items() if status != qp.SOLVED)
 
     @property
     def rms(self) -> Float[np.ndarray, "3"]:
@@ -109,11 +115,12 @@ class Laps:
         count = self.errors.shape[1]
         along, across, heading = self.rms
         left = "no lap leaves E" if not self.outside else f"{self.outside} laps leave E"
-        return (
+        verdict = (
             f"<Laps: {left} in {count}; {self.controller} on the {self.plant}; RMS "
             f"{1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, "
-            f"{np.rad2deg(heading):.2f} deg; {self.without_plan} QPs without a plan>"
+            f"{np.rad2deg(heading):.2f} deg; {self.without_plan} QPs without a plan"
         )
+        return "\n".join([verdict, *qp.describe_unsolved(self.statuses)]) + ">"
 
 
 @in_64_bits

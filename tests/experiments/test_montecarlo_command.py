@@ -16,6 +16,7 @@ import jax
 import numpy as np
 import pytest
 
+from jaxtube import qp
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.montecarlo import command
 from jaxtube.experiments.montecarlo import report as montecarlo_report
@@ -146,11 +147,17 @@ def test_a_verdict_without_violations_is_short_and_what_follows_bounds_them():
         "plans": 0,
     }
     line = montecarlo_report.verdict(summary)
+    event["steps"] = 0
+    summary["events"] |= {"qp_infeasible": event, "qp_unsolved": event}
     assert line == "w stayed in W in every step; 0 of 1,000,000 laps left E"
     assert montecarlo_report.findings(summary).split("\n  ") == [
         "at 95% confidence:",
         "share of the laps in which w leaves W: at most 3e-06",
         "share of the laps that leave E: at most 3e-06",
+    ]
+    summary["events"]["qp_infeasible"] = {"steps": 1234}
+    assert montecarlo_report.findings(summary).split("\n  ")[3:] == [
+        f"1,234 QPs {qp.describe(qp.INFEASIBLE)}"
     ]
 
 

@@ -1,5 +1,6 @@
 """Laws of `simulate`: own controllers, plants and slips, and what it refuses."""
 
+import dataclasses
 from dataclasses import dataclass
 
 import jax
@@ -9,6 +10,7 @@ import pytest
 from tolerances import CLOSED_LOOP
 
 import jaxtube as jt
+from jaxtube import qp
 from jaxtube.control import mpc
 from jaxtube.precision import require_64_bits
 from jaxtube.simulation import closed_loop
@@ -134,6 +136,20 @@ def test_laps_say_what_they_came_to(gain_laps):
     spoilt = gain_laps.trajectory._replace(errors=np.full_like(gain_laps.errors, np.nan))
     lost = jt.Laps(gain_laps.design, "local_gain", "robot", 0, spoilt)
     assert lost.outside == LAPS
+
+
+def test_laps_say_which_qps_were_not_solved_and_why(gain_laps):
+    status = np.array(gain_laps.trajectory.diagnostics.status)
+    status[3, :2] = qp.INFEASIBLE
+    status[5, 1] = qp.UNSOLVED
+    diagnostics = gain_laps.trajectory.diagnostics._replace(status=status)
+    trajectory = gain_laps.trajectory._replace(diagnostics=diagnostics)
+    laps = dataclasses.replace(gain_laps, trajectory=trajectory)
+    verdict, infeasible, unsolved = repr(laps).splitlines()
+    assert verdict.endswith("; 3 QPs without a plan")
+    assert infeasible == f"2 QPs {qp.describe(qp.INFEASIBLE)}"
+    assert unsolved == f"1 QP {qp.describe(qp.UNSOLVED)}>"
+    assert repr(gain_laps).endswith("; 0 QPs without a plan>")
 
 
 def test_laps_become_a_dataset_with_named_dimensions(gain_laps):

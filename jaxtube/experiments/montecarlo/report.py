@@ -7,6 +7,7 @@ import textwrap
 
 import numpy as np
 
+from jaxtube import qp
 from jaxtube.coordinates import COORDINATES, KEYS, NAMES
 from jaxtube.experiments.montecarlo import tube_reach
 from jaxtube.experiments.run.limits import describe_error_set
@@ -60,7 +61,14 @@ def findings(summary: dict) -> str:
     ]
     if summary["plans"]:
         lines.append(_describe_plans(summary["tube"]["stages"]))
-    return "\n  ".join(lines)
+    return "\n  ".join([*lines, *_describe_unsolved(summary["events"])])
+
+
+def _describe_unsolved(events: dict[str, dict]) -> list[str]:
+    """Return a line for each kind of QP without a solution that occurred."""
+    statuses = {"qp_infeasible": qp.INFEASIBLE, "qp_unsolved": qp.UNSOLVED}
+    counts = {status: events[name]["steps"] for name, status in statuses.items() if name in events}
+    return qp.describe_unsolved(counts)
 
 
 def _describe_disturbance(summary: dict) -> list[str]:

@@ -3,6 +3,7 @@ stress."""
 
 from __future__ import annotations
 
+from jaxtube import qp
 from jaxtube.coordinates import COORDINATES, KEYS
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.run.table import Column, format_table, left
@@ -24,14 +25,23 @@ def comparison(measured: dict) -> str:
     rows = [_compare(name, numbers) for name, numbers in measured["controllers"].items()]
     inside = measured["plan_deviations"]
     shares = ", ".join(f"{share:.1%}" for share in inside["share_outside_by_stage"])
-    return (
-        f"{format_table(columns, rows, WIDTH)}\n"
+    lines = [
+        format_table(columns, rows, WIDTH),
         "outside E: share of the runs that leave the error constraints; largest, RMS: medians over "
         "the runs;\nactive: share of the steps in which a constraint of the plan is active; "
         "wheel: largest wheel speed\n"
         f"of {inside['plans']} plans followed to their end these shares leave R_1, R_2, ..: "
-        f"{shares}"
-    )
+        f"{shares}",
+    ]
+    for name, numbers in measured["controllers"].items():
+        lines += [f"{name}: {line}" for line in _describe_unsolved(numbers["qp_status"])]
+    return "\n".join(lines)
+
+
+def _describe_unsolved(counts: dict[str, int]) -> list[str]:
+    """Return a line for each kind of QP without a solution that occurred."""
+    statuses = {"infeasible": qp.INFEASIBLE, "unsolved": qp.UNSOLVED}
+    return qp.describe_unsolved({status: counts[name] for name, status in statuses.items()})
 
 
 def _error_columns(kind: str) -> list[Column]:
@@ -65,16 +75,21 @@ def stress_table(measured: dict) -> str:
         Column("of these\noutside E"),
     ]
     rows = []
+    counts = {"infeasible": 0, "unsolved": 0}
     for case, by_controller in measured["stress"].items():
         for name, numbers in by_controller.items():
             rows.append(_stress_row(stress.CASES[case], name, numbers))
-    design = measured["stress_design"]
-    return (
-        f"under stress: design `{design}`, starts all over the feasible set of its tube-MPC\n"
-        f"{format_table(columns, rows, WIDTH)}\n"
+            for kind in counts:
+                counts[kind] += numbers[f"{kind}_QPs"]
+    lines = [
+        f"under stress: design `{measured['stress_design']}`, starts all over the feasible set of "
+        "its tube-MPC",
+        format_table(columns, rows, WIDTH),
         "outside E, every w in W: counts of runs; recovered: of the runs that had no plan at some "
-        "step, those\nthat had one at the last step"
-    )
+        "step, those\nthat had one at the last step",
+        *_describe_unsolved(counts),
+    ]
+    return "\n".join(lines)
 
 
 def _stress_row(case: str, controller: str, numbers: dict) -> list[str]:
