@@ -1,0 +1,134 @@
+"""`montecarlo` through the door: its laps are those of `simulate`, with a controller and a slip
+process of a user's own too; results are drawn, saved and read back."""
+
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from figure_checks import assert_presentable
+from tolerances import CLOSED_LOOP
+
+import jaxtube as jt
+from jaxtube import results
+from jaxtube.coordinates import NAMES
+from jaxtube.statistics import montecarlo as door
+from jaxtube.statistics import run as blocks
+from jaxtube.statistics.montecarlo import MemoryStore
+
+BLOCK = 16
+TILE = 8
+LAPS = 20
+SEED = 3
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_blocks():
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (blocks, door):
+            patch.setattr(module, "BLOCK", BLOCK)
+        patch.setattr(blocks, "TILE", TILE)
+        yield
+
+
+@pytest.fixture(scope="module")
+def design(uncertified):
+    return uncertified("certified", "reference.duration_s=1", "noise.lateral_m=0.002")
+
+
+@pytest.fixture(scope="module")
+def law(design):
+    """A controller of a user's own: a static gain."""
+    gain = design.tube_gain.nominal
+    return lambda errors, reference_wheels: errors @ gain.T
+
+
+@dataclass(frozen=True)
+class Worst:
+    """A slip process of a user's own: slips at their greatest error, all the time."""
+
+    opposed = False
+
+    def initial(self, key, dtype):
+        return ()
+
+    def draw(self, key, step, memory, situation):
+        return jnp.ones(2, situation.errors.dtype), memory
+
+
+@pytest.fixture(scope="module")
+def store():
+    return MemoryStore()
+
+
+@pytest.fixture(scope="module")
+def of_own_law(design, law, store):
+    return jt.montecarlo(design, law, laps=LAPS, seed=SEED, store=store)
+
+
+def assert_statistics_of(run, laps):
+    """Compare a run with the laps of `simulate`."""
+    E = run.design.problem.error_set
+    normals = E.normals / np.linalg.norm(E.normals, axis=1, keepdims=True)
+    offsets = E.offsets / np.linalg.norm(E.normals, axis=1)
+    excess = (laps.errors[1:] @ normals.T - offsets).max(axis=(0, 1))
+    np.testing.assert_allclose(run.statistics["excess/error"], excess, rtol=0, atol=CLOSED_LOOP)
+    assert run.laps == laps.errors.shape[1] == LAPS
+    assert run.share("e_outside_E").laps == laps.outside
+
+
+def test_laps_of_an_own_controller_are_those_of_simulate(design, law, of_own_law):
+    assert of_own_law.law == ("own", "robot", "scenario", design.problem.scenario.slip.process)
+    assert_statistics_of(of_own_law, jt.simulate(design, law, laps=LAPS, seed=SEED))
+
+
+def test_laps_of_an_own_slip_process_are_those_of_simulate(design, of_own_law):
+    run = jt.montecarlo(design, "local_gain", slip=Worst(), laps=LAPS, seed=SEED)
+    assert run.law == ("local_gain", "robot", "scenario", "own")
+    laps = jt.simulate(design, "local_gain", slip=Worst(), laps=LAPS, seed=SEED)
+    assert_statistics_of(run, laps)
+    assert "slip (own)" in repr(run)
+
+
+def test_the_verdict_comes_first(of_own_law):
+    share = of_own_law.share("e_outside_E")
+    assert repr(of_own_law).startswith(
+        f"<MonteCarlo: 0 of {LAPS} laps left E (share at most {share.high:.3g} at 95 % confidence)"
+    )
+    with pytest.raises(ValueError, match="event = 'fire': is unknown; choose one of"):
+        of_own_law.share("fire")
+
+
+def test_blocks_that_a_store_keeps_are_not_computed_again(
+    design, law, store, of_own_law, monkeypatch
+):
+    monkeypatch.setattr(blocks.Run, "dispatch", None)
+    again = jt.montecarlo(design, law, laps=LAPS, seed=SEED, store=store)
+    assert repr(again) == repr(of_own_law)
+
+
+def test_a_run_is_drawn_saved_read_and_a_dataset(design, of_own_law, tmp_path, monkeypatch):
+    assert_presentable(of_own_law.plot())
+    monkeypatch.setattr(results, "design", lambda scenario: design)
+    again = jt.read(of_own_law.save(tmp_path))
+    assert repr(again) == repr(of_own_law)
+    assert again.statistics.keys() == of_own_law.statistics.keys()
+    dataset = again.to_xarray()
+    assert dataset.identical(of_own_law.to_xarray())
+    assert int(dataset["laps"]) == LAPS
+    assert list(dataset["coordinate"].values) == list(NAMES)
+
+
+@pytest.mark.parametrize(
+    ("choices", "words"),
+    [
+        ({"controller": "mpc"}, "controller = 'mpc': is unknown"),
+        ({"plant": "car"}, "plant = 'car': is unknown"),
+        ({"plant": "linear", "slip": "iid"}, "draws no slips"),
+        ({"starts": "somewhere"}, "starts = 'somewhere'"),
+    ],
+)
+def test_unknown_names_are_refused_in_one_line(design, choices, words):
+    with pytest.raises(ValueError, match=words) as refused:
+        jt.montecarlo(design, laps=LAPS, **choices)
+    assert "\n" not in str(refused.value)
