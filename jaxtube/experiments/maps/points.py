@@ -15,13 +15,13 @@ from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, w
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.experiments.run.progress import progress
-from jaxtube.experiments.run.store import Store
+from jaxtube.experiments.run.store_owner import StoreOwner
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, at_point, caps_and_gains, guarantee
 
@@ -119,7 +119,7 @@ def _make_axis(values: Float[np.ndarray, " count"], own: float) -> tuple[float, 
     return tuple(sorted({*np.round(values, 4).tolist(), float(own)}))
 
 
-class PointLog:
+class PointLog(StoreOwner):
     """JSON values that survive an interruption, in the order in which they were added; each is an
     entry of a store, which belongs to this object until it is closed."""
 
@@ -135,31 +135,12 @@ class PointLog:
                 entries with another identity.
             StoreError: the disk failed.
         """
-        self._store = Store(folder, identity)
+        super().__init__(folder, identity)
         self.records: list[dict] = []
-        try:
-            with self._store.explain_failure("opening the log", self._safe):
-                entries = self._store.read_all("computed again")
-        except BaseException:
-            self.close()
-            raise
+        with self._opening("the log"):
+            entries = self._store.read_all("computed again")
         self._count = 1 + max(map(int, entries), default=-1)
         self.records += [entry.header["value"] for entry in entries.values()]
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Leave the folder to others."""
-        self._store.close()
-
-    @property
-    def damaged(self) -> list[str]:
-        """A line for each damaged entry met at opening, which is gone."""
-        return self._store.damaged
 
     def append(self, record: dict) -> None:
         """Add a value; once this returns, it outlives the process.
@@ -168,12 +149,12 @@ class PointLog:
             StoreError: the disk failed.
         """
         name = f"{self._count:06d}"
-        with self._store.explain_failure(f"logging {name}", self._safe):
+        with self._explain_failure(f"logging {name}"):
             entry = self._store.write(name, {"value": record}, {})
         self._count += 1
         self.records.append(entry.header["value"])
 
-    def _safe(self) -> str:
+    def _say_what_is_safe(self) -> str:
         return f"the {len(self.records)} results logged there are safe"
 
 

@@ -20,17 +20,18 @@ import functools
 import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from jaxtube.experiments.run.record_file import DamagedError, Statistics, plain
-from jaxtube.experiments.run.store import SUFFIX, Entry, Store
+from jaxtube.experiments.run.store import SUFFIX, Entry
+from jaxtube.experiments.run.store_owner import StoreOwner
 from jaxtube.scenario.refusal import refusal
 
 SIZES = tuple(64**level for level in range(6))
 """Blocks in one entry."""
 
 
-class Records:
+class Records(StoreOwner):
     """The records in one folder, which belongs to this object until it is closed."""
 
     def __init__(
@@ -56,34 +57,14 @@ class Records:
                 records with another identity; in this last case no record was touched.
             StoreError: the disk failed later.
         """
+        super().__init__(folder, {"block_size": block_size, **identity})
         self._merge = merge
         self._block_size = block_size
         self._laps: dict[range, int] = {}
-        self._store = Store(folder, {"block_size": block_size, **identity})
-        try:
-            with self._store.explain_failure("opening the records", self._safe):
-                self._store.remove(self._scan())
-                for blocks in sorted(self._laps, key=len):
-                    self._compact(blocks)
-        except BaseException:
-            self.close()
-            raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Leave the folder to others."""
-        self._store.close()
-
-    @property
-    def damaged(self) -> list[str]:
-        """A line for each damaged file met at opening: those files are gone, their blocks are
-        missing again."""
-        return self._store.damaged
+        with self._opening("the records"):
+            self._store.remove(self._scan())
+            for blocks in sorted(self._laps, key=len):
+                self._compact(blocks)
 
     @property
     def laps(self) -> int:
@@ -127,7 +108,7 @@ class Records:
                 f"block {block}, laps = {laps}: as many are recorded; add what is missing"
             )
         blocks = range(block, block + 1)
-        with self._store.explain_failure(f"recording block {block}", self._safe):
+        with self._explain_failure(f"recording block {block}"):
             self._write(blocks, int(laps), statistics)
             self._laps[blocks] = int(laps)
             self._compact(blocks)
@@ -140,10 +121,10 @@ class Records:
 
         Raises: StoreError for a file that was damaged since the opening.
         """
-        with self._store.explain_failure("reading the records", self._safe):
+        with self._explain_failure("reading the records"):
             return self._fold(sorted(self._laps, key=lambda blocks: blocks.start))
 
-    def _safe(self) -> str:
+    def _say_what_is_safe(self) -> str:
         return f"the {self.laps} laps recorded there are safe"
 
     # ----------------------------------------------------------------------------------------------
@@ -227,7 +208,7 @@ class Records:
         except DamagedError:
             del self._laps[blocks]
             problem = f"{_name(blocks)} was damaged meanwhile"
-            raise self._store.fail(problem, self._safe()) from None
+            raise self._store.fail(problem, self._say_what_is_safe()) from None
 
     # ----------------------------------------------------------------------------------------------
     # entries

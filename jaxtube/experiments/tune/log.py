@@ -15,19 +15,20 @@ import re
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
 from jaxtube.experiments.run.record_file import Statistics, plain
-from jaxtube.experiments.run.store import SUFFIX, Store
+from jaxtube.experiments.run.store import SUFFIX
+from jaxtube.experiments.run.store_owner import StoreOwner
 
 GIVEN = "given "
 ANSWER = "answer "
 """Prefixes of the arrays of a question and of its answer."""
 
 
-class TuningLog:
+class TuningLog(StoreOwner):
     """The log in one folder, which belongs to this object until it is closed."""
 
     def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
@@ -44,32 +45,12 @@ class TuningLog:
                 entries with another identity; in this last case no entry was touched.
             StoreError: the disk failed later.
         """
+        super().__init__(folder, identity)
         self._entries: dict[str, Statistics] = {}
         self._asked: Counter[str] = Counter()
-        self._store = Store(folder, identity)
-        try:
-            with self._store.explain_failure("opening the log", self._safe):
-                for name, entry in self._store.read_all("computed again").items():
-                    self._entries[name] = entry.arrays
-        except BaseException:
-            self.close()
-            raise
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Leave the folder to others."""
-        self._store.close()
-
-    @property
-    def damaged(self) -> list[str]:
-        """A line for each damaged file met at opening: those files are gone, their answers are
-        computed again."""
-        return self._store.damaged
+        with self._opening("the log"):
+            for name, entry in self._store.read_all("computed again").items():
+                self._entries[name] = entry.arrays
 
     @property
     def entries(self) -> int:
@@ -117,10 +98,10 @@ class TuningLog:
         return _part(ANSWER, self._entries[name])
 
     def _add(self, name: str, arrays: Statistics) -> None:
-        with self._store.explain_failure(f"logging {name}{SUFFIX}", self._safe):
+        with self._explain_failure(f"logging {name}{SUFFIX}"):
             self._entries[name] = self._store.write(name, {}, arrays).arrays
 
-    def _safe(self) -> str:
+    def _say_what_is_safe(self) -> str:
         return f"the {self.entries} evaluations logged there are safe"
 
 
