@@ -125,7 +125,6 @@ def falsify(
     slip: SlipChoice = None,
     seconds: float = 60.0,
     seed: int = 0,
-    advanced: Callable[[], object] | None = None,
 ) -> Falsification:
     """Search the smallest margins of a closed loop by gradient, over everything bounded that its
     plant would draw.
@@ -141,7 +140,6 @@ def falsify(
         slip: the scenario's process unless given; "iid" or "constant", others are not boxes.
         seconds: of all searches, without compilation; drawn laps take as long again.
         seed: of every draw.
-        advanced: called whenever a limit has been searched, and again when its laps are drawn.
 
     Returns:
         The worst cases, each as its replay has it. Where none is violated, nothing is proved.
@@ -151,7 +149,7 @@ def falsify(
             searched.
     """
     setting = make_setting(design, controller, plant, starts, slip, seed)
-    return search_setting(setting, target, seconds=seconds, seed=seed, advanced=advanced)
+    return search_setting(setting, target, seconds=seconds, seed=seed)
 
 
 def search_setting(
@@ -163,7 +161,15 @@ def search_setting(
     advanced: Callable[[], object] | None = None,
 ) -> Falsification:
     """Search each limit of a target for its share of the time, then draw laps for as long as the
-    searches took; arguments as for `falsify`."""
+    searches took.
+
+    Args:
+        setting: what is searched.
+        target: as for `falsify`.
+        seconds: as for `falsify`.
+        seed: of every draw.
+        advanced: called whenever a limit has been searched, and again when its laps are drawn.
+    """
     if not 0 < seconds < float("inf"):
         raise ValueError(f"seconds = {seconds}: is no time; give a positive number")
     names = setting.limits.choose_names(target)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import functools
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 
@@ -31,44 +32,6 @@ from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-class BlockStore(Protocol):
-    """Where the statistics of blocks are kept: in memory, or in files that survive the process."""
-
-    def missing(self, laps: int) -> Iterator[int]:
-        """Yield the numbers of the blocks of a run that are not kept yet."""
-        ...
-
-    def add(self, block: int, laps: int, statistics: Statistics) -> None:
-        """Keep the statistics of a block."""
-        ...
-
-    def merged(self) -> Statistics:
-        """Return the statistics of all blocks kept, joined."""
-        ...
-
-
-class MemoryStore:
-    """A store that does not outlive the process."""
-
-    def __init__(self):
-        self.blocks: dict[int, Statistics] = {}
-
-    def missing(self, laps: int) -> Iterator[int]:
-        """Yield the numbers of the blocks of a run that are not kept yet."""
-        yield from (block for block in range(-(-laps // BLOCK)) if block not in self.blocks)
-
-    def add(self, block: int, laps: int, statistics: Statistics) -> None:
-        """Keep the statistics of a block."""
-        self.blocks[block] = statistics
-
-    def merged(self) -> Statistics:
-        """Return the statistics of all blocks kept, joined."""
-        joined: Statistics = {}
-        for statistics in self.blocks.values():
-            joined = merge(joined, statistics) if joined else statistics
-        return joined
 
 
 class Share(NamedTuple):
@@ -175,7 +138,6 @@ def montecarlo(
     starts: str = "scenario",
     slip: SlipChoice = None,
     seed: int = 0,
-    store: BlockStore | None = None,
 ) -> MonteCarlo:
     """Run laps by the million and check every period against the sets of a design.
 
@@ -185,21 +147,21 @@ def montecarlo(
         laps: how many; whole blocks of 4,096 are computed, and laps beyond the number not counted.
         starts: "scenario", "feasible" or "edge", as for `simulate`.
         seed: of every draw: lap i is a function of seed and i, whatever ran beside it.
-        store: where blocks are kept; those that it has are not computed again.
 
     Returns:
         The run, with exact counts and finite-sample bounds.
 
     Raises:
-        ValueError: one line, for an unknown name.
+        ValueError: one line, for an unknown name, or no laps.
     """
-    store = store or MemoryStore()
-    laps = int(laps)
+    if laps < 1:
+        raise ValueError(f"laps = {laps}: are too few; ask for one at least")
     law = name_law(design, controller, plant, starts, slip)
     task = make_closed_loop_task(design, controller, plant, starts, slip, seed)
-    run = Run(task, laps, chunk=1, devices=tuple(jax.local_devices()))
-    compute_missing(run, store)
-    return MonteCarlo(design, law, seed, store.merged())
+    run = Run(task, int(laps), chunk=1, devices=tuple(jax.local_devices()))
+    blocks = range(math.ceil(run.realisations / BLOCK))
+    statistics = functools.reduce(merge, (part for _, part in run.compute(blocks)))
+    return MonteCarlo(design, law, seed, statistics)
 
 
 def make_closed_loop_task(
@@ -230,10 +192,3 @@ def name_law(
     """Return the names of what laps are drawn from."""
     process = design.problem.scenario.slip.process if slip is None else slip
     return SamplingLaw(name_choice(controller), name_choice(plant), starts, name_choice(process))
-
-
-def compute_missing(run: Run, store: BlockStore) -> None:
-    """Compute the blocks of a run that a store lacks."""
-    missing = list(store.missing(run.realisations))
-    for block, statistics in run.compute(missing):
-        store.add(block, int(statistics["laps"]), statistics)

@@ -159,9 +159,6 @@ def tune(
     learning_rate: float = 0.1,
     patience: int = 40,
     seed: int = 0,
-    accept_uncertified: bool = False,
-    log: Log | None = None,
-    progress: Progress | None = None,
 ) -> Tuned:
     """Tune weights and gains of a scenario by gradients through laps and through the tube, in 64
     bits.
@@ -177,9 +174,6 @@ def tune(
         learning_rate: of Adam, in the logarithms of weights and gains.
         patience: iterates without a better held-out objective after which to stop.
         seed: of every draw.
-        accept_uncertified: return the best iterate even if its certificate fails.
-        log: of answers, for resuming.
-        progress: told of every evaluation and iterate.
 
     Returns:
         The result; nothing is printed or written.
@@ -191,9 +185,7 @@ def tune(
     settings = Settings(method, evaluations, patience, learning_rate)
     _refuse_settings(settings, laps, held_out)
     tuner = make_tuner(scenario, variables=variables, laps=laps, held_out=held_out, seed=seed)
-    return run_tuner(
-        tuner, settings, accept_uncertified=accept_uncertified, log=log, progress=progress
-    )
+    return run_tuner(tuner, settings)
 
 
 def run_tuner(
@@ -204,7 +196,15 @@ def run_tuner(
     log: Log | None = None,
     progress: Progress | None = None,
 ) -> Tuned:
-    """Descend from a tuner's start, and design the best iterate; arguments as of `tune`."""
+    """Descend from a tuner's start, and design the best iterate.
+
+    Args:
+        tuner: of the start.
+        settings: how it descends.
+        accept_uncertified: return the best iterate even if its certificate fails.
+        log: of answers, for resuming.
+        progress: told of every evaluation and iterate.
+    """
     descent = descend(tuner, settings, log, progress)
     best = descent.best(accept_uncertified)
     if best is None:

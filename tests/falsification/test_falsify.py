@@ -15,6 +15,7 @@ from tolerances import FALSIFY_REPLAY
 import jaxtube as jt
 from jaxtube import results
 from jaxtube.control.protocol import Feedback
+from jaxtube.falsification.falsify import search_setting
 from jaxtube.falsification.setting import find_plan_steps, make_loop_limits, make_setting
 from jaxtube.falsification.worst import Worst
 from jaxtube.simulation import closed_loop
@@ -51,17 +52,7 @@ class Damped:
 
 @pytest.fixture(scope="module")
 def of_own_controller(design):
-    calls = []
-    result = jt.falsify(
-        design,
-        Damped(design),
-        target="error",
-        slip="constant",
-        seconds=0.5,
-        advanced=lambda: calls.append(1),
-    )
-    assert len(calls) == 2
-    return result
+    return jt.falsify(design, Damped(design), target="error", slip="constant", seconds=0.5)
 
 
 def test_a_controller_of_ones_own_is_falsified(design, of_own_controller):
@@ -139,7 +130,10 @@ def test_a_law_that_answers_nan_violates(design):
         broken = jnp.abs(errors[:, :1]) > 0.05
         return jnp.where(broken, jnp.nan, errors[:, :2])
 
-    result = jt.falsify(design, law, "exact", target="error", seconds=0.1)
+    calls = []
+    setting = make_setting(design, law, "exact")
+    result = search_setting(setting, "error", seconds=0.1, advanced=lambda: calls.append(1))
+    assert len(calls) == 2
     assert result.is_violated
     assert result.worst.usage == np.inf
     assert result.verdict.startswith("violation found: error")

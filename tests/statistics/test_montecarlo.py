@@ -14,7 +14,6 @@ from jaxtube import results
 from jaxtube.coordinates import NAMES
 from jaxtube.statistics import montecarlo as door
 from jaxtube.statistics import run as blocks
-from jaxtube.statistics.montecarlo import MemoryStore
 
 BLOCK = 16
 TILE = 8
@@ -57,13 +56,8 @@ class Worst:
 
 
 @pytest.fixture(scope="module")
-def store():
-    return MemoryStore()
-
-
-@pytest.fixture(scope="module")
-def of_own_law(design, law, store):
-    return jt.montecarlo(design, law, laps=LAPS, seed=SEED, store=store)
+def of_own_law(design, law):
+    return jt.montecarlo(design, law, laps=LAPS, seed=SEED)
 
 
 def assert_statistics_of(run, laps):
@@ -99,14 +93,6 @@ def test_the_verdict_comes_first(of_own_law):
         of_own_law.share("fire")
 
 
-def test_blocks_that_a_store_keeps_are_not_computed_again(
-    design, law, store, of_own_law, monkeypatch
-):
-    monkeypatch.setattr(blocks.Run, "dispatch", None)
-    again = jt.montecarlo(design, law, laps=LAPS, seed=SEED, store=store)
-    assert repr(again) == repr(of_own_law)
-
-
 def test_a_run_is_drawn_saved_read_and_a_dataset(design, of_own_law, tmp_path, monkeypatch):
     assert_presentable(of_own_law.plot())
     monkeypatch.setattr(results, "design", lambda scenario: design)
@@ -126,9 +112,10 @@ def test_a_run_is_drawn_saved_read_and_a_dataset(design, of_own_law, tmp_path, m
         ({"plant": "car"}, "plant = 'car': is unknown"),
         ({"plant": "linear", "slip": "iid"}, "draws no slips"),
         ({"starts": "somewhere"}, "starts = 'somewhere'"),
+        ({"laps": 0}, "laps = 0: are too few"),
     ],
 )
-def test_unknown_names_are_refused_in_one_line(design, choices, words):
+def test_what_cannot_run_is_refused_in_one_line(design, choices, words):
     with pytest.raises(ValueError, match=words) as refused:
-        jt.montecarlo(design, laps=LAPS, **choices)
+        jt.montecarlo(design, **{"laps": LAPS, **choices})
     assert "\n" not in str(refused.value)

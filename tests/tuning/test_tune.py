@@ -11,8 +11,9 @@ from figure_checks import assert_presentable
 import jaxtube as jt
 from jaxtube.scenario import ScenarioError, load
 from jaxtube.synthesis.disturbance import complete_problem
-from jaxtube.tuning.run import NoProgress
-from jaxtube.tuning.tune import assumption, tune
+from jaxtube.tuning.run import NoProgress, Settings
+from jaxtube.tuning.tune import assumption, run_tuner, tune
+from jaxtube.tuning.tuner import make_tuner
 from jaxtube.tuning.watch import Stop
 
 SHORT = ("reference.duration_s=3", "controller.tracking_gains=[3.0,6.5,6.5]")
@@ -44,8 +45,8 @@ def result(progress):
     """A start that is certified, tuned on laps that cost nothing."""
     with pytest.MonkeyPatch.context() as patch:
         stand_ins.patch_tuner(patch)
-        scenario = load("untuned", SHORT)
-        return tune(scenario, method="adam", evaluations=2, **FEW, progress=progress)
+        tuner = make_tuner(load("untuned", SHORT), **FEW)
+        return run_tuner(tuner, Settings(method="adam", evaluations=2), progress=progress)
 
 
 @pytest.fixture(scope="module")
