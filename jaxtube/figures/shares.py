@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -17,19 +18,11 @@ from jaxtube.figures.style import (
     page_figure,
     styled,
 )
+from jaxtube.statistics.events import VIOLATIONS, find_event
 from jaxtube.statistics.intervals import share_interval
 
 STAGES = 5
 """Stages of the tube listed with the shares."""
-ROWS = {
-    "w_outside_W": "$w$ outside $\\mathcal{W}$",
-    "e_outside_E": "$e$ outside $\\mathcal{E}$",
-    "u_outside_U": "$u$ outside $\\mathcal{U}$",
-    "wheels_saturated": "wheels at their limits",
-    "qp_infeasible": "QP infeasible",
-    "qp_unsolved": "QP unsolved",
-    "not_finite": "not finite",
-}
 LARGEST_RUN = 1e9
 """Laps up to which the figure says what a run without violation proves."""
 
@@ -62,13 +55,19 @@ class DrawnRow(NamedTuple):
 def share_rows(summary: dict) -> list[DrawnRow]:
     """Return what the chart of shares lists: W and E, stages of the tube in use, then the other
     events."""
-    events = [_event_row(summary, name) for name in ROWS if name in summary["events"]]
+    events = [_event_row(summary, name) for name in VIOLATIONS if name in summary["events"]]
     return [*events[:2], *_stage_rows(summary), *events[2:]]
 
 
 def _event_row(summary: dict, name: str) -> DrawnRow:
     event = summary["events"][name]
-    return DrawnRow(f"{ROWS[name]}: {event['laps']:,} laps", make_shares(event))
+    return DrawnRow(f"{typeset_event(name)}: {event['laps']:,} laps", make_shares(event))
+
+
+def typeset_event(name: str) -> str:
+    """Return the words of an event; as LaTeX those of a vector and its set, as in `w outside W`."""
+    words = find_event(name).words
+    return re.sub(r"^(\w) outside (\w)$", r"$\1$ outside $\\mathcal{\2}$", words)
 
 
 def make_shares(event: dict) -> dict[str, DrawnShare]:

@@ -67,6 +67,17 @@ EVENTS = (
 
 EVENT_NAMES = tuple(event.name for event in EVENTS)
 
+VIOLATIONS = (
+    "w_outside_W",
+    "e_outside_E",
+    "u_outside_U",
+    "wheels_saturated",
+    "qp_infeasible",
+    "qp_unsolved",
+    "not_finite",
+)
+"""Names of the events that must not happen."""
+
 
 def find_event(name: str) -> Event:
     """Return the event of a name."""

@@ -28,7 +28,7 @@ from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario, ScenarioError, load
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.statistics import run as montecarlo
-from jaxtube.statistics.events import EVENT_NAMES, find_event
+from jaxtube.statistics.events import EVENT_NAMES, VIOLATIONS, find_event
 from jaxtube.statistics.montecarlo import make_closed_loop_task, name_law
 from jaxtube.statistics.run import BLOCK, Run
 from jaxtube.statistics.summary import summarise
@@ -269,7 +269,7 @@ def test_counts_add_up_over_the_laws_and_name_the_worst_by_its_share():
     assert by_title["an invariant terminal set exists over the certified wheel speeds"] is None
 
 
-@pytest.mark.parametrize("event", claims.VIOLATIONS)
+@pytest.mark.parametrize("event", VIOLATIONS)
 def test_each_event_alone_is_a_violation(event):
     assert claims.bound_violating_laps(law(**{event: 11})) == (11, 11)
 
@@ -307,7 +307,7 @@ def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
 
 def test_the_legend_explains_every_column_of_an_event():
     legend = report.legend()
-    for name in claims.VIOLATIONS:
+    for name in VIOLATIONS:
         event = find_event(name)
         assert f"{event.words}: {event.meaning}" in legend
 

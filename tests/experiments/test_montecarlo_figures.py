@@ -184,7 +184,9 @@ def test_shares_are_drawn_with_their_intervals_and_bounds_where_none_was_seen(su
     chart, proof = figure.axes
     labels = [label.get_text() for label in chart.get_yticklabels()]
     assert labels == [row.label for row in rows]
-    assert "3 laps" in labels[1] and "$R_{2}$: 16 plans" in labels[3]
+    assert labels[1].startswith("$e$ outside $\\mathcal{E}$: 3 laps")
+    assert labels[-1].startswith("not finite: ")
+    assert "$R_{2}$: 16 plans" in labels[3]
     whiskers = [line.get_xdata() for line in chart.lines if len(line.get_xdata()) == 2]
     assert any(list(ends) == pytest.approx(share_interval(3, LAPS)) for ends in whiskers)
     unseen = [share for row in rows for share in row.shares.values() if not share.value]

@@ -14,20 +14,11 @@ from collections.abc import Callable, Collection
 from typing import NamedTuple
 
 from jaxtube.scenario.tree import Scenario
+from jaxtube.statistics.events import VIOLATIONS
 from jaxtube.statistics.intervals import largest_share
 from sets.certificate import Certificate
 
 CONFIDENCE = 0.95
-VIOLATIONS = (
-    "w_outside_W",
-    "e_outside_E",
-    "u_outside_U",
-    "wheels_saturated",
-    "qp_infeasible",
-    "qp_unsolved",
-    "not_finite",
-)
-"""Events of `jaxtube.statistics.events`."""
 
 
 class Tested(NamedTuple):

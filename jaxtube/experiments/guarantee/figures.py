@@ -6,12 +6,12 @@ from matplotlib.figure import Figure
 
 from jaxtube.experiments.guarantee.claims import Tested
 from jaxtube.figures.shares import (
-    ROWS,
     DrawnRow,
     draw_shares,
     find_least,
     make_shares,
     share_keys,
+    typeset_event,
 )
 from jaxtube.figures.style import bottom_legend, page_figure, styled
 
@@ -34,7 +34,7 @@ def laws_figure(tested: list[Tested]) -> Figure:
                 for name, law in design.laws.items()
             ]
             draw_shares(axes, rows)
-            axes.set_title(f"design “{design.name}”: {ROWS[event]}")
+            axes.set_title(f"design “{design.name}”: {typeset_event(event)}")
             every += rows
     panels[0, 0].set_xlim(find_least(every), 1.6)
     for axes in panels[0]:

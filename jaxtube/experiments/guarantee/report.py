@@ -9,7 +9,6 @@ from collections.abc import Collection
 from jaxtube.experiments.guarantee.claims import (
     CLAIMS,
     CONFIDENCE,
-    VIOLATIONS,
     Claim,
     Count,
     Tested,
@@ -19,7 +18,7 @@ from jaxtube.experiments.guarantee.claims import (
     judge_claim,
 )
 from jaxtube.experiments.run.table import Column, format_table, left
-from jaxtube.statistics.events import find_event
+from jaxtube.statistics.events import VIOLATIONS, find_event
 
 WIDTH = 100
 """Columns of all text."""
