@@ -21,10 +21,9 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxtube.control.protocol import Controller
 from jaxtube.falsification.cells import stack_cells
 from jaxtube.plant.protocol import SearchablePlant, Uncertainty
-from jaxtube.simulation.usage import Limits, play_limits
+from jaxtube.simulation.usage import JudgedLoop, play_limits
 
 Attack = dict[str, Float[Array, "times batch n"]]
 """The values of every uncertainty, by name: `start` (1, batch, 3) and the entries of a script."""
@@ -99,9 +98,7 @@ def start_ascent(attack: Attack) -> Ascent:
 
 @jax.jit
 def ascend(
-    controller: Controller,
-    plant: SearchablePlant,
-    limits: Limits,
+    loop: JudgedLoop,
     vertices: dict[str, Float[Array, "v n"]],
     ascent: Ascent,
     aim: CellAim,
@@ -109,9 +106,7 @@ def ascend(
     """Play the candidates of a batch and take one step with each.
 
     Args:
-        controller: any; for the limit `tube` one with a planner.
-        plant: whose draws give way to the attack.
-        limits: judged, all of them, in every lap.
+        loop: whose plant's draws give way to the attack; all limits are judged in every lap.
         vertices: of each uncertainty, by name.
         ascent: the batch.
         aim: of each instance.
@@ -122,7 +117,7 @@ def ascend(
         script = {name: values for name, values in attack.items() if name != "start"}
         starts = attack["start"][0]
         keys = jax.random.split(jax.random.key(0), len(starts))  # a script draws nothing
-        usages = play_limits(controller, plant, limits, keys, starts, aim.when, script)
+        usages = play_limits(loop, keys, starts, aim.when, script)
         cells = stack_cells(usages)
         aimed = jnp.take_along_axis(cells, aim.cell[None], axis=0)[0]
         return jnp.sum(aimed), (aimed, cells)

@@ -177,11 +177,8 @@ def search_setting(
     for name in names:
         searches[name] = search_worst_cases(
             setting.loop(name),
-            setting.plant,
-            setting.limits.judged_with(name),
             setting.starts,
             aims=[name],
-            plan_steps=setting.plan_steps,
             seconds=seconds / len(names),
             seed=seed,
         )
@@ -211,10 +208,7 @@ def _sample_limits(
             continue
         drawn = sample(
             setting.loop(group[0]),
-            setting.plant,
-            setting.limits.judged_with(group[0]),
             pool,
-            plan_steps=setting.plan_steps,
             seconds=sum(searches[name].seconds for name in group),
             seed=seed,
         )

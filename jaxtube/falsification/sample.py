@@ -11,9 +11,10 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int, Key
 
-from jaxtube.control.protocol import Controller
-from jaxtube.plant.protocol import SearchablePlant
-from jaxtube.simulation.usage import Limits, play_limits
+from jaxtube.simulation.usage import JudgedLoop, play_limits
+
+BATCH = 256
+"""Laps drawn at once."""
 
 
 @dataclass(frozen=True)
@@ -36,58 +37,53 @@ class Sampled:
 
 
 def sample(
-    controller: Controller,
-    plant: SearchablePlant,
-    limits: Limits,
+    loop: JudgedLoop,
     starts: Float[np.ndarray, "k 3"],
     *,
-    plan_steps: Int[np.ndarray, " k"] | None = None,
     seconds: float = 60.0,
     seed: int = 0,
-    batch: int = 256,
     laps: int | None = None,
 ) -> Sampled:
     """Draw laps by the plant's own law and keep their extremes: what a search has to beat in the
     same time.
 
     Args:
-        controller, plant, limits, seconds, seed, batch: as for `search_worst_cases`.
+        loop: each lap draws the step of its followed plan from those of the loop.
         starts: pool of initial errors, (m, m, rad), from which each lap draws its own.
-        plan_steps: steps from which each lap draws that of its followed plan; 0 unless given.
+        seconds: after which the drawing ends at the latest, compilation not counted.
+        seed: of every draw.
         laps: after which it ends if the time is not up before.
     """
     generator = np.random.default_rng(seed)
     key = jax.random.key(seed)
     pool = jnp.asarray(starts, float)
-    choices = np.zeros(1, int) if plan_steps is None else np.asarray(plan_steps)
+    choices = loop.list_plan_steps()
 
     def draw(block: int) -> dict[str, np.ndarray]:
-        when = jnp.asarray(generator.choice(choices, batch), jnp.int32)
-        errors = pool[generator.integers(len(pool), size=batch)]
+        when = jnp.asarray(generator.choice(choices, BATCH), jnp.int32)
+        errors = pool[generator.integers(len(pool), size=BATCH)]
         block_key = jax.random.fold_in(key, block)
-        extremes = _find_extremes(controller, plant, limits, block_key, errors, when)
+        extremes = _find_extremes(loop, block_key, errors, when)
         return {name: np.asarray(usage) for name, usage in extremes.items()}
 
     reach = draw(0)  # compiles
     start = time.perf_counter()
     blocks = 0
-    while time.perf_counter() - start < seconds and (laps is None or blocks * batch < laps):
+    while time.perf_counter() - start < seconds and (laps is None or blocks * BATCH < laps):
         blocks += 1
         drawn = draw(blocks)
         reach = {name: np.maximum(reach[name], drawn[name]) for name in reach}
-    return Sampled(reach, blocks * batch, time.perf_counter() - start)
+    return Sampled(reach, blocks * BATCH, time.perf_counter() - start)
 
 
 @jax.jit
 def _find_extremes(
-    controller: Controller,
-    plant: SearchablePlant,
-    limits: Limits,
+    loop: JudgedLoop,
     key: Key[Array, ""],
     errors: Float[Array, "batch 3"],
     when: Int[Array, " batch"],
 ) -> dict[str, Float[Array, "stages facets"]]:
     """Draw one batch of laps and return the greatest usages over it."""
     keys = jax.random.split(key, len(errors))
-    usages = play_limits(controller, plant, limits, keys, errors, when)
+    usages = play_limits(loop, keys, errors, when)
     return {name: jnp.max(usage, axis=2) for name, usage in usages.items()}

@@ -30,7 +30,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.control.protocol import Controller
 from jaxtube.falsification.ascent import (
     Attack,
     CellAim,
@@ -42,8 +41,8 @@ from jaxtube.falsification.ascent import (
 )
 from jaxtube.falsification.cells import DURING_PERIODS, UsageCells
 from jaxtube.falsification.worst import Worst, confirm
-from jaxtube.plant.protocol import SearchablePlant, Uncertainty
-from jaxtube.simulation.usage import Limits
+from jaxtube.plant.protocol import Uncertainty
+from jaxtube.simulation.usage import JudgedLoop
 
 SWEEPS = 8
 """Gradients a round at most."""
@@ -78,16 +77,14 @@ class Space(NamedTuple):
     """What a search moves in.
 
     Attributes:
+        loop: that is searched.
+        uncertainties: of its plant and its starts, by name.
         aims: names of the limits that are aimed at.
-        plan_steps: at which a followed plan may begin.
     """
 
-    controller: Controller
-    plant: SearchablePlant
-    limits: Limits
+    loop: JudgedLoop
     uncertainties: dict[str, Uncertainty]
     aims: Sequence[str]
-    plan_steps: Int[np.ndarray, " k"]
 
 
 class _Round(NamedTuple):
@@ -126,7 +123,8 @@ class _Searcher:
             name: jnp.asarray(uncertainty.vertices)
             for name, uncertainty in space.uncertainties.items()
         }
-        self.cells = UsageCells(space.limits, len(space.plant.reference_wheels))
+        self.cells = UsageCells(space.loop.limits, len(space.loop.plant.reference_wheels))
+        self.plan_steps = space.loop.list_plan_steps()
         self.aims = np.concatenate([self.cells.list_by_facet(name) for name in space.aims])
         self.cases: dict[str, _Case] = {}
         self.reach = {name: np.full(shape, -np.inf) for name, shape in self.cells.shapes.items()}
@@ -162,7 +160,7 @@ class _Searcher:
         yield _Round(attack, *self._spread())
         while True:
             yield self._polish()
-            if "tube" in self.space.limits:
+            if "tube" in self.space.loop.limits:
                 yield from self._enumerate()
             attack = draw_vertex_attack(self.space.uncertainties, self.batch, self.generator)
             yield _Round(attack, *self._spread())
@@ -180,12 +178,9 @@ class _Searcher:
             ascent = sweep.ascent
 
     def _ascend(self, ascent, begin: _Round):
-        space = self.space
         cell = jnp.asarray(begin.cell, jnp.int32)
         when = jnp.asarray(begin.when, jnp.int32)
-        return ascend(
-            space.controller, space.plant, space.limits, self.vertices, ascent, CellAim(cell, when)
-        )
+        return ascend(self.space.loop, self.vertices, ascent, CellAim(cell, when))
 
     def _judge(self, outcome: _Outcome) -> None:
         """Note what a batch reached, and its cases that are worse than all before."""
@@ -209,7 +204,7 @@ class _Searcher:
         """Return cells spread evenly over facets and steps, and plan steps at random."""
         places = np.arange(self.batch) + self.generator.random(self.batch)
         cell = self.aims[(places * len(self.aims) / self.batch).astype(int)]
-        return cell, self.generator.choice(self.space.plan_steps, self.batch)
+        return cell, self.generator.choice(self.plan_steps, self.batch)
 
     def _polish(self) -> _Round:
         """Return the laps of the last batch that reached the worst cells, aiming at these."""
@@ -272,18 +267,15 @@ class _Searcher:
             later = step + int(key == "noise" or is_during)
             values[later:] = self.space.uncertainties[key].vertices.mean(axis=0)
         unconfirmed = Worst(name, case.usage, np.nan, step, facet, case.when, attack)
-        limit = self.space.limits[name]
-        return confirm(self.space.controller, self.space.plant, limit, unconfirmed)
+        loop = self.space.loop
+        return confirm(loop.controller, loop.plant, loop.limits[name], unconfirmed)
 
 
 def search_worst_cases(
-    controller: Controller,
-    plant: SearchablePlant,
-    limits: Limits,
+    loop: JudgedLoop,
     starts: Float[np.ndarray, "k 3"],
     *,
     aims: Sequence[str] = (),
-    plan_steps: Int[np.ndarray, " k"] | None = None,
     seconds: float = 60.0,
     seed: int = 0,
     batch: int = 256,
@@ -292,15 +284,10 @@ def search_worst_cases(
     draw.
 
     Args:
-        controller: any; for the limit `tube` one whose plans restart at the measured error.
-        plant: the slipping robot, the linear plant, or another one that says what bounds its draws;
-            its law of drawing gives way to these bounds.
-        limits: by name (module `usage`): some of `error`, `input` and `wheels`, or `tube` alone,
-            since following a plan is another closed loop.
+        loop: the law by which its plant draws gives way to what bounds the draws.
         starts: vertices of the polytope of initial errors, (m, m, rad); a single one fixes the
             start.
         aims: limits that are aimed at, all unless given; every limit is judged.
-        plan_steps: steps at which the plan that is followed may begin; all unless given.
         seconds: after which the search ends at the latest, compilation not counted.
         seed: of cells and random vertices.
         batch: laps played at once.
@@ -313,34 +300,21 @@ def search_worst_cases(
         ValueError: one line, for a slip process that is not searched, or limits that do not go
             together, with the plant, or with the controller.
     """
+    limits = loop.limits
     if not limits or ("tube" in limits and len(limits) > 1):
         raise ValueError(
             f"limits = {sorted(limits)}: do not go together; give some of `error`, `input` and "
             "`wheels`, or `tube` alone"
         )
-    if "wheels" in limits and not plant.has_wheels:
+    if "wheels" in limits and not loop.plant.has_wheels:
         raise ValueError(
             "limits = `wheels`: the linear plant has none; leave it out or give the slipping robot"
         )
     space = Space(
-        controller=controller,
-        plant=plant,
-        limits=limits,
-        uncertainties=find_uncertainties(plant, starts),
+        loop=loop,
+        uncertainties=find_uncertainties(loop.plant, starts),
         aims=aims or sorted(limits),
-        plan_steps=_choose_plan_steps(plant, limits, plan_steps),
     )
     searcher = _Searcher(space, seed, batch)
     searcher.warm_up()
     return searcher.run(seconds)
-
-
-def _choose_plan_steps(
-    plant: SearchablePlant, limits: Limits, plan_steps: Int[np.ndarray, " k"] | None
-) -> Int[np.ndarray, " k"]:
-    if "tube" not in limits:
-        return np.zeros(1, int)
-    if plan_steps is not None:
-        return plan_steps
-    horizon = len(limits["tube"].offsets)
-    return np.arange(len(plant.reference_wheels) - horizon + 1)

@@ -30,6 +30,7 @@ from jaxtube.simulation.simulate import (
 )
 from jaxtube.simulation.starts import uniform_start
 from jaxtube.simulation.usage import (
+    JudgedLoop,
     Limit,
     Limits,
     Replay,
@@ -115,17 +116,16 @@ class Setting(NamedTuple):
     plan_steps: Int[np.ndarray, " k"]
     starts: Float[np.ndarray, "k 3"]
 
-    def loop(self, name: str) -> Controller:
-        """Return the controller on which one limit is searched."""
-        if name != "tube":
-            return self.controller
-        assert self.planner is not None
-        return self.planner
+    def loop(self, name: str) -> JudgedLoop:
+        """Return the closed loop on which one limit is searched, with those judged beside it."""
+        controller = self.planner if name == "tube" else self.controller
+        assert controller is not None
+        return JudgedLoop(controller, self.plant, self.limits.judged_with(name), self.plan_steps)
 
     def replay(self, worst: Worst) -> Replay:
         """Play a worst case once more on its own."""
         loop = self.loop(worst.limit)
-        return replay(loop, self.plant, worst.attack, worst.limit, worst.when)
+        return replay(loop.controller, loop.plant, worst.attack, worst.limit, worst.when)
 
 
 def make_setting(

@@ -177,10 +177,33 @@ def _read_periods(
     return values[instants]
 
 
+class JudgedLoop(NamedTuple):
+    """A closed loop and the limits that its laps are judged by.
+
+    Attributes:
+        controller: any; for the limit `tube` one whose plans restart at the measured error.
+        plant: the slipping robot, the linear plant, or another one that says what bounds its draws.
+        limits: some of `error`, `input` and `wheels`, or `tube` alone.
+        plan_steps: at which a plan that is followed may begin; all unless given.
+    """
+
+    controller: Controller
+    plant: SearchablePlant
+    limits: Limits
+    plan_steps: Int[np.ndarray, " k"] | None = None
+
+    def list_plan_steps(self) -> Int[np.ndarray, " k"]:
+        """Return the steps at which a followed plan may begin, 0 where none is followed."""
+        if "tube" not in self.limits:
+            return np.zeros(1, int)
+        if self.plan_steps is not None:
+            return self.plan_steps
+        horizon = len(self.limits["tube"].offsets)
+        return np.arange(len(self.plant.reference_wheels) - horizon + 1)
+
+
 def play_limits(
-    controller: Controller,
-    plant: SearchablePlant,
-    limits: Limits,
+    loop: JudgedLoop,
     keys: Key[Array, " batch"],
     errors: Float[Array, "batch 3"],
     when: Int[Array, " batch"],
@@ -192,11 +215,12 @@ def play_limits(
     Raises:
         ValueError: for the limit `tube` and a controller without plans that can be followed.
     """
+    limits = loop.limits
     if "tube" not in limits:
-        return compute_usages(limits, play(controller, plant, keys, errors, script))
-    follower = PlanFollower(_find_planner(controller), when)
+        return compute_usages(limits, play(loop.controller, loop.plant, keys, errors, script))
+    follower = PlanFollower(_find_planner(loop.controller), when)
     horizon = len(limits["tube"].offsets)
-    deviations = play_plans(follower, plant, keys, errors, horizon, script)
+    deviations = play_plans(follower, loop.plant, keys, errors, horizon, script)
     return compute_usages(limits, {"tube": deviations})
 
 

@@ -24,7 +24,7 @@ from jaxtube.falsification.search import search_worst_cases
 from jaxtube.falsification.worst import confirm
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys, rollout
-from jaxtube.simulation.usage import compute_usages, make_limit, play, replay
+from jaxtube.simulation.usage import JudgedLoop, compute_usages, make_limit, play, replay
 from sets.polytope import Polytope
 
 DT, TRACK_WIDTH = 0.1, 0.5
@@ -66,7 +66,7 @@ def start(paper_design):
 @pytest.fixture(scope="module")
 def searched(gain, robot, error_limit, start):
     """A search on the slipping robot from the scenario's start."""
-    return search_worst_cases(gain, robot, error_limit, start, seconds=8, batch=BATCH)
+    return search_worst_cases(JudgedLoop(gain, robot, error_limit), start, seconds=8, batch=BATCH)
 
 
 # --------------------------------------------------------------------------- closed-form worst case
@@ -102,7 +102,7 @@ def test_on_the_linear_plant_every_closed_form_worst_case_is_reached(
     )
     steps = 20
     plant = shortened(closed_loop.linear_plant(paper_design), steps)
-    found = search_worst_cases(gain, plant, error_limit, starts, seconds=20, batch=120)
+    found = search_worst_cases(JudgedLoop(gain, plant, error_limit), starts, seconds=20, batch=120)
     expected = closed_form(paper_design, starts, steps)
     # 120 instances aim at 120 facets and steps, one each.
     np.testing.assert_allclose(found.reach["error"], expected, rtol=FALSIFY_CLOSED_FORM)
@@ -119,7 +119,7 @@ def test_disturbances_in_a_general_polytope_are_searched_by_its_vertices(
     W = np.array([[0.01, 0, 0], [-0.002, 0.01, 0], [-0.002, -0.004, 0.02], [0, -0.003, -0.01]])
     plant = shortened(closed_loop.linear_plant(paper_design), 20)
     plant = dataclasses.replace(plant, disturbance_vertices=jnp.asarray(W))
-    found = search_worst_cases(gain, plant, error_limit, start, seconds=20, batch=120)
+    found = search_worst_cases(JudgedLoop(gain, plant, error_limit), start, seconds=20, batch=120)
     problem = dataclasses.replace(paper_design.problem, disturbance_set=Polytope.from_vertices(W))
     twin = dataclasses.replace(paper_design, problem=problem)
     np.testing.assert_allclose(
@@ -189,7 +189,7 @@ def test_everything_bounded_is_searched_and_stays_within_bounds(gain, robot, err
     noise = jnp.array([0.01, 0.02, 0.03])
     plant = dataclasses.replace(robot, noise=noise, random="both", process=process)
     starts = np.array([[0.1, 0, 0], [0, 0.1, 0.1], [-0.1, -0.1, 0], [0, 0, -0.1]])
-    found = search_worst_cases(gain, plant, error_limit, starts, seconds=2, batch=32)
+    found = search_worst_cases(JudgedLoop(gain, plant, error_limit), starts, seconds=2, batch=32)
     attack = found.worst["error"].attack
     times = {"iid": SHORT, "constant": 1}[process]
     shapes = {"start": (1, 3), "true": (times, 2), "measured": (times, 2), "noise": (SHORT + 1, 3)}
@@ -214,13 +214,14 @@ def test_steps_of_the_search_never_leave_the_polytope_of_starts(gain, robot, err
     sets = find_uncertainties(robot, starts)
     vertices = {name: jnp.asarray(each.vertices) for name, each in sets.items()}
     ascent = start_ascent(make_mean_attack(sets, 6))
+    loop = JudgedLoop(gain, robot, error_limit)
     hull = Polytope.from_vertices(starts)
     moved = 0.0
     for sweep in range(5):
         # Aims change: vertices are left again.
         cell = jnp.asarray(np.arange(6) + 6 * 7 * sweep, jnp.int32)
         aim = CellAim(cell, jnp.zeros(6, jnp.int32))
-        ascent = ascend(gain, robot, error_limit, vertices, ascent, aim).ascent
+        ascent = ascend(loop, vertices, ascent, aim).ascent
         ascent = ascent._replace(length=jnp.full(6, 0.7))
         candidates = np.asarray(ascent.candidate["start"][0])
         assert hull.margin(candidates).min() >= INSIDE_TUBE
@@ -235,7 +236,7 @@ def test_steps_of_the_search_never_leave_the_polytope_of_starts(gain, robot, err
 def test_the_gradient_finds_what_twenty_thousand_drawn_laps_do_not(
     gain, robot, error_limit, start, searched
 ):
-    drawn = sample(gain, robot, error_limit, start, seconds=60, laps=20_000)
+    drawn = sample(JudgedLoop(gain, robot, error_limit), start, seconds=60, laps=20_000)
     assert drawn.laps >= 20_000
     # Every facet at every step, most of them by far.
     assert np.all(searched.reach["error"] >= drawn.reach["error"])
@@ -244,7 +245,9 @@ def test_the_gradient_finds_what_twenty_thousand_drawn_laps_do_not(
 
 def test_drawn_laps_are_those_of_the_rollout(gain, robot, error_limit, start):
     """The extremes of many laps agree with laps drawn by the rollout, to the spread of extremes."""
-    drawn = sample(gain, robot, error_limit, start, seconds=60, laps=1024).reach["error"]
+    drawn = sample(JudgedLoop(gain, robot, error_limit), start, seconds=60, laps=1024).reach[
+        "error"
+    ]
     laps = rollout(
         gain, robot, realisation_keys(7, 0, 1024), jnp.asarray(np.tile(start, (1024, 1)))
     ).errors
@@ -262,7 +265,7 @@ def test_the_gradient_agrees_with_every_sequence_of_vertices(gain, robot, error_
     )
     normals, offsets = (np.asarray(array[0]) for array in error_limit["error"][:2])
     exhaustive = np.max(errors[1:] @ normals.T / offsets, axis=1)
-    found = search_worst_cases(gain, plant, error_limit, start, seconds=10, batch=18)
+    found = search_worst_cases(JudgedLoop(gain, plant, error_limit), start, seconds=10, batch=18)
     # Inside the box nothing is much worse than at its corners; the search may find that little
     # more.
     assert np.all(found.reach["error"] >= exhaustive - FALSIFY_REPLAY)
@@ -303,11 +306,11 @@ def test_no_attack_within_the_assumptions_breaks_the_guarantee(robust_design):
     starts = falsify_setting.find_feasible_vertices(robust_design, 0)
     limits = falsify_setting.make_lap_limits(robust_design)
     del limits["wheels"]
-    found = search_worst_cases(loop, plant, limits, starts, seconds=20)
+    found = search_worst_cases(JudgedLoop(loop, plant, limits), starts, seconds=20)
     # Rows are active: the search works at the edge of what is allowed.
     assert all(0.9 < worst.usage <= 1 + 1e-8 for worst in found.worst.values())
     tube = {"tube": falsify_setting.make_tube_limits(robust_design)}
-    followed = search_worst_cases(loop, plant, tube, starts, seconds=20)
+    followed = search_worst_cases(JudgedLoop(loop, plant, tube), starts, seconds=20)
     # Along any facet the first section is reached exactly; a replay by the function that follows
     # plans confirms it.
     assert followed.worst["tube"].usage == pytest.approx(1, abs=FALSIFY_CLOSED_FORM)
@@ -319,9 +322,8 @@ def test_a_counterexample_with_active_rows_is_confirmed_by_its_replay(robust_des
     plant = shortened(closed_loop.slipping_robot(robust_design), 30)
     loop = closed_loop.controllers(robust_design)["tube_mpc"]
     limits = {"error": falsify_setting.make_lap_limits(robust_design)["error"]}
-    found = search_worst_cases(
-        loop, plant, limits, falsify_setting.find_feasible_vertices(robust_design, 0), seconds=20
-    )
+    starts = falsify_setting.find_feasible_vertices(robust_design, 0)
+    found = search_worst_cases(JudgedLoop(loop, plant, limits), starts, seconds=20)
     worst = found.worst["error"]
     assert worst.usage > 1
     assert found.reach["error"].max() == pytest.approx(worst.usage, rel=1e-6)
@@ -333,12 +335,13 @@ def test_a_counterexample_with_active_rows_is_confirmed_by_its_replay(robust_des
 def test_what_cannot_be_searched_is_refused(paper_design, gain, robot, error_limit, start):
     walking = dataclasses.replace(robot, process="walk")
     with pytest.raises(ValueError, match=r'slip.process = "walk".*"iid"'):
-        search_worst_cases(gain, walking, error_limit, start)
+        search_worst_cases(JudgedLoop(gain, walking, error_limit), start)
     with pytest.raises(ValueError, match="limits"):
-        search_worst_cases(gain, robot, error_limit | {"tube": error_limit["error"]}, start)
+        both = error_limit | {"tube": error_limit["error"]}
+        search_worst_cases(JudgedLoop(gain, robot, both), start)
     with pytest.raises(ValueError, match="wheels"):
-        search_worst_cases(
-            gain, closed_loop.linear_plant(paper_design), {"wheels": error_limit["error"]}, start
-        )
+        linear = closed_loop.linear_plant(paper_design)
+        wheels = {"wheels": error_limit["error"]}
+        search_worst_cases(JudgedLoop(gain, linear, wheels), start)
     with pytest.raises(ValueError, match="centre"):
         make_limit(np.eye(2), np.ones(2), [2.0, 0.0])

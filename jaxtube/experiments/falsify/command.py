@@ -142,7 +142,7 @@ def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
     before = _read_worst(saved)
     name = before.limit
     limit = setting.limits.all[name]
-    worst = confirm(setting.loop(name), setting.plant, limit, before)
+    worst = confirm(setting.loop(name).controller, setting.plant, limit, before)
     played = setting.replay(worst)
     difference = float(np.max(np.abs(played.trajectory.errors[:, 0] - saved["errors"])))
     words, margin, unit = describe_facet(limit, worst)
