@@ -9,6 +9,8 @@ import tempfile
 from jaxtube.experiments import environment
 
 environment.compile_in_one_piece()
+# Idle threads of the linear algebra wait in a loop, and there is no core to spare for them.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import jax  # noqa: E402 -- it reads the environment
 import pytest  # noqa: E402

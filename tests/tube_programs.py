@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import solve_discrete_are
 
-BATCH = 2000
+BATCH = 400
 FACETS = 20
 HORIZON = 5
 DT = 0.1

@@ -116,7 +116,7 @@ def edge(fam: Family, direction):
 
 def test_the_edge_of_the_feasible_set_is_where_linear_programming_puts_it():
     fam = family(3)
-    directions = np.random.default_rng(3).normal(size=(60, 3))
+    directions = np.random.default_rng(3).normal(size=(20, 3))
     edges = np.array([edge(fam, d) for d in directions])[:, None] * directions
     within = answer(fam.P, fam.A, *fam.programs(edges * (1 - tol.QP_EDGE)))
     beyond = answer(fam.P, fam.A, *fam.programs(edges * (1 + tol.QP_EDGE)))

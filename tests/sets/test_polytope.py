@@ -31,9 +31,9 @@ SET_NEAR_DUPLICATE = 1e-9
 SET_SAME_POINT = 1e-8
 """Distance below which brute force takes two vertices for one."""
 
-CASES = 1000
 LAWS = 9
-"""Every law takes one case in nine; the kinds recur with period 64, so it meets them all."""
+CASES = 64 * LAWS
+"""Every law takes one case in nine; the kinds recur with period 64, so it meets each once."""
 
 
 @dataclass(frozen=True)
