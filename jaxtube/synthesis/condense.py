@@ -231,7 +231,7 @@ def solve_free(
     return rough + optimum @ (hessian @ rough + linear)
 
 
-def residual_bound(problem: Problem, window: CondensedQp) -> float:
+def bound_solver_slack(problem: Problem, window: CondensedQp) -> float:
     """Return by how much an accepted answer may miss a constraint, from any error in E, in the
     units of E and U."""
     directions = np.concatenate([np.eye(2), -np.eye(2)])

@@ -92,6 +92,12 @@ class Design:
         """The condensed MPC without tube and terminal set."""
         return self.condensed.without_tube
 
+    @property
+    def solver_slack(self) -> float:
+        """By how much an accepted answer of the solver may miss a constraint of the tube-MPC, from
+        any error in E, in the units of E and U."""
+        return condense.bound_solver_slack(self.problem, self.tube_window)
+
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the numbers of the tube-MPC, by their place in the condensed QPs."""
         leaves, _ = jax.tree_util.tree_flatten_with_path(self.tube_window)

@@ -11,7 +11,6 @@ from tolerances import CERTIFICATE_MARGIN, CLOSED_LOOP, LINEAR_PROGRAM, ROUNDING
 from jaxtube.scenario import ScenarioError, load
 from jaxtube.synthesis.certificate.certify import certify
 from jaxtube.synthesis.certificate.fill import cap_shares, ultimate_bound, widest_tube
-from jaxtube.synthesis.condense import residual_bound
 from jaxtube.synthesis.design import design, refuse_infeasible_start
 from jaxtube.synthesis.disturbance import (
     complete_problem,
@@ -210,8 +209,7 @@ def test_true_starts_have_a_plan_whatever_the_noise(certified):
 def test_a_wider_bound_than_the_sets_were_made_for_fails(certified, change, condition):
     bound = change(certified.problem.disturbance_bound)
     problem = dataclasses.replace(certified.problem, disturbance_bound=bound)
-    model_residual = residual_bound(problem, certified.tube_window)
-    failing = certify(dataclasses.replace(certified, problem=problem), model_residual).failing
+    failing = certify(dataclasses.replace(certified, problem=problem)).failing
     assert failing[0] == condition
     # The second check takes W from the bound.
     assert set(failing) <= {condition, "checked_in_rationals"}
@@ -224,7 +222,7 @@ def test_a_wider_w_than_the_sets_were_made_for_fails_in_any_order_too(certified)
     invariant = certified.terminal.invariant.scale(0.5)
     terminal = dataclasses.replace(certified.terminal, invariant=invariant)
     tampered = dataclasses.replace(certified, problem=wide, terminal=terminal)
-    assert "any_order_of_wheel_speeds" in certify(tampered, 0.0).failing
+    assert "any_order_of_wheel_speeds" in certify(tampered).failing
 
 
 def test_wheels_that_may_not_turn_slowly_bind_under_the_least_slip():
@@ -256,10 +254,10 @@ def test_a_promise_beyond_the_constraints_fails(certified):
         certified.problem, scenario=load("certified", ["constraints.lateral_m=0.3"])
     )
     kept = dataclasses.replace(problem, scenario=tight)
-    assert certify(dataclasses.replace(certified, problem=kept), 0.0).failing == []
+    assert certify(dataclasses.replace(certified, problem=kept)).failing == []
     wide = dataclasses.replace(problem, error_set=problem.error_set.scale(1.3))
     tampered = dataclasses.replace(certified, problem=wide)
-    assert certify(tampered, 0.0).failing == ["true_error_in_e"]
+    assert certify(tampered).failing == ["true_error_in_e"]
 
 
 @pytest.mark.slow

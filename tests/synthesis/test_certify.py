@@ -32,7 +32,7 @@ REQUIRED = [
     "solver_residual",
 ]
 PREMISE = "disturbance_bound_proved"  # the paper's W, which is assumed, is refuted
-RESIDUAL = 1e-8
+SLACK = 1e-8
 
 
 @pytest.fixture
@@ -41,8 +41,9 @@ def recertify(monkeypatch):
     module = importlib.import_module("jaxtube.synthesis.certificate.certify")
     monkeypatch.setattr(module, "say_what_exists", lambda design: ())
 
-    def again(design: Design, residual: float = RESIDUAL, **replaced) -> Certificate:
-        return module.certify(dataclasses.replace(design, **replaced), residual)
+    def again(design: Design, solver_slack: float = SLACK, **replaced) -> Certificate:
+        monkeypatch.setattr(Design, "solver_slack", solver_slack)
+        return module.certify(dataclasses.replace(design, **replaced))
 
     return again
 
@@ -284,7 +285,7 @@ def test_a_schedule_outside_the_box_is_not_covered(robust_design, recertify):
 
 
 def test_a_solver_that_misses_constraints_by_more_than_the_back_off_fails(robust_design, recertify):
-    failing = recertify(robust_design, residual=2e-7).failing_for_model
+    failing = recertify(robust_design, solver_slack=2e-7).failing_for_model
     assert failing == ["shifted_plan_inclusion", "solver_residual"]
 
 

@@ -23,33 +23,28 @@ GRID = 21
 """Wheel speeds, along each side of a region, at which loops are compared with mixtures of loops."""
 
 
-def certify(design: Design, residual: float) -> Certificate:
-    """Re-check every condition of the guarantee.
-
-    Args:
-        design: its certificate is not read.
-        residual: by how much an accepted answer of the solver may miss a constraint from any error
-            in E, in the units of E and U.
-    """
+def certify(design: Design) -> Certificate:
+    """Re-check every condition of the guarantee; a certificate that the design has is not read."""
     any_order = not design.tube.follows_reference or has_any_order(design)
-    return Certificate(tuple(_conditions(design, residual)), assumptions(design.problem, any_order))
+    return Certificate(tuple(_conditions(design)), assumptions(design.problem, any_order))
 
 
-def _conditions(design: Design, residual: float) -> Iterator[Condition]:
+def _conditions(design: Design) -> Iterator[Condition]:
     problem = design.problem
-    yield from check_stages(design, residual)
-    yield from check_terminal(design, residual)
+    slack = design.solver_slack
+    yield from check_stages(design)
+    yield from check_terminal(design)
     if has_any_order(design):
-        yield check_any_order(design, residual)
+        yield check_any_order(design)
     yield _check_decrease(design)
     yield _check_coverage(design)
     yield from check_robot(problem)
     yield judge(
         "solver_residual",
-        BACK_OFF - residual,
-        f"Constraints are backed off by {BACK_OFF:.0e}, more than the {residual:.0e} a solved QP "
+        BACK_OFF - slack,
+        f"Constraints are backed off by {BACK_OFF:.0e}, more than the {slack:.0e} a solved QP "
         "may miss them by.",
-        f"Constraints are backed off by {BACK_OFF:.0e}, less than the {residual:.0e} a solved QP "
+        f"Constraints are backed off by {BACK_OFF:.0e}, less than the {slack:.0e} a solved QP "
         "may miss them by.",
     )
     yield check_in_rationals(design)

@@ -34,7 +34,7 @@ class StageMargins(NamedTuple):
     inclusion: float
 
 
-def check_stages(design: Design, residual: float) -> Iterator[Condition]:
+def check_stages(design: Design) -> Iterator[Condition]:
     """Yield the conditions on the tightened sets E_j and U_j."""
     yield from _check_not_empty(design.problem, design.bounds)
     margins = stage_margins(design)
@@ -46,7 +46,7 @@ def check_stages(design: Design, residual: float) -> Iterator[Condition]:
         f"Some stage is tightened by {-margins.reach:.3g} less than products of loops and "
         "disturbances in W can reach.",
     )
-    inclusion = margins.inclusion - residual
+    inclusion = margins.inclusion - design.solver_slack
     yield judge(
         "shifted_plan_inclusion",
         inclusion + check.ROUNDING,

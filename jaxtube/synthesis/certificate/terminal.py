@@ -33,7 +33,7 @@ INCLUSIONS = {
 }
 
 
-def check_terminal(design: Design, residual: float) -> Iterator[Condition]:
+def check_terminal(design: Design) -> Iterator[Condition]:
     """Yield the conditions on the terminal set, and that the shifted plan ends in it."""
     terminal = design.terminal
     label = "D" if terminal.kind == "T-B" else "W"
@@ -59,7 +59,7 @@ def check_terminal(design: Design, residual: float) -> Iterator[Condition]:
             "constraints.",
             f"The terminal set or its inputs leave the constraints by {-margin:.3g}.",
         )
-    yield _check_plan_stays_feasible(design, residual)
+    yield _check_plan_stays_feasible(design)
 
 
 def _judge_absence(design: Design) -> Condition:
@@ -92,11 +92,12 @@ def _judge_absence(design: Design) -> Condition:
     )
 
 
-def _check_plan_stays_feasible(design: Design, residual: float) -> Condition:
+def _check_plan_stays_feasible(design: Design) -> Condition:
     """Check the three terminal inclusions of the shifted plan on the sets used: along the reference
     from each step to the next where the tube follows it, else for every schedule in the regions."""
     margins = list(_terminal_margins(design))
-    worst = {name: min(margin[name] for margin in margins) - residual for name in INCLUSIONS}
+    slack = design.solver_slack
+    worst = {name: min(margin[name] for margin in margins) - slack for name in INCLUSIONS}
     failing = ", ".join(
         f"{INCLUSIONS[name]} by {-margin:.3g}" for name, margin in worst.items() if margin < 0
     )
@@ -135,7 +136,7 @@ def has_any_order(design: Design) -> bool:
     )
 
 
-def check_any_order(design: Design, residual: float) -> Condition:
+def check_any_order(design: Design) -> Condition:
     """Check recursive feasibility along wheel speeds in random order, as it follows from the
     invariance of Omega.
 
@@ -159,8 +160,8 @@ def check_any_order(design: Design, residual: float) -> Condition:
     ]
     margin = min(
         stages.reach + check.ROUNDING,
-        stages.inclusion - residual,
-        min(returns) - residual,
+        stages.inclusion - design.solver_slack,
+        min(returns) - design.solver_slack,
         left.min(),
     )
     return judge(
