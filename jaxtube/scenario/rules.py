@@ -127,7 +127,7 @@ def _check_bands(scenario: Scenario, refuse: Refuse) -> None:
 def _check_gains(controller: ControllerTable, refuse: Refuse) -> None:
     if controller.tracking_gains and len(controller.tracking_gains) != 3:
         refuse("controller.tracking_gains", "are not three", "give [k1, k2, k3]")
-    serves_both = controller.terminal == "T-A" and controller.tube == "sequence"
+    serves_both = controller.tube_has_terminal_gain and controller.tube == "sequence"
     for name in ("tracking_gains", "vertex_gains"):
         if getattr(controller, name) and not serves_both:
             problem = (

@@ -179,6 +179,17 @@ class ControllerTable(Table, frozen=True):
     terminal_facets: Annotated[int, msgspec.Meta(ge=8, le=1000)] = 40
     restart: bool = True
 
+    @property
+    def tube_has_terminal_gain(self) -> bool:
+        """Whether the tube is made with the terminal gain."""
+        return self.terminal == "T-A"
+
+    @property
+    def terminal_set_holds_reach(self) -> bool:
+        """Whether the terminal set is invariant under all that a disturbance has become at the end
+        of the horizon, and not under W."""
+        return self.terminal == "T-B"
+
 
 class Initial(Table, frozen=True):
     """Pose of the robot at the start, in the frame of the reference's first pose; a heading counts

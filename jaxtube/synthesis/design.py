@@ -83,7 +83,7 @@ def prepare(problem: Problem, clock: Clock | None = None) -> Design:
     except (RuntimeError, ValueError) as error:
         raise ScenarioError(f"scenario: controller: {error}") from None
     clock.lap("lmi")
-    tube_gain = terminal_gain if settings.terminal == "T-A" else local_gain
+    tube_gain = terminal_gain if settings.tube_has_terminal_gain else local_gain
     windows = make_windows(problem, tube_gain)
     tubes = make_tubes(problem, tube_gain, windows)
     if settings.tube not in tubes:

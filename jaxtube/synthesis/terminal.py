@@ -48,7 +48,6 @@ class Terminal:
     off.
     """
 
-    kind: str
     gains: Gain
     disturbance: tubes.Section  # W, or D for T-B
     admissible: Polytope  # errors in E whose terminal input is admissible: holds the invariant set
@@ -113,23 +112,21 @@ def terminal_cost_and_gain(problem: Problem) -> tuple[TerminalCost, Gain]:
 
 def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tightening) -> Terminal:
     """Return the terminal set of the scenario's choice, or its stand-in."""
-    kind = problem.scenario.controller.terminal
     N = problem.horizon
     disturbance = tubes.Section((problem.disturbance_set.vertices(),), 3)
     admissible = admissible_set(problem, gains)
-    if kind == "T-B":
+    if problem.scenario.controller.terminal_set_holds_reach:
         disturbance = tubes.propagate(tube.gain.loops, problem.disturbance_set, N - 1)[-1]
         last_errors = problem.operating_set.offsets - tightening.error_reach[:, N - 1].max(axis=0)
         last_inputs = problem.input_rows.offsets - tightening.input_reach[:, N - 1].max(axis=0)
         admissible = admissible_set(problem, gains, last_errors, last_inputs)
     maximal, invariant = _find_invariant(problem, gains, disturbance, admissible)
-    constraint = _constraint(problem, kind, invariant, disturbance, tube, tightening)
+    constraint = _constraint(problem, invariant, disturbance, tube, tightening)
     normals, offsets = constraint or (
         problem.operating_set.normals,
         problem.operating_set.offsets - tightening.error_reach[:, N],
     )
     return Terminal(
-        kind,
         gains,
         disturbance,
         admissible,
@@ -189,7 +186,6 @@ def _maximal(
 
 def _constraint(
     problem: Problem,
-    kind: str,
     invariant: Polytope | None,
     disturbance: tubes.Section,
     tube: Tube,
@@ -200,7 +196,7 @@ def _constraint(
         return None
     windows = len(tightening.error_reach)
     facets = len(invariant.offsets)
-    if kind == "T-B":
+    if problem.scenario.controller.terminal_set_holds_reach:
         taken = disturbance.support(invariant.normals)
     else:
         taken = tube.support(problem.horizon, invariant.normals)

@@ -105,8 +105,6 @@ def test_gains_of_the_tube_are_the_riccati_gain_at_the_centre_and_what_cancels_t
 def test_terminal_choices_lead_where_they_should(paper_design, robust_design, uncertified):
     sequence = uncertified("paper", *SEQUENCE)
     stand_in = uncertified("robust", *TIGHT)
-    kinds = [found.terminal.kind for found in (paper_design, robust_design, sequence, stand_in)]
-    assert kinds == ["paper", "T-B", "T-A", "T-B"]
     assert [f.terminal.fallback for f in (paper_design, robust_design, sequence, stand_in)] == [
         False,
         False,

@@ -36,7 +36,8 @@ INCLUSIONS = {
 def check_terminal(design: Design) -> Iterator[Condition]:
     """Yield the conditions on the terminal set, and that the shifted plan ends in it."""
     terminal = design.terminal
-    label = "D" if terminal.kind == "T-B" else "W"
+    settings = design.problem.scenario.controller
+    label = "D" if settings.terminal_set_holds_reach else "W"
     if terminal.invariant is None:
         yield _judge_absence(design)
     else:
@@ -128,8 +129,9 @@ def has_any_order(design: Design) -> bool:
     """Whether a tube along the reference may be asked for other orders: its gain is that of the
     terminal set, which is in use."""
     terminal = design.terminal
+    settings = design.problem.scenario.controller
     return (
-        terminal.kind == "T-A"
+        settings.tube_has_terminal_gain
         and design.tube.follows_reference
         and terminal.invariant is not None
         and not terminal.fallback
