@@ -13,6 +13,7 @@ import math
 from collections.abc import Callable, Collection
 from typing import NamedTuple
 
+from jaxtube.experiments.run.conditions import condition_metrics
 from jaxtube.scenario.tree import Scenario
 from jaxtube.statistics.events import VIOLATIONS
 from jaxtube.statistics.intervals import largest_share
@@ -271,10 +272,7 @@ def _metrics(design: Tested) -> dict:
     return {
         "certified": certificate.holds_for_robot,
         "certified_for_model": certificate.holds_for_model,
-        "certificate": {
-            name: {"holds": condition.holds, "margin": condition.margin, "scope": condition.scope}
-            for name, condition in certificate.conditions.items()
-        },
+        "certificate": condition_metrics(certificate),
         "claims": {claim.title: _verdict_metrics(judge_claim(claim, design)) for claim in CLAIMS},
         "laws": {name: law | _bounds(law) for name, law in design.laws.items()},
         "note": design.note,

@@ -25,6 +25,7 @@ from jaxtube.experiments.paper.claims import claims, table
 from jaxtube.experiments.paper.report import comparison, restart_note, stress_table
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
+from jaxtube.experiments.run.conditions import condition_metrics
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.progress import progress
@@ -82,7 +83,7 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
         **metrics.design_metrics(design),
         **_metrics(design, simulated),
         "stress": stress.metrics(stressed, simulated.stressed),
-        "stress_certificate": _stress_certificate(stressed),
+        "stress_certificate": condition_metrics(stressed.certificate),
         "stress_design": stressed_name,
     }
     rows = claims(measured)
@@ -161,13 +162,6 @@ def _metrics(design: Design, simulated: Simulated) -> dict:
         "reference_wheel_speed_mean_mps": float(schedule.mean()),
         "disturbance": metrics.disturbance_metrics(design, residuals),
         "plan_deviations": metrics.deviation_metrics(design, simulated.deviations),
-    }
-
-
-def _stress_certificate(stressed: Design) -> dict:
-    return {
-        name: {"holds": condition.holds, "margin": condition.margin, "scope": condition.scope}
-        for name, condition in stressed.certificate.conditions.items()
     }
 
 

@@ -1,4 +1,4 @@
-"""The conditions of a certificate as lines of text."""
+"""The conditions of a certificate as lines of text, and as plain values."""
 
 from __future__ import annotations
 
@@ -11,6 +11,17 @@ INDENT = " " * 9
 REQUIRED = {True: "holds", False: "FAILS"}
 INFORMATIVE = {True: "yes", False: "no"}
 """A condition that holds, and one that does not, in a word."""
+VERDICTS = ("holds", "margin", "scope")
+WHOLE = ("holds", "margin", "required", "scope", "sentence")
+"""What is kept of a condition: its verdict, or all of it."""
+
+
+def condition_metrics(certificate: Certificate, kept: tuple[str, ...] = VERDICTS) -> dict:
+    """Return what is kept of every condition of a certificate as plain values, by name."""
+    return {
+        name: {field: getattr(condition, field) for field in kept}
+        for name, condition in certificate.conditions.items()
+    }
 
 
 def condition_lines(certificate: Certificate, required: bool) -> list[str]:

@@ -8,6 +8,7 @@ from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.coordinates import KEYS, TO_DISPLAY
+from jaxtube.experiments.run.conditions import WHOLE, condition_metrics
 from jaxtube.plant.reference import settled_step
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.certificate.fill import cap_shares, ultimate_bound
@@ -41,27 +42,13 @@ def design_metrics(design: Design) -> dict:
         "terminal_volume_share": terminal.volume_share,
         "terminal_constraint_facets": len(terminal.constraint_normals),
         "terminal_fallback": bool(terminal.fallback),
-        "certificate": _conditions(design),
+        "certificate": condition_metrics(design.certificate, WHOLE),
         "certified": design.certificate.holds_for_robot,
         "certified_for_model": design.certificate.holds_for_model,
         "assumptions": list(design.certificate.assumptions),
         "design_seconds": design.seconds,
     }
     return numbers if problem.disturbance_bound is None else numbers | _computed(design)
-
-
-def _conditions(design: Design) -> dict:
-    """Return every condition of the certificate as plain values."""
-    return {
-        name: {
-            "holds": condition.holds,
-            "margin": condition.margin,
-            "required": condition.required,
-            "scope": condition.scope,
-            "sentence": condition.sentence,
-        }
-        for name, condition in design.certificate.conditions.items()
-    }
 
 
 def _computed(design: Design) -> dict:
