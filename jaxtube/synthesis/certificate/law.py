@@ -11,8 +11,8 @@ from jaxtube.synthesis.certificate.robot import (
     assumptions,
     check_disturbance_set,
     check_true_error,
+    judge_wheel_limits,
 )
-from jaxtube.synthesis.disturbance import ground_speed_limits
 from jaxtube.synthesis.gains import Gain, exact_loops
 from jaxtube.synthesis.problem import Problem
 from sets import certificate as check
@@ -114,18 +114,11 @@ def _check_invariance(
 
 
 def _check_wheels(problem: Problem, bands: tuple[LawBand, ...]) -> Condition:
-    slowest, fastest = ground_speed_limits(problem)
     speeds = np.stack([band.bound.ground_speeds for band in bands])
     least = speeds[:, 0].min(axis=0)
     greatest = speeds[:, 1].max(axis=0)
-    room = float(min(np.min(fastest - greatest), np.min(least - slowest)))
-    asked = f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for"
-    return judge(
-        "wheel_limits",
-        room,
-        f"{asked}; {room:.3g} m/s to spare.",
-        f"{asked}: {-room:.3g} m/s too much.",
-        "robot",
+    return judge_wheel_limits(
+        problem, np.stack([least, greatest]), "{:.3g} m/s to spare", "{:.3g} m/s too much"
     )
 
 

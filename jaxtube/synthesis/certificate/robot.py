@@ -142,15 +142,34 @@ def _check_wheels(problem: Problem) -> Condition:
             "Errors and inputs are too wide for a bound on the wheel speeds; narrow [operating]."
         )
         return Condition("wheel_limits", -np.inf, sentence, "robot")
-    least, greatest = bound.ground_speeds
+    return judge_wheel_limits(
+        problem,
+        bound.ground_speeds,
+        "under every slip the wheels have {:.3g} m/s to spare",
+        "{:.3g} m/s more than the wheels can do under the greatest slip",
+    )
+
+
+def judge_wheel_limits(
+    problem: Problem, ground_speeds: Float[np.ndarray, "2 2"], if_spare: str, if_short: str
+) -> Condition:
+    """Return the condition that the wheels can do the ground speeds that may be asked of them.
+
+    Args:
+        problem: with the robot's wheels and their slip.
+        ground_speeds: (lower, upper) by (right, left), m/s.
+        if_spare: what is said where they can, with the speed to spare in place of `{}`.
+        if_short: what is said where they cannot, with the missing speed in place of `{}`.
+    """
+    least, greatest = ground_speeds
     slowest, fastest = ground_speed_limits(problem)
     room = float(min(np.min(fastest - greatest), np.min(least - slowest)))
     asked = f"Ground speeds of {least.min():.3f} to {greatest.max():.3f} m/s may be asked for"
     return judge(
         "wheel_limits",
         room,
-        f"{asked}; under every slip the wheels have {room:.3g} m/s to spare.",
-        f"{asked}: {-room:.3g} m/s more than the wheels can do under the greatest slip.",
+        f"{asked}; {if_spare.format(room)}.",
+        f"{asked}: {if_short.format(-room)}.",
         "robot",
     )
 
