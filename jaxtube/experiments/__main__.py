@@ -4,15 +4,16 @@ the command line."""
 import sys
 
 from jaxtube.experiments import environment
-from jaxtube.experiments.cli import INTERRUPTED, INTERRUPTED_LINE, main
+from jaxtube.experiments.cli import INTERRUPTED_LINE, main
+from jaxtube.experiments.run.exit_codes import ExitCode
 
 if __name__ == "__main__":
     environment.print_any_character()
     environment.use_float64()
     environment.compile_in_one_piece()
     environment.keep_compiled_programs()
-    environment.end_after_interrupt(INTERRUPTED_LINE, INTERRUPTED)
+    environment.end_after_interrupt(INTERRUPTED_LINE, ExitCode.INTERRUPTED)
     code = main()
-    if code == INTERRUPTED:
+    if code == ExitCode.INTERRUPTED:
         environment.leave(code)
     sys.exit(code)

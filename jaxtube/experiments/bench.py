@@ -15,9 +15,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from jaxtube.experiments.montecarlo import command as montecarlo
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.blocks import use_devices
 from jaxtube.experiments.run.cluster import Cluster, import_distributed
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.plant.reference import settled_step
@@ -43,7 +43,7 @@ UNLIMITED = 10**12
 def run(scenario: Scenario, options: BenchOptions) -> int:
     """Run the command; what was measured is printed at once."""
     import_distributed("local:1")
-    montecarlo.use_devices(0)
+    use_devices(0)
     found = design(scenario)
     folder = run_folder.create(scenario, options)
     numbers: dict = {}

@@ -21,6 +21,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from jaxtube.experiments.options import COMMANDS, CheckOptions, title
+from jaxtube.experiments.run.exit_codes import ExitCode
 from jaxtube.scenario.reading import experiments_folder, find, load, names
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
@@ -59,7 +60,7 @@ def run(scenario: Scenario | None, options: CheckOptions) -> int:
     for name in checked:
         verdicts.update(_check(name, options))
     print(f"{verdicts['ok']} ok, {verdicts['off']} off, {verdicts['skipped']} skipped")
-    return 1 if verdicts["off"] else 0
+    return ExitCode.METRIC_OFF if verdicts["off"] else ExitCode.DONE
 
 
 def resolve(metrics: Any, path: str) -> Any:

@@ -26,15 +26,13 @@ import tyro
 from tyro.extras import subcommand_type_from_defaults
 
 from jaxtube.experiments.options import COMMANDS, PROGRAM, Options
+from jaxtube.experiments.run.exit_codes import ExitCode
 
 DESCRIPTION = (
     "Robust tube MPC of a wheeled robot that slips. Without a command: paper. "
     "Any key of the scenario is overridden by controller.horizon=7 or --controller.horizon 7."
 )
 DEFAULT_COMMAND = "paper"
-BAD_INPUT = 2
-EMPTY_SET = 3
-INTERRUPTED = 4
 INTERRUPTED_LINE = "interrupted; run the same command again"
 LEAST_COLUMNS = 40
 """The parser takes gigabytes to lay out its help in a few columns."""
@@ -47,7 +45,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         options = parse(sys.argv[1:] if arguments is None else arguments)
         return run(options) if options else 0
     except KeyboardInterrupt:
-        return _report(INTERRUPTED_LINE, INTERRUPTED)
+        return _report(INTERRUPTED_LINE, ExitCode.INTERRUPTED)
     except BrokenPipeError:
         # Whoever read the output has enough of it, as `| head` does; the interpreter must not flush
         # into that pipe.
@@ -56,7 +54,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.errno not in (errno.ENOSPC, errno.EDQUOT):
             raise
-        return _report(f"{error.strerror}; make room and run the same command again", INTERRUPTED)
+        line = f"{error.strerror}; make room and run the same command again"
+        return _report(line, ExitCode.INTERRUPTED)
     except ValueError as error:
         code = _find_exit_code(error)
         if code is None:
@@ -186,13 +185,13 @@ def _find_exit_code(error: ValueError) -> int | None:
     from jaxtube.scenario.refusal import ScenarioError
 
     if isinstance(error, ScenarioError):
-        return BAD_INPUT
+        return ExitCode.BAD_INPUT
     from jaxtube.experiments.run.store import StoreError
     from jaxtube.synthesis.design import EmptySetError
 
     if isinstance(error, StoreError):
-        return INTERRUPTED
-    return EMPTY_SET if isinstance(error, EmptySetError) else None
+        return ExitCode.INTERRUPTED
+    return ExitCode.NO_GUARANTEE if isinstance(error, EmptySetError) else None
 
 
 def _report(line: str, code: int) -> int:

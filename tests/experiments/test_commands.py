@@ -9,7 +9,7 @@ import pytest
 from tolerances import CLOSED_LOOP, WORLD_FRAME
 
 from jaxtube.experiments.cli import main
-from jaxtube.experiments.design.command import exit_code
+from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.scenario import replace
 from jaxtube.simulation import closed_loop
 from jaxtube.synthesis.design import design as compute

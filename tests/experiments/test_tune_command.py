@@ -14,7 +14,7 @@ import pytest
 import stand_ins
 
 from jaxtube.experiments.cli import main
-from jaxtube.experiments.tune import command as tune
+from jaxtube.experiments.run.exit_codes import ExitCode
 from jaxtube.experiments.tune import report as tune_report
 from jaxtube.experiments.tune import result as tune_result
 from jaxtube.scenario import load
@@ -173,7 +173,7 @@ def test_numbers_that_are_none_end_in_one_line_with_the_best_certified_iterate_o
 
 @pytest.mark.slow
 def test_a_run_without_certified_iterates_says_what_they_lack(tmp_path, quick, capsys):
-    assert run(tmp_path, UNCERTIFIED, "--evaluations", "1") == tune.NOT_CERTIFIED
+    assert run(tmp_path, UNCERTIFIED, "--evaluations", "1") == ExitCode.NO_GUARANTEE
     assert "no iterate is certified: the best one fails terminal_set_invariant" in refused(capsys)
     assert not (tmp_path / "tuned.toml").exists()
 
@@ -199,7 +199,7 @@ def test_what_does_not_certify_when_read_back_is_not_returned(tmp_path, quick, m
     monkeypatch.setattr(
         "jaxtube.tuning.tune.failing_conditions", lambda design: ("some_condition",)
     )
-    assert run(tmp_path, "--evaluations", "1") == tune.NOT_CERTIFIED
+    assert run(tmp_path, "--evaluations", "1") == ExitCode.NO_GUARANTEE
     assert "does not certify when read back: some_condition" in refused(capsys)
     assert not (tmp_path / "tuned.toml").exists()
 
@@ -209,5 +209,5 @@ def test_the_result_of_an_earlier_run_does_not_outlive_a_run_without_one(
 ):
     stand_ins.patch_tuner(monkeypatch)
     (tmp_path / "tuned.toml").write_text("# of an earlier run\n")
-    assert run(tmp_path, UNCERTIFIED, "--evaluations", "1") == tune.NOT_CERTIFIED
+    assert run(tmp_path, UNCERTIFIED, "--evaluations", "1") == ExitCode.NO_GUARANTEE
     assert not (tmp_path / "tuned.toml").exists()

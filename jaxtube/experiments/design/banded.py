@@ -8,6 +8,7 @@ from jaxtube.experiments.design.banded_attack import PROCESSES, REFERENCES, Band
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.conditions import condition_lines
+from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.progress import progress
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.bands import BandedLaw, make_law
@@ -26,7 +27,7 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
         folder.report("\n" + attack_report(attacks))
     folder.save_metrics(metrics(law, attacks))
     print(f"\nwritten to {folder.path}/")
-    return 3 if options.require_certificate and not law.certificate.holds_for_robot else 0
+    return exit_code(law.certificate, options.require_certificate)
 
 
 def report(law: BandedLaw) -> str:

@@ -10,11 +10,12 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxtube.experiments.design import banded
-from jaxtube.experiments.design.report import report
-from jaxtube.experiments.design.seen import disturbance_line
 from jaxtube.experiments.options import DesignOptions, title
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
+from jaxtube.experiments.run.design_report import report
+from jaxtube.experiments.run.disturbance_line import disturbance_line
+from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
 from jaxtube.scenario.refusal import ScenarioError
@@ -27,9 +28,6 @@ from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.optimise import Optimum, optimise, search_starts
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import make_problem
-from sets.certificate import Certificate
-
-CERTIFICATE_FAILED = 3
 
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
@@ -134,8 +132,3 @@ def within_caps(made: Design, trajectory: Trajectory) -> Bool[np.ndarray, "steps
     used = np.asarray(trajectory.inputs) @ rows.inputs.T + errors @ rows.errors.T
     in_caps = np.all(used <= rows.offsets, axis=2)
     return in_caps & (made.problem.operating_set.margin(errors) >= 0)
-
-
-def exit_code(certificate: Certificate, required: bool) -> int:
-    """Return 0, or 3 where a certificate is required and does not hold for the robot."""
-    return CERTIFICATE_FAILED if required and not certificate.holds_for_robot else 0

@@ -21,8 +21,6 @@ import numpy as np
 
 from jaxtube.atomic import write_atomically
 from jaxtube.coordinates import NAMES, TO_DISPLAY
-from jaxtube.experiments.design.command import exit_code
-from jaxtube.experiments.design.seen import disturbance_line
 from jaxtube.experiments.guarantee import claims as guarantee_claims
 from jaxtube.experiments.guarantee import report as guarantee_report
 from jaxtube.experiments.guarantee.attack import (
@@ -34,9 +32,11 @@ from jaxtube.experiments.guarantee.attack import (
     make_tasks,
 )
 from jaxtube.experiments.guarantee.claims import Tested
-from jaxtube.experiments.montecarlo import command as blocks
 from jaxtube.experiments.options import GuaranteeOptions, MontecarloOptions, title
+from jaxtube.experiments.run import blocks
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.disturbance_line import disturbance_line
+from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.metrics import by_coordinate

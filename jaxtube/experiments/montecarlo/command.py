@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-import os
 import resource
 import sys
 import time
@@ -23,16 +22,16 @@ import numpy as np
 from jaxtube.experiments.montecarlo import netcdf, replay, tube_reach
 from jaxtube.experiments.montecarlo import report as montecarlo_report
 from jaxtube.experiments.options import MontecarloOptions
+from jaxtube.experiments.run import blocks
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.records import Records
-from jaxtube.scenario.refusal import refusal
 from jaxtube.scenario.tree import Scenario
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.events import find_row
 from jaxtube.statistics.montecarlo import MonteCarlo, make_closed_loop_task, name_law
-from jaxtube.statistics.run import BLOCK, TILE, Run, Statistics, Task
+from jaxtube.statistics.run import BLOCK, Run, Statistics, Task
 from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.design import refuse_infeasible_start
 from jaxtube.synthesis.parts import Design
@@ -43,13 +42,13 @@ if TYPE_CHECKING:
 
 def run(scenario: Scenario, options: MontecarloOptions) -> int:
     """Run the command."""
-    use_devices(options.devices)
+    blocks.use_devices(options.devices)
     if options.netcdf:
         netcdf.require_libraries()
     design = make_design(scenario)
     if options.starts == "scenario":
         refuse_infeasible_start(design)
-    known = identity(scenario, options)
+    known = blocks.identity(scenario, options)
     if options.replay is not None:
         return replay.run(design, options, known)
     with Records(options.folder / "records", known, montecarlo.merge, BLOCK) as records:
@@ -62,33 +61,6 @@ def run(scenario: Scenario, options: MontecarloOptions) -> int:
         statistics = records.merged()
     save(design, options, folder, statistics, performance)
     return 0
-
-
-def use_devices(count: int) -> None:
-    """Let every processor of this machine be a device of its own, unless JAX has already settled
-    that.
-
-    Args:
-        count: devices wanted, 0 for all.
-
-    Raises:
-        ScenarioError: where there are fewer.
-    """
-    processors = len(os.sched_getaffinity(0))
-    # JAX refuses once its devices are settled.
-    with contextlib.suppress(RuntimeError):
-        jax.config.update("jax_num_cpu_devices", min(count or processors, processors))
-    present = jax.local_device_count()
-    if count > present:
-        problem = f"this machine has {present}"
-        cure = f"give 1 to {present}, or 0 for all"
-        raise refusal("command line", "--devices", count, problem, cure)
-
-
-def identity(scenario: Scenario, options: MontecarloOptions) -> dict:
-    """Return all that determines the statistics of a block."""
-    known = run_folder.identity(scenario, options, ("controller", "plant", "starts"))
-    return known | {"tile_size": TILE}
 
 
 def compute(

@@ -16,9 +16,6 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.experiments.design.command import exit_code
-from jaxtube.experiments.design.report import report
-from jaxtube.experiments.design.seen import disturbance_line
 from jaxtube.experiments.options import PaperOptions, title
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.paper.claims import claims, table
@@ -26,6 +23,9 @@ from jaxtube.experiments.paper.report import comparison, restart_note, stress_ta
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.conditions import condition_metrics
+from jaxtube.experiments.run.design_report import report
+from jaxtube.experiments.run.disturbance_line import disturbance_line
+from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.progress import progress

@@ -15,6 +15,7 @@ from pathlib import Path
 from jaxtube.atomic import write_atomically
 from jaxtube.experiments.options import TuneOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.exit_codes import ExitCode
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.tune import compare as tune_compare
 from jaxtube.experiments.tune import report as tune_report
@@ -28,8 +29,6 @@ from jaxtube.tuning.tune import Tuned, assumption, run_tuner
 from jaxtube.tuning.tuner import Tuner, make_tuner
 from jaxtube.tuning.watch import Stop
 
-NOT_CERTIFIED = 3
-BROKEN_OFF = 2
 SETTINGS = ("variables", "method", "evaluations", "laps", "held_out", "learning_rate", "patience")
 
 
@@ -59,14 +58,14 @@ def run(scenario: Scenario, options: TuneOptions) -> int:
             )
         refusal = save_result(tuned, file, options.accept_uncertified)
         if refusal:
-            return _say(refusal, NOT_CERTIFIED)
+            return _say(refusal, ExitCode.NO_GUARANTEE)
         numbers = report(folder, tuned)
         if options.compare:
             numbers |= tune_compare.run(folder, tuned, log, settings)
         folder.save_metrics(numbers)
     print(f"\nwritten to {folder.path}/; the tuned scenario is {file.path}")
     if tuned.stop in (Stop.NOT_A_NUMBER, Stop.CLIFF):
-        return _say(f"{tuned.sentence}; the best certified iterate is kept", BROKEN_OFF)
+        return _say(f"{tuned.sentence}; the best certified iterate is kept", ExitCode.BROKEN_OFF)
     return 0
 
 
@@ -129,6 +128,6 @@ def report(folder: RunFolder, tuned: Tuned) -> dict:
     return summary.numbers
 
 
-def _say(line: str, code: int) -> int:
+def _say(line: str, code: ExitCode) -> int:
     print(f"tune: {' '.join(line.split())}", file=sys.stderr)
     return code
