@@ -31,10 +31,8 @@ from jaxtube.plant.error_dynamics import advance, sinc, tracking_error
 from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.robot import body_velocity, saturate, wheel_commands
 from jaxtube.plant.slipping import SlipMemory, SlippingRobot
+from jaxtube.plant.streams import Stream
 
-INSTANT = 5
-"""The stream of the instants at which slips change, beside those of the slips, the linear plant and
-the starts."""
 ARCS = 16
 """Equal arcs that a period is cut into."""
 
@@ -211,7 +209,7 @@ def shifted_preview(
 
 
 def _instant(key: Key[Array, ""], step, dtype) -> Float[Array, ""]:
-    key = jax.random.fold_in(jax.random.fold_in(key, INSTANT), step)
+    key = jax.random.fold_in(jax.random.fold_in(key, Stream.INSTANT), step)
     return jax.random.uniform(key, (), dtype)
 
 

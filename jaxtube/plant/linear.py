@@ -21,9 +21,7 @@ from jaxtube.plant.protocol import (
     Uncertainty,
     script_entry,
 )
-
-DISTURBANCE = 3
-"""The stream of disturbances, beside those of `jaxtube.plant.slip`."""
+from jaxtube.plant.streams import Stream
 
 
 @jax.tree_util.register_dataclass
@@ -76,7 +74,7 @@ class LinearPlant:
 
     def disturbance(self, key: Key[Array, ""], step) -> Float[Array, "3"]:
         """Draw one w: a vertex, or weights that are uniform on the simplex of the vertices."""
-        stream = jax.random.fold_in(jax.random.fold_in(key, DISTURBANCE), step)
+        stream = jax.random.fold_in(jax.random.fold_in(key, Stream.DISTURBANCE), step)
         side, inside = jax.random.split(stream)
         count = self.disturbance_vertices.shape[0]
         dtype = self.disturbance_vertices.dtype

@@ -23,10 +23,7 @@ from jax import Array
 from jax.typing import DTypeLike
 from jaxtyping import Float, Key
 
-TRUE_SLIP = 0
-MEASURED_SLIP = 1
-POSE_NOISE = 2
-"""The streams of one realisation, one a purpose."""
+from jaxtube.plant.streams import Stream
 
 START = 0xFFFFFFFF
 """Number with which the stream of a process starts; no step reaches it."""
@@ -210,7 +207,7 @@ def pose_noise(
     Returns:
         (m, m, rad), within the box.
     """
-    key = jax.random.fold_in(jax.random.fold_in(run_key, POSE_NOISE), step)
+    key = jax.random.fold_in(jax.random.fold_in(run_key, Stream.POSE_NOISE), step)
     return half_widths * draw_uniform(key, (3,), half_widths.dtype)
 
 
@@ -218,10 +215,10 @@ def _slip_keys(
     run_key: Key[Array, ""], process: SlipProcess
 ) -> tuple[Key[Array, ""], Key[Array, ""]]:
     """Return the streams of the true and the measured slip: one for both where they are opposed."""
-    true_key = jax.random.fold_in(run_key, TRUE_SLIP)
+    true_key = jax.random.fold_in(run_key, Stream.TRUE_SLIP)
     if process.opposed:
         return true_key, true_key
-    return true_key, jax.random.fold_in(run_key, MEASURED_SLIP)
+    return true_key, jax.random.fold_in(run_key, Stream.MEASURED_SLIP)
 
 
 def draw_uniform(key: Key[Array, ""], shape: tuple[int, ...], dtype: DTypeLike) -> Array:

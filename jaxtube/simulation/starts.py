@@ -19,9 +19,7 @@ from jax import Array
 from jaxtyping import Float, Key
 from scipy.spatial import ConvexHull
 
-# The stream of a realisation's initial error, beside those of `jaxtube.plant.slip` and
-# `jaxtube.simulation.rollout`.
-INITIAL_ERROR = 4
+from jaxtube.plant.streams import Stream
 
 
 class Starts(Protocol):
@@ -62,7 +60,9 @@ class UniformStart:
         """Return the initial errors."""
         dtype = self.triangles.dtype
         draws = jax.vmap(
-            lambda key: jax.random.uniform(jax.random.fold_in(key, INITIAL_ERROR), (4,), dtype)
+            lambda key: jax.random.uniform(
+                jax.random.fold_in(key, Stream.INITIAL_ERROR), (4,), dtype
+            )
         )(keys)
         chosen = self.triangles[jnp.searchsorted(self.cumulative, draws[:, 0], side="right")]
         weights = jnp.diff(jnp.sort(draws[:, 1:], axis=1), prepend=0.0, axis=1)
