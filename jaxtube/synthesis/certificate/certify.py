@@ -73,12 +73,12 @@ def _check_coverage(design: Design) -> Condition:
     """Check that loops in the regions, the run's too, are mixtures of the corner loops: not so for
     zero-order hold."""
     windows = design.windows
-    gain = design.tube_gain
-    wrong_gains = np.abs(gain.along(windows.schedules) - windows.gains)
-    wrong_loops = np.abs(gain.loops_along(windows.schedules) - windows.loops)
+    tube_gain = design.tube_gain
+    wrong_gains = np.abs(tube_gain.along(windows.schedules) - windows.gains)
+    wrong_loops = np.abs(tube_gain.loops_along(windows.schedules) - windows.loops)
     worst = max(float(wrong_gains.max()), float(wrong_loops.max()))
     used = windows.schedules.reshape(-1, 2)
-    for gain in (design.tube_gain, design.terminal.gains):
+    for gain in (tube_gain, design.terminal.gains):
         gaps = [gain.coverage_gap(used, region) for region in design.problem.regions]
         worst = max(worst, float(np.min(gaps, axis=0).max()))
         for region in design.problem.regions:
