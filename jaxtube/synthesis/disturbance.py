@@ -3,16 +3,24 @@ that is certified."""
 
 from __future__ import annotations
 
+import pickle
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
+from jaxtube.synthesis.limits import InputRows
 from jaxtube.synthesis.problem import Problem, make_problem
 from sets.polytope import Polytope
-from sets.robot.disturbance import Operation, disturbance_bound, wheel_error_bound
+from sets.robot.disturbance import (
+    DisturbanceBound,
+    Operation,
+    disturbance_bound,
+    wheel_error_bound,
+)
 from sets.robot.plant import Kinematics
 
 FLAT = 1e-12
@@ -21,17 +29,25 @@ FLAT = 1e-12
 
 def operation(problem: Problem) -> Operation:
     """Return where the robot works: measured errors, inputs, certified wheel speeds, slip errors
-    and noise."""
+    and noise. Inputs are those that the rows of the QPs allow."""
     slip = problem.scenario.slip
-    caps = problem.scenario.operating
+    rows = problem.input_rows
+    is_coupled = np.any(rows.errors != 0, axis=1)
+    input_set = Polytope(rows.inputs[~is_coupled], rows.offsets[~is_coupled])
     # The measured slip's error is the larger of the two single ones, so either may vary.
     reading = "both" if slip.random == "both" else "measured"
     coupling = None
-    if caps.turning_longitudinal_m is not None and caps.turning_yaw_rate_radps is not None:
-        coupling = (caps.turning_longitudinal_m, caps.turning_yaw_rate_radps)
+    if is_coupled.any():
+        coupled = InputRows(
+            rows.inputs[is_coupled], rows.errors[is_coupled], rows.offsets[is_coupled]
+        )
+        coupling = (
+            float(np.max(coupled.offsets / np.abs(coupled.errors[:, 0]))),
+            float(np.max(coupled.offsets / np.abs(coupled.inputs[:, 1]))),
+        )
     return Operation(
         errors=problem.operating_set.offsets[:3] * np.array([[-1.0], [1.0]]),
-        inputs=_box_ends(problem.input_set),
+        inputs=_box_ends(input_set),
         schedules=problem.regions,
         wheel_error=wheel_error_bound(
             np.array([slip.nominal_right, slip.nominal_left]), slip.relative_error, reading
@@ -53,6 +69,25 @@ def kinematics(problem: Problem) -> Kinematics:
         settings.discretisation,
         (float(right), float(left)),
     )
+
+
+def prove_bound(problem: Problem) -> DisturbanceBound:
+    """Return the bound on w that interval arithmetic proves over everything certified, whatever
+    bound the problem carries.
+
+    A process works out each answer once: the certificate asks what the design asked before.
+
+    Raises:
+        ValueError: where errors and inputs are so wide that angles leave a quarter turn.
+    """
+    return pickle.loads(_answer(pickle.dumps((operation(problem), kinematics(problem)))))
+
+
+@lru_cache(maxsize=16)
+def _answer(question: bytes) -> bytes:
+    """Return the bound for an operation and kinematics; bytes, so that nobody can change it."""
+    where, how = pickle.loads(question)
+    return pickle.dumps(disturbance_bound(where, how))
 
 
 def ground_speed_limits(problem: Problem) -> Float[np.ndarray, "2 2"]:
@@ -89,7 +124,7 @@ def with_computed_bound(problem: Problem) -> Problem:
             flat.
     """
     try:
-        bound = disturbance_bound(operation(problem), kinematics(problem))
+        bound = prove_bound(problem)
     except ValueError as error:
         raise ScenarioError(
             f'scenario: disturbance.bound = "computed": {error}; narrow [operating]'

@@ -96,7 +96,7 @@ def operating_bounds(scenario: Scenario) -> Float[np.ndarray, "3"]:
 def input_constraints(scenario: Scenario, robot: Robot) -> tuple[Polytope, InputRows]:
     """Return U, and the rows on input and error that are U and the coupling."""
     input_set = _make_input_set(scenario, robot)
-    return input_set, _make_input_rows(scenario, input_set)
+    return input_set, make_input_rows(scenario, input_set)
 
 
 def _make_input_set(scenario: Scenario, robot: Robot) -> Polytope:
@@ -120,7 +120,7 @@ def _wheel_limited_inputs(robot: Robot, bounds: Float[np.ndarray, "2 2"]) -> Pol
     return Polytope(np.vstack([rows, -rows]), np.concatenate([bounds[:, 1], -bounds[:, 0]]))
 
 
-def _make_input_rows(scenario: Scenario, input_set: Polytope) -> InputRows:
+def make_input_rows(scenario: Scenario, input_set: Polytope) -> InputRows:
     """Return the rows of U and of the coupling, each half in the same order."""
     operating = scenario.operating
     rows = InputRows.of(input_set)

@@ -106,6 +106,37 @@ def test_a_wider_w_in_one_band_breaks_the_certificate(law):
     ).failing == ["invariant_set"]
 
 
+@pytest.mark.parametrize("number", [0, -1])
+def test_the_w_of_every_band_must_be_proved(law, number):
+    band = law.bands[number]
+    smaller = dataclasses.replace(
+        band.problem, disturbance_set=band.problem.disturbance_set.scale(0.98)
+    )
+    certificate = certify_with(law, number, dataclasses.replace(band, problem=smaller))
+    assert certificate.failing == ["disturbance_bound_proved"]
+
+
+def test_the_wheels_of_every_band_are_checked(law):
+    """Inputs of the fastest band that are three times as wide ask for more than the wheels have."""
+    band = law.bands[-1]
+    rows = band.problem.input_rows
+    rows = dataclasses.replace(rows, offsets=3 * rows.offsets)
+    faster = dataclasses.replace(
+        band.problem, input_rows=rows, input_set=band.problem.input_set.scale(3)
+    )
+    certificate = certify_with(law, -1, dataclasses.replace(band, problem=faster))
+    assert "wheel_limits" in certificate.failing
+
+
+def certify_with(law, number: int, band: LawBand):
+    """Certify the law again with one band replaced."""
+    bands = list(law.bands)
+    bands[number] = band
+    return law_certificate.certify_law(
+        law.problem, tuple(bands), law.invariant.polytope, law.shares
+    )
+
+
 def test_other_commands_refuse_bands_in_one_line():
     with pytest.raises(ScenarioError, match=r"operating\.bands") as refused:
         design(load("certified_wide"))

@@ -10,10 +10,14 @@ from oracles import SEQUENCE
 from tolerances import CERTIFICATE_MARGIN
 
 from jaxtube.scenario import load
-from jaxtube.synthesis.gains import Gain
-from jaxtube.synthesis.parts import Design
-from jaxtube.synthesis.tightening import BACK_OFF
+from jaxtube.synthesis.certificate import terminal as terminal_conditions
+from jaxtube.synthesis.certificate.terminal import check_any_order
+from jaxtube.synthesis.gains import Gain, StretchedGain
+from jaxtube.synthesis.parts import Condensed, Design
+from jaxtube.synthesis.problem import region_corners
+from jaxtube.synthesis.tightening import BACK_OFF, tighten
 from sets.certificate import Certificate, escape_excess
+from sets.polytope import Polytope
 from sets.tubes import hull_tube
 
 REQUIRED = [
@@ -27,6 +31,7 @@ REQUIRED = [
     "plan_stays_feasible",
     "terminal_cost_decrease",
     "vertices_cover_schedule",
+    "plans_keep_these_sets",
     "true_error_in_e",
     "disturbance_bound_proved",
     "solver_residual",
@@ -37,13 +42,14 @@ SLACK = 1e-8
 
 @pytest.fixture
 def recertify(monkeypatch):
-    """Certify a design again with parts replaced, most conditions for information left out."""
+    """Certify a design again with parts replaced, and its QPs made of them; most conditions for
+    information are left out."""
     module = importlib.import_module("jaxtube.synthesis.certificate.certify")
     monkeypatch.setattr(module, "say_what_exists", lambda design: ())
 
     def again(design: Design, solver_slack: float = SLACK, **replaced) -> Certificate:
         monkeypatch.setattr(Design, "solver_slack", solver_slack)
-        return module.certify(dataclasses.replace(design, **replaced))
+        return module.certify(with_own_qps(dataclasses.replace(design, **replaced)))
 
     return again
 
@@ -52,6 +58,12 @@ def recertify(monkeypatch):
 def following(uncertified) -> Design:
     """A design of kind T-A: one gain, and the tube of the known reference."""
     return uncertified("paper", *SEQUENCE)
+
+
+def with_own_qps(design: Design) -> Design:
+    """Return the design with QPs made of its parts as they are."""
+    parts = (design.problem, design.windows, design.terminal, design.cost.cost, design.bounds)
+    return dataclasses.replace(design, condensed=Condensed(*parts))
 
 
 def required(certificate) -> list[str]:
@@ -174,7 +186,7 @@ def test_the_last_error_and_input_set_must_receive_the_plan(robust_design, recer
         certificate = recertify(
             robust_design, bounds=dataclasses.replace(bounds, **{kind: narrower})
         )
-        assert certificate.failing_for_model == ["plan_stays_feasible"]
+        assert certificate.failing_for_model == ["terminal_set_admissible", "plan_stays_feasible"]
         assert f"leave {name}_{{N-1}} by" in certificate.conditions["plan_stays_feasible"].sentence
 
 
@@ -192,11 +204,15 @@ def test_the_plan_must_end_in_the_terminal_set_of_the_next_step(following, recer
     windows = following.windows
     step = int(np.flatnonzero(np.diff(windows.index))[0])
     both = windows.index[step : step + 2]
+    wheels = following.problem.schedule[step:]
+    reference = dataclasses.replace(following.problem.reference, wheels=wheels, steps=2)
+    problem = dataclasses.replace(following.problem, reference=reference)
     for window, failing in ((both[0], []), (both[1], ["plan_stays_feasible"])):
         smaller = np.array(following.bounds.terminal)
         smaller[window] *= 0.7
         certificate = recertify(
             following,
+            problem=problem,
             bounds=dataclasses.replace(following.bounds, terminal=smaller),
             windows=dataclasses.replace(windows, index=both),
         )
@@ -257,15 +273,33 @@ def test_a_wider_disturbance_is_more_than_the_sets_were_made_for(sound, recertif
         design.problem, disturbance_set=design.problem.disturbance_set.scale(1.05)
     )
     failing = but_in_any_order(recertify(design, problem=problem))
-    assert failing == ["tightening_covers_reach", "shifted_plan_inclusion", "plan_stays_feasible"]
+    assert failing == [
+        "tightening_covers_reach",
+        "shifted_plan_inclusion",
+        "terminal_set_invariant",
+        "plan_stays_feasible",
+    ]
 
 
-def test_the_set_must_be_invariant_for_the_disturbance_of_the_plan(robust_design, recertify):
-    wider = dataclasses.replace(
+def test_the_set_must_be_invariant_for_what_w_becomes_whatever_the_design_says(
+    robust_design, recertify
+):
+    terminal = dataclasses.replace(
         robust_design.terminal,
-        disturbance=robust_design.terminal.disturbance.image(1.05 * np.eye(3)),
+        disturbance=robust_design.terminal.disturbance.image(0.5 * np.eye(3)),
+        invariant=robust_design.terminal.invariant.scale(0.75),
     )
-    assert recertify(robust_design, terminal=wider).failing_for_model == ["terminal_set_invariant"]
+    assert "terminal_set_invariant" in recertify(robust_design, terminal=terminal).failing_for_model
+
+
+def test_the_set_must_lie_in_the_limits_whatever_the_design_says(robust_design, recertify):
+    terminal = dataclasses.replace(
+        robust_design.terminal,
+        admissible=robust_design.terminal.admissible.scale(1.2),
+        invariant=robust_design.terminal.invariant.scale(1.1),
+    )
+    failing = recertify(robust_design, terminal=terminal).failing_for_model
+    assert "terminal_set_admissible" in failing
 
 
 @pytest.mark.parametrize("part", ["loops", "gains"])
@@ -273,7 +307,66 @@ def test_loops_and_gains_of_the_run_must_be_those_of_the_vertices(part, robust_d
     windows = robust_design.windows
     other = changed(getattr(windows, part), (-1, 0, 0, 1), 1e-3)
     certificate = recertify(robust_design, windows=dataclasses.replace(windows, **{part: other}))
-    assert certificate.failing_for_model == ["vertices_cover_schedule"]
+    assert certificate.failing_for_model == ["vertices_cover_schedule", "plans_keep_these_sets"]
+
+
+@pytest.fixture(scope="module")
+def plain(uncertified) -> tuple[Design, Gain]:
+    """A design under the exact Jacobian, and its decoupled gain taken as bilinear in plain wheel
+    speeds: right at the corners of the box, wrong between them."""
+    design = uncertified("certified")
+    gain = design.tube_gain
+    assert isinstance(gain, StretchedGain)
+    return design, Gain(gain.model, gain.regions, gain.nominal, gain.vertices)
+
+
+def test_the_terminal_gain_must_be_covered_too(plain, recertify):
+    design, gain = plain
+    terminal = dataclasses.replace(design.terminal, gains=gain)
+    assert "vertices_cover_schedule" in recertify(design, terminal=terminal).failing_for_model
+
+
+def test_loops_between_the_corners_are_compared_though_the_run_stays_at_them(plain, recertify):
+    design, gain = plain
+    corners = region_corners(gain.regions)
+    schedules = np.broadcast_to(corners[0], design.windows.schedules.shape)
+    at_corner = dataclasses.replace(
+        design.windows,
+        schedules=schedules,
+        loops=gain.loops_along(schedules),
+        gains=gain.along(schedules),
+    )
+    terminal = dataclasses.replace(design.terminal, gains=gain)
+    certificate = recertify(design, windows=at_corner, tube_gain=gain, terminal=terminal)
+    assert "vertices_cover_schedule" in certificate.failing_for_model
+
+
+@pytest.mark.parametrize("stage", [1, 3])
+@pytest.mark.parametrize("share", [0.9, 1.1])
+def test_in_any_order_every_stage_is_tightened_by_reach_and_inclusion(
+    stage, share, following, monkeypatch
+):
+    """A stage that loses less than the reach fails; one that loses more, the stage after it."""
+    assert check_any_order(following).holds
+
+    def tighten_one_stage(*parts):
+        right = tighten(*parts)
+        reach = np.array(right.error_reach)
+        reach[:, stage] *= share
+        return dataclasses.replace(right, error_reach=reach)
+
+    monkeypatch.setattr(terminal_conditions, "tighten", tighten_one_stage)
+    assert not check_any_order(following).holds
+
+
+def test_in_any_order_the_plan_must_return_to_what_is_left_of_the_set(following):
+    """A facet drawn in leaves a set that holds the tube, and is not invariant."""
+    omega = following.terminal.invariant
+    facet = int(np.argmax(omega.normals[:, 1]))
+    offsets = changed(omega.offsets, facet, -0.2 * omega.offsets[facet])
+    drawn_in = dataclasses.replace(following.terminal, invariant=Polytope(omega.normals, offsets))
+    condition = check_any_order(dataclasses.replace(following, terminal=drawn_in))
+    assert not condition.holds
 
 
 def test_a_schedule_outside_the_box_is_not_covered(robust_design, recertify):
@@ -297,7 +390,8 @@ def test_an_empty_tightened_set_fails(robust_design, recertify):
         certificate = recertify(
             robust_design, bounds=dataclasses.replace(bounds, **{kind: emptied})
         )
-        assert certificate.failing_for_model == [name, "plan_stays_feasible"]
+        last = ["terminal_set_admissible", "plan_stays_feasible"]
+        assert certificate.failing_for_model == [name, *last]
     emptied = dataclasses.replace(bounds, terminal=np.full_like(bounds.terminal, -0.1))
     assert (
         "terminal_constraint_not_empty"

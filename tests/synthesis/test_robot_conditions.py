@@ -13,7 +13,7 @@ from jaxtube.synthesis.certificate.robot import (
     check_disturbance_set,
     check_robot,
 )
-from jaxtube.synthesis.disturbance import complete_problem
+from jaxtube.synthesis.disturbance import complete_problem, prove_bound
 from jaxtube.synthesis.problem import make_problem
 
 
@@ -29,6 +29,10 @@ def assumed(x_m: float, y_m: float, heading_deg: float):
         f"disturbance.heading_deg={heading_deg}",
     ]
     return make_problem(load("certified", ["disturbance.bound=assumed", *widths]))
+
+
+def conditions_of(problem) -> dict:
+    return {condition.name: condition for condition in check_robot(problem)}
 
 
 def test_a_computed_w_holds_what_the_robot_meets(certified):
@@ -49,6 +53,89 @@ def test_a_computed_w_that_is_too_small_is_refuted_whatever_it_was_made_from(cer
     condition = check_disturbance_set(tampered)
     assert not condition.holds
     assert condition.sentence.startswith("W is refuted: ")
+
+
+@pytest.mark.parametrize("share", [0.999, 0.9])
+@pytest.mark.parametrize("part", ["yaw", "y", "heading"])
+def test_one_coordinate_of_a_computed_w_that_is_too_small_is_seen(certified, part, share):
+    """The bound is worked out anew: what the problem carries proves nothing."""
+    bound = certified.disturbance_bound
+    box = np.array(bound.box)
+    if part != "yaw":
+        box[("x", "y", "heading").index(part)] *= share
+    smaller = dataclasses.replace(bound, box=box, yaw=bound.yaw * (share if part == "yaw" else 1))
+    tampered = dataclasses.replace(
+        certified, disturbance_bound=smaller, disturbance_set=smaller.polytope()
+    )
+    assert not check_disturbance_set(tampered).holds
+
+
+@pytest.mark.parametrize("part", ["input_set", "rows", "caps", "noise"])
+def test_w_of_another_operating_set_is_not_proved(certified, part):
+    """One per cent more of what W was computed over, and W is too small."""
+    wider = 1.01
+    rows = certified.input_rows
+    rows = dataclasses.replace(rows, offsets=wider * rows.offsets)
+    changes = {"input_rows": rows}
+    if part == "input_set":
+        changes["input_set"] = certified.input_set.scale(wider)
+    if part == "caps":
+        changes = {"operating_set": certified.operating_set.scale(wider)}
+    if part == "noise":
+        changes = {"scenario": load("certified", ["noise.lateral_m=0.0015"])}
+    tampered = dataclasses.replace(certified, **changes)
+    assert not check_disturbance_set(tampered).holds
+
+
+def test_wheels_of_another_operating_set_are_not_proved(certified):
+    """Wheels of `certified` have 0.5 mm/s to spare: one per cent more of U asks for more."""
+    assert conditions_of(certified)["wheel_limits"].holds
+    rows = certified.input_rows
+    rows = dataclasses.replace(rows, offsets=1.01 * rows.offsets)
+    wider = dataclasses.replace(
+        certified, input_rows=rows, input_set=certified.input_set.scale(1.01)
+    )
+    assert not conditions_of(wider)["wheel_limits"].holds
+
+
+@pytest.mark.parametrize(
+    ("limit", "share", "expected"),
+    [
+        ("wheel_speed_max", 1.001, True),
+        ("wheel_speed_max", 0.999, False),
+        ("wheel_speed_min", 0.999, True),
+        ("wheel_speed_min", 1.001, False),
+    ],
+)
+def test_both_limits_of_the_wheels_are_proved(certified, limit, share, expected):
+    """A limit just beyond the speeds that may be asked for holds, one just inside does not."""
+    slowest, fastest = prove_bound(certified).ground_speeds
+    slip = certified.scenario.slip
+    assert slip.nominal_right == slip.nominal_left
+    at_limit = {
+        "wheel_speed_max": fastest.max() / (1 - slip.nominal_right * (1 + slip.relative_error)),
+        "wheel_speed_min": slowest.min() / (1 - slip.nominal_right * (1 - slip.relative_error)),
+    }
+    limited = dataclasses.replace(certified.robot, **{limit: share * at_limit[limit]})
+    problem = dataclasses.replace(certified, robot=limited)
+    assert conditions_of(problem)["wheel_limits"].holds is expected
+
+
+def test_a_wheel_that_is_asked_for_more_than_it_has_is_shown_by_a_period(certified, monkeypatch):
+    """Whatever the proved bound says of the ground speeds."""
+    bound = prove_bound(certified)
+    tame = dataclasses.replace(bound, ground_speeds=np.array([[0.5, 0.5], [0.6, 0.6]]))
+    monkeypatch.setattr(robot, "prove_bound", lambda problem: tame)
+    slow = dataclasses.replace(certified.robot, wheel_speed_max=1.5)
+    problem = dataclasses.replace(certified, robot=slow)
+    condition = conditions_of(problem)["wheel_limits"]
+    assert not condition.holds
+    assert "may be asked for; the wheels have" in condition.sentence
+
+
+def test_the_wheels_of_the_exact_map_are_checked_without_caps_too():
+    scenario = load("paper", ["controller.input_map=x_exact"])
+    assert "wheel_limits" in conditions_of(make_problem(scenario))
 
 
 def test_the_papers_w_is_refuted_by_its_worst_coordinate():
@@ -79,7 +166,7 @@ def test_between_what_is_met_and_the_bound_nothing_is_known(certified, monkeypat
     def refuse(*parts):
         raise ValueError("angle: leaves a quarter turn")
 
-    monkeypatch.setattr(robot, "disturbance_bound", refuse)
+    monkeypatch.setattr(robot, "prove_bound", refuse)
     condition = check_disturbance_set(assumed(x, y, np.rad2deg(heading)))
     assert condition.margin == -np.inf
     assert "too wide for a bound" in condition.sentence

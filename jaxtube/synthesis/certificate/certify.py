@@ -10,6 +10,7 @@ import numpy as np
 from jaxtube.synthesis.certificate.exact import check_in_rationals
 from jaxtube.synthesis.certificate.existence import say_what_exists
 from jaxtube.synthesis.certificate.fill import check_widest_tube
+from jaxtube.synthesis.certificate.program import check_program
 from jaxtube.synthesis.certificate.robot import assumptions, check_robot
 from jaxtube.synthesis.certificate.stages import check_stages
 from jaxtube.synthesis.certificate.terminal import check_any_order, check_terminal, has_any_order
@@ -38,6 +39,7 @@ def _conditions(design: Design) -> Iterator[Condition]:
         yield check_any_order(design)
     yield _check_decrease(design)
     yield _check_coverage(design)
+    yield check_program(design)
     yield from check_robot(problem)
     yield judge(
         "solver_residual",

@@ -6,7 +6,7 @@ reference. With th any wheel speeds (each float stands for the binary rational i
 K(th) the exact loop and gain of the sampled model, W = {sigma (0, g_y, 1) : |sigma| <= yaw} + box,
 and the sets of the design by their float rows and offsets:
 
-    disturbance          W lies in the polytope that the float certificate used   (up to ROUNDING)
+    disturbance          the proved bound on w lies in W                          (up to ROUNDING)
     schedules            every window of the reference lies in one region         (up to ROUNDING)
     gains                loops and gains along the windows are Phi(th) and K(th)  (up to ROUNDING)
     terminal invariant   Phi(th) Omega + W in Omega                        for th in the regions
@@ -33,6 +33,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.synthesis.advice import say_what_helps
+from jaxtube.synthesis.disturbance import prove_bound
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from sets.certificate import ROUNDING, Condition, judge
@@ -162,11 +163,11 @@ def _invariant_rows(
 def disturbance_points(problem: Problem) -> list[Row]:
     """Return at most twelve points whose hull is exactly W: segment + box where it is computed,
     else a box."""
-    bound = problem.disturbance_bound
-    if bound is None:
+    if problem.disturbance_bound is None:
         lower = -problem.disturbance_set.support(-np.eye(3))
         upper = problem.disturbance_set.support(np.eye(3))
         return [exact_row(point) for point in product(*zip(lower, upper, strict=True))]
+    bound = prove_bound(problem)
     yaw, lateral_per_yaw = exact_row((bound.yaw, bound.lateral_per_yaw))
     kick = (Fraction(0), lateral_per_yaw * yaw, yaw)
     widths = exact_row(bound.box)

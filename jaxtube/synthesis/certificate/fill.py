@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from jaxtube.synthesis.disturbance import with_computed_bound
 from jaxtube.synthesis.gains import Gain
+from jaxtube.synthesis.limits import make_input_rows
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import admissible_set
 from jaxtube.synthesis.tightening import ERROR_NAMES, input_names
@@ -103,11 +104,13 @@ def _within(
     """Return the problem inside a tube: its errors, the inputs of its gain, and the W of these."""
     by_gain = [tube.support(np.concatenate([law, -law])) for law in gain.corner_gains]
     reach = np.max(by_gain, axis=0)
+    input_set = Polytope.box(-reach[2:], reach[:2])
     smaller = replace(
         problem,
         operating_set=Polytope.box(-widths, widths),
         error_set=Polytope.box(-widths - problem.noise, widths + problem.noise),
-        input_set=Polytope.box(-reach[2:], reach[:2]),
+        input_set=input_set,
+        input_rows=make_input_rows(problem.scenario, input_set),
     )
     return with_computed_bound(smaller)
 

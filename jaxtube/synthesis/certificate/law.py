@@ -13,6 +13,7 @@ from jaxtube.synthesis.certificate.robot import (
     check_true_error,
     judge_wheel_limits,
 )
+from jaxtube.synthesis.disturbance import prove_bound
 from jaxtube.synthesis.gains import Gain, exact_loops
 from jaxtube.synthesis.problem import Problem
 from sets import certificate as check
@@ -41,9 +42,8 @@ class LawBand:
 
     @property
     def bound(self) -> DisturbanceBound:
-        """What the band's W was computed from."""
-        assert self.problem.disturbance_bound is not None
-        return self.problem.disturbance_bound
+        """What is proved of the band's disturbances."""
+        return prove_bound(self.problem)
 
     @property
     def farthest_stretch(self) -> float:

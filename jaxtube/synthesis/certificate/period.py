@@ -44,8 +44,9 @@ class Situations:
 
 
 def find_disturbances(problem: Problem) -> Float[np.ndarray, "n 3"]:
-    """Return disturbances (m, m, rad) that the robot really meets at extremes of what is certified,
-    the noise of the next measurement left out: that may be added anywhere in its box."""
+    """Return disturbances (m, m, rad) that are possible at extremes of the certified errors,
+    inputs, wheel speeds, slips and noise. The noise of the next measurement is left out: that may
+    be added anywhere in its box."""
     situations = extreme_situations(problem)
     transitions, inputs = problem.model.matrices(situations.wheels)
     predicted = np.einsum("nij,nj->ni", transitions, situations.errors)
@@ -53,10 +54,15 @@ def find_disturbances(problem: Problem) -> Float[np.ndarray, "n 3"]:
     return next_errors(problem, situations) - predicted
 
 
+def find_wheel_commands(problem: Problem) -> Float[np.ndarray, "n 2"]:
+    """Return the wheel speeds (right, left), m/s, that the same extremes ask for."""
+    return wheel_commands(problem, extreme_situations(problem))
+
+
 def extreme_situations(problem: Problem) -> Situations:
     """Return corners of the operating set, of U, of the regions, and of slip and noise, together.
 
-    Where input and error are coupled both are shrunk until their row is met.
+    Where input and error are coupled the longitudinal error is shrunk until their row is met.
     """
     half_widths = problem.operating_set.offsets[:3]
     errors = half_widths * np.array(list(itertools.product(ALONG, (-1, 1), (-1, 0, 1))))
@@ -70,13 +76,21 @@ def extreme_situations(problem: Problem) -> Situations:
     chosen = np.indices(sizes).reshape(len(sizes), -1)
     errors = errors[chosen[0]]
     inputs = inputs[chosen[1]]
-    rows = problem.input_rows
-    used = np.max((inputs @ rows.inputs.T + errors @ rows.errors.T) / rows.offsets, axis=1)
-    shrunk = 1 / np.maximum(used, 1.0)[:, None]
+    errors = _meet_coupling(problem, errors, inputs)
     true, measured = np.swapaxes(slips[chosen[3]], 0, 1)
-    return Situations(
-        shrunk * errors, shrunk * inputs, wheels[chosen[2]], true, measured, noise[chosen[4]]
-    )
+    return Situations(errors, inputs, wheels[chosen[2]], true, measured, noise[chosen[4]])
+
+
+def _meet_coupling(
+    problem: Problem, errors: Float[np.ndarray, "n 3"], inputs: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, "n 3"]:
+    """Return the errors with as much of e_x as the rows that couple it with the inputs allow."""
+    rows = problem.input_rows
+    is_coupled = rows.errors[:, 0] != 0
+    left = rows.offsets[is_coupled] - inputs @ rows.inputs[is_coupled].T
+    most = np.min(left / np.abs(rows.errors[is_coupled, 0]), axis=1, initial=np.inf)
+    along = np.clip(errors[:, 0], -np.maximum(most, 0), np.maximum(most, 0))
+    return np.column_stack([along, errors[:, 1:]])
 
 
 def _extreme_slips(problem: Problem) -> Float[np.ndarray, "k 2 2"]:
@@ -98,10 +112,7 @@ def next_errors(problem: Problem, situations: Situations) -> Float[np.ndarray, "
     b = problem.model.track_width
     reference_speed = situations.wheels.mean(axis=1)
     reference_turn = (situations.wheels[:, 0] - situations.wheels[:, 1]) / b
-    speed, turn = command(problem, situations)
-    commanded = np.stack([speed + b * turn / 2, speed - b * turn / 2], axis=1)
-    grip = (1 - situations.slip) / (1 - situations.measured_slip)
-    right, left = (commanded * grip).T
+    right, left = ((1 - situations.slip) * wheel_commands(problem, situations)).T
     # The reference is at the origin of the world frame, heading along its x axis.
     true = situations.errors - situations.noise
     heading = -true[:, 2]
@@ -111,6 +122,15 @@ def next_errors(problem: Problem, situations: Situations) -> Float[np.ndarray, "
     heading = heading + T * (right - left) / b
     offset = np.exp(-1j * heading) * (reference_step - place)
     return np.stack([offset.real, offset.imag, T * reference_turn - heading], axis=1)
+
+
+def wheel_commands(problem: Problem, situations: Situations) -> Float[np.ndarray, "n 2"]:
+    """Return the wheel speeds (right, left), m/s, that are commanded: the measured slip is
+    compensated."""
+    speed, turn = command(problem, situations)
+    half_track = problem.model.track_width / 2
+    ground = np.stack([speed + half_track * turn, speed - half_track * turn], axis=1)
+    return ground / (1 - situations.measured_slip)
 
 
 def command(problem: Problem, situations: Situations) -> tuple[Numbers, Numbers]:

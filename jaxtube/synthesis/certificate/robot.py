@@ -9,13 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.coordinates import COORDINATES
-from jaxtube.synthesis.certificate.period import find_disturbances
-from jaxtube.synthesis.disturbance import ground_speed_limits, kinematics, operation
+from jaxtube.synthesis.certificate.period import find_disturbances, find_wheel_commands
+from jaxtube.synthesis.disturbance import ground_speed_limits, prove_bound
 from jaxtube.synthesis.limits import error_vector
 from jaxtube.synthesis.problem import Problem
 from sets import certificate as check
 from sets.certificate import Condition, judge
-from sets.robot.disturbance import DisturbanceBound, disturbance_bound
+from sets.robot.disturbance import DisturbanceBound
 
 PREMISE = "disturbance_bound_proved"
 """The condition that makes a guarantee for the linear model one for the robot."""
@@ -44,18 +44,16 @@ def check_true_error(problem: Problem) -> Condition:
 
 
 def check_disturbance_set(problem: Problem) -> Condition:
-    """Check that W, computed or assumed, holds every disturbance of the robot: disturbances that it
-    really meets can refute it, a bound on them can prove it."""
+    """Check that W, computed or assumed, holds every disturbance of the robot: one that is possible
+    within the certified errors and inputs can refute it, a bound on them can prove it."""
     return _refute_disturbance_set(problem) or _prove_disturbance_set(problem)
 
 
 def _find_bound(problem: Problem) -> DisturbanceBound | None:
-    """Return the proved bound on w, also where W is assumed; None where errors and inputs are so
-    wide that angles leave a quarter turn."""
-    if problem.disturbance_bound is not None:
-        return problem.disturbance_bound
+    """Return the proved bound on w, worked out anew for what is certified whatever bound the
+    problem carries; None where errors and inputs are so wide that angles leave a quarter turn."""
     try:
-        return disturbance_bound(operation(problem), kinematics(problem))
+        return prove_bound(problem)
     except ValueError:
         return None
 
@@ -72,7 +70,8 @@ def _is_limited_by_wheels(problem: Problem) -> bool:
 
 
 def _refute_disturbance_set(problem: Problem) -> Condition | None:
-    """Return that W is refuted where a disturbance that the robot really meets lies outside.
+    """Return that W is refuted where a disturbance that is possible within the certified errors and
+    inputs lies outside.
 
     W may be computed or assumed; the disturbances come from the exact plant in the world frame.
     """
@@ -142,12 +141,29 @@ def _check_wheels(problem: Problem) -> Condition:
             "Errors and inputs are too wide for a bound on the wheel speeds; narrow [operating]."
         )
         return Condition("wheel_limits", -np.inf, sentence, "robot")
-    return judge_wheel_limits(
+    return refute_wheel_limits(problem) or judge_wheel_limits(
         problem,
         bound.ground_speeds,
         "under every slip the wheels have {:.3g} m/s to spare",
         "{:.3g} m/s more than the wheels can do under the greatest slip",
     )
+
+
+def refute_wheel_limits(problem: Problem) -> Condition | None:
+    """Return that the wheels cannot do what the controller may ask of them, where it may."""
+    commands = find_wheel_commands(problem)
+    robot = problem.robot
+    room = min(
+        float(np.min(robot.wheel_speed_max - commands)),
+        float(np.min(commands - robot.wheel_speed_min)),
+    )
+    if room + check.ROUNDING >= 0:
+        return None
+    sentence = (
+        f"Wheel speeds of {commands.min():.3f} to {commands.max():.3f} m/s may be asked for; the "
+        f"wheels have {robot.wheel_speed_min:g} to {robot.wheel_speed_max:g} m/s."
+    )
+    return Condition("wheel_limits", room, sentence, "robot")
 
 
 def judge_wheel_limits(

@@ -16,7 +16,7 @@ from jaxtube.synthesis.condense import Bounds, tube_bounds
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
-from jaxtube.synthesis.terminal import Terminal, set_back_off
+from jaxtube.synthesis.terminal import Terminal, admissible_set, set_back_off
 from jaxtube.synthesis.tightening import tighten
 from jaxtube.synthesis.tubes import make_following_tube
 from jaxtube.synthesis.windows import Windows, make_windows
@@ -42,7 +42,7 @@ def check_terminal(design: Design) -> Iterator[Condition]:
         yield _judge_absence(design)
     else:
         margin = check.invariance_margin(
-            terminal.gains.loops, terminal.disturbance.vertices(), terminal.invariant
+            terminal.gains.loops, _points_to_absorb(design), terminal.invariant
         )
         yield judge(
             "terminal_set_invariant",
@@ -52,7 +52,7 @@ def check_terminal(design: Design) -> Iterator[Condition]:
             f"The terminal set is not invariant under {label}: some vertex leaves it by "
             f"{-margin:.3g}.",
         )
-        margin = terminal.admissible.containment_margin(terminal.invariant)
+        margin = _admissible_set(design).containment_margin(terminal.invariant)
         yield judge(
             "terminal_set_admissible",
             margin,
@@ -61,6 +61,27 @@ def check_terminal(design: Design) -> Iterator[Condition]:
             f"The terminal set or its inputs leave the constraints by {-margin:.3g}.",
         )
     yield _check_plan_stays_feasible(design)
+
+
+def _points_to_absorb(design: Design) -> Float[np.ndarray, "p 3"]:
+    """Return points whose hull the invariant set must absorb: W, or where the set holds the reach
+    all that W has become at the end of a plan."""
+    W = design.problem.disturbance_set.vertices()
+    if not design.problem.scenario.controller.terminal_set_holds_reach:
+        return W
+    return _products(design.tube_gain, W, design.problem.horizon - 1)
+
+
+def _admissible_set(design: Design) -> Polytope:
+    """Return the errors from which the terminal gains may act: within E and U or, where the set
+    holds the reach, within what the last stage of a plan leaves of them."""
+    gains = design.terminal.gains
+    if not design.problem.scenario.controller.terminal_set_holds_reach:
+        return admissible_set(design.problem, gains)
+    last = design.problem.horizon - 1
+    errors = design.bounds.errors[:, last].min(axis=0)
+    inputs = design.bounds.inputs[:, last].min(axis=0)
+    return admissible_set(design.problem, gains, errors, inputs)
 
 
 def _judge_absence(design: Design) -> Condition:
