@@ -16,7 +16,8 @@ def write_atomically(path: Path, write: Callable[[BinaryIO], Any]) -> None:
     Args:
         write: is called once with the open temporary file.
 
-    Raises: OSError, and whatever `write` raises.
+    Raises:
+        OSError: where the disk fails; and whatever `write` raises.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:

@@ -48,7 +48,8 @@ class Claims(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def run(scenario: Scenario | None, options: CheckOptions) -> int:
     """Print one line a metric; returns 0 when all hold, else 1.
 
-    Raises: ScenarioError for a scenario without expected metrics that was asked for by name.
+    Raises:
+        ScenarioError: for a scenario without expected metrics that was asked for by name.
     """
     checked = _checked_names(scenario, options)
     if not checked:

@@ -67,7 +67,8 @@ def parse(arguments: Sequence[str]) -> Options | None:
     """Read the words after the program's name; None when they asked for help, which is then on the
     standard output.
 
-    Raises: ScenarioError, one line.
+    Raises:
+        ScenarioError: one line, for words that cannot be read.
     """
     words, overrides = _split(_check_text(arguments))
     asks_for_help = words[:1] in (["-h"], ["--help"])

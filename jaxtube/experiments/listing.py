@@ -8,7 +8,8 @@ from jaxtube.scenario.tree import Scenario
 def run(scenario: Scenario | None, options: Options) -> int:
     """Print one line a scenario, after reading it; returns 0.
 
-    Raises: ScenarioError when one of them cannot be used.
+    Raises:
+        ScenarioError: when one of them cannot be used.
     """
     listed = [options.scenario] if scenario else names()
     width = max(map(len, listed), default=0)

@@ -43,7 +43,8 @@ def import_distributed(name: str) -> ModuleType:
     Args:
         name: what `--cluster` gives.
 
-    Raises: ScenarioError where it is not installed.
+    Raises:
+        ScenarioError: where it is not installed.
     """
     try:
         import distributed
@@ -151,7 +152,8 @@ class Cluster:
     def _start_workers(self) -> Any:
         """Start workers on this machine.
 
-        Raises: ValueError for what is no number of workers.
+        Raises:
+            ValueError: for what is no number of workers.
         """
         count = int(self._name.partition(":")[2])
         if count < 1:
@@ -166,7 +168,9 @@ class Cluster:
 
         A client that fails to connect waits longer than it was told, and prints a traceback later.
 
-        Raises: OSError, of which TimeoutError is one; ValueError for what is no address.
+        Raises:
+            OSError: where no scheduler answers; TimeoutError is one.
+            ValueError: for what is no address.
         """
 
         async def ask() -> str:

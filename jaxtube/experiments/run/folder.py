@@ -77,7 +77,8 @@ class RunFolder:
         """Write scenario.toml and manifest.json, then metrics.json with sorted keys; numbers that
         are not finite become null.
 
-        Raises: TypeError for what is no number, text, list or mapping.
+        Raises:
+            TypeError: for what is no number, text, list or mapping.
         """
         plain = _make_plain(metrics)
         if self.manifest:
@@ -123,8 +124,9 @@ def create(scenario: Scenario, options: Options, printed: str = "") -> RunFolder
         options: of the command, which name the folder.
         printed: first part of the report, printed already.
 
-    Raises: ScenarioError when the folder cannot be made or written to, and when the run would
-        overwrite a scenario that no run has written.
+    Raises:
+        ScenarioError: when the folder cannot be made or written to, and when the run would
+            overwrite a scenario that no run has written.
     """
     text = to_toml(scenario)
     folder = options.folder

@@ -28,7 +28,8 @@ class DamagedError(Exception):
 def encode(header: Mapping[str, Any], statistics: Mapping[str, Any]) -> bytes:
     """Write a record; equal headers and statistics give equal bytes.
 
-    Raises: ValueError for statistics that are neither integers nor floats.
+    Raises:
+        ValueError: for statistics that are neither integers nor floats.
     """
     payload = io.BytesIO()
     arrays: dict[str, Any] = plain(statistics)
@@ -40,7 +41,8 @@ def encode(header: Mapping[str, Any], statistics: Mapping[str, Any]) -> bytes:
 def decode(record: bytes) -> tuple[dict[str, Any], Statistics]:
     """Return the header and the statistics of a record.
 
-    Raises: DamagedError when any byte differs from what was written.
+    Raises:
+        DamagedError: when any byte differs from what was written.
     """
     seal, newline, content = record.partition(b"\n")
     if seal + newline != _seal(content):
@@ -53,7 +55,8 @@ def decode(record: bytes) -> tuple[dict[str, Any], Statistics]:
 def plain(statistics: Mapping[str, Any]) -> Statistics:
     """Return statistics as arrays by sorted name.
 
-    Raises: ValueError for what is neither integers nor floats.
+    Raises:
+        ValueError: for what is neither integers nor floats.
     """
     arrays = {name: np.asarray(statistics[name]) for name in sorted(statistics)}
     for name, array in arrays.items():

@@ -76,7 +76,8 @@ class Records(StoreOwner):
 
         The last block of a shorter run is missing in a longer one unless it was full.
 
-        Raises: ScenarioError when more realisations are recorded than asked for.
+        Raises:
+            ScenarioError: when more realisations are recorded than asked for.
         """
         ends = [blocks.start * self._block_size + laps for blocks, laps in self._laps.items()]
         recorded = max(ends, default=0)
@@ -96,8 +97,9 @@ class Records(StoreOwner):
             laps: realisations counted in it; fewer than block_size in a partial block only.
             statistics: arrays of integers or floats.
 
-        Raises: StoreError when the disk failed; ValueError for a block that is not missing and
-        for other arrays.
+        Raises:
+            StoreError: when the disk failed.
+            ValueError: for a block that is not missing, and for other arrays.
         """
         if block < 0 or not 0 < laps <= self._block_size:
             raise ValueError(
@@ -119,7 +121,8 @@ class Records(StoreOwner):
         Once nothing is missing they are the same bytes for every order of arrival and any
         interruption.
 
-        Raises: StoreError for a file that was damaged since the opening.
+        Raises:
+            StoreError: for a file that was damaged since the opening.
         """
         with self._explain_failure("reading the records"):
             return self._fold(sorted(self._laps, key=lambda blocks: blocks.start))

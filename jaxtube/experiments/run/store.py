@@ -90,7 +90,10 @@ class Store:
     def read(self, name: str) -> Entry:
         """Return the entry NAME.record.
 
-        Raises: DamagedError; ScenarioError for an entry of another run; OSError.
+        Raises:
+            DamagedError: when any byte differs from what was written.
+            ScenarioError: for an entry of another run.
+            OSError: where the disk fails.
         """
         header, arrays = decode((self.folder / f"{name}{SUFFIX}").read_bytes())
         difference = differences(header["identity"], self._identity)
@@ -111,7 +114,9 @@ class Store:
         Args:
             consequence: what becomes of a damaged entry, such as "is computed again".
 
-        Raises: ScenarioError for entries of another run; OSError.
+        Raises:
+            ScenarioError: for entries of another run.
+            OSError: where the disk fails.
         """
         entries = {}
         useless = self.leftovers()
@@ -130,7 +135,9 @@ class Store:
         Returns:
             The entry as it will be read: with the same bits and the same layout in memory.
 
-        Raises: ValueError for arrays that are neither integers nor floats; OSError.
+        Raises:
+            ValueError: for arrays that are neither integers nor floats.
+            OSError: where the disk fails.
         """
         record = encode({"name": name, "identity": self._identity, **header}, arrays)
         write_atomically(self.folder / f"{name}{SUFFIX}", lambda file: file.write(record))
