@@ -77,7 +77,7 @@ class Ascent(NamedTuple):
 class CellAim(NamedTuple):
     """What each instance of a batch aims at."""
 
-    cell: Int[Array, " batch"]  # number of its cell (`cells.Cells`)
+    cell: Int[Array, " batch"]  # number of its cell (`cells.UsageCells`)
     when: Int[Array, " batch"]  # step of the plan that is followed, for the limit `tube`
 
 

@@ -160,8 +160,9 @@ class ControllerTable(Table, frozen=True):
     `lmi_objective`: u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th. So do `vertex_gains`, of
     u = +K(th) e: K row by row at the vertices (min, max), (min, min), (max, min), (max, max) of the
     box of wheel speeds (right, left), bilinear between them. The terminal set is the maximal
-    invariant one where that has `terminal_facets` or fewer facets, else one of that many, or of up
-    to twice as many where so few carry none.
+    invariant one where that has at most `terminal_facets` facets, else one of that many. Each facet
+    is a row of every QP, so the limit is doubled only if no invariant set with that many facets is
+    found.
     """
 
     dt_s: Positive = 0.1

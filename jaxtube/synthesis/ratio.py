@@ -149,8 +149,7 @@ def _guarantee(choice: str, problem: Problem, gain: Gain) -> Guarantee:
     binding = max(shares, key=lambda name: shares[name])
     if not np.isfinite(shares[binding]):
         return Guarantee(reason="the loops have no bounded tube")
-    # Without caps U is what the wheel limits leave, to the last: its box of inputs would count too
-    # much.
+    # Without caps, U is exactly the wheel limits; a bounding box of U would overstate the speeds.
     has_caps = problem.scenario.operating.yaw_rate_deficit_radps is not None
     wheels = wheel_excess(problem) if has_caps else 1.0
     return Guarantee(shares[binding], wheels, binding, choice)

@@ -35,8 +35,8 @@ from sets.lyapunov import cost_of_gains
 from sets.polytope import Polytope, SupportFunction
 
 FACET_MULTIPLES = (1, 2)
-"""Facets that the invariant set used on line may have, times `terminal_facets`: every one of them
-is a row of every QP, so it is twice as many only where so few carry none."""
+"""Facets that the invariant set used on line may have, times `terminal_facets`. Each facet is a row
+of every QP, so the limit is doubled only if no invariant set with that many facets is found."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -102,7 +102,7 @@ class Tuner:
             self._last = self._prepare(np.array(point, float))
         return self._last
 
-    # Far from any design numbers overflow, and what comes of them is refused.
+    # Far from a feasible design, numbers overflow; the resulting errors are caught below.
     @np.errstate(all="ignore")
     def _prepare(self, point: Point) -> Candidate:
         try:

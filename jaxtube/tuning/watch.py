@@ -96,8 +96,10 @@ class Ended(Exception):
 
 @dataclass(eq=False)
 class Watch:
-    """Count of evaluations and iterates, and the best so far; `gentler` is the cure of a step that
-    went too far."""
+    """Count of evaluations and iterates, and the best so far.
+
+    `gentler`: advice appended when a step overshot.
+    """
 
     objective: Evaluate
     inspector: Inspect

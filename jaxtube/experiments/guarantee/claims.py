@@ -33,7 +33,7 @@ class Tested(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """How often something was seen under one law: in so many of how many laps, or plans that were
+    """Occurrences of an event under one law, out of so many trials: laps, or plans that were
     followed."""
 
     times: int

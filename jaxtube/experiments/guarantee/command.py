@@ -220,7 +220,7 @@ def summarise_attacks(
 
     Args:
         name: of the design.
-        design: it.
+        design: the attacked design.
         statistics: by law.
         reason: why starts are not spread over the feasible set, "" where they are.
     """

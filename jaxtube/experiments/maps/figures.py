@@ -156,7 +156,7 @@ def feasible_figure(sets: dict, operating: Float[np.ndarray, "8 3"]) -> Figure:
     """Draw volumes of the feasible set by horizon, and projections of the first and the last one.
 
     Args:
-        sets: from `maps_feasible.feasible_sets`.
+        sets: from `maps.feasible.feasible_sets`.
         operating: corners of E_op.
     """
     figure = page_figure(3.2)

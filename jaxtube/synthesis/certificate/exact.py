@@ -16,12 +16,14 @@ and the sets of the design by their float rows and offsets:
     nonempty, reach,     of the sets used on line, along the windows: `sets.robot.exact_tube`
     shifted, returns
 
-What is proved, is proved of Phi(th) and K(th). On line the gain is a float and so are the matrices
-of the prediction: `gains` says how close both are. The difference acts like a disturbance of some
-1e-12, and the back-off of the constraints, 1e-7 a stage, leaves room for it and for the solver's
-residual; this last step is not part of the proof. Nor is that the disturbances of the robot lie in
-W, which `sets.robot.disturbance` bounds by intervals, nor that the wheels keep up, nor that the
-wheel speeds of the reference are those of the windows, from which they differ by 1e-12 m/s at most.
+The proof is about Phi(th) and K(th). Not proved here:
+
+* the gain and the matrices of the prediction used on line, which are floats: `gains` says how close
+  they are. The difference acts like a disturbance of some 1e-12, and the back-off of the
+  constraints, 1e-7 a stage, leaves room for it and for the solver's slack;
+* that w lies in W, which `sets.robot.disturbance` bounds by intervals;
+* the wheel limits;
+* that the wheel speeds of the reference are those of the windows: they differ by at most 1e-12 m/s.
 """
 
 from __future__ import annotations

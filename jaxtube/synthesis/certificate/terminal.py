@@ -147,8 +147,8 @@ def _terminal_margins(design: Design) -> Iterator[dict[str, float]]:
 
 
 def has_any_order(design: Design) -> bool:
-    """Whether a tube along the reference may be asked for other orders: its gain is that of the
-    terminal set, which is in use."""
+    """Whether recursive feasibility can be checked for other orders: the tube follows the reference
+    with the terminal gain, and a terminal set is in use."""
     terminal = design.terminal
     settings = design.problem.scenario.controller
     return (
