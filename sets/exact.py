@@ -56,9 +56,6 @@ def exact_rows(rows: NumberRows, name: str = "rows") -> Matrix:
     return tuple(exact_row(row, name) for row in rows)
 
 
-# 1. Polytopes and disturbances
-
-
 def dot(left: Iterable[Fraction], right: Iterable[Fraction]) -> Fraction:
     """Return the sum of products."""
     return sum((a * b for a, b in zip(left, right, strict=True)), Fraction(0))
@@ -229,9 +226,6 @@ def exact_invariance_margin(
     return min(margins)
 
 
-# 2. Decrease of the cost
-
-
 def smallest_pivot(matrix: Matrix) -> Fraction:
     """Return the smallest pivot of L D L^T; it is >= 0 exactly when the symmetric matrix is
     positive semidefinite.
@@ -295,9 +289,6 @@ def decrease_pivot(
 def _subtract(left: Matrix, right: Matrix) -> Matrix:
     pairs = zip(left, right, strict=True)
     return tuple(tuple(a - b for a, b in zip(*rows, strict=True)) for rows in pairs)
-
-
-# 3. Report
 
 
 @dataclass(frozen=True)

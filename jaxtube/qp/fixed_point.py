@@ -66,10 +66,6 @@ class Iterate(NamedTuple):
     residual: Float[Array, " batch"]
 
 
-# ----------------------------------------------------------------------------------------------
-# how far from optimal a guess is
-
-
 def dual_scale(
     factors: Factors, q: Float[Array, "batch n"], optimum: Float[Array, "batch n"]
 ) -> Float[Array, " batch"]:
@@ -125,10 +121,6 @@ def keep_better(
     guess = Iterate(x, y, residual(factors, instances, x, y))
     wins = guess.residual < best.residual
     return jax.tree.map(lambda new, old: jnp.where(wins, new, old), guess, best)
-
-
-# ----------------------------------------------------------------------------------------------
-# the two methods
 
 
 def admm(

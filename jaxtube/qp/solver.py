@@ -118,10 +118,6 @@ def solve_batch(
     return jax.lax.cond(jnp.all(is_solved), lambda free: free, general, free)
 
 
-# ----------------------------------------------------------------------------------------------
-# derivative
-
-
 def solve_and_remember(factors: Factors, q, l, u) -> tuple[Solution, tuple]:
     """Solve; return the answers and what their derivative needs."""
     solution = solve_batch(factors, q, l, u)
@@ -160,10 +156,6 @@ def pull_back(saved: tuple, cotangent: Solution) -> tuple[Factors, Array, Array,
 
 
 solve_batch.defvjp(solve_and_remember, pull_back)
-
-
-# ----------------------------------------------------------------------------------------------
-# steps (2) to (5)
 
 
 def solve_constrained(factors: Factors, instances: Instances, free: Solution) -> Solution:

@@ -130,9 +130,6 @@ def widths(problem: Problem) -> Float[np.ndarray, "3"]:
     return problem.operating_set.support(np.eye(3))
 
 
-# --------------------------------------------------------------------------------- bounds and cost
-
-
 def row_bounds(bounds: Bounds, ahead: Prediction, xp: ModuleType = jnp) -> RowBounds:
     """Return the bounds in the order of the rows, in numpy or jax: opposite rows of E and U are one
     row with two bounds."""

@@ -130,9 +130,6 @@ class Records(StoreOwner):
     def _say_what_is_safe(self) -> str:
         return f"the {self.laps} laps recorded there are safe"
 
-    # ----------------------------------------------------------------------------------------------
-    # what is there
-
     def _missing(self, realisations: int) -> Iterator[int]:
         block = 0
         size = self._block_size
@@ -177,9 +174,6 @@ class Records(StoreOwner):
             return False
         return True
 
-    # ----------------------------------------------------------------------------------------------
-    # compaction
-
     def _compact(self, blocks: range) -> None:
         """Merge the siblings of a range into one record once all are there and full; then their
         parent's likewise."""
@@ -212,9 +206,6 @@ class Records(StoreOwner):
             del self._laps[blocks]
             problem = f"{_name(blocks)} was damaged meanwhile"
             raise self._store.fail(problem, self._say_what_is_safe()) from None
-
-    # ----------------------------------------------------------------------------------------------
-    # entries
 
     def _path(self, blocks: range) -> Path:
         return self._store.folder / _name(blocks)
