@@ -1,0 +1,1 @@
+"""The command line: `cli.main` reads the words and runs one command."""

@@ -1,0 +1,1 @@
+"""Search of worst cases: `falsify.falsify`."""

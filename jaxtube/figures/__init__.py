@@ -1,0 +1,1 @@
+"""Figures of laps, sets and usage, one function each."""

@@ -1,0 +1,1 @@
+"""Plants: `protocol.Plant` and its implementations in `slipping`, `linear` and `imperfect`."""

@@ -1,0 +1,1 @@
+"""Closed loops over the whole reference: `simulate.simulate`."""

@@ -1,0 +1,1 @@
+"""Statistics of many laps: `montecarlo.montecarlo`."""

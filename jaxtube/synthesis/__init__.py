@@ -1,0 +1,1 @@
+"""Designs from a scenario: `design.design`."""

@@ -1,0 +1,1 @@
+"""The command `guarantee`: `command.run`."""

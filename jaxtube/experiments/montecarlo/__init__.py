@@ -1,0 +1,1 @@
+"""The command `montecarlo`: `command.run`."""

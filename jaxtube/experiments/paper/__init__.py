@@ -1,0 +1,1 @@
+"""The command `paper`: `command.run`."""
