@@ -33,8 +33,7 @@ from jaxtube.synthesis.disturbance import with_computed_bound
 from jaxtube.synthesis.gains import decoupled_gain, exact_loops
 from jaxtube.synthesis.limits import input_constraints
 from jaxtube.synthesis.problem import Problem, make_problem
-from sets import certificate as check
-from sets.certificate import Certificate
+from sets.certificate import ROUNDING, Certificate
 from sets.invariant import MaximalRpi, maximal_rpi, minimal_rpi_bound
 from sets.polytope import Polytope, SupportFunction
 
@@ -77,7 +76,7 @@ def make_law(scenario: Scenario) -> BandedLaw:
     loops = np.concatenate([band.loops for band in bands])
     supports = [band.problem.disturbance_set.support for band in bands for _ in band.loops]
     caps = law_admissible_set(problem, bands)
-    inner = Polytope(caps.normals, caps.offsets * (1 - check.ROUNDING) - check.ROUNDING)
+    inner = Polytope(caps.normals, caps.offsets * (1 - ROUNDING) - ROUNDING)
     invariant = maximal_rpi(loops, inner, supports)
     shares = _cap_shares(problem, bands, loops, supports)
     certificate = certify_law(problem, bands, invariant.polytope, shares)

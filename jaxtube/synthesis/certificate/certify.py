@@ -17,8 +17,7 @@ from jaxtube.synthesis.certificate.terminal import check_any_order, check_termin
 from jaxtube.synthesis.gains import Region
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.tightening import BACK_OFF
-from sets import certificate as check
-from sets.certificate import Certificate, Condition, judge
+from sets.certificate import ROUNDING, Certificate, Condition, decrease_margin, judge
 
 GRID = 21
 """Wheel speeds, along each side of a region, at which loops are compared with mixtures of loops."""
@@ -59,7 +58,7 @@ def _conditions(design: Design) -> Iterator[Condition]:
 def _check_decrease(design: Design) -> Condition:
     problem = design.problem
     loops, gains = design.terminal.gains.pairs
-    margin = check.decrease_margin(
+    margin = decrease_margin(
         loops, gains, design.cost.cost, problem.error_weight, problem.input_weight
     )
     return judge(
@@ -87,7 +86,7 @@ def _check_coverage(design: Design) -> Condition:
             worst = max(worst, float(gain.coverage_gap(_grid(region), region).max()))
     return judge(
         "vertices_cover_schedule",
-        check.ROUNDING - worst,
+        ROUNDING - worst,
         "Every loop along the run and, on a grid, in the certified wheel speeds is a mixture of "
         "the corner loops.",
         "Some loop within the certified wheel speeds differs from mixtures of the corner loops by "

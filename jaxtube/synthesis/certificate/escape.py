@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from sets import certificate as check
+from sets.certificate import escape_excess
 from sets.invariant import Escape
 
 
@@ -16,5 +16,5 @@ def escape_margin(
     proved."""
     if escape is None:
         return -np.inf
-    excess, _ = check.escape_excess(loops, disturbance, escape.normal, escape.offset, escape.loops)
+    excess, _ = escape_excess(loops, disturbance, escape.normal, escape.offset, escape.loops)
     return -excess if excess > 0 else -np.inf

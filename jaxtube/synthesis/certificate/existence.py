@@ -13,8 +13,7 @@ from jaxtube.synthesis.gains import Gain, vertex_gain
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import admissible_set
-from sets import certificate as check
-from sets.certificate import Condition, judge
+from sets.certificate import ROUNDING, Condition, invariance_margin, judge
 from sets.invariant import maximal_rpi
 from sets.lmi import Objective, terminal_cost
 
@@ -57,8 +56,8 @@ def _say_whether_exists(problem: Problem, name: str, label: str, gain: Gain) -> 
     if maximal.polytope is not None:
         facets = len(maximal.polytope.offsets)
         margin = min(
-            check.invariance_margin(gain.loops, W.vertices(), maximal.polytope),
-            admissible.containment_margin(maximal.polytope) + check.ROUNDING,
+            invariance_margin(gain.loops, W.vertices(), maximal.polytope),
+            admissible.containment_margin(maximal.polytope) + ROUNDING,
         )
     else:
         facets = 0

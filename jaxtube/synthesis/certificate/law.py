@@ -16,8 +16,7 @@ from jaxtube.synthesis.certificate.robot import (
 from jaxtube.synthesis.disturbance import prove_bound
 from jaxtube.synthesis.gains import Gain, exact_loops
 from jaxtube.synthesis.problem import Problem
-from sets import certificate as check
-from sets.certificate import Certificate, Condition, judge
+from sets.certificate import ROUNDING, Certificate, Condition, invariance_margin, judge
 from sets.polytope import Polytope
 from sets.robot.disturbance import DisturbanceBound
 
@@ -93,7 +92,7 @@ def _check_invariance(
         margin = missing if missing < 0 else -np.inf
         return [Condition("invariant_set", margin, sentence)]
     margin = min(
-        check.invariance_margin(band.loops, band.problem.disturbance_set.vertices(), omega)
+        invariance_margin(band.loops, band.problem.disturbance_set.vertices(), omega)
         for band in bands
     )
     invariance = judge(
@@ -126,7 +125,7 @@ def _check_coverage(bands: tuple[LawBand, ...]) -> Condition:
     gap = max(coverage_gap(band) for band in bands)
     return judge(
         "vertices_cover_bands",
-        check.ROUNDING - gap,
+        ROUNDING - gap,
         "At sampled wheel speeds every loop of a band is a mixture of its corner loops, and its "
         "boxes cover them.",
         f"Some loop of a band differs from mixtures of its corner loops by {gap:.3g}.",
@@ -146,8 +145,8 @@ def coverage_gap(band: LawBand) -> float:
     these the corners'; infinite where the boxes miss some of the band."""
     shares = np.random.default_rng(0).dirichlet(np.ones(len(band.corners)), SAMPLES)
     points = np.concatenate([band.corners, shares @ band.corners])
-    lower = band.problem.regions[:, 0] - check.ROUNDING
-    upper = band.problem.regions[:, 1] + check.ROUNDING
+    lower = band.problem.regions[:, 0] - ROUNDING
+    upper = band.problem.regions[:, 1] + ROUNDING
     in_box = np.all((points[:, None] >= lower) & (points[:, None] <= upper), axis=2)
     if not in_box.any(axis=1).all():
         return np.inf

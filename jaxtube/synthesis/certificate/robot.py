@@ -13,8 +13,7 @@ from jaxtube.synthesis.certificate.period import find_disturbances, find_wheel_c
 from jaxtube.synthesis.disturbance import ground_speed_limits, prove_bound
 from jaxtube.synthesis.limits import error_vector
 from jaxtube.synthesis.problem import Problem
-from sets import certificate as check
-from sets.certificate import Condition, judge
+from sets.certificate import ROUNDING, Condition, judge
 from sets.robot.disturbance import DisturbanceBound
 
 PREMISE = "disturbance_bound_proved"
@@ -35,7 +34,7 @@ def check_true_error(problem: Problem) -> Condition:
     room = float(np.min(limits - problem.error_set.support(np.eye(3))))
     return judge(
         "true_error_in_e",
-        room + check.ROUNDING,
+        room + ROUNDING,
         "What the controller keeps of the measured error and the pose noise together lie in the "
         "error constraints.",
         f"With the pose noise the true error may leave the error constraints by {-room:.3g}.",
@@ -80,7 +79,7 @@ def _refute_disturbance_set(problem: Problem) -> Condition | None:
     # The noise of the next measurement is added to each, where it takes w furthest.
     reach = np.max(met @ W.normals.T, axis=0) + np.abs(W.normals) @ problem.noise
     room = float(np.min(W.offsets - reach))
-    if room + check.ROUNDING >= 0:
+    if room + ROUNDING >= 0:
         return None
     sentence = f"W is refuted: {_say_what_leaves(problem, met, room)}."
     return Condition(PREMISE, room, sentence, "robot")
@@ -100,7 +99,7 @@ def _prove_disturbance_set(problem: Problem) -> Condition:
     shares = _found_shares(bound)
     return judge(
         PREMISE,
-        margin + check.ROUNDING,
+        margin + ROUNDING,
         "W holds every disturbance of the slipping robot over everything certified, proved by "
         f"interval arithmetic; disturbances found reach {shares.min():.1%} to {shares.max():.1%} "
         "of the bound.",
@@ -157,7 +156,7 @@ def refute_wheel_limits(problem: Problem) -> Condition | None:
         float(np.min(robot.wheel_speed_max - commands)),
         float(np.min(commands - robot.wheel_speed_min)),
     )
-    if room + check.ROUNDING >= 0:
+    if room + ROUNDING >= 0:
         return None
     sentence = (
         f"Wheel speeds of {commands.min():.3f} to {commands.max():.3f} m/s may be asked for; the "

@@ -18,8 +18,14 @@ from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.windows import Windows
-from sets import certificate as check
-from sets.certificate import Condition, judge
+from sets.certificate import (
+    ROUNDING,
+    Condition,
+    judge,
+    nonempty_margin,
+    reach_supports,
+    sequence_reach,
+)
 from sets.polytope import Polytope
 
 NEVER_RESET_STEPS = 8
@@ -40,7 +46,7 @@ def check_stages(design: Design) -> Iterator[Condition]:
     margins = stage_margins(design)
     yield judge(
         "tightening_covers_reach",
-        margins.reach + check.ROUNDING,
+        margins.reach + ROUNDING,
         "Every stage is tightened by at least what products of loops and disturbances in W can "
         "reach.",
         f"Some stage is tightened by {-margins.reach:.3g} less than products of loops and "
@@ -49,7 +55,7 @@ def check_stages(design: Design) -> Iterator[Condition]:
     inclusion = margins.inclusion - design.solver_slack
     yield judge(
         "shifted_plan_inclusion",
-        inclusion + check.ROUNDING,
+        inclusion + ROUNDING,
         "R_{j+1} contains R_j + Psi_j W on every facet used: the shifted plan meets the tightened "
         "constraints.",
         f"R_(j+1) misses R_j + Psi_j W by {-inclusion:.3g} on some facet: the shifted plan may be "
@@ -79,7 +85,7 @@ def margins_along_reference(problem: Problem, windows: Windows, bounds: Bounds) 
         for j in range(problem.horizon):
             input_rows = problem.input_rows.on_errors(windows.gains[window, j])
             for taken, rows in ((taken_errors, error_rows), (taken_inputs, input_rows)):
-                reach, last = check.sequence_reach(loops[: max(j, 1)], W, rows)
+                reach, last = sequence_reach(loops[: max(j, 1)], W, rows)
                 reach_margin = min(reach_margin, np.min(taken[window, j] - reach[j]))
                 if j > 0:
                     growth = taken[window, j] - taken[followers, j - 1] - last[j - 1]
@@ -115,9 +121,7 @@ def _largest_reach(
     steps: int,
 ) -> tuple[Float[np.ndarray, " steps+1"], Float[np.ndarray, " steps+1"]]:
     """Return the largest reach along directions by step, and what the first disturbance adds."""
-    by_direction = [
-        check.reach_supports(gain.loops, W, direction, steps) for direction in directions
-    ]
+    by_direction = [reach_supports(gain.loops, W, direction, steps) for direction in directions]
     reach, last = np.max(by_direction, axis=0)
     return reach, last
 
@@ -130,14 +134,14 @@ def _check_not_empty(problem: Problem, bounds: Bounds) -> Iterator[Condition]:
         ("error_sets_not_empty", "E", error_sets),
         ("input_sets_not_empty", "U", input_sets),
     ):
-        radius = check.nonempty_margin(polytopes)
+        radius = nonempty_margin(polytopes)
         yield judge(
             name,
             radius,
             f"Every tightened set {letter}_j holds a ball of radius {radius:.4g}.",
             f"A tightened set {letter}_j is empty (radius {radius:.4g}).",
         )
-    radius = check.nonempty_margin(
+    radius = nonempty_margin(
         _distinct_sets(bounds.terminal_normals, np.asarray(bounds.terminal)[:, None])
     )
     yield judge(
@@ -164,7 +168,7 @@ def _check_never_reset(design: Design) -> Condition:
     first = min(1, problem.horizon - 1)
     taken = (problem.operating_set.offsets - design.bounds.errors[:, first]).min(axis=0)
     reach = [
-        check.reach_supports(design.tube_gain.loops, W, row, NEVER_RESET_STEPS)[0][-1]
+        reach_supports(design.tube_gain.loops, W, row, NEVER_RESET_STEPS)[0][-1]
         for row in problem.operating_set.normals
     ]
     margin = float(np.min(taken - reach))

@@ -20,8 +20,7 @@ from jaxtube.synthesis.terminal import Terminal, admissible_set, set_back_off
 from jaxtube.synthesis.tightening import tighten
 from jaxtube.synthesis.tubes import make_following_tube
 from jaxtube.synthesis.windows import Windows, make_windows
-from sets import certificate as check
-from sets.certificate import Condition, judge
+from sets.certificate import ROUNDING, Condition, invariance_margin, judge, terminal_margins
 from sets.polytope import Polytope
 
 RANDOM_STEPS = 12
@@ -41,7 +40,7 @@ def check_terminal(design: Design) -> Iterator[Condition]:
     if terminal.invariant is None:
         yield _judge_absence(design)
     else:
-        margin = check.invariance_margin(
+        margin = invariance_margin(
             terminal.gains.loops, _points_to_absorb(design), terminal.invariant
         )
         yield judge(
@@ -182,7 +181,7 @@ def check_any_order(design: Design) -> Condition:
         for now, following in set(pairwise(windows.index.tolist()))
     ]
     margin = min(
-        stages.reach + check.ROUNDING,
+        stages.reach + ROUNDING,
         stages.inclusion - design.solver_slack,
         min(returns) - design.solver_slack,
         left.min(),
@@ -218,7 +217,7 @@ def _margins_in_any_order(design: Design) -> dict[str, float]:
     gains = design.terminal.gains
     last = problem.horizon - 1
     last_reach = _products(design.tube_gain, problem.disturbance_set.vertices(), last)
-    return check.terminal_margins(
+    return terminal_margins(
         Polytope(bounds.terminal_normals, bounds.terminal.max(axis=0)),
         Polytope(bounds.terminal_normals, bounds.terminal.min(axis=0)),
         gains.loops,
@@ -247,7 +246,7 @@ def _margins_along(
     points = problem.disturbance_set.vertices()
     for loop in windows.loops[now, 1:]:
         points = points @ loop.T
-    return check.terminal_margins(
+    return terminal_margins(
         Polytope(bounds.terminal_normals, bounds.terminal[now]),
         Polytope(bounds.terminal_normals, bounds.terminal[following]),
         terminal.gains.loops_along(schedule)[None],
