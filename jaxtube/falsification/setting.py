@@ -80,7 +80,7 @@ class LoopLimits(NamedTuple):
         return self.of_plans if name in self.of_plans else self.of_laps
 
     def choose_names(self, target: str) -> list[str]:
-        """Return the limits of a target that the loop has, in the order of the table.
+        """Return the limits of a target that the closed loop has, in the order of the table.
 
         Raises:
             ValueError: for an unknown target, or the tube of a controller that keeps none.
@@ -150,24 +150,24 @@ def make_setting(
     """
     if starts == "scenario" and isinstance(controller, str):
         refuse_infeasible_start(design)
-    loop = choose_controller(design, controller)
-    acting = _require_searchable(choose_plant(design, plant, slip))
+    acting_controller = choose_controller(design, controller)
+    acting_plant = _require_searchable(choose_plant(design, plant, slip))
     try:
-        acting.uncertainties()
+        acting_plant.uncertainties()
     except ValueError as error:
         is_of_scenario = slip is None and isinstance(plant, str)
         raise ScenarioError(f"scenario: {error}" if is_of_scenario else str(error)) from None
-    planner = choose_planner(design, controller, loop)
+    planner = choose_planner(design, controller, acting_controller)
     names = ["error", "input"]
-    if acting.has_wheels:
+    if acting_plant.has_wheels:
         names.append("wheels")
     if planner is not None:
         names.append("tube")
     return Setting(
         limits=make_loop_limits(design, name_choice(controller), name_choice(plant), names),
-        controller=loop,
+        controller=acting_controller,
         planner=planner,
-        plant=acting,
+        plant=acting_plant,
         plan_steps=find_plan_steps(design) if planner else np.zeros(1, int),
         starts=choose_start_vertices(design, starts, seed),
     )
@@ -191,12 +191,12 @@ def _require_searchable(plant: Plant) -> SearchablePlant:
 
 
 def choose_planner(
-    design: Design, controller: ControllerChoice, loop: Controller
+    design: Design, controller: ControllerChoice, acting_controller: Controller
 ) -> TubeMpc | None:
     """Return the tube-MPC whose plans the tube is judged at, restarted at the measured error; None
     for a controller that keeps no tube."""
     if not isinstance(controller, str):
-        return planner_of(loop)
+        return planner_of(acting_controller)
     if controller != "tube_mpc":
         return None
     return dataclasses.replace(closed_loop.make_tube_mpc(design), restart=True)

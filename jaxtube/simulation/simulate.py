@@ -155,8 +155,8 @@ def simulate(
     Raises:
         ValueError: one line, for an unknown name, or a controller of other shapes.
     """
-    loop = choose_controller(design, controller)
-    acting = choose_plant(design, plant, slip)
+    acting_controller = choose_controller(design, controller)
+    acting_plant = choose_plant(design, plant, slip)
     if isinstance(starts, str):
         keys = realisation_keys(seed, 0, laps)
         errors = np.asarray(choose_starts(design, starts).draw(keys))
@@ -166,7 +166,7 @@ def simulate(
             raise ValueError(
                 f"starts: shape {errors.shape} is not (laps, 3); give one initial error a lap"
             )
-    trajectory = closed_loop.run_realisations(loop, acting, errors, seed)
+    trajectory = closed_loop.run_realisations(acting_controller, acting_plant, errors, seed)
     return Laps(design, name_choice(controller), name_choice(plant), seed, trajectory)
 
 

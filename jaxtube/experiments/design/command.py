@@ -117,8 +117,10 @@ def simulate_disturbance(made: Design, seed: int) -> dict:
     for.
     """
     starts = np.tile(made.problem.initial_error, (closed_loop.BLOCK, 1))
-    loop = closed_loop.controllers(made)["local_gain"]
-    trajectory = closed_loop.run_realisations(loop, closed_loop.slipping_robot(made), starts, seed)
+    controller = closed_loop.controllers(made)["local_gain"]
+    trajectory = closed_loop.run_realisations(
+        controller, closed_loop.slipping_robot(made), starts, seed
+    )
     disturbances = closed_loop.model_residuals(made, trajectory)
     if made.problem.disturbance_bound is not None:
         disturbances = disturbances[within_caps(made, trajectory)][:, None]

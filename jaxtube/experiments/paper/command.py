@@ -126,17 +126,17 @@ def simulate_laps(
     """
     laps = options.realisations
     stress_runs = STRESS_RUNS * laps
-    loops = closed_loop.controllers(design)
-    total = (len(loops) + 1) * laps + 2 * len(stress.CASES) * stress_runs
+    controllers = closed_loop.controllers(design)
+    total = (len(controllers) + 1) * laps + 2 * len(stress.CASES) * stress_runs
     plant = closed_loop.slipping_robot(design)
     starts = np.tile(design.problem.initial_error, (laps, 1))
     tube_mpc = closed_loop.make_tube_mpc(design)
     other = dataclasses.replace(tube_mpc, restart=not tube_mpc.restart)
     with progress(total, "simulating", "laps") as bar:
         by_name = {}
-        for name, loop in (loops | {"other": other}).items():
+        for name, controller in (controllers | {"other": other}).items():
             by_name[name] = closed_loop.run_realisations(
-                loop, plant, starts, options.seed, bar.update
+                controller, plant, starts, options.seed, bar.update
             )
         other_restart = by_name.pop("other")
         under_stress = stress.run(stressed, boundary, stress_runs, options.seed, bar.update)
@@ -167,12 +167,12 @@ def _metrics(design: Design, simulated: Simulated) -> dict:
 
 def _save_noise_free(design: Design, folder: RunFolder) -> None:
     """Save e(k) of one lap of each controller with the slip known exactly and no noise."""
-    loops = closed_loop.controllers(design)
+    controllers = closed_loop.controllers(design)
     plant = closed_loop.exact_robot(design)
     start = design.problem.initial_error[None]
     laps = {}
     for name in NOISE_FREE:
-        laps[name] = closed_loop.run_realisations(loops[name], plant, start, 0).errors[:, 0]
+        laps[name] = closed_loop.run_realisations(controllers[name], plant, start, 0).errors[:, 0]
     folder.save_arrays("noise_free", **laps)
 
 

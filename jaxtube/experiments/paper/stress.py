@@ -67,15 +67,15 @@ def run(
         "slip_constant": closed_loop.slipping_robot(design, "constant"),
         "slip_patches": closed_loop.slipping_robot(design, "patches"),
     }
-    loops = {
+    controllers = {
         "tube_mpc": closed_loop.make_tube_mpc(design),
         "plain_mpc": closed_loop.make_plain_mpc(design),
     }
     runs = {}
     for case, plant in plants.items():
         runs[case] = {
-            name: closed_loop.run_realisations(loop, plant, starts, seed, advanced)
-            for name, loop in loops.items()
+            name: closed_loop.run_realisations(controller, plant, starts, seed, advanced)
+            for name, controller in controllers.items()
         }
     return Stress(boundary, starts, runs)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from jaxtube.synthesis.parts import Design
 
 
-def disturbance_line(design: Design, disturbance: dict, loop: str) -> str:
+def disturbance_line(design: Design, disturbance: dict, controller: str) -> str:
     """Return in words how often and how far w left W in simulated steps of a loop.
 
     A W that was computed and is left is refuted, whatever the certificate says.
@@ -13,7 +13,7 @@ def disturbance_line(design: Design, disturbance: dict, loop: str) -> str:
     steps = disturbance["steps"]
     if disturbance["margin"] >= 0:
         return (
-            f"seen in simulation: in {steps} steps of {loop} no w left W: not refuted, which "
+            f"seen in simulation: in {steps} steps of {controller} no w left W: not refuted, which "
             "proves nothing"
         )
     parts = []
@@ -26,7 +26,7 @@ def disturbance_line(design: Design, disturbance: dict, loop: str) -> str:
         )
     share = disturbance["share_of_steps_outside"]
     line = (
-        f"seen in simulation: w lies outside W in {share:.1%} of {steps} steps of {loop} "
+        f"seen in simulation: w lies outside W in {share:.1%} of {steps} steps of {controller} "
         f"({'; '.join(parts)})"
     )
     if design.problem.disturbance_bound is None:
