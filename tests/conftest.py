@@ -132,6 +132,6 @@ def paper_laps(paper_design):
 
     from jaxtube.simulation import closed_loop
 
-    starts = np.tile(paper_design.problem.initial_error, (closed_loop.BLOCK, 1))
+    starts = np.tile(paper_design.problem.initial_error, (closed_loop.BATCH, 1))
     loop = closed_loop.controllers(paper_design)["tube_mpc"]
     return closed_loop.run_realisations(loop, closed_loop.slipping_robot(paper_design), starts, 0)

@@ -111,7 +111,7 @@ def recount(case, laps: Trajectory, first: int) -> dict:
     checks = case.task.checks
     sets = case.sets
     steps, count = laps.inputs.shape[:2]
-    w = closed_loop.model_residuals(case.design, laps)
+    w = closed_loop.model_disturbances(case.design, laps)
     e = laps.errors[1:]
     flags = flags_of(case, laps, w)
     late = e[checks.settled - 1 :]

@@ -31,7 +31,7 @@ from jaxtube.simulation.rollout import (
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem, error_vector
 
-BLOCK = 256
+BATCH = 256
 """Realisations a call: fixed, so that the length of a run changes no result."""
 
 PLAN_DISTANCE = 10
@@ -152,11 +152,11 @@ def run_realisations(
         advanced: called with the number of realisations of each block that has been run.
     """
     blocks = []
-    for first in range(0, len(starts), BLOCK):
-        block = starts[first : first + BLOCK]
-        missing = BLOCK - len(block)
+    for first in range(0, len(starts), BATCH):
+        block = starts[first : first + BATCH]
+        missing = BATCH - len(block)
         padded = np.concatenate([block, np.repeat(block[-1:], missing, axis=0)])
-        keys = realisation_keys(seed, first, BLOCK)
+        keys = realisation_keys(seed, first, BATCH)
         trajectory = rollout(controller, plant, keys, jnp.asarray(padded))
         blocks.append(jax.tree.map(partial(_take_first, len(block)), trajectory))
         if advanced:
@@ -168,7 +168,7 @@ def _take_first(count: int, array: Array) -> np.ndarray:
     return np.asarray(array)[:, :count]
 
 
-def model_residuals(design: Design, trajectory: Trajectory) -> Float[np.ndarray, "steps runs 3"]:
+def model_disturbances(design: Design, trajectory: Trajectory) -> Float[np.ndarray, "steps runs 3"]:
     """Return w(k) = e(k+1) - A(th_k) e(k) - B u(k) of the measured errors."""
     problem = design.problem
     transitions, inputs = problem.model.matrices(problem.schedule[: problem.reference.steps])
@@ -188,7 +188,7 @@ def plan_deviations(
     For a tube that follows the reference only at steps that have the window ahead whose sections
     are shown.
     """
-    count = min(trajectory.errors.shape[1], BLOCK)
+    count = min(trajectory.errors.shape[1], BATCH)
     keys = realisation_keys(seed, 0, count)
     deviations = []
     for step in _planning_steps(design):

@@ -55,7 +55,7 @@ def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
         np.asarray, rollout(task.controller, task.plant, keys, task.starts.draw(keys))
     )
     trajectory = jax.tree.map(lambda array: array[:, 0], batch)
-    disturbance = closed_loop.model_residuals(design, batch)[:, 0]
+    disturbance = closed_loop.model_disturbances(design, batch)[:, 0]
     slips = None
     if isinstance(task.plant, SlippingRobot):
         slips = np.asarray(slip_deviations(task.plant, keys, jnp.asarray(batch.errors)))[:, 0]

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from jaxtube.synthesis.disturbance import ground_speed_limits, kinematics, operation
 from jaxtube.synthesis.limits import error_vector
 from jaxtube.synthesis.problem import Problem, region_corners
-from sets.robot.plant import Period, split_residual
+from sets.robot.plant import Period, split_disturbance
 
 DIRECTIONS = 120
 """Facets of the polygon around the minimal RPI set in (e_y, e_th)."""
@@ -153,7 +153,7 @@ class Estimate:
         V_r, V_l = self.corners[of_corner.astype(int)].T
         noise = side * self.noise[:, None]
         variables = (e_x, e_y, e_th, u1, u2, V_r, V_l, d_r, d_l, *noise)
-        parts = split_residual(self.kinematics, self.period, variables)
+        parts = split_disturbance(self.kinematics, self.period, variables)
         widths = [np.max(np.abs(coordinate)) for coordinate in parts.rest]
         box = np.array([*(widths + self.noise[:2]), 2 * self.noise[2]])
         least = float(min(parts.right.min(), parts.left.min()))

@@ -1,8 +1,8 @@
 """Sets of a wheeled robot that slips: the disturbance its linear model leaves out, and tubes
 re-checked exactly.
 
-    plant         the sampled robot's residual, split by cause
-    disturbance   W, which holds every residual over an operating set
+    plant         the disturbance that the sampled robot adds to its model, split by cause
+    disturbance   W, which holds every disturbance over an operating set
     exact_tube    loops under decoupled gains and tubes along a schedule, in rational arithmetic
 """
 
@@ -11,7 +11,7 @@ from sets.robot.disturbance import (
     Operation,
     disturbance_bound,
     disturbance_parts,
-    model_residual,
+    evaluate_disturbance,
     wheel_error_bound,
 )
 from sets.robot.exact_tube import (
@@ -23,7 +23,7 @@ from sets.robot.exact_tube import (
     schedule_box,
     sequence_margins,
 )
-from sets.robot.plant import Kinematics, Parts, Period, plane_rows, split_residual
+from sets.robot.plant import Kinematics, Parts, Period, plane_rows, split_disturbance
 
 __all__ = [
     "DisturbanceBound",
@@ -35,13 +35,13 @@ __all__ = [
     "UsedOffsets",
     "disturbance_bound",
     "disturbance_parts",
+    "evaluate_disturbance",
     "exact_vertex_feedbacks",
     "exact_vertex_loops",
     "exact_wheel_loops",
-    "model_residual",
     "plane_rows",
     "schedule_box",
     "sequence_margins",
-    "split_residual",
+    "split_disturbance",
     "wheel_error_bound",
 ]

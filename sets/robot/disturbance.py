@@ -22,7 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sets.polytope import Polytope, hull_vertices
-from sets.robot.plant import Kinematics, Parts, Period, split_residual
+from sets.robot.plant import Kinematics, Parts, Period, split_disturbance
 from sets.supremum import suprema
 
 READINGS = ("true", "measured", "both")
@@ -109,7 +109,7 @@ class Operation:
 
     @property
     def box(self) -> Float[np.ndarray, "2 12"]:
-        """Ends of the twelve variables of `split_residual`, the coupling left aside."""
+        """Ends of the twelve variables of `split_disturbance`, the coupling left aside."""
         magnitudes = np.concatenate([self.wheel_error, self.noise])
         schedule = np.stack([self.schedules[:, 0].min(axis=0), self.schedules[:, 1].max(axis=0)])
         return np.hstack([self.errors, self.inputs, schedule, np.stack([-magnitudes, magnitudes])])
@@ -156,7 +156,7 @@ class Operation:
         return (self.errors[0, 0] + self.errors[1, 0]) / 2
 
     def variables(self, piece) -> list:
-        """Return the twelve variables of `split_residual` from the fourteen of a piece."""
+        """Return the twelve variables of `split_disturbance` from the fourteen of a piece."""
         share, *others, reach, slope = piece
         return [share * (reach + slope * others[3]) + self._middle, *others]
 
@@ -263,7 +263,7 @@ def disturbance_bound(
     period = operation.period
 
     def outputs(piece):
-        parts = split_residual(kinematics, period, operation.variables(piece))
+        parts = split_disturbance(kinematics, period, operation.variables(piece))
         return parts.yaw, *parts.rest, parts.right, parts.left
 
     lower, upper = operation.pieces()
@@ -316,7 +316,7 @@ def disturbance_parts(
     period = operation.period
 
     def outputs(piece):
-        parts: Parts = split_residual(kinematics, period, operation.variables(piece))
+        parts: Parts = split_disturbance(kinematics, period, operation.variables(piece))
         vectors = [getattr(parts, cause) for cause in CAUSES]
         return parts.yaw, *chain.from_iterable(vectors)
 
@@ -335,7 +335,7 @@ def disturbance_parts(
     return widths
 
 
-def model_residual(
+def evaluate_disturbance(
     operation: Operation,
     kinematics: Kinematics,
     points: Float[np.ndarray, "samples 12"],
@@ -348,14 +348,14 @@ def model_residual(
     Args:
         operation: gives dt, track width and g_y; its boxes are not consulted.
         kinematics: input map and model.
-        points: the twelve variables of `split_residual`.
+        points: the twelve variables of `split_disturbance`.
         next_noise: noise of the measurement after the period (m, m, rad).
 
     Returns:
         w (m, m, rad), yaw kicks, rad, and commanded ground speeds (right, left), m/s; exact up to
         rounding.
     """
-    parts = split_residual(kinematics, operation.period, points.T)
+    parts = split_disturbance(kinematics, operation.period, points.T)
     lateral = parts.rest.y + operation.period.lateral_per_yaw * parts.yaw
     heading = parts.yaw - points[:, -1]
     w = np.stack([parts.rest.x, lateral, heading], axis=-1) + next_noise

@@ -1,4 +1,4 @@
-"""The residual of the linear model over one period of the sampled, slipping robot, by cause.
+"""The disturbance of the linear model over one period of the sampled, slipping robot, by cause.
 
     e+ = f(e_m - n, v_a, w_a) + n+        w = e+ - A(th) e_m - B(th) u
 
@@ -133,8 +133,8 @@ class Parts(NamedTuple):
         return self.bilinear.plus(self.sine).plus(self.sampling).plus(self.slip).plus(self.noise)
 
 
-def split_residual(kinematics: Kinematics, period: Period, variables: Iterable) -> Parts:
-    """Split the residual of the model by cause.
+def split_disturbance(kinematics: Kinematics, period: Period, variables: Iterable) -> Parts:
+    """Split the disturbance w of the model by cause.
 
     Args:
         kinematics, period: what maps, predicts and measures.

@@ -109,7 +109,7 @@ def test_the_usage_of_laps_is_that_of_their_worst_period(paper_design):
     error, disturbance, wheels, without_plan = lap_usage(paper_design, laps)
     limits = problem.error_set.offsets[:3]
     np.testing.assert_allclose(error, np.abs(errors).max(axis=(0, 1)) / limits)
-    w = closed_loop.model_residuals(paper_design, laps).reshape(-1, 3)
+    w = closed_loop.model_disturbances(paper_design, laps).reshape(-1, 3)
     W = problem.disturbance_set
     for share, is_inside in ((disturbance * 1.001, True), (disturbance * 0.999, False)):
         assert np.all(W.normals @ w.T <= share * W.offsets[:, None]) == is_inside

@@ -159,7 +159,7 @@ def test_the_design_command_writes_what_was_designed(
     found = metrics_of(tmp_path)
     check_design_metrics(found, robust_design)
     steps = robust_design.problem.reference.steps
-    assert found["disturbance"]["steps"] == closed_loop.BLOCK * steps
+    assert found["disturbance"]["steps"] == closed_loop.BATCH * steps
     assert {path.name for path in tmp_path.iterdir()} == {
         "metrics.json",
         "manifest.json",

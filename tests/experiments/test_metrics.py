@@ -134,26 +134,26 @@ def test_a_run_shorter_than_the_transient_is_judged_by_where_it_ends(paper_desig
 def test_residuals_are_what_the_model_does_not_predict(paper_design):
     trajectory = made_up()
     problem = paper_design.problem
-    residuals = closed_loop.model_residuals(paper_design, trajectory)
+    disturbances = closed_loop.model_disturbances(paper_design, trajectory)
     for step in (0, 57, 114, 299):
         A, B = model(problem, problem.schedule[step])
         for run in (0, 7):
             expected = trajectory.measured[step + 1, run] - A @ trajectory.measured[step, run]
             expected = expected - B @ trajectory.inputs[step, run]
-            np.testing.assert_allclose(residuals[step, run], expected, atol=CLOSED_LOOP)
+            np.testing.assert_allclose(disturbances[step, run], expected, atol=CLOSED_LOOP)
 
 
 def test_disturbances_outside_W_are_counted_step_by_step(paper_design):
     widths = np.array([0.005, 0.005, np.deg2rad(0.2)])
-    residuals = widths * np.random.default_rng(1).uniform(-0.9, 0.9, (STEPS, RUNS, 3))
-    inside = metrics.disturbance_metrics(paper_design, residuals)
+    disturbances = widths * np.random.default_rng(1).uniform(-0.9, 0.9, (STEPS, RUNS, 3))
+    inside = metrics.disturbance_metrics(paper_design, disturbances)
     assert inside["share_of_steps_outside"] == 0
     assert inside["runs_with_every_w_inside"] == RUNS
-    assert inside["margin"] == pytest.approx(np.min(widths - np.abs(residuals)))
-    residuals[3, 0] = widths * [1.5, 0.5, -3.0]
-    residuals[4, 0, 1] = -1.2 * widths[1]
-    residuals[4, 1, 2] = np.nan
-    found = metrics.disturbance_metrics(paper_design, residuals)
+    assert inside["margin"] == pytest.approx(np.min(widths - np.abs(disturbances)))
+    disturbances[3, 0] = widths * [1.5, 0.5, -3.0]
+    disturbances[4, 0, 1] = -1.2 * widths[1]
+    disturbances[4, 1, 2] = np.nan
+    found = metrics.disturbance_metrics(paper_design, disturbances)
     steps = STEPS * RUNS
     assert found["steps"] == steps
     assert found["share_of_steps_outside"] == pytest.approx(3 / steps)
@@ -161,8 +161,8 @@ def test_disturbances_outside_W_are_counted_step_by_step(paper_design):
         numbers(found["share_of_steps_outside_by_coordinate"]), np.array([1, 1, 2]) / steps
     )
     assert found["runs_with_every_w_inside"] == RUNS - 2
-    residuals[4, 1, 2] = 0
-    found = metrics.disturbance_metrics(paper_design, residuals)
+    disturbances[4, 1, 2] = 0
+    found = metrics.disturbance_metrics(paper_design, disturbances)
     np.testing.assert_allclose(numbers(found["largest"]), [0.0075, 0.006, 0.6])
     np.testing.assert_allclose(numbers(found["allowed"]), [0.005, 0.005, 0.2])
     assert found["margin"] == pytest.approx(-2 * widths[2])

@@ -17,7 +17,7 @@ from sets.tubes import sequence_tube
 AT_A_VERTEX = 1e-8
 """Relative; a disturbance of 3 mm rebuilt from errors of order one."""
 
-BATCH = closed_loop.BLOCK
+BATCH = closed_loop.BATCH
 STEPS = 300
 
 
@@ -45,7 +45,7 @@ def test_disturbances_of_the_linear_plant_are_those_drawn(robust_design, stresse
     )(jnp.arange(STEPS))
     np.testing.assert_allclose(disturbances[:, :BATCH], drawn, atol=CLOSED_LOOP)
     np.testing.assert_allclose(
-        closed_loop.model_residuals(robust_design, stressed["tube_mpc"]),
+        closed_loop.model_disturbances(robust_design, stressed["tube_mpc"]),
         disturbances,
         atol=CLOSED_LOOP,
     )

@@ -14,7 +14,7 @@ from tolerances import CLOSED_LOOP, ROUNDING, WORLD_FRAME
 from jaxtube.simulation import closed_loop
 from jaxtube.simulation.rollout import realisation_keys, rollout
 
-BATCH = closed_loop.BLOCK
+BATCH = closed_loop.BATCH
 DT = 0.1
 TRACK_WIDTH = 0.5
 STEPS = 300

@@ -13,7 +13,7 @@ from jaxtube.synthesis.certificate import law as law_certificate
 from jaxtube.synthesis.certificate.law import LawBand
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.disturbance import kinematics, operation
-from sets.robot.disturbance import model_residual
+from sets.robot.disturbance import evaluate_disturbance
 
 SLOWEST = 0.62  # the three faster bands of the scenario: W of the slow ones takes as long again
 
@@ -79,7 +79,7 @@ def test_disturbances_of_a_band_lie_in_its_w(law):
         room = a * np.maximum(1 - np.abs(points[:, 4]) / b, 0)
         points[:, 0] = np.clip(points[:, 0], -room, room)
         noise = random.choice([-1, 1], (count, 3)) * where.noise
-        w, _, _ = model_residual(where, kinematics(band.problem), points, noise)
+        w, _, _ = evaluate_disturbance(where, kinematics(band.problem), points, noise)
         assert band.problem.disturbance_set.margin(w).min() >= -ROUNDING
 
 

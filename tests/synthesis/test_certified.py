@@ -27,7 +27,7 @@ from jaxtube.synthesis.optimise import STARTS, caps_and_gains, optimise
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.terminal import admissible_set
 from sets.invariant import maximal_rpi, minimal_rpi_bound
-from sets.robot.disturbance import model_residual
+from sets.robot.disturbance import evaluate_disturbance
 
 # The reference design: its caps, gains, and the W, supports and volume that came with it.
 REFERENCE = [
@@ -111,7 +111,7 @@ def test_disturbances_of_the_coupled_operation_lie_in_w(certified):
     kept = room > 0
     points[:, 0] = np.clip(points[:, 0], -room, room)  # many of them on the coupling's edge
     noise = random.choice([-1, 1], (count, 3)) * where.noise
-    w, _, speeds = model_residual(where, kinematics(problem), points[kept], noise[kept])
+    w, _, speeds = evaluate_disturbance(where, kinematics(problem), points[kept], noise[kept])
     assert problem.disturbance_set.margin(w).min() >= -ROUNDING
     assert np.all(speeds >= bound.ground_speeds[0]) and np.all(speeds <= bound.ground_speeds[1])
     reached = np.abs(w).max(axis=0) / bound.support(np.eye(3))

@@ -14,7 +14,7 @@ from jaxtube.synthesis.certificate.period import (
 )
 from jaxtube.synthesis.disturbance import complete_problem, kinematics, operation
 from jaxtube.synthesis.problem import make_problem
-from sets.robot.disturbance import model_residual
+from sets.robot.disturbance import evaluate_disturbance
 
 COUNT = 500
 
@@ -44,7 +44,7 @@ def disturbances_by_the_bounds_plant(problem, situations):
         ]
     )
     none = np.zeros_like(situations.noise)
-    w, _, _ = model_residual(operation(problem), kinematics(problem), points, none)
+    w, _, _ = evaluate_disturbance(operation(problem), kinematics(problem), points, none)
     return w
 
 

@@ -102,7 +102,7 @@ class ImperfectLaps:
         return LapUsage(*map(np.array, zip(*by_process, strict=True)))
 
     def _simulate(self, controller: TubeMpc, plant: ImperfectRobot) -> Trajectory:
-        if len(self.starts) >= closed_loop.BLOCK:
+        if len(self.starts) >= closed_loop.BATCH:
             return closed_loop.run_realisations(controller, plant, self.starts, self.seed)
         # Without the padding of a block: a quick look stays quick.
         keys = realisation_keys(self.seed, 0, len(self.starts))
@@ -115,9 +115,9 @@ def lap_usage(design: Design, trajectory: Trajectory) -> tuple:
     robot = problem.robot
     W = problem.disturbance_set
     error = np.max(np.abs(trajectory.errors), axis=(0, 1)) / problem.error_set.offsets[:3]
-    residuals = closed_loop.model_residuals(design, trajectory) @ W.normals.T
+    disturbances = closed_loop.model_disturbances(design, trajectory) @ W.normals.T
     middle = (robot.wheel_speed_max + robot.wheel_speed_min) / 2
     reach = (robot.wheel_speed_max - robot.wheel_speed_min) / 2
     wheels = np.max(np.abs(trajectory.demanded - middle)) / reach
     without_plan = float(np.sum(trajectory.diagnostics.status != qp.SOLVED))
-    return error, np.max(residuals / W.offsets), wheels, without_plan
+    return error, np.max(disturbances / W.offsets), wheels, without_plan

@@ -69,7 +69,7 @@ def attack(law: BandedLaw, process: str, seed: int, advanced: Callable[[], objec
     total = NO_LAPS
     for index in range(REFERENCES):
         reference = random_reference(law, np.random.default_rng([seed, index]))
-        keys = realisation_keys(seed, index * closed_loop.BLOCK, closed_loop.BLOCK)
+        keys = realisation_keys(seed, index * closed_loop.BATCH, closed_loop.BATCH)
         gains = jnp.asarray(law.gains(reference.wheels))
         controller = ScheduledGain(gains, closed_loop.make_wheel_map(law.problem))
         trajectory = closed_loop.run_realisations(

@@ -116,12 +116,12 @@ def simulate_disturbance(made: Design, seed: int) -> dict:
     Of a computed W only steps count in which measured error and input lie in what it was computed
     for.
     """
-    starts = np.tile(made.problem.initial_error, (closed_loop.BLOCK, 1))
+    starts = np.tile(made.problem.initial_error, (closed_loop.BATCH, 1))
     controller = closed_loop.controllers(made)["local_gain"]
     trajectory = closed_loop.run_realisations(
         controller, closed_loop.slipping_robot(made), starts, seed
     )
-    disturbances = closed_loop.model_residuals(made, trajectory)
+    disturbances = closed_loop.model_disturbances(made, trajectory)
     if made.problem.disturbance_bound is not None:
         disturbances = disturbances[within_caps(made, trajectory)][:, None]
     return metrics.disturbance_metrics(made, disturbances)

@@ -150,7 +150,7 @@ def _metrics(design: Design, simulated: Simulated) -> dict:
     problem = design.problem
     laps = simulated.laps
     schedule = problem.schedule[: problem.reference.steps]
-    residuals = closed_loop.model_residuals(design, laps["tube_mpc"])
+    disturbances = closed_loop.model_disturbances(design, laps["tube_mpc"])
     return {
         "controllers": {
             name: metrics.controller_metrics(design, lap) for name, lap in laps.items()
@@ -160,7 +160,7 @@ def _metrics(design: Design, simulated: Simulated) -> dict:
             **metrics.controller_metrics(design, simulated.other_restart),
         },
         "reference_wheel_speed_mean_mps": float(schedule.mean()),
-        "disturbance": metrics.disturbance_metrics(design, residuals),
+        "disturbance": metrics.disturbance_metrics(design, disturbances),
         "plan_deviations": metrics.deviation_metrics(design, simulated.deviations),
     }
 

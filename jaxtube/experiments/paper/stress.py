@@ -91,11 +91,11 @@ def metrics(design: Design, stress: Stress) -> dict:
 def _metrics(design: Design, trajectory: Trajectory) -> dict:
     limits = design.problem.error_set.offsets[:3]
     widths = design.problem.disturbance_set.support(np.eye(3))
-    residuals = closed_loop.model_residuals(design, trajectory)
+    disturbances = closed_loop.model_disturbances(design, trajectory)
     diagnostics = trajectory.diagnostics
     outside = ~np.all(np.abs(trajectory.errors) <= limits, axis=(0, 2))
     # On the linear plant w is drawn in W; rounding of the reconstruction must not count.
-    in_w = np.all(np.abs(residuals) <= widths * (1 + 1e-9), axis=(0, 2))
+    in_w = np.all(np.abs(disturbances) <= widths * (1 + 1e-9), axis=(0, 2))
     no_plan = np.asarray(diagnostics.status) != qp.SOLVED
     stopped = no_plan.any(axis=0)
     return {

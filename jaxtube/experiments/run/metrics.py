@@ -157,12 +157,12 @@ def _spread(values: Float[np.ndarray, "runs 3"]) -> dict:
     return {name: by_coordinate(values.tolist()) for name, values in statistics.items()}
 
 
-def disturbance_metrics(design: Design, residuals: Float[np.ndarray, "steps runs 3"]) -> dict:
+def disturbance_metrics(design: Design, disturbances: Float[np.ndarray, "steps runs 3"]) -> dict:
     """Return how often and how far w(k) leaves W: by coordinate (its half widths) and in all."""
     W = design.problem.disturbance_set
     widths = W.support(np.eye(3))
-    sizes = np.abs(residuals)
-    margins = W.margin(residuals)
+    sizes = np.abs(disturbances)
+    margins = W.margin(disturbances)
     # Counted as "not inside", so that NaN is outside.
     beyond_widths = ~(sizes <= widths)
     outside = ~(margins >= 0)

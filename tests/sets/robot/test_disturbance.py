@@ -19,10 +19,10 @@ from sets.robot.disturbance import (
     Operation,
     disturbance_bound,
     disturbance_parts,
-    model_residual,
+    evaluate_disturbance,
     wheel_error_bound,
 )
-from sets.robot.plant import INPUT_MAPS, Kinematics, Period, plane_rows, split_residual
+from sets.robot.plant import INPUT_MAPS, Kinematics, Period, plane_rows, split_disturbance
 
 INTEGRATED = 1e-10
 """In m and rad; one period against an integrator run at 1e-13."""
@@ -161,7 +161,7 @@ def predicted(kinematics: Kinematics, points: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("where", [EIGHT, PAPER], ids=["eight", "paper"])
 def test_residuals_are_what_the_plant_does_less_what_the_model_says(kinematics, where):
     points, after = samples(where, 3000)
-    w, kick, speeds = model_residual(where, kinematics, points, after)
+    w, kick, speeds = evaluate_disturbance(where, kinematics, points, after)
     error, wheels = next_error(kinematics.input_map, points)
     np.testing.assert_allclose(
         w, error + after - predicted(kinematics, points), rtol=0, atol=RESIDUAL_ROUNDING
@@ -177,7 +177,7 @@ def test_residuals_are_what_the_plant_does_less_what_the_model_says(kinematics, 
 def test_residuals_agree_with_an_integration_in_the_world_frame(input_map):
     kinematics = Kinematics(input_map)
     points, after = samples(EIGHT, 12, seed=3)
-    w, _, speeds = model_residual(EIGHT, kinematics, points, after)
+    w, _, speeds = evaluate_disturbance(EIGHT, kinematics, points, after)
 
     def drive(pose, wheels):
         def rate(_, pose):
@@ -251,7 +251,7 @@ def test_models_are_those_of_the_controller(kinematics):
 def assert_holds(
     bound, where: Operation, kinematics: Kinematics, points: np.ndarray, after: np.ndarray
 ) -> None:
-    w, kick, speeds = model_residual(where, kinematics, points, after)
+    w, kick, speeds = evaluate_disturbance(where, kinematics, points, after)
     rest = w - kick[:, None] * [0.0, bound.lateral_per_yaw, 1.0]
     assert np.abs(kick).max() <= bound.yaw
     assert (np.abs(rest).max(axis=0) <= bound.box + 1e-15).all()  # w itself is rounded
@@ -265,7 +265,9 @@ def test_no_sample_lies_outside(kinematics):
     assert_holds(bound, EIGHT, kinematics, *vertices(EIGHT))
     assert_holds(bound, EIGHT, kinematics, *samples(EIGHT, 20_000))
     assert (
-        bound.polytope().contains(model_residual(EIGHT, kinematics, *samples(EIGHT, 500))[0]).all()
+        bound.polytope()
+        .contains(evaluate_disturbance(EIGHT, kinematics, *samples(EIGHT, 500))[0])
+        .all()
     )
 
 
@@ -296,7 +298,7 @@ def test_no_local_maximum_lies_outside_and_the_best_come_close(kinematics):
                 Dual(value, seed)
                 for value, seed in zip(low + share * (high - low), seeds, strict=True)
             ]
-            parts = split_residual(kinematics, EIGHT.period, duals)
+            parts = split_disturbance(kinematics, EIGHT.period, duals)
             climbed = (parts.yaw, *parts.rest)[output] * sign
             largest[output] = max(largest[output], climbed.value.max())
             slope = climbed.gradient * (high - low)
@@ -360,7 +362,7 @@ def test_parts_are_the_differences_that_define_them(kinematics):
     idle = points * np.array([1, 1, 1, 0, 0, *[1] * 7])
     nominal = next_error(name, points, slipping=False, noisy=False)[0]
     slipping = next_error(name, points, noisy=False)[0]
-    kick = model_residual(EIGHT, kinematics, points, after)[1][:, None] * [
+    kick = evaluate_disturbance(EIGHT, kinematics, points, after)[1][:, None] * [
         0.0,
         EIGHT.period.lateral_per_yaw,
         1.0,
@@ -373,7 +375,7 @@ def test_parts_are_the_differences_that_define_them(kinematics):
         "slip": slipping - nominal - kick,
         "noise": next_error(name, points)[0] - slipping,
     }
-    split = split_residual(kinematics, EIGHT.period, points.T)
+    split = split_disturbance(kinematics, EIGHT.period, points.T)
     for cause in CAUSES:
         plane = np.stack(np.broadcast_arrays(*getattr(split, cause), split.yaw)[:2], axis=-1)
         np.testing.assert_allclose(plane, expected[cause][:, :2], rtol=0, atol=RESIDUAL_ROUNDING)
@@ -381,7 +383,7 @@ def test_parts_are_the_differences_that_define_them(kinematics):
 
 @pytest.mark.parametrize("kinematics", [PAIRS[2], PAIRS[3], PAIRS[6], PAIRS[10]])
 def test_parts_hold_every_sample_and_are_reached(kinematics):
-    split = split_residual(
+    split = split_disturbance(
         kinematics, EIGHT.period, np.vstack([vertices(EIGHT)[0], samples(EIGHT, 20_000)[0]]).T
     )
     widths = disturbance_parts(EIGHT, kinematics)
