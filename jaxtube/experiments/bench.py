@@ -29,7 +29,7 @@ from jaxtube.statistics.run import BLOCK, Run
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.feasible import boundary, spread_starts
 from jaxtube.synthesis.parts import Design
-from jaxtube.tuning.objective import Conditions, make_aim, objective
+from jaxtube.tuning.objective import LapInputs, make_aim, objective
 from jaxtube.tuning.parameters import make_parameters
 from jaxtube.tuning.tuner import freeze
 
@@ -150,8 +150,8 @@ def make_objective(found: Design) -> Callable:
     aim = make_aim(problem.scenario, settled_step(problem.reference))
 
     def value(vector, starts):
-        conditions = Conditions(plant, realisation_keys(0, 0, LAPS), starts)
-        return objective(parameters.weights(vector), frozen, conditions, aim)
+        lap_inputs = LapInputs(plant, realisation_keys(0, 0, LAPS), starts)
+        return objective(parameters.weights(vector), frozen, lap_inputs, aim)
 
     return value
 

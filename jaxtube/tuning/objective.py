@@ -38,7 +38,7 @@ STEEPNESS = 1e2
 """What the square of a limit's excess costs, as a share of the limit."""
 
 
-class Conditions(NamedTuple):
+class LapInputs(NamedTuple):
     """What laps run under: the robot, and a key and a start for each lap."""
 
     plant: SlippingRobot
@@ -111,11 +111,11 @@ def _inverse_square(scale: float | None) -> float:
 
 
 def measure_laps(
-    controller: Controller, conditions: Conditions, limits: CapLimits, aim: Aim
+    controller: Controller, lap_inputs: LapInputs, limits: CapLimits, aim: Aim
 ) -> LapMeasures:
     """Run laps of a controller and reduce each to what counts; differentiable."""
-    plant = conditions.plant
-    seen = play(controller, plant, conditions.keys, conditions.starts)
+    plant = lap_inputs.plant
+    seen = play(controller, plant, lap_inputs.keys, lap_inputs.starts)
     idle = plant.reference_wheels / (1.0 - plant.nominal_slip)
     effort = jnp.sum((seen["wheels"] - idle[:, None]) ** 2, axis=2) / 2.0
     first = aim.settled - 1  # what is seen first comes after a period
@@ -187,18 +187,18 @@ class Frozen:
         return shares_of_caps(self.active, self.fixed.limits, loops, self.fixed.generators, gains)
 
 
-def run_tube_mpc(weights: Weights, frozen: Frozen, conditions: Conditions, aim: Aim) -> LapMeasures:
+def run_tube_mpc(weights: Weights, frozen: Frozen, lap_inputs: LapInputs, aim: Aim) -> LapMeasures:
     """Return the laps of the tube-MPC with these weights and gains; differentiable in them."""
-    return measure_laps(frozen.controller(weights), conditions, frozen.fixed.limits, aim)
+    return measure_laps(frozen.controller(weights), lap_inputs, frozen.fixed.limits, aim)
 
 
 def objective(
-    weights: Weights, frozen: Frozen, conditions: Conditions, aim: Aim
+    weights: Weights, frozen: Frozen, lap_inputs: LapInputs, aim: Aim
 ) -> Float[Array, ""]:
     """Return J of the tube-MPC with these weights and gains; differentiable in them.
 
     Where slips jump with the robot's place (`patches`, `adversarial`) the derivative is that
     between the jumps.
     """
-    laps = run_tube_mpc(weights, frozen, conditions, aim)
+    laps = run_tube_mpc(weights, frozen, lap_inputs, aim)
     return total_cost(laps, frozen.tube_shares(weights.kappa), aim)

@@ -33,8 +33,8 @@ from jaxtube.tuning.judgement import HeldOutJudgement, judge_laps, judge_without
 from jaxtube.tuning.loop import fix
 from jaxtube.tuning.objective import (
     Aim,
-    Conditions,
     Frozen,
+    LapInputs,
     LapMeasures,
     make_aim,
     measure_laps,
@@ -64,16 +64,16 @@ class Candidate:
 
 
 @jax.jit
-def _run_laps(vector, frozen: Frozen, conditions: Conditions, parameters: Parameters, aim: Aim):
-    return run_tube_mpc(parameters.weights(vector), frozen, conditions, aim)
+def _run_laps(vector, frozen: Frozen, lap_inputs: LapInputs, parameters: Parameters, aim: Aim):
+    return run_tube_mpc(parameters.weights(vector), frozen, lap_inputs, aim)
 
 
 @jax.jit
 def _value_and_gradient(
-    vector, frozen: Frozen, conditions: Conditions, parameters: Parameters, aim: Aim
+    vector, frozen: Frozen, lap_inputs: LapInputs, parameters: Parameters, aim: Aim
 ):
     def value(vector):
-        return objective(parameters.weights(vector), frozen, conditions, aim)
+        return objective(parameters.weights(vector), frozen, lap_inputs, aim)
 
     return jax.value_and_grad(value)(vector)
 
@@ -124,9 +124,9 @@ class Tuner:
         """Return the scenario's start, once a lap."""
         return jnp.tile(jnp.asarray(self.problem.initial_error), (count, 1))
 
-    def conditions(self, first: int, count: int) -> Conditions:
-        """Return the conditions of `count` realisations."""
-        return Conditions(self.plant, self.keys(first, count), self.starts(count))
+    def lap_inputs(self, first: int, count: int) -> LapInputs:
+        """Return the inputs of the laps of `count` realisations."""
+        return LapInputs(self.plant, self.keys(first, count), self.starts(count))
 
     def evaluate(self, point: Point, draws: int) -> tuple[float, Point]:
         """Return objective and gradient over the draws of an index; NO_DESIGN and 0 where there is
@@ -134,9 +134,9 @@ class Tuner:
         frozen = self.candidate(point).frozen
         if frozen is None:
             return NO_DESIGN, np.zeros_like(point)
-        conditions = self.conditions(draws * self.laps, self.laps)
+        lap_inputs = self.lap_inputs(draws * self.laps, self.laps)
         vector = jnp.asarray(point)
-        value, gradient = _value_and_gradient(vector, frozen, conditions, self.parameters, self.aim)
+        value, gradient = _value_and_gradient(vector, frozen, lap_inputs, self.parameters, self.aim)
         return float(value), np.asarray(gradient)
 
     def value(self, point: Point, draws: int) -> float:
@@ -157,8 +157,8 @@ class Tuner:
             return None
         vector = jnp.asarray(point)
 
-        def run(conditions: Conditions) -> LapMeasures:
-            return _run_laps(vector, frozen, conditions, self.parameters, self.aim)
+        def run(lap_inputs: LapInputs) -> LapMeasures:
+            return _run_laps(vector, frozen, lap_inputs, self.parameters, self.aim)
 
         shares = _tube_shares(frozen, self.parameters.weights(vector).kappa)
         return self._run_batches(run, first, count), np.asarray(shares)
@@ -194,18 +194,18 @@ class Tuner:
         """Return laps of any controller over given draws."""
         limits = make_limits(self.problem)
 
-        def run(conditions: Conditions) -> LapMeasures:
-            return _run_controller(controller, conditions, limits, self.aim)
+        def run(lap_inputs: LapInputs) -> LapMeasures:
+            return _run_controller(controller, lap_inputs, limits, self.aim)
 
         return self._run_batches(run, first, count)
 
     def _run_batches(
-        self, run: Callable[[Conditions], LapMeasures], first: int, count: int
+        self, run: Callable[[LapInputs], LapMeasures], first: int, count: int
     ) -> LapMeasures:
         """Return `count` laps, run in batches of one shape, so that they compile once."""
         batches = []
         for start in range(first, first + count, self.laps):
-            laps = run(self.conditions(start, self.laps))
+            laps = run(self.lap_inputs(start, self.laps))
             batches.append(jax.tree.map(np.asarray, laps))
         return jax.tree.map(lambda *arrays: np.concatenate(arrays)[:count], *batches)
 

@@ -36,7 +36,7 @@ def invented(design: str, scenario, start) -> Guarantee:
 
 @pytest.fixture
 def in_threads(monkeypatch):
-    """Invent the points, in threads; returns the conditions asked for and the starts given."""
+    """Invent the points, in threads; returns the operating points asked for and the starts given."""
     asked = []
 
     def note(design, scenario, start):
@@ -55,14 +55,16 @@ def found(in_threads, tmp_path):
 
 
 def test_every_condition_starts_from_one_that_comes_before_it():
-    conditions = GRID.conditions()
-    assert len(conditions) == len(set(conditions)) == 3 * (3 + 3 - 1)
-    assert conditions[0] == OWN
+    operating_points = GRID.operating_points()
+    assert len(operating_points) == len(set(operating_points)) == 3 * (3 + 3 - 1)
+    assert operating_points[0] == OWN
     assert GRID.towards_own(OWN) is None
-    for place, condition in enumerate(conditions[1:], 1):
-        neighbour = GRID.towards_own(condition)
-        assert neighbour in conditions[:place]
-        assert sum(here != there for here, there in zip(condition, neighbour, strict=True)) == 1
+    for place, operating_point in enumerate(operating_points[1:], 1):
+        neighbour = GRID.towards_own(operating_point)
+        assert neighbour in operating_points[:place]
+        assert (
+            sum(here != there for here, there in zip(operating_point, neighbour, strict=True)) == 1
+        )
 
 
 @pytest.mark.parametrize("count", [2, 5])
@@ -78,11 +80,11 @@ def test_the_grid_holds_the_scenarios_own_condition_and_the_reference(count):
 
 
 def test_each_search_starts_from_its_neighbours_optimum(found):
-    for condition in GRID.conditions():
-        start = found[Point("optimised", condition)].caps_and_gains
-        neighbour = GRID.towards_own(condition)
+    for operating_point in GRID.operating_points():
+        start = found[Point("optimised", operating_point)].caps_and_gains
+        neighbour = GRID.towards_own(operating_point)
         assert start is not None
-        assert start[:3] == condition
+        assert start[:3] == operating_point
         assert neighbour is None or start[3:] == neighbour
 
 

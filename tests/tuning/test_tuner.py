@@ -120,16 +120,16 @@ class Recorder:
         self.use = ""
         self.keys = {}
 
-    def record(self, conditions):
-        data = np.asarray(jax.random.key_data(conditions.keys)).tolist()
+    def record(self, lap_inputs):
+        data = np.asarray(jax.random.key_data(lap_inputs.keys)).tolist()
         self.keys.setdefault(self.use, []).extend(map(tuple, data))
 
-    def run_laps(self, vector, frozen, conditions, *rest):
-        self.record(conditions)
-        return stand_ins.run_laps(vector, frozen, conditions)
+    def run_laps(self, vector, frozen, lap_inputs, *rest):
+        self.record(lap_inputs)
+        return stand_ins.run_laps(vector, frozen, lap_inputs)
 
-    def value_and_gradient(self, vector, frozen, conditions, *rest):
-        self.record(conditions)
+    def value_and_gradient(self, vector, frozen, lap_inputs, *rest):
+        self.record(lap_inputs)
         return 0.0, vector
 
 

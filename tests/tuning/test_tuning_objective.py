@@ -23,7 +23,7 @@ from jaxtube.synthesis.feasible import boundary
 from jaxtube.tuning import minimal, objective, terminal, tube
 from jaxtube.tuning.caps import make_limits
 from jaxtube.tuning.loop import tightened_bounds
-from jaxtube.tuning.objective import Conditions
+from jaxtube.tuning.objective import LapInputs
 from jaxtube.tuning.parameters import make_parameters
 from jaxtube.tuning.tuner import Tuner, freeze
 from sets.lyapunov import cost_of_gains
@@ -100,11 +100,11 @@ class Loop:
         widths = make_limits(problem).widths
         watched = partial(watched_play, widths=widths, margin=aim.margin)
 
-        def evaluate(weights, frozen, conditions):
+        def evaluate(weights, frozen, lap_inputs):
             told = []
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(objective, "play", partial(watched, told=told))
-                return objective.objective(weights, frozen, conditions, aim), told[0]
+                return objective.objective(weights, frozen, lap_inputs, aim), told[0]
 
         self.evaluate = jax.jit(jax.value_and_grad(evaluate, has_aux=True))
 
@@ -122,7 +122,7 @@ class Loop:
         edge = boundary(design.tube_window, first, operating, LAPS - 1, seed)
         starts = jnp.asarray(np.vstack([design.problem.initial_error, 0.98 * edge]))
         keys = self.tuner.keys(seed * LAPS, LAPS)
-        return point, candidate.frozen, Conditions(self.tuner.plant, keys, starts)
+        return point, candidate.frozen, LapInputs(self.tuner.plant, keys, starts)
 
 
 def solve_again(problem, frozen, weights, other_gains: bool):
@@ -280,23 +280,23 @@ def test_derivatives_of_whole_laps_are_differences_with_the_host_solved_again(ki
 @pytest.mark.slow
 def test_the_slope_of_the_terminal_set_counts(monkeypatch):
     loop = Loop("firm", 15)
-    point, frozen, conditions = loop.random_point(0)
+    point, frozen, lap_inputs = loop.random_point(0)
     weights = loop.weights(jnp.asarray(point))
-    slope = loop.evaluate(weights, frozen, conditions)[1].kappa
+    slope = loop.evaluate(weights, frozen, lap_inputs)[1].kappa
 
     def hold(*arguments):
         return jax.lax.stop_gradient(terminal.compute_terminal_set(*arguments))
 
     monkeypatch.setattr("jaxtube.tuning.loop.compute_terminal_set", hold)
-    other = Loop("firm", 15).evaluate(weights, frozen, conditions)[1].kappa
+    other = Loop("firm", 15).evaluate(weights, frozen, lap_inputs)[1].kappa
     assert np.abs(slope - other).max() > 1e-2 * np.abs(slope).max()
 
 
 def test_a_lap_without_plans_counts_its_backups_and_has_the_derivative_of_its_terminal_gain(short):
-    point, frozen, conditions = short.random_point(0)
+    point, frozen, lap_inputs = short.random_point(0)
     weights = short.weights(jnp.asarray(point))
-    starts = conditions.starts
-    outside = conditions._replace(starts=starts.at[:].set(20 * starts[1]))
+    starts = lap_inputs.starts
+    outside = lap_inputs._replace(starts=starts.at[:].set(20 * starts[1]))
     (value, told), slope = short.evaluate(weights, frozen, outside)
     assert np.isfinite(value)
     np.testing.assert_array_equal(told[:, 0], np.full(LAPS, 15.0))
@@ -305,10 +305,10 @@ def test_a_lap_without_plans_counts_its_backups_and_has_the_derivative_of_its_te
 
 
 def test_a_lap_without_plans_leaves_the_derivatives_of_the_others_finite(short):
-    point, frozen, conditions = short.random_point(0)
+    point, frozen, lap_inputs = short.random_point(0)
     weights = short.weights(jnp.asarray(point))
-    starts = conditions.starts
-    mixed = conditions._replace(starts=starts.at[2].set(2 * starts[2]))
+    starts = lap_inputs.starts
+    mixed = lap_inputs._replace(starts=starts.at[2].set(2 * starts[2]))
     (value, told), slope = short.evaluate(weights, frozen, mixed)
     backups = np.asarray(told)[:, 0]
     assert backups[2] > 0 and not backups[[0, 1, 3]].any() and np.isfinite(value)
@@ -318,9 +318,9 @@ def test_a_lap_without_plans_leaves_the_derivatives_of_the_others_finite(short):
 @pytest.mark.slow
 def test_agrees_with_unrolled_iterations(monkeypatch):
     loop = Loop("decoupled", 4)
-    point, frozen, conditions = loop.random_point(1)
+    point, frozen, lap_inputs = loop.random_point(1)
     weights = loop.weights(jnp.asarray(point))
-    (value, pattern), slope = loop.evaluate(weights, frozen, conditions)
+    (value, pattern), slope = loop.evaluate(weights, frozen, lap_inputs)
     assert (pattern[:, 1] > 0).sum() >= 2
 
     def unrolled(factors, q, lower, upper):
@@ -340,7 +340,7 @@ def test_agrees_with_unrolled_iterations(monkeypatch):
 
     monkeypatch.setattr(qp, "solve", unrolled)
     again = Loop("decoupled", 4)
-    (expected, of_unrolled), expected_slope = again.evaluate(weights, frozen, conditions)
+    (expected, of_unrolled), expected_slope = again.evaluate(weights, frozen, lap_inputs)
     np.testing.assert_array_equal(of_unrolled[:, :2], pattern[:, :2])
     assert value == pytest.approx(float(expected), rel=UNROLLED)
     for mine, other in zip(slope, expected_slope, strict=True):
@@ -377,10 +377,10 @@ def root_mean_square(values, axis=0):
 def test_laps_are_reduced_as_defined(law):
     problem, controller, plant, aim = law
     starts = jnp.asarray(np.random.default_rng(0).uniform(-0.2, 0.2, (6, 3)))
-    conditions = Conditions(plant, realisation_keys(0, 0, 6), starts)
+    lap_inputs = LapInputs(plant, realisation_keys(0, 0, 6), starts)
     limits = make_limits(problem)
-    laps = run_laps(controller, conditions, limits, aim)
-    seen = drive(controller, *conditions)
+    laps = run_laps(controller, lap_inputs, limits, aim)
+    seen = drive(controller, *lap_inputs)
     close = {"rtol": SAME_REDUCTION}
     np.testing.assert_allclose(laps.errors, root_mean_square(seen.errors[10:]), **close)
     slip = problem.scenario.slip
@@ -405,9 +405,9 @@ def test_a_robot_that_follows_exactly_makes_no_effort_and_exceeds_nothing(law):
     problem, controller, _, aim = law
     exact = closed_loop.robot_of(problem, relative_error=0.0)
     plant = dataclasses.replace(tuned.shortened(exact, STEPS_OF_LAW), noise=None)
-    conditions = Conditions(plant, realisation_keys(0, 0, 6), jnp.zeros((6, 3)))
+    lap_inputs = LapInputs(plant, realisation_keys(0, 0, 6), jnp.zeros((6, 3)))
     loose = dataclasses.replace(aim, margin=0.9)
-    laps = run_laps(controller, conditions, make_limits(problem), loose)
+    laps = run_laps(controller, lap_inputs, make_limits(problem), loose)
     for part in laps:
         assert np.abs(part).max() < NO_EFFORT
     slope = jax.grad(lambda squares: objective._root(squares).sum())(jnp.zeros(3))

@@ -79,7 +79,7 @@ def run(scenario: Scenario, options: MapsOptions) -> int:
 def _point_metrics(point: Point, result: Guarantee) -> dict:
     return {
         "design": point.design,
-        **point.condition._asdict(),
+        **point.operating_point._asdict(),
         **asdict(result),
         "holds": result.holds,
     }
@@ -130,11 +130,11 @@ class Border(NamedTuple):
 
 
 def _find_border(
-    design: str, conditions: list[OperatingPoint], name: str, results: Found
+    design: str, operating_points: list[OperatingPoint], name: str, results: Found
 ) -> Border:
-    """Return the border of a design along conditions, the easiest one first."""
-    values = [getattr(condition, name) for condition in conditions]
-    return interpolate([results[Point(design, condition)] for condition in conditions], values)
+    """Return the border of a design along operating points, the easiest one first."""
+    values = [getattr(point, name) for point in operating_points]
+    return interpolate([results[Point(design, point)] for point in operating_points], values)
 
 
 def interpolate(results: list[Guarantee], values: list[float]) -> Border:

@@ -118,12 +118,12 @@ def _draw_marks(axes: Axes, grid: Grid, found: Found, design: str, axis: str) ->
     outcomes = set()
     for value in _values(grid, axis):
         for error in grid.slip_errors:
-            condition = grid.own._replace(slip_error=error, **{axis: value})
-            outcome = _outcome(found[Point(design, condition)])
+            operating_point = grid.own._replace(slip_error=error, **{axis: value})
+            outcome = _outcome(found[Point(design, operating_point)])
             outcomes.add(outcome)
             look = {"color": "black", "linestyle": "none", "zorder": 3}
             axes.plot(100 * error, value, **look, **LOOKS[outcome])
-            if condition == grid.own:
+            if operating_point == grid.own:
                 axes.plot(100 * error, value, **look, **OWN_LOOK)
     return outcomes
 
@@ -144,10 +144,12 @@ def ratio_table(
     found."""
     rows = []
     for value in _values(grid, axis):
-        conditions = [
+        operating_points = [
             grid.own._replace(slip_error=error, **{axis: value}) for error in grid.slip_errors
         ]
-        rows.append([found[Point(design, condition)].ratio for condition in conditions])
+        rows.append(
+            [found[Point(design, operating_point)].ratio for operating_point in operating_points]
+        )
     return np.array(rows, dtype=float)
 
 

@@ -1,5 +1,5 @@
-"""The points of `maps`: a grid of conditions, computed by several processes, each point saved as
-soon as it is known.
+"""The points of `maps`: a grid of operating points, computed by several processes, each
+point saved as soon as it is known.
 
 A search starts from the optimum of the neighbour that lies one step closer to the scenario's own
 condition: along the speed range or the period first, then along the slip error. So the points form
@@ -35,10 +35,10 @@ PERIODS_S = (0.05, 0.2)
 
 
 class Point(NamedTuple):
-    """One design under one condition."""
+    """One design at one operating point."""
 
     design: str
-    condition: OperatingPoint
+    operating_point: OperatingPoint
 
 
 Found = dict[Point, Guarantee]
@@ -46,48 +46,54 @@ Found = dict[Point, Guarantee]
 
 @dataclass(frozen=True)
 class Grid:
-    """Increasing values of the three conditions, and the scenario's own, which is among them."""
+    """Increasing values of the three coordinates, and the scenario's own, which is among them."""
 
     slip_errors: tuple[float, ...]
     slowest_mps: tuple[float, ...]
     periods_s: tuple[float, ...]
     own: OperatingPoint
 
-    def conditions(self) -> list[OperatingPoint]:
-        """Return the conditions of both maps without repetitions, each after the one whose optimum
-        it starts from."""
+    def operating_points(self) -> list[OperatingPoint]:
+        """Return the operating points of both maps without repetitions, each after the
+        one whose optimum it starts from."""
         pairs = [(slowest, self.own.dt_s) for slowest in self.slowest_mps]
         pairs += [(self.own.slowest_mps, period) for period in self.periods_s]
-        conditions = {OperatingPoint(error, *pair) for pair in pairs for error in self.slip_errors}
-        return sorted(conditions, key=lambda condition: (self._steps(condition), condition))
+        operating_points = {
+            OperatingPoint(error, *pair) for pair in pairs for error in self.slip_errors
+        }
+        return sorted(operating_points, key=lambda point: (self._steps(point), point))
 
     def points(self) -> list[Point]:
         """Return all points, designs in the order of `DESIGNS`."""
-        return [Point(design, condition) for design in DESIGNS for condition in self.conditions()]
+        return [
+            Point(design, operating_point)
+            for design in DESIGNS
+            for operating_point in self.operating_points()
+        ]
 
-    def towards_own(self, condition: OperatingPoint) -> OperatingPoint | None:
-        """Return the neighbour one step closer to the scenario's own condition, None for it."""
+    def towards_own(self, operating_point: OperatingPoint) -> OperatingPoint | None:
+        """Return the neighbour one step closer to the scenario's own point, None for it."""
         for name in ("slowest_mps", "dt_s", "slip_error"):
             values = self.axes[name]
-            here = values.index(getattr(condition, name))
+            here = values.index(getattr(operating_point, name))
             own = values.index(getattr(self.own, name))
             if here != own:
                 step = 1 if own > here else -1
-                return condition._replace(**{name: values[here + step]})
+                return operating_point._replace(**{name: values[here + step]})
         return None
 
     @property
     def axes(self) -> dict[str, tuple[float, ...]]:
-        """The values by condition, in the order of `OperatingPoint`."""
+        """The values by name, in the order of `OperatingPoint`."""
         return {
             "slip_error": self.slip_errors,
             "slowest_mps": self.slowest_mps,
             "dt_s": self.periods_s,
         }
 
-    def _steps(self, condition: OperatingPoint) -> int:
-        """Return the steps from a condition to the scenario's own."""
-        places = zip(self.axes.values(), condition, self.own, strict=True)
+    def _steps(self, operating_point: OperatingPoint) -> int:
+        """Return the steps from an operating point to the scenario's own."""
+        places = zip(self.axes.values(), operating_point, self.own, strict=True)
         return sum(abs(values.index(here) - values.index(own)) for values, here, own in places)
 
 
@@ -177,7 +183,9 @@ def compute(scenario: Scenario, grid: Grid, log: PointLog) -> Found:
 
         def keep(point: Point, result: Guarantee) -> None:
             results[point] = result
-            log.append({"design": point.design, **point.condition._asdict(), **asdict(result)})
+            log.append(
+                {"design": point.design, **point.operating_point._asdict(), **asdict(result)}
+            )
             bar.update()
 
         _work_through(scenario, grid, waiting, results, workers, keep)
@@ -187,10 +195,10 @@ def compute(scenario: Scenario, grid: Grid, log: PointLog) -> Found:
 def _from_record(record: dict) -> tuple[Point, Guarantee]:
     values = dict(record)
     design = values.pop("design")
-    condition = OperatingPoint(*(values.pop(name) for name in OperatingPoint._fields))
+    operating_point = OperatingPoint(*(values.pop(name) for name in OperatingPoint._fields))
     start = values.pop("caps_and_gains")
     result = Guarantee(**values, caps_and_gains=None if start is None else tuple(start))
-    return Point(design, condition), result
+    return Point(design, operating_point), result
 
 
 def _work_through(
@@ -208,9 +216,9 @@ def _work_through(
         while waiting or running:
             for point in _find_ready(grid, waiting, results)[: most - len(running)]:
                 waiting.remove(point)
-                condition = at_point(scenario, point.condition)
+                scenario_there = at_point(scenario, point.operating_point)
                 start = _find_start(scenario, grid, point, results)
-                running[workers.submit(guarantee, point.design, condition, start)] = point
+                running[workers.submit(guarantee, point.design, scenario_there, start)] = point
             for done in wait(running, return_when=FIRST_COMPLETED).done:
                 keep(running.pop(done), done.result())
     except BaseException:
@@ -224,10 +232,10 @@ def _find_ready(grid: Grid, waiting: Iterable[Point], results: Found) -> list[Po
 
 
 def _has_start(grid: Grid, point: Point, results: Found) -> bool:
-    neighbour = grid.towards_own(point.condition)
+    neighbour = grid.towards_own(point.operating_point)
     if point.design != "optimised" or neighbour is None:
         return True
-    return point._replace(condition=neighbour) in results
+    return point._replace(operating_point=neighbour) in results
 
 
 def _find_start(
@@ -236,7 +244,7 @@ def _find_start(
     """Return caps and gains at which a search starts, None for the designs that need none."""
     if point.design != "optimised":
         return None
-    neighbour = grid.towards_own(point.condition)
+    neighbour = grid.towards_own(point.operating_point)
     if neighbour is None:
         return caps_and_gains(scenario)
     return results[Point("optimised", neighbour)].caps_and_gains
