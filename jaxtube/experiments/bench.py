@@ -31,7 +31,7 @@ from jaxtube.synthesis.feasible import boundary, spread_starts
 from jaxtube.synthesis.parts import Design
 from jaxtube.tuning.objective import LapInputs, make_aim, objective
 from jaxtube.tuning.parameters import make_parameters
-from jaxtube.tuning.tuner import freeze
+from jaxtube.tuning.tuner import make_evaluation_constants
 
 ROUNDS = 3
 LAPS = 1024
@@ -144,14 +144,14 @@ def make_objective(found: Design) -> Callable:
     """Return the tuning objective of a design as a function of parameters and starts."""
     problem = found.problem
     parameters = make_parameters(problem)
-    frozen = freeze(found)
-    assert frozen is not None, "the tube of a design is bounded"
+    constants = make_evaluation_constants(found)
+    assert constants is not None, "the tube of a design is bounded"
     plant = closed_loop.slipping_robot(found)
     aim = make_aim(problem.scenario, settled_step(problem.reference))
 
     def value(vector, starts):
         lap_inputs = LapInputs(plant, realisation_keys(0, 0, LAPS), starts)
-        return objective(parameters.weights(vector), frozen, lap_inputs, aim)
+        return objective(parameters.weights(vector), constants, lap_inputs, aim)
 
     return value
 

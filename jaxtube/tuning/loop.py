@@ -45,7 +45,7 @@ class Weights(NamedTuple):
     kappa: Float[AnyArray, " kappa"]
 
 
-class Fixed(NamedTuple):
+class DesignConstants(NamedTuple):
     """What a design holds fixed while weights and gains move; the designs of a scenario have two
     sets of shapes at most."""
 
@@ -61,8 +61,8 @@ class Fixed(NamedTuple):
     index: Int[AnyArray, " steps"]
 
 
-def fix(design: Design) -> Fixed:
-    """Take from a design (terminal T-A, tube `sequence`) what stays fixed.
+def make_design_constants(design: Design) -> DesignConstants:
+    """Take from a design (terminal T-A, tube `sequence`) what stays constant.
 
     Raises:
         ValueError: where no input reaches a terminal row, so that it is no row of the plan.
@@ -75,7 +75,7 @@ def fix(design: Design) -> Fixed:
     count = len(ahead.reached) + len(ahead.unreached)
     if np.any(ahead.unreached >= count - len(normals)):
         raise ValueError("controller.horizon: no input reaches a terminal row; lengthen it")
-    return Fixed(
+    return DesignConstants(
         maps=make_gain_maps(problem, windows.schedules),
         ahead=ahead,
         generators=generators,
@@ -112,32 +112,34 @@ def _padded_terminal_constraint(
 
 
 def terminal_set_at(
-    fixed: Fixed, kappa: Float[Array, " kappa"]
+    constants: DesignConstants, kappa: Float[Array, " kappa"]
 ) -> tuple[Float[Array, "facets 3"], Float[Array, " facets"]]:
     """Return normals and offsets of the terminal set, before the tube is taken off."""
     return compute_terminal_set(
-        fixed.terminal_rows,
-        fixed.maps.vertex_loops.at(kappa),
-        fixed.maps.corner_gains.at(kappa),
-        fixed.generators,
-        (fixed.error_rows, fixed.error_offsets),
-        fixed.limits,
+        constants.terminal_rows,
+        constants.maps.vertex_loops.at(kappa),
+        constants.maps.corner_gains.at(kappa),
+        constants.generators,
+        (constants.error_rows, constants.error_offsets),
+        constants.limits,
     )
 
 
-def tightened_bounds(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
+def tightened_bounds(constants: DesignConstants, kappa: Float[Array, " kappa"]) -> Bounds:
     """Return E_j, U_j and the terminal constraint as `condense.tube_bounds` does, with ROOM of each
     limit left at least."""
-    gains = fixed.maps.window_gains.at(kappa)
-    loops = fixed.maps.window_loops.at(kappa)
+    gains = constants.maps.window_gains.at(kappa)
+    loops = constants.maps.window_loops.at(kappa)
     count, horizon = loops.shape[:2]
-    error_rows = jnp.broadcast_to(fixed.error_rows, (count, horizon, *fixed.error_rows.shape))
-    input_rows = closed_loop_rows(fixed.limits.inputs, fixed.limits.errors, gains)
-    errors = sequence_reaches(loops, fixed.generators, error_rows)
-    inputs = sequence_reaches(loops, fixed.generators, input_rows)
-    normals, offsets = terminal_set_at(fixed, kappa)
+    error_rows = jnp.broadcast_to(
+        constants.error_rows, (count, horizon, *constants.error_rows.shape)
+    )
+    input_rows = closed_loop_rows(constants.limits.inputs, constants.limits.errors, gains)
+    errors = sequence_reaches(loops, constants.generators, error_rows)
+    inputs = sequence_reaches(loops, constants.generators, input_rows)
+    normals, offsets = terminal_set_at(constants, kappa)
     terminal_rows = jnp.broadcast_to(normals, (count, *normals.shape))
-    last = reach_along(loops, fixed.generators, terminal_rows, horizon)
+    last = reach_along(loops, constants.generators, terminal_rows, horizon)
     back_off = BACK_OFF * jnp.arange(1.0, horizon + 1)[:, None]
     last_back_off = (horizon + 1) * BACK_OFF * jnp.linalg.norm(normals, axis=1)
 
@@ -145,28 +147,28 @@ def tightened_bounds(fixed: Fixed, kappa: Float[Array, " kappa"]) -> Bounds:
         return jnp.maximum(offsets - taken, ROOM * offsets)
 
     return Bounds(
-        errors=subtract(fixed.error_offsets, errors + back_off),
-        inputs=subtract(fixed.limits.offsets, inputs + back_off),
+        errors=subtract(constants.error_offsets, errors + back_off),
+        inputs=subtract(constants.limits.offsets, inputs + back_off),
         terminal_normals=normals,
         terminal=subtract(offsets, last + last_back_off),
     )
 
 
-def terminal_weight(fixed: Fixed, weights: Weights) -> Float[Array, "3 3"]:
+def terminal_weight(constants: DesignConstants, weights: Weights) -> Float[Array, "3 3"]:
     """Return P, which follows Q, R and the gains."""
     return differentiate_terminal_cost(
-        fixed.terminal_cost,
-        fixed.maps.vertex_loops.at(weights.kappa),
-        fixed.maps.vertex_gains.at(weights.kappa),
+        constants.terminal_cost,
+        constants.maps.vertex_loops.at(weights.kappa),
+        constants.maps.vertex_gains.at(weights.kappa),
         weights.error_weight,
         weights.input_weight,
     )
 
 
-def condense_windows(fixed: Fixed, weights: Weights) -> CondensedQp:
+def condense_windows(constants: DesignConstants, weights: Weights) -> CondensedQp:
     """Return the condensed QPs along the reference."""
-    gains = fixed.maps.window_gains.at(weights.kappa)[:, 0]
-    cost = Cost(weights.error_weight, weights.input_weight, terminal_weight(fixed, weights))
-    bounds = tightened_bounds(fixed, weights.kappa)
-    ahead = with_terminal_rows(fixed.ahead, bounds.terminal_normals)
-    return weigh(ahead, row_bounds(bounds, ahead), Gains(gains, gains), cost, fixed.widths)
+    gains = constants.maps.window_gains.at(weights.kappa)[:, 0]
+    cost = Cost(weights.error_weight, weights.input_weight, terminal_weight(constants, weights))
+    bounds = tightened_bounds(constants, weights.kappa)
+    ahead = with_terminal_rows(constants.ahead, bounds.terminal_normals)
+    return weigh(ahead, row_bounds(bounds, ahead), Gains(gains, gains), cost, constants.widths)

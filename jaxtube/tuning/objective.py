@@ -31,7 +31,7 @@ from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation.usage import play
 from jaxtube.tuning.caps import CapLimits, shares_of_caps
-from jaxtube.tuning.loop import Fixed, Weights, condense_windows
+from jaxtube.tuning.loop import DesignConstants, Weights, condense_windows
 from jaxtube.tuning.minimal import ActiveFacets
 
 STEEPNESS = 1e2
@@ -162,43 +162,45 @@ def total_cost(laps: LapMeasures, shares: Float[Array, " caps"], aim: Aim) -> Fl
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["fixed", "active", "wheel_map"],
+    data_fields=["design", "active", "wheel_map"],
     meta_fields=["restart"],
 )
 @dataclass(frozen=True)
-class Frozen:
+class EvaluationConstants:
     """All that an evaluation holds fixed: the design, what attains the widest tube, and the
     controller's two choices."""
 
-    fixed: Fixed
+    design: DesignConstants
     active: ActiveFacets
     wheel_map: WheelMap
     restart: bool
 
     def controller(self, weights: Weights) -> TubeMpc:
         """Return the tube-MPC with these weights and gains; differentiable in them."""
-        windows = condense_windows(self.fixed, weights)
-        return TubeMpc(windows, jnp.asarray(self.fixed.index), self.wheel_map, self.restart)
+        windows = condense_windows(self.design, weights)
+        return TubeMpc(windows, jnp.asarray(self.design.index), self.wheel_map, self.restart)
 
     def tube_shares(self, kappa: Float[Array, " kappa"]) -> Float[Array, " caps"]:
         """Return the share of each cap that the tube fills at its widest."""
-        loops = self.fixed.maps.vertex_loops.at(kappa)
-        gains = self.fixed.maps.corner_gains.at(kappa)
-        return shares_of_caps(self.active, self.fixed.limits, loops, self.fixed.generators, gains)
+        loops = self.design.maps.vertex_loops.at(kappa)
+        gains = self.design.maps.corner_gains.at(kappa)
+        return shares_of_caps(self.active, self.design.limits, loops, self.design.generators, gains)
 
 
-def run_tube_mpc(weights: Weights, frozen: Frozen, lap_inputs: LapInputs, aim: Aim) -> LapMeasures:
+def run_tube_mpc(
+    weights: Weights, constants: EvaluationConstants, lap_inputs: LapInputs, aim: Aim
+) -> LapMeasures:
     """Return the laps of the tube-MPC with these weights and gains; differentiable in them."""
-    return measure_laps(frozen.controller(weights), lap_inputs, frozen.fixed.limits, aim)
+    return measure_laps(constants.controller(weights), lap_inputs, constants.design.limits, aim)
 
 
 def objective(
-    weights: Weights, frozen: Frozen, lap_inputs: LapInputs, aim: Aim
+    weights: Weights, constants: EvaluationConstants, lap_inputs: LapInputs, aim: Aim
 ) -> Float[Array, ""]:
     """Return J of the tube-MPC with these weights and gains; differentiable in them.
 
     Where slips jump with the robot's place (`patches`, `adversarial`) the derivative is that
     between the jumps.
     """
-    laps = run_tube_mpc(weights, frozen, lap_inputs, aim)
-    return total_cost(laps, frozen.tube_shares(weights.kappa), aim)
+    laps = run_tube_mpc(weights, constants, lap_inputs, aim)
+    return total_cost(laps, constants.tube_shares(weights.kappa), aim)

@@ -30,10 +30,10 @@ from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem, with_controller
 from jaxtube.tuning.caps import find_active_caps, make_limits
 from jaxtube.tuning.judgement import HeldOutJudgement, judge_laps, judge_without_laps
-from jaxtube.tuning.loop import fix
+from jaxtube.tuning.loop import make_design_constants
 from jaxtube.tuning.objective import (
     Aim,
-    Frozen,
+    EvaluationConstants,
     LapInputs,
     LapMeasures,
     make_aim,
@@ -59,27 +59,29 @@ class Candidate:
 
     point: Point
     prepared: Design | None
-    frozen: Frozen | None
+    constants: EvaluationConstants | None
     reason: str = ""
 
 
 @jax.jit
-def _run_laps(vector, frozen: Frozen, lap_inputs: LapInputs, parameters: Parameters, aim: Aim):
-    return run_tube_mpc(parameters.weights(vector), frozen, lap_inputs, aim)
+def _run_laps(
+    vector, constants: EvaluationConstants, lap_inputs: LapInputs, parameters: Parameters, aim: Aim
+):
+    return run_tube_mpc(parameters.weights(vector), constants, lap_inputs, aim)
 
 
 @jax.jit
 def _value_and_gradient(
-    vector, frozen: Frozen, lap_inputs: LapInputs, parameters: Parameters, aim: Aim
+    vector, constants: EvaluationConstants, lap_inputs: LapInputs, parameters: Parameters, aim: Aim
 ):
     def value(vector):
-        return objective(parameters.weights(vector), frozen, lap_inputs, aim)
+        return objective(parameters.weights(vector), constants, lap_inputs, aim)
 
     return jax.value_and_grad(value)(vector)
 
 
-_tube_shares = jax.jit(Frozen.tube_shares)
-_controller = jax.jit(Frozen.controller)
+_tube_shares = jax.jit(EvaluationConstants.tube_shares)
+_controller = jax.jit(EvaluationConstants.controller)
 _run_controller = jax.jit(measure_laps)
 
 
@@ -108,13 +110,13 @@ class Tuner:
         try:
             scenario = self.parameters.scenario(self.problem.scenario, point)
             prepared = prepare(with_controller(self.problem, scenario))
-            frozen = freeze(prepared)
+            constants = make_evaluation_constants(prepared)
         # Refused scenarios, empty sets and linear algebra raise ValueErrors, hulls and solvers the
         # others.
         except (ArithmeticError, RuntimeError, ValueError) as error:
             return Candidate(point, None, None, str(error).splitlines()[0])
-        reason = "" if frozen else "the tube of the gains is not bounded"
-        return Candidate(point, prepared, frozen, reason)
+        reason = "" if constants else "the tube of the gains is not bounded"
+        return Candidate(point, prepared, constants, reason)
 
     def keys(self, first: int, count: int) -> Key[Array, " count"]:
         """Return the keys of `count` realisations."""
@@ -131,12 +133,14 @@ class Tuner:
     def evaluate(self, point: Point, draws: int) -> tuple[float, Point]:
         """Return objective and gradient over the draws of an index; NO_DESIGN and 0 where there is
         nothing to play."""
-        frozen = self.candidate(point).frozen
-        if frozen is None:
+        constants = self.candidate(point).constants
+        if constants is None:
             return NO_DESIGN, np.zeros_like(point)
         lap_inputs = self.lap_inputs(draws * self.laps, self.laps)
         vector = jnp.asarray(point)
-        value, gradient = _value_and_gradient(vector, frozen, lap_inputs, self.parameters, self.aim)
+        value, gradient = _value_and_gradient(
+            vector, constants, lap_inputs, self.parameters, self.aim
+        )
         return float(value), np.asarray(gradient)
 
     def value(self, point: Point, draws: int) -> float:
@@ -152,15 +156,15 @@ class Tuner:
     ) -> tuple[LapMeasures, Float[np.ndarray, " caps"]] | None:
         """Return laps over given draws and the tube's shares of the caps, None without a closed
         loop."""
-        frozen = self.candidate(point).frozen
-        if frozen is None:
+        constants = self.candidate(point).constants
+        if constants is None:
             return None
         vector = jnp.asarray(point)
 
         def run(lap_inputs: LapInputs) -> LapMeasures:
-            return _run_laps(vector, frozen, lap_inputs, self.parameters, self.aim)
+            return _run_laps(vector, constants, lap_inputs, self.parameters, self.aim)
 
-        shares = _tube_shares(frozen, self.parameters.weights(vector).kappa)
+        shares = _tube_shares(constants, self.parameters.weights(vector).kappa)
         return self._run_batches(run, first, count), np.asarray(shares)
 
     def inspect(self, point: Point) -> HeldOutJudgement:
@@ -186,9 +190,9 @@ class Tuner:
             ValueError: where there is none.
         """
         candidate = self.candidate(point)
-        if candidate.frozen is None:
+        if candidate.constants is None:
             raise ValueError(f"point: has no closed loop ({candidate.reason}); choose another")
-        return _controller(candidate.frozen, self.parameters.weights(jnp.asarray(point)))
+        return _controller(candidate.constants, self.parameters.weights(jnp.asarray(point)))
 
     def drive(self, controller: Controller, first: int, count: int) -> LapMeasures:
         """Return laps of any controller over given draws."""
@@ -240,7 +244,7 @@ def make_tuner(
     plant = closed_loop.robot_of(problem)
     tuner = Tuner(problem, plant, parameters, aim, laps, held_out, seed)
     start = tuner.candidate(parameters.vector)
-    if start.frozen is None:
+    if start.constants is None:
         gains = scenario.controller.tracking_gains or scenario.controller.vertex_gains
         raise ScenarioError(
             f"scenario: controller gains = {list(gains)}: tuning cannot start ({start.reason}); "
@@ -249,22 +253,24 @@ def make_tuner(
     return tuner
 
 
-def freeze(prepared: Design) -> Frozen | None:
+def make_evaluation_constants(prepared: Design) -> EvaluationConstants | None:
     """Return what an evaluation holds of a design, None where the tube of its gains is not bounded.
 
     Raises:
-        ValueError: as `fix`.
+        ValueError: as `make_design_constants`.
     """
     problem = prepared.problem
-    fixed = fix(prepared)
+    design_constants = make_design_constants(prepared)
     kappa = jnp.asarray(problem.given_gains)
-    loops = fixed.maps.vertex_loops.at(kappa)
-    gains = fixed.maps.corner_gains.at(kappa)
-    active = find_active_caps(fixed.limits, loops, jnp.asarray(fixed.generators), gains)
+    loops = design_constants.maps.vertex_loops.at(kappa)
+    gains = design_constants.maps.corner_gains.at(kappa)
+    active = find_active_caps(
+        design_constants.limits, loops, jnp.asarray(design_constants.generators), gains
+    )
     if active is None:
         return None
-    return Frozen(
-        fixed=jax.tree.map(jnp.asarray, fixed),
+    return EvaluationConstants(
+        design=jax.tree.map(jnp.asarray, design_constants),
         active=active,
         wheel_map=closed_loop.make_wheel_map(problem),
         restart=problem.scenario.controller.restart,

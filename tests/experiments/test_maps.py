@@ -36,7 +36,7 @@ def invented(design: str, scenario, start) -> Guarantee:
 
 @pytest.fixture
 def in_threads(monkeypatch):
-    """Invent the points, in threads; returns the operating points asked for and the starts given."""
+    """Invent the points, in threads; returns the points asked for and the starts given."""
     asked = []
 
     def note(design, scenario, start):

@@ -75,7 +75,7 @@ def test_what_has_no_design_says_why_and_is_worth_no_design(tuner, name):
     factors, told = WITHOUT_DESIGN[name]
     point = moved(tuner, **factors)
     candidate = tuner.candidate(point)
-    assert candidate.frozen is None and candidate.reason and told in candidate.reason
+    assert candidate.constants is None and candidate.reason and told in candidate.reason
     value, gradient = tuner.evaluate(point, 0)
     assert value == tuner.value(point, 1) == NO_DESIGN and np.isfinite(NO_DESIGN)
     np.testing.assert_array_equal(gradient, np.zeros_like(point))
@@ -124,11 +124,11 @@ class Recorder:
         data = np.asarray(jax.random.key_data(lap_inputs.keys)).tolist()
         self.keys.setdefault(self.use, []).extend(map(tuple, data))
 
-    def run_laps(self, vector, frozen, lap_inputs, *rest):
+    def run_laps(self, vector, constants, lap_inputs, *rest):
         self.record(lap_inputs)
-        return stand_ins.run_laps(vector, frozen, lap_inputs)
+        return stand_ins.run_laps(vector, constants, lap_inputs)
 
-    def value_and_gradient(self, vector, frozen, lap_inputs, *rest):
+    def value_and_gradient(self, vector, constants, lap_inputs, *rest):
         self.record(lap_inputs)
         return 0.0, vector
 

@@ -16,7 +16,13 @@ from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.synthesis.design import finish, prepare
 from jaxtube.synthesis.feasible import boundary
 from jaxtube.synthesis.problem import with_controller
-from jaxtube.tuning.loop import ROOM, Weights, condense_windows, fix, tightened_bounds
+from jaxtube.tuning.loop import (
+    ROOM,
+    Weights,
+    condense_windows,
+    make_design_constants,
+    tightened_bounds,
+)
 from jaxtube.tuning.parameters import LEAST_PIVOT, make_parameters
 
 SAME_WINDOWS = 1e-9
@@ -45,8 +51,8 @@ def loop(request):
     point = tuned.random_point(problem, np.random.default_rng(3))
     scenario = parameters.scenario(problem.scenario, point)
     design = finish(prepare(with_controller(problem, scenario)))
-    fixed = fix(design)
-    return design, fixed, condense(fixed, parameters.weights(jnp.asarray(point)))
+    constants = make_design_constants(design)
+    return design, constants, condense(constants, parameters.weights(jnp.asarray(point)))
 
 
 def test_windows_are_those_of_the_design(loop):
@@ -88,7 +94,7 @@ def with_spare_rows(window, like):
 
 @pytest.mark.slow
 def test_laps_are_those_of_the_design_rows_active_or_not(loop):
-    design, fixed, windows = loop
+    design, constants, windows = loop
     settings = design.problem.scenario.controller
     first = int(design.windows.index[0])
     edge = boundary(design.tube_window, first, design.problem.operating_set, LAPS - 2, seed=1)
@@ -99,7 +105,7 @@ def test_laps_are_those_of_the_design_rows_active_or_not(loop):
 
     def run(windows):
         windows = jax.tree.map(jnp.asarray, windows)
-        index = jnp.asarray(fixed.index)
+        index = jnp.asarray(constants.index)
         controller = TubeMpc(windows, index, make_wheel_map(design.problem), settings.restart)
         return drive(controller, plant, keys, starts)
 
@@ -117,13 +123,13 @@ def test_laps_are_those_of_the_design_rows_active_or_not(loop):
 
 
 def test_a_tube_that_outgrows_its_limits_leaves_some_room(loop):
-    design, fixed, _ = loop
+    design, constants, _ = loop
     kappa = 3.0 * jnp.asarray(design.problem.given_gains)
-    bounds = tightened_bounds(fixed, kappa)
-    limits = ((bounds.errors, fixed.error_offsets), (bounds.inputs, fixed.limits.offsets))
+    bounds = tightened_bounds(constants, kappa)
+    limits = ((bounds.errors, constants.error_offsets), (bounds.inputs, constants.limits.offsets))
     for left, offsets in limits:
         assert (left >= ROOM * offsets * (1 - SAME_WINDOWS)).all() and (left <= offsets).all()
-    assert (bounds.errors <= ROOM * fixed.error_offsets * (1 + SAME_WINDOWS)).any()
+    assert (bounds.errors <= ROOM * constants.error_offsets * (1 + SAME_WINDOWS)).any()
     assert (bounds.terminal > 0).all()
 
 

@@ -25,7 +25,7 @@ from jaxtube.tuning.caps import make_limits
 from jaxtube.tuning.loop import tightened_bounds
 from jaxtube.tuning.objective import LapInputs
 from jaxtube.tuning.parameters import make_parameters
-from jaxtube.tuning.tuner import Tuner, freeze
+from jaxtube.tuning.tuner import Tuner, make_evaluation_constants
 from sets.lyapunov import cost_of_gains
 
 ACTIVE_ROW = 1e-8
@@ -100,11 +100,11 @@ class Loop:
         widths = make_limits(problem).widths
         watched = partial(watched_play, widths=widths, margin=aim.margin)
 
-        def evaluate(weights, frozen, lap_inputs):
+        def evaluate(weights, constants, lap_inputs):
             told = []
             with pytest.MonkeyPatch.context() as patch:
                 patch.setattr(objective, "play", partial(watched, told=told))
-                return objective.objective(weights, frozen, lap_inputs, aim), told[0]
+                return objective.objective(weights, constants, lap_inputs, aim), told[0]
 
         self.evaluate = jax.jit(jax.value_and_grad(evaluate, has_aux=True))
 
@@ -114,7 +114,7 @@ class Loop:
         for attempt in range(20):
             point = tuned.random_point(self.tuner.problem, np.random.default_rng([seed, attempt]))
             candidate = self.tuner.candidate(point)
-            if candidate.frozen is not None:
+            if candidate.constants is not None:
                 break
         design = finish(candidate.prepared)
         first = int(design.windows.index[0])
@@ -122,29 +122,29 @@ class Loop:
         edge = boundary(design.tube_window, first, operating, LAPS - 1, seed)
         starts = jnp.asarray(np.vstack([design.problem.initial_error, 0.98 * edge]))
         keys = self.tuner.keys(seed * LAPS, LAPS)
-        return point, candidate.frozen, LapInputs(self.tuner.plant, keys, starts)
+        return point, candidate.constants, LapInputs(self.tuner.plant, keys, starts)
 
 
-def solve_again(problem, frozen, weights, other_gains: bool):
+def solve_again(problem, constants, weights, other_gains: bool):
     """Return what an evaluation holds, solved again for other weights and gains.
 
     Only the terminal cost follows the weights; for other gains everything is designed anew, the
     terminal set as well, but for the facets that attain the widest tube.
     """
     if other_gains:
-        again = freeze(prepare(tuned.problem_with(problem, weights)))
-        return dataclasses.replace(again, active=frozen.active)
-    maps = frozen.fixed.maps
+        again = make_evaluation_constants(prepare(tuned.problem_with(problem, weights)))
+        return dataclasses.replace(again, active=constants.active)
+    maps = constants.design.maps
     loops = np.asarray(maps.vertex_loops.at(weights.kappa))
     gains = np.asarray(maps.vertex_gains.at(weights.kappa))
     error_weight = np.asarray(weights.error_weight)
     input_weight = np.asarray(weights.input_weight)
     cost = jnp.asarray(cost_of_gains(loops, gains, error_weight, input_weight))
-    return dataclasses.replace(frozen, fixed=frozen.fixed._replace(terminal_cost=cost))
+    return dataclasses.replace(constants, design=constants.design._replace(terminal_cost=cost))
 
 
 @jax.jit
-def signs_in_the_tube(frozen, kappa):
+def signs_in_the_tube(constants, kappa):
     """Return the signs of all products c g_i whose sizes the tube and its widest extent sum up."""
     signs = []
     support = tube.support
@@ -157,8 +157,8 @@ def signs_in_the_tube(frozen, kappa):
     with pytest.MonkeyPatch.context() as patch:
         for module in (tube, minimal, terminal):
             patch.setattr(module, "support", record)
-        tightened_bounds(frozen.fixed, kappa)
-        frozen.tube_shares(kappa)
+        tightened_bounds(constants.design, kappa)
+        constants.tube_shares(kappa)
     return jnp.concatenate(signs)
 
 
@@ -280,24 +280,24 @@ def test_derivatives_of_whole_laps_are_differences_with_the_host_solved_again(ki
 @pytest.mark.slow
 def test_the_slope_of_the_terminal_set_counts(monkeypatch):
     loop = Loop("firm", 15)
-    point, frozen, lap_inputs = loop.random_point(0)
+    point, constants, lap_inputs = loop.random_point(0)
     weights = loop.weights(jnp.asarray(point))
-    slope = loop.evaluate(weights, frozen, lap_inputs)[1].kappa
+    slope = loop.evaluate(weights, constants, lap_inputs)[1].kappa
 
     def hold(*arguments):
         return jax.lax.stop_gradient(terminal.compute_terminal_set(*arguments))
 
     monkeypatch.setattr("jaxtube.tuning.loop.compute_terminal_set", hold)
-    other = Loop("firm", 15).evaluate(weights, frozen, lap_inputs)[1].kappa
+    other = Loop("firm", 15).evaluate(weights, constants, lap_inputs)[1].kappa
     assert np.abs(slope - other).max() > 1e-2 * np.abs(slope).max()
 
 
 def test_a_lap_without_plans_counts_its_backups_and_has_the_derivative_of_its_terminal_gain(short):
-    point, frozen, lap_inputs = short.random_point(0)
+    point, constants, lap_inputs = short.random_point(0)
     weights = short.weights(jnp.asarray(point))
     starts = lap_inputs.starts
     outside = lap_inputs._replace(starts=starts.at[:].set(20 * starts[1]))
-    (value, told), slope = short.evaluate(weights, frozen, outside)
+    (value, told), slope = short.evaluate(weights, constants, outside)
     assert np.isfinite(value)
     np.testing.assert_array_equal(told[:, 0], np.full(LAPS, 15.0))
     assert not slope.error_weight.any() and not slope.input_weight.any()
@@ -305,11 +305,11 @@ def test_a_lap_without_plans_counts_its_backups_and_has_the_derivative_of_its_te
 
 
 def test_a_lap_without_plans_leaves_the_derivatives_of_the_others_finite(short):
-    point, frozen, lap_inputs = short.random_point(0)
+    point, constants, lap_inputs = short.random_point(0)
     weights = short.weights(jnp.asarray(point))
     starts = lap_inputs.starts
     mixed = lap_inputs._replace(starts=starts.at[2].set(2 * starts[2]))
-    (value, told), slope = short.evaluate(weights, frozen, mixed)
+    (value, told), slope = short.evaluate(weights, constants, mixed)
     backups = np.asarray(told)[:, 0]
     assert backups[2] > 0 and not backups[[0, 1, 3]].any() and np.isfinite(value)
     assert all(np.isfinite(part).all() and part.any() for part in slope)
@@ -318,9 +318,9 @@ def test_a_lap_without_plans_leaves_the_derivatives_of_the_others_finite(short):
 @pytest.mark.slow
 def test_agrees_with_unrolled_iterations(monkeypatch):
     loop = Loop("decoupled", 4)
-    point, frozen, lap_inputs = loop.random_point(1)
+    point, constants, lap_inputs = loop.random_point(1)
     weights = loop.weights(jnp.asarray(point))
-    (value, pattern), slope = loop.evaluate(weights, frozen, lap_inputs)
+    (value, pattern), slope = loop.evaluate(weights, constants, lap_inputs)
     assert (pattern[:, 1] > 0).sum() >= 2
 
     def unrolled(factors, q, lower, upper):
@@ -340,7 +340,7 @@ def test_agrees_with_unrolled_iterations(monkeypatch):
 
     monkeypatch.setattr(qp, "solve", unrolled)
     again = Loop("decoupled", 4)
-    (expected, of_unrolled), expected_slope = again.evaluate(weights, frozen, lap_inputs)
+    (expected, of_unrolled), expected_slope = again.evaluate(weights, constants, lap_inputs)
     np.testing.assert_array_equal(of_unrolled[:, :2], pattern[:, :2])
     assert value == pytest.approx(float(expected), rel=UNROLLED)
     for mine, other in zip(slope, expected_slope, strict=True):

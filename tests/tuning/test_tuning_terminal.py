@@ -15,7 +15,7 @@ from jaxtube.synthesis.design import prepare
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.problem import with_controller
 from jaxtube.tuning import terminal
-from jaxtube.tuning.loop import fix, terminal_set_at, tightened_bounds
+from jaxtube.tuning.loop import make_design_constants, terminal_set_at, tightened_bounds
 from jaxtube.tuning.parameters import make_parameters
 from jaxtube.tuning.terminal import LONGEST
 from sets.polytope import Polytope
@@ -43,9 +43,9 @@ def with_facets(problem, count):
 compute_terminal_set = jax.jit(terminal_set_at)
 
 
-def bounded_rows(fixed, kappa):
+def bounded_rows(constants, kappa):
     """Return the rows of unit offset that are not spare."""
-    terminal_set = compute_terminal_set(fixed, jnp.asarray(kappa))
+    terminal_set = compute_terminal_set(constants, jnp.asarray(kappa))
     normals, offsets = jax.tree.map(np.asarray, terminal_set)
     used = np.isfinite(offsets)
     return normals[used] / offsets[used, None]
@@ -67,21 +67,21 @@ def case(request):
     kappa = problem.given_gains if kappa is None else np.array(kappa)
     problem = with_facets(problem, 300)
     design = prepare_with(problem, kappa)
-    return problem, kappa, design, fix(design), longest
+    return problem, kappa, design, make_design_constants(design), longest
 
 
 def test_the_rows_are_those_of_the_design(case):
-    _, kappa, design, fixed, _ = case
+    _, kappa, design, constants, _ = case
     invariant = design.terminal.invariant
-    rows = bounded_rows(fixed, kappa)
+    rows = bounded_rows(constants, kappa)
     np.testing.assert_allclose(
         rows, invariant.normals / invariant.offsets[:, None], rtol=0, atol=SAME_TERMINAL_ROWS
     )
 
 
 def test_predecessors_are_followed(case):
-    _, _, design, fixed, longest = case
-    lengths = (fixed.terminal_rows.paths >= 0).sum(axis=1)
+    _, _, design, constants, longest = case
+    lengths = (constants.terminal_rows.paths >= 0).sum(axis=1)
     assert lengths.max() == max(map(len, design.terminal.maximal.paths)) <= LONGEST
     assert lengths.max() >= longest and (longest or not lengths.any())
 
@@ -89,11 +89,11 @@ def test_predecessors_are_followed(case):
 @pytest.mark.parametrize("seed", range(3))
 def test_for_gains_near_by_the_set_is_the_one_that_is_made_again(case, seed):
     """A row that comes or goes cuts nothing there: the sets agree to second order at least."""
-    problem, kappa, _, fixed, _ = case
+    problem, kappa, _, constants, _ = case
     rng = np.random.default_rng(seed)
     there = kappa * (1 + 1e-4 * rng.standard_normal(len(kappa)))
     again = prepare_with(problem, there).terminal.invariant
-    rows = bounded_rows(fixed, there)
+    rows = bounded_rows(constants, there)
     held = Polytope(rows, np.ones(len(rows)))
     directions = rng.normal(size=(50, 3))
     np.testing.assert_allclose(
@@ -103,17 +103,17 @@ def test_for_gains_near_by_the_set_is_the_one_that_is_made_again(case, seed):
 
 def test_every_row_is_necessary_for_whatever_gains(case):
     """Rows are predecessors of limits, which no invariant set inside the limits passes."""
-    problem, kappa, _, fixed, _ = case
+    problem, kappa, _, constants, _ = case
     there = kappa * (1 + 0.02 * np.random.default_rng(9).standard_normal(len(kappa)))
     maximal = prepare_with(problem, there).terminal.maximal.polytope
-    assert np.max(maximal.support(bounded_rows(fixed, there))) <= 1 + SAME_TERMINAL_ROWS
+    assert np.max(maximal.support(bounded_rows(constants, there))) <= 1 + SAME_TERMINAL_ROWS
 
 
 def test_equal_gains_at_all_vertices_are_followed_from_the_first():
     problem = tuned.problem_of("vertices")
     kappa = np.tile(np.mean(tuned.VERTEX_GAINS, axis=0).round(2), 4)
     design = prepare_with(problem, kappa)
-    rows = bounded_rows(fix(design), kappa)
+    rows = bounded_rows(make_design_constants(design), kappa)
     assert design.terminal.invariant is design.terminal.maximal.polytope
     np.testing.assert_allclose(
         rows, design.terminal.invariant.normals, rtol=0, atol=SAME_TERMINAL_ROWS
@@ -122,9 +122,9 @@ def test_equal_gains_at_all_vertices_are_followed_from_the_first():
 
 def assert_held(design, kappa):
     """The rows are those of the design whatever the gains."""
-    fixed = fix(design)
+    constants = make_design_constants(design)
     for there in (kappa, 1.1 * kappa):
-        rows = bounded_rows(fixed, there)
+        rows = bounded_rows(constants, there)
         np.testing.assert_allclose(
             rows, design.terminal.invariant.normals, rtol=0, atol=SAME_TERMINAL_ROWS
         )
@@ -148,7 +148,9 @@ def test_what_takes_the_place_of_an_empty_set_is_held():
     kappa = problem.given_gains
     design = prepare_with(problem, kappa)
     assert design.terminal.fallback
-    bounds = jax.jit(lambda *of: tightened_bounds(*of).terminal)(fix(design), jnp.asarray(kappa))
+    bounds = jax.jit(lambda *of: tightened_bounds(*of).terminal)(
+        make_design_constants(design), jnp.asarray(kappa)
+    )
     np.testing.assert_allclose(
         bounds[:, :6], design.bounds.terminal, rtol=0, atol=SAME_TERMINAL_ROWS
     )
