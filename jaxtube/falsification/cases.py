@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxtube.falsification.sample import Sampled
-from jaxtube.falsification.search import Search
+from jaxtube.falsification.search import WorstCaseSearch
 from jaxtube.falsification.setting import LoopLimits
 from jaxtube.falsification.worst import Worst
 from jaxtube.simulation.usage import Limit, Replay
@@ -40,7 +40,7 @@ class Row(NamedTuple):
     """
 
     worst: Worst
-    search: Search
+    search: WorstCaseSearch
     sampled: Sampled
     played: Replay
 

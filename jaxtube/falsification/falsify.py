@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from jaxtube.falsification.cases import Row, list_worst_first, say_verdict
 from jaxtube.falsification.sample import Sampled, sample
-from jaxtube.falsification.search import Search, search_worst_cases
+from jaxtube.falsification.search import WorstCaseSearch, search_worst_cases
 from jaxtube.falsification.setting import (
     LoopLimits,
     Setting,
@@ -173,7 +173,7 @@ def search_setting(
     if not 0 < seconds < float("inf"):
         raise ValueError(f"seconds = {seconds}: is no time; give a positive number")
     names = setting.limits.choose_names(target)
-    searches: dict[str, Search] = {}
+    searches: dict[str, WorstCaseSearch] = {}
     for name in names:
         searches[name] = search_worst_cases(
             setting.loop(name),
@@ -194,7 +194,7 @@ def search_setting(
 
 def _sample_limits(
     setting: Setting,
-    searches: dict[str, Search],
+    searches: dict[str, WorstCaseSearch],
     seed: int,
     advanced: Callable[[], object] | None,
 ) -> dict[str, Sampled]:
@@ -219,7 +219,7 @@ def _sample_limits(
     return sampled
 
 
-def _find_worst(name: str, searches: dict[str, Search]) -> Worst:
+def _find_worst(name: str, searches: dict[str, WorstCaseSearch]) -> Worst:
     """Return the worst case of a limit, which may have been met on the way to another one."""
     cases = [search.worst[name] for search in searches.values() if name in search.worst]
     return max(cases, key=lambda worst: worst.usage)

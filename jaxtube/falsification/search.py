@@ -55,7 +55,7 @@ CONVERGED = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class WorstCaseSearch:
     """What a search found.
 
     Attributes:
@@ -140,7 +140,7 @@ class _Searcher:
         ascent = start_ascent(attack)
         jax.block_until_ready(self._ascend(ascent, _Round(attack, zeros, zeros)))
 
-    def run(self, seconds: float) -> Search:
+    def run(self, seconds: float) -> WorstCaseSearch:
         """Search until nothing worse is found or the time is up, and replay the worst cases."""
         self.start = time.perf_counter()
         rounds = self._generate_rounds()
@@ -152,7 +152,7 @@ class _Searcher:
             stale = 0 if max(gains) > CONVERGED else stale + 1
         elapsed = self._elapsed()
         worst = {name: self._confirm(name) for name in self.cases}
-        return Search(worst, self.reach, self.laps, elapsed, self.course)
+        return WorstCaseSearch(worst, self.reach, self.laps, elapsed, self.course)
 
     def _generate_rounds(self) -> Iterator[_Round]:
         # The first begins without deviations, where the gradient is the fairest.
@@ -279,7 +279,7 @@ def search_worst_cases(
     seconds: float = 60.0,
     seed: int = 0,
     batch: int = 256,
-) -> Search:
+) -> WorstCaseSearch:
     """Search for the smallest margins of a closed loop over everything bounded that its plant would
     draw.
 

@@ -24,7 +24,7 @@ EvaluateValue = Callable[[Point], float]
 
 
 @dataclass(frozen=True, eq=False)
-class Search:
+class ValueSearch:
     """All points of a search in the order of their evaluation, and the value of each, +inf where it
     was not finite."""
 
@@ -44,7 +44,7 @@ class Search:
 
 def random_search(
     evaluate_value: EvaluateValue, start: Point, scales: Point, budget: int, seed: int
-) -> Search:
+) -> ValueSearch:
     """Evaluate the start, then points drawn around it (see `random_point`).
 
     Raises:
@@ -68,7 +68,9 @@ def random_point(start: Point, scales: Point, seed: int, index: int) -> Point:
     return start + scales * generator.standard_normal(len(start))
 
 
-def nelder_mead(evaluate_value: EvaluateValue, start: Point, budget: int, size: float) -> Search:
+def nelder_mead(
+    evaluate_value: EvaluateValue, start: Point, budget: int, size: float
+) -> ValueSearch:
     """Search by the adaptive simplex method, from the start and its neighbours at `size` along each
     axis.
 
@@ -151,6 +153,6 @@ class _Record:
         self.values.append(value if math.isfinite(value) else math.inf)
         return self.values[-1]
 
-    def search(self) -> Search:
+    def search(self) -> ValueSearch:
         """Return what was asked so far."""
-        return Search(np.array(self.points), np.array(self.values))
+        return ValueSearch(np.array(self.points), np.array(self.values))

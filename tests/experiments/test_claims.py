@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from jaxtube.coordinates import KEYS
-from jaxtube.experiments.paper.claims import WIDTH, Claim, claims, table
+from jaxtube.experiments.paper.claims import WIDTH, PaperClaim, claims, table
 
 
 def errors_of(size):
@@ -236,4 +236,9 @@ def test_the_table_holds_every_claim_measurement_and_verdict_in_lines_of_bounded
         assert set(f"{row.claim} {row.measured} {row.verdict}".split()) <= words
     assert max(map(len, text.splitlines())) <= WIDTH
     assert text.count("reproduced") == sum(row.verdict == "reproduced" for row in rows)
-    assert table([Claim("a", "b", "in part")]).splitlines()[-1].split() == ["a", "b", "in", "part"]
+    assert table([PaperClaim("a", "b", "in part")]).splitlines()[-1].split() == [
+        "a",
+        "b",
+        "in",
+        "part",
+    ]

@@ -7,8 +7,8 @@ from tolerances import RESIDUAL_ROUNDING, ROUNDING
 
 from jaxtube.scenario import load
 from jaxtube.synthesis.certificate.period import (
-    Situations,
-    extreme_situations,
+    PeriodCases,
+    extreme_cases,
     find_disturbances,
     next_errors,
 )
@@ -19,9 +19,9 @@ from sets.robot.disturbance import evaluate_disturbance
 COUNT = 500
 
 
-def random_situations(problem, seed=0) -> Situations:
+def random_cases(problem, seed=0) -> PeriodCases:
     random = np.random.default_rng(seed)
-    return Situations(
+    return PeriodCases(
         errors=random.uniform(-0.3, 0.3, (COUNT, 3)),
         inputs=random.uniform(-0.8, 0.8, (COUNT, 2)),
         wheels=random.uniform(0.2, 1.5, (COUNT, 2)),
@@ -31,19 +31,19 @@ def random_situations(problem, seed=0) -> Situations:
     )
 
 
-def disturbances_by_the_bounds_plant(problem, situations):
-    relative = situations.slip - situations.measured_slip
-    wheel_errors = relative / (1 - situations.measured_slip)
+def disturbances_by_the_bounds_plant(problem, cases):
+    relative = cases.slip - cases.measured_slip
+    wheel_errors = relative / (1 - cases.measured_slip)
     points = np.hstack(
         [
-            situations.errors,
-            situations.inputs,
-            situations.wheels,
+            cases.errors,
+            cases.inputs,
+            cases.wheels,
             wheel_errors,
-            situations.noise,
+            cases.noise,
         ]
     )
-    none = np.zeros_like(situations.noise)
+    none = np.zeros_like(cases.noise)
     w, _, _ = evaluate_disturbance(operation(problem), kinematics(problem), points, none)
     return w
 
@@ -51,43 +51,43 @@ def disturbances_by_the_bounds_plant(problem, situations):
 @pytest.mark.parametrize("input_map", ["paper", "cosine_free", "x_exact"])
 def test_a_period_in_the_world_frame_is_that_of_the_bounds_plant(input_map):
     problem = make_problem(load("paper", [f"controller.input_map={input_map}"]))
-    situations = random_situations(problem)
-    A, B = problem.model.matrices(situations.wheels)
-    predicted = np.einsum("nij,nj->ni", A, situations.errors)
-    predicted += np.einsum("nij,nj->ni", B, situations.inputs)
-    w = next_errors(problem, situations) - predicted
-    expected = disturbances_by_the_bounds_plant(problem, situations)
+    cases = random_cases(problem)
+    A, B = problem.model.matrices(cases.wheels)
+    predicted = np.einsum("nij,nj->ni", A, cases.errors)
+    predicted += np.einsum("nij,nj->ni", B, cases.inputs)
+    w = next_errors(problem, cases) - predicted
+    expected = disturbances_by_the_bounds_plant(problem, cases)
     np.testing.assert_allclose(w, expected, rtol=0, atol=RESIDUAL_ROUNDING)
 
 
 def test_what_is_met_under_the_exact_jacobian_is_what_the_bound_is_made_of():
     problem = complete_problem(load("certified"))
-    situations = extreme_situations(problem)
-    expected = disturbances_by_the_bounds_plant(problem, situations)
+    cases = extreme_cases(problem)
+    expected = disturbances_by_the_bounds_plant(problem, cases)
     np.testing.assert_allclose(find_disturbances(problem), expected, rtol=0, atol=RESIDUAL_ROUNDING)
 
 
 @pytest.mark.parametrize("name", ["paper", "certified"])
 def test_extremes_lie_in_what_is_certified_and_reach_its_limits(name):
     problem = make_problem(load(name))
-    situations = extreme_situations(problem)
+    cases = extreme_cases(problem)
     rows = problem.input_rows
-    used = situations.inputs @ rows.inputs.T + situations.errors @ rows.errors.T
+    used = cases.inputs @ rows.inputs.T + cases.errors @ rows.errors.T
     assert np.all(used <= rows.offsets + ROUNDING)
     np.testing.assert_allclose(used.max(axis=0), rows.offsets, atol=ROUNDING)
-    assert problem.operating_set.margin(situations.errors).min() >= -ROUNDING
+    assert problem.operating_set.margin(cases.errors).min() >= -ROUNDING
     low, high = problem.model.box
-    assert np.all((situations.wheels >= low) & (situations.wheels <= high))
+    assert np.all((cases.wheels >= low) & (cases.wheels <= high))
     # One of true and measured slip is nominal.
     nominal = 0.2
-    deviates = np.stack([situations.slip != nominal, situations.measured_slip != nominal])
+    deviates = np.stack([cases.slip != nominal, cases.measured_slip != nominal])
     assert not np.any(deviates.any(axis=2).all(axis=0))
 
 
 def test_where_both_slips_vary_they_are_extreme_together():
     problem = make_problem(load("paper", ["slip.random=both"]))
-    situations = extreme_situations(problem)
-    errors = (situations.slip - situations.measured_slip) / (1 - situations.measured_slip)
+    cases = extreme_cases(problem)
+    errors = (cases.slip - cases.measured_slip) / (1 - cases.measured_slip)
     np.testing.assert_allclose(
         np.abs(errors).max(axis=0), operation(problem).wheel_error, rtol=1e-12
     )

@@ -52,7 +52,7 @@ class Count(NamedTuple):
     of_there: int
 
 
-class Claim(NamedTuple):
+class GuaranteeClaim(NamedTuple):
     """A part of the guarantee.
 
     Attributes:
@@ -133,56 +133,56 @@ RECURSION = ("plan_stays_feasible", "shifted_plan_inclusion", "tightening_covers
 TERMINAL = ("terminal_set_invariant", "terminal_set_admissible", "vertices_cover_schedule")
 RATIONALS = "checked_in_rationals"
 CLAIMS = (
-    Claim(
+    GuaranteeClaim(
         "W holds every disturbance of the robot",
         PREMISE,
         on_robot=False,
         refutation=_laps_with("w_outside_W"),
         scope=_disturbance_set,
     ),
-    Claim(
+    GuaranteeClaim(
         "an invariant terminal set exists over the certified wheel speeds",
         TERMINAL,
         on_robot=False,
     ),
-    Claim(
+    GuaranteeClaim(
         "a plan is followed by a plan",
         RECURSION,
         refutation=_laps_with("qp_infeasible", "qp_unsolved"),
     ),
-    Claim(
+    GuaranteeClaim(
         "the tube holds the error around a plan",
         ("tightening_covers_reach",),
         refutation=_plans_outside,
     ),
-    Claim(
+    GuaranteeClaim(
         "the error stays in E",
         ("true_error_in_e", *RECURSION),
         refutation=_laps_with("e_outside_E"),
     ),
-    Claim(
+    GuaranteeClaim(
         "inputs stay in U",
         ("input_sets_not_empty", *RECURSION),
         refutation=_laps_with("u_outside_U"),
     ),
-    Claim(
+    GuaranteeClaim(
         "wheels stay within their limits",
         ("wheel_limits", *RECURSION),
         refutation=_laps_with("wheels_saturated"),
     ),
-    Claim(
+    GuaranteeClaim(
         "the cost of the model decreases",
         ("terminal_cost_decrease", "plan_stays_feasible"),
         on_robot=False,
         refutation=_cost_excesses,
     ),
-    Claim(
+    GuaranteeClaim(
         "wheel speeds covered",
         ("vertices_cover_schedule", "terminal_set_invariant"),
         scope=_wheel_speeds,
     ),
-    Claim("slip error covered", PREMISE, on_robot=False, scope=_slip_error),
-    Claim("checked in exact arithmetic", (RATIONALS,), on_robot=False),
+    GuaranteeClaim("slip error covered", PREMISE, on_robot=False, scope=_slip_error),
+    GuaranteeClaim("checked in exact arithmetic", (RATIONALS,), on_robot=False),
 )
 WORDS = {
     "disturbance_bound_proved": "W is not proved to hold w",
@@ -193,7 +193,7 @@ WORDS = {
 """What it means that a condition fails, where its name does not say so."""
 
 
-def judge_claim(claim: Claim, design: Tested) -> Verdict:
+def judge_claim(claim: GuaranteeClaim, design: Tested) -> Verdict:
     """Return whether a design makes a claim, whether its certificate proves it, and how often it
     was seen to fail."""
     known = design.certificate.conditions

@@ -9,8 +9,8 @@ from collections.abc import Collection
 from jaxtube.experiments.guarantee.claims import (
     CLAIMS,
     CONFIDENCE,
-    Claim,
     Count,
+    GuaranteeClaim,
     Tested,
     bound_violating_laps,
     bound_violating_share,
@@ -24,7 +24,7 @@ WIDTH = 100
 """Columns of all text."""
 
 
-def cells(claim: Claim, design: Tested) -> tuple[str, str, str]:
+def cells(claim: GuaranteeClaim, design: Tested) -> tuple[str, str, str]:
     """Return in words what a design claims, what is certified of it, and what was seen."""
     verdict = judge_claim(claim, design)
     claimed = "yes" if verdict.claimed else "no"

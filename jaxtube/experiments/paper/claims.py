@@ -19,7 +19,7 @@ PEAK_M = 0.25
 """Where the paper's lateral error peaks without slip compensation."""
 
 
-class Claim(NamedTuple):
+class PaperClaim(NamedTuple):
     """One claim; `verdict` is "reproduced", "in part" or "not reproduced"."""
 
     claim: str
@@ -27,7 +27,7 @@ class Claim(NamedTuple):
     verdict: str
 
 
-def claims(metrics: dict) -> list[Claim]:
+def claims(metrics: dict) -> list[PaperClaim]:
     """Judge every claim from the metrics of a run."""
     controllers = metrics["controllers"]
     tube = controllers["tube_mpc"]
@@ -45,7 +45,7 @@ def claims(metrics: dict) -> list[Claim]:
     ]
 
 
-def table(rows: list[Claim]) -> str:
+def table(rows: list[PaperClaim]) -> str:
     """Return the claims as a plain-text table."""
     return format_table([left("claim"), left("measured"), left("verdict")], rows, WIDTH)
 
@@ -57,7 +57,7 @@ def _verdict(share: float) -> str:
     return "in part" if share > 0 else "not reproduced"
 
 
-def _leaves(uncompensated: dict) -> Claim:
+def _leaves(uncompensated: dict) -> PaperClaim:
     share = uncompensated["violation_share_by_coordinate"]["longitudinal_m"]
     peak = uncompensated["max_error"]["whole_run"]
     text = (
@@ -65,10 +65,10 @@ def _leaves(uncompensated: dict) -> Claim:
         f"largest {peak['median']['longitudinal_m']:.3f} m (median), "
         f"{peak['worst']['longitudinal_m']:.3f} m (worst)"
     )
-    return Claim("without slip compensation |e_x| leaves its limit", text, _verdict(share))
+    return PaperClaim("without slip compensation |e_x| leaves its limit", text, _verdict(share))
 
 
-def _lateral_peaks(uncompensated: dict) -> Claim:
+def _lateral_peaks(uncompensated: dict) -> PaperClaim:
     peak = uncompensated["max_error"]["whole_run"]
     median = peak["median"]["lateral_m"]
     high = peak["p95"]["lateral_m"]
@@ -79,10 +79,10 @@ def _lateral_peaks(uncompensated: dict) -> Claim:
         verdict = "reproduced"
     elif median < PEAK_M <= worst:
         verdict = "in part"
-    return Claim("without slip compensation e_y peaks close to 0.25 m", text, verdict)
+    return PaperClaim("without slip compensation e_y peaks close to 0.25 m", text, verdict)
 
 
-def _stay_inside(compensated: dict, tube: dict) -> Claim:
+def _stay_inside(compensated: dict, tube: dict) -> PaperClaim:
     of_compensation = compensated["violation_share"]
     of_tube = tube["violation_share"]
     text = (
@@ -90,10 +90,10 @@ def _stay_inside(compensated: dict, tube: dict) -> Claim:
         f"{tube['realisations']}"
     )
     is_kept = of_compensation == of_tube == 0
-    return Claim("both compensating controllers stay inside E", text, _verdict(float(is_kept)))
+    return PaperClaim("both compensating controllers stay inside E", text, _verdict(float(is_kept)))
 
 
-def _smallest_errors(controllers: dict) -> list[Claim]:
+def _smallest_errors(controllers: dict) -> list[PaperClaim]:
     rows = []
     for kind, label in (("max_error", "largest"), ("rms_error", "RMS")):
         for span, when in (("whole_run", "whole run"), ("after_10_s", "after 10 s")):
@@ -104,7 +104,7 @@ def _smallest_errors(controllers: dict) -> list[Claim]:
     return rows
 
 
-def _smallest_error(title: str, tube: dict, compensated: dict) -> Claim:
+def _smallest_error(title: str, tube: dict, compensated: dict) -> PaperClaim:
     """Compare tube MPC with slip compensation, coordinate by coordinate; the same start is no
     difference."""
     keys = [coordinate.key for coordinate in COORDINATES]
@@ -112,7 +112,7 @@ def _smallest_error(title: str, tube: dict, compensated: dict) -> Claim:
     wins = sum(tube[key] < compensated[key] for key in differing)
     parts = [_compare(coordinate, tube, compensated) for coordinate in COORDINATES]
     text = f"{'; '.join(parts)} (tube MPC vs slip compensation, medians)"
-    return Claim(title, text, _verdict(wins / len(differing) if differing else 0.0))
+    return PaperClaim(title, text, _verdict(wins / len(differing) if differing else 0.0))
 
 
 def _compare(coordinate: Coordinate, tube: dict, compensated: dict) -> str:
@@ -127,7 +127,7 @@ def _is_same(value: float, other: float) -> bool:
     return abs(value - other) <= SAME
 
 
-def _wheels_rise(controllers: dict, reference: float) -> Claim:
+def _wheels_rise(controllers: dict, reference: float) -> PaperClaim:
     names = ("uncompensated", "compensated", "tube_mpc")
     ratios = {name: controllers[name]["wheel_speed_mean_mps"] / reference for name in names}
     listed = ", ".join(f"{name} {ratio:.3f}" for name, ratio in ratios.items())
@@ -136,18 +136,18 @@ def _wheels_rise(controllers: dict, reference: float) -> Claim:
         "compensation too, paying with its steady |e_x|"
     )
     rise = min(ratios["compensated"], ratios["tube_mpc"]) > ratios["uncompensated"] > 1
-    return Claim("wheel speeds rise to make up for slip", text, _verdict(float(rise)))
+    return PaperClaim("wheel speeds rise to make up for slip", text, _verdict(float(rise)))
 
 
-def _acceptable_sets(conditions: dict) -> Claim:
+def _acceptable_sets(conditions: dict) -> PaperClaim:
     of_errors = conditions["error_sets_not_empty"]["margin"]
     of_inputs = conditions["input_sets_not_empty"]["margin"]
     text = f"smallest inner radius: E_j {of_errors:.3f}, U_j {of_inputs:.3f}"
     verdict = _verdict(float(min(of_errors, of_inputs) > 0))
-    return Claim("the tightened sets have acceptable sizes", text, verdict)
+    return PaperClaim("the tightened sets have acceptable sizes", text, verdict)
 
 
-def _terminal_region(conditions: dict) -> Claim:
+def _terminal_region(conditions: dict) -> PaperClaim:
     is_invariant = conditions["terminal_set_invariant"]["holds"]
     decreases = conditions["terminal_cost_decrease"]["holds"]
     shifted = conditions["plan_stays_feasible"]
@@ -158,7 +158,7 @@ def _terminal_region(conditions: dict) -> Claim:
     )
     share = (is_invariant + decreases + shifted["holds"]) / 3
     title = "a terminal region makes the MPC stable and recursively feasible"
-    return Claim(title, text, _verdict(share))
+    return PaperClaim(title, text, _verdict(share))
 
 
 def _say_what_exists(conditions: dict) -> str:
@@ -177,7 +177,7 @@ def _yes(holds: bool) -> str:
     return "yes" if holds else "no"
 
 
-def _uncertainty(disturbance: dict) -> Claim:
+def _uncertainty(disturbance: dict) -> PaperClaim:
     share = disturbance["share_of_steps_outside"]
     text = (
         f"w lies outside W in {share:.1%} of {disturbance['steps']} steps; largest heading "
@@ -185,10 +185,10 @@ def _uncertainty(disturbance: dict) -> Claim:
         f"{disturbance['allowed']['heading_deg']:.2f} deg"
     )
     title = "W covers linearisation, slip measurement and pose errors"
-    return Claim(title, text, _verdict(float(share == 0)))
+    return PaperClaim(title, text, _verdict(float(share == 0)))
 
 
-def _advantage(controllers: dict) -> Claim:
+def _advantage(controllers: dict) -> PaperClaim:
     names = ("compensated", "local_gain", "equal_gain", "plain_mpc", "tube_mpc")
     rms = {}
     for name in names:
@@ -202,10 +202,10 @@ def _advantage(controllers: dict) -> Claim:
         )
     is_better = rms["tube_mpc"] < min(rms["compensated"], rms["local_gain"])
     title = "the advantage comes from prediction and from the uncertainty in the control law"
-    return Claim(title, text, "in part" if is_better else "not reproduced")
+    return PaperClaim(title, text, "in part" if is_better else "not reproduced")
 
 
-def _tube_role(tube: dict, plain: dict, metrics: dict) -> Claim:
+def _tube_role(tube: dict, plain: dict, metrics: dict) -> PaperClaim:
     stress = metrics["stress"]["linear_w_in_W"]
     with_tube = stress["tube_mpc"]
     without = stress["plain_mpc"]
@@ -223,4 +223,4 @@ def _tube_role(tube: dict, plain: dict, metrics: dict) -> Claim:
     if is_proved and no_run_failed:
         stays_feasible = metrics["certificate"]["plan_stays_feasible"]["holds"]
         verdict = "reproduced" if stays_feasible else "in part"
-    return Claim("the tube keeps the constraints under every w in W", text, verdict)
+    return PaperClaim("the tube keeps the constraints under every w in W", text, verdict)

@@ -30,8 +30,8 @@ each."""
 
 
 @dataclass(frozen=True, eq=False)
-class Situations:
-    """What a period depends on, one row a situation: measured errors (m, m, rad), inputs (m/s,
+class PeriodCases:
+    """What a period depends on, one row a case: measured errors (m, m, rad), inputs (m/s,
     rad/s), reference wheel speeds (right, left) in m/s, true and measured slips, noise of the pose
     that was measured."""
 
@@ -47,19 +47,19 @@ def find_disturbances(problem: Problem) -> Float[np.ndarray, "n 3"]:
     """Return disturbances (m, m, rad) that are possible at extremes of the certified errors,
     inputs, wheel speeds, slips and noise. The noise of the next measurement is left out: that may
     be added anywhere in its box."""
-    situations = extreme_situations(problem)
-    transitions, inputs = problem.model.matrices(situations.wheels)
-    predicted = np.einsum("nij,nj->ni", transitions, situations.errors)
-    predicted += np.einsum("nij,nj->ni", inputs, situations.inputs)
-    return next_errors(problem, situations) - predicted
+    cases = extreme_cases(problem)
+    transitions, inputs = problem.model.matrices(cases.wheels)
+    predicted = np.einsum("nij,nj->ni", transitions, cases.errors)
+    predicted += np.einsum("nij,nj->ni", inputs, cases.inputs)
+    return next_errors(problem, cases) - predicted
 
 
 def find_wheel_commands(problem: Problem) -> Float[np.ndarray, "n 2"]:
     """Return the wheel speeds (right, left), m/s, that the same extremes ask for."""
-    return wheel_commands(problem, extreme_situations(problem))
+    return wheel_commands(problem, extreme_cases(problem))
 
 
-def extreme_situations(problem: Problem) -> Situations:
+def extreme_cases(problem: Problem) -> PeriodCases:
     """Return corners of the operating set, of U, of the regions, and of slip and noise, together.
 
     Where input and error are coupled the longitudinal error is shrunk until their row is met.
@@ -78,7 +78,7 @@ def extreme_situations(problem: Problem) -> Situations:
     inputs = inputs[chosen[1]]
     errors = _meet_coupling(problem, errors, inputs)
     true, measured = np.swapaxes(slips[chosen[3]], 0, 1)
-    return Situations(errors, inputs, wheels[chosen[2]], true, measured, noise[chosen[4]])
+    return PeriodCases(errors, inputs, wheels[chosen[2]], true, measured, noise[chosen[4]])
 
 
 def _meet_coupling(
@@ -106,15 +106,15 @@ def _extreme_slips(problem: Problem) -> Float[np.ndarray, "k 2 2"]:
     return np.array(one_varies).reshape(-1, 2, 2)
 
 
-def next_errors(problem: Problem, situations: Situations) -> Float[np.ndarray, "n 3"]:
+def next_errors(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"]:
     """Return the true errors a period later, (m, m, rad)."""
     T = problem.model.dt
     b = problem.model.track_width
-    reference_speed = situations.wheels.mean(axis=1)
-    reference_turn = (situations.wheels[:, 0] - situations.wheels[:, 1]) / b
-    right, left = ((1 - situations.slip) * wheel_commands(problem, situations)).T
+    reference_speed = cases.wheels.mean(axis=1)
+    reference_turn = (cases.wheels[:, 0] - cases.wheels[:, 1]) / b
+    right, left = ((1 - cases.slip) * wheel_commands(problem, cases)).T
     # The reference is at the origin of the world frame, heading along its x axis.
-    true = situations.errors - situations.noise
+    true = cases.errors - cases.noise
     heading = -true[:, 2]
     place = -(true[:, 0] + 1j * true[:, 1]) * np.exp(1j * heading)
     reference_step = _step(reference_speed, reference_turn, np.zeros_like(heading), T)
@@ -124,26 +124,26 @@ def next_errors(problem: Problem, situations: Situations) -> Float[np.ndarray, "
     return np.stack([offset.real, offset.imag, T * reference_turn - heading], axis=1)
 
 
-def wheel_commands(problem: Problem, situations: Situations) -> Float[np.ndarray, "n 2"]:
+def wheel_commands(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 2"]:
     """Return the wheel speeds (right, left), m/s, that are commanded: the measured slip is
     compensated."""
-    speed, turn = command(problem, situations)
+    speed, turn = map_inputs(problem, cases)
     half_track = problem.model.track_width / 2
     ground = np.stack([speed + half_track * turn, speed - half_track * turn], axis=1)
-    return ground / (1 - situations.measured_slip)
+    return ground / (1 - cases.measured_slip)
 
 
-def command(problem: Problem, situations: Situations) -> tuple[Numbers, Numbers]:
+def map_inputs(problem: Problem, cases: PeriodCases) -> tuple[Numbers, Numbers]:
     """Return the speed, m/s, and yaw rate, rad/s, that the input map commands.
 
     `x_exact` is solved for the speed by what it means: without slip and noise the longitudinal
     error would become e_x + T Om e_y + T u1.
     """
     T = problem.model.dt
-    x, y, heading_error = situations.errors.T
-    u1, u2 = situations.inputs.T
-    reference_speed = situations.wheels.mean(axis=1)
-    reference_turn = (situations.wheels[:, 0] - situations.wheels[:, 1]) / problem.model.track_width
+    x, y, heading_error = cases.errors.T
+    u1, u2 = cases.inputs.T
+    reference_speed = cases.wheels.mean(axis=1)
+    reference_turn = (cases.wheels[:, 0] - cases.wheels[:, 1]) / problem.model.track_width
     turn = reference_turn - u2
     input_map = problem.scenario.controller.input_map
     if input_map == "paper":
