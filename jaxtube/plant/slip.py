@@ -5,8 +5,8 @@ them.
     measured = nominal (1 + relative_error xi_measured)        xi in [-1, 1]^2, (right, left)
 
 A slip process says how xi evolves: one of those named in `jaxtube.plant.slip_processes`, or any
-other object that fits `SlipProcess`. Which of the two slips varies is `random`: "true", "measured"
-or "both" (then independently, except under an opposed process such as the adversary).
+other object that fits `SlipProcess`. Which of the two slips varies is `uncertain_slip`: "true",
+"measured" or "both" (then independently, except under an opposed process such as the adversary).
 
 Each draw is a pure function of seed, realisation, purpose and step, or patch of ground, by
 `jax.random.fold_in` (Salmon, Moraes, Dror, Shaw 2011); an adversary's choice depends on the
@@ -28,7 +28,7 @@ from jaxtube.plant.streams import Stream
 START = 0xFFFFFFFF
 """Number with which the stream of a process starts; no step reaches it."""
 
-RANDOM_SLIPS = ("true", "measured", "both")
+UNCERTAIN_SLIPS = ("true", "measured", "both")
 
 Memory = Any
 """What a process keeps between steps: a pytree of arrays, of the same structure, shapes and dtypes
@@ -145,7 +145,7 @@ def draw_slip(
     memory: tuple[Memory, Memory],
     situation: Situation,
     process: SlipProcess,
-    random: str,
+    uncertain_slip: str,
 ) -> tuple[Float[Array, "2"], Float[Array, "2"], tuple[Memory, Memory]]:
     """Draw the deviations of the true and the measured slip at one step.
 
@@ -155,24 +155,26 @@ def draw_slip(
         memory: what `initial_slip` or the last step returned.
         situation: where robot and wheels are.
         process: how deviations evolve.
-        random: which slip varies, "true", "measured" or "both"; the other's deviation is 0.
+        uncertain_slip: which slip varies, "true", "measured" or "both"; the other's deviation is 0.
 
     Returns:
         (xi_true, xi_measured, next memory); xi is (right, left) in [-1, 1].
 
     Raises:
-        ValueError: when `random` is none of the three.
+        ValueError: when `uncertain_slip` is none of the three.
     """
-    choices = ", ".join(RANDOM_SLIPS)
-    _refuse_unless(random in RANDOM_SLIPS, "random", random, f"choose one of {choices}")
+    choices = ", ".join(UNCERTAIN_SLIPS)
+    _refuse_unless(
+        uncertain_slip in UNCERTAIN_SLIPS, "random", uncertain_slip, f"choose one of {choices}"
+    )
     true_key, measured_key = _slip_keys(run_key, process)
     true_memory, measured_memory = memory
     nothing = jnp.zeros(2, situation.errors.dtype)
     xi_true = nothing
     xi_measured = nothing
-    if random != "measured":
+    if uncertain_slip != "measured":
         xi_true, true_memory = process.draw(true_key, step, true_memory, situation)
-    if random != "true":
+    if uncertain_slip != "true":
         xi_measured, measured_memory = process.draw(measured_key, step, measured_memory, situation)
         xi_measured = -xi_measured if process.opposed else xi_measured
     return xi_true, xi_measured, (true_memory, measured_memory)

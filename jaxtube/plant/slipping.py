@@ -60,7 +60,7 @@ class SlipMemory(NamedTuple):
         "relative_error",
         "noise",
     ],
-    meta_fields=["process", "random"],
+    meta_fields=["process", "uncertain_slip"],
 )
 @dataclass(frozen=True)
 class SlippingRobot:
@@ -76,7 +76,7 @@ class SlippingRobot:
         noise: half widths (m, m, rad) of the pose noise in the robot's frame, None for an exact
             measurement.
         process: how deviations evolve: a name of `slip_processes.PROCESSES`, or one of your own.
-        random: which slip deviates, "true", "measured" or "both".
+        uncertain_slip: which slip deviates, "true", "measured" or "both".
     """
 
     robot: Robot
@@ -87,7 +87,7 @@ class SlippingRobot:
     relative_error: float
     noise: Float[Array, "3"] | None = None
     process: str | slips.SlipProcess = "iid"
-    random: str = "true"
+    uncertain_slip: str = "true"
 
     has_wheels = True
 
@@ -123,7 +123,9 @@ class SlippingRobot:
         process = find_process(self.process)
 
         def draw(key, memory_of_one, situation):
-            return slips.draw_slip(key, step, memory_of_one, situation, process, self.random)
+            return slips.draw_slip(
+                key, step, memory_of_one, situation, process, self.uncertain_slip
+            )
 
         drawn = jax.vmap(draw)(keys, memory.process, self.situation(step, errors))
         true, measured, following = checkpoint_name(drawn, DRAWN)
@@ -189,7 +191,7 @@ class SlippingRobot:
             )
         steps = len(self.reference_wheels)
         times = steps if self.process == "iid" else 1
-        names = [name for name in ("true", "measured") if self.random in (name, "both")]
+        names = [name for name in ("true", "measured") if self.uncertain_slip in (name, "both")]
         uncertainties = {name: Uncertainty(_box_vertices(2), times) for name in names}
         if self.noise is not None:
             uncertainties["noise"] = Uncertainty(_box_vertices(3), steps + 1)

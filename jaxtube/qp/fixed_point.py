@@ -39,10 +39,10 @@ TOLERANCE = {8: 1e-9, 4: 5e-7}
 """Residual that is accepted, by bytes of a float."""
 RELAXATION = 1.7
 """alpha"""
-PENALTY = {8: 5e4, 4: 1e1}
+NEWTON_PENALTY = {8: 5e4, 4: 1e1}
 """Newton's penalty over rho, by bytes of a float: fast convergence against rounding of the
 multipliers."""
-PASSES = 3
+NEWTON_PASSES = 3
 DUAL_ROUNDING = 2
 """Errors of P x below this multiple of eps |P| |x| count as rounding."""
 PRIMAL_ROUNDING = 4
@@ -156,7 +156,7 @@ def polish(
     A = factors.rows
     P = factors.hessian
     rho = factors.rho
-    penalty = rho * PENALTY[x.dtype.itemsize]
+    penalty = rho * NEWTON_PENALTY[x.dtype.itemsize]
 
     def step(_, carry):
         x, y, best = carry
@@ -175,7 +175,7 @@ def polish(
             return x, y + weights * (matmul(A, x) - bound)
 
         start = x, jnp.where(active, y, 0.0)
-        x, y = jax.lax.fori_loop(0, PASSES, correct, start)
+        x, y = jax.lax.fori_loop(0, NEWTON_PASSES, correct, start)
         return x, y, keep_better(factors, instances, best, x, y)
 
     start = x, y, keep_better(factors, instances, best, x, y)

@@ -31,14 +31,14 @@ from jaxtube.qp import batched_ldl
 from jaxtube.qp.batched_ldl import matmul
 from jaxtube.qp.factors import Factors
 
-PENALTY = {8: 1e6, 4: 1e3}
+ADJOINT_PENALTY = {8: 1e6, 4: 1e3}
 """Penalty over rho, by bytes of a float.
 
-Each pass divides the error by about PENALTY times the least eigenvalue of A P^-1 A' on the active
-rows, over rho; there is no good guess to begin with, so that penalty and passes exceed those of
-polish.
+Each pass divides the error by about ADJOINT_PENALTY times the least eigenvalue of A P^-1 A' on the
+active rows, over rho; there is no good guess to begin with, so that penalty and passes exceed those
+of polish.
 """
-PASSES = 6
+ADJOINT_PASSES = 6
 
 
 def active_rows(
@@ -67,7 +67,7 @@ def adjoint(
     nu."""
     A = factors.rows
     P = factors.hessian
-    weights = jnp.where(active, factors.rho * PENALTY[x_bar.dtype.itemsize], 0.0)
+    weights = jnp.where(active, factors.rho * ADJOINT_PENALTY[x_bar.dtype.itemsize], 0.0)
     penalised = factors.packed_hessian[:, None] + matmul(factors.pair_products, weights)
     ldl = batched_ldl.factorise(penalised)
 
@@ -79,7 +79,7 @@ def adjoint(
         return d, nu + weights * (matmul(A, d) - y_bar)
 
     start = jnp.zeros_like(x_bar), jnp.zeros_like(y_bar)
-    return jax.lax.fori_loop(0, PASSES, correct, start)
+    return jax.lax.fori_loop(0, ADJOINT_PASSES, correct, start)
 
 
 def shared_cotangents(

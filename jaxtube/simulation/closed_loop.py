@@ -112,7 +112,7 @@ def robot_of(
         relative_error=slip.relative_error if relative_error is None else relative_error,
         noise=jnp.asarray(noise) if noise.any() else None,
         process=slip.process if process is None else process,
-        random=slip.random,
+        uncertain_slip=slip.random,
     )
 
 

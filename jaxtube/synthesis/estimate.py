@@ -32,7 +32,7 @@ START_STEPS = 2
 """Steps of W by which the caps exceed the start."""
 START_TURN = 1 / 3
 """Share of the yaw rate deficit that the start leaves to turn with."""
-STEP = 1e-4
+ACCURACY = 1e-4
 """Relative accuracy of the estimate."""
 ALONG = 5
 """Points along an edge, where an extreme may lie between its ends."""
@@ -127,7 +127,7 @@ class Estimate:
             kick = np.array([0.0, self.period.lateral_per_yaw * w.yaw, w.yaw])
             used += [*((start + START_STEPS * (w.box + kick)) / errors)]
             left_to_turn = caps.coupled_turning * (1 - start[0] / caps.coupled_error)
-            used.append(START_TURN * caps.turning / max(left_to_turn, STEP))
+            used.append(START_TURN * caps.turning / max(left_to_turn, ACCURACY))
         else:
             used.append(0.0)
         least, greatest = w.speeds
@@ -186,7 +186,7 @@ class Estimate:
             reach = steps + np.max(images @ points.T, axis=(0, 2))
             if not np.all(reach < UNBOUNDED * steps.max()):
                 return None
-            if np.all(reach <= offsets * (1 + STEP / 10)):
+            if np.all(reach <= offsets * (1 + ACCURACY / 10)):
                 return points
             offsets = np.maximum(offsets, reach)
         return None

@@ -27,7 +27,7 @@ from scipy.optimize import minimize
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.advice import say_what_widens
 from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits
-from jaxtube.synthesis.estimate import STEP, USUAL_TRACK_WIDTH_M, Estimate
+from jaxtube.synthesis.estimate import ACCURACY, USUAL_TRACK_WIDTH_M, Estimate
 from jaxtube.synthesis.limits import error_vector
 from jaxtube.synthesis.problem import Problem, make_problem
 
@@ -55,6 +55,8 @@ REACH = 1.5
 """How far the search may go from its start, in logarithms."""
 SLOWEST_GAIN = 0.5
 """Least k1, 1/s."""
+DIFFERENCE = 1e-4
+"""Step of the forward differences of the constraints, in logarithms."""
 MISSED = -10.0
 """Slack of every constraint where the loops have no bounded tube."""
 
@@ -109,7 +111,7 @@ def optimise(
         if excess <= 1:
             break
         # Corners miss the greatest ground speed by little: ask for that much less.
-        estimate.fastest /= excess * (1 + STEP)
+        estimate.fastest /= excess * (1 + ACCURACY)
         best, least = _descend(estimate, best)
     return Optimum(_with_values(problem.scenario, best), float(least))
 
@@ -183,7 +185,8 @@ def _descend(
     def slope(point: Float[np.ndarray, " 12"]) -> Float[np.ndarray, "rows 12"]:
         here = slack(point)
         columns = [
-            (slack(point + STEP * direction) - here) / STEP for direction in np.eye(len(point))
+            (slack(point + DIFFERENCE * direction) - here) / DIFFERENCE
+            for direction in np.eye(len(point))
         ]
         return np.stack(columns, axis=1)
 
@@ -200,7 +203,7 @@ def _descend(
     )
     point = answer.x[:-1]
     shares = estimate.shares(point)
-    if shares is None or shares.limits.max() > 1 + 10 * STEP:
+    if shares is None or shares.limits.max() > 1 + 10 * ACCURACY:
         return point, np.inf
     return point, float(shares.caps.max())
 

@@ -25,7 +25,7 @@ from sets.polytope import Polytope, hull_vertices
 from sets.robot.plant import Kinematics, Parts, Period, split_disturbance
 from sets.supremum import suprema
 
-READINGS = ("true", "measured", "both")
+UNCERTAIN_SLIPS = ("true", "measured", "both")
 CAUSES = ("bilinear", "sine", "sampling", "slip", "noise")
 
 NEGLIGIBLE = 1e-12
@@ -207,15 +207,15 @@ def _round_up(magnitudes: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
 
 
 def wheel_error_bound(
-    nominal_slip: Float[np.ndarray, "2"], relative_error: float, random: str
+    nominal_slip: Float[np.ndarray, "2"], relative_error: float, uncertain_slip: str
 ) -> Float[np.ndarray, "2"]:
     """Return the largest |d|, d = (i - i_m) / (1 - i_m), of each wheel; it is attained.
 
     Args:
         nominal_slip: i0 of each wheel.
         relative_error: r, not negative.
-        random: which slip lies in i0 (1 +- r), the other being i0: "true" i, "measured" i_m; or
-            "both" do.
+        uncertain_slip: which slip lies in i0 (1 +- r), the other being i0: "true" i, "measured"
+            i_m; or "both" do.
 
     Raises:
         ValueError: a slip may reach 1, or an argument is out of range.
@@ -223,8 +223,10 @@ def wheel_error_bound(
     Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (7)-(8) for the division by 1 - i_m.
     """
     nominal_slip = np.asarray(nominal_slip, dtype=float)
-    if random not in READINGS:
-        raise ValueError(f"random: {random!r} is unknown; choose one of {', '.join(READINGS)}")
+    if uncertain_slip not in UNCERTAIN_SLIPS:
+        raise ValueError(
+            f"random: {uncertain_slip!r} is unknown; choose one of {', '.join(UNCERTAIN_SLIPS)}"
+        )
     if not 0 <= relative_error < np.inf:
         raise ValueError(
             f"relative_error: {relative_error} is negative or not finite; give a share such as 0.1"
@@ -235,8 +237,8 @@ def wheel_error_bound(
         )
     ends = nominal_slip * (1 + relative_error * np.array([[-1.0], [1.0]]))
     fixed = np.stack([nominal_slip] * 2)
-    true = fixed if random == "measured" else ends
-    measured = fixed if random == "true" else ends
+    true = fixed if uncertain_slip == "measured" else ends
+    measured = fixed if uncertain_slip == "true" else ends
     # d grows with i and falls with i_m, so its extremes lie at ends of both.
     errors = (true[:, None] - measured[None]) / (1 - measured[None])
     return _round_up(np.abs(errors).max(axis=(0, 1)))

@@ -85,7 +85,7 @@ def test_a_robot_of_any_process_moves_as_the_robot_of_that_process_alone():
         relative_error=0.3,
         noise=jnp.full(3, 1e-3),
         process=PROCESSES[0],
-        random="both",
+        uncertain_slip="both",
     )
     keys = realisation_keys(3, 0, laps)
     errors = jnp.asarray(generator.normal(size=(laps, 3)))

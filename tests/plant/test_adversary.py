@@ -30,7 +30,7 @@ def corners(count):
     return np.array(list(itertools.product((-1.0, 1.0), repeat=count)))
 
 
-def robot_at_some_state(random, dt):
+def robot_at_some_state(uncertain_slip, dt):
     """A plant of one period under the adversary."""
     return SlippingRobot(
         robot=Robot(track_width=TRACK_WIDTH, wheel_speed_min=-3.0, wheel_speed_max=3.0),
@@ -40,7 +40,7 @@ def robot_at_some_state(random, dt):
         nominal_slip=jnp.array([0.2, 0.15]),
         relative_error=0.1,
         process="adversarial",
-        random=random,
+        uncertain_slip=uncertain_slip,
     )
 
 
@@ -69,20 +69,22 @@ def one_period(plant, keys, errors, inputs):
         direction,
         wheels,
         gain(chosen),
-        jax.vmap(gain_of)(jnp.asarray(pairs_of_slips(plant.random))),
+        jax.vmap(gain_of)(jnp.asarray(pairs_of_slips(plant.uncertain_slip))),
     )
 
 
-def pairs_of_slips(random):
-    """All extreme deviations (true, measured) of what is random."""
-    if random == "both":
+def pairs_of_slips(uncertain_slip):
+    """All extreme deviations (true, measured) of what is uncertain."""
+    if uncertain_slip == "both":
         return corners(4).reshape(-1, 2, 2)
     others = np.zeros((4, 2))
-    return np.stack([corners(2), others] if random == "true" else [others, corners(2)], axis=1)
+    return np.stack(
+        [corners(2), others] if uncertain_slip == "true" else [others, corners(2)], axis=1
+    )
 
 
-@pytest.mark.parametrize("random", ["true", "measured", "both"])
-def test_no_other_extreme_slips_push_the_error_further_over_one_exact_period(random):
+@pytest.mark.parametrize("uncertain_slip", ["true", "measured", "both"])
+def test_no_other_extreme_slips_push_the_error_further_over_one_exact_period(uncertain_slip):
     """At 1000 random states, whichever slip varies: a measured one acts the other way round.
 
     The choice is by the rate of the error: best over short periods everywhere, over 0.1 s where no
@@ -93,7 +95,7 @@ def test_no_other_extreme_slips_push_the_error_further_over_one_exact_period(ran
     inputs = jnp.asarray(generator.uniform(-1, 1, (STATES, 2)) * [0.3, 0.5])
     for dt, width in ((1e-5, 0.3), (0.1, 0.15)):
         errors = jnp.asarray(generator.uniform(-1, 1, (STATES, 3)) * [width, width, 0.35])
-        results = one_period(robot_at_some_state(random, dt), keys, errors, inputs)
+        results = one_period(robot_at_some_state(uncertain_slip, dt), keys, errors, inputs)
         direction, wheels, chosen, possible = map(np.asarray, results)
         assert np.all(wheels > 0)
         assert set(np.sign(direction[:, 0])) == set(np.sign(direction[:, 1])) == {-1, 0, 1}

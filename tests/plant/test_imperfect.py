@@ -178,7 +178,7 @@ def test_wheels_that_lag_or_are_limited_follow_a_period_as_its_two_halves(period
 
 def test_without_imperfections_the_robot_is_the_ideal_one(lap):
     ideal = slipping_robot(
-        process="adversarial", random="both", noise=jnp.array([0.001, 0.001, 0.0005])
+        process="adversarial", uncertain_slip="both", noise=jnp.array([0.001, 0.001, 0.0005])
     )
     found = lap(imperfect(ideal))
     expected = lap(ideal)

@@ -25,13 +25,13 @@ UNIFORM = ("iid", "constant", "walk", "patches")
 DRAWN = (*UNIFORM, "vertex")  # and the adversary chooses
 
 
-@partial(jax.jit, static_argnames=("process", "random", "steps"))
-def one_run(process, random, steps, index_low, situation=HERE, index_high=0):
+@partial(jax.jit, static_argnames=("process", "uncertain_slip", "steps"))
+def one_run(process, uncertain_slip, steps, index_low, situation=HERE, index_high=0):
     """Deviations (steps, 2) of the true and the measured slip of one realisation."""
     key = slip.realisation_key(SEED, index_high, index_low)
 
     def body(state, step):
-        true, measured, state = slip.draw_slip(key, step, state, situation, process, random)
+        true, measured, state = slip.draw_slip(key, step, state, situation, process, uncertain_slip)
         return state, (true, measured)
 
     return jax.lax.scan(
@@ -39,9 +39,9 @@ def one_run(process, random, steps, index_low, situation=HERE, index_high=0):
     )[1]
 
 
-def many_runs(process, random, steps, count):
+def many_runs(process, uncertain_slip, steps, count):
     """Deviations (runs, steps, 2) of the true and the measured slip."""
-    return jax.jit(jax.vmap(lambda i: one_run(process, random, steps, i)))(
+    return jax.jit(jax.vmap(lambda i: one_run(process, uncertain_slip, steps, i)))(
         jnp.arange(count, dtype=jnp.uint32)
     )
 
@@ -103,9 +103,13 @@ def test_each_vertex_comes_up_a_quarter_of_the_time():
 @pytest.mark.parametrize("process", PROCESSES.values(), ids=PROCESSES)
 def test_only_the_slip_that_is_random_deviates(process):
     both = np.asarray(one_run(process, "both", 5, 3))
-    for random, (true, measured) in {"true": (1, 0), "measured": (0, 1), "both": (1, 1)}.items():
+    for uncertain_slip, (true, measured) in {
+        "true": (1, 0),
+        "measured": (0, 1),
+        "both": (1, 1),
+    }.items():
         np.testing.assert_array_equal(
-            one_run(process, random, 5, 3), [both[0] * true, both[1] * measured]
+            one_run(process, uncertain_slip, 5, 3), [both[0] * true, both[1] * measured]
         )
 
 
@@ -148,7 +152,7 @@ def test_equal_processes_share_one_compilation():
 def test_scenarios_can_name_every_process_and_no_other():
     fields = get_type_hints(Slip)
     assert set(get_args(fields["process"])) == set(PROCESSES)
-    assert set(get_args(fields["random"])) == set(slip.RANDOM_SLIPS)
+    assert set(get_args(fields["random"])) == set(slip.UNCERTAIN_SLIPS)
 
 
 def test_realisations_around_2_to_the_31_and_2_to_the_32_are_distinct():

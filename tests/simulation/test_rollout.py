@@ -262,13 +262,13 @@ def test_the_true_slip_stays_within_its_bounds_of_the_measured_one(paper_design,
 
 
 @pytest.mark.parametrize(
-    ("random", "least", "most"), [("true", 0.2, 0.2), ("measured", 0.18, 0.22)]
+    ("uncertain_slip", "least", "most"), [("true", 0.2, 0.2), ("measured", 0.18, 0.22)]
 )
 def test_wheels_are_commanded_with_the_measured_slip(
-    paper_design, paper_loops, paper_plant, tracked, random, least, most
+    paper_design, paper_loops, paper_plant, tracked, uncertain_slip, least, most
 ):
     """Eqs. (7)-(8) solved for the slip that the controller divides by."""
-    plant = dataclasses.replace(paper_plant, random=random)
+    plant = dataclasses.replace(paper_plant, uncertain_slip=uncertain_slip)
     trajectory = closed_loop.run_realisations(
         paper_loops["compensated"], plant, tracked.errors[0], 0
     )

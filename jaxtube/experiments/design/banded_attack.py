@@ -105,7 +105,7 @@ def _make_robot(law: BandedLaw, reference: Reference, process: str) -> SlippingR
         relative_error=slip.relative_error,
         noise=jnp.asarray(problem.noise) if problem.noise.any() else None,
         process=process,
-        random=slip.random,
+        uncertain_slip=slip.random,
     )
 
 

@@ -2,8 +2,9 @@
 saved as soon as it is known.
 
 A search starts from the optimum of the neighbour that lies one step closer to the scenario's own:
-along the speed range or the period first, then along the slip error. So the points form a tree, and those whose start is known are computed side by side. The order in which they end
-changes no number: a start is a function of the grid alone.
+along the speed range or the period first, then along the slip error. So the points form a tree, and
+those whose start is known are computed side by side. The order in which they end changes no number:
+a start is a function of the grid alone.
 """
 
 from __future__ import annotations

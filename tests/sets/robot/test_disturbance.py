@@ -438,18 +438,18 @@ def test_w_has_one_support_function_by_formula_vertices_and_facets(relative_erro
     assert 8 <= len(bound.vertices()) <= 12
 
 
-@pytest.mark.parametrize("random", ["true", "measured", "both"])
+@pytest.mark.parametrize("uncertain_slip", ["true", "measured", "both"])
 @pytest.mark.parametrize("slip", [0.2, 0.45, -0.1, 0.0])
-def test_wheel_errors_are_bounded_and_the_bound_is_reached(random, slip):
+def test_wheel_errors_are_bounded_and_the_bound_is_reached(uncertain_slip, slip):
     r = 0.15
     true, measured = slip * (1 + r * np.random.default_rng(0).choice([-1, 1], size=(2, 100)))
-    if random != "both":
-        true, measured = (true, slip) if random == "true" else (slip, measured)
+    if uncertain_slip != "both":
+        true, measured = (true, slip) if uncertain_slip == "true" else (slip, measured)
     reached = np.abs((true - measured) / (1 - measured)).max()
-    assert wheel_error_bound(np.array([slip]), r, random)[0] == pytest.approx(
+    assert wheel_error_bound(np.array([slip]), r, uncertain_slip)[0] == pytest.approx(
         reached, rel=1e-13, abs=1e-300
     )
-    assert wheel_error_bound(np.array([slip]), r, random)[0] >= reached
+    assert wheel_error_bound(np.array([slip]), r, uncertain_slip)[0] >= reached
 
 
 def test_the_bound_on_wheel_errors_has_its_closed_form():
