@@ -103,7 +103,7 @@ def edge_starts():
 
     def draw(design, count, edge_share=0.5):
         points = boundary(
-            design.tube_window, int(design.windows.index[0]), design.problem.error_set, 200, seed=3
+            design.tube_qps, int(design.windows.index[0]), design.problem.error_set, 200, seed=3
         )
         return spread_starts(points, count, 4, edge_share)
 

@@ -68,7 +68,7 @@ class PlanFollower:
         command, mpc_memory, diagnostics = self.controller.act(
             step, memory.controller, measurement, reference_wheels
         )
-        window = self.controller.window(step)
+        condensed = self.controller.condensed_qp(step)
         stage = jnp.asarray(step, self.when.dtype) - self.when
         horizon = memory.plan.shape[1]
         now = stage == 0
@@ -78,9 +78,9 @@ class PlanFollower:
         due_stage = jnp.clip(stage, 0, horizon - 1)[:, None, None]
         due = jnp.take_along_axis(plan, due_stage, axis=1)[:, 0]
         follows = planned & (stage >= 0) & (stage < horizon)
-        followed = due + (errors - nominal) @ window.tube_gain.T
+        followed = due + (errors - nominal) @ condensed.tube_gain.T
         inputs = jnp.where(follows[:, None], followed, command.inputs)
         command = self.wheel_map.command(inputs, measurement, reference_wheels)
-        expected = nominal @ window.transition.T + due @ window.input_matrix.T
+        expected = nominal @ condensed.transition.T + due @ condensed.input_matrix.T
         nominal = jnp.where(follows[:, None], expected, errors)
         return command, Following(mpc_memory, plan, planned, nominal, follows), diagnostics

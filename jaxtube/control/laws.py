@@ -23,7 +23,7 @@ from jaxtube.plant.protocol import Command, Measurement
 
 @partial(
     jax.tree_util.register_dataclass,
-    data_fields=["windows", "index", "wheel_map"],
+    data_fields=["qps", "index", "wheel_map"],
     meta_fields=["restart"],
 )
 @dataclass(frozen=True)
@@ -31,13 +31,13 @@ class TubeMpc:
     """Tube-MPC along a reference.
 
     Attributes:
-        windows: condensed QPs, one for each distinct stretch of the reference ahead.
+        qps: condensed QPs, one for each distinct stretch of the reference ahead.
         index: which of them each period uses.
         wheel_map: how virtual inputs become wheel speeds.
         restart: start each prediction at the measured error, not at the nominal one.
     """
 
-    windows: mpc.CondensedQp
+    qps: mpc.CondensedQp
     index: Int[Array, " steps"]
     wheel_map: WheelMap
     restart: bool = True
@@ -45,20 +45,20 @@ class TubeMpc:
     @property
     def free_gains(self) -> Float[Array, "steps 2 3"] | None:
         """The gains of the first input where no constraint is active, None without restart."""
-        return self.windows.free_inputs[self.index][:, :2] if self.restart else None
+        return self.qps.free_inputs[self.index][:, :2] if self.restart else None
 
     @property
     def planner(self) -> TubeMpc | None:
         """Itself, where its plans start at the measured error."""
         return self if self.restart else None
 
-    def window(self, step) -> mpc.CondensedQp:
+    def condensed_qp(self, step) -> mpc.CondensedQp:
         """Return the condensed QP of a period."""
-        return mpc.take_window(self.windows, self.index[step])
+        return mpc.take_qp(self.qps, self.index[step])
 
     def initial(self, errors: Float[Array, "batch 3"]) -> mpc.MpcState:
         """Return the memory before the first period: no plan."""
-        return mpc.initial_state(errors, self.windows.linear.shape[1] // 2)
+        return mpc.initial_state(errors, self.qps.linear.shape[1] // 2)
 
     def act(
         self,
@@ -69,7 +69,7 @@ class TubeMpc:
     ) -> tuple[Command, mpc.MpcState, mpc.Diagnostics]:
         """Plan, and return the command of the plan's first period (see `mpc.act`)."""
         inputs, following, diagnostics = mpc.act(
-            self.window(step), memory, measurement.errors, self.restart
+            self.condensed_qp(step), memory, measurement.errors, self.restart
         )
         command = self.wheel_map.command(inputs, measurement, reference_wheels)
         return command, following, diagnostics

@@ -99,11 +99,11 @@ def initial_state(errors: Float[Array, "batch 3"], horizon: int) -> MpcState:
     return MpcState(no_inputs, at_the_end, errors)
 
 
-def plan(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
+def plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
     """Solve the QP of every instance from its own error.
 
     Args:
-        window: one QP (no leading axis).
+        condensed: one QP (no leading axis).
         errors: start of each prediction, (m, m, rad).
 
     Returns:
@@ -111,15 +111,17 @@ def plan(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
         the solver's tolerance. Its `residual` is that of the optimality conditions, or a bound on
         it.
     """
-    return jax.lax.cond(_are_all_free(window, errors), free_plan, constrained_plan, window, errors)
+    return jax.lax.cond(
+        _are_all_free(condensed, errors), free_plan, constrained_plan, condensed, errors
+    )
 
 
-def _are_all_free(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, ""]:
+def _are_all_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, ""]:
     """Return whether the plan without constraints is that of every instance; only the extremes of
     each row over the batch are compared."""
-    check_lower, check_upper = _check_bounds(window, errors)
-    plans_fit = _extremes_fit(window.lower, window.free_rows, errors, window.upper)
-    errors_fit = _extremes_fit(check_lower, window.check_errors, errors, check_upper)
+    check_lower, check_upper = _check_bounds(condensed, errors)
+    plans_fit = _extremes_fit(condensed.lower, condensed.free_rows, errors, condensed.upper)
+    errors_fit = _extremes_fit(check_lower, condensed.check_errors, errors, check_upper)
     return plans_fit & errors_fit
 
 
@@ -133,26 +135,28 @@ def _extremes_fit(
     return jnp.all(lower <= values.min(axis=1)) & jnp.all(values.max(axis=1) <= upper)
 
 
-def _is_free(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
+def _is_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
     """Return which instances the plan without constraints serves, were their errors admissible."""
-    values = _image(window.free_rows, errors)
-    return jnp.all((window.lower <= values) & (values <= window.upper), axis=1)
+    values = _image(condensed.free_rows, errors)
+    return jnp.all((condensed.lower <= values) & (values <= condensed.upper), axis=1)
 
 
-def _is_admissible(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
+def _is_admissible(
+    condensed: CondensedQp, errors: Float[Array, "batch 3"]
+) -> Bool[Array, " batch"]:
     """Return which errors meet the rows that no input reaches."""
-    lower, upper = _check_bounds(window, errors)
-    values = _image(window.check_errors, errors)
+    lower, upper = _check_bounds(condensed, errors)
+    values = _image(condensed.check_errors, errors)
     return jnp.all((lower <= values) & (values <= upper), axis=1)
 
 
 def _check_bounds(
-    window: CondensedQp, errors: Float[Array, "batch 3"]
+    condensed: CondensedQp, errors: Float[Array, "batch 3"]
 ) -> tuple[Float[Array, " c"], Float[Array, " c"]]:
     """Return the bounds of the rows that no input reaches, widened to be as exact as the rows of
     the QP: what an admissible plan meets with equality, it meets to rounding when shifted."""
     slack = qp.TOLERANCE[errors.dtype.itemsize]
-    return window.check_lower - slack, window.check_upper + slack
+    return condensed.check_lower - slack, condensed.check_upper + slack
 
 
 def _image(
@@ -164,23 +168,25 @@ def _image(
     return functools.reduce(operator.add, terms)
 
 
-def free_plan(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
+def free_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
     """Return the plans without constraints: the answer of every instance that meets all of them
     this way."""
     batch = len(errors)
-    inputs = _image(window.free_inputs, errors)
-    rounding = (inputs.shape[1] + 5) * jnp.finfo(errors.dtype).eps * window.free_scale
+    inputs = _image(condensed.free_inputs, errors)
+    rounding = (inputs.shape[1] + 5) * jnp.finfo(errors.dtype).eps * condensed.free_scale
     residual = rounding * jnp.max(jnp.abs(errors), axis=1)
     solved = jnp.full(batch, qp.SOLVED, jnp.int32)
     return Plan(inputs.reshape(batch, -1, 2), solved, residual, jnp.zeros(batch, bool))
 
 
-def constrained_plan(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
+def constrained_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
     """Return the plans of a batch of which some instance needs the solver."""
-    shift = _image(window.row_errors, errors)
-    gradient = _image(window.linear, errors)
-    solution = qp.solve(window.factors, gradient, window.lower - shift, window.upper - shift)
-    admissible = _is_admissible(window, errors)
+    shift = _image(condensed.row_errors, errors)
+    gradient = _image(condensed.linear, errors)
+    solution = qp.solve(
+        condensed.factors, gradient, condensed.lower - shift, condensed.upper - shift
+    )
+    admissible = _is_admissible(condensed, errors)
     # Data that are not numbers are no proof of anything; their residual is infinite.
     excluded = ~admissible & jnp.isfinite(solution.residual)
     status = jnp.where(excluded, qp.INFEASIBLE, solution.status)
@@ -189,8 +195,8 @@ def constrained_plan(window: CondensedQp, errors: Float[Array, "batch 3"]) -> Pl
     solved = Plan(inputs, status, solution.residual, active)
     # An instance with a free plan takes it even in a batch that is solved: its plan must not depend
     # on the other instances.
-    free = admissible & _is_free(window, errors)
-    return _select(free, free_plan(window, errors), solved)
+    free = admissible & _is_free(condensed, errors)
+    return _select(free, free_plan(condensed, errors), solved)
 
 
 def _select(first_where: Bool[Array, " batch"], first, second):
@@ -204,12 +210,12 @@ def _select(first_where: Bool[Array, " batch"], first, second):
 
 
 def act(
-    window: CondensedQp, state: MpcState, errors: Float[Array, "batch 3"], restart: bool
+    condensed: CondensedQp, state: MpcState, errors: Float[Array, "batch 3"], restart: bool
 ) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
     """Return the virtual input of one step of the tube-MPC.
 
     Args:
-        window: the reference ahead.
+        condensed: the reference ahead.
         state: memory.
         errors: measured tracking errors, (m, m, rad).
         restart: start the prediction at the measured error (True) or at the nominal one.
@@ -221,42 +227,45 @@ def act(
     # The derivative of a conditional keeps what any branch does: the rows of every instance, even
     # if none is active.
     constrained = jax.checkpoint(_act_constrained)
-    all_free = _are_all_free(window, start)
-    step = jax.lax.cond(all_free, _act_freely, constrained, window, state, start, errors)
+    all_free = _are_all_free(condensed, start)
+    step = jax.lax.cond(all_free, _act_freely, constrained, condensed, state, start, errors)
     return jax.tree.map(functools.partial(checkpoint_name, name=ACTED), step)
 
 
-def _act_freely(window: CondensedQp, state: MpcState, start, errors):
+def _act_freely(condensed: CondensedQp, state: MpcState, start, errors):
     """Act where every instance has just made a free plan."""
-    plan = free_plan(window, start)
+    plan = free_plan(condensed, start)
     due = plan.inputs[:, 0]
-    command = due + _image(window.tube_gain, errors - start)
-    nominal = _predict(window, start, due)
+    command = due + _image(condensed.tube_gain, errors - start)
+    nominal = _predict(condensed, start, due)
     following = MpcState(plan.inputs, jnp.ones_like(state.stage), nominal)
     return command, following, _diagnose(plan)
 
 
-def _act_constrained(window: CondensedQp, state: MpcState, start, errors):
+def _act_constrained(condensed: CondensedQp, state: MpcState, start, errors):
     """Act where some instance needs the solver, or its backup."""
-    plan = constrained_plan(window, start)
+    plan = constrained_plan(condensed, start)
     fresh = MpcState(plan.inputs, jnp.zeros_like(state.stage), start)
     now = _select(plan.status == qp.SOLVED, fresh, state)
     horizon = now.inputs.shape[1]
     deviation = errors - now.nominal
     due = jnp.take_along_axis(now.inputs, now.stage[:, None, None], axis=1, mode="clip")[:, 0]
-    planned = due, _image(window.tube_gain, deviation)
-    at_the_end = _image(window.terminal_gain, now.nominal), _image(window.terminal_gain, deviation)
+    planned = due, _image(condensed.tube_gain, deviation)
+    at_the_end = (
+        _image(condensed.terminal_gain, now.nominal),
+        _image(condensed.terminal_gain, deviation),
+    )
     due, feedback = _select(now.stage < horizon, planned, at_the_end)
-    nominal = _predict(window, now.nominal, due)
+    nominal = _predict(condensed, now.nominal, due)
     following = MpcState(now.inputs, jnp.minimum(now.stage + 1, horizon), nominal)
     return due + feedback, following, _diagnose(plan)
 
 
 def _predict(
-    window: CondensedQp, nominal: Float[Array, "batch 3"], inputs: Float[Array, "batch 2"]
+    condensed: CondensedQp, nominal: Float[Array, "batch 3"], inputs: Float[Array, "batch 2"]
 ) -> Float[Array, "batch 3"]:
     """Return the nominal error one step ahead."""
-    return _image(window.transition, nominal) + _image(window.input_matrix, inputs)
+    return _image(condensed.transition, nominal) + _image(condensed.input_matrix, inputs)
 
 
 def _diagnose(plan: Plan) -> Diagnostics:
@@ -271,6 +280,6 @@ def no_diagnostics(errors: Float[Array, "batch 3"]) -> Diagnostics:
     return Diagnostics(solved, jnp.zeros_like(errors[:, 0]), never, never)
 
 
-def take_window(windows: CondensedQp, index: Int[Array, ""]) -> CondensedQp:
+def take_qp(qps: CondensedQp, index: Int[Array, ""]) -> CondensedQp:
     """Return the QP of one window."""
-    return jax.tree.map(lambda array: array[index], windows)
+    return jax.tree.map(lambda array: array[index], qps)

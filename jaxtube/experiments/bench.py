@@ -160,7 +160,7 @@ def make_starts(found: Design) -> dict[str, Float[Array, "laps 3"]]:
     """Return the scenario's start for all laps, and starts on the edge of the feasible set."""
     problem = found.problem
     window = int(found.windows.index[0])
-    points = boundary(found.tube_window, window, problem.operating_set, 100)
+    points = boundary(found.tube_qps, window, problem.operating_set, 100)
     return {
         "scenario": jnp.tile(jnp.asarray(problem.initial_error), (LAPS, 1)),
         "edge": jnp.asarray(spread_starts(points, LAPS, 0, edge_share=1.0)),

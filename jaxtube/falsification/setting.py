@@ -217,7 +217,7 @@ def choose_start_vertices(design: Design, starts: str, seed: int) -> Float[np.nd
 
 def find_feasible_vertices(design: Design, seed: int) -> Float[np.ndarray, "k 3"]:
     """Return the vertices of a polytope of starts from which the tube-MPC has a plan."""
-    points = true_starts(design.tube_window, design.first_window, design.problem, seed=seed)
+    points = true_starts(design.tube_qps, design.first_window, design.problem, seed=seed)
     return INSIDE * hull_vertices(points)
 
 

@@ -48,7 +48,7 @@ def controllers(design: Design) -> dict[str, Controller]:
     weights = problem.model.weights(problem.schedule[: problem.reference.steps])
     local_gains = jnp.asarray(design.tube_gain.at(weights))
     plain_mpc = make_plain_mpc(design)
-    equal_gains = plain_mpc.windows.free_inputs[plain_mpc.index][:, :2]
+    equal_gains = plain_mpc.qps.free_inputs[plain_mpc.index][:, :2]
     wheel_map = make_wheel_map(problem)
     law_map = dataclasses.replace(wheel_map, input_map="paper")
     blind_map = dataclasses.replace(law_map, compensates=False)
@@ -65,17 +65,17 @@ def controllers(design: Design) -> dict[str, Controller]:
 def make_tube_mpc(design: Design) -> TubeMpc:
     """Return the tube-MPC of a design."""
     restart = design.problem.scenario.controller.restart
-    return dataclasses.replace(_make_mpc(design, design.tube_window), restart=restart)
+    return dataclasses.replace(_make_mpc(design, design.tube_qps), restart=restart)
 
 
 def make_plain_mpc(design: Design) -> TubeMpc:
     """Return the MPC of a design without its tube: constraints untightened, no terminal set."""
-    return _make_mpc(design, design.plain_window)
+    return _make_mpc(design, design.plain_qps)
 
 
-def _make_mpc(design: Design, windows: mpc.CondensedQp) -> TubeMpc:
+def _make_mpc(design: Design, qps: mpc.CondensedQp) -> TubeMpc:
     require_64_bits("controllers of a design")
-    on_device = jax.tree.map(jnp.asarray, windows)
+    on_device = jax.tree.map(jnp.asarray, qps)
     return TubeMpc(on_device, jnp.asarray(design.windows.index), make_wheel_map(design.problem))
 
 
@@ -195,7 +195,7 @@ def plan_deviations(
         errors = jnp.asarray(trajectory.errors[step, :count])
         now = jnp.asarray(int(step))
         state = begin(controller, plant, keys, errors, now)
-        plans = _make_plans(controller.window(now), state.measured)
+        plans = _make_plans(controller.condensed_qp(now), state.measured)
         followed = follow_plan(controller, plant, keys, state, now, plans)
         deviations.append(np.asarray(followed)[:, np.asarray(plans.status == qp.SOLVED)])
     return np.concatenate(deviations, axis=1)

@@ -176,13 +176,13 @@ def follow_plan(
         state, nominal = carry
         offset, planned = ahead
         now = step + offset
-        window = controller.window(now)
-        inputs = planned + (state.measured - nominal) @ window.tube_gain.T
+        condensed = controller.condensed_qp(now)
+        inputs = planned + (state.measured - nominal) @ condensed.tube_gain.T
         command = controller.wheel_map.command(
             inputs, state.measurement, plant.reference_wheels[now]
         )
         state, _ = _move(plant, keys, now, state, command)
-        nominal = nominal @ window.transition.T + planned @ window.input_matrix.T
+        nominal = nominal @ condensed.transition.T + planned @ condensed.input_matrix.T
         return (state, nominal), state.measured - nominal
 
     planned = jnp.moveaxis(plan.inputs, 1, 0)

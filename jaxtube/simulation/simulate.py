@@ -209,7 +209,7 @@ def choose_starts(design: Design, starts: str) -> Starts:
             f'starts = {starts!r}: is unknown; choose "scenario", "feasible" or "edge"'
         )
     # The seed of the set's shape is fixed: the law of the starts is the scenario's alone.
-    points = true_starts(design.tube_window, design.first_window, design.problem, seed=0)
+    points = true_starts(design.tube_qps, design.first_window, design.problem, seed=0)
     return uniform_start(points, edge=starts == "edge")
 
 

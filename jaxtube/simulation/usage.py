@@ -295,7 +295,7 @@ def replay(
 
 @jax.jit
 def _make_plan(planner: TubeMpc, step, measured: Float[Array, "1 3"]) -> mpc.Plan:
-    return mpc.plan(planner.window(step), measured)
+    return mpc.plan(planner.condensed_qp(step), measured)
 
 
 def values_of(name: str, played: Replay) -> Float[np.ndarray, "steps n"]:

@@ -301,7 +301,7 @@ def follow_and_observe(
     count what is seen."""
 
     def make_plan(errors, at):
-        plan = mpc.plan(controller.window(at), errors)
+        plan = mpc.plan(controller.condensed_qp(at), errors)
         return tally.expected_error(controller, at, errors, plan), plan
 
     # One program for both plans: what solves a QP takes long to compile.

@@ -258,19 +258,21 @@ def expected_error(
     controller: TubeMpc, step, errors: Float[Array, "batch 3"], plan: mpc.Plan
 ) -> Float[Array, "batch 3"]:
     """Return A e + B g_0, where a plan expects the error one step later."""
-    window = controller.window(step)
-    return matmul(errors, window.transition.T) + matmul(plan.inputs[:, 0], window.input_matrix.T)
+    condensed = controller.condensed_qp(step)
+    return matmul(errors, condensed.transition.T) + matmul(
+        plan.inputs[:, 0], condensed.input_matrix.T
+    )
 
 
 def plan_cost(
     checks: Checks, controller: TubeMpc, index, errors: Float[Array, "batch 3"], plan: mpc.Plan
 ) -> Float[Array, " batch"]:
     """Return the cost of plans, sum of e'Qe + g'Rg and e'Pe at the end."""
-    window = mpc.take_window(controller.windows, index)
+    condensed = mpc.take_qp(controller.qps, index)
     inputs = plan.inputs.reshape(len(errors), -1)
-    linear = jnp.sum(matmul(errors, window.linear.T) * inputs, axis=1)
-    of_inputs = linear + _form(window.factors.hessian, inputs) / 2
-    return _form(checks.cost_errors[index], errors) + window.cost_unit * of_inputs
+    linear = jnp.sum(matmul(errors, condensed.linear.T) * inputs, axis=1)
+    of_inputs = linear + _form(condensed.factors.hessian, inputs) / 2
+    return _form(checks.cost_errors[index], errors) + condensed.cost_unit * of_inputs
 
 
 def _form(matrix: Float[Array, "n n"], vectors: Float[Array, "batch n"]) -> Float[Array, " batch"]:

@@ -116,7 +116,7 @@ def prepare(problem: Problem, clock: Clock | None = None) -> Design:
 def finish(prepared: Design, clock: Clock | None = None) -> Design:
     """Condense the controllers of a prepared design and certify it."""
     clock = clock or Clock()
-    _ = prepared.tube_window  # condensed here, so that its time is booked as such
+    _ = prepared.tube_qps  # condensed here, so that its time is booked as such
     clock.lap("condensing")
     certificate = certify(prepared)
     clock.lap("certificate")
@@ -135,7 +135,7 @@ def refuse_infeasible_start(design: Design, error: Float[np.ndarray, "3"] | None
     limits = problem.operating_set
     widest = float(np.max(measured @ limits.normals.T / limits.offsets))
     index = design.first_window
-    missing = max(shortfall(design.tube_window, index, corner) for corner in measured)
+    missing = max(shortfall(design.tube_qps, index, corner) for corner in measured)
     if widest <= 1 and missing <= SHORT:
         return
     section = problem.scenario.initial
@@ -158,7 +158,7 @@ def _say_how_near(design: Design, error: Float[np.ndarray, "3"]) -> str:
     limits = problem.operating_set
     share = 1.0
     for noise in noise_corners(problem):
-        reach = reach_of_ray(design.tube_window, design.first_window, error, noise)
+        reach = reach_of_ray(design.tube_qps, design.first_window, error, noise)
         rows = limits.normals @ error
         room = limits.offsets - limits.normals @ noise
         capped = np.min(room[rows > 0] / rows[rows > 0], initial=np.inf)

@@ -34,7 +34,7 @@ def noise_corners(problem: Problem) -> Float[np.ndarray, "corners 3"]:
 
 
 def reach_of_ray(
-    window: CondensedQp,
+    qps: CondensedQp,
     index: int,
     direction: Float[np.ndarray, "3"],
     origin: Float[np.ndarray, "3"] | None = None,
@@ -43,7 +43,7 @@ def reach_of_ray(
 
     The origin is that of the errors where none is given.
     """
-    errors, rows, bounds = _constraints(window, index)
+    errors, rows, bounds = _constraints(qps, index)
     if origin is not None:
         bounds = bounds - errors @ origin
     answer = linprog(
@@ -58,9 +58,9 @@ def reach_of_ray(
     return float(answer.x[-1]) if answer.status == 0 else 0.0
 
 
-def shortfall(window: CondensedQp, index: int, error: Float[np.ndarray, "3"]) -> float:
+def shortfall(qps: CondensedQp, index: int, error: Float[np.ndarray, "3"]) -> float:
     """Return by how much rows must give way before `error` has a plan; <= 0 where it has one."""
-    errors, rows, bounds = _constraints(window, index)
+    errors, rows, bounds = _constraints(qps, index)
     answer = linprog(
         np.append(np.zeros(rows.shape[1]), 1.0),
         A_ub=np.column_stack([rows, -np.ones(len(rows))]),
@@ -72,7 +72,7 @@ def shortfall(window: CondensedQp, index: int, error: Float[np.ndarray, "3"]) ->
 
 
 def boundary(
-    window: CondensedQp, index: int, error_set: Polytope, count: int, seed: int = 0
+    qps: CondensedQp, index: int, error_set: Polytope, count: int, seed: int = 0
 ) -> Float[np.ndarray, "count 3"]:
     """Return points on the boundary of F along `count` random directions, E being scaled to a cube
     for the draw.
@@ -81,12 +81,12 @@ def boundary(
     """
     directions = np.random.default_rng(seed).normal(size=(count, 3)) * error_set.support(np.eye(3))
     in_error_set = 1 / np.max(directions @ error_set.normals.T / error_set.offsets, axis=1)
-    in_feasible_set = [reach_of_ray(window, index, direction) for direction in directions]
+    in_feasible_set = [reach_of_ray(qps, index, direction) for direction in directions]
     return np.minimum(in_feasible_set, in_error_set)[:, None] * directions
 
 
 def true_starts(
-    window: CondensedQp, index: int, problem: Problem, count: int = RAYS, seed: int = 0
+    qps: CondensedQp, index: int, problem: Problem, count: int = RAYS, seed: int = 0
 ) -> Float[np.ndarray, "k 3"]:
     """Return corners of a polytope of true errors from which there is a plan, whatever the noise of
     the pose.
@@ -96,12 +96,12 @@ def true_starts(
     Raises:
         ScenarioError: where no error has a plan.
     """
-    if reach_of_ray(window, index, np.array([0.0, 0.0, 1.0])) <= 0:
+    if reach_of_ray(qps, index, np.array([0.0, 0.0, 1.0])) <= 0:
         raise ScenarioError(
             "scenario: no start has a plan: not even the origin; see the failing conditions of "
             "`design`"
         )
-    points = (1 - EDGE) * boundary(window, index, problem.operating_set, count, seed)
+    points = (1 - EDGE) * boundary(qps, index, problem.operating_set, count, seed)
     noise = problem.noise
     if not noise.any():
         return points
@@ -129,15 +129,15 @@ def spread_starts(
     return starts
 
 
-def _constraints(window: CondensedQp, index: int):
+def _constraints(qps: CondensedQp, index: int):
     """Return (errors, rows, bounds) of the one-sided rows  errors e + rows g <= bounds  of one
     window."""
-    errors = np.concatenate([window.row_errors[index], window.check_errors[index]])
-    reached = window.factors.rows[index] * window.factors.row_norms[index][:, None]
+    errors = np.concatenate([qps.row_errors[index], qps.check_errors[index]])
+    reached = qps.factors.rows[index] * qps.factors.row_norms[index][:, None]
     unreached = np.zeros((len(errors) - len(reached), reached.shape[1]))
     rows = np.concatenate([reached, unreached])
-    lower = np.concatenate([window.lower[index], window.check_lower[index]])
-    upper = np.concatenate([window.upper[index], window.check_upper[index]])
+    lower = np.concatenate([qps.lower[index], qps.check_lower[index]])
+    upper = np.concatenate([qps.upper[index], qps.check_upper[index]])
     above = np.isfinite(upper)
     below = np.isfinite(lower)
     return (

@@ -83,12 +83,12 @@ class Design:
         return int(self.windows.index[0])
 
     @property
-    def tube_window(self) -> CondensedQp:
+    def tube_qps(self) -> CondensedQp:
         """The condensed tube-MPC, window by window, numpy float64."""
         return self.condensed.with_tube
 
     @property
-    def plain_window(self) -> CondensedQp:
+    def plain_qps(self) -> CondensedQp:
         """The condensed MPC without tube and terminal set."""
         return self.condensed.without_tube
 
@@ -100,7 +100,7 @@ class Design:
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the numbers of the tube-MPC, by their place in the condensed QPs."""
-        leaves, _ = jax.tree_util.tree_flatten_with_path(self.tube_window)
+        leaves, _ = jax.tree_util.tree_flatten_with_path(self.tube_qps)
         return {jax.tree_util.keystr(place): np.asarray(value) for place, value in leaves}
 
     def plot(self, name: str = "") -> Figure:

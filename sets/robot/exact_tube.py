@@ -238,7 +238,7 @@ def _multiply(row: GridRow, matrix: GridMatrix) -> GridRow:
 
 
 @dataclass(frozen=True)
-class _Window:
+class _ExactWindow:
     """One stretch of N schedules: loops, the rows of E and of D K + C as rows on the error, and the
     offsets used."""
 
@@ -294,14 +294,14 @@ def _make_window(
     input_rows: Sequence[tuple[Row, Row]],
     used: UsedOffsets,
     index: int,
-) -> _Window:
+) -> _ExactWindow:
     """Gather a window whose stages are given by their loops and feedbacks."""
     share = lcm(*(a.denominator for point in points for a in point))
     errors = [_place(row) for row in error_rows]
     inputs = [[_couple(feedback, *row) for row in input_rows] for _, feedback in stages]
     kept_errors = tuple(exact_row(row, "errors") for row in used.errors[index])
     kept_inputs = tuple(exact_row(row, "inputs") for row in used.inputs[index])
-    return _Window(
+    return _ExactWindow(
         loops=[loop for loop, _ in stages],
         rows={"errors": [errors] * len(stages), "inputs": inputs},
         used={"errors": kept_errors, "inputs": kept_inputs},
@@ -402,7 +402,7 @@ def _find_followers(
 
 
 def _check_stages(
-    window: _Window, following: list[_Window], whole: dict[str, Row]
+    window: _ExactWindow, following: list[_ExactWindow], whole: dict[str, Row]
 ) -> Iterator[tuple[str, Fraction]]:
     """Yield the room of `reach` and `shifted` along every row of E and U at every stage."""
     for name, stages in window.rows.items():
@@ -416,7 +416,7 @@ def _check_stages(
                     yield f"{name} shifted", later.used[name][j - 1][i] - kept - last
 
 
-def _check_terminal(window: _Window, invariant: Halfspaces) -> Iterator[tuple[str, Fraction]]:
+def _check_terminal(window: _ExactWindow, invariant: Halfspaces) -> Iterator[tuple[str, Fraction]]:
     """Yield the least offset used in the window and the room of T + R_N in the invariant set."""
     stages = chain(*window.used.values())
     yield "nonempty", min(*map(min, stages), *window.terminal.offsets)
@@ -426,7 +426,7 @@ def _check_terminal(window: _Window, invariant: Halfspaces) -> Iterator[tuple[st
         yield "terminal reach", offset - window.planned(row) - reach
 
 
-def _check_returns(window: _Window, later: _Window) -> Iterator[tuple[str, Fraction]]:
+def _check_returns(window: _ExactWindow, later: _ExactWindow) -> Iterator[tuple[str, Fraction]]:
     """Yield the room of T + Psi W along the rows of the last stage of the next window."""
     targets = []
     for normal, limit in zip(later.terminal.normals, later.terminal.offsets, strict=True):

@@ -25,7 +25,7 @@ planned = jax.jit(mpc.plan)
 
 def plan_in_blocks(design, step, starts, dtype=float):
     """Solve the QPs of one step from many starts, BATCH at a time, and return numpy arrays."""
-    window = mpc.take_window(design.tube_window, design.windows.index[step])
+    window = mpc.take_qp(design.tube_qps, design.windows.index[step])
     window = jax.tree.map(lambda array: jnp.asarray(array, dtype), window)
     answers = [planned(window, jnp.asarray(block, dtype)) for block in starts.reshape(-1, BATCH, 3)]
     return jax.tree.map(lambda *arrays: np.concatenate(arrays), *answers)
@@ -349,6 +349,6 @@ CYCLING = np.array(
 @pytest.mark.slow
 def test_plans_from_the_edge_of_a_certified_design_are_found():
     found = make_design(load("certified"))
-    window = mpc.take_window(jax.tree.map(jnp.asarray, found.tube_window), found.windows.index[0])
+    window = mpc.take_qp(jax.tree.map(jnp.asarray, found.tube_qps), found.windows.index[0])
     plan = jax.jit(mpc.plan)(window, jnp.asarray(CYCLING))
     np.testing.assert_array_equal(plan.status, qp.SOLVED)

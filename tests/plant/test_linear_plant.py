@@ -80,7 +80,7 @@ def deviations(robust_design, stressed):
     for step in (0, 1, 40, 113, 114, 115, 116, 230):
         starts = jnp.asarray(stressed["tube_mpc"].errors[step, :BATCH])
         state = begin(loop, plant, keys, starts)
-        plans = planned(mpc.take_window(loop.windows, loop.index[step]), starts)
+        plans = planned(mpc.take_qp(loop.qps, loop.index[step]), starts)
         deviations = follow_plan(loop, plant, keys, state, jnp.asarray(step), plans)
         found.append((step, np.asarray(deviations), np.asarray(plans.status) == qp.SOLVED))
     return found

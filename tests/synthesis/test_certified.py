@@ -180,7 +180,7 @@ def test_noise_without_caps_takes_its_share_of_the_constraints():
 
 
 def test_true_starts_have_a_plan_whatever_the_noise(certified):
-    window = certified.tube_window
+    window = certified.tube_qps
     index = int(certified.windows.index[0])
     problem = certified.problem
     noise = problem.error_set.offsets[:3] - problem.operating_set.offsets[:3]
@@ -332,7 +332,7 @@ def test_a_start_within_the_caps_and_the_feasible_set_of_the_tube_alone_is_not_e
     """Plans exist beyond the cap of the heading error, where W is not proved."""
     cap = certified.problem.operating_set.offsets[2]
     beyond = np.array([0.0, 0.0, 1.1 * cap])
-    assert shortfall(certified.tube_window, certified.first_window, beyond) <= 0
+    assert shortfall(certified.tube_qps, certified.first_window, beyond) <= 0
     with pytest.raises(ScenarioError, match="times as far as it may"):
         refuse_infeasible_start(certified, beyond)
 

@@ -43,7 +43,7 @@ def samples(found, seed, count=3):
             yield window, schedules, generator.normal(size=3), generator.normal(size=(N, 2))
 
 
-def take(found, window, which="tube_window"):
+def take(found, window, which="tube_qps"):
     return jax.tree.map(lambda array: array[window], getattr(found, which))
 
 
@@ -87,7 +87,7 @@ def test_the_quadratic_program_has_the_cost_of_the_plan_up_to_one_factor(condens
         ratios.append(expected / (g @ w.factors.hessian @ g / 2 + w.linear @ error @ g))
     np.testing.assert_allclose(ratios, ratios[0], rtol=1e3 * CLOSED_LOOP)
     largest = np.max(
-        np.abs(condensed.tube_window.linear) @ condensed.problem.operating_set.offsets[:3]
+        np.abs(condensed.tube_qps.linear) @ condensed.problem.operating_set.offsets[:3]
     )
     assert largest == pytest.approx(1) if ratios[0] > 1 else largest <= 1 + ROUNDING
     assert ratios[0] >= 1 - 1e3 * CLOSED_LOOP
@@ -191,13 +191,13 @@ def test_without_tube_the_rows_are_E_and_U_themselves_and_no_terminal_set(conden
     facets = len(condensed.terminal.constraint_normals)
     upper = np.concatenate([np.tile(E, N - 1), np.tile(U[:2], N), np.full(facets, np.inf)])
     lower = np.concatenate([np.tile(-E, N - 1), np.tile(-U[2:], N), np.full(facets, -np.inf)])
-    plain = condensed.plain_window
+    plain = condensed.plain_qps
     for window in range(len(condensed.windows.schedules)):
         np.testing.assert_allclose(plain.upper[window], upper[~unreached], atol=ROUNDING)
         np.testing.assert_allclose(plain.lower[window], lower[~unreached], atol=ROUNDING)
         np.testing.assert_allclose(plain.check_upper[window], upper[unreached], atol=ROUNDING)
         np.testing.assert_allclose(plain.check_lower[window], lower[unreached], atol=ROUNDING)
-    np.testing.assert_array_equal(plain.factors.hessian, condensed.tube_window.factors.hessian)
+    np.testing.assert_array_equal(plain.factors.hessian, condensed.tube_qps.factors.hessian)
 
 
 def test_gains_of_a_window_are_those_of_its_first_schedule(condensed):
@@ -260,7 +260,7 @@ def test_jax_condenses_as_numpy_does(uncertified):
     found = uncertified(*CASES["sequence, T-A"])
     windows = jax.jit(lambda: condense_in_jax(found, found.bounds))()
     arrays = jax.tree.leaves(windows)
-    for mine, expected in zip(arrays, jax.tree.leaves(found.tube_window), strict=True):
+    for mine, expected in zip(arrays, jax.tree.leaves(found.tube_qps), strict=True):
         np.testing.assert_allclose(mine, expected, rtol=CLOSED_LOOP, atol=CLOSED_LOOP)
 
 
@@ -286,7 +286,7 @@ from jaxtube.synthesis.design import prepare
 from jaxtube.synthesis.disturbance import complete_problem
 
 found = prepare(complete_problem(load({name!r}, {overrides!r})))
-print(len(found.tube_window.linear))
+print(len(found.tube_qps.linear))
 """
 LONG_PATH = ("reference.shape=lemniscate", "reference.duration_s=60")
 

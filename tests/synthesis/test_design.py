@@ -183,7 +183,7 @@ def test_from_the_edge_of_the_feasible_set_every_disturbance_leads_to_another_pl
         window = int(found.windows.index[step])
         wheels = found.problem.schedule[step]
         A, B = model(found.problem, wheels)
-        for error in boundary(found.tube_window, window, found.problem.error_set, 12, seed=step) * (
+        for error in boundary(found.tube_qps, window, found.problem.error_set, 12, seed=step) * (
             1 - LINEAR_PROGRAM
         ):
             inputs, _ = plain.qp(step).plan(error)

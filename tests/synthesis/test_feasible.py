@@ -17,7 +17,7 @@ def probed(request, uncertified):
     """(design, QP of its first step by plain simulation, boundary points)."""
     design = uncertified("robust", *(TIGHT if request.param == "tight" else ()))
     points = boundary(
-        design.tube_window, int(design.windows.index[0]), design.problem.error_set, COUNT, seed=2
+        design.tube_qps, int(design.windows.index[0]), design.problem.error_set, COUNT, seed=2
     )
     return design, PlainMpc(design).qp(0), points
 
@@ -43,7 +43,7 @@ def test_shortfall_is_what_the_rows_lack_of_a_plan(probed):
     design, qp, points = probed
     window = int(design.windows.index[0])
     for point, factor in zip(points, np.linspace(0.5, 2, COUNT), strict=True):
-        found = shortfall(design.tube_window, window, factor * point)
+        found = shortfall(design.tube_qps, window, factor * point)
         assert found == pytest.approx(qp.shortfall(factor * point), abs=LINEAR_PROGRAM)
         assert (found > 0) == (qp.solve(factor * point) is None)
 
@@ -52,15 +52,15 @@ def test_a_ray_ends_where_its_end_says_whatever_the_length_of_the_direction(prob
     design, qp, points = probed
     window = int(design.windows.index[3])
     for direction in points[:10]:
-        reach = reach_of_ray(design.tube_window, window, direction)
+        reach = reach_of_ray(design.tube_qps, window, direction)
         assert reach >= 1 - LINEAR_PROGRAM
-        assert reach_of_ray(design.tube_window, window, 3 * direction) == pytest.approx(reach / 3)
+        assert reach_of_ray(design.tube_qps, window, 3 * direction) == pytest.approx(reach / 3)
         assert abs(qp.shortfall(reach * direction)) <= LINEAR_PROGRAM
 
 
 def test_where_not_even_the_origin_has_a_plan_rays_end_at_once(probed):
     design, _, points = probed
-    window = design.tube_window
+    window = design.tube_qps
     index = int(design.windows.index[0])
     impossible = window._replace(upper=window.lower - 0.1 * np.isfinite(window.lower))
     assert reach_of_ray(impossible, index, points[0]) == 0
@@ -71,10 +71,8 @@ def test_boundary_points_follow_the_seed_and_lie_all_around(probed):
     design, _, points = probed
     window = int(design.windows.index[0])
     E = design.problem.error_set
-    np.testing.assert_array_equal(boundary(design.tube_window, window, E, COUNT, seed=2), points)
-    assert not np.any(
-        np.all(boundary(design.tube_window, window, E, COUNT, seed=3) == points, axis=1)
-    )
+    np.testing.assert_array_equal(boundary(design.tube_qps, window, E, COUNT, seed=2), points)
+    assert not np.any(np.all(boundary(design.tube_qps, window, E, COUNT, seed=3) == points, axis=1))
     assert len(np.unique(np.sign(points), axis=0)) == 8
 
 

@@ -57,7 +57,7 @@ def loop(request):
 
 def test_windows_are_those_of_the_design(loop):
     design, _, windows = loop
-    expected = design.tube_window
+    expected = design.tube_qps
     m = expected.lower.shape[1]
     # Spare rows bound nothing.
     assert np.isinf(windows.lower[:, m:]).all() and np.isinf(windows.upper[:, m:]).all()
@@ -97,7 +97,7 @@ def test_laps_are_those_of_the_design_rows_active_or_not(loop):
     design, constants, windows = loop
     settings = design.problem.scenario.controller
     first = int(design.windows.index[0])
-    edge = boundary(design.tube_window, first, design.problem.operating_set, LAPS - 2, seed=1)
+    edge = boundary(design.tube_qps, first, design.problem.operating_set, LAPS - 2, seed=1)
     outside = 1.5 * edge[:1]
     starts = jnp.asarray(np.vstack([design.problem.initial_error, 0.99 * edge, outside]))
     plant = tuned.shortened(closed_loop.slipping_robot(design), STEPS)
@@ -110,7 +110,7 @@ def test_laps_are_those_of_the_design_rows_active_or_not(loop):
         return drive(controller, plant, keys, starts)
 
     laps = run(windows)
-    expected = run(with_spare_rows(design.tube_window, windows))
+    expected = run(with_spare_rows(design.tube_qps, windows))
     active = laps.diagnostics.active
     status = laps.diagnostics.status
     assert active.any(axis=0).sum() >= 2 and (~active).any() and (status[0, -1] != qp.SOLVED)

@@ -55,7 +55,7 @@ class Watched(TubeMpc):
 
     def act(self, step, memory, measurement, reference_wheels):
         command, following, diagnostics = super().act(step, memory, measurement, reference_wheels)
-        window = self.window(step)
+        window = self.condensed_qp(step)
         active = tuned.active_rows(window, measurement.errors, following.inputs, ACTIVE_ROW)
         active = active & ~diagnostics.backup[:, None]
         parts = [diagnostics.backup.astype(float), active.any(axis=1).astype(float), code(active)]
@@ -119,7 +119,7 @@ class Loop:
         design = finish(candidate.prepared)
         first = int(design.windows.index[0])
         operating = design.problem.operating_set
-        edge = boundary(design.tube_window, first, operating, LAPS - 1, seed)
+        edge = boundary(design.tube_qps, first, operating, LAPS - 1, seed)
         starts = jnp.asarray(np.vstack([design.problem.initial_error, 0.98 * edge]))
         keys = self.tuner.keys(seed * LAPS, LAPS)
         return point, candidate.constants, LapInputs(self.tuner.plant, keys, starts)

@@ -60,7 +60,7 @@ def _of_horizon(scenario: Scenario, horizon: int) -> dict:
     except ValueError as error:
         return {"volume": None, "reason": str(error)}
     caps = design.problem.operating_set
-    points = boundary(design.tube_window, design.first_window, caps, DIRECTIONS)
+    points = boundary(design.tube_qps, design.first_window, caps, DIRECTIONS)
     hull = Polytope.from_vertices(points)
     return {**_measure(hull), "failing": design.certificate.failing}
 

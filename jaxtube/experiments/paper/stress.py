@@ -42,7 +42,7 @@ def find_starts(design: Design, seed: int) -> Float[np.ndarray, "corners 3"]:
     Raises:
         ScenarioError: where no error has a plan.
     """
-    return true_starts(design.tube_window, design.first_window, design.problem, seed=seed)
+    return true_starts(design.tube_qps, design.first_window, design.problem, seed=seed)
 
 
 def run(
