@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import SearchablePlant
-from jaxtube.simulation.usage import Limit, replay, values_of
+from jaxtube.simulation.usage import Limit, read_values, replay
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +39,7 @@ class Worst:
 def confirm(controller: Controller, plant: SearchablePlant, limit: Limit, worst: Worst) -> Worst:
     """Return a worst case with the usage and margin of its replay."""
     played = replay(controller, plant, worst.attack, worst.limit, worst.when)
-    values = values_of(worst.limit, played)[worst.step - worst.when]
+    values = read_values(worst.limit, played)[worst.step - worst.when]
     stage = worst.step - worst.when - 1 if worst.limit == "tube" else 0
     normal = np.asarray(limit.normals[stage, worst.facet])
     offset = float(limit.offsets[stage, worst.facet])

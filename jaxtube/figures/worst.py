@@ -27,7 +27,7 @@ from jaxtube.figures.style import (
 )
 from jaxtube.plant.error_dynamics import world_pose
 from jaxtube.plant.reference import settled_step
-from jaxtube.simulation.usage import Limits, Replay, values_of
+from jaxtube.simulation.usage import Limits, Replay, read_values
 from jaxtube.synthesis.problem import Problem
 
 RUN = CONTROLLERS["tube_mpc"].colour
@@ -93,7 +93,7 @@ def make_tracks(problem: Problem, limits: Limits, name: str, played: Replay) -> 
     """Return what the limit bounds; for a tube the errors of the lap up to the plan."""
     shown = "error" if name == "tube" else name
     limit = limits[shown]
-    values = played.trajectory.errors[:, 0] if shown == "error" else values_of(shown, played)
+    values = played.trajectory.errors[:, 0] if shown == "error" else read_values(shown, played)
     normals = np.asarray(limit.normals[0])
     offsets = np.asarray(limit.offsets[0])
     centres = normals @ np.asarray(limit.centre)

@@ -25,7 +25,7 @@ from jaxtube.figures.style import (
     row_text,
     styled,
 )
-from jaxtube.simulation.usage import Replay, values_of
+from jaxtube.simulation.usage import Replay, read_values
 from jaxtube.synthesis.parts import Design
 from sets.tubes import Section
 
@@ -48,7 +48,7 @@ def worst_section(design: Design, worst: Worst, played: Replay) -> Figure:
     """
     sections = design.tube
     stage = worst.step - worst.when
-    deviations = values_of("tube", played)
+    deviations = read_values("tube", played)
     normal = sections[stage].polytope().normals[worst.facet]
     planes = _choose_planes(normal)
     figure = page_figure(2.9)

@@ -220,10 +220,10 @@ def _breakpoints(
     even = jnp.broadcast_to(
         jnp.linspace(0.0, 1.0, arcs + 1, dtype=dtype)[:, None], (arcs + 1, len(instant))
     )
-    return _inserted(_inserted(even, jnp.full_like(instant, delay)), instant)
+    return _insert_time(_insert_time(even, jnp.full_like(instant, delay)), instant)
 
 
-def _inserted(
+def _insert_time(
     ordered: Float[Array, "times batch"], time: Float[Array, " batch"]
 ) -> Float[Array, "times+1 batch"]:
     """Insert a time between the first and the last of increasing ones: much faster than sorting."""

@@ -180,7 +180,7 @@ def draw_slip(
     return xi_true, xi_measured, (true_memory, measured_memory)
 
 
-def deviated(
+def deviate(
     nominal_slip: Float[Array, "... 2"], relative_error: float, xi: Float[Array, "... 2"]
 ) -> Float[Array, "... 2"]:
     """Return the slip that deviates from the nominal one.

@@ -138,7 +138,7 @@ class SlippingRobot:
 
     def slip(self, deviation: Float[Array, "batch 2"]) -> Float[Array, "batch 2"]:
         """Return the slips that deviate so much, in [-1, 1], from the nominal ones."""
-        return slips.deviated(self.nominal_slip, self.relative_error, deviation)
+        return slips.deviate(self.nominal_slip, self.relative_error, deviation)
 
     def advance(
         self,

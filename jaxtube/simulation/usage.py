@@ -298,7 +298,7 @@ def _make_plan(planner: TubeMpc, step, measured: Float[Array, "1 3"]) -> mpc.Pla
     return mpc.plan(planner.condensed_qp(step), measured)
 
 
-def values_of(name: str, played: Replay) -> Float[np.ndarray, "steps n"]:
+def read_values(name: str, played: Replay) -> Float[np.ndarray, "steps n"]:
     """Return the quantity that a limit bounds: errors at every instant, inputs and wheels in every
     period, deviations from a plan at every stage from 0."""
     lap = played.trajectory

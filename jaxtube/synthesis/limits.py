@@ -37,7 +37,7 @@ class InputRows:
         return self.inputs @ gains + self.errors
 
     @classmethod
-    def of(cls, input_set: Polytope) -> InputRows:
+    def from_set(cls, input_set: Polytope) -> InputRows:
         """Return the rows of a set of inputs."""
         count = len(input_set.offsets)
         return cls(input_set.normals, np.zeros((count, 3)), input_set.offsets)
@@ -123,7 +123,7 @@ def _wheel_limited_inputs(robot: Robot, bounds: Float[np.ndarray, "2 2"]) -> Pol
 def make_input_rows(scenario: Scenario, input_set: Polytope) -> InputRows:
     """Return the rows of U and of the coupling, each half in the same order."""
     operating = scenario.operating
-    rows = InputRows.of(input_set)
+    rows = InputRows.from_set(input_set)
     if operating.turning_longitudinal_m is None or operating.turning_yaw_rate_radps is None:
         return rows
     turning = np.array([0.0, 1 / operating.turning_yaw_rate_radps])

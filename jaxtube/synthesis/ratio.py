@@ -88,7 +88,7 @@ class Guarantee:
         return self.ratio < 1 and self.wheels <= 1
 
 
-def at_point(scenario: Scenario, point: OperatingPoint) -> Scenario:
+def set_point(scenario: Scenario, point: OperatingPoint) -> Scenario:
     """Return the scenario at an operating point: W computed, any order of wheel speeds in the box.
 
     The path, which no ratio depends on, is followed for a whole number of periods.
@@ -122,12 +122,12 @@ def guarantee(design: str, scenario: Scenario, start: Sequence[float] | None = N
             "optimised" asks.
     """
     if design == "optimised":
-        return _optimised(scenario, start)
-    candidates = {"paper": _paper, "weighted": _weighted}[design]
-    return _least(candidates(scenario))
+        return _search_optimum(scenario, start)
+    candidates = {"paper": _list_paper_candidates, "weighted": _list_weighted_candidates}[design]
+    return _find_least(candidates(scenario))
 
 
-def _least(candidates: Iterator[DesignCandidate]) -> Guarantee:
+def _find_least(candidates: Iterator[DesignCandidate]) -> Guarantee:
     """Return the guarantee of the candidate of least ratio, or the reason of the last one where all
     fail."""
     best = Guarantee()
@@ -135,7 +135,7 @@ def _least(candidates: Iterator[DesignCandidate]) -> Guarantee:
         if candidate.problem is None or candidate.gain is None:
             of_candidate = Guarantee(reason=candidate.reason)
         else:
-            of_candidate = _guarantee(candidate.choice, candidate.problem, candidate.gain)
+            of_candidate = _compute_guarantee(candidate.choice, candidate.problem, candidate.gain)
         is_less = of_candidate.ratio is not None and (
             best.ratio is None or of_candidate.ratio < best.ratio
         )
@@ -144,7 +144,7 @@ def _least(candidates: Iterator[DesignCandidate]) -> Guarantee:
     return best
 
 
-def _guarantee(choice: str, problem: Problem, gain: Gain) -> Guarantee:
+def _compute_guarantee(choice: str, problem: Problem, gain: Gain) -> Guarantee:
     shares = cap_shares(problem, gain)
     binding = max(shares, key=lambda name: shares[name])
     if not np.isfinite(shares[binding]):
@@ -155,7 +155,7 @@ def _guarantee(choice: str, problem: Problem, gain: Gain) -> Guarantee:
     return Guarantee(shares[binding], wheels, binding, choice)
 
 
-def _paper(scenario: Scenario) -> Iterator[DesignCandidate]:
+def _list_paper_candidates(scenario: Scenario) -> Iterator[DesignCandidate]:
     change = msgspec.structs.replace
     usual = Scenario()
     controller = change(
@@ -178,7 +178,7 @@ def _paper(scenario: Scenario) -> Iterator[DesignCandidate]:
         yield DesignCandidate(f"{limits}, section III-B", problem, local_gain)
 
 
-def _weighted(scenario: Scenario) -> Iterator[DesignCandidate]:
+def _list_weighted_candidates(scenario: Scenario) -> Iterator[DesignCandidate]:
     change = msgspec.structs.replace
     controller = change(
         scenario.controller,
@@ -204,7 +204,7 @@ def _weighted(scenario: Scenario) -> Iterator[DesignCandidate]:
             yield DesignCandidate(objective, reason=str(error))
 
 
-def _optimised(scenario: Scenario, start: Sequence[float] | None) -> Guarantee:
+def _search_optimum(scenario: Scenario, start: Sequence[float] | None) -> Guarantee:
     """Search near the start; where that leads to nothing, from the optimiser's own."""
     change = msgspec.structs.replace
     controller = change(
@@ -225,7 +225,7 @@ def _optimised(scenario: Scenario, start: Sequence[float] | None) -> Guarantee:
             reason = str(error)
             continue
         gain = decoupled_gain(problem, optimum.controller.tracking_gains)
-        best = _guarantee("", problem, gain)
+        best = _compute_guarantee("", problem, gain)
         if best.ratio is not None:
             return replace(best, caps_and_gains=caps_and_gains(optimum))
         reason = best.reason

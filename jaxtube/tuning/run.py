@@ -65,20 +65,20 @@ class NoLog:
 class Progress(Protocol):
     """What a caller is told while a descent runs."""
 
-    def evaluated(self) -> None:
+    def on_evaluation(self) -> None:
         """Count an evaluation."""
 
-    def inspected(self, judgement: HeldOutJudgement, is_best: bool) -> None:
+    def on_iterate(self, judgement: HeldOutJudgement, is_best: bool) -> None:
         """Take note of an iterate; `is_best` where it is the best certified one so far."""
 
 
 class NoProgress:
     """Progress that nobody watches."""
 
-    def evaluated(self) -> None:
+    def on_evaluation(self) -> None:
         """Do nothing."""
 
-    def inspected(self, judgement: HeldOutJudgement, is_best: bool) -> None:
+    def on_iterate(self, judgement: HeldOutJudgement, is_best: bool) -> None:
         """Do nothing."""
 
 
@@ -188,7 +188,7 @@ class _Journal:
         answer = self._log.remember(self._name, {"point": point, "draws": draws}, compute)
         value = float(answer["value"])
         self._values[point.tobytes()] = value
-        self._progress.evaluated()
+        self._progress.on_evaluation()
         return value, answer["gradient"]
 
     def inspect(self, iteration: int, point: Point) -> HeldOutJudgement:
@@ -198,7 +198,7 @@ class _Journal:
         is_best = judgement.certified and judgement.held_out < self._best
         if is_best:
             self._best = judgement.held_out
-        self._progress.inspected(judgement, is_best)
+        self._progress.on_iterate(judgement, is_best)
         return judgement
 
     def objective(self) -> Float[np.ndarray, " iterates"]:

@@ -267,7 +267,7 @@ class _ExactWindow:
         bounds = [self.terminal.bound(axis) for axis in axes]
         return tuple(map(max, bounds[:3], bounds[3:]))
 
-    def planned(self, row: GridRow) -> Fraction:
+    def bound_planned(self, row: GridRow) -> Fraction:
         """Return an upper bound of row e over the terminal set and the rows of the interval."""
         middle = tuple(Fraction(low + high, 2 * GRID) for low, high in row)
         halves = tuple(Fraction(high - low, 2 * GRID) for low, high in row)
@@ -423,7 +423,7 @@ def _check_terminal(window: _ExactWindow, invariant: Halfspaces) -> Iterator[tup
     for normal, offset in zip(invariant.normals, invariant.offsets, strict=True):
         row = _place(normal)
         _, reach = window.reach(row, len(window.loops))
-        yield "terminal reach", offset - window.planned(row) - reach
+        yield "terminal reach", offset - window.bound_planned(row) - reach
 
 
 def _check_returns(window: _ExactWindow, later: _ExactWindow) -> Iterator[tuple[str, Fraction]]:
@@ -436,4 +436,4 @@ def _check_returns(window: _ExactWindow, later: _ExactWindow) -> Iterator[tuple[
             targets.append((name, row, limit))
     for name, row, limit in targets:
         last, _ = window.reach(row, len(window.loops))
-        yield f"{name} returns", limit - window.planned(row) - last
+        yield f"{name} returns", limit - window.bound_planned(row) - last

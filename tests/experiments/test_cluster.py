@@ -82,9 +82,9 @@ def test_an_address_that_answers_but_is_no_scheduler_costs_one_line(known, tmp_p
 
 def test_a_job_is_the_run_as_plain_arrays(local):
     """What travels loses no bit of the task, and names no device."""
-    job = Job.of(local, pinned=False)
+    job = Job.from_run(local, pinned=False)
     assert all(isinstance(leaf, np.ndarray) for leaf in jax.tree.leaves(job.task))
-    again = job.on(jax.devices()[0])
+    again = job.make_run(jax.devices()[0])
     assert again.realisations == local.realisations and again.at_once == 1
     for one, other in zip(jax.tree.leaves(local.task), jax.tree.leaves(again.task), strict=True):
         if one is local.task.seed_key:

@@ -12,7 +12,7 @@ from jaxtube.falsification.setting import make_lap_limits
 from jaxtube.falsification.worst import Worst
 from jaxtube.figures.worst import make_tracks, worst_run
 from jaxtube.figures.worst_section import worst_section
-from jaxtube.simulation.usage import Replay, values_of
+from jaxtube.simulation.usage import Replay, read_values
 
 STEP = 3
 """The worst one of an invented lap, long before it has settled."""
@@ -41,7 +41,7 @@ def usage_of(limits, name, played):
     limit = limits[name]
     normals = np.asarray(limit.normals[0])
     centre = np.asarray(limit.centre)
-    values = values_of(name, played)[1 if name == "error" else 0 :]
+    values = read_values(name, played)[1 if name == "error" else 0 :]
     room = np.asarray(limit.offsets[0]) - normals @ centre
     return (values - centre) @ normals.T / room
 

@@ -66,7 +66,7 @@ def continued(folder, realisations, blocks=None):
             run.add(
                 block, laps_of(block, realisations), statistics(block, laps_of(block, realisations))
             )
-        return as_bytes(run.merged())
+        return as_bytes(run.merge())
 
 
 def as_bytes(merged):
@@ -118,7 +118,7 @@ def test_the_statistics_are_those_of_all_laps(tmp_path, small, quick):
     parts = [statistics(block, laps_of(block, count)) for block in range(12)]
     values = np.concatenate([part["top"] for part in parts])
     with opened(tmp_path) as run:
-        merged = run.merged()
+        merged = run.merge()
     assert merged["histogram"].dtype == np.int32 and merged["largest"].dtype == np.float32
     np.testing.assert_array_equal(merged["histogram"], sum(part["histogram"] for part in parts))
     np.testing.assert_array_equal(merged["top"], values[np.argsort(-values[:, 0])][:2])
@@ -188,7 +188,7 @@ def test_files_stay_few(tmp_path, quick):
     ) as run:
         for block in run.missing(count):
             run.add(block, 1, {"n": np.array(1)})
-        assert run.laps == run.merged()["n"] == count and list(run.missing(count)) == []
+        assert run.laps == run.merge()["n"] == count and list(run.missing(count)) == []
     assert sorted(len(records._blocks(name)) for name in files(tmp_path)) == [1] * 6 + [64, 4096]
 
 
@@ -255,7 +255,7 @@ def test_statistics_are_integers_or_floats(tmp_path, array):
     with opened(tmp_path) as run:
         with pytest.raises(ValueError, match="statistic odd: "):
             run.add(0, 1, {"odd": array})
-        assert run.laps == 0 and run.merged() == {}
+        assert run.laps == 0 and run.merge() == {}
     assert files(tmp_path) == {}
 
 
@@ -320,7 +320,7 @@ def test_damage_during_the_run_is_told_and_the_next_run_repairs_it(tmp_path, qui
             StoreError,
             match="was damaged meanwhile; the 16 laps recorded there are safe; run the same",
         ):
-            run.merged()
+            run.merge()
     assert continued(tmp_path / "run", 3 * BLOCK_SIZE) == continued(
         tmp_path / "once", 3 * BLOCK_SIZE
     )

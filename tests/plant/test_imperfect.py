@@ -17,7 +17,7 @@ from jaxtube.plant.error_dynamics import advance
 from jaxtube.plant.imperfect import Imperfections, ImperfectRobot, Motion, shifted_preview
 from jaxtube.plant.reference import two_circles
 from jaxtube.plant.robot import Robot
-from jaxtube.plant.slip import deviated
+from jaxtube.plant.slip import deviate
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation.rollout import realisation_keys, rollout
 
@@ -215,7 +215,7 @@ def turned(ideal, trajectory, step):
     """By how much the robots turned in a period, and by how much they would under each pair of
     extreme slips."""
     pairs = jnp.array(list(itertools.product((-1.0, 1.0), repeat=2)))
-    slips = deviated(ideal.nominal_slip, ideal.relative_error, pairs)
+    slips = deviate(ideal.nominal_slip, ideal.relative_error, pairs)
     ground = trajectory.wheels[step, :, None] * (1 - slips)
     reference = ideal.reference_wheels[step]
     lost = trajectory.errors[step + 1, :, 2] - trajectory.errors[step, :, 2]

@@ -12,7 +12,7 @@ from jaxtube.synthesis.certificate.fill import cap_shares
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.gains import compensating_gain
 from jaxtube.synthesis.optimise import caps_and_gains
-from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, at_point, guarantee
+from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, guarantee, set_point
 from jaxtube.synthesis.terminal import terminal_cost_and_gain
 
 NEARBY_SEARCH = 0.02
@@ -27,11 +27,11 @@ def certified():
 
 
 def test_a_condition_is_the_scenario_with_three_keys_changed_and_w_computed(certified):
-    changed = at_point(certified, OperatingPoint(0.25, 0.9, 0.07))
+    changed = set_point(certified, OperatingPoint(0.25, 0.9, 0.07))
     assert changed.slip.relative_error == 0.25 and changed.reference.wheel_speed_min_mps == 0.9
     assert changed.controller.dt_s == 0.07 and changed.disturbance.bound == "computed"
     assert changed.reference.duration_s == pytest.approx(429 * 0.07)
-    assert at_point(certified, OWN) == certified
+    assert set_point(certified, OWN) == certified
 
 
 def test_the_papers_ratio_is_the_least_of_its_gains_and_limits(certified):
@@ -49,7 +49,7 @@ def test_the_papers_ratio_is_the_least_of_its_gains_and_limits(certified):
 
 @pytest.mark.slow
 def test_weighted_gains_are_those_of_the_best_objective(certified):
-    found = guarantee("weighted", at_point(certified, OWN._replace(slip_error=0.05)))
+    found = guarantee("weighted", set_point(certified, OWN._replace(slip_error=0.05)))
     settings = [
         "controller.tracking_gains=[]",
         'controller.model="consistent"',
@@ -86,7 +86,7 @@ def test_caps_and_gains_of_a_scenario_start_a_search(certified, monkeypatch):
 
 @pytest.mark.parametrize("design", ["paper", "weighted", "optimised"])
 def test_a_condition_without_a_design_says_why(design, certified):
-    found = guarantee(design, at_point(certified, OperatingPoint(0.1, 1.4, 0.1)))
+    found = guarantee(design, set_point(certified, OperatingPoint(0.1, 1.4, 0.1)))
     assert found.ratio is None and not found.holds
     assert "reference" in found.reason
 
@@ -99,7 +99,7 @@ def test_a_ratio_below_1_holds_only_where_the_wheels_can_follow():
 
 @pytest.mark.slow
 def test_a_search_from_a_neighbours_optimum_ends_where_a_fresh_one_does(certified):
-    scenario = at_point(certified, OWN._replace(slip_error=0.12))
+    scenario = set_point(certified, OWN._replace(slip_error=0.12))
     near = guarantee("optimised", scenario, caps_and_gains(certified))
     fresh = guarantee("optimised", scenario)
     assert near.holds and fresh.holds and near.ratio is not None

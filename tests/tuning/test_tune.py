@@ -27,10 +27,10 @@ class Recorder(NoProgress):
         self.evaluations = 0
         self.best = []
 
-    def evaluated(self):
+    def on_evaluation(self):
         self.evaluations += 1
 
-    def inspected(self, judgement, is_best):
+    def on_iterate(self, judgement, is_best):
         if is_best:
             self.best.append(judgement)
 

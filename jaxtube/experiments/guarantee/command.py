@@ -209,7 +209,7 @@ def merge_records(attacks: list[LawRun]) -> dict[str, dict[Law, Statistics]]:
     """Return the statistics of all blocks, by design and law."""
     statistics: dict[str, dict[Law, Statistics]] = {attack.name: {} for attack in attacks}
     for attack in attacks:
-        statistics[attack.name][attack.law] = attack.records.merged()
+        statistics[attack.name][attack.law] = attack.records.merge()
     return statistics
 
 

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.store_owner import StoreOwner
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, at_point, caps_and_gains, guarantee
+from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, caps_and_gains, guarantee, set_point
 
 DESIGNS = ("optimised", "weighted", "paper")
 """In the order in which they are computed: the searches wait for each other, the others fill the
@@ -216,7 +216,7 @@ def _work_through(
         while waiting or running:
             for point in _find_ready(grid, waiting, results)[: most - len(running)]:
                 waiting.remove(point)
-                scenario_there = at_point(scenario, point.operating_point)
+                scenario_there = set_point(scenario, point.operating_point)
                 start = _find_start(scenario, grid, point, results)
                 running[workers.submit(guarantee, point.design, scenario_there, start)] = point
             for done in wait(running, return_when=FIRST_COMPLETED).done:

@@ -58,7 +58,7 @@ def run(scenario: Scenario, options: MontecarloOptions) -> int:
         folder = run_folder.create(scenario, options)
         folder.save_json("identity", known)
         performance = compute(design, options, records, missing)
-        statistics = records.merged()
+        statistics = records.merge()
     save(design, options, folder, statistics, performance)
     return 0
 
@@ -74,7 +74,7 @@ def compute(
     devices = tuple(jax.local_devices()[: options.devices or None])
     local = Run(task, int(options.realisations), options.chunk, devices)
     before = records.laps
-    outside = count_laps_outside(records.merged())
+    outside = count_laps_outside(records.merge())
     seconds = []
     with contextlib.ExitStack() as stack:
         source = stack.enter_context(connect(options.cluster, local)) if options.cluster else local

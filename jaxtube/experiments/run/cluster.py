@@ -74,7 +74,7 @@ class Cluster:
         self._client.wait_for_workers(1)
         # A task of its own, not data put on a worker: should that worker be lost, the scheduler can
         # make it again.
-        job = Job.of(run, pinned=self._is_local)
+        job = Job.from_run(run, pinned=self._is_local)
         self._job = self._client.submit(_return, job, pure=False)
 
     def __enter__(self) -> Cluster:
@@ -205,14 +205,14 @@ class Job:
     pinned: bool
 
     @classmethod
-    def of(cls, run: Run, pinned: bool) -> Job:
+    def from_run(cls, run: Run, pinned: bool) -> Job:
         """Take a run apart."""
         task = dataclasses.replace(run.task, seed_key=None)
         arrays = jax.tree.map(np.asarray, task)
         key_data = np.asarray(jax.random.key_data(run.task.seed_key))
         return cls(arrays, key_data, run.realisations, _find_versions(), pinned)
 
-    def on(self, device) -> Run:
+    def make_run(self, device) -> Run:
         """Return the run on one device."""
         key = jax.random.wrap_key_data(jax.numpy.asarray(self.key_data))
         task = jax.device_put(dataclasses.replace(self.task, seed_key=key), device)
@@ -246,7 +246,7 @@ def _run_of_thread(thread: int, job: Job) -> Run:
         )
     devices = jax.local_devices()
     number = _threads.setdefault(thread, len(_threads)) % len(devices)
-    return job.on(devices[number])
+    return job.make_run(devices[number])
 
 
 def _return(job: Job) -> Job:

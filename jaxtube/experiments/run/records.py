@@ -115,7 +115,7 @@ class Records(StoreOwner):
             self._laps[blocks] = int(laps)
             self._compact(blocks)
 
-    def merged(self) -> Statistics:
+    def merge(self) -> Statistics:
         """Return the statistics of all recorded blocks, by sorted name; empty before the first.
 
         Once nothing is missing they are the same bytes for every order of arrival and any

@@ -36,11 +36,11 @@ class DescentBar:
             self._bar.total = self._bar.n
         self._bar.close()
 
-    def evaluated(self) -> None:
+    def on_evaluation(self) -> None:
         """Count an evaluation."""
         self._bar.update()
 
-    def inspected(self, judgement: HeldOutJudgement, is_best: bool) -> None:
+    def on_iterate(self, judgement: HeldOutJudgement, is_best: bool) -> None:
         """Show an iterate, and save it where it is the best certified one so far."""
         if is_best:
             self._best = judgement.held_out

@@ -44,11 +44,11 @@ def cap_shares(problem: Problem, gain: Gain) -> dict[str, float]:
     by_gain = [tube.support(row) for row in rows.on_errors(gain.corner_gains)]
     of_errors = tube.support(E.normals) / E.offsets
     of_inputs = np.max(by_gain, axis=0) / rows.offsets
-    shares = [*_of_pairs(of_errors), *_of_pairs(of_inputs)]
+    shares = [*_take_larger_of_pairs(of_errors), *_take_larger_of_pairs(of_inputs)]
     return dict(zip(names, map(float, shares), strict=True))
 
 
-def _of_pairs(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, " half"]:
+def _take_larger_of_pairs(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, " half"]:
     """Return the larger share of each row and the opposite one."""
     return shares.reshape(2, -1).max(axis=0)
 
@@ -92,13 +92,13 @@ def ultimate_bound(problem: Problem, gain: Gain) -> Float[np.ndarray, "3"]:
         assert tube is not None
         before = widths
         widths = np.minimum(tube.support(np.eye(3)), widths)
-        problem = _within(problem, gain, tube, widths)
+        problem = _restrict_to_tube(problem, gain, tube, widths)
         if np.all(widths >= (1 - SETTLED) * before):
             break
     return widths
 
 
-def _within(
+def _restrict_to_tube(
     problem: Problem, gain: Gain, tube: Polytope, widths: Float[np.ndarray, "3"]
 ) -> Problem:
     """Return the problem inside a tube: its errors, the inputs of its gain, and the W of these."""
