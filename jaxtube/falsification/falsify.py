@@ -158,7 +158,7 @@ def search_setting(
     *,
     seconds: float = 60.0,
     seed: int = 0,
-    advanced: Callable[[], object] | None = None,
+    on_progress: Callable[[], object] | None = None,
 ) -> Falsification:
     """Search each limit of a target for its share of the time, then draw laps for as long as the
     searches took.
@@ -168,7 +168,7 @@ def search_setting(
         target: as for `falsify`.
         seconds: as for `falsify`.
         seed: of every draw.
-        advanced: called whenever a limit has been searched, and again when its laps are drawn.
+        on_progress: called whenever a limit has been searched, and again when its laps are drawn.
     """
     if not 0 < seconds < float("inf"):
         raise ValueError(f"seconds = {seconds}: is no time; give a positive number")
@@ -182,9 +182,9 @@ def search_setting(
             seconds=seconds / len(names),
             seed=seed,
         )
-        if advanced:
-            advanced()
-    sampled = _sample_limits(setting, searches, seed, advanced)
+        if on_progress:
+            on_progress()
+    sampled = _sample_limits(setting, searches, seed, on_progress)
     rows = {}
     for name in names:
         worst = _find_worst(name, searches)
@@ -196,7 +196,7 @@ def _sample_limits(
     setting: Setting,
     searches: dict[str, WorstCaseSearch],
     seed: int,
-    advanced: Callable[[], object] | None,
+    on_progress: Callable[[], object] | None,
 ) -> dict[str, Sampled]:
     """Draw laps for as long as the searches took; one draw serves all limits of a lap."""
     pool = draw_starts(setting, seed)
@@ -214,8 +214,8 @@ def _sample_limits(
         )
         for name in group:
             sampled[name] = drawn
-            if advanced:
-                advanced()
+            if on_progress:
+                on_progress()
     return sampled
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from jaxtube.falsification.cases import Row
 from jaxtube.falsification.sample import Sampled
-from jaxtube.falsification.search import Search
+from jaxtube.falsification.search import WorstCaseSearch
 from jaxtube.falsification.worst import Worst
 from jaxtube.simulation.rollout import read_trajectory
 from jaxtube.simulation.usage import Replay
@@ -61,11 +61,11 @@ def _read_worst(limit: str, arrays: Mapping[str, Any]) -> Worst:
     return Worst(limit=limit, attack=arrays["attack"], **numbers)
 
 
-def _read_search(arrays: Mapping[str, Any]) -> Search:
+def _read_search(arrays: Mapping[str, Any]) -> WorstCaseSearch:
     course = arrays["course"]
     columns = [course[name].tolist() for name in ("seconds", "limit", "usage")]
     worst = {name: _read_worst(name, case) for name, case in arrays["worst"].items()}
-    return Search(worst=worst, course=list(zip(*columns, strict=True)), **_read_extremes(arrays))
+    return WorstCaseSearch(worst=worst, course=list(zip(*columns, strict=True)), **_read_extremes(arrays))
 
 
 def _read_extremes(arrays: Mapping[str, Any]) -> dict[str, Any]:

@@ -140,7 +140,7 @@ def run_realisations(
     plant: Plant,
     starts: Float[np.ndarray, "runs 3"],
     seed: int,
-    advanced: Callable[[int], object] | None = None,
+    on_progress: Callable[[int], object] | None = None,
 ) -> Trajectory:
     """Run one closed loop a start, and return numpy arrays (time, realisation, ..).
 
@@ -149,7 +149,7 @@ def run_realisations(
         plant: any.
         starts: true initial errors, (m, m, rad); realisation i starts from the i-th.
         seed: of every draw.
-        advanced: called with the number of realisations of each block that has been run.
+        on_progress: called with the number of realisations of each block that has been run.
     """
     blocks = []
     for first in range(0, len(starts), BATCH):
@@ -159,8 +159,8 @@ def run_realisations(
         keys = realisation_keys(seed, first, BATCH)
         trajectory = rollout(controller, plant, keys, jnp.asarray(padded))
         blocks.append(jax.tree.map(partial(_take_first, len(block)), trajectory))
-        if advanced:
-            advanced(len(block))
+        if on_progress:
+            on_progress(len(block))
     return jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=1), *blocks)
 
 

@@ -71,14 +71,14 @@ class Optimum:
 
 def optimise(
     problem: Problem,
-    progress: Callable[[float], None] = lambda ratio: None,
+    on_progress: Callable[[float], None] = lambda ratio: None,
     starts: Sequence[tuple[float, ...]] | None = None,
 ) -> Optimum:
     """Find caps and tracking gains of least ratio within the limits of the scenario.
 
     Args:
         problem: its operating section and tracking gains are replaced; all else is kept.
-        progress: is told the best ratio after each start.
+        on_progress: is told the best ratio after each start.
         starts: of the search, as `STARTS`; None for `search_starts`. The optimum of a problem much
             like this one saves time.
 
@@ -99,7 +99,7 @@ def optimise(
         if ratio < least:
             best = point
             least = ratio
-        progress(least)
+        on_progress(least)
     if best is None:
         widened = _with_values(problem.scenario, np.log(starts[0]))
         raise ValueError(

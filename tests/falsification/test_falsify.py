@@ -132,7 +132,7 @@ def test_a_law_that_answers_nan_violates(design):
 
     calls = []
     setting = make_setting(design, law, "exact")
-    result = search_setting(setting, "error", seconds=0.1, advanced=lambda: calls.append(1))
+    result = search_setting(setting, "error", seconds=0.1, on_progress=lambda: calls.append(1))
     assert len(calls) == 2
     assert result.is_violated
     assert result.worst.usage == np.inf

@@ -67,13 +67,13 @@ class ImperfectLaps:
         self.ideal = [closed_loop.slipping_robot(design, process) for process in PROCESSES]
 
     def at(
-        self, name: str, update: Callable[[], object] = lambda: None
+        self, name: str, on_progress: Callable[[], object] = lambda: None
     ) -> Callable[[float], LapUsage]:
         """Return the usage as a function of the level of one imperfection.
 
         Args:
             name: of the imperfection; of a "preview" the worse of its signs counts.
-            update: called after each level.
+            on_progress: called after each level.
         """
 
         def usage(level: float) -> LapUsage:
@@ -83,7 +83,7 @@ class ImperfectLaps:
                 used = LapUsage(*map(np.maximum, early, late))
             else:
                 used = self.usage(Imperfections()._replace(**{name: level}))
-            update()
+            on_progress()
             return used
 
         return usage

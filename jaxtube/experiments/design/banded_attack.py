@@ -63,7 +63,9 @@ class BandedLaps:
 NO_LAPS = BandedLaps(0, 0, 0, 0, 0, 0, 0.0, 0.0)
 
 
-def attack(law: BandedLaw, process: str, seed: int, advanced: Callable[[], object]) -> BandedLaps:
+def attack(
+    law: BandedLaw, process: str, seed: int, on_progress: Callable[[], object]
+) -> BandedLaps:
     """Run laps of the law under one slip process and count what is left."""
     starts = _make_starts(law)
     total = NO_LAPS
@@ -79,7 +81,7 @@ def attack(law: BandedLaw, process: str, seed: int, advanced: Callable[[], objec
             seed + index,
         )
         total = total.joined(_count(law, reference.wheels, trajectory))
-        advanced()
+        on_progress()
     return total
 
 

@@ -46,7 +46,7 @@ def run(scenario: Scenario, options: FalsifyOptions) -> int:
             options.target,
             seconds=options.seconds,
             seed=options.seed,
-            advanced=bar.update,
+            on_progress=bar.update,
         )
     folder.report(report(falsification))
     folder.save_metrics(metrics(falsification))

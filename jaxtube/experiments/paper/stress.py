@@ -50,7 +50,7 @@ def run(
     boundary: Float[np.ndarray, "corners 3"],
     count: int,
     seed: int,
-    advanced: Callable[[int], object] | None = None,
+    on_progress: Callable[[int], object] | None = None,
 ) -> Stress:
     """Run tube-MPC and MPC without tube from the same starts, in each case.
 
@@ -59,7 +59,7 @@ def run(
         boundary: corners of the set of starts, of `find_starts`.
         count: runs of each controller in each case.
         seed: of every draw.
-        advanced: called with the number of runs of each block that has been run.
+        on_progress: called with the number of runs of each block that has been run.
     """
     starts = spread_starts(boundary, count, seed)
     plants = {
@@ -74,7 +74,7 @@ def run(
     runs = {}
     for case, plant in plants.items():
         runs[case] = {
-            name: closed_loop.run_realisations(controller, plant, starts, seed, advanced)
+            name: closed_loop.run_realisations(controller, plant, starts, seed, on_progress)
             for name, controller in controllers.items()
         }
     return Stress(boundary, starts, runs)
