@@ -31,7 +31,7 @@ AGREEMENT = 1e-9
 """Largest difference, relative and absolute, of an array of a design that is made again."""
 
 
-class Stored(NamedTuple):
+class StoredResult(NamedTuple):
     """A result as it lies in its folder."""
 
     kind: str
@@ -40,7 +40,7 @@ class Stored(NamedTuple):
     arrays: dict[str, np.ndarray]
 
 
-def write_result(folder: str | Path, result: Stored) -> Path:
+def write_result(folder: str | Path, result: StoredResult) -> Path:
     """Write a result into a folder, which is made where it does not exist; return the folder."""
     path = Path(folder)
     path.mkdir(parents=True, exist_ok=True)
@@ -51,7 +51,7 @@ def write_result(folder: str | Path, result: Stored) -> Path:
     return path
 
 
-def read_result(folder: str | Path) -> Stored:
+def read_result(folder: str | Path) -> StoredResult:
     """Read a result from its folder.
 
     Raises:
@@ -72,7 +72,7 @@ def read_result(folder: str | Path) -> Stored:
         raise refuse_folder(path, "is damaged, or holds no result") from None
     if schema != SCHEMA:
         raise refuse_folder(path, f"holds a {kind!r} of another version")
-    return Stored(kind, load(path / "scenario.toml"), facts, arrays)
+    return StoredResult(kind, load(path / "scenario.toml"), facts, arrays)
 
 
 def flatten(nested: Arrays, above: str = "") -> dict[str, np.ndarray]:

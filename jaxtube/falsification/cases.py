@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxtube.falsification.sample import Sampled
+from jaxtube.falsification.sample import SampledExtremes
 from jaxtube.falsification.search import WorstCaseSearch
 from jaxtube.falsification.setting import LoopLimits
 from jaxtube.falsification.worst import Worst
@@ -41,7 +41,7 @@ class Row(NamedTuple):
 
     worst: Worst
     search: WorstCaseSearch
-    sampled: Sampled
+    sampled: SampledExtremes
     played: Replay
 
     @property

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jaxtube.falsification.cases import Row, list_worst_first, say_verdict
-from jaxtube.falsification.sample import Sampled, sample
+from jaxtube.falsification.sample import SampledExtremes, sample
 from jaxtube.falsification.search import WorstCaseSearch, search_worst_cases
 from jaxtube.falsification.setting import (
     LoopLimits,
@@ -197,12 +197,12 @@ def _sample_limits(
     searches: dict[str, WorstCaseSearch],
     seed: int,
     on_progress: Callable[[], object] | None,
-) -> dict[str, Sampled]:
+) -> dict[str, SampledExtremes]:
     """Draw laps for as long as the searches took; one draw serves all limits of a lap."""
     pool = draw_starts(setting, seed)
     of_laps = [name for name in searches if name != "tube"]
     of_plans = [name for name in searches if name == "tube"]
-    sampled: dict[str, Sampled] = {}
+    sampled: dict[str, SampledExtremes] = {}
     for group in (of_laps, of_plans):
         if not group:
             continue

@@ -18,7 +18,7 @@ BATCH = 256
 
 
 @dataclass(frozen=True)
-class Sampled:
+class SampledExtremes:
     """The extremes of many drawn laps.
 
     Attributes:
@@ -43,7 +43,7 @@ def sample(
     seconds: float = 60.0,
     seed: int = 0,
     laps: int | None = None,
-) -> Sampled:
+) -> SampledExtremes:
     """Draw laps by the plant's own law and keep their extremes: what a search has to beat in the
     same time.
 
@@ -73,7 +73,7 @@ def sample(
         blocks += 1
         drawn = draw(blocks)
         reach = {name: np.maximum(reach[name], drawn[name]) for name in reach}
-    return Sampled(reach, blocks * BATCH, time.perf_counter() - start)
+    return SampledExtremes(reach, blocks * BATCH, time.perf_counter() - start)
 
 
 @jax.jit

@@ -81,7 +81,7 @@ class Track(NamedTuple):
         return self.centre + usage * (bound - self.centre)
 
 
-class Settled(NamedTuple):
+class SettledUsage(NamedTuple):
     """The greatest usage that the search met once laps have settled."""
 
     usage: float
@@ -175,17 +175,17 @@ def _first_instant(name: str) -> int:
 
 def _find_settled(
     problem: Problem, name: str, worst: Worst, reach: Float[np.ndarray, "steps facets"]
-) -> Settled | None:
+) -> SettledUsage | None:
     """Return the greatest usage once laps have settled, None where the worst of all is later."""
     first = settled_step(problem.reference)
     later = reach[first - _first_instant(name) :]
     if worst.step >= first or not len(later):
         return None
     place, facet = np.unravel_index(int(np.argmax(later)), later.shape)
-    return Settled(float(later[place, facet]), first + int(place), int(facet))
+    return SettledUsage(float(later[place, facet]), first + int(place), int(facet))
 
 
-def _title(problem: Problem, worst: Worst, settled: Settled | None) -> str:
+def _title(problem: Problem, worst: Worst, settled: SettledUsage | None) -> str:
     dt = problem.reference.dt
     text = f"worst: {100 * worst.usage:.3g} % of the limit at {worst.step * dt:.3g} s"
     if settled is None:

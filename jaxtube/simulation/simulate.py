@@ -26,7 +26,7 @@ from jaxtube.simulation.rollout import (
     realisation_keys,
 )
 from jaxtube.simulation.starts import FixedStart, Starts, uniform_start
-from jaxtube.storage import Stored, write_result
+from jaxtube.storage import StoredResult, write_result
 from jaxtube.synthesis.feasible import true_starts
 from jaxtube.synthesis.parts import Design
 
@@ -98,10 +98,10 @@ class Laps:
         facts = {"controller": self.controller, "plant": self.plant, "seed": self.seed}
         arrays = self.trajectory.arrays()
         scenario = self.design.problem.scenario
-        return write_result(folder, Stored("laps", scenario, facts, arrays))
+        return write_result(folder, StoredResult("laps", scenario, facts, arrays))
 
     @classmethod
-    def restore(cls, design: Design, stored: Stored) -> Laps:
+    def restore(cls, design: Design, stored: StoredResult) -> Laps:
         """Return laps that were saved, of their design made again."""
         return cls(design, trajectory=read_trajectory(stored.arrays), **stored.facts)
 

@@ -27,7 +27,7 @@ from jaxtube.statistics.events import EVENT_NAMES
 from jaxtube.statistics.run import BLOCK, Run, Statistics, Task, merge
 from jaxtube.statistics.summary import SamplingLaw, summarise
 from jaxtube.statistics.task import make_task
-from jaxtube.storage import Stored, write_result
+from jaxtube.storage import StoredResult, write_result
 from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ class MonteCarlo:
         """Save the run in a folder, for `jaxtube.read`; return the folder."""
         facts = {"law": self.law._asdict(), "seed": self.seed}
         scenario = self.design.problem.scenario
-        return write_result(folder, Stored("montecarlo", scenario, facts, self.statistics))
+        return write_result(folder, StoredResult("montecarlo", scenario, facts, self.statistics))
 
     def to_xarray(self) -> Any:
         """Return the statistics as an xarray Dataset with named dimensions: pip install
@@ -112,7 +112,7 @@ class MonteCarlo:
         return make_dataset(self.design, self.statistics, attributes)
 
     @classmethod
-    def restore(cls, design: Design, stored: Stored) -> MonteCarlo:
+    def restore(cls, design: Design, stored: StoredResult) -> MonteCarlo:
         """Return a run that was saved, of its design made again."""
         law = SamplingLaw(**stored.facts["law"])
         return cls(design, law, stored.facts["seed"], stored.arrays)

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.control.mpc import CondensedQp
-from jaxtube.storage import Stored, write_result
+from jaxtube.storage import StoredResult, write_result
 from jaxtube.synthesis import condense
 from jaxtube.synthesis.condense import Bounds
 from jaxtube.synthesis.gains import Gain
@@ -112,7 +112,9 @@ class Design:
     def save(self, folder: str | Path) -> Path:
         """Save the design in a folder, for `jaxtube.read`; return the folder."""
         facts = {"verdict": self.certificate.verdict}
-        return write_result(folder, Stored("design", self.problem.scenario, facts, self.arrays()))
+        return write_result(
+            folder, StoredResult("design", self.problem.scenario, facts, self.arrays())
+        )
 
     def __repr__(self) -> str:
         settings = self.problem.scenario.controller

@@ -29,7 +29,7 @@ from jax import Array
 from jaxtyping import Float
 from scipy.optimize import minimize
 
-from jaxtube.tuning.watch import Ended, Evaluate, Inspect, Outcome, Point, Stop, Watch
+from jaxtube.tuning.watch import EndOfDescent, Evaluate, Inspect, Outcome, Point, Stop, Watch
 
 BETA_1 = 0.9
 BETA_2 = 0.999
@@ -95,7 +95,7 @@ def adam(
             clipped = _clip(jnp.asarray(gradient), largest_gradient)
             step, moments = _adam_step(clipped, moments, watch.iteration + 1)
             watch.inspect(np.asarray(watch.point - rate * np.asarray(step)))
-    except Ended as ended:
+    except EndOfDescent as ended:
         return watch.outcome(ended)
 
 
@@ -150,17 +150,17 @@ def lbfgs(
             callback=watch.inspect,
             options=options,
         )
-    except Ended as ended:
+    except EndOfDescent as ended:
         return watch.outcome(ended)
     return watch.outcome(_explain(result.success, watch))
 
 
-def _explain(success: bool, watch: Watch) -> Ended:
+def _explain(success: bool, watch: Watch) -> EndOfDescent:
     """Return why L-BFGS returned by itself."""
     if success:
         sentence = f"converged at iteration {watch.iteration}: a lower tolerance alone goes further"
-        return Ended(Stop.CONVERGED, sentence)
-    return Ended(
+        return EndOfDescent(Stop.CONVERGED, sentence)
+    return EndOfDescent(
         Stop.LINE_SEARCH,
         f"line search found no lower objective from iteration {watch.iteration} "
         f"({watch.farthest(watch.point)}); raise the tolerance if this is rounding, start "

@@ -85,7 +85,7 @@ class Outcome:
     best_uncertified: WatchedIterate | None
 
 
-class Ended(Exception):
+class EndOfDescent(Exception):
     """The end of a descent; thrown because scipy's loop can be left in no other way."""
 
     def __init__(self, stop: Stop, sentence: str) -> None:
@@ -122,7 +122,7 @@ class Watch:
     def evaluate(self, point: Point, draws: int = 0) -> tuple[float, Point]:
         """Return finite objective and gradient, or end the descent."""
         if self.evaluations == self.budget:
-            raise Ended(
+            raise EndOfDescent(
                 Stop.BUDGET,
                 f"the budget of {self.budget} evaluations is used up at iteration "
                 f"{self.iteration}; raise the budget to go on",
@@ -145,7 +145,7 @@ class Watch:
         is_beyond = value > CLIFF * self.lowest > 0
         self.beyond_cliff = self.beyond_cliff + 1 if is_beyond else 0
         if self.beyond_cliff == CLIFF_STEPS:
-            raise Ended(
+            raise EndOfDescent(
                 Stop.CLIFF,
                 f"objective is over {CLIFF:g} times its least value so far, {self.lowest:.4g}, at "
                 f"{CLIFF_STEPS} iterations in a row up to {self.iteration} "
@@ -168,7 +168,7 @@ class Watch:
         if self.iteration - last_progress >= self.patience:
             raise self._out_of_patience(best)
 
-    def outcome(self, ended: Ended) -> Outcome:
+    def outcome(self, ended: EndOfDescent) -> Outcome:
         """Return the outcome of a descent that ended."""
         return Outcome(
             self.point,
@@ -187,19 +187,19 @@ class Watch:
     def _parameter(self, index: int, point: Point) -> str:
         return f"parameter {self.names[index]} = {point[index]:.4g}"
 
-    def _out_of_patience(self, best: WatchedIterate | None) -> Ended:
+    def _out_of_patience(self, best: WatchedIterate | None) -> EndOfDescent:
         least = "any finite number"
         if best:
             least = f"{best.held_out:.4g} of iteration {best.iteration}"
-        return Ended(
+        return EndOfDescent(
             Stop.PATIENCE,
             f"held-out value is not below {least} after {self.patience} more; use the best "
             "iterate, or raise the patience to look further",
         )
 
-    def _not_a_number(self, what: str, parameter: str) -> Ended:
+    def _not_a_number(self, what: str, parameter: str) -> EndOfDescent:
         gentler = self.gentler if self.iteration else ""
-        return Ended(
+        return EndOfDescent(
             Stop.NOT_A_NUMBER,
             f"{what} is not a number at iteration {self.iteration} ({parameter}); "
             f"{gentler}start closer to a stable design",

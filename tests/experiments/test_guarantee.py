@@ -207,7 +207,7 @@ def make_tested(*failing, absent=(), laws=None, name="mine"):
             scope = "robot" if condition in ROBOT else "model"
             conditions.append(Condition(condition, margin, "", scope))
     laws = laws or {"iid": law(), "edge-vertex": law(steps=10)}
-    return claims.Tested(name, Scenario(), Certificate(tuple(conditions)), laws)
+    return claims.DesignUnderTest(name, Scenario(), Certificate(tuple(conditions)), laws)
 
 
 def find_certified(design) -> set[str]:

@@ -22,7 +22,7 @@ from sets.certificate import Certificate
 CONFIDENCE = 0.95
 
 
-class Tested(NamedTuple):
+class DesignUnderTest(NamedTuple):
     """A design that was attacked; `laws` holds the summary of its laps by the name of the law."""
 
     name: str
@@ -32,12 +32,12 @@ class Tested(NamedTuple):
     note: str = ""
 
 
-class Seen(NamedTuple):
+class EventCount(NamedTuple):
     """Occurrences of an event under one law, out of so many trials: laps, or plans that were
     followed."""
 
     times: int
-    of: int
+    trials: int
     unit: str
 
 
@@ -45,11 +45,11 @@ class Count(NamedTuple):
     """How often something was seen under all laws, and under the law where its share is largest."""
 
     seen: int
-    of: int
+    trials: int
     unit: str
     worst: str  # law, "" where nothing was seen
     seen_there: int
-    of_there: int
+    trials_there: int
 
 
 class GuaranteeClaim(NamedTuple):
@@ -66,7 +66,7 @@ class GuaranteeClaim(NamedTuple):
     title: str
     conditions: tuple[str, ...]
     on_robot: bool = True
-    refutation: Callable[[dict], Seen] | None = None
+    refutation: Callable[[dict], EventCount] | None = None
     scope: Callable[[Scenario], str] = lambda scenario: ""
 
 
@@ -81,28 +81,28 @@ class Verdict(NamedTuple):
     seen: Count | None
 
 
-def _laps_with(*events: str) -> Callable[[dict], Seen]:
+def _laps_with(*events: str) -> Callable[[dict], EventCount]:
     """Return what counts the laps with the most frequent of some events."""
 
-    def count(law: dict) -> Seen:
-        return Seen(max(law["events"][name]["laps"] for name in events), law["laps"], "laps")
+    def count(law: dict) -> EventCount:
+        return EventCount(max(law["events"][name]["laps"] for name in events), law["laps"], "laps")
 
     return count
 
 
-def _plans_outside(law: dict) -> Seen:
+def _plans_outside(law: dict) -> EventCount:
     """Count the plans outside the tube, at the stage where most of them are."""
     if not law["plans"]:
-        return Seen(0, 0, "plans")
+        return EventCount(0, 0, "plans")
     tube = law["tube"]
     outside = tube["plans_outside_by_stage"][tube["used"]]
-    return Seen(max(map(int, outside)), law["plans"], "plans")
+    return EventCount(max(map(int, outside)), law["plans"], "plans")
 
 
-def _cost_excesses(law: dict) -> Seen:
+def _cost_excesses(law: dict) -> EventCount:
     """Count the plans whose cost fell by less than that of the step."""
     excesses = law["cost"]["fell_by_less_than_the_stage"] if law["plans"] else 0
-    return Seen(excesses, law["plans"], "plans")
+    return EventCount(excesses, law["plans"], "plans")
 
 
 def _wheel_speeds(scenario: Scenario) -> str:
@@ -193,7 +193,7 @@ WORDS = {
 """What it means that a condition fails, where its name does not say so."""
 
 
-def judge_claim(claim: GuaranteeClaim, design: Tested) -> Verdict:
+def judge_claim(claim: GuaranteeClaim, design: DesignUnderTest) -> Verdict:
     """Return whether a design makes a claim, whether its certificate proves it, and how often it
     was seen to fail."""
     known = design.certificate.conditions
@@ -216,12 +216,12 @@ def judge_claim(claim: GuaranteeClaim, design: Tested) -> Verdict:
     )
 
 
-def _holds(design: Tested, name: str) -> bool:
+def _holds(design: DesignUnderTest, name: str) -> bool:
     condition = design.certificate.conditions.get(name)
     return condition is not None and condition.holds
 
 
-def _say_what_fails(design: Tested, name: str) -> str:
+def _say_what_fails(design: DesignUnderTest, name: str) -> str:
     """Return in words that a condition fails, with its margin where it has one."""
     words = WORDS.get(name, name.replace("_", " "))
     condition = design.certificate.conditions.get(name)
@@ -230,15 +230,15 @@ def _say_what_fails(design: Tested, name: str) -> str:
     return f"{words} ({condition.margin:.3g})"
 
 
-def count(refutation: Callable[[dict], Seen], laws: dict[str, dict]) -> Count:
+def count(refutation: Callable[[dict], EventCount], laws: dict[str, dict]) -> Count:
     """Add up over the laws how often a claim was refuted, and name the law under which its share
     was largest."""
     by_law = {name: refutation(law) for name, law in laws.items()}
-    worst = max(by_law, key=lambda name: by_law[name].times / max(by_law[name].of, 1))
+    worst = max(by_law, key=lambda name: by_law[name].times / max(by_law[name].trials, 1))
     most = by_law[worst]
     times = sum(seen.times for seen in by_law.values())
-    of = sum(seen.of for seen in by_law.values())
-    return Count(times, of, most.unit, worst if most.times else "", most.times, most.of)
+    trials = sum(seen.trials for seen in by_law.values())
+    return Count(times, trials, most.unit, worst if most.times else "", most.times, most.trials)
 
 
 def bound_violating_laps(law: dict, events: Collection[str] = VIOLATIONS) -> tuple[int, int]:
@@ -258,7 +258,7 @@ def count_steps(law: dict) -> int:
     return law["laps"] * law["steps_a_lap"]
 
 
-def metrics(tested: list[Tested]) -> dict:
+def metrics(tested: list[DesignUnderTest]) -> dict:
     """Return what `metrics.json` holds, by design."""
     return {
         "confidence": CONFIDENCE,
@@ -267,7 +267,7 @@ def metrics(tested: list[Tested]) -> dict:
     }
 
 
-def _metrics(design: Tested) -> dict:
+def _metrics(design: DesignUnderTest) -> dict:
     certificate = design.certificate
     return {
         "certified": certificate.holds_for_robot,
@@ -280,8 +280,20 @@ def _metrics(design: Tested) -> dict:
 
 
 def _verdict_metrics(verdict: Verdict) -> dict:
-    seen = verdict.seen._asdict() if verdict.seen else None
+    seen = _count_metrics(verdict.seen) if verdict.seen else None
     return verdict._asdict() | {"seen": seen}
+
+
+def _count_metrics(count: Count) -> dict:
+    """Return a count by the names that `metrics.json` uses."""
+    return {
+        "seen": count.seen,
+        "of": count.trials,
+        "unit": count.unit,
+        "worst": count.worst,
+        "seen_there": count.seen_there,
+        "of_there": count.trials_there,
+    }
 
 
 def _bounds(law: dict) -> dict:

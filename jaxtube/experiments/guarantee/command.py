@@ -31,7 +31,7 @@ from jaxtube.experiments.guarantee.attack import (
     count_laps,
     make_tasks,
 )
-from jaxtube.experiments.guarantee.claims import Tested
+from jaxtube.experiments.guarantee.claims import DesignUnderTest
 from jaxtube.experiments.options import GuaranteeOptions, MontecarloOptions, title
 from jaxtube.experiments.run import blocks
 from jaxtube.experiments.run import folder as run_folder
@@ -215,7 +215,7 @@ def merge_records(attacks: list[LawRun]) -> dict[str, dict[Law, Statistics]]:
 
 def summarise_attacks(
     name: str, design: Design, statistics: dict[Law, Statistics], reason: str
-) -> Tested:
+) -> DesignUnderTest:
     """Return what became of a design that was attacked, with what its laps saw of w in W.
 
     Args:
@@ -235,7 +235,9 @@ def summarise_attacks(
     if reason:
         because = reason.removeprefix("scenario: ")
         notes.append(f"starts of {name}: the scenario's, since {because}")
-    return Tested(name, design.problem.scenario, design.certificate, summaries, "\n".join(notes))
+    return DesignUnderTest(
+        name, design.problem.scenario, design.certificate, summaries, "\n".join(notes)
+    )
 
 
 def sum_up_disturbances(design: Design, statistics: Collection[Statistics]) -> dict:
@@ -265,7 +267,7 @@ def _count_steps(statistics: Statistics, event: str) -> int:
     return int(laps @ np.arange(len(laps)))
 
 
-def save(folder: RunFolder, tested: list[Tested], performance: dict) -> None:
+def save(folder: RunFolder, tested: list[DesignUnderTest], performance: dict) -> None:
     """Write metrics, tables and figure, and print the report."""
     from jaxtube.experiments.guarantee.figures import laws_figure
 

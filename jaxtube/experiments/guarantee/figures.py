@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from matplotlib.figure import Figure
 
-from jaxtube.experiments.guarantee.claims import Tested
+from jaxtube.experiments.guarantee.claims import DesignUnderTest
 from jaxtube.figures.shares import (
     DrawnRow,
     draw_shares,
@@ -21,7 +21,7 @@ ROW = 0.32
 
 
 @styled
-def laws_figure(tested: list[Tested]) -> Figure:
+def laws_figure(tested: list[DesignUnderTest]) -> Figure:
     """Draw the shares of laps and steps outside W and E under each law, a column a design."""
     most_laws = max(len(design.laws) for design in tested)
     figure = page_figure(1.6 + 2 * ROW * most_laws)

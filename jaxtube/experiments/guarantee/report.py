@@ -10,8 +10,8 @@ from jaxtube.experiments.guarantee.claims import (
     CLAIMS,
     CONFIDENCE,
     Count,
+    DesignUnderTest,
     GuaranteeClaim,
-    Tested,
     bound_violating_laps,
     bound_violating_share,
     count_steps,
@@ -24,7 +24,7 @@ WIDTH = 100
 """Columns of all text."""
 
 
-def cells(claim: GuaranteeClaim, design: Tested) -> tuple[str, str, str]:
+def cells(claim: GuaranteeClaim, design: DesignUnderTest) -> tuple[str, str, str]:
     """Return in words what a design claims, what is certified of it, and what was seen."""
     verdict = judge_claim(claim, design)
     claimed = "yes" if verdict.claimed else "no"
@@ -36,10 +36,10 @@ def cells(claim: GuaranteeClaim, design: Tested) -> tuple[str, str, str]:
 def _say_what_was_seen(count: Count | None) -> str:
     if count is None:
         return ""
-    text = f"{count.seen:,} of {count.of:,} {count.unit}"
+    text = f"{count.seen:,} of {count.trials:,} {count.unit}"
     if not count.seen:
         return text
-    return f"{text}; most: {_percent(count.seen_there / count.of_there)}, {count.worst}"
+    return f"{text}; most: {_percent(count.seen_there / count.trials_there)}, {count.worst}"
 
 
 def _percent(share: float) -> str:
@@ -55,7 +55,7 @@ TOTALS = (
 HEADINGS = ("claimed", "proved", "seen")
 
 
-def totals(design: Tested) -> tuple[str, ...]:
+def totals(design: DesignUnderTest) -> tuple[str, ...]:
     """Return in words the cells of TOTALS."""
     laws = design.laws
     laps = sum(law["laps"] for law in laws.values())
@@ -79,7 +79,7 @@ def _say_how_many(laws: dict[str, dict], events: Collection[str]) -> str:
     return f"{least:,}" if least == largest else f"{least:,} to {largest:,}"
 
 
-def text(tested: list[Tested]) -> str:
+def text(tested: list[DesignUnderTest]) -> str:
     """Return the report as text of at most WIDTH columns."""
     parts = [verdict(design) for design in tested]
     parts.append(claim_table(tested))
@@ -89,7 +89,7 @@ def text(tested: list[Tested]) -> str:
     return "\n\n".join("\n".join(_wrap(part)) for part in parts)
 
 
-def _notes(tested: list[Tested]) -> list[str]:
+def _notes(tested: list[DesignUnderTest]) -> list[str]:
     return [design.note for design in tested if design.note]
 
 
@@ -100,7 +100,7 @@ def _wrap(part: str) -> list[str]:
     return lines
 
 
-def verdict(design: Tested) -> str:
+def verdict(design: DesignUnderTest) -> str:
     """Return one line: certified or not, and what the attack came to."""
     laps, violations, *_ = totals(design)
     failing = ", ".join(design.certificate.failing)
@@ -108,7 +108,7 @@ def verdict(design: Tested) -> str:
     return f"{design.name}: {proved}; {violations} laps of {laps} violate what is claimed"
 
 
-def claim_table(tested: list[Tested]) -> str:
+def claim_table(tested: list[DesignUnderTest]) -> str:
     """Return the claims side by side, three lines each: claimed, proved, seen."""
     columns = [left("claim"), left(""), *(left(design.name) for design in tested)]
     rows = []
@@ -138,7 +138,7 @@ def _claim_rows(
     return rows
 
 
-def law_tables(design: Tested) -> list[str]:
+def law_tables(design: DesignUnderTest) -> list[str]:
     """Return a line for each law: the laps in which each event occurred; and how far w and e went,
     with the bound on the violating laps."""
     columns = [left(design.name), Column("laps")]
@@ -189,7 +189,7 @@ def legend() -> str:
     return "\n".join(lines)
 
 
-def markdown(tested: list[Tested]) -> str:
+def markdown(tested: list[DesignUnderTest]) -> str:
     """Return the same tables in Markdown."""
     parts = [*map(verdict, tested), _claims_in_markdown(tested)]
     parts += [_laws_in_markdown(design) for design in tested]
@@ -197,7 +197,7 @@ def markdown(tested: list[Tested]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def _claims_in_markdown(tested: list[Tested]) -> str:
+def _claims_in_markdown(tested: list[DesignUnderTest]) -> str:
     head = ["claim"]
     for design in tested:
         head += [f"{design.name}: {heading}" for heading in HEADINGS]
@@ -216,7 +216,7 @@ def _claims_in_markdown(tested: list[Tested]) -> str:
     return _format_markdown(head, rows)
 
 
-def _laws_in_markdown(design: Tested) -> str:
+def _laws_in_markdown(design: DesignUnderTest) -> str:
     events = [find_event(name).words for name in VIOLATIONS]
     rows = []
     for name, law in design.laws.items():

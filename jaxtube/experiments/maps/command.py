@@ -19,7 +19,14 @@ import numpy as np
 from jaxtube.experiments.maps import feasible as maps_feasible
 from jaxtube.experiments.maps import figures as maps_figures
 from jaxtube.experiments.maps.figures import ratio_table
-from jaxtube.experiments.maps.points import Found, Grid, Point, PointLog, compute, make_grid
+from jaxtube.experiments.maps.points import (
+    Grid,
+    GuaranteeByPoint,
+    Point,
+    PointLog,
+    compute,
+    make_grid,
+)
 from jaxtube.experiments.options import MapsOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
@@ -99,7 +106,7 @@ def open_log(folder: RunFolder, name: str, settings: dict, scenario: Scenario) -
     return log
 
 
-def find_borders(grid: Grid, results: Found) -> dict:
+def find_borders(grid: Grid, results: GuaranteeByPoint) -> dict:
     """Return, by design, how far guarantees reach from the easy end of slip error and speed.
 
     `..._computed` is the last value of the grid with a guarantee, all easier ones having one too;
@@ -130,7 +137,7 @@ class Border(NamedTuple):
 
 
 def _find_border(
-    design: str, operating_points: list[OperatingPoint], name: str, results: Found
+    design: str, operating_points: list[OperatingPoint], name: str, results: GuaranteeByPoint
 ) -> Border:
     """Return the border of a design along operating points, the easiest one first."""
     values = [getattr(point, name) for point in operating_points]
@@ -155,7 +162,7 @@ def interpolate(results: list[Guarantee], values: list[float]) -> Border:
     return Border(last, float(np.interp(1.0, [before, after], [last, values[count]])))
 
 
-def report(grid: Grid, borders: dict, results: Found) -> str:
+def report(grid: Grid, borders: dict, results: GuaranteeByPoint) -> str:
     """Return the borders of the three designs, and the ratios of the optimised one."""
     own = grid.own
     columns = [
@@ -176,7 +183,7 @@ def report(grid: Grid, borders: dict, results: Found) -> str:
     return "\n".join(lines)
 
 
-def _border_row(grid: Grid, border: dict, results: Found, design: str) -> list[str]:
+def _border_row(grid: Grid, border: dict, results: GuaranteeByPoint, design: str) -> list[str]:
     error = Border(border["largest_slip_error_computed"], border["largest_slip_error_interpolated"])
     speed = Border(
         border["lowest_wheel_speed_mps_computed"], border["lowest_wheel_speed_mps_interpolated"]
@@ -189,7 +196,7 @@ def _border_row(grid: Grid, border: dict, results: Found, design: str) -> list[s
     return [TITLES[design], largest, _say_where(speed, 1, "m/s")]
 
 
-def _count(results: Found, design: str) -> str:
+def _count(results: GuaranteeByPoint, design: str) -> str:
     of_design = [result for point, result in results.items() if point.design == design]
     return f"{sum(result.holds for result in of_design)} of {len(of_design)}"
 
@@ -203,7 +210,9 @@ def _say_where(border: Border, scale: float, unit: str) -> str:
     )
 
 
-def _format_ratios(grid: Grid, results: Found, axis: str, values: Sequence[float]) -> str:
+def _format_ratios(
+    grid: Grid, results: GuaranteeByPoint, axis: str, values: Sequence[float]
+) -> str:
     """Return the ratios of the optimised design, values downwards and slip errors across."""
     name = {"slowest_mps": "from [m/s]", "dt_s": "period [s]"}[axis]
     columns = [Column(name), *(Column(f"{error:.3%}") for error in grid.slip_errors)]

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from jaxtube.coordinates import TO_DISPLAY
-from jaxtube.experiments.maps.points import Found, Grid, Point
+from jaxtube.experiments.maps.points import Grid, GuaranteeByPoint, Point
 from jaxtube.figures.style import (
     LIMIT,
     Line,
@@ -59,7 +59,7 @@ FIRST = Line("feasible set $F_N$", "#D55E00", (0, (1, 1)))
 
 
 @styled
-def ratio_map(grid: Grid, found: Found, axis: str) -> Figure:
+def ratio_map(grid: Grid, found: GuaranteeByPoint, axis: str) -> Figure:
     """Draw the ratio of the three designs over slip error and "slowest_mps" or "dt_s", a cell a
     point that was computed."""
     figure = page_figure(3.4)
@@ -113,7 +113,9 @@ def _make_edges(places: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k+1"]:
     return np.array([first, *middles, last])
 
 
-def _draw_marks(axes: Axes, grid: Grid, found: Found, design: str, axis: str) -> set[str]:
+def _draw_marks(
+    axes: Axes, grid: Grid, found: GuaranteeByPoint, design: str, axis: str
+) -> set[str]:
     """Mark what became of every point, and the scenario's own; return the outcomes that occur."""
     outcomes = set()
     for value in _values(grid, axis):
@@ -138,7 +140,7 @@ def _outcome(guarantee: Guarantee) -> str:
 
 
 def ratio_table(
-    grid: Grid, found: Found, design: str, axis: str
+    grid: Grid, found: GuaranteeByPoint, design: str, axis: str
 ) -> Float[np.ndarray, "values errors"]:
     """Return the ratios over "slowest_mps" or "dt_s" (rows) and slip error; NaN where no design was
     found."""

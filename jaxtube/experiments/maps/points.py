@@ -41,7 +41,7 @@ class Point(NamedTuple):
     operating_point: OperatingPoint
 
 
-Found = dict[Point, Guarantee]
+GuaranteeByPoint = dict[Point, Guarantee]
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ class PointLog(StoreOwner):
         return f"the {len(self.records)} results logged there are safe"
 
 
-def compute(scenario: Scenario, grid: Grid, log: PointLog) -> Found:
+def compute(scenario: Scenario, grid: Grid, log: PointLog) -> GuaranteeByPoint:
     """Compute the points that the log does not hold, each saved at once, and return all.
 
     Args:
@@ -205,7 +205,7 @@ def _work_through(
     scenario: Scenario,
     grid: Grid,
     waiting: list[Point],
-    results: Found,
+    results: GuaranteeByPoint,
     workers: Executor,
     keep: Callable[[Point, Guarantee], None],
 ) -> None:
@@ -226,12 +226,12 @@ def _work_through(
         raise
 
 
-def _find_ready(grid: Grid, waiting: Iterable[Point], results: Found) -> list[Point]:
+def _find_ready(grid: Grid, waiting: Iterable[Point], results: GuaranteeByPoint) -> list[Point]:
     """Return the points whose start is known."""
     return [point for point in waiting if _has_start(grid, point, results)]
 
 
-def _has_start(grid: Grid, point: Point, results: Found) -> bool:
+def _has_start(grid: Grid, point: Point, results: GuaranteeByPoint) -> bool:
     neighbour = grid.towards_own(point.operating_point)
     if point.design != "optimised" or neighbour is None:
         return True
@@ -239,7 +239,7 @@ def _has_start(grid: Grid, point: Point, results: Found) -> bool:
 
 
 def _find_start(
-    scenario: Scenario, grid: Grid, point: Point, results: Found
+    scenario: Scenario, grid: Grid, point: Point, results: GuaranteeByPoint
 ) -> tuple[float, ...] | None:
     """Return caps and gains at which a search starts, None for the designs that need none."""
     if point.design != "optimised":

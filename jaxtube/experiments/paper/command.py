@@ -50,7 +50,7 @@ STRESSED_FOR_PAPER = "robust"
 NOISE_FREE = ("uncompensated", "compensated", "tube_mpc", "plain_mpc")
 
 
-class Simulated(NamedTuple):
+class PaperRuns(NamedTuple):
     """What the command simulates.
 
     Attributes:
@@ -115,7 +115,7 @@ def simulate_laps(
     stressed: Design,
     boundary: Float[np.ndarray, "corners 3"],
     options: PaperOptions,
-) -> Simulated:
+) -> PaperRuns:
     """Run all laps and stress runs.
 
     Args:
@@ -143,10 +143,10 @@ def simulate_laps(
     deviations = closed_loop.plan_deviations(
         design, tube_mpc, plant, by_name["tube_mpc"], options.seed
     )
-    return Simulated(by_name, other_restart, under_stress, deviations)
+    return PaperRuns(by_name, other_restart, under_stress, deviations)
 
 
-def _metrics(design: Design, simulated: Simulated) -> dict:
+def _metrics(design: Design, simulated: PaperRuns) -> dict:
     problem = design.problem
     laps = simulated.laps
     schedule = problem.schedule[: problem.reference.steps]
@@ -187,7 +187,7 @@ def _save_laps(laps: dict[str, Trajectory], folder: RunFolder) -> None:
     folder.save_arrays("laps", **arrays)
 
 
-def _make_drawings(design: Design, name: str, simulated: Simulated) -> Drawings:
+def _make_drawings(design: Design, name: str, simulated: PaperRuns) -> Drawings:
     """Return what draws each figure of a design and its laps, by name."""
     from jaxtube.figures import laps as lap_figures
     from jaxtube.figures.paths import trajectories
