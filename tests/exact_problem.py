@@ -26,8 +26,8 @@ NOISE = exact_row((8.90e-3, 19.26e-3, math.radians(0.04)))
 W = [tuple(sign * kick + side * width for kick, side, width in zip(KICK, sides, NOISE, strict=True))
      for sign in (-1, 1) for sides in product((-1, 1), repeat=3)]  # fmt: skip
 POINTS = np.array(W, dtype=float)
-E = np.vstack([np.eye(3), -np.eye(3)]), np.tile([0.12, 0.28, math.radians(18)], 2)
-U = np.vstack([np.eye(2), -np.eye(2)]), np.array([0.40, 0.9, 0.27, 0.9])
+E = (np.vstack([np.eye(3), -np.eye(3)]), np.tile([0.12, 0.28, math.radians(18)], 2))
+U = (np.vstack([np.eye(2), -np.eye(2)]), np.array([0.40, 0.9, 0.27, 0.9]))
 STEP = 1e-6  # every further stage of the plan is backed off by as much more
 Q = np.diag([1.0, 3.0, 1.0])
 R = 0.3 * np.eye(2)

@@ -15,8 +15,8 @@ TRACK = 0.5
 GRIP = 0.8
 FASTEST = 1.5
 INPUT = PERIOD * np.array([[1.0, 0.0], [0.0, 0.0], [0.0, 1.0]])
-PAPER = np.diag([1.0, 1.0, 0.01]), np.eye(2)
-LATERAL = np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2)
+PAPER = (np.diag([1.0, 1.0, 0.01]), np.eye(2))
+LATERAL = (np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2))
 E = Polytope.box(-np.array([0.3, 0.3, np.deg2rad(20)]), np.array([0.3, 0.3, np.deg2rad(20)]))
 W = Polytope.box(
     -np.array([0.005, 0.005, np.deg2rad(0.2)]), np.array([0.005, 0.005, np.deg2rad(0.2)])

@@ -250,7 +250,7 @@ def _act_constrained(condensed: CondensedQp, state: MpcState, start, errors):
     horizon = now.inputs.shape[1]
     deviation = errors - now.nominal
     due = jnp.take_along_axis(now.inputs, now.stage[:, None, None], axis=1, mode="clip")[:, 0]
-    planned = due, _image(condensed.tube_gain, deviation)
+    planned = (due, _image(condensed.tube_gain, deviation))
     at_the_end = (
         _image(condensed.terminal_gain, now.nominal),
         _image(condensed.terminal_gain, deviation),

@@ -174,9 +174,9 @@ def polish(
             x = x - batched_ldl.solve(ldl, gradient)
             return x, y + weights * (matmul(A, x) - bound)
 
-        start = x, jnp.where(active, y, 0.0)
+        start = (x, jnp.where(active, y, 0.0))
         x, y = jax.lax.fori_loop(0, NEWTON_PASSES, correct, start)
         return x, y, keep_better(factors, instances, best, x, y)
 
-    start = x, y, keep_better(factors, instances, best, x, y)
+    start = (x, y, keep_better(factors, instances, best, x, y))
     return jax.lax.fori_loop(0, steps, step, start)[2]

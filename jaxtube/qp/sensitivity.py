@@ -78,7 +78,7 @@ def adjoint(
         d = d - batched_ldl.solve(ldl, gradient)
         return d, nu + weights * (matmul(A, d) - y_bar)
 
-    start = jnp.zeros_like(x_bar), jnp.zeros_like(y_bar)
+    start = (jnp.zeros_like(x_bar), jnp.zeros_like(y_bar))
     return jax.lax.fori_loop(0, ADJOINT_PASSES, correct, start)
 
 

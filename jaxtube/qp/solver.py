@@ -94,7 +94,7 @@ def solve(
         through `factorise`, to P and A; it is zero where the instance is not SOLVED, and everywhere
         for the residual.
     """
-    shape = len(q), len(factors.rows)
+    shape = (len(q), len(factors.rows))
     return solve_batch(factors, q, jnp.broadcast_to(l, shape), jnp.broadcast_to(u, shape))
 
 
@@ -146,7 +146,7 @@ def pull_back(saved: tuple, cotangent: Solution) -> tuple[Factors, Array, Array,
         return d.T, l_bar, u_bar
 
     free = jnp.where(solved[:, None], -matmul(x_bar, factors.optimum), 0.0)
-    data = solution.x, solution.multipliers, l, u, x_bar, y_bar
+    data = (solution.x, solution.multipliers, l, u, x_bar, y_bar)
     size, _ = block_sizes()
     d, l_bar, u_bar = update_in_blocks(solve_adjoint, size, constrained, data, (free, zero, zero))
     shared = sensitivity.shared_cotangents(

@@ -64,7 +64,7 @@ def plain_bounds(problem: Problem, windows: Windows, terminal: Terminal) -> Boun
     The terminal rows stay, unbounded, so that both controllers share their shapes and one
     compilation.
     """
-    stages = len(windows.schedules), problem.horizon
+    stages = (len(windows.schedules), problem.horizon)
     errors = problem.operating_set.offsets
     inputs = problem.input_rows.offsets
     return Bounds(
@@ -140,7 +140,7 @@ def row_bounds(bounds: Bounds, ahead: Prediction, xp: ModuleType = jnp) -> RowBo
         -bounds.inputs[:, :, k:],
         -xp.full_like(bounds.terminal, xp.inf),
     )
-    above = bounds.errors[:, 1:, :3], bounds.inputs[:, :, :k], bounds.terminal
+    above = (bounds.errors[:, 1:, :3], bounds.inputs[:, :, :k], bounds.terminal)
     lower = xp.concatenate([part.reshape(count, -1) for part in below], axis=1)
     upper = xp.concatenate([part.reshape(count, -1) for part in above], axis=1)
     return RowBounds(

@@ -94,7 +94,7 @@ def stack_rows(
     D = problem.input_rows.inputs[:k]
     C = problem.input_rows.errors[:k]
     selection = np.eye(n).reshape(N, 2, n)  # g_j = selection[j] g
-    error_parts = C_E @ free[:, 1:N], C @ free[:, :N], terminal_normals @ free[:, N]
+    error_parts = (C_E @ free[:, 1:N], C @ free[:, :N], terminal_normals @ free[:, N])
     input_parts = (
         C_E @ forced[:, 1:N],
         D @ selection + C @ forced[:, :N],

@@ -95,7 +95,7 @@ def world_rates(command, slips, sideslip, reference, level):
         right, left = state[6:] * (1 - slips)
         moving = (1 + 1j * sideslip) * (right + left) / 2 * np.exp(1j * state[2])
         target = np.mean(reference) * np.exp(1j * state[5])
-        turns = (right - left) / TRACK_WIDTH, (reference[0] - reference[1]) / TRACK_WIDTH
+        turns = ((right - left) / TRACK_WIDTH, (reference[0] - reference[1]) / TRACK_WIDTH)
         return [
             moving.real,
             moving.imag,

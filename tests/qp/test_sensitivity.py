@@ -100,7 +100,7 @@ def direction_of(part: int, data, rng):
 def test_agrees_with_differences_of_an_exact_solver(seed, part):
     data = programs(seed)
     rng = np.random.default_rng(seed)
-    bars = rng.normal(size=data[2].shape), rng.normal(size=data[3].shape)
+    bars = (rng.normal(size=data[2].shape), rng.normal(size=data[3].shape))
     direction = direction_of(part, data, rng)
     derivative, same, (_, multipliers) = difference(data, part, direction)
     solution = gradient(data, *bars)[1]
@@ -158,7 +158,7 @@ def test_agrees_with_unrolled_iterations():
 def test_what_has_no_answer_has_no_derivative_and_leaves_the_others_as_they_are():
     data = programs(0)
     rng = np.random.default_rng(2)
-    bars = rng.normal(size=data[2].shape), rng.normal(size=data[3].shape)
+    bars = (rng.normal(size=data[2].shape), rng.normal(size=data[3].shape))
     solved = gradient(data, *bars)[1].status == qp.SOLVED
     spoilt = np.flatnonzero(solved)[[0, 7, 20, 30]]
     without = [
@@ -268,7 +268,7 @@ def test_a_scan_of_checkpoints_differentiates_a_closed_loop():
     feedback = jnp.asarray(np.eye(3) + 0.1 * rng.normal(size=(3, 3)))
     effect = jnp.asarray(0.1 * rng.normal(size=(10, 3)))
     start = jnp.asarray(0.3 * rng.normal(size=(40, 3)))
-    stack = np.stack([fam.P, 1.5 * fam.P, 2 * fam.P]), np.stack([fam.A, fam.A, fam.A[::-1]])
+    stack = (np.stack([fam.P, 1.5 * fam.P, 2 * fam.P]), np.stack([fam.A, fam.A, fam.A[::-1]]))
 
     def cost(data):
         P, A, weights, lower, upper = data

@@ -209,7 +209,7 @@ def test_the_decrease_of_the_cost_is_proved_and_its_loss_is_seen():
     assert certificate.decrease_margin(*zip(*pairs, strict=True), cost, Q, R) > 0
     for right, left in np.random.default_rng(4).uniform(SLOW, FAST, size=(20, 2)):
         here = schedule_box((right, left), (right, left), DT, WIDTH)
-        inside = exact_vertex_loops(GAINS, here, DT)[:1], exact_vertex_feedbacks(GAINS, here)[:1]
+        inside = (exact_vertex_loops(GAINS, here, DT)[:1], exact_vertex_feedbacks(GAINS, here)[:1])
         assert certificate.decrease_margin(*map(floats, inside), cost, Q, R) > 0
     faster = [tuple(tuple(Fraction(6, 5) * a for a in row) for row in LOOPS[3])]
     assert decrease_pivot(cost, LOOPS[:3] + faster, FEEDBACKS, Q, R) < 0

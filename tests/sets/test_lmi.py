@@ -25,13 +25,13 @@ GAP_ROUNDING = 1e-9
 Weights = tuple[np.ndarray, np.ndarray]
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 OBJECTIVES: tuple[Objective, ...] = get_args(Objective)
-PAPER = np.diag([1.0, 1.0, 0.01]), np.eye(2)
-LATERAL = np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2)
+PAPER = (np.diag([1.0, 1.0, 0.01]), np.eye(2))
+LATERAL = (np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2))
 COUPLED = (
     np.array([[1.0, 0.2, 0.0], [0.2, 1.0, 0.1], [0.0, 0.1, 0.5]]),
     np.array([[1.0, 0.6], [0.6, 0.8]]),
 )
-SEMIDEFINITE = np.diag([1.0, 1.0, 0.0]), np.eye(2)
+SEMIDEFINITE = (np.diag([1.0, 1.0, 0.0]), np.eye(2))
 CASES: dict[str, tuple[float, Weights]] = {
     "paper": (0.2, PAPER),
     "narrow": (0.4, PAPER),

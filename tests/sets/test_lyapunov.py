@@ -64,7 +64,7 @@ def test_decreases_by_more_than_the_stage_cost_at_every_pair_and_every_joint_mix
     # Centred: no inequality is met by less than CENTRING of what the trace weighs.
     assert decreases(P, loops, gains, Q, R).min() > CENTRING / 10
     shares = np.random.default_rng(seed).dirichlet(np.ones(len(loops)), 50)
-    mixed = np.tensordot(shares, loops, axes=1), np.tensordot(shares, gains, axes=1)
+    mixed = (np.tensordot(shares, loops, axes=1), np.tensordot(shares, gains, axes=1))
     assert decreases(P, *mixed, Q, R).min() > 0
 
 

@@ -10,8 +10,8 @@ from sets.riccati import lqr_gain, solve_riccati
 LQR_REFERENCE = 1e-6
 """The reference gain is printed to six decimals."""
 
-PAPER = np.diag([1.0, 1.0, 0.01]), np.eye(2)
-LATERAL = np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2)
+PAPER = (np.diag([1.0, 1.0, 0.01]), np.eye(2))
+LATERAL = (np.diag([1.0, 3.0, 1.0]), 0.3 * np.eye(2))
 COUPLED = (
     np.array([[1.0, 0.2, 0.0], [0.2, 1.0, 0.1], [0.0, 0.1, 0.5]]),
     np.array([[1.0, 0.6], [0.6, 0.8]]),

@@ -44,7 +44,7 @@ tracking_gains = [3.0, 6.5, 6.5]
 error_weight = [1.0, 3.0, 1.0]
 input_weight = [0.3, 0.3]
 """
-COUPLED = "operating.turning_longitudinal_m=0.30", "operating.turning_yaw_rate_radps=1.5"
+COUPLED = ("operating.turning_longitudinal_m=0.30", "operating.turning_yaw_rate_radps=1.5")
 ON_PATH = ("reference.certified_for=path",)
 CHOICES = [
     pytest.param((), id="box"),

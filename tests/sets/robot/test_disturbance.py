@@ -237,7 +237,7 @@ def test_each_map_has_the_jacobian_that_is_claimed(input_map):
     "kinematics", [Kinematics(model=m, discretisation=d, slip_factors=GRIP) for m, d in MODELS[1:]]
 )
 def test_models_are_those_of_the_controller(kinematics):
-    box = np.array([0.2, 0.2]), np.array([1.5, 1.5])
+    box = (np.array([0.2, 0.2]), np.array([1.5, 1.5]))
     model = make_model(
         kinematics.model, kinematics.discretisation, PERIOD, TRACK, 1 - np.array(GRIP), box
     )

@@ -80,7 +80,7 @@ def used_sets(graded: bool) -> Used:
     return Used(np.stack(errors, axis=1), np.stack(inputs, axis=1), omega.normals, last)
 
 
-UNCOUPLED = U[0], np.zeros((4, 3)), U[1]
+UNCOUPLED = (U[0], np.zeros((4, 3)), U[1])
 
 
 def margins(
@@ -93,7 +93,7 @@ def margins(
     input_set=UNCOUPLED,
 ):
     omega = invariant(STEP)
-    sets = E, input_set, (omega.normals, omega.offsets)
+    sets = (E, input_set, (omega.normals, omega.offsets))
     return sequence_margins(boxes, followers, gains, DT, disturbance, *sets, used, slack)
 
 
