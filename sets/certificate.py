@@ -157,7 +157,7 @@ def _transport(
     loops: Float[np.ndarray, "v n n"],
     directions: Float[np.ndarray, "k n"],
     sums: Float[np.ndarray, " k"],
-):
+) -> tuple[Float[np.ndarray, "kv n"], Float[np.ndarray, " kv"]]:
     """Return directions and sums one loop earlier; only extreme ones can carry a maximum of a
     convex function."""
     directions = np.concatenate([directions @ loop for loop in loops])

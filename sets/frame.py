@@ -59,13 +59,17 @@ class Frame:
     equalities: Int[np.ndarray, " e"]
 
     @cached_property
-    def isotropic(self):
+    def isotropic(
+        self,
+    ) -> tuple[Float[np.ndarray, "k d"], Float[np.ndarray, "d n"], Float[np.ndarray, "e n"]]:
         """Isotropic coordinates of 0 and the polar points, the map to them, and the lines of the
         set."""
         return flatten(_with_origin(self.polar))
 
     @cached_property
-    def generators(self):
+    def generators(
+        self,
+    ) -> tuple[Float[np.ndarray, "v d"], Float[np.ndarray, "r d"], Float[np.ndarray, "l d"]]:
         """Vertices, rays and lines whose sum is the set, each (count, d)."""
         points, _, _ = _find_generators(self.polar)
         # A deepest point can lie at one end of the set: the second pass starts at the middle of
@@ -84,7 +88,7 @@ class Frame:
         return points, rays, lines
 
     @cached_property
-    def facets(self):
+    def facets(self) -> Int[np.ndarray, " facets"]:
         """Positions in `rows` of the rows that are not redundant."""
         coordinates, _, _ = self.isotropic
         _, _, corners = find_hull(coordinates)
@@ -92,7 +96,7 @@ class Frame:
         proper = [self._supports_facet(self.polar[i]) for i in candidates]
         return candidates[np.array(proper, dtype=bool)]
 
-    def _supports_facet(self, row):
+    def _supports_facet(self, row: Float[np.ndarray, " d"]) -> bool:
         """Return whether a row touches the set in a facet.
 
         Rounding makes facets of rows that touch it in a face of lower dimension.
@@ -106,9 +110,9 @@ class Frame:
         if not len(touching):
             return False
         face = np.vstack([touching - touching[:1], parallel, lines])
-        return np.linalg.matrix_rank(face, tol=FLAT * size) >= len(row) - 1
+        return bool(np.linalg.matrix_rank(face, tol=FLAT * size) >= len(row) - 1)
 
-    def support(self, directions):
+    def support(self, directions: Float[np.ndarray, "*shape n"]) -> Float[np.ndarray, "*shape"]:
         """Return h_P(d) = d centre + max {d basis y : polar y <= 1}; rays within 1e-9 of right
         angles to d stay out."""
         local = directions @ self.basis
@@ -123,7 +127,7 @@ class Frame:
         highest = (local @ points.T).max(axis=-1)
         return np.where(is_open, np.inf, directions @ self.centre + highest)
 
-    def _support_by_program(self, direction):
+    def _support_by_program(self, direction: Float[np.ndarray, " d"]) -> float:
         size = np.linalg.norm(direction)
         if size == 0:
             return 0.0
@@ -131,7 +135,7 @@ class Frame:
         if has_falling_ray(self.polar, cost):
             return np.inf
         solution, _ = solve_program(cost, self.polar, np.ones(len(self.polar)))
-        return direction @ solution
+        return float(direction @ solution)
 
 
 class _Depth(NamedTuple):
@@ -211,7 +215,9 @@ def _find_deepest(unit, heights, centre, basis, extent) -> _Depth:
     return _Depth(centre, basis, extent, depth, doubt, tight)
 
 
-def _find_column_scales(rows, slacks):
+def _find_column_scales(
+    rows: Float[np.ndarray, "k n"], slacks: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, " n"]:
     """Return the s that bring the entries of rows s y <= slacks near to one size, rows being free
     to scale.
 
@@ -287,11 +293,13 @@ def has_falling_ray(rows: Float[np.ndarray, "m n"], cost: Float[np.ndarray, " n"
     return bool(cost @ solution < -FLAT)
 
 
-def _with_origin(polar):
+def _with_origin(polar: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k+1 d"]:
     return np.vstack([np.zeros(polar.shape[1]), polar])
 
 
-def _find_generators(polar):
+def _find_generators(
+    polar: Float[np.ndarray, "k d"],
+) -> tuple[Float[np.ndarray, "v d"], Float[np.ndarray, "r d"], Float[np.ndarray, "l d"]]:
     """Return vertices, rays and lines of {y : polar y <= 1} from the hull of polar and 0."""
     coordinates, inverse, lines = flatten(_with_origin(polar))
     normals, offsets, _ = find_hull(coordinates)
@@ -301,7 +309,7 @@ def _find_generators(polar):
     return points, _without_rounding(normals[far] @ inverse), _without_rounding(lines)
 
 
-def _without_rounding(cone):
+def _without_rounding(cone: Float[np.ndarray, "k d"]) -> Float[np.ndarray, "k d"]:
     """Take for zero the entries of each row that are small beside its largest one."""
     sizes = abs(cone).max(axis=1, initial=0.0, keepdims=True)
     return np.where(abs(cone) <= 1e-12 * sizes, 0.0, cone)
@@ -366,7 +374,7 @@ def find_hull(
     )
 
 
-def _find_distinct(points, apart):
+def _find_distinct(points: Float[np.ndarray, "k d"], apart: float) -> Int[np.ndarray, " kept"]:
     """Return indices of points such that each one left out lies within `apart` of an earlier
     one."""
     _, first = np.unique(points, axis=0, return_index=True)

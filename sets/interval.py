@@ -200,7 +200,7 @@ def _enclose_reciprocal(_, x: Interval) -> Interval:
     return _round_outwards(1.0 / x.upper, 1.0 / x.lower)
 
 
-def _make_function(on_floats, enclose, derivative: Any = None):
+def _make_function(on_floats, enclose, derivative: Any = None) -> Callable[[Any], Any]:
     """Make a function of floats, intervals and duals from its values, its enclosure and its
     derivative."""
 
@@ -226,32 +226,32 @@ def _series(x: Float[np.ndarray, "..."], ratio: Callable[[int], float]) -> Float
     return np.asarray(total)
 
 
-def _cubic_part(x):
+def _cubic_part(x) -> Float[np.ndarray, "..."]:
     """Return 6 (x - sin x) / x^3."""
     return _series(x, lambda k: 1.0 / ((2 * k + 2) * (2 * k + 3)))
 
 
-def _sinc(x):
+def _sinc(x) -> Float[np.ndarray, "..."]:
     return 1.0 - x * x / 6.0 * _cubic_part(x)
 
 
-def _sinc_slope(x):
+def _sinc_slope(x) -> Float[np.ndarray, "..."]:
     return -x / 3.0 * _series(x, lambda k: 1.0 / (2 * k * (2 * k + 3)))
 
 
-def _sinc_curvature(x):
+def _sinc_curvature(x) -> Float[np.ndarray, "..."]:
     return -1.0 / 3.0 * _series(x, lambda k: (2 * k + 1) / (2 * k * (2 * k - 1) * (2 * k + 3)))
 
 
-def _sine_excess(x):
+def _sine_excess(x) -> Float[np.ndarray, "..."]:
     return -x * (x * x) / 6.0 * _cubic_part(x)
 
 
-def _lag(x):
+def _lag(x) -> Float[np.ndarray, "..."]:
     return x / 6.0 * _cubic_part(x)
 
 
-def _lag_slope(x):
+def _lag_slope(x) -> Float[np.ndarray, "..."]:
     return 1.0 / 6.0 * _series(x, lambda k: (2 * k + 1) / ((2 * k - 1) * (2 * k + 2) * (2 * k + 3)))
 
 
@@ -282,7 +282,7 @@ lag = _make_function(_lag, _enclose_increasing, lag_slope)
 """(x - sin x) / x^2."""
 
 
-def sinc_change(x, step):
+def sinc_change(x, step) -> Any:
     """Return sinc(x + step) - sinc(x); over intervals it is zero where the step is, and so are its
     derivatives in x."""
     if not isinstance(x, Dual):
@@ -293,7 +293,7 @@ def sinc_change(x, step):
     return Dual(value, slope_change * x.gradient + end_slope * step.gradient)
 
 
-def _compute_change(function, derivative, x, step):
+def _compute_change(function, derivative, x, step) -> Any:
     """Return function(x + step) - function(x), over intervals also by the mean value theorem."""
     end = x + step
     difference = function(end) - function(x)

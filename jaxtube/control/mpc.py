@@ -199,7 +199,7 @@ def constrained_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) ->
     return _select(free, free_plan(condensed, errors), solved)
 
 
-def _select(first_where: Bool[Array, " batch"], first, second):
+def _select(first_where: Bool[Array, " batch"], first: Any, second: Any) -> Any:
     """Return, instance by instance, the first pytree or the second."""
 
     def select(a, b):
@@ -232,7 +232,9 @@ def act(
     return jax.tree.map(functools.partial(checkpoint_name, name=ACTED), step)
 
 
-def _act_freely(condensed: CondensedQp, state: MpcState, start, errors):
+def _act_freely(
+    condensed: CondensedQp, state: MpcState, start, errors
+) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
     """Act where every instance has just made a free plan."""
     plan = free_plan(condensed, start)
     due = plan.inputs[:, 0]
@@ -242,7 +244,9 @@ def _act_freely(condensed: CondensedQp, state: MpcState, start, errors):
     return command, following, _diagnose(plan)
 
 
-def _act_constrained(condensed: CondensedQp, state: MpcState, start, errors):
+def _act_constrained(
+    condensed: CondensedQp, state: MpcState, start, errors
+) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
     """Act where some instance needs the solver, or its backup."""
     plan = constrained_plan(condensed, start)
     fresh = MpcState(plan.inputs, jnp.zeros_like(state.stage), start)

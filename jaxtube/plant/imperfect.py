@@ -246,7 +246,7 @@ def _wheel_travel(
     return travel + more, jnp.where(later > 0.0, speeds, reached)
 
 
-def _follow(wheels, command, time, level: Imperfections):
+def _follow(wheels, command, time, level: Imperfections) -> tuple[Array, Array]:
     """Return (travel, speed) after some time: at the limit of acceleration first, exponentially
     from there on."""
     gap = command - wheels

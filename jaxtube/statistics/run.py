@@ -157,7 +157,9 @@ def first_plan(tile: Int[Array, ""], distance: int) -> Int[Array, ""]:
     return tile % distance * stride % distance
 
 
-def _labels(blocks: list[int], realisations: int):
+def _labels(
+    blocks: list[int], realisations: int
+) -> tuple[UInt32[np.ndarray, "blocks 2"], Int[np.ndarray, " blocks"], Int[np.ndarray, " blocks"]]:
     """Return the first lap of each block as two words, how many laps count, and the block's number
     for its plans."""
     first = [block * BLOCK for block in blocks]
@@ -182,7 +184,7 @@ def _statistics(block: int, arrays: dict[str, np.ndarray], place: int) -> Statis
 
 
 @partial(jax.jit, static_argnums=0)
-def _simulate(mesh: Mesh, task: Task, words, counts, numbers, validate):
+def _simulate(mesh: Mesh, task: Task, words, counts, numbers, validate) -> dict[str, Array]:
     """Run blocks, spread over the devices; each device works through its own in turn."""
     spread = PartitionSpec("devices")
     same = PartitionSpec()
@@ -245,7 +247,7 @@ def simulate_block(
 
 def run_tile(
     task: Task, keys: Key[Array, " batch"], counted, stops: Int[Array, " plans"], validate
-):
+) -> tuple[dict[str, Array], dict[str, Array], Array]:
     """Run a tile of laps from start to end; return (sums, largest, by lap the usage of the sets
     ranked by).
 

@@ -129,7 +129,9 @@ def spread_starts(
     return starts
 
 
-def _constraints(qps: CondensedQp, index: int):
+def _constraints(
+    qps: CondensedQp, index: int
+) -> tuple[Float[np.ndarray, "rows 3"], Float[np.ndarray, "rows n"], Float[np.ndarray, " rows"]]:
     """Return (errors, rows, bounds) of the one-sided rows  errors e + rows g <= bounds  of one
     window."""
     errors = np.concatenate([qps.row_errors[index], qps.check_errors[index]])

@@ -66,14 +66,14 @@ class Candidate:
 @jax.jit
 def _run_laps(
     vector, constants: EvaluationConstants, lap_inputs: LapInputs, parameters: Parameters, aim: Aim
-):
+) -> LapMeasures:
     return run_tube_mpc(parameters.weights(vector), constants, lap_inputs, aim)
 
 
 @jax.jit
 def _value_and_gradient(
     vector, constants: EvaluationConstants, lap_inputs: LapInputs, parameters: Parameters, aim: Aim
-):
+) -> tuple[Float[Array, ""], Float[Array, " n"]]:
     def value(vector):
         return objective(parameters.weights(vector), constants, lap_inputs, aim)
 
