@@ -15,6 +15,9 @@ from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.protocol import Controller, Feedback, Law, WheelMap
 from jaxtube.plant.protocol import Command, Measurement, Memory
 
+BATCH = 7
+"""Realisations of the trial: a number that no other axis has."""
+
 
 @partial(jax.tree_util.register_dataclass, data_fields=[], meta_fields=["controller"])
 @dataclass(frozen=True)
@@ -61,10 +64,6 @@ def _adapt(controller: Any, wheel_map: WheelMap) -> Controller:
         return Feedback(cast(Law, controller), wheel_map)
     is_pytree = not jax.tree_util.all_leaves([controller])
     return controller if is_pytree else Unregistered(controller)
-
-
-BATCH = 7
-"""Realisations of the trial: a number that no other axis has."""
 
 
 def _check_shapes(controller: Controller) -> None:

@@ -38,17 +38,21 @@ ARCS = 16
 
 
 class Imperfections(NamedTuple):
-    """How imperfect a robot is; 0 everywhere is the ideal one."""
+    """How imperfect a robot is; 0 everywhere is the ideal one.
 
-    lag: Float[Array, ""] | float = 0.0  # time constant of the wheels, s
-    delay: Float[Array, ""] | float = 0.0  # by which commands arrive late, in periods, 0 to 1
-    sluggishness: Float[Array, ""] | float = (
-        0.0  # 1 / (limit of a wheel's acceleration), s^2/m: 0 is no limit
-    )
-    sideslip: Float[Array, ""] | float = 0.0  # greatest lateral velocity of the body, by its speed
-    slip_change: Float[Array, ""] | float = (
-        0.0  # share of the last period's slip error that lasts into this one, 0 to 1
-    )
+    Attributes:
+        lag: time constant of the wheels, s.
+        delay: by which commands arrive late, in periods, 0 to 1.
+        sluggishness: 1 / (limit of a wheel's acceleration), s^2/m; 0 is no limit.
+        sideslip: greatest lateral velocity of the body, by its speed.
+        slip_change: share of the last period's slip error that lasts into this one, 0 to 1.
+    """
+
+    lag: Float[Array, ""] | float = 0.0
+    delay: Float[Array, ""] | float = 0.0
+    sluggishness: Float[Array, ""] | float = 0.0
+    sideslip: Float[Array, ""] | float = 0.0
+    slip_change: Float[Array, ""] | float = 0.0
 
 
 class ImperfectMemory(NamedTuple):

@@ -48,12 +48,16 @@ class FixedStart:
 @dataclass(frozen=True)
 class UniformStart:
     """Initial errors uniform in a polytope, or their projections from the origin on its edge; by
-    `uniform_start`."""
+    `uniform_start`.
 
-    triangles: Float[
-        Array, "simplices 3 3"
-    ]  # (corner, coordinate); the fourth corner is the origin
-    cumulative: Float[Array, " simplices"]  # shares of the volume, summed up, without the last
+    Attributes:
+        triangles: (corner, coordinate) of each simplex; its fourth corner is the origin.
+        cumulative: shares of the volume, summed up, without the last.
+        edge: project the errors on the edge.
+    """
+
+    triangles: Float[Array, "simplices 3 3"]
+    cumulative: Float[Array, " simplices"]
     edge: bool = False
 
     def draw(self, keys: Key[Array, " batch"]) -> Float[Array, "batch 3"]:

@@ -35,15 +35,24 @@ class Usage(NamedTuple):
 
 
 class Lap(NamedTuple):
-    """One lap; time comes first, and there is no axis of realisations."""
+    """One lap; time comes first, and there is no axis of realisations.
+
+    Attributes:
+        number: of the lap.
+        plans: the controller solves QPs.
+        trajectory: what was recorded.
+        disturbance: w, (m, m, rad).
+        slips: deviations of (true, measured) slip, (right, left), in [-1, 1]; None for a plant
+            that draws none.
+        of_error_set: what the lap used of E.
+        of_disturbance_set: what it used of W.
+    """
 
     number: int
-    plans: bool  # the controller solves QPs
+    plans: bool
     trajectory: Trajectory
-    disturbance: Float[np.ndarray, "steps 3"]  # w, (m, m, rad)
-    slips: (
-        Float[np.ndarray, "steps 2 2"] | None
-    )  # deviations of (true, measured) slip, (right, left), in [-1, 1]
+    disturbance: Float[np.ndarray, "steps 3"]
+    slips: Float[np.ndarray, "steps 2 2"] | None
     of_error_set: Usage
     of_disturbance_set: Usage
 

@@ -40,6 +40,8 @@ COVERAGE_CELLS = 24
 """Cells along each axis of the coverage of starts."""
 HEAT_CELLS = (96, 96)
 """Rows and columns of the trajectory map."""
+OFF_GRID = 1_000_000
+"""A cell outside every grid."""
 
 
 class Tally(NamedTuple):
@@ -299,10 +301,6 @@ def cloud_cells(facets: Facets, points: Float[Array, "horizon 3 batch"]) -> tupl
     stage = jnp.arange(len(points))[:, None, None]
     plane = jnp.arange(len(PLANES))[None, :, None]
     return stage, plane, row, column
-
-
-OFF_GRID = 1_000_000
-"""A cell outside every grid."""
 
 
 def _cells(places: Float[Array, "*shape"]) -> Int[Array, "*shape"]:

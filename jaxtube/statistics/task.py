@@ -21,6 +21,8 @@ from sets.polytope import Polytope
 
 MAP_MARGIN_M = 0.4
 """What the trajectory map shows around the reference."""
+WINDOWS_COMPARED = 32
+"""Windows up to which a tube that follows the reference is checked although it is not in use."""
 
 
 def make_task(
@@ -79,10 +81,6 @@ def facets(polytope: Polytope) -> Facets:
         lower=-polytope.support(-identity),
         upper=polytope.support(identity),
     )
-
-
-WINDOWS_COMPARED = 32
-"""Windows up to which a tube that follows the reference is checked although it is not in use."""
 
 
 def affordable(design: Design, tube: str) -> bool:

@@ -22,6 +22,14 @@ from jaxtube.statistics.events import VIOLATIONS, find_event
 
 WIDTH = 100
 """Columns of all text."""
+TOTALS = (
+    "laps tried",
+    "laps that violate any of it",
+    "laps that violate more than W",
+    f"violating share, worst law, at most ({CONFIDENCE:.0%})",
+)
+HEADINGS = ("claimed", "proved", "seen")
+USAGES = ("steps", "active", "w, share of W", "e, share of E", "violating share at most")
 
 
 def cells(claim: GuaranteeClaim, design: DesignUnderTest) -> tuple[str, str, str]:
@@ -44,15 +52,6 @@ def _say_what_was_seen(count: Count | None) -> str:
 
 def _percent(share: float) -> str:
     return f"{100 * share:.3g}%"
-
-
-TOTALS = (
-    "laps tried",
-    "laps that violate any of it",
-    "laps that violate more than W",
-    f"violating share, worst law, at most ({CONFIDENCE:.0%})",
-)
-HEADINGS = ("claimed", "proved", "seen")
 
 
 def totals(design: DesignUnderTest) -> tuple[str, ...]:
@@ -149,9 +148,6 @@ def law_tables(design: DesignUnderTest) -> list[str]:
         format_table(columns, events, WIDTH),
         format_table([left(design.name), *map(Column, USAGES)], usages, WIDTH),
     ]
-
-
-USAGES = ("steps", "active", "w, share of W", "e, share of E", "violating share at most")
 
 
 def _event_row(name: str, law: dict) -> list[str]:

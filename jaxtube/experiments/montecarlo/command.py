@@ -38,6 +38,8 @@ from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
     from jaxtube.experiments.run.cluster import Cluster
+ENOUGH = 20
+"""Dispatches of a run that is long enough for the share of the checks, which takes four more."""
 
 
 def run(scenario: Scenario, options: MontecarloOptions) -> int:
@@ -125,10 +127,6 @@ def measure_rate(seconds: list[float], at_once: int) -> dict:
 def count_laps_outside(statistics: Statistics) -> int:
     """Return how many laps left E."""
     return int(statistics["events"][find_row("e_outside_E"), 1:].sum()) if statistics else 0
-
-
-ENOUGH = 20
-"""Dispatches of a run that is long enough for the share of the checks, which takes four more."""
 
 
 def measure_validation_share(local: Run) -> float:
