@@ -38,6 +38,7 @@ from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
     from jaxtube.experiments.run.cluster import Cluster
+
 ENOUGH = 20
 """Dispatches of a run that is long enough for the share of the checks, which takes four more."""
 

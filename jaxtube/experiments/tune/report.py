@@ -185,7 +185,7 @@ def _tube(tuner: Tuner, point: Point) -> Polytope | None:
 
 def _drawn_errors(tuner: Tuner, point: Point) -> Float[np.ndarray, "steps+1 laps 3"]:
     """Return the errors of the laps that are drawn, start included."""
-    conditions = tuner.conditions(COMPARED, DRAWN_LAPS)
+    conditions = tuner.lap_inputs(COMPARED, DRAWN_LAPS)
     seen = jax.jit(play)(tuner.controller(point), *conditions)
     starts = np.asarray(conditions.starts)[None]
     return np.concatenate([starts, np.asarray(seen["error"])])
