@@ -8,7 +8,7 @@ from jaxtube.falsification.falsify import Falsification
 from jaxtube.precision import in_64_bits
 from jaxtube.simulation.simulate import Laps
 from jaxtube.statistics.montecarlo import MonteCarlo
-from jaxtube.storage import Stored, read_result, refuse_differences, refuse_folder
+from jaxtube.storage import StoredResult, read_result, refuse_differences, refuse_folder
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.parts import Design
 from jaxtube.tuning.tune import Tuned
@@ -44,7 +44,7 @@ def read(folder: str | Path) -> Result:
         raise refuse_folder(folder, f"is damaged: {error.args[0]} is missing") from None
 
 
-def _restore(stored: Stored) -> Result:
+def _restore(stored: StoredResult) -> Result:
     if stored.kind == "tuned":
         return Tuned.restore(stored)
     made = design(stored.scenario)

@@ -22,7 +22,7 @@ from jaxtube.falsification.storing import list_row_arrays, read_row
 from jaxtube.falsification.worst import Worst
 from jaxtube.precision import in_64_bits
 from jaxtube.simulation.simulate import ControllerChoice, PlantChoice, SlipChoice
-from jaxtube.storage import Stored, flatten, nest, write_result
+from jaxtube.storage import StoredResult, flatten, nest, write_result
 from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
@@ -94,10 +94,10 @@ class Falsification:
         }
         arrays = flatten({name: list_row_arrays(row) for name, row in self.rows.items()})
         scenario = self.design.problem.scenario
-        return write_result(folder, Stored("falsification", scenario, facts, arrays))
+        return write_result(folder, StoredResult("falsification", scenario, facts, arrays))
 
     @classmethod
-    def restore(cls, design: Design, stored: Stored) -> Falsification:
+    def restore(cls, design: Design, stored: StoredResult) -> Falsification:
         """Return worst cases that were saved, of their design made again."""
         facts = stored.facts
         limits = make_loop_limits(design, facts["controller"], facts["plant"], facts["limits"])

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from jaxtube.falsification.cases import Row
-from jaxtube.falsification.sample import Sampled
+from jaxtube.falsification.sample import SampledExtremes
 from jaxtube.falsification.search import WorstCaseSearch
 from jaxtube.falsification.worst import Worst
 from jaxtube.simulation.rollout import read_trajectory
@@ -47,7 +47,7 @@ def read_row(name: str, arrays: Mapping[str, Any]) -> Row:
     return Row(
         worst=_read_worst(name, arrays["worst"]),
         search=_read_search(arrays["search"]),
-        sampled=Sampled(**_read_extremes(arrays["sampled"])),
+        sampled=SampledExtremes(**_read_extremes(arrays["sampled"])),
         played=_read_replay(arrays["played"]),
     )
 
@@ -65,7 +65,9 @@ def _read_search(arrays: Mapping[str, Any]) -> WorstCaseSearch:
     course = arrays["course"]
     columns = [course[name].tolist() for name in ("seconds", "limit", "usage")]
     worst = {name: _read_worst(name, case) for name, case in arrays["worst"].items()}
-    return WorstCaseSearch(worst=worst, course=list(zip(*columns, strict=True)), **_read_extremes(arrays))
+    return WorstCaseSearch(
+        worst=worst, course=list(zip(*columns, strict=True)), **_read_extremes(arrays)
+    )
 
 
 def _read_extremes(arrays: Mapping[str, Any]) -> dict[str, Any]:

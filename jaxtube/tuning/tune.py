@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, get_args
 
 from jaxtube.precision import in_64_bits
 from jaxtube.scenario.tree import Scenario
-from jaxtube.storage import Stored, flatten, nest, refuse_differences, write_result
+from jaxtube.storage import StoredResult, flatten, nest, refuse_differences, write_result
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
@@ -107,10 +107,10 @@ class Tuned:
         }
         designed = {} if self.design is None else self.design.arrays()
         arrays = flatten({"descent": list_descent_arrays(self.descent), "design": designed})
-        return write_result(folder, Stored("tuned", tuner.problem.scenario, facts, arrays))
+        return write_result(folder, StoredResult("tuned", tuner.problem.scenario, facts, arrays))
 
     @classmethod
-    def restore(cls, stored: Stored) -> Tuned:
+    def restore(cls, stored: StoredResult) -> Tuned:
         """Return a result that was saved, its design made again.
 
         Raises:
