@@ -8,6 +8,7 @@ from typing import Any, cast
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -91,5 +92,5 @@ def _check_shapes(controller: Controller) -> None:
         )
 
 
-def _describe(array) -> tuple:
+def _describe(array: jax.ShapeDtypeStruct) -> tuple[tuple[int, ...], np.dtype]:
     return array.shape, array.dtype

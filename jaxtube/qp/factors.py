@@ -23,6 +23,17 @@ from jaxtyping import Float
 from jaxtube.qp import batched_ldl
 
 
+class Accelerators(NamedTuple):
+    """What makes the solver fast and leaves its answers as they are, as in `Factors`."""
+
+    optimum: Float[Array, "*stack n n"]
+    optimum_rows: Float[Array, "*stack n m"]
+    admm_gain: Float[Array, "*stack n n"]
+    rho: Float[Array, "*stack"]
+    packed_hessian: Float[Array, "*stack pairs"]
+    pair_products: Float[Array, "*stack pairs m"]
+
+
 class Factors(NamedTuple):
     """Everything that a batch shares."""
 
@@ -89,9 +100,8 @@ def compute_accelerators(
     P: Float[Array, "*stack n n"],
     rows: Float[Array, "*stack m n"],
     norms: Float[Array, "*stack m"],
-) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Return what makes the solver fast and leaves its answers as they are: `optimum`,
-    `optimum_rows`, `admm_gain`, `rho`, `packed_hessian` and `pair_products`."""
+) -> Accelerators:
+    """Return what makes the solver fast and leaves its answers as they are."""
     with jax.default_matmul_precision("highest"):
         columns = xp.swapaxes(rows, -1, -2)
         gram = columns @ rows
@@ -104,7 +114,7 @@ def compute_accelerators(
         rho = fastest_penalty(spectrum, rows.shape[-2], xp)
         admm_gain = xp.linalg.inv(P + rho[..., None, None] * gram)
     pair_products = batched_ldl.pair_products(rows)
-    return optimum, optimum_rows, admm_gain, rho, batched_ldl.pack(P), pair_products
+    return Accelerators(optimum, optimum_rows, admm_gain, rho, batched_ldl.pack(P), pair_products)
 
 
 accelerators_in_turn = jnp.vectorize(

@@ -6,7 +6,7 @@ The slash of a name, such as `excess/error`, becomes an underscore. Lengths are 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -82,11 +82,18 @@ def make_dataset(
     return import_xarray().Dataset(variables, coordinates, dict(attributes))
 
 
-def _make_variable(name: str, value: Any) -> tuple:
-    """Return (dimensions, values, attributes)."""
+class Variable(NamedTuple):
+    """What xarray makes a variable of."""
+
+    dimensions: tuple[str, ...]
+    values: np.ndarray
+    attributes: dict[str, str]
+
+
+def _make_variable(name: str, value: Any) -> Variable:
     of_stages = ("stage",) if name.startswith("tube_") else ()
     attributes = {"long_name": EXPLANATIONS[name]} if name in EXPLANATIONS else {}
-    return DIMENSIONS.get(name, of_stages), np.asarray(value), attributes
+    return Variable(DIMENSIONS.get(name, of_stages), np.asarray(value), attributes)
 
 
 def make_coordinates(design: Design, statistics: Statistics) -> dict[str, tuple]:

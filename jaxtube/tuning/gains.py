@@ -47,6 +47,16 @@ class GainMaps(NamedTuple):
     vertex_gains: Affine  # (pairs, 2, 3)
 
 
+class GainValues(NamedTuple):
+    """The values of `GainMaps` for given numbers, in the same order."""
+
+    window_gains: Float[np.ndarray, "windows horizon 2 3"]
+    window_loops: Float[np.ndarray, "windows horizon 3 3"]
+    corner_gains: Float[np.ndarray, "corners 2 3"]
+    vertex_loops: Float[np.ndarray, "pairs 3 3"]
+    vertex_gains: Float[np.ndarray, "pairs 2 3"]
+
+
 def make_gain_maps(problem: Problem, schedules: Float[np.ndarray, "windows horizon 2"]) -> GainMaps:
     """Read the maps off the gains themselves, which are affine in the tuned numbers."""
     size = len(problem.given_gains)
@@ -63,14 +73,14 @@ def _gains_and_loops(
     problem: Problem,
     schedules: Float[np.ndarray, "windows horizon 2"],
     kappa: Float[np.ndarray, " kappa"],
-) -> tuple[np.ndarray, ...]:
-    """Return the values of all maps for the tuned numbers, in their order."""
+) -> GainValues:
+    """Return the values of all maps for the tuned numbers."""
     gain = given_gain(problem, kappa)
     transitions, inputs = problem.model.matrices(schedules)
     window_gains = gain.at(problem.model.weights(schedules))
     window_loops = transitions + inputs @ window_gains
     vertex_loops, vertex_gains = gain.pairs
-    return window_gains, window_loops, gain.corner_gains, vertex_loops, vertex_gains
+    return GainValues(window_gains, window_loops, gain.corner_gains, vertex_loops, vertex_gains)
 
 
 def differentiate_terminal_cost(

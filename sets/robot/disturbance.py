@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import chain, pairwise
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -30,6 +31,16 @@ CAUSES = ("bilinear", "sine", "sampling", "slip", "noise")
 
 NEGLIGIBLE = 1e-12
 """Magnitudes above minus this, m, m, rad or a share, are zeros that rounding made negative."""
+
+
+class TurnRange(NamedTuple):
+    """Yaw rate deficits u2 from `low` to `high`, rad/s, where the longitudinal error lies within
+    reach + slope u2 of its middle, m."""
+
+    low: float
+    high: float
+    reach: float
+    slope: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,21 +135,21 @@ class Operation:
         linear in u2 on each piece.
         """
         pieces = []
-        for low, high, reach, slope in self._cut_turns():
+        for turns in self._cut_turns():
             for schedule in self.schedules:
                 ends = self.box
                 ends[:, 0] = (-1.0, 1.0)
-                ends[:, 4] = (low, high)
+                ends[:, 4] = (turns.low, turns.high)
                 ends[:, 5:7] = schedule
-                pieces.append(np.hstack([ends, [[reach, slope]] * 2]))
+                pieces.append(np.hstack([ends, [[turns.reach, turns.slope]] * 2]))
         return np.stack(pieces, axis=2)
 
-    def _cut_turns(self) -> list[tuple[float, float, float, float]]:
-        """Return (lower, upper) u2 of every piece with its reach and slope."""
+    def _cut_turns(self) -> list[TurnRange]:
+        """Return the ranges of u2 in which the coupling is linear."""
         half = (self.errors[1, 0] - self.errors[0, 0]) / 2
         lower, upper = self.inputs[:, 1]
         if self.coupling is None:
-            return [(lower, upper, half, 0.0)]
+            return [TurnRange(lower, upper, half, 0.0)]
         a, b = self.coupling
         uncut = max(b * (1 - half / a), 0.0)
         turns = np.array([lower, upper, 0.0, uncut, -uncut])
@@ -146,9 +157,9 @@ class Operation:
         pieces = []
         for low, high in pairwise(turns):
             if max(abs(low), abs(high)) > uncut:
-                pieces.append((low, high, a, -np.copysign(a / b, low + high)))
+                pieces.append(TurnRange(low, high, a, -np.copysign(a / b, low + high)))
             else:
-                pieces.append((low, high, half, 0.0))
+                pieces.append(TurnRange(low, high, half, 0.0))
         return pieces
 
     @property

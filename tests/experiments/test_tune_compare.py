@@ -7,7 +7,7 @@ from tolerances import ROUNDING
 from jaxtube.experiments.tune.baselines import GRID, Spots
 from jaxtube.experiments.tune.compare import difference, grid_lines, rms_interval
 from jaxtube.experiments.tune.paths import unseen_paths
-from jaxtube.experiments.tune.result import Result, reduction
+from jaxtube.experiments.tune.result import Result, compute_reduction
 from jaxtube.scenario import load
 from jaxtube.synthesis.problem import make_problem
 
@@ -32,15 +32,15 @@ def result(lateral, effort):
 
 
 def test_errors_halved_lap_by_lap_are_half_as_large_with_certainty():
-    assert reduction(LATERAL, LATERAL / 2) == pytest.approx((0.5, 0.5, 0.5), abs=1e-6)
-    assert reduction(LATERAL, LATERAL) == (0, 0, 0)
+    assert compute_reduction(LATERAL, LATERAL / 2) == pytest.approx((0.5, 0.5, 0.5), abs=1e-6)
+    assert compute_reduction(LATERAL, LATERAL) == (0, 0, 0)
 
 
 def test_the_interval_of_a_reduction_holds_it_and_narrows_with_the_laps():
     noise = np.random.default_rng(1).uniform(0.2, 0.6, len(LATERAL))
-    share, low, high = reduction(LATERAL, noise * LATERAL)
+    share, low, high = compute_reduction(LATERAL, noise * LATERAL)
     assert low < share < high
-    few = reduction(LATERAL[:40], (noise * LATERAL)[:40])
+    few = compute_reduction(LATERAL[:40], (noise * LATERAL)[:40])
     assert high - low < few[2] - few[1]
 
 

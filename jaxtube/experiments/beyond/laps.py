@@ -24,6 +24,15 @@ ROUNDING = 1e-9
 """Usage beyond 1 that is rounding."""
 
 
+class ProcessUsage(NamedTuple):
+    """What laps under one slip process used; above 1 is outside."""
+
+    error: Float[np.ndarray, "3"]  # of E, by coordinate, true errors
+    disturbance: float  # of W
+    wheels: float  # of the range of speeds, as asked for
+    without_plan: float  # periods
+
+
 class LapUsage(NamedTuple):
     """What laps at one level used, by slip process; above 1 is outside."""
 
@@ -109,8 +118,8 @@ class ImperfectLaps:
         return jax.tree.map(np.asarray, rollout(controller, plant, keys, jnp.asarray(self.starts)))
 
 
-def lap_usage(design: Design, trajectory: Trajectory) -> tuple:
-    """Return the fields of a `LapUsage` for one process."""
+def lap_usage(design: Design, trajectory: Trajectory) -> ProcessUsage:
+    """Return what laps under one process used."""
     problem = design.problem
     robot = problem.robot
     W = problem.disturbance_set
@@ -120,4 +129,4 @@ def lap_usage(design: Design, trajectory: Trajectory) -> tuple:
     reach = (robot.wheel_speed_max - robot.wheel_speed_min) / 2
     wheels = np.max(np.abs(trajectory.demanded - middle)) / reach
     without_plan = float(np.sum(trajectory.diagnostics.status != qp.SOLVED))
-    return error, np.max(disturbances / W.offsets), wheels, without_plan
+    return ProcessUsage(error, np.max(disturbances / W.offsets), wheels, without_plan)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.experiments.tune.baselines import ComparedDesign, run_static_lqr
-from jaxtube.experiments.tune.result import reduction, reduction_numbers
+from jaxtube.experiments.tune.result import compute_reduction
 from jaxtube.scenario.reading import experiments_folder
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import ReferenceTable, Scenario
@@ -103,8 +103,8 @@ def path_lines(paths: dict[str, Drives]) -> list[str]:
 def _drive_line(name: str, drive: Drive, start: Drive) -> str:
     less = ""
     if name != "start":
-        fall, low, high = reduction(start.errors[:, 1], drive.errors[:, 1])
-        less = f"{fall:.1%} less ({low:.1%} to {high:.1%})"
+        reduction = compute_reduction(start.errors[:, 1], drive.errors[:, 1])
+        less = f"{reduction.share:.1%} less ({reduction.low:.1%} to {reduction.high:.1%})"
     lateral = 1e3 * pool(drive.errors[:, 1])
     effort = pool(drive.effort)
     return (
@@ -125,11 +125,11 @@ def drive_numbers(drives: Drives) -> dict[str, dict]:
 
 
 def _numbers(drive: Drive, start: Drive) -> dict:
-    fall = reduction(start.errors[:, 1], drive.errors[:, 1])
+    reduction = compute_reduction(start.errors[:, 1], drive.errors[:, 1])
     return {
         "lateral_m": pool(drive.errors[:, 1]),
         "effort_mps": pool(drive.effort),
-        "lateral_reduction": reduction_numbers(fall),
+        "lateral_reduction": reduction._asdict(),
         "certified": None if drive.failing is None else not drive.failing,
         "failing": list(drive.failing or ()),
     }

@@ -17,8 +17,7 @@ from jaxtube.experiments.tune.parameter_figure import parameter_figure
 from jaxtube.experiments.tune.result import (
     COMPARED_LAPS,
     Result,
-    reduction,
-    reduction_numbers,
+    compute_reduction,
     result_numbers,
     run_comparison,
     weights_at,
@@ -49,7 +48,7 @@ def summarise_tuning(tuned: Tuned) -> Summary:
     assert tuned.best is not None
     before = run_comparison(tuner, tuner.parameters.vector)
     after = run_comparison(tuner, tuned.best.point)
-    fall = reduction(before.errors[:, 1], after.errors[:, 1])
+    reduction = compute_reduction(before.errors[:, 1], after.errors[:, 1])
     effort_increase = after.overall_effort / before.overall_effort - 1
     weights = weights_at(tuner, tuned.best.point)
     outcome = tuned.descent.outcome
@@ -63,8 +62,8 @@ def summarise_tuning(tuned: Tuned) -> Summary:
         "",
         format_table(columns, _rows(before, after)),
         "",
-        f"lateral error once settled: {fall[0]:.1%} less (95 %: {fall[1]:.1%} to {fall[2]:.1%}), "
-        f"effort {effort_increase:+.1%}",
+        f"lateral error once settled: {reduction.share:.1%} less (95 %: {reduction.low:.1%} to "
+        f"{reduction.high:.1%}), effort {effort_increase:+.1%}",
         "",
         *_weight_lines(weights),
         "",
@@ -73,7 +72,7 @@ def summarise_tuning(tuned: Tuned) -> Summary:
     numbers = {
         "start": result_numbers(before),
         "tuned": result_numbers(after),
-        "lateral_reduction": reduction_numbers(fall),
+        "lateral_reduction": reduction._asdict(),
         "effort_increase": effort_increase,
         "gradients": outcome.evaluations,
         "iterations": outcome.iterations,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -71,23 +71,27 @@ def run_comparison(tuner: Tuner, point: Point) -> Result:
     )
 
 
-def reduction(
+class Reduction(NamedTuple):
+    """By what share a number falls, with its 95 % interval."""
+
+    share: float
+    low: float
+    high: float
+
+
+def compute_reduction(
     before: Float[np.ndarray, " laps"], after: Float[np.ndarray, " laps"]
-) -> tuple[float, float, float]:
+) -> Reduction:
     """Return by what share an RMS over laps falls, with its 95 % interval over pairs of laps.
 
     Source: Efron, Tibshirani 1993, chapter 13 (bootstrap percentiles, pairs drawn together).
     """
     squares = (before**2, after**2)
     if np.array_equal(*squares):
-        return 0.0, 0.0, 0.0
-
-    def fall(one, other, axis=-1):
-        return 1.0 - np.sqrt(np.mean(other, axis=axis) / np.mean(one, axis=axis))
-
+        return Reduction(0.0, 0.0, 0.0)
     resampled = bootstrap(
         squares,
-        fall,
+        _compute_rms_reduction,
         paired=True,
         method="percentile",
         n_resamples=RESAMPLES,
@@ -96,12 +100,13 @@ def reduction(
         batch=100,
     )
     interval = resampled.confidence_interval
-    return float(fall(*squares)), float(interval.low), float(interval.high)
+    share = float(_compute_rms_reduction(*squares))
+    return Reduction(share, float(interval.low), float(interval.high))
 
 
-def reduction_numbers(fall: tuple[float, float, float]) -> dict[str, float]:
-    """Return a reduction as plain numbers."""
-    return dict(zip(("share", "low", "high"), fall, strict=True))
+def _compute_rms_reduction(before, after, axis: int = -1) -> Any:
+    """Return by what share the root of the mean falls."""
+    return 1.0 - np.sqrt(np.mean(after, axis=axis) / np.mean(before, axis=axis))
 
 
 def result_numbers(result: Result) -> dict:
