@@ -30,6 +30,9 @@ BACK_OFF = 1e-5
 """Sets stay this share inside the constraints: room to repair what a linear program's tolerance
 leaves."""
 
+TARGET = 0.95
+"""Share of the volume of the maximal set at which growth ends."""
+
 MOVES = 40
 """Moves of the facets at most."""
 
@@ -64,10 +67,9 @@ def few_facet_rpi(
     disturbance: ConvexSet,
     maximal: Polytope,
     facets: int = 40,
-    target: float = 0.95,
 ) -> Polytope | None:
-    """Return an invariant set of at most `facets` facets inside `maximal`, grown towards `target`
-    of its volume.
+    """Return an invariant set of at most `facets` facets inside `maximal`, grown towards TARGET of
+    its volume.
 
     The smallest invariant set on normals spread over the rows of the maximal one is enlarged by
     pairs of linear programs: one turns the normals, to first order; one finds the best offsets of
@@ -84,7 +86,7 @@ def few_facet_rpi(
     start = minimal_rpi_bound(loops, problem.disturbance, normals)
     if start is None or constraints.containment_margin(start) < 0:
         return None
-    dual = _grow(problem, normals / start.offsets[:, None], target * maximal.volume())
+    dual = _grow(problem, normals / start.offsets[:, None], TARGET * maximal.volume())
     return Polytope(dual, np.ones(len(dual)))
 
 

@@ -41,6 +41,12 @@ FLAT = 1e-9
 """A disturbance whose extent along a normal is below this share of its largest counts as flat, and
 normals whose hull holds no ball of this radius about the origin as open."""
 
+MOST_ITERATIONS = 2000
+"""Steps after which it is left undecided whether there is a maximal set."""
+
+MOST_GROWTHS = 5000
+"""Steps after which an outer bound of the minimal set that still grows is given up."""
+
 TIE = 1e-12
 """Relative difference below which two rows have equal room."""
 
@@ -121,16 +127,14 @@ def maximal_rpi(
     loops: Float[np.ndarray, "v n n"],
     constraints: Polytope,
     disturbance: Disturbance,
-    max_iterations: int = 2000,
 ) -> MaximalRpi:
     """Return the largest set O inside `constraints` with Phi_i O + (1 + INFLATION) W_i in O for all
-    i.
+    i; undecided after MOST_ITERATIONS.
 
     Args:
         loops: vertex loops Phi_i.
         constraints: bounded, the origin inside, in two dimensions or more.
         disturbance: W, or one W_i a loop; flat ones allowed.
-        max_iterations: steps after which the answer is undecided.
 
     Raises:
         ValueError: the origin is not inside the constraints, or they are unbounded.
@@ -148,7 +152,7 @@ def maximal_rpi(
     given = _Rows(constraints.normals, constraints.offsets, np.arange(k), [()] * k)
     rows = given.take(ConvexHull(given.dual).vertices)
     new = rows
-    for iteration in range(max_iterations):
+    for iteration in range(MOST_ITERATIONS):
         steps = compute_steps(disturbance, new.normals, len(loops))
         room = new.offsets - (1 + INFLATION) * steps
         if np.any(room <= 0):
@@ -165,7 +169,7 @@ def maximal_rpi(
         joined = rows.join(candidates)
         new = joined.take(fresh)
         rows = joined.take(kept)
-    return MaximalRpi(None, None, max_iterations)
+    return MaximalRpi(None, None, MOST_ITERATIONS)
 
 
 def _cuts(candidates: _Rows, rows: _Rows) -> Bool[np.ndarray, " k"]:
@@ -232,20 +236,18 @@ def minimal_rpi_bound(
     loops: Float[np.ndarray, "v n n"],
     disturbance: Disturbance,
     normals: Float[np.ndarray, "k n"],
-    max_iterations: int = 5000,
 ) -> Polytope | None:
     """Return an invariant outer bound {normals x <= b} of the minimal RPI set, or None where these
     normals carry none.
 
     The monotone map b -> max_i h_{P(b)}(normals Phi_i) + (1 + INFLATION) h_{W_i}(normals) is
-    iterated from below; where it settles P(b) is invariant, and every invariant set contains the
-    minimal one. With these normals it is smallest.
+    iterated from below, MOST_GROWTHS times at most; where it settles P(b) is invariant, and every
+    invariant set contains the minimal one. With these normals it is smallest.
 
     Args:
         loops: vertex loops Phi_i.
         disturbance: W, or one W_i a loop, whose hull has interior.
         normals: rows that bound every direction, in two dimensions or more.
-        max_iterations: steps after which None is returned.
 
     Raises:
         ValueError: the disturbance is flat along a normal, or the normals leave a direction open.
@@ -257,7 +259,7 @@ def minimal_rpi_bound(
     _refuse_flat(normals, steps)
     images = np.concatenate([normals @ loop for loop in loops])
     offsets = steps.copy()
-    for _ in range(max_iterations):
+    for _ in range(MOST_GROWTHS):
         vertices = find_vertices(normals, offsets)
         carried = np.max(images @ vertices.T, axis=1).reshape(len(loops), -1)
         reach = np.max(carried + by_loop, axis=0)

@@ -38,23 +38,20 @@ def check_reference(scenario: Scenario, refuse: Refuse) -> None:
         _check_wheels(reference, slowest, fastest, refuse)
 
 
-def check_reference_wheels(
-    scenario: Scenario, slowest_mps: float, fastest_mps: float, source: str = "scenario"
-) -> None:
+def check_reference_wheels(scenario: Scenario, slowest_mps: float, fastest_mps: float) -> None:
     """Refuse a reference whose wheels leave the box that the reference promises.
 
     Args:
         scenario: whose box is meant.
         slowest_mps: least speed of the two wheels over the whole reference.
         fastest_mps: greatest one.
-        source: where the scenario came from, for the message.
 
     Raises:
         ScenarioError: one line.
     """
 
     def refuse(key: str, problem: str, cure: str) -> NoReturn:
-        raise refusal(source, key, scenario.reference.speed_mps, problem, cure)
+        raise refusal("scenario", key, scenario.reference.speed_mps, problem, cure)
 
     _check_wheels(scenario.reference, slowest_mps, fastest_mps, refuse)
 

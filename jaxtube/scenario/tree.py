@@ -81,15 +81,6 @@ class Slip(Table, frozen=True):
     process: Literal["iid", "constant", "walk", "patches", "vertex", "adversarial"] = "iid"
     random: Literal["true", "measured", "both"] = "true"
 
-    @property
-    def exact_wheels(self) -> tuple[str, ...]:
-        """Wheels ("right", "left") whose slip has no error at all, because the error or the nominal
-        slip that it is a fraction of is 0: certificates then take the slip as known exactly."""
-        right_error = self.nominal_right * self.relative_error
-        left_error = self.nominal_left * self.relative_error
-        errors = {"right": right_error, "left": left_error}
-        return tuple(wheel for wheel, error in errors.items() if error == 0.0)
-
 
 class Constraints(Table, frozen=True):
     """Half widths of the error set E, a box in the robot frame."""

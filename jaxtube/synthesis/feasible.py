@@ -86,7 +86,7 @@ def boundary(
 
 
 def true_starts(
-    qps: CondensedQp, index: int, problem: Problem, count: int = RAYS, seed: int = 0
+    qps: CondensedQp, index: int, problem: Problem, seed: int = 0
 ) -> Float[np.ndarray, "k 3"]:
     """Return corners of a polytope of true errors from which there is a plan, whatever the noise of
     the pose.
@@ -101,7 +101,7 @@ def true_starts(
             "scenario: no start has a plan: not even the origin; see the failing conditions of "
             "`design`"
         )
-    points = (1 - EDGE) * boundary(qps, index, problem.operating_set, count, seed)
+    points = (1 - EDGE) * boundary(qps, index, problem.operating_set, RAYS, seed)
     noise = problem.noise
     if not noise.any():
         return points

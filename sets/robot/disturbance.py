@@ -181,8 +181,7 @@ class DisturbanceBound:
         lateral_per_yaw: g_y, m/rad.
         box: half widths (m, m, rad).
         ground_speeds: commanded ones, (lower, upper) by (right, left), m/s.
-        found_yaw, found_box, found_ground_speeds: values that are attained; the least bounds lie
-            between them and W.
+        found_yaw, found_box: values that are attained; the least bounds lie between them and W.
     """
 
     yaw: float
@@ -191,7 +190,6 @@ class DisturbanceBound:
     ground_speeds: Float[np.ndarray, "2 2"]
     found_yaw: float
     found_box: Float[np.ndarray, "3"]
-    found_ground_speeds: Float[np.ndarray, "2 2"]
 
     def support(self, directions: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
         """Return the support numbers of W along the rows of `directions`, exact up to rounding."""
@@ -290,7 +288,6 @@ def disturbance_bound(
         ground_speeds=np.array([-proved[3:5], proved[5:7]]),
         found_yaw=float(found[0]),
         found_box=_add_next_noise(operation, found[1:3]),
-        found_ground_speeds=np.array([-found[3:5], found[5:7]]),
     )
 
 

@@ -321,7 +321,6 @@ def sequence_margins(
     input_set: tuple[NumberRows, NumberRows, Numbers],
     invariant_set: tuple[NumberRows, Numbers],
     used: UsedOffsets,
-    slack: Fraction | float = 0,
 ) -> dict[str, Fraction]:
     """Return the least margins of the tube conditions along known schedules, by name.
 
@@ -332,13 +331,11 @@ def sequence_margins(
 
         nonempty   the origin lies in every set used
         reach      used_j + h_{R_j}(c) <= offset of E, U;  T + R_N in Omega
-        shifted    used_j + h_W(Psi^T c) <= used_{j-1} of the next window + slack,  j = 1 .. N-1
+        shifted    used_j + h_W(Psi^T c) <= used_{j-1} of the next window,  j = 1 .. N-1
         returns    T + Psi W, j = N, within the last E, U (after K) and T (after Phi) of the next
                    window
 
-    The last two prove by themselves that a plan shifted by one step is admissible again. Tubes that
-    meet `shifted` with equality need `slack` for the rounding of their offsets: it is granted, not
-    proved.
+    The last two prove by themselves that a plan shifted by one step is admissible again.
 
     Raises:
         ValueError: shapes differ, or a follower is not its window one step later.
@@ -371,8 +368,7 @@ def sequence_margins(
             *(_check_returns(window, later) for later in later_windows),
         ]
         for name, room in chain.from_iterable(conditions):
-            granted = Fraction(slack) if name.endswith("shifted") else 0
-            rooms[name].append(room + granted)
+            rooms[name].append(room)
     return {name: min(values) for name, values in rooms.items()}
 
 

@@ -298,18 +298,6 @@ def test_replaced_values_are_refused_as_those_of_files(values, fragments):
     assert [fragment for fragment in fragments if fragment not in str(caught.value)] == []
 
 
-@pytest.mark.parametrize(
-    "values, wheels",
-    [
-        ({}, ()),
-        ({"slip.nominal_right": 0.0}, ("right",)),
-        ({"slip.relative_error": 0.0}, ("right", "left")),
-    ],
-)
-def test_slip_without_error_is_told(values, wheels):
-    assert replace(Scenario(), values).slip.exact_wheels == wheels
-
-
 def test_the_later_override_wins():
     assert load("paper", ["controller.horizon=7", "controller.horizon=8"]).controller.horizon == 8
 
@@ -364,9 +352,10 @@ def test_reference_wheels_on_the_edge_of_the_box_are_inside():
 )
 def test_reference_wheels_outside_the_box_are_refused(slowest, fastest):
     with pytest.raises(
-        ScenarioError, match=r"^mine: reference.speed_mps = 1.36: .*outside .*; change the speed"
+        ScenarioError,
+        match=r"^scenario: reference.speed_mps = 1.36: .*outside .*; change the speed",
     ):
-        check_reference_wheels(Scenario(), slowest, fastest, source="mine")
+        check_reference_wheels(Scenario(), slowest, fastest)
 
 
 def test_a_weight_is_its_diagonal_or_its_rows():

@@ -9,7 +9,8 @@ from paper_problem import W, terminal_problem
 from scipy.optimize import linprog
 from tolerances import TUBE_ROUNDING
 
-import sets.few_facets
+from sets import few_facets as few_facets_module
+from sets import invariant
 from sets.few_facets import few_facet_rpi
 from sets.invariant import INFLATION, maximal_rpi, minimal_rpi_bound
 from sets.polytope import Polytope
@@ -172,8 +173,9 @@ def test_the_iterations_that_prove_emptiness_are_those_the_reach_needs():
     }
 
 
-def test_too_few_iterations_leave_the_question_open():
-    found = maximal_rpi(*terminal_problem(*FOUND["paper"]), W.support, max_iterations=1)
+def test_too_few_iterations_leave_the_question_open(monkeypatch):
+    monkeypatch.setattr(invariant, "MOST_ITERATIONS", 1)
+    found = maximal_rpi(*terminal_problem(*FOUND["paper"]), W.support)
     assert (found.polytope, found.escape, found.iterations) == (None, None, 1)
 
 
@@ -257,10 +259,11 @@ def test_the_few_facet_set_for_more_facets_than_needed_is_the_maximal_one():
     )
 
 
-def test_growth_stops_at_the_volume_asked_for():
+def test_growth_stops_at_the_volume_asked_for(monkeypatch):
+    monkeypatch.setattr(few_facets_module, "TARGET", 0.5)
     problem = terminal_problem(*FOUND["paper"])
     whole = given(maximal("paper").polytope)
-    modest = given(few_facet_rpi(*problem, W.support, whole, target=0.5)).volume() / whole.volume()
+    modest = given(few_facet_rpi(*problem, W.support, whole)).volume() / whole.volume()
     assert 0.5 <= modest < few_facets("paper").volume() / whole.volume()
 
 
@@ -372,8 +375,8 @@ def test_the_last_bits_choose_neither_spread_rows_nor_escapes():
     escape = given(maximal_rpi(loops, unit, box).escape)
     for _ in range(20):
         noise = 1 + 1e-15 * rng.uniform(-1, 1, size=octagon.shape)
-        chosen = sets.few_facets._spread(octagon * noise, 5)
-        np.testing.assert_allclose(chosen, sets.few_facets._spread(octagon, 5), rtol=1e-14)
+        chosen = few_facets_module._spread(octagon * noise, 5)
+        np.testing.assert_allclose(chosen, few_facets_module._spread(octagon, 5), rtol=1e-14)
         bits = 1 + 1e-15 * rng.uniform(-1, 1, size=4)
         nearby = Polytope(unit.normals, unit.offsets * bits)
         found = given(maximal_rpi(loops, nearby, box).escape)

@@ -185,7 +185,7 @@ def test_true_starts_have_a_plan_whatever_the_noise(certified):
     problem = certified.problem
     noise = problem.error_set.offsets[:3] - problem.operating_set.offsets[:3]
     corners = noise * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
-    for start in true_starts(window, index, problem, 60)[::8]:
+    for start in true_starts(window, index, problem)[::50]:
         assert max(shortfall(window, index, start + corner) for corner in corners) <= LINEAR_PROGRAM
     edge = boundary(window, index, problem.operating_set, 60)
     assert max(shortfall(window, index, 1.01 * point) for point in edge) > 0

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxtube.experiments.tune.figures import AFTER, BEFORE
+from jaxtube.experiments.tune.result import CONFIDENCE
 from jaxtube.figures.style import page_figure, styled
 from jaxtube.figures.ticks import plain_ticks, spans_decade
 
@@ -39,14 +40,11 @@ class ComparedRow(NamedTuple):
 
 
 @styled
-def comparison_figure(
-    rows: Sequence[tuple[str, str, float, float, float]], confidence: float = 0.95
-) -> Figure:
+def comparison_figure(rows: Sequence[tuple[str, str, float, float, float]]) -> Figure:
     """Draw mean lateral errors with their intervals, reference by reference.
 
     Args:
         rows: as in `ComparedRow`; the design met last is drawn as the tuned one.
-        confidence: of the intervals.
     """
     every = [ComparedRow(*row) for row in rows]
     references = list(dict.fromkeys(row.reference for row in every))
@@ -68,7 +66,7 @@ def comparison_figure(
     axes.tick_params(axis="y", length=0)
     axes.grid(False, axis="y")
     axes.set(ylim=(place + ROW, HEADING / 2))
-    axes.set_xlabel(f"lateral RMS once settled, {100 * confidence:g} % interval [mm]")
+    axes.set_xlabel(f"lateral RMS once settled, {100 * CONFIDENCE:g} % interval [mm]")
     if spans_decade(np.array([row.mean for row in every])):
         axes.set_xscale("log")
         plain_ticks(axes.xaxis)

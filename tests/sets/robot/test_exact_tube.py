@@ -85,7 +85,6 @@ UNCOUPLED = (U[0], np.zeros((4, 3)), U[1])
 
 def margins(
     used: Used,
-    slack=0,
     disturbance=W,
     boxes=BOXES,
     followers=FOLLOWERS,
@@ -94,7 +93,7 @@ def margins(
 ):
     omega = invariant(STEP)
     sets = (E, input_set, (omega.normals, omega.offsets))
-    return sequence_margins(boxes, followers, gains, DT, disturbance, *sets, used, slack)
+    return sequence_margins(boxes, followers, gains, DT, disturbance, *sets, used)
 
 
 NAMES = {
