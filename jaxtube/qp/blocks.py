@@ -1,6 +1,7 @@
 """Work on the pending instances of a batch alone, a block of fixed size at a time, under jit."""
 
 from collections.abc import Callable
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -39,18 +40,26 @@ def update_in_blocks(
         pending, _ = carry
         return jnp.any(pending)
 
-    def update_block(carry):
-        pending, answers = carry
-        index = jnp.nonzero(pending, size=size, fill_value=batch)[0]
-
-        def gather(array):
-            return jnp.take(array, index, axis=0, mode="clip")
-
-        def scatter(array, block):
-            return array.at[index].set(block, mode="drop")
-
-        block = method(jax.tree.map(gather, data), jax.tree.map(gather, answers))
-        return scatter(pending, False), jax.tree.map(scatter, answers, block)
-
-    _, answers = jax.lax.while_loop(is_unfinished, update_block, (pending, answers))
+    update = partial(update_block, method, size, data)
+    _, answers = jax.lax.while_loop(is_unfinished, update, (pending, answers))
     return answers
+
+
+def update_block(
+    method: Callable[[PyTree, PyTree], PyTree],
+    size: int,
+    data: PyTree,
+    carry: tuple[Bool[Array, " batch"], PyTree],
+) -> tuple[Bool[Array, " batch"], PyTree]:
+    """Replace the answers of the first `size` pending instances, which are then pending no more."""
+    pending, answers = carry
+    index = jnp.nonzero(pending, size=size, fill_value=len(pending))[0]
+
+    def gather(array):
+        return jnp.take(array, index, axis=0, mode="clip")
+
+    def scatter(array, block):
+        return array.at[index].set(block, mode="drop")
+
+    block = method(jax.tree.map(gather, data), jax.tree.map(gather, answers))
+    return scatter(pending, False), jax.tree.map(scatter, answers, block)

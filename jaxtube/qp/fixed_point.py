@@ -23,6 +23,7 @@ Stellato, Banjac, Goulart, Bemporad, Boyd, OSQP, Mathematical Programming Comput
 Hintermueller, Ito, Kunisch, SIAM J. Optimization 2002.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -153,30 +154,38 @@ def polish(
 ) -> Iterate:
     """Take Newton steps from x, y; return the best of `best`, of x, y and of the steps, never worse
     than `best`."""
+    step = partial(take_newton_step, factors, instances)
+    start = (x, y, keep_better(factors, instances, best, x, y))
+    return jax.lax.fori_loop(0, steps, step, start)[2]
+
+
+def take_newton_step(
+    factors: Factors,
+    instances: Instances,
+    _,
+    carry: tuple[Float[Array, "n batch"], Float[Array, "m batch"], Iterate],
+) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"], Iterate]:
+    """Solve with the rows that x, y suggest are active, in a few passes; return x, y and the best
+    iterate so far."""
+    x, y, best = carry
     A = factors.rows
     P = factors.hessian
     rho = factors.rho
     penalty = rho * NEWTON_PENALTY[x.dtype.itemsize]
+    v = matmul(A, x) + y / rho
+    active = (v < instances.l) | (v > instances.u)
+    bound = jnp.clip(v, instances.l, instances.u)
+    weights = jnp.where(active, penalty, 0.0)
+    penalised = factors.packed_hessian[:, None] + matmul(factors.pair_products, weights)
+    ldl = batched_ldl.factorise(penalised)
 
-    def step(_, carry):
-        x, y, best = carry
-        v = matmul(A, x) + y / rho
-        active = (v < instances.l) | (v > instances.u)
-        bound = jnp.clip(v, instances.l, instances.u)
-        weights = jnp.where(active, penalty, 0.0)
-        penalised = factors.packed_hessian[:, None] + matmul(factors.pair_products, weights)
-        ldl = batched_ldl.factorise(penalised)
+    def correct(_, guess):
+        x, y = guess
+        multipliers = y + weights * (matmul(A, x) - bound)
+        gradient = matmul(P, x) + instances.q + matmul(A.T, multipliers)
+        x = x - batched_ldl.solve(ldl, gradient)
+        return x, y + weights * (matmul(A, x) - bound)
 
-        def correct(_, guess):
-            x, y = guess
-            multipliers = y + weights * (matmul(A, x) - bound)
-            gradient = matmul(P, x) + instances.q + matmul(A.T, multipliers)
-            x = x - batched_ldl.solve(ldl, gradient)
-            return x, y + weights * (matmul(A, x) - bound)
-
-        start = (x, jnp.where(active, y, 0.0))
-        x, y = jax.lax.fori_loop(0, NEWTON_PASSES, correct, start)
-        return x, y, keep_better(factors, instances, best, x, y)
-
-    start = (x, y, keep_better(factors, instances, best, x, y))
-    return jax.lax.fori_loop(0, steps, step, start)[2]
+    start = (x, jnp.where(active, y, 0.0))
+    x, y = jax.lax.fori_loop(0, NEWTON_PASSES, correct, start)
+    return x, y, keep_better(factors, instances, best, x, y)

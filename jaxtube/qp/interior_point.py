@@ -14,6 +14,7 @@ implementation of a primal-dual interior point method, SIAM J. Optimization 1992
 of this project's controllers made it cycle.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -105,24 +106,10 @@ def iterate(
 ) -> State:
     """Take one predictor-corrector step; an instance that is done, or whose numbers leave the
     floats, stays."""
-    x, s, y, moves = state
-    P = shared.hessian
-    G = shared.rows
+    x, s, y, _ = state
     count = jnp.maximum(jnp.sum(kept, axis=0), 1).astype(x.dtype)
-    weights = jnp.where(kept, y / s, 0.0)
-    system = shared.packed_hessian[:, None] + matmul(shared.pair_products, weights)
-    ldl = batched_ldl.factorise(system)
-    dual_residual = matmul(P, x) + q + matmul(G.T, y)
-    primal_residual = matmul(G, x) + s - h
-
-    def direction(complementarity):
-        shift = weights * primal_residual - jnp.where(kept, complementarity / s, 0.0)
-        dx = batched_ldl.solve(ldl, -dual_residual - matmul(G.T, shift))
-        ds = jnp.where(kept, -primal_residual - matmul(G, dx), 0.0)
-        dy = jnp.where(kept, -(complementarity + y * ds) / s, 0.0)
-        return dx, ds, dy
-
-    _, ds, dy = direction(s * y)  # (1)
+    find_direction = partial(solve_newton, make_newton_system(shared, q, h, kept, state), shared)
+    _, ds, dy = find_direction(s * y)  # (1)
     step = longest_step(state, ds, dy, caution.step)
     mu = jnp.sum(jnp.where(kept, s * y, 0.0), axis=0) / count
     affine_products = (s + step * ds) * (y + step * dy)
@@ -130,14 +117,67 @@ def iterate(
     target = mu * jnp.clip((affine_mu / mu) ** 3, caution.centring, 1.0)  # (2)
     most = caution.correction * mu
     second_order = jnp.clip(ds * dy, -most, most)
-    dx, ds, dy = direction(s * y + second_order - target)  # (3)
+    dx, ds, dy = find_direction(s * y + second_order - target)  # (3)
     step = longest_step(state, ds, dy, caution.step)  # (4)
-    x = x + step * dx
-    s = s + step * ds
-    y = y + step * dy
+    return move(state, x + step * dx, s + step * ds, y + step * dy, mu)
+
+
+class NewtonSystem(NamedTuple):
+    """The linear equations of one iteration, factorised."""
+
+    s: Float[Array, "m batch"]
+    y: Float[Array, "m batch"]
+    kept: Bool[Array, "m batch"]
+    weights: Float[Array, "m batch"]  # y / s, zero on dropped rows
+    ldl: batched_ldl.LDL
+    dual_residual: Float[Array, "n batch"]
+    primal_residual: Float[Array, "m batch"]
+
+
+def make_newton_system(
+    shared: Program,
+    q: Float[Array, "n batch"],
+    h: Float[Array, "m batch"],
+    kept: Bool[Array, "m batch"],
+    state: State,
+) -> NewtonSystem:
+    """Factorise the equations of an iteration at its state."""
+    x, s, y, _ = state
+    P = shared.hessian
+    G = shared.rows
+    weights = jnp.where(kept, y / s, 0.0)
+    system = shared.packed_hessian[:, None] + matmul(shared.pair_products, weights)
+    ldl = batched_ldl.factorise(system)
+    dual_residual = matmul(P, x) + q + matmul(G.T, y)
+    primal_residual = matmul(G, x) + s - h
+    return NewtonSystem(s, y, kept, weights, ldl, dual_residual, primal_residual)
+
+
+def solve_newton(
+    system: NewtonSystem, shared: Program, complementarity: Float[Array, "m batch"]
+) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"], Float[Array, "m batch"]]:
+    """Return the directions (dx, ds, dy) that remove both residuals and, to first order, the
+    complementarity."""
+    s, y, kept, weights, ldl, dual_residual, primal_residual = system
+    G = shared.rows
+    shift = weights * primal_residual - jnp.where(kept, complementarity / s, 0.0)
+    dx = batched_ldl.solve(ldl, -dual_residual - matmul(G.T, shift))
+    ds = jnp.where(kept, -primal_residual - matmul(G, dx), 0.0)
+    dy = jnp.where(kept, -(complementarity + y * ds) / s, 0.0)
+    return dx, ds, dy
+
+
+def move(
+    state: State,
+    x: Float[Array, "n batch"],
+    s: Float[Array, "m batch"],
+    y: Float[Array, "m batch"],
+    mu: Float[Array, " batch"],
+) -> State:
+    """Return the state at x, s, y, or as it was where an instance is done or leaves the floats."""
     # Beyond this mu the weights y / s differ by more than the floats resolve, and iterating on
     # loses what was found.
-    moves &= mu > jnp.finfo(x.dtype).eps ** 0.75
+    moves = state.moves & (mu > jnp.finfo(x.dtype).eps ** 0.75)
     moves &= jnp.all(jnp.isfinite(x), axis=0)
     moves &= jnp.all(s > 0, axis=0) & jnp.all(y >= 0, axis=0)
     moved = State(x, s, y, moves)

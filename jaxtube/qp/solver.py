@@ -128,31 +128,37 @@ def pull_back(saved: tuple, cotangent: Solution) -> tuple[Factors, Array, Array,
     """Return the cotangents of factors, q, l and u; only the instances with an active row cost more
     than a product."""
     factors, l, u, solution = saved
-    norms = factors.row_norms
     zero = jnp.zeros_like(l)
     solved = solution.status == SOLVED
     x_bar = jnp.where(solved[:, None], cotangent.x, 0.0)
     y_bar = jnp.where(solved[:, None], cotangent.multipliers, 0.0)
     constrained = solved & jnp.any(solution.multipliers != 0, axis=1)
 
-    def solve_adjoint(data, _):
-        x, y, l, u, x_bar, y_bar = data
-        at_lower, at_upper = sensitivity.active_rows(
-            factors, x.T, (y * norms).T, (l / norms).T, (u / norms).T
-        )
-        d, nu = sensitivity.adjoint(factors, at_lower | at_upper, x_bar.T, (y_bar / norms).T)
-        l_bar = jnp.where(at_lower, nu, 0.0).T / norms
-        u_bar = jnp.where(at_upper, nu, 0.0).T / norms
-        return d.T, l_bar, u_bar
-
     free = jnp.where(solved[:, None], -matmul(x_bar, factors.optimum), 0.0)
     data = (solution.x, solution.multipliers, l, u, x_bar, y_bar)
     size, _ = block_sizes()
-    d, l_bar, u_bar = update_in_blocks(solve_adjoint, size, constrained, data, (free, zero, zero))
+    adjoint = partial(solve_adjoint, factors)
+    d, l_bar, u_bar = update_in_blocks(adjoint, size, constrained, data, (free, zero, zero))
     shared = sensitivity.shared_cotangents(
         factors, solution.x, solution.multipliers, d, l_bar + u_bar
     )
     return shared, -d, l_bar, u_bar
+
+
+def solve_adjoint(
+    factors: Factors, data: tuple[Array, ...], _
+) -> tuple[Float[Array, "batch n"], Float[Array, "batch m"], Float[Array, "batch m"]]:
+    """Return d and the cotangents of l and u for a block of instances, `data` being (x, y, l, u,
+    x_bar, y_bar)."""
+    x, y, l, u, x_bar, y_bar = data
+    norms = factors.row_norms
+    at_lower, at_upper = sensitivity.active_rows(
+        factors, x.T, (y * norms).T, (l / norms).T, (u / norms).T
+    )
+    d, nu = sensitivity.adjoint(factors, at_lower | at_upper, x_bar.T, (y_bar / norms).T)
+    l_bar = jnp.where(at_lower, nu, 0.0).T / norms
+    u_bar = jnp.where(at_upper, nu, 0.0).T / norms
+    return d.T, l_bar, u_bar
 
 
 solve_batch.defvjp(solve_and_remember, pull_back)
@@ -164,44 +170,17 @@ def solve_constrained(factors: Factors, instances: Instances, free: Solution) ->
     A = factors.rows
     quadratic = interior_point.program(factors.hessian, jnp.concatenate([A, -A]))
     elastic = farkas.elastic_program(factors.hessian, A)
-
-    def is_excluded(block, upper, lower):
-        tolerance = TOLERANCE[block.q.dtype.itemsize]
-        return farkas.excludes(A, block.l, block.u, upper, lower, tolerance)
-
-    def split(block, best):
-        nothing = best._replace(residual=jnp.full_like(best.residual, jnp.inf))
-        best = fixed_point.keep_better(factors, block, nothing, best.x, best.y)
-        x, y = fixed_point.admm(factors, block, best.x, ITERATIONS)  # (2)
-        best = fixed_point.polish(factors, block, best, x, y, POLISH_STEPS)  # (3)
-        excluded = is_excluded(block, jnp.maximum(y, 0.0), jnp.maximum(-y, 0.0))
-        return best, fixed_point.has_crossing_bounds(block) | excluded
-
-    def rescue(caution, block, best):
-        h = jnp.concatenate([block.u, -block.l])
-        x, y = interior_point.solve(
-            quadratic, block.q, h, best.x, INTERIOR_ITERATIONS, caution
-        )  # (4)
-        upper, lower = jnp.split(y, 2)
-        best = fixed_point.polish(factors, block, best, x, upper - lower, RESCUE_STEPS)
-        return best, is_excluded(block, upper, lower)
-
-    def refute(block, best):
-        upper, lower = farkas.elastic_multipliers(
-            elastic, block.l, block.u, best.x, INTERIOR_ITERATIONS
-        )
-        return best, is_excluded(block, upper, lower)
+    size, rare_size = block_sizes()
 
     def rescue_all(solution, caution):
-        rescuer = partial(rescue, caution)
-        return improve(rescuer, rare_size, factors, instances, solution), None
+        method = partial(rescue, factors, quadratic, caution)
+        return improve(method, rare_size, factors, instances, solution), None
 
-    size, rare_size = block_sizes()
-    solution = improve(split, size, factors, instances, free)
+    solution = improve(partial(split, factors), size, factors, instances, free)
     # A scan compiles one program for both: the cautious method for what the bold one leaves.
     cautions = Caution(*jnp.array([BOLD, CAUTIOUS], A.dtype).T)
     solution, _ = jax.lax.scan(rescue_all, solution, cautions)
-    solution = improve(refute, rare_size, factors, instances, solution)  # (5)
+    solution = improve(partial(refute, factors, elastic), rare_size, factors, instances, solution)
     sound = jnp.isfinite(solution.residual)
     return solution._replace(
         x=jnp.where(sound[:, None], solution.x, 0.0),
@@ -209,24 +188,76 @@ def solve_constrained(factors: Factors, instances: Instances, free: Solution) ->
     )
 
 
+def split(
+    factors: Factors, block: Instances, best: Iterate
+) -> tuple[Iterate, Bool[Array, " batch"]]:
+    """Improve a block by ADMM and Newton steps, (2) and (3)."""
+    nothing = best._replace(residual=jnp.full_like(best.residual, jnp.inf))
+    best = fixed_point.keep_better(factors, block, nothing, best.x, best.y)
+    x, y = fixed_point.admm(factors, block, best.x, ITERATIONS)
+    best = fixed_point.polish(factors, block, best, x, y, POLISH_STEPS)
+    excluded = is_excluded(factors, block, jnp.maximum(y, 0.0), jnp.maximum(-y, 0.0))
+    return best, fixed_point.has_crossing_bounds(block) | excluded
+
+
+def rescue(
+    factors: Factors,
+    quadratic: interior_point.Program,
+    caution: Caution,
+    block: Instances,
+    best: Iterate,
+) -> tuple[Iterate, Bool[Array, " batch"]]:
+    """Improve a block by the interior point method and Newton steps, (4)."""
+    h = jnp.concatenate([block.u, -block.l])
+    x, y = interior_point.solve(quadratic, block.q, h, best.x, INTERIOR_ITERATIONS, caution)
+    upper, lower = jnp.split(y, 2)
+    best = fixed_point.polish(factors, block, best, x, upper - lower, RESCUE_STEPS)
+    return best, is_excluded(factors, block, upper, lower)
+
+
+def refute(
+    factors: Factors, elastic: interior_point.Program, block: Instances, best: Iterate
+) -> tuple[Iterate, Bool[Array, " batch"]]:
+    """Leave the iterates of a block; say which instances the elastic problem excludes, (5)."""
+    upper, lower = farkas.elastic_multipliers(
+        elastic, block.l, block.u, best.x, INTERIOR_ITERATIONS
+    )
+    return best, is_excluded(factors, block, upper, lower)
+
+
+def is_excluded(
+    factors: Factors,
+    block: Instances,
+    upper: Float[Array, "m batch"],
+    lower: Float[Array, "m batch"],
+) -> Bool[Array, " batch"]:
+    """Return which instances the multipliers y_u, y_l prove infeasible."""
+    tolerance = TOLERANCE[block.q.dtype.itemsize]
+    return farkas.excludes(factors.rows, block.l, block.u, upper, lower, tolerance)
+
+
 def improve(
     method: Method, size: int, factors: Factors, instances: Instances, solution: Solution
 ) -> Solution:
     """Apply a method once to every unsolved instance whose data are numbers, `size` of them at a
     time."""
+    pending = (solution.status == UNSOLVED) & jnp.isfinite(solution.residual)
+    method_of_block = partial(improve_block, method, factors)
+    return update_in_blocks(method_of_block, size, pending, instances, solution)
+
+
+def improve_block(
+    method: Method, factors: Factors, instances: Instances, solution: Solution
+) -> Solution:
+    """Apply a method once to a block of instances."""
     norms = factors.row_norms
     tolerance = TOLERANCE[instances.q.dtype.itemsize]
-
-    def improve_block(instances, solution):
-        instances = unit_rows(factors, instances)
-        start = Iterate(solution.x.T, (solution.multipliers * norms).T, solution.residual)
-        best, infeasible = method(instances, start)
-        otherwise = jnp.where(infeasible, INFEASIBLE, UNSOLVED)
-        status = jnp.where(best.residual <= tolerance, SOLVED, otherwise)
-        return Solution(best.x.T, best.y.T / norms, status.astype(jnp.int32), best.residual)
-
-    pending = (solution.status == UNSOLVED) & jnp.isfinite(solution.residual)
-    return update_in_blocks(improve_block, size, pending, instances, solution)
+    instances = unit_rows(factors, instances)
+    start = Iterate(solution.x.T, (solution.multipliers * norms).T, solution.residual)
+    best, infeasible = method(instances, start)
+    otherwise = jnp.where(infeasible, INFEASIBLE, UNSOLVED)
+    status = jnp.where(best.residual <= tolerance, SOLVED, otherwise)
+    return Solution(best.x.T, best.y.T / norms, status.astype(jnp.int32), best.residual)
 
 
 def unit_rows(factors: Factors, instances: Instances) -> Instances:
