@@ -109,7 +109,7 @@ NAMES = {
 }
 
 
-def test_tubes_backed_off_further_at_every_stage_hold_without_slack():
+def test_tubes_backed_off_further_at_every_stage_hold():
     found = margins(used_sets(True))
     assert set(found) == NAMES
     assert ExactReport(found).holds
@@ -137,7 +137,8 @@ def test_rows_that_couple_input_and_error_lose_what_both_reach():
 def test_tubes_backed_off_once_hold_up_to_the_rounding_of_their_offsets():
     found = margins(used_sets(False))
     assert -EXACT_ROUNDED_OFFSETS <= found["errors shifted"] <= EXACT_ROUNDED_OFFSETS
-    assert ExactReport(margins(used_sets(False), EXACT_ROUNDED_OFFSETS)).holds
+    for name, margin in found.items():
+        assert margin >= (-EXACT_ROUNDED_OFFSETS if name.endswith("shifted") else 0)
 
 
 def test_what_returns_is_the_room_of_vertices_under_products_of_loops():
