@@ -189,21 +189,24 @@ def _simulate(mesh: Mesh, task: Task, words, counts, numbers, validate) -> dict[
     spread = PartitionSpec("devices")
     same = PartitionSpec()
 
-    @partial(
-        jax.shard_map,
+    on_devices = jax.shard_map(
+        _simulate_in_turn,
         mesh=mesh,
         in_specs=(same, spread, spread, spread, same),
         out_specs=spread,
         check_vma=False,
     )
-    def on_device(task, words, counts, numbers, validate):
-        def one(block):
-            first, count, number = block
-            return simulate_block(task, first, count, number, validate)
+    return on_devices(task, words, counts, numbers, validate)
 
-        return jax.lax.map(one, (words, counts, numbers))
 
-    return on_device(task, words, counts, numbers, validate)
+def _simulate_in_turn(task: Task, words, counts, numbers, validate) -> dict[str, Array]:
+    """Run the blocks of one device, one after the other."""
+
+    def simulate(block):
+        first, count, number = block
+        return simulate_block(task, first, count, number, validate)
+
+    return jax.lax.map(simulate, (words, counts, numbers))
 
 
 def simulate_block(
@@ -223,26 +226,28 @@ def simulate_block(
             tile does.
         validate: whether periods are checked; without, all counts stay 0.
     """
-
-    tiles = BLOCK // TILE
-
-    def tile(place):
-        first = place * TILE
-        low = words[1] + first.astype(jnp.uint32) + jnp.arange(TILE, dtype=jnp.uint32)
-        keys = jax.vmap(lambda word: realisation_key(task.seed_key, words[0], word))(low)
-        counted = validate & (first + jnp.arange(TILE, dtype=jnp.int32) < count)
-        plans, distance = plan_steps(len(task.checks.transitions), task.checks.horizon)
-        shift = first_plan(number % max(distance, 1) * tiles + place, max(distance, 1))
-        stops = shift + distance * jnp.arange(plans, dtype=jnp.int32)
-        return run_tile(task, keys, counted, stops, validate)
-
-    sums, largest, usage = jax.lax.map(tile, jnp.arange(tiles, dtype=jnp.int32))
+    simulate = partial(_simulate_tile, task, words, count, number, validate)
+    sums, largest, usage = jax.lax.map(simulate, jnp.arange(BLOCK // TILE, dtype=jnp.int32))
     sums = jax.tree.map(lambda array: jnp.sum(array, axis=0, dtype=jnp.int32), sums)
     largest = jax.tree.map(lambda array: jnp.max(array, axis=0), largest)
     worst, laps = jax.lax.top_k(jnp.moveaxis(usage, 1, 0).reshape(len(RANKED), BLOCK), WORST)
     ranked = {f"worst_usage/{name}": worst[i] for i, name in enumerate(RANKED)}
     numbers = {f"worst_lap/{name}": laps[i] for i, name in enumerate(RANKED)}
     return sums | largest | ranked | numbers
+
+
+def _simulate_tile(
+    task: Task, words, count, number, validate, place: Int[Array, ""]
+) -> tuple[dict[str, Array], dict[str, Array], Array]:
+    """Run the tile at a place of a block, with plans at steps that depend on the place."""
+    first = place * TILE
+    low = words[1] + first.astype(jnp.uint32) + jnp.arange(TILE, dtype=jnp.uint32)
+    keys = jax.vmap(lambda word: realisation_key(task.seed_key, words[0], word))(low)
+    counted = validate & (first + jnp.arange(TILE, dtype=jnp.int32) < count)
+    plans, distance = plan_steps(len(task.checks.transitions), task.checks.horizon)
+    shift = first_plan(number % max(distance, 1) * (BLOCK // TILE) + place, max(distance, 1))
+    stops = shift + distance * jnp.arange(plans, dtype=jnp.int32)
+    return run_tile(task, keys, counted, stops, validate)
 
 
 def run_tile(
@@ -254,36 +259,39 @@ def run_tile(
     At `stops` plans are made and followed to their end, by a tube-MPC whose plans start at the
     measured error.
     """
-    controller = task.controller
-    plant = task.plant
     checks = task.checks
-    planner = planner_of(controller)
     steps = len(checks.transitions)
     plans = len(stops)
     errors = task.starts.draw(keys)
     bounds = jnp.concatenate([jnp.zeros(1, jnp.int32), stops, jnp.full(1, steps, jnp.int32)])
-
-    def period(step, carry):
-        state, counts = carry
-        after, happened = run_period(controller, plant, keys, step, state)
-        observe = partial(tally.observe, checks, step, state, happened, after, counted)
-        return after, jax.lax.cond(validate, observe, _keep, counts)
-
-    def stretch(carry, part):
-        first, last, has_plan = part
-        state, counts = jax.lax.fori_loop(first, last, period, carry)
-        if planner is not None:
-            observe = partial(follow_and_observe, task, planner, keys, last, counted, state)
-            counts = jax.lax.cond(validate & has_plan, observe, _keep, counts)
-        return (state, counts), None
-
-    state = begin(controller, plant, keys, errors)
+    state = begin(task.controller, task.plant, keys, errors)
     counts = tally.empty(checks, checks.horizon, len(errors), errors.dtype)
     parts = (bounds[:-1], bounds[1:], jnp.arange(plans + 1) < plans)
-    (_, counts), _ = jax.lax.scan(stretch, (state, counts), parts)
+    run_stretch = partial(_run_stretch, task, keys, counted, validate)
+    (_, counts), _ = jax.lax.scan(run_stretch, (state, counts), parts)
     usage = jnp.where(counted, counts.laps.usage, -jnp.inf)
     sums, largest = tally.close(checks, errors, plans, counted, counts)
     return sums, largest, usage
+
+
+def _run_stretch(
+    task: Task, keys: Key[Array, " batch"], counted, validate, carry, part
+) -> tuple[tuple[LoopState, tally.Tally], None]:
+    """Run the periods from one stop to the next, and follow the plans made there."""
+    first, last, has_plan = part
+
+    def run_and_observe(step, carry):
+        state, counts = carry
+        after, happened = run_period(task.controller, task.plant, keys, step, state)
+        observe = partial(tally.observe, task.checks, step, state, happened, after, counted)
+        return after, jax.lax.cond(validate, observe, _keep, counts)
+
+    state, counts = jax.lax.fori_loop(first, last, run_and_observe, carry)
+    planner = planner_of(task.controller)
+    if planner is not None:
+        observe = partial(follow_and_observe, task, planner, keys, last, counted, state)
+        counts = jax.lax.cond(validate & has_plan, observe, _keep, counts)
+    return (state, counts), None
 
 
 def _keep(counts: tally.Tally) -> tally.Tally:

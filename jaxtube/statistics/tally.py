@@ -149,15 +149,7 @@ def observe(
     )
     settled = step + 1 >= checks.settled
     events = find_events(checks, judged, happened, after, settled)
-    flags = jnp.stack([events[name] for name in EVENT_NAMES])
-    laps = tally.laps
-    usage = jnp.stack([judged.error.usage, judged.disturbance.usage, laps.usage[2]])
-    laps = laps._replace(
-        events=laps.events + flags.astype(jnp.int32),
-        square=laps.square + jnp.where(settled, e * e, 0.0),
-        peak=jnp.maximum(laps.peak, jnp.abs(e)),
-        usage=jnp.maximum(laps.usage, usage),
-    )
+    laps = _observe_laps(tally.laps, events, judged, e, settled)
     sums = dict(tally.sums)
     counts = counted.astype(jnp.int32)
     axes = jnp.arange(3)[:, None]
@@ -170,6 +162,24 @@ def observe(
         key = f"excess/{name}"
         largest[key] = jnp.maximum(largest[key], _largest(judgement.excess, counted))
     return Tally(laps, sums, largest)
+
+
+def _observe_laps(
+    laps: LapNumbers,
+    events: dict[str, Bool[Array, " batch"]],
+    judged: Judgements,
+    e: Float[Array, "3 batch"],
+    settled,
+) -> LapNumbers:
+    """Return the numbers of each lap after one more period."""
+    flags = jnp.stack([events[name] for name in EVENT_NAMES])
+    usage = jnp.stack([judged.error.usage, judged.disturbance.usage, laps.usage[2]])
+    return laps._replace(
+        events=laps.events + flags.astype(jnp.int32),
+        square=laps.square + jnp.where(settled, e * e, 0.0),
+        peak=jnp.maximum(laps.peak, jnp.abs(e)),
+        usage=jnp.maximum(laps.usage, usage),
+    )
 
 
 class FollowedPlans(NamedTuple):

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -171,25 +172,7 @@ def _descend(
     if first is None:
         return start, np.inf
     caps = len(first.caps)
-    unbounded = np.full(caps + len(first.limits), MISSED)
-
-    def slack(point: Float[np.ndarray, " 12"]) -> Float[np.ndarray, " rows"]:
-        shares = estimate.shares(point[:-1])
-        if shares is None:
-            return unbounded
-        used = np.concatenate([shares.caps, shares.limits])
-        logarithms = np.log(np.maximum(used, 1e-9))
-        logarithms[:caps] -= point[-1]
-        return -logarithms
-
-    def slope(point: Float[np.ndarray, " 12"]) -> Float[np.ndarray, "rows 12"]:
-        here = slack(point)
-        columns = [
-            (slack(point + DIFFERENCE * direction) - here) / DIFFERENCE
-            for direction in np.eye(len(point))
-        ]
-        return np.stack(columns, axis=1)
-
+    slack = partial(_compute_slack, estimate, caps, caps + len(first.limits))
     bounds = [(value - REACH, value + REACH) for value in start] + [(-5.0, 5.0)]
     bounds[8] = (np.log(SLOWEST_GAIN), fastest_gain)
     answer = minimize(
@@ -197,7 +180,7 @@ def _descend(
         np.append(start, np.log(first.caps.max())),
         jac=lambda point: np.eye(len(point))[-1],
         bounds=bounds,
-        constraints={"type": "ineq", "fun": slack, "jac": slope},
+        constraints={"type": "ineq", "fun": slack, "jac": partial(_differentiate, slack)},
         method="SLSQP",
         options={"maxiter": 40, "ftol": 1e-4},
     )
@@ -206,6 +189,33 @@ def _descend(
     if shares is None or shares.limits.max() > 1 + 10 * ACCURACY:
         return point, np.inf
     return point, float(shares.caps.max())
+
+
+def _compute_slack(
+    estimate: Estimate, caps: int, rows: int, point: Float[np.ndarray, " 12"]
+) -> Float[np.ndarray, " rows"]:
+    """Return the slack of `caps` caps under the ratio, whose logarithm is the last entry of the
+    point, and of the limits, in logarithms."""
+    shares = estimate.shares(point[:-1])
+    if shares is None:
+        return np.full(rows, MISSED)
+    used = np.concatenate([shares.caps, shares.limits])
+    logarithms = np.log(np.maximum(used, 1e-9))
+    logarithms[:caps] -= point[-1]
+    return -logarithms
+
+
+def _differentiate(
+    function: Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " rows"]],
+    point: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, "rows n"]:
+    """Return the Jacobian of a function by forward differences."""
+    here = function(point)
+    columns = [
+        (function(point + DIFFERENCE * direction) - here) / DIFFERENCE
+        for direction in np.eye(len(point))
+    ]
+    return np.stack(columns, axis=1)
 
 
 def _with_values(scenario: Scenario, logarithms: Float[np.ndarray, " 11"]) -> Scenario:
