@@ -172,7 +172,8 @@ def follow_plan(
         plan.
     """
 
-    def period(carry, ahead):
+    def follow_period(carry, ahead):
+        """Apply a planned input with the tube's feedback; move the robot and the nominal error."""
         state, nominal = carry
         offset, planned = ahead
         now = step + offset
@@ -187,7 +188,7 @@ def follow_plan(
 
     planned = jnp.moveaxis(plan.inputs, 1, 0)
     offsets = jnp.arange(len(planned), dtype=step.dtype)
-    _, deviations = jax.lax.scan(period, (state, state.measured), (offsets, planned))
+    _, deviations = jax.lax.scan(follow_period, (state, state.measured), (offsets, planned))
     return deviations
 
 

@@ -86,6 +86,7 @@ class ImperfectLaps:
         """
 
         def usage(level: float) -> LapUsage:
+            """Return the usage at one level, of a preview the larger of early and late."""
             if name == "preview":
                 early = self.usage(Imperfections(), -int(level))
                 late = self.usage(Imperfections(), int(level))
