@@ -182,7 +182,7 @@ def _solve(A, B, Q_factor, T, objective: Objective) -> tuple[np.ndarray, np.ndar
     no_input = np.zeros((n, m))
 
     def require_decrease(a, b, y) -> Any:
-        """Return the decrease of the cost at one vertex as a matrix inequality, a Schur complement."""
+        """Return the decrease of the cost at one vertex, as a Schur complement."""
         following = a @ S + b @ y
         weighted = Q_factor @ S
         rows = [

@@ -116,11 +116,11 @@ def stressed(robust_design, edge_starts):
     w in W."""
     from jaxtube.simulation import closed_loop
 
-    loops = closed_loop.controllers(robust_design)
+    controllers = closed_loop.controllers(robust_design)
     plant = closed_loop.linear_plant(robust_design)
     starts = edge_starts(robust_design, 512)
     return {
-        name: closed_loop.run_realisations(loops[name], plant, starts, 5)
+        name: closed_loop.run_realisations(controllers[name], plant, starts, 5)
         for name in ("tube_mpc", "plain_mpc")
     }
 
@@ -133,5 +133,7 @@ def paper_laps(paper_design):
     from jaxtube.simulation import closed_loop
 
     starts = np.tile(paper_design.problem.initial_error, (closed_loop.BATCH, 1))
-    loop = closed_loop.controllers(paper_design)["tube_mpc"]
-    return closed_loop.run_realisations(loop, closed_loop.slipping_robot(paper_design), starts, 0)
+    controller = closed_loop.controllers(paper_design)["tube_mpc"]
+    return closed_loop.run_realisations(
+        controller, closed_loop.slipping_robot(paper_design), starts, 0
+    )

@@ -182,13 +182,13 @@ def test_the_guarantee_holds_with_the_terminal_gain_in_the_tube_along_the_refere
     uncertified, edge_starts
 ):
     design = uncertified("paper", *SEQUENCE)
-    loops = closed_loop.controllers(design)
+    controllers = closed_loop.controllers(design)
     plant = closed_loop.linear_plant(design)
     starts = edge_starts(design, 512)
     check_guarantee(
         design,
         *(
-            closed_loop.run_realisations(loops[name], plant, starts, 7)
+            closed_loop.run_realisations(controllers[name], plant, starts, 7)
             for name in ("tube_mpc", "plain_mpc")
         ),
     )
@@ -197,13 +197,13 @@ def test_the_guarantee_holds_with_the_terminal_gain_in_the_tube_along_the_refere
 @pytest.mark.slow
 def test_the_guarantee_holds_in_thousands_of_runs(robust_design, uncertified, edge_starts):
     for design in (robust_design, uncertified("paper", *SEQUENCE)):
-        loops = closed_loop.controllers(design)
+        controllers = closed_loop.controllers(design)
         plant = closed_loop.linear_plant(design)
         starts = edge_starts(design, 2000, edge_share=0.8)
         check_guarantee(
             design,
             *(
-                closed_loop.run_realisations(loops[n], plant, starts, 8)
+                closed_loop.run_realisations(controllers[n], plant, starts, 8)
                 for n in ("tube_mpc", "plain_mpc")
             ),
         )
@@ -216,13 +216,13 @@ def test_the_guarantee_holds_in_thousands_of_runs(robust_design, uncertified, ed
 def disturbed(robust_design, edge_starts):
     """The tube-MPC of `robust` under ten times W; many starts are beyond its feasible set, one is
     not a number."""
-    loops = closed_loop.controllers(robust_design)
+    controllers = closed_loop.controllers(robust_design)
     plant = closed_loop.linear_plant(robust_design)
     plant = dataclasses.replace(plant, disturbance_vertices=10 * plant.disturbance_vertices)
     starts = edge_starts(robust_design, BATCH)
     starts[: BATCH // 4] *= 1.5
     starts[0] = np.nan
-    return closed_loop.run_realisations(loops["tube_mpc"], plant, starts, 9)
+    return closed_loop.run_realisations(controllers["tube_mpc"], plant, starts, 9)
 
 
 def test_without_a_plan_the_status_says_so_and_inputs_stay_finite(disturbed):

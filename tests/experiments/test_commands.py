@@ -285,9 +285,9 @@ def test_the_noise_free_laps_are_the_ones_with_exact_slip(paper_run, certified_p
             np.testing.assert_array_equal(
                 laps[name][0], certified_paper_design.problem.initial_error
             )
-        loop = closed_loop.controllers(certified_paper_design)["tube_mpc"]
+        controller = closed_loop.controllers(certified_paper_design)["tube_mpc"]
         plant = closed_loop.exact_robot(certified_paper_design)
         start = certified_paper_design.problem.initial_error[None]
-        lap = closed_loop.run_realisations(loop, plant, start, 0).errors[:, 0]
+        lap = closed_loop.run_realisations(controller, plant, start, 0).errors[:, 0]
         np.testing.assert_allclose(laps["tube_mpc"], lap, atol=WORLD_FRAME)
         assert np.abs(laps["tube_mpc"][-1]).max() < 0.01 < np.abs(laps["uncompensated"]).max()

@@ -302,15 +302,15 @@ def test_no_attack_within_the_assumptions_breaks_the_guarantee(robust_design):
     """Linear model, w in W, starts over the feasible set: E and U hold, and plans stay in their
     tube."""
     plant = shortened(closed_loop.linear_plant(robust_design), 30)
-    loop = closed_loop.controllers(robust_design)["tube_mpc"]
+    controller = closed_loop.controllers(robust_design)["tube_mpc"]
     starts = falsify_setting.find_feasible_vertices(robust_design, 0)
     limits = falsify_setting.make_lap_limits(robust_design)
     del limits["wheels"]
-    found = search_worst_cases(JudgedLoop(loop, plant, limits), starts, seconds=20)
+    found = search_worst_cases(JudgedLoop(controller, plant, limits), starts, seconds=20)
     # Rows are active: the search works at the edge of what is allowed.
     assert all(0.9 < worst.usage <= 1 + 1e-8 for worst in found.worst.values())
     tube = {"tube": falsify_setting.make_tube_limits(robust_design)}
-    followed = search_worst_cases(JudgedLoop(loop, plant, tube), starts, seconds=20)
+    followed = search_worst_cases(JudgedLoop(controller, plant, tube), starts, seconds=20)
     # Along any facet the first section is reached exactly; a replay by the function that follows
     # plans confirms it.
     assert followed.worst["tube"].usage == pytest.approx(1, abs=FALSIFY_CLOSED_FORM)
@@ -320,10 +320,10 @@ def test_no_attack_within_the_assumptions_breaks_the_guarantee(robust_design):
 @pytest.mark.slow
 def test_a_counterexample_with_active_rows_is_confirmed_by_its_replay(robust_design):
     plant = shortened(closed_loop.slipping_robot(robust_design), 30)
-    loop = closed_loop.controllers(robust_design)["tube_mpc"]
+    controller = closed_loop.controllers(robust_design)["tube_mpc"]
     limits = {"error": falsify_setting.make_lap_limits(robust_design)["error"]}
     starts = falsify_setting.find_feasible_vertices(robust_design, 0)
-    found = search_worst_cases(JudgedLoop(loop, plant, limits), starts, seconds=20)
+    found = search_worst_cases(JudgedLoop(controller, plant, limits), starts, seconds=20)
     worst = found.worst["error"]
     assert worst.usage > 1
     assert found.reach["error"].max() == pytest.approx(worst.usage, rel=1e-6)

@@ -180,12 +180,12 @@ def test_waves_turn_every_half_period_whatever_the_error(half_period, offset, st
 
 
 def test_laps_under_the_adversary_use_more_of_the_error_set_than_drawn_extremes(paper_design):
-    loop = closed_loop.controllers(paper_design)["compensated"]
+    controller = closed_loop.controllers(paper_design)["compensated"]
     starts = np.zeros((64, 3))
     reach = {}
     for process in ("iid", "vertex", "adversarial"):
         trajectory = closed_loop.run_realisations(
-            loop, closed_loop.slipping_robot(paper_design, process), starts, 0
+            controller, closed_loop.slipping_robot(paper_design, process), starts, 0
         )
         reach[process] = np.abs(trajectory.errors).max(axis=(0, 1))
     assert np.all(reach["adversarial"] > 1.2 * reach["vertex"]) and np.all(

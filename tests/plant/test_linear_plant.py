@@ -73,15 +73,15 @@ planned = jax.jit(mpc.plan)
 def deviations(robust_design, stressed):
     """(step, deviations (N, runs, 3) from plans followed to their end, whether there was a plan) at
     some steps."""
-    loop = closed_loop.controllers(robust_design)["tube_mpc"]
+    controller = closed_loop.controllers(robust_design)["tube_mpc"]
     plant = closed_loop.linear_plant(robust_design)
     keys = realisation_keys(11, 0, BATCH)
     found = []
     for step in (0, 1, 40, 113, 114, 115, 116, 230):
         starts = jnp.asarray(stressed["tube_mpc"].errors[step, :BATCH])
-        state = begin(loop, plant, keys, starts)
-        plans = planned(mpc.take_qp(loop.qps, loop.index[step]), starts)
-        deviations = follow_plan(loop, plant, keys, state, jnp.asarray(step), plans)
+        state = begin(controller, plant, keys, starts)
+        plans = planned(mpc.take_qp(controller.qps, controller.index[step]), starts)
+        deviations = follow_plan(controller, plant, keys, state, jnp.asarray(step), plans)
         found.append((step, np.asarray(deviations), np.asarray(plans.status) == qp.SOLVED))
     return found
 
@@ -121,12 +121,12 @@ def test_deviations_from_a_plan_stay_inside_every_tube(robust_design, deviations
 
 def test_plan_deviations_of_a_run_leave_out_what_had_no_plan(robust_design, stressed, monkeypatch):
     monkeypatch.setattr(closed_loop, "PLAN_DISTANCE", 100)
-    loop = closed_loop.controllers(robust_design)["tube_mpc"]
+    controller = closed_loop.controllers(robust_design)["tube_mpc"]
     plant = closed_loop.linear_plant(robust_design)
     trajectory = stressed["tube_mpc"]
     outside = trajectory._replace(errors=trajectory.errors.copy())
     outside.errors[:, :100] = [5.0, 5.0, 0.0]
-    found = closed_loop.plan_deviations(robust_design, loop, plant, outside, seed=11)
+    found = closed_loop.plan_deviations(robust_design, controller, plant, outside, seed=11)
     assert found.shape == (robust_design.problem.horizon, 3 * (BATCH - 100), 3) and np.all(
         np.isfinite(found)
     )
@@ -136,9 +136,9 @@ def test_plan_deviations_of_the_tube_along_the_reference_are_judged_where_its_se
     uncertified, edge_starts
 ):
     design = uncertified("paper", *SEQUENCE)
-    loop = closed_loop.controllers(design)["tube_mpc"]
+    controller = closed_loop.controllers(design)["tube_mpc"]
     plant = closed_loop.linear_plant(design)
-    trajectory = closed_loop.run_realisations(loop, plant, edge_starts(design, BATCH), 12)
-    found = closed_loop.plan_deviations(design, loop, plant, trajectory, seed=12)
+    trajectory = closed_loop.run_realisations(controller, plant, edge_starts(design, BATCH), 12)
+    found = closed_loop.plan_deviations(design, controller, plant, trajectory, seed=12)
     assert found.shape[1] >= 10 * BATCH
     assert design.tube.margins(found).min() >= INSIDE_TUBE

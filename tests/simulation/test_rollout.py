@@ -21,7 +21,7 @@ STEPS = 300
 
 
 @pytest.fixture(scope="module")
-def paper_loops(paper_design):
+def paper_controllers(paper_design):
     return closed_loop.controllers(paper_design)
 
 
@@ -31,10 +31,10 @@ def paper_plant(paper_design):
 
 
 @pytest.fixture(scope="module")
-def tracked(paper_design, paper_loops, paper_plant):
+def tracked(paper_design, paper_controllers, paper_plant):
     """256 laps of the linear law with slip compensation: the controller that compiles fastest."""
     starts = np.tile(paper_design.problem.initial_error, (BATCH, 1))
-    return closed_loop.run_realisations(paper_loops["compensated"], paper_plant, starts, 0)
+    return closed_loop.run_realisations(paper_controllers["compensated"], paper_plant, starts, 0)
 
 
 # --------------------------------------------------------------------------------- world-frame laps
@@ -112,13 +112,13 @@ def world_frame_lap(controllers, cosine_free=False):
     return np.array(errors)
 
 
-def test_noise_free_laps_are_those_of_a_world_frame_simulation(paper_design, paper_loops):
+def test_noise_free_laps_are_those_of_a_world_frame_simulation(paper_design, paper_controllers):
     plant = closed_loop.exact_robot(paper_design)
     start = paper_design.problem.initial_error[None]
     controllers = plain_controllers(paper_design)
     expected = world_frame_lap(controllers.values())
     for number, name in enumerate(controllers):
-        errors = closed_loop.run_realisations(paper_loops[name], plant, start, 0).errors[:, 0]
+        errors = closed_loop.run_realisations(paper_controllers[name], plant, start, 0).errors[:, 0]
         np.testing.assert_allclose(errors, expected[:, :, number], atol=WORLD_FRAME, err_msg=name)
 
 
@@ -134,11 +134,11 @@ def test_a_cosine_free_lap_with_the_exact_model_is_that_of_a_world_frame_simulat
     design = uncertified("robust", *(f"controller.{setting}" for setting in settings))
     plain = plain_controllers(design)["tube_mpc"]
     expected = world_frame_lap([plain], cosine_free=True)[:, :, 0]
-    loop = closed_loop.controllers(design)["tube_mpc"]
+    controller = closed_loop.controllers(design)["tube_mpc"]
     start = design.problem.initial_error[None]
-    errors = closed_loop.run_realisations(loop, closed_loop.exact_robot(design), start, 0).errors[
-        :, 0
-    ]
+    errors = closed_loop.run_realisations(
+        controller, closed_loop.exact_robot(design), start, 0
+    ).errors[:, 0]
     np.testing.assert_allclose(errors, expected, atol=WORLD_FRAME)
 
 
@@ -160,11 +160,13 @@ def test_a_trajectory_has_time_first_then_realisations_and_starts_at_the_start(
 def test_a_realisation_does_not_depend_on_its_companions(robust_design, stressed, edge_starts):
     """The same keys and starts in reverse order: other neighbours in every block that the solver
     gathers."""
-    loop = closed_loop.controllers(robust_design)["tube_mpc"]
+    controller = closed_loop.controllers(robust_design)["tube_mpc"]
     plant = closed_loop.linear_plant(robust_design)
     order = np.random.default_rng(1).permutation(BATCH)
     starts = edge_starts(robust_design, 512)[:BATCH]
-    mixed = rollout(loop, plant, realisation_keys(5, 0, BATCH)[order], jnp.asarray(starts[order]))
+    mixed = rollout(
+        controller, plant, realisation_keys(5, 0, BATCH)[order], jnp.asarray(starts[order])
+    )
     np.testing.assert_allclose(
         mixed.errors, stressed["tube_mpc"].errors[:, order], atol=CLOSED_LOOP
     )
@@ -180,26 +182,26 @@ def check_alone(loop, plant, trajectory, seed, run):
     np.testing.assert_allclose(alone.errors[:, 0], trajectory.errors[:, run], atol=CLOSED_LOOP)
 
 
-def test_a_realisation_alone_is_the_one_in_the_batch(paper_loops, paper_plant, tracked):
-    check_alone(paper_loops["compensated"], paper_plant, tracked, 0, 37)
+def test_a_realisation_alone_is_the_one_in_the_batch(paper_controllers, paper_plant, tracked):
+    check_alone(paper_controllers["compensated"], paper_plant, tracked, 0, 37)
 
 
 @pytest.mark.slow
 def test_a_realisation_of_the_mpc_alone_is_the_one_in_the_batch(robust_design, stressed):
-    loop = closed_loop.controllers(robust_design)["tube_mpc"]
+    controller = closed_loop.controllers(robust_design)["tube_mpc"]
     plant = closed_loop.linear_plant(robust_design)
     busiest = int(stressed["tube_mpc"].diagnostics.active.sum(axis=0).argmax())
-    check_alone(loop, plant, stressed["tube_mpc"], 5, busiest)
+    check_alone(controller, plant, stressed["tube_mpc"], 5, busiest)
 
 
 def test_longer_runs_begin_with_the_shorter_ones_and_go_on_by_index(
-    paper_loops, paper_plant, tracked
+    paper_controllers, paper_plant, tracked
 ):
     starts = np.tile(tracked.errors[0, 0], (BATCH + 5, 1))
-    longer = closed_loop.run_realisations(paper_loops["compensated"], paper_plant, starts, 0)
+    longer = closed_loop.run_realisations(paper_controllers["compensated"], paper_plant, starts, 0)
     np.testing.assert_array_equal(longer.errors[:, :BATCH], tracked.errors)
     direct = rollout(
-        paper_loops["compensated"],
+        paper_controllers["compensated"],
         paper_plant,
         realisation_keys(0, 5, BATCH),
         jnp.asarray(starts[5:]),
@@ -209,10 +211,10 @@ def test_longer_runs_begin_with_the_shorter_ones_and_go_on_by_index(
     assert len(np.unique(finals)) == BATCH + 5
 
 
-def test_seeds_reproduce_and_differ(paper_loops, paper_plant, tracked):
+def test_seeds_reproduce_and_differ(paper_controllers, paper_plant, tracked):
     starts = tracked.errors[0]
-    again = closed_loop.run_realisations(paper_loops["compensated"], paper_plant, starts, 0)
-    other = closed_loop.run_realisations(paper_loops["compensated"], paper_plant, starts, 1)
+    again = closed_loop.run_realisations(paper_controllers["compensated"], paper_plant, starts, 0)
+    other = closed_loop.run_realisations(paper_controllers["compensated"], paper_plant, starts, 1)
     np.testing.assert_array_equal(again.errors, tracked.errors)
     assert np.all(np.any(other.errors[1:] != tracked.errors[1:], axis=(0, 2)))
 
@@ -228,10 +230,10 @@ def test_keys_follow_the_index_beyond_32_bits():
     assert len(np.unique(np.concatenate([across, low]), axis=0)) == 8
 
 
-def test_progress_counts_every_run(paper_loops, paper_plant, tracked):
+def test_progress_counts_every_run(paper_controllers, paper_plant, tracked):
     counts = []
     closed_loop.run_realisations(
-        paper_loops["compensated"],
+        paper_controllers["compensated"],
         paper_plant,
         np.tile(tracked.errors[0, 0], (BATCH + 5, 1)),
         0,
@@ -265,12 +267,12 @@ def test_the_true_slip_stays_within_its_bounds_of_the_measured_one(paper_design,
     ("uncertain_slip", "least", "most"), [("true", 0.2, 0.2), ("measured", 0.18, 0.22)]
 )
 def test_wheels_are_commanded_with_the_measured_slip(
-    paper_design, paper_loops, paper_plant, tracked, uncertain_slip, least, most
+    paper_design, paper_controllers, paper_plant, tracked, uncertain_slip, least, most
 ):
     """Eqs. (7)-(8) solved for the slip that the controller divides by."""
     plant = dataclasses.replace(paper_plant, uncertain_slip=uncertain_slip)
     trajectory = closed_loop.run_realisations(
-        paper_loops["compensated"], plant, tracked.errors[0], 0
+        paper_controllers["compensated"], plant, tracked.errors[0], 0
     )
     deficits = trajectory.inputs @ np.array([[1, 1], [TRACK_WIDTH / 2, -TRACK_WIDTH / 2]])
     slips = 1 - (paper_design.problem.schedule[:STEPS, None] - deficits) / trajectory.demanded
@@ -279,10 +281,10 @@ def test_wheels_are_commanded_with_the_measured_slip(
 
 
 def test_without_compensation_wheels_ignore_the_slip(
-    paper_design, paper_loops, paper_plant, tracked
+    paper_design, paper_controllers, paper_plant, tracked
 ):
     trajectory = closed_loop.run_realisations(
-        paper_loops["uncompensated"], paper_plant, tracked.errors[0], 0
+        paper_controllers["uncompensated"], paper_plant, tracked.errors[0], 0
     )
     deficits = trajectory.inputs @ np.array([[1, 1], [TRACK_WIDTH / 2, -TRACK_WIDTH / 2]])
     expected = paper_design.problem.schedule[:STEPS, None] - deficits
@@ -290,12 +292,12 @@ def test_without_compensation_wheels_ignore_the_slip(
 
 
 def test_wheels_saturate_and_the_robot_moves_as_they_do(
-    paper_design, paper_loops, paper_plant, tracked
+    paper_design, paper_controllers, paper_plant, tracked
 ):
     slow = dataclasses.replace(paper_plant.robot, wheel_speed_max=1.7, wheel_speed_min=1.5)
     plant = dataclasses.replace(paper_plant, robot=slow, relative_error=0.0)
     trajectory = closed_loop.run_realisations(
-        paper_loops["compensated"], plant, tracked.errors[0], 0
+        paper_controllers["compensated"], plant, tracked.errors[0], 0
     )
     np.testing.assert_array_equal(trajectory.wheels, np.clip(trajectory.demanded, 1.5, 1.7))
     assert np.mean(trajectory.demanded > 1.7) > 0.1
@@ -304,18 +306,20 @@ def test_wheels_saturate_and_the_robot_moves_as_they_do(
     np.testing.assert_allclose(moved, (right - left) / TRACK_WIDTH, atol=1e2 * ROUNDING)
 
 
-def test_controllers_see_the_error_with_noise_within_its_bounds(paper_loops, paper_plant, tracked):
+def test_controllers_see_the_error_with_noise_within_its_bounds(
+    paper_controllers, paper_plant, tracked
+):
     bounds = np.array([0.01, 0.02, 0.03])
     noisy = dataclasses.replace(paper_plant, noise=jnp.asarray(bounds))
     trajectory = closed_loop.run_realisations(
-        paper_loops["local_gain"], noisy, tracked.errors[0], 0
+        paper_controllers["local_gain"], noisy, tracked.errors[0], 0
     )
     noise = (trajectory.measured - trajectory.errors) / bounds
     assert np.abs(noise).max() <= 1 and np.all(np.abs(noise).max(axis=(0, 1)) > 0.99)
     assert np.all(np.abs(noise.mean(axis=(0, 1))) < 0.01) and np.all(
         noise.reshape(-1, 3).std(axis=0) > 0.57
     )
-    gains = np.asarray(paper_loops["local_gain"].gains)
+    gains = np.asarray(paper_controllers["local_gain"].gains)
     np.testing.assert_allclose(
         trajectory.inputs,
         np.einsum("kij,kbj->kbi", gains, trajectory.measured[:-1]),

@@ -216,16 +216,20 @@ def test_gains_of_a_window_are_those_of_its_first_schedule(condensed):
 
 
 def test_the_static_laws_are_the_tubes_gain_and_the_mpc_without_constraints(robust_design):
-    loops = closed_loop.controllers(robust_design)
+    controllers = closed_loop.controllers(robust_design)
     plain = PlainMpc(robust_design)
     for step in (0, 112, 115, 299):
         wheels = robust_design.problem.schedule[step]
         qp = plain.qp(step)
         first_inputs = -np.linalg.solve(qp.hessian, qp.linear)[:2]
         np.testing.assert_allclose(
-            loops["local_gain"].gains[step], tube_gain(robust_design, wheels), atol=CLOSED_LOOP
+            controllers["local_gain"].gains[step],
+            tube_gain(robust_design, wheels),
+            atol=CLOSED_LOOP,
         )
-        np.testing.assert_allclose(loops["equal_gain"].gains[step], first_inputs, atol=CLOSED_LOOP)
+        np.testing.assert_allclose(
+            controllers["equal_gain"].gains[step], first_inputs, atol=CLOSED_LOOP
+        )
 
 
 def test_the_free_plan_is_the_optimum_without_constraints(condensed):
