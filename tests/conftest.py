@@ -114,13 +114,13 @@ def edge_starts():
 def stressed(robust_design, edge_starts):
     """Tube-MPC and MPC without tube from the same 512 starts, on the linear plant of `robust` with
     w in W."""
-    from jaxtube.simulation import closed_loop
+    from jaxtube.simulation import batches, components
 
-    controllers = closed_loop.controllers(robust_design)
-    plant = closed_loop.linear_plant(robust_design)
+    controllers = components.controllers(robust_design)
+    plant = components.linear_plant(robust_design)
     starts = edge_starts(robust_design, 512)
     return {
-        name: closed_loop.run_realisations(controllers[name], plant, starts, 5)
+        name: batches.run_realisations(controllers[name], plant, starts, 5)
         for name in ("tube_mpc", "plain_mpc")
     }
 
@@ -130,10 +130,8 @@ def paper_laps(paper_design):
     """256 laps of the paper's tube-MPC on the slipping robot."""
     import numpy as np
 
-    from jaxtube.simulation import closed_loop
+    from jaxtube.simulation import batches, components
 
-    starts = np.tile(paper_design.problem.initial_error, (closed_loop.BATCH, 1))
-    controller = closed_loop.controllers(paper_design)["tube_mpc"]
-    return closed_loop.run_realisations(
-        controller, closed_loop.slipping_robot(paper_design), starts, 0
-    )
+    starts = np.tile(paper_design.problem.initial_error, (batches.BATCH, 1))
+    controller = components.controllers(paper_design)["tube_mpc"]
+    return batches.run_realisations(controller, components.slipping_robot(paper_design), starts, 0)

@@ -17,7 +17,7 @@ from tolerances import COUNTED
 from jaxtube import qp
 from jaxtube.control import mpc
 from jaxtube.coordinates import PLANES
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches
 from jaxtube.simulation.rollout import LoopState, Trajectory, follow_plan
 from jaxtube.statistics.events import EVENT_NAMES, find_row
 from jaxtube.statistics.histogram import BUCKETS, EDGES
@@ -111,7 +111,7 @@ def recount(case, laps: Trajectory, first: int) -> dict:
     checks = case.task.checks
     sets = case.sets
     steps, count = laps.inputs.shape[:2]
-    w = closed_loop.model_disturbances(case.design, laps)
+    w = batches.model_disturbances(case.design, laps)
     e = laps.errors[1:]
     flags = flags_of(case, laps, w)
     late = e[checks.settled - 1 :]

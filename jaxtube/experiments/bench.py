@@ -22,7 +22,7 @@ from jaxtube.experiments.run.cluster import Cluster, import_distributed
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.plant.reference import settled_step
 from jaxtube.scenario.tree import Scenario
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import components
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import BLOCK, Run
@@ -146,7 +146,7 @@ def make_objective(found: Design) -> Callable:
     parameters = make_parameters(problem)
     constants = make_evaluation_constants(found)
     assert constants is not None, "the tube of a design is bounded"
-    plant = closed_loop.slipping_robot(found)
+    plant = components.slipping_robot(found)
     aim = make_aim(problem.scenario, settled_step(problem.reference))
 
     def value(vector, starts):

@@ -18,7 +18,7 @@ from jaxtube.control.protocol import Controller
 from jaxtube.falsification.worst import Worst
 from jaxtube.plant.protocol import Plant, SearchablePlant
 from jaxtube.scenario.refusal import ScenarioError
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import components
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.simulation.simulate import (
     ControllerChoice,
@@ -199,7 +199,7 @@ def choose_planner(
         return planner_of(acting_controller)
     if controller != "tube_mpc":
         return None
-    return dataclasses.replace(closed_loop.make_tube_mpc(design), restart=True)
+    return dataclasses.replace(components.make_tube_mpc(design), restart=True)
 
 
 def choose_start_vertices(design: Design, starts: str, seed: int) -> Float[np.ndarray, "k 3"]:

@@ -18,7 +18,7 @@ from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip import SlipProcess
 from jaxtube.precision import in_64_bits
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.simulation.dataset import make_dataset
 from jaxtube.simulation.rollout import (
     Trajectory,
@@ -166,15 +166,15 @@ def simulate(
             raise ValueError(
                 f"starts: shape {errors.shape} is not (laps, 3); give one initial error a lap"
             )
-    trajectory = closed_loop.run_realisations(acting_controller, acting_plant, errors, seed)
+    trajectory = batches.run_realisations(acting_controller, acting_plant, errors, seed)
     return Laps(design, name_choice(controller), name_choice(plant), seed, trajectory)
 
 
 def choose_controller(design: Design, controller: ControllerChoice) -> Controller:
     """Return the controller of a name, or what a closed loop can run of a user's own."""
     if not isinstance(controller, str):
-        return adapt_controller(controller, closed_loop.make_wheel_map(design.problem))
-    named = closed_loop.controllers(design)
+        return adapt_controller(controller, components.make_wheel_map(design.problem))
+    named = components.controllers(design)
     if controller not in named:
         raise ValueError(f"controller = {controller!r}: is unknown; choose one of {list(named)}")
     return named[controller]
@@ -185,13 +185,13 @@ def choose_plant(design: Design, plant: PlantChoice, slip: SlipChoice = None) ->
     if not isinstance(plant, str):
         return plant
     if plant == "robot":
-        return closed_loop.slipping_robot(design, slip)
+        return components.slipping_robot(design, slip)
     if slip is not None:
         raise ValueError(f'slip = {slip!r}: plant = {plant!r} draws no slips; choose "robot"')
     if plant == "exact":
-        return closed_loop.exact_robot(design)
+        return components.exact_robot(design)
     if plant == "linear":
-        return closed_loop.linear_plant(design)
+        return components.linear_plant(design)
     raise ValueError(f'plant = {plant!r}: is unknown; choose "robot", "exact" or "linear"')
 
 

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Key
 
 from jaxtube.control.laws import TubeMpc
 from jaxtube.plant.slipping import SlippingRobot
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
 from jaxtube.statistics.checks import Facets, judge_points
 from jaxtube.statistics.run import Task
@@ -64,7 +64,7 @@ def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
         np.asarray, rollout(task.controller, task.plant, keys, task.starts.draw(keys))
     )
     trajectory = jax.tree.map(lambda array: array[:, 0], batch)
-    disturbance = closed_loop.model_disturbances(design, batch)[:, 0]
+    disturbance = batches.model_disturbances(design, batch)[:, 0]
     slips = None
     if isinstance(task.plant, SlippingRobot):
         slips = np.asarray(slip_deviations(task.plant, keys, jnp.asarray(batch.errors)))[:, 0]

@@ -22,7 +22,7 @@ from jaxtube.plant.reference import settled_step
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import components
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.synthesis.design import finish, prepare, refuse_infeasible_start
 from jaxtube.synthesis.disturbance import complete_problem
@@ -241,7 +241,7 @@ def make_tuner(
     except ValueError as error:
         raise ScenarioError(f"scenario: {error}") from None
     aim = make_aim(scenario, settled_step(problem.reference))
-    plant = closed_loop.robot_of(problem)
+    plant = components.robot_of(problem)
     tuner = Tuner(problem, plant, parameters, aim, laps, held_out, seed)
     start = tuner.candidate(parameters.vector)
     if start.constants is None:
@@ -272,7 +272,7 @@ def make_evaluation_constants(prepared: Design) -> EvaluationConstants | None:
     return EvaluationConstants(
         design=jax.tree.map(jnp.asarray, design_constants),
         active=active,
-        wheel_map=closed_loop.make_wheel_map(problem),
+        wheel_map=components.make_wheel_map(problem),
         restart=problem.scenario.controller.restart,
     )
 

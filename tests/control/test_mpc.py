@@ -14,7 +14,7 @@ from tolerances import EXACT_SOLVER, KKT, LINEAR_PROGRAM, ROUNDING, SINGLE_KKT, 
 from jaxtube import qp
 from jaxtube.control import mpc
 from jaxtube.scenario import load
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.synthesis.design import design as make_design
 
 BATCH = 256
@@ -182,13 +182,13 @@ def test_the_guarantee_holds_with_the_terminal_gain_in_the_tube_along_the_refere
     uncertified, edge_starts
 ):
     design = uncertified("paper", *SEQUENCE)
-    controllers = closed_loop.controllers(design)
-    plant = closed_loop.linear_plant(design)
+    controllers = components.controllers(design)
+    plant = components.linear_plant(design)
     starts = edge_starts(design, 512)
     check_guarantee(
         design,
         *(
-            closed_loop.run_realisations(controllers[name], plant, starts, 7)
+            batches.run_realisations(controllers[name], plant, starts, 7)
             for name in ("tube_mpc", "plain_mpc")
         ),
     )
@@ -197,13 +197,13 @@ def test_the_guarantee_holds_with_the_terminal_gain_in_the_tube_along_the_refere
 @pytest.mark.slow
 def test_the_guarantee_holds_in_thousands_of_runs(robust_design, uncertified, edge_starts):
     for design in (robust_design, uncertified("paper", *SEQUENCE)):
-        controllers = closed_loop.controllers(design)
-        plant = closed_loop.linear_plant(design)
+        controllers = components.controllers(design)
+        plant = components.linear_plant(design)
         starts = edge_starts(design, 2000, edge_share=0.8)
         check_guarantee(
             design,
             *(
-                closed_loop.run_realisations(controllers[n], plant, starts, 8)
+                batches.run_realisations(controllers[n], plant, starts, 8)
                 for n in ("tube_mpc", "plain_mpc")
             ),
         )
@@ -216,13 +216,13 @@ def test_the_guarantee_holds_in_thousands_of_runs(robust_design, uncertified, ed
 def disturbed(robust_design, edge_starts):
     """The tube-MPC of `robust` under ten times W; many starts are beyond its feasible set, one is
     not a number."""
-    controllers = closed_loop.controllers(robust_design)
-    plant = closed_loop.linear_plant(robust_design)
+    controllers = components.controllers(robust_design)
+    plant = components.linear_plant(robust_design)
     plant = dataclasses.replace(plant, disturbance_vertices=10 * plant.disturbance_vertices)
     starts = edge_starts(robust_design, BATCH)
     starts[: BATCH // 4] *= 1.5
     starts[0] = np.nan
-    return closed_loop.run_realisations(controllers["tube_mpc"], plant, starts, 9)
+    return batches.run_realisations(controllers["tube_mpc"], plant, starts, 9)
 
 
 def test_without_a_plan_the_status_says_so_and_inputs_stay_finite(disturbed):
@@ -279,11 +279,11 @@ def test_without_restart_the_nominal_trajectory_knows_nothing_of_disturbances(pa
     """Eqs. (12)-(15), (31): u = g_0 + K(th) (e - e_nominal), and g_0 is a function of e_nominal
     alone."""
     controller = dataclasses.replace(
-        closed_loop.controllers(paper_design)["tube_mpc"], restart=False
+        components.controllers(paper_design)["tube_mpc"], restart=False
     )
     starts = np.tile(paper_design.problem.initial_error, (BATCH, 1))
-    trajectory = closed_loop.run_realisations(
-        controller, closed_loop.slipping_robot(paper_design), starts, 10
+    trajectory = batches.run_realisations(
+        controller, components.slipping_robot(paper_design), starts, 10
     )
     problem = paper_design.problem
     plain = PlainMpc(paper_design)

@@ -18,7 +18,7 @@ from jaxtube.experiments.beyond.search import HALVINGS, IMPERFECTIONS, most_trie
 from jaxtube.experiments.cli import main, parse
 from jaxtube.experiments.options import BeyondOptions
 from jaxtube.plant.imperfect import Imperfections
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
 
 COUNT = len(beyond_laps.PROCESSES)
@@ -109,7 +109,7 @@ def test_the_usage_of_laps_is_that_of_their_worst_period(paper_design):
     error, disturbance, wheels, without_plan = lap_usage(paper_design, laps)
     limits = problem.error_set.offsets[:3]
     np.testing.assert_allclose(error, np.abs(errors).max(axis=(0, 1)) / limits)
-    w = closed_loop.model_disturbances(paper_design, laps).reshape(-1, 3)
+    w = batches.model_disturbances(paper_design, laps).reshape(-1, 3)
     W = problem.disturbance_set
     for share, is_inside in ((disturbance * 1.001, True), (disturbance * 0.999, False)):
         assert np.all(W.normals @ w.T <= share * W.offsets[:, None]) == is_inside
@@ -124,8 +124,8 @@ def test_laps_of_the_ideal_robot_are_those_known_and_imperfection_uses_more(
     monkeypatch.setattr(beyond_laps, "PROCESSES", ("iid",))
     laps = ImperfectLaps(paper_design, 16, 0)
     starts = np.tile(paper_design.problem.initial_error, (16, 1))
-    plant = closed_loop.slipping_robot(paper_design, "iid")
-    known = closed_loop.run_realisations(laps.controller, plant, starts, 0)
+    plant = components.slipping_robot(paper_design, "iid")
+    known = batches.run_realisations(laps.controller, plant, starts, 0)
     found = laps.usage(Imperfections())
     expected = lap_usage(paper_design, known)
     for by_process, other in zip(found, expected, strict=True):

@@ -11,7 +11,7 @@ from tolerances import CLOSED_LOOP, WORLD_FRAME
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.scenario import replace
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.synthesis.design import design as compute
 from jaxtube.synthesis.problem import make_problem
 from sets.certificate import Certificate, Condition
@@ -159,7 +159,7 @@ def test_the_design_command_writes_what_was_designed(
     found = metrics_of(tmp_path)
     check_design_metrics(found, robust_design)
     steps = robust_design.problem.reference.steps
-    assert found["disturbance"]["steps"] == closed_loop.BATCH * steps
+    assert found["disturbance"]["steps"] == batches.BATCH * steps
     assert {path.name for path in tmp_path.iterdir()} == {
         "metrics.json",
         "manifest.json",
@@ -285,9 +285,9 @@ def test_the_noise_free_laps_are_the_ones_with_exact_slip(paper_run, certified_p
             np.testing.assert_array_equal(
                 laps[name][0], certified_paper_design.problem.initial_error
             )
-        controller = closed_loop.controllers(certified_paper_design)["tube_mpc"]
-        plant = closed_loop.exact_robot(certified_paper_design)
+        controller = components.controllers(certified_paper_design)["tube_mpc"]
+        plant = components.exact_robot(certified_paper_design)
         start = certified_paper_design.problem.initial_error[None]
-        lap = closed_loop.run_realisations(controller, plant, start, 0).errors[:, 0]
+        lap = batches.run_realisations(controller, plant, start, 0).errors[:, 0]
         np.testing.assert_allclose(laps["tube_mpc"], lap, atol=WORLD_FRAME)
         assert np.abs(laps["tube_mpc"][-1]).max() < 0.01 < np.abs(laps["uncompensated"]).max()

@@ -13,7 +13,7 @@ from jaxtube.control.mpc import Diagnostics
 from jaxtube.coordinates import KEYS
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.run import metrics
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches
 from jaxtube.simulation.rollout import Trajectory
 from sets.certificate import Certificate, Condition
 from sets.tubes import sequence_tube
@@ -134,7 +134,7 @@ def test_a_run_shorter_than_the_transient_is_judged_by_where_it_ends(paper_desig
 def test_residuals_are_what_the_model_does_not_predict(paper_design):
     trajectory = made_up()
     problem = paper_design.problem
-    disturbances = closed_loop.model_disturbances(paper_design, trajectory)
+    disturbances = batches.model_disturbances(paper_design, trajectory)
     for step in (0, 57, 114, 299):
         A, B = model(problem, problem.schedule[step])
         for run in (0, 7):

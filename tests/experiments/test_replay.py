@@ -13,7 +13,7 @@ from jaxtube import qp
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.montecarlo import lap_figure, replay
 from jaxtube.figures.style import OUTSIDE
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import components
 from jaxtube.statistics import lap as laps
 from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import Run
@@ -160,7 +160,7 @@ def test_a_lap_is_drawn_with_its_errors_its_disturbances_and_their_limits(design
 
 
 def test_a_lap_of_the_linear_plant_shows_its_inputs(design, task):
-    linear = dataclasses.replace(task, plant=closed_loop.linear_plant(design))
+    linear = dataclasses.replace(task, plant=components.linear_plant(design))
     lap = laps.lap(design, linear, SEED, 0)
     assert np.all(np.isnan(lap.trajectory.wheels))
     assert not lap.of_disturbance_set.outside.any()

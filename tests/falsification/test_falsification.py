@@ -22,7 +22,7 @@ from jaxtube.falsification.ascent import (
 from jaxtube.falsification.sample import sample
 from jaxtube.falsification.search import search_worst_cases
 from jaxtube.falsification.worst import confirm
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import components
 from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.simulation.usage import JudgedLoop, compute_usages, make_limit, play, replay
 from sets.polytope import Polytope
@@ -44,12 +44,12 @@ def shortened(plant, steps):
 
 @pytest.fixture(scope="module")
 def gain(paper_design):
-    return closed_loop.controllers(paper_design)["local_gain"]
+    return components.controllers(paper_design)["local_gain"]
 
 
 @pytest.fixture(scope="module")
 def robot(paper_design):
-    return shortened(closed_loop.slipping_robot(paper_design), SHORT)
+    return shortened(components.slipping_robot(paper_design), SHORT)
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_on_the_linear_plant_every_closed_form_worst_case_is_reached(
         else start
     )
     steps = 20
-    plant = shortened(closed_loop.linear_plant(paper_design), steps)
+    plant = shortened(components.linear_plant(paper_design), steps)
     found = search_worst_cases(JudgedLoop(gain, plant, error_limit), starts, seconds=20, batch=120)
     expected = closed_form(paper_design, starts, steps)
     # 120 instances aim at 120 facets and steps, one each.
@@ -117,7 +117,7 @@ def test_disturbances_in_a_general_polytope_are_searched_by_its_vertices(
     paper_design, gain, error_limit, start
 ):
     W = np.array([[0.01, 0, 0], [-0.002, 0.01, 0], [-0.002, -0.004, 0.02], [0, -0.003, -0.01]])
-    plant = shortened(closed_loop.linear_plant(paper_design), 20)
+    plant = shortened(components.linear_plant(paper_design), 20)
     plant = dataclasses.replace(plant, disturbance_vertices=jnp.asarray(W))
     found = search_worst_cases(JudgedLoop(gain, plant, error_limit), start, seconds=20, batch=120)
     problem = dataclasses.replace(paper_design.problem, disturbance_set=Polytope.from_vertices(W))
@@ -301,8 +301,8 @@ def test_the_gradient_of_the_usage_is_that_of_finite_differences(gain, robot, er
 def test_no_attack_within_the_assumptions_breaks_the_guarantee(robust_design):
     """Linear model, w in W, starts over the feasible set: E and U hold, and plans stay in their
     tube."""
-    plant = shortened(closed_loop.linear_plant(robust_design), 30)
-    controller = closed_loop.controllers(robust_design)["tube_mpc"]
+    plant = shortened(components.linear_plant(robust_design), 30)
+    controller = components.controllers(robust_design)["tube_mpc"]
     starts = falsify_setting.find_feasible_vertices(robust_design, 0)
     limits = falsify_setting.make_lap_limits(robust_design)
     del limits["wheels"]
@@ -319,8 +319,8 @@ def test_no_attack_within_the_assumptions_breaks_the_guarantee(robust_design):
 
 @pytest.mark.slow
 def test_a_counterexample_with_active_rows_is_confirmed_by_its_replay(robust_design):
-    plant = shortened(closed_loop.slipping_robot(robust_design), 30)
-    controller = closed_loop.controllers(robust_design)["tube_mpc"]
+    plant = shortened(components.slipping_robot(robust_design), 30)
+    controller = components.controllers(robust_design)["tube_mpc"]
     limits = {"error": falsify_setting.make_lap_limits(robust_design)["error"]}
     starts = falsify_setting.find_feasible_vertices(robust_design, 0)
     found = search_worst_cases(JudgedLoop(controller, plant, limits), starts, seconds=20)
@@ -340,7 +340,7 @@ def test_what_cannot_be_searched_is_refused(paper_design, gain, robot, error_lim
         both = error_limit | {"tube": error_limit["error"]}
         search_worst_cases(JudgedLoop(gain, robot, both), start)
     with pytest.raises(ValueError, match="wheels"):
-        linear = closed_loop.linear_plant(paper_design)
+        linear = components.linear_plant(paper_design)
         wheels = {"wheels": error_limit["error"]}
         search_worst_cases(JudgedLoop(gain, linear, wheels), start)
     with pytest.raises(ValueError, match="centre"):

@@ -18,7 +18,7 @@ from jaxtube.control.protocol import Feedback
 from jaxtube.falsification.falsify import search_setting
 from jaxtube.falsification.setting import find_plan_steps, make_loop_limits, make_setting
 from jaxtube.falsification.worst import Worst
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import components
 from jaxtube.simulation.usage import Replay
 
 
@@ -33,7 +33,7 @@ class Damped:
 
     def __init__(self, design):
         gain = jnp.asarray(design.lqr_gain)
-        wheel_map = closed_loop.make_wheel_map(design.problem)
+        wheel_map = components.make_wheel_map(design.problem)
         self.feedback = Feedback(lambda errors, wheels: errors @ gain.T, wheel_map)
 
     def initial(self, errors):

@@ -17,7 +17,7 @@ from jaxtube.plant.protocol import Measurement
 from jaxtube.plant.robot import Robot
 from jaxtube.plant.slip_processes import PROCESSES
 from jaxtube.plant.slipping import SlippingRobot
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import realisation_keys
 
 STATES = 1000
@@ -180,12 +180,12 @@ def test_waves_turn_every_half_period_whatever_the_error(half_period, offset, st
 
 
 def test_laps_under_the_adversary_use_more_of_the_error_set_than_drawn_extremes(paper_design):
-    controller = closed_loop.controllers(paper_design)["compensated"]
+    controller = components.controllers(paper_design)["compensated"]
     starts = np.zeros((64, 3))
     reach = {}
     for process in ("iid", "vertex", "adversarial"):
-        trajectory = closed_loop.run_realisations(
-            controller, closed_loop.slipping_robot(paper_design, process), starts, 0
+        trajectory = batches.run_realisations(
+            controller, components.slipping_robot(paper_design, process), starts, 0
         )
         reach[process] = np.abs(trajectory.errors).max(axis=(0, 1))
     assert np.all(reach["adversarial"] > 1.2 * reach["vertex"]) and np.all(

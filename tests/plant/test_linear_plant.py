@@ -10,14 +10,14 @@ from tolerances import CLOSED_LOOP, INSIDE_TUBE
 
 from jaxtube import qp
 from jaxtube.control import mpc
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import begin, follow_plan, realisation_keys
 from sets.tubes import sequence_tube
 
 AT_A_VERTEX = 1e-8
 """Relative; a disturbance of 3 mm rebuilt from errors of order one."""
 
-BATCH = closed_loop.BATCH
+BATCH = batches.BATCH
 STEPS = 300
 
 
@@ -38,14 +38,14 @@ def disturbances(robust_design, stressed):
 
 
 def test_disturbances_of_the_linear_plant_are_those_drawn(robust_design, stressed, disturbances):
-    plant = closed_loop.linear_plant(robust_design)
+    plant = components.linear_plant(robust_design)
     keys = realisation_keys(5, 0, BATCH)
     drawn = jax.jit(
         jax.vmap(lambda step: jax.vmap(lambda key: plant.disturbance(key, step))(keys))
     )(jnp.arange(STEPS))
     np.testing.assert_allclose(disturbances[:, :BATCH], drawn, atol=CLOSED_LOOP)
     np.testing.assert_allclose(
-        closed_loop.model_disturbances(robust_design, stressed["tube_mpc"]),
+        batches.model_disturbances(robust_design, stressed["tube_mpc"]),
         disturbances,
         atol=CLOSED_LOOP,
     )
@@ -73,8 +73,8 @@ planned = jax.jit(mpc.plan)
 def deviations(robust_design, stressed):
     """(step, deviations (N, runs, 3) from plans followed to their end, whether there was a plan) at
     some steps."""
-    controller = closed_loop.controllers(robust_design)["tube_mpc"]
-    plant = closed_loop.linear_plant(robust_design)
+    controller = components.controllers(robust_design)["tube_mpc"]
+    plant = components.linear_plant(robust_design)
     keys = realisation_keys(11, 0, BATCH)
     found = []
     for step in (0, 1, 40, 113, 114, 115, 116, 230):
@@ -88,7 +88,7 @@ def deviations(robust_design, stressed):
 
 def test_deviations_from_a_plan_obey_the_tubes_recursion(robust_design, deviations):
     """Whatever the plan was, only disturbances move it: deviation+ = (A + B K) deviation + w."""
-    plant = closed_loop.linear_plant(robust_design)
+    plant = components.linear_plant(robust_design)
     keys = realisation_keys(11, 0, BATCH)
     windows = robust_design.windows
     draw = jax.jit(jax.vmap(plant.disturbance, (0, None)))
@@ -120,13 +120,13 @@ def test_deviations_from_a_plan_stay_inside_every_tube(robust_design, deviations
 
 
 def test_plan_deviations_of_a_run_leave_out_what_had_no_plan(robust_design, stressed, monkeypatch):
-    monkeypatch.setattr(closed_loop, "PLAN_DISTANCE", 100)
-    controller = closed_loop.controllers(robust_design)["tube_mpc"]
-    plant = closed_loop.linear_plant(robust_design)
+    monkeypatch.setattr(batches, "PLAN_DISTANCE", 100)
+    controller = components.controllers(robust_design)["tube_mpc"]
+    plant = components.linear_plant(robust_design)
     trajectory = stressed["tube_mpc"]
     outside = trajectory._replace(errors=trajectory.errors.copy())
     outside.errors[:, :100] = [5.0, 5.0, 0.0]
-    found = closed_loop.plan_deviations(robust_design, controller, plant, outside, seed=11)
+    found = batches.plan_deviations(robust_design, controller, plant, outside, seed=11)
     assert found.shape == (robust_design.problem.horizon, 3 * (BATCH - 100), 3) and np.all(
         np.isfinite(found)
     )
@@ -136,9 +136,9 @@ def test_plan_deviations_of_the_tube_along_the_reference_are_judged_where_its_se
     uncertified, edge_starts
 ):
     design = uncertified("paper", *SEQUENCE)
-    controller = closed_loop.controllers(design)["tube_mpc"]
-    plant = closed_loop.linear_plant(design)
-    trajectory = closed_loop.run_realisations(controller, plant, edge_starts(design, BATCH), 12)
-    found = closed_loop.plan_deviations(design, controller, plant, trajectory, seed=12)
+    controller = components.controllers(design)["tube_mpc"]
+    plant = components.linear_plant(design)
+    trajectory = batches.run_realisations(controller, plant, edge_starts(design, BATCH), 12)
+    found = batches.plan_deviations(design, controller, plant, trajectory, seed=12)
     assert found.shape[1] >= 10 * BATCH
     assert design.tube.margins(found).min() >= INSIDE_TUBE

@@ -11,10 +11,10 @@ from oracles import PlainMpc
 from scipy.integrate import solve_ivp
 from tolerances import CLOSED_LOOP, ROUNDING, WORLD_FRAME
 
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import realisation_keys, rollout
 
-BATCH = closed_loop.BATCH
+BATCH = batches.BATCH
 DT = 0.1
 TRACK_WIDTH = 0.5
 STEPS = 300
@@ -22,19 +22,19 @@ STEPS = 300
 
 @pytest.fixture(scope="module")
 def paper_controllers(paper_design):
-    return closed_loop.controllers(paper_design)
+    return components.controllers(paper_design)
 
 
 @pytest.fixture(scope="module")
 def paper_plant(paper_design):
-    return closed_loop.slipping_robot(paper_design)
+    return components.slipping_robot(paper_design)
 
 
 @pytest.fixture(scope="module")
 def tracked(paper_design, paper_controllers, paper_plant):
     """256 laps of the linear law with slip compensation: the controller that compiles fastest."""
     starts = np.tile(paper_design.problem.initial_error, (BATCH, 1))
-    return closed_loop.run_realisations(paper_controllers["compensated"], paper_plant, starts, 0)
+    return batches.run_realisations(paper_controllers["compensated"], paper_plant, starts, 0)
 
 
 # --------------------------------------------------------------------------------- world-frame laps
@@ -113,12 +113,12 @@ def world_frame_lap(controllers, cosine_free=False):
 
 
 def test_noise_free_laps_are_those_of_a_world_frame_simulation(paper_design, paper_controllers):
-    plant = closed_loop.exact_robot(paper_design)
+    plant = components.exact_robot(paper_design)
     start = paper_design.problem.initial_error[None]
     controllers = plain_controllers(paper_design)
     expected = world_frame_lap(controllers.values())
     for number, name in enumerate(controllers):
-        errors = closed_loop.run_realisations(paper_controllers[name], plant, start, 0).errors[:, 0]
+        errors = batches.run_realisations(paper_controllers[name], plant, start, 0).errors[:, 0]
         np.testing.assert_allclose(errors, expected[:, :, number], atol=WORLD_FRAME, err_msg=name)
 
 
@@ -134,11 +134,11 @@ def test_a_cosine_free_lap_with_the_exact_model_is_that_of_a_world_frame_simulat
     design = uncertified("robust", *(f"controller.{setting}" for setting in settings))
     plain = plain_controllers(design)["tube_mpc"]
     expected = world_frame_lap([plain], cosine_free=True)[:, :, 0]
-    controller = closed_loop.controllers(design)["tube_mpc"]
+    controller = components.controllers(design)["tube_mpc"]
     start = design.problem.initial_error[None]
-    errors = closed_loop.run_realisations(
-        controller, closed_loop.exact_robot(design), start, 0
-    ).errors[:, 0]
+    errors = batches.run_realisations(controller, components.exact_robot(design), start, 0).errors[
+        :, 0
+    ]
     np.testing.assert_allclose(errors, expected, atol=WORLD_FRAME)
 
 
@@ -160,8 +160,8 @@ def test_a_trajectory_has_time_first_then_realisations_and_starts_at_the_start(
 def test_a_realisation_does_not_depend_on_its_companions(robust_design, stressed, edge_starts):
     """The same keys and starts in reverse order: other neighbours in every block that the solver
     gathers."""
-    controller = closed_loop.controllers(robust_design)["tube_mpc"]
-    plant = closed_loop.linear_plant(robust_design)
+    controller = components.controllers(robust_design)["tube_mpc"]
+    plant = components.linear_plant(robust_design)
     order = np.random.default_rng(1).permutation(BATCH)
     starts = edge_starts(robust_design, 512)[:BATCH]
     mixed = rollout(
@@ -188,8 +188,8 @@ def test_a_realisation_alone_is_the_one_in_the_batch(paper_controllers, paper_pl
 
 @pytest.mark.slow
 def test_a_realisation_of_the_mpc_alone_is_the_one_in_the_batch(robust_design, stressed):
-    controller = closed_loop.controllers(robust_design)["tube_mpc"]
-    plant = closed_loop.linear_plant(robust_design)
+    controller = components.controllers(robust_design)["tube_mpc"]
+    plant = components.linear_plant(robust_design)
     busiest = int(stressed["tube_mpc"].diagnostics.active.sum(axis=0).argmax())
     check_alone(controller, plant, stressed["tube_mpc"], 5, busiest)
 
@@ -198,7 +198,7 @@ def test_longer_runs_begin_with_the_shorter_ones_and_go_on_by_index(
     paper_controllers, paper_plant, tracked
 ):
     starts = np.tile(tracked.errors[0, 0], (BATCH + 5, 1))
-    longer = closed_loop.run_realisations(paper_controllers["compensated"], paper_plant, starts, 0)
+    longer = batches.run_realisations(paper_controllers["compensated"], paper_plant, starts, 0)
     np.testing.assert_array_equal(longer.errors[:, :BATCH], tracked.errors)
     direct = rollout(
         paper_controllers["compensated"],
@@ -213,8 +213,8 @@ def test_longer_runs_begin_with_the_shorter_ones_and_go_on_by_index(
 
 def test_seeds_reproduce_and_differ(paper_controllers, paper_plant, tracked):
     starts = tracked.errors[0]
-    again = closed_loop.run_realisations(paper_controllers["compensated"], paper_plant, starts, 0)
-    other = closed_loop.run_realisations(paper_controllers["compensated"], paper_plant, starts, 1)
+    again = batches.run_realisations(paper_controllers["compensated"], paper_plant, starts, 0)
+    other = batches.run_realisations(paper_controllers["compensated"], paper_plant, starts, 1)
     np.testing.assert_array_equal(again.errors, tracked.errors)
     assert np.all(np.any(other.errors[1:] != tracked.errors[1:], axis=(0, 2)))
 
@@ -232,7 +232,7 @@ def test_keys_follow_the_index_beyond_32_bits():
 
 def test_progress_counts_every_run(paper_controllers, paper_plant, tracked):
     counts = []
-    closed_loop.run_realisations(
+    batches.run_realisations(
         paper_controllers["compensated"],
         paper_plant,
         np.tile(tracked.errors[0, 0], (BATCH + 5, 1)),
@@ -271,7 +271,7 @@ def test_wheels_are_commanded_with_the_measured_slip(
 ):
     """Eqs. (7)-(8) solved for the slip that the controller divides by."""
     plant = dataclasses.replace(paper_plant, uncertain_slip=uncertain_slip)
-    trajectory = closed_loop.run_realisations(
+    trajectory = batches.run_realisations(
         paper_controllers["compensated"], plant, tracked.errors[0], 0
     )
     deficits = trajectory.inputs @ np.array([[1, 1], [TRACK_WIDTH / 2, -TRACK_WIDTH / 2]])
@@ -283,7 +283,7 @@ def test_wheels_are_commanded_with_the_measured_slip(
 def test_without_compensation_wheels_ignore_the_slip(
     paper_design, paper_controllers, paper_plant, tracked
 ):
-    trajectory = closed_loop.run_realisations(
+    trajectory = batches.run_realisations(
         paper_controllers["uncompensated"], paper_plant, tracked.errors[0], 0
     )
     deficits = trajectory.inputs @ np.array([[1, 1], [TRACK_WIDTH / 2, -TRACK_WIDTH / 2]])
@@ -296,7 +296,7 @@ def test_wheels_saturate_and_the_robot_moves_as_they_do(
 ):
     slow = dataclasses.replace(paper_plant.robot, wheel_speed_max=1.7, wheel_speed_min=1.5)
     plant = dataclasses.replace(paper_plant, robot=slow, relative_error=0.0)
-    trajectory = closed_loop.run_realisations(
+    trajectory = batches.run_realisations(
         paper_controllers["compensated"], plant, tracked.errors[0], 0
     )
     np.testing.assert_array_equal(trajectory.wheels, np.clip(trajectory.demanded, 1.5, 1.7))
@@ -311,7 +311,7 @@ def test_controllers_see_the_error_with_noise_within_its_bounds(
 ):
     bounds = np.array([0.01, 0.02, 0.03])
     noisy = dataclasses.replace(paper_plant, noise=jnp.asarray(bounds))
-    trajectory = closed_loop.run_realisations(
+    trajectory = batches.run_realisations(
         paper_controllers["local_gain"], noisy, tracked.errors[0], 0
     )
     noise = (trajectory.measured - trajectory.errors) / bounds

@@ -13,7 +13,7 @@ import jaxtube as jt
 from jaxtube import qp
 from jaxtube.control import mpc
 from jaxtube.precision import require_64_bits
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import components
 
 SHORT = "reference.duration_s=2"
 LAPS = 4
@@ -37,7 +37,7 @@ class Remembering:
         problem = design.problem
         schedule = problem.schedule[: problem.reference.steps]
         self.gains = design.tube_gain.along(schedule)
-        self.wheel_map = closed_loop.make_wheel_map(problem)
+        self.wheel_map = components.make_wheel_map(problem)
 
     def initial(self, errors):
         return jnp.zeros(len(errors), errors.dtype)
@@ -126,7 +126,7 @@ def test_functions_compute_in_64_bits_and_leave_the_configuration_alone(design, 
 def test_a_controller_of_a_design_is_not_built_in_32_bits(design):
     with jax.enable_x64(False):
         with pytest.raises(RuntimeError, match="32 bits"):
-            closed_loop.make_tube_mpc(design)
+            components.make_tube_mpc(design)
         with pytest.raises(RuntimeError, match="enable_x64"):
             require_64_bits("something")
 

@@ -13,7 +13,7 @@ import pytest
 from oracles import SEQUENCE, TIGHT, PlainMpc, model, simulate_model, terminal_gain, tube_gain
 from tolerances import CLOSED_LOOP, ROUNDING, WORLD_FRAME
 
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import components
 from jaxtube.synthesis import condense
 from jaxtube.synthesis.prediction import predict
 from jaxtube.synthesis.tightening import BACK_OFF
@@ -216,7 +216,7 @@ def test_gains_of_a_window_are_those_of_its_first_schedule(condensed):
 
 
 def test_the_static_laws_are_the_tubes_gain_and_the_mpc_without_constraints(robust_design):
-    controllers = closed_loop.controllers(robust_design)
+    controllers = components.controllers(robust_design)
     plain = PlainMpc(robust_design)
     for step in (0, 112, 115, 299):
         wheels = robust_design.problem.schedule[step]

@@ -10,7 +10,7 @@ import stand_ins
 import tuned
 
 from jaxtube.scenario import ScenarioError
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import components
 from jaxtube.synthesis.design import finish, prepare, refuse_infeasible_start
 from jaxtube.synthesis.problem import with_controller
 from jaxtube.tuning import tuner as tuners
@@ -22,7 +22,7 @@ LAPS = 4  # held-out ones too: one shape, one compilation
 
 
 def make(problem):
-    plant = tuned.shortened(closed_loop.robot_of(problem), 12)
+    plant = tuned.shortened(components.robot_of(problem), 12)
     aim = make_aim(problem.scenario, 5)
     return Tuner(problem, plant, make_parameters(problem), aim, LAPS, LAPS)
 

@@ -10,8 +10,8 @@ from msgspec.structs import replace
 
 from jaxtube import qp
 from jaxtube.control.laws import TubeMpc
-from jaxtube.simulation import closed_loop
-from jaxtube.simulation.closed_loop import make_wheel_map
+from jaxtube.simulation import components
+from jaxtube.simulation.components import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.synthesis.design import finish, prepare
 from jaxtube.synthesis.feasible import boundary
@@ -100,7 +100,7 @@ def test_laps_are_those_of_the_design_rows_active_or_not(loop):
     edge = boundary(design.tube_qps, first, design.problem.operating_set, LAPS - 2, seed=1)
     outside = 1.5 * edge[:1]
     starts = jnp.asarray(np.vstack([design.problem.initial_error, 0.99 * edge, outside]))
-    plant = tuned.shortened(closed_loop.slipping_robot(design), STEPS)
+    plant = tuned.shortened(components.slipping_robot(design), STEPS)
     keys = realisation_keys(0, 0, LAPS)
 
     def run(windows):

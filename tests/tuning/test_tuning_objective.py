@@ -14,8 +14,8 @@ import tuned
 from jaxtube import qp
 from jaxtube.control.laws import ScheduledGain, TubeMpc
 from jaxtube.qp import fixed_point, solver
-from jaxtube.simulation import closed_loop
-from jaxtube.simulation.closed_loop import make_wheel_map
+from jaxtube.simulation import components
+from jaxtube.simulation.components import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.simulation.usage import play
 from jaxtube.synthesis.design import finish, prepare
@@ -95,7 +95,7 @@ class Loop:
         settled = min(100, steps // 3)
         aim = objective.make_aim(problem.scenario, settled)
         aim = dataclasses.replace(aim, effort_limit=0.05, tail_share=0.5)
-        plant = tuned.shortened(closed_loop.robot_of(problem), steps)
+        plant = tuned.shortened(components.robot_of(problem), steps)
         self.tuner = Tuner(problem, plant, self.parameters, aim, laps=LAPS)
         widths = make_limits(problem).widths
         watched = partial(watched_play, widths=widths, margin=aim.margin)
@@ -362,7 +362,7 @@ def law():
     )
     aim = dataclasses.replace(objective.make_aim(problem.scenario, 10), margin=0.5)
     controller = ScheduledGain(gains, make_wheel_map(problem))
-    plant = tuned.shortened(closed_loop.robot_of(problem), STEPS_OF_LAW)
+    plant = tuned.shortened(components.robot_of(problem), STEPS_OF_LAW)
     return problem, controller, plant, aim
 
 
@@ -403,7 +403,7 @@ def mean_square_beyond(shares, margin):
 
 def test_a_robot_that_follows_exactly_makes_no_effort_and_exceeds_nothing(law):
     problem, controller, _, aim = law
-    exact = closed_loop.robot_of(problem, relative_error=0.0)
+    exact = components.robot_of(problem, relative_error=0.0)
     plant = dataclasses.replace(tuned.shortened(exact, STEPS_OF_LAW), noise=None)
     lap_inputs = LapInputs(plant, realisation_keys(0, 0, 6), jnp.zeros((6, 3)))
     loose = dataclasses.replace(aim, margin=0.9)

@@ -15,7 +15,7 @@ from jaxtube import qp
 from jaxtube.control.laws import TubeMpc
 from jaxtube.coordinates import NAMES
 from jaxtube.plant.imperfect import Imperfections, ImperfectRobot, shifted_preview
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
 from jaxtube.synthesis.parts import Design
 
@@ -72,8 +72,8 @@ class ImperfectLaps:
         self.design = design
         self.seed = seed
         self.starts = np.tile(design.problem.initial_error, (realisations, 1))
-        self.controller = closed_loop.make_tube_mpc(design)
-        self.ideal = [closed_loop.slipping_robot(design, process) for process in PROCESSES]
+        self.controller = components.make_tube_mpc(design)
+        self.ideal = [components.slipping_robot(design, process) for process in PROCESSES]
 
     def at(
         self, name: str, on_progress: Callable[[], object] = lambda: None
@@ -112,8 +112,8 @@ class ImperfectLaps:
         return LapUsage(*map(np.array, zip(*by_process, strict=True)))
 
     def _simulate(self, controller: TubeMpc, plant: ImperfectRobot) -> Trajectory:
-        if len(self.starts) >= closed_loop.BATCH:
-            return closed_loop.run_realisations(controller, plant, self.starts, self.seed)
+        if len(self.starts) >= batches.BATCH:
+            return batches.run_realisations(controller, plant, self.starts, self.seed)
         # Without the padding of a block: a quick look stays quick.
         keys = realisation_keys(self.seed, 0, len(self.starts))
         return jax.tree.map(np.asarray, rollout(controller, plant, keys, jnp.asarray(self.starts)))
@@ -125,7 +125,7 @@ def lap_usage(design: Design, trajectory: Trajectory) -> ProcessUsage:
     robot = problem.robot
     W = problem.disturbance_set
     error = np.max(np.abs(trajectory.errors), axis=(0, 1)) / problem.error_set.offsets[:3]
-    disturbances = closed_loop.model_disturbances(design, trajectory) @ W.normals.T
+    disturbances = batches.model_disturbances(design, trajectory) @ W.normals.T
     middle = (robot.wheel_speed_max + robot.wheel_speed_min) / 2
     reach = (robot.wheel_speed_max - robot.wheel_speed_min) / 2
     wheels = np.max(np.abs(trajectory.demanded - middle)) / reach

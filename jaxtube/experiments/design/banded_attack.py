@@ -17,7 +17,7 @@ from jaxtyping import Float
 from jaxtube.control.laws import ScheduledGain
 from jaxtube.plant.reference import Reference, from_wheels
 from jaxtube.plant.slipping import SlippingRobot
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory, realisation_keys
 from jaxtube.simulation.starts import UniformStart, uniform_start
 from jaxtube.synthesis.bands import BandedLaw
@@ -71,10 +71,10 @@ def attack(
     total = NO_LAPS
     for index in range(REFERENCES):
         reference = random_reference(law, np.random.default_rng([seed, index]))
-        keys = realisation_keys(seed, index * closed_loop.BATCH, closed_loop.BATCH)
+        keys = realisation_keys(seed, index * batches.BATCH, batches.BATCH)
         gains = jnp.asarray(law.gains(reference.wheels))
-        controller = ScheduledGain(gains, closed_loop.make_wheel_map(law.problem))
-        trajectory = closed_loop.run_realisations(
+        controller = ScheduledGain(gains, components.make_wheel_map(law.problem))
+        trajectory = batches.run_realisations(
             controller,
             _make_robot(law, reference, process),
             np.asarray(starts.draw(keys)),

@@ -20,7 +20,7 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.progress import progress
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.advice import say_what_widens
 from jaxtube.synthesis.design import design, refuse_infeasible_start
@@ -116,12 +116,10 @@ def simulate_disturbance(made: Design, seed: int) -> dict:
     Of a computed W only steps count in which measured error and input lie in what it was computed
     for.
     """
-    starts = np.tile(made.problem.initial_error, (closed_loop.BATCH, 1))
-    controller = closed_loop.controllers(made)["local_gain"]
-    trajectory = closed_loop.run_realisations(
-        controller, closed_loop.slipping_robot(made), starts, seed
-    )
-    disturbances = closed_loop.model_disturbances(made, trajectory)
+    starts = np.tile(made.problem.initial_error, (batches.BATCH, 1))
+    controller = components.controllers(made)["local_gain"]
+    trajectory = batches.run_realisations(controller, components.slipping_robot(made), starts, seed)
+    disturbances = batches.model_disturbances(made, trajectory)
     if made.problem.disturbance_bound is not None:
         disturbances = disturbances[within_caps(made, trajectory)][:, None]
     return metrics.disturbance_metrics(made, disturbances)

@@ -24,7 +24,7 @@ from jaxtyping import Float, Int, Key
 from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.slipping import SlipMemory, SlippingRobot
 from jaxtube.scenario.reading import replace
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import components
 from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import Task
 from jaxtube.synthesis.parts import Design
@@ -145,7 +145,7 @@ def make_tasks(design: Design, seed: int) -> tuple[dict[Law, Task], str]:
         limited = apply_law(design, laws[0])
         task, why = _make_task(limited, laws[0].starts, seed)
         # The name of a process is part of a program: it is one name for all.
-        ideal = closed_loop.slipping_robot(limited, PROCESSES[0])
+        ideal = components.slipping_robot(limited, PROCESSES[0])
         for law in laws:
             number = jnp.asarray(PROCESSES.index(law.process), jnp.int32)
             tasks[law] = dataclasses.replace(task, plant=AnySlipRobot(ideal, number))

@@ -31,7 +31,7 @@ from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.progress import progress
 from jaxtube.scenario.reading import load
 from jaxtube.scenario.tree import Scenario
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.design import refuse_infeasible_start
@@ -126,23 +126,21 @@ def simulate_laps(
     """
     laps = options.realisations
     stress_runs = STRESS_RUNS * laps
-    controllers = closed_loop.controllers(design)
+    controllers = components.controllers(design)
     total = (len(controllers) + 1) * laps + 2 * len(stress.CASES) * stress_runs
-    plant = closed_loop.slipping_robot(design)
+    plant = components.slipping_robot(design)
     starts = np.tile(design.problem.initial_error, (laps, 1))
-    tube_mpc = closed_loop.make_tube_mpc(design)
+    tube_mpc = components.make_tube_mpc(design)
     other = dataclasses.replace(tube_mpc, restart=not tube_mpc.restart)
     with progress(total, "simulating", "laps") as bar:
         by_name = {}
         for name, controller in (controllers | {"other": other}).items():
-            by_name[name] = closed_loop.run_realisations(
+            by_name[name] = batches.run_realisations(
                 controller, plant, starts, options.seed, bar.update
             )
         other_restart = by_name.pop("other")
         under_stress = stress.run(stressed, boundary, stress_runs, options.seed, bar.update)
-    deviations = closed_loop.plan_deviations(
-        design, tube_mpc, plant, by_name["tube_mpc"], options.seed
-    )
+    deviations = batches.plan_deviations(design, tube_mpc, plant, by_name["tube_mpc"], options.seed)
     return PaperRuns(by_name, other_restart, under_stress, deviations)
 
 
@@ -150,7 +148,7 @@ def _metrics(design: Design, simulated: PaperRuns) -> dict:
     problem = design.problem
     laps = simulated.laps
     schedule = problem.schedule[: problem.reference.steps]
-    disturbances = closed_loop.model_disturbances(design, laps["tube_mpc"])
+    disturbances = batches.model_disturbances(design, laps["tube_mpc"])
     return {
         "controllers": {
             name: metrics.controller_metrics(design, lap) for name, lap in laps.items()
@@ -167,12 +165,12 @@ def _metrics(design: Design, simulated: PaperRuns) -> dict:
 
 def _save_noise_free(design: Design, folder: RunFolder) -> None:
     """Save e(k) of one lap of each controller with the slip known exactly and no noise."""
-    controllers = closed_loop.controllers(design)
-    plant = closed_loop.exact_robot(design)
+    controllers = components.controllers(design)
+    plant = components.exact_robot(design)
     start = design.problem.initial_error[None]
     laps = {}
     for name in NOISE_FREE:
-        laps[name] = closed_loop.run_realisations(controllers[name], plant, start, 0).errors[:, 0]
+        laps[name] = batches.run_realisations(controllers[name], plant, start, 0).errors[:, 0]
     folder.save_arrays("noise_free", **laps)
 
 

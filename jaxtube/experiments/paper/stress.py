@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxtube import qp
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.feasible import spread_starts, true_starts
 from jaxtube.synthesis.parts import Design
@@ -63,18 +63,18 @@ def run(
     """
     starts = spread_starts(boundary, count, seed)
     plants = {
-        "linear_w_in_W": closed_loop.linear_plant(design),
-        "slip_constant": closed_loop.slipping_robot(design, "constant"),
-        "slip_patches": closed_loop.slipping_robot(design, "patches"),
+        "linear_w_in_W": components.linear_plant(design),
+        "slip_constant": components.slipping_robot(design, "constant"),
+        "slip_patches": components.slipping_robot(design, "patches"),
     }
     controllers = {
-        "tube_mpc": closed_loop.make_tube_mpc(design),
-        "plain_mpc": closed_loop.make_plain_mpc(design),
+        "tube_mpc": components.make_tube_mpc(design),
+        "plain_mpc": components.make_plain_mpc(design),
     }
     runs = {}
     for case, plant in plants.items():
         runs[case] = {
-            name: closed_loop.run_realisations(controller, plant, starts, seed, on_progress)
+            name: batches.run_realisations(controller, plant, starts, seed, on_progress)
             for name, controller in controllers.items()
         }
     return Stress(boundary, starts, runs)
@@ -91,7 +91,7 @@ def metrics(design: Design, stress: Stress) -> dict:
 def _metrics(design: Design, trajectory: Trajectory) -> dict:
     limits = design.problem.error_set.offsets[:3]
     widths = design.problem.disturbance_set.support(np.eye(3))
-    disturbances = closed_loop.model_disturbances(design, trajectory)
+    disturbances = batches.model_disturbances(design, trajectory)
     diagnostics = trajectory.diagnostics
     outside = ~np.all(np.abs(trajectory.errors) <= limits, axis=(0, 2))
     # On the linear plant w is drawn in W; rounding of the reconstruction must not count.

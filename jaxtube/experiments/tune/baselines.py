@@ -19,7 +19,7 @@ from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.tune.bar import DescentBar
 from jaxtube.experiments.tune.front_figure import Kind
 from jaxtube.experiments.tune.result import COMPARED_LAPS, Result, run_comparison, weights_at
-from jaxtube.simulation.closed_loop import make_wheel_map
+from jaxtube.simulation.components import make_wheel_map
 from jaxtube.synthesis.problem import Problem, with_controller
 from jaxtube.tuning.judgement import HeldOutJudgement, pool
 from jaxtube.tuning.objective import LapMeasures, lap_costs, total_cost

@@ -15,7 +15,7 @@ from jaxtube.experiments.tune.result import compute_reduction
 from jaxtube.scenario.reading import experiments_folder
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import ReferenceTable, Scenario
-from jaxtube.simulation import closed_loop
+from jaxtube.simulation import components
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.judgement import pool
@@ -73,7 +73,7 @@ def drive_paths(scenario: Scenario, entries: list[ComparedDesign]) -> dict[str, 
 
 def _drive(entry: ComparedDesign, problem: Problem) -> Drive | None:
     """Return a design on the path of a problem, None where an empty set leaves no closed loop."""
-    robot = closed_loop.robot_of(problem)
+    robot = components.robot_of(problem)
     tuner = dataclasses.replace(entry.tuner, problem=problem, plant=robot)
     if entry.static:
         laps = run_static_lqr(tuner, entry.point, COMPARED, PATH_LAPS)
