@@ -96,7 +96,7 @@ class Design:
     def solver_slack(self) -> float:
         """By how much an accepted answer of the solver may miss a constraint of the tube-MPC, from
         any error in E, in the units of E and U."""
-        return condense.bound_solver_slack(self.problem, self.tube_window)
+        return condense.bound_solver_slack(self.problem, self.tube_qps)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the numbers of the tube-MPC, by their place in the condensed QPs."""

@@ -26,7 +26,7 @@ def following(uncertified) -> Design:
 
 def holds(design: Design, **changed) -> bool:
     """Whether the condition holds with parts of the QPs replaced."""
-    window = design.tube_window._replace(**changed)
+    window = design.tube_qps._replace(**changed)
     return check_program(dataclasses.replace(design, condensed=Fixed(window))).holds
 
 
@@ -43,19 +43,19 @@ def test_qps_made_by_the_design_are_those_of_its_sets(sound, request):
 )
 def test_one_number_off_by_a_millionth_is_seen(sound, part, request):
     design = request.getfixturevalue(sound)
-    numbers = np.array(getattr(design.tube_window, part))
+    numbers = np.array(getattr(design.tube_qps, part))
     place = np.unravel_index(np.argmax(np.isfinite(numbers)), numbers.shape)
     numbers[place] += 1e-6
     assert not holds(design, **{part: numbers})
 
 
 def test_rows_on_the_inputs_are_compared(robust_design):
-    factors = robust_design.tube_window.factors
+    factors = robust_design.tube_qps.factors
     assert not holds(robust_design, factors=factors._replace(row_norms=1.001 * factors.row_norms))
 
 
 def test_mpc_without_a_tube_is_not_the_one_that_is_certified(following):
-    untightened = dataclasses.replace(following, condensed=Fixed(following.plain_window))
+    untightened = dataclasses.replace(following, condensed=Fixed(following.plain_qps))
     condition = check_program(untightened)
     assert not condition.holds
     assert "bounds" in condition.sentence

@@ -58,7 +58,7 @@ def _blocks(design: Design) -> Iterator[Block]:
     yield "wheel speeds ahead", windows.schedules[windows.index], problem.schedule[steps]
     transitions, inputs = problem.model.matrices(windows.schedules)
     yield "loops", windows.loops, transitions + inputs @ windows.gains
-    qp = design.tube_window
+    qp = design.tube_qps
     yield "gains of the tube", qp.tube_gain, windows.gains[:, 0]
     yield "the first transitions", qp.transition, transitions[:, 0]
     yield "the first input matrices", qp.input_matrix, inputs[:, 0]
