@@ -45,7 +45,7 @@ class Bounds:
 
 
 def tube_bounds(problem: Problem, tightening: Tightening, terminal: Terminal) -> Bounds:
-    """Return the tightened sets, backed off for the solver's residual."""
+    """Return the tightened sets, backed off for the solver's slack."""
     N = problem.horizon
     normals = terminal.constraint_normals
     back_off = BACK_OFF * np.arange(1, N + 1)[:, None]
@@ -228,9 +228,9 @@ def solve_free(
     return rough + optimum @ (hessian @ rough + linear)
 
 
-def bound_solver_slack(problem: Problem, window: CondensedQp) -> float:
+def bound_solver_slack(problem: Problem, qps: CondensedQp) -> float:
     """Return by how much an accepted answer may miss a constraint, from any error in E, in the
     units of E and U."""
     directions = np.concatenate([np.eye(2), -np.eye(2)])
     largest_input = float(np.max(problem.input_set.support(directions)))
-    return qp.bound_tolerance(largest_input) * float(np.max(window.factors.row_norms))
+    return qp.bound_tolerance(largest_input) * float(np.max(qps.factors.row_norms))

@@ -19,8 +19,8 @@ from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.tubes import Tube
 
 BACK_OFF = 1e-7
-"""What constraints are drawn in by for the solver, once more at every stage: more than the residual
-it accepts, in the units of E and U. So a plan that misses its constraints by a residual still
+"""What constraints are drawn in by for the solver, once more at every stage: more than the slack
+that it allows, in the units of E and U. So a plan that misses its constraints by that slack still
 meets, shifted, those of a stage less."""
 
 ERROR_NAMES = ("longitudinal error", "lateral error", "heading error")

@@ -56,7 +56,7 @@ def find_disturbances(problem: Problem) -> Float[np.ndarray, "n 3"]:
 
 def find_wheel_commands(problem: Problem) -> Float[np.ndarray, "n 2"]:
     """Return the wheel speeds (right, left), m/s, that the same extremes ask for."""
-    return wheel_commands(problem, extreme_cases(problem))
+    return command_wheels(problem, extreme_cases(problem))
 
 
 def extreme_cases(problem: Problem) -> PeriodCases:
@@ -112,7 +112,7 @@ def next_errors(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"
     b = problem.model.track_width
     reference_speed = cases.wheels.mean(axis=1)
     reference_turn = (cases.wheels[:, 0] - cases.wheels[:, 1]) / b
-    right, left = ((1 - cases.slip) * wheel_commands(problem, cases)).T
+    right, left = ((1 - cases.slip) * command_wheels(problem, cases)).T
     # The reference is at the origin of the world frame, heading along its x axis.
     true = cases.errors - cases.noise
     heading = -true[:, 2]
@@ -124,7 +124,7 @@ def next_errors(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"
     return np.stack([offset.real, offset.imag, T * reference_turn - heading], axis=1)
 
 
-def wheel_commands(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 2"]:
+def command_wheels(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 2"]:
     """Return the wheel speeds (right, left), m/s, that are commanded: the measured slip is
     compensated."""
     speed, turn = map_inputs(problem, cases)
