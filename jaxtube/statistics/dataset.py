@@ -16,12 +16,10 @@ from jaxtube.simulation.dataset import import_xarray
 from jaxtube.statistics import histogram
 from jaxtube.statistics.events import EVENT_NAMES
 from jaxtube.statistics.run import RANKED, Statistics
-from jaxtube.statistics.tally import STAGE_EVENTS
+from jaxtube.statistics.tally import CLOUD_REACH, STAGE_EVENTS
 from jaxtube.statistics.task import facets, lay_map_grid, sections
 from jaxtube.synthesis.parts import Design
 
-CLOUD_REACH = 2.0
-"""The cells of a cloud reach so many times as far as the box around the section."""
 DIMENSIONS = {
     "events": ("event", "steps_with_event"),
     "stage_events": ("stage", "stage_event", "plans_with_event"),

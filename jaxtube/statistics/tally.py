@@ -36,6 +36,8 @@ STAGE_EVENTS = ("outside", "longitudinal", "lateral", "heading")
 section."""
 CLOUD_CELLS = 48
 """Cells along each axis of the clouds of deviations."""
+CLOUD_REACH = 2.0
+"""The cells of a cloud reach so many times as far as the box around the section."""
 COVERAGE_CELLS = 24
 """Cells along each axis of the coverage of starts."""
 HEAT_CELLS = (96, 96)
@@ -302,9 +304,8 @@ def map_cells(
 
 
 def cloud_cells(facets: Facets, points: Float[Array, "horizon 3 batch"]) -> tuple[Array, ...]:
-    """Return the cells (stage, plane, row, column) of deviations in the three planes, which reach
-    twice as far as the section's box."""
-    width = 2 * jnp.maximum(facets.upper, -facets.lower)[:, :, None]
+    """Return the cells (stage, plane, row, column) of deviations in the three planes."""
+    width = CLOUD_REACH * jnp.maximum(facets.upper, -facets.lower)[:, :, None]
     cells = _cells((points / jnp.where(width > 0, width, 1.0) + 1) / 2 * CLOUD_CELLS)
     column = jnp.stack([cells[:, abscissa] for abscissa, _ in PLANES], axis=1)
     row = jnp.stack([cells[:, ordinate] for _, ordinate in PLANES], axis=1)

@@ -33,15 +33,13 @@ from jaxtube.figures.style import (
     styled,
 )
 from jaxtube.statistics.run import Statistics
-from jaxtube.statistics.tally import PLANES
+from jaxtube.statistics.tally import CLOUD_REACH, PLANES
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from sets.tubes import Section
 
 COLUMNS = 5
 """Stages side by side."""
-CLOUD_REACH = 2.0
-"""The cells of a cloud reach so many times as far as the box around the section."""
 COUNTS = LinearSegmentedColormap.from_list(
     "counts", ["#d9e9f5", "#7fb5dc", "#2b7bba", "#0b3f78", "#04173a"]
 )
