@@ -94,6 +94,9 @@ def controller_lines(names: Iterable[str]) -> dict[str, Line]:
     return known | own
 
 
+LABEL_SIZE = 8
+"""Size of names beside marks and lines, points."""
+
 INSIDE = "#0072B2"
 OUTSIDE = "#D55E00"
 """Colours of what respects a limit and of what passes it."""

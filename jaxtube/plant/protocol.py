@@ -26,7 +26,8 @@ from jax import Array
 from jaxtyping import Float, Key
 
 Memory = Any
-"""A pytree: whatever a plant or a controller keeps from one period to the next."""
+"""Whatever a plant, a controller or a slip process keeps from one period to the next: a pytree of
+arrays, of the same structure, shapes and dtypes in every period; () for none."""
 
 Script = dict[str, Float[Array, "times batch n"]]
 """What the bounded uncertainties of a plant do, by name, time first; beyond its last time an entry

@@ -15,7 +15,7 @@ tracking error too. All functions are for one realisation; the caller vmaps them
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV (slip measurements vary by 10 %).
 """
 
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -23,16 +23,13 @@ from jax import Array
 from jax.typing import DTypeLike
 from jaxtyping import Float, Key
 
+from jaxtube.plant.protocol import Memory
 from jaxtube.plant.streams import Stream
 
 START = 0xFFFFFFFF
 """Number with which the stream of a process starts; no step reaches it."""
 
 UNCERTAIN_SLIPS = ("true", "measured", "both")
-
-Memory = Any
-"""What a process keeps between steps: a pytree of arrays, of the same structure, shapes and dtypes
-at every step; () for none."""
 
 
 class Situation(NamedTuple):

@@ -19,7 +19,8 @@ from jax.typing import DTypeLike
 from jaxtyping import Float, Key
 
 from jaxtube.plant import adversary
-from jaxtube.plant.slip import START, Memory, SlipProcess, draw_uniform
+from jaxtube.plant.protocol import Memory
+from jaxtube.plant.slip import START, SlipProcess, draw_uniform
 
 STEP_SIZE = 0.1
 """A step of `Walk` is uniform within this on either side, in units of xi."""
@@ -149,6 +150,9 @@ PROCESSES: dict[str, SlipProcess] = {
     "vertex": Vertex(),
     "adversarial": Adversarial(),
 }
+
+TEST_PROCESSES = ("iid", "vertex", "constant", "adversarial")
+"""Names of the processes that a limit is put to the test with."""
 
 
 def find_process(process: str | SlipProcess) -> SlipProcess:

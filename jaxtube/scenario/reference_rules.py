@@ -5,16 +5,13 @@ reference's box. Where the mean speed of the wheels is 0 the lateral error canno
 that no gain stabilises a model over a box that reaches there.
 """
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import NoReturn
 
-from jaxtube.scenario.refusal import refusal
+from jaxtube.scenario.refusal import Refuse, refusal
 from jaxtube.scenario.tree import ReferenceTable, Scenario
 
-Refuse = Callable[[str, str, str], NoReturn]
-
-EDGE_SHARE = 1e-9
+SPEED_ROUNDING = 1e-9
 """Share of the greatest speed by which a wheel may pass the box: both are rounded numbers."""
 
 MOST_PERIODS = 1_000_000
@@ -60,7 +57,7 @@ def is_in_box(reference: ReferenceTable, slowest_mps: float, fastest_mps: float)
     """Return whether wheel speeds lie in the box of the reference, up to rounding; NaN does not."""
     low = reference.wheel_speed_min_mps
     high = reference.wheel_speed_max_mps
-    rounding = EDGE_SHARE * max(abs(low), abs(high))
+    rounding = SPEED_ROUNDING * max(abs(low), abs(high))
     return low - rounding <= slowest_mps and fastest_mps <= high + rounding
 
 

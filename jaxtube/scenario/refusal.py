@@ -1,9 +1,13 @@
 """How a scenario is refused: one line, `FILE: KEY = VALUE: what is wrong; cure`."""
 
 import json
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NoReturn
 
 SHOWN_CHARACTERS = 60
+
+Refuse = Callable[[str, str, str], NoReturn]
+"""Called with (dotted key, problem, cure); raises."""
 
 
 class ScenarioError(ValueError):

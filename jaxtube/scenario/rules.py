@@ -5,12 +5,10 @@ symmetric, that of the error positive semidefinite, that of the inputs positive 
 the reference are in `jaxtube.scenario.reference_rules`.
 """
 
-from collections.abc import Callable
-from typing import NoReturn
-
 import numpy as np
 
 from jaxtube.scenario import reference_rules
+from jaxtube.scenario.refusal import Refuse
 from jaxtube.scenario.tree import (
     ControllerTable,
     Operating,
@@ -22,10 +20,7 @@ from jaxtube.scenario.tree import (
     weight_matrix,
 )
 
-Refuse = Callable[[str, str, str], NoReturn]
-"""Called with (dotted key, problem, cure); raises."""
-
-EDGE_SHARE = 1e-9
+CAP_ROUNDING = 1e-9
 """Share of a limit by which a cap may pass it: both are rounded numbers."""
 
 EIGENVALUE_ROUNDING = 1e-12
@@ -81,7 +76,7 @@ def _check_limits(scenario: Scenario, refuse: Refuse) -> None:
         if noise >= limit:
             problem = f"leaves nothing of constraints.{name} = {limit}"
             refuse(f"noise.{name}", problem, "reduce it or widen the limit")
-        if cap is not None and cap > left * (1 + EDGE_SHARE):
+        if cap is not None and cap > left * (1 + CAP_ROUNDING):
             problem = f"with the noise of {noise} passes constraints.{name} = {limit}"
             refuse(f"operating.{name}", problem, f"give at most {left:.6g}")
 

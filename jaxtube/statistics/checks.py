@@ -8,18 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from jaxtube.control.mpc import AnyArray
 from jaxtube.qp.batched_ldl import matmul
 
-AnyArray = Any  # made with numpy, used on the device
-
 OUTSIDE = 1e-12
+"""What counts as outside is further out than this: relative to a set's facet, or m/s and rad/s."""
 
 
 class Facets(NamedTuple):

@@ -22,8 +22,11 @@ import numpy as np
 from jaxtyping import Int
 from scipy import special
 
+CONFIDENCE = 0.95
+"""Confidence of every interval and bound that is reported."""
 
-def share_interval(events: int, trials: int, confidence: float = 0.95) -> tuple[float, float]:
+
+def share_interval(events: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Bound the probability of an event from both sides (Clopper-Pearson).
 
     Each bound fails with probability (1 - confidence) / 2 at most, whatever the probability and
@@ -53,7 +56,7 @@ def share_interval(events: int, trials: int, confidence: float = 0.95) -> tuple[
 
 
 def mean_interval(
-    histogram: Int[np.ndarray, " values"], largest: int, confidence: float = 0.95
+    histogram: Int[np.ndarray, " values"], largest: int, confidence: float = CONFIDENCE
 ) -> tuple[float, float, float]:
     """Bound the expectation of the share of a lap's steps in which an event occurs.
 

@@ -18,13 +18,12 @@ from jaxtube.plant.reference import settled_step
 from jaxtube.scenario.tree import Scenario
 from jaxtube.statistics import histogram
 from jaxtube.statistics.events import EVENTS
-from jaxtube.statistics.intervals import mean_interval, share_interval
+from jaxtube.statistics.intervals import CONFIDENCE, mean_interval, share_interval
 from jaxtube.statistics.run import RANKED, Statistics
 from jaxtube.statistics.tally import STAGE_EVENTS
 from jaxtube.synthesis.feasible import RAYS
 from jaxtube.synthesis.parts import Design
 
-CONFIDENCE = 0.95
 QUANTILES = {"median": 0.5, "p95": 0.95, "p999": 0.999}
 
 STARTS = {

@@ -17,11 +17,13 @@ from jaxtube.experiments.beyond.laps import ImperfectLaps, LapUsage, lap_usage
 from jaxtube.experiments.beyond.search import HALVINGS, IMPERFECTIONS, most_tried, search
 from jaxtube.experiments.cli import main, parse
 from jaxtube.experiments.options import BeyondOptions
+from jaxtube.experiments.run.table import WIDTH
 from jaxtube.plant.imperfect import Imperfections
+from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
 
-COUNT = len(beyond_laps.PROCESSES)
+COUNT = len(TEST_PROCESSES)
 LEVELS = [0.5**halved for halved in range(8, -1, -1)]
 
 
@@ -121,7 +123,7 @@ def test_the_usage_of_laps_is_that_of_their_worst_period(paper_design):
 def test_laps_of_the_ideal_robot_are_those_known_and_imperfection_uses_more(
     paper_design, monkeypatch
 ):
-    monkeypatch.setattr(beyond_laps, "PROCESSES", ("iid",))
+    monkeypatch.setattr(beyond_laps, "TEST_PROCESSES", ("iid",))
     laps = ImperfectLaps(paper_design, 16, 0)
     starts = np.tile(paper_design.problem.initial_error, (16, 1))
     plant = components.slipping_robot(paper_design, "iid")
@@ -162,7 +164,7 @@ def test_the_command_writes_levels_with_units_and_prints_a_table(tmp_path, capsy
         assert levels[0] == 0
         assert levels == sorted(levels)
     table, _, _ = capsys.readouterr().out.partition("\n\n")
-    assert max(map(len, table.splitlines())) <= beyond.WIDTH
+    assert max(map(len, table.splitlines())) <= WIDTH
     words = set(table.split())
     for imperfection in IMPERFECTIONS.values():
         assert set(imperfection.title.split()) <= words

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from jaxtube.coordinates import KEYS
-from jaxtube.experiments.paper.claims import WIDTH, PaperClaim, claims, table
+from jaxtube.experiments.paper.claims import PaperClaim, claims, table
+from jaxtube.experiments.run.table import WIDTH
 
 
 def errors_of(size):

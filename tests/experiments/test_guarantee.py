@@ -23,6 +23,7 @@ from jaxtube.experiments.guarantee.attack import (
     make_tasks,
 )
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.table import WIDTH
 from jaxtube.plant.robot import Robot
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario, ScenarioError, load
@@ -292,10 +293,10 @@ def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
     }
     designs = [make_tested(*HOLDING, laws=large, name="the-other-one"), make_tested()]
     text = report.text(designs)
-    assert max(map(len, text.splitlines())) <= report.WIDTH
+    assert max(map(len, text.splitlines())) <= WIDTH
     for design in designs:
         for table in report.law_tables(design):
-            assert max(map(len, table.splitlines())) <= report.WIDTH
+            assert max(map(len, table.splitlines())) <= WIDTH
     assert "the-other-one: NOT CERTIFIED" in text
     assert "\nmine: CERTIFIED; 0 laps" in text
     markdown = report.markdown(designs)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from jaxtube.experiments.beyond import figures as beyond_figures
-from jaxtube.experiments.beyond.laps import PROCESSES, ImperfectLaps, LapUsage
+from jaxtube.experiments.beyond.laps import ImperfectLaps, LapUsage
 from jaxtube.experiments.beyond.search import (
     IMPERFECTIONS,
     Imperfection,
@@ -24,13 +24,11 @@ from jaxtube.experiments.beyond.search import (
 from jaxtube.experiments.options import BeyondOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.progress import progress
-from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
+from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.design import refuse_infeasible_start
-
-WIDTH = 100
-"""Columns of the table."""
 
 
 def run(scenario: Scenario, options: BeyondOptions) -> int:
@@ -63,8 +61,8 @@ def metrics(searches: dict[str, LevelSearch], realisations: int) -> dict:
     """Return what was found, by imperfection; a level that was not found is null."""
     by_imperfection = {name: _metrics(IMPERFECTIONS[name], searches[name]) for name in searches}
     return {
-        "laps_at_a_level": realisations * len(PROCESSES),
-        "processes": PROCESSES,
+        "laps_at_a_level": realisations * len(TEST_PROCESSES),
+        "processes": TEST_PROCESSES,
         **by_imperfection,
     }
 
@@ -126,8 +124,9 @@ def table(searches: dict[str, LevelSearch], realisations: int) -> str:
     rows = [_row(IMPERFECTIONS[name], search) for name, search in searches.items()]
     return (
         f"{format_table(columns, rows, WIDTH)}\n\n{realisations:,} laps of each slip process: "
-        f"{', '.join(PROCESSES)};\nin parentheses: those under which a limit is violated at that "
-        "level. A limit of acceleration is 1 / level."
+        f"{', '.join(TEST_PROCESSES)};\n"
+        "in parentheses: those under which a limit is violated at that level. "
+        "A limit of acceleration is 1 / level."
     )
 
 

@@ -15,11 +15,11 @@ from jaxtube import qp
 from jaxtube.control.laws import TubeMpc
 from jaxtube.coordinates import NAMES
 from jaxtube.plant.imperfect import Imperfections, ImperfectRobot, shifted_preview
+from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
 from jaxtube.synthesis.parts import Design
 
-PROCESSES = ("iid", "vertex", "constant", "adversarial")
 ROUNDING = 1e-9
 """Usage beyond 1 that is rounding."""
 
@@ -53,7 +53,7 @@ class LapUsage(NamedTuple):
         failed["wheel speed"] = _is_outside(self.wheels)
         failed["no plan"] = ~(self.without_plan == 0)
         return [
-            f"{name} ({', '.join(np.array(PROCESSES)[processes])})"
+            f"{name} ({', '.join(np.array(TEST_PROCESSES)[processes])})"
             for name, processes in failed.items()
             if processes.any()
         ]
@@ -73,7 +73,7 @@ class ImperfectLaps:
         self.seed = seed
         self.starts = np.tile(design.problem.initial_error, (realisations, 1))
         self.controller = components.make_tube_mpc(design)
-        self.ideal = [components.slipping_robot(design, process) for process in PROCESSES]
+        self.ideal = [components.slipping_robot(design, process) for process in TEST_PROCESSES]
 
     def at(
         self, name: str, on_progress: Callable[[], object] = lambda: None

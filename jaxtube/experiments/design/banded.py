@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxtube.experiments.design.banded_attack import PROCESSES, REFERENCES, BandedLaps, attack
+from jaxtube.experiments.design.banded_attack import REFERENCES, BandedLaps, attack
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.conditions import condition_lines
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.progress import progress
+from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.bands import BandedLaw, make_law
 
@@ -21,8 +22,8 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     folder.report(report(law))
     attacks = {}
     if law.invariant.polytope is not None:
-        with progress(len(PROCESSES) * REFERENCES, "attacking", "references") as bar:
-            for process in PROCESSES:
+        with progress(len(TEST_PROCESSES) * REFERENCES, "attacking", "references") as bar:
+            for process in TEST_PROCESSES:
                 attacks[process] = attack(law, process, options.seed, bar.update)
         folder.report("\n" + attack_report(attacks))
     folder.save_metrics(metrics(law, attacks))

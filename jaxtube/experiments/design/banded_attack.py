@@ -20,16 +20,14 @@ from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory, realisation_keys
 from jaxtube.simulation.starts import UniformStart, uniform_start
+from jaxtube.statistics.checks import OUTSIDE
 from jaxtube.synthesis.bands import BandedLaw
 from sets.polytope import Polytope
 
-PROCESSES = ("iid", "vertex", "constant", "adversarial")
 REFERENCES = 8
 """References under each slip process, each with a block of laps."""
 STEPS = 300
 """Steps of a lap."""
-OUTSIDE = 1e-12
-"""What counts as outside is further out than this: relative to a set's facet, or m/s and rad/s."""
 
 
 @dataclass(frozen=True)

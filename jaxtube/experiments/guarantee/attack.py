@@ -22,6 +22,7 @@ from jax import Array
 from jaxtyping import Float, Int, Key
 
 from jaxtube.plant.protocol import Advance, Command, Measurement
+from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.plant.slipping import SlipMemory, SlippingRobot
 from jaxtube.scenario.reading import replace
 from jaxtube.simulation import components
@@ -29,7 +30,7 @@ from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import Task
 from jaxtube.synthesis.parts import Design
 
-PROCESSES = ("iid", "vertex", "constant", "adversarial", "patches")
+PROCESSES = (*TEST_PROCESSES, "patches")
 EDGE_PROCESSES = ("vertex", "adversarial")
 EDGE_SECONDS = 1.0
 

@@ -16,10 +16,8 @@ from typing import NamedTuple
 from jaxtube.experiments.run.conditions import condition_metrics
 from jaxtube.scenario.tree import Scenario
 from jaxtube.statistics.events import VIOLATIONS
-from jaxtube.statistics.intervals import largest_share
+from jaxtube.statistics.intervals import CONFIDENCE, largest_share
 from sets.certificate import Certificate
-
-CONFIDENCE = 0.95
 
 
 class DesignUnderTest(NamedTuple):

@@ -8,7 +8,6 @@ from collections.abc import Collection
 
 from jaxtube.experiments.guarantee.claims import (
     CLAIMS,
-    CONFIDENCE,
     Count,
     DesignUnderTest,
     GuaranteeClaim,
@@ -17,11 +16,10 @@ from jaxtube.experiments.guarantee.claims import (
     count_steps,
     judge_claim,
 )
-from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
 from jaxtube.statistics.events import VIOLATIONS, find_event
+from jaxtube.statistics.intervals import CONFIDENCE
 
-WIDTH = 100
-"""Columns of all text."""
 TOTALS = (
     "laps tried",
     "laps that violate any of it",

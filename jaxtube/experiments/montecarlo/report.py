@@ -11,13 +11,10 @@ from jaxtube import qp
 from jaxtube.coordinates import COORDINATES, KEYS, NAMES
 from jaxtube.experiments.montecarlo import tube_reach
 from jaxtube.experiments.run.limits import describe_error_set
-from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
 from jaxtube.statistics.events import EVENTS, Event
 from jaxtube.statistics.tally import STAGE_EVENTS
 from jaxtube.synthesis.problem import Problem
-
-WIDTH = 100
-"""Columns of a table."""
 
 
 def text(problem: Problem, seed: int, summary: dict, performance: dict) -> str:

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
 from jaxtube.synthesis.parts import Design
 from sets.certificate import reach_supports
 from sets.polytope import Polytope
@@ -26,8 +26,6 @@ from sets.tubes import Section, sequence_tube
 SAMPLES = 1_000_000
 PART = 50_000
 """Samples drawn at once."""
-WIDTH = 100
-"""Columns of the table."""
 
 
 class Excess(NamedTuple):

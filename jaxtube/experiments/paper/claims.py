@@ -8,11 +8,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from jaxtube.coordinates import COORDINATES, Coordinate
-from jaxtube.experiments.run.table import format_table, left
+from jaxtube.experiments.run.table import WIDTH, format_table, left
 from jaxtube.synthesis.certificate.existence import OBJECTIVES
 
-WIDTH = 100
-"""Columns of the table."""
 SAME = 1e-9
 """Errors that differ by less are equal."""
 PEAK_M = 0.25

@@ -6,10 +6,7 @@ from __future__ import annotations
 from jaxtube import qp
 from jaxtube.coordinates import COORDINATES, KEYS
 from jaxtube.experiments.paper import stress
-from jaxtube.experiments.run.table import Column, format_table, left
-
-WIDTH = 100
-"""Columns of a table."""
+from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
 
 
 def comparison(measured: dict) -> str:

@@ -18,7 +18,7 @@ SHOWN_KEYS = 3
 SHOWN_CHARACTERS = 24
 """Of a difference between two runs, in a message."""
 
-Statistics = dict[str, np.ndarray]
+Arrays = dict[str, np.ndarray]
 
 
 class DamagedError(Exception):
@@ -38,7 +38,7 @@ def encode(header: Mapping[str, Any], statistics: Mapping[str, Any]) -> bytes:
     return _seal(content) + content
 
 
-def decode(record: bytes) -> tuple[dict[str, Any], Statistics]:
+def decode(record: bytes) -> tuple[dict[str, Any], Arrays]:
     """Return the header and the statistics of a record.
 
     Raises:
@@ -52,7 +52,7 @@ def decode(record: bytes) -> tuple[dict[str, Any], Statistics]:
         return json.loads(header), dict(arrays)
 
 
-def plain(statistics: Mapping[str, Any]) -> Statistics:
+def plain(statistics: Mapping[str, Any]) -> Arrays:
     """Return statistics as arrays by sorted name.
 
     Raises:

@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from jaxtube.experiments.run.record_file import DamagedError, Statistics, plain
+from jaxtube.experiments.run.record_file import Arrays, DamagedError, plain
 from jaxtube.experiments.run.store import SUFFIX, Entry
 from jaxtube.experiments.run.store_owner import StoreOwner
 from jaxtube.scenario.refusal import refusal
@@ -38,7 +38,7 @@ class Records(StoreOwner):
         self,
         folder: Path,
         identity: Mapping[str, Any],
-        merge: Callable[[Statistics, Statistics], Statistics],
+        merge: Callable[[Arrays, Arrays], Arrays],
         block_size: int,
     ) -> None:
         """Open the records in a folder, made where it is absent, and clear up what a killed process
@@ -115,7 +115,7 @@ class Records(StoreOwner):
             self._laps[blocks] = int(laps)
             self._compact(blocks)
 
-    def merge(self) -> Statistics:
+    def merge(self) -> Arrays:
         """Return the statistics of all recorded blocks, by sorted name; empty before the first.
 
         Once nothing is missing they are the same bytes for every order of arrival and any
@@ -194,12 +194,12 @@ class Records(StoreOwner):
         self._store.remove(map(self._path, parts))
         self._compact(whole)
 
-    def _fold(self, ranges: list[range]) -> Statistics:
+    def _fold(self, ranges: list[range]) -> Arrays:
         if not ranges:
             return {}
         return plain(functools.reduce(self._merge, map(self._load, ranges)))
 
-    def _load(self, blocks: range) -> Statistics:
+    def _load(self, blocks: range) -> Arrays:
         try:
             return self._read(blocks).arrays
         except DamagedError:

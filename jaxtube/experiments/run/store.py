@@ -21,8 +21,8 @@ from typing import Any, BinaryIO, NamedTuple, Self
 
 from jaxtube.atomic import write_atomically
 from jaxtube.experiments.run.record_file import (
+    Arrays,
     DamagedError,
-    Statistics,
     decode,
     differences,
     encode,
@@ -43,7 +43,7 @@ class Entry(NamedTuple):
     """One entry as it was written."""
 
     header: dict[str, Any]
-    arrays: Statistics
+    arrays: Arrays
 
 
 class Store:

@@ -13,6 +13,8 @@ import textwrap
 from collections.abc import Iterable, Sequence
 from typing import Literal, NamedTuple
 
+WIDTH = 100
+"""Columns of all text that is saved."""
 GAP = "  "
 """Between two columns."""
 

@@ -28,11 +28,11 @@ from jaxtube.experiments.tune.front_figure import Group, Kind, front_figure
 from jaxtube.experiments.tune.paths import Drives, drive_numbers, drive_paths, path_lines
 from jaxtube.experiments.tune.result import (
     COMPARED_LAPS,
-    CONFIDENCE,
     Result,
     result_numbers,
     run_comparison,
 )
+from jaxtube.statistics.intervals import CONFIDENCE
 from jaxtube.tuning.run import Log, Settings
 from jaxtube.tuning.tune import Tuned
 

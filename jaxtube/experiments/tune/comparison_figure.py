@@ -10,11 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxtube.experiments.tune.figures import AFTER, BEFORE
-from jaxtube.experiments.tune.result import CONFIDENCE
-from jaxtube.figures.style import page_figure, styled
+from jaxtube.figures.style import LABEL_SIZE, page_figure, styled
 from jaxtube.figures.ticks import plain_ticks, spans_decade
+from jaxtube.statistics.intervals import CONFIDENCE
 
-LABEL_SIZE = 8
 TUNED: dict[str, Any] = {"color": AFTER.colour, "marker": "o", "markersize": 6}
 OTHERS: tuple[dict[str, Any], ...] = (
     {"color": BEFORE.colour, "marker": "D", "markersize": 4.5},

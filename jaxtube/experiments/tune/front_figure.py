@@ -18,6 +18,7 @@ from matplotlib.ticker import FixedLocator, NullLocator
 from jaxtube.experiments.tune.figures import AFTER
 from jaxtube.experiments.tune.place_names import GAPS, place_names
 from jaxtube.figures.style import (
+    LABEL_SIZE,
     LIMIT,
     bottom_legend,
     line_key,
@@ -37,7 +38,6 @@ LOOKS: dict[Kind, dict[str, Any]] = {
 }
 LABELLED = ("search", "start", "tuned")
 """Kinds of few designs, whose names stand beside their marks."""
-LABEL_SIZE = 8
 
 
 class Group(NamedTuple):

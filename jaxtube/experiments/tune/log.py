@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxtube.experiments.run.record_file import Statistics, plain
+from jaxtube.experiments.run.record_file import Arrays, plain
 from jaxtube.experiments.run.store import SUFFIX
 from jaxtube.experiments.run.store_owner import StoreOwner
 
@@ -46,7 +46,7 @@ class TuningLog(StoreOwner):
             StoreError: the disk failed later.
         """
         super().__init__(folder, identity)
-        self._entries: dict[str, Statistics] = {}
+        self._entries: dict[str, Arrays] = {}
         self._asked: Counter[str] = Counter()
         with self._opening("the log"):
             for name, entry in self._store.read_all("computed again").items():
@@ -97,7 +97,7 @@ class TuningLog(StoreOwner):
         self._asked[stream] += 1
         return _part(ANSWER, self._entries[name])
 
-    def _add(self, name: str, arrays: Statistics) -> None:
+    def _add(self, name: str, arrays: Arrays) -> None:
         with self._explain_failure(f"logging {name}{SUFFIX}"):
             self._entries[name] = self._store.write(name, {}, arrays).arrays
 
@@ -105,11 +105,11 @@ class TuningLog(StoreOwner):
         return f"the {self.entries} evaluations logged there are safe"
 
 
-def _prefix(prefix: str, arrays: Mapping[str, Any]) -> Statistics:
+def _prefix(prefix: str, arrays: Mapping[str, Any]) -> Arrays:
     return {prefix + name: array for name, array in plain(arrays).items()}
 
 
-def _part(prefix: str, arrays: Statistics) -> Statistics:
+def _part(prefix: str, arrays: Arrays) -> Arrays:
     """Return the arrays of a prefix, without it."""
     return {
         name.removeprefix(prefix): array
@@ -118,7 +118,7 @@ def _part(prefix: str, arrays: Statistics) -> Statistics:
     }
 
 
-def _find_difference(there: Statistics, here: Statistics) -> str:
+def _find_difference(there: Arrays, here: Arrays) -> str:
     """Name the first array that differs in any bit, in type or in shape; empty when none does."""
     for name in sorted(there | here):
         if _bits(there.get(name)) != _bits(here.get(name)):

@@ -17,13 +17,12 @@ from matplotlib.text import Annotation
 from matplotlib.ticker import MaxNLocator
 from scipy.optimize import isotonic_regression
 
-from jaxtube.figures.style import area_key, bottom_legend, page_figure, styled
+from jaxtube.figures.style import LABEL_SIZE, area_key, bottom_legend, page_figure, styled
 from jaxtube.figures.ticks import plain_ticks, spans_decade
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES = ("-", (0, (5, 1.5)), (0, (1, 1)), (0, (4, 1, 1, 1)))
 """Those of a panel's lines in turn, so that lines differ in print as well."""
-LABEL_SIZE = 8
 SPACING = 1.35
 """Distance between names above each other, in sizes of their font."""
 NEAR = 1.06

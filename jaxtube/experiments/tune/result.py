@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import bootstrap
 
+from jaxtube.statistics.intervals import CONFIDENCE
 from jaxtube.synthesis.certificate.fill import widest_tube
 from jaxtube.tuning.judgement import pool
 from jaxtube.tuning.loop import Weights
@@ -18,7 +19,6 @@ from jaxtube.tuning.tuner import Tuner
 
 COMPARED_LAPS = 1024
 RESAMPLES = 2000
-CONFIDENCE = 0.95
 
 
 class Result(NamedTuple):
