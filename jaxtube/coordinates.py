@@ -1,4 +1,4 @@
-"""The three coordinates of a tracking error: names, symbols, units of display.
+"""The three coordinates of a tracking error: names, symbols, units of display; names of the inputs.
 
     e = (e_x, e_y, e_theta)     in the frame of the robot, m, m and rad; displayed in m, m and deg
 
@@ -52,6 +52,9 @@ KEYS = tuple(coordinate.key for coordinate in COORDINATES)
 TO_DISPLAY = np.array([coordinate.to_display for coordinate in COORDINATES])
 """Factors from (m, m, rad) to (m, m, deg)."""
 SI_UNITS = ("m", "m", "rad")
+ERROR_NAMES = tuple(f"{name} error" for name in NAMES)
+INPUT_NAMES = ("speed deficit", "yaw rate deficit")
+"""The virtual inputs, m/s and rad/s."""
 
 PLANES = ((0, 1), (0, 2), (1, 2))
 """Pairs of coordinates that a projection shows, abscissa first."""

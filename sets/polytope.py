@@ -276,6 +276,11 @@ class Polytope:
             return Polytope.box(np.zeros(self.dimension), np.zeros(self.dimension))
         return Polytope(self.normals, self.offsets * (factor or 1.0))
 
+    def with_unit_normals(self) -> Polytope:
+        """Return the same set by rows of norm one; none may be zero."""
+        norms = np.linalg.norm(self.normals, axis=1)
+        return Polytope(self.normals / norms[:, None], self.offsets / norms)
+
     def reduce(self) -> Polytope:
         """Return the same set by rows of which none is redundant; implicit equalities become two
         opposite rows."""

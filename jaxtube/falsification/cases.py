@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from jaxtube.coordinates import COORDINATES, INPUT_NAMES
 from jaxtube.falsification.sample import SampledExtremes
 from jaxtube.falsification.search import WorstCaseSearch
 from jaxtube.falsification.setting import LoopLimits
@@ -17,15 +18,11 @@ from jaxtube.synthesis.disturbance import ground_speed_limits
 BEYOND = 1e-9
 """Usage beyond 1 that is rounding."""
 
-ERRORS = (
-    ("longitudinal error", 1.0, "m"),
-    ("lateral error", 1.0, "m"),
-    ("heading error", np.rad2deg(1.0), "deg"),
-)
+ERRORS = tuple((f"{one.name} error", one.to_display, one.unit) for one in COORDINATES)
 """What each error is called, and its unit with the factor into it."""
 
 WHEELS = ("right wheel", "left wheel")
-CAPS = (("speed deficit", "m/s"), ("yaw rate deficit", "rad/s"))
+CAPS = tuple(zip(INPUT_NAMES, ("m/s", "rad/s"), strict=True))
 """What each virtual input is called where U is a box of caps, and its unit."""
 
 
@@ -114,9 +111,7 @@ def compute_certified_usage(limits: LoopLimits, name: str) -> float:
     robot = design.problem.robot
     grip = ground_speed_limits(design.problem)[1] / robot.wheel_speed_max
     ends = bound.ground_speeds / grip
-    middle = (robot.wheel_speed_max + robot.wheel_speed_min) / 2
-    half = (robot.wheel_speed_max - robot.wheel_speed_min) / 2
-    return float(np.max(np.abs(ends - middle)) / half)
+    return float(np.max(np.abs(ends - robot.wheel_speed_middle)) / robot.wheel_speed_half_range)
 
 
 def list_worst_first(rows: dict[str, Row]) -> list[str]:

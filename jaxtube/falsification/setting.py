@@ -235,12 +235,12 @@ def make_lap_limits(design: Design) -> Limits:
     problem = design.problem
     robot = problem.robot
     identity = np.eye(2)
-    middle = (robot.wheel_speed_min + robot.wheel_speed_max) / 2
     speeds = [robot.wheel_speed_max] * 2 + [-robot.wheel_speed_min] * 2
+    middle = [robot.wheel_speed_middle] * 2
     return {
         "error": make_limit(problem.error_set.normals, problem.error_set.offsets),
         "input": make_limit(problem.input_set.normals, problem.input_set.offsets),
-        "wheels": make_limit(np.vstack([identity, -identity]), speeds, [middle] * 2),
+        "wheels": make_limit(np.vstack([identity, -identity]), speeds, middle),
     }
 
 

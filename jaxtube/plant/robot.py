@@ -34,6 +34,16 @@ class Robot:
     wheel_speed_min: float
     wheel_speed_max: float
 
+    @property
+    def wheel_speed_middle(self) -> float:
+        """Middle of the range of wheel speeds, m/s."""
+        return (self.wheel_speed_max + self.wheel_speed_min) / 2
+
+    @property
+    def wheel_speed_half_range(self) -> float:
+        """Half of the range of wheel speeds, m/s."""
+        return (self.wheel_speed_max - self.wheel_speed_min) / 2
+
 
 def body_velocity(
     wheels: Float[Array, "... 2"], slip: Float[Array, "... 2"] | float, track_width: float

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxtube.coordinates import NAMES, SI_UNITS
+from jaxtube.coordinates import INPUT_NAMES, NAMES, SI_UNITS
 from jaxtube.simulation.rollout import Trajectory
 
 
@@ -57,7 +57,7 @@ def make_dataset(trajectory: Trajectory, dt: float, attributes: Mapping[str, str
         "lap": ("lap", np.arange(count)),
         "coordinate": ("coordinate", list(NAMES)),
         "unit": ("coordinate", list(SI_UNITS)),
-        "input": ("input", ["speed deficit", "yaw rate deficit"]),
+        "input": ("input", list(INPUT_NAMES)),
         "wheel": ("wheel", ["right", "left"]),
     }
     return import_xarray().Dataset(variables, coordinates, dict(attributes))

@@ -73,11 +73,11 @@ def lay_map_grid(reference: Reference) -> tuple[Float[np.ndarray, "2"], np.float
 
 def facets(polytope: Polytope) -> Facets:
     """Return a polytope with unit normals, and the box around it."""
-    scale = np.linalg.norm(polytope.normals, axis=1)
+    unit = polytope.with_unit_normals()
     identity = np.eye(polytope.dimension)
     return Facets(
-        normals=polytope.normals / scale[:, None],
-        offsets=polytope.offsets / scale,
+        normals=unit.normals,
+        offsets=unit.offsets,
         lower=-polytope.support(-identity),
         upper=polytope.support(identity),
     )

@@ -26,6 +26,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float, Int
 
+from jaxtube.coordinates import ERROR_NAMES
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.certificate.fill import ring_normals
 from jaxtube.synthesis.certificate.law import LawBand, certify_law, law_admissible_set
@@ -153,8 +154,8 @@ def _cap_shares(
     caps = law_admissible_set(problem, bands)
     normals = np.concatenate([caps.normals / caps.offsets[:, None], ring_normals(problem)])
     tube = minimal_rpi_bound(loops, supports, normals)
-    names = ["longitudinal error", "lateral error", "heading error"]
-    names += [f"inputs of band {number}" for number in range(1, len(bands) + 1)]
+    of_bands = [f"inputs of band {number}" for number in range(1, len(bands) + 1)]
+    names = [*ERROR_NAMES, *of_bands]
     if tube is None:
         return dict.fromkeys(names, np.inf)
     shares = list((tube.support(E.normals) / E.offsets).reshape(2, -1).max(axis=0))

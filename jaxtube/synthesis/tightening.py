@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.coordinates import ERROR_NAMES, INPUT_NAMES
 from jaxtube.synthesis.advice import say_what_helps
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.tubes import Tube
@@ -23,9 +24,8 @@ BACK_OFF = 1e-7
 that it allows, in the units of E and U. So a plan that misses its constraints by that slack still
 meets, shifted, those of a stage less."""
 
-ERROR_NAMES = ("longitudinal error", "lateral error", "heading error")
 WHEEL_NAMES = ("right wheel deficit", "left wheel deficit")
-CAP_NAMES = ("speed deficit", "yaw rate deficit", "coupled cap, outwards", "coupled cap, inwards")
+CAP_NAMES = (*INPUT_NAMES, "coupled cap, outwards", "coupled cap, inwards")
 
 
 class EmptySetError(ValueError):

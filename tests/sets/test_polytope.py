@@ -352,6 +352,13 @@ def test_preimage_holds_exactly_the_points_that_map_into_the_set():
         assert (preimage.contains(candidates * source) == (slack > 0))[clear].all()
 
 
+def test_unit_normals_keep_the_set():
+    polytope = Polytope([[2.0, 0.0], [0.0, -0.5], [-3.0, 4.0]], [1.0, 2.0, 5.0])
+    unit = polytope.with_unit_normals()
+    np.testing.assert_array_equal(unit.normals, [[1.0, 0.0], [0.0, -1.0], [-0.6, 0.8]])
+    np.testing.assert_array_equal(unit.offsets, [0.5, 4.0, 1.0])
+
+
 def test_reduce_keeps_the_set_and_no_redundant_row():
     for c in share(3):
         reduced = c.polytope.reduce()

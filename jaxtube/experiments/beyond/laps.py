@@ -126,8 +126,7 @@ def lap_usage(design: Design, trajectory: Trajectory) -> ProcessUsage:
     W = problem.disturbance_set
     error = np.max(np.abs(trajectory.errors), axis=(0, 1)) / problem.error_set.offsets[:3]
     disturbances = batches.model_disturbances(design, trajectory) @ W.normals.T
-    middle = (robot.wheel_speed_max + robot.wheel_speed_min) / 2
-    reach = (robot.wheel_speed_max - robot.wheel_speed_min) / 2
-    wheels = np.max(np.abs(trajectory.demanded - middle)) / reach
+    widest = np.max(np.abs(trajectory.demanded - robot.wheel_speed_middle))
+    wheels = widest / robot.wheel_speed_half_range
     without_plan = float(np.sum(trajectory.diagnostics.status != qp.SOLVED))
     return ProcessUsage(error, np.max(disturbances / W.offsets), wheels, without_plan)

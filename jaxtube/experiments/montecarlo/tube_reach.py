@@ -21,7 +21,7 @@ from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
 from jaxtube.synthesis.parts import Design
 from sets.certificate import reach_supports
 from sets.polytope import Polytope
-from sets.tubes import Section, sequence_tube
+from sets.tubes import sequence_tube
 
 SAMPLES = 1_000_000
 PART = 50_000
@@ -46,7 +46,7 @@ def metrics(design: Design, seed: int) -> dict:
             ratios = _ratios_along(design, W)
             numbers = {"largest_excess": excess.along, "least_share_reached": 1 / ratios.max()}
         else:
-            facets = _unit_facets(sections[-1])
+            facets = sections[-1].polytope().with_unit_normals()
             ratios = facets.offsets / _reach(design, W, facets, len(sections) - 1)
             numbers = {"largest_excess": excess.switching[name]}
         by_tube[name] = numbers | {
@@ -90,13 +90,6 @@ def _row(name: str, numbers: dict) -> list[str]:
     ]
 
 
-def _unit_facets(section: Section) -> Polytope:
-    """Return a section with normals of length 1."""
-    polytope = section.polytope()
-    scale = np.linalg.norm(polytope.normals, axis=1)
-    return Polytope(polytope.normals / scale[:, None], polytope.offsets / scale)
-
-
 def _reach(
     design: Design, W: Float[np.ndarray, "v 3"], facets: Polytope, steps: int
 ) -> Float[np.ndarray, " facets"]:
@@ -110,7 +103,7 @@ def sample_deviations(design: Design, seed: int) -> Excess:
     tubes = {}
     for name, sections in design.tubes.items():
         if not sections.follows_reference:
-            tubes[name] = [_unit_facets(section) for section in sections[1:]]
+            tubes[name] = [section.polytope().with_unit_normals() for section in sections[1:]]
     return Excess(_sample_switching(design, tubes, seed), _sample_along(design, seed))
 
 
@@ -137,7 +130,9 @@ def _sample_along(design: Design, seed: int) -> float:
     samples = -(-SAMPLES // len(by_window))
     excess = -np.inf
     for window, loops in enumerate(by_window):
-        sections = [_unit_facets(section) for section in sequence_tube(loops, W)[1:]]
+        sections = [
+            section.polytope().with_unit_normals() for section in sequence_tube(loops, W)[1:]
+        ]
         generator = np.random.default_rng([seed, SAMPLES // PART + window])
         known = np.broadcast_to(loops[:, None], (len(loops), samples, 3, 3))
         for stage, points in enumerate(_deviations(known, W.vertices(), generator)):
@@ -172,7 +167,8 @@ def _ratios_along(design: Design, W: Float[np.ndarray, "v 3"]) -> Float[np.ndarr
     reach, played."""
     ratios = []
     for loops in design.windows.loops:
-        facets = _unit_facets(sequence_tube(loops, design.problem.disturbance_set)[-1])
+        section = sequence_tube(loops, design.problem.disturbance_set)[-1]
+        facets = section.polytope().with_unit_normals()
         ends = _worst_ends(loops, W, facets.normals)
         ratios.append(facets.offsets / np.einsum("fi,fi->f", facets.normals, ends))
     return np.concatenate(ratios)

@@ -10,6 +10,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.stats import bootstrap
 
+from jaxtube.coordinates import TO_DISPLAY
+from jaxtube.experiments.run.metrics import by_coordinate
 from jaxtube.statistics.intervals import CONFIDENCE
 from jaxtube.synthesis.certificate.fill import widest_tube
 from jaxtube.tuning.judgement import pool
@@ -112,19 +114,9 @@ def _compute_rms_reduction(before, after, axis: int = -1) -> Any:
 def result_numbers(result: Result) -> dict:
     """Return a result as plain numbers."""
     widths = result.half_widths
-    half_widths = None
-    if widths is not None:
-        half_widths = {
-            "longitudinal_m": widths[0],
-            "lateral_m": widths[1],
-            "heading_deg": np.rad2deg(widths[2]),
-        }
+    rms_errors = np.array([result.rms(coordinate) for coordinate in range(3)])
     return {
-        "rms_error": {
-            "longitudinal_m": result.rms(0),
-            "lateral_m": result.rms(1),
-            "heading_deg": np.rad2deg(result.rms(2)),
-        },
+        "rms_error": by_coordinate(rms_errors * TO_DISPLAY),
         "effort_mps": result.overall_effort,
         "settled_effort_mps": pool(result.settled_effort),
         "steps_without_plan": result.unplanned,
@@ -132,7 +124,7 @@ def result_numbers(result: Result) -> dict:
         "objective": result.objective,
         "certified": result.certified,
         "failing": list(result.failing),
-        "minimal_rpi_half_widths": half_widths,
+        "minimal_rpi_half_widths": None if widths is None else by_coordinate(widths * TO_DISPLAY),
         "largest_cap_share": result.fill,
     }
 

@@ -14,12 +14,13 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.coordinates import ERROR_NAMES
 from jaxtube.synthesis.disturbance import with_computed_bound
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.limits import make_input_rows
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import admissible_set
-from jaxtube.synthesis.tightening import ERROR_NAMES, input_names
+from jaxtube.synthesis.tightening import input_names
 from sets.certificate import Condition, judge
 from sets.invariant import minimal_rpi_bound
 from sets.polytope import Polytope
