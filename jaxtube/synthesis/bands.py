@@ -152,7 +152,9 @@ def _cap_shares(
     fills at its widest."""
     E = problem.operating_set
     caps = law_admissible_set(problem, bands)
-    normals = np.concatenate([caps.normals / caps.offsets[:, None], ring_normals(problem)])
+    normals = np.concatenate(
+        [caps.normals / caps.offsets[:, None], ring_normals(problem.operating_set.offsets)]
+    )
     tube = minimal_rpi_bound(loops, supports, normals)
     of_bands = [f"inputs of band {number}" for number in range(1, len(bands) + 1)]
     names = [*ERROR_NAMES, *of_bands]

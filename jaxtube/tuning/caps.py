@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from jaxtube.synthesis.certificate.fill import RING
+from jaxtube.synthesis.certificate.fill import RING, ring_normals
 from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.minimal import ActiveFacets, find_active_facets, minimal_reach
 from jaxtube.tuning.tube import closed_loop_rows, largest
@@ -55,10 +55,7 @@ def cap_normals(limits: CapLimits, gains: Float[Array, "v 2 3"]) -> Float[Array,
     """
     box = jnp.diag(1.0 / limits.widths)
     rows = closed_loop_rows(limits.inputs, limits.errors, gains) / limits.offsets[:, None]
-    angles = jnp.asarray(2 * np.pi * np.arange(RING) / RING, dtype=gains.dtype)
-    lateral = jnp.cos(angles) / limits.widths[1]
-    heading = jnp.sin(angles) / limits.widths[2]
-    ring = jnp.stack([jnp.zeros_like(angles), lateral, heading], axis=1)
+    ring = ring_normals(limits.widths, jnp)
     return jnp.concatenate([box, -box, rows.reshape(-1, 3), ring])
 
 

@@ -10,10 +10,12 @@ and heading error, where loops turn.
 from __future__ import annotations
 
 from dataclasses import replace
+from types import ModuleType
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.control.mpc import AnyArray
 from jaxtube.coordinates import ERROR_NAMES
 from jaxtube.synthesis.disturbance import with_computed_bound
 from jaxtube.synthesis.gains import Gain
@@ -57,15 +59,23 @@ def _take_larger_of_pairs(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, 
 def widest_tube(problem: Problem, gain: Gain) -> Polytope | None:
     """Return an invariant outer bound of a gain's minimal RPI set, None where none was found."""
     caps = admissible_set(problem, gain)
-    normals = np.concatenate([caps.normals / caps.offsets[:, None], ring_normals(problem)])
+    normals = np.concatenate(
+        [caps.normals / caps.offsets[:, None], ring_normals(problem.operating_set.offsets)]
+    )
     return minimal_rpi_bound(gain.loops, problem.disturbance_set.support, normals)
 
 
-def ring_normals(problem: Problem) -> Float[np.ndarray, "RING 3"]:
-    """Return directions around the plane of lateral and heading error, in units of their caps."""
-    angles = 2 * np.pi * np.arange(RING) / RING
-    lateral, heading = problem.operating_set.offsets[1:3]
-    return np.stack([np.zeros(RING), np.cos(angles) / lateral, np.sin(angles) / heading], axis=1)
+def ring_normals(widths: Float[AnyArray, "3"], xp: ModuleType = np) -> Float[AnyArray, "RING 3"]:
+    """Return directions around the plane of lateral and heading error, in units of their caps.
+
+    Args:
+        widths: caps of the errors (m, m, rad).
+        xp: numpy or jax.numpy.
+    """
+    angles = xp.asarray(2 * np.pi * np.arange(RING) / RING, dtype=widths.dtype)
+    lateral = xp.cos(angles) / widths[1]
+    heading = xp.sin(angles) / widths[2]
+    return xp.stack([xp.zeros_like(angles), lateral, heading], axis=1)
 
 
 def ultimate_bound(problem: Problem, gain: Gain) -> Float[np.ndarray, "3"]:
