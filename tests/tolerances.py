@@ -44,39 +44,5 @@ QP_ANSWER = 1e-6
 QP_ROUNDING = 1e-11
 QP_SHARE_FLOAT32 = 0.9
 QP_ANSWER_FLOAT32 = 1e-4
-
-# Of one file each, from here on.
-
-EXACT_SOLVER = 1e-6
-"""First inputs of the batched solver, residual 1e-8, against an active-set method."""
-SINGLE_PRECISION = 1e-4
-"""The same in float32."""
-SINGLE_KKT = 2e-5
-"""`KKT` in float32."""
-QP_SHARE = 0.999
-"""Of the feasible instances solved, and of the infeasible ones proved."""
-QP_RESIDUAL = 1e-8
-QP_EDGE = 1e-5
-"""Relative distance from the edge of the feasible set at which both sides are told apart."""
-QP_POLISHED = 0.9
-"""Of the constrained instances, made exact by Newton steps after ADMM."""
-QP_ILL_CONDITIONED_FLOAT32 = 1e-3
-"""Condition number 1e4, answers up to 30."""
-SENSITIVITY = 1e-6
-"""Relative; derivatives against differences and against unrolled iterations."""
-SENSITIVITY_EXCLUDED = 0.03
-"""Of the solved instances: their active rows change within a difference, or are dependent."""
-SENSITIVITY_FLOAT32 = 1e-2
-"""Relative, on the worst conditioned of the active rows."""
-FALSIFY_CLOSED_FORM = 1e-9
-"""Relative; worst cases of linear loops against sums of support numbers."""
 FALSIFY_REPLAY = 1e-9
 """In m and rad; laps that are played again."""
-FALSIFY_SLOPE = 1e-6
-"""Relative; central differences with steps of 1e-5."""
-REPLAYED = 1e-9
-"""Usage of a set by one lap alone against the same lap among others."""
-REACHED_FACET = 1e-9
-"""Relative; offsets of facets against the exact reach."""
-SPREAD = 1e-9
-"""Places of names, of order one, against a quadratic program."""

@@ -6,7 +6,7 @@ from figure_checks import assert_presentable, extent, legend_texts, save
 from matplotlib.colors import to_hex
 from matplotlib.text import Annotation, Text
 from quadprog import solve_qp
-from tolerances import DRAWN, SPREAD
+from tolerances import DRAWN
 
 from jaxtube.experiments.tune.comparison_figure import comparison_figure
 from jaxtube.experiments.tune.figures import error_figure, settled_rms, tube_figure
@@ -16,6 +16,9 @@ from jaxtube.figures.learning import LearningCurve, learning_figure
 from jaxtube.figures.style import CENTIMETRES
 from jaxtube.figures.ticks import spans_decade
 from sets.polytope import Polytope
+
+SPREAD = 1e-9
+"""Places of names, of order one, against a quadratic program."""
 
 HALF_WIDTHS = np.array([0.3, 0.3, np.deg2rad(20.0)])
 LIMIT = 0.0288

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from oracles import model
-from tolerances import FALSIFY_CLOSED_FORM, FALSIFY_REPLAY, FALSIFY_SLOPE, INSIDE_TUBE, ROUNDING
+from tolerances import FALSIFY_REPLAY, INSIDE_TUBE, ROUNDING
 
 from jaxtube.falsification import setting as falsify_setting
 from jaxtube.falsification.ascent import (
@@ -26,6 +26,11 @@ from jaxtube.simulation import components
 from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.simulation.usage import JudgedLoop, compute_usages, make_limit, play, replay
 from sets.polytope import Polytope
+
+FALSIFY_CLOSED_FORM = 1e-9
+"""Relative; worst cases of linear loops against sums of support numbers."""
+FALSIFY_SLOPE = 1e-6
+"""Relative; central differences with steps of 1e-5."""
 
 DT, TRACK_WIDTH = 0.1, 0.5
 SHORT = 40  # steps of the short laps

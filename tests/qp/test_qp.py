@@ -15,6 +15,16 @@ from tube_programs import BATCH, Family, easy, family, hard
 from jaxtube import qp
 from jaxtube.qp import batched_ldl, farkas, fixed_point, solver
 
+QP_SHARE = 0.999
+"""Of the feasible instances solved, and of the infeasible ones proved."""
+QP_RESIDUAL = 1e-8
+QP_EDGE = 1e-5
+"""Relative distance from the edge of the feasible set at which both sides are told apart."""
+QP_POLISHED = 0.9
+"""Of the constrained instances, made exact by Newton steps after ADMM."""
+QP_ILL_CONDITIONED_FLOAT32 = 1e-3
+"""Condition number 1e4, answers up to 30."""
+
 solve = jax.jit(qp.solve)
 factorise = jax.jit(qp.factorise)
 
@@ -65,10 +75,10 @@ def check(fam: Family, q, l, u) -> tuple[np.ndarray, np.ndarray]:
     infeasible = solution.status == qp.INFEASIBLE
     assert not (solved & ~feasible).any()
     assert not (infeasible & feasible).any()
-    assert solved.sum() >= tol.QP_SHARE * feasible.sum()
-    assert infeasible.sum() >= tol.QP_SHARE * (~feasible).sum()
+    assert solved.sum() >= QP_SHARE * feasible.sum()
+    assert infeasible.sum() >= QP_SHARE * (~feasible).sum()
     by_hand = residual_by_hand(fam.P, fam.A, q, l, u, solution.x, solution.multipliers)
-    assert by_hand[solved].max() <= tol.QP_RESIDUAL
+    assert by_hand[solved].max() <= QP_RESIDUAL
     np.testing.assert_allclose(solution.residual[solved], by_hand[solved], atol=tol.QP_ROUNDING)
     np.testing.assert_allclose(solution.x[solved], x[solved], atol=tol.QP_ANSWER)
     assert np.isfinite(solution.x).all() and np.isfinite(solution.multipliers).all()
@@ -118,8 +128,8 @@ def test_the_edge_of_the_feasible_set_is_where_linear_programming_puts_it():
     fam = family(3)
     directions = np.random.default_rng(3).normal(size=(20, 3))
     edges = np.array([edge(fam, d) for d in directions])[:, None] * directions
-    within = answer(fam.P, fam.A, *fam.programs(edges * (1 - tol.QP_EDGE)))
-    beyond = answer(fam.P, fam.A, *fam.programs(edges * (1 + tol.QP_EDGE)))
+    within = answer(fam.P, fam.A, *fam.programs(edges * (1 - QP_EDGE)))
+    beyond = answer(fam.P, fam.A, *fam.programs(edges * (1 + QP_EDGE)))
     assert (within.status == qp.SOLVED).all()
     assert (beyond.status == qp.INFEASIBLE).all()
 
@@ -145,7 +155,7 @@ def test_float32_takes_an_ill_conditioned_free_optimum():
     solution = answer(P, family(0).A, q, -bound, bound, dtype=np.float32)
     assert (solution.status == qp.SOLVED).all()
     np.testing.assert_allclose(
-        solution.x, np.linalg.solve(P, -q.T).T, atol=tol.QP_ILL_CONDITIONED_FLOAT32
+        solution.x, np.linalg.solve(P, -q.T).T, atol=QP_ILL_CONDITIONED_FLOAT32
     )
 
 
@@ -283,8 +293,8 @@ def test_polish_makes_most_iterates_exact_and_loses_none():
     solution = answer(fam.P, fam.A, *programs)
     constrained = (solution.status == qp.SOLVED) & solution.multipliers.any(axis=1)
     assert (after <= before).all()
-    assert (before[constrained] > tol.QP_RESIDUAL).mean() > tol.QP_POLISHED
-    assert (after[constrained] < tol.QP_RESIDUAL).mean() > tol.QP_POLISHED
+    assert (before[constrained] > QP_RESIDUAL).mean() > QP_POLISHED
+    assert (after[constrained] < QP_RESIDUAL).mean() > QP_POLISHED
 
 
 def test_no_multipliers_exclude_a_set_that_holds_a_point():
@@ -334,7 +344,7 @@ def test_the_size_of_the_cost_neither_moves_the_answer_nor_widens_the_bounds(fac
     x, feasible = exact(fam.P, fam.A, q, l, u)
     solved = solution.status == qp.SOLVED
     assert not (solved & ~feasible).any()
-    assert solved.sum() >= tol.QP_SHARE * feasible.sum()
+    assert solved.sum() >= QP_SHARE * feasible.sum()
     norms = np.linalg.norm(fam.A, axis=1)
     values = solution.x @ fam.A.T
     missed = np.maximum(l - values, values - u) / norms
