@@ -8,6 +8,7 @@ Source: new.
 
 from __future__ import annotations
 
+import copy
 import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -94,6 +95,12 @@ class Estimate:
         angles = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
         lateral = np.cos(angles) * USUAL_TRACK_WIDTH_M / model.track_width
         self.directions = np.stack([lateral, np.sin(angles)], axis=1)
+
+    def with_less_speed(self, factor: float) -> Estimate:
+        """Return the same estimate, with the greatest ground speed divided by a factor."""
+        slower = copy.copy(self)
+        slower.fastest = self.fastest / factor
+        return slower
 
     def shares(self, logarithms: Float[np.ndarray, " 11"]) -> Shares | None:
         """Return the shares of caps and limits, None where the loops have no bounded tube."""

@@ -112,7 +112,7 @@ def optimise(
         if excess <= 1:
             break
         # Corners miss the greatest ground speed by little: ask for that much less.
-        estimate.fastest /= excess * (1 + ACCURACY)
+        estimate = estimate.with_less_speed(excess * (1 + ACCURACY))
         best, least = _descend(estimate, best)
     return Optimum(_with_values(problem.scenario, best), float(least))
 
