@@ -40,8 +40,8 @@ def read(folder: str | Path) -> Result:
         raise refuse_folder(folder, f"holds a {stored.kind!r}, which is unknown")
     try:
         return _restore(stored)
-    except KeyError as error:
-        raise refuse_folder(folder, f"is damaged: {error.args[0]} is missing") from None
+    except (KeyError, TypeError) as error:
+        raise refuse_folder(folder, f"is damaged: it lacks a part ({error})") from error
 
 
 def _restore(stored: StoredResult) -> Result:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxtube as jt
-from jaxtube import results
+from jaxtube import results, storage
 
 SHORT = "reference.duration_s=1"
 
@@ -58,25 +58,85 @@ def test_a_design_that_comes_out_differently_is_refused(tmp_path, design, quick_
         jt.read(tmp_path)
 
 
-def test_damaged_and_foreign_folders_are_refused_in_one_line(tmp_path, laps, quick_designs):
-    def refusal() -> str:
-        with pytest.raises(jt.ScenarioError) as told:
-            jt.read(tmp_path)
-        assert "\n" not in str(told.value)
-        return str(told.value)
+def refuse(function, *arguments) -> str:
+    """Return the one line with which a folder is refused."""
+    with pytest.raises(jt.ScenarioError) as told:
+        function(*arguments)
+    assert "\n" not in str(told.value)
+    return str(told.value)
 
-    assert "cannot be read" in refusal()
+
+def test_damaged_and_foreign_folders_are_refused_in_one_line(tmp_path, laps, quick_designs):
+    assert "does not exist" in refuse(jt.read, tmp_path / "nowhere")
+    assert "holds no result.json" in refuse(jt.read, tmp_path)
     laps.save(tmp_path)
+    assert "is a file" in refuse(jt.read, tmp_path / "result.json")
     facts = json.loads((tmp_path / "result.json").read_text())
     (tmp_path / "result.json").write_text(json.dumps({**facts, "schema": 99}))
-    assert "of another version" in refusal()
+    assert "of another version" in refuse(jt.read, tmp_path)
     (tmp_path / "result.json").write_text(json.dumps({**facts, "kind": "cake"}))
-    assert "'cake', which is unknown" in refusal()
-    (tmp_path / "result.json").write_text("{")
-    assert "is damaged" in refusal()
-    laps.save(tmp_path)
+    assert "'cake', which is unknown" in refuse(jt.read, tmp_path)
+    for text in ("{", "3", "{}"):
+        (tmp_path / "result.json").write_text(text)
+        assert "is damaged: result.json" in refuse(jt.read, tmp_path)
+    del facts["seed"]
+    (tmp_path / "result.json").write_text(json.dumps(facts))
+    assert "is damaged: it lacks a part" in refuse(jt.read, tmp_path)
     (tmp_path / "arrays.npz").write_bytes(b"no archive")
-    assert "is damaged" in refusal()
+    assert "is damaged: arrays.npz" in refuse(jt.read, tmp_path)
+    (tmp_path / "arrays.npz").unlink()
+    assert "is damaged: arrays.npz cannot be read" in refuse(jt.read, tmp_path)
+
+
+def test_a_run_folder_of_the_command_line_is_named_with_what_to_do(tmp_path):
+    for name in ("manifest.json", "scenario.toml"):
+        (tmp_path / name).touch()
+    told = refuse(jt.read, tmp_path)
+    assert "is a run folder of the command line; give jt.design(jt.load(" in told
+    assert "scenario.toml" in told
+
+
+def test_a_save_replaces_a_result_of_its_kind_alone(tmp_path, design, laps, quick_designs):
+    laps.save(tmp_path)
+    (tmp_path / ".arrays.npz.1234").touch()  # left by a process that was killed
+    fewer = jt.Laps(design, "other", "robot", 0, laps.trajectory)
+    assert jt.read(fewer.save(tmp_path)).controller == "other"
+    assert "holds 'laps', another kind" in refuse(design.save, tmp_path)
+    assert jt.read(tmp_path).controller == "other"
+
+
+@pytest.mark.parametrize("name", ["notes.txt", "scenario.toml"])
+def test_a_save_overwrites_no_files_of_the_user(tmp_path, design, name):
+    (tmp_path / name).write_text("mine")
+    told = refuse(design.save, tmp_path)
+    assert f"holds files that no result has saved ({name}); name a new or an empty folder" in told
+    assert "cannot be written" in refuse(design.save, tmp_path / name)
+    assert (tmp_path / name).read_text() == "mine"
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("name", ["scenario.toml", "arrays.npz", "result.json"])
+def test_a_save_that_is_broken_off_is_told_and_can_be_made_again(
+    tmp_path, design, laps, quick_designs, monkeypatch, name
+):
+    laps.save(tmp_path)
+    write = storage.write_atomically
+    written = []
+
+    def break_off(path, write_content):
+        if path.name == name and len(written) > 0:
+            raise KeyboardInterrupt
+        written.append(path.name)
+        write(path, write_content)
+
+    other = jt.Laps(design, "other", "robot", 0, laps.trajectory)
+    monkeypatch.setattr(storage, "write_atomically", break_off)
+    with pytest.raises(KeyboardInterrupt):
+        other.save(tmp_path)
+    assert "holds a 'laps' whose saving was broken off" in refuse(jt.read, tmp_path)
+    monkeypatch.undo()
+    other.save(tmp_path)
+    assert storage.read_result(tmp_path).facts["controller"] == "other"
 
 
 def test_results_draw_themselves(design, laps):
