@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, cast
@@ -12,12 +13,19 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from jaxtube.arguments import describe_type
 from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.protocol import Controller, Feedback, Law, WheelMap
 from jaxtube.plant.protocol import Command, Measurement, Memory
 
 BATCH = 7
 """Realisations of the trial: a number that no other axis has."""
+
+LAW = (
+    "u = f(errors, reference_wheels), from errors (batch, 3) and wheel speeds (2,) to inputs "
+    "(batch, 2), in jax.numpy; no `if` on values, use jnp.where"
+)
+"""What a law must be, in words."""
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=[], meta_fields=["controller"])
@@ -50,47 +58,105 @@ def adapt_controller(controller: Controller | Law, wheel_map: WheelMap) -> Contr
     Raises:
         ValueError: one line, for anything else, or where what it returns has other shapes.
     """
-    adapted = _adapt(controller, wheel_map)
-    _check_shapes(adapted)
-    return adapted
-
-
-def _adapt(controller: Any, wheel_map: WheelMap) -> Controller:
     if not hasattr(controller, "act"):
         if not callable(controller):
             raise ValueError(
-                f"controller = {controller!r}: is neither a law u = f(errors, reference_wheels) "
-                "nor an object with `initial` and `act`; give one of them"
+                f"controller = {controller!r}: is neither a law nor an object with `initial` and "
+                f"`act`; a law is {LAW}"
             )
-        return Feedback(cast(Law, controller), wheel_map)
-    is_pytree = not jax.tree_util.all_leaves([controller])
-    return controller if is_pytree else Unregistered(controller)
+        law = cast(Law, controller)
+        _check_law(law)
+        return Feedback(law, wheel_map)
+    adapted = cast(Controller, controller)
+    if jax.tree_util.all_leaves([controller]):
+        adapted = Unregistered(adapted)
+    _check_controller(adapted)
+    return adapted
 
 
-def _check_shapes(controller: Controller) -> None:
-    """Trace one period of a controller, and refuse commands of another shape."""
+def _check_law(law: Law) -> None:
+    """Trace a law, and refuse inputs of another shape."""
+    inputs = _trace(law, _floats(BATCH, 3), _floats(2), contract=f"a law is {LAW}")
+    if getattr(inputs, "shape", None) != (BATCH, 2):
+        raise ValueError(f"controller: returns {_describe(inputs)}; a law is {LAW}")
 
-    def act(errors, slip, reference_wheels):
+
+def _check_controller(controller: Controller) -> None:
+    """Trace one period of a controller, and refuse commands of another shape, and a memory that
+    changes its structure."""
+
+    def act(errors: Array, slip: Array, reference_wheels: Array) -> tuple:
         memory = controller.initial(errors)
         measurement = Measurement(errors, slip)
         return controller.act(jnp.asarray(0), memory, measurement, reference_wheels)
 
-    floats = partial(jax.ShapeDtypeStruct, dtype=jnp.zeros(0).dtype)
-    command, memory, _ = jax.eval_shape(act, floats((BATCH, 3)), floats((BATCH, 2)), floats((2,)))
-    shapes = [getattr(array, "shape", None) for array in command]
-    if shapes != [(BATCH, 2)] * 2:
-        told = str(shapes[0]).replace(str(BATCH), "batch")
-        raise ValueError(
-            f"controller: returns inputs of shape {told} for errors (batch, 3); return (batch, 2), "
-            "u1 in m/s and u2 in rad/s"
-        )
-    before = jax.eval_shape(controller.initial, floats((BATCH, 3)))
-    if jax.tree.map(_describe, before) != jax.tree.map(_describe, memory):
+    errors = _floats(BATCH, 3)
+    contract = "jaxtube.control.protocol says what `initial` and `act` must do, in jax.numpy"
+    before = _trace(controller.initial, errors, contract=contract)
+    answer = _trace(act, errors, _floats(BATCH, 2), _floats(2), contract=contract)
+    memory = _check_answer(answer)
+    if jax.tree.map(_get_kind, before) != jax.tree.map(_get_kind, memory):
         raise ValueError(
             "controller: `act` returns a memory of another structure, shape or dtype than "
             "`initial`; return the same"
         )
 
 
-def _describe(array: jax.ShapeDtypeStruct) -> tuple[tuple[int, ...], np.dtype]:
+def _check_answer(answer: Any) -> Memory:
+    """Return the memory that `act` returned, and refuse anything but what it must return."""
+    match answer:
+        case (Command() as command, memory, Diagnostics()):
+            pass
+        case _:
+            raise ValueError(
+                f"controller: `act` returns {_describe(answer)}; return (jaxtube.Command(inputs, "
+                "wheels), memory, jaxtube.control.mpc.no_diagnostics(errors))"
+            )
+    for name, values in command._asdict().items():
+        if getattr(values, "shape", None) != (BATCH, 2):
+            raise ValueError(
+                f"controller: returns {name} of {_describe(values)} for errors (batch, 3); return "
+                "(batch, 2), inputs in (m/s, rad/s) and wheels in m/s"
+            )
+    return memory
+
+
+def _trace(function: Callable[..., Any], *shapes: jax.ShapeDtypeStruct, contract: str) -> Any:
+    """Return the shapes of what a user's function returns.
+
+    Args:
+        function: of the user.
+        shapes: of its arguments.
+        contract: what it has to be, for the message.
+
+    Raises:
+        ValueError: one line, from whatever it raises.
+    """
+    try:
+        return jax.eval_shape(function, *shapes)
+    except (jax.errors.TracerArrayConversionError, jax.errors.ConcretizationTypeError) as error:
+        # Both are TypeErrors whose messages are pages that say nothing of laws.
+        problem = "needs the values of its arguments, which a compiled function does not have"
+        raise ValueError(f"controller: {problem}; {contract}") from error
+    except Exception as error:
+        first = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise ValueError(f"controller: raises {first}; {contract}") from error
+
+
+def _floats(*shape: int) -> jax.ShapeDtypeStruct:
+    return jax.ShapeDtypeStruct(shape, jnp.zeros(0).dtype)
+
+
+def _describe(answer: Any) -> str:
+    """Return what a function returned, in words."""
+    if isinstance(answer, tuple):
+        return f"({', '.join(_describe(part) for part in answer)})"
+    if not isinstance(answer, jax.ShapeDtypeStruct):
+        return "None" if answer is None else describe_type(answer)
+    axes = ["batch" if size == BATCH else str(size) for size in answer.shape]
+    comma = "," if len(axes) == 1 else ""
+    return f"shape ({', '.join(axes)}{comma})"
+
+
+def _get_kind(array: jax.ShapeDtypeStruct) -> tuple[tuple[int, ...], np.dtype]:
     return array.shape, array.dtype
