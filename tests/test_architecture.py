@@ -19,6 +19,7 @@ ROOMS = (
     "atomic",
     "precision",
     "coordinates",
+    "arguments",
     "scenario",
     "storage",
     "qp",

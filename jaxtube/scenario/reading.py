@@ -14,12 +14,13 @@ from jaxtube.scenario.tree import Scenario
 from jaxtube.scenario.validation import find_default, validate
 
 
-def load(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
+def load(name_or_path: str | Path, overrides: str | Iterable[str] = ()) -> Scenario:
     """Read a scenario by its name or by the path of its TOML file.
 
     Args:
         name_or_path: a name that `names` lists, or a path that ends in `.toml`.
-        overrides: texts such as `controller.horizon=7`; values are TOML, bare words are strings.
+        overrides: texts such as `controller.horizon=7`, or one of them; values are TOML, bare words
+            are strings.
 
     Returns:
         The validated scenario. A relative `reference.file` starts at the folder of the scenario
@@ -32,7 +33,7 @@ def load(name_or_path: str | Path, overrides: Iterable[str] = ()) -> Scenario:
     source = str(name_or_path)
     tables = _read(path, source)
     _make_file_absolute(tables, path.parent)
-    values = _parse_overrides(overrides)
+    values = _parse_overrides([overrides] if isinstance(overrides, str) else overrides)
     return _override(tables, values, source)
 
 
@@ -86,7 +87,7 @@ def find(name_or_path: str | Path) -> Path:
     known = names()
     if text not in known:
         cure = f"choose one of {', '.join(known)}, or give the path of a file that ends in .toml"
-        raise refusal("command line", "scenario", text, "no scenario has this name", cure)
+        raise refusal("scenario", "name", text, "no scenario has this name", cure)
     return experiments_folder() / text / "scenario.toml"
 
 

@@ -8,13 +8,15 @@ Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV; radius, speed and d
 its figures.
 """
 
-from typing import Annotated, Literal
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.scenario.refusal import literal
+from jaxtube.arguments import describe_type
+from jaxtube.scenario.refusal import ScenarioError, literal
 
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Negative = Annotated[float, msgspec.Meta(lt=0)]
@@ -196,10 +198,11 @@ class Tuning(Table, frozen=True):
     """The objective of `tune`: the cost of a lap, its tail, the size of the tube, and soft margins.
 
     A lap costs the sum of squares of RMS errors, once settled, and of the RMS effort, each divided
-    by the value given here; a quantity without a value is free. Effort is the difference between
-    the wheel speeds asked for and those of the reference under nominal slip. An RMS effort over all
-    laps above `effort_limit_mps` costs steeply. So does a utilisation above `margin`: of every cap
-    by the widest tube, and of the error caps and the greatest wheel speed in the laps.
+    by the value given here; a quantity without a value is free. A lap has settled after 10 s; of a
+    shorter one the last step alone counts. Effort is the difference between the wheel speeds asked
+    for and those of the reference under nominal slip. An RMS effort over all laps above
+    `effort_limit_mps` costs steeply. So does a utilisation above `margin`: of every cap by the
+    widest tube, and of the error caps and the greatest wheel speed in the laps.
     """
 
     longitudinal_m: Positive | None = None
@@ -216,7 +219,8 @@ class Tuning(Table, frozen=True):
 class Scenario(Table, frozen=True):
     """One experiment: robot, reference, slip, sets, controller, start, and the aim of tuning.
 
-    Change values with `jaxtube.scenario.replace`.
+    Change values with `jaxtube.scenario.replace`. It shows the keys that differ from the defaults,
+    as TOML; `to_toml` writes all of them.
     """
 
     robot: RobotTable = RobotTable()
@@ -230,18 +234,48 @@ class Scenario(Table, frozen=True):
     initial: Initial = Initial()
     tuning: Tuning = Tuning()
 
+    def __repr__(self) -> str:
+        return f"# a scenario; keys left out have the defaults\n{_write_differences(self)}".rstrip()
+
+
+def require_scenario(value: object) -> None:
+    """Raise ScenarioError, one line, for anything but a scenario."""
+    if isinstance(value, Scenario):
+        return
+    if isinstance(value, str):
+        raise ScenarioError(f"scenario = {value!r}: is a name or a path; give jt.load({value!r})")
+    raise ScenarioError(f"scenario: is {describe_type(value)}; give what jt.load returns")
+
 
 def to_toml(scenario: Scenario) -> str:
     """Write a scenario as TOML with every key that has a value; reading it back gives an equal
     scenario."""
-    tables = []
-    for section in scenario.__struct_fields__:
+    return _write_tables(msgspec.to_builtins(scenario))
+
+
+def _write_differences(scenario: Scenario) -> str:
+    """Write the keys of a scenario that differ from the defaults; reading them back gives an equal
+    scenario."""
+    defaults = msgspec.to_builtins(Scenario())
+    tables = {}
+    for section, table in msgspec.to_builtins(scenario).items():
+        default = defaults[section]
+        values = {key: value for key, value in table.items() if value != default[key]}
+        if values:
+            tables[section] = values
+    return _write_tables(tables)
+
+
+def _write_tables(tables: Mapping[str, Mapping[str, Any]]) -> str:
+    """Write tables as TOML, without the keys that have no value."""
+    texts = []
+    for section, table in tables.items():
         lines = [f"[{section}]"]
-        for key, value in msgspec.to_builtins(getattr(scenario, section)).items():
+        for key, value in table.items():
             if value is not None:
                 lines.append(f"{key} = {literal(value)}")
-        tables.append("\n".join(lines))
-    return "\n\n".join(tables) + "\n"
+        texts.append("\n".join(lines))
+    return "\n\n".join(texts) + "\n"
 
 
 def weight_matrix(weight: Weight) -> Float[np.ndarray, "n n"]:

@@ -366,3 +366,27 @@ def test_a_weight_is_its_diagonal_or_its_rows():
 def test_singular_error_weights_are_allowed():
     assert load("paper", ["controller.error_weight=[[1, 1, 0], [1, 1, 0], [0, 0, 0]]"])
     assert load("paper", ["controller.error_weight=[0, 0, 0]"])
+
+
+@pytest.mark.parametrize("name", names())
+def test_a_scenario_shows_what_differs_from_the_defaults(name, tmp_path):
+    scenario = load(name, "reference.duration_s=6")
+    path = tmp_path / "shown.toml"
+    path.write_text(str(scenario))
+    assert load(path) == scenario
+    assert "duration_s = 6.0" in repr(scenario)
+    assert "null" not in repr(scenario) and "track_width" not in repr(scenario)
+
+
+def test_the_defaults_show_as_one_line():
+    assert repr(Scenario()) == "# a scenario; keys left out have the defaults"
+
+
+def test_a_single_override_is_a_text():
+    assert load("paper", "controller.horizon=7") == load("paper", ["controller.horizon=7"])
+
+
+def test_an_unknown_name_is_refused_with_the_names_there_are():
+    with pytest.raises(ScenarioError, match='scenario: name = "papr": no scenario has') as told:
+        load("papr")
+    assert all(name in str(told.value) for name in names())
