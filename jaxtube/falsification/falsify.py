@@ -3,6 +3,7 @@ equal time."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,9 +22,9 @@ from jaxtube.falsification.setting import (
 from jaxtube.falsification.storing import list_row_arrays, read_row
 from jaxtube.falsification.worst import Worst
 from jaxtube.precision import in_64_bits
-from jaxtube.simulation.simulate import ControllerChoice, PlantChoice, SlipChoice
+from jaxtube.simulation.choices import ControllerChoice, PlantChoice, SlipChoice
 from jaxtube.storage import StoredResult, flatten, nest, write_result
-from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.parts import Design, require_design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -84,7 +85,8 @@ class Falsification:
         return worst_run(self.design.problem, self.limits.of_laps, row.worst, row.played, reaches)
 
     def save(self, folder: str | Path) -> Path:
-        """Save the worst cases in a folder, for `jaxtube.read`; return the folder."""
+        """Save the worst cases in a folder, for `jaxtube.read`, in place of some that were saved
+        there; return the folder."""
         facts = {
             "controller": self.limits.controller,
             "plant": self.limits.plant,
@@ -148,6 +150,8 @@ def falsify(
         ValueError: one line, for an unknown name, or a slip process or a plant that is not
             searched.
     """
+    require_design(design)
+    _refuse_seconds(seconds)
     setting = make_setting(design, controller, plant, starts, slip, seed)
     return search_setting(setting, target, seconds=seconds, seed=seed)
 
@@ -170,8 +174,7 @@ def search_setting(
         seed: of every draw.
         on_progress: called whenever a limit has been searched, and again when its laps are drawn.
     """
-    if not 0 < seconds < float("inf"):
-        raise ValueError(f"seconds = {seconds}: is no time; give a positive number")
+    _refuse_seconds(seconds)
     names = setting.limits.choose_names(target)
     searches: dict[str, WorstCaseSearch] = {}
     for name in names:
@@ -190,6 +193,12 @@ def search_setting(
         worst = _find_worst(name, searches)
         rows[name] = Row(worst, searches[name], sampled[name], setting.replay(worst))
     return Falsification(setting.limits, seed, rows)
+
+
+def _refuse_seconds(seconds: float) -> None:
+    """Raise ValueError for what is no time."""
+    if not 0 < seconds < math.inf:
+        raise ValueError(f"seconds = {seconds}: is no time; give a positive number")
 
 
 def _sample_limits(

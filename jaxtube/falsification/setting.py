@@ -19,8 +19,7 @@ from jaxtube.falsification.worst import Worst
 from jaxtube.plant.protocol import Plant, SearchablePlant
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.simulation import components
-from jaxtube.simulation.rollout import realisation_keys
-from jaxtube.simulation.simulate import (
+from jaxtube.simulation.choices import (
     ControllerChoice,
     PlantChoice,
     SlipChoice,
@@ -28,6 +27,7 @@ from jaxtube.simulation.simulate import (
     choose_plant,
     name_choice,
 )
+from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.simulation.starts import uniform_start
 from jaxtube.simulation.usage import (
     JudgedLoop,

@@ -3,40 +3,43 @@ the user."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from jaxtube import qp
-from jaxtube.control.own import adapt_controller
-from jaxtube.control.protocol import Controller
-from jaxtube.plant.protocol import Plant
-from jaxtube.plant.slip import SlipProcess
+from jaxtube.arguments import describe_type, require_count
 from jaxtube.precision import in_64_bits
-from jaxtube.simulation import batches, components
+from jaxtube.simulation import batches
+from jaxtube.simulation.choices import (
+    ControllerChoice,
+    PlantChoice,
+    SlipChoice,
+    StartChoice,
+    choose_controller,
+    choose_plant,
+    choose_starts,
+    name_choice,
+    name_controller,
+)
 from jaxtube.simulation.dataset import make_dataset
+from jaxtube.simulation.memory import refuse_laps_beyond_memory
 from jaxtube.simulation.rollout import (
     Trajectory,
     read_trajectory,
     realisation_keys,
 )
-from jaxtube.simulation.starts import FixedStart, Starts, uniform_start
 from jaxtube.storage import StoredResult, write_result
-from jaxtube.synthesis.feasible import true_starts
-from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.parts import Design, require_design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ControllerChoice = str | Controller | Callable[..., Float[Array, "batch 2"]]
-PlantChoice = str | Plant
-SlipChoice = str | SlipProcess | None
-StartChoice = str | Float[np.ndarray, "laps 3"]
+LAPS = 256
+"""Laps of a simulation that names no number."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -45,7 +48,7 @@ class Laps:
 
     Attributes:
         design: whose closed loop they are of.
-        controller: its name, "own" for a user's.
+        controller: its name; of a user's own what `simulate` was told, or what Python calls it.
         plant: its name, "own" for a user's.
         seed: of every draw.
         trajectory: errors (steps + 1, laps, 3), inputs, wheels and diagnostics.
@@ -85,16 +88,26 @@ class Laps:
         return np.sqrt(np.mean(self.errors**2, axis=(0, 1)))
 
     def plot(self, *others: Laps) -> Figure:
-        """Draw the errors against time and limits, beside other laps; return the figure."""
+        """Draw the errors against time and limits, beside other laps; return the figure.
+
+        Raises:
+            ValueError: one line, for anything but laps, or controllers of one name.
+        """
         from jaxtube.figures.laps import errors
 
+        for other in others:
+            _require_laps(other)
         runs = {laps.controller: laps for laps in (self, *others)}
         if len(runs) <= len(others):
-            raise ValueError("others: two laps have controllers of one name; draw one at a time")
+            raise ValueError(
+                "others: two laps have controllers of one name; give each its own by "
+                "jt.simulate(..., name=...)"
+            )
         return errors(self.design.problem, {name: laps.trajectory for name, laps in runs.items()})
 
     def save(self, folder: str | Path) -> Path:
-        """Save the laps in a folder, for `jaxtube.read`; return the folder."""
+        """Save the laps in a folder, for `jaxtube.read`, in place of laps that were saved there;
+        return the folder."""
         facts = {"controller": self.controller, "plant": self.plant, "seed": self.seed}
         arrays = self.trajectory.arrays()
         scenario = self.design.problem.scenario
@@ -111,14 +124,26 @@ class Laps:
         attributes = {"controller": self.controller, "plant": self.plant, "seed": self.seed}
         return make_dataset(self.trajectory, self.design.problem.reference.dt, attributes)
 
+    def _describe_errors(self) -> str:
+        """Return the RMS errors in words, or which numbers are not finite, and since when."""
+        parts = {"inputs": self.trajectory.inputs, "errors": self.errors}
+        for name, values in parts.items():
+            finite = np.all(np.isfinite(values), axis=2)
+            if not finite.all():
+                first = int(np.argmin(finite.all(axis=1)))
+                count = int(np.sum(~finite.all(axis=0)))
+                return f"{name} are not finite from step {first} in {count:,} laps"
+        along, across, heading = self.rms
+        return (
+            f"RMS {1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, "
+            f"{np.rad2deg(heading):.2f} deg"
+        )
+
     def __repr__(self) -> str:
         count = self.errors.shape[1]
-        along, across, heading = self.rms
-        left = "no lap leaves E" if not self.outside else f"{self.outside} laps leave E"
         verdict = (
-            f"<Laps: {left} in {count}; {self.controller} on the {self.plant}; RMS "
-            f"{1e3 * along:.1f} mm along, {1e3 * across:.1f} mm across, "
-            f"{np.rad2deg(heading):.2f} deg; {self.without_plan} QPs without a plan"
+            f"<Laps: {self.outside:,} of {count:,} laps leave E; {self.controller} on the "
+            f"{self.plant}; {self._describe_errors()}; {self.without_plan} QPs without a plan"
         )
         return "\n".join([verdict, *qp.describe_unsolved(self.statuses)]) + ">"
 
@@ -129,10 +154,11 @@ def simulate(
     controller: ControllerChoice = "tube_mpc",
     plant: PlantChoice = "robot",
     *,
-    laps: int = 256,
+    laps: int | None = None,
     starts: StartChoice = "scenario",
     slip: SlipChoice = None,
     seed: int = 0,
+    name: str = "",
 ) -> Laps:
     """Run laps of a design's closed loop along its reference.
 
@@ -142,77 +168,61 @@ def simulate(
             "uncompensated"; a law u = f(errors, reference_wheels); or a `Controller`.
         plant: "robot" (the scenario's), "exact" (its slip known, its pose measured without noise),
             "linear" (the prediction model with w in W), or a `Plant`.
-        laps: how many.
+        laps: how many; 256, or one a start, unless given. All are kept: `montecarlo` keeps none.
         starts: "scenario", "feasible" (uniform in the feasible set of the tube-MPC), "edge" (on its
             boundary), or true initial errors (laps, 3) in (m, m, rad).
         slip: process of the slips of the robot, a name or a `SlipProcess`; the scenario's unless
             given.
         seed: of every draw; lap i is the same whatever `laps` is.
+        name: of the controller in figures and texts; of a user's own what Python calls it, unless
+            given.
 
     Returns:
         The laps. A QP without solution does not raise: the diagnostics say so.
 
     Raises:
-        ValueError: one line, for an unknown name, or a controller of other shapes.
+        ValueError: one line, for an unknown name, a controller of other shapes, or more laps than
+            there is memory for.
     """
+    require_design(design)
+    count = _count_laps(laps, starts)
+    refuse_laps_beyond_memory(count, design.problem.reference.steps)
     acting_controller = choose_controller(design, controller)
     acting_plant = choose_plant(design, plant, slip)
     if isinstance(starts, str):
-        keys = realisation_keys(seed, 0, laps)
+        keys = realisation_keys(seed, 0, count)
         errors = np.asarray(choose_starts(design, starts).draw(keys))
     else:
         errors = np.asarray(starts, float)
-        if errors.ndim != 2 or errors.shape[1] != 3:
-            raise ValueError(
-                f"starts: shape {errors.shape} is not (laps, 3); give one initial error a lap"
-            )
     trajectory = batches.run_realisations(acting_controller, acting_plant, errors, seed)
-    return Laps(design, name_choice(controller), name_choice(plant), seed, trajectory)
+    return Laps(design, name or name_controller(controller), name_choice(plant), seed, trajectory)
 
 
-def choose_controller(design: Design, controller: ControllerChoice) -> Controller:
-    """Return the controller of a name, or what a closed loop can run of a user's own."""
-    if not isinstance(controller, str):
-        return adapt_controller(controller, components.make_wheel_map(design.problem))
-    named = components.controllers(design)
-    if controller not in named:
-        raise ValueError(f"controller = {controller!r}: is unknown; choose one of {list(named)}")
-    return named[controller]
-
-
-def choose_plant(design: Design, plant: PlantChoice, slip: SlipChoice = None) -> Plant:
-    """Return the plant of a name, or a user's own; `slip` for the robot alone."""
-    if not isinstance(plant, str):
-        return plant
-    if plant == "robot":
-        return components.slipping_robot(design, slip)
-    if slip is not None:
-        raise ValueError(f'slip = {slip!r}: plant = {plant!r} draws no slips; choose "robot"')
-    if plant == "exact":
-        return components.exact_robot(design)
-    if plant == "linear":
-        return components.linear_plant(design)
-    raise ValueError(f'plant = {plant!r}: is unknown; choose "robot", "exact" or "linear"')
-
-
-def choose_starts(design: Design, starts: str) -> Starts:
-    """Return the law of initial errors: the scenario's start, or uniform in the feasible set of the
-    tube-MPC, or on its edge.
+def _count_laps(laps: int | None, starts: StartChoice) -> int:
+    """Return how many laps are asked for, by number or by their starts.
 
     Raises:
-        ValueError: for an unknown name, or where no start has a plan.
+        ValueError: for no whole number, for starts of another shape or number, or not finite.
     """
-    if starts == "scenario":
-        return FixedStart(jnp.asarray(design.problem.initial_error))
-    if starts not in ("feasible", "edge"):
+    count = None if laps is None else require_count("laps", laps)
+    if isinstance(starts, str):
+        return LAPS if count is None else count
+    errors = np.asarray(starts, float)
+    if errors.ndim != 2 or errors.shape[1] != 3 or not len(errors):
         raise ValueError(
-            f'starts = {starts!r}: is unknown; choose "scenario", "feasible" or "edge"'
+            f"starts: shape {errors.shape} is not (laps, 3); give one initial error a lap"
         )
-    # The seed of the set's shape is fixed: the law of the starts is the scenario's alone.
-    points = true_starts(design.tube_qps, design.first_window, design.problem, seed=0)
-    return uniform_start(points, edge=starts == "edge")
+    if not np.all(np.isfinite(errors)):
+        row = int(np.argmin(np.all(np.isfinite(errors), axis=1)))
+        raise ValueError(f"starts[{row}] = {errors[row]}: is not finite; give finite errors")
+    if count not in (None, len(errors)):
+        raise ValueError(f"laps = {count}: starts has {len(errors)} rows; leave laps out")
+    return len(errors)
 
 
-def name_choice(choice: object) -> str:
-    """Return the name of what was chosen, "own" for a user's own."""
-    return choice if isinstance(choice, str) else "own"
+def _require_laps(other: object) -> None:
+    """Raise ValueError for anything but laps."""
+    if isinstance(other, Laps):
+        return
+    told = repr(other) if isinstance(other, str) else describe_type(other)
+    raise ValueError(f"others: {told} is not Laps; give jt.simulate(design, controller)")

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
 
+from jaxtube.arguments import require_count
 from jaxtube.precision import in_64_bits
 from jaxtube.scenario.tree import to_toml
-from jaxtube.simulation.simulate import (
+from jaxtube.simulation.choices import (
     ControllerChoice,
     PlantChoice,
     SlipChoice,
@@ -28,7 +29,7 @@ from jaxtube.statistics.run import BLOCK, Run, Statistics, Task, merge
 from jaxtube.statistics.summary import SamplingLaw, summarise
 from jaxtube.statistics.task import make_task
 from jaxtube.storage import StoredResult, write_result
-from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.parts import Design, require_design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -95,7 +96,8 @@ class MonteCarlo:
         return violations(self.summary)
 
     def save(self, folder: str | Path) -> Path:
-        """Save the run in a folder, for `jaxtube.read`; return the folder."""
+        """Save the run in a folder, for `jaxtube.read`, in place of a run that was saved there;
+        return the folder."""
         facts = {"law": self.law._asdict(), "seed": self.seed}
         scenario = self.design.problem.scenario
         return write_result(folder, StoredResult("montecarlo", scenario, facts, self.statistics))
@@ -152,13 +154,13 @@ def montecarlo(
         The run, with exact counts and finite-sample bounds.
 
     Raises:
-        ValueError: one line, for an unknown name, or no laps.
+        ValueError: one line, for an unknown name, or laps that are no whole number.
     """
-    if laps < 1:
-        raise ValueError(f"laps = {laps}: are too few; ask for one at least")
+    require_design(design)
+    count = require_count("laps", laps)
     law = name_law(design, controller, plant, starts, slip)
     task = make_closed_loop_task(design, controller, plant, starts, slip, seed)
-    run = Run(task, int(laps), chunk=1, devices=tuple(jax.local_devices()))
+    run = Run(task, count, chunk=1, devices=tuple(jax.local_devices()))
     blocks = range(math.ceil(run.realisations / BLOCK))
     statistics = functools.reduce(merge, (part for _, part in run.compute(blocks)))
     return MonteCarlo(design, law, seed, statistics)

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.scenario.refusal import ScenarioError
-from jaxtube.scenario.tree import Scenario
+from jaxtube.scenario.tree import Scenario, require_scenario
 from jaxtube.synthesis import condense
 from jaxtube.synthesis.advice import say_what_helps
 from jaxtube.synthesis.certificate.certify import certify
@@ -61,6 +61,7 @@ def design(scenario: Scenario) -> Design:
         ScenarioError: for data no controller can be built from, in one line.
         EmptySetError: where a tightened set E_j or U_j is empty.
     """
+    require_scenario(scenario)
     if scenario.operating.bands:
         raise ScenarioError(
             "scenario: operating.bands: only the command `design` knows gains and caps by speed; "

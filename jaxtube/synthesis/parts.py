@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.arguments import describe_type
 from jaxtube.control.mpc import CondensedQp
 from jaxtube.storage import StoredResult, write_result
 from jaxtube.synthesis import condense
@@ -110,7 +111,8 @@ class Design:
         return design_sets(self, name)
 
     def save(self, folder: str | Path) -> Path:
-        """Save the design in a folder, for `jaxtube.read`; return the folder."""
+        """Save the design in a folder, for `jaxtube.read`, in place of a design that was saved
+        there; return the folder."""
         facts = {"verdict": self.certificate.verdict}
         return write_result(
             folder, StoredResult("design", self.problem.scenario, facts, self.arrays())
@@ -125,3 +127,12 @@ class Design:
             f"{len(self.windows.schedules)} windows"
         )
         return f"{self.certificate!r}\n{parts}"
+
+
+def require_design(value: object) -> None:
+    """Raise ValueError, one line, for anything but a design."""
+    if isinstance(value, Design):
+        return
+    if isinstance(value, str):
+        raise ValueError(f"design = {value!r}: is a name; give jt.design(jt.load({value!r}))")
+    raise ValueError(f"design: is {describe_type(value)}; give jt.design(scenario)")

@@ -8,8 +8,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
+from jaxtube.arguments import require_count
+from jaxtube.plant.reference import TRANSIENT_S, settled_step
 from jaxtube.precision import in_64_bits
-from jaxtube.scenario.tree import Scenario
+from jaxtube.scenario.tree import Scenario, require_scenario
 from jaxtube.storage import StoredResult, flatten, nest, refuse_differences, write_result
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.parts import Design
@@ -91,7 +93,8 @@ class Tuned:
         return draw_descent(self.descent, self.tuner.aim.effort_limit)
 
     def save(self, folder: str | Path) -> Path:
-        """Save the result in a folder, for `jaxtube.read`; return the folder.
+        """Save the result in a folder, for `jaxtube.read`, in place of one of tuning that was saved
+        there; return the folder.
 
         The scenario there is that where tuning started.
         """
@@ -134,16 +137,23 @@ class Tuned:
     def _find_iteration(self, judgement: HeldOutJudgement) -> int:
         return next(i for i, each in enumerate(self.descent.judged) if each is judgement)
 
+    def _say_when(self) -> str:
+        """Return from when on errors count, in words."""
+        reference = self.tuner.problem.reference
+        if settled_step(reference) < reference.steps:
+            return f"after {TRANSIENT_S:.0f} s"
+        return "at the last step"
+
     def __repr__(self) -> str:
         laps = len(self.start.costs)
         before = 1e3 * self.start.lateral
         if self.best is None:
-            change = f"{before:.3f} mm at the start, no iterate to return"
+            change = f"{before:.3f} mm before, no iterate to return,"
         else:
             change = f"{before:.3f} -> {1e3 * self.best.lateral:.3f} mm"
         return (
-            f"<Tuned: {self.verdict}; lateral RMS {change}, on {laps} held-out laps; "
-            f"{self.descent.outcome.evaluations} evaluations, stopped: {self.stop}>"
+            f"<Tuned: {self.verdict}; lateral RMS {change} {self._say_when()} of {laps} held-out "
+            f"laps; {self.descent.outcome.evaluations} evaluations, stopped: {self.stop}>"
         )
 
 
@@ -162,6 +172,8 @@ def tune(
 ) -> Tuned:
     """Tune weights and gains of a scenario by gradients through laps and through the tube, in 64
     bits.
+
+    Errors count once laps have settled, after 10 s; of laps that end before, the last step alone.
 
     Args:
         scenario: where tuning starts; its [tuning] says what it aims at.
@@ -182,9 +194,16 @@ def tune(
         ScenarioError: where the scenario gives no gains, or its gains have no bounded tube.
         ValueError: for settings out of range.
     """
-    settings = Settings(method, evaluations, patience, learning_rate)
-    _refuse_settings(settings, laps, held_out)
-    tuner = make_tuner(scenario, variables=variables, laps=laps, held_out=held_out, seed=seed)
+    require_scenario(scenario)
+    _refuse_method(method, learning_rate)
+    settings = Settings(
+        method,
+        require_count("evaluations", evaluations),
+        require_count("patience", patience),
+        learning_rate,
+    )
+    sizes = {"laps": require_count("laps", laps), "held_out": require_count("held_out", held_out)}
+    tuner = make_tuner(scenario, variables=variables, **sizes, seed=seed)
     return run_tuner(tuner, settings)
 
 
@@ -214,21 +233,15 @@ def run_tuner(
     return Tuned(tuner, descent, best, scenario, designed, failing_conditions(designed))
 
 
-def _refuse_settings(settings: Settings, laps: int, held_out: int) -> None:
-    """Raise ValueError for settings out of range, in one line."""
-    if settings.method not in get_args(Method):
+def _refuse_method(method: str, learning_rate: float) -> None:
+    """Raise ValueError for an unknown method or a learning rate out of range, in one line."""
+    if method not in get_args(Method):
         known = ", ".join(get_args(Method))
-        raise ValueError(f"method = {settings.method!r}: is unknown; choose one of {known}")
-    positive = {
-        "evaluations": settings.evaluations,
-        "patience": settings.patience,
-        "learning_rate": settings.learning_rate,
-        "laps": laps,
-        "held_out": held_out,
-    }
-    for name, value in positive.items():
-        if not 0 < value < math.inf:
-            raise ValueError(f"{name} = {value}: must be positive and finite; choose it above zero")
+        raise ValueError(f"method = {method!r}: is unknown; choose one of {known}")
+    if not 0 < learning_rate < math.inf:
+        raise ValueError(
+            f"learning_rate = {learning_rate}: must be positive and finite; choose it above zero"
+        )
 
 
 def _failing_of_best(descent: Descent) -> tuple[str, ...]:

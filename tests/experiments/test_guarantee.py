@@ -117,7 +117,7 @@ def test_where_no_start_has_a_plan_laps_begin_at_the_scenario_s_start(uncertifie
     def nowhere(*sets, **settings):
         raise ScenarioError("scenario: no start has a plan")
 
-    monkeypatch.setattr("jaxtube.simulation.simulate.true_starts", nowhere)
+    monkeypatch.setattr("jaxtube.simulation.choices.true_starts", nowhere)
     design = uncertified("robust", REFERENCE)
     tasks, why = make_tasks(design, 0)
     assert why == "scenario: no start has a plan"

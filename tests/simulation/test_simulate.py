@@ -11,9 +11,13 @@ from tolerances import CLOSED_LOOP
 
 import jaxtube as jt
 from jaxtube import qp
+from jaxtube.arguments import require_count
 from jaxtube.control import mpc
+from jaxtube.control.own import adapt_controller
+from jaxtube.control.protocol import WheelMap
 from jaxtube.precision import require_64_bits
-from jaxtube.simulation import components
+from jaxtube.simulation import components, memory
+from jaxtube.simulation.choices import name_controller
 
 SHORT = "reference.duration_s=2"
 LAPS = 4
@@ -51,7 +55,7 @@ class Remembering:
 
 def test_an_own_object_drives_as_the_same_law_of_the_library(design, gain_laps):
     own = jt.simulate(design, Remembering(design), laps=LAPS)
-    assert own.controller == "own"
+    assert own.controller == "Remembering"
     np.testing.assert_allclose(own.errors, gain_laps.errors, rtol=0, atol=CLOSED_LOOP)
 
 
@@ -87,22 +91,169 @@ def test_an_own_slip_process_moves_the_robot(design, gain_laps):
     assert np.abs(pushed.errors[-1, :, 0]).min() > 0
 
 
+def gain(errors, reference_wheels):
+    """A law with a name."""
+    return errors[:, :2]
+
+
+@pytest.mark.parametrize(
+    ("controller", "name"),
+    [("tube_mpc", "tube_mpc"), (gain, "gain"), (lambda errors, wheels: errors, "own")],
+)
+def test_a_controller_has_the_name_that_python_gives_it(controller, name):
+    assert name_controller(controller) == name
+
+
+def take_values(errors, reference_wheels):
+    return np.asarray(errors)[:, :2]
+
+
+def branch(errors, reference_wheels):
+    return errors[:, :2] if errors[0, 0] > 0 else -errors[:, :2]
+
+
+VALUES = "controller: needs the values of its arguments"
+
+
+@pytest.mark.parametrize(
+    ("controller", "words"),
+    [
+        (3, r"controller = 3: is neither a law nor an object"),
+        (lambda errors, wheels: errors, r"returns shape \(batch, 3\)"),
+        (lambda errors, wheels: 0.0, r"returns shape \(\)"),
+        (lambda errors, wheels: None, "returns None"),
+        (lambda errors, wheels: (errors[:, 0], errors[:, 1]), r"returns \(shape \(batch,\)"),
+        (lambda errors: errors[:, :2], "raises TypeError: .* takes 1 positional argument"),
+        (lambda errors, wheels: unknown, "raises NameError"),
+        (take_values, VALUES),
+        (branch, VALUES),
+    ],
+)
+def test_what_is_no_law_is_refused_with_what_a_law_must_be(controller, words):
+    with pytest.raises(ValueError, match=words) as refused:
+        adapt_controller(controller, WheelMap(track_width=0.5, dt=0.1))
+    told = str(refused.value)
+    assert "\n" not in told and "to inputs (batch, 2), in jax.numpy" in told
+
+
+class Answering:
+    """An own object whose `act` returns whatever it is told to."""
+
+    def __init__(self, make_answer):
+        self.make_answer = make_answer
+
+    def initial(self, errors):
+        return ()
+
+    def act(self, step, memory, measurement, reference_wheels):
+        return self.make_answer(measurement.errors)
+
+
+@pytest.mark.parametrize(
+    ("make_answer", "words"),
+    [
+        (lambda errors: errors[:, :2], r"returns shape \(batch, 2\); return \(jaxtube.Command"),
+        (lambda errors: (errors[:, :2], (), None), "return"),
+        (
+            lambda errors: (jt.Command(errors, errors), (), mpc.no_diagnostics(errors)),
+            r"returns inputs of shape \(batch, 3\)",
+        ),
+    ],
+)
+def test_an_object_that_answers_something_else_is_refused(make_answer, words):
+    with pytest.raises(ValueError, match=words) as refused:
+        adapt_controller(Answering(make_answer), WheelMap(track_width=0.5, dt=0.1))
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("laps", [0, -1, 2.5, np.nan, np.inf, True, "4", [4]])
+def test_laps_are_counted_in_whole_numbers_from_1_up(laps):
+    with pytest.raises(ValueError, match="is no whole number from 1 up"):
+        require_count("laps", laps)
+
+
+@pytest.mark.parametrize("laps", [100, 1e2, np.int32(100), np.float64(100)])
+def test_whole_numbers_of_any_type_are_taken(laps):
+    count = require_count("laps", laps)
+    assert count == 100 and type(count) is int
+
+
+def test_laps_beyond_the_memory_of_the_machine_are_refused_with_what_fits(monkeypatch):
+    periods = 300
+    monkeypatch.setattr(memory, "find_memory", lambda: 16e9)
+    with pytest.raises(ValueError, match="laps = 1000000000: the laps kept need about") as refused:
+        memory.refuse_laps_beyond_memory(10**9, periods)
+    told = str(refused.value)
+    assert "jt.montecarlo, which keeps counts alone" in told and "16 GB here" in told
+    most = int(told.split("at most ")[1].split(", or")[0].replace(",", ""))
+    memory.refuse_laps_beyond_memory(most, periods)
+    with pytest.raises(ValueError, match="the laps kept need"):
+        memory.refuse_laps_beyond_memory(most + 1, periods)
+
+
+def test_the_memory_that_laps_need_is_estimated_from_what_they_keep(gain_laps):
+    kept = sum(array.nbytes for array in gain_laps.trajectory.arrays().values())
+    periods = len(gain_laps.errors)
+    assert kept <= LAPS * periods * memory.BYTES_A_PERIOD <= 1.05 * kept
+
+
+def test_the_memory_of_a_container_counts(monkeypatch, tmp_path):
+    limit = tmp_path / "memory.max"
+    monkeypatch.setattr(memory, "CGROUP", limit)
+    installed = memory.find_memory()
+    for text in ("max", ""):
+        limit.write_text(text)
+        assert memory.find_memory() == installed
+    limit.write_text("1000000\n")
+    assert memory.find_memory() == 1e6
+
+
 @pytest.mark.parametrize(
     ("choices", "words"),
     [
         ({"controller": "mpc"}, "controller = 'mpc': is unknown; choose one of"),
-        ({"controller": 3}, "is neither a law"),
         ({"controller": lambda errors, wheels: errors}, r"shape \(batch, 3\)"),
+        ({"laps": 0}, "laps = 0: is no whole number"),
+        ({"laps": 10**12}, "laps = 1000000000000: the laps kept need about"),
         ({"plant": "car"}, "plant = 'car': is unknown"),
         ({"plant": "linear", "slip": "iid"}, "draws no slips"),
         ({"starts": "somewhere"}, "starts = 'somewhere'"),
         ({"starts": np.zeros(3)}, r"shape \(3,\) is not \(laps, 3\)"),
+        ({"starts": np.zeros((0, 3))}, r"shape \(0, 3\) is not \(laps, 3\)"),
+        ({"starts": np.zeros((3, 3))}, "laps = 4: starts has 3 rows; leave laps out"),
+        ({"starts": [[0, 0, 0], [0, np.nan, 0]]}, r"starts\[1\] = \[ 0. nan  0.\]: is not finite"),
     ],
 )
 def test_what_cannot_run_is_refused_in_one_line(design, choices, words):
     with pytest.raises(ValueError, match=words) as refused:
-        jt.simulate(design, laps=LAPS, **choices)
+        jt.simulate(design, **{"laps": LAPS, **choices})
     assert "\n" not in str(refused.value)
+
+
+def test_starts_given_one_by_one_say_how_many_laps_there_are(design):
+    laps = jt.simulate(design, "local_gain", starts=np.zeros((2, 3)), name="gain")
+    assert laps.errors.shape[1] == 2
+    assert laps.controller == "gain"
+
+
+@pytest.mark.parametrize("function", [jt.simulate, jt.montecarlo, jt.falsify])
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (jt.load("certified"), r"design: is a Scenario; give jt.design\(scenario\)"),
+        ("certified", r"design = 'certified': is a name; give jt.design\(jt.load\('certified'\)\)"),
+        (None, r"design: is a NoneType"),
+    ],
+)
+def test_what_is_no_design_is_refused(function, value, words):
+    with pytest.raises(ValueError, match=words):
+        function(value)
+
+
+@pytest.mark.parametrize("other", ["tube_mpc", 3])
+def test_only_laps_are_drawn_beside_laps(gain_laps, other):
+    with pytest.raises(ValueError, match=r"is not Laps; give jt\.simulate"):
+        gain_laps.plot(other)
 
 
 def test_a_memory_that_changes_its_shape_is_refused(design):
@@ -132,10 +283,24 @@ def test_a_controller_of_a_design_is_not_built_in_32_bits(design):
 
 
 def test_laps_say_what_they_came_to(gain_laps):
-    assert repr(gain_laps).startswith(f"<Laps: no lap leaves E in {LAPS}; local_gain on the robot")
+    assert repr(gain_laps).startswith(
+        f"<Laps: 0 of {LAPS} laps leave E; local_gain on the robot; RMS"
+    )
     spoilt = gain_laps.trajectory._replace(errors=np.full_like(gain_laps.errors, np.nan))
     lost = jt.Laps(gain_laps.design, "local_gain", "robot", 0, spoilt)
     assert lost.outside == LAPS
+    assert repr(lost).startswith(f"<Laps: {LAPS} of {LAPS} laps leave E")
+    assert f"errors are not finite from step 0 in {LAPS} laps" in repr(lost)
+
+
+def test_laps_say_since_when_inputs_are_not_finite(gain_laps):
+    inputs = np.array(gain_laps.trajectory.inputs)
+    inputs[7:, 1:3, 0] = np.nan
+    inputs[9:, 3] = np.inf
+    trajectory = gain_laps.trajectory._replace(inputs=inputs)
+    laps = dataclasses.replace(gain_laps, trajectory=trajectory)
+    assert "; inputs are not finite from step 7 in 3 laps; " in repr(laps)
+    assert "RMS" not in repr(laps)
 
 
 def test_laps_say_which_qps_were_not_solved_and_why(gain_laps):

@@ -112,7 +112,9 @@ def test_a_run_is_drawn_saved_read_and_a_dataset(design, of_own_law, tmp_path, m
         ({"plant": "car"}, "plant = 'car': is unknown"),
         ({"plant": "linear", "slip": "iid"}, "draws no slips"),
         ({"starts": "somewhere"}, "starts = 'somewhere'"),
-        ({"laps": 0}, "laps = 0: are too few"),
+        ({"starts": np.zeros((LAPS, 3))}, "only jt.simulate takes initial errors"),
+        ({"laps": 0}, "laps = 0: is no whole number"),
+        ({"laps": 2.5}, "laps = 2.5: is no whole number"),
     ],
 )
 def test_what_cannot_run_is_refused_in_one_line(design, choices, words):

@@ -1,6 +1,7 @@
 """Laws of `tune`: it returns the best certified iterate, designed anew, and says so in a line."""
 
 import dataclasses
+import re
 
 import jax.numpy as jnp
 import numpy as np
@@ -86,9 +87,16 @@ def test_a_result_says_its_verdict_first_and_in_one_line(result):
     assert text.startswith("<Tuned: CERTIFIED: every required condition holds; checked once more")
     before = 1e3 * result.start.lateral
     after = 1e3 * result.best.lateral
-    assert f"lateral RMS {before:.3f} -> {after:.3f} mm, on 4 held-out laps" in text
+    assert f"lateral RMS {before:.3f} -> {after:.3f} mm at the last step of 4 held-out laps" in text
     assert "2 evaluations, stopped: budget" in text and result.stop is Stop.BUDGET
     assert len(text) < 250 and "\n" not in text
+
+
+def test_a_result_says_where_its_laps_have_settled(result):
+    problem = complete_problem(load("untuned", "reference.duration_s=12"))
+    tuner = dataclasses.replace(result.tuner, problem=problem)
+    longer = dataclasses.replace(result, tuner=tuner)
+    assert "after 10 s of 4 held-out laps" in repr(longer)
 
 
 def test_without_a_certified_iterate_nothing_is_returned_and_what_it_lacks_is_told(uncertified):
@@ -152,12 +160,26 @@ def test_an_uncertified_iterate_is_chosen_only_when_accepted(uncertified):
         ({"evaluations": 0}, "evaluations = 0"),
         ({"patience": -1}, "patience = -1"),
         ({"learning_rate": 0.0}, "learning_rate = 0.0"),
+        ({"laps": 2.5}, "laps = 2.5"),
         ({"method": "newton"}, "method = 'newton'"),
     ],
 )
 def test_settings_out_of_range_are_refused_before_anything_is_computed(settings, told):
     with pytest.raises(ValueError, match=told):
         tune(load("untuned"), **settings)
+
+
+@pytest.mark.parametrize("function", [jt.tune, jt.design])
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("untuned", "scenario = 'untuned': is a name or a path; give jt.load('untuned')"),
+        (None, "scenario: is a NoneType; give what jt.load returns"),
+    ],
+)
+def test_what_is_no_scenario_is_refused(function, value, words):
+    with pytest.raises(ScenarioError, match=re.escape(words)):
+        function(value)
 
 
 def test_a_scenario_without_gains_is_refused():
