@@ -20,6 +20,7 @@ Alamo 2009, section III.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -40,6 +41,13 @@ MOST_DIRECTIONS = 4000
 
 
 Scope = Literal["model", "robot", "information"]
+
+WIDTH = 110
+INDENT = " " * 9
+"""Of the sentences in a table of conditions."""
+REQUIRED = {True: "holds", False: "FAILS"}
+INFORMATIVE = {True: "yes", False: "no"}
+"""A condition that holds, and one that does not, in a word."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +77,15 @@ class Condition:
         """Whether a verdict rests on the condition."""
         return self.scope != "information"
 
+    def describe(self) -> str:
+        """Return name, margin and sentence in lines of text, after a word for whether it holds."""
+        words = REQUIRED if self.required else INFORMATIVE
+        head = f"  {words[self.holds]:<6} {self.name:<32} margin {self.margin:10.3g}"
+        sentence = textwrap.wrap(
+            self.sentence, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT
+        )
+        return "\n".join([head, *sentence])
+
 
 def judge(
     name: str, margin: float, if_true: str, if_false: str, scope: Scope = "model"
@@ -82,7 +99,8 @@ class Certificate:
     """The conditions of a design, in the order in which they were checked, and what they take for
     granted.
 
-    Without conditions nothing was checked, so nothing is certified.
+    Without conditions nothing was checked, so nothing is certified. `table` writes all conditions
+    with their margins and sentences.
     """
 
     checked: tuple[Condition, ...] = ()
@@ -131,6 +149,14 @@ class Certificate:
                 f"NOT CERTIFIED for the robot: {missing}"
             )
         return f"NOT CERTIFIED: {', '.join(self.failing) or 'nothing was checked'}"
+
+    def table(self) -> str:
+        """Return all conditions with their margins and sentences as text, as the command `design`
+        prints them: those required, then those for information."""
+        required = [condition.describe() for condition in self.checked if condition.required]
+        others = [condition.describe() for condition in self.checked if not condition.required]
+        heading = ["", "for information"] if others else []
+        return "\n".join([*required, *heading, *others])
 
     def _failing(self, *scopes: Scope) -> list[Condition]:
         return [

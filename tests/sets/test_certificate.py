@@ -316,3 +316,20 @@ def test_a_certificate_says_its_verdict_first_and_then_what_fails():
     assert reason.strip() == "W is refuted"
     with pytest.raises(dataclasses.FrozenInstanceError):
         Certificate((model,)).checked = ()
+
+
+def test_a_table_tells_every_condition_with_its_margin_and_its_sentence():
+    long = "a sentence that is too long for a line of a table, " * 4
+    checked = (
+        judge("one", 0.25, "it holds", "it fails"),
+        judge("two", -1.5, "it holds", long, "robot"),
+        judge("three", -1.0, "so", "not so", "information"),
+    )
+    required, informative = Certificate(checked).table().split("\n\nfor information\n")
+    lines = required.splitlines()
+    assert lines[0].split() == ["holds", "one", "margin", "0.25"] and lines[1].strip() == "it holds"
+    assert lines[2].split() == ["FAILS", "two", "margin", "-1.5"]
+    assert " ".join(line.strip() for line in lines[3:]) == long.strip()
+    assert max(map(len, lines)) <= 110
+    assert informative.split() == ["no", "three", "margin", "-1", "not", "so"]
+    assert "for information" not in Certificate(checked[:2]).table()

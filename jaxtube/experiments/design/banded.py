@@ -7,7 +7,6 @@ import numpy as np
 from jaxtube.experiments.design.banded_attack import REFERENCES, BandedLaps, attack
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
-from jaxtube.experiments.run.conditions import condition_lines
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.progress import progress
 from jaxtube.plant.slip_processes import TEST_PROCESSES
@@ -40,7 +39,7 @@ def report(law: BandedLaw) -> str:
         f"widest use of the caps on errors: {errors}",
         "",
         "certificate of the scheduled tracking law, without MPC",
-        *condition_lines(law.certificate, required=True),
+        law.certificate.table(),
         "",
         "assumed",
         *(f"  * {line}" for line in law.certificate.assumptions),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from jaxtube.experiments.run import metrics
-from jaxtube.experiments.run.conditions import condition_lines
 from jaxtube.synthesis.advice import say_what_helps
 from jaxtube.synthesis.disturbance import kinematics, operation
 from jaxtube.synthesis.parts import Design
@@ -27,9 +26,7 @@ def report(design: Design, ultimate: dict | None = None) -> str:
     lines = [*_weight_lines(design), *_gain_lines(design), "", *_tube_lines(design), ""]
     lines += [*_disturbance_lines(design), *_terminal_lines(design)]
     lines += ["", f"certificate (terminal {settings.terminal}, tube {settings.tube})"]
-    lines += condition_lines(certificate, required=True)
-    lines += ["", "for information"]
-    lines += condition_lines(certificate, required=False)
+    lines.append(certificate.table())
     if ultimate and certificate.holds_for_robot:
         x, y, heading = ultimate.values()
         lines += [
