@@ -48,9 +48,17 @@ class Row(NamedTuple):
 
 
 class Facet(NamedTuple):
-    """What a worst case comes to on its facet."""
+    """What a worst case comes to on its facet.
+
+    Attributes:
+        words: what the facet bounds, and by how much.
+        breach: what lies beyond it where the limit is left.
+        margin: in the unit; negative beyond the facet.
+        unit: of the margin.
+    """
 
     words: str
+    breach: str
     margin: float
     unit: str
 
@@ -75,15 +83,16 @@ def describe_facet(limit: Limit, worst: Worst) -> Facet:
         what = f"{WHEELS[coordinate]}{kind}"
         factor = 1.0
         unit = "m/s"
-    bound = _describe_bound(limit, worst, factor)
-    return Facet(f"{what} {bound} {unit}", worst.margin * factor, unit)
-
-
-def _describe_bound(limit: Limit, worst: Worst, factor: float) -> str:
-    """Return the bound of a facet; upper bounds come first in a limit, lower ones after them."""
-    offset = float(limit.offsets[0, worst.facet]) * factor
+    # Upper bounds come first in a limit, lower ones after them.
     is_upper = worst.facet < len(limit.offsets[0]) // 2
-    return f"<= {offset:.3g}" if is_upper else f">= {-offset:.3g}"
+    offset = float(limit.offsets[0, worst.facet]) * factor
+    bound = f"{offset if is_upper else -offset:.3g} {unit}"
+    return Facet(
+        words=f"{what} {'<=' if is_upper else '>='} {bound}",
+        breach=f"{what} {'above' if is_upper else 'below'} its limit of {bound}",
+        margin=worst.margin * factor,
+        unit=unit,
+    )
 
 
 def _describe_section(limit: Limit, worst: Worst) -> Facet:
@@ -93,9 +102,11 @@ def _describe_section(limit: Limit, worst: Worst) -> Facet:
     along = np.flatnonzero(np.abs(normal) > 1e-9 * np.max(np.abs(normal)))
     if len(along) == 1:
         coordinate, factor, unit = ERRORS[along[0]]
-        return Facet(f"{coordinate} {place}", worst.margin * factor, unit)
+        breach = f"{coordinate} beyond its section {place},"
+        return Facet(f"{coordinate} {place}", breach, worst.margin * factor, unit)
     rounded = " ".join(f"{entry:.2f}" for entry in normal)
-    return Facet(f"{place}, normal ({rounded})", worst.margin, "m and rad")
+    words = f"{place}, normal ({rounded})"
+    return Facet(words, f"deviation beyond its section {words},", worst.margin, "m and rad")
 
 
 def compute_certified_usage(limits: LoopLimits, name: str) -> float:
@@ -126,13 +137,14 @@ def say_verdict(limits: LoopLimits, rows: dict[str, Row]) -> str:
     kept = [name for name in names if name not in violated]
     name = names[0]
     worst = rows[name].worst
-    words, margin, unit = describe_facet(limits.all[name], worst)
-    place = f"at step {worst.step} ({words})"
+    facet = describe_facet(limits.all[name], worst)
     if not violated:
         return (
-            f"no violation found; smallest margin {margin:.4g} {unit} of the limit `{name}` {place}"
+            f"no violation found; smallest margin {facet.margin:.4g} {facet.unit} of the limit "
+            f"`{name}` at step {worst.step} ({facet.words})"
         )
-    line = f"violation found: {name} by {-margin:.4g} {unit} {place}"
+    size = f"{-facet.margin:.4g} {facet.unit}"
+    line = f"violation found: {facet.breach} by {size} at step {worst.step}"
     if violated[1:]:
         line += f"; also of {', '.join(violated[1:])}"
     if kept:

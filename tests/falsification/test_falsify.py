@@ -95,6 +95,29 @@ def test_worst_cases_are_drawn(of_own_controller, of_a_tube):
         of_a_tube.plot("wheels")
 
 
+@pytest.mark.parametrize(
+    ("facet", "words"),
+    [
+        (0, "longitudinal error above its limit of 0.3 m by 0.1 m at step 7"),
+        (5, "heading error below its limit of -20 deg by 5.73 deg at step 7"),
+    ],
+)
+def test_a_violation_says_on_which_side_of_which_limit(of_own_controller, facet, words):
+    row = of_own_controller.rows["error"]
+    worst = dataclasses.replace(row.worst, usage=1.5, margin=-0.1, step=7, facet=facet)
+    rows = {"error": row._replace(worst=worst)}
+    assert dataclasses.replace(of_own_controller, rows=rows).verdict == f"violation found: {words}"
+
+
+def test_a_violated_tube_names_its_section(of_a_tube):
+    row = of_a_tube.rows["tube"]
+    worst = dataclasses.replace(row.worst, usage=1.5, margin=-0.1)
+    rows = {"tube": row._replace(worst=worst)}
+    verdict = dataclasses.replace(of_a_tube, rows=rows).verdict
+    assert "beyond its section at stage 1 of the plan of step 1, facet 0 of R_1" in verdict
+    assert verdict.endswith(", by 5.73 deg at step 2")
+
+
 @pytest.mark.parametrize("kind", ["of_own_controller", "of_a_tube"])
 def test_worst_cases_are_read_as_they_were_saved(kind, request, design, tmp_path, monkeypatch):
     monkeypatch.setattr(results, "design", lambda scenario: design)
@@ -136,7 +159,7 @@ def test_a_law_that_answers_nan_violates(design):
     assert len(calls) == 2
     assert result.is_violated
     assert result.worst.usage == np.inf
-    assert result.verdict.startswith("violation found: error")
+    assert result.verdict.startswith("violation found: longitudinal error above its limit of")
 
 
 class Heading(NamedTuple):

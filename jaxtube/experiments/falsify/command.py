@@ -145,12 +145,12 @@ def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
     worst = confirm(setting.loop(name).controller, setting.plant, limit, before)
     played = setting.replay(worst)
     difference = float(np.max(np.abs(played.trajectory.errors[:, 0] - saved["errors"])))
-    words, margin, unit = describe_facet(limit, worst)
+    facet = describe_facet(limit, worst)
     verdict = "violation" if is_violated(worst) else "no violation"
     folder = RunFolder(path.parent)
     folder.report(
-        f"{verdict}: margin {margin:.9g} {unit} of the limit `{name}` at step {worst.step} "
-        f"({words})\nsaved margin differs by {abs(worst.margin - before.margin):.2g}, "
+        f"{verdict}: margin {facet.margin:.9g} {facet.unit} of the limit `{name}` "
+        f"at step {worst.step} ({facet.words})\nsaved margin differs by {abs(worst.margin - before.margin):.2g}, "
         f"saved errors by {difference:.2g}",
         f"replay_{name}",
     )

@@ -45,18 +45,18 @@ def report(falsification: Falsification) -> str:
 
 
 def _make_line(limits: LoopLimits, name: str, row: Row) -> list[str]:
-    words, margin, unit = describe_facet(limits.all[name], row.worst)
+    facet = describe_facet(limits.all[name], row.worst)
     certified = compute_certified_usage(limits, name)
     return [
         name,
         f"<= {certified:.4f}" if np.isfinite(certified) else "nothing",
         f"{row.worst.usage:.4f}",
-        f"{margin:.4g} {unit}",
+        f"{facet.margin:.4g} {facet.unit}",
         f"{row.search.laps:,}",
         f"{row.search.seconds:.1f}",
         f"{row.sampled.usage(name):.4f}",
         f"{row.sampled.laps:,}",
-        f"step {row.worst.step}, {words}",
+        f"step {row.worst.step}, {facet.words}",
     ]
 
 
@@ -70,13 +70,13 @@ def metrics(falsification: Falsification) -> dict[str, Any]:
 
 
 def _measure_row(limits: LoopLimits, name: str, row: Row) -> dict[str, Any]:
-    words, margin, unit = describe_facet(limits.all[name], row.worst)
+    facet = describe_facet(limits.all[name], row.worst)
     numbers: dict[str, Any] = {
         "violation": row.is_violated,
-        "facet": words,
+        "facet": facet.words,
         "step": row.worst.step,
-        "margin": margin,
-        "margin_unit": unit,
+        "margin": facet.margin,
+        "margin_unit": facet.unit,
         "usage": row.worst.usage,
         "certified_usage": compute_certified_usage(limits, name),
         "seconds": row.search.seconds,
