@@ -22,7 +22,7 @@ design = jt.design(scenario)
 print(design)
 certificate = design.certificate
 print(certificate.holds_for_model, certificate.holds_for_robot)
-print(certificate.conditions["terminal_set_invariant"].sentence)
+print(certificate.table())
 print(*certificate.assumptions, sep="\n")
 
 # %% [markdown]
@@ -40,7 +40,8 @@ print(f"largest invariant set: {len(again.polytope.offsets)} facets")
 # ## Simulate
 #
 # An own controller is a function u = f(errors, reference wheels) on a batch of measured errors.
-# This one is the tube's gain at the centre of the speed range, without prediction.
+# This one is the tube's gain at the centre of the speed range, without prediction. Where it is a
+# function with a name, results carry that name.
 
 # %%
 K = design.tube_gain.nominal
@@ -71,6 +72,7 @@ print(worst)
 # ## Tune the gains
 #
 # By gradients through whole laps and through the tube; every iterate is designed and certified.
+# Errors count once a lap has settled, after 10 s; of these laps of 6 s only the last step does.
 
 # %%
 tuned = jt.tune(scenario, variables="gains", evaluations=3, laps=8, held_out=8)
@@ -78,6 +80,8 @@ print(tuned)
 
 # %% [markdown]
 # ## Save, and read back
+#
+# A result replaces a saved one of its kind, and nothing else.
 
 # %%
 folder = design.save("runs/tour")

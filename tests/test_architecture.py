@@ -20,6 +20,7 @@ ROOMS = (
     "precision",
     "coordinates",
     "arguments",
+    "progress",
     "scenario",
     "storage",
     "qp",

@@ -22,6 +22,7 @@ from jaxtube.falsification.setting import (
 from jaxtube.falsification.storing import list_row_arrays, read_row
 from jaxtube.falsification.worst import Worst
 from jaxtube.precision import in_64_bits
+from jaxtube.progress import show_progress
 from jaxtube.simulation.choices import ControllerChoice, PlantChoice, SlipChoice
 from jaxtube.storage import StoredResult, flatten, nest, write_result
 from jaxtube.synthesis.parts import Design, require_design
@@ -153,7 +154,9 @@ def falsify(
     require_design(design)
     _refuse_seconds(seconds)
     setting = make_setting(design, controller, plant, starts, slip, seed)
-    return search_setting(setting, target, seconds=seconds, seed=seed)
+    names = setting.limits.choose_names(target)
+    with show_progress(2 * len(names), "searching", "limits") as bar:
+        return search_setting(setting, target, seconds=seconds, seed=seed, on_progress=bar.update)
 
 
 def search_setting(

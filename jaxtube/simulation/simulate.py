@@ -13,6 +13,7 @@ from jaxtyping import Float
 from jaxtube import qp
 from jaxtube.arguments import describe_type, require_count
 from jaxtube.precision import in_64_bits
+from jaxtube.progress import show_progress
 from jaxtube.simulation import batches
 from jaxtube.simulation.choices import (
     ControllerChoice,
@@ -194,7 +195,10 @@ def simulate(
         errors = np.asarray(choose_starts(design, starts).draw(keys))
     else:
         errors = np.asarray(starts, float)
-    trajectory = batches.run_realisations(acting_controller, acting_plant, errors, seed)
+    with show_progress(count, "simulating", "laps") as bar:
+        trajectory = batches.run_realisations(
+            acting_controller, acting_plant, errors, seed, bar.update
+        )
     return Laps(design, name or name_controller(controller), name_choice(plant), seed, trajectory)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -13,6 +14,7 @@ import jax
 
 from jaxtube.arguments import require_count
 from jaxtube.precision import in_64_bits
+from jaxtube.progress import show_progress
 from jaxtube.scenario.tree import to_toml
 from jaxtube.simulation.choices import (
     ControllerChoice,
@@ -162,8 +164,16 @@ def montecarlo(
     task = make_closed_loop_task(design, controller, plant, starts, slip, seed)
     run = Run(task, count, chunk=1, devices=tuple(jax.local_devices()))
     blocks = range(math.ceil(run.realisations / BLOCK))
-    statistics = functools.reduce(merge, (part for _, part in run.compute(blocks)))
+    with show_progress(count, "simulating", "laps") as bar:
+        statistics = functools.reduce(merge, _compute_blocks(run, blocks, bar.update))
     return MonteCarlo(design, law, seed, statistics)
+
+
+def _compute_blocks(run: Run, blocks: range, show: Callable[[int], object]) -> Iterator[Statistics]:
+    """Yield the statistics of blocks, and show how many laps each has."""
+    for _, statistics in run.compute(blocks):
+        show(int(statistics["laps"]))
+        yield statistics
 
 
 def make_closed_loop_task(

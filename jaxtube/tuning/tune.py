@@ -11,11 +11,13 @@ from typing import TYPE_CHECKING, get_args
 from jaxtube.arguments import require_count
 from jaxtube.plant.reference import TRANSIENT_S, settled_step
 from jaxtube.precision import in_64_bits
+from jaxtube.progress import show_progress
 from jaxtube.scenario.tree import Scenario, require_scenario
 from jaxtube.storage import StoredResult, flatten, nest, refuse_differences, write_result
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
+from jaxtube.tuning.bar import DescentBar
 from jaxtube.tuning.judgement import HeldOutJudgement
 from jaxtube.tuning.parameters import Variables
 from jaxtube.tuning.run import Descent, Log, Method, Progress, Settings, descend
@@ -188,7 +190,7 @@ def tune(
         seed: of every draw.
 
     Returns:
-        The result; nothing is printed or written.
+        The result; nothing is written.
 
     Raises:
         ScenarioError: where the scenario gives no gains, or its gains have no bounded tube.
@@ -204,7 +206,9 @@ def tune(
     )
     sizes = {"laps": require_count("laps", laps), "held_out": require_count("held_out", held_out)}
     tuner = make_tuner(scenario, variables=variables, **sizes, seed=seed)
-    return run_tuner(tuner, settings)
+    counter = show_progress(settings.evaluations, "tuning", "gradients")
+    with DescentBar(counter) as progress:
+        return run_tuner(tuner, settings, progress=progress)
 
 
 def run_tuner(

@@ -23,9 +23,9 @@ from jaxtube.experiments.beyond.search import (
 )
 from jaxtube.experiments.options import BeyondOptions
 from jaxtube.experiments.run import folder as run_folder
-from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
 from jaxtube.plant.slip_processes import TEST_PROCESSES
+from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.design import refuse_infeasible_start

@@ -8,8 +8,8 @@ from jaxtube.experiments.design.banded_attack import REFERENCES, BandedLaps, att
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.exit_codes import exit_code
-from jaxtube.experiments.run.progress import progress
 from jaxtube.plant.slip_processes import TEST_PROCESSES
+from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.bands import BandedLaw, make_law
 

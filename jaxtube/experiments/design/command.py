@@ -17,7 +17,7 @@ from jaxtube.experiments.run.design_report import report
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.experiments.run.progress import progress
+from jaxtube.progress import progress
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import batches, components

@@ -16,11 +16,11 @@ from jaxtube.experiments.falsify.report import metrics, report
 from jaxtube.experiments.options import FalsifyOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.experiments.run.progress import progress
 from jaxtube.falsification.cases import Row, describe_facet, is_violated
 from jaxtube.falsification.falsify import search_setting
 from jaxtube.falsification.setting import LoopLimits, make_setting
 from jaxtube.falsification.worst import Worst, confirm
+from jaxtube.progress import progress
 from jaxtube.scenario.refusal import refusal
 from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.simulation.usage import Replay
@@ -150,8 +150,8 @@ def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
     folder = RunFolder(path.parent)
     folder.report(
         f"{verdict}: margin {facet.margin:.9g} {facet.unit} of the limit `{name}` "
-        f"at step {worst.step} ({facet.words})\nsaved margin differs by {abs(worst.margin - before.margin):.2g}, "
-        f"saved errors by {difference:.2g}",
+        f"at step {worst.step} ({facet.words})\n"
+        f"saved margin differs by {abs(worst.margin - before.margin):.2g}, saved errors by {difference:.2g}",
         f"replay_{name}",
     )
     draw(setting.limits, folder, f"replay_{name}", worst, played)

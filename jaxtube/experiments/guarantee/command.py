@@ -40,8 +40,8 @@ from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.metrics import by_coordinate
-from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.records import Records
+from jaxtube.progress import progress
 from jaxtube.scenario.reading import load, replace
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario, to_toml

@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from jaxtube.experiments.maps.points import PointLog
-from jaxtube.experiments.run.progress import progress
+from jaxtube.progress import progress
 from jaxtube.scenario.reading import replace
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.design import design as make_design

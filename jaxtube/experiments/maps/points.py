@@ -20,8 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.store_owner import StoreOwner
+from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, caps_and_gains, guarantee, set_point
 

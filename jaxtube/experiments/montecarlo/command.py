@@ -25,8 +25,8 @@ from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run import blocks
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.experiments.run.progress import progress
 from jaxtube.experiments.run.records import Records
+from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.events import find_row

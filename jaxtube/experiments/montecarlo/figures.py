@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from jaxtube.coordinates import NAMES
 from jaxtube.experiments.montecarlo import heat_figures, lap_figure, map_figure
 from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.experiments.run.progress import progress
 from jaxtube.figures import shares as shares_figure
 from jaxtube.figures.style import (
     INSIDE,
@@ -30,6 +29,7 @@ from jaxtube.figures.style import (
     page_figure,
     styled,
 )
+from jaxtube.progress import progress
 from jaxtube.simulation.starts import UniformStart
 from jaxtube.statistics import histogram
 from jaxtube.statistics.lap import lap

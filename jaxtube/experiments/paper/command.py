@@ -28,7 +28,7 @@ from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.limits import describe_error_set
-from jaxtube.experiments.run.progress import progress
+from jaxtube.progress import progress
 from jaxtube.scenario.reading import load
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import batches, components

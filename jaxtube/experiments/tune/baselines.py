@@ -15,12 +15,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxtube.control.laws import ScheduledGain
-from jaxtube.experiments.run.progress import progress
-from jaxtube.experiments.tune.bar import DescentBar
 from jaxtube.experiments.tune.front_figure import Kind
 from jaxtube.experiments.tune.result import COMPARED_LAPS, Result, run_comparison, weights_at
+from jaxtube.progress import progress
 from jaxtube.simulation.components import make_wheel_map
 from jaxtube.synthesis.problem import Problem, with_controller
+from jaxtube.tuning.bar import DescentBar
 from jaxtube.tuning.judgement import HeldOutJudgement, pool
 from jaxtube.tuning.objective import LapMeasures, lap_costs, total_cost
 from jaxtube.tuning.parameters import Variables, make_parameters
@@ -110,7 +110,7 @@ def tune_parts(tuner: Tuner, log: Log, settings: Settings) -> list[ComparedDesig
 
 
 def _descend(tuner: Tuner, log: Log, settings: Settings, name: str) -> Descent:
-    with DescentBar(settings.evaluations, name) as bar:
+    with DescentBar(progress(settings.evaluations, f"tuning {name}", "gradients")) as bar:
         return descend(tuner, settings, log, bar, name)
 
 

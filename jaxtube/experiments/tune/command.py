@@ -19,10 +19,11 @@ from jaxtube.experiments.run.exit_codes import ExitCode
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.tune import compare as tune_compare
 from jaxtube.experiments.tune import report as tune_report
-from jaxtube.experiments.tune.bar import DescentBar
 from jaxtube.experiments.tune.log import TuningLog
+from jaxtube.progress import progress
 from jaxtube.scenario.reading import load
 from jaxtube.scenario.tree import Scenario, to_toml
+from jaxtube.tuning.bar import DescentBar
 from jaxtube.tuning.judgement import HeldOutJudgement
 from jaxtube.tuning.run import Settings
 from jaxtube.tuning.tune import Tuned, assumption, run_tuner
@@ -48,7 +49,8 @@ def run(scenario: Scenario, options: TuneOptions) -> int:
         folder = run_folder.create(scenario, options)
         file = TunedFile(folder.path / "tuned.toml", tuner, options.scenario)
         file.path.unlink(missing_ok=True)  # an earlier run's; a replay writes its own again
-        with DescentBar(settings.evaluations, settings.method, file.save) as bar:
+        counter = progress(settings.evaluations, f"tuning {settings.method}", "gradients")
+        with DescentBar(counter, file.save) as bar:
             tuned = run_tuner(
                 tuner,
                 settings,

@@ -77,3 +77,13 @@ def progress(
     bar.starting = starting
     bar.refresh()
     return bar
+
+
+def show_progress(total: int, title: str, unit: str) -> ProgressBar:
+    """Return a bar on the standard error where that is a terminal, else one that shows nothing; for
+    the functions of the library, arguments as for `progress`."""
+    if sys.stderr.isatty():
+        return progress(total, title, unit)
+    bar = ProgressBar(total=total, disable=True)
+    bar.starting = ""
+    return bar

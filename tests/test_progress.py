@@ -1,9 +1,12 @@
 """Laws of progress: compilation is no speed; the time left is estimated from the first units on."""
 
+import sys
 import time
 
-from jaxtube.experiments.run import progress as module
-from jaxtube.experiments.run.progress import progress
+import pytest
+
+from jaxtube import progress as module
+from jaxtube.progress import progress, show_progress
 
 
 def test_compilation_is_said_and_not_counted_in_the_time_left(monkeypatch, capsys):
@@ -27,3 +30,19 @@ def test_work_without_compilation_names_its_own_start(capsys):
         bar.update(3)
     lines = capsys.readouterr().err.splitlines()
     assert lines[0] == "drawing: starting" and lines[-1].startswith("drawing: 3 of 3 figures")
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_functions_of_the_library_show_progress_in_a_terminal_alone(
+    is_terminal, monkeypatch, capsys
+):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: is_terminal)
+    with show_progress(3, "simulating", "laps") as bar:
+        bar.update(2)
+        bar.update(1)
+        assert bar.n == (3 if is_terminal else 0)
+        bar.total = bar.n
+        bar.set_postfix_str("held out 1.0", refresh=False)
+    shown = capsys.readouterr().err
+    assert ("simulating: compiling" in shown) == is_terminal
+    assert bool(shown) == is_terminal

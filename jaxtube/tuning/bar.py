@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from jaxtube.experiments.run.progress import progress
+from jaxtube.progress import ProgressBar
 from jaxtube.tuning.judgement import HeldOutJudgement
 
 
@@ -15,16 +15,15 @@ class DescentBar:
     """Bar that counts the gradients of a descent and shows its last iterate."""
 
     def __init__(
-        self, evaluations: int, name: str, save: Callable[[HeldOutJudgement], None] | None = None
+        self, bar: ProgressBar, save: Callable[[HeldOutJudgement], None] | None = None
     ) -> None:
-        """Begin the bar.
+        """Take a bar that has begun.
 
         Args:
-            evaluations: that the descent may take.
-            name: of the descent.
+            bar: of as many units as gradients may be taken.
             save: is told of every certified iterate that is the best so far.
         """
-        self._bar = progress(evaluations, f"tuning {name}", "gradients")
+        self._bar = bar
         self._save = save
         self._best = np.inf
 
