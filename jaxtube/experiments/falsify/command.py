@@ -151,7 +151,8 @@ def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
     folder.report(
         f"{verdict}: margin {facet.margin:.9g} {facet.unit} of the limit `{name}` "
         f"at step {worst.step} ({facet.words})\n"
-        f"saved margin differs by {abs(worst.margin - before.margin):.2g}, saved errors by {difference:.2g}",
+        f"saved margin differs by {abs(worst.margin - before.margin):.2g}, "
+        f"saved errors by {difference:.2g}",
         f"replay_{name}",
     )
     draw(setting.limits, folder, f"replay_{name}", worst, played)
