@@ -20,6 +20,7 @@ from jaxtube import qp
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.montecarlo import command
 from jaxtube.experiments.montecarlo import report as montecarlo_report
+from jaxtube.experiments.run import blocks
 from jaxtube.scenario import load
 from jaxtube.statistics import histogram
 from jaxtube.statistics import run as montecarlo
@@ -40,6 +41,7 @@ def small(patch, design):
     patch.setattr(command, "make_design", lambda scenario: dataclasses.replace(design))
     for module in (montecarlo, command):
         patch.setattr(module, "BLOCK", BLOCK)
+    for module in (montecarlo, blocks):
         patch.setattr(module, "TILE", TILE)
     patch.setattr("jaxtube.experiments.montecarlo.figures.draw", lambda *arguments: None)
 
