@@ -1,6 +1,7 @@
 """All tests run in float64 with strict promotion: a silent cast is an error."""
 
 import functools
+import gc
 import importlib.metadata
 import os
 import shutil
@@ -17,6 +18,9 @@ import pytest  # noqa: E402
 
 jax.config.update("jax_enable_x64", True)
 jax.config.update("jax_numpy_dtype_promotion", "strict")
+
+# Programs and designs are kept to the end: to look for garbage among them often finds little.
+gc.set_threshold(100_000)
 
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
 """Variable of the environment that names the folder of compiled programs."""

@@ -8,10 +8,12 @@ PURE_NUMBERS = ("iteration", "laps", "largest share", "plans", "share", "stage",
 
 
 def save(figure):
-    """Save a figure in both formats, a warning being an error, and return it."""
+    """Save a figure, a warning being an error, and return it.
+
+    PNG shows the same marks; the commands save both.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        figure.savefig(io.BytesIO(), format="png", dpi=50)
         figure.savefig(io.BytesIO(), format="pdf")
     return figure
 

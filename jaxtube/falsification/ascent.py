@@ -59,7 +59,7 @@ def draw_vertex_attack(
     for name, uncertainty in uncertainties.items():
         vertices = uncertainty.vertices
         choice = generator.integers(len(vertices), size=(uncertainty.times, batch))
-        attack[name] = jnp.asarray(vertices[choice])
+        attack[name] = jax.device_put(vertices[choice])
     return attack
 
 

@@ -55,7 +55,7 @@ def make_plain_mpc(design: Design) -> TubeMpc:
 
 def _make_mpc(design: Design, qps: mpc.CondensedQp) -> TubeMpc:
     require_64_bits("controllers of a design")
-    on_device = jax.tree.map(jnp.asarray, qps)
+    on_device = jax.device_put(qps)
     return TubeMpc(on_device, jnp.asarray(design.windows.index), make_wheel_map(design.problem))
 
 

@@ -4,7 +4,6 @@ checked against."""
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -60,7 +59,7 @@ def make_checks(design: Design, controller: Controller) -> Checks:
         error_weight=problem.error_weight,
         input_weight=problem.input_weight,
     )
-    return jax.tree.map(jnp.asarray, checks)
+    return jax.device_put(checks)
 
 
 def lay_map_grid(reference: Reference) -> tuple[Float[np.ndarray, "2"], np.float64]:

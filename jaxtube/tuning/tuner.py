@@ -270,7 +270,7 @@ def make_evaluation_constants(prepared: Design) -> EvaluationConstants | None:
     if active is None:
         return None
     return EvaluationConstants(
-        design=jax.tree.map(jnp.asarray, design_constants),
+        design=jax.device_put(design_constants),
         active=active,
         wheel_map=components.make_wheel_map(problem),
         restart=problem.scenario.controller.restart,

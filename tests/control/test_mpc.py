@@ -356,6 +356,6 @@ CYCLING = np.array(
 @pytest.mark.slow
 def test_plans_from_the_edge_of_a_certified_design_are_found():
     found = make_design(load("certified"))
-    window = mpc.take_qp(jax.tree.map(jnp.asarray, found.tube_qps), found.windows.index[0])
+    window = mpc.take_qp(jax.device_put(found.tube_qps), found.windows.index[0])
     plan = jax.jit(mpc.plan)(window, jnp.asarray(CYCLING))
     np.testing.assert_array_equal(plan.status, qp.SOLVED)

@@ -12,6 +12,12 @@ from jaxtube.plant import error_dynamics
 
 TRACK_WIDTH = 0.5
 CASES = 300
+TURN_PERIOD = 0.1
+TURN_SPEED = 1.3
+
+advance = jax.jit(error_dynamics.advance)
+tracking_error = jax.jit(error_dynamics.tracking_error)
+world_pose = jax.jit(error_dynamics.world_pose)
 
 
 def error_in_world_terms(pose, reference_pose):
@@ -70,7 +76,7 @@ def cases():
 @pytest.mark.parametrize("dt", [0.1, 1.0])
 def test_advance_equals_the_world_frame_simulation(cases, dt):
     error, wheels, slip, reference_wheels = cases
-    advanced = error_dynamics.advance(*map(jnp.array, cases), TRACK_WIDTH, dt)
+    advanced = advance(*map(jnp.array, cases), TRACK_WIDTH, dt)
     np.testing.assert_allclose(
         advanced, simulate(error, wheels, slip, reference_wheels, dt), atol=EXACT_ARCS
     )
@@ -78,18 +84,14 @@ def test_advance_equals_the_world_frame_simulation(cases, dt):
 
 def test_advance_composes(cases):
     error, *held = map(jnp.array, cases)
-    twice = error_dynamics.advance(
-        error_dynamics.advance(error, *held, TRACK_WIDTH, 0.03), *held, TRACK_WIDTH, 0.07
-    )
-    np.testing.assert_allclose(
-        twice, error_dynamics.advance(error, *held, TRACK_WIDTH, 0.1), atol=10 * ROUNDING
-    )
+    twice = advance(advance(error, *held, TRACK_WIDTH, 0.03), *held, TRACK_WIDTH, 0.07)
+    np.testing.assert_allclose(twice, advance(error, *held, TRACK_WIDTH, 0.1), atol=10 * ROUNDING)
 
 
 def test_error_rate_is_the_derivative_of_advance_at_its_start(cases):
     arguments = tuple(map(jnp.array, cases))
     start, rate = jax.jvp(
-        lambda dt: error_dynamics.advance(*arguments, TRACK_WIDTH, dt),
+        lambda dt: advance(*arguments, TRACK_WIDTH, dt),
         (jnp.float64(0.0),),
         (jnp.float64(1.0),),
     )
@@ -102,24 +104,30 @@ def test_error_rate_is_the_derivative_of_advance_at_its_end(cases):
     # start.
     error, *held = map(jnp.array, cases)
     end, rate = jax.jvp(
-        lambda dt: error_dynamics.advance(error, *held, TRACK_WIDTH, dt),
+        lambda dt: advance(error, *held, TRACK_WIDTH, dt),
         (jnp.float64(0.4),),
         (jnp.float64(1.0),),
     )
     np.testing.assert_allclose(rate, error_rate(end, *held, TRACK_WIDTH), atol=1e2 * ROUNDING)
 
 
+def lateral_error(yaw_rate):
+    """Return the lateral error after a period of turning at a yaw rate from rest at e = 0."""
+    turn = yaw_rate * TRACK_WIDTH / 2
+    wheels = jnp.stack([TURN_SPEED + turn, TURN_SPEED - turn])
+    return advance(jnp.zeros(3), wheels, 0.0, jnp.zeros(2), TRACK_WIDTH, TURN_PERIOD)[1]
+
+
+slope = jax.jit(jax.grad(lateral_error))
+curvature = jax.jit(jax.grad(jax.grad(lateral_error)))
+
+
 @pytest.mark.parametrize("yaw_rate", [0.0, 1e-12, 1e-7, 1e-3, 5.9999, 6.0, 6.0001, 17.0])
 def test_derivatives_by_wheel_speed_are_exact_at_and_near_straight_lines(yaw_rate):
     # Oracle: turning by w from rest at e = 0 for T ends at e = Rot(-T w) (-chord); d/dw by
     # quadrature of the path.
-    dt = 0.1
-    speed = 1.3
-
-    def lateral(w):
-        wheels = jnp.stack([speed + w * TRACK_WIDTH / 2, speed - w * TRACK_WIDTH / 2])
-        return error_dynamics.advance(jnp.zeros(3), wheels, 0.0, jnp.zeros(2), TRACK_WIDTH, dt)[1]
-
+    dt = TURN_PERIOD
+    speed = TURN_SPEED
     nodes, weights = np.polynomial.legendre.leggauss(20)
     times = dt * (nodes + 1) / 2
     integral = weights * dt / 2
@@ -127,14 +135,14 @@ def test_derivatives_by_wheel_speed_are_exact_at_and_near_straight_lines(yaw_rat
     # sin(w (T - t)).
     first = speed * integral @ ((dt - times) * np.cos(yaw_rate * (dt - times)))
     second = -speed * integral @ ((dt - times) ** 2 * np.sin(yaw_rate * (dt - times)))
-    assert jax.grad(lateral)(yaw_rate) == pytest.approx(first, abs=10 * ROUNDING)
-    assert jax.grad(jax.grad(lateral))(yaw_rate) == pytest.approx(second, abs=10 * ROUNDING)
+    assert slope(yaw_rate) == pytest.approx(first, abs=10 * ROUNDING)
+    assert curvature(yaw_rate) == pytest.approx(second, abs=10 * ROUNDING)
 
 
 def test_tracking_error_is_the_reference_seen_from_the_robot():
     generator = np.random.default_rng(5)
     pose, reference_pose = generator.uniform(-9.0, 9.0, (2, 200, 3))
-    error = error_dynamics.tracking_error(jnp.array(pose), jnp.array(reference_pose))
+    error = tracking_error(jnp.array(pose), jnp.array(reference_pose))
     np.testing.assert_allclose(
         error, error_in_world_terms(pose, reference_pose), atol=10 * ROUNDING
     )
@@ -143,34 +151,28 @@ def test_tracking_error_is_the_reference_seen_from_the_robot():
 def test_tracking_error_and_world_pose_are_inverse():
     generator = np.random.default_rng(6)
     pose, reference_pose = map(jnp.array, generator.uniform(-9.0, 9.0, (2, 200, 3)))
-    error = error_dynamics.tracking_error(pose, reference_pose)
-    np.testing.assert_allclose(
-        error_dynamics.world_pose(error, reference_pose), pose, atol=10 * ROUNDING
-    )
+    error = tracking_error(pose, reference_pose)
+    np.testing.assert_allclose(world_pose(error, reference_pose), pose, atol=10 * ROUNDING)
 
 
 def test_a_robot_left_behind_has_a_positive_longitudinal_error():
-    error = error_dynamics.tracking_error(jnp.zeros(3), jnp.array([1.0, 0.5, 0.1]))
+    error = tracking_error(jnp.zeros(3), jnp.array([1.0, 0.5, 0.1]))
     assert np.all(np.asarray(error) > 0.0)
 
 
 def test_leading_axes_broadcast(cases):
     error, wheels, slip, reference_wheels = map(jnp.array, cases)
-    table = error_dynamics.advance(
-        error[:4, None], wheels[:5], slip[0], reference_wheels[1], TRACK_WIDTH, 0.1
-    )
+    table = advance(error[:4, None], wheels[:5], slip[0], reference_wheels[1], TRACK_WIDTH, 0.1)
     assert table.shape == (4, 5, 3)
-    single = error_dynamics.advance(
-        error[2], wheels[3], slip[0], reference_wheels[1], TRACK_WIDTH, 0.1
-    )
+    single = advance(error[2], wheels[3], slip[0], reference_wheels[1], TRACK_WIDTH, 0.1)
     np.testing.assert_allclose(table[2, 3], single, atol=ROUNDING)
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_dtype_is_kept_inside_jit(dtype, cases):
     arguments = [jnp.array(case, dtype) for case in cases]
-    advanced = jax.jit(error_dynamics.advance)(*arguments, TRACK_WIDTH, 0.1)
+    advanced = advance(*arguments, TRACK_WIDTH, 0.1)
     assert advanced.dtype == dtype
-    assert error_dynamics.world_pose(arguments[0], arguments[0]).dtype == dtype
-    exact = error_dynamics.advance(*[array.astype(float) for array in arguments], TRACK_WIDTH, 0.1)
+    assert world_pose(arguments[0], arguments[0]).dtype == dtype
+    exact = advance(*[array.astype(float) for array in arguments], TRACK_WIDTH, 0.1)
     np.testing.assert_allclose(advanced, exact, atol=20 * float(jnp.finfo(dtype).eps))

@@ -23,6 +23,7 @@ SEED = jax.random.key(20)
 HERE = slip.Situation(jnp.zeros((2, 2)), jnp.array([0.1, -0.2, 0.3]))
 UNIFORM = ("iid", "constant", "walk", "patches")
 DRAWN = (*UNIFORM, "vertex")  # and the adversary chooses
+STEPS = 41
 
 
 @partial(jax.jit, static_argnames=("process", "uncertain_slip", "steps"))
@@ -53,8 +54,8 @@ def is_uniform(samples, low=-1.0, high=1.0):
 
 @cache
 def runs(name):
-    """3000 runs of 41 steps of a process."""
-    return np.asarray(many_runs(PROCESSES[name], "both", 41, 3000))
+    """3000 runs of STEPS steps of a process."""
+    return np.asarray(many_runs(PROCESSES[name], "both", STEPS, 3000))
 
 
 @pytest.mark.parametrize("name", UNIFORM)
@@ -82,7 +83,7 @@ def test_wheels_and_runs_are_independent(name):
 
 @pytest.mark.parametrize("name", PROCESSES)
 def test_draws_do_not_depend_on_the_batch(name):
-    alone = np.asarray(one_run(PROCESSES[name], "both", 41, 2345))
+    alone = np.asarray(one_run(PROCESSES[name], "both", STEPS, 2345))
     among = runs(name)[:, 2345]
     # A walk adds numbers up, and compilers may fuse that; all else is the same bits.
     np.testing.assert_allclose(alone, among, rtol=0.0, atol=ROUNDING if name == "walk" else 0.0)
@@ -102,14 +103,14 @@ def test_each_vertex_comes_up_a_quarter_of_the_time():
 
 @pytest.mark.parametrize("process", PROCESSES.values(), ids=PROCESSES)
 def test_only_the_slip_that_is_random_deviates(process):
-    both = np.asarray(one_run(process, "both", 5, 3))
+    both = np.asarray(one_run(process, "both", STEPS, 3))
     for uncertain_slip, (true, measured) in {
         "true": (1, 0),
         "measured": (0, 1),
         "both": (1, 1),
     }.items():
         np.testing.assert_array_equal(
-            one_run(process, uncertain_slip, 5, 3), [both[0] * true, both[1] * measured]
+            one_run(process, uncertain_slip, STEPS, 3), [both[0] * true, both[1] * measured]
         )
 
 
@@ -117,7 +118,7 @@ def test_only_the_slip_that_is_random_deviates(process):
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_dtype_is_that_of_the_situation(process, dtype):
     here = jax.tree.map(lambda array: array.astype(dtype), HERE)
-    assert all(array.dtype == dtype for array in one_run(process, "both", 3, 3, here))
+    assert all(array.dtype == dtype for array in one_run(process, "both", STEPS, 3, here))
 
 
 @dataclass(frozen=True)

@@ -95,7 +95,7 @@ def make_case(found, controller, spread, most_mps):
     }
     checks = dataclasses.replace(
         task.checks,
-        **{name: jax.tree.map(jnp.asarray, facets(polytope)) for name, polytope in sets.items()},
+        **{name: jax.device_put(facets(polytope)) for name, polytope in sets.items()},
         ultimate=jnp.array([0.02, 0.05, 0.02]),
         settled=20,
         error_weight=2.5 * task.checks.error_weight,

@@ -2,6 +2,7 @@
 conditions it breaks."""
 
 import dataclasses
+import functools
 import importlib
 
 import numpy as np
@@ -11,6 +12,7 @@ from tolerances import CERTIFICATE_MARGIN
 
 from jaxtube.scenario import load
 from jaxtube.synthesis.certificate import terminal as terminal_conditions
+from jaxtube.synthesis.certificate.period import find_disturbances
 from jaxtube.synthesis.certificate.terminal import check_any_order
 from jaxtube.synthesis.gains import Gain, StretchedGain
 from jaxtube.synthesis.parts import Condensed, Design
@@ -39,6 +41,9 @@ REQUIRED = [
 PREMISE = "disturbance_bound_proved"  # the paper's W, which is assumed, is refuted
 SLACK = 1e-8
 
+find_disturbances_once = functools.cache(find_disturbances)
+"""The same by problem, of which most cases change nothing."""
+
 
 @pytest.fixture
 def recertify(monkeypatch):
@@ -46,6 +51,8 @@ def recertify(monkeypatch):
     information are left out."""
     module = importlib.import_module("jaxtube.synthesis.certificate.certify")
     monkeypatch.setattr(module, "say_what_exists", lambda design: ())
+    robot = importlib.import_module("jaxtube.synthesis.certificate.robot")
+    monkeypatch.setattr(robot, "find_disturbances", find_disturbances_once)
 
     def again(design: Design, solver_slack: float = SLACK, **replaced) -> Certificate:
         monkeypatch.setattr(Design, "solver_slack", solver_slack)

@@ -254,7 +254,7 @@ def condense_in_jax(found, bounds):
     schedules = found.windows.schedules[:, 0]
     gains = condense.Gains(found.windows.gains[:, 0], found.terminal.gains.along(schedules))
     cost = condense.Cost(problem.error_weight, problem.input_weight, found.cost.cost)
-    ahead, gains, cost = jax.tree.map(jnp.asarray, (ahead, gains, cost))
+    ahead, gains, cost = jax.device_put((ahead, gains, cost))
     return condense.weigh(
         ahead, condense.row_bounds(bounds, ahead), gains, cost, condense.widths(problem)
     )

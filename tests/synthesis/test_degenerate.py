@@ -23,9 +23,7 @@ STARTS = np.array(
 
 def test_plans_are_solved_where_an_active_set_is_almost_degenerate():
     found = design(load("tuned"))
-    window = mpc.take_qp(
-        jax.tree.map(jnp.asarray, found.tube_qps), jnp.asarray(found.windows.index[0])
-    )
+    window = mpc.take_qp(jax.device_put(found.tube_qps), jnp.asarray(found.windows.index[0]))
     plans = jax.jit(mpc.plan)(window, jnp.asarray(STARTS))
     np.testing.assert_array_equal(plans.status, np.full(len(STARTS), qp.SOLVED))
     assert plans.active.all()

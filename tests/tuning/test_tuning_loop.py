@@ -104,7 +104,7 @@ def test_laps_are_those_of_the_design_rows_active_or_not(loop):
     keys = realisation_keys(0, 0, LAPS)
 
     def run(windows):
-        windows = jax.tree.map(jnp.asarray, windows)
+        windows = jax.device_put(windows)
         index = jnp.asarray(constants.index)
         controller = TubeMpc(windows, index, make_wheel_map(design.problem), settings.restart)
         return drive(controller, plant, keys, starts)

@@ -72,13 +72,13 @@ def extreme_cases(problem: Problem) -> PeriodCases:
     slips = _extreme_slips(problem)
     noise = problem.noise * np.array(list(itertools.product((-1, 1), repeat=3)))
     noise = np.unique(noise, axis=0)
-    sizes = [len(part) for part in (errors, inputs, wheels, slips, noise)]
-    chosen = np.indices(sizes).reshape(len(sizes), -1)
-    errors = errors[chosen[0]]
-    inputs = inputs[chosen[1]]
-    errors = _meet_coupling(problem, errors, inputs)
-    true, measured = np.swapaxes(slips[chosen[3]], 0, 1)
-    return PeriodCases(errors, inputs, wheels[chosen[2]], true, measured, noise[chosen[4]])
+    error, asked = np.indices((len(errors), len(inputs))).reshape(2, -1)
+    inputs = inputs[asked]
+    errors = _meet_coupling(problem, errors[error], inputs)
+    sizes = [len(part) for part in (errors, wheels, slips, noise)]
+    pair, wheel, slip, shift = np.indices(sizes).reshape(len(sizes), -1)
+    true, measured = np.swapaxes(slips[slip], 0, 1)
+    return PeriodCases(errors[pair], inputs[pair], wheels[wheel], true, measured, noise[shift])
 
 
 def _meet_coupling(

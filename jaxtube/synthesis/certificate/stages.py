@@ -128,8 +128,8 @@ def _largest_reach(
 
 def _check_not_empty(problem: Problem, bounds: Bounds) -> Iterator[Condition]:
     E = problem.operating_set
-    error_sets = _distinct_sets(E.normals, bounds.errors[:, 1:]) or [E]
-    input_sets = _distinct_sets(problem.input_rows.inputs, bounds.inputs)
+    error_sets = _smallest_sets(E.normals, bounds.errors[:, 1:]) or [E]
+    input_sets = _smallest_sets(problem.input_rows.inputs, bounds.inputs)
     for name, letter, polytopes in (
         ("error_sets_not_empty", "E", error_sets),
         ("input_sets_not_empty", "U", input_sets),
@@ -142,7 +142,7 @@ def _check_not_empty(problem: Problem, bounds: Bounds) -> Iterator[Condition]:
             f"A tightened set {letter}_j is empty (radius {radius:.4g}).",
         )
     radius = nonempty_margin(
-        _distinct_sets(bounds.terminal_normals, np.asarray(bounds.terminal)[:, None])
+        _smallest_sets(bounds.terminal_normals, np.asarray(bounds.terminal)[:, None])
     )
     yield judge(
         "terminal_constraint_not_empty",
@@ -152,12 +152,14 @@ def _check_not_empty(problem: Problem, bounds: Bounds) -> Iterator[Condition]:
     )
 
 
-def _distinct_sets(
+def _smallest_sets(
     normals: Float[np.ndarray, "k n"], offsets: Float[np.ndarray, "windows stages k"]
 ) -> list[Polytope]:
-    """Return the distinct sets {normals x <= offsets} over windows and stages."""
+    """Return the sets {normals x <= offsets} over windows and stages whose offsets bound those of
+    no other from above: every other set contains one of these, with its largest ball."""
     rows = np.unique(np.asarray(offsets).reshape(-1, len(normals)), axis=0)
-    return [Polytope(normals, row) for row in rows]
+    smallest = [row for row in rows if np.sum(np.all(rows <= row, axis=1)) <= 1]
+    return [Polytope(normals, row) for row in smallest]
 
 
 def _check_never_reset(design: Design) -> Condition:
