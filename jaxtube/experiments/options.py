@@ -6,6 +6,7 @@ Every command takes a scenario, the folder of its run, a seed, and overrides of 
 
 import math
 import shlex
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -17,6 +18,8 @@ PROGRAM = "python -m jaxtube.experiments"
 SEED_LIMIT = 2**63
 REALISATIONS_LIMIT = 2**53
 LAPS_LIMIT = 2**64
+MOST_SHOWN = 40
+"""Characters of overrides in the title of a figure."""
 
 ControllerName = Literal[
     "tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated", "uncompensated"
@@ -44,7 +47,7 @@ def _is_lap(value: int | None) -> bool:
     return value is None or 0 <= value < LAPS_LIMIT
 
 
-LAPS = Rule(_is_count_of_laps, "is no whole number from 1 to 2^53; simulate at least one run")
+LAPS = Rule(_is_count_of_laps, "is no whole number from 1 to 2^53 (9.0e15); give one, such as 1000")
 LAP = Rule(_is_lap, "is out of range; give a lap's number, from 0 to below 2^64")
 SEED = Rule(
     lambda value: 0 <= value < SEED_LIMIT,
@@ -79,6 +82,12 @@ class Options:
     def folder(self) -> Path:
         """The folder of the run."""
         return Path(self.out or f"runs/{self.command}-{title(self.scenario)}")
+
+    @property
+    def label(self) -> str:
+        """The scenario of the run in the titles of figures, overrides included."""
+        overrides = textwrap.shorten(" ".join(self.overrides), MOST_SHOWN, placeholder=" ...")
+        return f"{title(self.scenario)} with {overrides}" if overrides else title(self.scenario)
 
     @property
     def scenario_files(self) -> list[Path]:

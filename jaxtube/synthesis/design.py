@@ -23,9 +23,10 @@ from jaxtube.synthesis.gains import compensating_gain
 from jaxtube.synthesis.parts import Condensed, Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import make_terminal, terminal_cost_and_gain
-from jaxtube.synthesis.tightening import EmptySetError, refuse_empty, tighten
+from jaxtube.synthesis.tightening import ERROR_NAMES, EmptySetError, refuse_empty, tighten
 from jaxtube.synthesis.tubes import make_tubes
 from jaxtube.synthesis.windows import make_windows
+from sets.certificate import ROUNDING
 
 __all__ = [
     "Design",
@@ -34,10 +35,15 @@ __all__ = [
     "finish",
     "prepare",
     "refuse_infeasible_start",
+    "refuse_start_outside_limits",
 ]
 
 SHORT = 1e-9
 """What the rows may lack before a start has no plan: the accuracy of the linear programs."""
+PERCENT = 0.01
+"""The step in which shares of a refused start are told."""
+PRINTED = 0.01
+"""What rounding to four digits may add to a whole percentage."""
 
 
 class Clock:
@@ -124,6 +130,18 @@ def finish(prepared: Design, clock: Clock | None = None) -> Design:
     return replace(prepared, certificate=certificate, seconds=clock.seconds)
 
 
+def refuse_start_outside_limits(problem: Problem) -> None:
+    """Raise ScenarioError where what may be measured of the scenario's start leaves the caps.
+
+    This needs no design, so it is known before one is computed.
+    """
+    error = problem.initial_error
+    used = _use_of_caps(problem, error)
+    if np.max(used) > 1:
+        share = _share_within_caps(problem, error)
+        raise ScenarioError(f"{_say_what_leaves(error, used)}; {_say_how_near(error, share)}")
+
+
 def refuse_infeasible_start(design: Design, error: Float[np.ndarray, "3"] | None = None) -> None:
     """Raise ScenarioError where what may be measured of a start leaves the caps, or has no plan.
 
@@ -132,39 +150,76 @@ def refuse_infeasible_start(design: Design, error: Float[np.ndarray, "3"] | None
     """
     problem = design.problem
     error = problem.initial_error if error is None else error
-    measured = error + noise_corners(problem)
-    limits = problem.operating_set
-    widest = float(np.max(measured @ limits.normals.T / limits.offsets))
+    used = _use_of_caps(problem, error)
+    corners = error + noise_corners(problem)
     index = design.first_window
-    missing = max(shortfall(design.tube_qps, index, corner) for corner in measured)
-    if widest <= 1 and missing <= SHORT:
+    missing = max(shortfall(design.tube_qps, index, corner) for corner in corners)
+    if np.max(used) <= 1 and missing <= SHORT:
         return
-    section = problem.scenario.initial
-    start = f"scenario: initial = ({section.x_m} m, {section.y_m} m, {section.heading_deg} deg)"
-    cure = _say_how_near(design, error)
-    if widest > 1:
-        raise ScenarioError(
-            f"{start}: the error of the start lies outside [constraints] or [operating], "
-            f"{widest:.3g} times as far as it may; {cure}"
-        )
+    share = _share_with_plan(design, error)
+    cure = _say_how_near(error, share)
+    if np.max(used) > 1:
+        raise ScenarioError(f"{_say_what_leaves(error, used)}; {cure}")
+    others = "lengthen controller.horizon"
+    if share < PERCENT:
+        others = f"{others}, or {say_what_helps(problem)}"
     raise ScenarioError(
-        f"{start}: lies outside the feasible set of the tube-MPC (constraints short by "
-        f"{missing:.3g}); {cure}; lengthen controller.horizon, or {say_what_helps(problem)}"
+        f"scenario: {_say_pose(error)}: the start lies outside the feasible set of the tube-MPC "
+        f"(constraints short by {missing:.3g}); {cure}; or {others}"
     )
 
 
-def _say_how_near(design: Design, error: Float[np.ndarray, "3"]) -> str:
-    """Return what share of an error both the caps and the feasible set leave, in words."""
-    problem = design.problem
-    limits = problem.operating_set
-    share = 1.0
-    for noise in noise_corners(problem):
-        reach = reach_of_ray(design.tube_qps, design.first_window, error, noise)
-        rows = limits.normals @ error
-        room = limits.offsets - limits.normals @ noise
-        capped = np.min(room[rows > 0] / rows[rows > 0], initial=np.inf)
-        share = min(share, reach, float(capped))
-    percent = int(np.floor(100 * max(share, 0.0)))
-    if percent == 0:
+def _use_of_caps(problem: Problem, error: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    """Return what share of each cap the largest error that may be measured of a start uses."""
+    caps = problem.operating_set.support(np.eye(3))
+    return (np.abs(error) + problem.noise) / caps
+
+
+def _share_within_caps(problem: Problem, error: Float[np.ndarray, "3"]) -> float:
+    """Return the largest share of an error, at most 1, that stays within the caps."""
+    room = problem.operating_set.support(np.eye(3)) - problem.noise
+    sizes = np.abs(error)
+    moved = sizes > 0
+    return float(np.min(room[moved] / sizes[moved], initial=1.0))
+
+
+def _share_with_plan(design: Design, error: Float[np.ndarray, "3"]) -> float:
+    """Return the largest share of an error, at most 1, within the caps and with a plan."""
+    reaches = [
+        reach_of_ray(design.tube_qps, design.first_window, error, noise)
+        for noise in noise_corners(design.problem)
+    ]
+    return min(_share_within_caps(design.problem, error), *reaches)
+
+
+def _say_what_leaves(error: Float[np.ndarray, "3"], used: Float[np.ndarray, "3"]) -> str:
+    worst = int(np.argmax(used))
+    return (
+        f"scenario: {_say_pose(error)}: the {ERROR_NAMES[worst]} of the start lies outside "
+        f"[constraints] or [operating], {used[worst]:.3g} times as far as it may"
+    )
+
+
+def _say_how_near(error: Float[np.ndarray, "3"], share: float) -> str:
+    """Return the start at a whole percentage of an error, in words."""
+    percent = int(np.floor(share / PERCENT - PRINTED))
+    if percent <= 0:
         return "no start in this direction has a plan"
-    return f"start at most {percent}% as far away"
+    return f"start at most {percent}% as far away: {_say_pose(PERCENT * percent * error)}"
+
+
+def _say_pose(error: Float[np.ndarray, "3"]) -> str:
+    """Return the keys of the start that has an error: eq. (3) solved for the pose."""
+    cosine = np.cos(error[2])
+    sine = np.sin(error[2])
+    # The robot heads e_th to the right of the reference, which is at the origin.
+    x = -(cosine * error[0] + sine * error[1])
+    y = -(cosine * error[1] - sine * error[0])
+    heading = -np.rad2deg(error[2])
+    keys = {"x_m": x, "y_m": y, "heading_deg": heading}
+    return ", ".join(f"initial.{key} = {_shorten(value)}" for key, value in keys.items())
+
+
+def _shorten(value: float) -> str:
+    """Return a number of four significant digits; what rounding left of 0 is 0."""
+    return f"{value:.4g}" if abs(value) > ROUNDING else "0"

@@ -130,7 +130,7 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
         (["--seed"], ["--seed"]),
         (["--seed", "three"], ["--seed", "three"]),
         (["--seed", "-1"], ["--seed = -1", "from 0"]),
-        (["--realisations", "0"], ["--realisations", "at least one"]),
+        (["--realisations", "0"], ["--realisations = 0", "from 1 to 2^53", "such as 1000"]),
         (["montecarlo", "--realisations", "2.5"], ["--realisations = 2.5", "whole number"]),
         (["montecarlo", "--replay", "-5"], ["--replay = -5", "from 0"]),
         (["montecarlo", "--replay", str(2**64)], ["--replay = 18446744073709551616", "2^64"]),
@@ -370,6 +370,26 @@ def test_a_run_goes_on_from_the_scenario_it_wrote_but_does_not_change_it(
     assert main([*words, str(path)]) == 0
     assert "which it reads" in error_line(capsys, *words, str(path), "controller.horizon=7")
     assert main([*words, "robust"]) == 0
+
+
+def test_a_run_that_replaces_another_scenario_says_so(tmp_path, capsys, fake_runs):
+    words = ["design", "--out", str(tmp_path)]
+    assert main(words) == main(words) == 0
+    assert capsys.readouterr().err == ""
+    assert main([*words, "controller.horizon=7"]) == 0
+    assert "python -m jaxtube.experiments design --out" in capsys.readouterr().err
+    assert main([*words, "controller.horizon=8"]) == 0
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert "replaces the run of another scenario" in line and "controller.horizon=7" in line
+
+
+def test_the_titles_of_figures_name_overrides():
+    options = command_options.DesignOptions(overrides=("controller.horizon=7",))
+    assert options.label == "paper with controller.horizon=7"
+    assert command_options.DesignOptions().label == "paper"
+    many = dataclasses.replace(options, overrides=("controller.horizon=7",) * 9)
+    assert len(many.label) < 60
 
 
 def test_an_optimised_design_has_a_folder_of_its_own():

@@ -9,10 +9,12 @@ import pytest
 from tolerances import CLOSED_LOOP, WORLD_FRAME
 
 from jaxtube.experiments.cli import main
+from jaxtube.experiments.design import command
 from jaxtube.experiments.run.exit_codes import exit_code
-from jaxtube.scenario import replace
+from jaxtube.scenario import ScenarioError, load, replace
 from jaxtube.simulation import batches, components
 from jaxtube.synthesis.design import design as compute
+from jaxtube.synthesis.design import refuse_infeasible_start, refuse_start_outside_limits
 from jaxtube.synthesis.problem import make_problem
 from sets.certificate import Certificate, Condition
 
@@ -74,7 +76,63 @@ def test_a_start_outside_the_feasible_set_does_not_hide_the_design(tmp_path, cap
     assert "CERTIFIED for the linear model" in output.out
     assert "outside the feasible set" in output.err
     assert output.err.count("\n") == 1
+    found = metrics_of(tmp_path / "run")
+    assert found["certified_for_model"]
+    assert "disturbance" not in found
+    assert (tmp_path / "run" / "sets.png").exists()
+    assert load(tmp_path / "run" / "scenario.toml") == load("robust", OUTSIDE)
+
+
+@pytest.mark.parametrize(
+    ("words", "overrides", "limits"),
+    [
+        (
+            ["design", "--scenario", "certified"],
+            ["initial.x_m=0.2", "initial.y_m=-0.5", "initial.heading_deg=12"],
+            "certified",
+        ),
+        (["paper"], ["initial.y_m=0.31", "initial.heading_deg=-19"], "paper"),
+        (["design", "--optimise"], ["initial.heading_deg=100"], "paper"),
+    ],
+)
+def test_a_start_outside_the_limits_is_refused_before_any_design(
+    words, overrides, limits, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.delattr("jaxtube.experiments.design.command.design")
+    monkeypatch.delattr("jaxtube.experiments.design.command.optimise")
+    monkeypatch.delattr("jaxtube.experiments.paper.command.make_design")
+    assert run(tmp_path / "run", *words, *overrides) == 2
+    line = refusal(capsys)
+    assert "outside [constraints] or [operating]" in line
     assert not (tmp_path / "run").exists()
+    refuse_start_outside_limits(make_problem(load(limits, cure_of(line))))
+
+
+def test_the_start_that_a_refusal_names_has_a_plan(robust_design):
+    heading = "initial.heading_deg=-15"
+    scenario = load("robust", [OUTSIDE[0], heading])
+    elsewhere = dataclasses.replace(robust_design, problem=make_problem(scenario))
+    with pytest.raises(ScenarioError, match="outside the feasible set") as refused:
+        refuse_infeasible_start(elsewhere)
+    mended = make_problem(load("robust", cure_of(str(refused.value))))
+    refuse_infeasible_start(dataclasses.replace(robust_design, problem=mended))
+
+
+def cure_of(line):
+    """Return the overrides that a refused start is mended by."""
+    pose = line.split("% as far away: ")[1].split(";")[0]
+    return [key.strip().replace(" = ", "=") for key in pose.split(", ")]
+
+
+def test_an_optimised_design_outlives_a_start_without_a_plan(
+    tmp_path, capsys, known_designs, monkeypatch
+):
+    """The search takes minutes: what it found can be run from the folder."""
+    found = load("robust", OUTSIDE)
+    monkeypatch.setattr(command, "find_caps_and_gains", lambda scenario: found)
+    assert run(tmp_path, "design", "--optimise", *OUTSIDE) == 2
+    assert load(tmp_path / "scenario.toml") == found
+    assert metrics_of(tmp_path)["certified_for_model"]
 
 
 @pytest.mark.parametrize("command", ["design", "paper"])

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxtube.experiments.design import banded
-from jaxtube.experiments.options import DesignOptions, title
+from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.design_report import report
@@ -19,11 +19,15 @@ from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.progress import progress
 from jaxtube.scenario.refusal import ScenarioError
-from jaxtube.scenario.tree import Scenario
+from jaxtube.scenario.tree import Operating, Scenario
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.advice import say_what_widens
-from jaxtube.synthesis.design import design, refuse_infeasible_start
+from jaxtube.synthesis.design import (
+    design,
+    refuse_infeasible_start,
+    refuse_start_outside_limits,
+)
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.optimise import Optimum, optimise, search_starts
 from jaxtube.synthesis.parts import Design
@@ -33,7 +37,8 @@ from jaxtube.synthesis.problem import make_problem
 def run(scenario: Scenario, options: DesignOptions) -> int:
     """Run the command; returns 3 where a certificate is required and fails.
 
-    The design is printed before the start is judged: a start that is refused hides nothing.
+    A start outside the limits is refused before anything is computed, one without a plan after the
+    run folder is complete: nothing that took long is lost. Only its laps are left out.
     """
     if scenario.operating.bands and options.optimise:
         raise ScenarioError(
@@ -43,19 +48,44 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     if scenario.operating.bands:
         return banded.run(scenario, options)
     if options.optimise:
+        refuse_start_outside_limits(make_problem(_remove_caps(scenario)))
         scenario = find_caps_and_gains(scenario)
+    refuse_start_outside_limits(make_problem(scenario))
     made = design(scenario)
     numbers = metrics.design_metrics(made)
     text = report(made, numbers.get("ultimate_bound"))
-    print(text)
-    refuse_infeasible_start(made)
-    folder = run_folder.create(scenario, options, printed=text)
-    disturbance = simulate_disturbance(made, options.seed)
-    folder.report("\n" + disturbance_line(made, disturbance, "the local gain"))
-    folder.save_metrics({**numbers, "disturbance": disturbance})
-    draw_sets(made, title(options.scenario), folder)
-    print(f"\nwritten to {folder.path}/")
+    folder = run_folder.create(scenario, options)
+    folder.report(text)
+    start_fault = _find_start_fault(made)
+    started = time.perf_counter()
+    if start_fault is None:
+        disturbance = simulate_disturbance(made, options.seed)
+        numbers["disturbance"] = disturbance
+        folder.report("\n" + disturbance_line(made, disturbance, "the local gain"))
+    folder.save_metrics(numbers)
+    draw_sets(made, options.label, folder)
+    seconds = time.perf_counter() - started
+    print(f"\nlaps, their compilation and figures took another {seconds:.1f} s")
+    print(
+        f"written to {folder.path}/; its scenario.toml holds every key, to run again or to change"
+    )
+    if start_fault is not None:
+        raise start_fault
     return exit_code(made.certificate, options.require_certificate)
+
+
+def _remove_caps(scenario: Scenario) -> Scenario:
+    """Return the scenario without the caps that the optimiser replaces."""
+    return msgspec.structs.replace(scenario, operating=Operating())
+
+
+def _find_start_fault(made: Design) -> ScenarioError | None:
+    """Return what refuses the start of a design, None where it has a plan."""
+    try:
+        refuse_infeasible_start(made)
+    except ScenarioError as error:
+        return error
+    return None
 
 
 def draw_sets(made: Design, name: str, folder: RunFolder) -> None:

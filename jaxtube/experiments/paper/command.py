@@ -34,8 +34,9 @@ from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.design import design as make_design
-from jaxtube.synthesis.design import refuse_infeasible_start
+from jaxtube.synthesis.design import refuse_infeasible_start, refuse_start_outside_limits
 from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.problem import make_problem
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -70,6 +71,7 @@ class PaperRuns(NamedTuple):
 def run(scenario: Scenario, options: PaperOptions) -> int:
     """Run the command; returns 3 where a certificate is required and fails."""
     name = title(options.scenario)
+    refuse_start_outside_limits(make_problem(scenario))
     design = make_design(scenario)
     refuse_infeasible_start(design)
     stressed_name = STRESSED_FOR_PAPER if name == "paper" else name
@@ -89,7 +91,7 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     rows = claims(measured)
     measured["claims"] = [row._asdict() for row in rows]
     folder.save_metrics(measured)
-    drawings = _make_drawings(design, name, simulated)
+    drawings = _make_drawings(design, options.label, simulated)
     drawings |= _make_stress_drawings(stressed, simulated.stressed)
     if stressed is not design:
         drawings["stress_terminal_set"] = partial(_draw_terminal_set, stressed, stressed_name)

@@ -116,13 +116,12 @@ class RunFolder:
         write_atomically(self.path / name, write)
 
 
-def create(scenario: Scenario, options: Options, printed: str = "") -> RunFolder:
+def create(scenario: Scenario, options: Options) -> RunFolder:
     """Make the folder of a run, in which nothing is written yet.
 
     Args:
         scenario: of the run.
         options: of the command, which name the folder.
-        printed: first part of the report, printed already.
 
     Raises:
         ScenarioError: when the folder cannot be made or written to, and when the run would
@@ -135,10 +134,10 @@ def create(scenario: Scenario, options: Options, printed: str = "") -> RunFolder
         with tempfile.TemporaryFile(dir=folder):
             pass
         _refuse_to_overwrite(text, options)
+        _tell_replacement(text, folder)
     except OSError as error:
         raise unwritable(folder, error) from None
-    report = [f"{printed}\n"] if printed else []
-    return RunFolder(folder, text, _describe(text, options), report)
+    return RunFolder(folder, text, _describe(text, options))
 
 
 def unwritable(folder: Path, error: OSError) -> ScenarioError:
@@ -159,6 +158,19 @@ def _refuse_to_overwrite(text: str, options: Options) -> None:
     if path.exists() and path.read_bytes() != text.encode() and not _is_of_a_run(path):
         problem = f"the run would overwrite {path}, which no run has written"
         raise refusal("command line", "--out", str(folder), problem, "name another folder")
+
+
+def _tell_replacement(text: str, folder: Path) -> None:
+    """Say on the standard error that the run of another scenario is about to be replaced."""
+    path = folder / "scenario.toml"
+    if not path.exists() or path.read_bytes() == text.encode():
+        return
+    manifest = json.loads((folder / "manifest.json").read_bytes())
+    print(
+        f"{folder}/: replaces the run of another scenario ({manifest['command_line']}); "
+        "--out keeps both",
+        file=sys.stderr,
+    )
 
 
 def _is_of_a_run(path: Path) -> bool:
