@@ -142,34 +142,92 @@ def make_input_rows(scenario: Scenario, input_set: Polytope) -> InputRows:
 def _wheel_deficits(scenario: Scenario, robot: Robot) -> Float[np.ndarray, "2 2"]:
     """Return [[p_min, p_max], [q_min, q_max]] over the box of reference speeds and every slip, in
     m/s."""
-    maps_speed = scenario.controller.input_map != "paper"
-    heading = np.deg2rad(scenario.constraints.heading_deg) if maps_speed else 0.0
     section = scenario.reference
-    slip = scenario.slip
+    heading = _heading_range(scenario)
     bounds = np.array(
         [
             wheel_deficit_bounds(
                 robot,
                 section.wheel_speed_min_mps,
                 section.wheel_speed_max_mps,
-                (nominal * (1 - slip.relative_error), nominal * (1 + slip.relative_error)),
+                slip_range,
                 heading,
             )
-            for nominal in (slip.nominal_right, slip.nominal_left)
+            for slip_range in _slip_ranges(scenario)
         ]
     )
     if np.any(bounds[:, 0] >= 0):
-        raise ScenarioError(
-            f"scenario: robot.wheel_speed_max_mps = {robot.wheel_speed_max}: the wheels cannot "
-            f"follow every reference speed under the greatest slip: they are "
-            f"{bounds[:, 0].max():.4g} m/s too slow; widen the wheel limits or lower "
-            "reference.wheel_speed_max_mps"
-        )
+        raise _refuse_slow_wheels(scenario)
     if np.any(bounds[:, 1] <= 0):
-        raise ScenarioError(
-            f"scenario: robot.wheel_speed_min_mps = {robot.wheel_speed_min}: the wheels cannot "
-            f"turn as slowly as the reference under the least slip: they are "
-            f"{-bounds[:, 1].min():.4g} m/s too fast; lower robot.wheel_speed_min_mps or raise "
-            "reference.wheel_speed_min_mps"
-        )
+        raise _refuse_fast_wheels(scenario)
     return bounds
+
+
+def _heading_range(scenario: Scenario) -> float:
+    """Return the bound of the heading error, rad, where the input map is cosine-free, else 0."""
+    maps_speed = scenario.controller.input_map != "paper"
+    return float(np.deg2rad(scenario.constraints.heading_deg)) if maps_speed else 0.0
+
+
+def _slip_ranges(scenario: Scenario) -> list[tuple[float, float]]:
+    """Return the least and the greatest slip of the right and the left wheel."""
+    slip = scenario.slip
+    return [
+        (nominal * (1 - slip.relative_error), nominal * (1 + slip.relative_error))
+        for nominal in (slip.nominal_right, slip.nominal_left)
+    ]
+
+
+def _refuse_slow_wheels(scenario: Scenario) -> ScenarioError:
+    """Return the refusal of wheels that cannot follow the fastest reference, with the speeds from
+    which on they can."""
+    limit = scenario.robot.wheel_speed_max_mps
+    fastest = scenario.reference.wheel_speed_max_mps
+    grip = 1 - max(most for _, most in _slip_ranges(scenario))
+    slowest_cure = ""
+    if limit > 0:
+        speed = _round_below(grip * limit)
+        slowest_cure = (
+            f", or reference.wheel_speed_max_mps <= {speed} with a reference.speed_mps that fits"
+        )
+    return ScenarioError(
+        f"scenario: robot.wheel_speed_max_mps = {limit}: the wheels cannot follow every reference "
+        f"speed under the greatest slip, which leaves {grip:.4g} of their speed; the reference "
+        f"needs robot.wheel_speed_max_mps >= {_round_above(fastest / grip)}, and more to correct "
+        f"errors{slowest_cure}"
+    )
+
+
+def _refuse_fast_wheels(scenario: Scenario) -> ScenarioError:
+    """Return the refusal of wheels that cannot follow the slowest reference, with the speeds from
+    which on they can."""
+    limit = scenario.robot.wheel_speed_min_mps
+    section = scenario.reference
+    lost = section.wheel_speed_max_mps * (1 - np.cos(_heading_range(scenario)))
+    room = section.wheel_speed_min_mps - lost
+    grips = [1 - slip for ends in _slip_ranges(scenario) for slip in ends]
+    # The limit counts as the fastest that it may drive the robot.
+    at_limit = max(grip * limit for grip in grips)
+    wanted = min(room / grip for grip in grips)
+    return ScenarioError(
+        f"scenario: robot.wheel_speed_min_mps = {limit}: the wheels cannot turn as slowly as the "
+        "reference under the least slip; the reference needs robot.wheel_speed_min_mps <= "
+        f"{_round_below(wanted)}, and less to correct errors, or reference.wheel_speed_min_mps >= "
+        f"{_round_above(at_limit + lost)}"
+    )
+
+
+def _round_above(value: float) -> float:
+    """Return a number of four significant digits above a value."""
+    unit = _last_digit(value)
+    return float(f"{unit * (np.floor(value / unit) + 1):.12g}")
+
+
+def _round_below(value: float) -> float:
+    """Return a number of four significant digits below a value."""
+    return -_round_above(-value)
+
+
+def _last_digit(value: float) -> float:
+    """Return the unit of the fourth significant digit."""
+    return float(10.0 ** (np.floor(np.log10(max(abs(value), 1e-3))) - 3))

@@ -246,7 +246,7 @@ def test_an_empty_input_set_is_named_with_its_stage_and_what_it_lacks(uncertifie
     [
         (
             ["robot.wheel_speed_max_mps=1.8"],
-            r"robot\.wheel_speed_max_mps = 1\.8: .*widen the wheel limits",
+            r"robot\.wheel_speed_max_mps = 1\.8: .*needs robot\.wheel_speed_max_mps >= 1\.924",
         ),
         (
             ["reference.shape=lemniscate", "reference.speed_mps=1.45"],
@@ -260,6 +260,45 @@ def test_data_that_no_controller_can_be_built_from_is_refused_in_one_line(overri
     with pytest.raises(ScenarioError, match=message) as error:
         design(load("paper", overrides))
     one_line(error)
+
+
+WHEELS = "robot.wheel_speed_max_mps"
+SLOWEST = "robot.wheel_speed_min_mps"
+LEAST = "reference.wheel_speed_min_mps"
+OTHER_MAP = ["controller.input_map=cosine_free", "controller.model=consistent"]
+
+
+@pytest.mark.parametrize(
+    ("key", "overrides"),
+    [
+        (WHEELS, [f"{WHEELS}=1"]),
+        (WHEELS, [f"{WHEELS}=1.1", "slip.nominal_left=0.4"]),
+        (SLOWEST, [f"{SLOWEST}=0.9"]),
+        (LEAST, [f"{SLOWEST}=0.6"]),
+        (LEAST, [f"{SLOWEST}=0.6", "slip.nominal_left=0.4", *OTHER_MAP]),
+    ],
+)
+def test_a_key_that_wheels_are_refused_by_works_at_the_value_told_and_no_hundredth_beyond(
+    key, overrides
+):
+    with pytest.raises(ScenarioError) as refused:
+        make_problem(load("paper", overrides))
+    sign = "<=" if key == SLOWEST else ">="
+    value = float(one_line(refused).split(f"{key} {sign} ")[1].split(",")[0])
+    make_problem(load("paper", [*overrides, f"{key}={value}"]))
+    beyond = value * (1.01 if key == SLOWEST else 0.99)
+    with pytest.raises(ScenarioError, match="wheels cannot"):
+        make_problem(load("paper", [*overrides, f"{key}={beyond}"]))
+
+
+def test_a_slower_reference_is_told_for_slow_wheels():
+    slow = [f"{WHEELS}=1"]
+    with pytest.raises(ScenarioError) as refused:
+        make_problem(load("paper", slow))
+    told = one_line(refused).split("reference.wheel_speed_max_mps <= ")[1].split()[0]
+    assert float(told) == 0.7799
+    slower = ["reference.speed_mps=0.7", f"reference.wheel_speed_max_mps={told}"]
+    make_problem(load("paper", [*slow, *slower]))
 
 
 @pytest.mark.parametrize("direction", [[-0.2, -0.1, 0.05], [0.05, 0.25, 0.2]])
