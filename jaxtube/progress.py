@@ -7,14 +7,15 @@ the time left is estimated from there on.
 
 import sys
 import time
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
 from typing import Any
 
 from tqdm import tqdm
 
 SECONDS_BETWEEN_LINES = 15.0
 SECONDS_BETWEEN_DRAWINGS = 0.2
-LINE = "{desc}: {n_fmt} of {total_fmt}{unit}, {rate_fmt}, {elapsed} gone, {remaining} left{postfix}"
+LINE = "{desc}: {n_fmt} of {total_fmt}{unit}{times}{postfix}"
+BAR = "{l_bar}{bar}| {n_fmt} of {total_fmt}{unit}{times}{postfix}"
 
 
 class ProgressBar(tqdm):
@@ -27,9 +28,23 @@ class ProgressBar(tqdm):
     def format_dict(self) -> MutableMapping[str, Any]:
         """What the bar shows; nothing of speed and time before the first units."""
         shown = super().format_dict
+        shown["times"] = self._describe_times(shown)
         if getattr(self, "starting", ""):
             shown["bar_format"] = f"{{desc}}: {self.starting}"
         return shown
+
+    def _describe_times(self, shown: Mapping[str, Any]) -> str:
+        """Return speed, time gone and time left in words; empty while no speed is known."""
+        elapsed = shown["elapsed"]
+        rate = shown["rate"]
+        if not rate and elapsed > 0:
+            rate = (shown["n"] - shown["initial"]) / elapsed
+        if not rate:
+            return ""
+        speed = f"{rate:.2f}{shown['unit']}/s" if rate >= 1 else f"{1 / rate:.2f} s each"
+        gone = self.format_interval(elapsed)
+        left = self.format_interval((shown["total"] - shown["n"]) / rate)
+        return f", {speed}, {gone} gone, {left} left"
 
     def update(self, n: float | None = 1) -> bool | None:
         """Count units; the first ones start the clock."""
@@ -69,7 +84,7 @@ def progress(
     """
     settings = {"total": total, "initial": done, "desc": title, "unit": f" {unit}", "delay": 1e-9}
     if sys.stderr.isatty():
-        bar = ProgressBar(**settings, mininterval=SECONDS_BETWEEN_DRAWINGS)
+        bar = ProgressBar(**settings, mininterval=SECONDS_BETWEEN_DRAWINGS, bar_format=BAR)
     else:
         bar = ProgressBar(
             **settings, mininterval=SECONDS_BETWEEN_LINES, bar_format=LINE, file=_Lines()

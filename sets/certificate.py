@@ -42,12 +42,23 @@ MOST_DIRECTIONS = 4000
 
 Scope = Literal["model", "robot", "information"]
 
-WIDTH = 110
+WIDTH = 100
 INDENT = " " * 9
 """Of the sentences in a table of conditions."""
 REQUIRED = {True: "holds", False: "FAILS"}
 INFORMATIVE = {True: "yes", False: "no"}
 """A condition that holds, and one that does not, in a word."""
+TIGHT = 1e-5
+"""Margins below this are those of conditions that hold with equality by construction: what is left
+is the back-off of the constraints, the inflation of W or rounding."""
+UNITS = {"wheel_limits": " m/s", "widest_tube_fits": " of a cap"}
+"""Units of the margins that have one of their own."""
+MARGINS = (
+    "margin: by how much a condition holds, below 0 by how much it fails; where no unit is named "
+    "it is that of the row of E, U or W that decides (m, rad, m/s, rad/s), or an eigenvalue; "
+    f"tight: holds with equality by construction, up to {TIGHT:g}; -: none was found"
+)
+"""What the margins of a table mean."""
 
 
 @dataclass(frozen=True)
@@ -80,11 +91,18 @@ class Condition:
     def describe(self) -> str:
         """Return name, margin and sentence in lines of text, after a word for whether it holds."""
         words = REQUIRED if self.required else INFORMATIVE
-        head = f"  {words[self.holds]:<6} {self.name:<32} margin {self.margin:10.3g}"
+        head = f"  {words[self.holds]:<6} {self.name:<32} margin {self._show_margin()}"
         sentence = textwrap.wrap(
             self.sentence, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT
         )
         return "\n".join([head, *sentence])
+
+    def _show_margin(self) -> str:
+        if not np.isfinite(self.margin):
+            return f"{'-':>10}"
+        if 0 <= self.margin < TIGHT:
+            return f"{'tight':>10}"
+        return f"{self.margin:10.3g}{UNITS.get(self.name, '')}"
 
 
 def judge(

@@ -1,5 +1,6 @@
 """Laws of progress: compilation is no speed; the time left is estimated from the first units on."""
 
+import io
 import sys
 import time
 
@@ -18,7 +19,7 @@ def test_compilation_is_said_and_not_counted_in_the_time_left(monkeypatch, capsy
         assert capsys.readouterr().err == "simulating: compiling\n"
         now[0] += 60.0
         bar.update(10)
-        assert capsys.readouterr().err.startswith("simulating: 20 of 100 laps, ?")
+        assert capsys.readouterr().err == "simulating: 20 of 100 laps\n"
         now[0] += 2.0
         bar.update(20)
         line = capsys.readouterr().err
@@ -46,3 +47,30 @@ def test_functions_of_the_library_show_progress_in_a_terminal_alone(
     shown = capsys.readouterr().err
     assert ("simulating: compiling" in shown) == is_terminal
     assert bool(shown) == is_terminal
+
+
+def test_slow_work_is_told_in_seconds_each(monkeypatch, capsys):
+    monkeypatch.setattr(module, "SECONDS_BETWEEN_LINES", 0.0)
+    now = [1000.0]
+    with progress(5, "drawing", "figures", starting="starting") as bar:
+        monkeypatch.setattr(bar, "_time", lambda: now[0])
+        monkeypatch.setattr(time, "time", lambda: now[0])
+        bar.update()
+        now[0] += 2.5
+        bar.update()
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line == "drawing: 2 of 5 figures, 2.50 s each, 00:02 gone, 00:07 left"
+
+
+def test_a_bar_in_a_terminal_tells_the_same(monkeypatch):
+    stream = io.StringIO()
+    monkeypatch.setattr(stream, "isatty", lambda: True)
+    monkeypatch.setattr(sys, "stderr", stream)
+    with progress(2, "drawing", "figures", starting="starting") as bar:
+        bar.update()
+        bar.start_t -= 4.0
+        bar.update()
+    last = stream.getvalue().rstrip().split("\r")[-1]
+    assert "2 of 2 figures" in last
+    assert "s each" in last or "figures/s" in last
+    assert "s/ " not in last

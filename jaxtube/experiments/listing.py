@@ -1,12 +1,18 @@
-"""`list`: the scenarios that come with the project, each with the first comment of its file."""
+"""`list`: the scenarios that come with the project, each with the first sentence of its file."""
+
+import re
+import textwrap
 
 from jaxtube.experiments.options import Options
 from jaxtube.scenario.reading import find, load, names
 from jaxtube.scenario.tree import Scenario
 
+WIDTH = 100
+"""Columns of a line."""
+
 
 def run(scenario: Scenario | None, options: Options) -> int:
-    """Print one line a scenario, after reading it; returns 0.
+    """Print the name and the summary of each scenario, after reading it; returns 0.
 
     Raises:
         ScenarioError: when one of them cannot be used.
@@ -15,11 +21,16 @@ def run(scenario: Scenario | None, options: Options) -> int:
     width = max(map(len, listed), default=0)
     for name in listed:
         load(name, options.overrides)
-        print(f"{name:{width}}  {summary(name)}")
+        text = f"{name:{width}}  {summary(name)}"
+        print(textwrap.fill(text, WIDTH, subsequent_indent=" " * (width + 2)))
     return 0
 
 
 def summary(name_or_path: str) -> str:
-    """Read the first comment line of a scenario's file; empty when there is none."""
-    lines = find(name_or_path).read_text(encoding="utf-8").splitlines()
-    return next((line.lstrip("# ") for line in lines if line.startswith("#")), "")
+    """Read the first sentence of the first comment in a scenario's file; empty if there is none."""
+    text = find(name_or_path).read_text(encoding="utf-8-sig")
+    comment = re.search(r"^#.*(\n#.*)*", text, re.MULTILINE)
+    if not comment:
+        return ""
+    words = " ".join(line.lstrip("# ") for line in comment[0].splitlines())
+    return re.split(r"(?<=\.) ", words, maxsplit=1)[0]

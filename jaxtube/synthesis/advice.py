@@ -9,6 +9,16 @@ from jaxtube.synthesis.problem import Problem
 from sets.robot.disturbance import disturbance_parts
 
 
+def say_what_proves_w() -> str:
+    """Return the way from a W that is assumed to one that holds for the robot, in words."""
+    return (
+        'set disturbance.bound = "computed": an assumed W proves nothing about the robot; that '
+        "takes caps, gains and the exact model, so start from a copy of "
+        "experiments/certified/scenario.toml with your robot, path and limits, and run `design "
+        "--optimise` on it"
+    )
+
+
 def say_what_helps(problem: Problem) -> str:
     """Return the cures of a tube that is too wide, in words."""
     if problem.scenario.disturbance.bound == "assumed":

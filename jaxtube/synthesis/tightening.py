@@ -26,6 +26,16 @@ meets, shifted, those of a stage less."""
 
 WHEEL_NAMES = ("right wheel deficit", "left wheel deficit")
 CAP_NAMES = (*INPUT_NAMES, "coupled cap, outwards", "coupled cap, inwards")
+UNITS = {
+    "longitudinal error": "m",
+    "lateral error": "m",
+    "heading error": "deg",
+    "right wheel deficit": "m/s",
+    "left wheel deficit": "m/s",
+    "speed deficit": "m/s",
+    "yaw rate deficit": "rad/s",
+}
+"""Units in which constraints are told, by name; the coupled cap is a share and has none."""
 
 
 class EmptySetError(ValueError):

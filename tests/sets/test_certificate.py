@@ -330,6 +330,6 @@ def test_a_table_tells_every_condition_with_its_margin_and_its_sentence():
     assert lines[0].split() == ["holds", "one", "margin", "0.25"] and lines[1].strip() == "it holds"
     assert lines[2].split() == ["FAILS", "two", "margin", "-1.5"]
     assert " ".join(line.strip() for line in lines[3:]) == long.strip()
-    assert max(map(len, lines)) <= 110
+    assert max(map(len, lines)) <= 100
     assert informative.split() == ["no", "three", "margin", "-1", "not", "so"]
     assert "for information" not in Certificate(checked[:2]).table()

@@ -416,6 +416,8 @@ def test_an_empty_terminal_set_is_reported_with_the_run_that_shows_it(uncertifie
     assert not condition.holds
     assert -1e-2 < condition.margin < 0
     assert f"in {len(design.terminal.maximal.escape.loops) + 1} steps" in condition.sentence
+    passed = f"the lateral error goes {-condition.margin:.3g} m past its limit"
+    assert passed in condition.sentence
 
 
 def test_a_run_that_does_not_leave_proves_nothing(uncertified, recertify):

@@ -8,10 +8,13 @@ from jaxtube.experiments.design.banded_attack import REFERENCES, BandedLaps, att
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.exit_codes import exit_code
+from jaxtube.experiments.run.limits import describe_error_set
+from jaxtube.experiments.run.table import wrap
 from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.bands import BandedLaw, make_law
+from sets.certificate import MARGINS
 
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
@@ -34,20 +37,23 @@ def report(law: BandedLaw) -> str:
     """Return the bands and the certificate as text."""
     errors = ", ".join(f"{name} {law.shares[name]:.1%}" for name in list(law.shares)[:3])
     lines = [
+        *wrap(_verdict(law), "  "),
+        "",
         *_band_lines(law),
         "",
         f"widest use of the caps on errors: {errors}",
         "",
+        describe_error_set(law.problem),
+        "",
         "certificate of the scheduled tracking law, without MPC",
+        *wrap(f"  {MARGINS}", "  "),
         law.certificate.table(),
         "",
         "assumed",
-        *(f"  * {line}" for line in law.certificate.assumptions),
-        "",
-        _verdict(law),
-        "",
-        f"designed in {law.seconds:.1f} s",
     ]
+    for assumption in law.certificate.assumptions:
+        lines += wrap(f"  * {assumption}", "    ")
+    lines += ["", f"designed in {law.seconds:.1f} s"]
     return "\n".join(lines)
 
 

@@ -27,7 +27,6 @@ from jaxtube.experiments.run.design_report import report
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.progress import progress
 from jaxtube.scenario.reading import load
 from jaxtube.scenario.tree import Scenario
@@ -100,7 +99,6 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
         report(design),
         disturbance_line(design, measured["disturbance"], "the tube MPC"),
         comparison(measured),
-        describe_error_set(design.problem),
         restart_note(measured),
         stress_table(measured),
         table(rows),

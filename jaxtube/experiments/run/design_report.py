@@ -5,17 +5,31 @@ from __future__ import annotations
 import numpy as np
 
 from jaxtube.experiments.run import metrics
-from jaxtube.synthesis.advice import say_what_helps
+from jaxtube.experiments.run.limits import describe_error_set
+from jaxtube.experiments.run.table import wrap
+from jaxtube.synthesis.advice import say_what_helps, say_what_proves_w
+from jaxtube.synthesis.certificate.robot import PREMISE
 from jaxtube.synthesis.disturbance import kinematics, operation
 from jaxtube.synthesis.parts import Design
+from sets.certificate import MARGINS
 from sets.robot.disturbance import disturbance_parts
 
 LABEL = 16
 """Width of the names at the beginning of lines."""
+NOTHING = 1e-5
+"""Share of the largest entry of a matrix below which an entry is left by a solver."""
+LEGEND = (
+    "W: proved half widths; found: the largest ones that were met. By cause: bilinear, products of "
+    "inputs with errors and inputs; sine, the curves of sine and cosine of the heading error; "
+    "sampling, what the model's time step or slip factors miss; slip and noise, as [slip] and "
+    "[noise] say. Each cause is bounded on its own, to 2 %, where it is worst, while causes may "
+    "cancel in W: one alone may come out wider than W."
+)
+"""What the table of the disturbance set shows."""
 
 
 def report(design: Design, ultimate: dict | None = None) -> str:
-    """Return the design as text.
+    """Return the design as text, the verdict first.
 
     Args:
         design: with its certificate.
@@ -23,26 +37,44 @@ def report(design: Design, ultimate: dict | None = None) -> str:
     """
     settings = design.problem.scenario.controller
     certificate = design.certificate
-    lines = [*_weight_lines(design), *_gain_lines(design), "", *_tube_lines(design), ""]
-    lines += [*_disturbance_lines(design), *_terminal_lines(design)]
+    lines = [*_verdict_lines(design), "", *_weight_lines(design), *_gain_lines(design), ""]
+    lines += [*_tube_lines(design), "", *_disturbance_lines(design), *_terminal_lines(design)]
+    lines += ["", describe_error_set(design.problem)]
     lines += ["", f"certificate (terminal {settings.terminal}, tube {settings.tube})"]
+    lines += wrap(f"  {MARGINS}", "  ")
     lines.append(certificate.table())
     if ultimate and certificate.holds_for_robot:
-        x, y, heading = ultimate.values()
-        lines += [
-            "",
-            "once in the terminal set, the law u = K e of the tube, without the MPC, brings what "
-            f"is measured within {x:.4f} m, {y:.4f} m,",
-            f"{heading:.2f} deg; the MPC itself goes further, and no such bound is given for it",
-        ]
-    lines += ["", "assumed", *(f"  * {line}" for line in certificate.assumptions)]
-    lines += ["", certificate.verdict]
-    if not certificate.holds_for_model:
-        lines.append(f"what helps: {say_what_helps(design.problem)}")
+        lines += ["", *_ultimate_lines(ultimate)]
+    lines += ["", "assumed"]
+    for assumption in certificate.assumptions:
+        lines += wrap(f"  * {assumption}", "    ")
     total = sum(design.seconds.values())
     parts = ", ".join(f"{name} {seconds:.2f}" for name, seconds in design.seconds.items())
-    lines += ["", f"designed in {total:.2f} s ({parts})"]
+    lines += ["", *wrap(f"designed in {total:.2f} s ({parts})", "  ")]
     return "\n".join(lines)
+
+
+def _verdict_lines(design: Design) -> list[str]:
+    """Return the verdict, and what helps where it is not the wanted one."""
+    certificate = design.certificate
+    lines = wrap(certificate.verdict, "  ")
+    is_assumed = design.problem.disturbance_bound is None
+    if is_assumed and PREMISE in certificate.failing:
+        lines += wrap(f"what helps the robot: {say_what_proves_w()}", "  ")
+        if not certificate.holds_for_model:
+            lines += wrap(f"what helps the model: {say_what_helps(design.problem)}", "  ")
+    elif not certificate.holds_for_robot:
+        lines += wrap(f"what helps: {say_what_helps(design.problem)}", "  ")
+    return lines
+
+
+def _ultimate_lines(ultimate: dict) -> list[str]:
+    x, y, heading = ultimate.values()
+    return wrap(
+        "once in the terminal set, the law u = K e of the tube, without the MPC, brings what is "
+        f"measured within {x:.4f} m, {y:.4f} m, {heading:.2f} deg; the MPC itself goes further, "
+        "and no such bound is given for it"
+    )
 
 
 def _weight_lines(design: Design) -> list[str]:
@@ -66,7 +98,10 @@ def _gain_lines(design: Design) -> list[str]:
 
 
 def _matrix(matrix: np.ndarray) -> str:
-    return np.array2string(matrix, precision=6, suppress_small=True).replace("\n", "")
+    """Return a matrix in a line; entries that are nothing beside the largest one are 0."""
+    shown = np.where(np.abs(matrix) < NOTHING * np.abs(matrix).max(), 0.0, matrix)
+    rows = [" ".join(f"{entry:.6g}" for entry in row) for row in shown]
+    return f"[{'; '.join(rows)}]"
 
 
 def _tube_lines(design: Design) -> list[str]:
@@ -77,7 +112,10 @@ def _tube_lines(design: Design) -> list[str]:
         mark = "*" if tube is design.tube else " "
         volume = tube[-1].polytope().volume()
         lines.append(f"  {mark} {name:<18}{e_x:10.6f} {e_y:10.6f} {e_th:11.5f}   {volume:.4e}")
-    return [*lines, "  * the tube in use"]
+    lines.append("  * the tube in use")
+    if "paper" not in design.tubes:
+        lines.append("  paper: none, eq. (27) takes Euler steps and loops affine in wheel speeds")
+    return lines
 
 
 def _disturbance_lines(design: Design) -> list[str]:
@@ -88,7 +126,7 @@ def _disturbance_lines(design: Design) -> list[str]:
     parts = disturbance_parts(operation(design.problem), kinematics(design.problem))
     rows = {
         "W": np.array([bound.yaw, *bound.box]),
-        "really found": np.array([bound.found_yaw, *bound.found_box]),
+        "found": np.array([bound.found_yaw, *bound.found_box]),
     }
     rows |= {f"  {name} alone": widths for name, widths in parts.items()}
     units = np.array([np.rad2deg(1.0), 1e3, 1e3, np.rad2deg(1.0)])
@@ -101,7 +139,12 @@ def _disturbance_lines(design: Design) -> list[str]:
     shift = bound.lateral_per_yaw * 1e3 * np.deg2rad(1.0)
     return [
         *lines,
-        f"  half widths; a yaw kick of 1 deg also moves the robot sideways by {shift:.3f} mm",
+        *wrap(
+            "  half widths of one step; a yaw kick is a turn by slip, one of 1 deg also moves the "
+            f"robot sideways by {shift:.3f} mm",
+            "  ",
+        ),
+        *wrap(f"  {LEGEND}", "  "),
         "",
     ]
 
@@ -116,9 +159,12 @@ def _terminal_lines(design: Design) -> list[str]:
         ]
     facets = len(terminal.constraint_normals)
     lines = [
-        f"terminal set    maximal invariant set of {len(maximal.offsets)} facets; used: an "
-        f"invariant one of {len(invariant.offsets)} facets, {terminal.volume_share:.1%} of its "
-        "volume",
+        *wrap(
+            f"terminal set    maximal invariant set of {len(maximal.offsets)} facets; used: an "
+            f"invariant one of {len(invariant.offsets)} facets, {terminal.volume_share:.1%} of its "
+            "volume",
+            " " * LABEL,
+        ),
         f"                constraint on the last predicted error: {facets} facets",
     ]
     if terminal.fallback:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from jaxtube.experiments.run.table import wrap
 from jaxtube.synthesis.parts import Design
 
 
@@ -29,6 +30,7 @@ def disturbance_line(design: Design, disturbance: dict, controller: str) -> str:
         f"seen in simulation: w lies outside W in {share:.1%} of {steps} steps of {controller} "
         f"({'; '.join(parts)})"
     )
+    text = "\n".join(wrap(line, "  "))
     if design.problem.disturbance_bound is None:
-        return line
-    return f"REFUTED: the computed W does not hold\n{line}"
+        return text
+    return f"REFUTED: the computed W does not hold\n{text}"

@@ -17,6 +17,8 @@ WIDTH = 100
 """Columns of all text that is saved."""
 GAP = "  "
 """Between two columns."""
+WIDTH = 100
+"""Characters of a line of a paragraph."""
 
 
 class Column(NamedTuple):
@@ -64,6 +66,11 @@ def format_table(
     for row in body:
         lines += _lines(columns, row, widths)
     return "\n".join(lines)
+
+
+def wrap(text: str, indent: str = "") -> list[str]:
+    """Return a paragraph as lines of at most `WIDTH` characters, those after the first indented."""
+    return textwrap.wrap(text, WIDTH, subsequent_indent=indent, break_on_hyphens=False)
 
 
 def find_width() -> int:

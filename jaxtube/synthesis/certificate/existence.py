@@ -8,7 +8,7 @@ from typing import get_args
 
 import numpy as np
 
-from jaxtube.synthesis.certificate.escape import escape_margin
+from jaxtube.synthesis.certificate.escape import escape_margin, say_what_is_passed
 from jaxtube.synthesis.gains import Gain, vertex_gain
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
@@ -62,13 +62,14 @@ def _say_whether_exists(problem: Problem, name: str, label: str, gain: Gain) -> 
     else:
         facets = 0
         margin = escape_margin(maximal.escape, gain.loops, W.vertices())
+    refuted = ""
     if margin == -np.inf:
         refuted = f"With {label} neither an invariant set nor a proof that there is none was found."
-    else:
+    elif maximal.escape is not None:
+        what = say_what_is_passed(problem, gain, maximal.escape, -margin)
         refuted = (
             f"With {label} no invariant set fits the constraints over the whole box: within "
-            f"{maximal.iterations + 1} steps the reach of the origin passes a constraint by "
-            f"{-margin:.3g}."
+            f"{maximal.iterations + 1} steps from e = 0 {what}."
         )
     return judge(
         name,

@@ -9,7 +9,11 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.coordinates import COORDINATES
-from jaxtube.synthesis.certificate.period import find_disturbances, find_wheel_commands
+from jaxtube.synthesis.certificate.period import (
+    extreme_situations,
+    find_disturbances,
+    find_wheel_commands,
+)
 from jaxtube.synthesis.disturbance import ground_speed_limits, prove_bound
 from jaxtube.synthesis.limits import error_vector
 from jaxtube.synthesis.problem import Problem
@@ -30,14 +34,16 @@ def check_robot(problem: Problem) -> Iterator[Condition]:
 
 def check_true_error(problem: Problem) -> Condition:
     """Check that the caps and the pose noise together lie in the error constraints."""
-    limits = error_vector(problem.scenario.constraints)
-    room = float(np.min(limits - problem.error_set.support(np.eye(3))))
+    rooms = error_vector(problem.scenario.constraints) - problem.error_set.support(np.eye(3))
+    worst = int(np.argmin(rooms))
+    room = float(rooms[worst])
     return judge(
         "true_error_in_e",
         room + ROUNDING,
         "What the controller keeps of the measured error and the pose noise together lie in the "
         "error constraints.",
-        f"With the pose noise the true error may leave the error constraints by {-room:.3g}.",
+        f"With the pose noise the true {COORDINATES[worst].name} error may pass its constraint by "
+        f"{_say_size(worst, -room)}.",
         "robot",
     )
 
@@ -118,18 +124,38 @@ def _found_shares(bound: DisturbanceBound) -> Float[np.ndarray, " k"]:
 
 
 def _say_what_leaves(problem: Problem, met: Float[np.ndarray, "n 3"], room: float) -> str:
-    """Say which coordinate of w leaves W furthest, by which number; by a facet where none does."""
+    """Say which coordinate of w leaves W furthest, by how much and where; a facet if none does."""
+    W = problem.disturbance_set
+    heights = met @ W.normals.T + np.abs(W.normals) @ problem.noise
     found = np.abs(met).max(axis=0) + problem.noise
     allowed = problem.disturbance_set.support(np.eye(3))
     worst = int(np.argmax(found / np.maximum(allowed, np.finfo(float).tiny)))
     if found[worst] <= allowed[worst]:
-        return f"a disturbance passes a facet of W by {-room:.3g}"
-    coordinate = COORDINATES[worst]
-    unit = coordinate.unit
+        facet = int(np.argmin(problem.disturbance_set.offsets - np.max(heights, axis=0)))
+        place = _say_place(problem, int(np.argmax(heights[:, facet])))
+        return f"a disturbance passes a facet of W by {-room:.3g} {place}"
+    place = _say_place(problem, int(np.argmax(np.abs(met[:, worst]))))
     return (
-        f"a {coordinate.name} disturbance of {coordinate.to_display * found[worst]:.3g} {unit} is "
-        f"found where W allows {coordinate.to_display * allowed[worst]:.3g} {unit}"
+        f"a {COORDINATES[worst].name} disturbance of {_say_size(worst, found[worst])}, where W "
+        f"allows {_say_size(worst, allowed[worst])}, is met {place}"
     )
+
+
+def _say_place(problem: Problem, index: int) -> str:
+    """Return one of the situations in which disturbances are looked for, in words."""
+    situations = extreme_situations(problem)
+    error = ", ".join(_say_size(i, size) for i, size in enumerate(situations.errors[index]))
+    speed, turn = situations.inputs[index]
+    return (
+        "somewhere within everything that the limits allow, where laps need not come, at "
+        f"e = ({error}), u = ({speed:.3g} m/s, {turn:.3g} rad/s)"
+    )
+
+
+def _say_size(coordinate: int, size: float) -> str:
+    """Return a coordinate of an error or a disturbance, from m or rad, with its unit."""
+    shown = COORDINATES[coordinate]
+    return f"{shown.to_display * size:.3g} {shown.unit}"
 
 
 def _check_wheels(problem: Problem) -> Condition:
@@ -196,12 +222,9 @@ def assumptions(problem: Problem, any_order: bool) -> tuple[str, ...]:
         problem: of the design, or of a law scheduled on speed.
         any_order: whether the reference may take the certified wheel speeds in any order.
     """
-    scenario = problem.scenario
-    noise = scenario.noise
     return (
         _assume_slip(problem),
-        f"tracking error measured within {noise.longitudinal_m:g} m, {noise.lateral_m:g} m, "
-        f"{noise.heading_deg:g} deg in the robot's frame, not the world's, without delay",
+        _assume_measurement(problem),
         _assume_reference(problem, any_order),
         "slip, wheel speeds and reference constant over each period; wheels obey at once; no "
         "sideways slip",
@@ -223,6 +246,16 @@ def _assume_slip(problem: Problem) -> str:
     if slip.random == "both":
         return f"true and, on its own, measured slip {within}{nothing}"
     return f"true or measured slip {within}; the other one nominal{nothing}"
+
+
+def _assume_measurement(problem: Problem) -> str:
+    noise = problem.scenario.noise
+    if not problem.noise.any():
+        return "tracking error measured exactly, without delay"
+    return (
+        f"tracking error measured within {noise.longitudinal_m:g} m, {noise.lateral_m:g} m, "
+        f"{noise.heading_deg:g} deg in the robot's frame, not the world's, without delay"
+    )
 
 
 def _assume_reference(problem: Problem, any_order: bool) -> str:

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.synthesis.certificate.escape import escape_margin
+from jaxtube.synthesis.certificate.escape import escape_margin, say_what_is_passed
 from jaxtube.synthesis.certificate.stages import margins_along_reference
 from jaxtube.synthesis.condense import Bounds, tube_bounds
 from jaxtube.synthesis.gains import Gain
@@ -97,7 +97,8 @@ def _judge_absence(design: Design) -> Condition:
         real_offset = escape.offset + back_off * (1 + np.linalg.norm(escape.normal))
         real = escape_margin(replace(escape, offset=float(real_offset)), loops, disturbance)
         steps = len(escape.loops) + 1
-        passes = f"in {steps} steps the origin goes {-margin:.3g} past a constraint"
+        what = say_what_is_passed(design.problem, terminal.gains, escape, -margin)
+        passes = f"in {steps} steps from e = 0 {what}"
         if real > -np.inf:
             sentence = f"No invariant terminal set exists: {passes}."
         else:
