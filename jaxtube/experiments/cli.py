@@ -11,6 +11,7 @@ Nothing heavy is imported before a command runs.
 
 import contextlib
 import dataclasses
+import difflib
 import errno
 import importlib
 import inspect
@@ -25,7 +26,7 @@ from collections.abc import Iterable, Sequence
 import tyro
 from tyro.extras import subcommand_type_from_defaults
 
-from jaxtube.experiments.options import COMMANDS, PROGRAM, Options
+from jaxtube.experiments.options import COMMANDS, PROGRAM, Options, flag
 from jaxtube.experiments.run.exit_codes import ExitCode
 
 DESCRIPTION = (
@@ -152,7 +153,33 @@ def _parse_options(words: list[str]) -> Options | None:
     except SystemExit as stop:
         if not stop.code:
             return None
-        raise _refuse(f"{_shorten(errors.getvalue())}; see {PROGRAM} --help") from None
+        parts = [_shorten(errors.getvalue()), *_find_cures(words), f"see {PROGRAM} --help"]
+        raise _refuse("; ".join(parts)) from None
+
+
+def _find_cures(words: list[str]) -> list[str]:
+    """Return what was probably meant by words that no option has: a command, or overrides."""
+    command, *others = words
+    if command not in COMMANDS:
+        close = difflib.get_close_matches(command, COMMANDS, n=1)
+        return [f"did you mean {name}?" for name in close]
+    options = [flag(field.name) for field in dataclasses.fields(COMMANDS[command])]
+    cures = []
+    for word, following in itertools.pairwise([*others, ""]):
+        name, _, value = word.partition("=")
+        if name in options:
+            continue
+        cures += [f"write {key}={value or following or 'VALUE'}" for key in _find_keys(name)]
+    return cures
+
+
+def _find_keys(word: str) -> list[str]:
+    """Return the keys of a scenario that a word means: section.key, or --key."""
+    from jaxtube.scenario.validation import find_keys
+
+    if re.fullmatch(r"\w+\.\w+", word):
+        return [word]
+    return find_keys(word[2:].replace("-", "_")) if word.startswith("--") else []
 
 
 def _shorten(box: str) -> str:

@@ -62,6 +62,15 @@ def find_default(key: str) -> Any:
     return getattr(getattr(Scenario(), section, None), name, None)
 
 
+def find_keys(name: str) -> list[str]:
+    """Return the dotted keys that end in a name."""
+    scenario = Scenario()
+    sections = scenario.__struct_fields__
+    return [
+        f"{section}.{name}" for section in sections if hasattr(getattr(scenario, section), name)
+    ]
+
+
 def _walk(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield (dotted key, value) of everything in nested tables and lists that is neither."""
     if isinstance(node, Mapping):
