@@ -169,7 +169,9 @@ def _find_cures(words: list[str]) -> list[str]:
         name, _, value = word.partition("=")
         if name in options:
             continue
-        cures += [f"write {key}={value or following or 'VALUE'}" for key in _find_keys(name)]
+        overrides = [f"{key}={value or following or 'VALUE'}" for key in _find_keys(name)]
+        if overrides:
+            cures.append(f"write {' or '.join(overrides)}")
     return cures
 
 

@@ -64,11 +64,8 @@ def find_default(key: str) -> Any:
 
 def find_keys(name: str) -> list[str]:
     """Return the dotted keys that end in a name."""
-    scenario = Scenario()
-    sections = scenario.__struct_fields__
-    return [
-        f"{section}.{name}" for section in sections if hasattr(getattr(scenario, section), name)
-    ]
+    tables = {section: getattr(Scenario(), section) for section in Scenario.__struct_fields__}
+    return [f"{key}.{name}" for key, table in tables.items() if name in table.__struct_fields__]
 
 
 def _walk(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:

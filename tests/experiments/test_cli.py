@@ -131,6 +131,8 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
         (["design", "--horizon", "7"], ["; write controller.horizon=7;"]),
         (["design", "--seed", "3", "--dt-s=0.2"], ["; write controller.dt_s=0.2;"]),
         (["montecarlo", "--realisations", "1e30"], ["--realisations = 1e+30", "from 1 to 2^53"]),
+        (["design", "--radius-m", "3"], ["; write reference.radius_m=3;"]),
+        (["design", "--lateral-m", "3"], ["; write constraints.lateral_m=3 or operating."]),
         (["paper", "else"], ["else"]),
         (["--seeed", "3"], ["--seeed", "did you mean --seed?"]),
         (["--seed"], ["--seed"]),

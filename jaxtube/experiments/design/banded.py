@@ -59,8 +59,8 @@ def report(law: BandedLaw) -> str:
 
 def _band_lines(law: BandedLaw) -> list[str]:
     lines = [
-        "band  mean speed [m/s]  k1 [1/s]  k2 [rad/ms]  k3 [1/s]   W: yaw [deg]   x [mm]   y [mm]"
-        "   widest use of caps"
+        "band  mean speed [m/s]  k1 [1/s]  k2 [rad/(m s)]  k3 [1/s]  W: yaw [deg]  x [mm]  y [mm]"
+        "  caps used"
     ]
     scenario = law.problem.scenario
     slowest = scenario.reference.wheel_speed_min_mps
@@ -72,8 +72,8 @@ def _band_lines(law: BandedLaw) -> list[str]:
         x, y, _ = 1e3 * band.bound.box
         share = law.shares[f"inputs of band {number}"]
         lines.append(
-            f"{number:>4}{slowest:>11g} to {settings.below_mps:<5g}{k1:>10g}{k2:>13g}{k3:>10g}"
-            f"{yaw:>15.3f}{x:>9.2f}{y:>9.2f}{share:>21.1%}"
+            f"{number:>4}{slowest:>11g} to {settings.below_mps:<5g}{k1:>10g}{k2:>16g}{k3:>10g}"
+            f"{yaw:>14.3f}{x:>8.2f}{y:>8.2f}{share:>11.1%}"
         )
         slowest = settings.below_mps
     return lines
