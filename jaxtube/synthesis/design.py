@@ -42,6 +42,7 @@ SHORT = 1e-9
 """What the rows may lack before a start has no plan: the accuracy of the linear programs."""
 PERCENT = 0.01
 """The step in which shares of a refused start are told."""
+NO_START = "no start in this direction has a plan"
 PRINTED = 0.01
 """What rounding to four digits may add to a whole percentage."""
 
@@ -160,12 +161,12 @@ def refuse_infeasible_start(design: Design, error: Float[np.ndarray, "3"] | None
     cure = _say_how_near(error, share)
     if np.max(used) > 1:
         raise ScenarioError(f"{_say_what_leaves(error, used)}; {cure}")
-    others = "lengthen controller.horizon"
-    if share < PERCENT:
-        others = f"{others}, or {say_what_helps(problem)}"
+    others = "or lengthen controller.horizon"
+    if cure == NO_START:
+        others = f"lengthen controller.horizon, or {say_what_helps(problem)}"
     raise ScenarioError(
         f"scenario: {_say_pose(error)}: the start lies outside the feasible set of the tube-MPC "
-        f"(constraints short by {missing:.3g}); {cure}; or {others}"
+        f"(constraints short by {missing:.3g}); {cure}; {others}"
     )
 
 
@@ -204,7 +205,7 @@ def _say_how_near(error: Float[np.ndarray, "3"], share: float) -> str:
     """Return the start at a whole percentage of an error, in words."""
     percent = int(np.floor(share / PERCENT - PRINTED))
     if percent <= 0:
-        return "no start in this direction has a plan"
+        return NO_START
     return f"start at most {percent}% as far away: {_say_pose(PERCENT * percent * error)}"
 
 

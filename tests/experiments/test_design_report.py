@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxtube.experiments.design.report import report
+from jaxtube.experiments.run.design_report import report
 from jaxtube.experiments.run.table import WIDTH
 from jaxtube.scenario import load
 from jaxtube.synthesis.design import design

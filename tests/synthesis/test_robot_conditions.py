@@ -141,8 +141,8 @@ def test_the_wheels_of_the_exact_map_are_checked_without_caps_too():
 def test_the_papers_w_is_refuted_by_its_worst_coordinate():
     condition = check_disturbance_set(make_problem(load("paper")))
     assert condition.sentence.startswith(
-        "W is refuted: a lateral disturbance of 0.38 m, where W allows 0.005 m, is met somewhere "
-        "within everything that the limits allow, where laps need not come, at e = ("
+        "W is refuted: a lateral disturbance of 0.38 m, where W allows 0.005 m, is possible "
+        "somewhere within everything that the limits allow, where laps need not come, at e = ("
     )
     assert condition.margin < -0.3
 

@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from jaxtube.coordinates import COORDINATES
 from jaxtube.synthesis.certificate.period import (
-    extreme_situations,
+    extreme_cases,
     find_disturbances,
     find_wheel_commands,
 )
@@ -137,15 +137,15 @@ def _say_what_leaves(problem: Problem, met: Float[np.ndarray, "n 3"], room: floa
     place = _say_place(problem, int(np.argmax(np.abs(met[:, worst]))))
     return (
         f"a {COORDINATES[worst].name} disturbance of {_say_size(worst, found[worst])}, where W "
-        f"allows {_say_size(worst, allowed[worst])}, is met {place}"
+        f"allows {_say_size(worst, allowed[worst])}, is possible {place}"
     )
 
 
 def _say_place(problem: Problem, index: int) -> str:
-    """Return one of the situations in which disturbances are looked for, in words."""
-    situations = extreme_situations(problem)
-    error = ", ".join(_say_size(i, size) for i, size in enumerate(situations.errors[index]))
-    speed, turn = situations.inputs[index]
+    """Return one of the cases in which disturbances are looked for, in words."""
+    cases = extreme_cases(problem)
+    error = ", ".join(_say_size(i, size) for i, size in enumerate(cases.errors[index]))
+    speed, turn = cases.inputs[index]
     return (
         "somewhere within everything that the limits allow, where laps need not come, at "
         f"e = ({error}), u = ({speed:.3g} m/s, {turn:.3g} rad/s)"
