@@ -66,9 +66,7 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     draw_sets(made, options.label, folder)
     seconds = time.perf_counter() - started
     print(f"\nlaps, their compilation and figures took another {seconds:.1f} s")
-    print(
-        f"written to {folder.path}/; its scenario.toml holds every key, to run again or to change"
-    )
+    print(f"written to {folder.path}/; scenario.toml there can be run again")
     if start_fault is not None:
         raise start_fault
     return exit_code(made.certificate, options.require_certificate)
