@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.coordinates import ERROR_NAMES
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, require_scenario
 from jaxtube.synthesis import condense
@@ -23,7 +24,7 @@ from jaxtube.synthesis.gains import compensating_gain
 from jaxtube.synthesis.parts import Condensed, Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import make_terminal, terminal_cost_and_gain
-from jaxtube.synthesis.tightening import ERROR_NAMES, EmptySetError, refuse_empty, tighten
+from jaxtube.synthesis.tightening import EmptySetError, refuse_empty, tighten
 from jaxtube.synthesis.tubes import make_tubes
 from jaxtube.synthesis.windows import make_windows
 from sets.certificate import ROUNDING

@@ -3,9 +3,10 @@
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.coordinates import ERROR_NAMES
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.problem import Problem
-from jaxtube.synthesis.tightening import ERROR_NAMES, UNITS, input_names
+from jaxtube.synthesis.tightening import UNITS, input_names
 from sets.certificate import escape_excess
 from sets.invariant import Escape
 
