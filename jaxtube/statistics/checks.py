@@ -1,7 +1,8 @@
 """The sets that closed loops are measured against: facets, tubes along the reference, the model
 and the cost of plans.
 
-A point is outside a set when it is more than 1e-12 (m, rad, m/s, rad/s) beyond a facet. NaN is outside.
+A point is outside a set when it is more than 1e-12 (m, rad, m/s, rad/s) beyond a facet. NaN is
+outside.
 """
 
 from __future__ import annotations

@@ -162,6 +162,29 @@ def test_a_law_that_answers_nan_violates(design):
     assert result.verdict.startswith("violation found: longitudinal error above its limit of")
 
 
+def turn_hard(errors, reference_wheels):
+    """Keep the caps on u1 and u2 of `certified`, and not the one that couples u2 to e_x."""
+    return jnp.stack([-errors[:, 0], jnp.full_like(errors[:, 0], 1.09)], axis=1)
+
+
+def test_a_law_that_breaks_the_coupling_alone_violates_the_limit_of_inputs(uncertified):
+    coupled = uncertified("certified", "reference.duration_s=1")
+    rows = coupled.problem.input_rows
+    found = jt.falsify(coupled, turn_hard, target="input", seconds=0.2)
+    row = found.rows["input"]
+    lap = row.played.trajectory
+    u = lap.inputs[:, 0]
+    assert np.all(coupled.problem.input_set.contains(u))
+    used = (u @ rows.inputs.T + lap.measured[:-1, 0] @ rows.errors.T) / rows.offsets
+    assert row.worst.usage == pytest.approx(np.max(used), abs=FALSIFY_REPLAY)
+    assert row.worst.usage > 1.1
+    section = coupled.problem.scenario.operating
+    assert -row.worst.margin == pytest.approx(
+        (row.worst.usage - 1) * section.turning_yaw_rate_radps, abs=FALSIFY_REPLAY
+    )
+    assert re.search(r"violation found: coupled cap, .* its limit of .* rad/s by .* rad/s at", found.verdict)
+
+
 class Heading(NamedTuple):
     """A plant that can be simulated and not searched."""
 

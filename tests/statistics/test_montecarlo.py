@@ -76,6 +76,21 @@ def test_laps_of_an_own_controller_are_those_of_simulate(design, law, of_own_law
     assert_statistics_of(of_own_law, jt.simulate(design, law, laps=LAPS, seed=SEED))
 
 
+def test_laps_that_break_the_coupling_of_inputs_to_errors_alone_are_counted(design):
+    def turn_hard(errors, reference_wheels):
+        return jnp.stack([-errors[:, 0], jnp.full_like(errors[:, 0], 1.09)], axis=1)
+
+    run = jt.montecarlo(design, turn_hard, laps=LAPS, seed=SEED)
+    laps = jt.simulate(design, turn_hard, laps=LAPS, seed=SEED).trajectory
+    assert np.all(design.problem.input_set.contains(laps.inputs.reshape(-1, 2)))
+    section = design.problem.scenario.operating
+    along = np.abs(laps.measured[:-1, :, 0]) / section.turning_longitudinal_m
+    coupled = along + np.abs(laps.inputs[..., 1]) / section.turning_yaw_rate_radps
+    assert run.share("u_outside_U").laps == np.sum(np.any(coupled > 1, axis=0)) == LAPS
+    excess = section.turning_yaw_rate_radps * (np.max(coupled) - 1)
+    assert np.max(run.statistics["excess/input"]) == pytest.approx(excess, abs=CLOSED_LOOP)
+
+
 def test_laps_of_an_own_slip_process_are_those_of_simulate(design, of_own_law):
     run = jt.montecarlo(design, "local_gain", slip=Worst(), laps=LAPS, seed=SEED)
     assert run.law == ("local_gain", "robot", "scenario", "own")
