@@ -226,7 +226,8 @@ def make_loop_limits(
     design: Design, controller: str, plant: str, names: Sequence[str]
 ) -> LoopLimits:
     """Return those limits of a design that a closed loop has, by their names."""
-    of_laps = {name: limit for name, limit in make_lap_limits(design).items() if name in names}
+    judged = components.limit_true_errors(design, plant)
+    of_laps = {name: limit for name, limit in make_lap_limits(judged).items() if name in names}
     of_plans = {"tube": make_tube_limits(design)} if "tube" in names else {}
     return LoopLimits(design, controller, plant, of_laps, of_plans)
 

@@ -14,7 +14,7 @@ from jaxtube import qp
 from jaxtube.arguments import describe_type, require_count
 from jaxtube.precision import in_64_bits
 from jaxtube.progress import show_progress
-from jaxtube.simulation import batches
+from jaxtube.simulation import batches, components
 from jaxtube.simulation.choices import (
     ControllerChoice,
     PlantChoice,
@@ -67,9 +67,19 @@ class Laps:
         return np.asarray(self.trajectory.errors)
 
     @property
+    def error_limits(self) -> Float[np.ndarray, "3"]:
+        """Half widths of the E that true errors are judged by, (m, m, rad)."""
+        return self._judged.problem.error_set.offsets[:3]
+
+    @property
+    def _judged(self) -> Design:
+        return components.limit_true_errors(self.design, self.plant)
+
+    @property
     def outside(self) -> int:
-        """How many laps leave the error constraints E; NaN counts as outside."""
-        limits = self.design.problem.error_set.offsets[:3]
+        """How many laps leave E, caps and pose noise together (on "linear" the caps alone, which
+        [constraints] hold); NaN counts as outside."""
+        limits = self.error_limits
         return int(np.sum(~np.all(np.abs(self.errors) <= limits, axis=(0, 2))))
 
     @property
@@ -104,7 +114,7 @@ class Laps:
                 "others: two laps have controllers of one name; give each its own by "
                 "jt.simulate(..., name=...)"
             )
-        return errors(self.design.problem, {name: laps.trajectory for name, laps in runs.items()})
+        return errors(self._judged.problem, {name: laps.trajectory for name, laps in runs.items()})
 
     def save(self, folder: str | Path) -> Path:
         """Save the laps in a folder, for `jaxtube.read`, in place of laps that were saved there;

@@ -25,6 +25,7 @@ from jaxtube.simulation.choices import (
     choose_starts,
     name_choice,
 )
+from jaxtube.simulation.components import limit_true_errors
 from jaxtube.statistics.dataset import make_dataset
 from jaxtube.statistics.events import EVENT_NAMES
 from jaxtube.statistics.run import BLOCK, Run, Statistics, Task, merge
@@ -113,7 +114,8 @@ class MonteCarlo:
             "seed": self.seed,
             "scenario": to_toml(self.design.problem.scenario),
         }
-        return make_dataset(self.design, self.statistics, attributes)
+        judged = limit_true_errors(self.design, self.law.plant)
+        return make_dataset(judged, self.statistics, attributes)
 
     @classmethod
     def restore(cls, design: Design, stored: StoredResult) -> MonteCarlo:
@@ -186,7 +188,7 @@ def make_closed_loop_task(
 ) -> Task:
     """Return what every block of a run needs, from what `montecarlo` is given."""
     return make_task(
-        design,
+        limit_true_errors(design, name_choice(plant)),
         choose_controller(design, controller),
         choose_plant(design, plant, slip),
         choose_starts(design, starts),

@@ -303,6 +303,21 @@ def test_laps_say_since_when_inputs_are_not_finite(gain_laps):
     assert "RMS" not in repr(laps)
 
 
+def test_laps_of_the_linear_plant_are_judged_by_the_caps_alone(design, gain_laps):
+    """It is measured without noise, so the theorem is about what the controller keeps of E."""
+    caps = design.problem.operating_set.offsets[:3]
+    between = caps + design.problem.noise / 2
+    errors = np.zeros_like(gain_laps.errors)
+    errors[3, 0] = [0.0, between[1], 0.0]
+    trajectory = gain_laps.trajectory._replace(errors=errors)
+    on_robot = dataclasses.replace(gain_laps, trajectory=trajectory)
+    on_model = dataclasses.replace(on_robot, plant="linear")
+    assert on_robot.outside == 0
+    assert on_model.outside == 1
+    np.testing.assert_array_equal(on_model.error_limits, caps)
+    np.testing.assert_allclose(on_robot.error_limits, caps + design.problem.noise)
+
+
 def test_laps_say_which_qps_were_not_solved_and_why(gain_laps):
     status = np.array(gain_laps.trajectory.diagnostics.status)
     status[3, :2] = qp.INFEASIBLE

@@ -12,8 +12,10 @@ from tolerances import CLOSED_LOOP
 import jaxtube as jt
 from jaxtube import results
 from jaxtube.coordinates import NAMES
+from jaxtube.falsification.setting import make_setting
 from jaxtube.statistics import montecarlo as door
 from jaxtube.statistics import run as blocks
+from jaxtube.statistics.montecarlo import make_closed_loop_task
 
 BLOCK = 16
 TILE = 8
@@ -89,6 +91,18 @@ def test_laps_that_break_the_coupling_of_inputs_to_errors_alone_are_counted(desi
     assert run.share("u_outside_U").laps == np.sum(np.any(coupled > 1, axis=0)) == LAPS
     excess = section.turning_yaw_rate_radps * (np.max(coupled) - 1)
     assert np.max(run.statistics["excess/input"]) == pytest.approx(excess, abs=CLOSED_LOOP)
+
+
+def test_laps_of_the_linear_plant_are_judged_by_the_caps_alone(design):
+    """It is measured without noise, so the theorem is about what the controller keeps of E."""
+    problem = design.problem
+    assert np.all(problem.error_set.offsets > problem.operating_set.offsets)
+    for plant, limits in {"linear": problem.operating_set, "robot": problem.error_set}.items():
+        task = make_closed_loop_task(design, "local_gain", plant, "scenario", None, SEED)
+        np.testing.assert_array_equal(task.checks.error.offsets, limits.offsets)
+        setting = make_setting(design, "local_gain", plant)
+        limit = setting.limits.of_laps["error"]
+        np.testing.assert_array_equal(limit.offsets[0], limits.offsets)
 
 
 def test_laps_of_an_own_slip_process_are_those_of_simulate(design, of_own_law):

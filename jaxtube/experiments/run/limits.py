@@ -17,7 +17,9 @@ def describe_error_set(problem: Problem) -> str:
     words = f"E, limits of the true error: {_list(limits)}"
     if np.allclose(limits, constraints, rtol=1e-9, atol=0.0):
         return words
-    return f"{words}\n  caps and pose noise; [constraints] are {_list(constraints)}"
+    has_noise = np.any(limits > problem.operating_set.support(np.eye(3)))
+    source = "caps and pose noise" if has_noise else "caps"
+    return f"{words}\n  {source}; [constraints] are {_list(constraints)}"
 
 
 def _list(limits: Float[np.ndarray, "3"]) -> str:
