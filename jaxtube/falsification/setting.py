@@ -27,6 +27,7 @@ from jaxtube.simulation.choices import (
     choose_plant,
     name_choice,
 )
+from jaxtube.simulation.promise import limit_true_errors
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.simulation.starts import uniform_start
 from jaxtube.simulation.usage import (
@@ -226,7 +227,7 @@ def make_loop_limits(
     design: Design, controller: str, plant: str, names: Sequence[str]
 ) -> LoopLimits:
     """Return those limits of a design that a closed loop has, by their names."""
-    judged = components.limit_true_errors(design, plant)
+    judged = limit_true_errors(design, plant)
     of_laps = {name: limit for name, limit in make_lap_limits(judged).items() if name in names}
     of_plans = {"tube": make_tube_limits(design)} if "tube" in names else {}
     return LoopLimits(design, controller, plant, of_laps, of_plans)

@@ -102,15 +102,6 @@ def exact_robot(design: Design) -> SlippingRobot:
     return dataclasses.replace(slipping_robot(design, relative_error=0.0), noise=None)
 
 
-def limit_true_errors(design: Design, plant: str) -> Design:
-    """Return the design with the E that its tube-MPC promises on a plant: the caps alone on
-    "linear", which is measured without noise; on others caps and pose noise together."""
-    if plant != "linear":
-        return design
-    problem = dataclasses.replace(design.problem, error_set=design.problem.operating_set)
-    return dataclasses.replace(design, problem=problem)
-
-
 def linear_plant(design: Design) -> LinearPlant:
     """Return the prediction model along the reference with w drawn in W."""
     problem = design.problem

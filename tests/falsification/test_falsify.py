@@ -72,6 +72,7 @@ def test_the_verdict_comes_first(of_own_controller):
     shown = repr(of_own_controller).splitlines()
     assert shown[0] == f"<Falsification: {of_own_controller.verdict}"
     assert shown[1].startswith("own on the robot; ")
+    assert "certificate of the design's tube-MPC, not of this controller: " in shown[1]
     assert len(shown) == 2
 
 
@@ -182,7 +183,9 @@ def test_a_law_that_breaks_the_coupling_alone_violates_the_limit_of_inputs(uncer
     assert -row.worst.margin == pytest.approx(
         (row.worst.usage - 1) * section.turning_yaw_rate_radps, abs=FALSIFY_REPLAY
     )
-    assert re.search(r"violation found: coupled cap, .* its limit of .* rad/s by .* rad/s at", found.verdict)
+    assert re.search(
+        r"violation found: coupled cap, .* its limit of .* rad/s by .* rad/s at", found.verdict
+    )
 
 
 class Heading(NamedTuple):

@@ -28,7 +28,7 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.records import Records
 from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
-from jaxtube.simulation.components import limit_true_errors
+from jaxtube.simulation.promise import limit_true_errors
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.events import find_row
 from jaxtube.statistics.montecarlo import MonteCarlo, make_closed_loop_task, name_law

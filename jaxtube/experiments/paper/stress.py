@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float
 
 from jaxtube import qp
 from jaxtube.simulation import batches, components
+from jaxtube.simulation.promise import limit_true_errors
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.feasible import spread_starts, true_starts
 from jaxtube.synthesis.parts import Design
@@ -94,7 +95,7 @@ def metrics(design: Design, stress: Stress) -> dict:
 
 def limit_errors(design: Design, case: str) -> Design:
     """Return the design with the E that its tube-MPC promises in a case."""
-    return components.limit_true_errors(design, "linear" if case == LINEAR else "robot")
+    return limit_true_errors(design, "linear" if case == LINEAR else "robot")
 
 
 def _metrics(design: Design, trajectory: Trajectory) -> dict:
