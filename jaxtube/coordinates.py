@@ -10,6 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 
 class Coordinate(NamedTuple):
@@ -58,3 +59,12 @@ INPUT_NAMES = ("speed deficit", "yaw rate deficit")
 
 PLANES = ((0, 1), (0, 2), (1, 2))
 """Pairs of coordinates that a projection shows, abscissa first."""
+
+
+def describe_half_widths(half_widths: Float[np.ndarray, "3"]) -> str:
+    """Return limits in (m, m, rad) as words, in the units of display."""
+    words = [
+        f"|{coordinate.symbol}| {limit * coordinate.to_display:.3g} {coordinate.unit}"
+        for coordinate, limit in zip(COORDINATES, half_widths, strict=True)
+    ]
+    return ", ".join(words)

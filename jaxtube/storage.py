@@ -28,7 +28,7 @@ Arrays = Mapping[str, Any]
 
 FILES = ("result.json", "scenario.toml", "arrays.npz")
 
-SCHEMA = 1
+SCHEMA = 2
 """Of result.json: raised where an older reader would misunderstand a newer folder."""
 UNFINISHED = "unfinished"
 """Stands in result.json while the other files are written."""

@@ -33,8 +33,8 @@ from scipy.spatial import ConvexHull, QhullError
 from sets.polytope import Polytope
 
 ROUNDING = 1e-12
-"""Float64 slack, relative to the quantity compared, granted where a condition holds with equality
-by construction."""
+"""Float64 slack, in the unit of the quantity compared, added to its margin where a condition holds
+with equality by construction."""
 
 MOST_DIRECTIONS = 4000
 """Number of transported directions above which those that are not extreme are left out."""

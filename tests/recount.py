@@ -3,7 +3,7 @@ statistics.
 
 Sets answer by their own support numbers and margins, buckets are found by bisection, plans come
 from an exact solver and cost what is summed up along their predicted errors. A `case` has a design,
-a task and the sets counted against.
+a task, and the sets and rows on inputs counted against.
 """
 
 from typing import NamedTuple
@@ -40,6 +40,12 @@ def excess(polytope, points):
     return (points @ polytope.normals.T - polytope.offsets) / scale
 
 
+def input_excess(rows, laps):
+    """Return by how much inputs pass rows on (u, measured error), in the units of u."""
+    used = laps.inputs @ rows.inputs.T + laps.measured[:-1] @ rows.errors.T
+    return (used - rows.offsets) / np.linalg.norm(rows.inputs, axis=1)
+
+
 def usage(polytope, points):
     found = np.max(points @ polytope.normals.T / polytope.offsets, axis=-1)
     return np.where(np.isnan(found), np.inf, found)
@@ -71,7 +77,7 @@ def flags_of(case, laps, w):
         **{f"w_outside_{name}": off_w[..., 1 + i] for i, name in enumerate(AXES)},
         "e_outside_E": off_e[..., 0],
         **{f"e_outside_{name}": off_e[..., 1 + i] for i, name in enumerate(AXES)},
-        "u_outside_U": ~sets["input"].contains(laps.inputs, COUNTED),
+        "u_outside_U": ~np.all(input_excess(case.input_rows, laps) <= COUNTED, axis=-1),
         "wheels_saturated": np.any(
             (laps.demanded > robot.wheel_speed_max) | (laps.demanded < robot.wheel_speed_min),
             axis=-1,
@@ -127,7 +133,7 @@ def recount(case, laps: Trajectory, first: int) -> dict:
         "events": by_lap(flags, steps),
         "excess/disturbance": np.nanmax(excess(sets["disturbance"], w), axis=(0, 1)),
         "excess/error": np.nanmax(excess(sets["error"], e), axis=(0, 1)),
-        "excess/input": np.nanmax(excess(sets["input"], laps.inputs), axis=(0, 1)),
+        "excess/input": np.nanmax(input_excess(case.input_rows, laps), axis=(0, 1)),
         "error_by_step": np.stack([histogram(now) for now in e]),
         "disturbance": histogram(w),
         "peak": histogram(np.abs(e).max(axis=0)),

@@ -1,7 +1,8 @@
 """The controllers that come with a design: tube-MPC, the paper's tracking law, a scheduled gain.
 
 Each is a `Controller`, a pytree whose arrays run along the reference. Beyond the contract they say
-what the checks of a Monte Carlo run ask of them: `free_gains_of`, `planner_of`.
+what the checks of a Monte Carlo run ask of them: `free_gains_of`, `planner_of`, `solves_qp`,
+`input_map_of`.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, sections III and IV.
 """
@@ -82,6 +83,8 @@ class TrackingLaw:
 
     wheel_map: WheelMap
 
+    solves_qp = False
+
     def initial(self, errors: Float[Array, "batch 3"]) -> tuple[()]:
         """Return no memory."""
         return ()
@@ -103,6 +106,8 @@ class ScheduledGain:
 
     gains: Float[Array, "steps 2 3"]
     wheel_map: WheelMap
+
+    solves_qp = False
 
     @property
     def free_gains(self) -> Float[Array, "steps 2 3"]:
@@ -133,3 +138,16 @@ def planner_of(controller: Controller) -> TubeMpc | None:
     """Return the tube-MPC whose plans can be followed to their end, None where a controller makes
     none that start at the measured error."""
     return getattr(controller, "planner", None)
+
+
+def solves_qp(controller: Controller) -> bool:
+    """Return whether a controller solves QPs, of which its diagnostics tell; one that solves none
+    says so in a member `solves_qp`."""
+    return getattr(controller, "solves_qp", True)
+
+
+def input_map_of(controller: Controller) -> str | None:
+    """Return the input map in whose sense a controller's u is meant, None where it has no wheel
+    map."""
+    wheel_map = getattr(controller, "wheel_map", None)
+    return None if wheel_map is None else wheel_map.input_map

@@ -14,6 +14,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube.arguments import describe_type
+from jaxtube.control.laws import solves_qp
 from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.protocol import Controller, Feedback, Law, WheelMap
 from jaxtube.plant.protocol import Command, Measurement, Memory
@@ -35,6 +36,11 @@ class Unregistered:
 
     controller: Controller
 
+    @property
+    def solves_qp(self) -> bool:
+        """What the controller says."""
+        return solves_qp(self.controller)
+
     def initial(self, errors: Float[Array, "batch 3"]) -> Memory:
         """Return the memory before the first period."""
         return self.controller.initial(errors)
@@ -52,7 +58,8 @@ def adapt_controller(controller: Controller | Law, wheel_map: WheelMap) -> Contr
     Args:
         controller: a `Controller`, pytree or not, or a law u = f(errors, reference_wheels) on
             measured errors (batch, 3) in (m, m, rad) and wheel speeds (2,) in m/s that returns
-            virtual inputs (batch, 2) in (m/s, rad/s).
+            virtual inputs (batch, 2) in (m/s, rad/s), in the sense of the map's input map: the
+            deficits of speed and yaw rate for "paper" alone.
         wheel_map: how the virtual inputs of a law become wheel speeds.
 
     Raises:

@@ -104,6 +104,8 @@ class Feedback:
     law: Law
     wheel_map: WheelMap
 
+    solves_qp = False
+
     def initial(self, errors: Float[Array, "batch 3"]) -> tuple[()]:
         """Return no memory."""
         return ()

@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxtube.coordinates import COORDINATES, INPUT_NAMES
+from jaxtube.coordinates import COORDINATES
 from jaxtube.falsification.sample import SampledExtremes
 from jaxtube.falsification.search import WorstCaseSearch
 from jaxtube.falsification.setting import LoopLimits
 from jaxtube.falsification.worst import Worst
 from jaxtube.simulation.usage import Limit, Replay
 from jaxtube.synthesis.disturbance import ground_speed_limits
+from jaxtube.synthesis.tightening import CAP_NAMES
 
 BEYOND = 1e-9
 """Usage beyond 1 that is rounding."""
@@ -22,8 +23,8 @@ ERRORS = tuple((f"{one.name} error", one.to_display, one.unit) for one in COORDI
 """What each error is called, and its unit with the factor into it."""
 
 WHEELS = ("right wheel", "left wheel")
-CAPS = tuple(zip(INPUT_NAMES, ("m/s", "rad/s"), strict=True))
-"""What each virtual input is called where U is a box of caps, and its unit."""
+CAPS = tuple(zip(CAP_NAMES, ("m/s", "rad/s", "rad/s", "rad/s"), strict=True))
+"""What each pair of rows bounds where U is a box of caps, and its unit; the coupling comes last."""
 
 
 class Row(NamedTuple):
@@ -75,7 +76,7 @@ def describe_facet(limit: Limit, worst: Worst) -> Facet:
     coordinate = worst.facet % (len(limit.offsets[0]) // 2)
     if worst.limit == "error":
         what, factor, unit = ERRORS[coordinate]
-    elif worst.limit == "input" and np.count_nonzero(limit.normals[0, worst.facet]) == 1:
+    elif worst.limit == "input" and not _is_of_wheel(limit, worst.facet):
         what, unit = CAPS[coordinate]
         factor = 1.0
     else:
@@ -93,6 +94,11 @@ def describe_facet(limit: Limit, worst: Worst) -> Facet:
         margin=worst.margin * factor,
         unit=unit,
     )
+
+
+def _is_of_wheel(limit: Limit, facet: int) -> bool:
+    """Return whether a row on inputs bounds the deficit of one wheel: it mixes both inputs."""
+    return bool(np.all(limit.normals[0, facet, :2]))
 
 
 def _describe_section(limit: Limit, worst: Worst) -> Facet:

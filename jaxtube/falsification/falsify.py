@@ -24,6 +24,7 @@ from jaxtube.falsification.worst import Worst
 from jaxtube.precision import in_64_bits
 from jaxtube.progress import show_progress
 from jaxtube.simulation.choices import ControllerChoice, PlantChoice, SlipChoice
+from jaxtube.simulation.promise import describe_certificate
 from jaxtube.storage import StoredResult, flatten, nest, write_result
 from jaxtube.synthesis.parts import Design, require_design
 
@@ -113,7 +114,7 @@ class Falsification:
         searched = sum(row.search.laps for row in self.rows.values())
         return (
             f"<Falsification: {self.verdict}\n{loop}; {searched:,} laps by gradient; "
-            f"certificate: {self.design.certificate.verdict}>"
+            f"{describe_certificate(self.design, self.limits.controller)}>"
         )
 
 

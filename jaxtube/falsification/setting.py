@@ -27,6 +27,7 @@ from jaxtube.simulation.choices import (
     choose_plant,
     name_choice,
 )
+from jaxtube.simulation.promise import limit_true_errors
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.simulation.starts import uniform_start
 from jaxtube.simulation.usage import (
@@ -40,6 +41,7 @@ from jaxtube.simulation.usage import (
 )
 from jaxtube.synthesis.design import refuse_infeasible_start
 from jaxtube.synthesis.feasible import true_starts
+from jaxtube.synthesis.limits import InputRows
 from jaxtube.synthesis.parts import Design
 from sets.polytope import hull_vertices
 
@@ -60,7 +62,7 @@ class LoopLimits(NamedTuple):
         design: gives the limits.
         controller: its name, "own" for a user's.
         plant: its name, "own" for a user's.
-        of_laps: E, U and, of a plant with wheels, their speeds.
+        of_laps: E, U with its coupling to the error and, of a plant with wheels, their speeds.
         of_plans: R_1 .. R_N; empty for a controller that keeps no tube.
     """
 
@@ -225,13 +227,14 @@ def make_loop_limits(
     design: Design, controller: str, plant: str, names: Sequence[str]
 ) -> LoopLimits:
     """Return those limits of a design that a closed loop has, by their names."""
-    of_laps = {name: limit for name, limit in make_lap_limits(design).items() if name in names}
+    judged = limit_true_errors(design, plant)
+    of_laps = {name: limit for name, limit in make_lap_limits(judged).items() if name in names}
     of_plans = {"tube": make_tube_limits(design)} if "tube" in names else {}
     return LoopLimits(design, controller, plant, of_laps, of_plans)
 
 
 def make_lap_limits(design: Design) -> Limits:
-    """Return E, U and the wheels' limits."""
+    """Return E, U with its coupling to the error, and the wheels' limits."""
     problem = design.problem
     robot = problem.robot
     identity = np.eye(2)
@@ -239,9 +242,18 @@ def make_lap_limits(design: Design) -> Limits:
     middle = [robot.wheel_speed_middle] * 2
     return {
         "error": make_limit(problem.error_set.normals, problem.error_set.offsets),
-        "input": make_limit(problem.input_set.normals, problem.input_set.offsets),
+        "input": make_input_limit(problem.input_rows),
         "wheels": make_limit(np.vstack([identity, -identity]), speeds, middle),
     }
+
+
+def make_input_limit(rows: InputRows) -> Limit:
+    """Return the limit on (u, measured error): the rows as they are, those of the coupling in
+    rad/s."""
+    normals = np.concatenate([rows.inputs, rows.errors], axis=1)
+    is_coupled = rows.errors.any(axis=1)
+    scale = np.where(is_coupled, np.linalg.norm(rows.inputs, axis=1), 1.0)
+    return make_limit(normals / scale[:, None], rows.offsets / scale)
 
 
 def make_tube_limits(design: Design) -> Limit:

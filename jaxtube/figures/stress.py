@@ -66,15 +66,15 @@ def stress(
     case.
 
     Args:
-        problem: gives the limits and the period.
-        cases: each with `title` and the errors (steps+1, batch, 3) `tube` and `plain` from the same
-            starts.
+        problem: gives the reference and the period.
+        cases: each with `title`, the half widths `limits` of E, and the errors (steps+1, batch, 3)
+            `tube` and `plain` from the same starts.
         boundary: points on the boundary of the feasible set.
     """
     dt = problem.reference.dt
     figure = page_figure(5.2)
     usages, starts = figure.subplots(2, len(cases), sharex="row", sharey="row", squeeze=False)
-    every = [{kind: _judge(problem, case[kind]) for kind in STRESSED} for case in cases]
+    every = [{kind: _judge(case["limits"], case[kind]) for kind in STRESSED} for case in cases]
     last_exit = max(runs.last_exit for case in every for runs in case.values())
     shown = min(round(max(FIRST_SECONDS / dt, 1.2 * last_exit)), problem.reference.steps)
     for axes, case, runs in zip(usages, cases, every, strict=True):
@@ -93,8 +93,7 @@ def stress(
     return figure
 
 
-def _judge(problem: Problem, errors: Float[np.ndarray, "steps+1 batch 3"]) -> Runs:
-    limits = problem.error_set.offsets[:3]
+def _judge(limits: Float[np.ndarray, "3"], errors: Float[np.ndarray, "steps+1 batch 3"]) -> Runs:
     usage = np.abs(errors[..., 0]) / limits[0]
     # Coordinate by coordinate: many runs at once are some hundred megabytes.
     for coordinate in (1, 2):

@@ -12,6 +12,7 @@ from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.arguments import describe_type, require_count
+from jaxtube.control.laws import solves_qp
 from jaxtube.precision import in_64_bits
 from jaxtube.progress import show_progress
 from jaxtube.simulation import batches
@@ -28,6 +29,7 @@ from jaxtube.simulation.choices import (
 )
 from jaxtube.simulation.dataset import make_dataset
 from jaxtube.simulation.memory import refuse_laps_beyond_memory
+from jaxtube.simulation.promise import describe_error_limits, limit_true_errors
 from jaxtube.simulation.rollout import (
     Trajectory,
     read_trajectory,
@@ -53,6 +55,7 @@ class Laps:
         plant: its name, "own" for a user's.
         seed: of every draw.
         trajectory: errors (steps + 1, laps, 3), inputs, wheels and diagnostics.
+        solves_qp: whether the controller solves QPs.
     """
 
     design: Design
@@ -60,6 +63,7 @@ class Laps:
     plant: str
     seed: int
     trajectory: Trajectory
+    solves_qp: bool = True
 
     @property
     def errors(self) -> Float[np.ndarray, "steps+1 laps 3"]:
@@ -67,9 +71,19 @@ class Laps:
         return np.asarray(self.trajectory.errors)
 
     @property
+    def error_limits(self) -> Float[np.ndarray, "3"]:
+        """Half widths of the E that true errors are judged by, (m, m, rad)."""
+        return self._judged.problem.error_set.offsets[:3]
+
+    @property
+    def _judged(self) -> Design:
+        return limit_true_errors(self.design, self.plant)
+
+    @property
     def outside(self) -> int:
-        """How many laps leave the error constraints E; NaN counts as outside."""
-        limits = self.design.problem.error_set.offsets[:3]
+        """How many laps leave E, caps and pose noise together (on "linear" the caps alone, which
+        [constraints] hold); NaN counts as outside."""
+        limits = self.error_limits
         return int(np.sum(~np.all(np.abs(self.errors) <= limits, axis=(0, 2))))
 
     @property
@@ -104,12 +118,17 @@ class Laps:
                 "others: two laps have controllers of one name; give each its own by "
                 "jt.simulate(..., name=...)"
             )
-        return errors(self.design.problem, {name: laps.trajectory for name, laps in runs.items()})
+        return errors(self._judged.problem, {name: laps.trajectory for name, laps in runs.items()})
 
     def save(self, folder: str | Path) -> Path:
         """Save the laps in a folder, for `jaxtube.read`, in place of laps that were saved there;
         return the folder."""
-        facts = {"controller": self.controller, "plant": self.plant, "seed": self.seed}
+        facts = {
+            "controller": self.controller,
+            "plant": self.plant,
+            "seed": self.seed,
+            "solves_qp": self.solves_qp,
+        }
         arrays = self.trajectory.arrays()
         scenario = self.design.problem.scenario
         return write_result(folder, StoredResult("laps", scenario, facts, arrays))
@@ -144,8 +163,12 @@ class Laps:
         count = self.errors.shape[1]
         verdict = (
             f"<Laps: {self.outside:,} of {count:,} laps leave E; {self.controller} on the "
-            f"{self.plant}; {self._describe_errors()}; {self.without_plan} QPs without a plan"
+            f"{self.plant}; {self._describe_errors()}; "
+            f"{describe_error_limits(self.design, self.plant)}"
         )
+        if not self.solves_qp:
+            return f"{verdict}>"
+        verdict += f"; {self.without_plan} QPs without a plan"
         return "\n".join([verdict, *qp.describe_unsolved(self.statuses)]) + ">"
 
 
@@ -166,12 +189,15 @@ def simulate(
     Args:
         design: a design.
         controller: "tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated" or
-            "uncompensated"; a law u = f(errors, reference_wheels); or a `Controller`.
+            "uncompensated"; a law u = f(errors, reference_wheels), u in the sense of the scenario's
+            controller.input_map (the deficits (V - v, Om - w) for "paper" alone); or a
+            `Controller`.
         plant: "robot" (the scenario's), "exact" (its slip known, its pose measured without noise),
             "linear" (the prediction model with w in W), or a `Plant`.
         laps: how many; 256, or one a start, unless given. All are kept: `montecarlo` keeps none.
-        starts: "scenario", "feasible" (uniform in the feasible set of the tube-MPC), "edge" (on its
-            boundary), or true initial errors (laps, 3) in (m, m, rad).
+        starts: "scenario", "feasible" (uniform in the hull of 400 boundary points of the
+            tube-MPC's feasible set, less the pose noise), "edge" (on the boundary of that hull), or
+            true initial errors (laps, 3) in (m, m, rad).
         slip: process of the slips of the robot, a name or a `SlipProcess`; the scenario's unless
             given.
         seed: of every draw; lap i is the same whatever `laps` is.
@@ -199,7 +225,14 @@ def simulate(
         trajectory = batches.run_realisations(
             acting_controller, acting_plant, errors, seed, bar.update
         )
-    return Laps(design, name or name_controller(controller), name_choice(plant), seed, trajectory)
+    return Laps(
+        design,
+        name or name_controller(controller),
+        name_choice(plant),
+        seed,
+        trajectory,
+        solves_qp(acting_controller),
+    )
 
 
 def _count_laps(laps: int | None, starts: StartChoice) -> int:

@@ -2,7 +2,8 @@
 
     usage = n (x - c) / (h - n c)        1 on the facet n x = h, above 1 outside, 0 at the centre c
 
-Limits have names: `error` true tracking errors (m, m, rad), `input` virtual inputs (m/s, rad/s),
+Limits have names: `error` true tracking errors (m, m, rad), `input` virtual inputs (m/s, rad/s)
+with the measured errors (m, m, rad) that a cap couples them to,
 `wheels` speeds asked for before saturation (right, left) m/s, and `tube` deviations from a plan
 that is followed to its end. Following a plan is another closed loop, so `tube` stands alone.
 """
@@ -50,7 +51,9 @@ class Limit(NamedTuple):
 Limits = dict[str, Limit]
 """Limits by name; see the module."""
 
-Observe = Callable[[LoopState, PeriodOutcome], dict[str, Array]]
+Observe = Callable[[LoopState, PeriodOutcome, LoopState], dict[str, Array]]
+"""Returns what is recorded of a period from the state before it, its outcome and the state
+after it."""
 
 
 def make_limit(normals, offsets, centre=None) -> Limit:
@@ -106,10 +109,12 @@ def play(
         no plan, during it.
     """
 
-    def observe(following: LoopState, happened: PeriodOutcome) -> dict[str, Array]:
+    def observe(
+        before: LoopState, happened: PeriodOutcome, following: LoopState
+    ) -> dict[str, Array]:
         return {
             "error": following.errors,
-            "input": happened.inputs,
+            "input": jnp.concatenate([happened.inputs, before.measured], axis=1),
             "wheels": happened.demanded,
             "backup": happened.diagnostics.backup,
         }
@@ -128,7 +133,9 @@ def play_plans(
     """Run laps and return the deviations from their followed plans after 1 .. `horizon` steps, zero
     where there was no plan; otherwise as `play`."""
 
-    def observe(following: LoopState, happened: PeriodOutcome) -> dict[str, Array]:
+    def observe(
+        before: LoopState, happened: PeriodOutcome, following: LoopState
+    ) -> dict[str, Array]:
         return {"tube": following.memory.deviation(following.measured)}
 
     deviations = _scan_periods(follower, plant, keys, errors, script, observe)["tube"]
@@ -157,7 +164,7 @@ def _scan_periods(
         step, of_period = now
         acting = choose_plant({name: values[None] for name, values in of_period.items()})
         following, happened = run_period(controller, acting, keys, step, state)
-        return following, observe(following, happened)
+        return following, observe(state, happened, following)
 
     start = begin(controller, choose_plant(script or {}), keys, errors)
     _, seen = jax.lax.scan(period, start, (jnp.arange(steps), entries))
@@ -299,11 +306,14 @@ def _make_plan(planner: TubeMpc, step, measured: Float[Array, "1 3"]) -> mpc.Pla
 
 
 def read_values(name: str, played: Replay) -> Float[np.ndarray, "steps n"]:
-    """Return the quantity that a limit bounds: errors at every instant, inputs and wheels in every
-    period, deviations from a plan at every stage from 0."""
+    """Return the quantity that a limit bounds: errors at every instant, inputs (with the measured
+    errors at the start) and wheels in every period, deviations from a plan at every stage from
+    0."""
     lap = played.trajectory
     if name == "tube":
         assert played.deviations is not None
         return np.concatenate([np.zeros((1, 3)), played.deviations])
-    values = {"error": lap.errors, "input": lap.inputs, "wheels": lap.demanded}[name]
+    if name == "input":
+        return np.concatenate([lap.inputs[:, 0], lap.measured[:-1, 0]], axis=1)
+    values = {"error": lap.errors, "wheels": lap.demanded}[name]
     return np.asarray(values)[:, 0]

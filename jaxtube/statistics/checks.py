@@ -1,7 +1,8 @@
 """The sets that closed loops are measured against: facets, tubes along the reference, the model
 and the cost of plans.
 
-A point is outside a set when it is more than 1e-12 (m, rad, m/s) beyond a facet. NaN is outside.
+A point is outside a set when it is more than 1e-12 (m, rad, m/s, rad/s) beyond a facet. NaN is
+outside.
 """
 
 from __future__ import annotations
@@ -69,7 +70,7 @@ class Checks:
     `ultimate` holds the half widths that bound the measured error once it has settled, `settled`
     the step from which that and the RMS count. `map_corner` and `map_cell` lay the grid of the
     trajectory map. With windows as in the controller, e^T cost_errors e + (F e)^T g + g^T H g / 2
-    is the whole cost of a plan.
+    is the whole cost of a plan. `input` is a set of (u, measured error).
     """
 
     transitions: Float[AnyArray, "steps 3 3"]

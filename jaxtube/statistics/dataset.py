@@ -139,7 +139,7 @@ def _facet_units(design: Design) -> dict[str, tuple]:
     units = {
         "disturbance": list(map(find_unit, facets(problem.disturbance_set).normals)),
         "error": list(map(find_unit, facets(problem.error_set).normals)),
-        "input": ["m/s"] * len(problem.input_set.offsets),
+        "input": list(map(find_input_unit, problem.input_rows.inputs)),
     }
     return {
         f"{name}_facet_unit": (f"{name}_facet", np.array(values)) for name, values in units.items()
@@ -152,6 +152,11 @@ def find_unit(normal: Float[np.ndarray, "3"]) -> str:
     if along[2]:
         return "m and rad" if along[:2].any() else "rad"
     return "m"
+
+
+def find_input_unit(row: Float[np.ndarray, "2"]) -> str:
+    """Return the unit of a row on the virtual input: wheels and speed in m/s, yaw rate in rad/s."""
+    return "m/s" if row[0] else "rad/s"
 
 
 def _map_cells(design: Design, statistics: Statistics) -> dict[str, tuple]:

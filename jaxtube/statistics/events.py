@@ -39,7 +39,11 @@ EVENTS = (
     Event("e_outside_longitudinal", "longitudinal", "outside the box around E", "e_outside_E"),
     Event("e_outside_lateral", "lateral", "outside the box around E", "e_outside_E"),
     Event("e_outside_heading", "heading", "outside the box around E", "e_outside_E"),
-    Event("u_outside_U", "u outside U", "the virtual input lies outside the input constraints"),
+    Event(
+        "u_outside_U",
+        "u outside U",
+        "the virtual input leaves the input constraints, or their coupling to the error",
+    ),
     Event(
         "wheels_saturated",
         "wheels at their limits",

@@ -17,7 +17,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float, Key
 
-from jaxtube.control.laws import TubeMpc
+from jaxtube.control.laws import solves_qp
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import batches
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
@@ -70,7 +70,7 @@ def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
         slips = np.asarray(slip_deviations(task.plant, keys, jnp.asarray(batch.errors)))[:, 0]
     return Lap(
         number,
-        isinstance(task.controller, TubeMpc),
+        solves_qp(task.controller),
         trajectory,
         disturbance,
         slips,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax
 
 from jaxtube.arguments import require_count
+from jaxtube.control.laws import input_map_of, solves_qp
 from jaxtube.precision import in_64_bits
 from jaxtube.progress import show_progress
 from jaxtube.scenario.tree import to_toml
@@ -24,6 +25,11 @@ from jaxtube.simulation.choices import (
     choose_plant,
     choose_starts,
     name_choice,
+)
+from jaxtube.simulation.promise import (
+    describe_certificate,
+    describe_error_limits,
+    limit_true_errors,
 )
 from jaxtube.statistics.dataset import make_dataset
 from jaxtube.statistics.events import EVENT_NAMES
@@ -55,6 +61,9 @@ class Share(NamedTuple):
 @dataclass(frozen=True, eq=False, repr=False)
 class MonteCarlo:
     """A Monte Carlo run of a design.
+
+    E holds the caps and the pose noise together, which may be narrower than [constraints]; on the
+    linear plant the caps alone. The text of the run names its half widths.
 
     Attributes:
         design: that it is a run of.
@@ -113,7 +122,8 @@ class MonteCarlo:
             "seed": self.seed,
             "scenario": to_toml(self.design.problem.scenario),
         }
-        return make_dataset(self.design, self.statistics, attributes)
+        judged = limit_true_errors(self.design, self.law.plant)
+        return make_dataset(judged, self.statistics, attributes)
 
     @classmethod
     def restore(cls, design: Design, stored: StoredResult) -> MonteCarlo:
@@ -124,11 +134,12 @@ class MonteCarlo:
     def __repr__(self) -> str:
         left_w = self.share("w_outside_W")
         left_e = self.share("e_outside_E")
-        premise = "w stayed in W" if not left_w.laps else f"w left W in {left_w.laps:,} laps"
+        premise = "w stayed in W; " if not left_w.laps else f"w left W in {left_w.laps:,} laps; "
         return (
             f"<MonteCarlo: {left_e.laps:,} of {self.laps:,} laps left E (share at most "
-            f"{left_e.high:.3g} at 95 % confidence); {premise}; law: {self.summary['law']}; "
-            f"certificate: {self.design.certificate.verdict}>"
+            f"{left_e.high:.3g} at 95 % confidence); {'' if self.law.input_map else premise}"
+            f"{describe_error_limits(self.design, self.law.plant)}; law: {self.summary['law']}; "
+            f"{describe_certificate(self.design, self.law.controller)}>"
         )
 
 
@@ -186,7 +197,7 @@ def make_closed_loop_task(
 ) -> Task:
     """Return what every block of a run needs, from what `montecarlo` is given."""
     return make_task(
-        design,
+        limit_true_errors(design, name_choice(plant)),
         choose_controller(design, controller),
         choose_plant(design, plant, slip),
         choose_starts(design, starts),
@@ -203,4 +214,14 @@ def name_law(
 ) -> SamplingLaw:
     """Return the names of what laps are drawn from."""
     process = design.problem.scenario.slip.process if slip is None else slip
-    return SamplingLaw(name_choice(controller), name_choice(plant), starts, name_choice(process))
+    acting = choose_controller(design, controller)
+    input_map = input_map_of(acting)
+    is_of_scenario = input_map in (None, design.problem.scenario.controller.input_map)
+    return SamplingLaw(
+        controller=name_choice(controller),
+        plant=name_choice(plant),
+        starts=starts,
+        process=name_choice(process),
+        solves_qp=solves_qp(acting),
+        input_map="" if is_of_scenario else str(input_map),
+    )

@@ -42,24 +42,34 @@ class SamplingLaw(NamedTuple):
         plant: "robot", "linear", "exact" or "own".
         starts: "scenario", "feasible" or "edge".
         process: of the slips: the scenario's, or a name, or "own".
+        solves_qp: whether the controller solves QPs, some of which may have no solution.
+        input_map: in whose sense the controller's u is meant, where that is not the scenario's.
     """
 
     controller: str
     plant: str
     starts: str
     process: str
+    solves_qp: bool = True
+    input_map: str = ""
 
     def describe(self, scenario: Scenario) -> str:
         """Return the law in words."""
         where = STARTS[self.starts]
+        controller = self._describe_controller()
         if self.plant == "linear":
             return (
-                f"{self.controller} on the linear model, w in W (half of the draws at its "
+                f"{controller} on the linear model, w in W (half of the draws at its "
                 f"vertices), {where}"
             )
         if self.plant == "own":
-            return f"{self.controller} on a plant of the user's, {where}"
-        return f"{self.controller} on the slipping robot, {self._describe_slip(scenario)}, {where}"
+            return f"{controller} on a plant of the user's, {where}"
+        return f"{controller} on the slipping robot, {self._describe_slip(scenario)}, {where}"
+
+    def _describe_controller(self) -> str:
+        if not self.input_map:
+            return self.controller
+        return f"{self.controller} (its u is of the input map {self.input_map}, so w is not W's)"
 
     def _describe_slip(self, scenario: Scenario) -> str:
         slip = scenario.slip
@@ -121,7 +131,7 @@ def _summarise_events(law: SamplingLaw, statistics: Statistics, settled: int) ->
 def _missing(law: SamplingLaw, statistics: Statistics) -> set[str]:
     """Return what a run lacks of what events need."""
     missing = set()
-    if not law.controller.endswith("mpc") and law.controller != "own":
+    if not law.solves_qp:
         missing.add("QP")
     if law.plant == "linear":
         missing.add("wheels")

@@ -1,12 +1,13 @@
 """The tally of closed loops: every period of every lap counted against the sets of a design.
 
-    w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k) in W,     e(k+1) in E,     u(k) in U,
+    w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k) in W,     e(k+1) in E,     D u(k) + C e(k) <= d,
     wheels within their limits,     QP solved,
     and for plans followed to their end     e - e_nominal in R_j,  j = 1..N
 
-w and the tube are those of the measured errors, which the controller works with; E holds the true
-ones. Counts are whole numbers and extremes are maxima, so the tallies of any parts of a run join to
-the same bits in any order. NaN counts as outside.
+w, the tube and the rows on inputs are those of the measured errors, which the controller works
+with; E holds the true ones. D u + C e <= d are the rows of U and, where inputs are coupled to
+errors, those of the coupling. Counts are whole numbers and extremes are maxima, so the tallies of
+any parts of a run join to the same bits in any order. NaN counts as outside.
 """
 
 from __future__ import annotations
@@ -97,7 +98,7 @@ def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
 
 
 class Judgements(NamedTuple):
-    """What one period of every lap came to against W, E and U."""
+    """What one period of every lap came to against W, E, and U with its coupling."""
 
     disturbance: Judgement
     error: Judgement
@@ -143,11 +144,12 @@ def observe(
     e = after.errors.T
     A = checks.transitions[step]
     B = checks.input_matrices[step]
-    w = after.measured.T - matmul(A, before.measured.T) - matmul(B, happened.inputs.T)
+    u = happened.inputs.T
+    w = after.measured.T - matmul(A, before.measured.T) - matmul(B, u)
     judged = Judgements(
         judge_points(checks.disturbance, w),
         judge_points(checks.error, e),
-        judge_points(checks.input, happened.inputs.T),
+        judge_points(checks.input, jnp.concatenate([u, before.measured.T])),
     )
     settled = step + 1 >= checks.settled
     events = find_events(checks, judged, happened, after, settled)

@@ -15,6 +15,7 @@ from jaxtube.simulation.starts import Starts
 from jaxtube.statistics.checks import Checks, Facets, Sections
 from jaxtube.statistics.run import Task
 from jaxtube.statistics.tally import HEAT_CELLS
+from jaxtube.synthesis.limits import InputRows
 from jaxtube.synthesis.parts import Design
 from sets.polytope import Polytope
 
@@ -47,7 +48,7 @@ def make_checks(design: Design, controller: Controller) -> Checks:
         input_matrices=inputs,
         disturbance=facets(problem.disturbance_set),
         error=facets(problem.error_set),
-        input=facets(problem.input_set),
+        input=input_facets(problem.input_rows),
         tubes={name: sections(design, name) for name in compared},
         tube=used,
         ultimate=bound_settled_error(design, controller, settled),
@@ -80,6 +81,17 @@ def facets(polytope: Polytope) -> Facets:
         lower=-polytope.support(-identity),
         upper=polytope.support(identity),
     )
+
+
+def input_facets(rows: InputRows) -> Facets:
+    """Return the rows on (u, measured error) in units of u: m/s or rad/s, the coupling in rad/s.
+
+    The set is unbounded along errors that no row limits: the box around it is left infinite.
+    """
+    scale = np.linalg.norm(rows.inputs, axis=1)
+    normals = np.concatenate([rows.inputs, rows.errors], axis=1)
+    without_end = np.full(normals.shape[1], np.inf)
+    return Facets(normals / scale[:, None], rows.offsets / scale, -without_end, without_end)
 
 
 def affordable(design: Design, tube: str) -> bool:

@@ -30,6 +30,7 @@ def played(design):
     steps = design.problem.reference.steps
     lap = types.SimpleNamespace(
         errors=generator.uniform(-0.1, 0.1, (steps + 1, 1, 3)),
+        measured=generator.uniform(-0.1, 0.1, (steps + 1, 1, 3)),
         inputs=generator.uniform(-0.1, 0.2, (steps, 1, 2)),
         demanded=generator.uniform(1.2, 1.9, (steps, 1, 2)),
     )
@@ -52,14 +53,29 @@ def make_worst(design, name):
     return Worst(name, 1.1, -0.1, STEP, 0, when, attack)
 
 
-@pytest.mark.parametrize("name", ["error", "input", "wheels"])
-def test_usage_is_drawn_where_the_run_that_uses_it_lies(name, design, played):
+@pytest.mark.parametrize(
+    ("scenario", "name"),
+    [("paper", "error"), ("paper", "input"), ("paper", "wheels"), ("certified", "input")],
+)
+def test_usage_is_drawn_where_the_run_that_uses_it_lies(scenario, name, uncertified, played):
+    design = uncertified(scenario)
     limits = make_lap_limits(design)
     usage = usage_of(limits, name, played)
     for track in make_tracks(design.problem, limits, name, played):
         for facet in track.facets:
             drawn = track.value_at(usage[:, facet], facet)
             assert drawn == pytest.approx(track.values[-len(usage) :], abs=DRAWN)
+
+
+def test_the_coupling_of_inputs_to_errors_has_panels_of_its_own(uncertified, played):
+    design = uncertified("certified")
+    limits = make_lap_limits(design)
+    worst = make_worst(design, "input")
+    figure = worst_run(design.problem, limits, worst, played)
+    assert_presentable(figure)
+    labels = [axes.get_ylabel() for axes in figure.axes]
+    assert "coupled cap, outwards [rad/s]" in labels
+    assert "coupled cap, inwards [rad/s]" in labels
 
 
 @pytest.mark.parametrize("name", ["error", "input", "wheels", "tube"])

@@ -62,11 +62,12 @@ def deviations(design):
 
 
 @pytest.fixture(scope="module")
-def cases(runs):
+def cases(problem, runs):
     """Runs under stress from random starts."""
     return [
         {
             "title": "invented",
+            "limits": problem.error_set.offsets[:3],
             "plain": runs["uncompensated"].errors,
             "tube": runs["compensated"].errors,
         }

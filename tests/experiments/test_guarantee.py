@@ -251,6 +251,43 @@ def test_a_condition_that_was_never_checked_certifies_nothing():
     assert not claims.judge_claim(exact, make_tested(absent=[claims.RATIONALS])).claimed
 
 
+SCOPES = {claim.title: claim.scope for claim in claims.CLAIMS}
+OF_THE_BOX = "1.224 to 1.496 m/s"
+OTHER_GAINS = [
+    "controller.tube=summed",
+    "controller.terminal=T-B",
+    "controller.tracking_gains=[]",
+    "controller.model=consistent",
+]
+
+
+@pytest.mark.parametrize(
+    ("settings", "conditions", "words"),
+    [
+        (["controller.tube=sequence"], {}, f"{OF_THE_BOX}, in the order of this path alone"),
+        (["controller.tube=sequence"], {claims.ANY_ORDER: 0.1}, f"{OF_THE_BOX}, any order"),
+        (
+            ["controller.tube=sequence"],
+            {claims.ANY_ORDER: -0.1},
+            f"{OF_THE_BOX}, in the order of this path alone",
+        ),
+        (OTHER_GAINS, {}, f"{OF_THE_BOX}, any order"),
+        (
+            ["controller.tube=sequence", "reference.certified_for=path"],
+            {},
+            f"those of the path in {OF_THE_BOX}, in the order of this path alone",
+        ),
+    ],
+)
+def test_any_order_is_claimed_where_the_certificate_proves_it(settings, conditions, words):
+    """A tube that follows the reference is proved along this path; other orders are a condition of
+    their own."""
+    checked = [Condition(name, margin, "") for name, margin in conditions.items()]
+    scenario = load("certified", settings)
+    design = claims.DesignUnderTest("mine", scenario, Certificate(tuple(checked)), {})
+    assert SCOPES["wheel speeds covered"](design) == words
+
+
 def test_counts_add_up_over_the_laws_and_name_the_worst_by_its_share():
     laws = {
         "iid": law(e_outside_E=3, tube=2),

@@ -69,7 +69,7 @@ def quiet(design):
     extremes = {
         "excess/disturbance": -design.problem.disturbance_set.offsets,
         "excess/error": -design.problem.error_set.offsets,
-        "excess/input": -design.problem.input_set.offsets,
+        "excess/input": -design.problem.input_rows.offsets,
         "cost_excess": -np.inf,
         "ultimate_bound": np.full(3, np.inf),
     }

@@ -72,6 +72,7 @@ def test_the_verdict_comes_first(of_own_controller):
     shown = repr(of_own_controller).splitlines()
     assert shown[0] == f"<Falsification: {of_own_controller.verdict}"
     assert shown[1].startswith("own on the robot; ")
+    assert "certificate of the design's tube-MPC, not of this controller: " in shown[1]
     assert len(shown) == 2
 
 
@@ -160,6 +161,31 @@ def test_a_law_that_answers_nan_violates(design):
     assert result.is_violated
     assert result.worst.usage == np.inf
     assert result.verdict.startswith("violation found: longitudinal error above its limit of")
+
+
+def turn_hard(errors, reference_wheels):
+    """Keep the caps on u1 and u2 of `certified`, and not the one that couples u2 to e_x."""
+    return jnp.stack([-errors[:, 0], jnp.full_like(errors[:, 0], 1.09)], axis=1)
+
+
+def test_a_law_that_breaks_the_coupling_alone_violates_the_limit_of_inputs(uncertified):
+    coupled = uncertified("certified", "reference.duration_s=1")
+    rows = coupled.problem.input_rows
+    found = jt.falsify(coupled, turn_hard, target="input", seconds=0.2)
+    row = found.rows["input"]
+    lap = row.played.trajectory
+    u = lap.inputs[:, 0]
+    assert np.all(coupled.problem.input_set.contains(u))
+    used = (u @ rows.inputs.T + lap.measured[:-1, 0] @ rows.errors.T) / rows.offsets
+    assert row.worst.usage == pytest.approx(np.max(used), abs=FALSIFY_REPLAY)
+    assert row.worst.usage > 1.1
+    section = coupled.problem.scenario.operating
+    assert -row.worst.margin == pytest.approx(
+        (row.worst.usage - 1) * section.turning_yaw_rate_radps, abs=FALSIFY_REPLAY
+    )
+    assert re.search(
+        r"violation found: coupled cap, .* its limit of .* rad/s by .* rad/s at", found.verdict
+    )
 
 
 class Heading(NamedTuple):

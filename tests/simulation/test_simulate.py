@@ -303,18 +303,49 @@ def test_laps_say_since_when_inputs_are_not_finite(gain_laps):
     assert "RMS" not in repr(laps)
 
 
+def test_laps_of_the_linear_plant_are_judged_by_the_caps_alone(design, gain_laps):
+    """It is measured without noise, so the theorem is about what the controller keeps of E."""
+    caps = design.problem.operating_set.offsets[:3]
+    between = caps + design.problem.noise / 2
+    errors = np.zeros_like(gain_laps.errors)
+    errors[3, 0] = [0.0, between[1], 0.0]
+    trajectory = gain_laps.trajectory._replace(errors=errors)
+    on_robot = dataclasses.replace(gain_laps, trajectory=trajectory)
+    on_model = dataclasses.replace(on_robot, plant="linear")
+    assert on_robot.outside == 0
+    assert on_model.outside == 1
+    np.testing.assert_array_equal(on_model.error_limits, caps)
+    np.testing.assert_allclose(on_robot.error_limits, caps + design.problem.noise)
+
+
 def test_laps_say_which_qps_were_not_solved_and_why(gain_laps):
     status = np.array(gain_laps.trajectory.diagnostics.status)
     status[3, :2] = qp.INFEASIBLE
     status[5, 1] = qp.UNSOLVED
     diagnostics = gain_laps.trajectory.diagnostics._replace(status=status)
     trajectory = gain_laps.trajectory._replace(diagnostics=diagnostics)
-    laps = dataclasses.replace(gain_laps, trajectory=trajectory)
+    laps = dataclasses.replace(gain_laps, trajectory=trajectory, solves_qp=True)
     verdict, infeasible, unsolved = repr(laps).splitlines()
     assert verdict.endswith("; 3 QPs without a plan")
     assert infeasible == f"2 QPs {qp.describe(qp.INFEASIBLE)}"
     assert unsolved == f"1 QP {qp.describe(qp.UNSOLVED)}>"
-    assert repr(gain_laps).endswith("; 0 QPs without a plan>")
+    planned = dataclasses.replace(gain_laps, solves_qp=True)
+    assert repr(planned).endswith("; 0 QPs without a plan>")
+
+
+def test_of_controllers_that_solve_no_qp_none_is_told(design, gain_laps):
+    of_law = jt.simulate(design, lambda errors, wheels: errors[:, :2], laps=2)
+    for laps in (gain_laps, of_law):
+        assert "QP" not in repr(laps)
+    of_object = jt.simulate(design, Remembering(design), laps=2)
+    assert repr(of_object).endswith("; 0 QPs without a plan>")
+
+
+def test_laps_name_the_limits_that_they_are_judged_by(gain_laps):
+    """Caps and pose noise: narrower than [constraints], with which they are easily confused."""
+    along, across, heading = gain_laps.design.problem.error_set.offsets[:3]
+    limits = f"|e_x| {along:.3g} m, |e_y| {across:.3g} m, |e_th| {np.rad2deg(heading):.3g} deg"
+    assert f"E is {limits}" in repr(gain_laps)
 
 
 def test_laps_become_a_dataset_with_named_dimensions(gain_laps):

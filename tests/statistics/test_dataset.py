@@ -53,7 +53,7 @@ def statistics(design):
     extremes = {
         "excess/disturbance": (count_facets(problem.disturbance_set),),
         "excess/error": (count_facets(problem.error_set),),
-        "excess/input": (count_facets(problem.input_set),),
+        "excess/input": (count_facets(problem.input_rows),),
         "tube_excess/paper": (horizon,),
         "cost_excess": (),
         "ultimate_bound": (3,),
@@ -136,6 +136,8 @@ def test_cells_have_places_and_coordinates_have_units(design, statistics):
     np.testing.assert_allclose([x[0], y[0]], corner + cell / 2)
     assert coordinates["unit"][1].tolist() == ["m", "m", "rad"]
     assert coordinates["error_facet_unit"][1].tolist() == ["m", "m", "rad"] * 2
+    of_caps = ["m/s", "rad/s", "rad/s", "rad/s"]
+    assert coordinates["input_facet_unit"][1].tolist() == of_caps * 2
     edge = 2 - 2 / CLOUD_CELLS
     assert coordinates["cloud_row"][1][[0, -1]] == pytest.approx([-edge, edge])
     widths = [section.polytope().support(np.eye(3)) for section in design.tube[1:]]

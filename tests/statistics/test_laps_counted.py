@@ -21,8 +21,9 @@ from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.events import EVENT_NAMES, find_row
 from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import RANKED, WORST, Run, first_plan, merge, plan_steps
-from jaxtube.statistics.task import facets
+from jaxtube.statistics.task import facets, input_facets
 from jaxtube.synthesis.design import design
+from jaxtube.synthesis.limits import InputRows
 from jaxtube.synthesis.parts import Design
 from sets.polytope import Polytope
 
@@ -74,6 +75,7 @@ class Case(NamedTuple):
     design: Design
     task: montecarlo.Task
     sets: dict[str, Polytope]
+    input_rows: InputRows
 
     def run(self, realisations, chunk=1):
         return Run(self.task, realisations, chunk, (jax.devices()[0],))
@@ -81,6 +83,19 @@ class Case(NamedTuple):
 
 def scaled(polytope, factor):
     return Polytope(polytope.normals, factor * polytope.offsets)
+
+
+def couple(input_set, spread):
+    """Return the rows of a set of inputs and of |e_x| / `spread` + |u2| / its cap <= 1."""
+    rows = InputRows.of(input_set)
+    turning = np.array([0.0, 1.0]) / input_set.support(np.array([[0.0, 1.0]]))
+    signs = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
+    along = np.array([1 / spread, 0.0, 0.0])
+    return InputRows(
+        np.concatenate([rows.inputs, signs[:, :1] * turning]),
+        np.concatenate([rows.errors, signs[:, 1:] * along]),
+        np.concatenate([rows.offsets, np.ones(4)]),
+    )
 
 
 def make_case(found, controller, spread, most_mps):
@@ -91,11 +106,12 @@ def make_case(found, controller, spread, most_mps):
     sets = {
         "disturbance": scaled(problem.disturbance_set, 1.2),
         "error": scaled(problem.error_set, 0.8),
-        "input": scaled(problem.input_set, 0.4),
     }
+    rows = couple(scaled(problem.input_set, 0.4), spread=0.05)
     checks = dataclasses.replace(
         task.checks,
         **{name: jax.device_put(facets(polytope)) for name, polytope in sets.items()},
+        input=jax.device_put(input_facets(rows)),
         ultimate=jnp.array([0.02, 0.05, 0.02]),
         settled=20,
         error_weight=2.5 * task.checks.error_weight,
@@ -104,7 +120,8 @@ def make_case(found, controller, spread, most_mps):
     plant = dataclasses.replace(task.plant, robot=robot)
     inner = dataclasses.replace(task.starts, triangles=spread * task.starts.triangles)
     starts = PoisonedStart(inner, jnp.zeros(2, jnp.uint32))
-    return Case(found, dataclasses.replace(task, plant=plant, starts=starts, checks=checks), sets)
+    narrowed = dataclasses.replace(task, plant=plant, starts=starts, checks=checks)
+    return Case(found, narrowed, sets, rows)
 
 
 def record(task, first, count=BLOCK) -> Trajectory:

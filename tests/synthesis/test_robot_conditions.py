@@ -190,6 +190,9 @@ def test_assumptions_say_what_is_not_covered():
     assert "in any order" in reference
     assert "nothing between them" in when
     assert "within its caps and has a plan" in start
+    assert start.endswith("and no disturbance leaves W")
+    *_, start = assumptions(make_problem(load("paper")), True, has_proved_w=True)
+    assert "W" not in start
     along = assumptions(make_problem(load("paper")), False)[2]
     assert "in any order" not in along
     assert "in the order of this path alone" in along

@@ -28,6 +28,7 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.records import Records
 from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
+from jaxtube.simulation.promise import limit_true_errors
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.events import find_row
 from jaxtube.statistics.montecarlo import MonteCarlo, make_closed_loop_task, name_law
@@ -48,7 +49,7 @@ def run(scenario: Scenario, options: MontecarloOptions) -> int:
     blocks.use_devices(options.devices)
     if options.netcdf:
         netcdf.require_libraries()
-    design = make_design(scenario)
+    design = limit_true_errors(make_design(scenario), options.plant)
     if options.starts == "scenario":
         refuse_infeasible_start(design)
     known = blocks.identity(scenario, options)

@@ -214,6 +214,7 @@ def _make_stress_drawings(stressed: Design, runs: stress.Stress) -> Drawings:
     cases = [
         {
             "title": stress.CASES[case],
+            "limits": stress.limit_errors(stressed, case).problem.error_set.offsets[:3],
             "tube": by_controller["tube_mpc"].errors,
             "plain": by_controller["plain_mpc"].errors,
         }

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
 
-from jaxtube.coordinates import COORDINATES
+from jaxtube.coordinates import describe_half_widths
 from jaxtube.synthesis.limits import error_vector
 from jaxtube.synthesis.problem import Problem
 
@@ -14,16 +13,9 @@ def describe_error_set(problem: Problem) -> str:
     """Return the limits of E, and where they come from if not from [constraints]."""
     limits = problem.error_set.support(np.eye(3))
     constraints = error_vector(problem.scenario.constraints)
-    words = f"E, limits of the true error: {_list(limits)}"
+    words = f"E, limits of the true error: {describe_half_widths(limits)}"
     if np.allclose(limits, constraints, rtol=1e-9, atol=0.0):
         return words
-    return f"{words}\n  caps and pose noise; [constraints] are {_list(constraints)}"
-
-
-def _list(limits: Float[np.ndarray, "3"]) -> str:
-    """Return limits in (m, m, rad) as words."""
-    words = [
-        f"|{coordinate.symbol}| {limit * coordinate.to_display:.3g} {coordinate.unit}"
-        for coordinate, limit in zip(COORDINATES, limits, strict=True)
-    ]
-    return ", ".join(words)
+    has_noise = np.any(limits > problem.operating_set.support(np.eye(3)))
+    source = "caps and pose noise" if has_noise else "caps"
+    return f"{words}\n  {source}; [constraints] are {describe_half_widths(constraints)}"

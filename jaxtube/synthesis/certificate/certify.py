@@ -11,7 +11,7 @@ from jaxtube.synthesis.certificate.exact import check_in_rationals
 from jaxtube.synthesis.certificate.existence import say_what_exists
 from jaxtube.synthesis.certificate.fill import check_widest_tube
 from jaxtube.synthesis.certificate.program import check_program
-from jaxtube.synthesis.certificate.robot import assumptions, check_robot
+from jaxtube.synthesis.certificate.robot import PREMISE, assumptions, check_robot
 from jaxtube.synthesis.certificate.stages import check_stages
 from jaxtube.synthesis.certificate.terminal import check_any_order, check_terminal, has_any_order
 from jaxtube.synthesis.gains import Region
@@ -26,7 +26,9 @@ GRID = 21
 def certify(design: Design) -> Certificate:
     """Re-check every condition of the guarantee; a certificate that the design has is not read."""
     any_order = not design.tube.follows_reference or has_any_order(design)
-    return Certificate(tuple(_conditions(design)), assumptions(design.problem, any_order))
+    conditions = tuple(_conditions(design))
+    has_proved_w = any(condition.name == PREMISE and condition.holds for condition in conditions)
+    return Certificate(conditions, assumptions(design.problem, any_order, has_proved_w))
 
 
 def _conditions(design: Design) -> Iterator[Condition]:

@@ -215,12 +215,14 @@ def judge_wheel_limits(
     )
 
 
-def assumptions(problem: Problem, any_order: bool) -> tuple[str, ...]:
+def assumptions(problem: Problem, any_order: bool, has_proved_w: bool = False) -> tuple[str, ...]:
     """Return what the guarantee takes for granted, in words.
 
     Args:
         problem: of the design, or of a law scheduled on speed.
         any_order: whether the reference may take the certified wheel speeds in any order.
+        has_proved_w: whether W is proved to hold every disturbance, so that nothing is assumed of
+            it.
     """
     return (
         _assume_slip(problem),
@@ -230,7 +232,7 @@ def assumptions(problem: Problem, any_order: bool) -> tuple[str, ...]:
         "sideways slip",
         "what is promised holds at the ends of periods, nothing between them; controllers in 64 "
         "bits",
-        _assume_start(problem),
+        _assume_start(problem, has_proved_w),
     )
 
 
@@ -270,10 +272,10 @@ def _assume_reference(problem: Problem, any_order: bool) -> str:
     return f"reference of {speeds}, known {problem.horizon} periods of {problem.model.dt:g} s ahead"
 
 
-def _assume_start(problem: Problem) -> str:
+def _assume_start(problem: Problem, has_proved_w: bool) -> str:
     if problem.scenario.operating.bands:
         return "the first measured error lies in the invariant set"
     start = "the first measured error lies within its caps and has a plan"
-    if problem.scenario.disturbance.bound == "assumed":
+    if problem.scenario.disturbance.bound == "assumed" and not has_proved_w:
         return f"{start}, and no disturbance leaves W"
     return start
