@@ -87,14 +87,14 @@ def scaled(polytope, factor):
 
 def couple(input_set, spread):
     """Return the rows of a set of inputs and of |e_x| / `spread` + |u2| / its cap <= 1."""
-    rows = InputRows.of(input_set)
+    zeros = np.zeros((len(input_set.offsets), 3))
     turning = np.array([0.0, 1.0]) / input_set.support(np.array([[0.0, 1.0]]))
     signs = np.array([[1.0, 1.0], [1.0, -1.0], [-1.0, 1.0], [-1.0, -1.0]])
     along = np.array([1 / spread, 0.0, 0.0])
     return InputRows(
-        np.concatenate([rows.inputs, signs[:, :1] * turning]),
-        np.concatenate([rows.errors, signs[:, 1:] * along]),
-        np.concatenate([rows.offsets, np.ones(4)]),
+        np.concatenate([input_set.normals, signs[:, :1] * turning]),
+        np.concatenate([zeros, signs[:, 1:] * along]),
+        np.concatenate([input_set.offsets, np.ones(4)]),
     )
 
 
