@@ -32,25 +32,15 @@ def fresh(tuner, **changes):
     return dataclasses.replace(tuner, **changes)
 
 
-@pytest.fixture(scope="module")
-def true_laps():
-    """Tuners run their laps."""
-
-
-@pytest.fixture(scope="module")
-def no_laps():
-    """Tuners compile nothing."""
-    with pytest.MonkeyPatch.context() as patch:
-        stand_ins.patch_tuner(patch)
-        yield
-
-
 @pytest.fixture(
     scope="module", params=["no_laps", pytest.param("true_laps", marks=pytest.mark.slow)]
 )
 def tuner(request):
-    request.getfixturevalue(request.param)
-    return make(tuned.problem_of("decoupled"))
+    """A tuner that compiles nothing, and one that runs its laps."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param == "no_laps":
+            stand_ins.patch_tuner(patch)
+        yield make(tuned.problem_of("decoupled"))
 
 
 def moved(tuner, **factors):
@@ -194,9 +184,10 @@ def test_a_start_without_plan_is_not_certified(tuner):
     assert not judgement.certified and judgement.failing == ("start_has_a_plan",)
 
 
-@pytest.mark.slow
-def test_evaluation_is_the_value_and_the_slope_of_it(true_laps):
-    tuner = make(tuned.problem_of("decoupled"))
+@pytest.mark.parametrize(
+    "tuner", [pytest.param("true_laps", marks=pytest.mark.slow)], indirect=True
+)
+def test_evaluation_is_the_value_and_the_slope_of_it(tuner):
     point = tuner.parameters.vector
     value, gradient = tuner.evaluate(point, 4)
     assert value == pytest.approx(tuner.value(point, 4), rel=1e-12)
