@@ -17,6 +17,7 @@ from jaxtube.experiments.run.conditions import condition_metrics
 from jaxtube.scenario.tree import Scenario
 from jaxtube.statistics.events import VIOLATIONS
 from jaxtube.statistics.intervals import CONFIDENCE, largest_share
+from jaxtube.synthesis.certificate.terminal import ANY_ORDER
 from sets.certificate import Certificate
 
 
@@ -135,9 +136,13 @@ def _disturbance_set(design: DesignUnderTest) -> str:
 
 
 PREMISE = ("disturbance_bound_proved",)
-RECURSION = ("plan_stays_feasible", "shifted_plan_inclusion", "tightening_covers_reach")
+RECURSION = (
+    "plan_stays_feasible",
+    "shifted_plan_inclusion",
+    "tightening_covers_reach",
+    "plans_keep_these_sets",
+)
 TERMINAL = ("terminal_set_invariant", "terminal_set_admissible", "vertices_cover_schedule")
-ANY_ORDER = "any_order_of_wheel_speeds"
 RATIONALS = "checked_in_rationals"
 CLAIMS = (
     GuaranteeClaim(

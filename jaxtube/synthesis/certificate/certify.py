@@ -13,7 +13,12 @@ from jaxtube.synthesis.certificate.fill import check_widest_tube
 from jaxtube.synthesis.certificate.program import check_program
 from jaxtube.synthesis.certificate.robot import PREMISE, assumptions, check_robot
 from jaxtube.synthesis.certificate.stages import check_stages
-from jaxtube.synthesis.certificate.terminal import check_any_order, check_terminal, has_any_order
+from jaxtube.synthesis.certificate.terminal import (
+    ANY_ORDER,
+    check_any_order,
+    check_terminal,
+    has_any_order,
+)
 from jaxtube.synthesis.gains import Region
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.tightening import BACK_OFF
@@ -25,10 +30,10 @@ GRID = 21
 
 def certify(design: Design) -> Certificate:
     """Re-check every condition of the guarantee; a certificate that the design has is not read."""
-    any_order = not design.tube.follows_reference or has_any_order(design)
     conditions = tuple(_conditions(design))
-    has_proved_w = any(condition.name == PREMISE and condition.holds for condition in conditions)
-    return Certificate(conditions, assumptions(design.problem, any_order, has_proved_w))
+    holding = {condition.name for condition in conditions if condition.holds}
+    any_order = not design.tube.follows_reference or ANY_ORDER in holding
+    return Certificate(conditions, assumptions(design.problem, any_order, PREMISE in holding))
 
 
 def _conditions(design: Design) -> Iterator[Condition]:

@@ -23,6 +23,8 @@ from jaxtube.synthesis.windows import Windows, make_windows
 from sets.certificate import ROUNDING, Condition, invariance_margin, judge, terminal_margins
 from sets.polytope import Polytope
 
+ANY_ORDER = "any_order_of_wheel_speeds"
+"""The condition that frees a tube along the reference from the order of this path."""
 RANDOM_STEPS = 12
 """Steps of random wheel speeds along which recursive feasibility is checked in any order."""
 INCLUSIONS = {
@@ -188,7 +190,7 @@ def check_any_order(design: Design) -> Condition:
         left.min(),
     )
     return judge(
-        "any_order_of_wheel_speeds",
+        ANY_ORDER,
         margin,
         "Feasibility is recursive in any order of the certified wheel speeds, because the terminal "
         f"set is invariant at every corner; checked along {RANDOM_STEPS} steps of random order.",
