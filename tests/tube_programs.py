@@ -79,11 +79,11 @@ def easy(fam: Family, seed: int):
     return fam.programs(np.random.default_rng(seed).uniform(-0.22, 0.22, (BATCH, 3)))
 
 
-def hard(fam: Family, seed: int):
+def hard(fam: Family, seed: int, count: int = BATCH):
     """Errors at and beyond the edge of the feasible set, input limits down to a twentieth."""
     rng = np.random.default_rng(seed)
-    q, lower, upper = fam.programs(rng.uniform(-1, 1, (BATCH, 3)) * [0.36, 0.36, 0.4])
-    scale = rng.uniform(0.1, 1, (BATCH, 1))
+    q, lower, upper = fam.programs(rng.uniform(-1, 1, (count, 3)) * [0.36, 0.36, 0.4])
+    scale = rng.uniform(0.1, 1, (count, 1))
     lower[:, fam.is_input] *= 0.5 * scale
     upper[:, fam.is_input] *= 0.2 * scale
     return q, lower, upper

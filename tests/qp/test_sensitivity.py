@@ -20,6 +20,7 @@ SENSITIVITY_EXCLUDED = 0.03
 SENSITIVITY_FLOAT32 = 1e-2
 """Relative, on the worst conditioned of the active rows."""
 
+DRAWN = 2000  # the first COUNT of them are used
 COUNT = 400  # one shape for nearly all tests, so that one compilation serves them
 STEP = 1e-5
 DIFFERENCE = {
@@ -50,7 +51,7 @@ def gradient(
 
 def programs(seed: int) -> list[np.ndarray]:
     fam = family(seed)
-    return [fam.P, fam.A, *(part[:COUNT] for part in hard(fam, seed))]
+    return [fam.P, fam.A, *(part[:COUNT] for part in hard(fam, seed, DRAWN))]
 
 
 def free_programs(fam: Family) -> list[np.ndarray]:

@@ -4,8 +4,10 @@ they were run."""
 import dataclasses
 import hashlib
 import itertools
+import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -424,7 +426,13 @@ def digest(found):
 
 @pytest.mark.slow
 def test_any_number_of_devices_and_blocks_at_once_gives_the_same_bytes(first_blocks):
-    child = subprocess.run([sys.executable, __file__], capture_output=True, text=True)
+    tests = Path(__file__).parents[1]
+    child = subprocess.run(
+        [sys.executable, __file__],
+        env={**os.environ, "PYTHONPATH": str(tests)},
+        capture_output=True,
+        text=True,
+    )
     assert child.returncode == 0, child.stderr
     assert child.stdout.split() == [digest(first_blocks)] * 4
 

@@ -124,7 +124,7 @@ def test_laps_are_those_of_the_design_rows_active_or_not(loop):
 
 def test_a_tube_that_outgrows_its_limits_leaves_some_room(loop):
     design, constants, _ = loop
-    kappa = 3.0 * jnp.asarray(design.problem.given_gains)
+    kappa = 40.0 * jnp.asarray(design.problem.given_gains)
     bounds = tightened_bounds(constants, kappa)
     limits = ((bounds.errors, constants.error_offsets), (bounds.inputs, constants.limits.offsets))
     for left, offsets in limits:
