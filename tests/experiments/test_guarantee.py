@@ -391,7 +391,7 @@ def small(monkeypatch):
             return make_design(scenario)
 
     monkeypatch.setattr(command, "make_design", design)
-    for module in (montecarlo, command, command.blocks):
+    for module in (montecarlo, command):
         monkeypatch.setattr(module, "BLOCK", SMALL)
     monkeypatch.setattr(montecarlo, "TILE", SMALL // 2)
     # Whoever edits the code while this runs would have the records refused.
