@@ -251,8 +251,7 @@ def make_input_limit(rows: InputRows) -> Limit:
     """Return the limit on (u, measured error): the rows as they are, those of the coupling in
     rad/s."""
     normals = np.concatenate([rows.inputs, rows.errors], axis=1)
-    is_coupled = rows.errors.any(axis=1)
-    scale = np.where(is_coupled, np.linalg.norm(rows.inputs, axis=1), 1.0)
+    scale = np.where(rows.is_coupled, np.linalg.norm(rows.inputs, axis=1), 1.0)
     return make_limit(normals / scale[:, None], rows.offsets / scale)
 
 

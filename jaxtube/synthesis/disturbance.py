@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.limits import InputRows
 from jaxtube.synthesis.problem import Problem, make_problem
 from sets.polytope import Polytope
 from sets.robot.disturbance import (
@@ -32,18 +31,16 @@ def operation(problem: Problem) -> Operation:
     and noise. Inputs are those that the rows of the QPs allow."""
     slip = problem.scenario.slip
     rows = problem.input_rows
-    is_coupled = np.any(rows.errors != 0, axis=1)
+    is_coupled = rows.is_coupled
     input_set = Polytope(rows.inputs[~is_coupled], rows.offsets[~is_coupled])
     # The measured slip's error is the larger of the two single ones, so either may vary.
     reading = "both" if slip.random == "both" else "measured"
     coupling = None
     if is_coupled.any():
-        coupled = InputRows(
-            rows.inputs[is_coupled], rows.errors[is_coupled], rows.offsets[is_coupled]
-        )
+        offsets = rows.offsets[is_coupled]
         coupling = (
-            float(np.max(coupled.offsets / np.abs(coupled.errors[:, 0]))),
-            float(np.max(coupled.offsets / np.abs(coupled.inputs[:, 1]))),
+            float(np.max(offsets / np.abs(rows.errors[is_coupled, 0]))),
+            float(np.max(offsets / np.abs(rows.inputs[is_coupled, 1]))),
         )
     return Operation(
         errors=problem.operating_set.offsets[:3] * np.array([[-1.0], [1.0]]),

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxtube.plant.robot import Robot
 from jaxtube.scenario.refusal import ScenarioError
@@ -31,6 +31,11 @@ class InputRows:
     inputs: Float[np.ndarray, "k 2"]
     errors: Float[np.ndarray, "k 3"]
     offsets: Float[np.ndarray, " k"]
+
+    @property
+    def is_coupled(self) -> Bool[np.ndarray, " k"]:
+        """Which rows bound inputs and error together."""
+        return np.any(self.errors != 0, axis=1)
 
     def on_errors(self, gains: Float[np.ndarray, "... 2 3"]) -> Float[np.ndarray, "... k 3"]:
         """Return the rows on the error under u = K e."""

@@ -1,12 +1,12 @@
 """Laws of `simulate`: own controllers, plants and slips, and what it refuses."""
 
 import dataclasses
-from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from own_slips import Worst
 from tolerances import CLOSED_LOOP
 
 import jaxtube as jt
@@ -69,19 +69,6 @@ def test_an_own_law_is_a_function_of_measured_errors(design):
 def test_laps_do_not_depend_on_how_many_there_are(design, gain_laps):
     fewer = jt.simulate(design, "local_gain", laps=2)
     np.testing.assert_array_equal(fewer.errors, gain_laps.errors[:, :2])
-
-
-@dataclass(frozen=True)
-class Worst:
-    """Slips at their greatest error, all the time."""
-
-    opposed = False
-
-    def initial(self, key, dtype):
-        return ()
-
-    def draw(self, key, step, memory, situation):
-        return jnp.ones(2, situation.errors.dtype), memory
 
 
 def test_an_own_slip_process_moves_the_robot(design, gain_laps):

@@ -1,12 +1,11 @@
 """`montecarlo` through the door: its laps are those of `simulate`, with a controller and a slip
 process of a user's own too; results are drawn, saved and read back."""
 
-from dataclasses import dataclass
-
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from figure_checks import assert_presentable
+from own_slips import Worst
 from tolerances import CLOSED_LOOP
 
 import jaxtube as jt
@@ -42,19 +41,6 @@ def law(design):
     """A controller of a user's own: a static gain."""
     gain = design.tube_gain.nominal
     return lambda errors, reference_wheels: errors @ gain.T
-
-
-@dataclass(frozen=True)
-class Worst:
-    """A slip process of a user's own: slips at their greatest error, all the time."""
-
-    opposed = False
-
-    def initial(self, key, dtype):
-        return ()
-
-    def draw(self, key, step, memory, situation):
-        return jnp.ones(2, situation.errors.dtype), memory
 
 
 @pytest.fixture(scope="module")

@@ -70,15 +70,13 @@ def test_one_coordinate_of_a_computed_w_that_is_too_small_is_seen(certified, par
     assert not check_disturbance_set(tampered).holds
 
 
-@pytest.mark.parametrize("part", ["input_set", "rows", "caps", "noise"])
+@pytest.mark.parametrize("part", ["box of inputs", "coupling", "caps", "noise"])
 def test_w_of_another_operating_set_is_not_proved(certified, part):
     """One per cent more of what W was computed over, and W is too small."""
     wider = 1.01
     rows = certified.input_rows
-    rows = dataclasses.replace(rows, offsets=wider * rows.offsets)
-    changes = {"input_rows": rows}
-    if part == "input_set":
-        changes["input_set"] = certified.input_set.scale(wider)
+    grown = np.where(rows.is_coupled == (part == "coupling"), wider, 1.0)
+    changes = {"input_rows": dataclasses.replace(rows, offsets=grown * rows.offsets)}
     if part == "caps":
         changes = {"operating_set": certified.operating_set.scale(wider)}
     if part == "noise":
@@ -121,13 +119,16 @@ def test_both_limits_of_the_wheels_are_proved(certified, limit, share, expected)
     assert conditions_of(problem)["wheel_limits"].holds is expected
 
 
-def test_a_wheel_that_is_asked_for_more_than_it_has_is_shown_by_a_period(certified, monkeypatch):
+@pytest.mark.parametrize(("limit", "value"), [("wheel_speed_max", 1.5), ("wheel_speed_min", 0.5)])
+def test_a_wheel_that_is_asked_for_more_than_it_has_is_shown_by_a_period(
+    certified, limit, value, monkeypatch
+):
     """Whatever the proved bound says of the ground speeds."""
     bound = prove_bound(certified)
-    tame = dataclasses.replace(bound, ground_speeds=np.array([[0.5, 0.5], [0.6, 0.6]]))
+    tame = dataclasses.replace(bound, ground_speeds=np.array([[0.9, 0.9], [1.0, 1.0]]))
     monkeypatch.setattr(robot, "prove_bound", lambda problem: tame)
-    slow = dataclasses.replace(certified.robot, wheel_speed_max=1.5)
-    problem = dataclasses.replace(certified, robot=slow)
+    limited = dataclasses.replace(certified.robot, **{limit: value})
+    problem = dataclasses.replace(certified, robot=limited)
     condition = conditions_of(problem)["wheel_limits"]
     assert not condition.holds
     assert "may be asked for; the wheels have" in condition.sentence

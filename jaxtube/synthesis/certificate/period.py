@@ -86,7 +86,7 @@ def _meet_coupling(
 ) -> Float[np.ndarray, "n 3"]:
     """Return the errors with as much of e_x as the rows that couple it with the inputs allow."""
     rows = problem.input_rows
-    is_coupled = rows.errors[:, 0] != 0
+    is_coupled = rows.is_coupled
     left = rows.offsets[is_coupled] - inputs @ rows.inputs[is_coupled].T
     most = np.min(left / np.abs(rows.errors[is_coupled, 0]), axis=1, initial=np.inf)
     along = np.clip(errors[:, 0], -np.maximum(most, 0), np.maximum(most, 0))
