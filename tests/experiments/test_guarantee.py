@@ -242,6 +242,16 @@ def test_a_condition_that_fails_takes_its_claims_with_it_and_shows_its_margin(co
         assert "(-0.25)" in proved
 
 
+def test_what_is_claimed_of_laps_rests_on_the_qps_that_run():
+    lost = TITLES - find_certified(make_tested("plans_keep_these_sets"))
+    assert lost >= {
+        "a plan is followed by a plan",
+        "the error stays in E",
+        "inputs stay in U",
+        "wheels stay within their limits",
+    }
+
+
 def test_a_condition_that_was_never_checked_certifies_nothing():
     """Except for the limits of the wheels where they are U itself."""
     for condition in set(HOLDING) - {"wheel_limits"}:
