@@ -9,14 +9,20 @@ heading, so that
 
     e+ = Rot(-T w) [ e + Rot(e_th) chord(V, Om) - chord(v, w) ],   e_th+ = e_th + T (Om - w).
 
+A body that slips sideways, at v_y = zeta v - lever_arm w to the left, has x' = v cos phi - v_y sin
+phi, y' = v sin phi + v_y cos phi: to each chord comes another one, turned to the left.
+
 (x, y, phi) is a pose in the world frame, v, w the body's and V, Om the reference's speed and yaw
 rate.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (3)-(4); the arcs are the exact solution of
-eqs. (2) and (4).
+eqs. (2) and (4). Sideslip and lever arm are new.
 """
 
+from typing import NamedTuple
+
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -24,6 +30,14 @@ from jaxtube.plant.robot import body_velocity
 
 SERIES_END = 0.3
 """Angle in rad below which `sinc` is a series: its first term left out is below 1e-16 there."""
+
+
+class Sideslip(NamedTuple):
+    """How a body slips sideways over a period: v_y = share v - lever_arm w, positive to the
+    left."""
+
+    share: Float[Array, "..."]
+    lever_arm: Float[Array, ""] | float  # m
 
 
 def tracking_error(
@@ -65,10 +79,11 @@ def world_pose(
 def advance(
     error: Float[Array, "... 3"],
     wheels: Float[Array, "... 2"],
-    slip: Float[Array, "... 2"] | float,
+    slip: Float[Array | np.ndarray, "... 2"] | float,
     reference_wheels: Float[Array, "... 2"],
     track_width: float,
     dt: float,
+    sideslip: Sideslip | None = None,
 ) -> Float[Array, "... 3"]:
     """Return the tracking error one period later, with wheels, slip and reference held.
 
@@ -81,6 +96,7 @@ def advance(
         reference_wheels: wheel speeds of the reference, which does not slip, m/s.
         track_width: m.
         dt: length of the period, s.
+        sideslip: of the body, None for none.
 
     Returns:
         The error in the robot's frame at the end of the period; smooth in every argument, also on
@@ -90,6 +106,9 @@ def advance(
     V, Om = _split(body_velocity(reference_wheels, 0.0, track_width))
     reference_motion = _rotate(_chord(V, Om, dt), error[..., 2])
     robot_motion = _chord(v, w, dt)
+    if sideslip is not None:
+        forwards, sideways = _split(_chord(sideslip.share * v - sideslip.lever_arm * w, w, dt))
+        robot_motion = robot_motion + jnp.stack([-sideways, forwards], axis=-1)
     seen_from_start = error[..., :2] + reference_motion - robot_motion
     position = _rotate(seen_from_start, -dt * w)
     heading = error[..., 2] + dt * (Om - w)

@@ -7,7 +7,8 @@ the model assumes.
                          e_th' = Om - om,  y~ = sideslip zeta v
 
 v, om follow from the wheels and the true slips by eqs. (1)-(2), y~ is the body's own lateral
-velocity, positive to the left, zeta in [-1, 1] its share of the moment. The period is cut where a
+velocity, positive to the left, zeta in [-1, 1] its share of the moment; what the ideal robot slips
+sideways by itself comes on top. The period is cut where a
 late command arrives, where the slip changes, and into equal arcs. How far the wheels travel along
 each arc is exact, hence the heading too; within an arc the turn is taken as uniform, which is an
 approximation only while the wheels still change speed.
@@ -27,7 +28,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int, Key
 
-from jaxtube.plant.error_dynamics import advance, sinc, tracking_error
+from jaxtube.plant.error_dynamics import Sideslip, advance, sinc, tracking_error
 from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.robot import body_velocity, saturate, wheel_commands
 from jaxtube.plant.slipping import SlipMemory, SlippingRobot
@@ -73,7 +74,7 @@ class Motion(NamedTuple):
     early_slips: Float[Array, "batch 2"]  # true slips before the instant
     slips: Float[Array, "batch 2"]  # and after it
     instant: Float[Array, " batch"]  # at which the slip changes, in periods
-    drift: Float[Array, " batch"]  # zeta
+    sideslip: Float[Array, " batch"]  # lateral velocity by the forward speed
 
 
 @partial(
@@ -106,7 +107,7 @@ class ImperfectRobot:
         ideal = self.ideal
         none = jnp.zeros_like(errors[:, :2])
         commands = wheel_commands(
-            none, ideal.reference_wheels[0], ideal.nominal_slip, ideal.robot.track_width
+            none, ideal.reference_wheels[0], ideal.slips.nominal, ideal.robot.track_width
         )
         wheels = saturate(commands, ideal.robot)
         return ImperfectMemory(ideal.initial(keys, errors), wheels, wheels, none)
@@ -140,11 +141,14 @@ class ImperfectRobot:
             wheels=memory.wheels,
             late_commands=memory.command,
             commands=commands,
-            early_slips=ideal.slip(early),
-            slips=ideal.slip(true),
+            early_slips=jnp.asarray(ideal.slips.true_slip(early)),
+            slips=jnp.asarray(ideal.slips.true_slip(true)),
             instant=jax.vmap(lambda key: _instant(key, step, errors.dtype))(keys),
-            drift=(slip_error[:, 1] - slip_error[:, 0]) / 2.0,
+            sideslip=self.imperfections.sideslip * (slip_error[:, 1] - slip_error[:, 0]) / 2.0,
         )
+        if ideal.sideslip is not None and memory.slip.sideslip is not None:
+            own = ideal.sideslip * memory.slip.sideslip
+            motion = motion._replace(sideslip=motion.sideslip + own)
         following, wheels = self.drive(step, errors, motion)
         return Advance(following, ImperfectMemory(memory.slip, wheels, commands, true), commands)
 
@@ -172,7 +176,7 @@ class ImperfectRobot:
         middle = (times[1:] + times[:-1]) / 2.0
         is_early = (middle < motion.instant * dt)[..., None]
         slip = jnp.where(is_early, motion.early_slips, motion.slips)
-        sideslip = level.sideslip * motion.drift
+        sideslip = Sideslip(motion.sideslip, ideal.robot.lever_arm)
         pose = _path(jnp.diff(travel, axis=0), slip, sideslip, track_width)
         # In the frame of the robot at the start: there the reference stands at the error, and ends
         # where a robot that does not move would see it.
@@ -264,13 +268,13 @@ def _follow(wheels, command, time, level: Imperfections) -> tuple[Array, Array]:
     return command * time - lost, command - left * (1.0 - closed)
 
 
-def _path(travel, slip, sideslip: Float[Array, " batch"], track_width) -> Float[Array, "batch 3"]:
+def _path(travel, slip, sideslip: Sideslip, track_width) -> Float[Array, "batch 3"]:
     """Return the pose after arcs, in the frame of its start, from how far the wheels travel along
     each of them."""
     moved = body_velocity(travel, slip, track_width)
     turn = moved[..., 1]
     forwards = moved[..., 0] * sinc(turn / 2.0)
-    sideways = sideslip * forwards
+    sideways = sideslip.share * forwards - sideslip.lever_arm * turn * sinc(turn / 2.0)
     heading = jnp.cumsum(turn, axis=0)
     chord_heading = heading - turn / 2.0
     c = jnp.cos(chord_heading)

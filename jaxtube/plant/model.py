@@ -249,7 +249,7 @@ def make_model(
             it.
         dt: period, s.
         track_width: m.
-        nominal_slip: (right, left), in [0, 1).
+        nominal_slip: (right, left), in (-1, 1).
         box: least and greatest reference wheel speeds, each (right, left) in m/s.
 
     Returns:
@@ -266,8 +266,8 @@ def make_model(
     _refuse_unless(0.0 < dt < np.inf, "dt", dt, "give a positive number of seconds")
     has_width = 0.0 < track_width < np.inf
     _refuse_unless(has_width, "track_width", track_width, "give a positive length in m")
-    is_slip = slip.shape == (2,) and bool(np.all((slip >= 0.0) & (slip < 1.0)))
-    _refuse_unless(is_slip, "nominal_slip", slip.tolist(), "give (right, left) in [0, 1)")
+    is_slip = slip.shape == (2,) and bool(np.all(np.abs(slip) < 1.0))
+    _refuse_unless(is_slip, "nominal_slip", slip.tolist(), "give (right, left) in (-1, 1)")
     ends = [lower.tolist(), upper.tolist()]
     cure = "give finite (right, left) speeds, the lower ones first"
     _refuse_unless(_is_box(lower, upper), "box", ends, cure)

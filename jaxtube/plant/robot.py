@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jaxtyping import Float
 
@@ -25,14 +26,17 @@ class Robot:
     """The robot's geometry and its actuators' limits.
 
     Attributes:
-        track_width: distance between the two wheels' contact points, m, positive.
+        track_width: distance between the two wheels' contact points, or the one that the robot
+            turns as if it had, m, positive.
         wheel_speed_min: least wheel speed, m/s (negative: backwards).
         wheel_speed_max: greatest wheel speed, m/s.
+        lever_arm: how far the point that does not move sideways lies ahead of the tracked one, m.
     """
 
     track_width: float
     wheel_speed_min: float
     wheel_speed_max: float
+    lever_arm: float = 0.0
 
     @property
     def wheel_speed_middle(self) -> float:
@@ -46,7 +50,9 @@ class Robot:
 
 
 def body_velocity(
-    wheels: Float[Array, "... 2"], slip: Float[Array, "... 2"] | float, track_width: float
+    wheels: Float[Array, "... 2"],
+    slip: Float[Array | np.ndarray, "... 2"] | float,
+    track_width: float,
 ) -> Float[Array, "... 2"]:
     """Return the speed and yaw rate of the body, eqs. (1)-(2).
 
@@ -69,7 +75,7 @@ def body_velocity(
 def virtual_input(
     wheels: Float[Array, "... 2"],
     reference_wheels: Float[Array, "... 2"],
-    slip: Float[Array, "... 2"] | float,
+    slip: Float[Array | np.ndarray, "... 2"] | float,
     track_width: float,
 ) -> Float[Array, "... 2"]:
     """Return by how much the body falls short of the reference's velocity, eq. (5).
@@ -92,7 +98,7 @@ def virtual_input(
 def wheel_commands(
     virtual_input: Float[Array, "... 2"],
     reference_wheels: Float[Array, "... 2"],
-    measured_slip: Float[Array, "... 2"] | float,
+    measured_slip: Float[Array | np.ndarray, "... 2"] | float,
     track_width: float,
 ) -> Float[Array, "... 2"]:
     """Return the wheel speeds that realise a virtual input under the measured slip, eqs. (7)-(8).

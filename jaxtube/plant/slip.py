@@ -1,12 +1,14 @@
 """Random slips and pose noise of one realisation, drawn by index so that no batch or chunk changes
 them.
 
-    true     = nominal (1 + relative_error xi_true)
-    measured = nominal (1 + relative_error xi_measured)        xi in [-1, 1]^2, (right, left)
+The deviations xi in [-1, 1]^2, (right, left), of true and measured slips become slips by
+`jaxtube.plant.slip_bounds`; a third deviation is that of the sideslip.
 
 A slip process says how xi evolves: one of those named in `jaxtube.plant.slip_processes`, or any
 other object that fits `SlipProcess`. Which of the two slips varies is `uncertain_slip`: "true",
 "measured" or "both" (then independently, except under an opposed process such as the adversary).
+The body slips sideways on its own, except under an opposed process: there it drifts to the side
+that the errors of the wheels turn it to, and pushes the lateral error as they do.
 
 Each draw is a pure function of seed, realisation, purpose and step, or patch of ground, by
 `jax.random.fold_in` (Salmon, Moraes, Dror, Shaw 2011); an adversary's choice depends on the
@@ -177,26 +179,46 @@ def draw_slip(
     return xi_true, xi_measured, (true_memory, measured_memory)
 
 
-def deviate(
-    nominal_slip: Float[Array, "... 2"], relative_error: float, xi: Float[Array, "... 2"]
-) -> Float[Array, "... 2"]:
-    """Return the slip that deviates from the nominal one.
+def initial_sideslip(
+    run_key: Key[Array, ""], process: SlipProcess, dtype: DTypeLike = float
+) -> Memory:
+    """Return the memory of the sideslip before the first step, as `initial_slip` does."""
+    return process.initial(jax.random.fold_in(run_key, Stream.SIDESLIP), dtype)
+
+
+def draw_sideslip(
+    run_key: Key[Array, ""],
+    step: Array | int,
+    memory: Memory,
+    situation: Situation,
+    process: SlipProcess,
+    slip_error: Float[Array, "2"],
+) -> tuple[Float[Array, ""], Memory]:
+    """Draw the deviation of the sideslip at one step.
 
     Args:
-        nominal_slip: (right, left).
-        relative_error: greatest deviation, as a fraction of the nominal slip.
-        xi: normalised deviation (right, left) in [-1, 1].
+        run_key: key of the realisation.
+        step: number of the step, from 0.
+        memory: what `initial_sideslip` or the last step returned.
+        situation: where robot and wheels are.
+        process: how deviations evolve.
+        slip_error: deviations of the true slips less those of the measured ones (right, left).
 
     Returns:
-        nominal (1 + relative_error xi).
+        (xi in [-1, 1], positive to the left, next memory).
     """
-    return nominal_slip * (1.0 + relative_error * xi)
+    if process.opposed:
+        right, left = jnp.clip(slip_error, -1.0, 1.0)
+        return (left - right) / 2.0, memory
+    key = jax.random.fold_in(run_key, Stream.SIDESLIP)
+    xi, following = process.draw(key, step, memory, situation)
+    return xi[0], following
 
 
 def pose_noise(
     run_key: Key[Array, ""], step: Array | int, half_widths: Float[Array, "3"]
 ) -> Float[Array, "3"]:
-    """Draw the noise of one pose measurement, in the robot's frame.
+    """Draw the noise of one pose measurement.
 
     Args:
         run_key: key of the realisation.

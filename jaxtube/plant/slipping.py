@@ -1,11 +1,15 @@
 """The slipping robot: exact motion over each period, slip drawn by a process, bounded pose noise.
 
-    measured error  e + noise xi        true slip, measured slip  nominal (1 + relative_error xi)
+    measured error      that of the true pose + noise xi
+    slips               of xi_true, xi_measured: `jaxtube.plant.slip_bounds`
+    lateral velocity    sideslip xi v - lever_arm w, positive to the left
 
-with every xi in [-1, 1]. A `SlippingRobot` draws them (`jaxtube.plant.slip`), a `ScriptedRobot` is
-told them.
+with xi in [-1, 1]. A `SlippingRobot` draws them (`jaxtube.plant.slip`), a `ScriptedRobot` is told
+them. Noise in the robot's frame adds to the error. Noise of the pose (n_p, n_phi) in the world
+makes of the position part of the error Rot(-n_phi) (e - Rot(-phi) n_p), and e_th - n_phi.
 
-Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(4), and section IV for the slips.
+Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(4), and section IV for the slips;
+sideslip and lever arm are new.
 """
 
 from __future__ import annotations
@@ -22,8 +26,8 @@ from jax import Array
 from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Float, Key
 
-from jaxtube.plant import slip as slips
-from jaxtube.plant.error_dynamics import advance, world_pose
+from jaxtube.plant import slip
+from jaxtube.plant.error_dynamics import Sideslip, advance, tracking_error, world_pose
 from jaxtube.plant.protocol import (
     Advance,
     Command,
@@ -34,6 +38,7 @@ from jaxtube.plant.protocol import (
     script_entry,
 )
 from jaxtube.plant.robot import Robot, saturate, wheel_positions
+from jaxtube.plant.slip_bounds import SlipBounds
 from jaxtube.plant.slip_processes import find_process
 
 DRAWN = "drawn"
@@ -47,6 +52,7 @@ class SlipMemory(NamedTuple):
     process: Memory
     true: Float[Array, "batch 2"]  # deviations of the slips of this period, in [-1, 1]
     measured: Float[Array, "batch 2"]
+    sideslip: Float[Array, " batch"] | None = None  # None for a robot without
 
 
 @partial(
@@ -56,11 +62,11 @@ class SlipMemory(NamedTuple):
         "dt",
         "reference_wheels",
         "reference_poses",
-        "nominal_slip",
-        "relative_error",
+        "slips",
         "noise",
+        "sideslip",
     ],
-    meta_fields=["process", "uncertain_slip"],
+    meta_fields=["process", "noise_frame"],
 )
 @dataclass(frozen=True)
 class SlippingRobot:
@@ -71,39 +77,41 @@ class SlippingRobot:
         dt: period, s.
         reference_wheels: of every period, m/s.
         reference_poses: (x m, y m, heading rad) at the ends of the periods, world frame.
-        nominal_slip: (right, left).
-        relative_error: greatest deviation of a slip, as a fraction of the nominal one.
-        noise: half widths (m, m, rad) of the pose noise in the robot's frame, None for an exact
-            measurement.
+        slips: where true and measured slips may lie.
+        noise: half widths (m, m, rad) of the pose noise, None for an exact measurement.
+        sideslip: greatest lateral velocity, by the forward speed, None for none.
         process: how deviations evolve: a name of `slip_processes.PROCESSES`, or one of your own.
-        uncertain_slip: which slip deviates, "true", "measured" or "both".
+        noise_frame: whether the noise is a box in the frame of the "robot" or of the "world".
     """
 
     robot: Robot
     dt: float
     reference_wheels: Float[Array, "steps 2"]
     reference_poses: Float[Array, "steps+1 3"]
-    nominal_slip: Float[Array, "2"]
-    relative_error: float
+    slips: SlipBounds
     noise: Float[Array, "3"] | None = None
-    process: str | slips.SlipProcess = "iid"
-    uncertain_slip: str = "true"
+    sideslip: Float[Array, ""] | float | None = None
+    process: str | slip.SlipProcess = "iid"
+    noise_frame: str = "robot"
 
     has_wheels = True
 
     def initial(self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> SlipMemory:
         """Return the memory of the slip processes."""
         process = find_process(self.process)
-        memory = jax.vmap(lambda key: slips.initial_slip(key, process, errors.dtype))(keys)
         none = jnp.zeros_like(errors[:, :2])
-        return SlipMemory(memory, none, none)
+        memory = jax.vmap(lambda key: slip.initial_slip(key, process, errors.dtype))(keys)
+        if self.sideslip is None:
+            return SlipMemory(memory, none, none)
+        sideways = jax.vmap(lambda key: slip.initial_sideslip(key, process, errors.dtype))(keys)
+        return SlipMemory((memory, sideways), none, none, none[:, 0])
 
     def sense(
         self, keys: Key[Array, " batch"], step, memory: SlipMemory, errors: Float[Array, "batch 3"]
     ) -> tuple[Measurement, SlipMemory]:
         """Draw the pose noise of an instant and the slips of the period that begins there."""
         memory = self.draw_slips(keys, step, memory, errors)
-        measured = Measurement(self.measure_errors(keys, step, errors), self.slip(memory.measured))
+        measured = Measurement(self.measure_errors(keys, step, errors), self.measured_slip(memory))
         return measured, memory
 
     def measure_errors(
@@ -113,32 +121,49 @@ class SlippingRobot:
         noise = self.noise
         if noise is None:
             return errors
-        drawn = jax.vmap(lambda key: slips.pose_noise(key, step, noise))(keys)
-        return errors + checkpoint_name(drawn, DRAWN)
+        drawn = jax.vmap(lambda key: slip.pose_noise(key, step, noise))(keys)
+        return self.add_noise(step, errors, checkpoint_name(drawn, DRAWN))
+
+    def add_noise(
+        self, step, errors: Float[Array, "batch 3"], noise: Float[Array, "batch 3"]
+    ) -> Float[Array, "batch 3"]:
+        """Return what is measured of true tracking errors under noise (m, m, rad)."""
+        if self.noise_frame == "robot":
+            return errors + noise
+        reference_pose = self.reference_poses[step]
+        return tracking_error(world_pose(errors, reference_pose) + noise, reference_pose)
 
     def draw_slips(
         self, keys: Key[Array, " batch"], step, memory: SlipMemory, errors: Float[Array, "batch 3"]
     ) -> SlipMemory:
         """Draw the deviations of the slips of one period."""
         process = find_process(self.process)
+        uncertain = self.slips.uncertain_slip
 
         def draw(key, memory_of_one, situation):
-            return slips.draw_slip(
-                key, step, memory_of_one, situation, process, self.uncertain_slip
-            )
+            return slip.draw_slip(key, step, memory_of_one, situation, process, uncertain)
 
-        drawn = jax.vmap(draw)(keys, memory.process, self.situation(step, errors))
+        def draw_sideslip(key, memory_of_one, situation, slip_error):
+            return slip.draw_sideslip(key, step, memory_of_one, situation, process, slip_error)
+
+        situation = self.situation(step, errors)
+        before = memory.process if self.sideslip is None else memory.process[0]
+        drawn = jax.vmap(draw)(keys, before, situation)
         true, measured, following = checkpoint_name(drawn, DRAWN)
-        return SlipMemory(following, true, measured)
+        if self.sideslip is None:
+            return SlipMemory(following, true, measured)
+        drawn = jax.vmap(draw_sideslip)(keys, memory.process[1], situation, true - measured)
+        sideways, following_sideways = checkpoint_name(drawn, DRAWN)
+        return SlipMemory((following, following_sideways), true, measured, sideways)
 
-    def situation(self, step, errors: Float[Array, "batch 3"]) -> slips.Situation:
+    def situation(self, step, errors: Float[Array, "batch 3"]) -> slip.Situation:
         """Return what the slip processes may look at."""
         poses = world_pose(errors, self.reference_poses[step])
-        return slips.Situation(wheel_positions(poses, self.robot.track_width), errors)
+        return slip.Situation(wheel_positions(poses, self.robot.track_width), errors)
 
-    def slip(self, deviation: Float[Array, "batch 2"]) -> Float[Array, "batch 2"]:
-        """Return the slips that deviate so much, in [-1, 1], from the nominal ones."""
-        return slips.deviate(self.nominal_slip, self.relative_error, deviation)
+    def measured_slip(self, memory: SlipMemory) -> Float[Array, "batch 2"]:
+        """Return the slips that are measured in the period that has begun."""
+        return jnp.asarray(self.slips.measured_slip(memory.true, memory.measured))
 
     def advance(
         self,
@@ -149,32 +174,32 @@ class SlippingRobot:
         command: Command,
     ) -> Advance:
         """Move through one period under the slips that were drawn for it."""
-        following, wheels = self.move(step, errors, command.wheels, memory.true)
+        wheels = saturate(command.wheels, self.robot)
+        following = self.move(step, errors, wheels, memory)
         return Advance(following, memory, wheels)
 
     def move(
         self,
         step,
         errors: Float[Array, "batch 3"],
-        demanded: Float[Array, "batch 2"],
-        true: Float[Array, "batch 2"],
-    ) -> tuple[Float[Array, "batch 3"], Float[Array, "batch 2"]]:
-        """Move through one period under given slips.
+        wheels: Float[Array, "batch 2"],
+        memory: SlipMemory,
+    ) -> Float[Array, "batch 3"]:
+        """Return the tracking errors after one period.
 
         Args:
             step: of the reference.
             errors: true tracking errors at its start, (m, m, rad).
-            demanded: wheel speeds asked for, m/s.
-            true: deviations of the true slips, in [-1, 1].
-
-        Returns:
-            (tracking errors at its end, wheel speeds within the limits m/s).
+            wheels: speeds within the limits, m/s.
+            memory: with the deviations of the period, in [-1, 1].
         """
-        wheels = saturate(demanded, self.robot)
+        true = self.slips.true_slip(memory.true)
         reference = self.reference_wheels[step]
         width = self.robot.track_width
-        following = advance(errors, wheels, self.slip(true), reference, width, self.dt)
-        return following, wheels
+        sideslip = None
+        if self.sideslip is not None and memory.sideslip is not None:
+            sideslip = Sideslip(self.sideslip * memory.sideslip, self.robot.lever_arm)
+        return advance(errors, wheels, true, reference, width, self.dt, sideslip)
 
     def uncertainties(self) -> dict[str, Uncertainty]:
         """Return slips and noise as boxes.
@@ -191,8 +216,11 @@ class SlippingRobot:
             )
         steps = len(self.reference_wheels)
         times = steps if self.process == "iid" else 1
-        names = [name for name in ("true", "measured") if self.uncertain_slip in (name, "both")]
+        uncertain = self.slips.uncertain_slip
+        names = [name for name in ("true", "measured") if uncertain in (name, "both")]
         uncertainties = {name: Uncertainty(_box_vertices(2), times) for name in names}
+        if self.sideslip is not None:
+            uncertainties["sideslip"] = Uncertainty(_box_vertices(1), times)
         if self.noise is not None:
             uncertainties["noise"] = Uncertainty(_box_vertices(3), steps + 1)
         return uncertainties
@@ -207,8 +235,9 @@ class SlippingRobot:
 class ScriptedRobot:
     """The slipping robot under given slips and noise; keys are ignored.
 
-    The script has deviations of the slips `true` and `measured`, (times, batch, 2), and the pose
-    `noise`, (steps + 1, batch, 3), all in [-1, 1]. What it does not name does not deviate.
+    The script has deviations of the slips `true` and `measured`, (times, batch, 2), of the
+    `sideslip`, (times, batch, 1), and the pose `noise`, (steps + 1, batch, 3), all in [-1, 1]. What
+    it does not name does not deviate.
     """
 
     robot: SlippingRobot
@@ -222,24 +251,28 @@ class ScriptedRobot:
     def initial(self, keys, errors: Float[Array, "batch 3"]) -> SlipMemory:
         """Return a memory of nothing."""
         none = jnp.zeros_like(errors[:, :2])
-        return SlipMemory((), none, none)
+        return SlipMemory((), none, none, None if self.robot.sideslip is None else none[:, 0])
 
     def sense(
         self, keys, step, memory: SlipMemory, errors: Float[Array, "batch 3"]
     ) -> tuple[Measurement, SlipMemory]:
         """Read noise and slips from the script."""
         robot = self.robot
-        true = self._deviation("true", step, errors)
-        measured = self._deviation("measured", step, errors)
+        none = jnp.zeros_like(errors[:, :2])
+        memory = SlipMemory(
+            (),
+            self._read("true", step, none),
+            self._read("measured", step, none),
+            None if robot.sideslip is None else self._read("sideslip", step, none)[:, 0],
+        )
         if "noise" in self.script:
             assert robot.noise is not None
-            errors = errors + robot.noise * script_entry(self.script["noise"], step)
-        return Measurement(errors, robot.slip(measured)), SlipMemory((), true, measured)
+            noise = robot.noise * script_entry(self.script["noise"], step)
+            errors = robot.add_noise(step, errors, noise)
+        return Measurement(errors, robot.measured_slip(memory)), memory
 
-    def _deviation(self, name: str, step, errors: Float[Array, "batch 3"]):
-        if name not in self.script:
-            return jnp.zeros_like(errors[:, :2])
-        return script_entry(self.script[name], step)
+    def _read(self, name: str, step, default: Array) -> Array:
+        return script_entry(self.script[name], step) if name in self.script else default
 
     def advance(
         self, keys, step, memory: SlipMemory, errors: Float[Array, "batch 3"], command: Command

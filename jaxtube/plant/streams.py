@@ -15,3 +15,4 @@ class Stream(IntEnum):
     INITIAL_ERROR = 4
     INSTANT = 5
     """At which the slips of an imperfect robot change within a period."""
+    SIDESLIP = 6

@@ -29,7 +29,7 @@ def check_reference(scenario: Scenario, refuse: Refuse) -> None:
         problem = f'is not read, because reference.shape is "{reference.shape}"'
         refuse("reference.file", problem, 'set reference.shape = "file", or leave the file out')
     if reference.shape == "two_circles":
-        turn = scenario.robot.track_width_m / (2 * reference.radius_m)
+        turn = scenario.robot.turning_track_m / (2 * reference.radius_m)
         slowest = reference.speed_mps * (1 - turn)
         fastest = reference.speed_mps * (1 + turn)
         _check_wheels(reference, slowest, fastest, refuse)

@@ -8,6 +8,7 @@ the reference are in `jaxtube.scenario.reference_rules`.
 import numpy as np
 
 from jaxtube.scenario import reference_rules
+from jaxtube.scenario.error_box import noise_bounds
 from jaxtube.scenario.refusal import Refuse
 from jaxtube.scenario.tree import (
     ControllerTable,
@@ -56,8 +57,38 @@ def _check_order(section: RobotTable | ReferenceTable, name: str, refuse: Refuse
 
 
 def _check_slip(slip: Slip, refuse: Refuse) -> None:
+    if slip.right is None or slip.left is None:
+        _check_relative_slip(slip, refuse)
+        return
+    if slip.random != "true":
+        problem = "goes with slip.relative_error, not with the intervals slip.right and slip.left"
+        refuse("slip.random", problem, "give slip.measurement_error, or leave it out")
+    absolute = slip.measurement_error or 0.0
+    relative = slip.measurement_error_relative or 0.0
     for side in ("right", "left"):
-        largest = getattr(slip, f"nominal_{side}") * (1 + slip.relative_error)
+        low, high = getattr(slip, side)
+        nominal = getattr(slip, f"nominal_{side}")
+        if not low <= high:
+            refuse(f"slip.{side}", "has crossed ends", "give [least, greatest]")
+        if not low <= nominal <= high:
+            problem = f"lies outside slip.{side} = [{low}, {high}]"
+            refuse(f"slip.nominal_{side}", problem, "give one inside, or leave it out")
+        largest = high + absolute + relative * abs(high)
+        if largest >= 1:
+            problem = f"reaches {largest:.6g} as it is measured, a spinning wheel"
+            refuse(f"slip.{side}", problem, "keep slip and measurement error together below 1")
+
+
+def _check_relative_slip(slip: Slip, refuse: Refuse) -> None:
+    for side, other in (("right", "left"), ("left", "right")):
+        if getattr(slip, side) is not None:
+            refuse(f"slip.{side}", f"stands without slip.{other}", "give both intervals")
+    for name in ("measurement_error", "measurement_error_relative"):
+        if getattr(slip, name) is not None:
+            cure = "give the intervals slip.right and slip.left of the true slips, too"
+            refuse(f"slip.{name}", "is of a slip whose interval is not given", cure)
+    for side in ("right", "left"):
+        largest = abs(getattr(slip, f"nominal_{side}")) * (1 + slip.relative_error)
         if largest >= 1:
             problem = (
                 f"with slip.relative_error = {slip.relative_error} the slip reaches {largest:.6g}, "
@@ -68,16 +99,17 @@ def _check_slip(slip: Slip, refuse: Refuse) -> None:
 
 def _check_limits(scenario: Scenario, refuse: Refuse) -> None:
     """Refuse noise and caps of the measured error that leave the error set E."""
-    for name in ("longitudinal_m", "lateral_m", "heading_deg"):
+    bounds = noise_bounds(scenario)
+    bounds[2] = np.rad2deg(bounds[2])
+    for name, noise in zip(("longitudinal_m", "lateral_m", "heading_deg"), bounds, strict=True):
         limit = getattr(scenario.constraints, name)
-        noise = getattr(scenario.noise, name)
         cap = getattr(scenario.operating, name)
         left = limit - noise
         if noise >= limit:
             problem = f"leaves nothing of constraints.{name} = {limit}"
             refuse(f"noise.{name}", problem, "reduce it or widen the limit")
         if cap is not None and cap > left * (1 + CAP_ROUNDING):
-            problem = f"with the noise of {noise} passes constraints.{name} = {limit}"
+            problem = f"with the noise of {noise:.6g} passes constraints.{name} = {limit}"
             refuse(f"operating.{name}", problem, f"give at most {left:.6g}")
 
 

@@ -22,8 +22,12 @@ Positive = Annotated[float, msgspec.Meta(gt=0)]
 Negative = Annotated[float, msgspec.Meta(lt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 Fraction = Annotated[float, msgspec.Meta(ge=0, lt=1)]
+SlipValue = Annotated[float, msgspec.Meta(gt=-1, lt=1)]
 HeadingBound = Annotated[float, msgspec.Meta(gt=0, lt=90)]
 HeadingSpread = Annotated[float, msgspec.Meta(ge=0, lt=90)]
+
+NOMINAL_SLIP = 0.2
+"""Slip of a wheel whose scenario gives none: the paper's."""
 
 DURATION_S = 30.0
 """Duration of a run whose scenario gives none, s: the time axis of the paper's figures."""
@@ -36,11 +40,24 @@ class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class RobotTable(Table, frozen=True):
-    """The robot: distance between its wheels and the speeds that the wheels can run."""
+    """The robot: its wheels, how far they stand apart and how fast they can run.
+
+    A robot that skids as it turns turns as if its wheels stood further apart: by
+    `effective_track_m`, which takes the place of the track width in all kinematics. Its body then
+    also moves sideways, at -`lever_arm_m` times the yaw rate: the lever arm is how far the point of
+    the body that does not move sideways lies ahead of the point that is tracked.
+    """
 
     track_width_m: Positive = 0.5
+    effective_track_m: Positive | None = None
+    lever_arm_m: float = 0.0
     wheel_speed_min_mps: float = -3.0
     wheel_speed_max_mps: float = 3.0
+
+    @property
+    def turning_track_m(self) -> float:
+        """The track width that turns are computed with, m."""
+        return self.track_width_m if self.effective_track_m is None else self.effective_track_m
 
 
 class ReferenceTable(Table, frozen=True):
@@ -68,20 +85,57 @@ class ReferenceTable(Table, frozen=True):
 
 
 class Slip(Table, frozen=True):
-    """Longitudinal slip of the wheels.
+    """Slip of the wheels and of the body: ground speed = wheel speed (1 - slip).
 
-    The nominal slips are constants. A slip that varies stays within `relative_error` times the
-    nominal one of it, on either side. `random` says which slip varies: the "true" one while the
-    measured one is the nominal, the "measured" one while the true one is the nominal, or "both",
-    each on its own; sets and certificate cover what it says and no more. `process` says how the
-    deviation evolves (`jaxtube.plant.slip_processes`).
+    The true slip of a wheel may be anywhere in `right` or `left`, an interval [least, greatest], in
+    any sequence. The controller compensates the constant `nominal_right`, `nominal_left`, by
+    default the middle of the interval; or, where a measurement error is given, a measured slip
+    within `measurement_error` + `measurement_error_relative` |true slip| of the true one.
+
+    Without intervals a slip that varies stays within `relative_error` times the nominal one of it,
+    on either side. `random` says which slip varies: the "true" one while the measured one is the
+    nominal, the "measured" one while the true one is the nominal, or "both", each on its own. Sets
+    and certificate cover what is said and no more.
+
+    The body moves sideways by up to `sideslip` times its forward speed, either way, unknown.
+    `process` says how deviations evolve (`jaxtube.plant.slip_processes`).
     """
 
-    nominal_right: Fraction = 0.2
-    nominal_left: Fraction = 0.2
+    right: tuple[SlipValue, SlipValue] | None = None
+    left: tuple[SlipValue, SlipValue] | None = None
+    nominal_right: SlipValue | None = None
+    nominal_left: SlipValue | None = None
+    measurement_error: NonNegative | None = None
+    measurement_error_relative: Fraction | None = None
     relative_error: Fraction = 0.1
+    sideslip: Fraction = 0.0
     process: Literal["iid", "constant", "walk", "patches", "vertex", "adversarial"] = "iid"
     random: Literal["true", "measured", "both"] = "true"
+
+    def __post_init__(self) -> None:
+        """Fill in the nominal slips."""
+        for side in ("right", "left"):
+            interval = getattr(self, side)
+            if getattr(self, f"nominal_{side}") is None:
+                nominal = NOMINAL_SLIP if interval is None else sum(interval) / 2
+                msgspec.structs.force_setattr(self, f"nominal_{side}", nominal)
+
+    @property
+    def nominal(self) -> tuple[float, float]:
+        """The nominal slips (right, left)."""
+        assert self.nominal_right is not None
+        assert self.nominal_left is not None
+        return self.nominal_right, self.nominal_left
+
+    @property
+    def has_intervals(self) -> bool:
+        """Whether true slips are bounded by intervals, not by an error relative to the nominal."""
+        return self.right is not None
+
+    @property
+    def is_measured(self) -> bool:
+        """Whether the controller compensates a slip that follows the true one."""
+        return self.measurement_error is not None or self.measurement_error_relative is not None
 
 
 class Constraints(Table, frozen=True):
@@ -137,9 +191,14 @@ class DisturbanceTable(Table, frozen=True):
 
 
 class Noise(Table, frozen=True):
-    """Bounds of the error of the measured pose: half widths of a box along the axes of the robot's
-    frame at that moment, not of the world's."""
+    """Bounds of the error of the measured pose.
 
+    They are half widths of a box: along the axes of the robot's `frame` at that moment, or, with
+    `frame = "world"`, of the position in the world (x in the place of longitudinal, y in that of
+    lateral) and of the heading.
+    """
+
+    frame: Literal["robot", "world"] = "robot"
     longitudinal_m: NonNegative = 0.0
     lateral_m: NonNegative = 0.0
     heading_deg: HeadingSpread = 0.0

@@ -6,16 +6,20 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
 
 from jaxtube.control import mpc
 from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.linear import LinearPlant
 from jaxtube.plant.slip import SlipProcess
+from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.precision import require_64_bits
+from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.parts import Design
-from jaxtube.synthesis.problem import Problem, error_vector
+from jaxtube.synthesis.problem import Problem
 
 
 def controllers(design: Design) -> dict[str, Controller]:
@@ -65,41 +69,49 @@ def make_wheel_map(problem: Problem) -> WheelMap:
     return WheelMap(problem.robot.track_width, problem.reference.dt, settings.input_map)
 
 
-def slipping_robot(
-    design: Design,
-    process: str | SlipProcess | None = None,
-    relative_error: float | None = None,
-) -> SlippingRobot:
-    """Return the nonlinear plant of the scenario, or with another slip process or slip error."""
-    return robot_of(design.problem, process, relative_error)
+def slipping_robot(design: Design, process: str | SlipProcess | None = None) -> SlippingRobot:
+    """Return the nonlinear plant of the scenario, or with another slip process."""
+    return robot_of(design.problem, process)
 
 
-def robot_of(
-    problem: Problem,
-    process: str | SlipProcess | None = None,
-    relative_error: float | None = None,
-) -> SlippingRobot:
+def robot_of(problem: Problem, process: str | SlipProcess | None = None) -> SlippingRobot:
     """Return the nonlinear plant of a problem, whatever its design."""
-    slip = problem.scenario.slip
     steps = problem.reference.steps
+    return make_robot(
+        problem, process, problem.schedule[:steps], problem.reference.poses[: steps + 1]
+    )
+
+
+def make_robot(
+    problem: Problem,
+    process: str | SlipProcess | None,
+    reference_wheels: Float[np.ndarray, "steps 2"],
+    reference_poses: Float[np.ndarray, "steps+1 3"],
+) -> SlippingRobot:
+    """Return the nonlinear plant of a problem along a reference of its own."""
+    slip = problem.scenario.slip
     noise = error_vector(problem.scenario.noise)
+    slides = slip.sideslip > 0 or problem.robot.lever_arm != 0
     return SlippingRobot(
         robot=problem.robot,
         dt=problem.reference.dt,
-        reference_wheels=jnp.asarray(problem.schedule[:steps]),
-        reference_poses=jnp.asarray(problem.reference.poses[: steps + 1]),
-        nominal_slip=jnp.array([slip.nominal_right, slip.nominal_left]),
-        relative_error=slip.relative_error if relative_error is None else relative_error,
+        reference_wheels=jnp.asarray(reference_wheels),
+        reference_poses=jnp.asarray(reference_poses),
+        slips=jax.tree.map(jnp.asarray, slip_bounds(slip)),
         noise=jnp.asarray(noise) if noise.any() else None,
+        sideslip=slip.sideslip if slides else None,
         process=slip.process if process is None else process,
-        uncertain_slip=slip.random,
+        noise_frame=problem.scenario.noise.frame,
     )
 
 
 def exact_robot(design: Design) -> SlippingRobot:
-    """Return the nonlinear plant whose slip is known exactly and whose pose is measured without
-    noise."""
-    return dataclasses.replace(slipping_robot(design, relative_error=0.0), noise=None)
+    """Return the nonlinear plant whose slips are the nominal ones and known, whose pose is measured
+    without noise, and whose body does not slip sideways."""
+    plant = slipping_robot(design)
+    sideslip = None if plant.sideslip is None else 0.0
+    slips = plant.slips.without_errors()
+    return dataclasses.replace(plant, slips=slips, noise=None, sideslip=sideslip)
 
 
 def linear_plant(design: Design) -> LinearPlant:

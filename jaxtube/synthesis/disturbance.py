@@ -10,8 +10,9 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.plant.slip_bounds import compensated_slips, slip_bounds
 from jaxtube.scenario.refusal import ScenarioError
-from jaxtube.scenario.tree import Scenario
+from jaxtube.scenario.tree import Scenario, Slip
 from jaxtube.synthesis.problem import Problem, make_problem
 from sets.polytope import Polytope
 from sets.robot.disturbance import (
@@ -19,6 +20,7 @@ from sets.robot.disturbance import (
     Operation,
     disturbance_bound,
     wheel_error_bound,
+    wheel_error_range,
 )
 from sets.robot.plant import Kinematics
 
@@ -33,8 +35,6 @@ def operation(problem: Problem) -> Operation:
     rows = problem.input_rows
     is_coupled = rows.is_coupled
     input_set = Polytope(rows.inputs[~is_coupled], rows.offsets[~is_coupled])
-    # The measured slip's error is the larger of the two single ones, so either may vary.
-    reading = "both" if slip.random == "both" else "measured"
     coupling = None
     if is_coupled.any():
         offsets = rows.offsets[is_coupled]
@@ -46,14 +46,24 @@ def operation(problem: Problem) -> Operation:
         errors=problem.operating_set.offsets[:3] * np.array([[-1.0], [1.0]]),
         inputs=_box_ends(input_set),
         schedules=problem.regions,
-        wheel_error=wheel_error_bound(
-            np.array([slip.nominal_right, slip.nominal_left]), slip.relative_error, reading
-        ),
+        wheel_errors=_find_wheel_errors(slip),
         noise=problem.noise,
         dt=problem.model.dt,
         track_width=problem.model.track_width,
+        sideslip=slip.sideslip,
+        lever_arm=problem.robot.lever_arm,
         coupling=coupling,
     )
+
+
+def _find_wheel_errors(slip: Slip) -> Float[np.ndarray, "2 2"]:
+    """Return the box of the relative errors of the ground speeds (right, left)."""
+    if slip.has_intervals:
+        return wheel_error_range(slip_bounds(slip).extremes())
+    # The measured slip's error is the larger of the two single ones, so either may vary.
+    reading = "both" if slip.random == "both" else "measured"
+    greatest = wheel_error_bound(np.array(slip.nominal), slip.relative_error, reading)
+    return np.stack([-greatest, greatest])
 
 
 def kinematics(problem: Problem) -> Kinematics:
@@ -88,13 +98,12 @@ def _answer(question: bytes) -> bytes:
 
 
 def ground_speed_limits(problem: Problem) -> Float[np.ndarray, "2 2"]:
-    """Return the (least, greatest) ground speeds (right, left), m/s, that the wheels reach under
-    every slip."""
-    slip = problem.scenario.slip
+    """Return the (least, greatest) ground speeds (right, left), m/s, that the wheels can be asked
+    for under every slip that is compensated."""
     robot = problem.robot
-    nominal = np.array([slip.nominal_right, slip.nominal_left])
-    most_grip = 1 - nominal * (1 - slip.relative_error)
-    least_grip = 1 - nominal * (1 + slip.relative_error)
+    least_slip, greatest_slip = compensated_slips(problem.scenario.slip)
+    most_grip = 1 - least_slip
+    least_grip = 1 - greatest_slip
     slowest = np.maximum(most_grip * robot.wheel_speed_min, least_grip * robot.wheel_speed_min)
     return np.stack([slowest, least_grip * robot.wheel_speed_max])
 
@@ -129,7 +138,7 @@ def with_computed_bound(problem: Problem) -> Problem:
     if np.any(bound.support(np.eye(3)) < FLAT):
         raise ScenarioError(
             'scenario: disturbance.bound = "computed": without slip error and noise W is flat; '
-            "give slip.relative_error or the three numbers of [noise]"
+            "give slip.relative_error, slip intervals or the three numbers of [noise]"
         )
     return replace(problem, disturbance_bound=bound, disturbance_set=bound.polytope())
 

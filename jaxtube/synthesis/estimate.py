@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.disturbance import ground_speed_limits, kinematics, operation
-from jaxtube.synthesis.limits import error_vector
 from jaxtube.synthesis.problem import Problem, region_corners
 from sets.robot.plant import Period, split_disturbance
 
@@ -79,10 +79,10 @@ class Estimate:
         self.kinematics = kinematics(problem)
         self.noise = problem.noise
         self.error_limits = error_vector(scenario.constraints) - self.noise
-        self.wheel_error = operation(problem).wheel_error
+        self.operation = operation(problem)
         self.corners = np.unique(problem.corners, axis=0)
         lateral_per_yaw = model.dt * float(self.corners.mean()) / 2
-        self.period = Period(model.dt, model.track_width, lateral_per_yaw)
+        self.period = Period(model.dt, model.track_width, lateral_per_yaw, problem.robot.lever_arm)
         slowest, fastest = ground_speed_limits(problem)
         self.slowest = float(slowest.max())
         self.fastest = float(fastest.min())
@@ -151,15 +151,16 @@ class Estimate:
             np.linspace(-caps.heading, caps.heading, ALONG),
             [-caps.slower, caps.faster],
             np.arange(len(self.corners)),
-            *([-error, error] for error in self.wheel_error),
+            *self.operation.wheel_errors.T,
+            np.unique([-self.operation.sideslip, self.operation.sideslip]),
             [-1.0, 1.0],
         ]
         grid = [axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")]
-        of_coupling, e_y, e_th, u1, of_corner, d_r, d_l, side = grid
+        of_coupling, e_y, e_th, u1, of_corner, d_r, d_l, zeta, side = grid
         e_x, u2 = coupled[of_coupling.astype(int)].T
         V_r, V_l = self.corners[of_corner.astype(int)].T
         noise = side * self.noise[:, None]
-        variables = (e_x, e_y, e_th, u1, u2, V_r, V_l, d_r, d_l, *noise)
+        variables = (e_x, e_y, e_th, u1, u2, V_r, V_l, d_r, d_l, zeta, *noise)
         parts = split_disturbance(self.kinematics, self.period, variables)
         widths = [np.max(np.abs(coordinate)) for coordinate in parts.rest]
         box = np.array([*(widths + self.noise[:2]), 2 * self.noise[2]])

@@ -15,6 +15,8 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxtube.plant.robot import Robot
+from jaxtube.plant.slip_bounds import compensated_slips
+from jaxtube.scenario.error_box import error_vector, noise_bounds
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
 from sets.polytope import Polytope
@@ -46,11 +48,6 @@ class InputRows:
         """Return the rows of a set of inputs."""
         count = len(input_set.offsets)
         return cls(input_set.normals, np.zeros((count, 3)), input_set.offsets)
-
-
-def error_vector(section) -> Float[np.ndarray, "3"]:
-    """Return (m, m, rad) of a scenario section with longitudinal_m, lateral_m and heading_deg."""
-    return np.array([section.longitudinal_m, section.lateral_m, np.deg2rad(section.heading_deg)])
 
 
 def wheel_rows(track_width: float) -> Float[np.ndarray, "2 2"]:
@@ -86,7 +83,7 @@ def wheel_deficit_bounds(
 def operating_bounds(scenario: Scenario) -> Float[np.ndarray, "3"]:
     """Return half widths of the measured error: the caps, where none is given what the noise leaves
     of E."""
-    left = error_vector(scenario.constraints) - error_vector(scenario.noise)
+    left = error_vector(scenario.constraints) - noise_bounds(scenario)
     operating = scenario.operating
     caps = left.copy()
     if operating.longitudinal_m is not None:
@@ -175,12 +172,9 @@ def _heading_range(scenario: Scenario) -> float:
 
 
 def _slip_ranges(scenario: Scenario) -> list[tuple[float, float]]:
-    """Return the least and the greatest slip of the right and the left wheel."""
-    slip = scenario.slip
-    return [
-        (nominal * (1 - slip.relative_error), nominal * (1 + slip.relative_error))
-        for nominal in (slip.nominal_right, slip.nominal_left)
-    ]
+    """Return the least and the greatest compensated slip of the right and the left wheel."""
+    least, greatest = compensated_slips(scenario.slip)
+    return list(zip(least.tolist(), greatest.tolist(), strict=True))
 
 
 def _refuse_slow_wheels(scenario: Scenario) -> ScenarioError:

@@ -25,11 +25,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize
 
+from jaxtube.scenario.error_box import error_vector, noise_bounds
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.advice import say_what_widens
 from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits
 from jaxtube.synthesis.estimate import ACCURACY, USUAL_TRACK_WIDTH_M, Estimate
-from jaxtube.synthesis.limits import error_vector
 from jaxtube.synthesis.problem import Problem, make_problem
 
 NAMES = (
@@ -221,7 +221,7 @@ def _differentiate(
 def _with_values(scenario: Scenario, logarithms: Float[np.ndarray, " 11"]) -> Scenario:
     """Return the scenario with these caps and gains, rounded to what one would write."""
     values = np.exp(logarithms)
-    limits = error_vector(scenario.constraints) - error_vector(scenario.noise)
+    limits = error_vector(scenario.constraints) - noise_bounds(scenario)
     limits[2] = np.rad2deg(limits[2])
     values[:3] = np.minimum(values[:3], limits)
     values[3] *= -1

@@ -23,12 +23,12 @@ from jaxtube.plant.model import VERTEX_SIDES, Model, make_model
 from jaxtube.plant.recorded_reference import from_file
 from jaxtube.plant.reference import Reference, lemniscate, two_circles
 from jaxtube.plant.robot import Robot
+from jaxtube.scenario.error_box import error_vector, noise_bounds
 from jaxtube.scenario.reference_rules import check_reference_wheels, is_in_box
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, weight_matrix
 from jaxtube.synthesis.limits import (
     InputRows,
-    error_vector,
     input_constraints,
     operating_bounds,
 )
@@ -74,7 +74,7 @@ class Problem:
     @property
     def noise(self) -> Float[np.ndarray, "3"]:
         """Half widths of the error of the measured pose in the robot's frame (m, m, rad)."""
-        return error_vector(self.scenario.noise)
+        return noise_bounds(self.scenario)
 
     @property
     def given_gains(self) -> Float[np.ndarray, " kappa"]:
@@ -104,15 +104,16 @@ def make_problem(scenario: Scenario) -> Problem:
     """
     settings = scenario.controller
     robot = Robot(
-        scenario.robot.track_width_m,
+        scenario.robot.turning_track_m,
         scenario.robot.wheel_speed_min_mps,
         scenario.robot.wheel_speed_max_mps,
+        scenario.robot.lever_arm_m,
     )
     reference = _make_reference(scenario)
     _refuse_fast_recording(scenario, reference)
     check_reference_wheels(scenario, float(reference.wheels.min()), float(reference.wheels.max()))
     box = _speed_box(scenario, reference)
-    slip = np.array([scenario.slip.nominal_right, scenario.slip.nominal_left])
+    slip = np.array(scenario.slip.nominal)
     model = make_model(
         settings.model,
         settings.discretisation,
@@ -122,7 +123,7 @@ def make_problem(scenario: Scenario) -> Problem:
         (box[0], box[1]),
     )
     operating = operating_bounds(scenario)
-    noise = error_vector(scenario.noise)
+    noise = noise_bounds(scenario)
     disturbance = error_vector(scenario.disturbance)
     input_set, input_rows = input_constraints(scenario, robot)
     return Problem(
@@ -208,7 +209,7 @@ def _make_reference(scenario: Scenario) -> Reference:
     section = scenario.reference
     settings = scenario.controller
     preview = settings.horizon + 1
-    track_width = scenario.robot.track_width_m
+    track_width = scenario.robot.turning_track_m
     try:
         if section.shape == "file":
             return from_file(

@@ -116,7 +116,7 @@ def measure_laps(
     """Run laps of a controller and reduce each to what counts; differentiable."""
     plant = lap_inputs.plant
     seen = play(controller, plant, lap_inputs.keys, lap_inputs.starts)
-    idle = plant.reference_wheels / (1.0 - plant.nominal_slip)
+    idle = plant.reference_wheels / (1.0 - plant.slips.nominal)
     effort = jnp.sum((seen["wheels"] - idle[:, None]) ** 2, axis=2) / 2.0
     first = aim.settled - 1  # what is seen first comes after a period
     errors = jnp.mean(seen["error"][first:] ** 2, axis=0)

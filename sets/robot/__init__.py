@@ -13,6 +13,7 @@ from sets.robot.disturbance import (
     disturbance_parts,
     evaluate_disturbance,
     wheel_error_bound,
+    wheel_error_range,
 )
 from sets.robot.exact_tube import (
     ScheduleBox,
@@ -44,4 +45,5 @@ __all__ = [
     "sequence_margins",
     "split_disturbance",
     "wheel_error_bound",
+    "wheel_error_range",
 ]

@@ -3,11 +3,11 @@ operating set.
 
     w = e_m+ - A(th) e_m - B(th) u  in  W = {sigma (0, g_y, 1) : |sigma| <= yaw} + box
 
-whenever measured errors e_m, inputs u and reference wheel speeds th lie in their boxes, wheel
-errors satisfy |d| <= D and pose noise |n| <= nu now and after. A yaw kick sigma also moves the
-robot sideways by g_y sigma, g_y = T V / 2 at the centre of the schedule, which is why W is a
-segment plus a box and not a larger box. The bounds are proved by interval arithmetic rounded
-outwards, and come with the largest values found.
+whenever measured errors e_m, inputs u, reference wheel speeds th and wheel errors d lie in their
+boxes, the sideslip satisfies |zeta| <= s and the pose noise |n| <= nu, now and after. A yaw kick
+sigma also moves the robot sideways by g_y sigma, g_y = T V / 2 at the centre of the schedule, which
+is why W is a segment plus a box and not a larger box. The bounds are proved by interval arithmetic
+rounded outwards, and come with the largest values found.
 
 Notation and the parts of w: `sets.robot.plant`. Source: the idea of a computed W follows Gonzalez,
 Fiacchini, Guzman, Alamo 2009, section III, where W is given; the bound itself is new.
@@ -27,7 +27,7 @@ from sets.robot.plant import Kinematics, Parts, Period, split_disturbance
 from sets.supremum import suprema
 
 UNCERTAIN_SLIPS = ("true", "measured", "both")
-CAUSES = ("bilinear", "sine", "sampling", "slip", "noise")
+CAUSES = ("bilinear", "sine", "sampling", "slip", "sideslip", "noise")
 
 NEGLIGIBLE = 1e-12
 """Magnitudes above minus this, m, m, rad or a share, are zeros that rounding made negative."""
@@ -53,11 +53,13 @@ class Operation:
         inputs: (speed deficit m/s, yaw rate deficit rad/s).
         schedules: reference wheel speeds (right, left), m/s: boxes any of which may apply, each
             (lower, upper).
-        wheel_error: largest relative errors |d| of the ground speeds (right, left), d = (i - i_m) /
-            (1 - i_m).
+        wheel_errors: relative errors d of the ground speeds (right, left), d = (i - i_m) / (1 -
+            i_m), a box (lower, upper).
         noise: largest pose noise (m, m, rad).
         dt: period, s.
         track_width: m.
+        sideslip: greatest lateral velocity of the body, by its forward speed.
+        lever_arm: r of the lateral velocity -r w, m.
         coupling: (a m, b rad/s) where |longitudinal error| / a + |yaw rate deficit| / b <= 1 holds
             as well, else None.
     """
@@ -65,10 +67,12 @@ class Operation:
     errors: Float[np.ndarray, "2 3"]
     inputs: Float[np.ndarray, "2 2"]
     schedules: Float[np.ndarray, "boxes 2 2"]
-    wheel_error: Float[np.ndarray, "2"]
+    wheel_errors: Float[np.ndarray, "2 2"]
     noise: Float[np.ndarray, "3"]
     dt: float
     track_width: float
+    sideslip: float = 0.0
+    lever_arm: float = 0.0
     coupling: tuple[float, float] | None = None
 
     def __post_init__(self):
@@ -77,7 +81,7 @@ class Operation:
             "errors": (2, 3),
             "inputs": (2, 2),
             "schedules": (boxes, 2, 2),
-            "wheel_error": (2,),
+            "wheel_errors": (2, 2),
             "noise": (3,),
         }
         for name, shape in shapes.items():
@@ -103,6 +107,12 @@ class Operation:
                 raise ValueError(
                     f"{name}: {getattr(self, name)} is not positive and finite; give s or m"
                 )
+        if not 0 <= self.sideslip < 1:
+            raise ValueError(
+                f"sideslip: {self.sideslip} is not in [0, 1); give a share such as 0.05"
+            )
+        if not np.isfinite(self.lever_arm):
+            raise ValueError(f"lever_arm: {self.lever_arm} is not finite; give m")
         if self.coupling is None:
             return
         lower, upper = self.errors[:, 0]
@@ -114,23 +124,25 @@ class Operation:
 
     @property
     def period(self) -> Period:
-        """Period, track width and g_y, the lateral part of a yaw kick."""
+        """Period, track width, g_y, the lateral part of a yaw kick, and lever arm."""
         lower, upper = self.box[:, 5:7]
-        return Period(self.dt, self.track_width, float(self.dt * (lower + upper).mean() / 4))
+        lateral_per_yaw = float(self.dt * (lower + upper).mean() / 4)
+        return Period(self.dt, self.track_width, lateral_per_yaw, self.lever_arm)
 
     @property
-    def box(self) -> Float[np.ndarray, "2 12"]:
-        """Ends of the twelve variables of `split_disturbance`, the coupling left aside."""
-        magnitudes = np.concatenate([self.wheel_error, self.noise])
+    def box(self) -> Float[np.ndarray, "2 13"]:
+        """Ends of the thirteen variables of `split_disturbance`, the coupling left aside."""
+        magnitudes = np.concatenate([[self.sideslip], self.noise])
+        symmetric = np.stack([-magnitudes, magnitudes])
         schedule = np.stack([self.schedules[:, 0].min(axis=0), self.schedules[:, 1].max(axis=0)])
-        return np.hstack([self.errors, self.inputs, schedule, np.stack([-magnitudes, magnitudes])])
+        return np.hstack([self.errors, self.inputs, schedule, self.wheel_errors, symmetric])
 
-    def pieces(self) -> Float[np.ndarray, "2 14 pieces"]:
+    def pieces(self) -> Float[np.ndarray, "2 15 pieces"]:
         """Return boxes in which the longitudinal error runs over the whole operation,
 
             x = middle + share (reach + slope u2),    |share| <= 1.
 
-        Variables: share in the place of the longitudinal error, the other eleven, and reach and
+        Variables: share in the place of the longitudinal error, the other twelve, and reach and
         slope, of equal ends. The coupling is cut where its edges meet the caps, so that it is
         linear in u2 on each piece.
         """
@@ -167,7 +179,7 @@ class Operation:
         return (self.errors[0, 0] + self.errors[1, 0]) / 2
 
     def variables(self, piece) -> list:
-        """Return the twelve variables of `split_disturbance` from the fourteen of a piece."""
+        """Return the thirteen variables of `split_disturbance` from the fifteen of a piece."""
         share, *others, reach, slope = piece
         return [share * (reach + slope * others[3]) + self._middle, *others]
 
@@ -253,6 +265,28 @@ def wheel_error_bound(
     return _round_up(np.abs(errors).max(axis=(0, 1)))
 
 
+def wheel_error_range(
+    slips: Float[np.ndarray, "k 2 2"],
+) -> Float[np.ndarray, "2 2"]:
+    """Return the box (lower, upper) of d = (i - i_m) / (1 - i_m) of each wheel, rounded outwards.
+
+    Args:
+        slips: (true, measured) slips (right, left) at the extremes, measured ones below 1.
+
+    Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (7)-(8) for the division by 1 - i_m.
+    """
+    true, measured = np.swapaxes(slips, 0, 1)
+    errors = (true - measured) / (1 - measured)
+    least = errors.min(axis=0)
+    greatest = errors.max(axis=0)
+    return np.stack([least - _rounding(least), greatest + _rounding(greatest)])
+
+
+def _rounding(numbers: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Return a bound on the rounding of numbers that were rounded a few times."""
+    return 8 * np.finfo(float).eps * np.abs(numbers)
+
+
 def disturbance_bound(
     operation: Operation, kinematics: Kinematics, tolerance: float = 0.003
 ) -> DisturbanceBound:
@@ -317,6 +351,7 @@ def disturbance_parts(
           or its slip factors;
         * "slip": f at the acting minus f at the commanded speeds; the yaw kick stands apart, its
           g_y taken off y;
+        * "sideslip": the body's lateral motion, by sideslip and lever arm;
         * "noise": the acting step from the true instead of the measured error, and the next
           measurement.
 
@@ -348,7 +383,7 @@ def disturbance_parts(
 def evaluate_disturbance(
     operation: Operation,
     kinematics: Kinematics,
-    points: Float[np.ndarray, "samples 12"],
+    points: Float[np.ndarray, "samples 13"],
     next_noise: Float[np.ndarray, "samples 3"],
 ) -> tuple[
     Float[np.ndarray, "samples 3"], Float[np.ndarray, " samples"], Float[np.ndarray, "samples 2"]
@@ -358,7 +393,7 @@ def evaluate_disturbance(
     Args:
         operation: gives dt, track width and g_y; its boxes are not consulted.
         kinematics: input map and model.
-        points: the twelve variables of `split_disturbance`.
+        points: the thirteen variables of `split_disturbance`.
         next_noise: noise of the measurement after the period (m, m, rad).
 
     Returns:

@@ -13,18 +13,23 @@ Commands (v, w) come from the measured error e_m and the inputs (u1, u2) by an i
     cosine_free   v = V cos e_th - u1
     x_exact       v such that e_x+ = e_x + T Om e_y + T u1 without slip and noise
 
-Ground speeds g_r = v + b w/2, g_l = v - b w/2 act as g_r (1 - d_r), g_l (1 - d_l). The heading this
-adds is the yaw kick kappa = T (w - w_a) = T (g_r d_r - g_l d_l) / b. With f(e, u) the plant without
-slip and noise, and J its Jacobian at e = u = 0,
+Ground speeds g_r = v + b w/2, g_l = v - b w/2 act as g_r (1 - d_r), g_l (1 - d_l). The heading
+this adds is the yaw kick kappa = T (w - w_a) = T (g_r d_r - g_l d_l) / b. The body also moves to
+the left at v_y = zeta v_a - r w_a, with a sideslip zeta and a lever arm r, which adds -i T v_y
+S(a_a) to z+. With f(e, u) the plant without slip, sideslip and noise, and J its Jacobian at
+e = u = 0,
 
-    w = kappa (0, g_y, 1) + bilinear + sine + sampling + slip + noise
+    w = kappa (0, g_y, 1) + bilinear + sine + sampling + slip + sideslip + noise
     sine = f(e, 0) - J (e, 0)
     bilinear = f(e, u) - J (e, u) - sine
     sampling = (J - [A B]) (e, u)
     slip = f(e, v_a, w_a) - f(e, v, w) - kappa (0, g_y, 1)
+    sideslip = -i T v_y S(a_a)
     noise = the rest, n+ left out
 
-and each part is written so that its enclosure by intervals vanishes with its cause. Every function
+and each part is written so that its enclosure by intervals vanishes with its cause. A sideslip that
+varies within the period adds no more to either coordinate than the extreme constant one does: there
+-i e^{-i w_a t} keeps the signs of its parts. Every function
 takes floats, intervals and duals alike. All angles stay within a quarter turn.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (2)-(6), (9)-(10); the arcs solve eqs. (2) and
@@ -82,11 +87,12 @@ class Kinematics:
 
 
 class Period(NamedTuple):
-    """Length of a period dt, s, track width, m, and lateral_per_yaw g_y, m/rad."""
+    """Length of a period dt, s, track width, m, lateral_per_yaw g_y, m/rad, and lever arm r, m."""
 
     dt: float
     track_width: float
     lateral_per_yaw: float
+    lever_arm: float = 0.0
 
 
 class Vector(NamedTuple):
@@ -123,6 +129,7 @@ class Parts(NamedTuple):
     sine: Vector
     sampling: Vector
     slip: Vector
+    sideslip: Vector
     noise: Vector
     right: Any
     left: Any
@@ -130,7 +137,8 @@ class Parts(NamedTuple):
     @property
     def rest(self) -> Vector:
         """The parts of w beside the yaw kick and the noise of the next measurement."""
-        return self.bilinear.plus(self.sine).plus(self.sampling).plus(self.slip).plus(self.noise)
+        model = self.bilinear.plus(self.sine).plus(self.sampling)
+        return model.plus(self.slip).plus(self.sideslip).plus(self.noise)
 
 
 def split_disturbance(kinematics: Kinematics, period: Period, variables: Iterable) -> Parts:
@@ -139,8 +147,8 @@ def split_disturbance(kinematics: Kinematics, period: Period, variables: Iterabl
     Args:
         kinematics, period: what maps, predicts and measures.
         variables: measured error (m, m, rad), inputs (m/s, rad/s), reference wheel speeds (right,
-            left), m/s, wheel errors d (right, left), pose noise n (m, m, rad): twelve numbers of
-            one kind.
+            left), m/s, wheel errors d (right, left), sideslip zeta, pose noise n (m, m, rad):
+            thirteen numbers of one kind.
 
     Returns:
         The parts; with the noise n+ of the next measurement, w = rest + yaw (0, g_y) + n+ in the
@@ -149,8 +157,8 @@ def split_disturbance(kinematics: Kinematics, period: Period, variables: Iterabl
     Raises:
         ValueError: an angle of an interval may leave a quarter turn.
     """
-    x, y, heading, u1, u2, V_r, V_l, d_r, d_l, n_x, n_y, n_th = variables
-    T, b, g_y = period
+    x, y, heading, u1, u2, V_r, V_l, d_r, d_l, zeta, n_x, n_y, n_th = variables
+    T, b, g_y, r = period
     z = Vector(x, y)
     A = (V_r - V_l) * T / b
     L = (V_r + V_l) * 0.5 * T
@@ -174,10 +182,13 @@ def split_disturbance(kinematics: Kinematics, period: Period, variables: Iterabl
     way = arc(a - kick).scaled(brake).plus(arc_change(a, -kick).scaled(-Tv))
     slip = turn.plus(way).plus(Vector(0.0, kick * -g_y))
 
+    sideways = zeta * (Tv - brake) - (a - kick) * r
+    sideslip = arc(a - kick).crosswise().scaled(-sideways)
+
     shift = Vector(-n_x, -n_y).turned(kick - a)
     swing = reference.turned(kick - n_th * 0.5).crosswise()
     noise = shift.plus(swing.scaled(sin(n_th * 0.5) * -2.0))
-    return Parts(kick, bilinear, sine, sampling, slip, noise, right / T, left / T)
+    return Parts(kick, bilinear, sine, sampling, slip, sideslip, noise, right / T, left / T)
 
 
 def polar(length, angle) -> Vector:
@@ -285,7 +296,8 @@ def plane_rows(kinematics: Kinematics, period: Period, V_r, V_l) -> tuple[Sequen
 
     Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (6), (9)-(10) for "euler".
     """
-    T, b, _ = period
+    T = period.dt
+    b = period.track_width
     if kinematics.model == "exact_jacobian":
         A = (V_r - V_l) * T / b
         secant = 1.0 / cos(A * 0.5)

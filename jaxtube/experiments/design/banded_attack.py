@@ -18,6 +18,7 @@ from jaxtube.control.laws import ScheduledGain
 from jaxtube.plant.reference import Reference, from_wheels
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import batches, components
+from jaxtube.simulation.components import make_robot
 from jaxtube.simulation.rollout import Trajectory, realisation_keys
 from jaxtube.simulation.starts import UniformStart, uniform_start
 from jaxtube.statistics.checks import OUTSIDE
@@ -94,19 +95,7 @@ def _make_starts(law: BandedLaw) -> UniformStart:
 
 
 def _make_robot(law: BandedLaw, reference: Reference, process: str) -> SlippingRobot:
-    problem = law.problem
-    slip = problem.scenario.slip
-    return SlippingRobot(
-        robot=problem.robot,
-        dt=problem.model.dt,
-        reference_wheels=jnp.asarray(reference.wheels),
-        reference_poses=jnp.asarray(reference.poses),
-        nominal_slip=jnp.array([slip.nominal_right, slip.nominal_left]),
-        relative_error=slip.relative_error,
-        noise=jnp.asarray(problem.noise) if problem.noise.any() else None,
-        process=process,
-        uncertain_slip=slip.random,
-    )
+    return make_robot(law.problem, process, reference.wheels, reference.poses)
 
 
 def random_reference(law: BandedLaw, generator: np.random.Generator) -> Reference:

@@ -93,7 +93,7 @@ class AnySlipRobot:
         branches = [partial(self._draw, number, keys, step) for number in range(len(PROCESSES))]
         memory = jax.lax.switch(self.number, branches, memory, errors)
         measured_errors = ideal.measure_errors(keys, step, errors)
-        return Measurement(measured_errors, ideal.slip(memory.measured)), memory
+        return Measurement(measured_errors, ideal.measured_slip(memory)), memory
 
     def _draw(
         self, number: int, keys, step, memory: SlipMemory, errors: Float[Array, "batch 3"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from jaxtube.coordinates import describe_half_widths
-from jaxtube.synthesis.limits import error_vector
+from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.problem import Problem
 
 

@@ -4,7 +4,7 @@ bound on it.
 With poses as complex positions and headings, a robot that drives at v and turns at w for a period T
 from position z and heading phi ends at
 
-    z + T v sinc(w T / 2) e^{i (phi + w T / 2)},    phi + w T
+    z + T (v + i v_y) sinc(w T / 2) e^{i (phi + w T / 2)},    phi + w T,    v_y = zeta v - r w
 
 and has the tracking error  e^{-i phi} (z_ref - z), phi_ref - phi.  Wheels are commanded by the
 measured slip, and grip by the true one. w = e+ - A e - B u is what this leaves of the model.
@@ -20,6 +20,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Complex, Float
 
+from jaxtube.plant.slip_bounds import SlipBounds, slip_bounds
+from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.problem import Problem, region_corners
 
 Numbers = Float[np.ndarray, " n"]
@@ -32,14 +34,15 @@ each."""
 @dataclass(frozen=True, eq=False)
 class PeriodCases:
     """What a period depends on, one row a case: measured errors (m, m, rad), inputs (m/s,
-    rad/s), reference wheel speeds (right, left) in m/s, true and measured slips, noise of the pose
-    that was measured."""
+    rad/s), reference wheel speeds (right, left) in m/s, true and measured slips, the sideslip zeta,
+    noise of the error that was measured."""
 
     errors: Float[np.ndarray, "n 3"]
     inputs: Float[np.ndarray, "n 2"]
     wheels: Float[np.ndarray, "n 2"]
     slip: Float[np.ndarray, "n 2"]
     measured_slip: Float[np.ndarray, "n 2"]
+    sideslip: Numbers
     noise: Float[np.ndarray, "n 3"]
 
 
@@ -69,16 +72,54 @@ def extreme_cases(problem: Problem) -> PeriodCases:
     vertices = problem.input_set.vertices()
     inputs = np.concatenate([vertices, (vertices + np.roll(vertices, 1, axis=0)) / 2])
     wheels = np.unique(region_corners(problem.regions), axis=0)
-    slips = _extreme_slips(problem)
-    noise = problem.noise * np.array(list(itertools.product((-1, 1), repeat=3)))
-    noise = np.unique(noise, axis=0)
+    slips = slip_bounds(problem.scenario.slip)
+    slip_pairs = slips.extremes() if problem.scenario.slip.has_intervals else _pair_slips(slips)
+    sideslips = np.unique(problem.scenario.slip.sideslip * np.array([-1.0, 1.0]))
+    noise = _extreme_noise(problem)
     error, asked = np.indices((len(errors), len(inputs))).reshape(2, -1)
     inputs = inputs[asked]
     errors = _meet_coupling(problem, errors[error], inputs)
-    sizes = [len(part) for part in (errors, wheels, slips, noise)]
-    pair, wheel, slip, shift = np.indices(sizes).reshape(len(sizes), -1)
-    true, measured = np.swapaxes(slips[slip], 0, 1)
-    return PeriodCases(errors[pair], inputs[pair], wheels[wheel], true, measured, noise[shift])
+    sizes = [len(part) for part in (errors, wheels, slip_pairs, sideslips, noise)]
+    pair, wheel, slip, sideslip, shift = np.indices(sizes).reshape(len(sizes), -1)
+    true, measured = np.swapaxes(slip_pairs[slip], 0, 1)
+    errors = errors[pair]
+    return PeriodCases(
+        errors=errors,
+        inputs=inputs[pair],
+        wheels=wheels[wheel],
+        slip=true,
+        measured_slip=measured,
+        sideslip=sideslips[sideslip],
+        noise=_in_robot_frame(problem, noise[shift], errors),
+    )
+
+
+def _extreme_noise(problem: Problem) -> Float[np.ndarray, "k 3"]:
+    """Return extremes of the pose noise along the axes of the robot, (m, m, rad)."""
+    noise = error_vector(problem.scenario.noise)
+    if problem.scenario.noise.frame == "robot":
+        return np.unique(noise * list(itertools.product((-1, 1), repeat=3)), axis=0)
+    # A corner of a box in the world may lie in any direction from the robot.
+    reach = np.hypot(noise[0], noise[1])
+    corners = np.array([[1, 0, 1], [0, 1, 1], [1, 0, -1], [0, 1, -1]])
+    return np.unique(np.vstack([corners, -corners]) * [reach, reach, noise[2]], axis=0)
+
+
+def _in_robot_frame(
+    problem: Problem, noise: Float[np.ndarray, "n 3"], errors: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Return noise of measured errors from that of the pose: a heading that is wrong turns the
+    position error, too, where noise is one of the pose in the world."""
+    if problem.scenario.noise.frame == "robot":
+        return noise
+    position = errors[:, 0] + 1j * errors[:, 1]
+    turned = position * (1 - np.exp(-1j * noise[:, 2]))
+    return noise + np.stack([turned.real, turned.imag, np.zeros(len(noise))], axis=1)
+
+
+def noise_reach(problem: Problem, normals: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
+    """Return how far the noise of the next measurement may take w along each normal."""
+    return np.max(_extreme_noise(problem) @ normals.T, axis=0)
 
 
 def _meet_coupling(
@@ -93,17 +134,14 @@ def _meet_coupling(
     return np.column_stack([along, errors[:, 1:]])
 
 
-def _extreme_slips(problem: Problem) -> Float[np.ndarray, "k 2 2"]:
-    """Return pairs of true and measured slip (right, left) at their extremes: one of them nominal,
-    unless the scenario lets both vary."""
-    slip = problem.scenario.slip
-    nominal = np.array([slip.nominal_right, slip.nominal_left])
-    signs = np.array(list(itertools.product((-1, 1), repeat=2)))
-    ends = nominal * (1 + slip.relative_error * signs)
-    if slip.random == "both":
-        return np.array(list(itertools.product(ends, ends)))
-    one_varies = [[(end, nominal), (nominal, end)] for end in ends]
-    return np.array(one_varies).reshape(-1, 2, 2)
+def _pair_slips(slips: SlipBounds) -> Float[np.ndarray, "k 2 2"]:
+    """Return pairs of true and measured slip (right, left) near nominal ones at their extremes: one
+    of them nominal, unless the scenario lets both vary."""
+    if slips.uncertain_slip == "both":
+        return slips.extremes()
+    pairs = slips.extremes()
+    # A bound on either slip's error is one on both readings: the other slip may vary instead.
+    return np.concatenate([pairs, pairs[:, ::-1]])
 
 
 def next_errors(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"]:
@@ -118,8 +156,11 @@ def next_errors(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"
     heading = -true[:, 2]
     place = -(true[:, 0] + 1j * true[:, 1]) * np.exp(1j * heading)
     reference_step = _step(reference_speed, reference_turn, np.zeros_like(heading), T)
-    place = place + _step((right + left) / 2, (right - left) / b, heading, T)
-    heading = heading + T * (right - left) / b
+    speed = (right + left) / 2
+    turn = (right - left) / b
+    sideways = cases.sideslip * speed - problem.robot.lever_arm * turn
+    place = place + _step(speed, turn, heading, T) + 1j * _step(sideways, turn, heading, T)
+    heading = heading + T * turn
     offset = np.exp(-1j * heading) * (reference_step - place)
     return np.stack([offset.real, offset.imag, T * reference_turn - heading], axis=1)
 

@@ -9,13 +9,15 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.coordinates import COORDINATES
+from jaxtube.scenario.error_box import error_vector
+from jaxtube.scenario.tree import Slip
 from jaxtube.synthesis.certificate.period import (
     extreme_cases,
     find_disturbances,
     find_wheel_commands,
+    noise_reach,
 )
 from jaxtube.synthesis.disturbance import ground_speed_limits, prove_bound
-from jaxtube.synthesis.limits import error_vector
 from jaxtube.synthesis.problem import Problem
 from sets.certificate import ROUNDING, Condition, judge
 from sets.robot.disturbance import DisturbanceBound
@@ -83,7 +85,7 @@ def _refute_disturbance_set(problem: Problem) -> Condition | None:
     W = problem.disturbance_set
     met = find_disturbances(problem)
     # The noise of the next measurement is added to each, where it takes w furthest.
-    reach = np.max(met @ W.normals.T, axis=0) + np.abs(W.normals) @ problem.noise
+    reach = np.max(met @ W.normals.T, axis=0) + noise_reach(problem, W.normals)
     room = float(np.min(W.offsets - reach))
     if room + ROUNDING >= 0:
         return None
@@ -126,8 +128,8 @@ def _found_shares(bound: DisturbanceBound) -> Float[np.ndarray, " k"]:
 def _say_what_leaves(problem: Problem, met: Float[np.ndarray, "n 3"], room: float) -> str:
     """Say which coordinate of w leaves W furthest, by how much and where; a facet if none does."""
     W = problem.disturbance_set
-    heights = met @ W.normals.T + np.abs(W.normals) @ problem.noise
-    found = np.abs(met).max(axis=0) + problem.noise
+    heights = met @ W.normals.T + noise_reach(problem, W.normals)
+    found = np.abs(met).max(axis=0) + noise_reach(problem, np.eye(3))
     allowed = problem.disturbance_set.support(np.eye(3))
     worst = int(np.argmax(found / np.maximum(allowed, np.finfo(float).tiny)))
     if found[worst] <= allowed[worst]:
@@ -228,8 +230,7 @@ def assumptions(problem: Problem, any_order: bool, has_proved_w: bool = False) -
         _assume_slip(problem),
         _assume_measurement(problem),
         _assume_reference(problem, any_order),
-        "slip, wheel speeds and reference constant over each period; wheels obey at once; no "
-        "sideways slip",
+        _assume_period(problem),
         "what is promised holds at the ends of periods, nothing between them; controllers in 64 "
         "bits",
         _assume_start(problem, has_proved_w),
@@ -238,26 +239,66 @@ def assumptions(problem: Problem, any_order: bool, has_proved_w: bool = False) -
 
 def _assume_slip(problem: Problem) -> str:
     slip = problem.scenario.slip
+    if slip.has_intervals:
+        return _assume_slip_intervals(slip)
+    right, left = slip.nominal
     within = (
         f"within {slip.relative_error:.0%} of its constant nominal value "
-        f"({slip.nominal_right:g} right, {slip.nominal_left:g} left), in any sequence"
+        f"({right:g} right, {left:g} left), in any sequence"
     )
     nothing = ""
-    if slip.relative_error > 0 and 0 in (slip.nominal_right, slip.nominal_left):
+    if slip.relative_error > 0 and 0 in slip.nominal:
         nothing = "; of a nominal slip of 0 that is no error at all"
     if slip.random == "both":
         return f"true and, on its own, measured slip {within}{nothing}"
     return f"true or measured slip {within}; the other one nominal{nothing}"
 
 
+def _assume_slip_intervals(slip: Slip) -> str:
+    assert slip.right is not None
+    assert slip.left is not None
+    anywhere = (
+        f"true slip anywhere in {slip.right[0]:g} to {slip.right[1]:g} (right) and "
+        f"{slip.left[0]:g} to {slip.left[1]:g} (left), in any sequence"
+    )
+    if not slip.is_measured:
+        right, left = slip.nominal
+        return f"{anywhere}; not measured: {right:g} right, {left:g} left are compensated"
+    errors = []
+    if slip.measurement_error:
+        errors.append(f"{slip.measurement_error:g}")
+    if slip.measurement_error_relative:
+        errors.append(f"{slip.measurement_error_relative:.3g} times its size")
+    return f"{anywhere}; measured within {' plus '.join(errors) or '0'} of it"
+
+
 def _assume_measurement(problem: Problem) -> str:
     noise = problem.scenario.noise
     if not problem.noise.any():
         return "tracking error measured exactly, without delay"
+    if noise.frame == "world":
+        return (
+            f"pose measured within {noise.longitudinal_m:g} m, {noise.lateral_m:g} m, "
+            f"{noise.heading_deg:g} deg in the world's frame, without delay"
+        )
     return (
         f"tracking error measured within {noise.longitudinal_m:g} m, {noise.lateral_m:g} m, "
         f"{noise.heading_deg:g} deg in the robot's frame, not the world's, without delay"
     )
+
+
+def _assume_period(problem: Problem) -> str:
+    constant = "slip, wheel speeds and reference constant over each period; wheels obey at once"
+    slip = problem.scenario.slip
+    robot = problem.scenario.robot
+    sideways = []
+    if slip.sideslip:
+        sideways.append(f"up to {slip.sideslip:g} times the forward speed")
+    if robot.lever_arm_m:
+        sideways.append(f"{-robot.lever_arm_m:g} m times the yaw rate")
+    if not sideways:
+        return f"{constant}; no sideways slip"
+    return f"{constant}; the body slips sideways by {' plus '.join(sideways)}"
 
 
 def _assume_reference(problem: Problem, any_order: bool) -> str:
