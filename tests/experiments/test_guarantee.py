@@ -25,6 +25,7 @@ from jaxtube.experiments.guarantee.attack import (
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import WIDTH
 from jaxtube.plant.robot import Robot
+from jaxtube.plant.slip_bounds import near_nominal
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario, ScenarioError, load
 from jaxtube.simulation.rollout import realisation_keys
@@ -82,11 +83,9 @@ def test_a_robot_of_any_process_moves_as_the_robot_of_that_process_alone():
         dt=0.1,
         reference_wheels=jnp.asarray(generator.uniform(1.0, 1.5, (steps, 2))),
         reference_poses=jnp.asarray(generator.normal(size=(steps + 1, 3))),
-        nominal_slip=jnp.array([0.2, 0.15]),
-        relative_error=0.3,
+        slips=near_nominal(np.array([0.2, 0.15]), 0.3, "both"),
         noise=jnp.full(3, 1e-3),
         process=PROCESSES[0],
-        uncertain_slip="both",
     )
     keys = realisation_keys(3, 0, laps)
     errors = jnp.asarray(generator.normal(size=(laps, 3)))

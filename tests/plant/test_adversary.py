@@ -14,9 +14,10 @@ from jaxtube.control.protocol import WheelMap
 from jaxtube.plant import adversary, slip
 from jaxtube.plant.adversary import ALWAYS, FOREVER, LONGEST_HALF_PERIOD, Scheme, pushed_direction
 from jaxtube.plant.protocol import Measurement
-from jaxtube.plant.robot import Robot
+from jaxtube.plant.robot import Robot, saturate
+from jaxtube.plant.slip_bounds import near_nominal
 from jaxtube.plant.slip_processes import PROCESSES
-from jaxtube.plant.slipping import SlippingRobot
+from jaxtube.plant.slipping import SlipMemory, SlippingRobot
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import realisation_keys
 
@@ -37,10 +38,8 @@ def robot_at_some_state(uncertain_slip, dt):
         dt=dt,
         reference_wheels=jnp.array([[1.5, 1.2]]),
         reference_poses=jnp.array([[4.0, -3.0, 2.0], [4.1, -3.0, 2.0]]),
-        nominal_slip=jnp.array([0.2, 0.15]),
-        relative_error=0.1,
+        slips=near_nominal(np.array([0.2, 0.15]), 0.1, uncertain_slip),
         process="adversarial",
-        uncertain_slip=uncertain_slip,
     )
 
 
@@ -61,15 +60,18 @@ def one_period(plant, keys, errors, inputs):
 
     def gain_of(pair):
         true, measured = jnp.broadcast_to(pair[:, None], (2, *inputs.shape))
-        sensed = Measurement(errors, plant.slip(measured))
+        sensed = Measurement(errors, plant.slips.measured_slip(true, measured))
         demanded = WHEEL_MAP.command(inputs, sensed, plant.reference_wheels[0]).wheels
-        return gain(plant.move(0, errors, demanded, true)[0])
+        moved = plant.move(
+            0, errors, saturate(demanded, plant.robot), SlipMemory((), true, measured)
+        )
+        return gain(moved)
 
     return (
         direction,
         wheels,
         gain(chosen),
-        jax.vmap(gain_of)(jnp.asarray(pairs_of_slips(plant.uncertain_slip))),
+        jax.vmap(gain_of)(jnp.asarray(pairs_of_slips(plant.slips.uncertain_slip))),
     )
 
 

@@ -17,7 +17,7 @@ from jaxtube.plant.error_dynamics import advance
 from jaxtube.plant.imperfect import Imperfections, ImperfectRobot, Motion, shifted_preview
 from jaxtube.plant.reference import two_circles
 from jaxtube.plant.robot import Robot
-from jaxtube.plant.slip import deviate
+from jaxtube.plant.slip_bounds import near_nominal
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation.rollout import realisation_keys, rollout
 
@@ -26,6 +26,7 @@ ARCS_OF_A_PERIOD = 1e-5
 
 DT = 0.1
 TRACK_WIDTH = 0.5
+KNOWN_SLIPS = near_nominal(np.array([0.2, 0.2]), 0.0, "true")
 CASES = 6
 BATCH = 8
 LEVELS = {"lag": 0.05, "delay": 0.35, "sluggishness": 0.4, "sideslip": 0.2, "slip_change": 0.7}
@@ -39,8 +40,7 @@ def slipping_robot(**changes):
         dt=DT,
         reference_wheels=jnp.asarray(reference.wheels),
         reference_poses=jnp.asarray(reference.poses),
-        nominal_slip=jnp.array([0.2, 0.2]),
-        relative_error=0.1,
+        slips=near_nominal(np.array([0.2, 0.2]), 0.1, "true"),
         process="vertex",
     )
     return dataclasses.replace(ideal, **changes)
@@ -69,7 +69,7 @@ def integrate(error, reference, motion, level, case):
     late = np.asarray(motion.slips)[case]
     commands = [np.asarray(each)[case] for each in (motion.late_commands, motion.commands)]
     instant = float(motion.instant[case]) * DT
-    sideslip = level.sideslip * float(motion.drift[case])
+    sideslip = float(motion.sideslip[case])
     # The robot starts at the origin with heading 0: there its errors are the coordinates of the
     # reference.
     state = np.concatenate([np.zeros(3), error, wheels])
@@ -131,6 +131,7 @@ drive = jax.jit(ImperfectRobot.drive)
 def test_a_period_is_that_of_the_world_frame(names, period):
     errors, motion = period
     plant = imperfect(slipping_robot(), **{name: LEVELS[name] for name in names})
+    motion = motion._replace(sideslip=plant.imperfections.sideslip * motion.sideslip)
     driven, wheels = drive(plant, 0, errors, motion)
     reference = np.asarray(plant.reference_wheels[0])
     level = plant.imperfections
@@ -178,7 +179,9 @@ def test_wheels_that_lag_or_are_limited_follow_a_period_as_its_two_halves(period
 
 def test_without_imperfections_the_robot_is_the_ideal_one(lap):
     ideal = slipping_robot(
-        process="adversarial", uncertain_slip="both", noise=jnp.array([0.001, 0.001, 0.0005])
+        process="adversarial",
+        slips=near_nominal(np.array([0.2, 0.2]), 0.1, "both"),
+        noise=jnp.array([0.001, 0.001, 0.0005]),
     )
     found = lap(imperfect(ideal))
     expected = lap(ideal)
@@ -191,7 +194,7 @@ def test_without_imperfections_the_robot_is_the_ideal_one(lap):
 
 @pytest.mark.slow
 def test_with_a_delay_of_a_period_the_robot_drives_what_was_commanded_before(lap):
-    ideal = slipping_robot(relative_error=0.0)
+    ideal = slipping_robot(slips=KNOWN_SLIPS)
     found = lap(imperfect(ideal, delay=1.0))
     steps = np.arange(1, 130)
     reference = ideal.reference_wheels[steps][:, None]
@@ -204,7 +207,7 @@ def test_with_a_delay_of_a_period_the_robot_drives_what_was_commanded_before(lap
 def test_the_robot_starts_as_the_reference_drives(lap):
     """With wheels that hardly change speed it goes on along the first circle, beside the
     reference."""
-    errors = lap(imperfect(slipping_robot(relative_error=0.0), lag=1e15)).errors[100]
+    errors = lap(imperfect(slipping_robot(slips=KNOWN_SLIPS), lag=1e15)).errors[100]
     np.testing.assert_allclose(errors[:, 2], 0.0, atol=CLOSED_LOOP)
     np.testing.assert_allclose(
         jnp.hypot(errors[:, 0], errors[:, 1]), np.hypot(0.1, 0.1), atol=CLOSED_LOOP
@@ -215,7 +218,7 @@ def turned(ideal, trajectory, step):
     """By how much the robots turned in a period, and by how much they would under each pair of
     extreme slips."""
     pairs = jnp.array(list(itertools.product((-1.0, 1.0), repeat=2)))
-    slips = deviate(ideal.nominal_slip, ideal.relative_error, pairs)
+    slips = ideal.slips.true_slip(pairs)
     ground = trajectory.wheels[step, :, None] * (1 - slips)
     reference = ideal.reference_wheels[step]
     lost = trajectory.errors[step + 1, :, 2] - trajectory.errors[step, :, 2]
@@ -242,7 +245,7 @@ def test_sideslip_pushes_the_lateral_error_where_the_slips_push_the_heading_erro
     ideal = slipping_robot()
     drifting = lap(imperfect(ideal, sideslip=0.1))
     slipping = lap(imperfect(ideal))
-    rolling = lap(imperfect(dataclasses.replace(ideal, relative_error=0.0)))
+    rolling = lap(imperfect(dataclasses.replace(ideal, slips=KNOWN_SLIPS)))
     pushed = drifting.errors[1] - slipping.errors[1]
     turned = slipping.errors[1, :, 2] - rolling.errors[1, :, 2]
     turning = np.abs(turned) > 5e-3  # slips that differ; equal ones change the turn by 1.4 mrad

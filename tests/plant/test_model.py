@@ -181,7 +181,7 @@ def test_zoh_refuses_slopes():
         ({"discretisation": "rk4"}, "discretisation = 'rk4' .*euler, zoh"),
         ({"dt": 0.0}, "dt = 0.0"),
         ({"track_width": float("nan")}, "track_width = nan"),
-        ({"nominal_slip": [0.2, 1.0]}, r"nominal_slip = \[0.2, 1.0\] .*\[0, 1\)"),
+        ({"nominal_slip": [0.2, 1.0]}, r"nominal_slip = \[0.2, 1.0\] .*\(-1, 1\)"),
         ({"nominal_slip": 0.2}, "nominal_slip = 0.2"),
         ({"box": BOX[::-1]}, "box = .*lower ones first"),
         ({"box": ([0.2, float("nan")], [1.5, 1.5])}, "box = .*finite"),

@@ -273,7 +273,8 @@ def test_no_lap_feels_a_companion_that_is_no_number(constrained, laps, rounding)
     clean = np.where(np.isnan(laps[0].errors[0, :TILE]), 0.01, laps[0].errors[0, :TILE])
     check_companions(constrained.task, clean, everything_free=False, rounding=rounding)
     plant = constrained.task.plant
-    calm = dataclasses.replace(plant, relative_error=0.01, noise=0.01 * plant.noise)
+    slips = dataclasses.replace(plant.slips, half_width=0.1 * plant.slips.half_width)
+    calm = dataclasses.replace(plant, slips=slips, noise=0.01 * plant.noise)
     task = dataclasses.replace(constrained.task, plant=calm)
     check_companions(task, 0.02 * clean, everything_free=True, rounding=rounding)
 

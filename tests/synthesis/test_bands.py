@@ -70,9 +70,9 @@ def test_disturbances_of_a_band_lie_in_its_w(law):
     for band in law.bands:
         where = operation(band.problem)
         low, high = where.box
-        points = random.uniform(low, high, (count, 12))
+        points = random.uniform(low, high, (count, 13))
         points = np.where(
-            random.random((count, 12)) < 0.5, np.where(points > (low + high) / 2, high, low), points
+            random.random((count, 13)) < 0.5, np.where(points > (low + high) / 2, high, low), points
         )
         points[:, 5:7] = random.dirichlet(np.ones(len(band.corners)), count) @ band.corners
         a, b = where.coupling

@@ -103,9 +103,9 @@ def test_disturbances_of_the_coupled_operation_lie_in_w(certified):
     where = operation(problem)
     bound = problem.disturbance_bound
     low, high = where.box
-    points = random.uniform(low, high, (count, 12))
-    extreme = random.random((count, 12)) < 0.5
-    points = np.where(extreme, np.where(random.random((count, 12)) < 0.5, low, high), points)
+    points = random.uniform(low, high, (count, 13))
+    extreme = random.random((count, 13)) < 0.5
+    points = np.where(extreme, np.where(random.random((count, 13)) < 0.5, low, high), points)
     a, b = where.coupling
     room = a * (1 - np.abs(points[:, 4]) / b)
     kept = room > 0
@@ -127,7 +127,7 @@ def test_pieces_of_the_coupling_cover_the_operation_and_no_more(certified):
     for turn in np.linspace(-turns, turns, 41):
         at = (lower[4] <= turn + ROUNDING) & (turn <= upper[4] + ROUNDING)
         assert at.any()
-        reach = lower[12, at] + lower[13, at] * turn
+        reach = lower[13, at] + lower[14, at] * turn
         np.testing.assert_allclose(reach, min(half, a * (1 - abs(turn) / b)), atol=ROUNDING)
 
 

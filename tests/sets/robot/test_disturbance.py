@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from tolerances import RESIDUAL_ROUNDING, SET_RELATIVE
 
-from jaxtube.plant.error_dynamics import advance
+from jaxtube.plant.error_dynamics import Sideslip, advance
 from jaxtube.plant.model import make_model
 from sets.interval import Dual
 from sets.robot.disturbance import (
@@ -63,20 +63,26 @@ def operation(
     speeds=(1.224, 1.496),
     relative_error=0.1,
     noise=(1e-3, 1e-3, 0.02 * DEGREE),
+    sideslip=0.0,
+    lever_arm=0.0,
 ) -> Operation:
     """Where the figure-eight is certified."""
+    wheel_error = wheel_error_bound(SLIPS, relative_error, "measured")
     return Operation(
         errors=np.array([-np.array(errors), errors]),
         inputs=np.array(inputs),
         schedules=np.array([[[speeds[0]] * 2, [speeds[1]] * 2]]),
-        wheel_error=wheel_error_bound(SLIPS, relative_error, "measured"),
+        wheel_errors=np.stack([-wheel_error, wheel_error]),
         noise=np.array(noise),
         dt=PERIOD,
         track_width=TRACK,
+        sideslip=sideslip,
+        lever_arm=lever_arm,
     )
 
 
 EIGHT = operation()
+SLIDING = operation(sideslip=0.06, lever_arm=-0.05)
 # the errors and wheels of the paper; its inputs, a parallelogram, fill this box only partly
 PAPER = operation(
     (0.3, 0.3, np.deg2rad(20)), ((-0.84, -6.76), (2.54, 6.76)), (0.2, 1.5), noise=(0.0, 0.0, 0.0)
@@ -93,20 +99,20 @@ def samples(where: Operation, count: int, seed: int = 0) -> tuple[np.ndarray, np
     of either kind."""
     rng = np.random.default_rng(seed)
     low, high = np.hstack([where.box, [-where.noise, where.noise]])
-    inside, side = rng.random((2, count, 15))
+    inside, side = rng.random((2, count, 16))
     share = rng.choice([0.0, 0.5, 1.0], size=(count, 1))
     points = np.where(
-        rng.random((count, 15)) < share,
+        rng.random((count, 16)) < share,
         low + inside * (high - low),
         np.where(side < 0.5, low, high),
     )
-    return points[:, :12], points[:, 12:]
+    return points[:, :13], points[:, 13:]
 
 
 def vertices(where: Operation) -> tuple[np.ndarray, np.ndarray]:
-    """Return every vertex of the twelve variables, each with one noise after the step."""
+    """Return every vertex of the thirteen variables, each with one noise after the step."""
     low, high = where.box
-    sides = np.array(list(itertools.product([False, True], repeat=12)))
+    sides = np.array(list(itertools.product([False, True], repeat=13)))
     return np.where(sides, high, low), np.where(sides[:, :3], where.noise, -where.noise)
 
 
@@ -132,15 +138,17 @@ def commanded(input_map: str, points):
     return (x + PERIOD * (Om * y + u1) - still) / (moving - still), w
 
 
-def next_error(input_map: str, points, slipping: bool = True, noisy: bool = True):
+def next_error(
+    input_map: str, points, slipping: bool = True, noisy: bool = True, lever_arm: float = 0.0
+):
     """Return the true error after the step, by the simulator's plant."""
     points = jnp.asarray(points)
     v, w = commanded(input_map, points)
     wheels = jnp.stack([v + TRACK / 2 * w, v - TRACK / 2 * w], axis=-1)
-    true = points[..., :3] - points[..., 9:12] * float(noisy)
-    return advance(
-        true, wheels, points[..., 7:9] * float(slipping), points[..., 5:7], TRACK, PERIOD
-    ), wheels
+    true = points[..., :3] - points[..., 10:13] * float(noisy)
+    slip = points[..., 7:9] * float(slipping)
+    sideslip = Sideslip(points[..., 9] * float(slipping), lever_arm * float(slipping))
+    return advance(true, wheels, slip, points[..., 5:7], TRACK, PERIOD, sideslip), wheels
 
 
 def way(speeds: np.ndarray) -> np.ndarray:
@@ -158,11 +166,11 @@ def predicted(kinematics: Kinematics, points: np.ndarray) -> np.ndarray:
 
 
 @each_pair
-@pytest.mark.parametrize("where", [EIGHT, PAPER], ids=["eight", "paper"])
+@pytest.mark.parametrize("where", [EIGHT, PAPER, SLIDING], ids=["eight", "paper", "sliding"])
 def test_residuals_are_what_the_plant_does_less_what_the_model_says(kinematics, where):
     points, after = samples(where, 3000)
     w, kick, speeds = evaluate_disturbance(where, kinematics, points, after)
-    error, wheels = next_error(kinematics.input_map, points)
+    error, wheels = next_error(kinematics.input_map, points, lever_arm=where.lever_arm)
     np.testing.assert_allclose(
         w, error + after - predicted(kinematics, points), rtol=0, atol=RESIDUAL_ROUNDING
     )
@@ -176,16 +184,18 @@ def test_residuals_are_what_the_plant_does_less_what_the_model_says(kinematics, 
 @each_map
 def test_residuals_agree_with_an_integration_in_the_world_frame(input_map):
     kinematics = Kinematics(input_map)
-    points, after = samples(EIGHT, 12, seed=3)
-    w, _, speeds = evaluate_disturbance(EIGHT, kinematics, points, after)
+    points, after = samples(SLIDING, 12, seed=3)
+    w, _, speeds = evaluate_disturbance(SLIDING, kinematics, points, after)
 
-    def drive(pose, wheels):
+    def drive(pose, wheels, sideslip, lever_arm):
         def rate(_, pose):
             speed = wheels.mean()
+            turn = (wheels[0] - wheels[1]) / TRACK
+            sideways = sideslip * speed - lever_arm * turn
             return [
-                speed * np.cos(pose[2]),
-                speed * np.sin(pose[2]),
-                (wheels[0] - wheels[1]) / TRACK,
+                speed * np.cos(pose[2]) - sideways * np.sin(pose[2]),
+                speed * np.sin(pose[2]) + sideways * np.cos(pose[2]),
+                turn,
             ]
 
         return solve_ivp(rate, (0, PERIOD), pose, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
@@ -194,14 +204,14 @@ def test_residuals_agree_with_an_integration_in_the_world_frame(input_map):
         points, speeds, after, w, predicted(kinematics, points), strict=True
     ):
         robot = np.array([1.0, -2.0, 0.7])
-        true = point[:3] - point[9:12]
+        true = point[:3] - point[10:13]
         c = np.cos(robot[2])
         s = np.sin(robot[2])
         reference = robot + np.array(
             [c * true[0] - s * true[1], s * true[0] + c * true[1], true[2]]
         )
-        robot = drive(robot, speed * (1 - point[7:9]))
-        reference = drive(reference, point[5:7])
+        robot = drive(robot, speed * (1 - point[7:9]), point[9], SLIDING.lever_arm)
+        reference = drive(reference, point[5:7], 0.0, 0.0)
         c = np.cos(robot[2])
         s = np.sin(robot[2])
         gap = reference - robot
@@ -221,7 +231,7 @@ def test_each_map_has_the_jacobian_that_is_claimed(input_map):
 
         def step(z, right=right, left=left):
             return next_error(
-                input_map, jnp.concatenate([z, jnp.array([right, left]), jnp.zeros(5)])
+                input_map, jnp.concatenate([z, jnp.array([right, left]), jnp.zeros(6)])
             )[0]
 
         plane = plane_rows(own, Period(PERIOD, TRACK, 0.0), right, left) * way(
@@ -289,10 +299,10 @@ def test_no_sample_of_ten_million_lies_outside(kinematics):
 def test_no_local_maximum_lies_outside_and_the_best_come_close(kinematics):
     bound = bound_of(kinematics)
     low, high = EIGHT.box[:, :, None]
-    seeds = np.broadcast_to(np.eye(12)[:, :, None], (12, 12, 200))
+    seeds = np.broadcast_to(np.eye(13)[:, :, None], (13, 13, 200))
     largest = np.zeros(3)
     for output, sign in itertools.product(range(3), (1, -1)):
-        share = np.random.default_rng(output).random((12, 200))  # in units of the box
+        share = np.random.default_rng(output).random((13, 200))  # in units of the box
         for step in np.geomspace(0.5, 1e-4, 60):
             duals = [
                 Dual(value, seed)
@@ -317,11 +327,33 @@ def test_bounds_exceed_the_values_found_by_no_more_than_the_tolerance(kinematics
     assert (bound.found_box <= bound.box).all()
     assert (bound.box <= 1.031 * bound.found_box).all()
     corners, after = vertices(EIGHT)
-    straight = corners * np.where(np.arange(12) == 2, 0.0, 1.0)
+    straight = corners * np.where(np.arange(13) == 2, 0.0, 1.0)
     points = np.concatenate([corners, straight])
     _, _, speeds = evaluate_disturbance(EIGHT, kinematics, points, np.tile(after, (2, 1)))
     reached = np.stack([speeds.min(axis=0), speeds.max(axis=0)])
     assert (np.abs(bound.ground_speeds - reached) <= 0.031 * np.abs(reached)).all()
+
+
+@each_map
+def test_disturbances_of_a_body_that_slips_sideways_lie_in_its_bound(input_map):
+    kinematics = Kinematics(input_map)
+    bound = disturbance_bound(SLIDING, kinematics, 0.03)
+    assert_holds(bound, SLIDING, kinematics, *vertices(SLIDING))
+    assert_holds(bound, SLIDING, kinematics, *samples(SLIDING, 100_000))
+
+
+def test_sideslip_that_varies_within_a_period_adds_no_more_than_the_extreme_constant_one():
+    rng = np.random.default_rng(4)
+    times = np.linspace(0.0, PERIOD, 201)
+    middle = (times[1:] + times[:-1]) / 2
+    for turn_rate in (-1.5, 0.3, 2.0):
+        way = -1j * np.exp(-1j * turn_rate * middle) * np.diff(times)
+        shares = rng.uniform(-1.0, 1.0, (2000, 200))
+        shares[:1000] = np.sign(shares[:1000])
+        varying = shares @ way
+        constant = way.sum()
+        assert np.abs(varying.real).max() <= abs(constant.real)
+        assert np.abs(varying.imag).max() <= abs(constant.imag)
 
 
 def test_the_certified_eight_has_the_reference_bounds_or_better():
@@ -359,14 +391,17 @@ def jacobian_step(input_map: str, points: np.ndarray) -> np.ndarray:
 
 @each_pair
 def test_parts_are_the_differences_that_define_them(kinematics):
-    points, after = samples(EIGHT, 3000)
+    points, after = samples(SLIDING, 3000)
     name = kinematics.input_map
-    idle = points * np.array([1, 1, 1, 0, 0, *[1] * 7])
+    idle = points * np.array([1, 1, 1, 0, 0, *[1] * 8])
+    straight = points * np.array([*[1] * 9, 0, *[1] * 3])
+    lever_arm = SLIDING.lever_arm
     nominal = next_error(name, points, slipping=False, noisy=False)[0]
-    slipping = next_error(name, points, noisy=False)[0]
-    kick = evaluate_disturbance(EIGHT, kinematics, points, after)[1][:, None] * [
+    slipping = next_error(name, straight, noisy=False)[0]
+    sliding = next_error(name, points, noisy=False, lever_arm=lever_arm)[0]
+    kick = evaluate_disturbance(SLIDING, kinematics, points, after)[1][:, None] * [
         0.0,
-        EIGHT.period.lateral_per_yaw,
+        SLIDING.period.lateral_per_yaw,
         1.0,
     ]
     sine = next_error(name, idle, slipping=False, noisy=False)[0] - jacobian_step(name, idle)
@@ -375,9 +410,10 @@ def test_parts_are_the_differences_that_define_them(kinematics):
         "sine": sine,
         "sampling": jacobian_step(name, points) - predicted(kinematics, points),
         "slip": slipping - nominal - kick,
-        "noise": next_error(name, points)[0] - slipping,
+        "sideslip": sliding - slipping,
+        "noise": next_error(name, points, lever_arm=lever_arm)[0] - sliding,
     }
-    split = split_disturbance(kinematics, EIGHT.period, points.T)
+    split = split_disturbance(kinematics, SLIDING.period, points.T)
     for cause in CAUSES:
         plane = np.stack(np.broadcast_arrays(*getattr(split, cause), split.yaw)[:2], axis=-1)
         np.testing.assert_allclose(plane, expected[cause][:, :2], rtol=0, atol=RESIDUAL_ROUNDING)
@@ -385,14 +421,13 @@ def test_parts_are_the_differences_that_define_them(kinematics):
 
 @pytest.mark.parametrize("kinematics", [PAIRS[2], PAIRS[3], PAIRS[6], PAIRS[10]])
 def test_parts_hold_every_sample_and_are_reached(kinematics):
-    split = split_disturbance(
-        kinematics, EIGHT.period, np.vstack([vertices(EIGHT)[0], samples(EIGHT, 20_000)[0]]).T
-    )
-    widths = disturbance_parts(EIGHT, kinematics)
+    points = np.vstack([vertices(SLIDING)[0], samples(SLIDING, 20_000)[0]])
+    split = split_disturbance(kinematics, SLIDING.period, points.T)
+    widths = disturbance_parts(SLIDING, kinematics)
     assert np.abs(split.yaw).max() <= widths["slip"][0] <= 1.11 * np.abs(split.yaw).max()
     for cause in CAUSES:
         for value, width in zip(getattr(split, cause), widths[cause][1:3], strict=True):
-            reached = np.abs(value).max() + (EIGHT.noise[0] if cause == "noise" else 0.0)
+            reached = np.abs(value).max() + (SLIDING.noise[0] if cause == "noise" else 0.0)
             assert reached <= width <= 1.15 * reached + 1e-4
 
 
@@ -405,7 +440,7 @@ def test_parts_vanish_with_their_causes(input_map):
     )
     still = operation(inputs=((0.0, 0.0), (0.0, 0.0)), relative_error=0.0, noise=(0.0, 0.0, 0.0))
     parts = disturbance_parts(still, kinematics)
-    for cause in ("bilinear", "sampling", "slip", "noise"):
+    for cause in ("bilinear", "sampling", "slip", "sideslip", "noise"):
         assert np.abs(parts[cause]).max() <= NO_CAUSE
     straight = disturbance_parts(operation(errors=(0.12, 0.28, 0.0)), kinematics)
     assert np.abs(straight["sine"]).max() <= NO_CAUSE
