@@ -137,6 +137,23 @@ class Slip(Table, frozen=True):
         """Whether the controller compensates a slip that follows the true one."""
         return self.measurement_error is not None or self.measurement_error_relative is not None
 
+    def say_intervals(self) -> str:
+        """Return the intervals of the true slips in words."""
+        assert self.right is not None
+        assert self.left is not None
+        right = f"{self.right[0]:g} to {self.right[1]:g}"
+        left = f"{self.left[0]:g} to {self.left[1]:g}"
+        return f"{right} (right) and {left} (left)"
+
+    def say_measurement_error(self) -> str:
+        """Return how far a measured slip may lie from the true one, in words."""
+        errors = []
+        if self.measurement_error:
+            errors.append(f"{self.measurement_error:g}")
+        if self.measurement_error_relative:
+            errors.append(f"{self.measurement_error_relative:.3g} times its size")
+        return " plus ".join(errors) or "0"
+
 
 class Constraints(Table, frozen=True):
     """Half widths of the error set E, a box in the robot frame."""

@@ -9,13 +9,12 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 from jaxtyping import Int
 
 from jaxtube.coordinates import KEYS, TO_DISPLAY
 from jaxtube.plant.reference import settled_step
-from jaxtube.scenario.tree import Scenario
+from jaxtube.scenario.tree import Scenario, Slip
 from jaxtube.statistics import histogram
 from jaxtube.statistics.events import EVENTS
 from jaxtube.statistics.intervals import CONFIDENCE, mean_interval, share_interval
@@ -73,18 +72,35 @@ class SamplingLaw(NamedTuple):
 
     def _describe_slip(self, scenario: Scenario) -> str:
         slip = scenario.slip
-        noise = msgspec.structs.astuple(scenario.noise)
+        noise = (
+            scenario.noise.longitudinal_m,
+            scenario.noise.lateral_m,
+            scenario.noise.heading_deg,
+        )
         if self.plant == "exact":
             return "slip known exactly, pose measured exactly"
-        names = {"true": "true slip", "measured": "measured slip", "both": "true and measured slip"}
         measured = "pose measured exactly"
         if any(noise):
             along, across, heading = noise
             measured = f"pose noise uniform within {along:.3g} m, {across:.3g} m, {heading:.3g} deg"
-        spread = "at" if self.process in ("vertex", "adversarial") else "uniform within"
+            if scenario.noise.frame == "world":
+                measured += " in the world"
+        return f"{self._describe_slips(slip)}, {measured}"
+
+    def _describe_slips(self, slip: Slip) -> str:
+        """Return how slips are drawn, in words."""
+        is_extreme = self.process in ("vertex", "adversarial")
+        sideways = ""
+        if slip.sideslip:
+            sideways = f", sideslip {'+-' if is_extreme else 'within +-'}{slip.sideslip:.3g}"
+        if slip.has_intervals:
+            spread = "at the ends of" if is_extreme else "uniform in"
+            return f"true slip ({self.process}) {spread} {slip.say_intervals()}{sideways}"
+        names = {"true": "true slip", "measured": "measured slip", "both": "true and measured slip"}
+        spread = "at" if is_extreme else "uniform within"
         return (
             f"{names[slip.random]} ({self.process}) {spread} +-{slip.relative_error:.3g} of its "
-            f"nominal value, {measured}"
+            f"nominal value{sideways}"
         )
 
 

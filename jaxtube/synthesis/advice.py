@@ -35,7 +35,7 @@ def say_what_widens(problem: Problem) -> str:
         parts = disturbance_parts(operation(problem), kinematics(problem))
     except ValueError:
         return ""
-    lateral = {cause: float(widths[2]) for cause, widths in parts.items()}
+    lateral = {cause: float(widths[2]) for cause, widths in parts.items() if widths.any()}
     causes = sorted(lateral, key=lambda cause: -lateral[cause])
     listed = ", ".join(f"{cause} {1e3 * lateral[cause]:.3g} mm" for cause in causes)
     kick = np.rad2deg(parts["slip"][0])

@@ -122,6 +122,9 @@ def _has_any_order(design: DesignUnderTest) -> bool:
 
 def _slip_error(design: DesignUnderTest) -> str:
     slip = design.scenario.slip
+    if slip.has_intervals:
+        measured = f", measured within {slip.say_measurement_error()}" if slip.is_measured else ""
+        return f"anywhere in {slip.say_intervals()}{measured}"
     return f"{slip.relative_error:.0%} of {slip.nominal_right:g} right, {slip.nominal_left:g} left"
 
 

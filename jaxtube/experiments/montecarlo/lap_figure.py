@@ -30,6 +30,7 @@ from jaxtube.figures.style import (
 )
 from jaxtube.plant.error_dynamics import world_pose
 from jaxtube.plant.reference import settled_step
+from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.statistics.lap import Lap
 from jaxtube.synthesis.problem import Problem
 
@@ -146,17 +147,16 @@ def _draw_wheels(axes: Axes, problem: Problem, lap: Lap) -> None:
     axes.set(title="wheels", ylabel="speed [m/s]")
 
 
-def _draw_slips(axes: Axes, problem: Problem, slips: Float[np.ndarray, "steps 2 2"]) -> None:
-    """Draw by how much the slip that varies differs from the nominal one; the true one where both
-    do."""
-    settings = problem.scenario.slip
-    kind = "measured" if settings.random == "measured" else "true"
-    varying = slips[:, ("true", "measured").index(kind)]
-    deviations = 100 * settings.relative_error * varying
+def _draw_slips(axes: Axes, problem: Problem, deviations: Float[np.ndarray, "steps 2 2"]) -> None:
+    """Draw the slip that varies; the true one where both do."""
+    slips = slip_bounds(problem.scenario.slip)
+    true, measured = np.moveaxis(deviations, 1, 0)
+    is_measured_alone = slips.uncertain_slip == "measured"
+    shown = slips.measured_slip(true, measured) if is_measured_alone else slips.true_slip(true)
     time = np.arange(len(deviations)) * problem.reference.dt
-    for values, side in zip(deviations.T, SIDES, strict=True):
-        axes.plot(time, values, ".", color=side.colour, markersize=2.5)
-    axes.set(title=f"{kind} slip", ylabel="off nominal [%]")
+    for values, side in zip(np.asarray(shown).T, SIDES, strict=True):
+        axes.plot(time, 100 * values, ".", color=side.colour, markersize=2.5)
+    axes.set(title=f"{'measured' if is_measured_alone else 'true'} slip", ylabel="slip [%]")
 
 
 def _draw_error(

@@ -128,7 +128,7 @@ def _disturbance_lines(design: Design) -> list[str]:
         "W": np.array([bound.yaw, *bound.box]),
         "found": np.array([bound.found_yaw, *bound.found_box]),
     }
-    rows |= {f"  {name} alone": widths for name, widths in parts.items()}
+    rows |= {f"  {name} alone": widths for name, widths in parts.items() if widths.any()}
     units = np.array([np.rad2deg(1.0), 1e3, 1e3, np.rad2deg(1.0)])
     lines = [
         f"disturbance set {'yaw kick [deg]':>21}{'e_x [mm]':>11}{'e_y [mm]':>11}{'e_th [deg]':>13}"

@@ -255,21 +255,11 @@ def _assume_slip(problem: Problem) -> str:
 
 
 def _assume_slip_intervals(slip: Slip) -> str:
-    assert slip.right is not None
-    assert slip.left is not None
-    anywhere = (
-        f"true slip anywhere in {slip.right[0]:g} to {slip.right[1]:g} (right) and "
-        f"{slip.left[0]:g} to {slip.left[1]:g} (left), in any sequence"
-    )
-    if not slip.is_measured:
-        right, left = slip.nominal
-        return f"{anywhere}; not measured: {right:g} right, {left:g} left are compensated"
-    errors = []
-    if slip.measurement_error:
-        errors.append(f"{slip.measurement_error:g}")
-    if slip.measurement_error_relative:
-        errors.append(f"{slip.measurement_error_relative:.3g} times its size")
-    return f"{anywhere}; measured within {' plus '.join(errors) or '0'} of it"
+    anywhere = f"true slip anywhere in {slip.say_intervals()}, in any sequence"
+    if slip.is_measured:
+        return f"{anywhere}; measured within {slip.say_measurement_error()} of it"
+    right, left = slip.nominal
+    return f"{anywhere}; not measured: {right:g} right, {left:g} left are compensated"
 
 
 def _assume_measurement(problem: Problem) -> str:
