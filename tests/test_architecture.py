@@ -23,6 +23,7 @@ ROOMS = (
     "progress",
     "scenario",
     "storage",
+    "recordings",
     "qp",
     "plant",
     "control",
