@@ -1,0 +1,230 @@
+"""Which column holds what: as the user says, else by the usual names.
+
+Source: new.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+from jaxtube.recordings.hints import Hints
+from jaxtube.recordings.table import Table, shorten
+from jaxtube.recordings.usual_names import STAMP_PAIRS, TIME, UNIT_SUFFIXES, Role
+
+LEAST_SUFFIX = 6
+"""Letters of a usual name from which on a longer name may end with it: `/odom/pose_position_x`
+holds a position, but not everything that ends with `_x` does."""
+
+
+class Column(NamedTuple):
+    """A column, or some that are taken together, and what it holds.
+
+    Attributes:
+        role: what it holds.
+        places: in the table, from 0 on; two of a stamp in seconds and nanoseconds, any number of
+            wheels that are averaged.
+        name: as the file has it, for messages.
+        unit: of its numbers, "" where they have none.
+        is_assumed: neither the user nor the name told the unit.
+    """
+
+    role: Role
+    places: tuple[int, ...]
+    name: str
+    unit: str
+    is_assumed: bool
+
+    def describe(self) -> str:
+        """Return what was taken for what, such as "time = stamp in ns"."""
+        unit = f" in {self.unit}" if self.unit else ""
+        assumed = " (assumed)" if self.is_assumed and self.unit else ""
+        return f"{self.role.name} = {shorten(self.name)}{unit}{assumed}"
+
+
+Columns = dict[str, Column]
+"""Columns by the names of their roles."""
+
+
+def normalise(name: str) -> str:
+    """Return a name in lower case with single underscores between its words."""
+    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name.strip().removeprefix("field."))
+    return re.sub(r"[\W_]+", "_", words.lower()).strip("_")
+
+
+def find_columns(table: Table, roles: Iterable[Role], hints: Hints) -> Columns:
+    """Return the columns that hold what is sought, those left out that the table has not.
+
+    Args:
+        table: to search.
+        roles: what is sought.
+        hints: columns and units that the user names.
+
+    Raises:
+        ValueError: in one line, for a column that the user names and the table has not, a unit
+            that is unknown, and names that stand twice.
+    """
+    names = [normalise(name) for name in table.names]
+    found = {}
+    for role in roles:
+        chosen = hints.columns.get(role.name)
+        column = _choose(table, role, chosen) if chosen else _guess(table, role, names)
+        if column is not None:
+            found[role.name] = _set_unit(column, hints.units.get(role.name))
+    return found
+
+
+def require_columns(table: Table, columns: Mapping[str, Column], roles: Sequence[Role]) -> None:
+    """Refuse a table that lacks columns.
+
+    Raises:
+        ValueError: in one line with the columns there are and the option that names one.
+    """
+    lacking = [role for role in roles if role.name not in columns]
+    if not lacking:
+        return
+    option = ",".join(f"{role.name}=NAME" for role in lacking)
+    words = join_words([role.words for role in lacking])
+    if table.has_names:
+        raise ValueError(
+            f"{table.path}: no column is known to hold {words}, among {table.list_names()}; "
+            f"name it: --columns {option}"
+        )
+    wheels = [role.name for role in lacking if role.kind == "wheel"]
+    units = f" and --units {','.join(f'{name}=m/s' for name in wheels)}" if wheels else ""
+    raise ValueError(
+        f"{table.path}: has no header that tells what its {len(table.names)} columns hold "
+        f"(the first row: {table.first_row}); say which has {words}: "
+        f"--columns {option.replace('NAME', 'NUMBER')}{units}"
+    )
+
+
+def join_words(words: Sequence[str]) -> str:
+    """Return "a, b and c"."""
+    return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
+
+
+def _choose(table: Table, role: Role, chosen: str) -> Column:
+    """Return the column that the user names, by name or number, or the sum of such."""
+    place = _find_place(table, chosen)
+    places = [place] if place is not None else [_find_place(table, x) for x in chosen.split("+")]
+    known = tuple(each for each in places if each is not None)
+    if len(known) < len(places):
+        raise ValueError(
+            f"{table.path}: --columns {role.name}={shorten(chosen)}: there is no such column; name "
+            f"one of {table.list_names()}"
+        )
+    name = "+".join(table.names[each] for each in known)
+    unit = _split_unit(normalise(table.names[known[0]]), role)[1]
+    if role is TIME and len(known) == 2:
+        return Column(role, known, name, "s", False)
+    return Column(role, known, name, unit or _assume_unit(role), not unit)
+
+
+def _find_place(table: Table, chosen: str) -> int | None:
+    """Return the place of the column of a name, in whatever spelling, or of a number."""
+    wanted = chosen.strip()
+    spellings = (
+        lambda name: name,
+        lambda name: name.lower(),
+        normalise,
+    )
+    for spell in spellings:
+        places = [place for place, name in enumerate(table.names) if spell(name) == spell(wanted)]
+        if len(places) > 1:
+            raise ValueError(
+                f"{table.path}: {len(places)} columns have the name {shorten(wanted)}; give the "
+                f"number of one, such as {places[0] + 1}"
+            )
+        if places:
+            return places[0]
+    is_number = wanted.isdecimal() and 1 <= int(wanted) <= len(table.names)
+    return int(wanted) - 1 if is_number else None
+
+
+def _guess(table: Table, role: Role, names: Sequence[str]) -> Column | None:
+    """Return the column with the likeliest of the usual names, None where none has one."""
+    if not table.has_names:
+        return None
+    if role is TIME:
+        for pair in STAMP_PAIRS:
+            if all(names.count(name) == 1 for name in pair):
+                places = tuple(names.index(name) for name in pair)
+                name = "+".join(table.names[place] for place in places)
+                return Column(role, places, name, "s", False)
+    for is_named in (_is_named, _ends_with):
+        for usual in role.names:
+            places = [place for place, name in enumerate(names) if is_named(name, usual, role)]
+            if places:
+                return _take_only(table, role, usual, _prefer_first_unit(names, places, role))
+    return None
+
+
+def _is_named(name: str, usual: str, role: Role) -> bool:
+    """Say whether a name is a usual one, with or without a unit."""
+    return name == usual or _split_unit(name, role)[0] == usual
+
+
+def _ends_with(name: str, usual: str, role: Role) -> bool:
+    """Say whether a name ends with a usual one that is long enough to tell something."""
+    is_long = len(usual) >= LEAST_SUFFIX and "_" in usual
+    return is_long and f"_{_split_unit(name, role)[0]}".endswith(f"_{usual}")
+
+
+def _prefer_first_unit(names: Sequence[str], places: Sequence[int], role: Role) -> list[int]:
+    """Return those of some columns whose unit comes first, as metres do before ticks."""
+    units = ["", *UNIT_SUFFIXES[role.kind]]
+    ranks = [units.index(_split_unit(names[place], role)[1]) for place in places]
+    return [place for place, rank in zip(places, ranks, strict=True) if rank == min(ranks)]
+
+
+def _take_only(table: Table, role: Role, usual: str, places: Sequence[int]) -> Column:
+    """Return the one column that has a usual name.
+
+    Raises:
+        ValueError: in one line, where several have it.
+    """
+    if len(places) > 1:
+        several = ", ".join(shorten(table.names[place]) for place in places)
+        raise ValueError(
+            f"{table.path}: {len(places)} columns may hold {role.words}: {several}; name one: "
+            f"--columns {role.name}={shorten(table.names[places[0]])} (or {places[0] + 1})"
+        )
+    place = places[0]
+    unit = _split_unit(normalise(table.names[place]), role)[1] or role.units.get(usual, "")
+    return Column(role, (place,), table.names[place], unit or _assume_unit(role), not unit)
+
+
+def _split_unit(name: str, role: Role) -> tuple[str, str]:
+    """Return a name without the unit it ends with, and that unit, "" where it has none."""
+    endings = [
+        (ending, unit)
+        for unit, suffixes in UNIT_SUFFIXES[role.kind].items()
+        for ending in suffixes
+        if name.endswith(f"_{ending}")
+    ]
+    if not endings:
+        return name, ""
+    ending, unit = max(endings, key=lambda pair: len(pair[0]))
+    return name[: -len(ending) - 1], unit
+
+
+def _assume_unit(role: Role) -> str:
+    """Return the unit of a quantity that tells none."""
+    return next(iter(UNIT_SUFFIXES[role.kind]), "")
+
+
+def _set_unit(column: Column, unit: str | None) -> Column:
+    """Return a column in the unit that the user says, if any.
+
+    Raises:
+        ValueError: in one line, for a unit that is not known.
+    """
+    if unit is None:
+        return column
+    known = UNIT_SUFFIXES[column.role.kind]
+    if unit not in known:
+        cure = f"give one of {', '.join(known)}" if known else "leave it out, it has no unit"
+        raise ValueError(f"--units {column.role.name}={unit}: is no unit of it; {cure}")
+    return column._replace(unit=unit, is_assumed=False)

@@ -1,0 +1,147 @@
+"""A log out of tables: wheels and poses in one, or poses in a second one beside it.
+
+Source: new.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from jaxtube.recordings.assemble import Samples, Sources
+from jaxtube.recordings.columns import Columns, find_columns, require_columns
+from jaxtube.recordings.groups import Group, has_quaternion, read_group, read_pose_group
+from jaxtube.recordings.hints import Hints
+from jaxtube.recordings.stamps import Stamps, read_stamps
+from jaxtube.recordings.table import Cells, Table, open_table, read_cells
+from jaxtube.recordings.usual_names import (
+    HEADING,
+    LEFT,
+    PATH_ROLES,
+    RIGHT,
+    SPEED,
+    STEP,
+    TIME,
+    YAW_RATE,
+    Role,
+    X,
+    Y,
+)
+
+WHEEL_ROLES = (TIME, LEFT, RIGHT, SPEED, YAW_RATE, STEP)
+
+
+class Reading(NamedTuple):
+    """A table that was read.
+
+    Attributes:
+        cells: of the columns that were found.
+        columns: by the names of their roles.
+        stamps: times of its rows.
+    """
+
+    cells: Cells
+    columns: Columns
+    stamps: Stamps
+
+
+def read_sources(path: str, hints: Hints) -> Sources:
+    """Read what a log is made of from a table, and from the pose file beside it if there is one.
+
+    Raises:
+        ValueError: in one line, for columns that are not there and cells that are no numbers.
+    """
+    table = open_table(path)
+    if hints.pose_file is None:
+        roles = (*WHEEL_ROLES, *PATH_ROLES[1:])
+        required = (TIME, LEFT, RIGHT, X, Y, HEADING)
+        reading = _read_table(table, roles, required, hints)
+        poses, pose_guesses = _take_poses(reading)
+    else:
+        reading = _read_table(table, WHEEL_ROLES, (TIME, LEFT, RIGHT), hints)
+        pose_table = open_table(str(hints.pose_file))
+        required = (TIME, X, Y, HEADING)
+        pose_reading = _read_table(pose_table, PATH_ROLES, required, hints.of_pose_file())
+        poses, pose_guesses = _take_poses(pose_reading)
+        stamp = pose_reading.columns["time"].describe()
+        pose_guesses = [*pose_table.guesses, f"pose {stamp} of {pose_table.path}", *pose_guesses]
+    columns = reading.columns
+    unit = _find_wheel_unit(table, columns)
+    wheels = read_group(reading.cells, [columns["right"], columns["left"]], "wheel speeds")
+    commands, command_guesses = _take_optional(reading, ("cmd_v", "cmd_w"), "commands")
+    steps, step_guesses = _take_optional(reading, ("step",), "steps")
+    return Sources(
+        wheels=_take(reading, wheels),
+        wheel_unit=unit,
+        poses=poses,
+        commands=commands,
+        steps=None if steps is None else steps._replace(values=steps.values[:, 0]),
+        guesses=(
+            *table.guesses,
+            columns["time"].describe(),
+            *wheels.describe("wheel speeds"),
+            *pose_guesses,
+            *command_guesses,
+            *step_guesses,
+        ),
+    )
+
+
+def _read_table(
+    table: Table, roles: Sequence[Role], required: Sequence[Role], hints: Hints
+) -> Reading:
+    """Find and read the columns of a table."""
+    columns = find_columns(table, roles, hints)
+    is_spare = has_quaternion(columns)
+    require_columns(
+        table, columns, [role for role in required if not (role is HEADING and is_spare)]
+    )
+    places = [place for column in columns.values() for place in column.places]
+    cells = read_cells(table, places)
+    stamps, time = read_stamps(cells, columns["time"])
+    return Reading(cells, {**columns, "time": time}, stamps)
+
+
+def _find_wheel_unit(table: Table, columns: Columns) -> str:
+    """Return the unit of both wheels.
+
+    Raises:
+        ValueError: in one line, for wheels of two units, or of none where columns have no names.
+    """
+    right = columns["right"]
+    left = columns["left"]
+    if right.unit != left.unit:
+        raise ValueError(
+            f"{table.path}: the wheels are in two units, {left.describe()} and "
+            f"{right.describe()}; name two columns of one unit: --columns left=NAME,right=NAME"
+        )
+    if left.is_assumed and not table.has_names:
+        raise ValueError(
+            f"{table.path}: columns {left.name} and {right.name} have no names that tell the unit "
+            "of the wheels; give it, such as --units left=m/s,right=m/s"
+        )
+    return left.unit
+
+
+def _take(reading: Reading, group: Group) -> Samples:
+    """Return the samples of a group at the times of its rows."""
+    stamps = reading.stamps._replace(since=reading.stamps.since[group.rows])
+    lines = reading.cells.lines[group.rows]
+    return Samples(reading.cells.table.path, stamps, group.values, lines, "line")
+
+
+def _take_poses(reading: Reading) -> tuple[Samples, list[str]]:
+    """Return the poses of a table, and what was taken for them."""
+    group = read_pose_group(reading.cells, reading.columns)
+    return _take(reading, group), group.describe("poses")
+
+
+def _take_optional(
+    reading: Reading, names: Sequence[str], what: str
+) -> tuple[Samples | None, list[str]]:
+    """Return samples that a log may lack, None where it does."""
+    columns = [reading.columns[name] for name in names if name in reading.columns]
+    if len(columns) < len(names):
+        return None, []
+    group = read_group(reading.cells, columns, what)
+    return _take(reading, group), group.describe(what)

@@ -1,0 +1,37 @@
+"""A path as it was recorded: not sorted, not cleaned.
+
+Source: new.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Int
+
+
+@dataclass(frozen=True, eq=False)
+class RawPath:
+    """A recorded or planned path, its rows in the order of the file.
+
+    Attributes:
+        path: the file, for messages.
+        time: since the first row, s, as recorded: repeated and unordered where the file is; None
+            where it has none.
+        positions: (x, y) from `origin`, m, world frame.
+        headings: rad, world frame, as recorded; None where the file has none.
+        lines: where the rows stand in the file.
+        word: for one of `lines`: "line" of a text, "message" of a bag.
+        origin: (x, y), m: the first point where coordinates are large, as those of UTM, else zero.
+        guesses: what the reader took for what, a clause each.
+    """
+
+    path: str
+    time: Float[np.ndarray, "n"] | None
+    positions: Float[np.ndarray, "n 2"]
+    headings: Float[np.ndarray, "n"] | None
+    lines: Int[np.ndarray, "n"]
+    word: str
+    origin: Float[np.ndarray, "2"]
+    guesses: tuple[str, ...] = ()
