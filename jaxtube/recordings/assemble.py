@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from jaxtube.recordings.hints import Hints
 from jaxtube.recordings.log import Log
-from jaxtube.recordings.poses import find_origin
+from jaxtube.recordings.poses import describe_headings, find_origin
 from jaxtube.recordings.samples import FEWEST_SAMPLES, hold, order_samples
 from jaxtube.recordings.stamps import Stamps
 from jaxtube.recordings.wheels import find_wheel_speeds
@@ -91,6 +91,7 @@ def assemble_log(path: str, sources: Sources, hints: Hints) -> Log:
             *wheel_changes,
             *pose_changes,
             *describe_origin(origin),
+            *describe_headings(positions, poses.values[:, 2]),
         ),
     )
 

@@ -105,25 +105,62 @@ def join_words(words: Sequence[str]) -> str:
     return " and ".join(filter(None, [", ".join(words[:-1]), words[-1]]))
 
 
+def find_wheel_unit(table: Table, columns: Columns) -> str:
+    """Return the unit of both wheels.
+
+    Raises:
+        ValueError: in one line, for wheels of two units, or of none where columns have no names.
+    """
+    right = columns["right"]
+    left = columns["left"]
+    if right.unit != left.unit:
+        raise ValueError(
+            f"{table.path}: the wheels are in two units, {left.describe()} and "
+            f"{right.describe()}; name two columns of one unit: --columns left=NAME,right=NAME"
+        )
+    if left.is_assumed and not table.has_names:
+        raise ValueError(
+            f"{table.path}: columns {left.name} and {right.name} have no names that tell the unit "
+            "of the wheels; give it, such as --units left=m/s,right=m/s"
+        )
+    return left.unit
+
+
 def _choose(table: Table, role: Role, chosen: str) -> Column:
     """Return the column that the user names, by name or number, or the sum of such."""
-    place = _find_place(table, chosen)
-    places = [place] if place is not None else [_find_place(table, x) for x in chosen.split("+")]
-    known = tuple(each for each in places if each is not None)
-    if len(known) < len(places):
+    place = _look_up(table, chosen)
+    parts = [chosen] if place is not None else chosen.split("+")
+    option = f"--columns {role.name}={shorten(chosen)}"
+    places = tuple(find_place(table, option, part) for part in parts)
+    name = "+".join(table.names[each] for each in places)
+    unit = _split_unit(normalise(table.names[places[0]]), role)[1]
+    if role is TIME and len(places) == 2:
+        return Column(role, places, name, "s", False)
+    return Column(role, places, name, unit or _assume_unit(role), not unit)
+
+
+def find_place(table: Table, option: str, name: str) -> int:
+    """Return the place of a column that the user names, in whatever spelling, or by its number.
+
+    Args:
+        table: to search.
+        option: by which it is named, for messages.
+        name: of the column.
+
+    Raises:
+        ValueError: in one line, where there is none or several have the name.
+    """
+    place = _look_up(table, name)
+    if place is None:
         raise ValueError(
-            f"{table.path}: --columns {role.name}={shorten(chosen)}: there is no such column; name "
-            f"one of {table.list_names()}"
+            f"{table.path}: {option}: there is no column {shorten(name)}; name one of "
+            f"{table.list_names()}"
         )
-    name = "+".join(table.names[each] for each in known)
-    unit = _split_unit(normalise(table.names[known[0]]), role)[1]
-    if role is TIME and len(known) == 2:
-        return Column(role, known, name, "s", False)
-    return Column(role, known, name, unit or _assume_unit(role), not unit)
+    return place
 
 
-def _find_place(table: Table, chosen: str) -> int | None:
-    """Return the place of the column of a name, in whatever spelling, or of a number."""
+def _look_up(table: Table, chosen: str) -> int | None:
+    """Return the place of the column of a name or number, None where there is none."""
     wanted = chosen.strip()
     spellings = (
         lambda name: name,

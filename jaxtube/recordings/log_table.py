@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from jaxtube.recordings.assemble import Samples, Sources
-from jaxtube.recordings.columns import Columns, find_columns, require_columns
+from jaxtube.recordings.columns import Columns, find_columns, find_wheel_unit, require_columns
 from jaxtube.recordings.groups import Group, has_quaternion, read_group, read_pose_group
 from jaxtube.recordings.hints import Hints
 from jaxtube.recordings.stamps import Stamps, read_stamps
@@ -66,7 +66,7 @@ def read_sources(path: str, hints: Hints) -> Sources:
         stamp = pose_reading.columns["time"].describe()
         pose_guesses = [*pose_table.guesses, f"pose {stamp} of {pose_table.path}", *pose_guesses]
     columns = reading.columns
-    unit = _find_wheel_unit(table, columns)
+    unit = find_wheel_unit(table, columns)
     wheels = read_group(reading.cells, [columns["right"], columns["left"]], "wheel speeds")
     commands, command_guesses = _take_optional(reading, ("cmd_v", "cmd_w"), "commands")
     steps, step_guesses = _take_optional(reading, ("step",), "steps")
@@ -100,27 +100,6 @@ def _read_table(
     cells = read_cells(table, places)
     stamps, time = read_stamps(cells, columns["time"])
     return Reading(cells, {**columns, "time": time}, stamps)
-
-
-def _find_wheel_unit(table: Table, columns: Columns) -> str:
-    """Return the unit of both wheels.
-
-    Raises:
-        ValueError: in one line, for wheels of two units, or of none where columns have no names.
-    """
-    right = columns["right"]
-    left = columns["left"]
-    if right.unit != left.unit:
-        raise ValueError(
-            f"{table.path}: the wheels are in two units, {left.describe()} and "
-            f"{right.describe()}; name two columns of one unit: --columns left=NAME,right=NAME"
-        )
-    if left.is_assumed and not table.has_names:
-        raise ValueError(
-            f"{table.path}: columns {left.name} and {right.name} have no names that tell the unit "
-            "of the wheels; give it, such as --units left=m/s,right=m/s"
-        )
-    return left.unit
 
 
 def _take(reading: Reading, group: Group) -> Samples:

@@ -16,6 +16,10 @@ them to a micrometre, but single-precision tools and figures do not."""
 UNIT_QUATERNION = 0.05
 """Largest deviation of a quaternion's norm from 1: more is no rounding."""
 
+LEAST_ALIGNMENT = 0.3
+"""Of headings with the way; noise of a robot that stands lowers it, a wrong axis makes it
+negative."""
+
 
 def find_headings(quaternions: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n"]:
     """Return the headings of bodies, rad in (-pi, pi].
@@ -59,3 +63,16 @@ def find_origin(positions: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "2"]:
     zero, else zero."""
     is_far = np.abs(positions).max(initial=0.0) > FAR
     return positions[0].copy() if is_far else np.zeros(2)
+
+
+def describe_headings(
+    positions: Float[np.ndarray, "n 2"], headings: Float[np.ndarray, "n"]
+) -> tuple[str, ...]:
+    """Return a warning, a clause, where headings do not lie along the way."""
+    alignment = align_headings(positions, headings)
+    if alignment >= LEAST_ALIGNMENT or not np.ptp(positions, axis=0).any():
+        return ()
+    return (
+        f"headings do not lie along the way (mean of cos 2 angle {alignment:.2f}): they should be "
+        "counter-clockwise from the axis x",
+    )

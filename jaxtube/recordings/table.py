@@ -11,11 +11,12 @@ from __future__ import annotations
 import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import compress
 from operator import itemgetter
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxtube.recordings.delimiter import MISSING, Layout, find_layout, is_number, split_rows
 from jaxtube.recordings.text import read_text
@@ -79,6 +80,11 @@ class Cells:
     table: Table
     lines: Int[np.ndarray, "n"]
     columns: dict[int, list[str]]
+
+    def take(self, rows: Bool[np.ndarray, "n"]) -> Cells:
+        """Return the cells of some of the rows."""
+        columns = {place: list(compress(cells, rows)) for place, cells in self.columns.items()}
+        return Cells(self.table, self.lines[rows], columns)
 
 
 def open_table(path: str | Path) -> Table:
