@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from jaxtube.recordings.hints import Hints
 from jaxtube.recordings.log import Log
-from jaxtube.recordings.poses import describe_headings, find_origin
+from jaxtube.recordings.poses import describe_headings, describe_origin, find_origin
 from jaxtube.recordings.samples import FEWEST_SAMPLES, hold, order_samples
 from jaxtube.recordings.stamps import Stamps
 from jaxtube.recordings.wheels import find_wheel_speeds
@@ -97,7 +97,19 @@ def assemble_log(path: str, sources: Sources, hints: Hints) -> Log:
 
 
 def _order(what: str, samples: Samples) -> tuple[Samples, tuple[str, ...]]:
-    """Return samples in the order of their times, and what was changed."""
+    """Return samples in the order of their times, and what was changed.
+
+    Raises:
+        ValueError: in one line, for times that go back, and numbers that are not finite.
+    """
+    numbers = samples.values.reshape(len(samples.marks), -1)
+    infinite = np.flatnonzero(~np.isfinite(numbers).all(axis=1))
+    if infinite.size:
+        row = int(infinite[0])
+        raise ValueError(
+            f"{samples.path}: {what}, {samples.word} {samples.marks[row]}: {numbers[row].tolist()} "
+            "is not finite; name another source, or record it again"
+        )
     order = order_samples(samples.path, what, samples.stamps.since, samples.marks, samples.word)
     stamps = samples.stamps._replace(since=samples.stamps.since[order.rows])
     ordered = samples._replace(
@@ -142,10 +154,3 @@ def _refuse_gap(
         f"{sources.poses.path} run from {pose_time[0]:.6g} to {pose_time[-1]:.6g} s on that clock: "
         "they do not overlap; give wheels and poses of one recording and one clock"
     )
-
-
-def describe_origin(origin: Float[np.ndarray, "2"]) -> tuple[str, ...]:
-    """Return what positions are counted from, in words, where it is not zero."""
-    if not origin.any():
-        return ()
-    return (f"positions from ({float(origin[0])!r}, {float(origin[1])!r}) m",)

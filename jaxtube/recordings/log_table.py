@@ -56,20 +56,15 @@ def read_sources(path: str, hints: Hints) -> Sources:
         roles = (*WHEEL_ROLES, *PATH_ROLES[1:])
         required = (TIME, LEFT, RIGHT, X, Y, HEADING)
         reading = _read_table(table, roles, required, hints)
-        poses, pose_guesses = _take_poses(reading)
+        poses, pose_clauses = _take_poses(reading)
     else:
         reading = _read_table(table, WHEEL_ROLES, (TIME, LEFT, RIGHT), hints)
-        pose_table = open_table(str(hints.pose_file))
-        required = (TIME, X, Y, HEADING)
-        pose_reading = _read_table(pose_table, PATH_ROLES, required, hints.of_pose_file())
-        poses, pose_guesses = _take_poses(pose_reading)
-        stamp = pose_reading.columns["time"].describe()
-        pose_guesses = [*pose_table.guesses, f"pose {stamp} of {pose_table.path}", *pose_guesses]
+        poses, pose_clauses = read_pose_file(hints)
     columns = reading.columns
     unit = find_wheel_unit(table, columns)
     wheels = read_group(reading.cells, [columns["right"], columns["left"]], "wheel speeds")
-    commands, command_guesses = _take_optional(reading, ("cmd_v", "cmd_w"), "commands")
-    steps, step_guesses = _take_optional(reading, ("step",), "steps")
+    commands, command_clauses = _take_optional(reading, ("cmd_v", "cmd_w"), "commands")
+    steps, step_clauses = _take_optional(reading, ("step",), "steps")
     return Sources(
         wheels=_take(reading, wheels),
         wheel_unit=unit,
@@ -80,11 +75,27 @@ def read_sources(path: str, hints: Hints) -> Sources:
             *table.guesses,
             columns["time"].describe(),
             *wheels.describe("wheel speeds"),
-            *pose_guesses,
-            *command_guesses,
-            *step_guesses,
+            *pose_clauses,
+            *command_clauses,
+            *step_clauses,
         ),
     )
+
+
+def read_pose_file(hints: Hints) -> tuple[Samples, list[str]]:
+    """Read the poses of the table beside a log.
+
+    Returns:
+        Samples of (x m, y m, heading rad), and what was taken for them, a clause each.
+
+    Raises:
+        ValueError: as `read_sources`.
+    """
+    table = open_table(str(hints.pose_file))
+    reading = _read_table(table, PATH_ROLES, (TIME, X, Y, HEADING), hints.of_pose_file())
+    poses, clauses = _take_poses(reading)
+    stamp = reading.columns["time"].describe()
+    return poses, [*table.guesses, f"poses of {table.path}: {stamp}", *clauses]
 
 
 def _read_table(

@@ -5,10 +5,12 @@ Source: new.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float, Int
+
+from jaxtube.recordings.poses import describe_headings, describe_origin, find_origin
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,5 +35,18 @@ class RawPath:
     headings: Float[np.ndarray, "n"] | None
     lines: Int[np.ndarray, "n"]
     word: str
-    origin: Float[np.ndarray, "2"]
+    origin: Float[np.ndarray, "2"] = field(default_factory=lambda: np.zeros(2))
     guesses: tuple[str, ...] = ()
+
+
+def count_from_origin(raw: RawPath) -> RawPath:
+    """Return a path counted from its first point where its coordinates are large, with a warning
+    where its headings do not lie along it."""
+    origin = find_origin(raw.positions)
+    warnings = () if raw.headings is None else describe_headings(raw.positions, raw.headings)
+    return replace(
+        raw,
+        positions=raw.positions - origin,
+        origin=origin,
+        guesses=(*raw.guesses, *describe_origin(origin), *warnings),
+    )

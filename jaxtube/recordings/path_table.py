@@ -10,12 +10,11 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.recordings.assemble import describe_origin
 from jaxtube.recordings.columns import Columns, find_columns, normalise, require_columns
 from jaxtube.recordings.groups import read_pose_group
 from jaxtube.recordings.hints import Hints
-from jaxtube.recordings.path import RawPath
-from jaxtube.recordings.poses import align_headings, describe_headings, find_origin
+from jaxtube.recordings.path import RawPath, count_from_origin
+from jaxtube.recordings.poses import align_headings
 from jaxtube.recordings.stamps import read_stamps
 from jaxtube.recordings.table import Table, open_table, read_cells, read_numbers
 from jaxtube.recordings.usual_names import PATH_ROLES, X, Y
@@ -49,20 +48,16 @@ def read_path_table(path: str, hints: Hints) -> RawPath:
         stamps, column = read_stamps(cells.take(group.rows), found["time"])
         time = stamps.since
         clauses = [column.describe(), *clauses]
-    positions = group.values[:, :2]
-    headings = group.values[:, 2] if group.values.shape[1] > 2 else None
-    origin = find_origin(positions)
-    if headings is not None:
-        clauses.extend(describe_headings(positions, headings))
-    return RawPath(
-        path=table.path,
-        time=time,
-        positions=positions - origin,
-        headings=headings,
-        lines=cells.lines[group.rows],
-        word="line",
-        origin=origin,
-        guesses=(*table.guesses, *clauses, *describe_origin(origin)),
+    return count_from_origin(
+        RawPath(
+            path=table.path,
+            time=time,
+            positions=group.values[:, :2],
+            headings=group.values[:, 2] if group.values.shape[1] > 2 else None,
+            lines=cells.lines[group.rows],
+            word="line",
+            guesses=(*table.guesses, *clauses),
+        )
     )
 
 

@@ -76,3 +76,10 @@ def describe_headings(
         f"headings do not lie along the way (mean of cos 2 angle {alignment:.2f}): they should be "
         "counter-clockwise from the axis x",
     )
+
+
+def describe_origin(origin: Float[np.ndarray, "2"]) -> tuple[str, ...]:
+    """Return what positions are counted from, in words, where it is not zero."""
+    if not origin.any():
+        return ()
+    return (f"positions from ({float(origin[0])!r}, {float(origin[1])!r}) m",)

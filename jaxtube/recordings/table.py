@@ -218,6 +218,6 @@ def refuse_cell(cells: Cells, place: int, row: int) -> float:
     )
 
 
-def shorten(text: str) -> str:
+def shorten(text: str, longest: int = LONGEST_SHOWN) -> str:
     """Return a text cut to what a message shows."""
-    return text if len(text) <= LONGEST_SHOWN else f"{text[: LONGEST_SHOWN - 3]}..."
+    return text if len(text) <= longest else f"{text[: longest - 3]}..."

@@ -160,8 +160,8 @@ def _read_steady(cells: Cells, found: Columns) -> Bool[np.ndarray, "k"]:
     for line, word in zip(cells.lines, words, strict=True):
         if word not in TRUE_WORDS and word not in FALSE_WORDS:
             raise ValueError(
-                f"{cells.table.path}: column {found['steady'].name}, line {line}: {shorten(word)!r} "
-                "is neither true nor false; write True or False"
+                f"{cells.table.path}: column {found['steady'].name}, line {line}: "
+                f"{shorten(word)!r} is neither true nor false; write True or False"
             )
     return np.array([word in TRUE_WORDS for word in words])
 
