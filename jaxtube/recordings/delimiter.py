@@ -12,6 +12,7 @@ import csv
 import io
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import suppress
 from itertools import islice
 from typing import NamedTuple
 
@@ -21,6 +22,9 @@ of blanks and tabs."""
 
 SAMPLE_ROWS = 50
 """First rows by which a table is judged."""
+
+SAMPLE_CHARACTERS = 2**18
+"""First characters that are looked at for them."""
 
 PENALTY = 0.5
 """What a cell that is no number takes from the score of a delimiter; a number gives 1."""
@@ -66,16 +70,16 @@ def split_rows(content: str, delimiter: str) -> Iterator[Row]:
     if delimiter == " ":
         yield from _split_at_blanks(lines)
         return
-    # A comment becomes a blank line, so that the reader's count of lines stays right.
-    reader = csv.reader(
-        ("\n" if _is_comment(line) else line for line in lines),
-        delimiter=delimiter,
-        skipinitialspace=True,
-        strict=True,
-    )
-    for cells in reader:
-        if any(cells):
-            yield Row(reader.line_num, cells)
+    if "#" in content:
+        # A comment becomes a blank line, so that the reader's count of lines stays right.
+        lines = ("\n" if _is_comment(line) else line for line in lines)
+    reader = csv.reader(lines, delimiter=delimiter, skipinitialspace=True, strict=True)
+    try:
+        for cells in reader:
+            if any(cells):
+                yield Row(reader.line_num, cells)
+    except csv.Error as error:
+        raise csv.Error(f"line {reader.line_num}: {error}") from None
 
 
 def _split_at_blanks(lines: Iterable[str]) -> Iterator[Row]:
@@ -94,7 +98,8 @@ def _is_comment(line: str) -> bool:
 
 def find_layout(content: str) -> Layout | None:
     """Return how a table is written, None for a text that is no table of numbers."""
-    samples = {name: _sample(content, name) for name in DELIMITERS}
+    head = content[: content.rfind("\n", 0, SAMPLE_CHARACTERS) + 1] or content
+    samples = {name: _sample(head, name) for name in DELIMITERS}
     scores = {name: _score(sample) for name, sample in samples.items()}
     delimiter = max(scores, key=lambda name: scores[name])  # the first of equals
     if scores[delimiter] <= 0.0:
@@ -107,7 +112,7 @@ def find_layout(content: str) -> Layout | None:
     if has_header:
         header = _strip_names(rows[0].cells)
     else:
-        header = _find_commented_header(content, delimiter, rows[0].line, width)
+        header = _find_commented_header(head, delimiter, rows[0].line, width)
     return Layout(
         delimiter,
         has_decimal_comma,
@@ -119,11 +124,11 @@ def find_layout(content: str) -> Layout | None:
 
 
 def _sample(content: str, delimiter: str) -> list[Row]:
-    """Return the first rows under one delimiter, none where it cannot be."""
-    try:
-        return list(islice(split_rows(content, delimiter), SAMPLE_ROWS))
-    except csv.Error:
-        return []
+    """Return the first rows under one delimiter, as far as they can be split."""
+    rows = []
+    with suppress(csv.Error):
+        rows.extend(islice(split_rows(content, delimiter), SAMPLE_ROWS))
+    return rows
 
 
 def _score(rows: Sequence[Row]) -> float:

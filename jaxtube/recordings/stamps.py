@@ -27,6 +27,9 @@ LARGEST_SECONDS = 1e11
 LEAST_STAMPS = (("ns", 1e17), ("us", 1e14), ("ms", 1e11))
 """Least stamp since 1970 that must be in a unit other than seconds."""
 
+LEAST_EPOCH = 1e8
+"""A larger number of seconds is a stamp since 1970, of 1973 or later."""
+
 LARGEST_FLOAT = 1e6
 """Up to it, floats keep a time to 1e-10 of its unit."""
 
@@ -61,7 +64,8 @@ def read_stamps(cells: Cells, column: Column) -> tuple[Stamps, Column]:
         refuse_cell(cells, place, int(missing[0]))
     largest = float(np.abs(numbers).max())
     unit = find_unit(largest, column)
-    column = column._replace(unit=unit, is_assumed=column.is_assumed and unit == column.unit)
+    is_told = unit != column.unit or largest > LEAST_EPOCH
+    column = column._replace(unit=unit, is_assumed=column.is_assumed and not is_told)
     digits = DIGITS[column.unit]
     if largest > LARGEST_FLOAT:
         texts = write_points(cells, place)
