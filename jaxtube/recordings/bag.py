@@ -128,6 +128,8 @@ def _open_reader(path: str) -> Any:
         raise ValueError(
             f"{path}: to read bags the library rosbags is needed; pip install 'jaxtube[rosbag]'"
         ) from None
+    if not Path(path).exists():
+        raise ValueError(f"{path}: there is no such file; name a bag")
     try:
         # Bags of ROS 2 before Iron do not describe their messages; those used here never changed.
         types = get_typestore(Stores.ROS2_HUMBLE)

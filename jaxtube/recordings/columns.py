@@ -89,7 +89,7 @@ def require_columns(table: Table, columns: Mapping[str, Column], roles: Sequence
     if table.has_names:
         raise ValueError(
             f"{table.path}: no column is known to hold {words}, among {table.list_names()}; "
-            f"name it: --columns {option}"
+            f"name {'it' if len(lacking) == 1 else 'them'}: --columns {option}"
         )
     wheels = [role.name for role in lacking if role.kind == "wheel"]
     units = f" and --units {','.join(f'{name}=m/s' for name in wheels)}" if wheels else ""

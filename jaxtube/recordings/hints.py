@@ -5,10 +5,21 @@ Source: new.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import csv
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
+
+from jaxtube.recordings.usual_names import LOG_ROLES, WINDOW_ROLES
+
+COLUMN_NAMES = tuple(
+    dict.fromkeys([*(role.name for role in (*LOG_ROLES, *WINDOW_ROLES)), "pose_time"])
+)
+"""What `--columns` and `--units` can name."""
+
+TOPIC_NAMES = ("wheels", "left", "right", "poses", "commands")
+"""What `--topics` can name."""
 
 NOTHING: Mapping[str, str] = MappingProxyType({})
 
@@ -22,8 +33,9 @@ class Hints:
             number from 1 on, or a sum: {"time": "sec+nsec"} of seconds and nanoseconds,
             {"left": "front+rear"} of wheels that are averaged.
         units: of columns by what they hold, such as {"left": "rad/s", "heading": "deg"}.
-        topics: topics of a bag by what they hold: "wheels", "poses", "commands"; of a tf topic with
-            its frames, such as "/tf:map:base_link".
+        topics: topics of a bag by what they hold: "wheels", "poses", "commands"; a topic of
+            transforms with its frames, as in "/tf:map:base_link"; "left" and "right" are topics of
+            numbers with their field, as in "/left_drive/status:speed".
         wheel_radius_m: for wheels in rad/s, rpm or ticks; None where they are in m/s.
         ticks_per_revolution: of a wheel, for encoder ticks.
         pose_file: table with the poses where the log itself has none, such as a TUM pose file; the
@@ -37,14 +49,20 @@ class Hints:
     ticks_per_revolution: float | None = None
     pose_file: str | Path | None = None
 
+    def __post_init__(self) -> None:
+        """Refuse what no column or topic can hold.
+
+        Raises:
+            ValueError: in one line.
+        """
+        _require_known("--columns", self.columns, COLUMN_NAMES)
+        _require_known("--units", self.units, COLUMN_NAMES)
+        _require_known("--topics", self.topics, TOPIC_NAMES)
+
     def of_pose_file(self) -> Hints:
         """Return what is said about the pose file."""
 
-        def rename(pairs: Mapping[str, str]) -> dict[str, str]:
-            others = {name: value for name, value in pairs.items() if name != "time"}
-            return {name.replace("pose_time", "time"): others[name] for name in others}
-
-        return replace(self, columns=rename(self.columns), units=rename(self.units))
+        return replace(self, columns=_rename_time(self.columns), units=_rename_time(self.units))
 
     def require_radius(self, path: str, what: str) -> float:
         """Return the wheel radius, m.
@@ -67,6 +85,12 @@ class Hints:
         )
 
 
+def _rename_time(pairs: Mapping[str, str]) -> dict[str, str]:
+    """Return what is said of columns, "pose_time" in the place of "time"."""
+    others = {name: value for name, value in pairs.items() if name not in ("time", "pose_time")}
+    return {**others, "time": pairs["pose_time"]} if "pose_time" in pairs else others
+
+
 def _require(
     path: str, what: str, option: str, value: float | None, words: str, example: str
 ) -> float:
@@ -78,28 +102,35 @@ def _require(
     return float(value)
 
 
+def _require_known(option: str, pairs: Mapping[str, str], known: Sequence[str]) -> None:
+    """Refuse names that mean nothing."""
+    for name in pairs:
+        if name not in known:
+            raise ValueError(
+                f"{option} {name}={pairs[name]}: {name} is unknown; name one of {', '.join(known)}"
+            )
+
+
 NO_HINTS = Hints()
 
 
-def parse_pairs(option: str, text: str, known: tuple[str, ...]) -> dict[str, str]:
-    """Read "left=wl,right=wr", the text of an option, to a mapping.
+def parse_pairs(option: str, text: str) -> dict[str, str]:
+    """Read "left=wl,right=wr", the text of an option such as `--columns`, to a mapping.
 
     Args:
         option: its name, for messages.
-        text: to read; empty for nothing.
-        known: what may stand on the left.
+        text: to read; empty for nothing. A comma within quotes is part of a value.
 
     Raises:
-        ValueError: in one line, for what is no pair, and for names that are unknown or given twice.
+        ValueError: in one line, for what is no pair, and for names that are given twice.
     """
     pairs: dict[str, str] = {}
-    for part in filter(str.strip, text.split(",")):
-        name, sign, value = (piece.strip() for piece in part.partition("="))
-        if not sign or not value:
-            raise ValueError(f"{option}: {part.strip()} is no pair; write {known[0]}=NAME,...")
-        if name not in known:
-            raise ValueError(f"{option}: {name} is unknown; name one of {', '.join(known)}")
-        if name in pairs:
-            raise ValueError(f"{option}: {name} is given twice; give it once")
-        pairs[name] = value
+    parts = next(csv.reader([text], skipinitialspace=True), [])
+    for part in filter(str.strip, parts):
+        name, sign, value = part.partition("=")
+        if not sign or not value.strip():
+            raise ValueError(f"{option}: {part.strip()} is no pair; write NAME=VALUE,NAME=VALUE")
+        if name.strip() in pairs:
+            raise ValueError(f"{option}: {name.strip()} is given twice; give it once")
+        pairs[name.strip()] = value.strip()
     return pairs

@@ -88,6 +88,8 @@ def _guess_roles(table: Table) -> tuple[str, ...]:
         return ()
     cells = read_cells(table, range(width))
     numbers = np.column_stack([read_numbers(cells, place) for place in range(width)])
+    if len(numbers) < 2:
+        return ()
     increases = np.mean(np.diff(numbers[:, 0]) > 0.0) >= INCREASING
     if width == 3 and _are_poses(numbers):
         return ("x", "y", "heading")

@@ -167,8 +167,8 @@ def _check_width(table: Table, line: int, cells: Sequence[str]) -> None:
     if len(cells) < width or any(cell.strip() for cell in cells[width:]):
         given = "the header names" if table.header_line else "most rows have"
         raise ValueError(
-            f"{table.path}: line {line} has {len(cells)} cells, {given} {width}; mend or drop that "
-            "line, or name every column in the header"
+            f"{table.path}: line {line} has {len(cells)} cell{'s' if len(cells) != 1 else ''}, "
+            f"{given} {width}; mend or drop that line, or name every column in the header"
         )
 
 

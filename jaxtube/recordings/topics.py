@@ -52,8 +52,6 @@ POSES = Sought(
 )
 PATHS = Sought("poses", "a path", (*POSES.ranks, (PATH,)))
 COMMANDS = Sought("commands", "commands", ((TWIST, TWIST_STAMPED),))
-TOPIC_NAMES = ("wheels", "left", "right", "poses", "commands")
-"""What `--topics` can name."""
 
 
 def choose_topic(bag: Bag, sought: Sought, hints: Hints) -> Topic:

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool
 
+from jaxtube.recordings.bag import is_bag
 from jaxtube.recordings.columns import (
     Columns,
     find_columns,
@@ -54,6 +55,8 @@ def is_window_table(path: str | Path, hints: Hints = NO_HINTS) -> bool:
     Raises:
         ValueError: in one line, for what is no table.
     """
+    if is_bag(path):
+        return False
     table = open_table(path)
     found = find_columns(table, (TIME, *WINDOW_ROLES), hints)
     needed = ("left", "right", "v", "w")

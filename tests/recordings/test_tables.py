@@ -124,9 +124,9 @@ LONG = "9" * (csv.field_size_limit() + 1)
         (b"x,y\n", "no table of numbers"),
         (b"PK\x03\x04...", "workbook"),
         (b"\x00\x01\x02\x03" * 50, "not text"),
-        (b"x,y\n1,2\n3\n", "line 3 has 1 cells, the header names 2"),
+        (b"x,y\n1,2\n3\n", "line 3 has 1 cell, the header names 2"),
         (b"x,y\n1,2\n3,4,5\n", "line 3 has 3 cells"),
-        (b"1,2\n3,4\n5\n", "line 3 has 1 cells, most rows have 2"),
+        (b"1,2\n3,4\n5\n", "line 3 has 1 cell, most rows have 2"),
         (b'x,y\n1,2\n"3,4\n5,6\n', "is not CSV"),
         (b"x,y\n1,2\n3,inf\n", "column y, line 3: 'inf' is no finite number"),
         (b"x,y\n1,2\n3,4.5.6\n", "column y, line 3"),
@@ -212,9 +212,20 @@ def test_names_are_compared_without_their_spelling():
 
 
 def test_pairs_of_an_option_are_read():
-    known = ("left", "right")
-    assert parse_pairs("--columns", "left=wl, right=a=b", known) == {"left": "wl", "right": "a=b"}
-    assert parse_pairs("--columns", "", known) == {}
-    for text, words in [("left", "no pair"), ("lef=a", "unknown"), ("left=a,left=b", "twice")]:
+    text = 'left=wl, right=a=b,"x=East, m"'
+    assert parse_pairs("--columns", text) == {"left": "wl", "right": "a=b", "x": "East, m"}
+    assert parse_pairs("--columns", "") == {}
+    for text, words in [("left", "no pair"), ("left=", "no pair"), ("left=a,left=b", "twice")]:
         with pytest.raises(ValueError, match=words):
-            parse_pairs("--columns", text, known)
+            parse_pairs("--columns", text)
+
+
+def test_hints_of_what_nothing_holds_are_refused():
+    with pytest.raises(
+        ValueError, match=r"--columns lft=a: lft is unknown; name one of time, left"
+    ):
+        Hints(columns={"lft": "a"})
+    with pytest.raises(
+        ValueError, match=r"--topics pose=/odom: pose is unknown; name one of wheel"
+    ):
+        Hints(topics={"pose": "/odom"})
