@@ -11,7 +11,13 @@ from typing import NamedTuple
 
 from jaxtube.recordings.hints import Hints
 from jaxtube.recordings.table import Table, shorten
-from jaxtube.recordings.usual_names import STAMP_PAIRS, TIME, UNIT_SUFFIXES, Role
+from jaxtube.recordings.usual_names import (
+    STAMP_PAIRS,
+    TIME,
+    UNIT_SUFFIXES,
+    WHOLE_NAMES,
+    Role,
+)
 
 LEAST_SUFFIX = 6
 """Letters of a usual name from which on a longer name may end with it: `/odom/pose_position_x`
@@ -184,17 +190,27 @@ def _guess(table: Table, role: Role, names: Sequence[str]) -> Column | None:
     """Return the column with the likeliest of the usual names, None where none has one."""
     if not table.has_names:
         return None
-    if role is TIME:
-        for pair in STAMP_PAIRS:
-            if all(names.count(name) == 1 for name in pair):
-                places = tuple(names.index(name) for name in pair)
-                name = "+".join(table.names[place] for place in places)
-                return Column(role, places, name, "s", False)
-    for is_named in (_is_named, _ends_with):
-        for usual in role.names:
+    pair = _find_stamp_pair(names) if role is TIME else None
+    if pair is not None:
+        name = "+".join(table.names[place] for place in pair)
+        return Column(role, pair, name, "s", False)
+    # Of longer names those that say most come first: `pose_orientation_z` before `orientation_z`.
+    endings = sorted(role.names, key=len, reverse=True)
+    for is_named, usual_names in ((_is_named, role.names), (_ends_with, endings)):
+        for usual in usual_names:
             places = [place for place, name in enumerate(names) if is_named(name, usual, role)]
             if places:
                 return _take_only(table, role, usual, _prefer_first_unit(names, places, role))
+    return None
+
+
+def _find_stamp_pair(names: Sequence[str]) -> tuple[int, int] | None:
+    """Return the places of the seconds and nanoseconds of stamps, None where there are none."""
+    for seconds, nanoseconds in STAMP_PAIRS:
+        first = [place for place, name in enumerate(names) if f"_{name}".endswith(f"_{seconds}")]
+        rest = [place for place, name in enumerate(names) if f"_{name}".endswith(f"_{nanoseconds}")]
+        if len(first) == 1 and len(rest) == 1:
+            return first[0], rest[0]
     return None
 
 
@@ -205,7 +221,7 @@ def _is_named(name: str, usual: str, role: Role) -> bool:
 
 def _ends_with(name: str, usual: str, role: Role) -> bool:
     """Say whether a name ends with a usual one that is long enough to tell something."""
-    is_long = len(usual) >= LEAST_SUFFIX and "_" in usual
+    is_long = len(usual) >= LEAST_SUFFIX and "_" in usual and usual not in WHOLE_NAMES
     return is_long and f"_{_split_unit(name, role)[0]}".endswith(f"_{usual}")
 
 

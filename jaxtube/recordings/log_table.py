@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 from jaxtube.recordings.assemble import Samples, Sources
 from jaxtube.recordings.columns import Columns, find_columns, find_wheel_unit, require_columns
+from jaxtube.recordings.delimiter import is_number
 from jaxtube.recordings.groups import Group, has_quaternion, read_group, read_pose_group
 from jaxtube.recordings.hints import Hints
 from jaxtube.recordings.stamps import Stamps, read_stamps
-from jaxtube.recordings.table import Cells, Table, open_table, read_cells
+from jaxtube.recordings.table import Cells, Table, open_table, read_cells, shorten
 from jaxtube.recordings.usual_names import (
     HEADING,
     LEFT,
@@ -64,13 +65,13 @@ def read_sources(path: str, hints: Hints) -> Sources:
     unit = find_wheel_unit(table, columns)
     wheels = read_group(reading.cells, [columns["right"], columns["left"]], "wheel speeds")
     commands, command_clauses = _take_optional(reading, ("cmd_v", "cmd_w"), "commands")
-    steps, step_clauses = _take_optional(reading, ("step",), "steps")
+    steps, step_clauses = _take_steps(reading, hints)
     return Sources(
         wheels=_take(reading, wheels),
         wheel_unit=unit,
         poses=poses,
         commands=commands,
-        steps=None if steps is None else steps._replace(values=steps.values[:, 0]),
+        steps=steps,
         guesses=(
             *table.guesses,
             columns["time"].describe(),
@@ -135,3 +136,16 @@ def _take_optional(
         return None, []
     group = read_group(reading.cells, columns, what)
     return _take(reading, group), group.describe(what)
+
+
+def _take_steps(reading: Reading, hints: Hints) -> tuple[Samples | None, list[str]]:
+    """Return the numbers of the commands, None where a log has none; words that only happen to
+    stand in a column of such a name are left aside."""
+    step = reading.columns.get("step")
+    if step is not None and "step" not in hints.columns:
+        filled = filter(str.strip, reading.cells.columns[step.places[0]])
+        word = next((cell for cell in filled if not is_number(cell)), None)
+        if word is not None:
+            return None, [f"steps: none read, {step.name} holds words such as {shorten(word)}"]
+    steps, clauses = _take_optional(reading, ("step",), "steps")
+    return (None if steps is None else steps._replace(values=steps.values[:, 0])), clauses

@@ -8,7 +8,9 @@ Source: IEEE Std 1003.1, 4.16 (seconds since the epoch); IEEE 754-2019 for the d
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
 from decimal import Decimal, InvalidOperation
 from typing import NamedTuple
 
@@ -32,6 +34,11 @@ LEAST_EPOCH = 1e8
 
 LARGEST_FLOAT = 1e6
 """Up to it, floats keep a time to 1e-10 of its unit."""
+
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+
+DATE = re.compile(r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d:\d\d)(\.\d+)?(Z|[+-]\d\d:?\d\d)?")
+"""Date, time, fraction of a second and zone, as ISO 8601 has them."""
 
 
 class Stamps(NamedTuple):
@@ -58,6 +65,9 @@ def read_stamps(cells: Cells, column: Column) -> tuple[Stamps, Column]:
     if len(column.places) == 2:
         return subtract_first(_read_pairs(cells, column)), column
     place = column.places[0]
+    if DATE.fullmatch(cells.columns[place][0].strip()):
+        stamps = [_read_date(cells, place, row) for row in range(len(cells.lines))]
+        return subtract_first(stamps), column._replace(unit="", is_assumed=False)
     numbers = read_numbers(cells, place)
     missing = np.flatnonzero(np.isnan(numbers))
     if missing.size:
@@ -79,6 +89,19 @@ def find_unit(largest: float, column: Column) -> str:
     if largest / 10 ** DIGITS[column.unit] < LARGEST_SECONDS:
         return column.unit
     return next(unit for unit, least in LEAST_STAMPS if largest >= least)
+
+
+def _read_date(cells: Cells, place: int, row: int) -> Decimal:
+    """Return the seconds since 1970 of a date, in UTC where it names no zone."""
+    match = DATE.fullmatch(cells.columns[place][row].strip())
+    if match is None:
+        refuse_cell(cells, place, row, "no date and time")
+    day, clock, fraction, zone = match.groups()
+    try:
+        moment = datetime.fromisoformat(f"{day}T{clock}{zone or '+00:00'}")
+    except ValueError:
+        refuse_cell(cells, place, row, "no date and time")
+    return Decimal((moment - EPOCH) // timedelta(seconds=1)) + Decimal(fraction or 0)
 
 
 def _read_pairs(cells: Cells, column: Column) -> list[Decimal]:

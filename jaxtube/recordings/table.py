@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from itertools import compress
 from operator import itemgetter
 from pathlib import Path
+from typing import NoReturn
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -201,11 +202,13 @@ def _read_number(cells: Cells, place: int, row: int) -> float:
     if text.lower() in MISSING:
         return float("nan")
     is_readable = is_number(text) and (cells.table.has_decimal_comma or "," not in text)
-    return float(text.replace(",", ".", 1)) if is_readable else refuse_cell(cells, place, row)
+    if not is_readable:
+        refuse_cell(cells, place, row)
+    return float(text.replace(",", ".", 1))
 
 
-def refuse_cell(cells: Cells, place: int, row: int) -> float:
-    """Refuse a cell that is no finite number.
+def refuse_cell(cells: Cells, place: int, row: int, problem: str = "no finite number") -> NoReturn:
+    """Refuse a cell.
 
     Raises:
         ValueError: always, in one line.
@@ -214,7 +217,7 @@ def refuse_cell(cells: Cells, place: int, row: int) -> float:
     shown = repr(shorten(text)) if text.strip() else "nothing"
     raise ValueError(
         f"{cells.table.path}: column {cells.table.names[place]}, line {cells.lines[row]}: {shown} "
-        "is no finite number; mend or drop the row"
+        f"is {problem}; mend or drop the row"
     )
 
 

@@ -198,6 +198,10 @@ LARGEST_STEP = Role(
     {},
 )
 
+WHOLE_NAMES = ("linear_x", "angular_z")
+"""Usual names that are whole ones: `twist.twist.linear.x` of an odometry is measured, and commands
+nothing."""
+
 LOG_ROLES = (TIME, LEFT, RIGHT, X, Y, HEADING, *QUATERNION, SPEED, YAW_RATE, STEP)
 WINDOW_ROLES = (STEP, LEFT, RIGHT, BODY_SPEED, BODY_RATE, BODY_LATERAL, STEADY, LARGEST_STEP)
 PATH_ROLES = (TIME, X, Y, HEADING, *QUATERNION)

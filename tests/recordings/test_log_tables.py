@@ -235,6 +235,16 @@ def test_rows_of_other_sensors_are_left_out_and_counted(tmp_path):
         read_log(path)
 
 
+def test_measured_twists_and_words_are_no_commands(tmp_path):
+    time, wheels, poses = drive()
+    names = "time left right x y yaw odom.twist.linear.x odom.twist.angular.z command"
+    path = write(tmp_path / "log.csv", names.split(), [time, wheels[:, ::-1], poses, poses])
+    path.write_text(path.read_text().replace("\n0.0,", "\n0,").replace("3.0\n", "turn\n", 1))
+    log = read_log(path)
+    assert log.commands is None and log.step is None
+    assert "steps: none read, command holds words such as turn" in log.guesses
+
+
 def test_samples_are_put_in_order_with_a_word(tmp_path):
     rows = ["0,1,1,0,0,0", "0.2,3,3,2,0,0", "0.1,2,2,1,0,0", "0.2,9,9,9,0,0", "0.3,4,4,3,0,0"]
     path = tmp_path / "log.csv"

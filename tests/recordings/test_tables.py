@@ -180,6 +180,8 @@ def test_seconds_and_nanoseconds_make_one_stamp(tmp_path):
     found, column = read_times(tmp_path / "log.csv", text)
     assert found.since.tolist() == [0.0, 2e-9]
     assert column.describe() == "time = header.stamp.sec+header.stamp.nanosec in s"
+    longer, _ = read_times(tmp_path / "log.csv", text.replace("header", "/odom/header"))
+    assert longer.since.tolist() == [0.0, 2e-9]
     named, _ = read_times(
         tmp_path / "log.csv",
         text.replace("header.stamp.", "my"),
@@ -203,6 +205,22 @@ def test_units_of_time_are_told_by_name_and_size(tmp_path, name, stamps, unit, s
     first, second = stamps.split()
     found, column = read_times(tmp_path / "log.csv", f"{name};x\n{first};1\n{second};2\n")
     assert (column.unit, found.since[1]) == (unit, since)
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "start", "since"),
+    [
+        ("2023-11-14 22:13:20.000000001", "2023-11-14 22:13:21", 1700000000, 1.0 - 1e-9),
+        ("2023-11-14T22:13:20Z", "2023-11-14T22:13:20.25Z", 1700000000, 0.25),
+        ("2023-11-15T00:13:20+02:00", "2023-11-14T22:13:21+00:00", 1700000000, 1.0),
+    ],
+)
+def test_dates_are_times(tmp_path, first, second, start, since):
+    found, column = read_times(tmp_path / "log.csv", f"time,x\n{first},1\n{second},2\n")
+    assert int(found.first) == start and found.since[1] == pytest.approx(since, abs=1e-15)
+    assert column.describe() == "time = time"
+    with pytest.raises(ValueError, match=r"line 3: '2023-13-01 00:00:00' is no date and time"):
+        read_times(tmp_path / "log.csv", f"time,x\n{first},1\n2023-13-01 00:00:00,2\n")
 
 
 def test_names_are_compared_without_their_spelling():
