@@ -5,23 +5,18 @@ Source: new.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from jaxtube.recordings.hints import Hints
+from jaxtube.recordings.spelling import assume_unit, ends_with, is_named, normalise, split_unit
 from jaxtube.recordings.table import Table, shorten
 from jaxtube.recordings.usual_names import (
     STAMP_PAIRS,
     TIME,
     UNIT_SUFFIXES,
-    WHOLE_NAMES,
     Role,
 )
-
-LEAST_SUFFIX = 6
-"""Letters of a usual name from which on a longer name may end with it: `/odom/pose_position_x`
-holds a position, but not everything that ends with `_x` does."""
 
 
 class Column(NamedTuple):
@@ -53,12 +48,6 @@ Columns = dict[str, Column]
 """Columns by the names of their roles."""
 
 
-def normalise(name: str) -> str:
-    """Return a name in lower case with single underscores between its words."""
-    words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name.strip().removeprefix("field."))
-    return re.sub(r"[\W_]+", "_", words.lower()).strip("_")
-
-
 def find_columns(table: Table, roles: Iterable[Role], hints: Hints) -> Columns:
     """Return the columns that hold what is sought, those left out that the table has not.
 
@@ -77,7 +66,7 @@ def find_columns(table: Table, roles: Iterable[Role], hints: Hints) -> Columns:
         chosen = hints.columns.get(role.name)
         column = _choose(table, role, chosen) if chosen else _guess(table, role, names)
         if column is not None:
-            found[role.name] = _set_unit(column, hints.units.get(role.name))
+            found[role.name] = _set_unit(column, hints.find_unit(role.name))
     return found
 
 
@@ -139,10 +128,10 @@ def _choose(table: Table, role: Role, chosen: str) -> Column:
     option = f"--columns {role.name}={shorten(chosen)}"
     places = tuple(find_place(table, option, part) for part in parts)
     name = "+".join(table.names[each] for each in places)
-    unit = _split_unit(normalise(table.names[places[0]]), role)[1]
+    unit = split_unit(normalise(table.names[places[0]]), role)[1]
     if role is TIME and len(places) == 2:
         return Column(role, places, name, "s", False)
-    return Column(role, places, name, unit or _assume_unit(role), not unit)
+    return Column(role, places, name, unit or assume_unit(role), not unit)
 
 
 def find_place(table: Table, option: str, name: str) -> int:
@@ -196,9 +185,9 @@ def _guess(table: Table, role: Role, names: Sequence[str]) -> Column | None:
         return Column(role, pair, name, "s", False)
     # Of longer names those that say most come first: `pose_orientation_z` before `orientation_z`.
     endings = sorted(role.names, key=len, reverse=True)
-    for is_named, usual_names in ((_is_named, role.names), (_ends_with, endings)):
+    for matches, usual_names in ((is_named, role.names), (ends_with, endings)):
         for usual in usual_names:
-            places = [place for place, name in enumerate(names) if is_named(name, usual, role)]
+            places = [place for place, name in enumerate(names) if matches(name, usual, role)]
             if places:
                 return _take_only(table, role, usual, _prefer_first_unit(names, places, role))
     return None
@@ -214,21 +203,10 @@ def _find_stamp_pair(names: Sequence[str]) -> tuple[int, int] | None:
     return None
 
 
-def _is_named(name: str, usual: str, role: Role) -> bool:
-    """Say whether a name is a usual one, with or without a unit."""
-    return name == usual or _split_unit(name, role)[0] == usual
-
-
-def _ends_with(name: str, usual: str, role: Role) -> bool:
-    """Say whether a name ends with a usual one that is long enough to tell something."""
-    is_long = len(usual) >= LEAST_SUFFIX and "_" in usual and usual not in WHOLE_NAMES
-    return is_long and f"_{_split_unit(name, role)[0]}".endswith(f"_{usual}")
-
-
 def _prefer_first_unit(names: Sequence[str], places: Sequence[int], role: Role) -> list[int]:
     """Return those of some columns whose unit comes first, as metres do before ticks."""
     units = ["", *UNIT_SUFFIXES[role.kind]]
-    ranks = [units.index(_split_unit(names[place], role)[1]) for place in places]
+    ranks = [units.index(split_unit(names[place], role)[1]) for place in places]
     return [place for place, rank in zip(places, ranks, strict=True) if rank == min(ranks)]
 
 
@@ -245,27 +223,8 @@ def _take_only(table: Table, role: Role, usual: str, places: Sequence[int]) -> C
             f"--columns {role.name}={shorten(table.names[places[0]])} (or {places[0] + 1})"
         )
     place = places[0]
-    unit = _split_unit(normalise(table.names[place]), role)[1] or role.units.get(usual, "")
-    return Column(role, (place,), table.names[place], unit or _assume_unit(role), not unit)
-
-
-def _split_unit(name: str, role: Role) -> tuple[str, str]:
-    """Return a name without the unit it ends with, and that unit, "" where it has none."""
-    endings = [
-        (ending, unit)
-        for unit, suffixes in UNIT_SUFFIXES[role.kind].items()
-        for ending in suffixes
-        if name.endswith(f"_{ending}")
-    ]
-    if not endings:
-        return name, ""
-    ending, unit = max(endings, key=lambda pair: len(pair[0]))
-    return name[: -len(ending) - 1], unit
-
-
-def _assume_unit(role: Role) -> str:
-    """Return the unit of a quantity that tells none."""
-    return next(iter(UNIT_SUFFIXES[role.kind]), "")
+    unit = split_unit(normalise(table.names[place]), role)[1] or role.units.get(usual, "")
+    return Column(role, (place,), table.names[place], unit or assume_unit(role), not unit)
 
 
 def _set_unit(column: Column, unit: str | None) -> Column:

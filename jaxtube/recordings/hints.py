@@ -59,6 +59,12 @@ class Hints:
         _require_known("--units", self.units, COLUMN_NAMES)
         _require_known("--topics", self.topics, TOPIC_NAMES)
 
+    def find_unit(self, name: str) -> str | None:
+        """Return the unit that is said of what a column holds, None for none; what is said of one
+        wheel holds for the other."""
+        other = {"left": "right", "right": "left"}.get(name, name)
+        return self.units.get(name, self.units.get(other))
+
     def of_pose_file(self) -> Hints:
         """Return what is said about the pose file."""
 

@@ -10,11 +10,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.recordings.columns import Columns, find_columns, normalise, require_columns
+from jaxtube.recordings.columns import Columns, find_columns, require_columns
 from jaxtube.recordings.groups import read_pose_group
 from jaxtube.recordings.hints import Hints
 from jaxtube.recordings.path import RawPath, count_from_origin
 from jaxtube.recordings.poses import align_headings
+from jaxtube.recordings.spelling import normalise
 from jaxtube.recordings.stamps import read_stamps
 from jaxtube.recordings.table import Table, open_table, read_cells, read_numbers
 from jaxtube.recordings.usual_names import PATH_ROLES, X, Y

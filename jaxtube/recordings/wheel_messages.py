@@ -12,9 +12,9 @@ import numpy as np
 
 from jaxtube.recordings.assemble import Samples
 from jaxtube.recordings.bag import Bag, Topic
-from jaxtube.recordings.columns import normalise
 from jaxtube.recordings.hints import Hints
 from jaxtube.recordings.samples import order_samples
+from jaxtube.recordings.spelling import normalise
 from jaxtube.recordings.stamps import count_nanoseconds
 from jaxtube.recordings.topics import WHEELS, choose_topic, require_topic
 from jaxtube.recordings.usual_names import UNIT_SUFFIXES
@@ -76,7 +76,7 @@ def _read_joints(bag: Bag, topic: Topic, hints: Hints) -> Wheels:
         speeds.append([_average(message.content.velocity, side) for side in places])
         turned.append([_average(message.content.position, side) for side in places])
     has_speeds = np.isfinite(speeds).all() and np.any(speeds)
-    unit = hints.units.get("left", "rad/s" if has_speeds else "rad")
+    unit = hints.find_unit("left") or ("rad/s" if has_speeds else "rad")
     values = np.array(speeds if has_speeds else turned)
     clauses = [f"{side} = {'+'.join(joints[side])} of {topic.name} in {unit}" for side in SIDES]
     samples = Samples(bag.path, count_nanoseconds(stamps), values, np.array(numbers), "message")
@@ -121,10 +121,10 @@ def _guess_joints(known: Sequence[str], side: str) -> list[str]:
 def _read_sides(bag: Bag, hints: Hints) -> Wheels:
     """Read wheels from a topic of numbers for each side; the right one is interpolated at the times
     of the left one."""
-    unit = hints.units.get("left")
-    if unit is None or hints.units.get("right", unit) != unit:
+    unit = hints.find_unit("left")
+    if unit is None or unit != hints.find_unit("right"):
         raise ValueError(
-            f"{bag.path}: numbers in topics have no unit; give it, such as "
+            f"{bag.path}: numbers in topics have no unit; give one for both wheels, such as "
             "--units left=m/s,right=m/s"
         )
     sides = {side: _read_numbers(bag, side, hints) for side in SIDES}

@@ -17,11 +17,11 @@ from jaxtube.recordings.columns import (
     find_columns,
     find_place,
     find_wheel_unit,
-    normalise,
     require_columns,
 )
 from jaxtube.recordings.groups import read_group
 from jaxtube.recordings.hints import NO_HINTS, NOTHING, Hints
+from jaxtube.recordings.spelling import normalise
 from jaxtube.recordings.table import Cells, Table, open_table, read_cells, shorten
 from jaxtube.recordings.usual_names import (
     BODY_LATERAL,

@@ -221,7 +221,7 @@ def test_wheels_come_from_two_topics_of_numbers(tmp_path):
     log = read_log(path, Hints(topics=topics, units={"left": "m/s", "right": "m/s"}))
     np.testing.assert_allclose(log.wheels, WHEELS[1:], atol=1e-12)
     np.testing.assert_allclose(log.pose_time, TIME - TIME[1], rtol=0, atol=1e-12)
-    with pytest.raises(ValueError, match=r"numbers in topics have no unit; give it"):
+    with pytest.raises(ValueError, match=r"numbers in topics have no unit; give one"):
         read_log(path, Hints(topics=topics))
     wrong = {**topics, "left": "/pose:pose.position"}
     with pytest.raises(ValueError, match=r"/pose have no number pose.position; name the field"):

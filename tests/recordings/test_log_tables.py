@@ -182,8 +182,7 @@ def test_columns_without_names_are_taken_by_number_and_unit(tmp_path):
     time, wheels, poses = drive()
     path = write(tmp_path / "log.csv", [], [time, wheels, poses])
     numbers = {"time": "1", "right": "2", "left": "3", "x": "4", "y": "5", "heading": "6"}
-    units = {"left": "m/s", "right": "m/s"}
-    assert_drive(read_log(path, Hints(columns=numbers, units=units)))
+    assert_drive(read_log(path, Hints(columns=numbers, units={"left": "m/s"})))
     with pytest.raises(
         ValueError, match=r"no names that tell the unit .* --units left=m/s,right=m/s"
     ):
