@@ -78,9 +78,10 @@ def test_the_slips_of_a_lap_move_the_robot_along_its_path(design, task, lap):
     assert np.all(lap.slips[:, 1] == 0)
     assert np.std(lap.slips[:, 0]) > 0.5
     errors = jnp.asarray(lap.trajectory.errors[:-1])
-    demanded = jnp.asarray(lap.trajectory.demanded)
+    wheels = saturate(jnp.asarray(lap.trajectory.demanded), plant.robot)
     true = jnp.asarray(lap.slips[:, 0])
-    following, wheels = jax.vmap(plant.move)(jnp.arange(len(true)), errors, demanded, true)
+    memory = SlipMemory((), true, jnp.zeros_like(true))
+    following = jax.vmap(plant.move)(jnp.arange(len(true)), errors, wheels, memory)
     assert following == pytest.approx(lap.trajectory.errors[1:], abs=CLOSED_LOOP)
     assert wheels == pytest.approx(lap.trajectory.wheels, abs=CLOSED_LOOP)
 
@@ -159,7 +160,7 @@ def test_a_lap_is_drawn_with_its_errors_its_disturbances_and_their_limits(design
         assert np.all(np.abs(beyond.get_ydata()) > limits[i])
         assert [level.get_ydata()[0] for level in levels] == pytest.approx([-limits[i], limits[i]])
     assert panels[0, 1].lines[1].get_ydata() == pytest.approx(lap.trajectory.wheels[:, 0])
-    assert panels[0, 2].lines[1].get_ydata() == pytest.approx(10 * lap.slips[:, 0, 1])
+    assert panels[0, 2].lines[1].get_ydata() == pytest.approx(20 + 2 * lap.slips[:, 0, 1])
 
 
 def test_a_lap_of_the_linear_plant_shows_its_inputs(design, task):

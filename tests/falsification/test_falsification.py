@@ -192,7 +192,8 @@ def test_the_reported_margin_is_that_of_a_world_frame_simulation(paper_design, s
 @pytest.mark.parametrize("process", ["iid", pytest.param("constant", marks=pytest.mark.slow)])
 def test_everything_bounded_is_searched_and_stays_within_bounds(gain, robot, error_limit, process):
     noise = jnp.array([0.01, 0.02, 0.03])
-    plant = dataclasses.replace(robot, noise=noise, uncertain_slip="both", process=process)
+    slips = near_nominal(np.array([0.2, 0.2]), 0.1, "both")
+    plant = dataclasses.replace(robot, noise=noise, slips=slips, process=process)
     starts = np.array([[0.1, 0, 0], [0, 0.1, 0.1], [-0.1, -0.1, 0], [0, 0, -0.1]])
     found = search_worst_cases(JudgedLoop(gain, plant, error_limit), starts, seconds=2, batch=32)
     attack = found.worst["error"].attack

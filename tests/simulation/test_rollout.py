@@ -270,7 +270,8 @@ def test_wheels_are_commanded_with_the_measured_slip(
     paper_design, paper_controllers, paper_plant, tracked, uncertain_slip, least, most
 ):
     """Eqs. (7)-(8) solved for the slip that the controller divides by."""
-    plant = dataclasses.replace(paper_plant, uncertain_slip=uncertain_slip)
+    slips = near_nominal(np.array([0.2, 0.2]), 0.1, uncertain_slip)
+    plant = dataclasses.replace(paper_plant, slips=slips)
     trajectory = batches.run_realisations(
         paper_controllers["compensated"], plant, tracked.errors[0], 0
     )
