@@ -13,6 +13,8 @@ from jaxtube import qp
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.montecarlo import lap_figure, replay
 from jaxtube.figures.style import OUTSIDE
+from jaxtube.plant.robot import saturate
+from jaxtube.plant.slipping import SlipMemory
 from jaxtube.simulation import components
 from jaxtube.statistics import lap as laps
 from jaxtube.statistics.montecarlo import make_closed_loop_task

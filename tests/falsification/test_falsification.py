@@ -22,6 +22,7 @@ from jaxtube.falsification.ascent import (
 from jaxtube.falsification.sample import sample
 from jaxtube.falsification.search import search_worst_cases
 from jaxtube.falsification.worst import confirm
+from jaxtube.plant.slip_bounds import near_nominal
 from jaxtube.simulation import components
 from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.simulation.usage import JudgedLoop, compute_usages, make_limit, play, replay

@@ -11,6 +11,7 @@ from oracles import PlainMpc
 from scipy.integrate import solve_ivp
 from tolerances import CLOSED_LOOP, ROUNDING, WORLD_FRAME
 
+from jaxtube.plant.slip_bounds import near_nominal
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import realisation_keys, rollout
 
