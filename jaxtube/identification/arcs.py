@@ -1,0 +1,69 @@
+"""Motion of a body over a window of poses: the arc of constant velocity that fits them.
+
+    phi(t) = phi_0 + omega t,    p(t) = p_0 + v (C, S) + v_y (-S, C),   C, S = int_0^t cos, sin phi
+
+Heading first, by a line; position is then linear in (p_0, v, v_y). What poses miss of their arc is
+the pose noise, once scaled by the degrees of freedom; independent noise of spread sigma leaves the
+velocities uncertain by the usual covariance of least squares.
+
+Source: least squares as in any textbook; the arc is that of a body with constant velocity, e.g.
+Lynch and Park, Modern Robotics, 2017, section 13.3.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+FEWEST_POSES = 4
+
+
+class Arc(NamedTuple):
+    """The motion of a body over one window."""
+
+    velocity: Float[np.ndarray, "3"]  # (v m/s, omega rad/s, v_y m/s)
+    spread: Float[np.ndarray, "3"]  # standard deviations for noise of one metre, one radian, one metre
+    missed: Float[np.ndarray, "k 3"]  # poses less their arc (m, m, rad), scaled by the freedom used
+
+
+def fit_arc(time: Float[np.ndarray, "k"], pose: Float[np.ndarray, "k 3"]) -> Arc:
+    """Fit the arc of constant velocity to poses.
+
+    Args:
+        time: s, at least `FEWEST_POSES`.
+        pose: (x m, y m, heading rad unwrapped).
+    """
+    count = len(time)
+    elapsed = time - time.mean()
+    moment = float(elapsed @ elapsed)
+    yaw_rate = float(elapsed @ pose[:, 2]) / moment
+    middle = float(pose[:, 2].mean())
+    ahead, aside = _integrate_direction(elapsed, middle, yaw_rate)
+    one = np.ones(count)
+    none = np.zeros(count)
+    design = np.block(
+        [[one[:, None], none[:, None], ahead[:, None], -aside[:, None]],
+         [none[:, None], one[:, None], aside[:, None], ahead[:, None]]]
+    )
+    target = np.concatenate([pose[:, 0], pose[:, 1]])
+    inverse = np.linalg.inv(design.T @ design)
+    found = inverse @ (design.T @ target)
+    velocity = np.array([found[2], yaw_rate, found[3]])
+    spread = np.sqrt([inverse[2, 2], 1.0 / moment, inverse[3, 3]])
+    off_place = (target - design @ found).reshape(2, count).T
+    off_heading = pose[:, 2] - middle - yaw_rate * elapsed
+    position_freedom = np.sqrt(2 * count / (2 * count - 4))
+    heading_freedom = np.sqrt(count / (count - 2))
+    missed = np.column_stack([position_freedom * off_place, heading_freedom * off_heading])
+    return Arc(velocity, spread, missed)
+
+
+def _integrate_direction(
+    elapsed: Float[np.ndarray, "k"], middle: float, yaw_rate: float
+) -> tuple[Float[np.ndarray, "k"], Float[np.ndarray, "k"]]:
+    """Return the integrals of cosine and sine of the heading from the middle of the window on."""
+    half_turn = yaw_rate * elapsed / 2.0
+    chord = elapsed * np.sinc(half_turn / np.pi)
+    return chord * np.cos(middle + half_turn), chord * np.sin(middle + half_turn)

@@ -1,0 +1,115 @@
+"""What a log says of its sensors and its actuators, before any slip: clocks, rates, noise, cuts.
+
+Source: new.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from jaxtube.identification.clocks import Clock, align
+from jaxtube.identification.cuts import Cuts, find_cuts
+from jaxtube.identification.response import Response, find_response
+from jaxtube.identification.samples import drop_held_poses, measure_travel
+from jaxtube.identification.windows import LogWindows, cut_windows
+from jaxtube.recordings.log import Log
+
+NOISE_PERCENTILE = 99.5
+"""Of what poses miss of their arcs, in absolute value: the bound of the noise."""
+
+DEVIATION_PERCENTILE = 68.27
+"""The same for the standard deviation, as of a normal law."""
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What poses miss of the arc of their window.
+
+    Attributes:
+        poses: looked at.
+        deviation: spread (m in x and in y, rad), robust.
+        bound: that all but one of 200 poses keep (m, rad).
+    """
+
+    poses: int
+    deviation: tuple[float, float]
+    bound: tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What was found in a log, slips apart.
+
+    Attributes:
+        log: the log.
+        wheel_period: median time between two samples of the wheels, s.
+        pose_period: between two poses that differ, s.
+        held_share: share of poses that repeated the one before.
+        clock: of wheels and poses.
+        cuts: where the pose is not trusted.
+        response: of the wheels to commands, None without commands.
+        standing: noise of the standing robot, None where it never stood still.
+        moving: noise while it drives steadily, None where it never does.
+        windows: of the log.
+    """
+
+    log: Log
+    wheel_period: float
+    pose_period: float
+    held_share: float
+    clock: Clock
+    cuts: Cuts
+    response: Response | None
+    standing: Noise | None
+    moving: Noise | None
+    windows: LogWindows
+
+    @property
+    def noise(self) -> Noise | None:
+        """The noise to count with: that of the driving robot, where known."""
+        return self.moving or self.standing
+
+
+def inspect_log(log: Log, length: float) -> Findings:
+    """Look at a log in windows of `length` seconds.
+
+    Raises:
+        ScenarioError: in one line, where wheels and poses do not belong together.
+    """
+    poses = drop_held_poses(log)
+    travel = measure_travel(log)
+    clock = align(log.path, travel, poses)
+    cuts = find_cuts(travel, poses, clock)
+    windows = cut_windows(log, travel, poses, clock, cuts, length)
+    return Findings(
+        log,
+        float(np.median(np.diff(log.time))),
+        poses.period,
+        poses.held_share,
+        clock,
+        cuts,
+        find_response(log),
+        _measure_noise(windows.standing),
+        _measure_noise(windows.missed),
+        windows,
+    )
+
+
+def _measure_noise(missed: Float[np.ndarray, "poses 3"]) -> Noise | None:
+    """Return the noise that poses show; None for hardly any."""
+    if len(missed) < 20:
+        return None
+    size = np.abs(missed)
+    place = size[:, :2].ravel()
+    turn = size[:, 2]
+    deviation = _percentiles(place, turn, DEVIATION_PERCENTILE)
+    return Noise(len(missed), deviation, _percentiles(place, turn, NOISE_PERCENTILE))
+
+
+def _percentiles(
+    place: Float[np.ndarray, "2k"], turn: Float[np.ndarray, "k"], percent: float
+) -> tuple[float, float]:
+    return float(np.percentile(place, percent)), float(np.percentile(turn, percent))

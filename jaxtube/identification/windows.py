@@ -1,0 +1,173 @@
+"""The windows of a log: stretches of one command, over which wheels and body are averaged.
+
+A command is a stretch of constant `step` and commanded velocity. Windows are laid from its end
+backwards, without overlap: its last one is the most settled. A stretch that no command is known for
+(a robot driven by hand) is cut into windows from its start, and each run of steady ones whose wheel
+speeds agree counts as a command.
+
+    steady:  each wheel's two half means within `DRIFT` and its spread within `SPREAD` of the fastest
+    lost:    the window touches a cut, or has too few poses
+
+Source: new; two-second windows as in D. Baril et al., "DRIVE: data-driven robot input vector
+exploration" (2024).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxtube.identification.arcs import FEWEST_POSES, fit_arc
+from jaxtube.identification.clocks import Clock
+from jaxtube.identification.cuts import Cuts
+from jaxtube.identification.samples import Poses, Travel
+from jaxtube.recordings.log import Log
+from jaxtube.recordings.windows import Windows
+
+DRIFT = 0.05
+SPREAD = 0.1
+"""Of the fastest wheel speed of the log."""
+
+SAME = 0.1
+"""Of the fastest wheel speed, by which the wheels of one command driven by hand may differ."""
+
+LEAST_SHARE_OF_POSES = 0.6
+"""Of those that a window has at the usual period."""
+
+FASTEST = 95.0
+"""Percentile of the faster wheel's speed, among moving samples, that counts as the fastest."""
+
+MOVING_MPS = 0.02
+
+SLACK = 1e-6
+"""Of a window's length: a command as long as its windows holds them all."""
+
+
+@dataclass(frozen=True, eq=False)
+class LogWindows:
+    """Windows of a log, and when they were.
+
+    Attributes:
+        windows: as a table of windows would hold them.
+        start: of each window, s on the clock of the wheels.
+        length: s.
+        spread: standard deviations of (v, omega, v_y) for noise of one metre, one radian, one metre;
+            NaN where the pose was lost.
+        missed: of all steady windows, poses less their arcs, (m, m, rad).
+        standing: of the standing ones, the same.
+    """
+
+    windows: Windows
+    start: Float[np.ndarray, "k"]
+    length: float
+    spread: Float[np.ndarray, "k 3"]
+    missed: Float[np.ndarray, "poses 3"]
+    standing: Float[np.ndarray, "poses 3"]
+
+
+class _Place(NamedTuple):
+    """Where a window lies, before anything is measured."""
+
+    start: float
+    stretch: int
+    by_hand: bool
+
+
+def cut_windows(
+    log: Log, travel: Travel, poses: Poses, clock: Clock, cuts: Cuts, length: float
+) -> LogWindows:
+    """Cut a log into windows of `length` seconds and measure each."""
+    places = _lay_windows(log, length)
+    start = np.array([place.start for place in places])
+    fastest = find_fastest(log.wheels)
+    wheels = travel.between(start, start + length) / length
+    steady = np.array([_is_steady(log, place.start, length, fastest) for place in places], bool)
+    lost = cuts.touch(start + clock.offset, start + clock.offset + length)
+    least = max(FEWEST_POSES, round(LEAST_SHARE_OF_POSES * length / poses.period))
+    velocity = np.full((len(places), 3), np.nan)
+    spread = np.full((len(places), 3), np.nan)
+    missed = [np.empty((0, 3))]
+    standing = [np.empty((0, 3))]
+    for k, begin in enumerate(start + clock.offset):
+        rows = slice(*np.searchsorted(poses.time, [begin, begin + length]))
+        lost[k] |= rows.stop - rows.start < least
+        if lost[k]:
+            continue
+        arc = fit_arc(poses.time[rows], poses.pose[rows])
+        velocity[k] = arc.velocity
+        spread[k] = arc.spread
+        if steady[k]:
+            is_standing = np.abs(wheels[k]).max() < MOVING_MPS
+            (standing if is_standing else missed).append(arc.missed)
+    windows = Windows(
+        log.path, _number_commands(places, wheels, steady, fastest), wheels, velocity, steady, lost
+    )
+    return LogWindows(
+        windows, start, length, spread, np.concatenate(missed), np.concatenate(standing)
+    )
+
+
+def find_fastest(wheels: Float[np.ndarray, "n 2"]) -> float:
+    """Return the speed that counts as the fastest one of the wheels, m/s."""
+    faster = np.abs(wheels).max(axis=1)
+    moving = faster[faster > MOVING_MPS]
+    return float(np.percentile(moving, FASTEST)) if len(moving) else 0.0
+
+
+def _lay_windows(log: Log, length: float) -> list[_Place]:
+    """Place windows on each stretch of one command, in order of time."""
+    changes = np.zeros(len(log.time) - 1, dtype=bool)
+    known = np.zeros(len(log.time), dtype=bool)
+    if log.commands is not None:
+        changes |= np.any(np.diff(log.commands, axis=0) != 0.0, axis=1)
+        known |= np.any(log.commands != 0.0, axis=1)
+    elif log.step is not None:
+        known |= log.step != log.step[0]
+    if log.step is not None:
+        changes |= np.diff(log.step) != 0
+    first = np.concatenate([[0], np.flatnonzero(changes) + 1])
+    end = np.append(log.time[first[1:]], log.time[-1])
+    places = []
+    for stretch, (row, stop) in enumerate(zip(first, end, strict=True)):
+        count = int((stop - log.time[row]) / length + SLACK)
+        spare = stop - log.time[row] - count * length if known[row] else 0.0
+        for k in range(count):
+            places.append(_Place(log.time[row] + spare + k * length, stretch, not known[row]))
+    return places
+
+
+def _is_steady(log: Log, start: float, length: float, fastest: float) -> bool:
+    """Tell whether the wheels had settled in a window."""
+    rows = slice(*np.searchsorted(log.time, [start, start + length]))
+    wheels = log.wheels[rows]
+    if len(wheels) < 2:
+        return False
+    half = len(wheels) // 2
+    drift = np.abs(wheels[half:].mean(axis=0) - wheels[:half].mean(axis=0)).max()
+    return bool(drift <= DRIFT * fastest and wheels.std(axis=0).max() <= SPREAD * fastest)
+
+
+def _number_commands(
+    places: list[_Place],
+    wheels: Float[np.ndarray, "k 2"],
+    steady: np.ndarray,
+    fastest: float,
+) -> Int[np.ndarray, "k"]:
+    """Number the command of each window: its stretch, and where a robot is driven by hand its run
+    of steady windows that agree."""
+    number = np.zeros(len(places), dtype=int)
+    current = -1
+    first = 0
+    for k, place in enumerate(places):
+        goes_on = k > 0 and place.stretch == places[k - 1].stretch
+        if goes_on and place.by_hand:
+            agrees = np.abs(wheels[k] - wheels[first]).max() <= SAME * fastest
+            goes_on = bool(steady[k] and steady[first] and agrees)
+        if not goes_on:
+            current += 1
+            first = k
+        number[k] = current
+    return number
