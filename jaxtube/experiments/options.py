@@ -5,6 +5,7 @@ Every command takes a scenario, the folder of its run, a seed, and overrides of 
 """
 
 import math
+import re
 import shlex
 import textwrap
 from collections.abc import Callable
@@ -56,6 +57,13 @@ SEED = Rule(
 RATE = Rule(
     lambda value: 0 < value < math.inf, "is out of range; give a positive number, such as 0.1"
 )
+POSITIVE_OR_NONE = Rule(
+    lambda value: value is None or 0 < value < math.inf,
+    "is out of range; give a positive number, or leave it out",
+)
+WINDOW = Rule(lambda value: 0.2 <= value <= 60, "is out of range; give seconds, such as 2")
+MARGIN = Rule(lambda value: 0 <= value < 1, "is out of range; give a slip from 0 on, such as 0.01")
+LOG_FILE = Rule(bool, "is missing; name the file of a log, or of a table of windows")
 FOLDER = Rule(lambda value: not Path(value).is_file(), "is a file; name a folder")
 
 
@@ -65,6 +73,8 @@ class Options:
 
     command: ClassVar[str]
     module: ClassVar[str]
+    positional: ClassVar[tuple[str, ...]] = ()
+    """Options that are given by their place, without their name."""
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "paper"
     """a scenario that `list` prints, or a file"""
@@ -297,6 +307,60 @@ class TuneOptions(Options):
 
 
 @dataclass(frozen=True)
+class IdentifyOptions(Options):
+    """Identify slip, track, lag and noise of a robot from its log, and say what the log can
+    promise."""
+
+    command = "identify"
+    module = "identify.command"
+    positional = ("log",)
+
+    log: Annotated[Positional[str], arg(metavar="LOG", help_behavior_hint=""), LOG_FILE] = ""
+    """a table (CSV) or a bag of wheel speeds and poses, or a table of windows"""
+    scenario: Suppress[str] = ""
+    select: Annotated[str, arg(metavar="COLUMN=VALUE,...", help_behavior_hint="")] = ""
+    """rows of a table of windows, such as robot=husky"""
+    columns: Annotated[str, arg(metavar="WHAT=NAME,...", help_behavior_hint="")] = ""
+    """columns where they are not found, such as left=wl,right=wr"""
+    units: Annotated[str, arg(metavar="WHAT=UNIT,...", help_behavior_hint="")] = ""
+    """units of columns, such as left=rad/s,right=rad/s,heading=deg"""
+    topics: Annotated[str, arg(metavar="WHAT=TOPIC,...", help_behavior_hint="")] = ""
+    """topics of a bag: wheels, poses, commands"""
+    wheel_radius: Annotated[
+        float | None, arg(metavar="METRES", help_behavior_hint=""), POSITIVE_OR_NONE
+    ] = None
+    """of wheels that are not in m/s"""
+    ticks: Annotated[
+        float | None, arg(metavar="COUNT", help_behavior_hint=""), POSITIVE_OR_NONE
+    ] = None
+    """of an encoder in a revolution of its wheel"""
+    pose_file: Annotated[str, arg(metavar="FILE", help_behavior_hint="")] = ""
+    """table of the poses where the log has none, such as a TUM file"""
+    track_m: Annotated[
+        float | None, arg(metavar="METRES", help_behavior_hint=""), POSITIVE_OR_NONE
+    ] = None
+    """distance between the wheels, to name the effective track by"""
+    window_s: Annotated[float, arg(metavar="SECONDS"), WINDOW] = 2.0
+    """length of a window"""
+    least_wheel_mps: Annotated[
+        float | None,
+        arg(metavar="SPEED", help_behavior_hint="(default: a quarter of the fastest)"),
+        POSITIVE_OR_NONE,
+    ] = None
+    """slowest wheel that is promised for"""
+    box: Literal["each", "alike", "scaled"] = "each"
+    """sides of the box: each wheel's slips and sideslip (5), both wheels' (3), or one factor (1)"""
+    margin: Annotated[float, arg(metavar="SLIP"), MARGIN] = 0.0
+    """widens the intervals of slip; promises nothing more"""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run: one for each log and selection."""
+        words = [Path(self.log).stem, *re.findall(r"=([\w.-]+)", self.select)]
+        return Path(self.out or f"runs/{self.command}-{'-'.join(words)}")
+
+
+@dataclass(frozen=True)
 class BenchOptions(Options):
     """Measure laps a second on one device, on all of them, and on one and two workers of a
     cluster."""
@@ -350,6 +414,7 @@ COMMANDS: dict[str, type[Options]] = {
         MapsOptions,
         BeyondOptions,
         TuneOptions,
+        IdentifyOptions,
         BenchOptions,
         ListOptions,
         CheckOptions,
@@ -379,6 +444,8 @@ def command_line(options: Options) -> str:
         value = getattr(options, field.name)
         if isinstance(value, tuple):
             words += value
+        elif field.name in options.positional:
+            words.append(str(value))
         elif value != field.default:
             words.append(flag(field.name))
             words += [] if value is True else [str(value)]

@@ -24,7 +24,9 @@ class Arc(NamedTuple):
     """The motion of a body over one window."""
 
     velocity: Float[np.ndarray, "3"]  # (v m/s, omega rad/s, v_y m/s)
-    spread: Float[np.ndarray, "3"]  # standard deviations for noise of one metre, one radian, one metre
+    spread: Float[
+        np.ndarray, "3"
+    ]  # standard deviations for noise of one metre, one radian, one metre
     missed: Float[np.ndarray, "k 3"]  # poses less their arc (m, m, rad), scaled by the freedom used
 
 
@@ -44,8 +46,10 @@ def fit_arc(time: Float[np.ndarray, "k"], pose: Float[np.ndarray, "k 3"]) -> Arc
     one = np.ones(count)
     none = np.zeros(count)
     design = np.block(
-        [[one[:, None], none[:, None], ahead[:, None], -aside[:, None]],
-         [none[:, None], one[:, None], aside[:, None], ahead[:, None]]]
+        [
+            [one[:, None], none[:, None], ahead[:, None], -aside[:, None]],
+            [none[:, None], one[:, None], aside[:, None], ahead[:, None]],
+        ]
     )
     target = np.concatenate([pose[:, 0], pose[:, 1]])
     inverse = np.linalg.inv(design.T @ design)

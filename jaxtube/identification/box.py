@@ -2,21 +2,32 @@
 
     right:  min <= i_r <= max      left:  min <= i_l <= max      |v_y + L omega| <= s v
 
-Each number is a side, that extremes of the sample fix: five of them. Where both wheels are taken to
-be alike they share an interval, and three sides remain. A margin that widens the box beyond the
-extremes promises nothing more.
+Each number is a side that extremes of the sample fix: five of them. Fewer sides promise more from
+the same commands, and make a box that is no smaller:
+
+    each     an interval for each wheel, and the sideslip                            5 sides
+    alike    one interval for both wheels, and the sideslip                          3 sides
+    scaled   the box of the commands that fitted the track, blown up by one factor   1 side
+
+A margin that widens the box beyond the extremes promises nothing more.
 
 Source: new; the smallest box around a sample as in Campi and Garatti 2008.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-SIDESLIP_SIDES = 1
+BoxKind = Literal["each", "alike", "scaled"]
+
+SIDES: dict[BoxKind, int] = {"each": 5, "alike": 3, "scaled": 1}
+"""That extremes of a sample fix, by kind."""
+
+SMALLEST = 1e-6
+"""Half width of an interval that is blown up."""
 
 
 class Box(NamedTuple):
@@ -25,7 +36,11 @@ class Box(NamedTuple):
     right: tuple[float, float]
     left: tuple[float, float]
     sideslip: float
-    sides: int  # that a sample has fixed
+
+    @property
+    def middle(self) -> Float[np.ndarray, "2"]:
+        """Middle of the intervals (right, left)."""
+        return np.array([sum(self.right), sum(self.left)]) / 2.0
 
     def holds(
         self, slips: Float[np.ndarray, "k 2"], sideslips: Float[np.ndarray, "k"]
@@ -36,28 +51,38 @@ class Box(NamedTuple):
         inside = np.all((slips >= least) & (slips <= greatest), axis=1)
         return inside & (np.abs(sideslips) <= self.sideslip)
 
+    def widen(self, margin: float) -> Box:
+        """Return the box with every interval of slip wider by a margin at both ends."""
+        right = (self.right[0] - margin, self.right[1] + margin)
+        left = (self.left[0] - margin, self.left[1] + margin)
+        return Box(right, left, self.sideslip)
 
-def enclose(
-    slips: Float[np.ndarray, "k 2"],
-    sideslips: Float[np.ndarray, "k"],
-    alike: bool = False,
-    margin: float = 0.0,
-) -> Box:
+
+def enclose(slips: Float[np.ndarray, "k 2"], sideslips: Float[np.ndarray, "k"]) -> Box:
     """Return the smallest box around windows.
 
     Args:
         slips: (right, left).
         sideslips: signed.
-        alike: both wheels share an interval.
-        margin: slip by which every interval is widened at both ends.
     """
-    least = slips.min(axis=0)
-    greatest = slips.max(axis=0)
-    slip_sides = 4
-    if alike:
-        least = np.full(2, least.min())
-        greatest = np.full(2, greatest.max())
-        slip_sides = 2
-    right = (float(least[0]) - margin, float(greatest[0]) + margin)
-    left = (float(least[1]) - margin, float(greatest[1]) + margin)
-    return Box(right, left, float(np.abs(sideslips).max()), slip_sides + SIDESLIP_SIDES)
+    right, left = np.column_stack([slips.min(axis=0), slips.max(axis=0)]).tolist()
+    return Box(tuple(right), tuple(left), float(np.abs(sideslips).max()))
+
+
+def make_alike(box: Box) -> Box:
+    """Return the smallest box with one interval for both wheels around a box."""
+    both = (min(box.right[0], box.left[0]), max(box.right[1], box.left[1]))
+    return Box(both, both, box.sideslip)
+
+
+def blow_up(shape: Box, slips: Float[np.ndarray, "k 2"], sideslips: Float[np.ndarray, "k"]) -> Box:
+    """Return a box about its middle times the least factor at which it holds windows, one at
+    least."""
+    half = np.maximum(np.ptp([shape.right, shape.left], axis=1) / 2.0, SMALLEST)
+    side = max(shape.sideslip, SMALLEST)
+    off = float((np.abs(slips - shape.middle) / half).max())
+    factor = max(1.0, off, float(np.abs(sideslips).max()) / side)
+    least = shape.middle - factor * half
+    greatest = shape.middle + factor * half
+    right, left = np.column_stack([least, greatest]).tolist()
+    return Box(tuple(right), tuple(left), factor * side)

@@ -2,15 +2,14 @@
 
     forward ~ a_r dS_r + a_l dS_l,   turn ~ b_r dS_r - b_l dS_l,   S at the times less the offset
 
-The offset first maximises the correlation of wheels and poses over a grid, then it and the gains are
-fitted together, robustly. A positive offset says that a pose is stamped later than the wheels moved.
-It holds whatever delays poses against wheels: clocks, the time of computing a pose, and rows that
-show a pose only when their own time comes.
+The offset first maximises the correlation of wheels and poses over a grid, then it and the gains
+are fitted together, robustly. A positive offset says that a pose is stamped later than the wheels
+moved. It holds whatever delays poses against wheels: clocks, the time of computing a pose, and rows
+that show a pose only when their own time comes.
 
-Source: new; correlation of yaw rates as in any alignment of odometry, e.g. Censi et al., Simultaneous
-calibration of odometry and sensor parameters for mobile robots, IEEE T-RO 2013; loss soft L1 of
-scipy.optimize.least_squares.
-"""
+Source: new; correlation of yaw rates as in any alignment of odometry, e.g. Censi et al.,
+Simultaneous calibration of odometry and sensor parameters for mobile robots, IEEE T-RO 2013; loss
+soft L1 of scipy.optimize.least_squares."""
 
 from __future__ import annotations
 
@@ -143,15 +142,15 @@ def _refine(
     return fit.x
 
 
-def _miss(
-    travel: Travel, steps: Steps, values: Float[np.ndarray, "5"]
-) -> Float[np.ndarray, "k 2"]:
+def _miss(travel: Travel, steps: Steps, values: Float[np.ndarray, "5"]) -> Float[np.ndarray, "k 2"]:
     """Return by how much forward motion and turn differ from what the wheels make expect."""
     way = travel.between(steps.start - values[0], steps.end - values[0])
     return np.column_stack([steps.forward, steps.turn]) - _apply(way, values[1:])
 
 
-def _apply(way: Float[np.ndarray, "k 2"], gains: Float[np.ndarray, "4"]) -> Float[np.ndarray, "k 2"]:
+def _apply(
+    way: Float[np.ndarray, "k 2"], gains: Float[np.ndarray, "4"]
+) -> Float[np.ndarray, "k 2"]:
     forward = way @ gains[:2]
     turn = way @ (gains[2:] * [1.0, -1.0])
     return np.column_stack([forward, turn])

@@ -2,9 +2,9 @@
 
 From one pose to the next the body moves by what the wheels make expect, save for slip and noise:
 
-    jump:   |p_{k+1} - p_k - R(phi) (d, 0)| > 6 sigma + share of d + least,   or the same of the turn
-    lost:   three jumps and more, none further than two seconds from the next
-    gap:    no new pose for a second, while the wheels rolled
+    jump:   |p_{k+1} - p_k - R(phi) (d, 0)| > 6 sigma + share of d + least,   or the same of the
+    turn lost:   three jumps and more, none further than two seconds from the next gap:    no new
+    pose for a second, while the wheels rolled
 
 with d the expected way and sigma the spread of what poses miss of their neighbours' mean. A window
 that touches a cut is not used.
@@ -95,9 +95,7 @@ def find_cuts(travel: Travel, poses: Poses, clock: Clock) -> Cuts:
     return Cuts(tuple(sorted([*found, *gaps], key=lambda cut: cut.start)))
 
 
-def _measure_jumps(
-    poses: Poses, expected: Float[np.ndarray, "k 2"]
-) -> Float[np.ndarray, "k 2"]:
+def _measure_jumps(poses: Poses, expected: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k 2"]:
     """Return by how much each pose misses the expected one (m, rad)."""
     moved = np.diff(poses.pose, axis=0)
     towards = poses.pose[:-1, 2] + expected[:, 1] / 2.0
@@ -128,5 +126,7 @@ def _describe(
     cuts = []
     for part in parts:
         largest, turn = size[part].max(axis=0).tolist()
-        cuts.append(Cut(kind, float(start[part[0]]), float(end[part[-1]]), len(part), largest, turn))
+        cuts.append(
+            Cut(kind, float(start[part[0]]), float(end[part[-1]]), len(part), largest, turn)
+        )
     return cuts

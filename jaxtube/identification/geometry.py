@@ -8,15 +8,14 @@ counts as slip: by
 
     ((v - v^) + B (omega - omega^) / 2) / v_r   on the right,    the same with - and v_l on the left
 
-with B there that of the iteration before. Wheels are given and do not slip into the regressors: a fit
-of v_r - v_l by omega would shrink B, by the more the more slips scatter. Windows whose noise is large
-for their wheel speed weigh less.
+with B there that of the iteration before. Wheels are given and do not slip into the regressors: a
+fit of v_r - v_l by omega would shrink B, by the more the more slips scatter. Windows whose noise is
+large for their wheel speed weigh less.
 
 Source: effective track and instantaneous centres as in Mandow et al., Experimental kinematics for
 wheeled skid-steer mobile robots, IROS 2007; generalised least squares with the weights of the last
-iteration as in Carroll and Ruppert, Transformation and weighting in regression, 1988, chapter 2; loss
-soft L1 of scipy.optimize.least_squares.
-"""
+iteration as in Carroll and Ruppert, Transformation and weighting in regression, 1988, chapter 2;
+loss soft L1 of scipy.optimize.least_squares."""
 
 from __future__ import annotations
 
@@ -106,7 +105,8 @@ def find_slips(
 
 
 def find_sideslip(velocity: Float[np.ndarray, "k 3"], lever_arm: float) -> Float[np.ndarray, "k"]:
-    """Return the lateral speed that the lever arm leaves, by forward speed; signed, left positive."""
+    """Return the lateral speed that the lever arm leaves, by forward speed; signed, left
+    positive."""
     return (velocity[:, 2] + lever_arm * velocity[:, 1]) / velocity[:, 0]
 
 

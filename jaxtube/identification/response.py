@@ -3,10 +3,10 @@
     tau w' = u(t - delta) - w,   u = c_1 v_c + c_2 omega_c     for each wheel
 
 The gains c tell which wheel speeds the robot's own driver makes of a command, and with them the
-track width it believes in, b = (c_2r - c_2l). Delta and tau are fitted robustly over the seconds that
-follow a change of the command. A row shows a command later than it was given, by a row at most, so
-that delta may come out negative. The lag of single changes spreads about the common one: its middle
-90 % are the interval.
+track width it believes in, b = (c_2r - c_2l). Delta and tau are fitted robustly over the seconds
+that follow a change of the command. A row shows a command later than it was given, by a row at
+most, so that delta may come out negative. The lag of single changes spreads about the common one:
+its middle 90 % are the interval.
 
 Source: new; variable projection as in Golub and Pereyra, SIAM J. Numer. Anal. 1973; loss soft L1 of
 scipy.optimize.least_squares.
@@ -49,10 +49,9 @@ class Response:
     """How the wheels follow commands.
 
     Attributes:
-        lag: common time constant, s.
-        lag_interval: of the lag of single changes, s.
-        delay: dead time, s; negative down to the time between two rows.
-        track_width: that the robot's own driver turns commands into wheel speeds with, m; None where
+        lag: common time constant, s. lag_interval: of the lag of single changes, s. delay: dead
+        time, s; negative down to the time between two rows. track_width: that the robot's own
+        driver turns commands into wheel speeds with, m; None where
             commands do not turn.
         changes: of the command that were looked at.
         explained: share of the wheels' spread, by medians, that the response explains.
@@ -128,7 +127,7 @@ def _fit(changes: _Changes) -> tuple[float, float]:
         missed = _miss(changes, values[0], values[1])
         return float(np.mean(np.sqrt(1.0 + (missed / SCALE_MPS) ** 2)))
 
-    starts = [(delay, lag) for delay in (0.0, 0.1, 0.3) for lag in (0.03, 0.1, 0.3)]
+    starts = [np.array([delay, lag]) for delay in (0.0, 0.1, 0.3) for lag in (0.03, 0.1, 0.3)]
     best = min(starts, key=cost)
     bounds = [(-row, LONGEST_DELAY_S), (0.0, LONGEST_LAG_S)]
     options = {"xatol": 1e-4, "fatol": 1e-9}
@@ -192,7 +191,9 @@ def follow_commands(
         lag: time constant, s; 0 for none.
     """
     shifted = time - delay
-    change = np.concatenate([[0], np.flatnonzero(np.any(np.diff(commands, axis=0) != 0.0, axis=1)) + 1])
+    change = np.concatenate(
+        [[0], np.flatnonzero(np.any(np.diff(commands, axis=0) != 0.0, axis=1)) + 1]
+    )
     response = np.empty_like(commands, dtype=float)
     state = commands[0].astype(float)
     bounds = [*time[change[1:]].tolist(), np.inf]

@@ -1,7 +1,7 @@
 """Samples of a log: poses without those that were only held, and the travel of the wheels.
 
-A row that repeats the last pose holds no news: kept, it would say that the robot stood still. Travel
-S(t) is the integral of the wheel speeds, by the trapezoidal rule between their samples.
+A row that repeats the last pose holds no news: kept, it would say that the robot stood still.
+Travel S(t) is the integral of the wheel speeds, by the trapezoidal rule between their samples.
 
 Source: new.
 """

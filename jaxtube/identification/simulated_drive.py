@@ -9,9 +9,8 @@ command is held for some seconds; its slips and its sideslip are drawn anew with
 and each slip wanders a little while the command lasts. Wheels are solved exactly on a grid of
 2 ms, poses by the midpoint rule on it.
 
-Source: new; slips as in Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(2); an effective track as
-in Mandow et al., Experimental kinematics for wheeled skid-steer mobile robots, IROS 2007.
-"""
+Source: new; slips as in Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(2); an effective track
+as in Mandow et al., Experimental kinematics for wheeled skid-steer mobile robots, IROS 2007."""
 
 from __future__ import annotations
 
@@ -110,7 +109,9 @@ def drive(truth: Truth, count: int, seed: int, hold_s: tuple[float, float] = (4.
         hold_s: shortest and longest time a command is held.
     """
     commands = draw_commands(truth, count, np.random.default_rng(seed), hold_s)
-    held = np.repeat(np.arange(len(commands.duration)), np.round(commands.duration / STEP).astype(int))
+    held = np.repeat(
+        np.arange(len(commands.duration)), np.round(commands.duration / STEP).astype(int)
+    )
     time = STEP * np.arange(len(held))
     wheels = follow(command_wheels(commands.velocity, truth.track_width)[held], truth.wheel_lag)
     phases = np.random.default_rng([seed, 1]).uniform(0, 2 * np.pi, (len(commands.duration), 2))
@@ -168,7 +169,7 @@ def follow(commanded: Float[np.ndarray, "n k"], lag: float) -> Float[np.ndarray,
     if lag == 0.0:
         return commanded
     kept = np.exp(-STEP / lag)
-    return lfilter([0.0, 1.0 - kept], [1.0, -kept], commanded, axis=0)
+    return np.asarray(lfilter([0.0, 1.0 - kept], [1.0, -kept], commanded, axis=0))
 
 
 def move_body(

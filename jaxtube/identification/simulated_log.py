@@ -6,9 +6,8 @@ moves all later poses; where the pose is lost it walks at random and comes back.
 
     time_s, left_wheel_mps, right_wheel_mps, x_m, y_m, heading_rad, cmd_v_mps, cmd_w_radps, step
 
-Source: new; the columns are those of the records of D. Baril et al., "DRIVE: data-driven robot input
-vector exploration" (2024).
-"""
+Source: new; the columns are those of the records of D. Baril et al., "DRIVE: data-driven robot
+input vector exploration" (2024)."""
 
 from __future__ import annotations
 
@@ -21,9 +20,7 @@ from jaxtyping import Float
 from jaxtube.identification.simulated_drive import STEP, Drive
 from jaxtube.recordings.log import Log
 
-HEADER = (
-    "time_s,left_wheel_mps,right_wheel_mps,x_m,y_m,heading_rad,cmd_v_mps,cmd_w_radps,step"
-)
+HEADER = "time_s,left_wheel_mps,right_wheel_mps,x_m,y_m,heading_rad,cmd_v_mps,cmd_w_radps,step"
 
 LOST_STEP_M = 1.5
 """Standard deviation of what a lost pose moves from one pose to the next, in x and in y."""

@@ -5,8 +5,8 @@ backwards, without overlap: its last one is the most settled. A stretch that no 
 (a robot driven by hand) is cut into windows from its start, and each run of steady ones whose wheel
 speeds agree counts as a command.
 
-    steady:  each wheel's two half means within `DRIFT` and its spread within `SPREAD` of the fastest
-    lost:    the window touches a cut, or has too few poses
+    steady:  each wheel's two half means within `DRIFT` and its spread within `SPREAD` of the
+    fastest lost:    the window touches a cut, or has too few poses
 
 Source: new; two-second windows as in D. Baril et al., "DRIVE: data-driven robot input vector
 exploration" (2024).
@@ -51,10 +51,9 @@ class LogWindows:
     """Windows of a log, and when they were.
 
     Attributes:
-        windows: as a table of windows would hold them.
-        start: of each window, s on the clock of the wheels.
-        length: s.
-        spread: standard deviations of (v, omega, v_y) for noise of one metre, one radian, one metre;
+        windows: as a table of windows would hold them. start: of each window, s on the clock of the
+        wheels. length: s. spread: standard deviations of (v, omega, v_y) for noise of one metre,
+        one radian, one metre;
             NaN where the pose was lost.
         missed: of all steady windows, poses less their arcs, (m, m, rad).
         standing: of the standing ones, the same.
@@ -134,8 +133,8 @@ def _lay_windows(log: Log, length: float) -> list[_Place]:
     for stretch, (row, stop) in enumerate(zip(first, end, strict=True)):
         count = int((stop - log.time[row]) / length + SLACK)
         spare = stop - log.time[row] - count * length if known[row] else 0.0
-        for k in range(count):
-            places.append(_Place(log.time[row] + spare + k * length, stretch, not known[row]))
+        begins = log.time[row] + spare + length * np.arange(count)
+        places += [_Place(float(begin), stretch, not known[row]) for begin in begins]
     return places
 
 

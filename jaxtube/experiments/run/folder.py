@@ -48,7 +48,7 @@ PACKAGES = (
 )
 COMPUTING_PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "clarabel")
 """Those whose version may change the numbers of a run."""
-SCENARIOS = ("scenario.toml", "against.toml", "tuned.toml")
+SCENARIOS = ("scenario.toml", "against.toml", "tuned.toml", "identified.toml")
 """Scenarios that commands write."""
 
 
