@@ -30,6 +30,7 @@ ROOMS = (
     "synthesis",
     "simulation",
     "statistics",
+    "identification",
     "falsification",
     "tuning",
     "results",

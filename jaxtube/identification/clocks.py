@@ -9,7 +9,8 @@ that show a pose only when their own time comes.
 
 Source: new; correlation of yaw rates as in any alignment of odometry, e.g. Censi et al.,
 Simultaneous calibration of odometry and sensor parameters for mobile robots, IEEE T-RO 2013; loss
-soft L1 of scipy.optimize.least_squares."""
+soft L1 of scipy.optimize.least_squares.
+"""
 
 from __future__ import annotations
 

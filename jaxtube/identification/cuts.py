@@ -2,9 +2,9 @@
 
 From one pose to the next the body moves by what the wheels make expect, save for slip and noise:
 
-    jump:   |p_{k+1} - p_k - R(phi) (d, 0)| > 6 sigma + share of d + least,   or the same of the
-    turn lost:   three jumps and more, none further than two seconds from the next gap:    no new
-    pose for a second, while the wheels rolled
+    jump:   |p_{k+1} - p_k - R(phi) (d, 0)| > 6 sigma + 0.6 d + 0.1 m,   or the same of the turn
+    lost:   three jumps and more, none further than two seconds from the next
+    gap:    no new pose for a second, while the wheels rolled
 
 with d the expected way and sigma the spread of what poses miss of their neighbours' mean. A window
 that touches a cut is not used.

@@ -15,7 +15,8 @@ large for their wheel speed weigh less.
 Source: effective track and instantaneous centres as in Mandow et al., Experimental kinematics for
 wheeled skid-steer mobile robots, IROS 2007; generalised least squares with the weights of the last
 iteration as in Carroll and Ruppert, Transformation and weighting in regression, 1988, chapter 2;
-loss soft L1 of scipy.optimize.least_squares."""
+loss soft L1 of scipy.optimize.least_squares.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +28,7 @@ from scipy.optimize import least_squares
 
 ITERATIONS = 8
 
-BOOTSTRAPS = 60
+BOOTSTRAPS = 40
 """Samples of commands that the standard errors come from."""
 
 
@@ -125,12 +126,14 @@ def _fit_track(
         noise = np.hypot(spread[:, :1], track * spread[:, 1:2] / 2.0) / wheels
         weight = 1.0 / np.sqrt(scale**2 + noise**2)
 
-        def residuals(
-            values: Float[np.ndarray, "3"], track: float = track, weight: np.ndarray = weight
-        ) -> Float[np.ndarray, "2k"]:
-            return (_miss(wheels, velocity, values, track) * weight).ravel()
-
-        fit = least_squares(residuals, gains, loss="soft_l1", x_scale=np.abs(gains) + 0.1)
+        fit = least_squares(
+            lambda values, *given: (_miss(wheels, velocity, values, given[0]) * given[1]).ravel(),
+            gains,
+            jac=_slopes,
+            loss="soft_l1",
+            x_scale=np.abs(gains) + 0.1,
+            args=(track, weight, wheels),
+        )
         gains = fit.x
     return gains
 
@@ -165,6 +168,21 @@ def _miss(
     missed = velocity[:, :2] - _expect(wheels, gains)
     turning = track * missed[:, 1] / 2.0
     return np.column_stack([missed[:, 0] + turning, missed[:, 0] - turning]) / wheels
+
+
+def _slopes(
+    gains: Float[np.ndarray, "3"],
+    track: float,
+    weight: Float[np.ndarray, "k 2"],
+    wheels: Float[np.ndarray, "k 2"],
+) -> Float[np.ndarray, "2k 3"]:
+    """Return the derivatives of the weighted misses by (m_r, m_l, B)."""
+    by_track = track * (wheels * gains[:2] @ [1.0, -1.0]) / (2.0 * gains[2] ** 2)
+    own = -(1.0 + track / gains[2]) / 2.0
+    other = -(1.0 - track / gains[2]) / 2.0 * wheels[:, ::-1] / wheels
+    right = np.column_stack([np.full(len(wheels), own), other[:, 0], by_track / wheels[:, 0]])
+    left = np.column_stack([other[:, 1], np.full(len(wheels), own), -by_track / wheels[:, 1]])
+    return (np.stack([right, left], axis=1) * weight[:, :, None]).reshape(-1, 3)
 
 
 def _fit_side(velocity: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "2"]:

@@ -11,7 +11,8 @@ side. The promise is 1 - eps at which the right-hand side is 1 - confidence.
 Source: Campi and Garatti, The exact feasibility of randomized solutions of uncertain convex
 programs, SIAM J. Optim. 2008, theorem 1 (the smallest box around a sample is a convex program of d
 variables); the inversion is the upper bound of Clopper and Pearson 1934 for d - 1 events in N
-trials."""
+trials.
+"""
 
 from __future__ import annotations
 

@@ -10,7 +10,8 @@ and each slip wanders a little while the command lasts. Wheels are solved exactl
 2 ms, poses by the midpoint rule on it.
 
 Source: new; slips as in Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(2); an effective track
-as in Mandow et al., Experimental kinematics for wheeled skid-steer mobile robots, IROS 2007."""
+as in Mandow et al., Experimental kinematics for wheeled skid-steer mobile robots, IROS 2007.
+"""
 
 from __future__ import annotations
 

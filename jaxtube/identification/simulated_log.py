@@ -7,7 +7,8 @@ moves all later poses; where the pose is lost it walks at random and comes back.
     time_s, left_wheel_mps, right_wheel_mps, x_m, y_m, heading_rad, cmd_v_mps, cmd_w_radps, step
 
 Source: new; the columns are those of the records of D. Baril et al., "DRIVE: data-driven robot
-input vector exploration" (2024)."""
+input vector exploration" (2024).
+"""
 
 from __future__ import annotations
 

@@ -5,8 +5,9 @@ backwards, without overlap: its last one is the most settled. A stretch that no 
 (a robot driven by hand) is cut into windows from its start, and each run of steady ones whose wheel
 speeds agree counts as a command.
 
-    steady:  each wheel's two half means within `DRIFT` and its spread within `SPREAD` of the
-    fastest lost:    the window touches a cut, or has too few poses
+    steady:  the mean of each wheel over any quarter within `DRIFT` of that over the window, and its
+             spread within `SPREAD`, by the fastest wheel speed of the log
+    lost:    the window touches a cut, or has too few poses
 
 Source: new; two-second windows as in D. Baril et al., "DRIVE: data-driven robot input vector
 exploration" (2024).
@@ -30,6 +31,8 @@ from jaxtube.recordings.windows import Windows
 DRIFT = 0.05
 SPREAD = 0.1
 """Of the fastest wheel speed of the log."""
+
+QUARTERS = 4
 
 SAME = 0.1
 """Of the fastest wheel speed, by which the wheels of one command driven by hand may differ."""
@@ -142,10 +145,10 @@ def _is_steady(log: Log, start: float, length: float, fastest: float) -> bool:
     """Tell whether the wheels had settled in a window."""
     rows = slice(*np.searchsorted(log.time, [start, start + length]))
     wheels = log.wheels[rows]
-    if len(wheels) < 2:
+    if len(wheels) < QUARTERS:
         return False
-    half = len(wheels) // 2
-    drift = np.abs(wheels[half:].mean(axis=0) - wheels[:half].mean(axis=0)).max()
+    means = np.array([part.mean(axis=0) for part in np.array_split(wheels, QUARTERS)])
+    drift = np.abs(means - wheels.mean(axis=0)).max()
     return bool(drift <= DRIFT * fastest and wheels.std(axis=0).max() <= SPREAD * fastest)
 
 

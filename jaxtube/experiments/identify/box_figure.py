@@ -1,9 +1,11 @@
 """The figure of where the box comes from: slips of both wheels, sideslip, and who made each side.
 
-Every command has a colour of its own for its windows; a side is marked at the window that fixes it.
+A line joins the windows of one command; a side is marked at the window that fixes it.
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from jaxtyping import Float
@@ -129,10 +131,11 @@ def _draw_growth(axes: Axes, identified: Identified) -> None:
         _label_end(axes, x[-1], 100 * grown_greatest[-1, column], label, colour)
     axes.step(x, 100 * np.maximum.accumulate(side), color="#009E73", where="post")
     _label_end(axes, x[-1], 100 * side.max(), "sideslip", "#009E73")
+    promised = math.floor(100 * identified.promise.share)
     axes.set(
         xlabel="commands counted, in order of time",
         ylabel="extremes so far [%]",
-        title=f"(b) growth; promised: {100 * identified.promise.share:.0f} % of new commands",
+        title=f"(b) growth; promised: {promised} % of new commands",
     )
     axes.margins(x=0.02)
 
@@ -141,7 +144,7 @@ def _label_end(axes: Axes, x: float, y: float, text: str, colour: str) -> None:
     axes.annotate(
         text,
         (x, y),
-        xytext=(3, 0),
+        xytext=(9, 0),
         textcoords="offset points",
         color=colour,
         fontsize=LABEL_SIZE,

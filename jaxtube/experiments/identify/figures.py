@@ -169,7 +169,8 @@ def ground_by_wheel(identified: Identified) -> Figure:
         )
         axes.plot(ends, ends, color="0.5", linewidth=0.8)
         wheels = windows.wheels[:, column]
-        ground = wheels * (1.0 - identified.slips[:, column])
+        slips = np.where(identified.fits | identified.counts, identified.slips[:, column], np.nan)
+        ground = wheels * (1.0 - slips)
         mark_windows(axes, identified, wheels, ground, colour, marker)
         axes.axvline(identified.least_wheel, **LIMIT)
         axes.set(title=name, xlabel="speed of the wheel [m/s]", xlim=(0, fastest))

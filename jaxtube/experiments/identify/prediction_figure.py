@@ -1,7 +1,8 @@
 """The figure of measured against predicted motion, over windows that the track was not fitted to.
 
 Predicted by the wheels as they turned: with the slips in the middle of the box, and with any slips
-in it (bars). Beside it, what the same wheels say without slip on the track between the wheels."""
+in it (bars). Beside it, what the same wheels say without slip on the track between the wheels.
+"""
 
 from __future__ import annotations
 
