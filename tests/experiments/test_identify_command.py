@@ -143,7 +143,7 @@ def test_predictions_hold_the_motion_of_windows_that_made_the_box(window_file):
         (("LOG", "--margin", "2"), "--margin = 2"),
         (("LOG", "--least-wheel-mps", "0.9"), "lower --least-wheel-mps"),
         (("LOG", "--columns", "left"), "left is no pair"),
-        (("WINDOWS", "--select", "robot"), "robot is no pair; write robot=husky"),
+        (("WINDOWS", "--select", "robot"), "robot is no pair"),
         (("WINDOWS", "--select", "robot=none"), "none"),
         (("LOG", "controller.horizon=3"), "is of no use here"),
     ],

@@ -22,19 +22,17 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.identification.findings import Findings, inspect_log
 from jaxtube.identification.identify import Choices, Identified, identify_log, identify_windows
 from jaxtube.identification.scenario_text import find_track_width, write_scenario
+from jaxtube.recordings.bag import is_bag
 from jaxtube.recordings.hints import Hints, parse_pairs
 from jaxtube.recordings.log import Log
 from jaxtube.recordings.reading import read_log
-from jaxtube.recordings.usual_names import LOG_ROLES, WINDOW_ROLES
 from jaxtube.recordings.window_table import is_window_table, read_windows
 from jaxtube.recordings.windows import Windows
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario
 from jaxtube.scenario.validation import validate
 
-TOPICS = ("wheels", "poses", "commands")
 FILE = "identified.toml"
-BAGS = (".bag", ".mcap", ".db3")
 
 
 def run(scenario: None, options: IdentifyOptions) -> int:
@@ -71,33 +69,22 @@ def read(options: IdentifyOptions) -> Log | Windows:
     Raises:
         ScenarioError: one line.
     """
-    roles = {role.name for role in (*LOG_ROLES, *WINDOW_ROLES)} | {"pose_time"}
-    known = tuple(sorted(roles))
     try:
         hints = Hints(
-            columns=parse_pairs("--columns", options.columns, known),
-            units=parse_pairs("--units", options.units, known),
-            topics=parse_pairs("--topics", options.topics, TOPICS),
+            columns=parse_pairs("--columns", options.columns),
+            units=parse_pairs("--units", options.units),
+            topics=parse_pairs("--topics", options.topics),
             wheel_radius_m=options.wheel_radius,
             ticks_per_revolution=options.ticks,
             pose_file=options.pose_file or None,
         )
-        if options.log.endswith(BAGS) or not is_window_table(options.log, hints):
+        if is_bag(options.log) or not is_window_table(options.log, hints):
             return read_log(options.log, hints)
-        return read_windows(options.log, _read_selection(options.select), hints)
+        return read_windows(options.log, parse_pairs("--select", options.select), hints)
     except ScenarioError:
         raise
     except ValueError as error:
         raise ScenarioError(str(error)) from None
-
-
-def _read_selection(text: str) -> dict[str, str]:
-    """Read "robot=husky,terrain=ice"."""
-    pairs = [part.partition("=") for part in text.split(",") if part.strip()]
-    for name, sign, value in pairs:
-        if not sign or not name.strip() or not value.strip():
-            raise ValueError(f"--select: {text} is no pair; write robot=husky")
-    return {name.strip(): value.strip() for name, _, value in pairs}
 
 
 def _identify_log(findings: Findings, choices: Choices) -> Identified:
