@@ -21,6 +21,7 @@ loss soft L1 of scipy.optimize.least_squares.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -129,7 +130,7 @@ def _fit_track(
         fit = least_squares(
             lambda values, *given: (_miss(wheels, velocity, values, given[0]) * given[1]).ravel(),
             gains,
-            jac=_slopes,
+            jac=cast(Any, _slopes),  # its stubs know the names of methods alone
             loss="soft_l1",
             x_scale=np.abs(gains) + 0.1,
             args=(track, weight, wheels),

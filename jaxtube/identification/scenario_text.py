@@ -67,6 +67,7 @@ def write_scenario(
         say_sample(identified),
         "Other wheel speeds, turns on the spot, reversing and other ground are not covered. "
         "Reference and controller are a start to search from.",
+        *_say_lateness(findings),
     ]
     tables = {
         "robot": _robot(identified, findings, track_width),
@@ -83,6 +84,16 @@ def write_scenario(
     header = "\n".join(_comment(paragraph) for paragraph in head)
     texts = [header, *(_write_table(name, lines) for name, lines in tables.items())]
     return "\n\n".join(texts) + "\n"
+
+
+def _say_lateness(findings: Findings | None) -> list[str]:
+    """Return what a user must know of late poses, in a paragraph, where they are late."""
+    if findings is None or findings.clock.offset <= findings.wheel_period:
+        return []
+    return [
+        f"Poses were stamped {findings.clock.offset:.3f} s after the wheels had moved so. Where "
+        "the controller gets them as late, that is dead time: add it to robot.command_delay_s."
+    ]
 
 
 def find_track_width(

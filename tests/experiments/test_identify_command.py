@@ -76,7 +76,7 @@ def test_the_promise_is_printed_before_anything_else(finished):
 
 def test_the_report_names_what_was_cut_and_what_is_not_covered(finished):
     report = (finished / "report.txt").read_text()
-    assert "1 stretches in which the pose was lost" in report
+    assert "1 stretch in which the pose was lost" in report
     assert "wheels behind commands" in report
     assert "Not covered by the promise:" in report
     assert "turning on the spot" in report

@@ -13,14 +13,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from jaxtube.experiments.identify.figures import SIZE
+from jaxtube.experiments.identify.figures import LEFT, RIGHT, SIDE, SIZE
 from jaxtube.figures.style import (
-    LABEL_SIZE,
     LIMIT,
     LIMIT_EDGE,
     OUTSIDE,
+    Line,
     bottom_legend,
     line_key,
+    line_keys,
     mark_key,
     page_figure,
     styled,
@@ -32,6 +33,7 @@ ROUNDING = 1e-9
 """By which a window may miss a side that it fixes."""
 
 COUNTED = "#0072B2"
+GROWN = (Line("right wheel", RIGHT), Line("left wheel", LEFT), Line("sideslip", SIDE))
 
 
 @styled
@@ -49,6 +51,7 @@ def where_from(identified: Identified) -> Figure:
         mark_key("fits the track", "0.35", markerfacecolor="white", markersize=SIZE),
         mark_key("fixes a side", OUTSIDE, marker="o", markerfacecolor="none", markersize=7),
         line_key("box", **LIMIT),
+        *line_keys(GROWN),
     ]
     bottom_legend(figure, keys, columns=4)
     return figure
@@ -125,29 +128,13 @@ def _draw_growth(axes: Axes, identified: Identified) -> None:
     grown_least = np.minimum.accumulate(least)
     grown_greatest = np.maximum.accumulate(greatest)
     x = np.arange(1, len(names) + 1)
-    for column, (colour, label) in enumerate((("#0072B2", "right"), ("#E69F00", "left"))):
-        axes.step(x, 100 * grown_greatest[:, column], color=colour, where="post")
-        axes.step(x, 100 * grown_least[:, column], color=colour, where="post")
-        _label_end(axes, x[-1], 100 * grown_greatest[-1, column], label, colour)
-    axes.step(x, 100 * np.maximum.accumulate(side), color="#009E73", where="post")
-    _label_end(axes, x[-1], 100 * side.max(), "sideslip", "#009E73")
+    for column, line in enumerate(GROWN[:2]):
+        for extremes in (grown_least, grown_greatest):
+            axes.step(x, 100 * extremes[:, column], color=line.colour, where="mid")
+    axes.step(x, 100 * np.maximum.accumulate(side), color=GROWN[2].colour, where="mid")
     promised = math.floor(100 * identified.promise.share)
     axes.set(
         xlabel="commands counted, in order of time",
         ylabel="extremes so far [%]",
         title=f"(b) growth; promised: {promised} % of new commands",
-    )
-    axes.margins(x=0.02)
-
-
-def _label_end(axes: Axes, x: float, y: float, text: str, colour: str) -> None:
-    axes.annotate(
-        text,
-        (x, y),
-        xytext=(9, 0),
-        textcoords="offset points",
-        color=colour,
-        fontsize=LABEL_SIZE,
-        va="center",
-        annotation_clip=False,
     )

@@ -164,7 +164,7 @@ def _say_cuts(findings: Findings) -> str:
     """Return the cuts: stretches in which the pose was lost, gaps and jumps."""
     cuts = findings.cuts.cuts
     if not cuts:
-        return "Cuts: none; no jump of the pose, no gap."
+        return "Pose trusted throughout: no jump, no gap."
     lost = sum(cut.end - cut.start for cut in cuts)
     columns = [
         left("cut"),
@@ -188,16 +188,20 @@ def _say_cuts(findings: Findings) -> str:
         for cut in sorted(longest, key=lambda cut: cut.start)
     ]
     kinds = [
-        f"{len(findings.cuts.of_kind(kind))} {words}"
-        for kind, words in (
-            ("lost", "stretches in which the pose was lost"),
-            ("gap", "gaps"),
-            ("jump", "single jumps"),
+        _count(len(findings.cuts.of_kind(kind)), one, many)
+        for kind, one, many in (
+            ("lost", "stretch in which the pose was lost", "stretches in which it was lost"),
+            ("gap", "gap", "gaps"),
+            ("jump", "single jump", "single jumps"),
         )
     ]
-    shown = f"; the {len(rows)} that matter most:" if len(rows) < len(cuts) else ":"
-    head = f"Cuts, {lost:.1f} s in all: {', '.join(kinds)}{shown}"
+    shown = f"; the {len(rows)} that matter most" if len(rows) < len(cuts) else ""
+    head = "\n".join(wrap(f"Pose not trusted for {lost:.1f} s: {', '.join(kinds)}{shown}."))
     return f"{head}\n{format_table(columns, rows)}"
+
+
+def _count(number: int, one: str, many: str) -> str:
+    return f"{number} {one if number == 1 else many}"
 
 
 def _say_limits(identified: Identified) -> list[str]:
@@ -217,16 +221,17 @@ def _say_limits(identified: Identified) -> list[str]:
     if uncovered.on_the_spot:
         low, middle, high = uncovered.spot_track
         lines += wrap(
-            f"* turning on the spot, {uncovered.on_the_spot} commands: effective track "
-            f"{middle:.3g} m there ({low:.3g} to {high:.3g} m in 80 % of windows)"
+            f"* turning on the spot, {_count(uncovered.on_the_spot, 'command', 'commands')}: there "
+            f"wheels differ by {middle:.3g} m times the yaw rate, slip included ({low:.3g} to "
+            f"{high:.3g} m in 80 % of windows)"
         )
     if uncovered.reversing:
-        lines += wrap(f"* reversing, {uncovered.reversing} commands")
+        lines += wrap(f"* reversing, {_count(uncovered.reversing, 'command', 'commands')}")
     if uncovered.changing:
         share = uncovered.changing_inside / uncovered.changing
         lines += wrap(
-            f"* changing speed: {uncovered.changing} windows drive forwards but not steadily, "
-            f"{100 * share:.0f} % of them lie inside the box"
+            "* changing speed: of windows that drive forwards but not steadily, "
+            f"{100 * share:.0f} % of {uncovered.changing} lie inside the box"
         )
     return lines
 
