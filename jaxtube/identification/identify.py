@@ -14,6 +14,7 @@ Source: new; the bound is that of `jaxtube.identification.promise`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -87,6 +88,15 @@ class Identified:
         return self.box.widen(self.choices.margin)
 
 
+class _Sample(NamedTuple):
+    """Which windows are used, and for what."""
+
+    least_wheel: float
+    fits: Bool[np.ndarray, "k"]
+    counts: Bool[np.ndarray, "k"]
+    promise: Promise
+
+
 def identify_log(findings: Findings, choices: Choices) -> Identified:
     """Identify a robot from the windows of its log; see `identify_windows`."""
     noise = findings.noise
@@ -113,6 +123,33 @@ def identify_windows(
             forwards, no turns, an effective track that does not describe the robot, slips of one
             and more, or a promise of next to nothing.
     """
+    sample = _take_sample(windows, choices)
+    known = np.zeros_like(windows.velocity) if spread is None else spread
+    geometry = _fit_sample(windows, sample, known)
+    slips, sideslips = _find_all_slips(windows, geometry)
+    box = _make_box(choices.box, slips, sideslips, sample.fits, sample.counts)
+    refusals.refuse_box(windows, box.widen(choices.margin))
+    noise = None
+    if spread is not None:
+        noise = _find_slip_noise(windows, geometry, spread, sample.counts)
+    return Identified(
+        windows=windows,
+        choices=choices,
+        least_wheel=sample.least_wheel,
+        fastest_wheel=float(windows.wheels[sample.fits | sample.counts].max()),
+        fits=sample.fits,
+        counts=sample.counts,
+        geometry=geometry,
+        slips=slips,
+        sideslips=sideslips,
+        slip_noise=noise,
+        box=box,
+        promise=sample.promise,
+    )
+
+
+def _take_sample(windows: Windows, choices: Choices) -> _Sample:
+    """Choose the windows that drive both wheels forwards, and deal their commands."""
     refusals.refuse_lost(windows)
     usable = windows.steady & ~windows.lost
     fastest = find_fastest(windows.wheels[usable])
@@ -120,34 +157,24 @@ def identify_windows(
     forwards = usable & (windows.wheels.min(axis=1) >= max(least, SLOWEST_MPS))
     fits, counts = _deal(windows.command, forwards)
     promise = make_promise(len(np.unique(windows.command[counts])), SIDES[choices.box])
+    return _Sample(least, fits, counts, promise)
+
+
+def _fit_sample(windows: Windows, sample: _Sample, spread: Float[np.ndarray, "k 3"]) -> Geometry:
+    """Fit track and lever arm; refuse a sample that does not tell them, or promises nothing."""
+    fits = sample.fits
+    few = refusals.few_commands(windows, fits | sample.counts, sample.least_wheel, sample.promise)
     if len(np.unique(windows.command[fits])) < refusals.FEWEST_FITTED:
-        raise refusals.few_commands(windows, forwards, least, promise)
+        raise few
     refusals.refuse_straight(windows, fits)
-    known = np.zeros_like(windows.velocity) if spread is None else spread
     geometry = fit_geometry(
-        windows.wheels[fits], windows.velocity[fits], known[fits], windows.command[fits]
+        windows.wheels[fits], windows.velocity[fits], spread[fits], windows.command[fits]
     )
     refusals.refuse_other_turning(windows, geometry)
-    if promise.share < refusals.LEAST_PROMISE:
-        raise refusals.few_commands(windows, forwards, least, promise)
+    if sample.promise.share < refusals.LEAST_PROMISE:
+        raise few
     refusals.refuse_vague_track(windows, geometry)
-    slips, sideslips = _find_all_slips(windows, geometry)
-    box = _make_box(choices.box, slips, sideslips, fits, counts)
-    refusals.refuse_box(windows, box.widen(choices.margin))
-    return Identified(
-        windows=windows,
-        choices=choices,
-        least_wheel=least,
-        fastest_wheel=float(windows.wheels[fits | counts].max()),
-        fits=fits,
-        counts=counts,
-        geometry=geometry,
-        slips=slips,
-        sideslips=sideslips,
-        slip_noise=None if spread is None else _find_slip_noise(windows, geometry, spread, counts),
-        box=box,
-        promise=promise,
-    )
+    return geometry
 
 
 def _find_all_slips(

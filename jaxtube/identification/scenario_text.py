@@ -10,17 +10,18 @@ Source: new.
 from __future__ import annotations
 
 import math
-import textwrap
-from collections.abc import Iterable
-from typing import NamedTuple
 
+from jaxtube.identification.commented_toml import (
+    Line,
+    round_down,
+    round_near,
+    round_up,
+    write_comment,
+    write_table,
+)
 from jaxtube.identification.findings import Findings, Noise
 from jaxtube.identification.identify import Identified
 from jaxtube.identification.words import say_promise, say_sample
-from jaxtube.scenario.tree import RobotTable
-
-WIDTH = 100
-DIGITS = 4
 
 MIDDLE_SPEED = 0.6
 """Of the fastest wheel speed: the speed of the reference that a search starts from."""
@@ -36,17 +37,6 @@ LEAST_EXPLAINED = 0.8
 
 SURE_EXPLAINED = 0.95
 """The same for the track width that commands are made to wheel speeds with."""
-
-
-PENDING = {"wheel_lag_s", "command_delay_s"} - set(RobotTable.__struct_fields__)
-
-
-class Line(NamedTuple):
-    """One key of the file."""
-
-    key: str
-    value: str
-    comment: str
 
 
 def write_scenario(
@@ -81,8 +71,8 @@ def write_scenario(
         "disturbance": [Line("bound", '"computed"', "W is computed from all of the above")],
         "controller": _controller(),
     }
-    header = "\n".join(_comment(paragraph) for paragraph in head)
-    texts = [header, *(_write_table(name, lines) for name, lines in tables.items())]
+    header = "\n".join(write_comment(paragraph) for paragraph in head)
+    texts = [header, *(write_table(name, lines) for name, lines in tables.items())]
     return "\n\n".join(texts) + "\n"
 
 
@@ -117,28 +107,28 @@ def _robot(
     fitted = len(set(identified.windows.command[identified.fits].tolist()))
     width, said = find_track_width(identified, findings, track_width)
     return [
-        Line("track_width_m", _round(width), said),
+        Line("track_width_m", round_near(width), said),
         Line(
             "effective_track_m",
-            _round(geometry.track),
-            f"{geometry.track / width:.3g} times that, +- {_round(geometry.track_error)} m (one "
-            f"standard deviation), fitted to {fitted} commands that the promise leaves out",
+            round_near(geometry.track),
+            f"{geometry.track / width:.3g} times that, +- {round_near(geometry.track_error)} m "
+            f"(one standard deviation), fitted to {fitted} commands that the promise leaves out",
         ),
         Line(
             "lever_arm_m",
-            _round(geometry.lever_arm),
-            f"v_y = {-geometry.lever_arm:+.4f} omega, +- {_round(geometry.lever_arm_error)} m (one "
-            "standard deviation), fitted to the same",
+            round_near(geometry.lever_arm),
+            f"v_y = {-geometry.lever_arm:+.4f} omega, +- {round_near(geometry.lever_arm_error)} m "
+            "(one standard deviation), fitted to the same",
         ),
         *_lag(findings),
         Line(
             "wheel_speed_min_mps",
-            _round_up(identified.least_wheel),
+            round_up(identified.least_wheel),
             "slowest wheel that the promise covers",
         ),
         Line(
             "wheel_speed_max_mps",
-            _round_down(identified.fastest_wheel),
+            round_down(identified.fastest_wheel),
             "fastest wheel of the windows",
         ),
     ]
@@ -159,15 +149,15 @@ def _lag(findings: Findings | None) -> list[Line]:
     lines = [
         Line(
             "wheel_lag_s",
-            f"[{_round_down(least)}, {_round_up(greatest)}]",
+            f"[{round_down(least)}, {round_up(greatest)}]",
             f"wheels behind commands, first order: {response.lag:.3g} s in common, this is the "
             f"middle 90 % of {response.changes} changes; not part of the promise",
         )
     ]
     assert findings is not None
     if response.delay > findings.wheel_period:
-        least = _round_down(response.delay - findings.wheel_period)
-        greatest = _round_up(response.delay)
+        least = round_down(response.delay - findings.wheel_period)
+        greatest = round_up(response.delay)
         said = "dead time of the commands, less the time between two rows; not part of the promise"
         lines.append(Line("command_delay_s", f"[{least}, {greatest}]", said))
     return lines
@@ -189,14 +179,14 @@ def _slip(identified: Identified) -> list[Line]:
         "scaled": "box of the fitted commands, blown up around the windows that count",
     }[identified.choices.box]
     lines = [
-        Line(name, f"[{_round_down(least)}, {_round_up(greatest)}]", f"{kind}{beyond}{of_noise}")
+        Line(name, f"[{round_down(least)}, {round_up(greatest)}]", f"{kind}{beyond}{of_noise}")
         for name, (least, greatest) in (("right", box.right), ("left", box.left))
     ]
     said = (
         "greatest lateral speed by forward speed in the same windows, beside that of the lever "
         f"arm; {identified.geometry.crab:+.2g} of it is constant"
     )
-    return [*lines, Line("sideslip", _round_up(box.sideslip), said)]
+    return [*lines, Line("sideslip", round_up(box.sideslip), said)]
 
 
 def _noise(noise: Noise | None) -> list[Line]:
@@ -213,11 +203,11 @@ def _noise(noise: Noise | None) -> list[Line]:
         f"that 99.5 % of {noise.poses} poses keep about their arc of a window; slower drift of the "
         "localisation does not show in it"
     )
-    degrees = _round_up(math.degrees(turn))
+    degrees = round_up(math.degrees(turn))
     return [
         Line("frame", '"world"', ""),
-        Line("longitudinal_m", _round_up(place), said),
-        Line("lateral_m", _round_up(place), "the same"),
+        Line("longitudinal_m", round_up(place), said),
+        Line("lateral_m", round_up(place), "the same"),
         Line("heading_deg", degrees, "the same"),
     ]
 
@@ -228,10 +218,10 @@ def _reference(identified: Identified) -> list[Line]:
     differ = BOX_SPARE / (2 * RADIUS_BY_TRACK)
     slowest = max(speed * (1 - differ), identified.least_wheel)
     return [
-        Line("radius_m", _round(radius), f"{RADIUS_BY_TRACK:g} effective tracks, a start"),
-        Line("speed_mps", _round(speed), f"{MIDDLE_SPEED:g} of the fastest wheel, a start"),
-        Line("wheel_speed_min_mps", _round_down(slowest), "of the circles, with a little to spare"),
-        Line("wheel_speed_max_mps", _round_up(speed * (1 + differ)), "the same"),
+        Line("radius_m", round_near(radius), f"{RADIUS_BY_TRACK:g} effective tracks, a start"),
+        Line("speed_mps", round_near(speed), f"{MIDDLE_SPEED:g} of the fastest wheel, a start"),
+        Line("wheel_speed_min_mps", round_down(slowest), "of the circles, with a little to spare"),
+        Line("wheel_speed_max_mps", round_up(speed * (1 + differ)), "the same"),
     ]
 
 
@@ -245,34 +235,3 @@ def _controller() -> list[Line]:
         Line("tube", '"sequence"', ""),
         Line("terminal", '"T-A"', ""),
     ]
-
-
-def _write_table(name: str, lines: Iterable[Line]) -> str:
-    """Return a table, a comment above each key that has one."""
-    texts = [f"[{name}]"]
-    for line in lines:
-        if line.key in PENDING:
-            texts.append(f"# {line.key} = {line.value}")
-            continue
-        if line.comment:
-            texts.append(_comment(f"{line.key}: {line.comment}"))
-        texts.append(f"{line.key} = {line.value}")
-    return "\n".join(texts)
-
-
-def _comment(text: str) -> str:
-    """Return a text as lines of a comment."""
-    lines = textwrap.wrap(text, WIDTH - 2, break_on_hyphens=False)
-    return "\n".join(f"# {line}" for line in lines)
-
-
-def _round(value: float) -> str:
-    return repr(round(value, DIGITS))
-
-
-def _round_up(value: float) -> str:
-    return repr(math.ceil(value * 10**DIGITS) / 10**DIGITS)
-
-
-def _round_down(value: float) -> str:
-    return repr(math.floor(value * 10**DIGITS) / 10**DIGITS)

@@ -43,6 +43,7 @@ def test_the_track_is_unbiased_where_a_fit_of_wheels_by_yaw_rate_shrinks_it():
     assert by_yaw_rate < TRUTH.effective_track * (1 - 2 * UNBIASED)
 
 
+@pytest.mark.slow
 def test_errors_are_as_large_as_the_standard_error_says():
     geometries = [fit(draw_windows(TRUTH, 40, 100 + k)) for k in range(12)]
     tracks = np.array([geometry.track for geometry in geometries])

@@ -8,6 +8,7 @@ import pytest
 from scipy import stats
 from simulated_robots import draw_windows, share_inside
 
+from jaxtube.identification.geometry import find_sideslip, find_slips
 from jaxtube.identification.identify import Choices, identify_windows
 from jaxtube.identification.promise import make_promise
 from jaxtube.identification.scenario_text import write_scenario
@@ -18,7 +19,7 @@ from jaxtube.scenario import ScenarioError
 from jaxtube.scenario.validation import validate
 
 TRUTH = Truth(effective_track=0.8, lever_arm=-0.1, slip=((0.0, 0.1), (0.05, 0.12)))
-REPETITIONS = 8
+REPETITIONS = 6
 CHANCE = 1e-4
 
 
@@ -63,26 +64,24 @@ def test_the_box_encloses_all_that_counts_and_nothing_else_decides_it(identified
     assert np.array_equal(again.windows.velocity[used], counted)
 
 
-@pytest.mark.parametrize("kind", ["each", "alike", "scaled"])
-def test_new_commands_lie_inside_as_often_as_is_promised(kind):
-    """The exact law of the promise, on slips without noise: it may fail once in twenty."""
+def test_new_commands_lie_inside_as_often_as_is_promised():
+    """On slips without noise a promise may fail once in twenty; `test_known_truth` repeats this for
+    all kinds of boxes."""
     broken = 0
     shares = []
     for seed in range(REPETITIONS):
-        found = identify(seed=seed, box=kind)
+        found = identify(seed=seed)
         # Slips as the identified track sees them: what the promise is about.
         new = draw_windows(TRUTH, 1000, 10_000 + seed)
         seen = identify_new(found, new)
         shares.append(seen)
         broken += seen < found.promise.share
-    print(f"{kind}: promised {found.promise.share:.3f}, inside {np.mean(shares):.3f}")
+    print(f"promised {found.promise.share:.3f}, inside {np.mean(shares):.3f}")
     assert broken <= stats.binom.ppf(1 - CHANCE, REPETITIONS, 0.05)
 
 
 def identify_new(found, new):
     """Return the share of new commands whose windows all lie in an identified box."""
-    from jaxtube.identification.geometry import find_sideslip, find_slips
-
     slips = find_slips(new.wheels, new.velocity, found.geometry.track)
     side = find_sideslip(new.velocity, found.geometry.lever_arm)
     inside = found.box.holds(slips, side)

@@ -15,7 +15,9 @@ import numpy as np
 
 from jaxtube.atomic import write_atomically
 from jaxtube.experiments.identify import box_figure, figures, prediction_figure
-from jaxtube.experiments.identify.report import metrics, report, say_log
+from jaxtube.experiments.identify.log_report import say_log
+from jaxtube.experiments.identify.metrics import measure
+from jaxtube.experiments.identify.report import report
 from jaxtube.experiments.options import IdentifyOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
@@ -57,7 +59,7 @@ def run(scenario: None, options: IdentifyOptions) -> int:
     folder.report(report(identified, findings, options.track_m))
     write_atomically(folder.path / FILE, lambda file: file.write(text.encode()))
     save(folder, identified, findings, options)
-    folder.save_metrics(metrics(identified, findings, options.track_m))
+    folder.save_metrics(measure(identified, findings, options.track_m))
     print(f"\n{FILE}, figures, windows.npz, metrics.json and manifest.json are in {folder.path}/")
     print(f"next: python -m jaxtube.experiments design --optimise --scenario {folder.path / FILE}")
     return 0
