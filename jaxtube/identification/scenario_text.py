@@ -22,6 +22,7 @@ from jaxtube.identification.commented_toml import (
 from jaxtube.identification.findings import Findings, Noise
 from jaxtube.identification.identify import Identified
 from jaxtube.identification.words import say_promise, say_sample
+from jaxtube.scenario.tree import Constraints
 
 MIDDLE_SPEED = 0.6
 """Of the fastest wheel speed: the speed of the reference that a search starts from."""
@@ -31,6 +32,9 @@ RADIUS_BY_TRACK = 2.5
 
 BOX_SPARE = 1.02
 """By which the box of reference wheel speeds is wider than those of the circles."""
+
+ROOM_BY_NOISE = 4.0
+"""Half width of an error set by the bound of the noise, at least."""
 
 LEAST_EXPLAINED = 0.8
 """Of the wheels' spread, for a lag that is counted with."""
@@ -63,6 +67,7 @@ def write_scenario(
         "robot": _robot(identified, findings, track_width),
         "slip": _slip(identified),
         "noise": _noise(findings.noise if findings else None),
+        "constraints": _constraints(findings.noise if findings else None),
         "reference": _reference(identified),
         "initial": [
             Line("x_m", "0.0", "on the path"),
@@ -72,7 +77,7 @@ def write_scenario(
         "controller": _controller(),
     }
     header = "\n".join(write_comment(paragraph) for paragraph in head)
-    texts = [header, *(write_table(name, lines) for name, lines in tables.items())]
+    texts = [header, *(write_table(name, lines) for name, lines in tables.items() if lines)]
     return "\n\n".join(texts) + "\n"
 
 
@@ -209,6 +214,23 @@ def _noise(noise: Noise | None) -> list[Line]:
         Line("longitudinal_m", round_up(place), said),
         Line("lateral_m", round_up(place), "the same"),
         Line("heading_deg", degrees, "the same"),
+    ]
+
+
+def _constraints(noise: Noise | None) -> list[Line]:
+    """Return an error set that noise leaves something of; nothing where the usual one does."""
+    if noise is None:
+        return []
+    place, turn = noise.bound
+    usual = Constraints()
+    return [
+        Line(name, round_up(ROOM_BY_NOISE * bound), f"{ROOM_BY_NOISE:g} times the noise, a start")
+        for name, bound in (
+            ("longitudinal_m", place),
+            ("lateral_m", place),
+            ("heading_deg", math.degrees(turn)),
+        )
+        if ROOM_BY_NOISE * bound > getattr(usual, name)
     ]
 
 

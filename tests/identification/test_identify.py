@@ -8,11 +8,13 @@ import pytest
 from scipy import stats
 from simulated_robots import draw_windows, share_inside
 
+from jaxtube.identification.findings import inspect_log
 from jaxtube.identification.geometry import find_sideslip, find_slips
-from jaxtube.identification.identify import Choices, identify_windows
+from jaxtube.identification.identify import Choices, identify_log, identify_windows
 from jaxtube.identification.promise import make_promise
 from jaxtube.identification.scenario_text import write_scenario
-from jaxtube.identification.simulated_drive import Truth
+from jaxtube.identification.simulated_drive import Truth, drive
+from jaxtube.identification.simulated_log import Sensors, record
 from jaxtube.identification.uncovered import find_uncovered
 from jaxtube.identification.words import say_other_boxes, say_promise, say_sample
 from jaxtube.scenario import ScenarioError
@@ -214,3 +216,15 @@ def test_a_slip_of_one_and_more_is_refused():
 def test_a_truth_in_the_box_is_seen_there(identified):
     assert share_inside(TRUTH, identified.box.widen(0.5), 500, 1) == 1.0
     assert share_inside(TRUTH, identified.box.widen(-0.02), 500, 1) < 0.9
+
+
+@pytest.mark.parametrize("noise_m", [0.005, 0.12])
+def test_the_file_of_a_noisy_log_is_a_scenario_too(noise_m):
+    sensors = Sensors(pose_noise=noise_m, heading_noise=0.02)
+    findings = inspect_log(record(drive(TRUTH, 40, seed=9), sensors, seed=9).log, 4.0)
+    found = identify_log(findings, Choices(box="scaled"))
+    text = write_scenario(found, findings, None)
+    scenario = validate(tomllib.loads(text), lambda key: "identified.toml")
+    assert scenario.noise.longitudinal_m >= 2 * noise_m
+    assert ("[constraints]" in text) == (noise_m > 0.05)
+    assert scenario.constraints.lateral_m > 2 * scenario.noise.lateral_m
