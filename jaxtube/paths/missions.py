@@ -1,0 +1,233 @@
+"""Missions: the pieces of a path that a robot drives, each as a reference that its wheels can run,
+and what was cut, changed or refused on the way.
+
+Source: new; its parts name theirs.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from jaxtube.paths.cells import make_chain
+from jaxtube.paths.closing import close
+from jaxtube.paths.curve import Curve
+from jaxtube.paths.deviation import Deviations, measure_deviations
+from jaxtube.paths.following import follow
+from jaxtube.paths.pieces import Piece, cut_path
+from jaxtube.paths.places import Note, line_of, place_of
+from jaxtube.paths.profile import NoSpeedError, SpeedProfile, WheelLimits, make_profile
+from jaxtube.paths.proof import Excess, WheelUse, find_excess, find_use
+from jaxtube.paths.raw import RawPath
+from jaxtube.paths.refusals import Failure, cut_at_corner, explain
+from jaxtube.paths.rows import arrange_rows, polygon_length
+from jaxtube.paths.smoothing import Fit, smooth
+from jaxtube.paths.timing import recorded_speeds
+from jaxtube.plant.reference import Reference
+
+GRID_SHARE = 0.25
+"""Of the step of a period: the grid of the speed profile."""
+
+FEWEST_POINTS = 50
+"""Of that grid."""
+
+MARGINS = 6
+"""Tries at a margin that keeps the held speeds in the box."""
+
+EXTRA = 1.5
+"""Times what was too much by which a margin grows."""
+
+WHOLE = 1e-9
+"""Share of a period that is rounding."""
+
+LARGEST_SHARE = 0.2
+"""Largest deviation in track widths, where none is given."""
+
+
+class Drive(NamedTuple):
+    """How paths are to be driven.
+
+    Attributes:
+        limits: of the wheels.
+        dt: length of a period, s.
+        preview: periods known beyond the end.
+        speed: along the path, m/s.
+        recorded_timing: keep to the speeds of the recording instead, where it has time.
+        largest_deviation: of the curve from any row, m.
+        through_stops: drive through stops instead of ending a mission there.
+    """
+
+    limits: WheelLimits
+    dt: float
+    preview: int
+    speed: float
+    largest_deviation: float
+    recorded_timing: bool = False
+    through_stops: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Mission:
+    """A piece of a path that can be driven.
+
+    Attributes:
+        piece: its rows.
+        fit: the smooth curve along them.
+        profile: speed along the curve.
+        reference: held wheel speeds.
+        use: what the wheels do, which keeps the limits.
+        deviations: how far the reference is from the curve and from the rows.
+    """
+
+    piece: Piece
+    fit: Fit
+    profile: SpeedProfile
+    reference: Reference
+    use: WheelUse
+    deviations: Deviations
+
+
+class Refused(NamedTuple):
+    """A piece that is not driven, with the note that says where and why, and what helps."""
+
+    piece: Piece
+    note: Note
+
+
+class PathPlan(NamedTuple):
+    """What becomes of a path: pieces in their order, and all that was changed."""
+
+    raw: RawPath
+    outcomes: list[Mission | Refused]
+    notes: list[Note]
+
+    @property
+    def missions(self) -> list[Mission]:
+        """The pieces that are driven."""
+        return [outcome for outcome in self.outcomes if isinstance(outcome, Mission)]
+
+    @property
+    def refused(self) -> list[Refused]:
+        """The pieces that are not."""
+        return [outcome for outcome in self.outcomes if isinstance(outcome, Refused)]
+
+
+def plan_path(raw: RawPath, drive: Drive) -> PathPlan:
+    """Return what becomes of a path.
+
+    Args:
+        raw: as its file has it.
+        drive: how it is to be driven.
+
+    Raises:
+        ValueError: in one line, for rows that are no path.
+    """
+    rows = arrange_rows(raw, drive.largest_deviation)
+    cut = cut_path(rows.raw, drive.limits.track_width, drive.through_stops)
+    notes = [*rows.notes, *cut.notes]
+    outcomes = []
+    for piece in cut.pieces:
+        outcomes += _drive_piece(piece, drive, notes)
+    return PathPlan(rows.raw, outcomes, sorted(notes, key=line_of))
+
+
+def _drive_piece(piece: Piece, drive: Drive, notes: list[Note]) -> list[Mission | Refused]:
+    """Return what becomes of a piece; one that turns on the spot within its own curve is cut."""
+    if piece.backwards:
+        length = polygon_length(make_chain(piece.raw.positions, piece.radius).means)
+        text = f"reverses for {length:.2f} m; references drive forwards"
+        return [Refused(piece, Note(place_of(piece.raw, 0), text))]
+    width = drive.limits.track_width
+    closed = close(piece, width)
+    if closed is not None:
+        outcome = _try_smoother(closed.piece, drive, closed.gap)
+        if isinstance(outcome, Mission):
+            notes += closed.notes
+            return [outcome]
+    outcome = _try_smoother(piece, drive, None)
+    if isinstance(outcome, Mission):
+        return [outcome]
+    halves = cut_at_corner(piece, outcome, width)
+    if halves is None:
+        return [Refused(piece, explain(piece, outcome, drive.limits))]
+    notes.append(halves.note)
+    return [result for half in halves.pieces for result in _drive_piece(half, drive, notes)]
+
+
+def _try_smoother(piece: Piece, drive: Drive, gap: float | None) -> Mission | Failure:
+    """Drive a piece along the least smooth curve that can be driven; else return what stands
+    against the smoothest one that is near enough to its rows."""
+    failure = None
+    for fit in smooth(piece, gap):
+        if fit.largest_deviation > drive.largest_deviation:
+            return failure or Failure(fit, None, drive.largest_deviation)
+        try:
+            return _drive_curve(piece, fit, drive)
+        except NoSpeedError as error:
+            failure = Failure(fit, error.at, drive.largest_deviation)
+    assert failure is not None  # `smooth` yields one fit at least
+    return failure
+
+
+def _drive_curve(piece: Piece, fit: Fit, drive: Drive) -> Mission:
+    """Drive a curve; held speeds that pass the limits by a little are kept off them by as much.
+
+    Raises:
+        NoSpeedError: where the curve cannot be driven.
+    """
+    limits = drive.limits
+    margins = Excess(0.0, 0.0)
+    for _ in range(MARGINS):
+        profile = _make_profile(piece, fit, drive, limits.shrink(margins.speed, margins.acceleration))
+        reference = _sample(fit.curve, profile, drive)
+        use = find_use(reference)
+        excess = find_excess(use, limits)
+        if excess == (0.0, 0.0):
+            deviations = measure_deviations(
+                reference, fit.curve, profile, piece.raw.positions, fit.rows
+            )
+            return Mission(piece, fit, profile, reference, use, deviations)
+        margins = Excess(
+            margins.speed + EXTRA * excess.speed, margins.acceleration + EXTRA * excess.acceleration
+        )
+    raise NoSpeedError(_find_worst(reference, profile, limits))
+
+
+def _make_profile(piece: Piece, fit: Fit, drive: Drive, limits: WheelLimits) -> SpeedProfile:
+    curve = fit.curve
+    points = max(FEWEST_POINTS, int(np.ceil(curve.length / (GRID_SHARE * drive.speed * drive.dt))))
+    lengths = np.linspace(0.0, curve.length, points)
+    samples = curve.at(lengths)
+    wanted = np.full(points, drive.speed)
+    if drive.recorded_timing and piece.raw.time is not None:
+        wanted = recorded_speeds(curve, fit.rows, piece.raw.time, lengths)
+    return make_profile(
+        lengths, samples.curvature, samples.curvature_change, wanted, limits, curve.closed
+    )
+
+
+def _sample(curve: Curve, profile: SpeedProfile, drive: Drive) -> Reference:
+    """Return the reference of a profile: whole periods up to the end of an open curve, on to the
+    start of a closed one."""
+    periods = profile.duration / drive.dt
+    steps = int(np.ceil(periods - WHOLE)) if curve.closed else int(np.floor(periods + WHOLE))
+    if steps < 1:
+        raise NoSpeedError(0.0)
+    known = steps + (drive.preview if curve.closed else 0)
+    times = drive.dt * np.arange(known + 1)
+    lengths = profile.lengths_at(times)
+    held = steps + drive.preview - known
+    return follow(curve, lengths, held, drive.dt, steps, drive.limits.track_width)
+
+
+def _find_worst(reference: Reference, profile: SpeedProfile, limits: WheelLimits) -> float:
+    """Return the arc length where held speeds pass their limits by most, m."""
+    wheels = reference.wheels
+    off = np.maximum(limits.least - wheels, wheels - limits.greatest).max(axis=1)
+    if limits.acceleration is not None and off.max() <= 0.0:
+        changes = np.abs(np.diff(wheels, axis=0)).max(axis=1) / reference.dt
+        off = changes - limits.acceleration
+    time = reference.dt * float(np.argmax(off))
+    return float(profile.lengths_at(np.array([min(time, profile.duration)]))[0])
