@@ -4,6 +4,7 @@ values.
 Every command takes a scenario, the folder of its run, a seed, and overrides of single keys.
 """
 
+import json
 import math
 import shlex
 import textwrap
@@ -56,6 +57,11 @@ SEED = Rule(
 RATE = Rule(
     lambda value: 0 < value < math.inf, "is out of range; give a positive number, such as 0.1"
 )
+POSITIVE_OR_NONE = Rule(
+    lambda value: value is None or 0 < value < math.inf,
+    "is out of range; give a positive number, or leave it out",
+)
+PATH_FILE = Rule(bool, "is missing; name the file of a path")
 FOLDER = Rule(lambda value: not Path(value).is_file(), "is a file; name a folder")
 
 
@@ -65,6 +71,8 @@ class Options:
 
     command: ClassVar[str]
     module: ClassVar[str]
+    positional: ClassVar[tuple[str, ...]] = ()
+    """Options that are given by their place, without their name."""
 
     scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "paper"
     """a scenario that `list` prints, or a file"""
@@ -82,6 +90,11 @@ class Options:
     def folder(self) -> Path:
         """The folder of the run."""
         return Path(self.out or f"runs/{self.command}-{title(self.scenario)}")
+
+    @property
+    def scenario_overrides(self) -> tuple[str, ...]:
+        """The overrides with which the scenario is read."""
+        return self.overrides
 
     @property
     def label(self) -> str:
@@ -297,6 +310,57 @@ class TuneOptions(Options):
 
 
 @dataclass(frozen=True)
+class PathOptions(Options):
+    """Make missions of a recorded or planned path: cleaned, cut at stops and turns on the spot, and
+    given speeds that keep the wheels in their box."""
+
+    command = "path"
+    module = "path.command"
+    positional = ("file",)
+
+    file: Annotated[Positional[str], arg(metavar="FILE", help_behavior_hint=""), PATH_FILE] = ""
+    """a table (CSV, TUM poses) or a bag with a path, with or without time"""
+    speed: Annotated[
+        float | None,
+        arg(metavar="M/S", help_behavior_hint="(default: reference.speed_mps)"),
+        POSITIVE_OR_NONE,
+    ] = None
+    """speed along the path"""
+    recorded_timing: bool = False
+    """keep the speeds of the recording, as far as the wheels' box lets it"""
+    deviation: Annotated[
+        float | None,
+        arg(metavar="METRES", help_behavior_hint="(default: a fifth of the track width)"),
+        POSITIVE_OR_NONE,
+    ] = None
+    """largest distance of a row from the smooth path"""
+    through_stops: bool = False
+    """drive on through stops, where the direction stays, instead of ending a mission there"""
+    columns: Annotated[str, arg(metavar="WHAT=NAME,...", help_behavior_hint="")] = ""
+    """columns where they are not found, such as x=east,y=north"""
+    units: Annotated[str, arg(metavar="WHAT=UNIT,...", help_behavior_hint="")] = ""
+    """units of columns, such as heading=deg"""
+    topics: Annotated[str, arg(metavar="WHAT=TOPIC,...", help_behavior_hint="")] = ""
+    """topic of a bag: poses"""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run: one for each file and scenario."""
+        if self.out:
+            return super().folder
+        return Path(f"runs/{self.command}-{Path(self.file).stem}-{title(self.scenario)}")
+
+    @property
+    def scenario_overrides(self) -> tuple[str, ...]:
+        """The overrides with which the scenario is read: its own path is not driven."""
+        return (
+            *self.overrides,
+            'reference.shape="file"',
+            f"reference.file={json.dumps(self.file)}",
+        )
+
+
+@dataclass(frozen=True)
 class BenchOptions(Options):
     """Measure laps a second on one device, on all of them, and on one and two workers of a
     cluster."""
@@ -349,6 +413,7 @@ COMMANDS: dict[str, type[Options]] = {
         GuaranteeOptions,
         MapsOptions,
         BeyondOptions,
+        PathOptions,
         TuneOptions,
         BenchOptions,
         ListOptions,
@@ -379,6 +444,8 @@ def command_line(options: Options) -> str:
         value = getattr(options, field.name)
         if isinstance(value, tuple):
             words += value
+        elif field.name in options.positional:
+            words.append(str(value))
         elif value != field.default:
             words.append(flag(field.name))
             words += [] if value is True else [str(value)]

@@ -16,10 +16,10 @@ from jaxtyping import Bool, Float, Int
 
 from jaxtube.paths.cells import Chain
 from jaxtube.paths.places import Place, place_of
-from jaxtube.paths.raw import RawPath
+from jaxtube.recordings.path import RawPath
 
 SHARPEST = np.deg2rad(75.0)
-"""Turn within two cells above which the robot turns on the spot."""
+"""Turn within two cells above which the robot turns on the spot, where they are near each other."""
 
 TURNED_BACK = np.deg2rad(135.0)
 """Turn above which the robot may as well have reversed."""
@@ -86,7 +86,7 @@ def find_breaks(raw: RawPath, chain: Chain, track_width: float) -> list[Break]:
     found = [
         *_find_jumps(raw, chain, track_width),
         *_find_stops(raw, chain),
-        *_find_corners(raw, chain),
+        *_find_corners(raw, chain, track_width),
         *_find_turns_on_the_spot(raw, chain),
     ]
     return _merge(sorted(found, key=lambda entry: (entry.ends, entry.begins)))
@@ -142,7 +142,7 @@ def _find_stops(raw: RawPath, chain: Chain) -> list[Break]:
     found = []
     for cell in stops.tolist():
         rows = _rows_near_mean(raw, chain, cell)
-        turn = _turn_at(chain, cell)
+        turn = _turn_at(chain, cell, by_way_of_it=True)
         found.append(
             Break(
                 ends=int(rows[0]),
@@ -150,18 +150,18 @@ def _find_stops(raw: RawPath, chain: Chain) -> list[Break]:
                 place=place_of(raw, int(rows[0])),
                 turn=turn,
                 stop=f"stands for {dwell[cell]:.3g} {unit}",
-                motion=_say_turn(raw, chain, cell) if turn > PAUSE_TURN else "",
+                motion=_say_turn(raw, chain, cell, turn) if turn > PAUSE_TURN else "",
             )
         )
     return found
 
 
-def _find_corners(raw: RawPath, chain: Chain) -> list[Break]:
+def _find_corners(raw: RawPath, chain: Chain, track_width: float) -> list[Break]:
     """Return where the chain turns by more than a curve would; the sharpest cell of each corner.
 
     A turn that the next one takes back is jitter.
     """
-    sharp = _sharpness(chain)
+    sharp = _sharpness(chain, track_width)
     found = []
     cell = 0
     while cell < len(sharp):
@@ -169,12 +169,14 @@ def _find_corners(raw: RawPath, chain: Chain) -> list[Break]:
             cell += 1
             continue
         end = cell + int(np.argmin(np.append(sharp[cell:] > SHARPEST, False)))
-        corner = cell + int(np.argmax(sharp[cell:end]))
-        turn = _turn_at(chain, corner)
+        turns = [_turn_at(chain, corner) for corner in range(cell, end)]
+        turn = max(turns)
         if turn > SHARPEST:
+            corner = cell + turns.index(turn)
             row = _corner_row(raw, chain, corner)
             place = place_of(raw, row)
-            found.append(Break(row, row, place, turn, motion=_say_turn(raw, chain, corner)))
+            motion = _say_turn(raw, chain, corner, turn)
+            found.append(Break(row, row, place, turn, motion=motion))
         cell = end
     return found
 
@@ -192,9 +194,8 @@ def _find_turns_on_the_spot(raw: RawPath, chain: Chain) -> list[Break]:
     return found
 
 
-def _say_turn(raw: RawPath, chain: Chain, cell: int) -> str:
-    """Say what the robot does where its motion turns by `_turn_at`."""
-    turn = _turn_at(chain, cell)
+def _say_turn(raw: RawPath, chain: Chain, cell: int, turn: float) -> str:
+    """Say what the robot does where its motion turns."""
     degrees = f"{np.degrees(turn):.0f} deg"
     if turn < TURNED_BACK:
         return f"turns on the spot by {degrees}"
@@ -206,26 +207,38 @@ def _say_turn(raw: RawPath, chain: Chain, cell: int) -> str:
     return f"turns on the spot by {degrees}" if is_spot_turn else "changes between forth and back"
 
 
-def _sharpness(chain: Chain) -> Float[np.ndarray, " cells"]:
-    """Return the greatest turn at each cell, or over it and the next one, rad."""
-    directions = _direction(np.diff(chain.means, axis=0))
+def _sharpness(chain: Chain, track_width: float) -> Float[np.ndarray, " cells"]:
+    """Return the greatest turn at each cell, or over it and the next one, rad; 0 where the turn
+    takes a wider circle than one around the robot's own wheel would."""
+    steps = np.diff(chain.means, axis=0)
+    ways = np.linalg.norm(steps, axis=1)
+    directions = _direction(steps)
     sharp = np.zeros(len(chain.means))
-    sharp[1:-1] = np.abs(_wrap(np.diff(directions)))
-    over_two = np.abs(_wrap(directions[2:] - directions[:-2]))
-    sharp[1:-2] = np.maximum(sharp[1:-2], over_two)
+    for apart in (1, 2):
+        if len(ways) <= apart:
+            break
+        turns = np.abs(_wrap(directions[apart:] - directions[:-apart]))
+        way = np.lib.stride_tricks.sliding_window_view(ways, apart + 1).mean(axis=1) * apart
+        turns[way > turns * track_width] = 0.0
+        inner = slice(1, len(sharp) - apart)
+        sharp[inner] = np.maximum(sharp[inner], turns)
     return sharp
 
 
-def _turn_at(chain: Chain, cell: int) -> float:
-    """Return the angle between the motion before and after a cell, rad; 0 at an end of the path."""
+def _turn_at(chain: Chain, cell: int, by_way_of_it: bool = False) -> float:
+    """Return the angle between the motion before and after a cell, rad; 0 at an end of the path.
+
+    The directions are those of the cells before and after, or `by_way_of_it` to and from its mean,
+    which is known well where the robot stands.
+    """
     before = chain.means[max(cell - LEVER, 0) : cell]
     after = chain.means[cell + 1 : cell + 1 + LEVER]
     if not len(before) or not len(after):
         return 0.0
     here = chain.means[cell]
-    arrival = _direction(here - before[0])
-    departure = _direction(after[-1] - here)
-    return float(np.abs(_wrap(departure - arrival)))
+    arrival = (before[-1] if len(before) > 1 and not by_way_of_it else here) - before[0]
+    departure = after[-1] - (after[0] if len(after) > 1 and not by_way_of_it else here)
+    return float(np.abs(_wrap(_direction(departure) - _direction(arrival))))
 
 
 def _rows_near_mean(raw: RawPath, chain: Chain, cell: int) -> Int[np.ndarray, " k"]:

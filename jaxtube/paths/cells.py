@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.paths.raw import RawPath
 from jaxtube.paths.rows import measure_noise
+from jaxtube.recordings.path import RawPath
 
 NOISES = 6.0
 """Radius of a cell in noises: a robot that stands leaves it once in 10^7 rows."""

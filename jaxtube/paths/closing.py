@@ -18,7 +18,7 @@ from jaxtube.paths.rows import take_rows
 WIDEST = 2.0
 """Track widths between start and end at most, where rows are not further apart."""
 
-STEPS = 3.0
+STEPS = 1.5
 """The same, in the usual distances between cells."""
 
 SIDEWAYS = 0.5

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import BSpline
-from scipy.sparse import csc_array, diags_array
+from scipy.sparse import csc_array, csr_array, diags_array, eye_array
 from scipy.sparse.linalg import spsolve
 
 DEGREE = 5
@@ -180,9 +180,10 @@ def row_weights(lengths: Float[np.ndarray, " n"], end: float) -> Float[np.ndarra
 
 def _differences(count: int) -> csc_array:
     """Return the matrix of third differences of a number of coefficients."""
-    binomials = [-1.0, 3.0, -3.0, 1.0]
-    shape = (count - ORDER, count)
-    return csc_array(diags_array(binomials, offsets=list(range(ORDER + 1)), shape=shape))
+    matrix = csr_array(eye_array(count))
+    for _ in range(ORDER):
+        matrix = csr_array(matrix[1:] - matrix[:-1])
+    return csc_array(matrix)
 
 
 def _wrapping(count: int, spans: int) -> csc_array:

@@ -17,18 +17,21 @@ from jaxtube.paths.curve import Curve
 from jaxtube.paths.deviation import Deviations, measure_deviations
 from jaxtube.paths.following import follow
 from jaxtube.paths.pieces import Piece, cut_path
-from jaxtube.paths.places import Note, line_of, place_of
+from jaxtube.paths.places import Note, Place, line_of, place_of
 from jaxtube.paths.profile import NoSpeedError, SpeedProfile, WheelLimits, make_profile
 from jaxtube.paths.proof import Excess, WheelUse, find_excess, find_use
-from jaxtube.paths.raw import RawPath
 from jaxtube.paths.refusals import Failure, cut_at_corner, explain
 from jaxtube.paths.rows import arrange_rows, polygon_length
 from jaxtube.paths.smoothing import Fit, smooth
 from jaxtube.paths.timing import recorded_speeds
-from jaxtube.plant.reference import Reference
+from jaxtube.plant.reference import Reference, count_periods, refuse_too_many_periods
+from jaxtube.recordings.path import RawPath
 
 GRID_SHARE = 0.25
 """Of the step of a period: the grid of the speed profile."""
+
+TABLE_POINTS = 2000
+"""Of a curve among which its least radius is found."""
 
 FEWEST_POINTS = 50
 """Of that grid."""
@@ -42,9 +45,6 @@ EXTRA = 1.5
 WHOLE = 1e-9
 """Share of a period that is rounding."""
 
-LARGEST_SHARE = 0.2
-"""Largest deviation in track widths, where none is given."""
-
 
 class Drive(NamedTuple):
     """How paths are to be driven.
@@ -57,6 +57,7 @@ class Drive(NamedTuple):
         recorded_timing: keep to the speeds of the recording instead, where it has time.
         largest_deviation: of the curve from any row, m.
         through_stops: drive through stops instead of ending a mission there.
+        duration: of the run, s, a whole number of periods; None for the whole path, once.
     """
 
     limits: WheelLimits
@@ -66,6 +67,7 @@ class Drive(NamedTuple):
     largest_deviation: float
     recorded_timing: bool = False
     through_stops: bool = False
+    duration: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +89,18 @@ class Mission:
     reference: Reference
     use: WheelUse
     deviations: Deviations
+
+    @property
+    def start(self) -> Place:
+        """Where it begins."""
+        return place_of(self.piece.raw, 0)
+
+    @property
+    def tightest_radius(self) -> float:
+        """Least radius of its curve, m."""
+        lengths = np.linspace(0.0, self.fit.curve.length, TABLE_POINTS)
+        sharpest = float(np.abs(self.fit.curve.at(lengths).curvature).max())
+        return 1.0 / sharpest if sharpest > 0.0 else np.inf
 
 
 class Refused(NamedTuple):
@@ -130,6 +144,8 @@ def plan_path(raw: RawPath, drive: Drive) -> PathPlan:
     outcomes = []
     for piece in cut.pieces:
         outcomes += _drive_piece(piece, drive, notes)
+    if not cut.pieces:
+        notes.append(Note(None, "no stretch between breaks is as long as two track widths"))
     return PathPlan(rows.raw, outcomes, sorted(notes, key=line_of))
 
 
@@ -160,7 +176,7 @@ def _try_smoother(piece: Piece, drive: Drive, gap: float | None) -> Mission | Fa
     """Drive a piece along the least smooth curve that can be driven; else return what stands
     against the smoothest one that is near enough to its rows."""
     failure = None
-    for fit in smooth(piece, gap):
+    for fit in smooth(piece, gap, drive.largest_deviation):
         if fit.largest_deviation > drive.largest_deviation:
             return failure or Failure(fit, None, drive.largest_deviation)
         try:
@@ -180,8 +196,10 @@ def _drive_curve(piece: Piece, fit: Fit, drive: Drive) -> Mission:
     limits = drive.limits
     margins = Excess(0.0, 0.0)
     for _ in range(MARGINS):
-        profile = _make_profile(piece, fit, drive, limits.shrink(margins.speed, margins.acceleration))
-        reference = _sample(fit.curve, profile, drive)
+        profile = _make_profile(
+            piece, fit, drive, limits.shrink(margins.speed, margins.acceleration)
+        )
+        reference = _sample(piece, fit.curve, profile, drive)
         use = find_use(reference)
         excess = find_excess(use, limits)
         if excess == (0.0, 0.0):
@@ -208,16 +226,24 @@ def _make_profile(piece: Piece, fit: Fit, drive: Drive, limits: WheelLimits) -> 
     )
 
 
-def _sample(curve: Curve, profile: SpeedProfile, drive: Drive) -> Reference:
+def _sample(piece: Piece, curve: Curve, profile: SpeedProfile, drive: Drive) -> Reference:
     """Return the reference of a profile: whole periods up to the end of an open curve, on to the
-    start of a closed one."""
+    start of a closed one or beyond, in further laps, for as long as was asked for."""
     periods = profile.duration / drive.dt
-    steps = int(np.ceil(periods - WHOLE)) if curve.closed else int(np.floor(periods + WHOLE))
+    whole = int(np.ceil(periods - WHOLE)) if curve.closed else int(np.floor(periods + WHOLE))
+    steps = whole if drive.duration is None else count_periods(drive.duration, drive.dt)
+    refuse_too_many_periods(steps * drive.dt, drive.dt)
     if steps < 1:
         raise NoSpeedError(0.0)
-    known = steps + (drive.preview if curve.closed else 0)
-    times = drive.dt * np.arange(known + 1)
-    lengths = profile.lengths_at(times)
+    if steps > whole and not curve.closed:
+        raise ValueError(
+            f"{piece.raw.path}: the path takes {whole * drive.dt:.9g} s but the duration asked for "
+            f"is {steps * drive.dt:.9g} s; choose a duration up to that"
+        )
+    known = steps + drive.preview
+    if not curve.closed:
+        known = min(known, whole)
+    lengths = profile.lengths_at(drive.dt * np.arange(known + 1))
     held = steps + drive.preview - known
     return follow(curve, lengths, held, drive.dt, steps, drive.limits.track_width)
 

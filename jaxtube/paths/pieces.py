@@ -5,6 +5,7 @@ Source: new.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -18,8 +19,8 @@ from jaxtube.paths.breaks import (
 )
 from jaxtube.paths.cells import find_radius, make_chain
 from jaxtube.paths.places import Note, line_of, place_of
-from jaxtube.paths.raw import RawPath
 from jaxtube.paths.rows import FEWEST_ROWS, polygon_length, take_rows
+from jaxtube.recordings.path import RawPath
 
 SHORTEST = 2.0
 """Length of a piece, in track widths, below which it is no drive."""
@@ -71,7 +72,7 @@ def cut_path(raw: RawPath, track_width: float, through_stops: bool) -> Cut:
     problem = find_heading_problem(raw, chain)
     if problem:
         notes.append(Note(None, problem))
-        raw = raw._replace(headings=None)
+        raw = replace(raw, headings=None)
     found = find_breaks(raw, chain, track_width)
     for entry in found:
         passes = through_stops and not entry.motion
@@ -80,12 +81,20 @@ def cut_path(raw: RawPath, track_width: float, through_stops: bool) -> Cut:
     for stretch in _collect_stretches(found, len(raw.positions), through_stops):
         piece = _make_piece(raw, radius, stretch)
         length = polygon_length(make_chain(piece.raw.positions, radius).means)
-        if length >= SHORTEST * track_width and len(stretch.rows) >= FEWEST_ROWS:
+        if is_long_enough(piece, track_width):
             pieces.append(piece)
         elif length > 2.0 * radius:
-            text = f"{length:.2f} m to the next break left out: shorter than two track widths"
+            rows = len(stretch.rows)
+            reason = "shorter than two track widths" if rows >= FEWEST_ROWS else f"{rows} rows"
+            text = f"{length:.2f} m to the next break left out: {reason}"
             notes.append(Note(place_of(piece.raw, 0), text))
     return Cut(pieces, sorted(notes, key=line_of))
+
+
+def is_long_enough(piece: Piece, track_width: float) -> bool:
+    """Say whether a piece can be a drive of its own."""
+    means = make_chain(piece.raw.positions, piece.radius).means
+    return len(piece.raw.lines) >= FEWEST_ROWS and polygon_length(means) >= SHORTEST * track_width
 
 
 class _Stretch(NamedTuple):

@@ -5,23 +5,25 @@ Source: new.
 
 from typing import NamedTuple
 
-import numpy as np
-from jaxtyping import Float
+from jaxtube.recordings.path import RawPath
 
-from jaxtube.paths.raw import RawPath
+
+class PathWarning(UserWarning):
+    """A file is driven otherwise than it was recorded."""
 
 
 class Place(NamedTuple):
-    """A row of a path's file; `x` and `y` in m as the file has them, `time` in s from its first
-    row on, None where the file has no time."""
+    """A row of a path's file: number and word for it, such as line 7; `time` in s from the first
+    row on, None where the file has none; `x` and `y` in m as the file has them."""
 
     line: int
+    word: str
     time: float | None
     x: float
     y: float
 
     def __str__(self) -> str:
-        when = f"line {self.line}" if self.time is None else f"{self.time:.1f} s"
+        when = f"{self.word} {self.line}" if self.time is None else f"{self.time:.1f} s"
         return f"{when}, ({self.x:.2f}, {self.y:.2f}) m"
 
 
@@ -39,12 +41,7 @@ def place_of(raw: RawPath, row: int) -> Place:
     """Return the place of a row."""
     x, y = raw.positions[row] + raw.origin
     time = None if raw.time is None else float(raw.time[row])
-    return Place(int(raw.lines[row]), time, float(x), float(y))
-
-
-def nearest_place(raw: RawPath, position: Float[np.ndarray, "2"]) -> Place:
-    """Return the place of the row that is nearest to a position (m, relative to the origin)."""
-    return place_of(raw, int(np.argmin(np.linalg.norm(raw.positions - position, axis=1))))
+    return Place(int(raw.lines[row]), raw.word, time, float(x), float(y))
 
 
 def line_of(note: Note) -> int:

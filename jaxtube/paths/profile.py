@@ -58,7 +58,7 @@ class WheelLimits(NamedTuple):
         """Return limits with a margin (m/s, m/s^2) taken off."""
         acceleration = self.acceleration
         if acceleration is not None:
-            acceleration = acceleration - acceleration_margin
+            acceleration = max(acceleration - acceleration_margin, 0.0)
         return WheelLimits(
             self.least + margin, self.greatest - margin, acceleration, self.track_width
         )

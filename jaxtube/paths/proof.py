@@ -47,6 +47,4 @@ def find_excess(use: WheelUse, limits: WheelLimits) -> Excess:
     acceleration = 0.0
     if limits.acceleration is not None:
         acceleration = use.acceleration - limits.acceleration * (1.0 + ROUNDING)
-    return Excess(
-        0.0 if speed <= rounding else speed, 0.0 if acceleration <= 0.0 else acceleration
-    )
+    return Excess(0.0 if speed <= rounding else speed, 0.0 if acceleration <= 0.0 else acceleration)

@@ -9,11 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxtube.paths.pieces import SHORTEST, Piece
+from jaxtube.paths.pieces import Piece, is_long_enough
 from jaxtube.paths.places import Note, place_of
-from jaxtube.paths.cells import make_chain
 from jaxtube.paths.profile import WheelLimits
-from jaxtube.paths.rows import FEWEST_ROWS, polygon_length, take_rows
+from jaxtube.paths.rows import take_rows
 from jaxtube.paths.smoothing import Fit
 
 TABLE_STEPS = 2000
@@ -44,7 +43,7 @@ def explain(piece: Piece, failure: Failure, limits: WheelLimits) -> Note:
         row = int(np.argmax(fit.deviations))
         text = (
             f"lies {fit.deviations[row]:.3g} m off the smooth path, more than {allowed}; record "
-            "with less noise, or allow more by --deviation"
+            "with less noise, or allow more (path --deviation)"
         )
         return Note(place_of(piece.raw, row), text)
     samples = fit.curve.at(np.array([failure.at]))
@@ -55,13 +54,13 @@ def explain(piece: Piece, failure: Failure, limits: WheelLimits) -> Note:
             f"turns with a radius of {1.0 / curvature:.3g} m, smoothed within {allowed}; wheels "
             f"{limits.track_width:.3g} m apart at {limits.least:.3g} to {limits.greatest:.3g} m/s "
             f"turn with {1.0 / limits.sharpest_curvature:.3g} m or more; "
-            f"{_say_slower(curvature, limits)}allow more by --deviation, or turn less sharply"
+            f"{_say_slower(curvature, limits)}allow more (path --deviation), or turn less sharply"
         )
         return Note(place, text)
     text = (
         f"no speed keeps the wheels in their box and below {limits.acceleration:.3g} m/s^2 where "
         f"the curvature changes by {abs(samples.curvature_change[0]):.3g} 1/m in a metre; raise "
-        "robot.wheel_acceleration_max_mps2, widen the box, or allow more by --deviation"
+        "robot.wheel_acceleration_max_mps2, widen the box, or allow more (path --deviation)"
     )
     return Note(place, text)
 
@@ -81,20 +80,15 @@ def cut_at_corner(piece: Piece, failure: Failure, track_width: float) -> Halves 
     last = sharpest + int(np.argmin(np.append(is_sharp[sharpest:], False))) - 1
     ends = _nearest_row(failure.fit, lengths[first])
     begins = max(_nearest_row(failure.fit, lengths[last]), ends)
-    turn = np.degrees(abs(samples.headings[last] - samples.headings[first]))
+    around = np.array([lengths[first] - track_width / 2.0, lengths[last] + track_width / 2.0])
+    arrival, departure = failure.fit.curve.at(np.clip(around, 0.0, lengths[-1])).headings
+    turn = np.degrees(abs(departure - arrival))
     text = f"turns on the spot by {turn:.0f} deg"
     before = take_rows(piece.raw, slice(ends + 1))
     after = take_rows(piece.raw, slice(begins, None))
     halves = [piece._replace(raw=before, ends=text), piece._replace(raw=after, begins=text)]
-    kept = [half for half in halves if _is_long_enough(half, track_width)]
+    kept = [half for half in halves if is_long_enough(half, track_width)]
     return Halves(kept, Note(place_of(piece.raw, ends), text))
-
-
-def _is_long_enough(piece: Piece, track_width: float) -> bool:
-    if len(piece.raw.positions) < FEWEST_ROWS:
-        return False
-    means = make_chain(piece.raw.positions, piece.radius).means
-    return polygon_length(means) >= SHORTEST * track_width
 
 
 def _nearest_row(fit: Fit, length: float) -> int:

@@ -7,6 +7,7 @@ the median of its neighbours, coordinate by coordinate, by far more than noise a
 Source: running medians as in Tukey 1977, Exploratory Data Analysis, chapter 7; the scales are new.
 """
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -14,7 +15,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
 from jaxtube.paths.places import Note, place_of
-from jaxtube.paths.raw import RawPath
+from jaxtube.recordings.path import RawPath
 
 LONGER_WHEN_SORTED = 1.5
 """Times its length in the order of the file beyond which a path sorted by time is none."""
@@ -23,13 +24,21 @@ NEIGHBOURS = 9
 """Rows whose median a stray row is measured from, so that up to four in a row are found."""
 
 STRAY_NOISES = 10.0
-"""Noises, and steps of its neighbourhood, by which a stray row is off."""
+"""Noises by which a stray row is off."""
+
+STRAY_STEPS = 5.0
+"""Steps of its neighbourhood by which a stray row is off: the median of a path that turns back is
+nearer."""
 
 TO_DEVIATION = 1.4826
 """From the median of absolute values of a normal variable to its standard deviation."""
 
-CHORD_SHARE = 1.5
-"""Variance of a row's distance from the chord of its neighbours, in variances of one coordinate."""
+CHANGE_SHARE = 5.0
+"""Variance of the change of a row's distance from the chord of its neighbours, in variances of one
+coordinate: of 1.5 n_i - 1.5 n_{i-1} - 0.5 n_{i+1} + 0.5 n_{i-2}."""
+
+FEWEST_CHANGES = 10
+"""Fewer have no noise to speak of: they are waypoints."""
 
 FEWEST_ROWS = 4
 """A path of fewer rows leaves a curve free to invent."""
@@ -64,7 +73,8 @@ def arrange_rows(raw: RawPath, largest_deviation: float) -> Rows:
 
 def take_rows(raw: RawPath, rows: np.ndarray | slice) -> RawPath:
     """Return some rows of a path."""
-    return raw._replace(
+    return replace(
+        raw,
         time=None if raw.time is None else raw.time[rows],
         positions=raw.positions[rows],
         headings=None if raw.headings is None else raw.headings[rows],
@@ -73,18 +83,22 @@ def take_rows(raw: RawPath, rows: np.ndarray | slice) -> RawPath:
 
 
 def measure_noise(positions: Float[np.ndarray, "n 2"]) -> float:
-    """Return the noise of positions, standard deviation of a coordinate in m: how far rows lie off
-    the chord of their neighbours, over the faster half of the rows."""
-    if len(positions) < FEWEST_ROWS:
-        return 0.0
+    """Return the noise of positions, standard deviation of a coordinate in m.
+
+    It is read off the change, from row to row, of how far rows lie off the chord of their
+    neighbours: steady curves lie off it steadily. The faster half of the rows counts: a robot that
+    stands may be measured better than one that drives.
+    """
     first = positions[1:-1] - positions[:-2]
     chord = positions[2:] - positions[:-2]
     length = np.linalg.norm(chord, axis=1)
-    is_fast = (length >= np.median(length)) & (length > 0.0)
-    if not is_fast.any():
+    across = chord[:, 0] * first[:, 1] - chord[:, 1] * first[:, 0]
+    offset = across / np.where(length > 0.0, length, 1.0)
+    shorter = np.minimum(length[1:], length[:-1])
+    changes = np.abs(np.diff(offset))[(shorter > 0.0) & (shorter >= np.median(shorter))]
+    if len(changes) < FEWEST_CHANGES:
         return 0.0
-    across = np.abs(chord[:, 0] * first[:, 1] - chord[:, 1] * first[:, 0])[is_fast]
-    return float(TO_DEVIATION * np.median(across / length[is_fast]) / np.sqrt(CHORD_SHARE))
+    return float(TO_DEVIATION * np.median(changes) / np.sqrt(CHANGE_SHARE))
 
 
 def polygon_length(positions: Float[np.ndarray, "n 2"]) -> float:
@@ -100,13 +114,13 @@ def _sort(raw: RawPath, notes: list[Note]) -> RawPath:
     ordered = take_rows(raw, np.argsort(raw.time, kind="stable"))
     if polygon_length(ordered.positions) > LONGER_WHEN_SORTED * polygon_length(raw.positions):
         raise ValueError(
-            f"{raw.path}: time falls back at line {raw.lines[falls[0]]} as if a second drive began "
-            "there; write each drive to a file of its own"
+            f"{raw.path}: time falls back at {raw.word} {raw.lines[falls[0]]} as if a second drive "
+            "began there; write each drive to a file of its own"
         )
     text = f"time falls back {len(falls)} times, first here; rows sorted by time"
     notes.append(Note(place_of(raw, int(falls[0])), text))
     assert ordered.time is not None
-    return ordered._replace(time=ordered.time - ordered.time[0])
+    return replace(ordered, time=ordered.time - ordered.time[0])
 
 
 def _drop_repeats(raw: RawPath, notes: list[Note]) -> RawPath:
@@ -152,7 +166,7 @@ def _find_strays(
 ) -> Bool[np.ndarray, " n"]:
     offset = _find_offset(positions)
     steps = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1)
-    near = STRAY_NOISES * median_filter(steps, NEIGHBOURS, mode="nearest")
+    near = STRAY_STEPS * median_filter(steps, NEIGHBOURS, mode="nearest")
     noise = STRAY_NOISES * measure_noise(positions)
     return offset > np.maximum(near, max(noise, 2.0 * largest_deviation))
 

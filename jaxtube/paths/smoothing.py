@@ -26,11 +26,11 @@ from jaxtube.paths.pieces import Piece
 LEAST_SHARE = 0.5
 """Least smoothing length, in radii of the cells."""
 
+FINEST = 20.0
+"""Smoothing lengths in the way between two rows at most: such curves go through waypoints."""
+
 GREATEST_SHARE = 0.25
 """Greatest smoothing length, as a share of the path."""
-
-FINEST = 5000
-"""Smoothing lengths in a path at most: finer ones ask for more knots than paths need."""
 
 STEP = 1.3
 """From one smoothing length to the next."""
@@ -68,13 +68,14 @@ class Fit:
         return float(np.sqrt(np.mean(self.deviations**2)))
 
 
-def smooth(piece: Piece, gap: float | None) -> Iterator[Fit]:
-    """Yield smoother and smoother curves along a piece: first the one that its noise asks for.
+def smooth(piece: Piece, gap: float | None, largest_deviation: float) -> Iterator[Fit]:
+    """Yield smoother and smoother curves along a piece: first the one that its noise asks for, or a
+    less smooth one where that is further from a row than the largest deviation.
 
     Args:
         piece: of a path.
-        gap: from the end of a closed path on to its start, m (`closing.find_gap`); None for an open
-            one.
+        gap: from the end of a closed path on to its start, m (`Closed.gap`); None for an open one.
+        largest_deviation: m.
     """
     positions = piece.raw.positions
     lengths = arc_lengths(positions, make_chain(positions, piece.radius))
@@ -83,40 +84,45 @@ def smooth(piece: Piece, gap: float | None) -> Iterator[Fit]:
     if gap is not None:
         closed = end + gap
         lengths = lengths % closed
-    candidates = _smoothing_lengths(piece.radius, end)
-    least = 0.0
+    candidates = _smoothing_lengths(piece.radius, end, len(lengths))
+    first = 0
     for _ in range(REFITS):
-        least = _cross_validate(positions, lengths, candidates, closed)
-        lengths = _fit(positions, lengths, least, closed).rows
-    for smoothing in candidates[candidates >= least]:
-        yield _fit(positions, lengths, float(smoothing), closed)
+        first = _cross_validate(positions, lengths, candidates, closed)
+        fit = _fit(positions, lengths, candidates[first], closed)
+        lengths = fit.rows
+    while first > 0 and fit.largest_deviation > largest_deviation:
+        first -= 1
+        fit = _fit(positions, lengths, candidates[first], closed)
+    yield fit
+    for smoothing in candidates[first + 1 :]:
+        yield _fit(positions, lengths, smoothing, closed)
 
 
-def _smoothing_lengths(radius: float, length: float) -> Float[np.ndarray, " k"]:
-    least = max(LEAST_SHARE * radius, length / FINEST)
+def _smoothing_lengths(radius: float, length: float, rows: int) -> list[float]:
+    least = max(LEAST_SHARE * radius, length / (FINEST * rows))
     count = max(1, int(np.log(GREATEST_SHARE * length / least) / np.log(STEP)))
-    return least * STEP ** np.arange(count)
+    return [least * STEP**power for power in range(count)]
 
 
 def _cross_validate(
     positions: Float[np.ndarray, "n 2"],
     lengths: Float[np.ndarray, " n"],
-    candidates: Float[np.ndarray, " k"],
+    candidates: list[float],
     closed: float | None,
-) -> float:
-    """Return the smoothing length of the least GCV; rows count by the way they stand for."""
+) -> int:
+    """Return which smoothing length has the least GCV, the greatest of those as good; rows count by
+    the way they stand for."""
     end = float(lengths.max()) if closed is None else closed
     weights = row_weights(lengths, end)
     number = weights.sum() ** 2 / np.sum(weights**2)
     scores = np.full(len(candidates), np.inf)
     for which, smoothing in enumerate(candidates):
-        curve = fit_curve(positions, lengths, smoothing, closed)
-        squares = np.sum((positions - curve.spline(lengths)) ** 2, axis=1)
         taken = degrees_of_freedom(end, smoothing) / number
         if taken < 1.0:
+            curve = fit_curve(positions, lengths, smoothing, closed)
+            squares = np.sum((positions - curve.spline(lengths)) ** 2, axis=1)
             scores[which] = np.average(squares, weights=weights) / (1.0 - taken) ** 2
-    equal = scores <= TIE * scores.min()
-    return float(candidates[equal][-1])
+    return int(np.flatnonzero(scores <= TIE * scores.min())[-1])
 
 
 def _fit(

@@ -9,7 +9,10 @@ from jaxtyping import Float
 from jaxtube.paths.curve import Curve
 
 WINDOW_S = 1.0
-"""Time on either side over which a recorded speed is taken: stamps jitter."""
+"""Time on either side over which a recorded speed is taken, at least: stamps jitter."""
+
+WINDOW_STEPS = 3.0
+"""The same, in steps of time such as one in twenty is longer than."""
 
 STANDING = 0.1
 """Share of the usual speed below which the robot stands: that time is taken out."""
@@ -37,7 +40,8 @@ def recorded_speeds(
     slowest = STANDING * float(np.median(way[moved] / took[moved]))
     moving = np.append(0.0, np.cumsum(np.minimum(took, way / slowest)))
     clock = np.interp(lengths, reached, moving)
-    before = np.maximum(clock - WINDOW_S, 0.0)
-    after = np.minimum(clock + WINDOW_S, moving[-1])
+    window = max(WINDOW_S, WINDOW_STEPS * float(np.percentile(np.diff(moving), 95.0)))
+    before = np.maximum(clock - window, 0.0)
+    after = np.minimum(clock + window, moving[-1])
     gained = np.interp(after, moving, reached) - np.interp(before, moving, reached)
     return gained / (after - before)
