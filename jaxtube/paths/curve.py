@@ -1,14 +1,10 @@
-"""Smooth curves through rows of a path: splines of degree 5 that spend little change of curvature.
+"""Smooth plane curves over their arc lengths: positions, headings, curvatures, nearest points.
 
-    minimise over c:  integral |p - c|^2 ds  +  l^6 integral |c'''|^2 ds
+With the parameter u and derivatives by it,
 
-with p the rows over their arc lengths. The curve keeps what is longer than l and loses what is
-shorter: a wave of wave number k is scaled by 1 / (1 + (l k)^6). Straight lines, and on the scale of
-l circles, cost nothing. Over a length L it has about L / (3 l) degrees of freedom, the integral of
-that gain.
+    heading = arctan2(y', x')        curvature = (x' y" - y' x") / |c'|^3
 
-Source: P-splines by Eilers, Marx 1996, Flexible smoothing with B-splines and penalties, for degree
-5 and third differences; the rest is Fourier analysis.
+Source: differential geometry of plane curves, as in any textbook.
 """
 
 from __future__ import annotations
@@ -19,18 +15,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import BSpline
-from scipy.sparse import csc_array, csr_array, diags_array, eye_array
-from scipy.sparse.linalg import spsolve
-
-DEGREE = 5
-ORDER = 3
-"""Of the derivative that costs."""
-
-KNOTS_PER_LENGTH = 2.0
-"""Knots within a smoothing length l."""
-
-FEWEST_SPANS = 6
-"""Spans between knots, of any curve."""
 
 POINTS_PER_SPAN = 10
 """Of the table from a spline's parameter to arc length and heading."""
@@ -72,6 +56,11 @@ class Curve:
         """Arc length of the curve, m; of one lap of a closed one."""
         return float(self.lengths[-1])
 
+    @property
+    def sharpest(self) -> float:
+        """Greatest curvature, 1/m, as of the points of its table."""
+        return float(np.abs(self.at(self.lengths).curvature).max())
+
     def at(self, lengths: Float[np.ndarray, " k"]) -> Samples:
         """Return the points at arc lengths; those of a closed curve may lie beyond its end."""
         laps = np.floor(lengths / self.length) if self.closed else np.zeros_like(lengths)
@@ -112,41 +101,6 @@ class Curve:
         return found
 
 
-def fit_curve(
-    positions: Float[np.ndarray, "n 2"],
-    lengths: Float[np.ndarray, " n"],
-    smoothing: float,
-    closed: float | None = None,
-) -> Curve:
-    """Fit the curve of the module docstring.
-
-    Args:
-        positions: rows, m.
-        lengths: arc length of each, m; the curve's parameter.
-        smoothing: the length l, m.
-        closed: the parameter at which a closed curve is at its start again, m; None for an open
-            one, which ends with the greatest of the lengths.
-    """
-    end = float(lengths.max()) if closed is None else closed
-    spans = max(FEWEST_SPANS, int(np.ceil(end * KNOTS_PER_LENGTH / smoothing)))
-    spacing = end / spans
-    beyond = spacing * np.arange(1, DEGREE + 1)
-    knots = np.concatenate([-beyond[::-1], np.linspace(0.0, end, spans + 1), end + beyond])
-    design = csc_array(BSpline.design_matrix(lengths, knots, DEGREE))
-    count = spans + DEGREE
-    wrap = _wrapping(count, spans) if closed is not None else None
-    roughness = _differences(count) * spacing ** (0.5 - ORDER)
-    if wrap is not None:
-        design = design @ wrap
-        # Each period counts once, however many of its differences are the same.
-        roughness = roughness[:spans] @ wrap
-    weights = diags_array(row_weights(lengths, end))
-    normal = design.T @ weights @ design + smoothing ** (2 * ORDER) * (roughness.T @ roughness)
-    solved = spsolve(csc_array(normal), design.T @ (weights @ positions))
-    coefficients = solved if wrap is None else wrap @ solved
-    return make_curve(BSpline(knots, coefficients, DEGREE), end, spans, closed is not None)
-
-
 def make_curve(spline: BSpline, end: float, spans: int, closed: bool) -> Curve:
     """Return the curve of a spline over [0, end], with its table of arc lengths."""
     steps = POINTS_PER_SPAN * spans
@@ -159,37 +113,6 @@ def make_curve(spline: BSpline, end: float, spans: int, closed: bool) -> Curve:
     velocity = spline(parameter, 1)
     headings = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
     return Curve(spline, closed, parameter, lengths, headings)
-
-
-def degrees_of_freedom(length: float, smoothing: float) -> float:
-    """Return about how many numbers a curve of a length is free in (module docstring), of each
-    coordinate."""
-    return ORDER / 2.0 + length / (3.0 * smoothing)
-
-
-def row_weights(lengths: Float[np.ndarray, " n"], end: float) -> Float[np.ndarray, " n"]:
-    """Return how much of the path each row stands for, m."""
-    order = np.argsort(lengths, kind="stable")
-    inner = lengths[order]
-    edges = np.concatenate([[0.0], (inner[1:] + inner[:-1]) / 2.0, [end]])
-    share = np.empty_like(lengths)
-    share[order] = np.diff(edges)
-    # Rows at one place would weigh nothing, and leave the curve there to others.
-    return np.maximum(share, 1e-3 * end / len(lengths))
-
-
-def _differences(count: int) -> csc_array:
-    """Return the matrix of third differences of a number of coefficients."""
-    matrix = csr_array(eye_array(count))
-    for _ in range(ORDER):
-        matrix = csr_array(matrix[1:] - matrix[:-1])
-    return csc_array(matrix)
-
-
-def _wrapping(count: int, spans: int) -> csc_array:
-    """Return the matrix that repeats the coefficients of one period."""
-    rows = np.arange(count)
-    return csc_array((np.ones(count), (rows, rows % spans)), shape=(count, spans))
 
 
 def _cross(a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:

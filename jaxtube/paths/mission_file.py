@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.plant.reference import Reference, make_reference
+from jaxtube.plant.reference import Reference, count_periods, make_reference
 
 COLUMNS = ("time_s", "x_m", "y_m", "heading_rad", "right_mps", "left_mps")
 
@@ -43,15 +43,27 @@ def write_mission(reference: Reference, origin: Float[np.ndarray, "2"]) -> str:
     return text.getvalue()
 
 
-def read_mission(path: str | Path, dt: float, preview: int, track_width: float) -> Reference | None:
+def read_mission(
+    path: str | Path, dt: float, preview: int, track_width: float, duration: float | None
+) -> Reference | None:
     """Read a mission; past its end its last wheel speeds are held.
 
+    Args:
+        path: of the file.
+        dt: s.
+        preview: periods known beyond the run.
+        track_width: m.
+        duration: of the run, s, a whole number of periods; None for the whole mission.
+
     Returns:
-        The reference; None for a file that is no mission, or one for another period or another
-        distance between the wheels.
+        The reference; None for a file that is no mission, or one for another period, another
+        distance between the wheels, or a shorter run.
     """
     table = _read_table(path)
     if table is None or len(table) < 2:
+        return None
+    steps = len(table) - 1 if duration is None else count_periods(duration, dt)
+    if steps >= len(table):
         return None
     times = dt * np.arange(len(table))
     wheels = np.pad(table[:-1, 4:], ((0, preview), (0, 0)), "edge")
@@ -60,12 +72,14 @@ def read_mission(path: str | Path, dt: float, preview: int, track_width: float) 
         speeds=wheels.mean(axis=1),
         yaw_rates=wheels @ np.array([1.0, -1.0]) / track_width,
         dt=dt,
-        steps=len(table) - 1,
+        steps=steps,
         track_width=track_width,
     )
     off = np.abs(reference.poses[: len(table)] - table[:, 1:4]).max()
-    is_same = np.allclose(times, table[:, 0], rtol=1e-6, atol=1e-9) and off <= SAME_POSE
-    return reference if is_same else None
+    if not (np.allclose(times, table[:, 0], rtol=1e-6, atol=1e-9) and off <= SAME_POSE):
+        return None
+    known = steps + preview
+    return Reference(reference.wheels[:known], reference.poses[: known + 1], dt, steps)
 
 
 def _read_table(path: str | Path) -> Float[np.ndarray, "rows 6"] | None:

@@ -36,6 +36,12 @@ TABLE_POINTS = 2000
 FEWEST_POINTS = 50
 """Of that grid."""
 
+FAR_APART = 2.0
+"""Track widths from row to row beyond which the curve between them is a guess."""
+
+MOST_WIDENED = 4
+"""Curves with widened turns that are tried."""
+
 MARGINS = 6
 """Tries at a margin that keeps the held speeds in the box."""
 
@@ -160,10 +166,11 @@ def _drive_piece(piece: Piece, drive: Drive, notes: list[Note]) -> list[Mission 
     if closed is not None:
         outcome = _try_smoother(closed.piece, drive, closed.gap)
         if isinstance(outcome, Mission):
-            notes += closed.notes
+            notes += [*closed.notes, *_find_gap(closed.piece, width)]
             return [outcome]
     outcome = _try_smoother(piece, drive, None)
     if isinstance(outcome, Mission):
+        notes += _find_gap(piece, width)
         return [outcome]
     halves = cut_at_corner(piece, outcome, width)
     if halves is None:
@@ -172,13 +179,29 @@ def _drive_piece(piece: Piece, drive: Drive, notes: list[Note]) -> list[Mission 
     return [result for half in halves.pieces for result in _drive_piece(half, drive, notes)]
 
 
+def _find_gap(piece: Piece, track_width: float) -> list[Note]:
+    """Return a note on rows so far apart that the curve between them is a guess."""
+    steps = np.linalg.norm(np.diff(piece.raw.positions, axis=0), axis=1)
+    widest = int(np.argmax(steps))
+    if steps[widest] <= FAR_APART * track_width:
+        return []
+    text = f"rows up to {steps[widest]:.2f} m apart: the curve between them is a guess"
+    return [Note(place_of(piece.raw, widest), text)]
+
+
 def _try_smoother(piece: Piece, drive: Drive, gap: float | None) -> Mission | Failure:
     """Drive a piece along the least smooth curve that can be driven; else return what stands
-    against the smoothest one that is near enough to its rows."""
+    against the last one that was tried."""
     failure = None
-    for fit in smooth(piece, gap, drive.largest_deviation):
-        if fit.largest_deviation > drive.largest_deviation:
+    widened = 0
+    sharpest = drive.limits.sharpest_curvature
+    for fit in smooth(piece, gap, drive.largest_deviation, sharpest):
+        if fit.unbent_deviation > drive.largest_deviation or widened == MOST_WIDENED:
             return failure or Failure(fit, None, drive.largest_deviation)
+        widened += fit.curve is not fit.unbent
+        failure = Failure(fit, None, drive.largest_deviation)
+        if fit.curve.sharpest > sharpest or fit.largest_deviation > drive.largest_deviation:
+            continue
         try:
             return _drive_curve(piece, fit, drive)
         except NoSpeedError as error:
@@ -234,7 +257,10 @@ def _sample(piece: Piece, curve: Curve, profile: SpeedProfile, drive: Drive) -> 
     steps = whole if drive.duration is None else count_periods(drive.duration, drive.dt)
     refuse_too_many_periods(steps * drive.dt, drive.dt)
     if steps < 1:
-        raise NoSpeedError(0.0)
+        raise ValueError(
+            f"{piece.raw.path}: {curve.length:.3g} m at {drive.speed:.3g} m/s are less than a "
+            f"period of {drive.dt:.3g} s; shorten controller.dt_s"
+        )
     if steps > whole and not curve.closed:
         raise ValueError(
             f"{piece.raw.path}: the path takes {whole * drive.dt:.9g} s but the duration asked for "

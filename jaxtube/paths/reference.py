@@ -65,7 +65,7 @@ def follow_file(scenario: Scenario) -> Reference:
     file = scenario.reference.file
     drive = drive_of(scenario)
     width = drive.limits.track_width
-    mission = read_mission(file, drive.dt, drive.preview, width) if drive.duration is None else None
+    mission = read_mission(file, drive.dt, drive.preview, width, drive.duration)
     if mission is not None:
         return mission
     try:

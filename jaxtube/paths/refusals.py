@@ -15,13 +15,25 @@ from jaxtube.paths.profile import WheelLimits
 from jaxtube.paths.rows import take_rows
 from jaxtube.paths.smoothing import Fit
 
-TABLE_STEPS = 2000
-"""Points of a curve among which its sharp turns are looked for."""
+STRAIGHT = 1e-6
+"""Curvature in 1/m that is none."""
+
+LEAST_TURN = np.deg2rad(30.0)
+"""Turn within a track width from which it counts as one on the spot."""
+
+REACH = 2.0
+"""Track widths between a turn on the spot and where it shows."""
 
 
 class Failure(NamedTuple):
-    """What stands against driving a piece: at arc length `at` (m) of the smoothest curve no speed
-    keeps the wheels' limits; None where even the first curve is too far from the rows."""
+    """What stands against driving a piece.
+
+    Attributes:
+        fit: the smoothest curve that was tried.
+        at: arc length at which no speed keeps the wheels' limits, m; None where the curve is too
+            far from a row.
+        largest_deviation: of a row from the curve, m.
+    """
 
     fit: Fit
     at: float | None
@@ -38,52 +50,66 @@ class Halves(NamedTuple):
 def explain(piece: Piece, failure: Failure, limits: WheelLimits) -> Note:
     """Say where a piece cannot be driven, why, and what helps."""
     fit = failure.fit
-    allowed = f"{failure.largest_deviation:.3g} m"
-    if failure.at is None:
-        row = int(np.argmax(fit.deviations))
+    sharpest = limits.sharpest_curvature
+    if failure.at is not None:
+        samples = fit.curve.at(np.array([failure.at]))
+        curvature = max(abs(float(samples.curvature[0])), STRAIGHT)
+        change = abs(float(samples.curvature_change[0]))
+        bound = "" if limits.acceleration is None else f" and below {limits.acceleration:.3g} m/s^2"
         text = (
-            f"lies {fit.deviations[row]:.3g} m off the smooth path, more than {allowed}; record "
-            "with less noise, or allow more (path --deviation)"
+            f"no speed keeps the wheels in their box{bound}: the radius is {1.0 / curvature:.3g} m "
+            f"and the curvature changes by {change:.3g} 1/m in a metre; widen the box, raise "
+            "robot.wheel_acceleration_max_mps2, or allow a larger deviation (path --deviation)"
+        )
+        return Note(place_of(piece.raw, _nearest_row(fit, failure.at)), text)
+    row = int(np.argmax(fit.deviations))
+    off = f"{fit.deviations[row]:.3g} m, more than {failure.largest_deviation:.3g} m"
+    if fit.unbent.sharpest <= sharpest:
+        text = (
+            f"lies off the smooth path by {off}; record with less noise, or allow a larger "
+            "deviation (path --deviation)"
         )
         return Note(place_of(piece.raw, row), text)
-    samples = fit.curve.at(np.array([failure.at]))
-    curvature = abs(float(samples.curvature[0]))
-    place = place_of(piece.raw, _nearest_row(fit, failure.at))
-    if curvature > limits.sharpest_curvature:
-        text = (
-            f"turns with a radius of {1.0 / curvature:.3g} m, smoothed within {allowed}; wheels "
-            f"{limits.track_width:.3g} m apart at {limits.least:.3g} to {limits.greatest:.3g} m/s "
-            f"turn with {1.0 / limits.sharpest_curvature:.3g} m or more; "
-            f"{_say_slower(curvature, limits)}allow more (path --deviation), or turn less sharply"
-        )
-        return Note(place, text)
+    curve = fit.unbent
+    wider = f", and that wide a turn would leave the path by {off}"
+    if fit.curve.sharpest > sharpest:
+        curve = fit.curve
+        wider = f", which smoothing within {failure.largest_deviation:.3g} m does not reach"
+    curvature = curve.at(curve.lengths).curvature
+    worst = int(np.argmax(np.abs(curvature)))
+    radius = 1.0 / abs(curvature[worst])
     text = (
-        f"no speed keeps the wheels in their box and below {limits.acceleration:.3g} m/s^2 where "
-        f"the curvature changes by {abs(samples.curvature_change[0]):.3g} 1/m in a metre; raise "
-        "robot.wheel_acceleration_max_mps2, widen the box, or allow more (path --deviation)"
+        f"turns with a radius of {radius:.3g} m; wheels {limits.track_width:.3g} m apart at "
+        f"{limits.least:.3g} to {limits.greatest:.3g} m/s turn with {1.0 / sharpest:.3g} m or "
+        f"more{wider}; "
+        f"{_say_slower(1.0 / radius, limits)}allow a larger deviation (path --deviation), or turn "
+        "less sharply"
     )
-    return Note(place, text)
+    return Note(place_of(piece.raw, _nearest_row(fit, curve.lengths[worst])), text)
 
 
 def cut_at_corner(piece: Piece, failure: Failure, track_width: float) -> Halves | None:
-    """Cut a piece where, smoothed as much as may be, it still turns more sharply than around one of
-    its wheels; None where it does not."""
-    if failure.at is None:
-        return None
-    lengths = np.linspace(0.0, failure.fit.curve.length, TABLE_STEPS)
-    samples = failure.fit.curve.at(lengths)
-    is_sharp = np.abs(samples.curvature) > 2.0 / track_width
+    """Cut a piece where it fails if it turns there more sharply than around one of its own wheels;
+    None where it does not."""
+    fit = failure.fit
+    curve = fit.unbent
+    is_sharp = np.abs(curve.at(curve.lengths).curvature) > 2.0 / track_width
     if not is_sharp.any():
         return None
-    sharpest = int(np.argmax(np.abs(samples.curvature)))
-    first = sharpest - int(np.argmin(np.append(is_sharp[sharpest::-1], False))) + 1
-    last = sharpest + int(np.argmin(np.append(is_sharp[sharpest:], False))) - 1
-    ends = _nearest_row(failure.fit, lengths[first])
-    begins = max(_nearest_row(failure.fit, lengths[last]), ends)
-    around = np.array([lengths[first] - track_width / 2.0, lengths[last] + track_width / 2.0])
-    arrival, departure = failure.fit.curve.at(np.clip(around, 0.0, lengths[-1])).headings
-    turn = np.degrees(abs(departure - arrival))
-    text = f"turns on the spot by {turn:.0f} deg"
+    parameter = fit.rows[np.argmax(fit.deviations)]
+    place = failure.at or float(np.interp(parameter, curve.parameter, curve.lengths))
+    sharp = np.flatnonzero(is_sharp)
+    corner = int(sharp[np.argmin(np.abs(curve.lengths[sharp] - place))])
+    around = curve.lengths[corner] + np.array([-1.0, 1.0]) * track_width
+    arrival, departure = curve.at(np.clip(around, 0.0, curve.length)).headings
+    turn = abs(departure - arrival)
+    if turn < LEAST_TURN or abs(curve.lengths[corner] - place) > REACH * track_width:
+        return None
+    first = corner - int(np.argmin(np.append(is_sharp[corner::-1], False))) + 1
+    last = corner + int(np.argmin(np.append(is_sharp[corner:], False))) - 1
+    ends = _nearest_row(fit, curve.lengths[first])
+    begins = max(_nearest_row(fit, curve.lengths[last]), ends)
+    text = f"turns on the spot by {np.degrees(turn):.0f} deg"
     before = take_rows(piece.raw, slice(ends + 1))
     after = take_rows(piece.raw, slice(begins, None))
     halves = [piece._replace(raw=before, ends=text), piece._replace(raw=after, begins=text)]

@@ -143,8 +143,8 @@ def _start_lines(plan: PathPlan, drive: Drive) -> list[str]:
     return wrap(
         f"missions begin and end at speed, {_say_range(min(starts), max(starts))} m/s at the "
         f"start: wheels of the reference never run below {drive.limits.least:.3g} m/s, and a "
-        "certificate holds for references in that box. A robot that stands has to reach speed before the "
-        "start and to brake beyond the end; both lie outside of any certificate."
+        "certificate holds for references in that box. A robot that stands has to reach speed "
+        "before the start and to brake beyond the end; both lie outside of any certificate."
     )
 
 
