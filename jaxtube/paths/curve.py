@@ -10,11 +10,12 @@ Source: differential geometry of plane curves, as in any textbook.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy.interpolate import BSpline
+from scipy.interpolate import BSpline, CubicHermiteSpline
 
 POINTS_PER_SPAN = 10
 """Of the table from a spline's parameter to arc length and heading."""
@@ -43,6 +44,7 @@ class Curve:
         parameter: of the table, increasing from 0.
         lengths: arc lengths of the table, m.
         headings: of the table, rad, unwrapped.
+        by_length: parameter over arc length.
     """
 
     spline: BSpline
@@ -50,13 +52,14 @@ class Curve:
     parameter: Float[np.ndarray, " n"]
     lengths: Float[np.ndarray, " n"]
     headings: Float[np.ndarray, " n"]
+    by_length: CubicHermiteSpline
 
     @property
     def length(self) -> float:
         """Arc length of the curve, m; of one lap of a closed one."""
         return float(self.lengths[-1])
 
-    @property
+    @cached_property
     def sharpest(self) -> float:
         """Greatest curvature, 1/m, as of the points of its table."""
         return float(np.abs(self.at(self.lengths).curvature).max())
@@ -65,7 +68,7 @@ class Curve:
         """Return the points at arc lengths; those of a closed curve may lie beyond its end."""
         laps = np.floor(lengths / self.length) if self.closed else np.zeros_like(lengths)
         within = np.clip(lengths - laps * self.length, 0.0, self.length)
-        parameter = np.interp(within, self.lengths, self.parameter)
+        parameter = self.by_length(within)
         velocity = self.spline(parameter, 1)
         acceleration = self.spline(parameter, 2)
         jerk = self.spline(parameter, 3)
@@ -112,7 +115,8 @@ def make_curve(spline: BSpline, end: float, spans: int, closed: bool) -> Curve:
     lengths = np.append(0.0, np.cumsum(half * speed @ weights))
     velocity = spline(parameter, 1)
     headings = np.unwrap(np.arctan2(velocity[:, 1], velocity[:, 0]))
-    return Curve(spline, closed, parameter, lengths, headings)
+    by_length = CubicHermiteSpline(lengths, parameter, 1.0 / np.linalg.norm(velocity, axis=1))
+    return Curve(spline, closed, parameter, lengths, headings, by_length)
 
 
 def _cross(a: Float[np.ndarray, "n 2"], b: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, " n"]:

@@ -23,6 +23,7 @@ section 17.1; the rest is Fourier analysis.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -80,7 +81,7 @@ class Fitting:
 
     def solve(self) -> Curve:
         """Return the curve of least cost."""
-        return self._make_curve(spsolve(self.normal, self.right))
+        return self._make_curve(np.asarray(spsolve(self.normal, self.right)))
 
     def bend(self, curve: Curve, sharpest: float, stiffness: Float[np.ndarray, " points"]) -> Curve:
         """Return the curve of least cost with that of its excess curvature.
@@ -97,9 +98,10 @@ class Fitting:
         cost = stiffness * self.end / len(self.bend_points)
         normal = block_diag([self.normal, self.normal]) + across.T @ diags_array(cost) @ across
         right = self.right.T.ravel() + across.T @ (cost * wanted * bends.speed**2)
-        return self._make_curve(spsolve(csc_array(normal), right).reshape(2, -1).T)
+        free = np.asarray(spsolve(csc_array(normal), right))
+        return self._make_curve(free.reshape(2, -1).T)
 
-    @property
+    @cached_property
     def bend_points(self) -> Float[np.ndarray, " points"]:
         """Parameters of the points at which the curvature is limited."""
         points = BENDS_PER_SPAN * self.spans
@@ -109,7 +111,7 @@ class Fitting:
         """Return the matrix from free coefficients to second derivatives."""
         basis = BSpline.design_matrix(parameter, self.knots[2:-2], DEGREE - 2)
         spacing = self.end / self.spans
-        return csc_array(basis @ difference(self.wrap.shape[0], 2) @ self.wrap / spacing**2)
+        return csc_array(basis @ difference(self.spans + DEGREE, 2) @ self.wrap / spacing**2)
 
     def _make_curve(self, free: Float[np.ndarray, "free 2"]) -> Curve:
         spline = BSpline(self.knots, self.wrap @ free, DEGREE)
@@ -151,18 +153,20 @@ def make_fitting(
 
 
 def limit_curvature(fitting: Fitting, curve: Curve, sharpest: float, smoothing: float) -> Curve:
-    """Return the curve nearest to the rows among those with a greatest curvature (1/m), as far as
-    `BENDINGS` fits get there; `curve` itself where it is one of them."""
+    """Return the curve nearest to the rows among those with a greatest curvature (1/m); `curve`
+    itself where it is one of them, and the least sharp of `BENDINGS` fits where none is."""
     aim = sharpest * (1.0 - ROOM)
     stiffness = np.zeros(len(fitting.bend_points))
+    best = curve
     for _ in range(BENDINGS):
-        if curve.sharpest <= sharpest:
-            return curve
+        if best.sharpest <= sharpest:
+            return best
         is_sharp = np.abs(find_bends(curve, fitting.bend_points).curvature) > aim
         # Where a turn has been widened it keeps its cost, or it would spring back.
         stiffness[is_sharp] = np.maximum(GROWTH * stiffness[is_sharp], smoothing**4)
         curve = fitting.bend(curve, aim, stiffness)
-    return curve
+        best = min(best, curve, key=lambda tried: tried.sharpest)
+    return best
 
 
 class Bends(NamedTuple):

@@ -11,13 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from jaxtube.paths.breaks import (
-    Break,
-    find_breaks,
-    find_heading_problem,
-    find_reversing,
-)
+from jaxtube.paths.breaks import Break, find_breaks
 from jaxtube.paths.cells import find_radius, make_chain
+from jaxtube.paths.headings import find_heading_problem, find_reversing
 from jaxtube.paths.places import Note, line_of, place_of
 from jaxtube.paths.rows import FEWEST_ROWS, polygon_length, take_rows
 from jaxtube.recordings.path import RawPath

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import warnings
 
+from jaxtube.paths.driving import Drive, Mission
 from jaxtube.paths.mission_file import read_mission
-from jaxtube.paths.missions import Drive, Mission, PathPlan, plan_path
+from jaxtube.paths.missions import PathPlan, plan_path
 from jaxtube.paths.places import PathWarning, place_of
 from jaxtube.paths.profile import WheelLimits
 from jaxtube.paths.proof import find_excess, find_use

@@ -18,14 +18,13 @@ from jaxtube.experiments.path.report import metrics, report
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.exit_codes import ExitCode
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.paths.driving import Drive
 from jaxtube.paths.mission_file import write_mission
-from jaxtube.paths.missions import Drive, PathPlan, plan_path
+from jaxtube.paths.missions import PathPlan, plan_path
 from jaxtube.paths.reference import drive_of
 from jaxtube.recordings.hints import Hints, parse_pairs
 from jaxtube.recordings.path import RawPath
 from jaxtube.recordings.reading import read_path
-from jaxtube.recordings.topics import POSES
-from jaxtube.recordings.usual_names import PATH_ROLES
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, to_toml
 
@@ -55,7 +54,6 @@ def make_plan(scenario: Scenario, options: PathOptions) -> tuple[RawPath, PathPl
     Raises:
         ScenarioError: one line.
     """
-    known = tuple(role.name for role in PATH_ROLES)
     drive = drive_of(scenario)
     drive = drive._replace(
         speed=options.speed or drive.speed,
@@ -66,9 +64,9 @@ def make_plan(scenario: Scenario, options: PathOptions) -> tuple[RawPath, PathPl
     )
     try:
         hints = Hints(
-            columns=parse_pairs("--columns", options.columns, known),
-            units=parse_pairs("--units", options.units, known),
-            topics=parse_pairs("--topics", options.topics, (POSES.name,)),
+            columns=parse_pairs("--columns", options.columns),
+            units=parse_pairs("--units", options.units),
+            topics=parse_pairs("--topics", options.topics),
         )
         raw = read_path(options.file, hints)
         return raw, plan_path(raw, drive), drive

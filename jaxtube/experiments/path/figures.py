@@ -18,7 +18,8 @@ from jaxtube.figures.style import (
     styled,
 )
 from jaxtube.paths.deviation import find_positions
-from jaxtube.paths.missions import Drive, PathPlan
+from jaxtube.paths.driving import Drive
+from jaxtube.paths.missions import PathPlan
 from jaxtube.paths.places import Note
 from jaxtube.paths.timing import recorded_speeds
 from jaxtube.recordings.path import RawPath

@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 
 from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
-from jaxtube.paths.missions import Drive, Mission, PathPlan
+from jaxtube.paths.driving import Drive, Mission
+from jaxtube.paths.missions import PathPlan
 from jaxtube.paths.rows import polygon_length
 from jaxtube.recordings.path import RawPath
 
 STANDSTILL = 1e-6
 """Speed in m/s that is none."""
+
+STRAIGHT = 1e4
+"""Radius in m from which on a path is straight."""
 
 LEGEND = (
     "off, rms: largest distance of a row of the file from the driven arcs, and the root mean "
@@ -93,7 +97,7 @@ def _row(name: str, mission: Mission) -> list[str]:
         f"{mission.fit.curve.length:.2f}",
         f"{mission.reference.steps * mission.reference.dt:.6g}",
         _say_range(speeds.min(), speeds.max()),
-        f"{mission.tightest_radius:.3g}",
+        f"{mission.tightest_radius:.3g}" if mission.tightest_radius < STRAIGHT else "straight",
         _say_range(use.least, use.greatest),
         f"{use.acceleration:.3g}",
         f"{deviations.from_rows:.4f}",
