@@ -60,7 +60,7 @@ def eight(radius=3.0) -> Drive:
 
 def there_and_back(turning: bool) -> Drive:
     """Drive 6 m and the same way back: turned on the spot by 180 deg, or in reverse."""
-    time, positions, headings = drive(((6, 0, 0.1),))
+    _, positions, headings = drive(((6, 0, 0.1),))
     back = headings[::-1][1:] + (np.pi if turning else 0.0)
     there = np.concatenate([positions, positions[::-1][1:]])
     both = np.concatenate([headings, back])
@@ -116,7 +116,7 @@ def shuffle(made: Drive) -> Drive:
 def far_away(made: Drive) -> Drive:
     """Return a drive in UTM coordinates, stamped in 2023."""
     time, positions, headings = made
-    return time + 1.7e9, positions + [500123.456, 4649776.224], headings
+    return time + 1.7e9, positions + np.array([500123.456, 4649776.224]), headings
 
 
 POSES = ("time_s", "x_m", "y_m", "yaw_rad")

@@ -36,6 +36,9 @@ DESCRIPTION = (
 )
 DEFAULT_COMMAND = "paper"
 INTERRUPTED_LINE = "interrupted; run the same command again"
+PAIR_OPTIONS = ("--select", "--columns", "--units", "--topics")
+"""Options whose value looks like an override."""
+
 LEAST_COLUMNS = 40
 """The parser takes gigabytes to lay out its help in a few columns."""
 
@@ -137,7 +140,9 @@ def _split(arguments: Iterable[str]) -> tuple[list[str], list[str]]:
     overrides = []
     pending = ""
     for word in arguments:
-        if pending:
+        if words and words[-1] in PAIR_OPTIONS:
+            words.append(word)
+        elif pending:
             overrides.append(f"{pending}={word}")
             pending = ""
         elif re.match(r"(--)?\w+(\.\w+)+=|\w+=", word):

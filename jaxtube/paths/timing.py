@@ -32,8 +32,12 @@ def recorded_speeds(
         time: of each row, s.
         lengths: where speeds are asked for, m.
     """
-    unwrapped = np.unwrap(parameters, period=curve.parameter[-1]) if curve.closed else parameters
-    reached = np.maximum.accumulate(np.interp(unwrapped, curve.parameter, curve.lengths))
+    if curve.closed:
+        lap = curve.parameter[-1]
+        parameters = np.unwrap(parameters, period=lap)
+        # The first row may lie a little before the start, at the end of the lap before.
+        parameters = parameters - lap * np.round(parameters[0] / lap)
+    reached = np.maximum.accumulate(np.interp(parameters, curve.parameter, curve.lengths))
     way = np.diff(reached)
     took = np.diff(time)
     moved = (way > 0.0) & (took > 0.0)

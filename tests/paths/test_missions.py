@@ -53,7 +53,7 @@ def assert_drives(mission, limits):
         changes = np.abs(np.diff(wheels, axis=0)) / reference.dt
         assert changes.max() <= limits.acceleration * (1.0 + 1e-9)
     driven = integrate(reference, limits.track_width)
-    np.testing.assert_allclose(driven[:: STEPS_PER_PERIOD][-1], reference.poses[-1], atol=1e-6)
+    np.testing.assert_allclose(driven[::STEPS_PER_PERIOD][-1], reference.poses[-1], atol=1e-6)
     run = driven[: STEPS_PER_PERIOD * reference.steps + 1, :2]
     off, _ = KDTree(run).query(mission.piece.raw.positions)
     last = STEP_LENGTH * limits.greatest * reference.dt
