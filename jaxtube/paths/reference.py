@@ -92,7 +92,7 @@ def _take_only_mission(file: str, plan: PathPlan) -> Mission:
     if plan.refused:
         raise ValueError(f"{file}: {plan.refused[0].note}")
     if not plan.missions:
-        raise ValueError(f"{file}: {plan.notes[-1]}")
+        raise ValueError(f"{file}: {'; '.join(map(str, plan.notes[:MOST_NOTES]))}")
     if len(plan.missions) > 1:
         second = plan.missions[1].piece
         raise ValueError(

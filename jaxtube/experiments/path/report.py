@@ -16,6 +16,9 @@ from jaxtube.recordings.path import RawPath
 STANDSTILL = 1e-6
 """Speed in m/s that is none."""
 
+SAME_SPEED = 0.01
+"""Share by which a speed may differ from the one asked for without a word."""
+
 STRAIGHT = 1e4
 """Radius in m from which on a path is straight."""
 
@@ -132,11 +135,29 @@ def _proof_lines(plan: PathPlan, drive: Drive) -> list[str]:
             f"[{limits.least:.6g}, {limits.greatest:.6g}] m/s; they change by {change:.4g} m/s^2 "
             f"or less, {bound}"
         ),
+        *_speed_lines(plan, drive),
         *wrap(
             f"largest deviation: {rows:.4f} m from a row of the file (the smooth path may be "
             f"{drive.largest_deviation:.3g} m off), {arcs:.1g} m from the smooth path"
         ),
     ]
+
+
+def _speed_lines(plan: PathPlan, drive: Drive) -> list[str]:
+    """Return that speeds differ from those asked for, where they do."""
+    if drive.recorded_timing and plan.raw.time is not None:
+        return wrap(
+            "speeds are those of the recording, over a second or more, as far as the limits of the "
+            "wheels allow; time that the robot stands is left out"
+        )
+    means = [mission.reference.wheels.mean(axis=1) for mission in plan.missions]
+    speeds = np.concatenate(means)
+    if np.abs(speeds / drive.speed - 1.0).max() < SAME_SPEED:
+        return []
+    return wrap(
+        f"asked for: {drive.speed:.3g} m/s along the path; the limits of the wheels leave "
+        f"{_say_range(float(speeds.min()), float(speeds.max()))} m/s"
+    )
 
 
 def _start_lines(plan: PathPlan, drive: Drive) -> list[str]:
