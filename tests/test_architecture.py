@@ -26,6 +26,7 @@ ROOMS = (
     "recordings",
     "qp",
     "plant",
+    "paths",
     "control",
     "synthesis",
     "simulation",

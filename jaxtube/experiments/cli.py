@@ -21,7 +21,8 @@ import os
 import re
 import shutil
 import sys
-from collections.abc import Iterable, Sequence
+import warnings
+from collections.abc import Iterable, Iterator, Sequence
 
 import tyro
 from tyro.extras import subcommand_type_from_defaults
@@ -92,15 +93,34 @@ def run(options: Options) -> int:
     from jaxtube.scenario.reading import load
     from jaxtube.scenario.refusal import ScenarioError
 
-    scenario = load(options.scenario, options.overrides) if options.scenario else None
+    scenario = load(options.scenario, options.scenario_overrides) if options.scenario else None
     try:
-        return importlib.import_module(f"{__package__}.{options.module}").run(scenario, options)
+        with _warnings_in_lines():
+            return importlib.import_module(f"{__package__}.{options.module}").run(scenario, options)
     except ScenarioError as error:
         # What only a design can find out is not told where the scenario came from.
         line = str(error)
         if line.startswith("scenario:"):
             line = f"{options.scenario}{line.removeprefix('scenario')}"
         raise ScenarioError(line) from None
+
+
+@contextlib.contextmanager
+def _warnings_in_lines() -> Iterator[None]:
+    """Let what is told of paths appear as one line each on the standard error."""
+    from jaxtube.paths.places import PathWarning
+
+    with warnings.catch_warnings():
+        usual = warnings.showwarning
+
+        def show(message, category, *arguments, **options) -> None:
+            if issubclass(category, PathWarning):
+                print(message, file=sys.stderr)
+            else:
+                usual(message, category, *arguments, **options)
+
+        warnings.showwarning = show
+        yield
 
 
 def _check_text(arguments: Sequence[str]) -> Sequence[str]:

@@ -4,6 +4,7 @@ values.
 Every command takes a scenario, the folder of its run, a seed, and overrides of single keys.
 """
 
+import json
 import math
 import re
 import shlex
@@ -64,6 +65,7 @@ POSITIVE_OR_NONE = Rule(
 WINDOW = Rule(lambda value: 0.2 <= value <= 60, "is out of range; give seconds, such as 2")
 MARGIN = Rule(lambda value: 0 <= value < 1, "is out of range; give a slip from 0 on, such as 0.01")
 LOG_FILE = Rule(bool, "is missing; name the file of a log, or of a table of windows")
+PATH_FILE = Rule(bool, "is missing; name the file of a path")
 FOLDER = Rule(lambda value: not Path(value).is_file(), "is a file; name a folder")
 
 
@@ -92,6 +94,11 @@ class Options:
     def folder(self) -> Path:
         """The folder of the run."""
         return Path(self.out or f"runs/{self.command}-{title(self.scenario)}")
+
+    @property
+    def scenario_overrides(self) -> tuple[str, ...]:
+        """The overrides with which the scenario is read."""
+        return self.overrides
 
     @property
     def label(self) -> str:
@@ -361,6 +368,57 @@ class IdentifyOptions(Options):
 
 
 @dataclass(frozen=True)
+class PathOptions(Options):
+    """Make missions of a recorded or planned path: cleaned, cut at stops and turns on the spot, and
+    given speeds that keep the wheels in their box."""
+
+    command = "path"
+    module = "path.command"
+    positional = ("file",)
+
+    file: Annotated[Positional[str], arg(metavar="FILE", help_behavior_hint=""), PATH_FILE] = ""
+    """a table (CSV, TUM poses) or a bag with a path, with or without time"""
+    speed: Annotated[
+        float | None,
+        arg(metavar="M/S", help_behavior_hint="(default: reference.speed_mps)"),
+        POSITIVE_OR_NONE,
+    ] = None
+    """speed along the path"""
+    recorded_timing: bool = False
+    """keep the speeds of the recording, as far as the wheels' box lets it"""
+    deviation: Annotated[
+        float | None,
+        arg(metavar="METRES", help_behavior_hint="(default: a fifth of the track width)"),
+        POSITIVE_OR_NONE,
+    ] = None
+    """largest distance of a row from the smooth path"""
+    through_stops: bool = False
+    """drive on through stops, where the direction stays, instead of ending a mission there"""
+    columns: Annotated[str, arg(metavar="WHAT=NAME,...", help_behavior_hint="")] = ""
+    """columns where they are not found, such as x=east,y=north"""
+    units: Annotated[str, arg(metavar="WHAT=UNIT,...", help_behavior_hint="")] = ""
+    """units of columns, such as heading=deg"""
+    topics: Annotated[str, arg(metavar="WHAT=TOPIC,...", help_behavior_hint="")] = ""
+    """topic of a bag: poses"""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run: one for each file and scenario."""
+        if self.out:
+            return super().folder
+        return Path(f"runs/{self.command}-{Path(self.file).stem}-{title(self.scenario)}")
+
+    @property
+    def scenario_overrides(self) -> tuple[str, ...]:
+        """The overrides with which the scenario is read: its own path is not driven."""
+        return (
+            *self.overrides,
+            'reference.shape="file"',
+            f"reference.file={json.dumps(self.file)}",
+        )
+
+
+@dataclass(frozen=True)
 class BenchOptions(Options):
     """Measure laps a second on one device, on all of them, and on one and two workers of a
     cluster."""
@@ -413,6 +471,7 @@ COMMANDS: dict[str, type[Options]] = {
         GuaranteeOptions,
         MapsOptions,
         BeyondOptions,
+        PathOptions,
         TuneOptions,
         IdentifyOptions,
         BenchOptions,

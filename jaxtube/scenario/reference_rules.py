@@ -104,6 +104,8 @@ def _check_file(file: str, refuse: Refuse) -> None:
     if not file:
         problem = 'is empty, and reference.shape is "file"'
         refuse("reference.file", problem, "name the file, or choose another shape")
+    if Path(file).is_dir():
+        return  # a bag
     try:
         Path(file).open("rb").close()
     except (OSError, ValueError) as error:

@@ -63,8 +63,10 @@ class RobotTable(Table, frozen=True):
 class ReferenceTable(Table, frozen=True):
     """The reference path and the box that its wheel speeds keep.
 
-    `file` goes with the shape "file" only. Without `duration_s` a recorded path runs for the whole
-    periods of the recording, any other shape for 30 s. `certified_for` says over which wheel speeds
+    `file` goes with the shape "file" only. A clean recording there keeps its own timing where that
+    keeps the wheels in the box; any other path is cleaned, and driven at `speed_mps` where it has
+    no time (`jaxtube.paths`). Without `duration_s` it runs once from end to end, any other shape
+    for 30 s. `certified_for` says over which wheel speeds
     sets and certificate hold: the whole "box", under arbitrary changes, or those that occur on the
     "path", in any order.
     """

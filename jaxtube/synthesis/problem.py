@@ -14,17 +14,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.paths.reference import follow_file
 from jaxtube.plant.model import VERTEX_SIDES, Model, make_model
-from jaxtube.plant.recorded_reference import from_file
 from jaxtube.plant.reference import Reference, lemniscate, two_circles
 from jaxtube.plant.robot import Robot
 from jaxtube.scenario.error_box import error_vector, noise_bounds
-from jaxtube.scenario.reference_rules import check_reference_wheels, is_in_box
+from jaxtube.scenario.reference_rules import check_reference_wheels
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, weight_matrix
 from jaxtube.synthesis.limits import (
@@ -110,7 +109,6 @@ def make_problem(scenario: Scenario) -> Problem:
         scenario.robot.lever_arm_m,
     )
     reference = _make_reference(scenario)
-    _refuse_fast_recording(scenario, reference)
     check_reference_wheels(scenario, float(reference.wheels.min()), float(reference.wheels.max()))
     box = _speed_box(scenario, reference)
     slip = np.array(scenario.slip.nominal)
@@ -175,21 +173,6 @@ def _speed_box(scenario: Scenario, reference: Reference) -> Float[np.ndarray, "2
     return np.array([[lower, lower], [upper, upper]])
 
 
-def _refuse_fast_recording(scenario: Scenario, reference: Reference) -> None:
-    """Refuse a recorded path whose wheel speeds leave the box of the reference."""
-    section = scenario.reference
-    slowest = float(reference.wheels.min())
-    fastest = float(reference.wheels.max())
-    if section.shape == "file" and not is_in_box(section, slowest, fastest):
-        raise ScenarioError(
-            f"scenario: reference.file = {section.file}: the path asks the wheels for "
-            f"{slowest:.4g} to {fastest:.4g} m/s, outside the box "
-            f"[{section.wheel_speed_min_mps:.4g}, {section.wheel_speed_max_mps:.4g}]; smooth the "
-            "recording, check its units, or widen reference.wheel_speed_min_mps and "
-            "wheel_speed_max_mps"
-        )
-
-
 def _make_regions(
     scenario: Scenario, reference: Reference, box: Float[np.ndarray, "2 2"]
 ) -> Float[np.ndarray, "m 2 2"]:
@@ -212,9 +195,7 @@ def _make_reference(scenario: Scenario) -> Reference:
     track_width = scenario.robot.turning_track_m
     try:
         if section.shape == "file":
-            return from_file(
-                Path(section.file), settings.dt_s, preview, track_width, section.duration_s
-            )
+            return follow_file(scenario)
         assert section.duration_s is not None  # which only a recording leaves open
         shape = {"two_circles": two_circles, "lemniscate": lemniscate}[section.shape]
         return shape(

@@ -188,7 +188,7 @@ def identity(scenario: Scenario, options: Options, names: Iterable[str]) -> dict
     import jax
 
     file = scenario.reference.file
-    digest = hashlib.sha256(Path(file).read_bytes()).hexdigest() if file else ""
+    digest = _hash_path(Path(file)) if file else ""
     return {
         "scenario": msgspec.to_builtins(scenario),
         "reference_file_sha256": digest,
@@ -224,7 +224,7 @@ def _describe(scenario_text: str, options: Options) -> dict[str, Any]:
 
 def source_hashes() -> dict[str, str]:
     """Return the SHA-256 of the code, by package."""
-    return {name: _source_hash(_package_folder(name)) for name in ("jaxtube", "sets")}
+    return {name: _hash_folder(_package_folder(name), "*.py") for name in ("jaxtube", "sets")}
 
 
 def version(package: str) -> str | None:
@@ -235,17 +235,26 @@ def version(package: str) -> str | None:
         return None
 
 
+def _hash_path(path: Path) -> str:
+    """Return the SHA-256 of a file, or of all files in a folder."""
+    if path.is_dir():
+        return _hash_folder(path, "*")
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
 def _package_folder(name: str) -> Path:
     spec = importlib.util.find_spec(name)
     assert spec and spec.origin
     return Path(spec.origin).parent
 
 
-def _source_hash(folder: Path) -> str:
+def _hash_folder(folder: Path, pattern: str) -> str:
+    """Return the SHA-256 of the files in a folder and below whose names match."""
     digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
-        digest.update(path.read_bytes())
+    for path in sorted(folder.rglob(pattern)):
+        if path.is_file():
+            digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+            digest.update(path.read_bytes())
     return digest.hexdigest()
 
 

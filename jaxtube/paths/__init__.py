@@ -1,0 +1,1 @@
+"""Paths of real robots: cleaned, cut into missions, and given speeds that the wheels can run."""
