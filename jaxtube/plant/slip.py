@@ -17,7 +17,7 @@ tracking error too. All functions are for one realisation; the caller vmaps them
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV (slip measurements vary by 10 %).
 """
 
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -102,6 +102,22 @@ class SlipProcess(Protocol):
         ...
 
 
+@runtime_checkable
+class JointProcess(Protocol):
+    """A process whose sideslip belongs to its slips: it is drawn from their key, so that one draw
+    makes both. What is measured of the slips follows a law of its own."""
+
+    @property
+    def measured(self) -> SlipProcess:
+        """How the deviation of the measured slip evolves."""
+        ...
+
+    @property
+    def sideslip(self) -> SlipProcess:
+        """How the deviation of the sideslip evolves, as its first number."""
+        ...
+
+
 def realisation_key(
     seed_key: Key[Array, ""], index_high: Array | int, index_low: Array | int
 ) -> Key[Array, ""]:
@@ -134,7 +150,7 @@ def initial_slip(
     """
     true_key, measured_key = _slip_keys(run_key, process)
     true_memory = process.initial(true_key, dtype)
-    measured_memory = process.initial(measured_key, dtype)
+    measured_memory = _measured_process(process).initial(measured_key, dtype)
     return true_memory, measured_memory
 
 
@@ -174,7 +190,8 @@ def draw_slip(
     if uncertain_slip != "measured":
         xi_true, true_memory = process.draw(true_key, step, true_memory, situation)
     if uncertain_slip != "true":
-        xi_measured, measured_memory = process.draw(measured_key, step, measured_memory, situation)
+        measured = _measured_process(process)
+        xi_measured, measured_memory = measured.draw(measured_key, step, measured_memory, situation)
         xi_measured = -xi_measured if process.opposed else xi_measured
     return xi_true, xi_measured, (true_memory, measured_memory)
 
@@ -183,7 +200,8 @@ def initial_sideslip(
     run_key: Key[Array, ""], process: SlipProcess, dtype: DTypeLike = float
 ) -> Memory:
     """Return the memory of the sideslip before the first step, as `initial_slip` does."""
-    return process.initial(jax.random.fold_in(run_key, Stream.SIDESLIP), dtype)
+    key, sideways = _sideslip_stream(run_key, process)
+    return sideways.initial(key, dtype)
 
 
 def draw_sideslip(
@@ -210,8 +228,8 @@ def draw_sideslip(
     if process.opposed:
         right, left = jnp.clip(slip_error, -1.0, 1.0)
         return (left - right) / 2.0, memory
-    key = jax.random.fold_in(run_key, Stream.SIDESLIP)
-    xi, following = process.draw(key, step, memory, situation)
+    key, sideways = _sideslip_stream(run_key, process)
+    xi, following = sideways.draw(key, step, memory, situation)
     return xi[0], following
 
 
@@ -240,6 +258,20 @@ def _slip_keys(
     if process.opposed:
         return true_key, true_key
     return true_key, jax.random.fold_in(run_key, Stream.MEASURED_SLIP)
+
+
+def _measured_process(process: SlipProcess) -> SlipProcess:
+    """Return how the measured slip evolves."""
+    return process.measured if isinstance(process, JointProcess) else process
+
+
+def _sideslip_stream(
+    run_key: Key[Array, ""], process: SlipProcess
+) -> tuple[Key[Array, ""], SlipProcess]:
+    """Return the stream of the sideslip, and how it evolves."""
+    if isinstance(process, JointProcess):
+        return jax.random.fold_in(run_key, Stream.TRUE_SLIP), process.sideslip
+    return jax.random.fold_in(run_key, Stream.SIDESLIP), process
 
 
 def draw_uniform(key: Key[Array, ""], shape: tuple[int, ...], dtype: DTypeLike) -> Array:

@@ -211,8 +211,8 @@ class SlippingRobot:
             is_own = not isinstance(self.process, str)
             name = type(self.process).__name__ if is_own else self.process
             raise ValueError(
-                f'slip.process = "{name}": is not searched; choose "iid", which contains '
-                'it, or "constant"'
+                f'slip.process = "{name}": is not searched; choose "iid", which contains all that '
+                'is allowed, or "constant"'
             )
         steps = len(self.reference_wheels)
         times = steps if self.process == "iid" else 1

@@ -13,6 +13,9 @@ from jaxtube.scenario.refusal import refusal
 from jaxtube.scenario.tree import Scenario
 from jaxtube.scenario.validation import find_default, validate
 
+FILE_KEYS = frozenset({"reference.file", "slip.recording"})
+"""Keys that name a file."""
+
 
 def load(name_or_path: str | Path, overrides: str | Iterable[str] = ()) -> Scenario:
     """Read a scenario by its name or by the path of its TOML file.
@@ -23,8 +26,8 @@ def load(name_or_path: str | Path, overrides: str | Iterable[str] = ()) -> Scena
             are strings.
 
     Returns:
-        The validated scenario. A relative `reference.file` starts at the folder of the scenario
-        file, in an override at the current folder, and is made absolute.
+        The validated scenario. A relative `reference.file` or `slip.recording` starts at the folder
+        of the scenario file, in an override at the current folder, and is made absolute.
 
     Raises:
         ScenarioError: one line.
@@ -32,7 +35,7 @@ def load(name_or_path: str | Path, overrides: str | Iterable[str] = ()) -> Scena
     path = find(name_or_path)
     source = str(name_or_path)
     tables = _read(path, source)
-    _make_file_absolute(tables, path.parent)
+    _make_files_absolute(tables, path.parent, FILE_KEYS)
     values = _parse_overrides([overrides] if isinstance(overrides, str) else overrides)
     return _override(tables, values, source)
 
@@ -45,8 +48,8 @@ def replace(scenario: Scenario, values: Mapping[str, Any]) -> Scenario:
     Args:
         scenario: the scenario to start from; it stays as it is.
         values: dotted key -> value, or section -> section. Numbers, texts, lists, numpy arrays and
-            parts of other scenarios are taken. A relative `reference.file` starts at the current
-            folder.
+            parts of other scenarios are taken. A relative `reference.file` or `slip.recording`
+            starts at the current folder.
 
     Returns:
         The scenario; without a `reference.duration_s` of its own a `reference.shape` that becomes
@@ -159,8 +162,7 @@ def _override(tables: dict[str, Any], values: Mapping[str, Any], source: str) ->
     if values.get("reference.shape") == "file" and "reference.duration_s" not in values:
         # The duration that stands there was meant for another shape.
         tables["reference"].pop("duration_s", None)
-    if "reference.file" in values:
-        _make_file_absolute(tables, Path.cwd())
+    _make_files_absolute(tables, Path.cwd(), values)
 
     def find_source(key: str) -> str:
         place = f"{key.split('[')[0]}."
@@ -170,11 +172,11 @@ def _override(tables: dict[str, Any], values: Mapping[str, Any], source: str) ->
     return validate(tables, find_source)
 
 
-def _make_file_absolute(tables: dict[str, Any], folder: Path) -> None:
-    """Let a relative `reference.file` start at a folder."""
-    reference = tables.get("reference")
-    if not isinstance(reference, dict):
-        return
-    file = reference.get("file")
-    if isinstance(file, str) and file:
-        reference["file"] = str(Path.cwd() / folder / file)
+def _make_files_absolute(tables: dict[str, Any], folder: Path, keys: Iterable[str]) -> None:
+    """Let relative files start at a folder, those of `keys` that name one."""
+    for key in FILE_KEYS.intersection(keys):
+        section, _, name = key.partition(".")
+        table = tables.get(section)
+        file = table.get(name) if isinstance(table, dict) else None
+        if isinstance(table, dict) and isinstance(file, str) and file:
+            table[name] = str(Path.cwd() / folder / file)

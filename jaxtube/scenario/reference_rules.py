@@ -106,6 +106,11 @@ def _check_file(file: str, refuse: Refuse) -> None:
         refuse("reference.file", problem, "name the file, or choose another shape")
     if Path(file).is_dir():
         return  # a bag
+    check_readable("reference.file", file, refuse)
+
+
+def check_readable(key: str, file: str, refuse: Refuse) -> None:
+    """Refuse a key that names a file which cannot be read."""
     try:
         Path(file).open("rb").close()
     except (OSError, ValueError) as error:
@@ -114,4 +119,4 @@ def _check_file(file: str, refuse: Refuse) -> None:
             "name a readable file: a path starts at the folder of the scenario file, "
             "in an override at the current folder"
         )
-        refuse("reference.file", f"cannot be read ({reason})", cure)
+        refuse(key, f"cannot be read ({reason})", cure)

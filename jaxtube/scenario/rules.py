@@ -39,6 +39,7 @@ def check_rules(scenario: Scenario, refuse: Refuse) -> None:
     _check_order(scenario.robot, "robot", refuse)
     _check_order(scenario.reference, "reference", refuse)
     _check_slip(scenario.slip, refuse)
+    _check_recording(scenario.slip, refuse)
     _check_weights(scenario.controller, refuse)
     _check_limits(scenario, refuse)
     _check_complete(scenario.operating, refuse)
@@ -77,6 +78,18 @@ def _check_slip(slip: Slip, refuse: Refuse) -> None:
         if largest >= 1:
             problem = f"reaches {largest:.6g} as it is measured, a spinning wheel"
             refuse(f"slip.{side}", problem, "keep slip and measurement error together below 1")
+
+
+def _check_recording(slip: Slip, refuse: Refuse) -> None:
+    if slip.process != "recorded":
+        return
+    if not slip.recording:
+        problem = 'is empty, and slip.process is "recorded"'
+        refuse("slip.recording", problem, "name a file of slips, as `replay` writes it")
+    reference_rules.check_readable("slip.recording", slip.recording, refuse)
+    if slip.random == "measured":
+        problem = 'leaves the true slip at its nominal value, and slip.process is "recorded"'
+        refuse("slip.random", problem, 'set slip.random = "true"')
 
 
 def _check_relative_slip(slip: Slip, refuse: Refuse) -> None:

@@ -100,7 +100,9 @@ class Slip(Table, frozen=True):
     and certificate cover what is said and no more.
 
     The body moves sideways by up to `sideslip` times its forward speed, either way, unknown.
-    `process` says how deviations evolve (`jaxtube.plant.slip_processes`).
+    `process` says how deviations evolve (`jaxtube.plant.slip_processes`); "recorded" takes slips
+    and sideslip from the file `recording` (`jaxtube.plant.recorded_slips`), which no other process
+    reads.
     """
 
     right: tuple[SlipValue, SlipValue] | None = None
@@ -111,7 +113,8 @@ class Slip(Table, frozen=True):
     measurement_error_relative: Fraction | None = None
     relative_error: Fraction = 0.1
     sideslip: Fraction = 0.0
-    process: Literal["iid", "constant", "walk", "patches", "vertex", "adversarial"] = "iid"
+    process: Literal["iid", "constant", "walk", "patches", "vertex", "adversarial", "recorded"] = "iid"
+    recording: str = ""
     random: Literal["true", "measured", "both"] = "true"
 
     def __post_init__(self) -> None:

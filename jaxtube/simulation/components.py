@@ -13,6 +13,7 @@ from jaxtube.control import mpc
 from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.linear import LinearPlant
+from jaxtube.plant.recorded_slips import make_recorded
 from jaxtube.plant.slip import SlipProcess
 from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.plant.slipping import SlippingRobot
@@ -92,6 +93,7 @@ def make_robot(
     slip = problem.scenario.slip
     noise = error_vector(problem.scenario.noise)
     slides = slip.sideslip > 0 or problem.robot.lever_arm != 0
+    chosen = slip.process if process is None else process
     return SlippingRobot(
         robot=problem.robot,
         dt=problem.reference.dt,
@@ -100,7 +102,7 @@ def make_robot(
         slips=jax.tree.map(jnp.asarray, slip_bounds(slip)),
         noise=jnp.asarray(noise) if noise.any() else None,
         sideslip=slip.sideslip if slides else None,
-        process=slip.process if process is None else process,
+        process=make_recorded(problem.scenario) if chosen == "recorded" else chosen,
         noise_frame=problem.scenario.noise.frame,
     )
 

@@ -13,8 +13,9 @@ import numpy as np
 from jaxtyping import Int
 
 from jaxtube.coordinates import KEYS, TO_DISPLAY
+from jaxtube.plant.recorded_slips import describe_recording
 from jaxtube.plant.reference import settled_step
-from jaxtube.scenario.tree import Scenario, Slip
+from jaxtube.scenario.tree import Scenario
 from jaxtube.statistics import histogram
 from jaxtube.statistics.events import EVENTS
 from jaxtube.statistics.intervals import CONFIDENCE, mean_interval, share_interval
@@ -85,10 +86,13 @@ class SamplingLaw(NamedTuple):
             measured = f"pose noise uniform within {along:.3g} m, {across:.3g} m, {heading:.3g} deg"
             if scenario.noise.frame == "world":
                 measured += " in the world"
-        return f"{self._describe_slips(slip)}, {measured}"
+        return f"{self._describe_slips(scenario)}, {measured}"
 
-    def _describe_slips(self, slip: Slip) -> str:
+    def _describe_slips(self, scenario: Scenario) -> str:
         """Return how slips are drawn, in words."""
+        if self.process == "recorded":
+            return describe_recording(scenario)
+        slip = scenario.slip
         is_extreme = self.process in ("vertex", "adversarial")
         sideways = ""
         if slip.sideslip:

@@ -20,6 +20,7 @@ from jaxtyping import Float
 
 from jaxtube.paths.reference import follow_file
 from jaxtube.plant.model import VERTEX_SIDES, Model, make_model
+from jaxtube.plant.recorded_slips import make_recorded
 from jaxtube.plant.reference import Reference, lemniscate, two_circles
 from jaxtube.plant.robot import Robot
 from jaxtube.scenario.error_box import error_vector, noise_bounds
@@ -98,9 +99,11 @@ def make_problem(scenario: Scenario) -> Problem:
     computes one).
 
     Raises:
-        ScenarioError: one line, where the reference leaves its box or the wheel limits leave no
-            input.
+        ScenarioError: one line, where the reference leaves its box, the wheel limits leave no
+            input, or recorded slips cannot be used.
     """
+    if scenario.slip.process == "recorded":
+        make_recorded(scenario)
     settings = scenario.controller
     robot = Robot(
         scenario.robot.turning_track_m,

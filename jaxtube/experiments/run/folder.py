@@ -187,11 +187,11 @@ def identity(scenario: Scenario, options: Options, names: Iterable[str]) -> dict
     packages, device."""
     import jax
 
-    file = scenario.reference.file
-    digest = _hash_path(Path(file)) if file else ""
+    recording = scenario.slip.recording if scenario.slip.process == "recorded" else ""
     return {
         "scenario": msgspec.to_builtins(scenario),
-        "reference_file_sha256": digest,
+        "reference_file_sha256": _hash_named(scenario.reference.file),
+        "slip_recording_sha256": _hash_named(recording),
         "seed": options.seed,
         **{name: getattr(options, name) for name in names},
         "source_sha256": source_hashes(),
@@ -233,6 +233,11 @@ def version(package: str) -> str | None:
         return importlib.metadata.version(package)
     except importlib.metadata.PackageNotFoundError:
         return None
+
+
+def _hash_named(name: str) -> str:
+    """Return the SHA-256 of what a key names, nothing where it names nothing."""
+    return _hash_path(Path(name)) if name else ""
 
 
 def _hash_path(path: Path) -> str:
