@@ -170,7 +170,7 @@ HEADER = "time_s,right_slip,left_slip,sideslip\n"
         (f"{HEADER}0,0.1,0.1,0\n1,1.2,0.1,0\n", (), "a slip of 1 or more in line 3"),
         (f"{HEADER}0,0.1,0.1,0\n1,x,0.1,0\n", (), "'x' is no finite number"),
         (f"{HEADER}0,0.1,0.1,0\n1,0.1,0.1,0.01\n", ("slip.sideslip=0",), "give slip.sideslip a"),
-        (f"{HEADER}0,0.1,0.1,0\n1,0.2,0.1,0\n", ("slip.right=[0.1, 0.1]",), "give slip.right an"),
+        (f"{HEADER}0,0.1,0.1,0\n1,0.2,0.1,0\n", ("slip.right=[0.2, 0.2]",), "give slip.right an"),
     ],
 )
 def test_what_is_no_recording_is_refused_in_one_line(tmp_path, text, more, fragment):
@@ -204,6 +204,7 @@ def test_recorded_slips_are_not_searched(recording):
         robot.uncertainties()
 
 
+@pytest.mark.slow
 def test_laps_of_a_design_meet_recorded_slips(recording):
     path, _ = recording
     design = jt.design(load_recorded(path, "reference.duration_s=1"))
