@@ -66,6 +66,11 @@ WINDOW = Rule(lambda value: 0.2 <= value <= 60, "is out of range; give seconds, 
 MARGIN = Rule(lambda value: 0 <= value < 1, "is out of range; give a slip from 0 on, such as 0.01")
 LOG_FILE = Rule(bool, "is missing; name the file of a log, or of a table of windows")
 PATH_FILE = Rule(bool, "is missing; name the file of a path")
+SCENARIO = Rule(bool, "is missing; name a scenario, such as the identified.toml of `identify`")
+SHARE = Rule(
+    lambda value: value is None or 0 < value < 1,
+    "is out of range; give a share between 0 and 1, such as 0.77",
+)
 FOLDER = Rule(lambda value: not Path(value).is_file(), "is a file; name a folder")
 
 
@@ -314,19 +319,13 @@ class TuneOptions(Options):
 
 
 @dataclass(frozen=True)
-class IdentifyOptions(Options):
-    """Identify slip, track, lag and noise of a robot from its log, and say what the log can
-    promise."""
+class LogOptions(Options):
+    """What every command takes that reads a robot's log."""
 
-    command = "identify"
-    module = "identify.command"
     positional = ("log",)
 
     log: Annotated[Positional[str], arg(metavar="LOG", help_behavior_hint=""), LOG_FILE] = ""
-    """a table (CSV) or a bag of wheel speeds and poses, or a table of windows"""
-    scenario: Suppress[str] = ""
-    select: Annotated[str, arg(metavar="COLUMN=VALUE,...", help_behavior_hint="")] = ""
-    """rows of a table of windows, such as robot=husky"""
+    """a table (CSV) or a bag of wheel speeds and poses"""
     columns: Annotated[str, arg(metavar="WHAT=NAME,...", help_behavior_hint="")] = ""
     """columns where they are not found, such as left=wl,right=wr"""
     units: Annotated[str, arg(metavar="WHAT=UNIT,...", help_behavior_hint="")] = ""
@@ -343,12 +342,27 @@ class IdentifyOptions(Options):
     """of an encoder in a revolution of its wheel"""
     pose_file: Annotated[str, arg(metavar="FILE", help_behavior_hint="")] = ""
     """table of the poses where the log has none, such as a TUM file"""
+    window_s: Annotated[float, arg(metavar="SECONDS"), WINDOW] = 2.0
+    """length of a window"""
+
+
+@dataclass(frozen=True)
+class IdentifyOptions(LogOptions):
+    """Identify slip, track, lag and noise of a robot from its log, and say what the log can
+    promise."""
+
+    command = "identify"
+    module = "identify.command"
+
+    log: Annotated[Positional[str], arg(metavar="LOG", help_behavior_hint=""), LOG_FILE] = ""
+    """a table (CSV) or a bag of wheel speeds and poses, or a table of windows"""
+    scenario: Suppress[str] = ""
+    select: Annotated[str, arg(metavar="COLUMN=VALUE,...", help_behavior_hint="")] = ""
+    """rows of a table of windows, such as robot=husky"""
     track_m: Annotated[
         float | None, arg(metavar="METRES", help_behavior_hint=""), POSITIVE_OR_NONE
     ] = None
     """distance between the wheels, to name the effective track by"""
-    window_s: Annotated[float, arg(metavar="SECONDS"), WINDOW] = 2.0
-    """length of a window"""
     least_wheel_mps: Annotated[
         float | None,
         arg(metavar="SPEED", help_behavior_hint="(default: a quarter of the fastest)"),
@@ -419,6 +433,29 @@ class PathOptions(Options):
 
 
 @dataclass(frozen=True)
+class ReplayOptions(LogOptions):
+    """Put a scenario to the test of a log that it was not made from: do its slips, sideslip and
+    noise explain every period?"""
+
+    command = "replay"
+    module = "replay.command"
+
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml", help_behavior_hint=""), SCENARIO] = ""
+    """what is put to the test, such as identified.toml"""
+    longer_s: Annotated[float, arg(metavar="SECONDS"), RATE] = 1.0
+    """longer spans beside those of a period, in which pose noise hides less"""
+    promised: Annotated[
+        float | None, arg(metavar="SHARE", help_behavior_hint="(default: in FILE.toml)"), SHARE
+    ] = None
+    """what was promised of new commands, such as 0.77"""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run: one for each log and scenario."""
+        return Path(self.out or f"{super().folder}-{Path(self.log).stem}")
+
+
+@dataclass(frozen=True)
 class BenchOptions(Options):
     """Measure laps a second on one device, on all of them, and on one and two workers of a
     cluster."""
@@ -474,6 +511,7 @@ COMMANDS: dict[str, type[Options]] = {
         PathOptions,
         TuneOptions,
         IdentifyOptions,
+        ReplayOptions,
         BenchOptions,
         ListOptions,
         CheckOptions,

@@ -15,6 +15,9 @@ add nothing, because the wheels are the ones that were measured.
     sideways            zeta v - r w         |zeta| <= s, constant over a piece
     start of the robot  -n, in whichever frame the noise is bounded; at its end e_m+ has n+
 
+The frame of e_m+ is known: the heading at the end was measured, so that only noise, not slip, turns
+the gap between reference and robot into it.
+
 With normalised deviations t, |t| <= 1, and G the derivatives at t = 0,
 
     w(t) - w(0) = int_0^1 dw/dt(s t) t ds in G t + [-rho, rho]
@@ -88,7 +91,7 @@ class Allowance:
         return np.array(centre), np.array(widths)
 
 
-def allowance(scenario: Scenario) -> Allowance:
+def find_allowance(scenario: Scenario) -> Allowance:
     """Return what a scenario allows a robot to do."""
     bounds = slip_bounds(scenario.slip)
     return Allowance(
@@ -192,13 +195,13 @@ def add_disturbance(spans: Spans, allowed: Allowance, variables: Sequence) -> li
         gap = gap.plus(missed.turned(ahead + arc * 0.5))
         turned = turned + (turn - arc)
         ahead = ahead + arc
-    seen = gap.turned(-ahead)
+    facing_end = spans.last[:, 2]
     if allowed.frame == "robot":
-        error = seen.turned(-turned)
-        return [error.x + after[0], error.y + after[1], -turned + after[2]]
-    shift = Vector(after[0], after[1]).turned(-facing - ahead).scaled(-1.0)
-    turned = turned + after[2]
-    return [*seen.plus(shift).turned(-turned), -turned]
+        seen = gap.turned(facing - facing_end).turned(-after[2])
+        return [seen.x + after[0], seen.y + after[1], -turned + after[2]]
+    seen = gap.turned(facing - facing_end)
+    shift = Vector(after[0], after[1]).turned(-facing_end)
+    return [seen.x - shift.x, seen.y - shift.y, -turned - after[2]]
 
 
 def _drive(

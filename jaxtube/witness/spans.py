@@ -2,8 +2,9 @@
 
 A span is what one period of a controller would be. It starts where the one before ended, so that
 every pose ends one span and starts the next. What the poses and their clock are worth was found by
-`jaxtube.identification.findings`; spans that touch a cut are left out. The others are
+`jaxtube.identification.findings`; every span is of one kind:
 
+    lost       the pose is not trusted, or the wheels are not known
     standing   no wheel turns
     beyond     a wheel turns slower or faster than the scenario allows
     changing   the wheels had not settled
@@ -31,6 +32,12 @@ KINDS: tuple[Kind, ...] = get_args(Kind)
 
 EARLY = 0.5
 """Of the time between two poses, by which a span may end before its length is over."""
+
+WHEEL_GAP_S = 0.5
+"""Between two samples of the wheels, in which nothing is known of them."""
+
+SAME_S = 1e-6
+"""Between two instants that are one."""
 
 LONGEST = 1.5
 """Times its length, beyond which a span has a gap."""
@@ -165,12 +172,23 @@ def _find_kinds(
     is_slow = np.min(speeds, axis=(1, 2)) < robot.wheel_speed_min_mps
     is_fast = np.max(speeds, axis=(1, 2)) > robot.wheel_speed_max_mps
     holds = {
-        "lost": findings.cuts.touch(start, end),
+        "lost": findings.cuts.touch(start, end) | _lacks_wheels(findings, start, end),
         "standing": np.max(np.abs(speeds), axis=(1, 2)) < MOVING_MPS,
         "beyond": is_slow | is_fast,
         "changing": ~_is_steady(findings, start, end),
     }
     return np.select(list(holds.values()), [KINDS.index(kind) for kind in holds], len(holds))
+
+
+def _lacks_wheels(
+    findings: Findings, start: Float[np.ndarray, "k"], end: Float[np.ndarray, "k"]
+) -> Bool[np.ndarray, "k"]:
+    """Tell which spans touch a gap of the wheels, or lie outside of them."""
+    time = findings.log.time + findings.clock.offset
+    lacks = (start < time[0]) | (end > time[-1])
+    for gap in np.flatnonzero(np.diff(time) > WHEEL_GAP_S):
+        lacks |= (end > time[gap]) & (start < time[gap + 1])
+    return lacks
 
 
 def _is_steady(
@@ -181,15 +199,14 @@ def _is_steady(
     used = windows.windows.steady & ~windows.windows.lost
     begins = windows.start[used] + findings.clock.offset
     command = windows.windows.command[used]
-    slack = findings.pose_period
-    is_new = np.diff(begins, prepend=-np.inf) > windows.length + slack
+    is_new = np.diff(begins, prepend=-np.inf) > windows.length + findings.pose_period
     is_new |= np.diff(command, prepend=-1) != 0
     run = np.cumsum(is_new) - 1
     of_run = np.flatnonzero(is_new)
     steady = np.zeros(len(start), dtype=bool)
     for number, first in enumerate(of_run):
         until = begins[run == number][-1] + windows.length
-        steady |= (start >= begins[first] - slack) & (end <= until + slack)
+        steady |= (start >= begins[first] - SAME_S) & (end <= until + SAME_S)
     return steady
 
 

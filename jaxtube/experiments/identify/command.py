@@ -21,11 +21,12 @@ from jaxtube.experiments.identify.report import report
 from jaxtube.experiments.options import IdentifyOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.hints import make_hints
 from jaxtube.identification.findings import Findings, inspect_log
 from jaxtube.identification.identify import Choices, Identified, identify_log, identify_windows
 from jaxtube.identification.scenario_text import find_track_width, write_scenario
 from jaxtube.recordings.bag import is_bag
-from jaxtube.recordings.hints import Hints, parse_pairs
+from jaxtube.recordings.hints import parse_pairs
 from jaxtube.recordings.log import Log
 from jaxtube.recordings.reading import read_log
 from jaxtube.recordings.window_table import is_window_table, read_windows
@@ -72,14 +73,7 @@ def read(options: IdentifyOptions) -> Log | Windows:
         ScenarioError: one line.
     """
     try:
-        hints = Hints(
-            columns=parse_pairs("--columns", options.columns),
-            units=parse_pairs("--units", options.units),
-            topics=parse_pairs("--topics", options.topics),
-            wheel_radius_m=options.wheel_radius,
-            ticks_per_revolution=options.ticks,
-            pose_file=options.pose_file or None,
-        )
+        hints = make_hints(options)
         if is_bag(options.log) or not is_window_table(options.log, hints):
             return read_log(options.log, hints)
         return read_windows(options.log, parse_pairs("--select", options.select), hints)

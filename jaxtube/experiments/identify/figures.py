@@ -87,7 +87,7 @@ def over_time(identified: Identified, findings: Findings | None) -> Figure:
         side.set_xlabel("number of the window")
     else:
         x = findings.windows.start + findings.windows.length / 2.0
-        _draw_wheels(speeds, findings)
+        draw_wheels(speeds, findings)
         for axes in (speeds, right, left, side):
             _shade_cuts(axes, findings)
         side.set_xlabel("time [s]")
@@ -109,7 +109,8 @@ def over_time(identified: Identified, findings: Findings | None) -> Figure:
     return figure
 
 
-def _draw_wheels(axes: Axes, findings: Findings) -> None:
+def draw_wheels(axes: Axes, findings: Findings) -> None:
+    """Draw the wheel speeds of a log over time."""
     log = findings.log
     every = max(1, len(log.time) // SHOWN_WHEELS)
     for column, (_, colour, _) in enumerate(SIDES):

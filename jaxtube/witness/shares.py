@@ -1,0 +1,73 @@
+"""Shares of a log, and what they say of new commands.
+
+Spans and windows of one command are not independent: their share has no interval. Commands are as
+independent as they will ever be; a command is whole where all of its own are inside, and the number
+of whole commands has the interval of Clopper and Pearson.
+
+Source: `jaxtube.statistics.intervals`.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Int
+
+from jaxtube.statistics.intervals import share_interval
+
+PROMISE = re.compile(
+    r"holds for at least (?P<share>\d+) % of new commands at (?P<confidence>\d+) % confidence"
+)
+"""As `jaxtube.identification.words.say_promise` writes it."""
+
+
+class Share(NamedTuple):
+    """How many are inside."""
+
+    inside: int
+    count: int
+    whole: int  # commands
+    commands: int
+
+    @property
+    def value(self) -> float:
+        """Share inside, NaN of none."""
+        return self.inside / self.count if self.count else float("nan")
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Bounds of the share of new commands that are whole."""
+        return share_interval(self.whole, self.commands) if self.commands else (0.0, 1.0)
+
+
+class Promise(NamedTuple):
+    """What was promised of new commands."""
+
+    share: float
+    source: str
+
+
+def count_share(inside: Bool[np.ndarray, "k"], command: Int[np.ndarray, "k"]) -> Share:
+    """Count what is inside, and the commands that are whole."""
+    commands = np.unique(command)
+    failed = np.unique(command[~inside])
+    return Share(int(inside.sum()), len(inside), len(commands) - len(failed), len(commands))
+
+
+def find_promise(text: str) -> Promise | None:
+    """Return the promise that stands in the comments of a scenario file; None where none does."""
+    comments = [line.strip()[1:] for line in text.splitlines() if line.strip().startswith("#")]
+    found = PROMISE.search(" ".join(" ".join(comments).split()))
+    return Promise(int(found["share"]) / 100, "in the scenario's file") if found else None
+
+
+def judge_promise(share: Share, promise: Promise) -> str:
+    """Return what a log says of a promise, in words."""
+    low, high = share.interval
+    if not share.commands:
+        return "this log has no command that it is about"
+    if high < promise.share:
+        return "BROKEN: the log contradicts it"
+    return "kept: this log alone shows as much" if low >= promise.share else "not contradicted"
