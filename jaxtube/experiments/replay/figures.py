@@ -53,7 +53,7 @@ def over_time(witness: Witness, test: SpanTest) -> Figure:
         *[line_key(name, color=colour) for name, colour, _ in SIDES],
         area_key("all that $w$ may be", REACH, 0.5),
         mark_key("explained", INSIDE, markersize=SIZE),
-        mark_key("not explained", OUTSIDE, marker="x", markersize=SIZE + 1),
+        mark_key("not explained", OUTSIDE, marker="x", markersize=SIZE),
     ]
     if _is_compared(witness, test):
         keys.append(line_key(r"$\mathcal{W}$", **LIMIT))
@@ -77,7 +77,7 @@ def _draw_coordinate(
     w = factor * test.measured[:, axis]
     explained = test.verdict.explained
     _draw_marks(axes, middle[explained], w[explained], INSIDE, "o", 1.6)
-    _draw_marks(axes, middle[~explained], w[~explained], OUTSIDE, "x", SIZE + 1)
+    _draw_marks(axes, middle[~explained], w[~explained], OUTSIDE, "x", 2.4)
     axes.axhline(0.0, color="0.7", linewidth=0.5, zorder=0)
     axes.set_ylabel(disturbance_label(axis))
 
@@ -137,7 +137,8 @@ def _draw_usages(axes: Axes, witness: Witness) -> None:
         usage = np.minimum(witness.longer.verdict.usage, HIGHEST_USAGE - 1e-9)
         axes.hist(usage, bins=bins, histtype="step", color="0.15")
     axes.axvline(1.0, color=OUTSIDE, linewidth=1.0)
-    axes.set(xlabel="usage of all that is allowed", yscale="log")
+    xlabel = f"usage of all that is allowed, the last bin from {bins[-2]:.3g} on"
+    axes.set(xlabel=xlabel, yscale="log")
 
 
 def _split(test: SpanTest) -> tuple[Bool[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
