@@ -62,6 +62,9 @@ def arrange_rows(raw: RawPath, largest_deviation: float) -> Rows:
         ValueError: in one line, for too few rows, or stamps of several drives.
     """
     notes = []
+    if raw.time is not None and not np.ptp(raw.time):
+        notes.append(Note(None, "all rows have the same time, which is not used"))
+        raw = replace(raw, time=None)
     ordered = _sort(raw, notes)
     distinct = _drop_repeats(ordered, notes)
     _refuse_few(distinct)

@@ -14,8 +14,9 @@ WINDOW_S = 1.0
 WINDOW_STEPS = 3.0
 """The same, in steps of time such as one in twenty is longer than."""
 
-STANDING = 0.1
-"""Share of the usual speed below which the robot stands: that time is taken out."""
+GAP = 5.0
+"""Usual times between rows beyond which the robot may have stood: a stop that was cut out takes no
+longer than the way over it at the usual speed."""
 
 
 def recorded_speeds(
@@ -40,9 +41,9 @@ def recorded_speeds(
     reached = np.maximum.accumulate(np.interp(parameters, curve.parameter, curve.lengths))
     way = np.diff(reached)
     took = np.diff(time)
-    moved = (way > 0.0) & (took > 0.0)
-    slowest = STANDING * float(np.median(way[moved] / took[moved]))
-    moving = np.append(0.0, np.cumsum(np.minimum(took, way / slowest)))
+    is_gap = took > GAP * np.median(took[took > 0.0])
+    usual = way[~is_gap].sum() / took[~is_gap].sum()
+    moving = np.append(0.0, np.cumsum(np.where(is_gap, np.minimum(took, way / usual), took)))
     clock = np.interp(lengths, reached, moving)
     window = max(WINDOW_S, WINDOW_STEPS * float(np.percentile(np.diff(moving), 95.0)))
     before = np.maximum(clock - window, 0.0)

@@ -224,3 +224,23 @@ def test_real_paths_drive(name, limits, speed, missions):
         driven = integrate(mission.reference, limits.track_width)
         distances, _ = KDTree(driven[:, :2]).query(mission.piece.raw.positions)
         assert distances.max() < 0.06 * limits.track_width
+
+
+def test_noise_along_the_path_does_not_look_like_speed():
+    made = add_noise(drive(speed=0.3), 0.02)
+    plan = plan_path(raw_of(made), DRIVE._replace(recorded_timing=True))
+    speeds = plan.missions[0].reference.wheels.mean(axis=1)
+    assert speeds.mean() == pytest.approx(0.3, rel=0.02)
+    np.testing.assert_allclose(speeds[15:-15], 0.3, atol=0.05)
+
+
+def test_stamps_in_whole_seconds_are_time_enough_and_one_stamp_for_all_is_none():
+    time, positions, headings = drive(speed=0.6)
+    recorded = DRIVE._replace(recorded_timing=True)
+    plan = plan_path(raw_of((np.floor(time), positions, headings)), recorded)
+    speeds = plan.missions[0].reference.wheels.mean(axis=1)
+    assert speeds.mean() == pytest.approx(0.6, rel=0.05)
+    assert "share the stamp of the row before" in str(plan.notes[0])
+    plan = plan_path(raw_of((0.0 * time, positions, headings)), recorded)
+    np.testing.assert_allclose(plan.missions[0].reference.wheels.mean(axis=1), 1.0, atol=1e-3)
+    assert "all rows have the same time" in str(plan.notes[0])

@@ -32,6 +32,9 @@ RIGHT = "#0072B2"
 LEFT = "#D55E00"
 RECORDED = {"color": "0.6", "linewidth": 0.8}
 POINTS_PER_PERIOD = 4
+HEADROOM = 1.05
+"""Of the axis of speeds above them."""
+
 HIGHEST_CURVATURE = 1.5
 """Times the greatest curvature up to which is drawn; a wider limit is not shown."""
 
@@ -132,7 +135,7 @@ def _draw_profiles(panels: list[Axes], plan: PathPlan, drive: Drive) -> None:
         curvature.axhline(sharpest, **LIMIT)
         curvature.axhline(-sharpest, **LIMIT)
     speed.set_ylabel("speed [m/s]")
-    speed.set_ylim(bottom=0.0)
+    speed.set_ylim(0.0, HEADROOM * speed.get_ylim()[1])
     curvature.set_ylabel("curvature [1/m]")
     wheels.set_ylabel("wheels [m/s]")
     many = ", missions one after the other" if len(plan.missions) > 1 else ""
