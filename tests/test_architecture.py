@@ -32,6 +32,7 @@ ROOMS = (
     "simulation",
     "statistics",
     "identification",
+    "witness",
     "falsification",
     "tuning",
     "results",

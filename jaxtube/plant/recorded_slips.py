@@ -1,18 +1,18 @@
 """Slips taken from a log: rows of a file, drawn in blocks.
 
-    time_s, right_slip, left_slip, sideslip        one row after another, slips as shares of the wheel
-                                                   speeds, sideslip by forward speed, left positive
+    time_s, right_slip, left_slip, sideslip
 
-A row holds until the next one, for the median time between rows. Longer times are gaps of the log;
-they are closed, and the last row is followed by the first. Every `BLOCK_S` seconds of a lap a block
-of rows begins at a row that is drawn anew, all alike, and goes on as it was recorded: slips that
-follow each other stay together, as do both wheels and the sideslip.
+in rows, slips as shares of the wheel speeds, sideslip by forward speed, left positive. A row holds
+until the next one, for the median time between rows. Longer times are gaps of the log; they are
+closed, and the last row is followed by the first. Every `BLOCK_S` seconds of a lap a block of rows
+begins at a row that is drawn anew, all alike, and goes on as it was recorded: slips that follow
+each other stay together, as do both wheels and the sideslip.
 
 Slips become deviations xi by the intervals of the scenario (`jaxtube.plant.slip_bounds`). A log may
 hold slips that the scenario does not allow; they are replayed as they are, |xi| > 1, and counted.
 
-Source: the circular block bootstrap of Politis and Romano, A circular block-resampling procedure for
-stationary data, 1992.
+Source: the circular block bootstrap of Politis and Romano, A circular block-resampling procedure
+for stationary data, 1992.
 """
 
 from __future__ import annotations
@@ -136,7 +136,9 @@ def _refuse_rigid(recorded: RecordedSlips, rigid: Bool[np.ndarray, "3"]) -> None
     """Refuse slips that differ from the only ones that a scenario allows."""
     keys = ("slip.right", "slip.left", "slip.sideslip")
     for place in np.flatnonzero(rigid):
-        problem = f"holds {COLUMNS[1 + place]} that differs from the only one that {keys[place]} allows"
+        problem = (
+            f"holds {COLUMNS[1 + place]} that differs from the only one that {keys[place]} allows"
+        )
         given = "a greatest one" if keys[place] == "slip.sideslip" else "an interval"
         raise _refuse(recorded.path, problem, f"give {keys[place]} {given}")
 
@@ -223,6 +225,6 @@ def describe_recording(scenario: Scenario) -> str:
     if outside:
         beyond = f"{outside} of them OUTSIDE what the scenario allows"
     return (
-        f"slips of {Path(recorded.path).name}, blocks of {BLOCK_S:g} s drawn from its {rows} rows of "
-        f"{recorded.period:.3g} s, {beyond}"
+        f"slips of {Path(recorded.path).name}, blocks of {BLOCK_S:g} s drawn from its {rows} rows "
+        f"of {recorded.period:.3g} s, {beyond}"
     )

@@ -113,7 +113,9 @@ class Slip(Table, frozen=True):
     measurement_error_relative: Fraction | None = None
     relative_error: Fraction = 0.1
     sideslip: Fraction = 0.0
-    process: Literal["iid", "constant", "walk", "patches", "vertex", "adversarial", "recorded"] = "iid"
+    process: Literal["iid", "constant", "walk", "patches", "vertex", "adversarial", "recorded"] = (
+        "iid"
+    )
     recording: str = ""
     random: Literal["true", "measured", "both"] = "true"
 

@@ -72,7 +72,6 @@ class SamplingLaw(NamedTuple):
         return f"{self.controller} (its u is of the input map {self.input_map}, so w is not W's)"
 
     def _describe_slip(self, scenario: Scenario) -> str:
-        slip = scenario.slip
         noise = (
             scenario.noise.longitudinal_m,
             scenario.noise.lateral_m,

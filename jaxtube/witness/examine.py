@@ -1,8 +1,8 @@
 """A log as the witness of a scenario.
 
     1. clocks, cuts, commands and windows, as an identification finds them; nothing else is fitted
-    2. what slip, sideslip and noise may make of every period (spans, motion, verdict), and of longer
-       spans, in which noise hides less
+    2. what slip, sideslip and noise may make of every period (spans, motion, verdict), and of
+       longer spans, in which noise hides less
     3. w of every period beside W and the part of it that a log can witness (model_sets)
     4. slips of windows beside the intervals, which is what was promised (window_slips)
 
@@ -68,7 +68,9 @@ def examine(findings: Findings, scenario: Scenario, longer: float = 1.0) -> Witn
         raise refusal("scenario", "noise.longitudinal_m", 0.0, problem, "give the bounds of theirs")
     if longer > PERIODS * dt:
         problem = f"is more than {PERIODS} periods of controller.dt_s = {dt:g}"
-        raise refusal("command line", "--longer-s", longer, problem, f"give at most {PERIODS * dt:g}")
+        raise refusal(
+            "command line", "--longer-s", longer, problem, f"give at most {PERIODS * dt:g}"
+        )
     period = try_spans(findings, scenario, dt)
     is_longer = longer >= LONGER * max(dt, findings.pose_period)
     return Witness(

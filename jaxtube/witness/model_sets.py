@@ -4,10 +4,10 @@ A log has e_m = 0 and u = 0 (`jaxtube.witness.motion`), so that its w is of the 
 
     kick (0, g_y, 1) + slip + sideslip + noise
 
-which is bounded here jointly, over the whole operation as W itself is. W must hold the bilinear, the
-sine and the sampling part beside it, which are mathematics and no log can witness. Both sets are a box
-and a segment, wider than what single wheel speeds allow (`jaxtube.witness.verdict`). They are of one
-period of the controller, and compared with spans as long.
+which is bounded here jointly, over the whole operation as W itself is. W must hold the bilinear,
+the sine and the sampling part beside it, which are mathematics and no log can witness. Both sets
+are a box and a segment, wider than what single wheel speeds allow (`jaxtube.witness.verdict`). They
+are of one period of the controller, and compared with spans as long.
 
 Source: `sets.robot.disturbance`.
 """

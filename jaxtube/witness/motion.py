@@ -2,14 +2,14 @@
 add under a scenario.
 
 A reference starts at the measured pose and drives as the nominal plant does on the logged wheels:
-compensated slips i_m, effective track b, no sideslip. The controller at that pose would have e_m = 0
-and u = 0, so that the error measured at the end is the disturbance of the period,
+compensated slips i_m, effective track b, no sideslip. The controller at that pose would have e_m =
+0 and u = 0, so that the error measured at the end is the disturbance of the period,
 
     w = e_m+ - A(th) e_m - B(th) u = e_m+,        e+ = Rot(-phi) (p_ref - p),  e_th+ = phi_ref - phi
 
 and of its parts (`sets.robot.plant`) those remain that come from slip, sideslip and noise: the
-bilinear, the sine and the sampling part vanish with e_m and u. Wheels that lag behind their commands
-add nothing, because the wheels are the ones that were measured.
+bilinear, the sine and the sampling part vanish with e_m and u. Wheels that lag behind their
+commands add nothing, because the wheels are the ones that were measured.
 
     way of a wheel      s (1 - i)            i in its interval, constant over a piece of the span
     sideways            zeta v - r w         |zeta| <= s, constant over a piece

@@ -10,13 +10,13 @@ d = w - w(0) and |n| taken entry by entry,
 
     usage = max_n |n . d| / h(n)        refuted: |n . d| > h(n) + |n| . rho for some n
 
-so that at the usage 1 w lies on the boundary of Z: by that much all that is allowed would have to be
-scaled about its middle. The facet of the usage gives the deviations of the least max |t|,
+so that at the usage 1 w lies on the boundary of Z: by that much all that is allowed would have to
+be scaled about its middle. The facet of the usage gives the deviations of the least max |t|,
 
     t_k = usage sign(n . d) sign(n . G_k),   and those within the facet by least squares,
 
-from which Newton steps by the pseudo-inverse of G lead to w itself. Where they leave |t| <= 1, linear
-programs minimise max |t|, linearised anew at each answer.
+from which Newton steps by the pseudo-inverse of G lead to w itself. Where they leave |t| <= 1,
+linear programs minimise max |t|, linearised anew at each answer.
 
 Source: facets of zonotopes as in McMullen, On zonotopes, Trans. AMS 1971; the rest is new.
 """

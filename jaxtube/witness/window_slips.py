@@ -2,8 +2,8 @@
 promises, kept or not.
 
 A promise is about new commands, and about the mean slips of windows of some seconds. A command is
-inside where all of its windows are that settled and drive both wheels forwards; commands count once,
-so that their number inside is binomial where they are independent.
+inside where all of its windows are that settled and drive both wheels forwards; commands count
+once, so that their number inside is binomial where they are independent.
 
 Source: new; slips by effective track as in `jaxtube.identification.geometry`.
 """
@@ -60,7 +60,7 @@ class WindowSlips:
         return count_share(self.inside[steady], self.command[steady])
 
     def recorded(self) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n 3"]]:
-        """Return times and (right slip, left slip, sideslip) of the windows that can be replayed."""
+        """Return times and (right slip, left slip, sideslip) of windows that can be replayed."""
         values = np.column_stack([self.slips, self.sideslips])
         usable = np.all(np.abs(values) < 1.0, axis=1)
         return self.start[usable], values[usable]

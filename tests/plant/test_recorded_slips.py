@@ -1,4 +1,4 @@
-"""Slips taken from a log: blocks of rows as they were recorded, drawn by index, true to their file."""
+"""Slips taken from a log: blocks of rows as recorded, drawn by index, true to the file."""
 
 import pickle
 import re
@@ -50,15 +50,14 @@ def load_recorded(path, *more):
 
 
 def draw_runs(scenario, count, steps, first=0):
-    """Slips (runs, steps, 3) of true wheels and sideslip, and the deviations measured, (runs, steps,
-    2)."""
+    """Slips of wheels and sideslip (runs, steps, 3), and deviations measured (runs, steps, 2)."""
     robot = robot_of(make_problem(scenario))
     keys = realisation_keys(11, first, count)
     errors = jnp.zeros((count, 3))
 
     def body(memory, step):
         memory = robot.draw_slips(keys, step, memory, errors)
-        sideways = (robot.sideslip * memory.sideslip)[:, None]
+        sideways = (scenario.slip.sideslip * memory.sideslip)[:, None]
         slips = jnp.concatenate([robot.slips.true_slip(memory.true), sideways], axis=1)
         return memory, (slips, memory.measured)
 

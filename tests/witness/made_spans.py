@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax.numpy as jnp
 import numpy as np
 from scipy.integrate import solve_ivp
 
@@ -66,9 +67,10 @@ def _measure_end(allowed, measured, ways, values):
     if allowed.frame == "world":
         true = _drive(allowed, measured - before, ways, slips, allowed.lever_arm)
         return true + after
-    start = np.asarray(world_pose(-before, measured))
+    start = np.asarray(world_pose(jnp.asarray(-before), jnp.asarray(measured)))
     true = _drive(allowed, start, ways, slips, allowed.lever_arm)
-    return np.asarray(world_pose(tracking_error(true, reference) + after, reference))
+    error = np.asarray(tracking_error(jnp.asarray(true), jnp.asarray(reference)))
+    return np.asarray(world_pose(jnp.asarray(error + after), jnp.asarray(reference)))
 
 
 def _drive(allowed, pose, ways, slips, lever_arm):

@@ -1,5 +1,5 @@
-"""A simulated log as a witness: of a scenario that fits nothing is refuted, of one that does not the
-times are found."""
+"""A simulated log as a witness: of a scenario that fits nothing is refuted, of one that does not
+the times are found."""
 
 import re
 
@@ -58,6 +58,7 @@ def test_a_slip_interval_that_is_too_narrow_is_found_out_with_times(simulated, f
     wrong = np.flatnonzero(commands.slip[:, 0] > most + 0.05)
     right = np.flatnonzero(commands.slip[:, 0] < most - 0.01)
     test = narrow.longer
+    assert test is not None
     held = simulated.log.step[np.searchsorted(simulated.log.time, test.spans.start - 0.06)]
     last = simulated.log.step[np.searchsorted(simulated.log.time, test.spans.end - 0.06) - 1]
     within = test.spans.is_kind("steady") & (held == last)
@@ -74,15 +75,15 @@ def test_a_slip_interval_that_is_too_narrow_is_found_out_with_times(simulated, f
 
 def test_stretches_are_runs_of_spans_the_worst_first(findings):
     narrow = examine(findings, scenario(slip={"right": [0.015, 0.1]}), LONGER_S)
-    runs = narrow.longer.stretches()
-    usage = [narrow.longer.verdict.usage[run].max() for run in runs]
+    test = narrow.longer
+    assert test is not None
+    runs = test.stretches()
+    usage = [test.verdict.usage[run].max() for run in runs]
     assert usage == sorted(usage, reverse=True)
     together = np.sort(np.concatenate(runs))
-    np.testing.assert_array_equal(together, np.flatnonzero(~narrow.longer.verdict.explained))
+    np.testing.assert_array_equal(together, np.flatnonzero(~test.verdict.explained))
     for run in runs:
-        np.testing.assert_allclose(
-            narrow.longer.spans.start[run[1:]], narrow.longer.spans.end[run[:-1]]
-        )
+        np.testing.assert_allclose(test.spans.start[run[1:]], test.spans.end[run[:-1]])
 
 
 def test_windows_that_can_be_replayed_are_the_slips_of_the_robot(simulated, fitting):

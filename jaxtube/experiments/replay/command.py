@@ -1,8 +1,8 @@
 """`replay`: a log that a scenario was not made from, as the witness of that scenario.
 
-    report.txt       what was promised and what was found, spans that nothing allowed explains, W
-    slips.csv        slips and sideslip of windows, for slip.process = "recorded"
-    spans.npz        every span that is judged: times, w, what it may be, usage
+report.txt       what was promised and what was found, spans that nothing allowed explains, W
+slips.csv        slips and sideslip of windows, for slip.process = "recorded"
+spans.npz        every span that is judged: times, w, what it may be, usage
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ import numpy as np
 from jaxtube.atomic import write_atomically
 from jaxtube.experiments.options import ReplayOptions
 from jaxtube.experiments.replay import figures
-from jaxtube.experiments.replay.report import metrics, report
+from jaxtube.experiments.replay.metrics import metrics
+from jaxtube.experiments.replay.report import report
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.hints import make_hints

@@ -63,23 +63,25 @@ def over_time(witness: Witness, test: SpanTest) -> Figure:
     return figure
 
 
-def _draw_coordinate(
-    axes: Axes, test: SpanTest, middle: Float[np.ndarray, "k"], axis: int
-) -> None:
+def _draw_coordinate(axes: Axes, test: SpanTest, middle: Float[np.ndarray, "k"], axis: int) -> None:
     """Draw one coordinate of w, and whatever it may be."""
     factor = MILLIMETRES.factors[axis]
     reach = test.reach
     low = factor * (reach.centre - reach.half_widths)[:, axis]
     high = factor * (reach.centre + reach.half_widths)[:, axis]
     edges = np.column_stack([test.spans.start, test.spans.end, test.spans.end]).ravel()
-    ends = [np.column_stack([each, each, np.full(len(each), np.nan)]).ravel() for each in (low, high)]
-    axes.fill_between(edges, *ends, color=REACH, alpha=0.5, linewidth=0)
+    axes.fill_between(edges, _hold(low), _hold(high), color=REACH, alpha=0.5, linewidth=0)
     w = factor * test.measured[:, axis]
     explained = test.verdict.explained
     _draw_marks(axes, middle[explained], w[explained], INSIDE, "o", 1.6)
     _draw_marks(axes, middle[~explained], w[~explained], OUTSIDE, "x", 2.4)
     axes.axhline(0.0, color="0.7", linewidth=0.5, zorder=0)
     axes.set_ylabel(disturbance_label(axis))
+
+
+def _hold(values: Float[np.ndarray, "k"]) -> Float[np.ndarray, "3k"]:
+    """Return values that hold from the start to the end of a span, NaN after each."""
+    return np.column_stack([values, values, np.full(len(values), np.nan)]).ravel()
 
 
 def _draw_marks(axes: Axes, x, y, colour: str, marker: str, size: float) -> None:
@@ -127,7 +129,7 @@ def histograms(witness: Witness) -> Figure:
 
 
 def _draw_usages(axes: Axes, witness: Witness) -> None:
-    bins = np.linspace(0.0, HIGHEST_USAGE, BINS + 1)
+    bins = np.linspace(0.0, HIGHEST_USAGE, BINS + 1).tolist()
     usages = [
         np.minimum(witness.period.verdict.usage[rows], HIGHEST_USAGE - 1e-9)
         for rows in _split(witness.period)
