@@ -19,8 +19,8 @@ A box S holds n for ever, under any sequence of slips, inputs and references, wh
 
 for the first estimate is the first measurement. In heading r = kappa - n_th alone, and the least
 such S is nu_th + (1 / l_th - 1) sup |kappa|; along and across it is a fixed point of bounds by
-intervals, found by Newton's method with the turn of the robot as the slope, made a little larger,
-and accepted only where an evaluation of its own shows the inclusion. For L = I, S = nu.
+intervals, found by Newton's method with the turn of the robot as the slope. What is returned is a
+little larger, and its inclusion was evaluated. For L = I, S = nu.
 
 Source: new; a Luenberger observer whose error is kept in a robust invariant set goes back to Mayne,
 Rakovic, Findeisen, Allgoewer 2006, Automatica 42(7), section 3.
@@ -39,12 +39,10 @@ from sets.supremum import suprema
 
 TOLERANCE = 1e-4
 """Relative gap of the bounds: errors of an estimate sum up 1 / l of them."""
-SETTLED = 1e-3
-"""Change of S, relative, at which Newton's method ends."""
 MARGIN = 3e-3
-"""Share by which S is made larger at first than the fixed point; doubled until it holds."""
-MOST_STEPS = 20
-MOST_MARGINS = 8
+"""Share by which S is larger than the fixed point; more if that takes long."""
+MOST_STEPS = 10
+"""Evaluations before a gain is given up."""
 
 
 def find_estimate_error(operation: Operation, kinematics: Kinematics) -> Float[np.ndarray, "3"]:
@@ -68,18 +66,16 @@ def find_estimate_error(operation: Operation, kinematics: Kinematics) -> Float[n
         raise ValueError(
             f"gain: {operation.gain} lets errors grow by turning; give shares nearer to 1"
         )
-    size = operation.noise.copy()
-    for _ in range(MOST_STEPS):
+    size = operation.noise
+    for step in range(MOST_STEPS):
+        margin = MARGIN * 2 ** max(step - 3, 0)
         image = bound_next_error(replace(operation, estimate_error=size), kinematics)
-        following = size + np.append(
-            np.linalg.solve(np.eye(2) - slopes, (image - size)[:2]),
-            (image - size)[2] / gain[2],
-        )
-        following = np.maximum(following, operation.noise)
-        change = np.abs(following - size)
-        size = following
-        if np.all(change <= SETTLED * size):
-            return _enlarge(operation, kinematics, size)
+        change = image - size
+        along = np.linalg.solve(np.eye(2) - slopes, change[:2])
+        fixed = np.maximum(size + np.append(along, change[2] / gain[2]), operation.noise)
+        if np.all(image <= size) and np.all(size <= fixed * (1 + 2 * margin)):
+            return size
+        size = fixed * (1 + margin)
     raise ValueError(f"gain: {operation.gain} leads to no bounded error; give shares nearer to 1")
 
 
@@ -91,20 +87,6 @@ def _slopes(operation: Operation) -> Float[np.ndarray, "2 2"]:
     yaw_rate += np.abs(operation.inputs[:, 1]).max()
     turn = np.sin(min(operation.dt * yaw_rate, np.pi / 2))
     return np.array([[1.0, turn], [turn, 1.0]])
-
-
-def _enlarge(
-    operation: Operation, kinematics: Kinematics, size: Float[np.ndarray, "3"]
-) -> Float[np.ndarray, "3"]:
-    """Return a box a little larger, which holds its image."""
-    margin = MARGIN
-    for _ in range(MOST_MARGINS):
-        larger = size * (1 + margin)
-        image = bound_next_error(replace(operation, estimate_error=larger), kinematics)
-        if np.all(image <= larger):
-            return larger
-        margin *= 2
-    raise ValueError(f"gain: {operation.gain} leads to no proved error; give shares nearer to 1")
 
 
 def bound_next_error(operation: Operation, kinematics: Kinematics) -> Float[np.ndarray, "3"]:
