@@ -32,7 +32,7 @@ class Trajectory(NamedTuple):
     """What a rollout records; the leading axis is time, the next one the realisations."""
 
     errors: Float[Array, "steps+1 batch 3"]  # true tracking errors
-    measured: Float[Array, "steps+1 batch 3"]  # what the controller saw: with an observer its estimate
+    measured: Float[Array, "steps+1 batch 3"]  # what the controller saw: an observer's estimate
     inputs: Float[Array, "steps batch 2"]  # virtual inputs asked for
     wheels: Float[Array, "steps batch 2"]  # wheel speeds (right, left) after saturation, m/s
     demanded: Float[Array, "steps batch 2"]  # before saturation

@@ -11,7 +11,11 @@ from jaxtube.scenario import ScenarioError, load, replace
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.choices import choose_starts
 from jaxtube.simulation.rollout import realisation_keys
-from jaxtube.synthesis.certificate.period import find_disturbances, find_estimate_errors, noise_reach
+from jaxtube.synthesis.certificate.period import (
+    find_disturbances,
+    find_estimate_errors,
+    noise_reach,
+)
 from jaxtube.synthesis.certificate.robot import assumptions, check_estimate_error, check_robot
 from jaxtube.synthesis.disturbance import complete_problem, kinematics, operation, prove_bound
 from jaxtube.synthesis.estimate import Estimate
@@ -76,7 +80,9 @@ def test_the_witness_in_the_world_frame_comes_near_the_set_and_near_w(problem):
 
 
 def test_w_is_narrower_than_without_an_observer(problem):
-    measured = complete_problem(load("certified", [*OBSERVED, "controller.observer_gain=[1, 1, 1]"]))
+    measured = complete_problem(
+        load("certified", [*OBSERVED, "controller.observer_gain=[1, 1, 1]"])
+    )
     narrow = problem.disturbance_set.support(np.eye(3))
     shares = narrow / measured.disturbance_set.support(np.eye(3))
     assert (shares < 1).all()

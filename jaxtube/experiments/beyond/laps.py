@@ -74,9 +74,7 @@ class ImperfectLaps:
         self.seed = seed
         self.starts = np.tile(design.problem.initial_error, (realisations, 1))
         self.controller = components.make_tube_mpc(design)
-        self.ideal = [
-            components.bare_robot(design.problem, process) for process in TEST_PROCESSES
-        ]
+        self.ideal = [components.bare_robot(design.problem, process) for process in TEST_PROCESSES]
 
     def at(
         self, name: str, on_progress: Callable[[], object] = lambda: None

@@ -181,9 +181,7 @@ def next_errors(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"
     return _end_errors(problem, cases, problem.robot.lever_arm)
 
 
-def _end_errors(
-    problem: Problem, cases: PeriodCases, lever_arm: float
-) -> Float[np.ndarray, "n 3"]:
+def _end_errors(problem: Problem, cases: PeriodCases, lever_arm: float) -> Float[np.ndarray, "n 3"]:
     """Return the errors, (m, m, rad), of robots with a lever arm, m, a period later."""
     T = problem.model.dt
     b = problem.model.track_width
