@@ -33,7 +33,7 @@ from jaxtube.plant.protocol import (
     Uncertainty,
 )
 
-PlantType = TypeVar("PlantType", bound=Plant)
+PlantType = TypeVar("PlantType", bound=Plant, covariant=True)
 
 
 def robot_behind(plant: Plant) -> Plant:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,8 +13,9 @@ from jaxtyping import Float
 from jaxtube.control import mpc
 from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.control.protocol import Controller, WheelMap
-from jaxtube.plant.estimating import EstimatingRobot, PlantType
+from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.linear import LinearPlant
+from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip import SlipProcess
 from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.plant.slipping import SlippingRobot
@@ -22,6 +24,7 @@ from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 
+PlantType = TypeVar("PlantType", bound=Plant)
 
 Robot = SlippingRobot | EstimatingRobot[SlippingRobot]
 """The slipping robot, with or without an estimate of its errors."""

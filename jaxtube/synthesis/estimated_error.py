@@ -89,7 +89,7 @@ def widen_disturbance(
     error: Float[np.ndarray, "3"],
 ) -> Float[np.ndarray, "3"]:
     """Return the half widths of the box of W, the yaw kick apart, for estimates of this error."""
-    exact = np.abs(corners.parts.rest_under(gain[:2]))
+    exact = np.abs(corners.parts.rest_under(gain[:2].tolist()))
     of_error = np.einsum("ijk,j->ik", corners.effects, error)
     plane = np.max(exact + gain[:2, None] * of_error, axis=1)
     return np.append(plane, gain[2] * error[2]) + gain * noise

@@ -18,8 +18,8 @@ from jaxtyping import Float, Key
 
 from jaxtube.control.laws import TubeMpc
 from jaxtube.control.protocol import Controller
-from jaxtube.plant.reference import settled_step
 from jaxtube.plant.estimating import EstimatingRobot
+from jaxtube.plant.reference import settled_step
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario

@@ -9,11 +9,12 @@ sigma also moves the robot sideways by g_y sigma, g_y = T V / 2 at the centre of
 is why W is a segment plus a box and not a larger box. The bounds are proved by interval arithmetic
 rounded outwards, and come with the largest values found.
 
-A controller may act on an estimate p of the error in the place of e_m (`sets.robot.observer`), which
-takes over the share L = diag(l_x, l_y, l_th) of what it did not predict. With n = p - e, |n| <= S,
-and the noise n+ of the next measurement, |n+| <= nu,
+A controller may act on an estimate p of the error in the place of e_m (`sets.robot.observer`),
+which takes over the share L = diag(l_x, l_y, l_th) of what it did not predict. With n = p - e,
+|n| <= S, and the noise n+ of the next measurement, |n+| <= nu,
 
-    w = p+ - A p - B u = bilinear + sine + sampling + L (kappa (0, g_y, 1) + slip + sideslip + noise + n+)
+    w = p+ - A p - B u
+      = bilinear + sine + sampling + L (kappa (0, g_y, 1) + slip + sideslip + noise + n+)
 
 where `noise` is that of n, in heading -n_th. The kick runs along (0, l_y g_y, l_th): g_y becomes
 g_y l_y / l_th, and the yaw kick l_th times itself. L = I, S = nu is the measured error itself.
@@ -345,7 +346,8 @@ def disturbance_bound(
     proved, found = suprema(outputs, lower, upper, both_signs + ends, tolerance)
     box = _add_measurement(operation, proved[1:3])
     if min(operation.gain) < 1:
-        box = _round_up(box + [0.0, _kick_rounding(operation, float(proved[0])), 0.0])
+        box[1] += _kick_rounding(operation, float(proved[0]))
+        box = _round_up(box)
     return DisturbanceBound(
         yaw=_share_of_kick(operation, float(proved[0])),
         lateral_per_yaw=operation.kick_per_yaw,

@@ -107,7 +107,7 @@ def bound_next_error(operation: Operation, kinematics: Kinematics) -> Float[np.n
     lower, upper = operation.pieces()
     objectives = [(output, sign, output) for output in range(3) for sign in (1, -1)]
     proved, _ = suprema(outputs, lower, upper, objectives, TOLERANCE)
-    unpredicted = proved + [0.0, 0.0, operation.estimate_error[2]]
+    proved[2] += operation.estimate_error[2]
     left = 1 - np.array(operation.gain)
-    image = left * unpredicted + operation.gain * operation.noise
+    image = left * proved + operation.gain * operation.noise
     return image * (1 + 8 * np.finfo(float).eps)

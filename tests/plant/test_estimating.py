@@ -22,7 +22,7 @@ NOISE = np.array([0.01, 0.02, 0.01])
 
 
 def make_robot(
-    noise=NOISE, relative_error=0.1, noise_frame="robot", lever_arm=0.0
+    noise: np.ndarray | None = NOISE, relative_error=0.1, noise_frame="robot", lever_arm=0.0
 ) -> SlippingRobot:
     turns = np.linspace(0, 3, STEPS)
     wheels = np.stack([1.2 + 0.2 * np.sin(turns), 1.2 - 0.2 * np.sin(turns)], axis=1)
@@ -111,7 +111,8 @@ def test_without_slip_error_and_noise_the_estimate_is_the_truth():
 
 def test_a_script_takes_the_place_of_draws_and_the_estimate_stays():
     robot = estimating(make_robot())
-    assert robot.uncertainties().keys() == robot_behind(robot).uncertainties().keys()
+    assert robot.uncertainties().keys() == make_robot().uncertainties().keys()
+    assert isinstance(robot_behind(robot), SlippingRobot)
     none = {"noise": jnp.zeros((1, LAPS, 3)), "true": jnp.zeros((1, LAPS, 2))}
     scripted = robot.under_script(none)
     assert isinstance(scripted, EstimatingRobot)

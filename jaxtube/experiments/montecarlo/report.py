@@ -154,8 +154,8 @@ def _tube_table(summary: dict) -> str:
     is_promised = cost["promised_by_the_certificate"]
     promise = "promises more" if is_promised else "makes no promise for this design"
     lines = [
-        f"{summary['plans']:,} plans from the error that the controller sees, followed to their end; share "
-        f"of them outside R_j of the tube `{tube['used']}`",
+        f"{summary['plans']:,} plans from the error that the controller sees, followed to their "
+        f"end; share of them outside R_j of the tube `{tube['used']}`",
         format_table(columns, rows, WIDTH),
         "largest excess over a facet, all stages (m or rad; negative: inside):",
         f"  {largest}",

@@ -74,8 +74,8 @@ def _ultimate_lines(ultimate: dict) -> list[str]:
     x, y, heading = ultimate.values()
     return wrap(
         "once in the terminal set, the law u = K e of the tube, without the MPC, brings the error "
-        f"that the controller sees within {x:.4f} m, {y:.4f} m, {heading:.2f} deg; the MPC itself goes further, "
-        "and no such bound is given for it"
+        f"that the controller sees within {x:.4f} m, {y:.4f} m, {heading:.2f} deg; the MPC itself "
+        "goes further, and no such bound is given for it"
     )
 
 

@@ -9,10 +9,10 @@ from position z and heading phi ends at
 and has the tracking error  e^{-i phi} (z_ref - z), phi_ref - phi.  Wheels are commanded by the
 measured slip, and grip by the true one. w = e+ - A e - B u is what this leaves of the model.
 
-A controller may act on an estimate p = e + n in the place of the measured error: it predicts p-, where
-the robot would be that stands at p and grips as the measured slip says, and takes over the share L
-of the rest. Then w = p- + L (e+ - p-) - A p - B u, and n becomes p- - e+ - L (p- - e+), L n+ of the
-next measurement left out of both.
+A controller may act on an estimate p = e + n in the place of the measured error: it predicts p-,
+the error of a robot that stands at p and grips as the measured slip says, and takes over the share
+L of what that misses. Then w = p- + L (e+ - p-) - A p - B u, and n becomes (I - L) (p- - e+), what
+the next measurement adds left out of both.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(8).
 """

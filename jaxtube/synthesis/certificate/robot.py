@@ -302,8 +302,8 @@ def _assume_measurement(problem: Problem) -> str:
         return measured
     shares = ", ".join(f"{share:g}" for share in problem.scenario.controller.observer_gain)
     return (
-        f"{measured}; the controller acts on an estimate that begins with the first measurement and "
-        f"takes over {shares} of what later ones differ from the motion under the slip compensated"
+        f"{measured}; the controller acts on an estimate, at first what is measured, that takes "
+        f"over {shares} of what measurements differ from the motion under the slip compensated"
     )
 
 
