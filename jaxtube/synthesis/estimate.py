@@ -41,6 +41,8 @@ CAPS_AND_GAINS = 11
 """Numbers of a point before those of the observer."""
 RESERVE = 0.01
 """Share by which the proved error of an observer may pass that at corners."""
+MISSED = 2e-3
+"""Share of the constraints that a search may miss them by."""
 ALONG = 5
 """Points along an edge, where an extreme may lie between its ends."""
 
@@ -60,7 +62,7 @@ class Caps(NamedTuple):
 
 class EstimatedDisturbance(NamedTuple):
     """W by its yaw kick, rad, how far that moves sideways, m/rad, and the box of the rest (m, m,
-    rad); the error of what the controller acts on (m, m, rad); and the (least, greatest) commanded
+    rad); the error of what the controller acts on (m, m, rad), rounded up; and the (least, greatest) commanded
     ground speed, m/s."""
 
     yaw: float
@@ -186,7 +188,7 @@ class Estimate:
             float(gain[2] * np.max(np.abs(corners.parts.yaw))),
             lateral_per_yaw * gain[1] / gain[2],
             widen_disturbance(corners, gain, self.noise, error),
-            error * (1 + RESERVE),
+            error * (1 + RESERVE) + MISSED * self.constraints,
             _speed_range(corners.parts),
         )
 

@@ -97,7 +97,8 @@ def test_the_estimate_of_a_search_is_close_to_the_proved_sets(problem):
     point = caps_and_gains(scenario)
     assert point is not None
     w = found.disturbance_at(np.log(point))
-    np.testing.assert_allclose(w.estimate_error, problem.estimate_error, rtol=0.03)
+    assert (w.estimate_error > problem.estimate_error).all()
+    assert (w.estimate_error < 1.1 * problem.estimate_error + 1e-3).all()
     bound = prove_bound(problem)
     assert w.yaw == pytest.approx(bound.yaw, rel=0.01)
     assert w.lateral_per_yaw == pytest.approx(bound.lateral_per_yaw, rel=1e-12)
