@@ -37,7 +37,7 @@ goes on with its last value, so that a single value is a constant."""
 class Measurement(NamedTuple):
     """What a controller learns of the plant at the start of a period."""
 
-    errors: Float[Array, "batch 3"]  # tracking errors, (m, m, rad)
+    errors: Float[Array, "batch 3"]  # tracking errors, measured or estimated, (m, m, rad)
     slip: Float[Array, "batch 2"]  # slips of the period that begins, without unit
 
 

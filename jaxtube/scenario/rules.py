@@ -145,6 +145,9 @@ def _check_bands(scenario: Scenario, refuse: Refuse) -> None:
         return
     key = "operating.bands"
     controller = scenario.controller
+    if controller.has_observer:
+        cure = "leave out controller.observer_gain"
+        refuse(key, "act on the measured error, not on an estimate", cure)
     ends = [band.below_mps for band in bands]
     starts = [scenario.reference.wheel_speed_min_mps, *ends[:-1]]
     grow = all(start < end for start, end in zip(starts, ends, strict=True))

@@ -22,6 +22,7 @@ Positive = Annotated[float, msgspec.Meta(gt=0)]
 Negative = Annotated[float, msgspec.Meta(lt=0)]
 NonNegative = Annotated[float, msgspec.Meta(ge=0)]
 Fraction = Annotated[float, msgspec.Meta(ge=0, lt=1)]
+Share = Annotated[float, msgspec.Meta(gt=0, le=1)]
 SlipValue = Annotated[float, msgspec.Meta(gt=-1, lt=1)]
 HeadingBound = Annotated[float, msgspec.Meta(gt=0, lt=90)]
 HeadingSpread = Annotated[float, msgspec.Meta(ge=0, lt=90)]
@@ -239,6 +240,11 @@ class ControllerTable(Table, frozen=True):
     invariant one where that has at most `terminal_facets` facets, else one of that many. Each facet
     is a row of every QP, so the limit is doubled only if no invariant set with that many facets is
     found.
+
+    `observer_gain` makes the controller act on an estimate of the tracking error: the sampled
+    robot's prediction, corrected by this share (longitudinal, lateral, heading) of what the
+    measurement differs from it. Less than 1 keeps noise out of the tube, and lets true errors
+    differ from the estimate by more than the noise; 1 is the measured error itself.
     """
 
     dt_s: Positive = 0.1
@@ -255,6 +261,12 @@ class ControllerTable(Table, frozen=True):
     terminal: Literal["paper", "T-A", "T-B"] = "paper"
     terminal_facets: Annotated[int, msgspec.Meta(ge=8, le=1000)] = 40
     restart: bool = True
+    observer_gain: tuple[Share, Share, Share] = (1.0, 1.0, 1.0)
+
+    @property
+    def has_observer(self) -> bool:
+        """Whether the controller acts on an estimate that is not the measured error itself."""
+        return min(self.observer_gain) < 1
 
     @property
     def tube_has_terminal_gain(self) -> bool:

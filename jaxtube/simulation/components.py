@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -12,7 +13,9 @@ from jaxtyping import Float
 from jaxtube.control import mpc
 from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.control.protocol import Controller, WheelMap
+from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.linear import LinearPlant
+from jaxtube.plant.protocol import Plant
 from jaxtube.plant.recorded_slips import make_recorded
 from jaxtube.plant.slip import SlipProcess
 from jaxtube.plant.slip_bounds import slip_bounds
@@ -21,6 +24,11 @@ from jaxtube.precision import require_64_bits
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
+
+PlantType = TypeVar("PlantType", bound=Plant)
+
+Robot = SlippingRobot | EstimatingRobot[SlippingRobot]
+"""The slipping robot, with or without an estimate of its errors."""
 
 
 def controllers(design: Design) -> dict[str, Controller]:
@@ -70,13 +78,28 @@ def make_wheel_map(problem: Problem) -> WheelMap:
     return WheelMap(problem.robot.track_width, problem.reference.dt, settings.input_map)
 
 
-def slipping_robot(design: Design, process: str | SlipProcess | None = None) -> SlippingRobot:
+def slipping_robot(design: Design, process: str | SlipProcess | None = None) -> Robot:
     """Return the nonlinear plant of the scenario, or with another slip process."""
     return robot_of(design.problem, process)
 
 
-def robot_of(problem: Problem, process: str | SlipProcess | None = None) -> SlippingRobot:
+def robot_of(problem: Problem, process: str | SlipProcess | None = None) -> Robot:
     """Return the nonlinear plant of a problem, whatever its design."""
+    return with_estimate(problem, bare_robot(problem, process))
+
+
+def with_estimate(problem: Problem, plant: PlantType) -> PlantType | EstimatingRobot[PlantType]:
+    """Return a robot with the estimate that the scenario's controller acts on; the robot itself
+    where that acts on the measured error."""
+    settings = problem.scenario.controller
+    if not settings.has_observer:
+        return plant
+    gain = jnp.asarray(settings.observer_gain)
+    return EstimatingRobot(plant, gain, problem.robot.track_width, problem.reference.dt)
+
+
+def bare_robot(problem: Problem, process: str | SlipProcess | None = None) -> SlippingRobot:
+    """Return the nonlinear plant of a problem, whose measured errors nobody filters."""
     steps = problem.reference.steps
     return make_robot(
         problem, process, problem.schedule[:steps], problem.reference.poses[: steps + 1]
@@ -109,8 +132,8 @@ def make_robot(
 
 def exact_robot(design: Design) -> SlippingRobot:
     """Return the nonlinear plant whose slips are the nominal ones and known, whose pose is measured
-    without noise, and whose body does not slip sideways."""
-    plant = slipping_robot(design)
+    without noise, and whose body does not slip sideways: an estimate of its errors is exact."""
+    plant = bare_robot(design.problem)
     sideslip = None if plant.sideslip is None else 0.0
     slips = plant.slips.without_errors()
     return dataclasses.replace(plant, slips=slips, noise=None, sideslip=sideslip)

@@ -32,7 +32,7 @@ class Trajectory(NamedTuple):
     """What a rollout records; the leading axis is time, the next one the realisations."""
 
     errors: Float[Array, "steps+1 batch 3"]  # true tracking errors
-    measured: Float[Array, "steps+1 batch 3"]  # what the controller saw
+    measured: Float[Array, "steps+1 batch 3"]  # what the controller saw: an observer's estimate
     inputs: Float[Array, "steps batch 2"]  # virtual inputs asked for
     wheels: Float[Array, "steps batch 2"]  # wheel speeds (right, left) after saturation, m/s
     demanded: Float[Array, "steps batch 2"]  # before saturation
@@ -63,7 +63,7 @@ class LoopState(NamedTuple):
 
     @property
     def measured(self) -> Float[Array, "batch 3"]:
-        """The measured tracking errors."""
+        """The tracking errors that the controller sees: measured, or estimated."""
         return self.measurement.errors
 
 

@@ -292,12 +292,24 @@ def replay(
         return Replay(trajectory, None)
     planner = _find_planner(controller)
     step = jnp.asarray(when)
-    state = begin(planner, acting, keys, jnp.asarray(trajectory.errors[when]), step)
+    state = _run_until(planner, acting, keys, jnp.asarray(attack["start"]), step)
     plan = _make_plan(planner, step, state.measured)
     if int(plan.status[0]) != qp.SOLVED:
         return Replay(trajectory, np.zeros((plan.inputs.shape[1], 3)))
     deviations = follow_plan(planner, acting, keys, state, step, plan)
     return Replay(trajectory, np.asarray(deviations[:, 0]))
+
+
+@jax.jit
+def _run_until(
+    controller: Controller, plant: Plant, keys: Key[Array, " batch"], errors, step
+) -> LoopState:
+    """Return the closed loop at a step, with what the plant remembers until then."""
+
+    def period(now, state: LoopState) -> LoopState:
+        return run_period(controller, plant, keys, now, state)[0]
+
+    return jax.lax.fori_loop(0, step, period, begin(controller, plant, keys, errors))
 
 
 @jax.jit

@@ -1,6 +1,6 @@
 """One lap of a run again, from its number alone, with what it used of E and W.
 
-    w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k)     of the measured errors
+    w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k)     of the measured or estimated errors
     usage  1 on a facet, more outside
 
 Every draw is a function of seed, lap and step, so that the lap is the one of the run, whatever ran
@@ -18,6 +18,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Key
 
 from jaxtube.control.laws import solves_qp
+from jaxtube.plant.estimating import robot_behind
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import batches
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
@@ -66,8 +67,9 @@ def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
     trajectory = jax.tree.map(lambda array: array[:, 0], batch)
     disturbance = batches.model_disturbances(design, batch)[:, 0]
     slips = None
-    if isinstance(task.plant, SlippingRobot):
-        slips = np.asarray(slip_deviations(task.plant, keys, jnp.asarray(batch.errors)))[:, 0]
+    robot = robot_behind(task.plant)
+    if isinstance(robot, SlippingRobot):
+        slips = np.asarray(slip_deviations(robot, keys, jnp.asarray(batch.errors)))[:, 0]
     return Lap(
         number,
         solves_qp(task.controller),

@@ -85,6 +85,9 @@ class SamplingLaw(NamedTuple):
             measured = f"pose noise uniform within {along:.3g} m, {across:.3g} m, {heading:.3g} deg"
             if scenario.noise.frame == "world":
                 measured += " in the world"
+        if scenario.controller.has_observer:
+            shares = ", ".join(f"{share:g}" for share in scenario.controller.observer_gain)
+            measured += f", an observer of gain ({shares}) filters it"
         return f"{self._describe_slips(scenario)}, {measured}"
 
     def _describe_slips(self, scenario: Scenario) -> str:

@@ -10,8 +10,11 @@ from functools import lru_cache
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.coordinates import KEYS, TO_DISPLAY
 from jaxtube.plant.slip_bounds import compensated_slips, slip_bounds
+from jaxtube.scenario.error_box import error_vector
 from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.rules import CAP_ROUNDING
 from jaxtube.scenario.tree import Scenario, Slip
 from jaxtube.synthesis.problem import Problem, make_problem
 from sets.polytope import Polytope
@@ -22,6 +25,7 @@ from sets.robot.disturbance import (
     wheel_error_bound,
     wheel_error_range,
 )
+from sets.robot.observer import bound_next_error, find_estimate_error
 from sets.robot.plant import Kinematics
 
 FLAT = 1e-12
@@ -29,8 +33,8 @@ FLAT = 1e-12
 
 
 def operation(problem: Problem) -> Operation:
-    """Return where the robot works: measured errors, inputs, certified wheel speeds, slip errors
-    and noise. Inputs are those that the rows of the QPs allow."""
+    """Return where the robot works: measured or estimated errors, inputs, certified wheel speeds,
+    slip errors and noise. Inputs are those that the rows of the QPs allow."""
     slip = problem.scenario.slip
     rows = problem.input_rows
     is_coupled = rows.is_coupled
@@ -53,6 +57,8 @@ def operation(problem: Problem) -> Operation:
         sideslip=slip.sideslip,
         lever_arm=problem.robot.lever_arm,
         coupling=coupling,
+        gain=problem.scenario.controller.observer_gain,
+        estimate_error=problem.estimate_error,
     )
 
 
@@ -97,6 +103,22 @@ def _answer(question: bytes) -> bytes:
     return pickle.dumps(disturbance_bound(where, how))
 
 
+def prove_next_error(problem: Problem) -> Float[np.ndarray, "3"]:
+    """Return a proved bound (m, m, rad) of the estimate's error a period later, where the problem's
+    `estimate_error` bounds it now.
+
+    Raises:
+        ValueError: as `prove_bound`.
+    """
+    return pickle.loads(_answer_next_error(pickle.dumps((operation(problem), kinematics(problem)))))
+
+
+@lru_cache(maxsize=16)
+def _answer_next_error(question: bytes) -> bytes:
+    where, how = pickle.loads(question)
+    return pickle.dumps(bound_next_error(where, how))
+
+
 def ground_speed_limits(problem: Problem) -> Float[np.ndarray, "2 2"]:
     """Return the (least, greatest) ground speeds (right, left), m/s, that the wheels can be asked
     for under every slip that is compensated."""
@@ -109,17 +131,62 @@ def ground_speed_limits(problem: Problem) -> Float[np.ndarray, "2 2"]:
 
 
 def complete_problem(scenario: Scenario) -> Problem:
-    """Build the problem of a scenario, W computed for the robot itself where the scenario asks for
-    it.
+    """Build the problem of a scenario, the error of an estimate bounded, and W computed for the
+    robot itself where the scenario asks for it.
 
     Raises:
         ScenarioError: as `make_problem`; where the operating set is so wide that angles leave a
-            quarter turn, or W is flat.
+            quarter turn, or W is flat; where the error of the estimate has no bound, or leaves too
+            little of the constraints.
     """
     problem = make_problem(scenario)
+    if scenario.controller.has_observer:
+        problem = _with_estimate_error(problem)
     if scenario.disturbance.bound == "assumed":
         return problem
     return with_computed_bound(problem)
+
+
+def _with_estimate_error(problem: Problem) -> Problem:
+    """Return the problem with S, the bound of the estimate's error, and with caps that leave room
+    for it.
+
+    S is that of all errors which the noise leaves of the constraints where no cap is given, hence
+    of narrower ones.
+    """
+    scenario = problem.scenario
+    try:
+        size = find_estimate_error(operation(problem), kinematics(problem))
+    except ValueError as error:
+        raise ScenarioError(
+            f"scenario: controller.observer_gain = {list(scenario.controller.observer_gain)}: "
+            f"{error}; narrow [operating], or raise it"
+        ) from None
+    _refuse_wide_estimate(scenario, size)
+    left = error_vector(scenario.constraints) - size
+    caps = np.minimum(problem.operating_set.offsets[:3], left)
+    return replace(
+        problem,
+        operating_set=Polytope.box(-caps, caps),
+        error_set=Polytope.box(-caps - size, caps + size),
+        estimate_error=size,
+    )
+
+
+def _refuse_wide_estimate(scenario: Scenario, size: Float[np.ndarray, "3"]) -> None:
+    """Refuse an estimate whose error, (m, m, rad), takes more of the constraints than the caps
+    leave."""
+    limits = error_vector(scenario.constraints) * TO_DISPLAY
+    shown = size * TO_DISPLAY
+    for name, limit, error in zip(KEYS, limits.tolist(), shown.tolist(), strict=True):
+        cap = getattr(scenario.operating, name)
+        if error >= limit or (cap or 0.0) > (limit - error) * (1 + CAP_ROUNDING):
+            wanted = "" if cap is None else f", less than operating.{name} = {cap:g}"
+            raise ScenarioError(
+                f"scenario: controller.observer_gain = {list(scenario.controller.observer_gain)}: "
+                f"the estimate may be wrong by {error:.4g}, which leaves {limit - error:.4g} of "
+                f"constraints.{name} = {limit:g}{wanted}; raise the gain, or lower the cap"
+            )
 
 
 def with_computed_bound(problem: Problem) -> Problem:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import copy
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,8 +19,9 @@ from jaxtyping import Float
 
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.disturbance import ground_speed_limits, kinematics, operation
+from jaxtube.synthesis.estimated_error import solve_error, split_at_corners, widen_disturbance
 from jaxtube.synthesis.problem import Problem, region_corners
-from sets.robot.plant import Period, split_disturbance
+from sets.robot.plant import Parts, Period, split_disturbance
 
 DIRECTIONS = 120
 """Facets of the polygon around the minimal RPI set in (e_y, e_th)."""
@@ -35,6 +37,12 @@ START_TURN = 1 / 3
 """Share of the yaw rate deficit that the start leaves to turn with."""
 ACCURACY = 1e-4
 """Relative accuracy of the estimate."""
+CAPS_AND_GAINS = 11
+"""Numbers of a point before those of the observer."""
+RESERVE = 0.01
+"""Share by which the proved error of an observer may pass that at corners."""
+MISSED = 2e-3
+"""Share of the constraints that a search may miss them by."""
 ALONG = 5
 """Points along an edge, where an extreme may lie between its ends."""
 
@@ -53,11 +61,14 @@ class Caps(NamedTuple):
 
 
 class EstimatedDisturbance(NamedTuple):
-    """W by its yaw kick, rad, and the box of the rest (m, m, rad), and the (least, greatest)
-    commanded ground speed, m/s."""
+    """W by its yaw kick, rad, how far that moves sideways, m/rad, and the box of the rest (m, m,
+    rad); the error of what the controller acts on (m, m, rad), rounded up; and the (least, greatest) commanded
+    ground speed, m/s."""
 
     yaw: float
+    lateral_per_yaw: float
     box: Float[np.ndarray, "3"]
+    estimate_error: Float[np.ndarray, "3"]
     speeds: tuple[float, float]
 
 
@@ -70,7 +81,8 @@ class Shares:
 
 
 class Estimate:
-    """One problem's shares as a function of the logarithms of caps and gains."""
+    """One problem's shares as a function of the logarithms of caps and gains, and of an observer's
+    gain, the scenario's own where it is left out."""
 
     def __init__(self, problem: Problem):
         scenario = problem.scenario
@@ -78,7 +90,7 @@ class Estimate:
         self.problem = problem
         self.kinematics = kinematics(problem)
         self.noise = problem.noise
-        self.error_limits = error_vector(scenario.constraints) - self.noise
+        self.constraints = error_vector(scenario.constraints)
         self.operation = operation(problem)
         self.corners = np.unique(problem.corners, axis=0)
         lateral_per_yaw = model.dt * float(self.corners.mean()) / 2
@@ -102,11 +114,11 @@ class Estimate:
         slower.fastest = self.fastest / factor
         return slower
 
-    def shares(self, logarithms: Float[np.ndarray, " 11"]) -> Shares | None:
+    def shares(self, logarithms: Float[np.ndarray, " n"]) -> Shares | None:
         """Return the shares of caps and limits, None where the loops have no bounded tube."""
         caps = _read_caps(logarithms)
-        k1, k2, k3 = np.exp(logarithms[8:])
-        w = self.disturbance(caps)
+        k1, k2, k3 = np.exp(logarithms[8:11])
+        w = self.disturbance_at(logarithms)
         points = self.lateral_tube(k1, k2, k3, w)
         if points is None:
             return None
@@ -125,13 +137,24 @@ class Estimate:
         ]
         return Shares(np.array(filled), self.limits(caps, w))
 
+    def disturbance_at(self, logarithms: Float[np.ndarray, " n"]) -> EstimatedDisturbance:
+        """Return W under the caps and the observer's gain of a point."""
+        caps = _read_caps(logarithms)
+        own = self.problem.scenario.controller
+        if len(logarithms) > CAPS_AND_GAINS:
+            return self.observed_disturbance(caps, np.exp(logarithms[CAPS_AND_GAINS:]))
+        if own.has_observer:
+            return self.observed_disturbance(caps, np.array(own.observer_gain))
+        return self.disturbance(caps)
+
     def limits(self, caps: Caps, w: EstimatedDisturbance) -> Float[np.ndarray, " limits"]:
         """Return how far caps, start and ground speeds use the limits beside the caps."""
         errors = np.array([caps.longitudinal, caps.lateral, caps.heading])
-        used = [*(errors / self.error_limits)]
+        left = self.constraints - w.estimate_error
+        used = [*(errors / np.maximum(left, ACCURACY * self.constraints))]
         start = np.abs(self.problem.initial_error)
         if start.any():
-            kick = np.array([0.0, self.period.lateral_per_yaw * w.yaw, w.yaw])
+            kick = np.array([0.0, w.lateral_per_yaw * w.yaw, w.yaw])
             used += [*((start + START_STEPS * (w.box + kick)) / errors)]
             left_to_turn = caps.coupled_turning * (1 - start[0] / caps.coupled_error)
             used.append(START_TURN * caps.turning / max(left_to_turn, ACCURACY))
@@ -144,6 +167,36 @@ class Estimate:
 
     def disturbance(self, caps: Caps) -> EstimatedDisturbance:
         """Return W and the ground speeds at corners of the operating set."""
+        *variables, side = self._corner_grid(caps, [-1.0, 1.0])
+        noise = side * self.noise[:, None]
+        parts = split_disturbance(self.kinematics, self.period, (*variables, *noise))
+        widths = [np.max(np.abs(coordinate)) for coordinate in parts.rest]
+        box = np.array([*(widths + self.noise[:2]), 2 * self.noise[2]])
+        yaw = float(np.max(np.abs(parts.yaw)))
+        speeds = _speed_range(parts)
+        return EstimatedDisturbance(yaw, self.period.lateral_per_yaw, box, self.noise, speeds)
+
+    def observed_disturbance(
+        self, caps: Caps, gain: Float[np.ndarray, "3"]
+    ) -> EstimatedDisturbance:
+        """Return the same where the controller acts on an estimate with this gain."""
+        *variables, _ = self._corner_grid(caps, [0.0])
+        corners = split_at_corners(self.kinematics, self.period, variables)
+        lateral_per_yaw = self.period.lateral_per_yaw
+        error = solve_error(corners, lateral_per_yaw, gain, self.noise)
+        return EstimatedDisturbance(
+            float(gain[2] * np.max(np.abs(corners.parts.yaw))),
+            lateral_per_yaw * gain[1] / gain[2],
+            widen_disturbance(corners, gain, self.noise, error),
+            error * (1 + RESERVE) + MISSED * self.constraints,
+            _speed_range(corners.parts),
+        )
+
+    def _corner_grid(
+        self, caps: Caps, sides: Sequence[float]
+    ) -> list[Float[np.ndarray, " corners"]]:
+        """Return the first ten variables of `split_disturbance` and the side of the noise, at all
+        corners."""
         coupled = _coupled_corners(caps)
         axes = [
             np.arange(len(coupled)),
@@ -153,20 +206,13 @@ class Estimate:
             np.arange(len(self.corners)),
             *self.operation.wheel_errors.T,
             np.unique([-self.operation.sideslip, self.operation.sideslip]),
-            [-1.0, 1.0],
+            sides,
         ]
         grid = [axis.ravel() for axis in np.meshgrid(*axes, indexing="ij")]
         of_coupling, e_y, e_th, u1, of_corner, d_r, d_l, zeta, side = grid
         e_x, u2 = coupled[of_coupling.astype(int)].T
         V_r, V_l = self.corners[of_corner.astype(int)].T
-        noise = side * self.noise[:, None]
-        variables = (e_x, e_y, e_th, u1, u2, V_r, V_l, d_r, d_l, zeta, *noise)
-        parts = split_disturbance(self.kinematics, self.period, variables)
-        widths = [np.max(np.abs(coordinate)) for coordinate in parts.rest]
-        box = np.array([*(widths + self.noise[:2]), 2 * self.noise[2]])
-        least = float(min(parts.right.min(), parts.left.min()))
-        greatest = float(max(parts.right.max(), parts.left.max()))
-        return EstimatedDisturbance(float(np.max(np.abs(parts.yaw))), box, (least, greatest))
+        return [e_x, e_y, e_th, u1, u2, V_r, V_l, d_r, d_l, zeta, side]
 
     def lateral_tube(
         self, k1: float, k2: float, k3: float, w: EstimatedDisturbance
@@ -179,7 +225,7 @@ class Estimate:
             return None
         w_x, w_y, w_heading = w.box
         drift = self.greatest_h * abs(2 - T * k1) * w_x / (1 - contraction)
-        kick = np.abs(self.directions @ [self.period.lateral_per_yaw, 1.0])
+        kick = np.abs(self.directions @ [w.lateral_per_yaw, 1.0])
         steps = w.yaw * kick + np.abs(self.directions) @ [w_y + drift, w_heading]
         loops = np.array(
             [
@@ -200,7 +246,13 @@ class Estimate:
         return None
 
 
-def _read_caps(logarithms: Float[np.ndarray, " 11"]) -> Caps:
+def _speed_range(parts: Parts) -> tuple[float, float]:
+    """Return the least and the greatest commanded ground speed, m/s."""
+    least = min(parts.right.min(), parts.left.min())
+    return float(least), float(max(parts.right.max(), parts.left.max()))
+
+
+def _read_caps(logarithms: Float[np.ndarray, " n"]) -> Caps:
     values = np.exp(logarithms[:8])
     values[2] = np.deg2rad(values[2])
     return Caps(*values)

@@ -5,6 +5,7 @@ what it may use.
               R the minimal RPI set of the gains
 
 over the caps of the measured error, of the inputs, of |e_x| / a + |u2| / b <= 1, and (k1, k2, k3).
+Where pose noise takes much of the ratio, the gain of an observer is chosen with them.
 Wider caps admit a wider disturbance set W, narrower ones leave less room for it: the optimum is
 where all constraints that matter bind alike. On the way W and R are estimated
 (`synthesis.estimate`); what comes out is designed and certified as any other scenario, by rigorous
@@ -16,6 +17,7 @@ quantities.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -29,7 +31,7 @@ from jaxtube.scenario.error_box import error_vector, noise_bounds
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.advice import say_what_widens
 from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits
-from jaxtube.synthesis.estimate import ACCURACY, USUAL_TRACK_WIDTH_M, Estimate
+from jaxtube.synthesis.estimate import ACCURACY, CAPS_AND_GAINS, USUAL_TRACK_WIDTH_M, Estimate
 from jaxtube.synthesis.problem import Problem, make_problem
 
 NAMES = (
@@ -58,6 +60,15 @@ SLOWEST_GAIN = 0.5
 """Least k1, 1/s."""
 DIFFERENCE = 1e-4
 """Step of the forward differences of the constraints, in logarithms."""
+QUIET = 0.8
+"""Share of the ratio that is left without pose noise, below which an observer is tried."""
+WORTH = 0.97
+"""Share of the ratio of the measured error that an observer has to reach, to be worth it."""
+OBSERVER_RATES = (10.0, 3.0, 25.0)
+"""Rates, 1/s, at which the search for an observer's gain starts, (longitudinal, lateral,
+heading)."""
+LEAST_SHARE = 0.01
+"""Least gain of an observer that is searched."""
 MISSED = -10.0
 """Slack of every constraint where the loops have no bounded tube."""
 
@@ -75,10 +86,12 @@ def optimise(
     on_progress: Callable[[float], None] = lambda ratio: None,
     starts: Sequence[tuple[float, ...]] | None = None,
 ) -> Optimum:
-    """Find caps and tracking gains of least ratio within the limits of the scenario.
+    """Find caps and tracking gains of least ratio within the limits of the scenario, and the gain
+    of an observer where one is worth it.
 
     Args:
-        problem: its operating section and tracking gains are replaced; all else is kept.
+        problem: its operating section and tracking gains are replaced, and an observer's gain of 1;
+            all else is kept.
         on_progress: is told the best ratio after each start.
         starts: of the search, as `STARTS`; None for `search_starts`. The optimum of a problem much
             like this one saves time.
@@ -101,6 +114,13 @@ def optimise(
             best = point
             least = ratio
         on_progress(least)
+    at = best if best is not None else np.log(starts[0])
+    if _is_noisy(estimate, at):
+        point, ratio = _descend(estimate, np.append(at, _observer_start(estimate)))
+        if ratio < least * WORTH:
+            best = point
+            least = ratio
+            on_progress(least)
     if best is None:
         widened = _with_values(problem.scenario, np.log(starts[0]))
         raise ValueError(
@@ -115,6 +135,25 @@ def optimise(
         estimate = estimate.with_less_speed(excess * (1 + ACCURACY))
         best, least = _descend(estimate, best)
     return Optimum(_with_values(problem.scenario, best), float(least))
+
+
+def _is_noisy(estimate: Estimate, point: Float[np.ndarray, " n"]) -> bool:
+    """Whether pose noise takes so much of the tube that an observer may be worth it, which the
+    scenario does not give."""
+    if estimate.problem.scenario.controller.has_observer or not estimate.noise.any():
+        return False
+    quiet = copy.copy(estimate)
+    quiet.noise = np.zeros(3)
+    shares = estimate.shares(point)
+    without_noise = quiet.shares(point)
+    if shares is None or without_noise is None:
+        return True
+    return bool(without_noise.caps.max() < QUIET * shares.caps.max())
+
+
+def _observer_start(estimate: Estimate) -> Float[np.ndarray, "3"]:
+    """Return where the search for an observer's gain starts, in logarithms."""
+    return np.log(-np.expm1(-np.array(OBSERVER_RATES) * estimate.period.dt))
 
 
 def search_starts(problem: Problem) -> list[tuple[float, ...]]:
@@ -162,18 +201,20 @@ def _refuse_other_kinds(scenario: Scenario) -> None:
 
 
 def _descend(
-    estimate: Estimate, start: Float[np.ndarray, " 11"]
-) -> tuple[Float[np.ndarray, " 11"], float]:
+    estimate: Estimate, start: Float[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " n"], float]:
     """Run the nonlinear program from one start; return (logarithms, ratio), ratio infinite where
     limits are missed."""
     fastest_gain = np.log(0.999 / estimate.period.dt)
-    start = np.minimum(start, [np.inf] * 8 + [fastest_gain] * 3)
+    observed = len(start) - CAPS_AND_GAINS
+    start = np.minimum(start, [np.inf] * 8 + [fastest_gain] * 3 + [0.0] * observed)
     first = estimate.shares(start)
     if first is None:
         return start, np.inf
     caps = len(first.caps)
     slack = partial(_compute_slack, estimate, caps, caps + len(first.limits))
     bounds = [(value - REACH, value + REACH) for value in start] + [(-5.0, 5.0)]
+    bounds[CAPS_AND_GAINS:-1] = [(np.log(LEAST_SHARE), 0.0)] * observed
     bounds[8] = (np.log(SLOWEST_GAIN), fastest_gain)
     answer = minimize(
         lambda point: point[-1],
@@ -192,7 +233,7 @@ def _descend(
 
 
 def _compute_slack(
-    estimate: Estimate, caps: int, rows: int, point: Float[np.ndarray, " 12"]
+    estimate: Estimate, caps: int, rows: int, point: Float[np.ndarray, " n+1"]
 ) -> Float[np.ndarray, " rows"]:
     """Return the slack of `caps` caps under the ratio, whose logarithm is the last entry of the
     point, and of the limits, in logarithms."""
@@ -218,11 +259,14 @@ def _differentiate(
     return np.stack(columns, axis=1)
 
 
-def _with_values(scenario: Scenario, logarithms: Float[np.ndarray, " 11"]) -> Scenario:
+def _with_values(scenario: Scenario, logarithms: Float[np.ndarray, " n"]) -> Scenario:
     """Return the scenario with these caps and gains, rounded to what one would write."""
     values = np.exp(logarithms)
     limits = error_vector(scenario.constraints) - noise_bounds(scenario)
     limits[2] = np.rad2deg(limits[2])
+    observer_gain = scenario.controller.observer_gain
+    if len(logarithms) > CAPS_AND_GAINS:
+        observer_gain = tuple(_round_down(min(value, 1.0)) for value in values[CAPS_AND_GAINS:])
     values[:3] = np.minimum(values[:3], limits)
     values[3] *= -1
     rounded = [_round_down(value) for value in values]
@@ -230,7 +274,9 @@ def _with_values(scenario: Scenario, logarithms: Float[np.ndarray, " 11"]) -> Sc
     return msgspec.structs.replace(
         scenario,
         operating=msgspec.structs.replace(scenario.operating, **caps),
-        controller=msgspec.structs.replace(scenario.controller, tracking_gains=tuple(rounded[8:])),
+        controller=msgspec.structs.replace(
+            scenario.controller, tracking_gains=tuple(rounded[8:11]), observer_gain=observer_gain
+        ),
     )
 
 

@@ -1,8 +1,8 @@
 """From a scenario to the data of a control problem: reference, model, weights, and the sets E, U
 and W.
 
-    E: |e_x|, |e_y|, |e_th| bounded, for the true error; the controller keeps the measured one in
-        `operating_set`
+    E: |e_x|, |e_y|, |e_th| bounded, for the true error; the controller keeps the measured one, or
+        its estimate, in `operating_set`
     U: what the caps or the wheel limits leave of the inputs (`synthesis.limits`)
     W: a box that is assumed, or a bound computed for the slipping robot over all of these
         (`synthesis.disturbance`)
@@ -48,6 +48,8 @@ class Problem:
     `regions` are boxes of wheel speeds, lower and upper (right, left) in m/s, over whose union sets
     and certificate hold under arbitrary changes: the box of the reference, or the points that occur
     on its path. `disturbance_bound` is what W was computed from, None where W is assumed.
+    `estimate_error` bounds the error of what the controller acts on, half widths (m, m, rad): the
+    noise, or S of the estimate (`synthesis.disturbance: complete_problem`).
     """
 
     scenario: Scenario
@@ -64,6 +66,7 @@ class Problem:
     disturbance_set: Polytope
     initial_error: Float[np.ndarray, "3"]
     regions: Float[np.ndarray, "m 2 2"]
+    estimate_error: Float[np.ndarray, "3"]
     disturbance_bound: DisturbanceBound | None = None
 
     @property
@@ -95,8 +98,8 @@ def region_corners(regions: Float[np.ndarray, "... 2 2"]) -> Float[np.ndarray, "
 
 
 def make_problem(scenario: Scenario) -> Problem:
-    """Build the problem of a scenario, with the disturbance set it assumes (`synthesis.disturbance`
-    computes one).
+    """Build the problem of a scenario, with the disturbance set it assumes and, for the error of
+    what the controller acts on, the noise (`synthesis.disturbance` computes both).
 
     Raises:
         ScenarioError: one line, where the reference leaves its box, the wheel limits leave no
@@ -142,6 +145,7 @@ def make_problem(scenario: Scenario) -> Problem:
         disturbance_set=Polytope.box(-disturbance, disturbance),
         initial_error=_initial_error(scenario),
         regions=_make_regions(scenario, reference, box),
+        estimate_error=noise,
     )
 
 

@@ -27,6 +27,7 @@ from jaxtyping import Float, Key
 from jaxtube.control.laws import TubeMpc
 from jaxtube.control.mpc import AnyArray
 from jaxtube.control.protocol import Controller, WheelMap
+from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation.usage import play
@@ -41,7 +42,7 @@ STEEPNESS = 1e2
 class LapInputs(NamedTuple):
     """What laps run under: the robot, and a key and a start for each lap."""
 
-    plant: SlippingRobot
+    plant: SlippingRobot | EstimatingRobot[SlippingRobot]
     keys: Key[Array, " laps"]
     starts: Float[Array, "laps 3"]  # tracking errors (m, m, rad)
 
@@ -116,12 +117,13 @@ def measure_laps(
     """Run laps of a controller and reduce each to what counts; differentiable."""
     plant = lap_inputs.plant
     seen = play(controller, plant, lap_inputs.keys, lap_inputs.starts)
-    idle = plant.reference_wheels / (1.0 - plant.slips.nominal)
+    robot = plant.plant if isinstance(plant, EstimatingRobot) else plant
+    idle = robot.reference_wheels / (1.0 - robot.slips.nominal)
     effort = jnp.sum((seen["wheels"] - idle[:, None]) ** 2, axis=2) / 2.0
     first = aim.settled - 1  # what is seen first comes after a period
     errors = jnp.mean(seen["error"][first:] ** 2, axis=0)
     error_share = jnp.abs(seen["error"]) / limits.widths
-    wheel_share = seen["wheels"] / plant.robot.wheel_speed_max
+    wheel_share = seen["wheels"] / robot.robot.wheel_speed_max
     error_excess = jnp.maximum(error_share - aim.margin, 0.0)
     wheel_excess = jnp.maximum(wheel_share - aim.margin, 0.0)
     excess = jnp.sum(error_excess**2, axis=2) + jnp.sum(wheel_excess**2, axis=2)

@@ -18,6 +18,7 @@ from jaxtyping import Float, Key
 
 from jaxtube.control.laws import TubeMpc
 from jaxtube.control.protocol import Controller
+from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.reference import settled_step
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario.refusal import ScenarioError
@@ -90,7 +91,7 @@ class Tuner:
     """Values, gradients and judgements of points of one scenario."""
 
     problem: Problem
-    plant: SlippingRobot
+    plant: SlippingRobot | EstimatingRobot[SlippingRobot]
     parameters: Parameters
     aim: Aim
     laps: int = 128

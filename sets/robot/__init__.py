@@ -3,6 +3,7 @@ re-checked exactly.
 
     plant         the disturbance that the sampled robot adds to its model, split by cause
     disturbance   W, which holds every disturbance over an operating set
+    observer      S, which holds every error of an estimate that filters the measured error
     exact_tube    loops under decoupled gains and tubes along a schedule, in rational arithmetic
 """
 
@@ -24,6 +25,7 @@ from sets.robot.exact_tube import (
     schedule_box,
     sequence_margins,
 )
+from sets.robot.observer import bound_next_error, find_estimate_error
 from sets.robot.plant import Kinematics, Parts, Period, plane_rows, split_disturbance
 
 __all__ = [
@@ -34,12 +36,14 @@ __all__ = [
     "Period",
     "ScheduleBox",
     "UsedOffsets",
+    "bound_next_error",
     "disturbance_bound",
     "disturbance_parts",
     "evaluate_disturbance",
     "exact_vertex_feedbacks",
     "exact_vertex_loops",
     "exact_wheel_loops",
+    "find_estimate_error",
     "plane_rows",
     "schedule_box",
     "sequence_margins",

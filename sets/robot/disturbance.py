@@ -9,6 +9,16 @@ sigma also moves the robot sideways by g_y sigma, g_y = T V / 2 at the centre of
 is why W is a segment plus a box and not a larger box. The bounds are proved by interval arithmetic
 rounded outwards, and come with the largest values found.
 
+A controller may act on an estimate p of the error in the place of e_m (`sets.robot.observer`),
+which takes over the share L = diag(l_x, l_y, l_th) of what it did not predict. With n = p - e,
+|n| <= S, and the noise n+ of the next measurement, |n+| <= nu,
+
+    w = p+ - A p - B u
+      = bilinear + sine + sampling + L (kappa (0, g_y, 1) + slip + sideslip + noise + n+)
+
+where `noise` is that of n, in heading -n_th. The kick runs along (0, l_y g_y, l_th): g_y becomes
+g_y l_y / l_th, and the yaw kick l_th times itself. L = I, S = nu is the measured error itself.
+
 Notation and the parts of w: `sets.robot.plant`. Source: the idea of a computed W follows Gonzalez,
 Fiacchini, Guzman, Alamo 2009, section III, where W is given; the bound itself is new.
 """
@@ -16,6 +26,7 @@ Fiacchini, Guzman, Alamo 2009, section III, where W is given; the bound itself i
 from __future__ import annotations
 
 from dataclasses import dataclass
+from fractions import Fraction
 from itertools import chain, pairwise
 from typing import NamedTuple
 
@@ -62,6 +73,10 @@ class Operation:
         lever_arm: r of the lateral velocity -r w, m.
         coupling: (a m, b rad/s) where |longitudinal error| / a + |yaw rate deficit| / b <= 1 holds
             as well, else None.
+        gain: L, the share of its innovation that an estimate of the error takes over, in (0, 1];
+            1 is the measured error itself.
+        estimate_error: S, the largest error of the estimate (m, m, rad), `errors` being the
+            estimated ones; None for `noise`.
     """
 
     errors: Float[np.ndarray, "2 3"]
@@ -74,8 +89,12 @@ class Operation:
     sideslip: float = 0.0
     lever_arm: float = 0.0
     coupling: tuple[float, float] | None = None
+    gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    estimate_error: Float[np.ndarray, "3"] | None = None
 
     def __post_init__(self):
+        if self.estimate_error is None:
+            object.__setattr__(self, "estimate_error", self.noise)
         boxes = len(np.atleast_1d(self.schedules))
         shapes = {
             "errors": (2, 3),
@@ -83,6 +102,7 @@ class Operation:
             "schedules": (boxes, 2, 2),
             "wheel_errors": (2, 2),
             "noise": (3,),
+            "estimate_error": (3,),
         }
         for name, shape in shapes.items():
             value = np.array(getattr(self, name), dtype=float)
@@ -113,6 +133,8 @@ class Operation:
             )
         if not np.isfinite(self.lever_arm):
             raise ValueError(f"lever_arm: {self.lever_arm} is not finite; give m")
+        if len(self.gain) != 3 or not all(0 < share <= 1 for share in self.gain):
+            raise ValueError(f"gain: {self.gain} is not three numbers in (0, 1]; give such shares")
         if self.coupling is None:
             return
         lower, upper = self.errors[:, 0]
@@ -130,9 +152,16 @@ class Operation:
         return Period(self.dt, self.track_width, lateral_per_yaw, self.lever_arm)
 
     @property
+    def kick_per_yaw(self) -> float:
+        """How far a yaw kick moves the estimate sideways, by how far it turns it, m/rad."""
+        _, of_y, of_heading = self.gain
+        return self.period.lateral_per_yaw * (of_y / of_heading)
+
+    @property
     def box(self) -> Float[np.ndarray, "2 13"]:
         """Ends of the thirteen variables of `split_disturbance`, the coupling left aside."""
-        magnitudes = np.concatenate([[self.sideslip], self.noise])
+        assert self.estimate_error is not None
+        magnitudes = np.concatenate([[self.sideslip], self.estimate_error])
         symmetric = np.stack([-magnitudes, magnitudes])
         schedule = np.stack([self.schedules[:, 0].min(axis=0), self.schedules[:, 1].max(axis=0)])
         return np.hstack([self.errors, self.inputs, schedule, self.wheel_errors, symmetric])
@@ -309,26 +338,49 @@ def disturbance_bound(
 
     def outputs(piece):
         parts = split_disturbance(kinematics, period, operation.variables(piece))
-        return parts.yaw, *parts.rest, parts.right, parts.left
+        return parts.yaw, *parts.rest_under(operation.gain[:2]), parts.right, parts.left
 
     lower, upper = operation.pieces()
     both_signs = [(output, sign, output) for output in (0, 1, 2) for sign in (1, -1)]
     ends = [(3, -1, 3), (4, -1, 4), (3, 1, 5), (4, 1, 6)]
     proved, found = suprema(outputs, lower, upper, both_signs + ends, tolerance)
+    box = _add_measurement(operation, proved[1:3])
+    if min(operation.gain) < 1:
+        box[1] += _kick_rounding(operation, float(proved[0]))
+        box = _round_up(box)
     return DisturbanceBound(
-        yaw=float(proved[0]),
-        lateral_per_yaw=period.lateral_per_yaw,
-        box=np.nextafter(_add_next_noise(operation, proved[1:3]), np.inf),
+        yaw=_share_of_kick(operation, float(proved[0])),
+        lateral_per_yaw=operation.kick_per_yaw,
+        box=np.nextafter(box, np.inf),
         ground_speeds=np.array([-proved[3:5], proved[5:7]]),
-        found_yaw=float(found[0]),
-        found_box=_add_next_noise(operation, found[1:3]),
+        found_yaw=float(operation.gain[2] * found[0]),
+        found_box=_add_measurement(operation, found[1:3]),
     )
 
 
-def _add_next_noise(operation: Operation, plane: Float[np.ndarray, "2"]) -> Float[np.ndarray, "3"]:
-    """Return the half widths of the box: noise enters the plane once, the heading twice."""
-    x, y, heading = operation.noise
-    return np.array([plane[0] + x, plane[1] + y, 2 * heading])
+def _share_of_kick(operation: Operation, yaw: float) -> float:
+    """Return how far a yaw kick turns the estimate, rad, rounded up; all of it turns what is
+    measured."""
+    share = operation.gain[2]
+    return yaw if share == 1 else float(np.nextafter(share * yaw, np.inf))
+
+
+def _kick_rounding(operation: Operation, yaw: float) -> float:
+    """Return by how much a kick leaves the direction of W's segment sideways, m, for that direction
+    is a rounded one."""
+    _, of_y, of_heading = map(Fraction, operation.gain)
+    exact = of_y * Fraction(operation.period.lateral_per_yaw)
+    gap = abs(exact - of_heading * Fraction(operation.kick_per_yaw))
+    return float(np.nextafter(float(gap), np.inf)) * yaw
+
+
+def _add_measurement(operation: Operation, plane: Float[np.ndarray, "2"]) -> Float[np.ndarray, "3"]:
+    """Return the half widths of the box: the next measurement's noise enters everywhere, in heading
+    beside the error of the present estimate."""
+    assert operation.estimate_error is not None
+    x, y, heading = operation.gain * operation.noise
+    turned = operation.gain[2] * operation.estimate_error[2]
+    return np.array([plane[0] + x, plane[1] + y, turned + heading])
 
 
 def disturbance_parts(
@@ -355,6 +407,8 @@ def disturbance_parts(
         * "noise": the acting step from the true instead of the measured error, and the next
           measurement.
 
+        Of the last three an estimate takes over its gain times as much.
+
     Raises:
         ValueError: as `disturbance_bound`.
     """
@@ -363,6 +417,7 @@ def disturbance_parts(
     def outputs(piece):
         parts: Parts = split_disturbance(kinematics, period, operation.variables(piece))
         vectors = [getattr(parts, cause) for cause in CAUSES]
+        vectors[3:] = [vector.stretched(operation.gain[:2]) for vector in vectors[3:]]
         return parts.yaw, *chain.from_iterable(vectors)
 
     lower, upper = operation.pieces()
@@ -375,8 +430,8 @@ def disturbance_parts(
     widths = {}
     for cause, half_widths in zip(CAUSES, np.reshape(plane, (-1, 2)), strict=True):
         widths[cause] = np.array([0.0, *half_widths, 0.0])
-    widths["slip"][0] = yaw
-    widths["noise"][1:] += [*operation.noise[:2], 2 * operation.noise[2]]
+    widths["slip"][0] = _share_of_kick(operation, float(yaw))
+    widths["noise"][1:] += _add_measurement(operation, np.zeros(2))
     return widths
 
 
@@ -391,7 +446,7 @@ def evaluate_disturbance(
     """Evaluate disturbances, as the bounds do.
 
     Args:
-        operation: gives dt, track width and g_y; its boxes are not consulted.
+        operation: gives dt, track width, g_y and gain; its boxes are not consulted.
         kinematics: input map and model.
         points: the thirteen variables of `split_disturbance`.
         next_noise: noise of the measurement after the period (m, m, rad).
@@ -400,8 +455,10 @@ def evaluate_disturbance(
         w (m, m, rad), yaw kicks, rad, and commanded ground speeds (right, left), m/s; exact up to
         rounding.
     """
+    _, of_y, of_heading = operation.gain
     parts = split_disturbance(kinematics, operation.period, points.T)
-    lateral = parts.rest.y + operation.period.lateral_per_yaw * parts.yaw
-    heading = parts.yaw - points[:, -1]
-    w = np.stack([parts.rest.x, lateral, heading], axis=-1) + next_noise
+    rest = parts.rest_under(operation.gain[:2])
+    lateral = rest.y + of_y * operation.period.lateral_per_yaw * parts.yaw
+    heading = of_heading * (parts.yaw - points[:, -1])
+    w = np.stack([rest.x, lateral, heading], axis=-1) + operation.gain * next_noise
     return w, parts.yaw, np.stack([parts.right, parts.left], axis=-1)

@@ -110,6 +110,14 @@ class Vector(NamedTuple):
         """Return the vector times a number."""
         return Vector(self.x * factor, self.y * factor)
 
+    def stretched(self, factors: Sequence[float]) -> Vector:
+        """Return the vector with each coordinate times its own number; factors of 1 leave it as it
+        is, to the last bit."""
+        of_x, of_y = factors
+        x = self.x if of_x == 1 else self.x * of_x
+        y = self.y if of_y == 1 else self.y * of_y
+        return Vector(x, y)
+
     def turned(self, angle) -> Vector:
         """Return the vector turned to the left, rad."""
         c = cos(angle)
@@ -137,8 +145,23 @@ class Parts(NamedTuple):
     @property
     def rest(self) -> Vector:
         """The parts of w beside the yaw kick and the noise of the next measurement."""
+        return self.rest_under((1.0, 1.0))
+
+    def rest_under(self, gain: Sequence[float]) -> Vector:
+        """Return the same where an estimate takes over a share of what it did not predict.
+
+        Args:
+            gain: share (longitudinal, lateral) of slip, sideslip and noise.
+        """
         model = self.bilinear.plus(self.sine).plus(self.sampling)
-        return model.plus(self.slip).plus(self.sideslip).plus(self.noise)
+        sliding = model.plus(self.slip.stretched(gain)).plus(self.sideslip.stretched(gain))
+        return sliding.plus(self.noise.stretched(gain))
+
+    @property
+    def unpredicted(self) -> Vector:
+        """What the plant without slip, sideslip and noise does not predict of the next true error,
+        beside the yaw kick."""
+        return self.slip.plus(self.sideslip).plus(self.noise)
 
 
 def split_disturbance(kinematics: Kinematics, period: Period, variables: Iterable) -> Parts:

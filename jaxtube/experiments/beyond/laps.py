@@ -15,6 +15,7 @@ from jaxtube import qp
 from jaxtube.control.laws import TubeMpc
 from jaxtube.coordinates import NAMES
 from jaxtube.plant.imperfect import Imperfections, ImperfectRobot, shifted_preview
+from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
@@ -73,7 +74,7 @@ class ImperfectLaps:
         self.seed = seed
         self.starts = np.tile(design.problem.initial_error, (realisations, 1))
         self.controller = components.make_tube_mpc(design)
-        self.ideal = [components.slipping_robot(design, process) for process in TEST_PROCESSES]
+        self.ideal = [components.bare_robot(design.problem, process) for process in TEST_PROCESSES]
 
     def at(
         self, name: str, on_progress: Callable[[], object] = lambda: None
@@ -107,11 +108,12 @@ class ImperfectLaps:
         controller = dataclasses.replace(self.controller, index=index)
         by_process = []
         for ideal in self.ideal:
-            trajectory = self._simulate(controller, ImperfectRobot(ideal, level))
+            robot = components.with_estimate(self.design.problem, ImperfectRobot(ideal, level))
+            trajectory = self._simulate(controller, robot)
             by_process.append(lap_usage(self.design, trajectory))
         return LapUsage(*map(np.array, zip(*by_process, strict=True)))
 
-    def _simulate(self, controller: TubeMpc, plant: ImperfectRobot) -> Trajectory:
+    def _simulate(self, controller: TubeMpc, plant: Plant) -> Trajectory:
         if len(self.starts) >= batches.BATCH:
             return batches.run_realisations(controller, plant, self.starts, self.seed)
         # Without the padding of a block: a quick look stays quick.

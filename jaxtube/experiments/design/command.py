@@ -135,6 +135,8 @@ def scenario_lines(best: Optimum) -> str:
     lines += [f"{name} = {cap}" for name, cap in caps.items() if isinstance(cap, float)]
     gains = list(best.scenario.controller.tracking_gains)
     lines += ["", "[controller]", f"tracking_gains = {gains}"]
+    if best.scenario.controller.has_observer:
+        lines.append(f"observer_gain = {list(best.scenario.controller.observer_gain)}")
     return "\n".join(lines)
 
 

@@ -146,10 +146,11 @@ def make_tasks(design: Design, seed: int) -> tuple[dict[Law, Task], str]:
         limited = apply_law(design, laws[0])
         task, why = _make_task(limited, laws[0].starts, seed)
         # The name of a process is part of a program: it is one name for all.
-        ideal = components.slipping_robot(limited, PROCESSES[0])
+        ideal = components.bare_robot(limited.problem, PROCESSES[0])
         for law in laws:
             number = jnp.asarray(PROCESSES.index(law.process), jnp.int32)
-            tasks[law] = dataclasses.replace(task, plant=AnySlipRobot(ideal, number))
+            robot = components.with_estimate(limited.problem, AnySlipRobot(ideal, number))
+            tasks[law] = dataclasses.replace(task, plant=robot)
     return tasks, why
 
 

@@ -135,7 +135,7 @@ def _describe_ultimate_bound(summary: dict) -> str:
     bound = ", ".join(f"{value:.3g}" for value in summary["ultimate_bound"].values())
     units = ", ".join(coordinate.unit for coordinate in COORDINATES)
     return (
-        f"  ultimate bound ({bound}; {units}): holds the measured error from "
+        f"  ultimate bound ({bound}; {units}): holds the error that the controller sees from "
         f"{summary['settled_s']:.3g} s on\n"
         "  while w is in W and no constraint of the plan is active"
     )
@@ -154,8 +154,8 @@ def _tube_table(summary: dict) -> str:
     is_promised = cost["promised_by_the_certificate"]
     promise = "promises more" if is_promised else "makes no promise for this design"
     lines = [
-        f"{summary['plans']:,} plans from the measured error, followed to their end; share of them "
-        f"outside R_j of the tube `{tube['used']}`",
+        f"{summary['plans']:,} plans from the error that the controller sees, followed to their "
+        f"end; share of them outside R_j of the tube `{tube['used']}`",
         format_table(columns, rows, WIDTH),
         "largest excess over a facet, all stages (m or rad; negative: inside):",
         f"  {largest}",

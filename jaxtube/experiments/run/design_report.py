@@ -11,6 +11,7 @@ from jaxtube.synthesis.advice import say_what_helps, say_what_proves_w
 from jaxtube.synthesis.certificate.robot import PREMISE
 from jaxtube.synthesis.disturbance import kinematics, operation
 from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.problem import Problem
 from sets.certificate import MARGINS
 from sets.robot.disturbance import disturbance_parts
 
@@ -37,7 +38,8 @@ def report(design: Design, ultimate: dict | None = None) -> str:
     """
     settings = design.problem.scenario.controller
     certificate = design.certificate
-    lines = [*_verdict_lines(design), "", *_weight_lines(design), *_gain_lines(design), ""]
+    lines = [*_verdict_lines(design), "", *_weight_lines(design), *_gain_lines(design)]
+    lines += [*_observer_lines(design.problem), ""]
     lines += [*_tube_lines(design), "", *_disturbance_lines(design), *_terminal_lines(design)]
     lines += ["", describe_error_set(design.problem)]
     lines += ["", f"certificate (terminal {settings.terminal}, tube {settings.tube})"]
@@ -71,9 +73,9 @@ def _verdict_lines(design: Design) -> list[str]:
 def _ultimate_lines(ultimate: dict) -> list[str]:
     x, y, heading = ultimate.values()
     return wrap(
-        "once in the terminal set, the law u = K e of the tube, without the MPC, brings what is "
-        f"measured within {x:.4f} m, {y:.4f} m, {heading:.2f} deg; the MPC itself goes further, "
-        "and no such bound is given for it"
+        "once in the terminal set, the law u = K e of the tube, without the MPC, brings the error "
+        f"that the controller sees within {x:.4f} m, {y:.4f} m, {heading:.2f} deg; the MPC itself "
+        "goes further, and no such bound is given for it"
     )
 
 
@@ -95,6 +97,20 @@ def _gain_lines(design: Design) -> list[str]:
         terminal = _matrix(design.terminal.gains.nominal)
         lines.append(f"{'terminal gain':<{LABEL}}{terminal} at the centre")
     return lines
+
+
+def _observer_lines(problem: Problem) -> list[str]:
+    """Return the gain of the observer and the set S of its error, nothing without one."""
+    if not problem.scenario.controller.has_observer:
+        return []
+    x, y, heading = problem.scenario.controller.observer_gain
+    size = problem.estimate_error * [1e3, 1e3, np.rad2deg(1.0)]
+    return wrap(
+        f"{'observer gain':<{LABEL}}{x:g} e_x, {y:g} e_y, {heading:g} e_th of what the measurement "
+        f"differs from the prediction; its estimate is off by at most {size[0]:.3g} mm, "
+        f"{size[1]:.3g} mm, {size[2]:.3g} deg",
+        " " * LABEL,
+    )
 
 
 def _matrix(matrix: np.ndarray) -> str:
@@ -145,8 +161,20 @@ def _disturbance_lines(design: Design) -> list[str]:
             "  ",
         ),
         *wrap(f"  {LEGEND}", "  "),
+        *_observed_lines(design.problem),
         "",
     ]
+
+
+def _observed_lines(problem: Problem) -> list[str]:
+    """Return what an observer makes of the causes of W, nothing without one."""
+    if not problem.scenario.controller.has_observer:
+        return []
+    return wrap(
+        "  Of slip, sideslip and noise the observer takes over its gain at once, the rest later: "
+        "noise is its share of the next measurement's and of what its estimate is off by.",
+        "  ",
+    )
 
 
 def _terminal_lines(design: Design) -> list[str]:

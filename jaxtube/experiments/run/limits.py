@@ -17,5 +17,8 @@ def describe_error_set(problem: Problem) -> str:
     if np.allclose(limits, constraints, rtol=1e-9, atol=0.0):
         return words
     has_noise = np.any(limits > problem.operating_set.support(np.eye(3)))
-    source = "caps and pose noise" if has_noise else "caps"
+    source = "caps"
+    if has_noise:
+        has_observer = problem.scenario.controller.has_observer
+        source = "caps and the error of the estimate" if has_observer else "caps and pose noise"
     return f"{words}\n  {source}; [constraints] are {describe_half_widths(constraints)}"

@@ -66,6 +66,7 @@ def _computed(design: Design) -> dict:
             "found_share": [bound.found_yaw / bound.yaw, *box_shares],
             "ground_speed_range_mps": [slowest.min(), fastest.max()],
         },
+        "estimate_error": by_coordinate(design.problem.estimate_error * TO_DISPLAY),
         "cap_shares": cap_shares(design.problem, design.terminal.gains),
         "ultimate_bound": _ultimate(design),
     }

@@ -119,7 +119,7 @@ def _restrict_to_tube(
     smaller = replace(
         problem,
         operating_set=Polytope.box(-widths, widths),
-        error_set=Polytope.box(-widths - problem.noise, widths + problem.noise),
+        error_set=Polytope.box(-widths - problem.estimate_error, widths + problem.estimate_error),
         input_set=input_set,
         input_rows=make_input_rows(problem.scenario, input_set),
     )

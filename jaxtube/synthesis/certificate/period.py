@@ -9,13 +9,18 @@ from position z and heading phi ends at
 and has the tracking error  e^{-i phi} (z_ref - z), phi_ref - phi.  Wheels are commanded by the
 measured slip, and grip by the true one. w = e+ - A e - B u is what this leaves of the model.
 
+A controller may act on an estimate p = e + n in the place of the measured error: it predicts p-,
+the error of a robot that stands at p and grips as the measured slip says, and takes over the share
+L of what that misses. Then w = p- + L (e+ - p-) - A p - B u, and n becomes (I - L) (p- - e+), what
+the next measurement adds left out of both.
+
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(8).
 """
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -35,7 +40,7 @@ each."""
 class PeriodCases:
     """What a period depends on, one row a case: measured errors (m, m, rad), inputs (m/s,
     rad/s), reference wheel speeds (right, left) in m/s, true and measured slips, the sideslip zeta,
-    noise of the error that was measured."""
+    noise of the error that was measured, or how far the estimated one is off."""
 
     errors: Float[np.ndarray, "n 3"]
     inputs: Float[np.ndarray, "n 2"]
@@ -54,7 +59,27 @@ def find_disturbances(problem: Problem) -> Float[np.ndarray, "n 3"]:
     transitions, inputs = problem.model.matrices(cases.wheels)
     predicted = np.einsum("nij,nj->ni", transitions, cases.errors)
     predicted += np.einsum("nij,nj->ni", inputs, cases.inputs)
-    return next_errors(problem, cases) - predicted
+    return next_estimates(problem, cases) - predicted
+
+
+def find_estimate_errors(problem: Problem) -> Float[np.ndarray, "n 3"]:
+    """Return how far estimates (m, m, rad) can be off at the end of the same periods, the noise of
+    the next measurement left out."""
+    cases = extreme_cases(problem)
+    return next_estimates(problem, cases) - next_errors(problem, cases)
+
+
+def next_estimates(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"]:
+    """Return the estimated errors a period later, of an exact measurement, (m, m, rad); the true
+    errors where the controller acts on the measured ones."""
+    true = next_errors(problem, cases)
+    settings = problem.scenario.controller
+    if not settings.has_observer:
+        return true
+    unmoved = np.zeros_like(cases.noise)
+    known = replace(cases, slip=cases.measured_slip, sideslip=unmoved[:, 0], noise=unmoved)
+    predicted = _end_errors(problem, known, lever_arm=0.0)
+    return predicted + settings.observer_gain * (true - predicted)
 
 
 def find_wheel_commands(problem: Problem) -> Float[np.ndarray, "n 2"]:
@@ -75,7 +100,8 @@ def extreme_cases(problem: Problem) -> PeriodCases:
     slips = slip_bounds(problem.scenario.slip)
     slip_pairs = slips.extremes() if problem.scenario.slip.has_intervals else _pair_slips(slips)
     sideslips = np.unique(problem.scenario.slip.sideslip * np.array([-1.0, 1.0]))
-    noise = _extreme_noise(problem)
+    has_observer = problem.scenario.controller.has_observer
+    noise = _extreme_estimate_errors(problem) if has_observer else _extreme_noise(problem)
     error, asked = np.indices((len(errors), len(inputs))).reshape(2, -1)
     inputs = inputs[asked]
     errors = _meet_coupling(problem, errors[error], inputs)
@@ -90,8 +116,13 @@ def extreme_cases(problem: Problem) -> PeriodCases:
         slip=true,
         measured_slip=measured,
         sideslip=sideslips[sideslip],
-        noise=_in_robot_frame(problem, noise[shift], errors),
+        noise=noise[shift] if has_observer else _in_robot_frame(problem, noise[shift], errors),
     )
+
+
+def _extreme_estimate_errors(problem: Problem) -> Float[np.ndarray, "k 3"]:
+    """Return corners of S, the errors that an estimate may have, (m, m, rad)."""
+    return np.unique(problem.estimate_error * list(itertools.product((-1, 1), repeat=3)), axis=0)
 
 
 def _extreme_noise(problem: Problem) -> Float[np.ndarray, "k 3"]:
@@ -119,7 +150,8 @@ def _in_robot_frame(
 
 def noise_reach(problem: Problem, normals: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, " k"]:
     """Return how far the noise of the next measurement may take w along each normal."""
-    return np.max(_extreme_noise(problem) @ normals.T, axis=0)
+    taken_over = problem.scenario.controller.observer_gain * _extreme_noise(problem)
+    return np.max(taken_over @ normals.T, axis=0)
 
 
 def _meet_coupling(
@@ -146,6 +178,11 @@ def _pair_slips(slips: SlipBounds) -> Float[np.ndarray, "k 2 2"]:
 
 def next_errors(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"]:
     """Return the true errors a period later, (m, m, rad)."""
+    return _end_errors(problem, cases, problem.robot.lever_arm)
+
+
+def _end_errors(problem: Problem, cases: PeriodCases, lever_arm: float) -> Float[np.ndarray, "n 3"]:
+    """Return the errors, (m, m, rad), of robots with a lever arm, m, a period later."""
     T = problem.model.dt
     b = problem.model.track_width
     reference_speed = cases.wheels.mean(axis=1)
@@ -158,7 +195,7 @@ def next_errors(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"
     reference_step = _step(reference_speed, reference_turn, np.zeros_like(heading), T)
     speed = (right + left) / 2
     turn = (right - left) / b
-    sideways = cases.sideslip * speed - problem.robot.lever_arm * turn
+    sideways = cases.sideslip * speed - lever_arm * turn
     place = place + _step(speed, turn, heading, T) + 1j * _step(sideways, turn, heading, T)
     heading = heading + T * turn
     offset = np.exp(-1j * heading) * (reference_step - place)

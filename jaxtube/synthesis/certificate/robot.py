@@ -14,10 +14,11 @@ from jaxtube.scenario.tree import Slip
 from jaxtube.synthesis.certificate.period import (
     extreme_cases,
     find_disturbances,
+    find_estimate_errors,
     find_wheel_commands,
     noise_reach,
 )
-from jaxtube.synthesis.disturbance import ground_speed_limits, prove_bound
+from jaxtube.synthesis.disturbance import ground_speed_limits, prove_bound, prove_next_error
 from jaxtube.synthesis.problem import Problem
 from sets.certificate import ROUNDING, Condition, judge
 from sets.robot.disturbance import DisturbanceBound
@@ -29,23 +30,56 @@ PREMISE = "disturbance_bound_proved"
 def check_robot(problem: Problem) -> Iterator[Condition]:
     """Yield the conditions that make a guarantee for the linear model one for the robot."""
     yield check_true_error(problem)
+    if problem.scenario.controller.has_observer:
+        yield check_estimate_error(problem)
     yield check_disturbance_set(problem)
     if not _is_limited_by_wheels(problem):
         yield _check_wheels(problem)
 
 
 def check_true_error(problem: Problem) -> Condition:
-    """Check that the caps and the pose noise together lie in the error constraints."""
-    rooms = error_vector(problem.scenario.constraints) - problem.error_set.support(np.eye(3))
+    """Check that the caps and the pose noise, or the error of the estimate, together lie in the
+    error constraints."""
+    limits = problem.operating_set.support(np.eye(3)) + problem.estimate_error
+    promised = np.maximum(limits, problem.error_set.support(np.eye(3)))
+    rooms = error_vector(problem.scenario.constraints) - promised
     worst = int(np.argmin(rooms))
     room = float(rooms[worst])
+    kept = "measured error and the pose noise"
+    added = "pose noise"
+    if problem.scenario.controller.has_observer:
+        kept = "estimated error and the error of the estimate"
+        added = "error of the estimate"
     return judge(
         "true_error_in_e",
         room + ROUNDING,
-        "What the controller keeps of the measured error and the pose noise together lie in the "
-        "error constraints.",
-        f"With the pose noise the true {COORDINATES[worst].name} error may pass its constraint by "
+        f"What the controller keeps of the {kept} together lie in the error constraints.",
+        f"With the {added} the true {COORDINATES[worst].name} error may pass its constraint by "
         f"{_say_size(worst, -room)}.",
+        "robot",
+    )
+
+
+def check_estimate_error(problem: Problem) -> Condition:
+    """Check that the error of the estimate stays in its set S: an error that is possible from
+    within S can refute it, a bound on all of them can prove it."""
+    size = problem.estimate_error
+    met = np.abs(find_estimate_errors(problem)).max(axis=0) + noise_reach(problem, np.eye(3))
+    try:
+        proved = prove_next_error(problem)
+    except ValueError:
+        proved = np.full(3, np.inf)
+    # The first estimate is a measurement.
+    room = size - np.maximum(np.maximum(met, proved), problem.noise)
+    worst = int(np.argmin(room))
+    shown = ", ".join(_say_size(i, width) for i, width in enumerate(size))
+    return judge(
+        "estimate_error_invariant",
+        float(room[worst]),
+        f"The estimate that the controller acts on is never off by more than {shown}: from within, "
+        "every slip, sideslip and noise leaves it there, proved by interval arithmetic, and the "
+        f"first one is a measurement; errors found reach {np.max(met / size):.1%} of that.",
+        f"The {COORDINATES[worst].name} error of the estimate may leave its set S = ({shown}).",
         "robot",
     )
 
@@ -263,6 +297,17 @@ def _assume_slip_intervals(slip: Slip) -> str:
 
 
 def _assume_measurement(problem: Problem) -> str:
+    measured = _assume_noise(problem)
+    if not problem.scenario.controller.has_observer:
+        return measured
+    shares = ", ".join(f"{share:g}" for share in problem.scenario.controller.observer_gain)
+    return (
+        f"{measured}; the controller acts on an estimate, at first what is measured, that takes "
+        f"over {shares} of what measurements differ from the motion under the slip compensated"
+    )
+
+
+def _assume_noise(problem: Problem) -> str:
     noise = problem.scenario.noise
     if not problem.noise.any():
         return "tracking error measured exactly, without delay"

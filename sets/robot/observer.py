@@ -1,0 +1,113 @@
+"""The set that holds the error of an estimate of the tracking error, whatever slip and noise do.
+
+A controller that acts on the measured error y meets its whole noise anew in every period, and what
+the noise of one period did leaves again in the next: the faster the sampling, the more of both. An
+estimate p takes over only a share L = diag(l_x, l_y, l_th), 0 < l <= 1, of what it did not predict:
+
+    p-  = f(p, v, w)                       the sampled plant without slip, sideslip and noise
+    p+  = p- + L (y+ - p-)                 y+ = e+ + n+,  |n+| <= nu
+    e+  = p- + r                           r = kappa (0, g_y, 1) + slip + sideslip + noise
+
+with the parts of `sets.robot.plant` at measured error p and pose noise n = p - e, in heading -n_th.
+Hence p+ = p- + L (r + n+), the disturbance of `sets.robot.disturbance`, and
+
+    n+ = p+ - e+ = -(I - L) r + L n+
+
+A box S holds n for ever, under any sequence of slips, inputs and references, where
+
+    (I - L) sup {|r| : |n| <= S} + L nu  <=  S,        nu <= S,
+
+for the first estimate is the first measurement. In heading r = kappa - n_th alone, and the least
+such S is nu_th + (1 / l_th - 1) sup |kappa|; along and across it is a fixed point of bounds by
+intervals, found by Newton's method with the turn of the robot as the slope. What is returned is a
+little larger, and its inclusion was evaluated. For L = I, S = nu.
+
+Source: new; a Luenberger observer whose error is kept in a robust invariant set goes back to Mayne,
+Rakovic, Findeisen, Allgoewer 2006, Automatica 42(7), section 3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from sets.robot.disturbance import Operation
+from sets.robot.plant import Kinematics, split_disturbance
+from sets.supremum import suprema
+
+TOLERANCE = 1e-4
+"""Relative gap of the bounds: errors of an estimate sum up 1 / l of them."""
+MARGIN = 3e-3
+"""Share by which S is larger than the fixed point; more if that takes long."""
+MOST_STEPS = 10
+"""Evaluations before a gain is given up."""
+
+
+def find_estimate_error(operation: Operation, kinematics: Kinematics) -> Float[np.ndarray, "3"]:
+    """Return half widths S (m, m, rad) of a box that the error of the estimate never leaves, proved
+    by intervals.
+
+    Args:
+        operation: where the robot works; `errors` are the estimated ones, `estimate_error` is not
+            read.
+        kinematics: input map; the model does not count.
+
+    Raises:
+        ValueError: no box was found, for a gain is too small for the turns of the robot; or an
+            angle may leave a quarter turn.
+    """
+    if min(operation.gain) == 1:
+        return operation.noise
+    gain = np.array(operation.gain)
+    slopes = (1 - gain[:2, None]) * _slopes(operation)
+    if np.max(np.abs(np.linalg.eigvals(slopes))) >= 1:
+        raise ValueError(
+            f"gain: {operation.gain} lets errors grow by turning; give shares nearer to 1"
+        )
+    size = operation.noise
+    for step in range(MOST_STEPS):
+        margin = MARGIN * 2 ** max(step - 3, 0)
+        image = bound_next_error(replace(operation, estimate_error=size), kinematics)
+        change = image - size
+        along = np.linalg.solve(np.eye(2) - slopes, change[:2])
+        fixed = np.maximum(size + np.append(along, change[2] / gain[2]), operation.noise)
+        if np.all(image <= size) and np.all(size <= fixed * (1 + 2 * margin)):
+            return size
+        size = fixed * (1 + margin)
+    raise ValueError(f"gain: {operation.gain} leads to no bounded error; give shares nearer to 1")
+
+
+def _slopes(operation: Operation) -> Float[np.ndarray, "2 2"]:
+    """Return how errors in the plane go on to the next period at most, by coordinate: the robot
+    turns under them."""
+    differences = operation.box[::-1, 5] - operation.box[:, 6]
+    yaw_rate = np.abs(differences).max() / operation.track_width
+    yaw_rate += np.abs(operation.inputs[:, 1]).max()
+    turn = np.sin(min(operation.dt * yaw_rate, np.pi / 2))
+    return np.array([[1.0, turn], [turn, 1.0]])
+
+
+def bound_next_error(operation: Operation, kinematics: Kinematics) -> Float[np.ndarray, "3"]:
+    """Return a proved bound (m, m, rad) of the estimate's error a period later, where it is within
+    `operation.estimate_error` now.
+
+    Raises:
+        ValueError: an angle may leave a quarter turn.
+    """
+    assert operation.estimate_error is not None
+    period = operation.period
+
+    def outputs(piece):
+        parts = split_disturbance(kinematics, period, operation.variables(piece))
+        x, y = parts.unpredicted
+        return x, y + parts.yaw * period.lateral_per_yaw, parts.yaw
+
+    lower, upper = operation.pieces()
+    objectives = [(output, sign, output) for output in range(3) for sign in (1, -1)]
+    proved, _ = suprema(outputs, lower, upper, objectives, TOLERANCE)
+    proved[2] += operation.estimate_error[2]
+    left = 1 - np.array(operation.gain)
+    image = left * proved + operation.gain * operation.noise
+    return image * (1 + 8 * np.finfo(float).eps)
