@@ -169,8 +169,9 @@ def read_slips(path: str | Path) -> RecordedSlips:
         raise _refuse(path, problem, "name a file that `replay` writes") from None
     numbers = dict(zip(sorted(cells.columns), columns, strict=True))
     places = [cells.table.names.index(name) for name in COLUMNS]
-    time, *slips = [numbers[place] for place in places]
-    values = np.column_stack(slips)
+    columns = [numbers[place] for place in places]
+    time = columns[0]
+    values = np.column_stack(columns[1:])
     _check_rows(path, cells, time, values)
     return RecordedSlips(str(path), float(np.median(np.diff(time))), values)
 
