@@ -163,15 +163,13 @@ def read_slips(path: str | Path) -> RecordedSlips:
     """
     try:
         cells = _read_columns(path)
-        columns = [read_numbers(cells, place) for place in sorted(cells.columns)]
+        places = [cells.table.names.index(name) for name in COLUMNS]
+        table = np.column_stack([read_numbers(cells, place) for place in places])
     except ValueError as error:
         problem = str(error).removeprefix(f"{path}: ").partition("; ")[0]
         raise _refuse(path, problem, "name a file that `replay` writes") from None
-    numbers = dict(zip(sorted(cells.columns), columns, strict=True))
-    places = [cells.table.names.index(name) for name in COLUMNS]
-    columns = [numbers[place] for place in places]
-    time = columns[0]
-    values = np.column_stack(columns[1:])
+    time = table[:, 0]
+    values = table[:, 1:]
     _check_rows(path, cells, time, values)
     return RecordedSlips(str(path), float(np.median(np.diff(time))), values)
 

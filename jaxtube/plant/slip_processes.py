@@ -4,7 +4,8 @@
     constant      one draw a realisation             patches       one draw a patch of ground
     walk          a bounded random walk              adversarial   against the robot
 
-Each is an instance of a class that fits `jaxtube.plant.slip.SlipProcess`.
+Each is an instance of a class that fits `jaxtube.plant.slip.SlipProcess`. "recorded", which needs a
+file, is made by `jaxtube.plant.recorded_slips`.
 
 Source: new; the paper's slip measurements vary by 10 % (Gonzalez, Fiacchini, Guzman, Alamo 2009,
 section IV) without a word on how they evolve.
