@@ -25,7 +25,10 @@ def draw_robot(index: int) -> tuple[Truth, Sensors]:
         effective_track=effective,
         lever_arm=draw.uniform(-0.2, 0.2) * effective,
         wheel_lag=draw.uniform(0.0, 0.2),
-        slip=tuple((float(m - h), float(m + h)) for m, h in zip(middle, half, strict=True)),
+        slip=(
+            (float(middle[0] - half[0]), float(middle[0] + half[0])),
+            (float(middle[1] - half[1]), float(middle[1] + half[1])),
+        ),
         slip_wander=0.15 * float(half.min()),
         sideslip=draw.uniform(0.0, 0.08),
         fastest_wheel=min(1.5, 0.3 + 1.2 * effective),
