@@ -57,12 +57,14 @@ def find_model_sets(scenario: Scenario, spans: Spans) -> ModelSets | str:
     """Return W of a scenario, or in words why it has nothing to compare.
 
     Args:
-        scenario: whose slips are not measured; a log has no such measurement.
+        scenario: that is put to the test.
         spans: to compare.
     """
     dt = scenario.controller.dt_s
     if scenario.slip.is_measured:
         return "the controller measures slip, and a log has no such measurement"
+    if scenario.controller.has_observer:
+        return "the controller acts on an estimate, whose w is another than that of measured poses"
     is_period = np.abs(spans.duration / dt - 1.0) <= SAME_LENGTH
     if not is_period.any():
         return f"spans take {np.median(spans.duration):.3g} s, W is of a period of {dt:.3g} s"
@@ -87,7 +89,7 @@ def _bound_part(problem: Problem) -> Polytope:
 
     def outputs(piece):
         parts = split_disturbance(kinematics(problem), period, where.variables(piece))
-        return parts.yaw, *parts.slip.plus(parts.sideslip).plus(parts.noise)
+        return parts.yaw, *parts.unpredicted
 
     lower, upper = where.pieces()
     both_signs = [(output, sign, output) for output in (0, 1, 2) for sign in (1, -1)]
