@@ -62,8 +62,8 @@ class Caps(NamedTuple):
 
 class EstimatedDisturbance(NamedTuple):
     """W by its yaw kick, rad, how far that moves sideways, m/rad, and the box of the rest (m, m,
-    rad); the error of what the controller acts on (m, m, rad), rounded up; and the (least, greatest)
-    commanded ground speed, m/s."""
+    rad); the error of what the controller acts on (m, m, rad), rounded up; and the (least,
+    greatest) commanded ground speed, m/s."""
 
     yaw: float
     lateral_per_yaw: float

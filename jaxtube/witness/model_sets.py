@@ -64,7 +64,10 @@ def find_model_sets(scenario: Scenario, spans: Spans) -> ModelSets | str:
     if scenario.slip.is_measured:
         return "the controller measures slip, and a log has no such measurement"
     if scenario.controller.has_observer:
-        return "the controller acts on an estimate, whose w is another than that of measured poses"
+        return (
+            "the controller acts on an estimate, and a log is of what was measured; set "
+            "controller.observer_gain = [1, 1, 1] to compare that"
+        )
     is_period = np.abs(spans.duration / dt - 1.0) <= SAME_LENGTH
     if not is_period.any():
         return f"spans take {np.median(spans.duration):.3g} s, W is of a period of {dt:.3g} s"

@@ -102,7 +102,7 @@ def test_windows_that_can_be_replayed_are_the_slips_of_the_robot(simulated, fitt
     ("more", "reason"),
     [
         ({"slip": {"measurement_error": 0.02}}, "a log has no such measurement"),
-        ({"controller": {"observer_gain": [0.5, 0.5, 0.5]}}, "acts on an estimate"),
+        ({"controller": {"observer_gain": (0.5, 0.5, 0.5)}}, "acts on an estimate"),
         ({"controller": {"dt_s": 0.05}}, "W is of a period of 0.05 s"),
     ],
 )
