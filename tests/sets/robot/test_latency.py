@@ -1,0 +1,75 @@
+"""From errors of the committed pose to those of the pose itself, and noise the other way, against
+motions of the plane."""
+
+import numpy as np
+import pytest
+from late_robot import commit, move
+from test_committed import YAW, B, T, draw_period, make_driving
+from tolerances import ROUNDING
+
+from sets.robot.actuation import Actuation
+from sets.robot.committed import Ground
+from sets.robot.latency import bound_committed_noise, bound_later_errors
+
+
+def turned(vector, angle):
+    return vector * np.exp(1j * angle)
+
+
+@pytest.mark.parametrize("latency", [0.02, 0.05, 0.3])
+def test_noise_of_the_pose_becomes_noise_of_the_committed_pose_within_its_bound(latency):
+    generator = np.random.default_rng(4)
+    noise = np.array([0.01, 0.02, 0.03])
+    bound = bound_committed_noise(noise, latency, fastest=1.5, yaw_rate=1.2)
+    found = np.zeros(3)
+    for _ in range(2000):
+        n = noise * generator.choice([-1.0, 1.0], 3)
+        turn = latency * generator.choice(YAW)
+        way = latency * 1.5 * np.exp(1j * generator.uniform(-0.5, 0.5))
+        # e~ = M^-1 + e + R, of which only the turn of M and the way of R meet the noise.
+        heading = generator.uniform(-0.4, 0.4)
+        change = turned(n[0] + 1j * n[1] + turned(way, heading) * (np.exp(1j * n[2]) - 1), -turn)
+        met = np.abs([change.real, change.imag, n[2]])
+        assert np.all(met <= bound + ROUNDING)
+        found = np.maximum(found, met)
+    assert np.all(found >= 0.7 * bound)
+
+
+@pytest.mark.parametrize(
+    ("lag", "delay", "slack"),
+    [
+        ((0.05, 0.05), (0.0, 0.0), 0.6),
+        ((0.0, 0.0), (0.06, 0.06), 0.6),
+        ((0.03, 0.07), (0.0, 0.02), 0.3),
+    ],
+)
+def test_a_latency_later_the_pose_is_near_where_it_was_committed_to_be(lag, delay, slack):
+    actuation = Actuation(lag, delay)
+    nominal = actuation.nominal(T)
+    largest = 0.02
+    ground = Ground(largest * np.array([[-1.0, -1.0], [1.0, 1.0]]), sideslip=0.03)
+    committed = np.array([0.1, 0.15, 0.2])
+    bound = bound_later_errors(committed, actuation, T, B, make_driving(), ground)
+    generator = np.random.default_rng(4)
+    found = np.zeros(3)
+    for _ in range(400):
+        period = draw_period(generator, actuation, largest, sideslip=0.03)
+        place, heading, _ = commit(period, now=True)
+        driven, turn = move(_Until(period, nominal.latency))
+        # e' = m^-1 + M + e~
+        error = committed * generator.choice([-1.0, 1.0], 3)
+        ahead = turned(place - driven, -turn)
+        rest = heading - turn
+        seen = ahead + turned(error[0] + 1j * error[1], rest)
+        met = np.abs([seen.real, seen.imag, rest + error[2]])
+        assert np.all(met <= bound + ROUNDING)
+        found = np.maximum(found, met)
+    assert np.all(found - committed >= slack * (bound - committed) * [0.2, 0.1, 0.5])
+
+
+class _Until:
+    """A period cut off earlier, its commands given when they were."""
+
+    def __init__(self, period, end):
+        self.__dict__.update(vars(period), dt=end)
+        self.issued = period.issued
