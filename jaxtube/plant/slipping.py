@@ -45,6 +45,9 @@ DRAWN = "drawn"
 """Name of what is drawn at random, for reverse mode to keep: drawing again costs more than all else
 in a period."""
 
+EXTREME = ("vertex", "adversarial")
+"""Processes whose deviations are -1 or 1."""
+
 
 class SlipMemory(NamedTuple):
     """What the slips leave from one period to the next, and those of the period that has begun."""
@@ -95,6 +98,16 @@ class SlippingRobot:
     noise_frame: str = "robot"
 
     has_wheels = True
+
+    @property
+    def slip_source(self) -> SlippingRobot:
+        """What draws the slips."""
+        return self
+
+    @property
+    def draws_extremes(self) -> bool:
+        """Whether the process draws deviations of -1 or 1 only."""
+        return self.process in EXTREME
 
     def initial(self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> SlipMemory:
         """Return the memory of the slip processes."""
@@ -218,11 +231,11 @@ class SlippingRobot:
         times = steps if self.process == "iid" else 1
         uncertain = self.slips.uncertain_slip
         names = [name for name in ("true", "measured") if uncertain in (name, "both")]
-        uncertainties = {name: Uncertainty(_box_vertices(2), times) for name in names}
+        uncertainties = {name: Uncertainty(box_vertices(2), times) for name in names}
         if self.sideslip is not None:
-            uncertainties["sideslip"] = Uncertainty(_box_vertices(1), times)
+            uncertainties["sideslip"] = Uncertainty(box_vertices(1), times)
         if self.noise is not None:
-            uncertainties["noise"] = Uncertainty(_box_vertices(3), steps + 1)
+            uncertainties["noise"] = Uncertainty(box_vertices(3), steps + 1)
         return uncertainties
 
     def under_script(self, script: Script) -> ScriptedRobot:
@@ -281,5 +294,6 @@ class ScriptedRobot:
         return self.robot.advance(keys, step, memory, errors, command)
 
 
-def _box_vertices(dimension: int) -> Float[np.ndarray, "v n"]:
+def box_vertices(dimension: int) -> Float[np.ndarray, "v n"]:
+    """Return the corners of the box [-1, 1]^n."""
     return np.array(list(itertools.product((-1.0, 1.0), repeat=dimension)))

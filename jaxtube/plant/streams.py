@@ -16,3 +16,7 @@ class Stream(IntEnum):
     INSTANT = 5
     """At which the slips of an imperfect robot change within a period."""
     SIDESLIP = 6
+    LAG = 7
+    """Of the wheels."""
+    DELAY = 8
+    """Of the commands."""
