@@ -9,6 +9,7 @@ Source: new.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import partial
 from typing import Protocol
@@ -31,7 +32,7 @@ from jaxtube.plant.protocol import (
 )
 from jaxtube.plant.robot import Robot
 from jaxtube.plant.slip_bounds import SlipBounds
-from jaxtube.plant.slipping import DRAWN, ScriptedRobot, SlipMemory, box_vertices
+from jaxtube.plant.slipping import DRAWN, ScriptedRobot, SlipMemory, SlippingRobot, box_vertices
 from jaxtube.plant.streams import Stream
 
 
@@ -144,6 +145,10 @@ class LaggingRobot:
 
         return checkpoint_name(jax.vmap(draw)(keys), DRAWN)
 
+    def with_nominal_times(self) -> LaggingRobot:
+        """Return the robot whose lag and delay are the nominal ones and known."""
+        return dataclasses.replace(self, body=self.body.with_nominal_times())
+
     def uncertainties(self) -> dict[str, Uncertainty]:
         """Return slips, noise, lag and delay as boxes; raises as `SlippingRobot.uncertainties`."""
         uncertainties = self.body.ideal.uncertainties()
@@ -209,3 +214,7 @@ class ScriptedLaggingRobot:
     def _read(self, name: str, step, errors: Float[Array, "batch 3"]) -> Float[Array, " batch"]:
         none = jnp.zeros_like(errors[:, 0])
         return script_entry(self.script[name], step)[:, 0] if name in self.script else none
+
+
+BareRobot = SlippingRobot | LaggingRobot
+"""The slipping robot, with or without lag and delay of its wheels."""

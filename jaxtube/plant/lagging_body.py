@@ -15,7 +15,7 @@ Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(4), for the robot; la
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -102,6 +102,21 @@ class LaggingBody:
             arrivals=arrivals,
             known_lag=actuation.lag[0] == actuation.lag[1],
             known_delay=low == high,
+        )
+
+    def with_nominal_times(self) -> LaggingBody:
+        """Return the robot whose lag and delay are those that the forecast counts on, and known."""
+        forecast = self.forecast
+        delay = forecast.latency - forecast.lag
+        is_late = float(forecast.late) > 0
+        return replace(
+            self,
+            lag=jnp.array([forecast.lag, forecast.lag]),
+            delay=jnp.array([delay, delay]),
+            whole=forecast.whole,
+            arrivals=1 if is_late else 0,
+            known_lag=True,
+            known_delay=True,
         )
 
     @property

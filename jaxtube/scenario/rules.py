@@ -40,6 +40,7 @@ def check_rules(scenario: Scenario, refuse: Refuse) -> None:
     _check_order(scenario.reference, "reference", refuse)
     _check_slip(scenario.slip, refuse)
     _check_recording(scenario.slip, refuse)
+    _check_actuation(scenario, refuse)
     _check_weights(scenario.controller, refuse)
     _check_limits(scenario, refuse)
     _check_complete(scenario.operating, refuse)
@@ -199,6 +200,25 @@ def _check_vertex_gains(scenario: Scenario, refuse: Refuse) -> None:
             'or reference.certified_for = "path"'
         )
         refuse(key, problem, cure)
+
+
+def _check_actuation(scenario: Scenario, refuse: Refuse) -> None:
+    robot = scenario.robot
+    for name in ("wheel_lag_s", "command_delay_s"):
+        low, high = getattr(robot, name)
+        if not low <= high:
+            refuse(f"robot.{name}", "has crossed ends", "give [least, greatest]")
+    if robot.obeys_at_once:
+        return
+    low, high = robot.command_delay_s
+    dt = scenario.controller.dt_s
+    if high - low > dt:
+        problem = f"is wider than controller.dt_s = {dt}: a command may overtake the one before it"
+        refuse("robot.command_delay_s", problem, "narrow it or lengthen the period")
+    if scenario.operating.bands:
+        key = "robot.wheel_lag_s" if robot.wheel_lag_s[1] > 0 else "robot.command_delay_s"
+        cure = "leave out operating.bands, or set it to [0.0, 0.0]"
+        refuse(key, "goes with no gains by speed, which operating.bands asks for", cure)
 
 
 def _check_weights(controller: ControllerTable, refuse: Refuse) -> None:

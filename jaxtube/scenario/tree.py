@@ -47,11 +47,19 @@ class RobotTable(Table, frozen=True):
     `effective_track_m`, which takes the place of the track width in all kinematics. Its body then
     also moves sideways, at -`lever_arm_m` times the yaw rate: the lever arm is how far the point of
     the body that does not move sideways lies ahead of the point that is tracked.
+
+    The wheels follow what they are told with a lag of first order, a time constant anywhere in
+    `wheel_lag_s` = [least, greatest] that is the same for both and constant over a run, and each
+    command arrives after a delay anywhere in `command_delay_s`. The controller counts on values in
+    between and steers the pose to which its commands will take the robot, which the robot itself
+    follows by that much later.
     """
 
     track_width_m: Positive = 0.5
     effective_track_m: Positive | None = None
     lever_arm_m: float = 0.0
+    wheel_lag_s: tuple[NonNegative, NonNegative] = (0.0, 0.0)
+    command_delay_s: tuple[NonNegative, NonNegative] = (0.0, 0.0)
     wheel_speed_min_mps: float = -3.0
     wheel_speed_max_mps: float = 3.0
 
@@ -59,6 +67,11 @@ class RobotTable(Table, frozen=True):
     def turning_track_m(self) -> float:
         """The track width that turns are computed with, m."""
         return self.track_width_m if self.effective_track_m is None else self.effective_track_m
+
+    @property
+    def obeys_at_once(self) -> bool:
+        """Whether wheels have no lag and commands no delay."""
+        return self.wheel_lag_s[1] == 0 and self.command_delay_s[1] == 0
 
 
 class ReferenceTable(Table, frozen=True):

@@ -14,6 +14,8 @@ from jaxtube.control import mpc
 from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.estimating import EstimatingRobot
+from jaxtube.plant.lagging import BareRobot, LaggingRobot, SlipSource
+from jaxtube.plant.lagging_body import LaggingBody
 from jaxtube.plant.linear import LinearPlant
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.recorded_slips import make_recorded
@@ -22,13 +24,16 @@ from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.precision import require_64_bits
 from jaxtube.scenario.error_box import error_vector
+from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 
 PlantType = TypeVar("PlantType", bound=Plant)
 
-Robot = SlippingRobot | EstimatingRobot[SlippingRobot]
-"""The slipping robot, with or without an estimate of its errors."""
+SourceType = TypeVar("SourceType", bound=SlipSource)
+
+Robot = BareRobot | EstimatingRobot[BareRobot]
+"""The same, with or without an estimate of its errors."""
 
 
 def controllers(design: Design) -> dict[str, Controller]:
@@ -85,7 +90,8 @@ def slipping_robot(design: Design, process: str | SlipProcess | None = None) -> 
 
 def robot_of(problem: Problem, process: str | SlipProcess | None = None) -> Robot:
     """Return the nonlinear plant of a problem, whatever its design."""
-    return with_estimate(problem, bare_robot(problem, process))
+    ideal = bare_robot(problem, process)
+    return with_estimate(problem, with_lag(problem, ideal, ideal))
 
 
 def with_estimate(problem: Problem, plant: PlantType) -> PlantType | EstimatingRobot[PlantType]:
@@ -98,8 +104,21 @@ def with_estimate(problem: Problem, plant: PlantType) -> PlantType | EstimatingR
     return EstimatingRobot(plant, gain, problem.robot.track_width, problem.reference.dt)
 
 
+def with_lag(
+    problem: Problem, ideal: SlippingRobot, source: SourceType
+) -> SourceType | LaggingRobot:
+    """Return a robot with lag and delay of its wheels, `source` drawing its slips; that itself
+    where wheels obey at once."""
+    actuation = find_actuation(problem.scenario)
+    if actuation.is_ideal:
+        return source
+    body = LaggingBody.of(ideal, actuation, problem.robot.track_width, problem.reference.dt)
+    return LaggingRobot(body, source)
+
+
 def bare_robot(problem: Problem, process: str | SlipProcess | None = None) -> SlippingRobot:
-    """Return the nonlinear plant of a problem, whose measured errors nobody filters."""
+    """Return the nonlinear plant of a problem, whose wheels obey at once and whose measured errors
+    nobody filters."""
     steps = problem.reference.steps
     return make_robot(
         problem, process, problem.schedule[:steps], problem.reference.poses[: steps + 1]
@@ -130,13 +149,17 @@ def make_robot(
     )
 
 
-def exact_robot(design: Design) -> SlippingRobot:
-    """Return the nonlinear plant whose slips are the nominal ones and known, whose pose is measured
-    without noise, and whose body does not slip sideways: an estimate of its errors is exact."""
-    plant = bare_robot(design.problem)
+def exact_robot(design: Design) -> BareRobot:
+    """Return the nonlinear plant whose slips, lag and delay are the nominal ones and known, whose
+    pose is measured without noise, and whose body does not slip sideways: an estimate of its errors
+    is exact."""
+    problem = design.problem
+    plant = bare_robot(problem)
     sideslip = None if plant.sideslip is None else 0.0
     slips = plant.slips.without_errors()
-    return dataclasses.replace(plant, slips=slips, noise=None, sideslip=sideslip)
+    exact = dataclasses.replace(plant, slips=slips, noise=None, sideslip=sideslip)
+    robot = with_lag(problem, exact, exact)
+    return robot.with_nominal_times() if isinstance(robot, LaggingRobot) else robot
 
 
 def linear_plant(design: Design) -> LinearPlant:

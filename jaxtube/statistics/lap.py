@@ -19,6 +19,7 @@ from jaxtyping import Bool, Float, Key
 
 from jaxtube.control.laws import solves_qp
 from jaxtube.plant.estimating import robot_behind
+from jaxtube.plant.lagging import LaggingRobot, SlipSource
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import batches
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
@@ -68,8 +69,9 @@ def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
     disturbance = batches.model_disturbances(design, batch)[:, 0]
     slips = None
     robot = robot_behind(task.plant)
-    if isinstance(robot, SlippingRobot):
-        slips = np.asarray(slip_deviations(robot, keys, jnp.asarray(batch.errors)))[:, 0]
+    if isinstance(robot, SlippingRobot | LaggingRobot):
+        source = robot.slip_source
+        slips = np.asarray(slip_deviations(source, keys, jnp.asarray(batch.errors)))[:, 0]
     return Lap(
         number,
         solves_qp(task.controller),
@@ -88,7 +90,7 @@ def _usage(facets: Facets, points: Float[np.ndarray, "steps 3"]) -> Usage:
 
 @jax.jit
 def slip_deviations(
-    plant: SlippingRobot, keys: Key[Array, " batch"], errors: Float[Array, "steps+1 batch 3"]
+    plant: SlipSource, keys: Key[Array, " batch"], errors: Float[Array, "steps+1 batch 3"]
 ) -> Float[Array, "steps batch 2 2"]:
     """Return the deviations of the (true, measured) slips, each (right, left), along the true
     errors of laps."""

@@ -3,6 +3,7 @@ that is certified."""
 
 from __future__ import annotations
 
+import itertools
 import pickle
 from dataclasses import replace
 from functools import lru_cache
@@ -18,6 +19,7 @@ from jaxtube.scenario.rules import CAP_ROUNDING
 from jaxtube.scenario.tree import Scenario, Slip
 from jaxtube.synthesis.problem import Problem, make_problem
 from sets.polytope import Polytope
+from sets.robot.actuation import Actuation
 from sets.robot.disturbance import (
     DisturbanceBound,
     Operation,
@@ -25,6 +27,8 @@ from sets.robot.disturbance import (
     wheel_error_bound,
     wheel_error_range,
 )
+from sets.robot.driving import find_driving
+from sets.robot.latency import bound_later_errors
 from sets.robot.observer import bound_next_error, find_estimate_error
 from sets.robot.plant import Kinematics
 
@@ -59,7 +63,14 @@ def operation(problem: Problem) -> Operation:
         coupling=coupling,
         gain=problem.scenario.controller.observer_gain,
         estimate_error=problem.estimate_error,
+        actuation=find_actuation(problem.scenario),
+        stale_errors=_find_stale_errors(problem.scenario),
     )
+
+
+def find_actuation(scenario: Scenario) -> Actuation:
+    """Return lag and delay of the wheels."""
+    return Actuation(scenario.robot.wheel_lag_s, scenario.robot.command_delay_s)
 
 
 def _find_wheel_errors(slip: Slip) -> Float[np.ndarray, "2 2"]:
@@ -70,6 +81,18 @@ def _find_wheel_errors(slip: Slip) -> Float[np.ndarray, "2 2"]:
     reading = "both" if slip.random == "both" else "measured"
     greatest = wheel_error_bound(np.array(slip.nominal), slip.relative_error, reading)
     return np.stack([-greatest, greatest])
+
+
+def _find_stale_errors(scenario: Scenario) -> Float[np.ndarray, "2 2"] | None:
+    """Return the same box where a wheel that lags slips now, under commands that compensated the
+    slip of another time; None where they all compensate the same."""
+    slip = scenario.slip
+    if scenario.robot.obeys_at_once or not (slip.is_measured or slip.random != "true"):
+        return None
+    slips = slip_bounds(slip).extremes()
+    stale = wheel_error_range(np.array(list(itertools.product(slips[:, 0], slips[:, 1]))))
+    fresh = _find_wheel_errors(slip)
+    return np.stack([np.minimum(stale[0], fresh[0]), np.maximum(stale[1], fresh[1])])
 
 
 def kinematics(problem: Problem) -> Kinematics:
@@ -117,6 +140,24 @@ def prove_next_error(problem: Problem) -> Float[np.ndarray, "3"]:
 def _answer_next_error(question: bytes) -> bytes:
     where, how = pickle.loads(question)
     return pickle.dumps(bound_next_error(where, how))
+
+
+def bound_pose_errors(problem: Problem) -> Float[np.ndarray, "3"]:
+    """Return the greatest true errors, (m, m, rad): of wheels that lag those of the pose itself, a
+    latency after each instant.
+
+    Raises:
+        ValueError: as `prove_bound`.
+    """
+    limits = problem.operating_set.support(np.eye(3)) + problem.estimate_error
+    promised = np.maximum(limits, problem.error_set.support(np.eye(3)))
+    where = operation(problem)
+    if where.actuation.is_ideal:
+        return promised
+    driving = find_driving(where, kinematics(problem))
+    return bound_later_errors(
+        promised, where.actuation, where.dt, where.track_width, driving, where.ground
+    )
 
 
 def ground_speed_limits(problem: Problem) -> Float[np.ndarray, "2 2"]:

@@ -28,7 +28,7 @@ from jaxtube.control.laws import TubeMpc
 from jaxtube.control.mpc import AnyArray
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.estimating import EstimatingRobot
-from jaxtube.plant.slipping import SlippingRobot
+from jaxtube.plant.lagging import BareRobot
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation.usage import play
 from jaxtube.tuning.caps import CapLimits, shares_of_caps
@@ -42,7 +42,7 @@ STEEPNESS = 1e2
 class LapInputs(NamedTuple):
     """What laps run under: the robot, and a key and a start for each lap."""
 
-    plant: SlippingRobot | EstimatingRobot[SlippingRobot]
+    plant: BareRobot | EstimatingRobot[BareRobot]
     keys: Key[Array, " laps"]
     starts: Float[Array, "laps 3"]  # tracking errors (m, m, rad)
 

@@ -19,8 +19,8 @@ from jaxtyping import Float, Key
 from jaxtube.control.laws import TubeMpc
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.estimating import EstimatingRobot
+from jaxtube.plant.lagging import BareRobot
 from jaxtube.plant.reference import settled_step
-from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import components
@@ -91,7 +91,7 @@ class Tuner:
     """Values, gradients and judgements of points of one scenario."""
 
     problem: Problem
-    plant: SlippingRobot | EstimatingRobot[SlippingRobot]
+    plant: BareRobot | EstimatingRobot[BareRobot]
     parameters: Parameters
     aim: Aim
     laps: int = 128

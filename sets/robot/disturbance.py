@@ -25,7 +25,7 @@ Fiacchini, Guzman, Alamo 2009, section III, where W is given; the bound itself i
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from itertools import chain, pairwise
 from typing import NamedTuple
@@ -34,7 +34,10 @@ import numpy as np
 from jaxtyping import Float
 
 from sets.polytope import Polytope, hull_vertices
-from sets.robot.plant import Kinematics, Parts, Period, split_disturbance
+from sets.robot.actuation import NO_LAG, Actuation
+from sets.robot.committed import Ground
+from sets.robot.driving import commit_operation
+from sets.robot.plant import Kinematics, Late, Parts, Period, split_disturbance
 from sets.supremum import suprema
 
 UNCERTAIN_SLIPS = ("true", "measured", "both")
@@ -77,6 +80,13 @@ class Operation:
             1 is the measured error itself.
         estimate_error: S, the largest error of the estimate (m, m, rad), `errors` being the
             estimated ones; None for `noise`.
+        actuation: lag of the wheels and delay of the commands; where there is any, errors are those
+            of the committed pose (`sets.robot.committed`), and commands were within the operation
+            at all times before.
+        stale_errors: wheel errors under commands given before, where each compensates another slip;
+            None where they are the same.
+        late: what wheels that lag add, where the committed pose is taken for that of a robot that
+            obeys at once; wheel errors then are speeds that the wheels lose, m/s.
     """
 
     errors: Float[np.ndarray, "2 3"]
@@ -91,6 +101,9 @@ class Operation:
     coupling: tuple[float, float] | None = None
     gain: tuple[float, float, float] = (1.0, 1.0, 1.0)
     estimate_error: Float[np.ndarray, "3"] | None = None
+    actuation: Actuation = NO_LAG
+    stale_errors: Float[np.ndarray, "2 2"] | None = None
+    late: Late | None = None
 
     def __post_init__(self):
         if self.estimate_error is None:
@@ -149,7 +162,9 @@ class Operation:
         """Period, track width, g_y, the lateral part of a yaw kick, and lever arm."""
         lower, upper = self.box[:, 5:7]
         lateral_per_yaw = float(self.dt * (lower + upper).mean() / 4)
-        return Period(self.dt, self.track_width, lateral_per_yaw, self.lever_arm)
+        if self.late is not None:
+            lateral_per_yaw += self.late.lever
+        return Period(self.dt, self.track_width, lateral_per_yaw, self.lever_arm, self.late)
 
     @property
     def kick_per_yaw(self) -> float:
@@ -158,20 +173,32 @@ class Operation:
         return self.period.lateral_per_yaw * (of_y / of_heading)
 
     @property
-    def box(self) -> Float[np.ndarray, "2 13"]:
-        """Ends of the thirteen variables of `split_disturbance`, the coupling left aside."""
+    def ground(self) -> Ground:
+        """What the ground does."""
+        return Ground(self.wheel_errors, self.stale_errors, self.sideslip, self.lever_arm)
+
+    def without_disturbances(self) -> Operation:
+        """Return the operation of a robot that neither slips nor slides, measured exactly."""
+        nothing = {name: np.zeros(3) for name in ("noise", "estimate_error")}
+        still = np.zeros((2, 2))
+        return replace(self, **nothing, wheel_errors=still, sideslip=0.0, lever_arm=0.0)
+
+    @property
+    def box(self) -> Float[np.ndarray, "2 variables"]:
+        """Ends of the variables of `split_disturbance`, the coupling left aside."""
         assert self.estimate_error is not None
-        magnitudes = np.concatenate([[self.sideslip], self.estimate_error])
+        taken = () if self.late is None else (self.late.speed, self.late.yaw_rate)
+        magnitudes = np.concatenate([[self.sideslip], self.estimate_error, taken])
         symmetric = np.stack([-magnitudes, magnitudes])
         schedule = np.stack([self.schedules[:, 0].min(axis=0), self.schedules[:, 1].max(axis=0)])
         return np.hstack([self.errors, self.inputs, schedule, self.wheel_errors, symmetric])
 
-    def pieces(self) -> Float[np.ndarray, "2 15 pieces"]:
+    def pieces(self) -> Float[np.ndarray, "2 variables pieces"]:
         """Return boxes in which the longitudinal error runs over the whole operation,
 
             x = middle + share (reach + slope u2),    |share| <= 1.
 
-        Variables: share in the place of the longitudinal error, the other twelve, and reach and
+        Variables: share in the place of the longitudinal error, the others, and reach and
         slope, of equal ends. The coupling is cut where its edges meet the caps, so that it is
         linear in u2 on each piece.
         """
@@ -208,7 +235,7 @@ class Operation:
         return (self.errors[0, 0] + self.errors[1, 0]) / 2
 
     def variables(self, piece) -> list:
-        """Return the thirteen variables of `split_disturbance` from the fifteen of a piece."""
+        """Return the variables of `split_disturbance` from those of a piece."""
         share, *others, reach, slope = piece
         return [share * (reach + slope * others[3]) + self._middle, *others]
 
@@ -332,8 +359,11 @@ def disturbance_bound(
         facets.
 
     Raises:
-        ValueError: an angle may leave a quarter turn, in which the bounds hold.
+        ValueError: an angle may leave a quarter turn, in which the bounds hold, or lag and delay do
+            too much.
     """
+    if not operation.actuation.is_ideal:
+        return _bound_late_disturbance(operation, kinematics, tolerance)
     period = operation.period
 
     def outputs(piece):
@@ -355,6 +385,27 @@ def disturbance_bound(
         ground_speeds=np.array([-proved[3:5], proved[5:7]]),
         found_yaw=float(operation.gain[2] * found[0]),
         found_box=_add_measurement(operation, found[1:3]),
+    )
+
+
+def _bound_late_disturbance(
+    operation: Operation, kinematics: Kinematics, tolerance: float
+) -> DisturbanceBound:
+    """Bound the disturbances of the committed pose.
+
+    While commands do not change, wheels that lag are wheels that obey at once: what is found for
+    those is attained.
+    """
+    ideal = disturbance_bound(replace(operation, actuation=NO_LAG), kinematics, tolerance)
+    committed, commitment = commit_operation(operation, kinematics)
+    bound = disturbance_bound(committed, kinematics, tolerance)
+    late = np.append(operation.gain[:2] * (commitment.box + commitment.slide), 0.0)
+    return replace(
+        bound,
+        yaw=min(bound.yaw, _share_of_kick(operation, commitment.kick)),
+        box=_round_up(bound.box + late),
+        found_yaw=ideal.found_yaw,
+        found_box=ideal.found_box,
     )
 
 
@@ -404,6 +455,7 @@ def disturbance_parts(
         * "slip": f at the acting minus f at the commanded speeds; the yaw kick stands apart, its
           g_y taken off y;
         * "sideslip": the body's lateral motion, by sideslip and lever arm;
+        * "lag": lag and delay of the wheels, unknown parts and the order of motions;
         * "noise": the acting step from the true instead of the measured error, and the next
           measurement.
 
@@ -412,6 +464,8 @@ def disturbance_parts(
     Raises:
         ValueError: as `disturbance_bound`.
     """
+    if not operation.actuation.is_ideal:
+        return _late_parts(operation, kinematics)
     period = operation.period
 
     def outputs(piece):
@@ -432,6 +486,20 @@ def disturbance_parts(
         widths[cause] = np.array([0.0, *half_widths, 0.0])
     widths["slip"][0] = _share_of_kick(operation, float(yaw))
     widths["noise"][1:] += _add_measurement(operation, np.zeros(2))
+    widths["lag"] = np.zeros(4)
+    return widths
+
+
+def _late_parts(operation: Operation, kinematics: Kinematics) -> dict[str, Float[np.ndarray, "4"]]:
+    """Return `disturbance_parts` of wheels that lag; what of the yaw kick is unknown lag and delay
+    stands with them."""
+    committed, commitment = commit_operation(operation, kinematics)
+    widths = disturbance_parts(committed, kinematics)
+    unknown = _share_of_kick(operation, operation.dt * float(commitment.unknown[1]))
+    most = min(widths["slip"][0], _share_of_kick(operation, commitment.kick))
+    widths["slip"][0] = max(most - unknown, 0.0)
+    widths["lag"] = np.array([unknown, *(operation.gain[:2] * commitment.box), 0.0])
+    widths["sideslip"][1:3] = operation.gain[:2] * commitment.slide
     return widths
 
 

@@ -29,11 +29,13 @@ Rakovic, Findeisen, Allgoewer 2006, Automatica 42(7), section 3.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from sets.robot.disturbance import Operation
+from sets.robot.driving import commit_operation
 from sets.robot.plant import Kinematics, split_disturbance
 from sets.supremum import suprema
 
@@ -61,6 +63,7 @@ def find_estimate_error(operation: Operation, kinematics: Kinematics) -> Float[n
     if min(operation.gain) == 1:
         return operation.noise
     gain = np.array(operation.gain)
+    unpredicted = _find_unpredicted(operation, kinematics)
     slopes = (1 - gain[:2, None]) * _slopes(operation)
     if np.max(np.abs(np.linalg.eigvals(slopes))) >= 1:
         raise ValueError(
@@ -69,7 +72,7 @@ def find_estimate_error(operation: Operation, kinematics: Kinematics) -> Float[n
     size = operation.noise
     for step in range(MOST_STEPS):
         margin = MARGIN * 2 ** max(step - 3, 0)
-        image = bound_next_error(replace(operation, estimate_error=size), kinematics)
+        image = _bound_image(unpredicted, size, kinematics)
         change = image - size
         along = np.linalg.solve(np.eye(2) - slopes, change[:2])
         fixed = np.maximum(size + np.append(along, change[2] / gain[2]), operation.noise)
@@ -89,6 +92,22 @@ def _slopes(operation: Operation) -> Float[np.ndarray, "2 2"]:
     return np.array([[1.0, turn], [turn, 1.0]])
 
 
+class _Unpredicted(NamedTuple):
+    """An operation, and what else is unpredicted of wheels that lag: half widths (m, m) and the
+    greatest yaw kick, rad."""
+
+    operation: Operation
+    added: Float[np.ndarray, "2"]
+    kick: float
+
+
+def _find_unpredicted(operation: Operation, kinematics: Kinematics) -> _Unpredicted:
+    if operation.actuation.is_ideal:
+        return _Unpredicted(operation, np.zeros(2), np.inf)
+    committed, commitment = commit_operation(operation, kinematics)
+    return _Unpredicted(committed, commitment.box + commitment.slide, commitment.kick)
+
+
 def bound_next_error(operation: Operation, kinematics: Kinematics) -> Float[np.ndarray, "3"]:
     """Return a proved bound (m, m, rad) of the estimate's error a period later, where it is within
     `operation.estimate_error` now.
@@ -97,6 +116,15 @@ def bound_next_error(operation: Operation, kinematics: Kinematics) -> Float[np.n
         ValueError: an angle may leave a quarter turn.
     """
     assert operation.estimate_error is not None
+    unpredicted = _find_unpredicted(operation, kinematics)
+    return _bound_image(unpredicted, operation.estimate_error, kinematics)
+
+
+def _bound_image(
+    unpredicted: _Unpredicted, size: Float[np.ndarray, "3"], kinematics: Kinematics
+) -> Float[np.ndarray, "3"]:
+    """Return `bound_next_error` of an error within a box of this size."""
+    operation = replace(unpredicted.operation, estimate_error=size)
     period = operation.period
 
     def outputs(piece):
@@ -107,7 +135,8 @@ def bound_next_error(operation: Operation, kinematics: Kinematics) -> Float[np.n
     lower, upper = operation.pieces()
     objectives = [(output, sign, output) for output in range(3) for sign in (1, -1)]
     proved, _ = suprema(outputs, lower, upper, objectives, TOLERANCE)
-    proved[2] += operation.estimate_error[2]
+    proved[:2] += unpredicted.added
+    proved[2] = min(proved[2], unpredicted.kick) + size[2]
     left = 1 - np.array(operation.gain)
     image = left * proved + operation.gain * operation.noise
     return image * (1 + 8 * np.finfo(float).eps)

@@ -86,13 +86,29 @@ class Kinematics:
         return self.model == "exact_jacobian" or self.discretisation == other.discretisation
 
 
+class Late(NamedTuple):
+    """What wheels that lag add to a period (`sets.robot.committed`).
+
+    Attributes:
+        lever: by how much further, m/rad, the slip of a period moves the robot sideways than it
+            would at once, for it turns what is still on its way.
+        speed, yaw_rate: what unknown lag and delay take from the body at most, m/s and rad/s.
+    """
+
+    lever: float
+    speed: float
+    yaw_rate: float
+
+
 class Period(NamedTuple):
-    """Length of a period dt, s, track width, m, lateral_per_yaw g_y, m/rad, and lever arm r, m."""
+    """Length of a period dt, s, track width, m, lateral_per_yaw g_y, m/rad, and lever arm r, m; and
+    of wheels that lag what that adds, the lever of its own in g_y."""
 
     dt: float
     track_width: float
     lateral_per_yaw: float
     lever_arm: float = 0.0
+    late: Late | None = None
 
 
 class Vector(NamedTuple):
@@ -171,7 +187,8 @@ def split_disturbance(kinematics: Kinematics, period: Period, variables: Iterabl
         kinematics, period: what maps, predicts and measures.
         variables: measured error (m, m, rad), inputs (m/s, rad/s), reference wheel speeds (right,
             left), m/s, wheel errors d (right, left), sideslip zeta, pose noise n (m, m, rad):
-            thirteen numbers of one kind.
+            thirteen numbers of one kind. Of wheels that lag d are speeds that they lose, m/s, and
+            the (speed m/s, yaw rate rad/s) that lag and delay take from the body come last.
 
     Returns:
         The parts; with the noise n+ of the next measurement, w = rest + yaw (0, g_y) + n+ in the
@@ -180,8 +197,8 @@ def split_disturbance(kinematics: Kinematics, period: Period, variables: Iterabl
     Raises:
         ValueError: an angle of an interval may leave a quarter turn.
     """
-    x, y, heading, u1, u2, V_r, V_l, d_r, d_l, zeta, n_x, n_y, n_th = variables
-    T, b, g_y, r = period
+    x, y, heading, u1, u2, V_r, V_l, d_r, d_l, zeta, n_x, n_y, n_th, *taken = variables
+    T, b, g_y, r, late = period
     z = Vector(x, y)
     A = (V_r - V_l) * T / b
     L = (V_r + V_l) * 0.5 * T
@@ -196,14 +213,21 @@ def split_disturbance(kinematics: Kinematics, period: Period, variables: Iterabl
 
     right = Tv + a * (0.5 * b)
     left = Tv - a * (0.5 * b)
-    kick = (right * d_r - left * d_l) / b
-    brake = (right * d_r + left * d_l) * 0.5
+    if late is None:
+        kick = (right * d_r - left * d_l) / b
+        brake = (right * d_r + left * d_l) * 0.5
+        lever = 0.0
+    else:
+        speed_taken, yaw_rate_taken = taken
+        kick = (d_r - d_l) * (T / b) + yaw_rate_taken * T
+        brake = (d_r + d_l) * (0.5 * T) + speed_taken * T
+        lever = late.lever
     # Where the reference goes, in the frame of a robot that turned by a.
     reference = polar(L * sinc(A * 0.5), heading + m - A * 0.5)
     swept = z.turned(kick * 0.5 - a).plus(reference.turned(kick * 0.5))
     turn = swept.crosswise().scaled(sin(kick * 0.5) * 2.0)
     way = arc(a - kick).scaled(brake).plus(arc_change(a, -kick).scaled(-Tv))
-    slip = turn.plus(way).plus(Vector(0.0, kick * -g_y))
+    slip = turn.plus(way).plus(Vector(0.0, kick * (lever - g_y)))
 
     sideways = zeta * (Tv - brake) - (a - kick) * r
     sideslip = arc(a - kick).crosswise().scaled(-sideways)

@@ -19,11 +19,11 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float, Int, Key
+from jaxtyping import Bool, Float, Int, Key
 
 from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.slip_processes import TEST_PROCESSES
-from jaxtube.plant.slipping import SlipMemory, SlippingRobot
+from jaxtube.plant.slipping import EXTREME, SlipMemory, SlippingRobot
 from jaxtube.scenario.reading import replace
 from jaxtube.simulation import components
 from jaxtube.statistics.montecarlo import make_closed_loop_task
@@ -75,6 +75,11 @@ class AnySlipRobot:
     has_wheels = True
 
     @property
+    def draws_extremes(self) -> Bool[Array, ""]:
+        """Whether the process draws deviations of -1 or 1 only."""
+        return jnp.asarray([name in EXTREME for name in PROCESSES])[self.number]
+
+    @property
     def reference_wheels(self) -> Float[Array, "steps 2"]:
         """The reference, m/s."""
         return self.ideal.reference_wheels
@@ -89,11 +94,22 @@ class AnySlipRobot:
         self, keys: Key[Array, " batch"], step, memory: SlipMemory, errors: Float[Array, "batch 3"]
     ) -> tuple[Measurement, SlipMemory]:
         """Draw the pose noise of an instant and the slips of the period that begins there."""
-        ideal = self.ideal
+        memory = self.draw_slips(keys, step, memory, errors)
+        measured_errors = self.measure_errors(keys, step, errors)
+        return Measurement(measured_errors, self.ideal.measured_slip(memory)), memory
+
+    def measure_errors(
+        self, keys: Key[Array, " batch"], step, errors: Float[Array, "batch 3"]
+    ) -> Float[Array, "batch 3"]:
+        """Return the tracking errors with the noise of an instant."""
+        return self.ideal.measure_errors(keys, step, errors)
+
+    def draw_slips(
+        self, keys: Key[Array, " batch"], step, memory: SlipMemory, errors: Float[Array, "batch 3"]
+    ) -> SlipMemory:
+        """Draw the deviations of the slips of one period."""
         branches = [partial(self._draw, number, keys, step) for number in range(len(PROCESSES))]
-        memory = jax.lax.switch(self.number, branches, memory, errors)
-        measured_errors = ideal.measure_errors(keys, step, errors)
-        return Measurement(measured_errors, ideal.measured_slip(memory)), memory
+        return jax.lax.switch(self.number, branches, memory, errors)
 
     def _draw(
         self, number: int, keys, step, memory: SlipMemory, errors: Float[Array, "batch 3"]
@@ -149,7 +165,8 @@ def make_tasks(design: Design, seed: int) -> tuple[dict[Law, Task], str]:
         ideal = components.bare_robot(limited.problem, PROCESSES[0])
         for law in laws:
             number = jnp.asarray(PROCESSES.index(law.process), jnp.int32)
-            robot = components.with_estimate(limited.problem, AnySlipRobot(ideal, number))
+            robot = components.with_lag(limited.problem, ideal, AnySlipRobot(ideal, number))
+            robot = components.with_estimate(limited.problem, robot)
             tasks[law] = dataclasses.replace(task, plant=robot)
     return tasks, why
 

@@ -27,6 +27,7 @@ from jaxtyping import Complex, Float
 
 from jaxtube.plant.slip_bounds import SlipBounds, slip_bounds
 from jaxtube.scenario.error_box import error_vector
+from jaxtube.synthesis.certificate.late_period import find_pasts, next_late_errors
 from jaxtube.synthesis.problem import Problem, region_corners
 
 Numbers = Float[np.ndarray, " n"]
@@ -53,26 +54,41 @@ class PeriodCases:
 
 def find_disturbances(problem: Problem) -> Float[np.ndarray, "n 3"]:
     """Return disturbances (m, m, rad) that are possible at extremes of the certified errors,
-    inputs, wheel speeds, slips and noise. The noise of the next measurement is left out: that may
-    be added anywhere in its box."""
+    inputs, wheel speeds, slips and noise, the cases of `extreme_cases` once or several times. The
+    noise of the next measurement is left out: that may be added anywhere in its box."""
     cases = extreme_cases(problem)
     transitions, inputs = problem.model.matrices(cases.wheels)
     predicted = np.einsum("nij,nj->ni", transitions, cases.errors)
     predicted += np.einsum("nij,nj->ni", inputs, cases.inputs)
-    return next_estimates(problem, cases) - predicted
+    every_true = next_true_errors(problem, cases)
+    return np.concatenate([next_estimates(problem, cases, true) - predicted for true in every_true])
 
 
 def find_estimate_errors(problem: Problem) -> Float[np.ndarray, "n 3"]:
     """Return how far estimates (m, m, rad) can be off at the end of the same periods, the noise of
     the next measurement left out."""
     cases = extreme_cases(problem)
-    return next_estimates(problem, cases) - next_errors(problem, cases)
+    every_true = next_true_errors(problem, cases)
+    return np.concatenate([next_estimates(problem, cases, true) - true for true in every_true])
 
 
-def next_estimates(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"]:
-    """Return the estimated errors a period later, of an exact measurement, (m, m, rad); the true
-    errors where the controller acts on the measured ones."""
-    true = next_errors(problem, cases)
+def next_true_errors(problem: Problem, cases: PeriodCases) -> list[Float[np.ndarray, "n 3"]]:
+    """Return the true errors a period later, (m, m, rad): of wheels that lag once for each of some
+    pasts."""
+    if problem.scenario.robot.obeys_at_once:
+        return [next_errors(problem, cases)]
+    speed, turn = map_inputs(problem, cases)
+    return [
+        next_late_errors(problem, cases, speed, turn, past)
+        for past in find_pasts(problem, speed, turn)
+    ]
+
+
+def next_estimates(
+    problem: Problem, cases: PeriodCases, true: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Return the estimated errors a period later, of an exact measurement of the true ones, (m, m,
+    rad); those themselves where the controller acts on the measured ones."""
     settings = problem.scenario.controller
     if not settings.has_observer:
         return true

@@ -18,7 +18,13 @@ from jaxtube.synthesis.certificate.period import (
     find_wheel_commands,
     noise_reach,
 )
-from jaxtube.synthesis.disturbance import ground_speed_limits, prove_bound, prove_next_error
+from jaxtube.synthesis.disturbance import (
+    bound_pose_errors,
+    find_actuation,
+    ground_speed_limits,
+    prove_bound,
+    prove_next_error,
+)
 from jaxtube.synthesis.problem import Problem
 from sets.certificate import ROUNDING, Condition, judge
 from sets.robot.disturbance import DisturbanceBound
@@ -38,10 +44,12 @@ def check_robot(problem: Problem) -> Iterator[Condition]:
 
 
 def check_true_error(problem: Problem) -> Condition:
-    """Check that the caps and the pose noise, or the error of the estimate, together lie in the
-    error constraints."""
-    limits = problem.operating_set.support(np.eye(3)) + problem.estimate_error
-    promised = np.maximum(limits, problem.error_set.support(np.eye(3)))
+    """Check that the caps and the pose noise, or the error of the estimate, and what the latency
+    adds leave the error constraints room."""
+    try:
+        promised = bound_pose_errors(problem)
+    except ValueError as error:
+        return Condition("true_error_in_e", -np.inf, f"No bound on true errors: {error}.", "robot")
     rooms = error_vector(problem.scenario.constraints) - promised
     worst = int(np.argmin(rooms))
     room = float(rooms[worst])
@@ -50,6 +58,9 @@ def check_true_error(problem: Problem) -> Condition:
     if problem.scenario.controller.has_observer:
         kept = "estimated error and the error of the estimate"
         added = "error of the estimate"
+    if not problem.scenario.robot.obeys_at_once:
+        kept = f"{kept}, and how far the pose strays from where it was committed to be,"
+        added = f"{added} and the latency"
     return judge(
         "true_error_in_e",
         room + ROUNDING,
@@ -180,6 +191,7 @@ def _say_what_leaves(problem: Problem, met: Float[np.ndarray, "n 3"], room: floa
 def _say_place(problem: Problem, index: int) -> str:
     """Return one of the cases in which disturbances are looked for, in words."""
     cases = extreme_cases(problem)
+    index = index % len(cases.errors)
     error = ", ".join(_say_size(i, size) for i, size in enumerate(cases.errors[index]))
     speed, turn = cases.inputs[index]
     return (
@@ -323,7 +335,10 @@ def _assume_noise(problem: Problem) -> str:
 
 
 def _assume_period(problem: Problem) -> str:
-    constant = "slip, wheel speeds and reference constant over each period; wheels obey at once"
+    at_once = problem.scenario.robot.obeys_at_once
+    speeds = "wheel speeds" if at_once else "commands"
+    wheels = "wheels obey at once" if at_once else _say_actuation(problem)
+    constant = f"slip, {speeds} and reference constant over each period; {wheels}"
     slip = problem.scenario.slip
     robot = problem.scenario.robot
     sideways = []
@@ -334,6 +349,29 @@ def _assume_period(problem: Problem) -> str:
     if not sideways:
         return f"{constant}; no sideways slip"
     return f"{constant}; the body slips sideways by {' plus '.join(sideways)}"
+
+
+def _say_actuation(problem: Problem) -> str:
+    """Return what is assumed of wheels that do not obey at once, in words."""
+    robot = problem.scenario.robot
+    nominal = find_actuation(problem.scenario).nominal(problem.model.dt)
+    parts = []
+    if robot.wheel_lag_s[1] > 0:
+        lag = _say_times(robot.wheel_lag_s)
+        parts.append(
+            f"both wheels lag by the same constant time of {lag}, linearly, without limits"
+        )
+    if robot.command_delay_s[1] > 0:
+        parts.append(f"each command arrives {_say_times(robot.command_delay_s)} late")
+    return (
+        f"{'; '.join(parts)}; before the start the robot drives as the reference begins; "
+        f"it follows the reference {nominal.latency:.3g} s late"
+    )
+
+
+def _say_times(interval: tuple[float, float]) -> str:
+    low, high = interval
+    return f"{low:g} s" if low == high else f"{low:g} to {high:g} s"
 
 
 def _assume_reference(problem: Problem, any_order: bool) -> str:
