@@ -24,7 +24,6 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube.plant.motions import Motion, arc_of_travel, join, undo
-from sets.robot.actuation import Actuation
 
 INSTANT = 1e-9
 """Share of a period by which a time may differ from a whole number of them by rounding."""
@@ -63,9 +62,8 @@ class Forecast:
     past: int
 
     @classmethod
-    def of(cls, actuation: Actuation, track_width: float, dt: float) -> Forecast:
-        """Return the forecast by the nominal values of an actuation."""
-        lag, delay = actuation.nominal(dt)
+    def of(cls, lag: float, delay: float, track_width: float, dt: float) -> Forecast:
+        """Return the forecast by a nominal lag and delay, s."""
         whole = count_periods(delay, dt)
         late = max(delay - whole * dt, 0.0)
         latency = lag + delay

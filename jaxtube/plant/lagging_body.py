@@ -25,13 +25,12 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube.plant.error_dynamics import Sideslip
-from jaxtube.plant.forecast import Forecast, commit, count_periods, withdraw
+from jaxtube.plant.forecast import INSTANT, Forecast, commit, count_periods, withdraw
 from jaxtube.plant.motions import Motion, arc_of_travel, join, undo
 from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.robot import saturate, wheel_commands
 from jaxtube.plant.slipping import SlipMemory, SlippingRobot
 from jaxtube.plant.wheel_lag import Wheels, drive
-from sets.robot.actuation import Actuation
 
 Errors = Float[Array, "batch 3"]
 Pair = Float[Array, "batch 2"]
@@ -80,27 +79,32 @@ class LaggingBody:
 
     @classmethod
     def of(
-        cls, ideal: SlippingRobot, actuation: Actuation, track_width: float, dt: float
+        cls,
+        ideal: SlippingRobot,
+        forecast: Forecast,
+        lag: tuple[float, float],
+        delay: tuple[float, float],
     ) -> LaggingBody:
         """Return a robot whose wheels lag and whose commands come late.
 
         Args:
             ideal: with wheels that obey at once.
-            actuation: lag and delay.
-            track_width, dt: those of the ideal robot as numbers, m and s.
+            forecast: what the controller counts on, its period a number.
+            lag, delay: least and greatest, s.
         """
-        low, high = actuation.delay
+        dt = float(forecast.dt)
+        low, high = delay
         whole = count_periods(low, dt)
-        is_on_time = low == high and abs(low - whole * dt) <= dt * 1e-9
+        is_on_time = low == high and abs(low - whole * dt) <= dt * INSTANT
         arrivals = 0 if is_on_time else 1 if high <= (whole + 1) * dt else 2
         return cls(
             ideal=ideal,
-            forecast=Forecast.of(actuation, track_width, dt),
-            lag=jnp.array(actuation.lag),
-            delay=jnp.array(actuation.delay),
+            forecast=forecast,
+            lag=jnp.array(lag),
+            delay=jnp.array(delay),
             whole=whole,
             arrivals=arrivals,
-            known_lag=actuation.lag[0] == actuation.lag[1],
+            known_lag=lag[0] == lag[1],
             known_delay=low == high,
         )
 

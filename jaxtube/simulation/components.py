@@ -14,6 +14,7 @@ from jaxtube.control import mpc
 from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.estimating import EstimatingRobot
+from jaxtube.plant.forecast import Forecast
 from jaxtube.plant.lagging import BareRobot, LaggingRobot, SlipSource
 from jaxtube.plant.lagging_body import LaggingBody
 from jaxtube.plant.linear import LinearPlant
@@ -112,7 +113,9 @@ def with_lag(
     actuation = find_actuation(problem.scenario)
     if actuation.is_ideal:
         return source
-    body = LaggingBody.of(ideal, actuation, problem.robot.track_width, problem.reference.dt)
+    dt = problem.reference.dt
+    forecast = Forecast.of(*actuation.nominal(dt), problem.robot.track_width, dt)
+    body = LaggingBody.of(ideal, forecast, actuation.lag, actuation.delay)
     return LaggingRobot(body, source)
 
 

@@ -22,7 +22,6 @@ from sets.polytope import Polytope
 from sets.robot.actuation import Actuation
 from sets.robot.disturbance import (
     DisturbanceBound,
-    Operation,
     disturbance_bound,
     wheel_error_bound,
     wheel_error_range,
@@ -30,6 +29,7 @@ from sets.robot.disturbance import (
 from sets.robot.driving import find_driving
 from sets.robot.latency import bound_later_errors
 from sets.robot.observer import bound_next_error, find_estimate_error
+from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics
 
 FLAT = 1e-12

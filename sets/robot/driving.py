@@ -12,18 +12,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from sets.robot.actuation import NO_LAG
 from sets.robot.committed import Commitment, Driving, bound_commitment
+from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics, Late, split_disturbance
 from sets.supremum import suprema
-
-if TYPE_CHECKING:
-    from sets.robot.disturbance import Operation
 
 BOTH_ENDS = list(product((-1, 1), range(3)))
 """Signs and numbers of three outputs."""

@@ -34,8 +34,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from sets.robot.disturbance import Operation
 from sets.robot.driving import commit_operation
+from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics, split_disturbance
 from sets.supremum import suprema
 

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from tolerances import ROUNDING
 
 from jaxtube.plant.error_dynamics import world_pose
+from jaxtube.plant.forecast import Forecast
 from jaxtube.plant.lagging import LaggingRobot
 from jaxtube.plant.lagging_body import LaggingBody
 from jaxtube.plant.protocol import Command
@@ -47,7 +48,8 @@ ACTUATIONS = (
 
 def make_body(actuation, extra=()):
     ideal = robot_of(make_problem(load("paper", [*SETTINGS, *extra])), "iid")
-    return LaggingBody.of(ideal, actuation, B, T)
+    forecast = Forecast.of(*actuation.nominal(T), B, T)
+    return LaggingBody.of(ideal, forecast, actuation.lag, actuation.delay)
 
 
 def make_plant(body):

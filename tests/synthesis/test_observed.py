@@ -21,7 +21,7 @@ from jaxtube.synthesis.disturbance import complete_problem, kinematics, operatio
 from jaxtube.synthesis.estimate import Estimate
 from jaxtube.synthesis.optimise import caps_and_gains, optimise
 from jaxtube.synthesis.problem import Problem, make_problem
-from sets.robot.disturbance import Operation
+from sets.robot.operation import Operation
 
 NOISY = ["noise.longitudinal_m=0.005", "noise.lateral_m=0.005", "noise.heading_deg=0.2"]
 OBSERVED = [

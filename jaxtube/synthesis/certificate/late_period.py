@@ -17,18 +17,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float
 
+from jaxtube.synthesis.certificate.period_cases import Numbers, PeriodCases
 from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.problem import Problem
-
-if TYPE_CHECKING:
-    from jaxtube.synthesis.certificate.period import PeriodCases
-
-Numbers = Float[np.ndarray, " n"]
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(10)
 LAYERS = (0.0, 4.0, 16.0)

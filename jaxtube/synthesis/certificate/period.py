@@ -20,7 +20,7 @@ Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (1)-(8).
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Complex, Float
@@ -28,28 +28,12 @@ from jaxtyping import Complex, Float
 from jaxtube.plant.slip_bounds import SlipBounds, slip_bounds
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.certificate.late_period import find_pasts, next_late_errors
+from jaxtube.synthesis.certificate.period_cases import Numbers, PeriodCases
 from jaxtube.synthesis.problem import Problem, region_corners
-
-Numbers = Float[np.ndarray, " n"]
 
 ALONG = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Shares of the longitudinal cap that are tried: with a coupling its edge lies at other inputs for
 each."""
-
-
-@dataclass(frozen=True, eq=False)
-class PeriodCases:
-    """What a period depends on, one row a case: measured errors (m, m, rad), inputs (m/s,
-    rad/s), reference wheel speeds (right, left) in m/s, true and measured slips, the sideslip zeta,
-    noise of the error that was measured, or how far the estimated one is off."""
-
-    errors: Float[np.ndarray, "n 3"]
-    inputs: Float[np.ndarray, "n 2"]
-    wheels: Float[np.ndarray, "n 2"]
-    slip: Float[np.ndarray, "n 2"]
-    measured_slip: Float[np.ndarray, "n 2"]
-    sideslip: Numbers
-    noise: Float[np.ndarray, "n 3"]
 
 
 def find_disturbances(problem: Problem) -> Float[np.ndarray, "n 3"]:

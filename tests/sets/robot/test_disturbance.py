@@ -16,12 +16,12 @@ from jaxtube.plant.model import make_model
 from sets.interval import Dual
 from sets.robot.disturbance import (
     CAUSES,
-    Operation,
     disturbance_bound,
     disturbance_parts,
     evaluate_disturbance,
     wheel_error_bound,
 )
+from sets.robot.operation import Operation
 from sets.robot.plant import INPUT_MAPS, Kinematics, Period, plane_rows, split_disturbance
 
 INTEGRATED = 1e-10

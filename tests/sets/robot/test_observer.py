@@ -8,12 +8,12 @@ import pytest
 from test_disturbance import EIGHT, SLIDING, operation
 
 from sets.robot.disturbance import (
-    Operation,
     disturbance_bound,
     disturbance_parts,
     evaluate_disturbance,
 )
 from sets.robot.observer import MARGIN, bound_next_error, find_estimate_error
+from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics, split_disturbance
 
 GAIN = (0.5, 0.25, 0.8)
