@@ -119,6 +119,12 @@ def _answer_next_error(question: bytes) -> bytes:
     return pickle.dumps(bound_next_error(where, how))
 
 
+@lru_cache(maxsize=16)
+def _answer_estimate_error(question: bytes) -> bytes:
+    where, how = pickle.loads(question)
+    return pickle.dumps(find_estimate_error(where, how))
+
+
 def ground_speed_limits(problem: Problem) -> Float[np.ndarray, "2 2"]:
     """Return the (least, greatest) ground speeds (right, left), m/s, that the wheels can be asked
     for under every slip that is compensated."""
@@ -156,7 +162,8 @@ def _with_estimate_error(problem: Problem) -> Problem:
     """
     scenario = problem.scenario
     try:
-        size = find_estimate_error(operation(problem), kinematics(problem))
+        question = pickle.dumps((operation(problem), kinematics(problem)))
+        size = pickle.loads(_answer_estimate_error(question))
     except ValueError as error:
         raise ScenarioError(
             f"scenario: controller.observer_gain = {list(scenario.controller.observer_gain)}: "
