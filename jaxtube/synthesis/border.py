@@ -142,17 +142,16 @@ def _find_next(attempts: dict[float, Attempt], precision: float) -> float | None
 
 def _step_on(attempts: dict[float, Attempt], end: float, direction: int) -> float:
     """Return a place beyond the last one, where the ratio is predicted to be as aimed at, but not
-    as far as two steps."""
+    farther than two steps."""
     places = sorted(attempts)[::direction]
     level = _find_level(attempts[end])
     step = 2 * FIRST_STEP
-    if level is not None and (level - AIM) * direction < 0:
-        before = [_find_level(attempts[place]) for place in places[:-1]]
+    if math.isfinite(level) and (level - AIM) * direction < 0:
         slope = 1.0
-        if before and before[-1] is not None:
-            slope = (level - before[-1]) / (end - places[-2])
+        if len(places) > 1 and math.isfinite(_find_level(attempts[places[-2]])):
+            slope = (level - _find_level(attempts[places[-2]])) / (end - places[-2])
         if slope > 0:
-            step = np.clip((AIM - level) / slope * direction, LEAST_STEP, step)
+            step = min(max((AIM - level) / slope * direction, LEAST_STEP), step)
     return float(np.clip(end + direction * step, -FARTHEST, FARTHEST))
 
 
@@ -168,22 +167,23 @@ def _predict(attempts: dict[float, Attempt], lower: float, upper: float) -> floa
     """Return where, between two places, the ratio is expected to be as aimed at: their middle where
     it is not the ratio that says no."""
     levels = [_find_level(attempts[place]) for place in (lower, upper)]
-    if levels[0] is None or levels[1] is None or not levels[0] < AIM < levels[1]:
+    if not levels[0] < AIM < levels[1] < math.inf:
         return (lower + upper) / 2
     return float(np.interp(AIM, levels, [lower, upper]))
-
-
-def _find_level(attempt: Attempt) -> float | None:
-    return None if attempt.ratio is None else math.log(attempt.ratio)
 
 
 def _has_turned(attempts: dict[float, Attempt]) -> bool:
     """Whether the easiest two attempts gained nothing over a harder one: then it is not this
     quantity that decides."""
     levels = [_find_level(attempts[place]) for place in sorted(attempts)[:3]]
-    if len(levels) < 3 or None in levels:
+    if len(levels) < 3 or not math.isfinite(sum(levels)):
         return False
     return min(levels[:2]) > levels[2] - GAINED
+
+
+def _find_level(attempt: Attempt) -> float:
+    """Return the logarithm of the ratio, infinite where there is none."""
+    return math.inf if attempt.ratio is None else math.log(attempt.ratio)
 
 
 def _find_near(attempts: dict[float, Attempt], place: float) -> tuple[float, ...] | None:

@@ -85,8 +85,8 @@ class Active(NamedTuple):
 
 
 class Estimate:
-    """One problem's shares as a function of points, logarithms of caps and tracking gains and, where
-    it is not the scenario's own, of an observer's gain."""
+    """One problem's shares at points: logarithms of caps, tracking gains and, where it is not the
+    scenario's own, an observer's gain."""
 
     def __init__(self, problem: Problem):
         scenario = problem.scenario

@@ -11,7 +11,7 @@ Source: policy iteration by Howard 1960 for the corners that count; else new.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -62,7 +62,7 @@ def split_at_corners(
     model = parts.bilinear.plus(parts.sine).plus(parts.sampling)
     sliding = parts.slip.plus(parts.sideslip)
 
-    def spread(numbers: Sequence) -> Float[np.ndarray, "k n corners"]:
+    def spread(numbers: Iterable) -> Float[np.ndarray, "k n corners"]:
         return np.stack([np.broadcast_to(each, shape).reshape(count, -1) for each in numbers])
 
     effects = [spread(np.broadcast_to(each, (3, *shape))) for each in parts.noise]

@@ -5,10 +5,11 @@ what it may use.
               R the minimal RPI set of the gains
 
 over the caps of the measured error, of the inputs, of |e_x| / a + |u2| / b <= 1, and (k1, k2, k3).
-Where pose noise takes much of the ratio, the gain of an observer is chosen with them. Wider caps admit a wider disturbance set W, narrower ones leave less room for it: the optimum is
-where all constraints that matter bind alike. On the way W and R are estimated
-(`synthesis.estimate`, `synthesis.descent`); what comes out is designed and certified as any other
-scenario, by rigorous bounds.
+Where pose noise takes much of the ratio, the gain of an observer is chosen with them. Wider caps
+admit a wider disturbance set W, narrower ones leave less room for it: the optimum is where all
+constraints that matter bind alike. On the way W and R are estimated (`synthesis.estimate`,
+`synthesis.descent`); what comes out is designed and certified as any other scenario, by rigorous
+bounds.
 
 Source: new.
 """
@@ -140,7 +141,9 @@ def optimise(
     own = caps_and_gains(problem.scenario)
     starts = [] if own is None else [_to_point(problem, own)]
     for start in [*starts, *make_starts(estimate)[:TRIED]]:
-        best = _find_better(best, descend(estimate, start))
+        descent = descend(estimate, start)
+        if descent is not None and (best is None or descent.objective < best.objective):
+            best = descent
         on_progress(np.inf if best is None else _describe(best).ratio)
     if best is None:
         section = problem.scenario.reference
@@ -151,16 +154,10 @@ def optimise(
         )
     if _is_noisy(best):
         observed = descend(estimate, np.append(best.point, _observer_start(estimate)))
-        best = _find_better(best, observed, math.log(WORTH))
+        if observed is not None and observed.objective < best.objective + math.log(WORTH):
+            best = observed
         on_progress(_describe(best).ratio)
     return _correct(best)
-
-
-def _find_better(best: Descent | None, other: Descent | None, gained: float = 0.0) -> Descent:
-    """Return the search of less objective; the other one only where it gains so much."""
-    if other is None or (best is not None and other.objective >= best.objective + gained):
-        return best
-    return other
 
 
 def _is_noisy(descent: Descent) -> bool:

@@ -194,4 +194,4 @@ def _key(question: Mapping) -> tuple[str, float, float]:
 def _read(values: Mapping) -> Attempt:
     """Return an attempt from its record, whose tuples are lists."""
     caps = values["caps_and_gains"]
-    return Attempt(**values | {"caps_and_gains": None if caps is None else tuple(caps)})
+    return Attempt(**{**values, "caps_and_gains": None if caps is None else tuple(caps)})

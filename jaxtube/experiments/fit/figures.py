@@ -7,6 +7,7 @@ import itertools
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
@@ -44,7 +45,7 @@ def frontier(scenario: Scenario, found: Fit) -> Figure:
     panels = figure.subplots(1, 1 if found.second is None else 2, squeeze=False)[0]
     shapes = _choose_shapes(found)
     _draw_shares(panels[0], scenario, found, shapes)
-    keys = [
+    keys: list[Artist] = [
         mark_key("certified", INSIDE, marker="s"),
         mark_key("not certified", OUTSIDE, marker="s", markerfacecolor="white"),
         mark_key("the scenario", "0.15", markersize=8, markerfacecolor="none"),
@@ -66,24 +67,24 @@ def _choose_shapes(found: Fit) -> dict[str, str]:
 
 
 def _draw_shares(axes: Axes, scenario: Scenario, found: Fit, shapes: dict[str, str]) -> None:
-    shown = [attempt for attempt in found.border.attempts if attempt.ratio is not None]
-    values = np.array([attempt.value for attempt in shown])
-    ratios = np.array([attempt.ratio for attempt in shown])
-    order = np.argsort(values)
-    axes.plot(values[order], ratios[order], color="0.6", linewidth=0.8)
-    for attempt in shown:
-        axes.plot(attempt.value, attempt.ratio, **_look(attempt, shapes))
-    for attempt in found.border.attempts:
-        # At the upper edge: what has no ratio, as no caps keep the limits.
-        if attempt.ratio is None and attempt.value is not None:
-            edge = {"transform": axes.get_xaxis_transform(), "clip_on": False}
-            axes.plot(attempt.value, 1.0, **_look(attempt, shapes), **edge)
-    own = [attempt for attempt in shown if attempt.factor == 1.0]
-    axes.plot([each.value for each in own], [each.ratio for each in own], **OWN)
+    attempts = [attempt for attempt in found.border.attempts if attempt.value is not None]
+    values = np.array([attempt.value for attempt in attempts], float)
+    ratios = np.array([attempt.ratio for attempt in attempts], float)
+    known = np.isfinite(ratios)
+    order = np.argsort(values[known])
+    axes.plot(values[known][order], ratios[known][order], color="0.6", linewidth=0.8)
+    for value, ratio, attempt in zip(values, ratios, attempts, strict=True):
+        look = _look(attempt, shapes)
+        if np.isfinite(ratio):
+            axes.plot(value, ratio, **look)
+        else:  # no caps keep the limits: at the upper edge
+            axes.plot(value, 1.0, **look, transform=axes.get_xaxis_transform(), clip_on=False)
+    own = values == found.lever.measure(scenario)
+    axes.plot(values[own], ratios[own], **OWN)
     axes.axhline(1.0, **LIMIT)
     axes.set(title="(a) the tube of the best design found", xlabel=found.lever.label)
     axes.set_ylabel("largest share of a cap")
-    axes.set_ylim(0, min(HIGHEST, 1.08 * max(1.0, *ratios)) if len(ratios) else HIGHEST)
+    axes.set_ylim(0, min(HIGHEST, 1.08 * np.max(ratios[known], initial=1.0)))
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g} %"))
 
 
@@ -91,19 +92,18 @@ def _draw_frontier(axes: Axes, scenario: Scenario, found: Fit, shapes: dict[str,
     assert found.second is not None
     held = [(point.value, point.attempt) for point in found.frontier if point.attempt is not None]
     seconds = np.array([value for value, _ in held])
-    values = np.array([attempt.value for _, attempt in held])
+    values = np.array([attempt.value for _, attempt in held], float)
     own = found.lever.measure(scenario)
     top = 1.15 * max(values.max(), own)
-    axes.fill_between(
-        seconds, values, 0 if found.lever.easier < 0 else top, color=INSIDE, alpha=TINT, linewidth=0
-    )
+    is_upper = found.lever.easier < 0
+    floor = 0.0 if is_upper else top
+    axes.fill_between(seconds, values, floor, color=INSIDE, alpha=TINT, linewidth=0)
     axes.plot(seconds, values, color=INSIDE, linewidth=0.8)
-    for value, attempt in held:
-        axes.plot(value, attempt.value, **_look(attempt, shapes))
+    for second, value, (_, attempt) in zip(seconds, values, held, strict=True):
+        axes.plot(second, value, **_look(attempt, shapes))
     denied = [point.value for point in found.frontier if point.attempt is None]
-    edge = {"transform": axes.get_xaxis_transform(), "clip_on": False}
-    for value in denied:
-        axes.plot(value, 0 if found.lever.easier < 0 else 1, **DENIED, marker="s", **edge)
+    edge = np.full(len(denied), 0.0 if is_upper else top)
+    axes.plot(denied, edge, **DENIED, marker="s", clip_on=False)
     axes.plot(found.second.measure(scenario), own, **OWN)
     axes.set(title="(b) the border found", xlabel=found.second.label, ylabel=found.lever.label)
     axes.set_ylim(0, top)

@@ -93,10 +93,11 @@ def _frontier_table(found: Fit, second: Lever) -> str:
 
 def _frontier_row(point: FrontierPoint) -> list[str]:
     value = f"{point.value:.4g}"
-    if point.attempt is None or point.attempt.ratio is None:
-        return [value, "none found", "-", "-"]
     attempt = point.attempt
-    return [value, f"{attempt.value:.4g}", f"{100 * attempt.ratio:.1f}", attempt.binding]
+    ratio = None if attempt is None else attempt.ratio
+    if attempt is None or ratio is None:
+        return [value, "none found", "-", "-"]
+    return [value, f"{attempt.value:.4g}", f"{100 * ratio:.1f}", attempt.binding]
 
 
 def _say_value(lever: Lever, attempt: Attempt) -> str:
