@@ -275,6 +275,29 @@ class MapsOptions(Options):
 
 
 @dataclass(frozen=True)
+class FitOptions(Options):
+    """Find the largest speed, the smallest limits or the widest slip with a certificate; resumes
+    where it was interrupted."""
+
+    command = "fit"
+    module = "fit.command"
+    positional = ("quantity",)
+
+    quantity: Positional[Literal["speed", "limits", "slip"]] = "speed"
+    """what one factor scales: reference.speed_mps and its box of wheel speeds, all of
+    [constraints], or what is not known of slip"""
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "certified"
+    """a scenario that `list` prints, or a file; caps and gains are searched"""
+    require_certificate: bool = False
+    """exit with 3 when no certified design is found"""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run: one for each quantity."""
+        return super().folder if self.out else Path(f"{super().folder}-{self.quantity}")
+
+
+@dataclass(frozen=True)
 class BeyondOptions(Options):
     """Measure how imperfect the robot may be before a lap leaves W, and before it leaves what is
     certified."""
@@ -506,6 +529,7 @@ COMMANDS: dict[str, type[Options]] = {
         MontecarloOptions,
         FalsifyOptions,
         GuaranteeOptions,
+        FitOptions,
         MapsOptions,
         BeyondOptions,
         PathOptions,

@@ -153,9 +153,7 @@ def refuse_infeasible_start(design: Design, error: Float[np.ndarray, "3"] | None
     problem = design.problem
     error = problem.initial_error if error is None else error
     used = _use_of_caps(problem, error)
-    corners = error + noise_corners(problem)
-    index = design.first_window
-    missing = max(shortfall(design.tube_qps, index, corner) for corner in corners)
+    missing = _find_missing(design, error)
     if np.max(used) <= 1 and missing <= SHORT:
         return
     share = _share_with_plan(design, error)
@@ -169,6 +167,23 @@ def refuse_infeasible_start(design: Design, error: Float[np.ndarray, "3"] | None
         f"scenario: {_say_pose(error)}: the start lies outside the feasible set of the tube-MPC "
         f"(constraints short by {missing:.3g}); {cure}; {others}"
     )
+
+
+def find_share_of_start(design: Design) -> float:
+    """Return the largest share of the scenario's start, at most 1, that lies within the caps and
+    has a plan."""
+    error = design.problem.initial_error
+    used = _use_of_caps(design.problem, error)
+    if np.max(used) <= 1 and _find_missing(design, error) <= SHORT:
+        return 1.0
+    return _share_with_plan(design, error)
+
+
+def _find_missing(design: Design, error: Float[np.ndarray, "3"]) -> float:
+    """Return by how much constraints are short for what may be measured of a start, at worst."""
+    corners = error + noise_corners(design.problem)
+    index = design.first_window
+    return max(shortfall(design.tube_qps, index, corner) for corner in corners)
 
 
 def _use_of_caps(problem: Problem, error: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:

@@ -142,6 +142,12 @@ def _answer_next_error(question: bytes) -> bytes:
     return pickle.dumps(bound_next_error(where, how))
 
 
+@lru_cache(maxsize=16)
+def _answer_estimate_error(question: bytes) -> bytes:
+    where, how = pickle.loads(question)
+    return pickle.dumps(find_estimate_error(where, how))
+
+
 def bound_pose_errors(problem: Problem) -> Float[np.ndarray, "3"]:
     """Return the greatest true errors, (m, m, rad): of wheels that lag those of the pose itself, a
     latency after each instant.
@@ -197,7 +203,8 @@ def _with_estimate_error(problem: Problem) -> Problem:
     """
     scenario = problem.scenario
     try:
-        size = find_estimate_error(operation(problem), kinematics(problem))
+        question = pickle.dumps((operation(problem), kinematics(problem)))
+        size = pickle.loads(_answer_estimate_error(question))
     except ValueError as error:
         raise ScenarioError(
             f"scenario: controller.observer_gain = {list(scenario.controller.observer_gain)}: "

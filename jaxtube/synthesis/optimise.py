@@ -5,150 +5,173 @@ what it may use.
               R the minimal RPI set of the gains
 
 over the caps of the measured error, of the inputs, of |e_x| / a + |u2| / b <= 1, and (k1, k2, k3).
-Where pose noise takes much of the ratio, the gain of an observer is chosen with them.
-Wider caps admit a wider disturbance set W, narrower ones leave less room for it: the optimum is
-where all constraints that matter bind alike. On the way W and R are estimated
-(`synthesis.estimate`); what comes out is designed and certified as any other scenario, by rigorous
+Where pose noise takes much of the ratio, the gain of an observer is chosen with them. Wider caps
+admit a wider disturbance set W, narrower ones leave less room for it: the optimum is where all
+constraints that matter bind alike. On the way W and R are estimated (`synthesis.estimate`,
+`synthesis.descent`); what comes out is designed and certified as any other scenario, by rigorous
 bounds.
 
-Source: new; sequential quadratic programming by Kraft 1988 (SLSQP of scipy) on logarithms of all
-quantities.
+Source: new.
 """
 
 from __future__ import annotations
 
-import copy
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 
-import msgspec
 import numpy as np
 from jaxtyping import Float
-from scipy.optimize import minimize
 
 from jaxtube.scenario.error_box import error_vector, noise_bounds
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.advice import say_what_widens
+from jaxtube.synthesis.corners import CAPS_AND_GAINS
+from jaxtube.synthesis.descent import ROWS, Descent, descend, find_pressures
+from jaxtube.synthesis.design import find_share_of_start, prepare
 from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits
-from jaxtube.synthesis.estimate import ACCURACY, CAPS_AND_GAINS, USUAL_TRACK_WIDTH_M, Estimate
-from jaxtube.synthesis.problem import Problem, make_problem
+from jaxtube.synthesis.estimate import ACCURACY, CAP_ROWS, LIMIT_ROWS, Estimate
+from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.starts import caps_and_gains, make_starts, with_caps_and_gains
 
-NAMES = (
-    "longitudinal_m",
-    "lateral_m",
-    "heading_deg",
-    "speed_deficit_min_mps",
-    "speed_deficit_max_mps",
-    "yaw_rate_deficit_radps",
-    "turning_longitudinal_m",
-    "turning_yaw_rate_radps",
-)
-STARTS = (
-    (0.105, 0.29, 17.0, 0.35, 0.80, 0.90, 0.14, 1.05, 9.5, 7.0, 9.0),
-    (0.125, 0.145, 18.5, 0.31, 0.80, 1.30, 0.126, 1.44, 9.5, 11.0, 6.0),
-)
-"""Starts of the search: caps in the order of `NAMES` (the least speed deficit by its size), k1, k2,
-k3; for a robot of the usual track width."""
-LENGTH_POWERS = (1, 1, 0, 1, 1, 0, 1, 0, 0, -1, 0)
-"""Powers of a length by which each number of a start grows with the robot."""
-CORRECTIONS = 3
-"""Repetitions at most, where the rigorous bound of the ground speeds passes what corners showed."""
-REACH = 1.5
-"""How far the search may go from its start, in logarithms."""
-SLOWEST_GAIN = 0.5
-"""Least k1, 1/s."""
-DIFFERENCE = 1e-4
-"""Step of the forward differences of the constraints, in logarithms."""
-QUIET = 0.8
+TRIED = 2
+"""Starts made for the robot that are followed, beside the scenario's own."""
+SEARCHES = 2 + TRIED
+"""Searches at most, beside the one from nearby."""
+QUIET = 0.9
 """Share of the ratio that is left without pose noise, below which an observer is tried."""
 WORTH = 0.97
 """Share of the ratio of the measured error that an observer has to reach, to be worth it."""
 OBSERVER_RATES = (10.0, 3.0, 25.0)
 """Rates, 1/s, at which the search for an observer's gain starts, (longitudinal, lateral,
 heading)."""
-LEAST_SHARE = 0.01
-"""Least gain of an observer that is searched."""
-MISSED = -10.0
-"""Slack of every constraint where the loops have no bounded tube."""
+CORRECTIONS = 3
+"""Searches at most for wheels that keep their limits."""
+FARTHER = (1.03, 1.12)
+"""Factors by which a start without a plan is taken for farther away than it has to be, one try
+after the other where rigorous bounds deny what the estimate showed."""
+LIMIT_ROUNDING = 1e-3
+"""By what share a limit may be passed by the estimate: what is designed is rounded down, and judged
+by rigorous bounds."""
+PRESSING = 0.05
+"""Pressure from which on a limit is told."""
+SHOWN = 2
+"""Limits that are told at most."""
+KIND = ("exact_jacobian", "x_exact", "sequence", "T-A", "computed")
+"""Model, input map, tube, terminal set and bound that the search knows."""
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """The scenario with the best caps and gains, and the estimated ratio."""
+    """The scenario with the best caps and gains, and what holds there as far as estimated.
+
+    Attributes:
+        scenario: with these caps and gains.
+        ratio: largest share of a cap that the tube fills.
+        excess: largest use of a limit by caps, start and wheels.
+        shares: of caps filled and of limits used, by `ROWS`.
+        pressures: by `ROWS`, as of `descent.find_pressures`.
+    """
 
     scenario: Scenario
     ratio: float
+    excess: float
+    shares: dict[str, float]
+    pressures: dict[str, float]
+
+    @property
+    def keeps_limits(self) -> bool:
+        """Whether caps, start and wheels keep their limits."""
+        return self.excess <= 1 + LIMIT_ROUNDING
+
+    @property
+    def holds(self) -> bool:
+        """Whether the caps hold the tube, too."""
+        return self.ratio <= 1 and self.keeps_limits
+
+    @property
+    def pressing(self) -> list[str]:
+        """The limits that hold the caps down, the most pressing first."""
+        limits = sorted(LIMIT_ROWS, key=lambda row: -self.pressures[row])
+        return [row for row in limits if self.pressures[row] > PRESSING]
+
+    @property
+    def binding(self) -> str:
+        """The row that binds most: a limit that holds the caps down, where there is one."""
+        return max(self.pressing[:1] or CAP_ROWS, key=lambda row: self.pressures[row])
+
+    def describe_binding(self) -> str:
+        """Return what binds, in words: the limit that is passed, or the cap that is filled most and
+        the limits that hold the caps down."""
+        if not self.keeps_limits:
+            worst = max(LIMIT_ROWS, key=lambda row: self.shares[row])
+            return f"every choice of caps asks for {self.excess:.1%} of what {worst} leaves"
+        cap = max(CAP_ROWS, key=lambda row: self.pressures[row])
+        shown = self.pressing[:SHOWN]
+        verb = "hold" if len(shown) > 1 else "holds"
+        held = f"; {' and '.join(shown)} {verb} the caps down" if shown else ""
+        return f"the tube fills {self.ratio:.1%} of its caps, above all of the {cap}{held}"
 
 
 def optimise(
     problem: Problem,
     on_progress: Callable[[float], None] = lambda ratio: None,
-    starts: Sequence[tuple[float, ...]] | None = None,
+    near: Sequence[float] | None = None,
 ) -> Optimum:
-    """Find caps and tracking gains of least ratio within the limits of the scenario, and the gain
-    of an observer where one is worth it.
+    """Find caps and tracking gains of least ratio within the limits of the scenario.
 
     Args:
-        problem: its operating section and tracking gains are replaced, and an observer's gain of 1;
-            all else is kept.
-        on_progress: is told the best ratio after each start.
-        starts: of the search, as `STARTS`; None for `search_starts`. The optimum of a problem much
-            like this one saves time.
+        problem: its operating section and tracking gains are replaced; all else is kept.
+        on_progress: is told the best ratio so far after each search; there are `SEARCHES` at most.
+        near: caps and gains, in the order of `starts.NAMES` and k1, k2, k3: the optimum of a
+            problem much like this one. Where the search from there ends with a design it is the
+            only one.
 
     Returns:
-        The best of all starts, an estimate: design the scenario to know its ratio and its
+        The best of all searches, an estimate: design the scenario to know its ratio and its
         certificate.
 
     Raises:
-        ValueError: where no start leads to a bounded tube, or the scenario is of another kind.
+        ValueError: where no gain bounds a tube, or the scenario is of another kind.
     """
-    _refuse_other_kinds(problem.scenario)
-    starts = search_starts(problem) if starts is None else starts
+    refuse_other_kinds(problem.scenario)
     estimate = Estimate(problem)
-    best = None
-    least = np.inf
-    for start in starts:
-        point, ratio = _descend(estimate, np.log(start))
-        if ratio < least:
-            best = point
-            least = ratio
-        on_progress(least)
-    at = best if best is not None else np.log(starts[0])
-    if _is_noisy(estimate, at):
-        point, ratio = _descend(estimate, np.append(at, _observer_start(estimate)))
-        if ratio < least * WORTH:
-            best = point
-            least = ratio
-            on_progress(least)
+    best = None if near is None else descend(estimate, _to_point(problem, near))
+    if best is not None and _describe(best).holds:
+        return _correct(best)
+    own = caps_and_gains(problem.scenario)
+    starts = [] if own is None else [_to_point(problem, own)]
+    for start in [*starts, *make_starts(estimate)[:TRIED]]:
+        descent = descend(estimate, start)
+        if descent is not None and (best is None or descent.objective < best.objective):
+            best = descent
+        on_progress(np.inf if best is None else _describe(best).ratio)
     if best is None:
-        widened = _with_values(problem.scenario, np.log(starts[0]))
+        section = problem.scenario.reference
         raise ValueError(
-            f"optimise: no start leads to a bounded tube; {say_what_widens(make_problem(widened))}"
-            "; lower slip.relative_error, [noise] or the range of reference wheel speeds"
+            "optimise: no tracking gains tried bound a tube over reference wheel speeds from "
+            f"{section.wheel_speed_min_mps:g} to {section.wheel_speed_max_mps:g} m/s in any order; "
+            "narrow reference.wheel_speed_min_mps and wheel_speed_max_mps"
         )
-    for _ in range(CORRECTIONS):
-        excess = wheel_excess(complete_problem(_with_values(problem.scenario, best)))
-        if excess <= 1:
-            break
-        # Corners miss the greatest ground speed by little: ask for that much less.
-        estimate = estimate.with_less_speed(excess * (1 + ACCURACY))
-        best, least = _descend(estimate, best)
-    return Optimum(_with_values(problem.scenario, best), float(least))
+    if _is_noisy(best):
+        observed = descend(estimate, np.append(best.point, _observer_start(estimate)))
+        if observed is not None and observed.objective < best.objective + math.log(WORTH):
+            best = observed
+        on_progress(_describe(best).ratio)
+    return _correct(best)
 
 
-def _is_noisy(estimate: Estimate, point: Float[np.ndarray, " n"]) -> bool:
-    """Whether pose noise takes so much of the tube that an observer may be worth it, which the
-    scenario does not give."""
-    if estimate.problem.scenario.controller.has_observer or not estimate.noise.any():
+def _is_noisy(descent: Descent) -> bool:
+    """Whether pose noise takes so much of the tube that an observer may be worth it, which neither
+    the scenario gives nor the search has."""
+    estimate = descent.estimate
+    has_observer = estimate.problem.scenario.controller.has_observer
+    if has_observer or len(descent.point) > CAPS_AND_GAINS or not estimate.corners.noise.any():
         return False
-    quiet = copy.copy(estimate)
-    quiet.noise = np.zeros(3)
-    shares = estimate.shares(point)
-    without_noise = quiet.shares(point)
-    if shares is None or without_noise is None:
+    shares = estimate.shares(descent.point)
+    quiet = estimate.without_noise().shares(descent.point)
+    if shares is None or quiet is None:
         return True
-    return bool(without_noise.caps.max() < QUIET * shares.caps.max())
+    return bool(quiet.caps.max() < QUIET * shares.caps.max())
 
 
 def _observer_start(estimate: Estimate) -> Float[np.ndarray, "3"]:
@@ -156,23 +179,19 @@ def _observer_start(estimate: Estimate) -> Float[np.ndarray, "3"]:
     return np.log(-np.expm1(-np.array(OBSERVER_RATES) * estimate.period.dt))
 
 
-def search_starts(problem: Problem) -> list[tuple[float, ...]]:
-    """Return the starts of a search: the scenario's own caps and gains, where it gives all, and
-    `STARTS` in the robot's size."""
-    size = problem.robot.track_width / USUAL_TRACK_WIDTH_M
-    factors = size ** np.array(LENGTH_POWERS, float)
-    scaled = [tuple((factors * start).tolist()) for start in np.array(STARTS)]
-    own = caps_and_gains(problem.scenario)
-    return scaled if own is None else [own, *scaled]
+def _to_point(problem: Problem, values: Sequence[float]) -> Float[np.ndarray, " k"]:
+    """Return caps and gains as a point of the search; a gain of an observer that the scenario gives
+    is no part of it."""
+    given = problem.scenario.controller.has_observer
+    return np.log(values[:CAPS_AND_GAINS] if given else values)
 
 
-def caps_and_gains(scenario: Scenario) -> tuple[float, ...] | None:
-    """Return the scenario's own caps and tracking gains as a start of the search, None where any is
-    missing."""
-    caps = [getattr(scenario.operating, name) for name in NAMES]
-    if None in caps or not scenario.controller.tracking_gains:
-        return None
-    return tuple(abs(cap) for cap in caps) + scenario.controller.tracking_gains
+def optimise_nearby(problem: Problem, near: Sequence[float]) -> Optimum | None:
+    """Return the end of the one search from caps and gains nearby, quick and uncorrected; None
+    where their tube is not bounded."""
+    refuse_other_kinds(problem.scenario)
+    descent = descend(Estimate(problem), _to_point(problem, near))
+    return None if descent is None else _describe(descent)
 
 
 def wheel_excess(problem: Problem) -> float:
@@ -183,16 +202,15 @@ def wheel_excess(problem: Problem) -> float:
     return float(np.max(greatest / ground_speed_limits(problem)[1]))
 
 
-def _refuse_other_kinds(scenario: Scenario) -> None:
-    settings = scenario.controller
-    kind = (
-        settings.model,
-        settings.input_map,
-        settings.tube,
-        settings.terminal,
-        scenario.disturbance.bound,
-    )
-    if kind != ("exact_jacobian", "x_exact", "sequence", "T-A", "computed"):
+def can_optimise(scenario: Scenario) -> bool:
+    """Return whether caps and gains of a scenario of this kind can be searched."""
+    return _find_kind(scenario) == KIND and not scenario.operating.bands
+
+
+def refuse_other_kinds(scenario: Scenario) -> None:
+    """Raise ValueError for a scenario of another kind."""
+    kind = _find_kind(scenario)
+    if kind != KIND:
         raise ValueError(
             "optimise: model, input_map, tube, terminal and disturbance.bound are "
             f"{', '.join(kind)}; set them to exact_jacobian, x_exact, sequence, T-A and computed, "
@@ -200,84 +218,89 @@ def _refuse_other_kinds(scenario: Scenario) -> None:
         )
 
 
-def _descend(
-    estimate: Estimate, start: Float[np.ndarray, " n"]
-) -> tuple[Float[np.ndarray, " n"], float]:
-    """Run the nonlinear program from one start; return (logarithms, ratio), ratio infinite where
-    limits are missed."""
-    fastest_gain = np.log(0.999 / estimate.period.dt)
-    observed = len(start) - CAPS_AND_GAINS
-    start = np.minimum(start, [np.inf] * 8 + [fastest_gain] * 3 + [0.0] * observed)
-    first = estimate.shares(start)
-    if first is None:
-        return start, np.inf
-    caps = len(first.caps)
-    slack = partial(_compute_slack, estimate, caps, caps + len(first.limits))
-    bounds = [(value - REACH, value + REACH) for value in start] + [(-5.0, 5.0)]
-    bounds[CAPS_AND_GAINS:-1] = [(np.log(LEAST_SHARE), 0.0)] * observed
-    bounds[8] = (np.log(SLOWEST_GAIN), fastest_gain)
-    answer = minimize(
-        lambda point: point[-1],
-        np.append(start, np.log(first.caps.max())),
-        jac=lambda point: np.eye(len(point))[-1],
-        bounds=bounds,
-        constraints={"type": "ineq", "fun": slack, "jac": partial(_differentiate, slack)},
-        method="SLSQP",
-        options={"maxiter": 40, "ftol": 1e-4},
+def _find_kind(scenario: Scenario) -> tuple[str, ...]:
+    settings = scenario.controller
+    return (
+        settings.model,
+        settings.input_map,
+        settings.tube,
+        settings.terminal,
+        scenario.disturbance.bound,
     )
-    point = answer.x[:-1]
-    shares = estimate.shares(point)
-    if shares is None or shares.limits.max() > 1 + 10 * ACCURACY:
-        return point, np.inf
-    return point, float(shares.caps.max())
 
 
-def _compute_slack(
-    estimate: Estimate, caps: int, rows: int, point: Float[np.ndarray, " n+1"]
-) -> Float[np.ndarray, " rows"]:
-    """Return the slack of `caps` caps under the ratio, whose logarithm is the last entry of the
-    point, and of the limits, in logarithms."""
-    shares = estimate.shares(point[:-1])
-    if shares is None:
-        return np.full(rows, MISSED)
-    used = np.concatenate([shares.caps, shares.limits])
-    logarithms = np.log(np.maximum(used, 1e-9))
-    logarithms[:caps] -= point[-1]
-    return -logarithms
+def _correct(descent: Descent) -> Optimum:
+    """Return the optimum whose wheels keep their limits by the rigorous bound, and whose start has
+    a plan, where that can be had."""
+    asked = descent.estimate
+    descent = _spare_wheels(descent, asked)
+    found = _describe(descent, asked)
+    share = _find_share(found)
+    for farther in FARTHER:
+        if not 0 < share < 1:
+            break
+        estimate = descent.estimate.with_farther_start(farther / share)
+        descent = _spare_wheels(descend(estimate, descent.point) or descent, asked)
+        tried = _describe(descent, asked)
+        reached = _find_share(tried)
+        if reached <= share:
+            break
+        found = tried
+        share = reached
+    return found
 
 
-def _differentiate(
-    function: Callable[[Float[np.ndarray, " n"]], Float[np.ndarray, " rows"]],
-    point: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, "rows n"]:
-    """Return the Jacobian of a function by forward differences."""
-    here = function(point)
-    columns = [
-        (function(point + DIFFERENCE * direction) - here) / DIFFERENCE
-        for direction in np.eye(len(point))
-    ]
-    return np.stack(columns, axis=1)
+def _spare_wheels(descent: Descent, asked: Estimate) -> Descent:
+    """Return a search whose wheels keep their limits by the rigorous bound, where it holds."""
+    for _ in range(CORRECTIONS):
+        found = _describe(descent, asked)
+        if not found.holds:
+            break
+        try:
+            excess = wheel_excess(complete_problem(found.scenario))
+        except ValueError:
+            break
+        if excess <= 1:
+            break
+        # Corners miss the greatest ground speed by little: ask for that much less.
+        stricter = descent.estimate.with_less_speed(excess * (1 + ACCURACY))
+        descent = descend(stricter, descent.point) or descent
+    return descent
 
 
-def _with_values(scenario: Scenario, logarithms: Float[np.ndarray, " n"]) -> Scenario:
+def _find_share(found: Optimum) -> float:
+    """Return the share of the start that has a plan, 0 where no design comes of the optimum."""
+    if not found.holds:
+        return 0.0
+    try:
+        return find_share_of_start(prepare(complete_problem(found.scenario)))
+    except ValueError:
+        return 0.0
+
+
+def _describe(descent: Descent, asked: Estimate | None = None) -> Optimum:
+    """Return what a search has found, judged by the estimate of what was asked for; the search may
+    have been stricter."""
+    judge = descent.estimate if asked is None else asked.shaped_like(descent.point)
+    shares = judge.shares(descent.point)
+    assert shares is not None
+    values = np.concatenate([shares.caps[0], shares.limits[0]])
+    pressures = find_pressures(descent)
+    return Optimum(
+        _with_values(descent.estimate.problem.scenario, np.exp(descent.point)),
+        float(shares.caps.max()),
+        float(shares.limits.max()),
+        dict(zip(ROWS, map(float, values), strict=True)),
+        dict(zip(ROWS, map(float, pressures), strict=True)),
+    )
+
+
+def _with_values(scenario: Scenario, values: Float[np.ndarray, " k"]) -> Scenario:
     """Return the scenario with these caps and gains, rounded to what one would write."""
-    values = np.exp(logarithms)
     limits = error_vector(scenario.constraints) - noise_bounds(scenario)
     limits[2] = np.rad2deg(limits[2])
-    observer_gain = scenario.controller.observer_gain
-    if len(logarithms) > CAPS_AND_GAINS:
-        observer_gain = tuple(_round_down(min(value, 1.0)) for value in values[CAPS_AND_GAINS:])
-    values[:3] = np.minimum(values[:3], limits)
-    values[3] *= -1
-    rounded = [_round_down(value) for value in values]
-    caps = dict(zip(NAMES, rounded[:8], strict=True))
-    return msgspec.structs.replace(
-        scenario,
-        operating=msgspec.structs.replace(scenario.operating, **caps),
-        controller=msgspec.structs.replace(
-            scenario.controller, tracking_gains=tuple(rounded[8:11]), observer_gain=observer_gain
-        ),
-    )
+    rounded = [_round_down(value) for value in (*np.minimum(values[:3], limits), *values[3:])]
+    return with_caps_and_gains(scenario, rounded)
 
 
 def _round_down(value: float) -> float:

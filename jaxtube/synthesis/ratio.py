@@ -33,8 +33,9 @@ from jaxtube.synthesis.certificate.existence import OBJECTIVES
 from jaxtube.synthesis.certificate.fill import cap_shares
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.gains import Gain, compensating_gain, decoupled_gain
-from jaxtube.synthesis.optimise import STARTS, caps_and_gains, optimise, wheel_excess
+from jaxtube.synthesis.optimise import optimise, wheel_excess
 from jaxtube.synthesis.problem import Problem, make_problem
+from jaxtube.synthesis.starts import caps_and_gains
 from jaxtube.synthesis.terminal import terminal_cost_and_gain
 
 ERROR_WEIGHT = (1.0, 3.0, 1.0)
@@ -205,7 +206,7 @@ def _list_weighted_candidates(scenario: Scenario) -> Iterator[DesignCandidate]:
 
 
 def _search_optimum(scenario: Scenario, start: Sequence[float] | None) -> Guarantee:
-    """Search near the start; where that leads to nothing, from the optimiser's own."""
+    """Search near the start; where that leads to no design, from starts of the search's own."""
     change = msgspec.structs.replace
     controller = change(
         scenario.controller,
@@ -216,17 +217,16 @@ def _search_optimum(scenario: Scenario, start: Sequence[float] | None) -> Guaran
         tube="sequence",
     )
     scenario = change(scenario, controller=controller)
-    reason = ""
-    for starts in ([tuple(start)], STARTS) if start is not None else (STARTS,):
-        try:
-            optimum = optimise(make_problem(scenario), starts=starts).scenario
-            problem = complete_problem(optimum)
-        except ValueError as error:
-            reason = str(error)
-            continue
-        gain = decoupled_gain(problem, optimum.controller.tracking_gains)
-        best = _compute_guarantee("", problem, gain)
-        if best.ratio is not None:
-            return replace(best, caps_and_gains=caps_and_gains(optimum))
-        reason = best.reason
-    return Guarantee(reason=reason, caps_and_gains=None if start is None else tuple(start))
+    nothing = None if start is None else tuple(start)
+    try:
+        found = optimise(make_problem(scenario), near=start)
+        if not found.keeps_limits:
+            return Guarantee(reason=found.describe_binding(), caps_and_gains=nothing)
+        problem = complete_problem(found.scenario)
+    except ValueError as error:
+        return Guarantee(reason=str(error), caps_and_gains=nothing)
+    gain = decoupled_gain(problem, found.scenario.controller.tracking_gains)
+    best = _compute_guarantee("", problem, gain)
+    if best.ratio is None:
+        return replace(best, caps_and_gains=nothing)
+    return replace(best, caps_and_gains=caps_and_gains(found.scenario))

@@ -11,7 +11,8 @@ from jaxtube.experiments.cli import main
 from jaxtube.experiments.maps import command as maps
 from jaxtube.experiments.maps import figures as maps_figures
 from jaxtube.experiments.maps import points as maps_points
-from jaxtube.experiments.maps.points import DESIGNS, Grid, Point, PointLog, make_grid
+from jaxtube.experiments.maps.points import DESIGNS, Grid, Point, make_grid
+from jaxtube.experiments.run.value_log import ValueLog
 from jaxtube.scenario import ScenarioError, load
 from jaxtube.synthesis.ratio import Guarantee, OperatingPoint
 
@@ -50,7 +51,7 @@ def in_threads(monkeypatch):
 
 @pytest.fixture
 def found(in_threads, tmp_path):
-    with PointLog(tmp_path / "points", IDENTITY) as log:
+    with ValueLog(tmp_path / "points", IDENTITY) as log:
         return maps_points.compute(load("certified"), GRID, log)
 
 
@@ -95,18 +96,18 @@ def test_an_interrupted_run_goes_on_and_ends_with_the_same_points(found, in_thre
         path.unlink()
     entries[10].write_bytes(entries[10].read_bytes()[:-5])
     in_threads.clear()
-    with PointLog(tmp_path / "points", IDENTITY) as log:
+    with ValueLog(tmp_path / "points", IDENTITY) as log:
         assert log.damaged == [f"{entries[10]}: is damaged; it is removed and computed again"]
         resumed = maps_points.compute(load("certified"), GRID, log)
     assert resumed == found
     assert len(in_threads) == len(entries) - 10
-    with PointLog(tmp_path / "points", IDENTITY) as log:
+    with ValueLog(tmp_path / "points", IDENTITY) as log:
         assert len(log.records) == len(entries)
 
 
 def test_points_of_another_run_are_refused(found, tmp_path):
     with pytest.raises(ScenarioError, match="points holds another run: scenario = "):
-        PointLog(tmp_path / "points", {"scenario": "paper"})
+        ValueLog(tmp_path / "points", {"scenario": "paper"})
 
 
 def test_a_failure_of_the_program_ends_the_run_and_keeps_what_was_done(
@@ -118,9 +119,9 @@ def test_a_failure_of_the_program_ends_the_run_and_keeps_what_was_done(
         return invented(design, scenario, start)
 
     monkeypatch.setattr(maps_points, "guarantee", fail_late)
-    with PointLog(tmp_path / "points", IDENTITY) as log, pytest.raises(ZeroDivisionError):
+    with ValueLog(tmp_path / "points", IDENTITY) as log, pytest.raises(ZeroDivisionError):
         maps_points.compute(load("certified"), GRID, log)
-    with PointLog(tmp_path / "points", IDENTITY) as reopened:
+    with ValueLog(tmp_path / "points", IDENTITY) as reopened:
         kept = [record["design"] for record in reopened.records]
     assert kept == [record["design"] for record in log.records]
     assert "optimised" in kept

@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from jaxtube.experiments.design import banded
+from jaxtube.experiments.design.nearest import say_nearest, say_nearest_to
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
@@ -22,23 +23,23 @@ from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Operating, Scenario
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
-from jaxtube.synthesis.advice import say_what_widens
 from jaxtube.synthesis.design import (
     design,
     refuse_infeasible_start,
     refuse_start_outside_limits,
 )
-from jaxtube.synthesis.disturbance import complete_problem
-from jaxtube.synthesis.optimise import Optimum, optimise, search_starts
+from jaxtube.synthesis.optimise import SEARCHES, Optimum, optimise
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import make_problem
+from jaxtube.synthesis.tightening import EmptySetError
 
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
     """Run the command; returns 3 where a certificate is required and fails.
 
-    A start outside the limits is refused before anything is computed, one without a plan after the
-    run folder is complete: nothing that took long is lost. Only its laps are left out.
+    Where a design fails, the nearest scenarios that hold are searched and told. A start outside the
+    limits is refused before anything is computed, one without a plan after the run folder is
+    complete: nothing that took long is lost. Only its laps are left out.
     """
     if scenario.operating.bands and options.optimise:
         raise ScenarioError(
@@ -49,11 +50,15 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
         return banded.run(scenario, options)
     if options.optimise:
         refuse_start_outside_limits(make_problem(_remove_caps(scenario)))
-        scenario = find_caps_and_gains(scenario)
+        scenario = find_caps_and_gains(scenario, options)
     refuse_start_outside_limits(make_problem(scenario))
-    made = design(scenario)
+    try:
+        made = design(scenario)
+    except EmptySetError as error:
+        raise EmptySetError("; ".join([str(error), *say_nearest(scenario, options)])) from None
     numbers = metrics.design_metrics(made)
-    text = report(made, numbers.get("ultimate_bound"))
+    nearest = [] if made.certificate.holds_for_robot else say_nearest(scenario, options)
+    text = report(made, numbers.get("ultimate_bound"), nearest)
     folder = run_folder.create(scenario, options)
     folder.report(text)
     start_fault = _find_start_fault(made)
@@ -93,7 +98,7 @@ def draw_sets(made: Design, name: str, folder: RunFolder) -> None:
     folder.save_figure(design_sets(made, name), "sets")
 
 
-def find_caps_and_gains(scenario: Scenario) -> Scenario:
+def find_caps_and_gains(scenario: Scenario, options: DesignOptions) -> Scenario:
     """Return the scenario with the caps and gains the optimiser finds, and print them as lines of a
     scenario file.
 
@@ -101,25 +106,20 @@ def find_caps_and_gains(scenario: Scenario) -> Scenario:
         ScenarioError: where none are found, or the tube outgrows the best of them.
     """
     started = time.perf_counter()
-    problem = make_problem(scenario)
-    starts = search_starts(problem)
     try:
-        with progress(len(starts), "optimising", "starts", starting="starting") as bar:
+        with progress(SEARCHES, "optimising", "searches", starting="starting") as bar:
 
             def show(ratio: float) -> None:
                 bar.set_postfix_str(f"largest share {ratio:.3f}", refresh=False)
                 bar.update()
 
-            best = optimise(problem, show, starts)
+            best = optimise(make_problem(scenario), show)
+            bar.total = bar.n
     except ValueError as error:
         raise ScenarioError(f"scenario: {error}") from None
-    if best.ratio > 1:
-        raise ScenarioError(
-            "scenario: --optimise: the tube fills "
-            f"{best.ratio:.1%} of a cap at best, so no caps and gains of this kind hold it; "
-            f"{say_what_widens(complete_problem(best.scenario))}; lower slip.relative_error, "
-            "[noise] or the range of reference wheel speeds"
-        )
+    if not best.holds:
+        told = "; ".join(say_nearest_to(best, options))
+        raise ScenarioError(f"scenario: --optimise: no caps and gains found hold the tube: {told}")
     print(scenario_lines(best))
     seconds = time.perf_counter() - started
     print(

@@ -7,9 +7,6 @@ is a guarantee.
 
 from __future__ import annotations
 
-import hashlib
-import json
-import sys
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import NamedTuple
@@ -23,16 +20,15 @@ from jaxtube.experiments.maps.points import (
     Grid,
     GuaranteeByPoint,
     Point,
-    PointLog,
     compute,
     make_grid,
 )
 from jaxtube.experiments.options import MapsOptions
 from jaxtube.experiments.run import folder as run_folder
-from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.experiments.run.value_log import open_log
 from jaxtube.scenario.refusal import ScenarioError
-from jaxtube.scenario.tree import Scenario, to_toml
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.ratio import Guarantee, OperatingPoint
 
@@ -90,20 +86,6 @@ def _point_metrics(point: Point, result: Guarantee) -> dict:
         **asdict(result),
         "holds": result.holds,
     }
-
-
-def open_log(folder: RunFolder, name: str, settings: dict, scenario: Scenario) -> PointLog:
-    """Open a log of results in a folder of its own for each scenario, settings and code."""
-    identity = {
-        "scenario": to_toml(scenario),
-        "settings": settings,
-        "source_sha256": run_folder.source_hashes(),
-    }
-    digest = hashlib.sha256(json.dumps(identity).encode()).hexdigest()[:12]
-    log = PointLog(folder.path / f"{name}-{digest}", identity)
-    for line in log.damaged:
-        print(line, file=sys.stderr)
-    return log
 
 
 def find_borders(grid: Grid, results: GuaranteeByPoint) -> dict:

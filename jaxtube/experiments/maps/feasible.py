@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxtube.experiments.maps.points import PointLog
+from jaxtube.experiments.run.value_log import ValueLog
 from jaxtube.progress import progress
 from jaxtube.scenario.reading import replace
 from jaxtube.scenario.tree import Scenario
@@ -29,7 +29,7 @@ HORIZONS = tuple(range(1, 11))
 DIRECTIONS = 600
 
 
-def feasible_sets(scenario: Scenario, log: PointLog) -> dict:
+def feasible_sets(scenario: Scenario, log: ValueLog) -> dict:
     """Return volumes and corners by horizon, those of C, and the volume of the caps; each set is
     saved in the log at once.
 

@@ -10,20 +10,20 @@ a start is a function of the grid alone.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from concurrent.futures import FIRST_COMPLETED, Executor, ProcessPoolExecutor, wait
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.experiments.run.store_owner import StoreOwner
+from jaxtube.experiments.run.value_log import ValueLog
 from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, caps_and_gains, guarantee, set_point
+from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, guarantee, set_point
+from jaxtube.synthesis.starts import caps_and_gains
 
 DESIGNS = ("optimised", "weighted", "paper")
 """In the order in which they are computed: the searches wait for each other, the others fill the
@@ -125,46 +125,7 @@ def _make_axis(values: Float[np.ndarray, " count"], own: float) -> tuple[float, 
     return tuple(sorted({*np.round(values, 4).tolist(), float(own)}))
 
 
-class PointLog(StoreOwner):
-    """JSON values that survive an interruption, in the order in which they were added; each is an
-    entry of a store, which belongs to this object until it is closed."""
-
-    def __init__(self, folder: Path, identity: Mapping[str, Any]) -> None:
-        """Open the log in a folder, made where it is absent.
-
-        Args:
-            folder: `RUN/NAME`, where RUN is what `--out` names; it holds nothing else.
-            identity: all that determines the values, as plain JSON values.
-
-        Raises:
-            ScenarioError: the folder cannot be written to, is open in another process, or holds
-                entries with another identity.
-            StoreError: the disk failed.
-        """
-        super().__init__(folder, identity)
-        self.records: list[dict] = []
-        with self._opening("the log"):
-            entries = self._store.read_all("computed again")
-        self._count = 1 + max(map(int, entries), default=-1)
-        self.records += [entry.header["value"] for entry in entries.values()]
-
-    def append(self, record: dict) -> None:
-        """Add a value; once this returns, it outlives the process.
-
-        Raises:
-            StoreError: the disk failed.
-        """
-        name = f"{self._count:06d}"
-        with self._explain_failure(f"logging {name}"):
-            entry = self._store.write(name, {"value": record}, {})
-        self._count += 1
-        self.records.append(entry.header["value"])
-
-    def _say_what_is_safe(self) -> str:
-        return f"the {len(self.records)} results logged there are safe"
-
-
-def compute(scenario: Scenario, grid: Grid, log: PointLog) -> GuaranteeByPoint:
+def compute(scenario: Scenario, grid: Grid, log: ValueLog) -> GuaranteeByPoint:
     """Compute the points that the log does not hold, each saved at once, and return all.
 
     Args:

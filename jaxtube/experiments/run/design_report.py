@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from jaxtube.experiments.run import metrics
@@ -29,16 +31,17 @@ LEGEND = (
 """What the table of the disturbance set shows."""
 
 
-def report(design: Design, ultimate: dict | None = None) -> str:
+def report(design: Design, ultimate: dict | None = None, nearest: Sequence[str] = ()) -> str:
     """Return the design as text, the verdict first.
 
     Args:
         design: with its certificate.
         ultimate: half widths (m, m, deg) that the law u = K e ends within, where they are known.
+        nearest: sentences on what holds nearby, where that was searched.
     """
     settings = design.problem.scenario.controller
     certificate = design.certificate
-    lines = [*_verdict_lines(design), "", *_weight_lines(design), *_gain_lines(design)]
+    lines = [*_verdict_lines(design, nearest), "", *_weight_lines(design), *_gain_lines(design)]
     lines += [*_observer_lines(design.problem), ""]
     lines += [*_tube_lines(design), "", *_disturbance_lines(design), *_terminal_lines(design)]
     lines += ["", describe_error_set(design.problem)]
@@ -56,10 +59,12 @@ def report(design: Design, ultimate: dict | None = None) -> str:
     return "\n".join(lines)
 
 
-def _verdict_lines(design: Design) -> list[str]:
+def _verdict_lines(design: Design, nearest: Sequence[str]) -> list[str]:
     """Return the verdict, and what helps where it is not the wanted one."""
     certificate = design.certificate
     lines = wrap(certificate.verdict, "  ")
+    if nearest:
+        return lines + [line for each in nearest for line in wrap(each, "  ")]
     is_assumed = design.problem.disturbance_bound is None
     if is_assumed and PREMISE in certificate.failing:
         lines += wrap(f"what helps the robot: {say_what_proves_w()}", "  ")

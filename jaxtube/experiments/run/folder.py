@@ -48,7 +48,7 @@ PACKAGES = (
 )
 COMPUTING_PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "clarabel")
 """Those whose version may change the numbers of a run."""
-SCENARIOS = ("scenario.toml", "against.toml", "tuned.toml", "identified.toml")
+SCENARIOS = ("scenario.toml", "against.toml", "tuned.toml", "identified.toml", "fitted.toml")
 """Scenarios that commands write."""
 
 

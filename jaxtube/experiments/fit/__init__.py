@@ -1,0 +1,1 @@
+"""The command `fit`: `command.run`."""

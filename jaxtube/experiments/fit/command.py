@@ -1,0 +1,103 @@
+"""`fit`: the largest speed, the smallest limits or the widest slip for which a certificate is
+found.
+
+    fitted.toml       the certified scenario at the border, which `design` certifies again
+    frontier.png      the ratio towards the border, and the border by a second quantity
+
+A border is that of one search: beyond it no design was found, which does not prove that there is
+none.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+
+from jaxtube.atomic import write_atomically
+from jaxtube.experiments.fit import figures
+from jaxtube.experiments.fit.attempts import Fit, fit
+from jaxtube.experiments.fit.report import describe_border, report
+from jaxtube.experiments.options import PROGRAM, FitOptions
+from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.exit_codes import ExitCode
+from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.value_log import open_log
+from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.tree import Scenario, to_toml
+from jaxtube.synthesis.border import Attempt
+from jaxtube.synthesis.levers import FITTED, Lever
+from jaxtube.synthesis.optimise import refuse_other_kinds
+from jaxtube.synthesis.starts import with_caps_and_gains, without_caps
+
+FILE = "fitted.toml"
+
+
+def run(scenario: Scenario, options: FitOptions) -> int:
+    """Run the command; an interrupted run goes on from the attempts in its folder.
+
+    Raises:
+        ScenarioError: where caps and gains of the scenario cannot be searched, or it has none of
+            the quantity.
+    """
+    lever = FITTED[options.quantity]
+    _refuse_unfit(scenario, lever)
+    folder = run_folder.create(scenario, options)
+    with open_log(folder, "attempts", {"quantity": lever.name}, scenario) as log:
+        found = fit(scenario, lever, log)
+    folder.report(report(scenario, found))
+    folder.save_figure(figures.frontier(scenario, found), "frontier")
+    folder.save_metrics(_metrics(found))
+    best = found.border.best
+    if best is not None:
+        _save_fitted(folder, scenario, found, best, options)
+        print(f"\nnext: {PROGRAM} design --scenario {folder.path / FILE}")
+    print(f"\nwritten to {folder.path}/")
+    return ExitCode.NO_GUARANTEE if options.require_certificate and best is None else 0
+
+
+def _refuse_unfit(scenario: Scenario, lever: Lever) -> None:
+    """Refuse a scenario whose quantity has no border that can be searched."""
+    if scenario.operating.bands:
+        raise ScenarioError(
+            "scenario: operating.bands: fit finds one set of caps, not bands; leave them out"
+        )
+    try:
+        refuse_other_kinds(scenario)
+    except ValueError as error:
+        raise ScenarioError(f"scenario: fit: {str(error).removeprefix('optimise: ')}") from None
+    if lever.values(scenario, 1.0):
+        return
+    if lever.name == "speed":
+        raise ScenarioError(
+            'scenario: reference.shape = "file": the speed of a recording is that of its file; fit '
+            "limits or slip instead"
+        )
+    raise ScenarioError(f"scenario: fit {lever.name}: the scenario has none of it; give some")
+
+
+def _metrics(found: Fit) -> dict:
+    border = found.border
+    return {
+        "quantity": found.lever.name,
+        "best": None if border.best is None else asdict(border.best),
+        "beyond": None if border.beyond is None else asdict(border.beyond),
+        "attempts": [asdict(attempt) for attempt in border.attempts],
+        "second_quantity": None if found.second is None else found.second.name,
+        "frontier": [asdict(point) for point in found.frontier],
+    }
+
+
+def _save_fitted(
+    folder: RunFolder, scenario: Scenario, found: Fit, best: Attempt, options: FitOptions
+) -> None:
+    """Write the certified scenario at the border."""
+    fitted = make_fitted(scenario, found.lever, best)
+    told = "\n".join(f"# {line}" for line in describe_border(scenario, found))
+    text = f"# Fitted from {options.label}: {told.removeprefix('# ')}\n\n{to_toml(fitted)}"
+    write_atomically(folder.path / FILE, lambda file: file.write(text.encode()))
+
+
+def make_fitted(scenario: Scenario, lever: Lever, attempt: Attempt) -> Scenario:
+    """Return the scenario of an attempt, with its caps and gains."""
+    assert attempt.caps_and_gains is not None
+    scaled = lever.scale(without_caps(scenario), attempt.factor)
+    return with_caps_and_gains(scaled, attempt.caps_and_gains)

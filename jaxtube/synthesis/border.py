@@ -1,0 +1,279 @@
+"""The border of what can be certified along one quantity of a scenario: the largest speed, the
+smallest limits, the widest slip.
+
+    hardness x = -easier log(factor),    factor of the quantity, `easier` as of its lever
+
+An attempt at x is a search for caps and gains from those of the nearest attempt that has some, and
+a design with its certificate. Attempts bracket the border: one that is certified below, one that is
+not above. Its place is predicted from the logarithms of ratios, a secant kept inside the bracket,
+until the bracket is as narrow as asked for. Nothing says that no design exists beyond: none was
+found.
+
+Source: new.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jaxtube.scenario.tree import Scenario
+from jaxtube.synthesis.design import design, refuse_infeasible_start
+from jaxtube.synthesis.levers import Lever
+from jaxtube.synthesis.optimise import Optimum, optimise, optimise_nearby
+from jaxtube.synthesis.problem import make_problem
+from jaxtube.synthesis.starts import caps_and_gains, without_caps
+
+FARTHEST = math.log(32.0)
+"""How far from the scenario's own quantity a border is searched, in logarithms."""
+FIRST_STEP = math.log(1.25)
+"""Step where nothing predicts the border; at most twice as much where something does."""
+AIM = math.log(0.995)
+"""Logarithm of the ratio that predictions aim at: the estimate is not the last word."""
+LEAST_STEP = 0.03
+"""Step at least, where a bracket has only one end."""
+MOST_ATTEMPTS = 20
+"""Attempts at one border at most."""
+QUICK_PRECISION = 0.04
+"""Width of the bracket of a quick search."""
+EASED = (0.0, 0.03, 0.1)
+"""Steps from the border of the estimate to what is certified, in logarithms."""
+GAINED = 0.01
+"""What the logarithm of the ratio gains where easier attempts are worth it."""
+INSIDE = 0.9
+"""Share of the precision that an attempt keeps from the ends of its bracket."""
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """A design that was tried.
+
+    Attributes:
+        factor: of the quantity.
+        value: of the quantity (`Lever.measure`), None where no scenario may have it.
+        ratio: largest share of a cap that the tube fills, estimated; None where no caps keep the
+            limits, or no tube is bounded.
+        binding: the row of `descent.ROWS` that binds most; empty without a search's end.
+        caps_and_gains: of the best design found, None without one.
+        is_certified: whether the certificate holds and the start has a plan.
+        reason: what denies it; empty where it is certified.
+    """
+
+    factor: float
+    value: float | None = None
+    ratio: float | None = None
+    binding: str = ""
+    caps_and_gains: tuple[float, ...] | None = None
+    is_certified: bool = False
+    reason: str = ""
+
+
+Ask = Callable[[float, Sequence[float] | None], Attempt]
+"""Attempts a factor, from caps and gains nearby."""
+
+
+@dataclass(frozen=True)
+class Border:
+    """What attempts say of a border, the easiest first.
+
+    Attributes:
+        attempts: all of them.
+        best: the hardest certified one, None where none is.
+        beyond: the easiest one that is harder than `best` and not certified, None where there is
+            none as far as was searched.
+    """
+
+    attempts: tuple[Attempt, ...]
+    best: Attempt | None
+    beyond: Attempt | None
+
+
+def find_border(
+    ask: Ask,
+    easier: int,
+    precision: float,
+    first: float = 1.0,
+    near: tuple[float, ...] | None = None,
+) -> Border:
+    """Bracket a border.
+
+    Args:
+        ask: makes an attempt.
+        easier: as of the lever.
+        precision: width of the bracket, in logarithms.
+        first: the factor to begin with.
+        near: caps and gains for the first attempt.
+    """
+    place: float | None = -easier * math.log(first)
+    attempts: dict[float, Attempt] = {}
+    while place is not None and len(attempts) < MOST_ATTEMPTS:
+        attempts[place] = ask(math.exp(-easier * place), _find_near(attempts, place) or near)
+        place = _find_next(attempts, precision)
+    ordered = tuple(attempts[place] for place in sorted(attempts))
+    lower, upper = _bracket(attempts)
+    return Border(ordered, attempts.get(lower), attempts.get(upper))
+
+
+def _bracket(attempts: dict[float, Attempt]) -> tuple[float, float]:
+    """Return the hardest certified place and the easiest one beyond that is not; infinite where
+    there is none."""
+    certified = [place for place, attempt in attempts.items() if attempt.is_certified]
+    lower = max(certified, default=-math.inf)
+    return lower, min((place for place in attempts if place > lower), default=math.inf)
+
+
+def _find_next(attempts: dict[float, Attempt], precision: float) -> float | None:
+    """Return the place to try next, None where the bracket is narrow or the search far."""
+    lower, upper = _bracket(attempts)
+    if upper - lower <= precision or upper <= -FARTHEST or lower >= FARTHEST:
+        return None
+    if math.isinf(lower):
+        return None if _has_turned(attempts) else _step_on(attempts, upper, -1)
+    if math.isinf(upper):
+        return _step_on(attempts, lower, 1)
+    kept = INSIDE * precision
+    if upper - lower <= 2 * kept or not _has_halved(attempts):
+        return (lower + upper) / 2
+    return float(np.clip(_predict(attempts, lower, upper), lower + kept, upper - kept))
+
+
+def _step_on(attempts: dict[float, Attempt], end: float, direction: int) -> float:
+    """Return a place beyond the last one, where the ratio is predicted to be as aimed at, but not
+    farther than two steps."""
+    places = sorted(attempts)[::direction]
+    level = _find_level(attempts[end])
+    step = 2 * FIRST_STEP
+    if math.isfinite(level) and (level - AIM) * direction < 0:
+        slope = 1.0
+        if len(places) > 1 and math.isfinite(_find_level(attempts[places[-2]])):
+            slope = (level - _find_level(attempts[places[-2]])) / (end - places[-2])
+        if slope > 0:
+            step = min(max((AIM - level) / slope * direction, LEAST_STEP), step)
+    return float(np.clip(end + direction * step, -FARTHEST, FARTHEST))
+
+
+def _has_halved(attempts: dict[float, Attempt]) -> bool:
+    """Whether the last attempt made the bracket half as wide, or was the first within it."""
+    *earlier, _ = attempts
+    lower, upper = _bracket({place: attempts[place] for place in earlier})
+    now = _bracket(attempts)
+    return now[1] - now[0] <= (upper - lower) / 2
+
+
+def _predict(attempts: dict[float, Attempt], lower: float, upper: float) -> float:
+    """Return where, between two places, the ratio is expected to be as aimed at: their middle where
+    it is not the ratio that says no."""
+    levels = [_find_level(attempts[place]) for place in (lower, upper)]
+    if not levels[0] < AIM < levels[1] < math.inf:
+        return (lower + upper) / 2
+    return float(np.interp(AIM, levels, [lower, upper]))
+
+
+def _has_turned(attempts: dict[float, Attempt]) -> bool:
+    """Whether the easiest two attempts gained nothing over a harder one: then it is not this
+    quantity that decides."""
+    levels = [_find_level(attempts[place]) for place in sorted(attempts)[:3]]
+    if len(levels) < 3 or not math.isfinite(sum(levels)):
+        return False
+    return min(levels[:2]) > levels[2] - GAINED
+
+
+def _find_level(attempt: Attempt) -> float:
+    """Return the logarithm of the ratio, infinite where there is none."""
+    return math.inf if attempt.ratio is None else math.log(attempt.ratio)
+
+
+def _find_near(attempts: dict[float, Attempt], place: float) -> tuple[float, ...] | None:
+    """Return caps and gains of the attempt closest to a place, certified ones before others."""
+    with_caps = [
+        (not attempt.is_certified, abs(other - place), attempt.caps_and_gains)
+        for other, attempt in attempts.items()
+        if attempt.caps_and_gains is not None
+    ]
+    return min(with_caps)[2] if with_caps else None
+
+
+def attempt_design(
+    scenario: Scenario, lever: Lever, factor: float, near: Sequence[float] | None
+) -> Attempt:
+    """Scale the quantity, search caps and gains, design and certify."""
+    try:
+        scaled = lever.scale(without_caps(scenario), factor)
+        made = optimise(make_problem(scaled), near=near)
+    except ValueError as error:
+        return Attempt(factor, reason=str(error))
+    tried = _describe_search(factor, lever, made)
+    if not made.holds:
+        return tried
+    reason = _find_fault(made.scenario)
+    return replace(tried, is_certified=not reason, reason=reason)
+
+
+def attempt_search(
+    scenario: Scenario, lever: Lever, factor: float, near: Sequence[float] | None
+) -> Attempt:
+    """Scale the quantity and search from caps and gains nearby alone, where some are given; what
+    the estimate lets hold counts as certified here."""
+    try:
+        scaled = lever.scale(without_caps(scenario), factor)
+        problem = make_problem(scaled)
+        made = optimise(problem) if near is None else optimise_nearby(problem, near)
+    except ValueError as error:
+        return Attempt(factor, reason=str(error))
+    if made is None:
+        return Attempt(factor, lever.measure(scaled), reason="no bounded tube nearby")
+    return replace(_describe_search(factor, lever, made), is_certified=made.holds)
+
+
+def find_certified(
+    search: Ask,
+    certify: Ask,
+    easier: int,
+    first: float = 1.0,
+    near: tuple[float, ...] | None = None,
+) -> Attempt | None:
+    """Return a certified attempt near the border of a quantity, quickly: the border of what the
+    estimate lets hold, and from there on what is easier; None where none was found.
+
+    Args:
+        search: as `attempt_search`.
+        certify: as `attempt_design`.
+        easier, first, near: as of `find_border`.
+    """
+    border = find_border(search, easier, QUICK_PRECISION, first, near)
+    if border.best is None:
+        return None
+    for step in EASED:
+        factor = border.best.factor * math.exp(easier * step)
+        tried = certify(factor, border.best.caps_and_gains)
+        if tried.is_certified:
+            return tried
+    return None
+
+
+def _describe_search(factor: float, lever: Lever, made: Optimum) -> Attempt:
+    """Return the attempt that a search was, as far as the estimate goes."""
+    return Attempt(
+        factor=factor,
+        value=lever.measure(made.scenario),
+        ratio=made.ratio if made.keeps_limits else None,
+        binding=made.binding,
+        caps_and_gains=caps_and_gains(made.scenario),
+        reason="" if made.holds else made.describe_binding(),
+    )
+
+
+def _find_fault(scenario: Scenario) -> str:
+    """Return what a design lacks to be certified and driven, empty where nothing."""
+    try:
+        designed = design(scenario)
+        failing = designed.certificate.failing
+        if failing:
+            return f"the certificate fails: {', '.join(failing)}"
+        refuse_infeasible_start(designed)
+    except ValueError as error:
+        return str(error)
+    return ""

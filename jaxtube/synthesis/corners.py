@@ -1,0 +1,154 @@
+"""The operating set of a problem by its corners: caps, certified wheel speeds, wheel errors and
+sideslip at their extremes, and W and the error of an estimate from there.
+
+An extreme may also lie along the cut edges of the coupling and along the heading error, where
+points in between are taken as well.
+
+Source: new.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxtube.synthesis.disturbance import kinematics, operation
+from jaxtube.synthesis.estimated_error import (
+    CornerErrors,
+    find_extremes,
+    solve_error,
+    split_at_corners,
+    widen_disturbance,
+)
+from jaxtube.synthesis.problem import Problem
+from sets.polytope import hull_vertices
+
+ALONG = 5
+"""Points along an edge, where an extreme may lie between its ends."""
+ENDS = np.array([-1.0, 1.0])
+CAPS_AND_GAINS = 11
+"""Numbers of a point before those of the observer."""
+
+Corners = Int[np.ndarray, "axes corners"]
+"""Corners by their place on each axis."""
+
+
+class Caps(NamedTuple):
+    """Caps in SI units of n points, the least speed deficit by its size."""
+
+    longitudinal: Float[np.ndarray, " n"]
+    lateral: Float[np.ndarray, " n"]
+    heading: Float[np.ndarray, " n"]
+    slower: Float[np.ndarray, " n"]
+    faster: Float[np.ndarray, " n"]
+    turning: Float[np.ndarray, " n"]
+    coupled_error: Float[np.ndarray, " n"]
+    coupled_turning: Float[np.ndarray, " n"]
+
+
+class EstimatedDisturbance(NamedTuple):
+    """W of n points by its yaw kick, rad, how far that moves sideways, m/rad, and the box of the
+    rest (m, m, rad); the error of what the controller acts on (m, m, rad); and the least and the
+    greatest commanded ground speed, m/s."""
+
+    yaw: Float[np.ndarray, " n"]
+    lateral_per_yaw: Float[np.ndarray, " n"]
+    box: Float[np.ndarray, "n 3"]
+    error: Float[np.ndarray, "n 3"]
+    least: Float[np.ndarray, " n"]
+    greatest: Float[np.ndarray, " n"]
+
+
+class OperatingCorners:
+    """The corners of a problem's operating set, and what may happen there.
+
+    Points are logarithms of the eight caps, of three tracking gains, which are not read, and, where
+    there are three more, of an observer's gain; otherwise that is the scenario's own.
+    """
+
+    def __init__(self, problem: Problem):
+        self.noise = problem.noise
+        self.kinematics = kinematics(problem)
+        self.operation = operation(problem)
+        self.period = self.operation.period
+        self.schedules = hull_vertices(np.unique(problem.corners, axis=0))
+        sides_of_sideslip = 2 if self.operation.sideslip else 1
+        self.axes = (4 * ALONG, 2, ALONG, 2, len(self.schedules), 2, 2, sides_of_sideslip)
+
+    def gain(self, points: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
+        """Return the observer's gain at each point."""
+        if points.shape[1] > CAPS_AND_GAINS:
+            return np.exp(points[:, CAPS_AND_GAINS:])
+        return np.tile(self.operation.gain, (len(points), 1))
+
+    def find(self, point: Float[np.ndarray, " k"]) -> Corners:
+        """Return the corners that make W, the estimate's error and the ground speeds."""
+        gain = self.gain(point[None])
+        errors = self._split(point[None], np.ix_(*map(np.arange, self.axes)))
+        lateral_per_yaw = self.period.lateral_per_yaw
+        size = solve_error(errors, lateral_per_yaw, gain, self.noise)
+        extremes = find_extremes(errors, lateral_per_yaw, gain, size)
+        return np.stack(np.unravel_index(extremes, self.axes))
+
+    def disturbance(
+        self, points: Float[np.ndarray, "n k"], corners: Corners
+    ) -> EstimatedDisturbance:
+        """Return W, the estimate's error and the ground speeds, from these corners."""
+        gain = self.gain(points)
+        errors = self._split(points, tuple(corners))
+        lateral_per_yaw = self.period.lateral_per_yaw
+        size = solve_error(errors, lateral_per_yaw, gain, self.noise)
+        return EstimatedDisturbance(
+            gain[:, 2] * np.abs(errors.yaw).max(axis=1),
+            lateral_per_yaw * gain[:, 1] / gain[:, 2],
+            widen_disturbance(errors, gain, self.noise, size),
+            size,
+            errors.speeds.min(axis=(0, 2)),
+            errors.speeds.max(axis=(0, 2)),
+        )
+
+    def _split(
+        self, points: Float[np.ndarray, "n k"], places: tuple[Int[np.ndarray, "..."], ...]
+    ) -> CornerErrors:
+        """Return what may happen at places of the grid, at each point."""
+        caps = read_caps(points)
+        of_coupling, of_y, of_heading, of_speed, of_schedule, right, left, skid = places
+        by_point = (-1, *([1] * np.broadcast(*places).ndim))
+        e_x, u2 = np.moveaxis(_coupled_corners(caps)[:, of_coupling], -1, 0)
+        e_y = caps.lateral.reshape(by_point) * ENDS[of_y]
+        e_th = caps.heading.reshape(by_point) * np.linspace(-1.0, 1.0, ALONG)[of_heading]
+        faster = caps.faster.reshape(by_point)
+        u1 = np.where(of_speed == 1, faster, -caps.slower.reshape(by_point))
+        V_r, V_l = np.moveaxis(self.schedules[of_schedule], -1, 0)
+        d_r = self.operation.wheel_errors[right, 0]
+        d_l = self.operation.wheel_errors[left, 1]
+        zeta = self.operation.sideslip * ENDS[skid]
+        variables = (e_x, e_y, e_th, u1, u2, V_r, V_l, d_r, d_l, zeta)
+        return split_at_corners(self.kinematics, self.period, variables, len(points))
+
+
+def read_caps(points: Float[np.ndarray, "n k"]) -> Caps:
+    """Return the caps of points."""
+    values = np.exp(points[:, :8])
+    values[:, 2] = np.deg2rad(values[:, 2])
+    return Caps(*values.T)
+
+
+def _coupled_corners(caps: Caps) -> Float[np.ndarray, "n points 2"]:
+    """Return corners of {|e_x| <= x, |u2| <= turning, |e_x| / a + |u2| / b <= 1}, and points along
+    its cut edges."""
+    a = caps.coupled_error
+    b = caps.coupled_turning
+    error_left = a * (1 - caps.turning / b)
+    turning_left = b * (1 - caps.longitudinal / a)
+    error_at_most_turning = np.clip(error_left, 0.0, caps.longitudinal)
+    turning_at_most_error = np.clip(turning_left, 0.0, caps.turning)
+    first = np.stack([error_at_most_turning, np.minimum(caps.turning, b)], axis=1)
+    last = np.stack([np.minimum(caps.longitudinal, a), turning_at_most_error], axis=1)
+    along = np.linspace(0.0, 1.0, ALONG)[:, None]
+    edge = (1 - along) * first[:, None] + along * last[:, None]
+    signs = itertools.product((-1, 1), repeat=2)
+    return np.concatenate([edge * sign for sign in signs], axis=1)

@@ -1,0 +1,179 @@
+"""What can be asked less of, or more: quantities of a scenario that one factor scales.
+
+    speed    reference.speed_mps, and the box of the reference's wheel speeds along with it
+    limits   all of [constraints]
+    slip     what is not known of it: relative_error; or the errors of the measured slips; or the
+             intervals of the true slips about the nominal ones
+    noise    all of [noise]
+    KEY      a single key
+
+Scaled numbers are rounded as one would write them, to what is harder to hold.
+
+Source: new.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+from jaxtube.scenario.reading import replace
+from jaxtube.scenario.tree import Scenario
+
+DIGITS = 4
+"""Significant digits of scaled numbers."""
+STEEPEST_DEG = 89.0
+"""Heading limit at most."""
+ERROR_KEYS = ("longitudinal_m", "lateral_m", "heading_deg")
+
+Values = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Lever:
+    """A quantity of a scenario.
+
+    Attributes:
+        name: as above.
+        easier: the direction in which designs are easier to find, 1 for larger, -1 for smaller.
+        label: of an axis.
+        values: returns keys and values of a scenario's quantity times a factor; empty where it has
+            none of it.
+        measured: the key whose value stands for the quantity, the first one there is.
+    """
+
+    name: str
+    easier: Literal[1, -1]
+    label: str
+    values: Callable[[Scenario, float], Values]
+    measured: str = ""
+
+    def scale(self, scenario: Scenario, factor: float) -> Scenario:
+        """Return the scenario with the quantity times a positive factor.
+
+        Raises:
+            ScenarioError: where no scenario may have that.
+        """
+        return replace(scenario, self.values(scenario, factor))
+
+    def measure(self, scenario: Scenario) -> float:
+        """Return the quantity as one number, of an interval its half width."""
+        values = self.values(scenario, 1.0)
+        value = values.get(self.measured, next(iter(values.values())))
+        return (value[1] - value[0]) / 2 if isinstance(value, tuple) else float(value)
+
+    def say(self, scenario: Scenario) -> str:
+        """Return the quantity of a scenario as keys and values, as in a scenario file."""
+        values = self.values(scenario, 1.0)
+        return ", ".join(f"{key} = {_say_value(value)}" for key, value in values.items())
+
+
+def key_lever(section: str, *keys: str, easier: Literal[1, -1]) -> Lever:
+    """Return the lever of keys of one section, named by the first one."""
+    name = f"{section}.{keys[0]}"
+    return Lever(name, easier, name, partial(_scale_keys, section, keys, -easier))
+
+
+def list_levers(scenario: Scenario) -> list[Lever]:
+    """Return the levers that a scenario has: those of `fit`, the noise, and single keys."""
+    levers = [
+        SPEED,
+        SLIP,
+        NOISE,
+        *(key_lever("constraints", key, easier=1) for key in ERROR_KEYS),
+        key_lever("slip", "sideslip", easier=-1),
+        key_lever("robot", "wheel_speed_max_mps", easier=1),
+    ]
+    return [lever for lever in levers if lever.values(scenario, 1.0)]
+
+
+def _scale_keys(
+    section: str, keys: tuple[str, ...], direction: int, scenario: Scenario, factor: float
+) -> Values:
+    table = getattr(scenario, section)
+    present = {key: getattr(table, key) for key in keys if getattr(table, key)}
+    scaled = {
+        f"{section}.{key}": _round(value * factor, direction) for key, value in present.items()
+    }
+    if "constraints.heading_deg" in scaled:
+        scaled["constraints.heading_deg"] = min(scaled["constraints.heading_deg"], STEEPEST_DEG)
+    return scaled
+
+
+def _scale_speed(scenario: Scenario, factor: float) -> Values:
+    """Return speed and box; the box still holds the path at the rounded speed."""
+    reference = scenario.reference
+    if reference.shape == "file":
+        return {}
+    speed = _round(reference.speed_mps * factor, 0)
+    exact = speed / reference.speed_mps
+    return {
+        "reference.speed_mps": speed,
+        "reference.wheel_speed_min_mps": _round(reference.wheel_speed_min_mps * exact, -1),
+        "reference.wheel_speed_max_mps": _round(reference.wheel_speed_max_mps * exact, 1),
+    }
+
+
+def _scale_slip(scenario: Scenario, factor: float) -> Values:
+    slip = scenario.slip
+    if slip.is_measured:
+        names = ("measurement_error_relative", "measurement_error")
+        return _scale_keys("slip", names, 1, scenario, factor)
+    if slip.right is None or slip.left is None:
+        return _scale_keys("slip", ("relative_error",), 1, scenario, factor)
+    right, left = slip.nominal
+    scaled = {
+        "slip.right": _scale_interval(slip.right, right, factor),
+        "slip.left": _scale_interval(slip.left, left, factor),
+    }
+    return scaled if any(low < high for low, high in scaled.values()) else {}
+
+
+def _scale_interval(
+    interval: tuple[float, float], nominal: float, factor: float
+) -> tuple[float, float]:
+    """Return an interval that is wider about the nominal slip by a factor, rounded outwards."""
+    low, high = interval
+    below = _round((nominal - low) * factor, 1)
+    above = _round((high - nominal) * factor, 1)
+    return round(nominal - below, 9), round(nominal + above, 9)
+
+
+SPEED = Lever("speed", -1, "reference speed [m/s]", _scale_speed)
+SLIP = Lever("slip", -1, "slip error", _scale_slip)
+LIMITS = Lever(
+    "limits",
+    1,
+    "lateral limit, the others alike [m]",
+    partial(_scale_keys, "constraints", ERROR_KEYS, -1),
+    "constraints.lateral_m",
+)
+NOISE = Lever(
+    "noise",
+    -1,
+    "lateral noise, the others alike [m]",
+    partial(_scale_keys, "noise", ERROR_KEYS, 1),
+    "noise.lateral_m",
+)
+FITTED = {lever.name: lever for lever in (SPEED, LIMITS, SLIP)}
+"""What `fit` searches the border of."""
+
+
+def _round(value: float, direction: int) -> float:
+    """Return a number of a few significant digits: the nearest one, or that above or below."""
+    if value == 0:
+        return 0.0
+    digits = DIGITS - 1 - math.floor(math.log10(abs(value)))
+    nearest = round(value, digits)
+    if (value - nearest) * direction > 1e-9 * abs(value):
+        nearest = round(nearest + direction * 10.0**-digits, digits)
+    return nearest
+
+
+def _say_value(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"[{', '.join(f'{entry:.{DIGITS}g}' for entry in value)}]"
+    return f"{value:.{DIGITS}g}"

@@ -1,0 +1,102 @@
+"""The nearest scenarios that hold, where a design fails: for a few keys that decide, the value up
+to which a certified design was found.
+
+    pull of a quantity = sum over rows of  pressure x change of the row's logarithm,  for one per
+                         cent of the quantity
+
+says by how many per cent the ratio falls at the optimum: which keys decide.
+
+Source: new; the envelope theorem for the pulls.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import msgspec
+import numpy as np
+from jaxtyping import Float
+
+from jaxtube.scenario.tree import Initial, Scenario
+from jaxtube.synthesis.border import attempt_design, attempt_search, find_certified
+from jaxtube.synthesis.descent import LEAST_SHARE, ROWS
+from jaxtube.synthesis.estimate import Estimate
+from jaxtube.synthesis.levers import SPEED, Lever, list_levers
+from jaxtube.synthesis.optimise import Optimum
+from jaxtube.synthesis.problem import make_problem
+from jaxtube.synthesis.starts import caps_and_gains, without_caps
+
+STEP = 0.02
+"""Logarithm by which a quantity is made easier to learn its pull."""
+LEAST_PULL = 0.02
+"""Pull from which on a quantity is worth a search."""
+SEARCHED = 3
+"""Quantities at most whose border is searched."""
+ON_PATH = Initial(x_m=0.0, y_m=0.0, heading_deg=0.0)
+WANTED = 2
+"""Quantities of which a value that holds is enough."""
+
+
+def find_nearest(
+    found: Optimum, on_progress: Callable[[], object] = lambda: None
+) -> dict[Lever, Scenario | None]:
+    """Search the nearest scenarios that hold for starts on the path.
+
+    Where a start away from the path has a plan is another question, which takes longer.
+
+    Args:
+        found: the best caps and gains for a scenario that no design was found for.
+        on_progress: is called after the search along each quantity; there are `SEARCHED` at most.
+
+    Returns:
+        By quantity, the one that decides most first, the scenario with its nearest value for which
+        a certified design was found, without caps and gains; None where none was.
+    """
+    bare = msgspec.structs.replace(without_caps(found.scenario), initial=ON_PATH)
+    near = caps_and_gains(found.scenario)
+    nearest: dict[Lever, Scenario | None] = {}
+    for lever in choose_levers(found):
+        if sum(scenario is not None for scenario in nearest.values()) < WANTED:
+            certified = find_certified(
+                partial(attempt_search, bare, lever),
+                partial(attempt_design, bare, lever),
+                lever.easier,
+                near=near,
+            )
+            scaled = None if certified is None else lever.scale(bare, certified.factor)
+            nearest[lever] = scaled
+        on_progress()
+    return nearest
+
+
+def choose_levers(found: Optimum) -> list[Lever]:
+    """Return the quantities that pull most at an optimum, the speed first."""
+    pulls = {lever: find_pull(found, lever) for lever in list_levers(found.scenario)}
+    worth = [lever for lever in pulls if pulls[lever] > LEAST_PULL]
+    worth.sort(key=lambda lever: (lever is not SPEED, -pulls[lever]))
+    return worth[:SEARCHED]
+
+
+def find_pull(found: Optimum, lever: Lever) -> float:
+    """Return by how many per cent the ratio falls for one per cent of a quantity; NaN where the
+    quantity cannot be eased."""
+    values = caps_and_gains(found.scenario)
+    assert values is not None
+    point = np.log(values)
+    try:
+        eased = lever.scale(found.scenario, math.exp(lever.easier * STEP))
+        levels = [_find_levels(each, point) for each in (found.scenario, eased)]
+    except ValueError:
+        return math.nan
+    pressures = np.array([found.pressures[row] for row in ROWS])
+    return float(pressures @ (levels[0] - levels[1])) / STEP
+
+
+def _find_levels(scenario: Scenario, point: Float[np.ndarray, " 11"]) -> Float[np.ndarray, " rows"]:
+    """Return the logarithms of the shares at a point, NaN where its tube is not bounded."""
+    shares = Estimate(make_problem(scenario)).shaped_like(point).shares(point)
+    if shares is None:
+        return np.full(len(ROWS), np.nan)
+    return np.log(np.maximum(np.concatenate([shares.caps[0], shares.limits[0]]), LEAST_SHARE))
