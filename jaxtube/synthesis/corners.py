@@ -23,8 +23,15 @@ from jaxtube.synthesis.estimated_error import (
     split_at_corners,
     widen_disturbance,
 )
+from jaxtube.synthesis.late_corners import (
+    LatePoints,
+    add_lag,
+    commit_points,
+    find_speed_extremes,
+)
 from jaxtube.synthesis.problem import Problem
 from sets.polytope import hull_vertices
+from sets.robot.plant import Late
 
 ALONG = 5
 """Points along an edge, where an extreme may lie between its ends."""
@@ -51,8 +58,8 @@ class Caps(NamedTuple):
 
 class EstimatedDisturbance(NamedTuple):
     """W of n points by its yaw kick, rad, how far that moves sideways, m/rad, and the box of the
-    rest (m, m, rad); the error of what the controller acts on (m, m, rad); and the least and the
-    greatest commanded ground speed, m/s."""
+    rest (m, m, rad); the error of what the controller acts on (m, m, rad); the least and the
+    greatest commanded ground speed, m/s; and what lag and delay do, where there is any."""
 
     yaw: Float[np.ndarray, " n"]
     lateral_per_yaw: Float[np.ndarray, " n"]
@@ -60,6 +67,7 @@ class EstimatedDisturbance(NamedTuple):
     error: Float[np.ndarray, "n 3"]
     least: Float[np.ndarray, " n"]
     greatest: Float[np.ndarray, " n"]
+    late: LatePoints | None
 
 
 class OperatingCorners:
@@ -75,8 +83,22 @@ class OperatingCorners:
         self.operation = operation(problem)
         self.period = self.operation.period
         self.schedules = hull_vertices(np.unique(problem.corners, axis=0))
-        sides_of_sideslip = 2 if self.operation.sideslip else 1
-        self.axes = (4 * ALONG, 2, ALONG, 2, len(self.schedules), 2, 2, sides_of_sideslip)
+        self.is_late = not self.operation.actuation.is_ideal
+        if self.is_late:
+            latency = self.operation.actuation.nominal(self.period.dt).latency
+            lever = latency * 2 * self.period.lateral_per_yaw / self.period.dt
+            self.period = self.period._replace(
+                lateral_per_yaw=self.period.lateral_per_yaw + lever,
+                lever_arm=0.0,
+                late=Late(lever, 0.0, 0.0),
+            )
+        sides_of_sideslip = 2 if self.operation.sideslip and not self.is_late else 1
+        sides_of_lag = 2 if self.is_late else 1
+        self.axes = (
+            *(4 * ALONG, 2, ALONG, 2, len(self.schedules), 2, 2),
+            sides_of_sideslip,
+            sides_of_lag,
+        )
 
     def gain(self, points: Float[np.ndarray, "n k"]) -> Float[np.ndarray, "n 3"]:
         """Return the observer's gain at each point."""
@@ -87,10 +109,12 @@ class OperatingCorners:
     def find(self, point: Float[np.ndarray, " k"]) -> Corners:
         """Return the corners that make W, the estimate's error and the ground speeds."""
         gain = self.gain(point[None])
-        errors = self._split(point[None], np.ix_(*map(np.arange, self.axes)))
+        errors, late = self._split(point[None], np.ix_(*map(np.arange, self.axes)))
         lateral_per_yaw = self.period.lateral_per_yaw
         size = solve_error(errors, lateral_per_yaw, gain, self.noise)
         extremes = find_extremes(errors, lateral_per_yaw, gain, size)
+        if late is not None:
+            extremes = np.append(extremes, find_speed_extremes(errors.speeds))
         return np.stack(np.unravel_index(extremes, self.axes))
 
     def disturbance(
@@ -98,7 +122,7 @@ class OperatingCorners:
     ) -> EstimatedDisturbance:
         """Return W, the estimate's error and the ground speeds, from these corners."""
         gain = self.gain(points)
-        errors = self._split(points, tuple(corners))
+        errors, late = self._split(points, tuple(corners))
         lateral_per_yaw = self.period.lateral_per_yaw
         size = solve_error(errors, lateral_per_yaw, gain, self.noise)
         return EstimatedDisturbance(
@@ -108,14 +132,15 @@ class OperatingCorners:
             size,
             errors.speeds.min(axis=(0, 2)),
             errors.speeds.max(axis=(0, 2)),
+            late,
         )
 
     def _split(
         self, points: Float[np.ndarray, "n k"], places: tuple[Int[np.ndarray, "..."], ...]
-    ) -> CornerErrors:
-        """Return what may happen at places of the grid, at each point."""
+    ) -> tuple[CornerErrors, LatePoints | None]:
+        """Return what may happen at places of the grid, at each point, and what of it is lag's."""
         caps = read_caps(points)
-        of_coupling, of_y, of_heading, of_speed, of_schedule, right, left, skid = places
+        of_coupling, of_y, of_heading, of_speed, of_schedule, right, left, skid, side = places
         by_point = (-1, *([1] * np.broadcast(*places).ndim))
         e_x, u2 = np.moveaxis(_coupled_corners(caps)[:, of_coupling], -1, 0)
         e_y = caps.lateral.reshape(by_point) * ENDS[of_y]
@@ -123,11 +148,25 @@ class OperatingCorners:
         faster = caps.faster.reshape(by_point)
         u1 = np.where(of_speed == 1, faster, -caps.slower.reshape(by_point))
         V_r, V_l = np.moveaxis(self.schedules[of_schedule], -1, 0)
-        d_r = self.operation.wheel_errors[right, 0]
-        d_l = self.operation.wheel_errors[left, 1]
-        zeta = self.operation.sideslip * ENDS[skid]
-        variables = (e_x, e_y, e_th, u1, u2, V_r, V_l, d_r, d_l, zeta)
-        return split_at_corners(self.kinematics, self.period, variables, len(points))
+        asked = (e_x, e_y, e_th, u1, u2, V_r, V_l)
+        if not self.is_late:
+            d_r = self.operation.wheel_errors[right, 0]
+            d_l = self.operation.wheel_errors[left, 1]
+            zeta = self.operation.sideslip * ENDS[skid]
+            variables = (*asked, d_r, d_l, zeta)
+            return split_at_corners(self.kinematics, self.period, variables, (), len(points)), None
+        none = 0.0 * (right + left + skid + side)
+        at_once = self.operation.period
+        still = (*asked, none, none, none)
+        speeds = split_at_corners(self.kinematics, at_once, still, (), len(points)).speeds
+        late = commit_points(self.operation, speeds, caps.turning)
+        loss = late.loss.reshape(2, 2, *by_point)
+        d_r = np.where(right == 1, loss[1, 0], loss[0, 0])
+        d_l = np.where(left == 1, loss[1, 1], loss[0, 1])
+        taken = ENDS[side] * late.unknown.reshape(2, *by_point)
+        variables = (*asked, d_r, d_l, none)
+        errors = split_at_corners(self.kinematics, self.period, variables, taken, len(points))
+        return add_lag(errors, late), late
 
 
 def read_caps(points: Float[np.ndarray, "n k"]) -> Caps:

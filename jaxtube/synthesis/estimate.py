@@ -28,6 +28,7 @@ from jaxtube.synthesis.corners import (
     read_caps,
 )
 from jaxtube.synthesis.disturbance import ground_speed_limits
+from jaxtube.synthesis.late_corners import find_later_errors
 from jaxtube.synthesis.lateral_tube import Policy, Ring
 from jaxtube.synthesis.problem import Problem, region_corners
 
@@ -195,8 +196,11 @@ class Estimate:
         proved error of an observer is a little larger."""
         is_observed = self.corners.gain(points).min(axis=1) < 1
         error = w.error * (1 + RESERVE * is_observed[:, None])
+        kept = np.stack([caps.longitudinal, caps.lateral, caps.heading], axis=1)
+        if w.late is not None:
+            error = find_later_errors(self.corners.operation, w.late, kept + error) - kept
         left = np.maximum(self.constraints - error, ACCURACY * self.constraints)
-        return np.stack([caps.longitudinal, caps.lateral, caps.heading], axis=1) / left
+        return kept / left
 
     def _use_by_start(
         self,

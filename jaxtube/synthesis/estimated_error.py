@@ -46,19 +46,24 @@ class CornerErrors(NamedTuple):
 
 
 def split_at_corners(
-    kinematics: Kinematics, period: Period, variables: Sequence[np.ndarray], count: int
+    kinematics: Kinematics,
+    period: Period,
+    variables: Sequence[np.ndarray],
+    taken: Iterable[np.ndarray],
+    count: int,
 ) -> CornerErrors:
     """Return what happens at corners.
 
     Args:
         kinematics, period: as of `split_disturbance`.
         variables: its first ten, which broadcast to the points times any axes of corners.
+        taken: those after the noise.
         count: n.
     """
     shape = np.broadcast_shapes(*(np.shape(variable) for variable in variables))
     # One coordinate after the other, along an axis of its own, which no other part gets.
     noise = SMALL * np.eye(3).reshape(3, 3, *([1] * len(shape)))
-    parts = split_disturbance(kinematics, period, (*variables, *noise))
+    parts = split_disturbance(kinematics, period, (*variables, *noise, *taken))
     model = parts.bilinear.plus(parts.sine).plus(parts.sampling)
     sliding = parts.slip.plus(parts.sideslip)
 
