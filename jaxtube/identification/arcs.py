@@ -2,9 +2,11 @@
 
     phi(t) = phi_0 + omega t,    p(t) = p_0 + v (C, S) + v_y (-S, C),   C, S = int_0^t cos, sin phi
 
-Heading first, by a line; position is then linear in (p_0, v, v_y). What poses miss of their arc is
-the pose noise, once scaled by the degrees of freedom; independent noise of spread sigma leaves the
-velocities uncertain by the usual covariance of least squares.
+Heading first, by a line; position is then linear in (p_0, v, v_y). Independent noise of spread
+sigma leaves the velocities uncertain by the usual covariance of least squares.
+
+Pose noise is what poses miss of parabolas through few neighbours: over a whole window the motion
+itself leaves its arc, by slips that wander.
 
 Source: least squares as in any textbook; the arc is that of a body with constant velocity, e.g.
 Lynch and Park, Modern Robotics, 2017, section 13.3.
@@ -19,6 +21,9 @@ from jaxtyping import Float
 
 FEWEST_POSES = 4
 
+NEIGHBOURS = 7
+"""Poses that a parabola is fitted to."""
+
 
 class Arc(NamedTuple):
     """The motion of a body over one window."""
@@ -27,7 +32,6 @@ class Arc(NamedTuple):
     spread: Float[
         np.ndarray, "3"
     ]  # standard deviations for noise of one metre, one radian, one metre
-    missed: Float[np.ndarray, "k 3"]  # poses less their arc (m, m, rad), scaled by the freedom used
 
 
 def fit_arc(time: Float[np.ndarray, "k"], pose: Float[np.ndarray, "k 3"]) -> Arc:
@@ -56,12 +60,26 @@ def fit_arc(time: Float[np.ndarray, "k"], pose: Float[np.ndarray, "k 3"]) -> Arc
     found = inverse @ (design.T @ target)
     velocity = np.array([found[2], yaw_rate, found[3]])
     spread = np.sqrt([inverse[2, 2], 1.0 / moment, inverse[3, 3]])
-    off_place = (target - design @ found).reshape(2, count).T
-    off_heading = pose[:, 2] - middle - yaw_rate * elapsed
-    position_freedom = np.sqrt(2 * count / (2 * count - 4))
-    heading_freedom = np.sqrt(count / (count - 2))
-    missed = np.column_stack([position_freedom * off_place, heading_freedom * off_heading])
-    return Arc(velocity, spread, missed)
+    return Arc(velocity, spread)
+
+
+def find_noise(
+    time: Float[np.ndarray, "k"], pose: Float[np.ndarray, "k 3"]
+) -> Float[np.ndarray, "middles 3"]:
+    """Return what poses miss of parabolas in time through `NEIGHBOURS` poses around them, (m, m,
+    rad), scaled so that independent noise keeps its standard deviation; empty for fewer poses.
+    """
+    half = NEIGHBOURS // 2
+    missed = []
+    for middle in range(half, len(time) - half):
+        near = slice(middle - half, middle + half + 1)
+        powers = np.vander(time[near] - time[middle], 3)
+        # Least squares give the pose in the middle as weights of all; its own weight is the
+        # leverage.
+        weights = np.linalg.pinv(powers)[2]
+        leverage = weights[half]
+        missed.append((pose[middle] - weights @ pose[near]) / np.sqrt(1.0 - leverage))
+    return np.array(missed).reshape(-1, 3)
 
 
 def _integrate_direction(

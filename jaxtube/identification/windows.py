@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.identification.arcs import FEWEST_POSES, fit_arc
+from jaxtube.identification.arcs import FEWEST_POSES, find_noise, fit_arc
 from jaxtube.identification.clocks import Clock
 from jaxtube.identification.cuts import Cuts
 from jaxtube.identification.samples import Poses, Travel
@@ -58,7 +58,7 @@ class LogWindows:
         wheels. length: s. spread: standard deviations of (v, omega, v_y) for noise of one metre,
         one radian, one metre;
             NaN where the pose was lost.
-        missed: of all steady windows, poses less their arcs, (m, m, rad).
+        missed: of all steady windows, pose noise as `arcs.find_noise` finds it, (m, m, rad).
         standing: of the standing ones, the same.
     """
 
@@ -103,7 +103,8 @@ def cut_windows(
         spread[k] = arc.spread
         if steady[k]:
             is_standing = np.abs(wheels[k]).max() < MOVING_MPS
-            (standing if is_standing else missed).append(arc.missed)
+            noise = find_noise(poses.time[rows], poses.pose[rows])
+            (standing if is_standing else missed).append(noise)
     windows = Windows(
         log.path, _number_commands(places, wheels, steady, fastest), wheels, velocity, steady, lost
     )

@@ -87,7 +87,7 @@ def _noise_row(name: str, noise: Noise) -> Row:
         f"pose noise, {name}",
         f"{1000 * place:.2g} mm, {np.rad2deg(turn):.2g} deg",
         f"99.5 % within {1000 * widest:.3g} mm, {np.rad2deg(most):.2g} deg",
-        f"{noise.poses} poses about the arcs of their windows",
+        f"{noise.poses} poses about parabolas through seven",
     )
 
 
