@@ -21,11 +21,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.design import design, refuse_infeasible_start
+from jaxtube.synthesis.descent import PENALTY
+from jaxtube.synthesis.design import design, find_share_of_start
 from jaxtube.synthesis.levers import Lever
-from jaxtube.synthesis.optimise import Optimum, optimise, optimise_nearby
+from jaxtube.synthesis.optimise import LIMIT_ROOM, Optimum, optimise, optimise_nearby
 from jaxtube.synthesis.problem import make_problem
-from jaxtube.synthesis.starts import caps_and_gains, without_caps
+from jaxtube.synthesis.starts import caps_and_gains
 
 FARTHEST = math.log(32.0)
 """How far from the scenario's own quantity a border is searched, in logarithms."""
@@ -56,6 +57,8 @@ class Attempt:
         value: of the quantity (`Lever.measure`), None where no scenario may have it.
         ratio: largest share of a cap that the tube fills, estimated; None where no caps keep the
             limits, or no tube is bounded.
+        level: objective of the search (`synthesis.descent`), the logarithm of the ratio where
+            limits are kept, larger where they are passed; None where no tube is bounded.
         binding: the row of `descent.ROWS` that binds most; empty without a search's end.
         caps_and_gains: of the best design found, None without one.
         is_certified: whether the certificate holds and the start has a plan.
@@ -65,6 +68,7 @@ class Attempt:
     factor: float
     value: float | None = None
     ratio: float | None = None
+    level: float | None = None
     binding: str = ""
     caps_and_gains: tuple[float, ...] | None = None
     is_certified: bool = False
@@ -182,8 +186,8 @@ def _has_turned(attempts: dict[float, Attempt]) -> bool:
 
 
 def _find_level(attempt: Attempt) -> float:
-    """Return the logarithm of the ratio, infinite where there is none."""
-    return math.inf if attempt.ratio is None else math.log(attempt.ratio)
+    """Return the level of an attempt, infinite where there is none."""
+    return math.inf if attempt.level is None else attempt.level
 
 
 def _find_near(attempts: dict[float, Attempt], place: float) -> tuple[float, ...] | None:
@@ -199,9 +203,9 @@ def _find_near(attempts: dict[float, Attempt], place: float) -> tuple[float, ...
 def attempt_design(
     scenario: Scenario, lever: Lever, factor: float, near: Sequence[float] | None
 ) -> Attempt:
-    """Scale the quantity, search caps and gains, design and certify."""
+    """Scale the quantity of a scenario without caps and gains, search them, design and certify."""
     try:
-        scaled = lever.scale(without_caps(scenario), factor)
+        scaled = lever.scale(scenario, factor)
         made = optimise(make_problem(scaled), near=near)
     except ValueError as error:
         return Attempt(factor, reason=str(error))
@@ -215,10 +219,10 @@ def attempt_design(
 def attempt_search(
     scenario: Scenario, lever: Lever, factor: float, near: Sequence[float] | None
 ) -> Attempt:
-    """Scale the quantity and search from caps and gains nearby alone, where some are given; what
-    the estimate lets hold counts as certified here."""
+    """Scale the quantity of a scenario without caps and gains, and search them from some nearby
+    alone, where any are given; what the estimate lets hold counts as certified here."""
     try:
-        scaled = lever.scale(without_caps(scenario), factor)
+        scaled = lever.scale(scenario, factor)
         problem = make_problem(scaled)
         made = optimise(problem) if near is None else optimise_nearby(problem, near)
     except ValueError as error:
@@ -232,6 +236,7 @@ def find_certified(
     search: Ask,
     certify: Ask,
     easier: int,
+    precision: float = QUICK_PRECISION,
     first: float = 1.0,
     near: tuple[float, ...] | None = None,
 ) -> Attempt | None:
@@ -241,14 +246,15 @@ def find_certified(
     Args:
         search: as `attempt_search`.
         certify: as `attempt_design`.
-        easier, first, near: as of `find_border`.
+        easier, precision, first, near: as of `find_border`.
     """
-    border = find_border(search, easier, QUICK_PRECISION, first, near)
+    border = find_border(search, easier, precision, first, near)
     if border.best is None:
         return None
+    near = border.best.caps_and_gains
     for step in EASED:
         factor = border.best.factor * math.exp(easier * step)
-        tried = certify(factor, border.best.caps_and_gains)
+        tried = certify(factor, near)
         if tried.is_certified:
             return tried
     return None
@@ -260,6 +266,7 @@ def _describe_search(factor: float, lever: Lever, made: Optimum) -> Attempt:
         factor=factor,
         value=lever.measure(made.scenario),
         ratio=made.ratio if made.keeps_limits else None,
+        level=math.log(made.ratio) + PENALTY * math.log(max(made.excess / LIMIT_ROOM, 1.0)),
         binding=made.binding,
         caps_and_gains=caps_and_gains(made.scenario),
         reason="" if made.holds else made.describe_binding(),
@@ -273,7 +280,12 @@ def _find_fault(scenario: Scenario) -> str:
         failing = designed.certificate.failing
         if failing:
             return f"the certificate fails: {', '.join(failing)}"
-        refuse_infeasible_start(designed)
     except ValueError as error:
         return str(error)
+    share = find_share_of_start(designed)
+    if share < 1:
+        return (
+            f"of the start no more than {share:.1%} of its distance has a plan; start nearer, or "
+            "lengthen controller.horizon"
+        )
     return ""

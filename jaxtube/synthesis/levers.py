@@ -61,14 +61,23 @@ class Lever:
 
     def measure(self, scenario: Scenario) -> float:
         """Return the quantity as one number, of an interval its half width."""
-        values = self.values(scenario, 1.0)
-        value = values.get(self.measured, next(iter(values.values())))
+        _, value = self._find_measured(scenario)
         return (value[1] - value[0]) / 2 if isinstance(value, tuple) else float(value)
 
     def say(self, scenario: Scenario) -> str:
         """Return the quantity of a scenario as keys and values, as in a scenario file."""
         values = self.values(scenario, 1.0)
         return ", ".join(f"{key} = {_say_value(value)}" for key, value in values.items())
+
+    def say_measured(self, scenario: Scenario) -> str:
+        """Return the key that stands for the quantity, and its value."""
+        key, value = self._find_measured(scenario)
+        return f"{key} = {_say_value(value)}"
+
+    def _find_measured(self, scenario: Scenario) -> tuple[str, Any]:
+        values = self.values(scenario, 1.0)
+        key = self.measured if self.measured in values else next(iter(values))
+        return key, values[key]
 
 
 def key_lever(section: str, *keys: str, easier: Literal[1, -1]) -> Lever:

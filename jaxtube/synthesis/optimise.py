@@ -49,9 +49,9 @@ CORRECTIONS = 3
 FARTHER = (1.03, 1.12)
 """Factors by which a start without a plan is taken for farther away than it has to be, one try
 after the other where rigorous bounds deny what the estimate showed."""
-LIMIT_ROUNDING = 1e-3
-"""By what share a limit may be passed by the estimate: what is designed is rounded down, and judged
-by rigorous bounds."""
+LIMIT_ROOM = 1.001
+"""Use of a limit up to which the estimate says that it is kept: what is designed is rounded down,
+and judged by rigorous bounds."""
 PRESSING = 0.05
 """Pressure from which on a limit is told."""
 SHOWN = 2
@@ -81,7 +81,7 @@ class Optimum:
     @property
     def keeps_limits(self) -> bool:
         """Whether caps, start and wheels keep their limits."""
-        return self.excess <= 1 + LIMIT_ROUNDING
+        return self.excess <= LIMIT_ROOM
 
     @property
     def holds(self) -> bool:
@@ -104,7 +104,7 @@ class Optimum:
         the limits that hold the caps down."""
         if not self.keeps_limits:
             worst = max(LIMIT_ROWS, key=lambda row: self.shares[row])
-            return f"every choice of caps asks for {self.excess:.1%} of what {worst} leaves"
+            return f"every choice of caps passes a limit, {worst} by {self.excess - 1:.1%} at best"
         cap = max(CAP_ROWS, key=lambda row: self.pressures[row])
         shown = self.pressing[:SHOWN]
         verb = "hold" if len(shown) > 1 else "holds"

@@ -8,9 +8,11 @@ Source: new.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 
 from jaxtube.experiments.run.value_log import ValueLog
 from jaxtube.progress import ProgressBar, progress
@@ -18,6 +20,7 @@ from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.border import (
     MOST_ATTEMPTS,
+    Ask,
     Attempt,
     Border,
     attempt_design,
@@ -72,34 +75,50 @@ class Attempts:
     """Attempts by what they were asked for, each answered once, from the log where it is there."""
 
     def __init__(self, scenario: Scenario, lever: Lever, log: ValueLog):
+        self.lever = lever
         self._scenario = scenario
-        self._lever = lever
+        self._second_factor = 1.0
         self._log = log
         self._answers = {_key(record): _read(record["attempt"]) for record in log.records}
 
-    def at(
-        self, method: str, second: Lever | None = None, second_factor: float = 1.0
-    ) -> Callable[[float, Sequence[float] | None], Attempt]:
-        """Return what makes attempts by a method, at a factor of the second quantity."""
-        scenario = self._scenario
-        if second is not None:
-            scenario = second.scale(scenario, second_factor)
+    def of(self, second: Lever, factor: float) -> Attempts | None:
+        """Return attempts at a factor of the second quantity, None where no scenario may have
+        that."""
+        other = copy.copy(self)
+        other._second_factor = factor
+        try:
+            other._scenario = second.scale(self._scenario, factor)
+        except ScenarioError:
+            return None
+        return other
 
-        def ask(factor: float, near: Sequence[float] | None) -> Attempt:
-            question = {"method": method, "second_factor": second_factor, "factor": factor}
-            if _key(question) not in self._answers:
-                made = METHODS[method](scenario, self._lever, factor, near)
-                self._log.append(question | {"attempt": asdict(made)})
-                self._answers[_key(question)] = made
-            return self._answers[_key(question)]
+    def by(self, method: str) -> Ask:
+        """Return what makes attempts by a method."""
+        return partial(self._answer, method)
 
-        return ask
+    def _answer(self, method: str, factor: float, near: Sequence[float] | None) -> Attempt:
+        question = {"method": method, "second_factor": self._second_factor, "factor": factor}
+        key = _key(question)
+        if key not in self._answers:
+            made = METHODS[method](self._scenario, self.lever, factor, near)
+            self._log.append(question | {"attempt": asdict(made)})
+            self._answers[key] = made
+        return self._answers[key]
 
 
-def fit(scenario: Scenario, lever: Lever, log: ValueLog) -> Fit:
-    """Find the border of a quantity, and how it moves with the second one."""
+def fit(
+    scenario: Scenario, lever: Lever, log: ValueLog, own: tuple[float, ...] | None = None
+) -> Fit:
+    """Find the border of a quantity, and how it moves with the second one.
+
+    Args:
+        scenario: without caps and gains.
+        lever: the quantity.
+        log: of an earlier run of the same, or empty.
+        own: caps and gains to begin with.
+    """
     attempts = Attempts(scenario, lever, log)
-    border = _find_own_border(attempts, lever)
+    border = _find_own_border(attempts, lever, own)
     second = SECOND[lever.name]
     if border.best is None or not second.values(scenario, 1.0):
         return Fit(lever, border, None, ())
@@ -107,11 +126,11 @@ def fit(scenario: Scenario, lever: Lever, log: ValueLog) -> Fit:
     return Fit(lever, border, second, frontier)
 
 
-def _find_own_border(attempts: Attempts, lever: Lever) -> Border:
+def _find_own_border(attempts: Attempts, lever: Lever, own: tuple[float, ...] | None) -> Border:
     """Return the border of the scenario, and easier attempts with it."""
-    ask = attempts.at("design")
+    ask = attempts.by("design")
     with progress(MOST_ATTEMPTS, "searching the border", "designs", starting="starting") as bar:
-        border = find_border(_shown(ask, bar), lever.easier, PRECISION)
+        border = find_border(_shown(ask, bar), lever.easier, PRECISION, near=own)
         bar.total = bar.n
     if border.best is None:
         return border
@@ -129,9 +148,7 @@ def _find_own_border(attempts: Attempts, lever: Lever) -> Border:
     return Border(ordered, border.best, border.beyond)
 
 
-def _shown(
-    ask: Callable[[float, Sequence[float] | None], Attempt], bar: ProgressBar
-) -> Callable[[float, Sequence[float] | None], Attempt]:
+def _shown(ask: Ask, bar: ProgressBar) -> Ask:
     """Return the same, with what was found shown on a bar."""
 
     def ask_and_show(factor: float, near: Sequence[float] | None) -> Attempt:
@@ -154,8 +171,9 @@ def _find_frontier(
     with progress(len(FACTORS), "searching the frontier", "borders", starting="starting") as bar:
         for factor in sorted(FACTORS, key=lambda factor: abs(math.log(factor))):
             between = [other for other in found if (other - 1) * (factor - 1) >= 0]
-            neighbour = found[min(between, key=lambda other: abs(other - factor))]
-            found[factor] = _find_point(attempts, lever, second, factor, neighbour)
+            nearest = min(between, key=lambda other: abs(other - factor))
+            is_easier = (factor - nearest) * second.easier > 0
+            found[factor] = _find_point(attempts.of(second, factor), found[nearest], is_easier)
             bar.update()
     return tuple(
         FrontierPoint(factor, second.measure(second.scale(scenario, factor)), found[factor])
@@ -165,17 +183,22 @@ def _find_frontier(
 
 
 def _find_point(
-    attempts: Attempts, lever: Lever, second: Lever, factor: float, neighbour: Attempt | None
+    attempts: Attempts | None, neighbour: Attempt | None, is_easier: bool
 ) -> Attempt | None:
-    """Return the border at one factor of the second quantity, None where none was found."""
-    if neighbour is None:
+    """Return the border at one factor of the second quantity, from that at a neighbouring one, and
+    no worse where it is easier to hold; None where none was found."""
+    if neighbour is None or attempts is None:
         return None
-    try:
-        search = attempts.at("search", second, factor)
-        certify = attempts.at("design", second, factor)
-    except ScenarioError:
-        return None
-    return find_certified(search, certify, lever.easier, neighbour.factor, neighbour.caps_and_gains)
+    easier = attempts.lever.easier
+    first = neighbour.factor
+    near = neighbour.caps_and_gains
+    search = attempts.by("search")
+    certify = attempts.by("design")
+    quick = find_certified(search, certify, easier, 2 * PRECISION, first, near)
+    if quick is not None and not (is_easier and (quick.factor - first) * easier > 0):
+        return quick
+    # What the estimate does not know of decides, such as a start without a plan.
+    return find_border(certify, easier, 2 * PRECISION, first, near).best
 
 
 def _is_allowed(scenario: Scenario, lever: Lever, factor: float) -> bool:

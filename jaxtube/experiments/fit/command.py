@@ -13,6 +13,7 @@ from __future__ import annotations
 from dataclasses import asdict
 
 from jaxtube.atomic import write_atomically
+from jaxtube.experiments.design.nearest import say_nearest
 from jaxtube.experiments.fit import figures
 from jaxtube.experiments.fit.attempts import Fit, fit
 from jaxtube.experiments.fit.report import describe_border, report
@@ -20,13 +21,14 @@ from jaxtube.experiments.options import PROGRAM, FitOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.exit_codes import ExitCode
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.table import wrap
 from jaxtube.experiments.run.value_log import open_log
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.synthesis.border import Attempt
 from jaxtube.synthesis.levers import FITTED, Lever
 from jaxtube.synthesis.optimise import refuse_other_kinds
-from jaxtube.synthesis.starts import with_caps_and_gains, without_caps
+from jaxtube.synthesis.starts import caps_and_gains, with_caps_and_gains, without_caps
 
 FILE = "fitted.toml"
 
@@ -41,14 +43,18 @@ def run(scenario: Scenario, options: FitOptions) -> int:
     lever = FITTED[options.quantity]
     _refuse_unfit(scenario, lever)
     folder = run_folder.create(scenario, options)
+    bare = without_caps(scenario)
     with open_log(folder, "attempts", {"quantity": lever.name}, scenario) as log:
-        found = fit(scenario, lever, log)
-    folder.report(report(scenario, found))
-    folder.save_figure(figures.frontier(scenario, found), "frontier")
+        found = fit(bare, lever, log, caps_and_gains(scenario))
+    folder.report(report(bare, found))
+    if found.border.best is None:
+        told = [line for each in say_nearest(scenario, options) for line in wrap(each, "  ")]
+        folder.report("\n" + "\n".join(told))
+    folder.save_figure(figures.frontier(bare, found), "frontier")
     folder.save_metrics(_metrics(found))
     best = found.border.best
     if best is not None:
-        _save_fitted(folder, scenario, found, best, options)
+        _save_fitted(folder, bare, found, best, options)
         print(f"\nnext: {PROGRAM} design --scenario {folder.path / FILE}")
     print(f"\nwritten to {folder.path}/")
     return ExitCode.NO_GUARANTEE if options.require_certificate and best is None else 0
@@ -91,13 +97,13 @@ def _save_fitted(
 ) -> None:
     """Write the certified scenario at the border."""
     fitted = make_fitted(scenario, found.lever, best)
-    told = "\n".join(f"# {line}" for line in describe_border(scenario, found))
-    text = f"# Fitted from {options.label}: {told.removeprefix('# ')}\n\n{to_toml(fitted)}"
+    told = " ".join([f"Fitted from {options.label}.", *describe_border(scenario, found)])
+    comment = "\n".join(f"# {line}" for line in wrap(told))
+    text = f"{comment}\n\n{to_toml(fitted)}"
     write_atomically(folder.path / FILE, lambda file: file.write(text.encode()))
 
 
 def make_fitted(scenario: Scenario, lever: Lever, attempt: Attempt) -> Scenario:
     """Return the scenario of an attempt, with its caps and gains."""
     assert attempt.caps_and_gains is not None
-    scaled = lever.scale(without_caps(scenario), attempt.factor)
-    return with_caps_and_gains(scaled, attempt.caps_and_gains)
+    return with_caps_and_gains(lever.scale(scenario, attempt.factor), attempt.caps_and_gains)

@@ -101,9 +101,10 @@ def _draw_frontier(axes: Axes, scenario: Scenario, found: Fit, shapes: dict[str,
     axes.plot(seconds, values, color=INSIDE, linewidth=0.8)
     for second, value, (_, attempt) in zip(seconds, values, held, strict=True):
         axes.plot(second, value, **_look(attempt, shapes))
-    denied = [point.value for point in found.frontier if point.attempt is None]
-    edge = np.full(len(denied), 0.0 if is_upper else top)
-    axes.plot(denied, edge, **DENIED, marker="s", clip_on=False)
+    for point in found.frontier:
+        if point.attempt is None:
+            edge = 0.0 if is_upper else top
+            axes.plot(point.value, edge, **DENIED, marker="s", clip_on=False)
     axes.plot(found.second.measure(scenario), own, **OWN)
     axes.set(title="(b) the border found", xlabel=found.second.label, ylabel=found.lever.label)
     axes.set_ylim(0, top)

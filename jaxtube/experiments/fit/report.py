@@ -11,52 +11,54 @@ from jaxtube.synthesis.levers import Lever
 
 SUPERLATIVES = {"speed": "largest speed", "limits": "smallest limits", "slip": "widest slip"}
 CAVEAT = (
-    "the border is that of this search: beyond it no design was found, which does not prove that "
-    "there is none"
+    "The border is that of this search: beyond it no design was found, which does not prove that "
+    "there is none."
 )
 
 
 def report(scenario: Scenario, found: Fit) -> str:
     """Return the report as text."""
-    lines = []
-    for line in describe_border(scenario, found):
-        lines += wrap(line, "  ")
-    lines += ["", _attempt_table(found), *wrap(f"  {CAVEAT}", "  ")]
+    lines = [line for each in describe_border(scenario, found) for line in wrap(each, "  ")]
+    lines += ["", _attempt_table(found), *wrap(CAVEAT, "  ")]
     if found.second is not None:
         lines += ["", _frontier_table(found, found.second)]
     return "\n".join(lines)
 
 
 def describe_border(scenario: Scenario, found: Fit) -> list[str]:
-    """Return what was found of the border, a sentence a line."""
+    """Return what was found of the border, a sentence each."""
     lever = found.lever
     best = found.border.best
     beyond = found.border.beyond
-    name = SUPERLATIVES[lever.name]
     if best is None:
-        return [_say_none(lever, found.border.attempts)]
+        return [_say_none(scenario, lever, found.border.attempts)]
     values = lever.say(lever.scale(scenario, best.factor))
     assert best.ratio is not None
-    lines = [
-        f"{name} with a certificate: {values} ({best.factor:.4g} times the scenario's); the tube "
-        f"fills {best.ratio:.1%} of its caps"
+    sentences = [
+        f"The {SUPERLATIVES[lever.name]} with a certificate: {values}; {best.factor:.4g} times the "
+        f"scenario's, and the tube fills {best.ratio:.1%} of its caps."
     ]
     if beyond is None:
-        return [*lines, "no border was met as far as was searched"]
-    where = "there" if beyond.value is None else f"at {_say_value(lever, beyond)}"
-    return [*lines, f"no design was found {where}: {beyond.reason}"]
+        return [*sentences, "No border was met as far as was searched."]
+    where = _say_place(scenario, lever, beyond)
+    return [*sentences, f"No design was found at {where}: {beyond.reason}."]
 
 
-def _say_none(lever: Lever, attempts: tuple[Attempt, ...]) -> str:
+def _say_none(scenario: Scenario, lever: Lever, attempts: tuple[Attempt, ...]) -> str:
     """Return that no attempt holds, and which came closest."""
     with_ratio = [attempt for attempt in attempts if attempt.ratio is not None]
-    if not with_ratio:
-        return f"no {lever.name} tried has a design: {attempts[0].reason}"
-    closest = min(with_ratio, key=lambda attempt: attempt.ratio or 0.0)
+    closest = min(with_ratio or attempts, key=lambda attempt: attempt.ratio or 0.0)
     return (
-        f"no {lever.name} tried has a certified design; closest at {_say_value(lever, closest)}: "
-        f"{closest.reason}"
+        f"No certified design was found at any {lever.name} tried; closest at "
+        f"{_say_place(scenario, lever, closest)}: {closest.reason}."
     )
+
+
+def _say_place(scenario: Scenario, lever: Lever, attempt: Attempt) -> str:
+    """Return where an attempt was made, by the key that stands for the quantity."""
+    if attempt.value is None:
+        return f"{attempt.factor:.4g} times the scenario's {lever.name}"
+    return lever.say_measured(lever.scale(scenario, attempt.factor))
 
 
 def _attempt_table(found: Fit) -> str:
@@ -71,13 +73,13 @@ def _attempt_table(found: Fit) -> str:
 
 
 def _attempt_row(attempt: Attempt) -> list[str]:
-    is_told = attempt.is_certified or (attempt.ratio is not None and attempt.ratio > 1)
+    is_told = attempt.is_certified or attempt.ratio is None or attempt.ratio > 1
     return [
         "-" if attempt.value is None else f"{attempt.value:.4g}",
         f"{attempt.factor:.4g}",
         "-" if attempt.ratio is None else f"{100 * attempt.ratio:.1f}",
         "yes" if attempt.is_certified else "no",
-        attempt.binding if is_told else attempt.reason,
+        attempt.binding if is_told and attempt.binding else attempt.reason,
     ]
 
 
@@ -98,7 +100,3 @@ def _frontier_row(point: FrontierPoint) -> list[str]:
     if attempt is None or ratio is None:
         return [value, "none found", "-", "-"]
     return [value, f"{attempt.value:.4g}", f"{100 * ratio:.1f}", attempt.binding]
-
-
-def _say_value(lever: Lever, attempt: Attempt) -> str:
-    return f"{lever.label} = {attempt.value:.4g}"
