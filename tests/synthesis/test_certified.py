@@ -23,8 +23,9 @@ from jaxtube.synthesis.disturbance import (
 from jaxtube.synthesis.estimate import Estimate
 from jaxtube.synthesis.feasible import boundary, shortfall, true_starts
 from jaxtube.synthesis.gains import decoupled_gain
-from jaxtube.synthesis.optimise import STARTS, caps_and_gains, optimise
+from jaxtube.synthesis.optimise import optimise
 from jaxtube.synthesis.problem import make_problem
+from jaxtube.synthesis.starts import caps_and_gains
 from jaxtube.synthesis.terminal import admissible_set
 from sets.invariant import maximal_rpi, minimal_rpi_bound
 from sets.robot.disturbance import evaluate_disturbance
@@ -277,10 +278,14 @@ def test_the_optimiser_finds_caps_and_gains_that_hold(reference):
 
 def test_estimated_shares_are_those_of_the_rigorous_sets(certified):
     estimate = Estimate(certified.problem)
-    estimated = estimate.shares(np.log(caps_and_gains(certified.problem.scenario)))
+    own = np.log(caps_and_gains(certified.problem.scenario))
+    estimated = estimate.shares(own).caps[0]
     rigorous = list(cap_shares(certified.problem, certified.tube_gain).values())
-    np.testing.assert_allclose(estimated.caps, rigorous[:6], rtol=0.03)
-    assert estimate.shares(np.log([*STARTS[0][:8], 25.0, 7.0, 9.0])) is None  # k1 T > 2: unstable
+    # The speed deficit's two caps are rows of their own.
+    merged = [*estimated[:3], max(estimated[3:5]), *estimated[5:]]
+    np.testing.assert_allclose(merged, rigorous[:6], rtol=0.03)
+    own[8] = np.log(25.0)
+    assert estimate.shares(own) is None  # k1 T > 2: unstable
 
 
 def test_the_papers_sets_gains_and_map_are_not_certified_with_a_computed_w():

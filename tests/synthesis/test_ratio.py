@@ -11,8 +11,8 @@ from jaxtube.synthesis.certificate.existence import OBJECTIVES
 from jaxtube.synthesis.certificate.fill import cap_shares
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.gains import compensating_gain
-from jaxtube.synthesis.optimise import caps_and_gains
 from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, guarantee, set_point
+from jaxtube.synthesis.starts import caps_and_gains
 from jaxtube.synthesis.terminal import terminal_cost_and_gain
 
 NEARBY_SEARCH = 0.02
@@ -74,13 +74,13 @@ def test_caps_and_gains_of_a_scenario_start_a_search(certified, monkeypatch):
     assert caps_and_gains(load("paper")) is None
     asked = []
 
-    def refuse(problem, starts):
-        asked.append(starts)
+    def refuse(problem, near):
+        asked.append(near)
         raise ValueError("no start leads anywhere")
 
     monkeypatch.setattr(module, "optimise", refuse)
     found = guarantee("optimised", certified, start)
-    assert asked == [[start], module.STARTS]
+    assert asked == [start]
     assert found == Guarantee(reason="no start leads anywhere", caps_and_gains=start)
 
 
