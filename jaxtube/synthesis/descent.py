@@ -45,7 +45,7 @@ DIFFERENCE = 1e-6
 """Step of the forward differences, in logarithms."""
 MISSED = -10.0
 """Slack of every row where the loops have no bounded tube."""
-BINDING = 0.01
+BINDING = 0.03
 """Slack, in logarithms, below which a row takes part in the optimum."""
 LEAST_SHARE = 1e-9
 """What counts for a share of nothing."""

@@ -152,18 +152,18 @@ def _scale_interval(
 
 
 SPEED = Lever("speed", -1, "reference speed [m/s]", _scale_speed)
-SLIP = Lever("slip", -1, "slip error", _scale_slip)
+SLIP = Lever("slip", -1, "slip error [–]", _scale_slip)
 LIMITS = Lever(
     "limits",
     1,
-    "lateral limit, the others alike [m]",
+    "limits, by the lateral one [m]",
     partial(_scale_keys, "constraints", ERROR_KEYS, -1),
     "constraints.lateral_m",
 )
 NOISE = Lever(
     "noise",
     -1,
-    "lateral noise, the others alike [m]",
+    "noise, by the lateral one [m]",
     partial(_scale_keys, "noise", ERROR_KEYS, 1),
     "noise.lateral_m",
 )

@@ -103,7 +103,7 @@ class Optimum:
         """Return what binds, in words: the limit that is passed, or the cap that is filled most and
         the limits that hold the caps down."""
         if not self.keeps_limits:
-            worst = max(LIMIT_ROWS, key=lambda row: self.shares[row])
+            worst = max(LIMIT_ROWS, key=lambda row: self.pressures[row])
             return f"every choice of caps passes a limit, {worst} by {self.excess - 1:.1%} at best"
         cap = max(CAP_ROWS, key=lambda row: self.pressures[row])
         shown = self.pressing[:SHOWN]

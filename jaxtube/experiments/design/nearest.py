@@ -8,6 +8,7 @@ import shlex
 from jaxtube.experiments.options import PROGRAM, Options
 from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
+from jaxtube.synthesis.advice import say_what_widens
 from jaxtube.synthesis.levers import FITTED
 from jaxtube.synthesis.nearest import ON_PATH, SEARCHED, find_nearest
 from jaxtube.synthesis.optimise import Optimum, can_optimise, optimise
@@ -36,7 +37,8 @@ def say_nearest_to(found: Optimum, options: Options) -> list[str]:
     """Return sentences for the best caps and gains of a scenario that no design was found for."""
     with progress(SEARCHED, "searching the nearest that holds", "keys", starting="starting") as bar:
         nearest = find_nearest(found, bar.update)
-    lines = [f"at best {found.describe_binding()}"]
+    widened = say_what_widens(make_problem(found.scenario))
+    lines = [f"at best {found.describe_binding()}", *([widened] if widened else [])]
     held = [lever.say(scenario) for lever, scenario in nearest.items() if scenario is not None]
     if held:
         lines.append(f"nearest found, each certified{_say_start(found)}: {'; or '.join(held)}")
