@@ -121,7 +121,7 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
             ["papr"],
             [
                 "papr",
-                "paper, design, montecarlo, falsify, guarantee, maps, beyond, path, tune, "
+                "paper, design, montecarlo, falsify, guarantee, fit, maps, beyond, path, tune, "
                 "identify, replay, bench, list, check",
             ],
         ),

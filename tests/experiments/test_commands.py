@@ -129,7 +129,7 @@ def test_an_optimised_design_outlives_a_start_without_a_plan(
 ):
     """The search takes minutes: what it found can be run from the folder."""
     found = load("robust", OUTSIDE)
-    monkeypatch.setattr(command, "find_caps_and_gains", lambda scenario: found)
+    monkeypatch.setattr(command, "find_caps_and_gains", lambda scenario, options: found)
     assert run(tmp_path, "design", "--optimise", *OUTSIDE) == 2
     assert load(tmp_path / "scenario.toml") == found
     assert metrics_of(tmp_path)["certified_for_model"]

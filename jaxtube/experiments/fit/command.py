@@ -74,8 +74,8 @@ def _refuse_unfit(scenario: Scenario, lever: Lever) -> None:
         return
     if lever.name == "speed":
         raise ScenarioError(
-            'scenario: reference.shape = "file": the speed of a recording is that of its file; fit '
-            "limits or slip instead"
+            'scenario: reference.shape = "file": the speed is that of the file; make another with '
+            "`path --speed`, or fit limits or slip"
         )
     raise ScenarioError(f"scenario: fit {lever.name}: the scenario has none of it; give some")
 
