@@ -56,6 +56,9 @@ ATTACK_S = 10.0
 STRIPS = {
     "true": ("slip, right", "slip, left"),
     "measured": ("measured slip, right", "measured slip, left"),
+    "sideslip": ("sideslip",),
+    "lag": ("lag of the wheels",),
+    "delay": ("delay of the command",),
     "disturbance": tuple(f"${coordinate.disturbance}$" for coordinate in COORDINATES),
     "noise": tuple(f"noise in ${coordinate.error}$" for coordinate in COORDINATES),
 }

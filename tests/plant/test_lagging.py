@@ -3,6 +3,7 @@ frame, and the committed pose against what it means."""
 
 from itertools import pairwise
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -38,11 +39,11 @@ SETTINGS = (
 )
 ACTUATIONS = (
     Actuation(lag=(0.05, 0.05)),
-    Actuation(lag=(0.002, 0.2)),
-    Actuation(delay=(0.03, 0.07)),
     Actuation(lag=(0.03, 0.06), delay=(0.08, 0.17)),
-    Actuation(lag=(0.04, 0.04), delay=(0.2, 0.2)),
-    Actuation(lag=(0.02, 0.02), delay=(0.23, 0.26)),
+    pytest.param(Actuation(lag=(0.002, 0.2)), marks=pytest.mark.slow),
+    pytest.param(Actuation(delay=(0.03, 0.07)), marks=pytest.mark.slow),
+    pytest.param(Actuation(lag=(0.04, 0.04), delay=(0.2, 0.2)), marks=pytest.mark.slow),
+    pytest.param(Actuation(lag=(0.02, 0.02), delay=(0.23, 0.26)), marks=pytest.mark.slow),
 )
 
 
@@ -192,7 +193,7 @@ def run_ideal(body, errors, wheels):
     return errors
 
 
-@pytest.mark.parametrize("delay", [0.05, 0.2, 0.27])
+@pytest.mark.parametrize("delay", [0.27, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_under_a_known_delay_the_committed_pose_is_that_of_a_robot_that_obeys_at_once(delay):
     body = make_body(Actuation(delay=(delay, delay)), NO_SLIP)
     draw = np.random.default_rng(4).uniform
@@ -225,3 +226,41 @@ def test_draws_are_within_the_script(actuation):
     names = set(plant.uncertainties())
     assert ("lag" in names) == (low < high)
     assert ("delay" in names) == (actuation.delay[0] < actuation.delay[1])
+
+
+def test_gradients_by_lag_and_delay_are_those_of_differences():
+    body = make_body(Actuation((0.0, 0.06), (0.02, 0.08)))
+    script = {name: jnp.asarray(values) for name, values in draw_script().items()}
+    draw = np.random.default_rng(4).uniform
+    wheels = jnp.asarray(draw(0.3, 2.5, (STEPS, BATCH, 2)))
+    errors = jnp.asarray(draw(-0.2, 0.2, (BATCH, 3)))
+
+    @jax.jit
+    def last(deviations):
+        plant = make_plant(body).under_script(script | deviations)
+        return jnp.sum(run(plant, errors, wheels)[-1][2] * jnp.array([1.0, 2.0, 3.0]))
+
+    step = 1e-5
+    for name in ("lag", "delay"):
+        values = script[name]
+        gradient = jax.grad(lambda each, name=name: last({name: each}))(values)
+        assert np.all(np.isfinite(gradient))
+        along = jnp.asarray(draw(-1, 1, values.shape))
+        there = last({name: values + step * along})
+        back = last({name: values - step * along})
+        slope = jnp.sum(gradient * along)
+        np.testing.assert_allclose(slope, (there - back) / (2 * step), rtol=1e-6, atol=1e-9)
+
+
+def test_at_the_end_of_its_interval_a_lag_of_nothing_has_a_gradient():
+    body = make_body(Actuation((0.0, 0.06)))
+    script = draw_script() | {"lag": -np.ones((1, BATCH, 1))}
+    wheels = jnp.full((STEPS, BATCH, 2), 1.0)
+
+    def last(lag):
+        given = {name: jnp.asarray(values) for name, values in script.items()} | {"lag": lag}
+        return jnp.sum(
+            run(make_plant(body).under_script(given), jnp.zeros((BATCH, 3)), wheels)[-1][2]
+        )
+
+    assert np.all(np.isfinite(jax.grad(last)(jnp.asarray(script["lag"]))))

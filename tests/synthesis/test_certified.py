@@ -57,6 +57,7 @@ def reference():
     "name, ratio",
     [
         ("certified", 0.60),
+        ("certified_lag", 0.80),
         pytest.param("certified_20", 1.0, marks=pytest.mark.slow),
         pytest.param("certified_30", 1.0, marks=pytest.mark.slow),
     ],

@@ -14,7 +14,7 @@ from jaxtube.simulation.components import bare_robot, make_wheel_map, robot_of
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.synthesis.certificate.period import find_disturbances, noise_reach
 from jaxtube.synthesis.certificate.robot import check_true_error
-from jaxtube.synthesis.disturbance import complete_problem
+from jaxtube.synthesis.disturbance import complete_problem, kinematics, operation
 from sets.robot.disturbance import disturbance_parts
 
 OUTSIDE = 1e-12
@@ -38,6 +38,10 @@ LATE = {
         "slip.measurement_error=0.01",
     ),
 }
+
+
+QUICK = ("lag", "both unknown")
+NAMES = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in LATE]
 
 
 @functools.cache
@@ -91,8 +95,8 @@ def run_anywhere(problem, process):
     return np.concatenate(met)
 
 
-@pytest.mark.parametrize("process", ["vertex", "iid"])
-@pytest.mark.parametrize("name", LATE)
+@pytest.mark.parametrize("process", ["vertex", pytest.param("iid", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", NAMES)
 def test_w_holds_what_the_plant_does_from_anywhere(name, process):
     problem = make_problem_of(name)
     assert isinstance(robot_of(problem, process), LaggingRobot)
@@ -102,7 +106,7 @@ def test_w_holds_what_the_plant_does_from_anywhere(name, process):
     assert usage.max() > 0.4
 
 
-@pytest.mark.parametrize("name", LATE)
+@pytest.mark.parametrize("name", NAMES)
 def test_w_holds_an_independent_period_and_is_not_far_from_it(name):
     problem = make_problem_of(name)
     W = problem.disturbance_set
@@ -114,8 +118,6 @@ def test_w_holds_an_independent_period_and_is_not_far_from_it(name):
 
 
 def test_lag_is_a_cause_of_its_own_that_vanishes_with_it():
-    from jaxtube.synthesis.disturbance import kinematics, operation
-
     problem = make_problem_of("lag")
     parts = disturbance_parts(operation(problem), kinematics(problem))
     assert np.all(parts["lag"][1:3] > 0)

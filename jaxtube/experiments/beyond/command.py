@@ -26,13 +26,20 @@ from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
 from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.progress import progress
+from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.design import refuse_infeasible_start
 
 
 def run(scenario: Scenario, options: BeyondOptions) -> int:
-    """Run the command."""
+    """Run the command.
+
+    Raises:
+        ScenarioError: where the robot's own wheels lag, whose controller is not asked what another
+            lag would do to it.
+    """
+    _refuse_lag(scenario)
     design = make_design(scenario)
     refuse_infeasible_start(design)
     folder = run_folder.create(scenario, options)
@@ -43,6 +50,16 @@ def run(scenario: Scenario, options: BeyondOptions) -> int:
     folder.report(table(searches, options.realisations))
     print(f"\nwritten to {folder.path}/")
     return 0
+
+
+def _refuse_lag(scenario: Scenario) -> None:
+    for key in ("wheel_lag_s", "command_delay_s"):
+        interval = getattr(scenario.robot, key)
+        if interval[1] > 0:
+            raise ScenarioError(
+                f"scenario: robot.{key} = {list(interval)}: `beyond` adds lag and delay to a robot "
+                "that is certified without; widen the interval and `design` it, or leave it out"
+            )
 
 
 def search_all(laps: ImperfectLaps, horizon: int) -> dict[str, LevelSearch]:

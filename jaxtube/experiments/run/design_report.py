@@ -24,9 +24,10 @@ NOTHING = 1e-5
 LEGEND = (
     "W: proved half widths; found: the largest ones that were met. By cause: bilinear, products of "
     "inputs with errors and inputs; sine, the curves of sine and cosine of the heading error; "
-    "sampling, what the model's time step or slip factors miss; slip and noise, as [slip] and "
-    "[noise] say. Each cause is bounded on its own, to 2 %, where it is worst, while causes may "
-    "cancel in W: one alone may come out wider than W."
+    "sampling, what the model's time step or slip factors miss; slip, sideslip and noise, as "
+    "[slip] and [noise] say; lag, that and delay of the wheels, as [robot] says. Each cause is "
+    "bounded on its own, to 2 %, where it is worst, while causes may cancel in W: one alone may "
+    "come out wider than W."
 )
 """What the table of the disturbance set shows."""
 
@@ -161,8 +162,8 @@ def _disturbance_lines(design: Design) -> list[str]:
     return [
         *lines,
         *wrap(
-            "  half widths of one step; a yaw kick is a turn by slip, one of 1 deg also moves the "
-            f"robot sideways by {shift:.3f} mm",
+            "  half widths of one step; a yaw kick is a turn by slip, or by lag and delay that are "
+            f"not known, one of 1 deg also moves the robot sideways by {shift:.3f} mm",
             "  ",
         ),
         *wrap(f"  {LEGEND}", "  "),
