@@ -15,7 +15,7 @@ SPEED = np.array([0.9, 1.7])
 YAW = np.array([-1.2, 1.2])
 WHEELS = np.array([[0.6, 0.6], [2.0, 2.0]])
 MIDDLE = 1.36
-SAMPLES = 120
+SAMPLES = 250
 
 
 def make_driving(change=np.inf):
