@@ -3,8 +3,8 @@ smallest limits, the widest slip.
 
     hardness x = -easier log(factor),    factor of the quantity, `easier` as of its lever
 
-An attempt at x is a search for caps and gains from those of the nearest attempt that has some, and
-a design with its certificate. Attempts bracket the border: one that is certified below, one that is
+An attempt at x (`synthesis.attempt`) begins with the caps and gains of the nearest one that has
+some. Attempts bracket the border: one that is certified below, one that is
 not above. Its place is predicted from the logarithms of ratios, a secant kept inside the bracket,
 until the bracket is as narrow as asked for. Nothing says that no design exists beyond: none was
 found.
@@ -16,17 +16,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.descent import PENALTY
-from jaxtube.synthesis.design import design, find_share_of_start
-from jaxtube.synthesis.levers import Lever
-from jaxtube.synthesis.optimise import LIMIT_ROOM, Optimum, optimise, optimise_nearby
-from jaxtube.synthesis.problem import make_problem
-from jaxtube.synthesis.starts import caps_and_gains
+from jaxtube.synthesis.attempt import Attempt
 
 FARTHEST = math.log(32.0)
 """How far from the scenario's own quantity a border is searched, in logarithms."""
@@ -46,33 +40,6 @@ GAINED = 0.01
 """What the logarithm of the ratio gains where easier attempts are worth it."""
 INSIDE = 0.9
 """Share of the precision that an attempt keeps from the ends of its bracket."""
-
-
-@dataclass(frozen=True)
-class Attempt:
-    """A design that was tried.
-
-    Attributes:
-        factor: of the quantity.
-        value: of the quantity (`Lever.measure`), None where no scenario may have it.
-        ratio: largest share of a cap that the tube fills, estimated; None where no caps keep the
-            limits, or no tube is bounded.
-        level: objective of the search (`synthesis.descent`), the logarithm of the ratio where
-            limits are kept, larger where they are passed; None where no tube is bounded.
-        binding: the row of `descent.ROWS` that binds most; empty without a search's end.
-        caps_and_gains: of the best design found, None without one.
-        is_certified: whether the certificate holds and the start has a plan.
-        reason: what denies it; empty where it is certified.
-    """
-
-    factor: float
-    value: float | None = None
-    ratio: float | None = None
-    level: float | None = None
-    binding: str = ""
-    caps_and_gains: tuple[float, ...] | None = None
-    is_certified: bool = False
-    reason: str = ""
 
 
 Ask = Callable[[float, Sequence[float] | None], Attempt]
@@ -200,38 +167,6 @@ def _find_near(attempts: dict[float, Attempt], place: float) -> tuple[float, ...
     return min(with_caps)[2] if with_caps else None
 
 
-def attempt_design(
-    scenario: Scenario, lever: Lever, factor: float, near: Sequence[float] | None
-) -> Attempt:
-    """Scale the quantity of a scenario without caps and gains, search them, design and certify."""
-    try:
-        scaled = lever.scale(scenario, factor)
-        made = optimise(make_problem(scaled), near=near)
-    except ValueError as error:
-        return Attempt(factor, reason=str(error))
-    tried = _describe_search(factor, lever, made)
-    if not made.holds:
-        return tried
-    reason = _find_fault(made.scenario)
-    return replace(tried, is_certified=not reason, reason=reason)
-
-
-def attempt_search(
-    scenario: Scenario, lever: Lever, factor: float, near: Sequence[float] | None
-) -> Attempt:
-    """Scale the quantity of a scenario without caps and gains, and search them from some nearby
-    alone, where any are given; what the estimate lets hold counts as certified here."""
-    try:
-        scaled = lever.scale(scenario, factor)
-        problem = make_problem(scaled)
-        made = optimise(problem) if near is None else optimise_nearby(problem, near)
-    except ValueError as error:
-        return Attempt(factor, reason=str(error))
-    if made is None:
-        return Attempt(factor, lever.measure(scaled), reason="no bounded tube nearby")
-    return replace(_describe_search(factor, lever, made), is_certified=made.holds)
-
-
 def find_certified(
     search: Ask,
     certify: Ask,
@@ -258,34 +193,3 @@ def find_certified(
         if tried.is_certified:
             return tried
     return None
-
-
-def _describe_search(factor: float, lever: Lever, made: Optimum) -> Attempt:
-    """Return the attempt that a search was, as far as the estimate goes."""
-    return Attempt(
-        factor=factor,
-        value=lever.measure(made.scenario),
-        ratio=made.ratio if made.keeps_limits else None,
-        level=math.log(made.ratio) + PENALTY * math.log(max(made.excess / LIMIT_ROOM, 1.0)),
-        binding=made.binding,
-        caps_and_gains=caps_and_gains(made.scenario),
-        reason="" if made.holds else made.describe_binding(),
-    )
-
-
-def _find_fault(scenario: Scenario) -> str:
-    """Return what a design lacks to be certified and driven, empty where nothing."""
-    try:
-        designed = design(scenario)
-        failing = designed.certificate.failing
-        if failing:
-            return f"the certificate fails: {', '.join(failing)}"
-    except ValueError as error:
-        return str(error)
-    share = find_share_of_start(designed)
-    if share < 1:
-        return (
-            f"of the start no more than {share:.1%} of its distance has a plan; start nearer, or "
-            "lengthen controller.horizon"
-        )
-    return ""

@@ -102,7 +102,7 @@ def _solve(begun: Descent, bounds: list[tuple[float, float]]) -> Float[np.ndarra
         lambda point: float(cost @ point),
         start,
         jac=lambda point: cost,
-        bounds=[*bounds, (None, None), (0.0, None)],
+        bounds=[*bounds, (ends[0] - REACH, ends[0] + REACH), (0.0, ends[1] + REACH)],
         constraints={"type": "ineq", "fun": rows.slack, "jac": rows.slopes},
         method="SLSQP",
         options={"maxiter": STEPS, "ftol": SETTLED},

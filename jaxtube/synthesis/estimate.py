@@ -133,13 +133,15 @@ class Estimate:
         return farther
 
     def shaped_like(self, point: Float[np.ndarray, " k"]) -> Estimate:
-        """Return the same estimate, with directions spread as the tube of a point is wide."""
+        """Return the same estimate, with directions spread as the tube of a point is wide, one of
+        them along the point's own row of turning."""
         shares = self.shares(point)
         if shares is None:
             return self
         lateral, heading = shares.caps[0, 1:3] * np.exp(point[1:3])
+        k2, k3 = np.exp(point[9:11])
         shaped = copy.copy(self)
-        shaped.ring = Ring(lateral / np.deg2rad(heading))
+        shaped.ring = Ring.through(k2, k3, lateral / np.deg2rad(heading))
         return shaped
 
     def shares(self, point: Float[np.ndarray, " k"]) -> Shares | None:

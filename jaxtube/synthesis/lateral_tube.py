@@ -59,6 +59,15 @@ class Ring:
         self.lateral_m = lateral_m
         self.sides = sides
 
+    @classmethod
+    def through(cls, k2: float, k3: float, lateral_m: float) -> Ring:
+        """Return the ring closest to one of this lateral error that has a direction along the row
+        (k2, k3)."""
+        step = np.pi / HALF_TURN
+        angle = np.arctan2(k3, k2 * lateral_m)
+        places = np.clip(np.round(angle / step), 1, HALF_TURN // 2 - 1)
+        return cls(float(k3 / (k2 * np.tan(places * step))))
+
     @property
     def directions(self) -> Float[np.ndarray, "directions 2"]:
         """The directions of the unknown support numbers."""

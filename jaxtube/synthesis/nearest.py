@@ -20,11 +20,12 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.scenario.tree import Initial, Scenario
-from jaxtube.synthesis.border import attempt_design, attempt_search, find_certified
+from jaxtube.synthesis.attempt import attempt_design, attempt_search
+from jaxtube.synthesis.border import find_certified
 from jaxtube.synthesis.descent import LEAST_SHARE, ROWS
 from jaxtube.synthesis.estimate import Estimate
 from jaxtube.synthesis.levers import SPEED, Lever, list_levers
-from jaxtube.synthesis.optimise import Optimum
+from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.starts import caps_and_gains, without_caps
 

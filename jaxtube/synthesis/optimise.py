@@ -18,20 +18,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.scenario.error_box import error_vector, noise_bounds
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.corners import CAPS_AND_GAINS
-from jaxtube.synthesis.descent import ROWS, Descent, descend, find_pressures
+from jaxtube.synthesis.descent import Descent, descend
 from jaxtube.synthesis.design import find_share_of_start, prepare
 from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits
-from jaxtube.synthesis.estimate import ACCURACY, CAP_ROWS, LIMIT_ROWS, Estimate
+from jaxtube.synthesis.estimate import ACCURACY, Estimate
+from jaxtube.synthesis.optimum import Optimum, describe
 from jaxtube.synthesis.problem import Problem
-from jaxtube.synthesis.starts import caps_and_gains, make_starts, with_caps_and_gains
+from jaxtube.synthesis.starts import caps_and_gains, make_starts
 
 TRIED = 2
 """Starts made for the robot that are followed, beside the scenario's own."""
@@ -49,67 +48,8 @@ CORRECTIONS = 3
 FARTHER = (1.03, 1.12)
 """Factors by which a start without a plan is taken for farther away than it has to be, one try
 after the other where rigorous bounds deny what the estimate showed."""
-LIMIT_ROOM = 1.001
-"""Use of a limit up to which the estimate says that it is kept: what is designed is rounded down,
-and judged by rigorous bounds."""
-PRESSING = 0.05
-"""Pressure from which on a limit is told."""
-SHOWN = 2
-"""Limits that are told at most."""
 KIND = ("exact_jacobian", "x_exact", "sequence", "T-A", "computed")
 """Model, input map, tube, terminal set and bound that the search knows."""
-
-
-@dataclass(frozen=True)
-class Optimum:
-    """The scenario with the best caps and gains, and what holds there as far as estimated.
-
-    Attributes:
-        scenario: with these caps and gains.
-        ratio: largest share of a cap that the tube fills.
-        excess: largest use of a limit by caps, start and wheels.
-        shares: of caps filled and of limits used, by `ROWS`.
-        pressures: by `ROWS`, as of `descent.find_pressures`.
-    """
-
-    scenario: Scenario
-    ratio: float
-    excess: float
-    shares: dict[str, float]
-    pressures: dict[str, float]
-
-    @property
-    def keeps_limits(self) -> bool:
-        """Whether caps, start and wheels keep their limits."""
-        return self.excess <= LIMIT_ROOM
-
-    @property
-    def holds(self) -> bool:
-        """Whether the caps hold the tube, too."""
-        return self.ratio <= 1 and self.keeps_limits
-
-    @property
-    def pressing(self) -> list[str]:
-        """The limits that hold the caps down, the most pressing first."""
-        limits = sorted(LIMIT_ROWS, key=lambda row: -self.pressures[row])
-        return [row for row in limits if self.pressures[row] > PRESSING]
-
-    @property
-    def binding(self) -> str:
-        """The row that binds most: a limit that holds the caps down, where there is one."""
-        return max(self.pressing[:1] or CAP_ROWS, key=lambda row: self.pressures[row])
-
-    def describe_binding(self) -> str:
-        """Return what binds, in words: the limit that is passed, or the cap that is filled most and
-        the limits that hold the caps down."""
-        if not self.keeps_limits:
-            worst = max(LIMIT_ROWS, key=lambda row: self.pressures[row])
-            return f"every choice of caps passes a limit, {worst} by {self.excess - 1:.1%} at best"
-        cap = max(CAP_ROWS, key=lambda row: self.pressures[row])
-        shown = self.pressing[:SHOWN]
-        verb = "hold" if len(shown) > 1 else "holds"
-        held = f"; {' and '.join(shown)} {verb} the caps down" if shown else ""
-        return f"the tube fills {self.ratio:.1%} of its caps, above all of the {cap}{held}"
 
 
 def optimise(
@@ -136,7 +76,7 @@ def optimise(
     refuse_other_kinds(problem.scenario)
     estimate = Estimate(problem)
     best = None if near is None else descend(estimate, _to_point(problem, near))
-    if best is not None and _describe(best).holds:
+    if best is not None and describe(best).holds:
         return _correct(best)
     own = caps_and_gains(problem.scenario)
     starts = [] if own is None else [_to_point(problem, own)]
@@ -144,7 +84,7 @@ def optimise(
         descent = descend(estimate, start)
         if descent is not None and (best is None or descent.objective < best.objective):
             best = descent
-        on_progress(np.inf if best is None else _describe(best).ratio)
+        on_progress(np.inf if best is None else describe(best).ratio)
     if best is None:
         section = problem.scenario.reference
         raise ValueError(
@@ -156,7 +96,7 @@ def optimise(
         observed = descend(estimate, np.append(best.point, _observer_start(estimate)))
         if observed is not None and observed.objective < best.objective + math.log(WORTH):
             best = observed
-        on_progress(_describe(best).ratio)
+        on_progress(describe(best).ratio)
     return _correct(best)
 
 
@@ -191,7 +131,7 @@ def optimise_nearby(problem: Problem, near: Sequence[float]) -> Optimum | None:
     where their tube is not bounded."""
     refuse_other_kinds(problem.scenario)
     descent = descend(Estimate(problem), _to_point(problem, near))
-    return None if descent is None else _describe(descent)
+    return None if descent is None else describe(descent)
 
 
 def wheel_excess(problem: Problem) -> float:
@@ -234,14 +174,14 @@ def _correct(descent: Descent) -> Optimum:
     a plan, where that can be had."""
     asked = descent.estimate
     descent = _spare_wheels(descent, asked)
-    found = _describe(descent, asked)
+    found = describe(descent, asked)
     share = _find_share(found)
     for farther in FARTHER:
         if not 0 < share < 1:
             break
         estimate = descent.estimate.with_farther_start(farther / share)
         descent = _spare_wheels(descend(estimate, descent.point) or descent, asked)
-        tried = _describe(descent, asked)
+        tried = describe(descent, asked)
         reached = _find_share(tried)
         if reached <= share:
             break
@@ -253,7 +193,7 @@ def _correct(descent: Descent) -> Optimum:
 def _spare_wheels(descent: Descent, asked: Estimate) -> Descent:
     """Return a search whose wheels keep their limits by the rigorous bound, where it holds."""
     for _ in range(CORRECTIONS):
-        found = _describe(descent, asked)
+        found = describe(descent, asked)
         if not found.holds:
             break
         try:
@@ -276,36 +216,3 @@ def _find_share(found: Optimum) -> float:
         return find_share_of_start(prepare(complete_problem(found.scenario)))
     except ValueError:
         return 0.0
-
-
-def _describe(descent: Descent, asked: Estimate | None = None) -> Optimum:
-    """Return what a search has found, judged by the estimate of what was asked for; the search may
-    have been stricter."""
-    judge = descent.estimate if asked is None else asked.shaped_like(descent.point)
-    shares = judge.shares(descent.point)
-    assert shares is not None
-    values = np.concatenate([shares.caps[0], shares.limits[0]])
-    pressures = find_pressures(descent)
-    return Optimum(
-        _with_values(descent.estimate.problem.scenario, np.exp(descent.point)),
-        float(shares.caps.max()),
-        float(shares.limits.max()),
-        dict(zip(ROWS, map(float, values), strict=True)),
-        dict(zip(ROWS, map(float, pressures), strict=True)),
-    )
-
-
-def _with_values(scenario: Scenario, values: Float[np.ndarray, " k"]) -> Scenario:
-    """Return the scenario with these caps and gains, rounded to what one would write."""
-    limits = error_vector(scenario.constraints) - noise_bounds(scenario)
-    limits[2] = np.rad2deg(limits[2])
-    rounded = [_round_down(value) for value in (*np.minimum(values[:3], limits), *values[3:])]
-    return with_caps_and_gains(scenario, rounded)
-
-
-def _round_down(value: float) -> float:
-    """Return a number of four significant digits, never larger in size."""
-    unit = 10.0 ** (np.floor(np.log10(abs(value))) - 3)
-    shortened = np.trunc(value / unit) * unit
-    text = np.format_float_positional(shortened, 4, unique=False, fractional=False)
-    return float(text)

@@ -16,7 +16,7 @@ from jaxtube.experiments.options import FitOptions, command_line
 from jaxtube.experiments.run.value_log import ValueLog
 from jaxtube.scenario import load
 from jaxtube.scenario.tree import to_toml
-from jaxtube.synthesis.border import Attempt
+from jaxtube.synthesis.attempt import Attempt
 from jaxtube.synthesis.levers import FITTED, SLIP, SPEED
 from jaxtube.synthesis.starts import caps_and_gains, without_caps
 
@@ -59,6 +59,11 @@ def asked(monkeypatch):
 @pytest.fixture
 def scenario():
     return without_caps(load("certified"))
+
+
+def value_of(attempt: Attempt | None) -> float:
+    assert attempt is not None and attempt.value is not None
+    return attempt.value
 
 
 def run(tmp_path, *words) -> int:
@@ -105,10 +110,9 @@ def test_the_frontier_follows_the_second_quantity(asked, scenario, tmp_path):
     assert [point.factor for point in found.frontier] == [0.5, 0.75, 1.0, 1.25, 1.5]
     for point in found.frontier:
         # 4 v r 0.2 / 0.3 = 1
-        assert point.attempt is not None
         border = min(0.375 / point.value, 6.0)
-        assert border * 0.95 <= point.attempt.value <= border * 1.001
-    assert found.border.attempts[0].value < 0.7 * found.border.best.value
+        assert border * 0.95 <= value_of(point.attempt) <= border * 1.001
+    assert value_of(found.border.attempts[0]) < 0.7 * value_of(found.border.best)
 
 
 def test_the_figure_shows_what_is_certified_what_binds_and_the_scenario(asked, scenario, tmp_path):

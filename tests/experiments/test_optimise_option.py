@@ -12,9 +12,9 @@ from jaxtube.experiments.options import DesignOptions
 from jaxtube.scenario import ScenarioError, load
 from jaxtube.synthesis.descent import ROWS
 from jaxtube.synthesis.levers import NOISE, SPEED
-from jaxtube.synthesis.optimise import Optimum
+from jaxtube.synthesis.optimum import Optimum
 
-NONE = dict.fromkeys(ROWS, 0.0)
+NONE: dict[str, float] = {row: 0.0 for row in ROWS}
 OPTIONS = DesignOptions(scenario="mine.toml", overrides=("noise.lateral_m=0.003",))
 
 

@@ -5,7 +5,8 @@ import math
 
 import pytest
 
-from jaxtube.synthesis.border import FARTHEST, Attempt, Border, find_border, find_certified
+from jaxtube.synthesis.attempt import Attempt
+from jaxtube.synthesis.border import FARTHEST, Border, find_border, find_certified
 
 PRECISION = math.log(1.01)
 FEW = 9

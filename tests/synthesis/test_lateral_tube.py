@@ -76,7 +76,7 @@ def test_a_robot_of_another_size_has_the_same_set_in_its_units():
     scaled = loops * lengths[:, None] / lengths
     usual = supports_along(RING, loops, ROWS, SIDES)
     small = supports_along(Ring(0.8 * size), scaled, ROWS / lengths, SIDES * lengths)
-    assert usual is not None
+    assert usual is not None and small is not None
     np.testing.assert_allclose(small, usual, rtol=1e-9)
 
 

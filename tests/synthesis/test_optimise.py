@@ -14,7 +14,8 @@ from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.estimate import CAP_ROWS, LIMIT_ROWS, Estimate
 from jaxtube.synthesis.levers import SPEED, list_levers
 from jaxtube.synthesis.nearest import choose_levers, find_pull
-from jaxtube.synthesis.optimise import Optimum, optimise, optimise_nearby, wheel_excess
+from jaxtube.synthesis.optimise import optimise, optimise_nearby, wheel_excess
+from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.starts import NAMES, caps_and_gains, make_starts, without_caps
 
@@ -89,10 +90,13 @@ def test_a_search_never_ends_worse_than_it_began():
         assert shares is not None and ended is not None
         excess = max(np.log(shares.limits.max()), 0.0)
         assert ended.objective <= np.log(shares.caps.max()) + PENALTY * excess
-        ratio, excess = find_ends(ended.estimate, ended.point)
+        ends = find_ends(ended.estimate, ended.point)
+        assert ends is not None
+        ratio, excess = ends
         assert ended.objective == pytest.approx(ratio + PENALTY * excess, abs=0.02)
     with_caps = load("certified")
-    assert caps_and_gains(with_caps)[8:] == with_caps.controller.tracking_gains
+    values = caps_and_gains(with_caps)
+    assert values is not None and values[8:] == with_caps.controller.tracking_gains
 
 
 @pytest.mark.slow
@@ -114,10 +118,12 @@ def test_pressures_say_what_binds_and_pulls_how_the_ratio_falls():
     assert sum(tight.pressures[row] for row in CAP_ROWS) == pytest.approx(1.0, abs=0.05)
     assert tight.pressing == ["constraints.heading_deg"]
     assert tight.binding == "constraints.heading_deg"
+    near = caps_and_gains(tight.scenario)
+    assert near is not None
     step = 0.05
     for lever in list_levers(scenario):
         eased = lever.scale(scenario, np.exp(lever.easier * step))
-        other = optimise_nearby(make_problem(eased), caps_and_gains(tight.scenario))
+        other = optimise_nearby(make_problem(eased), near)
         assert other is not None
         slope = np.log(tight.ratio / other.ratio) / step
         assert find_pull(tight, lever) == pytest.approx(slope, rel=0.5, abs=0.1)
@@ -156,9 +162,9 @@ def test_wheel_speeds_that_no_gain_holds_end_in_one_line():
 
 
 def test_caps_and_gains_that_bound_no_tube_lead_nowhere_nearby(found):
-    values = np.array(caps_and_gains(found.scenario))
+    values = np.array(caps_and_gains(found.scenario), float)
     values[9:] *= 10
-    assert optimise_nearby(make_problem(bare()), values) is None
+    assert optimise_nearby(make_problem(bare()), values.tolist()) is None
     assert len(values) == len(NAMES) + 3
 
 

@@ -28,7 +28,8 @@ from jaxtube.synthesis.design import (
     refuse_infeasible_start,
     refuse_start_outside_limits,
 )
-from jaxtube.synthesis.optimise import SEARCHES, Optimum, optimise
+from jaxtube.synthesis.optimise import SEARCHES, optimise
+from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.tightening import EmptySetError

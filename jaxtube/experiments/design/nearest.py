@@ -11,7 +11,8 @@ from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.advice import say_what_widens
 from jaxtube.synthesis.levers import FITTED
 from jaxtube.synthesis.nearest import ON_PATH, SEARCHED, find_nearest
-from jaxtube.synthesis.optimise import Optimum, can_optimise, optimise
+from jaxtube.synthesis.optimise import can_optimise, optimise
+from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.starts import caps_and_gains, without_caps
 

@@ -18,16 +18,8 @@ from jaxtube.experiments.run.value_log import ValueLog
 from jaxtube.progress import ProgressBar, progress
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.border import (
-    MOST_ATTEMPTS,
-    Ask,
-    Attempt,
-    Border,
-    attempt_design,
-    attempt_search,
-    find_border,
-    find_certified,
-)
+from jaxtube.synthesis.attempt import Attempt, attempt_design, attempt_search
+from jaxtube.synthesis.border import MOST_ATTEMPTS, Ask, Border, find_border, find_certified
 from jaxtube.synthesis.levers import SLIP, SPEED, Lever
 
 PRECISION = math.log(1.01)

@@ -25,7 +25,7 @@ from jaxtube.experiments.run.table import wrap
 from jaxtube.experiments.run.value_log import open_log
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, to_toml
-from jaxtube.synthesis.border import Attempt
+from jaxtube.synthesis.attempt import Attempt
 from jaxtube.synthesis.levers import FITTED, Lever
 from jaxtube.synthesis.optimise import refuse_other_kinds
 from jaxtube.synthesis.starts import caps_and_gains, with_caps_and_gains, without_caps

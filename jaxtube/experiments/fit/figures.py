@@ -25,7 +25,7 @@ from jaxtube.figures.style import (
     styled,
 )
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.border import Attempt
+from jaxtube.synthesis.attempt import Attempt
 
 SHAPES = ("o", "^", "D", "v", "P", "X")
 """Marks of attempts, by what binds there; the last one for all others."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 from jaxtube.experiments.fit.attempts import Fit, FrontierPoint
 from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.border import Attempt
+from jaxtube.synthesis.attempt import Attempt
 from jaxtube.synthesis.levers import Lever
 
 SUPERLATIVES = {"speed": "largest speed", "limits": "smallest limits", "slip": "widest slip"}
