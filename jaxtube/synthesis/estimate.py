@@ -39,7 +39,8 @@ START_TURN = 1 / 3
 ACCURACY = 1e-4
 """Relative accuracy of the estimate."""
 RESERVE = 0.01
-"""Share by which the proved error of an observer may pass that at corners."""
+"""Share by which the proved error of an observer, or of a pose that comes late, may pass that at
+corners."""
 SPEED_RESERVE = 0.003
 """Share by which the proved ground speed may pass that at corners."""
 
@@ -200,7 +201,8 @@ class Estimate:
         error = w.error * (1 + RESERVE * is_observed[:, None])
         kept = np.stack([caps.longitudinal, caps.lateral, caps.heading], axis=1)
         if w.late is not None:
-            error = find_later_errors(self.corners.operation, w.late, kept + error) - kept
+            later = find_later_errors(self.corners.operation, w.late, kept + error)
+            error = (later - kept) * (1 + RESERVE)
         left = np.maximum(self.constraints - error, ACCURACY * self.constraints)
         return kept / left
 

@@ -60,9 +60,12 @@ class Lever:
         return replace(scenario, self.values(scenario, factor))
 
     def measure(self, scenario: Scenario) -> float:
-        """Return the quantity as one number, of an interval its half width."""
-        _, value = self._find_measured(scenario)
-        return (value[1] - value[0]) / 2 if isinstance(value, tuple) else float(value)
+        """Return the quantity as one number: of an interval of slip its half width, of another one
+        its upper end."""
+        key, value = self._find_measured(scenario)
+        if not isinstance(value, tuple):
+            return float(value)
+        return (value[1] - value[0]) / 2 if key.startswith("slip.") else value[1]
 
     def say(self, scenario: Scenario) -> str:
         """Return the quantity of a scenario as keys and values, as in a scenario file."""
@@ -95,6 +98,7 @@ def list_levers(scenario: Scenario) -> list[Lever]:
         *(key_lever("constraints", key, easier=1) for key in ERROR_KEYS),
         key_lever("slip", "sideslip", easier=-1),
         key_lever("robot", "wheel_speed_max_mps", easier=1),
+        key_lever("robot", "wheel_lag_s", "command_delay_s", easier=-1),
     ]
     return [lever for lever in levers if lever.values(scenario, 1.0)]
 
@@ -103,10 +107,13 @@ def _scale_keys(
     section: str, keys: tuple[str, ...], direction: int, scenario: Scenario, factor: float
 ) -> Values:
     table = getattr(scenario, section)
-    present = {key: getattr(table, key) for key in keys if getattr(table, key)}
-    scaled = {
-        f"{section}.{key}": _round(value * factor, direction) for key, value in present.items()
-    }
+    scaled = {}
+    for key in keys:
+        value = getattr(table, key)
+        if isinstance(value, tuple) and any(value):
+            scaled[f"{section}.{key}"] = tuple(_round(end * factor, direction) for end in value)
+        elif value and not isinstance(value, tuple):
+            scaled[f"{section}.{key}"] = _round(value * factor, direction)
     if "constraints.heading_deg" in scaled:
         scaled["constraints.heading_deg"] = min(scaled["constraints.heading_deg"], STEEPEST_DEG)
     return scaled

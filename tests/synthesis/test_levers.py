@@ -71,6 +71,16 @@ def test_what_a_scenario_has_none_of_is_no_lever(scenario):
     assert key_lever("slip", "sideslip", easier=-1).scale(skidding, 0.5).slip.sideslip == 0.02
 
 
+def test_lag_and_delay_scale_together(scenario):
+    late = {"robot.wheel_lag_s": [0.02, 0.06], "robot.command_delay_s": [0.0, 0.01]}
+    (lever,) = [each for each in list_levers(replace(scenario, late)) if "lag" in each.name]
+    halved = lever.scale(replace(scenario, late), 0.5).robot
+    assert halved.wheel_lag_s == (0.01, 0.03)
+    assert halved.command_delay_s == (0.0, 0.005)
+    assert lever.measure(replace(scenario, late)) == 0.06
+    assert not any("lag" in each.name for each in list_levers(scenario))
+
+
 def test_what_no_scenario_may_have_is_refused_in_one_line(scenario):
     with pytest.raises(ScenarioError, match=r"slip\.right") as refused:
         SLIP.scale(replace(scenario, INTERVALS), 20.0)
