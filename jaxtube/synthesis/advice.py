@@ -8,6 +8,9 @@ from jaxtube.synthesis.disturbance import kinematics, operation
 from jaxtube.synthesis.problem import Problem
 from sets.robot.disturbance import disturbance_parts
 
+SMALLEST = 1e-3
+"""Share of the widest cause of W below which a cause is not told."""
+
 
 def say_what_proves_w() -> str:
     """Return the way from a W that is assumed to one that holds for the robot, in words."""
@@ -36,7 +39,8 @@ def say_what_widens(problem: Problem) -> str:
     except ValueError:
         return ""
     lateral = {cause: float(widths[2]) for cause, widths in parts.items() if widths.any()}
-    causes = sorted(lateral, key=lambda cause: -lateral[cause])
+    counted = [cause for cause in lateral if lateral[cause] > SMALLEST * max(lateral.values())]
+    causes = sorted(counted, key=lambda cause: -lateral[cause])
     listed = ", ".join(f"{cause} {1e3 * lateral[cause]:.3g} mm" for cause in causes)
     kick = np.rad2deg(parts["slip"][0])
     return f"W is made of {listed} sideways, and of yaw kicks of {kick:.3g} deg by slip"

@@ -36,8 +36,10 @@ QUICK_PRECISION = 0.04
 """Width of the bracket of a quick search."""
 EASED = (0.0, 0.03, 0.1)
 """Steps from the border of the estimate to what is certified, in logarithms."""
+LOOKED_BACK = 2
+"""Easiest attempts, one of which has to be the best one for easier ones to be worth it."""
 GAINED = 0.01
-"""What the logarithm of the ratio gains where easier attempts are worth it."""
+"""What the logarithm of the ratio gains where another attempt is worth it."""
 INSIDE = 0.9
 """Share of the precision that an attempt keeps from the ends of its bracket."""
 
@@ -102,7 +104,7 @@ def _find_next(attempts: dict[float, Attempt], precision: float) -> float | None
     if upper - lower <= precision or upper <= -FARTHEST or lower >= FARTHEST:
         return None
     if math.isinf(lower):
-        return None if _has_turned(attempts) else _step_on(attempts, upper, -1)
+        return _step_down(attempts)
     if math.isinf(upper):
         return _step_on(attempts, lower, 1)
     kept = INSIDE * precision
@@ -126,6 +128,20 @@ def _step_on(attempts: dict[float, Attempt], end: float, direction: int) -> floa
     return float(np.clip(end + direction * step, -FARTHEST, FARTHEST))
 
 
+def _step_down(attempts: dict[float, Attempt]) -> float | None:
+    """Return the place to try where none is certified: an easier one; where that gains nothing, as
+    slower wheels may not, a harder one; None where the least level lies between two others."""
+    places = sorted(attempts)
+    levels = [_find_level(attempts[place]) for place in places]
+    easiest = min(levels[:LOOKED_BACK])
+    others = min(levels[LOOKED_BACK:], default=math.inf)
+    if easiest < others - GAINED or not math.isfinite(others):
+        return _step_on(attempts, places[0], -1)
+    if levels[-1] < min(levels[:-1]) - GAINED and places[-1] < FARTHEST:
+        return places[-1] + FIRST_STEP
+    return None
+
+
 def _has_halved(attempts: dict[float, Attempt]) -> bool:
     """Whether the last attempt made the bracket half as wide, or was the first within it."""
     *earlier, _ = attempts
@@ -141,15 +157,6 @@ def _predict(attempts: dict[float, Attempt], lower: float, upper: float) -> floa
     if not levels[0] < AIM < levels[1] < math.inf:
         return (lower + upper) / 2
     return float(np.interp(AIM, levels, [lower, upper]))
-
-
-def _has_turned(attempts: dict[float, Attempt]) -> bool:
-    """Whether the easiest two attempts gained nothing over a harder one: then it is not this
-    quantity that decides."""
-    levels = [_find_level(attempts[place]) for place in sorted(attempts)[:3]]
-    if len(levels) < 3 or not math.isfinite(sum(levels)):
-        return False
-    return min(levels[:2]) > levels[2] - GAINED
 
 
 def _find_level(attempt: Attempt) -> float:

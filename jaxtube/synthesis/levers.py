@@ -91,6 +91,8 @@ def key_lever(section: str, *keys: str, easier: Literal[1, -1]) -> Lever:
 
 def list_levers(scenario: Scenario) -> list[Lever]:
     """Return the levers that a scenario has: those of `fit`, the noise, and single keys."""
+    must_roll = scenario.robot.wheel_speed_min_mps > 0
+    slowest = [key_lever("robot", "wheel_speed_min_mps", easier=-1)] if must_roll else []
     levers = [
         SPEED,
         SLIP,
@@ -98,6 +100,7 @@ def list_levers(scenario: Scenario) -> list[Lever]:
         *(key_lever("constraints", key, easier=1) for key in ERROR_KEYS),
         key_lever("slip", "sideslip", easier=-1),
         key_lever("robot", "wheel_speed_max_mps", easier=1),
+        *slowest,
         key_lever("robot", "wheel_lag_s", "command_delay_s", easier=-1),
     ]
     return [lever for lever in levers if lever.values(scenario, 1.0)]

@@ -73,8 +73,11 @@ def find_nearest(
 
 
 def choose_levers(found: Optimum) -> list[Lever]:
-    """Return the quantities that pull most at an optimum, the speed first."""
+    """Return the quantities that pull most at an optimum, the speed first, either way: wheels that
+    must not be slow may want it higher."""
     pulls = {lever: find_pull(found, lever) for lever in list_levers(found.scenario)}
+    if SPEED in pulls:
+        pulls[SPEED] = abs(pulls[SPEED])
     worth = [lever for lever in pulls if pulls[lever] > LEAST_PULL]
     worth.sort(key=lambda lever: (lever is not SPEED, -pulls[lever]))
     return worth[:SEARCHED]

@@ -71,6 +71,13 @@ def test_where_easier_is_no_better_the_search_ends_without_a_border():
     assert flat.best is None and len(flat.attempts) == 3
 
 
+def test_where_slower_is_harder_the_search_looks_the_other_way():
+    """Wheels that must not be slow: what holds lies beyond the scenario."""
+    ask = make_asker(lambda place: max(place - 0.9, 0.5 - place))
+    held, denied = bracket_of(find_border(ask, -1, PRECISION))
+    assert 0.5 <= held <= 0.9 < denied <= held + PRECISION * (1 + 1e-9)
+
+
 def test_where_everything_holds_the_search_ends_as_far_as_it_goes():
     border = find_border(make_asker(lambda place: -1.0), -1, PRECISION)
     assert border.beyond is None and border.best is not None

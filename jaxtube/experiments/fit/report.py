@@ -79,8 +79,13 @@ def _attempt_row(attempt: Attempt) -> list[str]:
         f"{attempt.factor:.4g}",
         "-" if attempt.ratio is None else f"{100 * attempt.ratio:.1f}",
         "yes" if attempt.is_certified else "no",
-        attempt.binding if is_told and attempt.binding else attempt.reason,
+        attempt.binding if is_told and attempt.binding else _shorten(attempt.reason),
     ]
+
+
+def _shorten(reason: str) -> str:
+    """Return what is wrong, without where it came from and without cures."""
+    return reason.removeprefix("scenario: ").split("; ")[0]
 
 
 def _frontier_table(found: Fit, second: Lever) -> str:
