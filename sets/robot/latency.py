@@ -25,7 +25,8 @@ import numpy as np
 from jaxtyping import Float
 
 from sets.robot.actuation import Actuation
-from sets.robot.committed import Driving, Ground, bound_unknown
+from sets.robot.committed import bound_unknown
+from sets.robot.late_ways import Driving, Ground
 
 LATE_SHARE = float(np.exp(-1.0))
 """Greatest difference between a mean over the last lag and one that forgets at its pace, by the

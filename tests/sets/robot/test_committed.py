@@ -7,7 +7,8 @@ from late_robot import LatePeriod, commit, find_rest, move, move_by_integration
 from tolerances import ROUNDING
 
 from sets.robot.actuation import Actuation
-from sets.robot.committed import Driving, Ground, bound_commitment
+from sets.robot.committed import bound_commitment
+from sets.robot.late_ways import Driving, Ground
 
 T = 0.1
 B = 0.5
