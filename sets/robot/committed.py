@@ -1,15 +1,15 @@
 """What lag and delay add to the disturbance of a robot that steers its committed pose.
 
 The committed pose q_k is where the commands given before the instant k T take the robot: from its
-pose p_k the wheels first run out, by tau s_k with the lag tau and their speeds s_k, then the
-commands of the last delay D are driven; all by nominal values, along arcs,
+pose p_k the wheels first run out, by tau s_k with the lag tau and their speeds s_k, as if the body
+drove straight ahead and then turned on the spot; then the commands of the last delay D are driven,
+along arcs; all by nominal values,
 
-    q_k = p_k + M_k,    M_k = (arc of tau s_k) + (arcs of the commands on their way)
+    q_k = p_k + M_k,    M_k = (tau v_s ahead, then a turn by tau w_s) + (arcs of the last commands)
 
 + joining motions of the plane. The error e between reference and q_k is what the controller keeps
 small: a command moves q_k at once, by its whole arc, so that lag and delay do not delay the loop,
-and no command has to overshoot. A pose that follows a circle in the steady state runs
-tau + D behind.
+and no command has to overshoot. The robot itself runs tau + D behind.
 
 In the plane of the wheels' travels (x_r, x_l) the way of a body is the integral of the form
 e^{i (x_r - x_l) / b} (dx_r + dx_l) / 2, and an arc is a straight line. Two curves with the same
@@ -17,8 +17,8 @@ ends lead to places that differ by (Green)
 
     (i / b) double integral of e^{i (x_r - x_l) / b} over the area between them,
 
-sideways of the robot, up to its turn. Of nominal wheels the period, run out, and run out, the
-period, enclose the area |s_r c_l - s_l c_r| tau^2 (1 - e^{-T / tau}) / 2.
+sideways of the robot, up to its turn. Of nominal wheels these areas nearly cancel
+(`sets.robot.late_ways`).
 
 What the ground takes and what lag and delay were not known to do happens now, on the way to q_k,
 and not along the arc that the command adds to it. Let delta_j(t) be what wheel j has lost until t

@@ -86,21 +86,41 @@ def bound_unevenness(nominal: Nominal, dt: float) -> Float[np.ndarray, "2"]:
     return np.array([most, mean])
 
 
-def _bound_order(nominal: Nominal, dt: float, track_width: float, driving: Driving) -> float:
-    """Return how far, m, it may lead apart that nominal wheels run out before the period instead of
-    after it."""
+class Order(NamedTuple):
+    """What it does to nominal wheels that they run out before the period instead of after it.
+
+    Attributes:
+        sideways: how far it leads them apart, m, were all areas met at one heading.
+        sizes: of these areas in all, over the track width, m.
+        spread: by which the headings there differ from one in between, rad.
+    """
+
+    sideways: float
+    sizes: float
+    spread: float
+
+
+def _bound_order(nominal: Nominal, dt: float, track_width: float, driving: Driving) -> Order:
+    """Bound what the order of motions does.
+
+    The body drives tau v_s and then turns by tau w_s. Before a period at the command c and after
+    it, at the speeds s and s', the areas sum up to b tau^2 / 2 (v' - v_s) (w_s + w'): to nothing
+    where the body's speed is constant.
+    """
+    late = nominal.delay % dt
+    pieces = (dt,) if late == 0 else (late, dt - late)
+    closed = sum(closed_share(nominal.lag, piece) for piece in pieces)
     of_body = _greatest_cross(driving.speed, driving.yaw_rate)
     of_wheels = _greatest_cross(*driving.wheels.T) / track_width
-    # s x c = s x (c - s), and steps of at most `change` leave so much between s and c.
-    closed = closed_share(nominal.lag, dt)
-    span = np.array([np.ptp(driving.speed), np.ptp(driving.yaw_rate)])
-    of_speed, of_yaw_rate = np.minimum(driving.change, span) / closed
-    greatest_speed = np.abs(driving.speed).max()
-    of_change = greatest_speed * of_yaw_rate + np.abs(driving.yaw_rate).max() * of_speed
-    late = nominal.delay % dt
-    if late > 0:
-        closed = closed_share(nominal.lag, late) + closed_share(nominal.lag, dt - late)
-    return float(min(of_body, of_wheels, of_change)) * nominal.lag**2 * closed / 2
+    speed = np.abs(driving.speed).max()
+    yaw_rate = np.abs(driving.yaw_rate).max()
+    # Between s and c there is so much where steps are bounded.
+    apart = min(np.ptp(driving.speed), driving.change[0] / closed_share(nominal.lag, dt))
+    return Order(
+        sideways=float(nominal.lag**2 * closed * apart * yaw_rate),
+        sizes=float(nominal.lag**2 * (closed * min(of_body, of_wheels) / 2 + speed * yaw_rate)),
+        spread=float(min((dt + nominal.lag) * yaw_rate / 2, np.pi / 2)),
+    )
 
 
 def _greatest_cross(first: Float[np.ndarray, "2"], second: Float[np.ndarray, "2"]) -> float:
@@ -140,14 +160,17 @@ class Ways:
         stray, swerve = self.lost.unevenness
         strays = stray + self.dt * self._speed_of_arc * swerve
         ahead = self.latency * self.speed
-        # How far the two ways lead apart: `order` at first, and no more than at last.
-        last = (self.order + across + swing * (ahead + strays)) / (1 - 2 * swing)
-        mean = (self.order + last) / 2
-        mean_along = tilt * (self.order + across + swing * ahead) + swing * (strays + 2 * mean)
-        off_lever = self._miss_lever(middle_speed) + stray + tilt * strays + 2 * mean_along
-        y = self.order + across + swing * off_lever
-        x = tilt * (self.order + across + swing * ahead) + swing * (strays + 2 * mean)
-        return np.array([x, y])
+        sideways, sizes, spread = self.order
+        # How far the two ways lead apart, at first and at last.
+        first = sideways + 2 * sizes * np.sin(spread / 2)
+        last = (first + across + swing * (ahead + strays)) / (1 - 2 * swing)
+        mean = (first + last) / 2
+        spread_along = sizes * np.sin(spread)
+        along = tilt * (sideways + across + swing * ahead)
+        along += spread_along + swing * (strays + 2 * mean)
+        off_lever = self._miss_lever(middle_speed) + stray + tilt * strays + 2 * along
+        y = sideways + sizes * (1 - np.cos(spread)) + tilt * spread_along + across
+        return np.array([along, y + swing * off_lever])
 
     def bound_slide(self, ground: Ground) -> Float[np.ndarray, "2"]:
         """Return the half widths of what sideslip and lever arm do (m, m)."""
