@@ -1,11 +1,11 @@
 """Where the commands already given will take a robot: its committed pose, by nominal lag and delay.
 
-    q = p + arc of tau s + arcs of the commands on their way, in order
+    q = p + tau v ahead, then a turn by tau w + arcs of the commands on their way, in order
 
-p is the pose, s the speeds that the wheels have by the nominal lag tau. A controller that counts
-on this steers q; the error of q is that of p, with the motion M to q undone before it and the
-reference's motion R over the latency tau + D behind it: e~ = M^-1 + e + R. So the pose follows the
-reference by the latency later.
+p is the pose, v and w are the speed and the yaw rate that the wheels have by the nominal lag tau.
+A controller that counts on this steers q; the error of q is that of p, with the motion M to q
+undone before it and the reference's motion R over the latency tau + D behind it: e~ = M^-1 + e + R.
+So the pose follows the reference by the latency later.
 
 Speeds are those over ground under the slips that were compensated.
 
@@ -84,7 +84,7 @@ class Forecast:
             commands: given, the newest last, m/s.
         """
         first = commands[-1 - self.whole] * self.late
-        ahead = join(self._arc(speeds * self.lag), self._arc(first))
+        ahead = join(self._run_out(speeds * self.lag), self._arc(first))
         for command in commands[len(commands) - self.whole :]:
             ahead = join(ahead, self._arc(command * self.dt))
         return ahead
@@ -107,6 +107,12 @@ class Forecast:
             wheels = reference_wheels[jnp.maximum(step - back, 0)]
             behind = join(behind, self._arc(wheels * self.dt))
         return behind
+
+    def _run_out(self, travel: Float[Array, "... 2"]) -> Motion:
+        """Return the motion of wheels that run out, as a way ahead and then a turn."""
+        turn = (travel[..., 0] - travel[..., 1]) / self.track_width
+        way = (travel[..., 0] + travel[..., 1]) / 2.0
+        return jnp.stack([way, jnp.zeros_like(way), turn], axis=-1)
 
     def _arc(self, travel: Float[Array, "... 2"]) -> Motion:
         return arc_of_travel(travel, self.track_width)

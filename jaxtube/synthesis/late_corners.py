@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtube.synthesis.estimated_error import FAR, CornerErrors
-from sets.robot.committed import Commitment, Driving, bound_commitment
+from sets.robot.committed import Commitment, bound_commitment
+from sets.robot.late_ways import Driving
 from sets.robot.latency import bound_later_errors
 from sets.robot.operation import Operation
 

@@ -18,7 +18,8 @@ import numpy as np
 from jaxtyping import Float
 
 from sets.robot.actuation import NO_LAG
-from sets.robot.committed import Commitment, Driving, bound_commitment
+from sets.robot.committed import Commitment, bound_commitment
+from sets.robot.late_ways import Driving
 from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics, Late, split_disturbance
 from sets.supremum import suprema

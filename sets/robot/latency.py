@@ -14,7 +14,7 @@ A latency later the robot is all but where it was committed to be. Its wheels ha
 what they would have with a nominal lag and delay, but for the ground and what is not known of the
 two; and nominal wheels would have travelled tau (mean of c over the last tau - s) more than M, both
 averages of the same commands, that differ by 1 / e of their range at most. On the way they differ
-by tau times that range at most.
+by tau times that range at most, or by the turn tau w_s, which M has last.
 
 `sets.robot.committed` says what a committed pose is. Source: new.
 """
@@ -25,7 +25,8 @@ import numpy as np
 from jaxtyping import Float
 
 from sets.robot.actuation import Actuation
-from sets.robot.committed import Driving, Ground, bound_unknown
+from sets.robot.committed import bound_unknown
+from sets.robot.late_ways import Driving, Ground
 
 LATE_SHARE = float(np.exp(-1.0))
 """Greatest difference between a mean over the last lag and one that forgets at its pace, by the
@@ -80,7 +81,9 @@ def bound_later_errors(
     losses = slipped * np.array([0.5, 1 / track_width]) + np.ceil(latency / dt) * unknown
     spans = nominal.lag * np.array([np.ptp(driving.speed), np.ptp(driving.yaw_rate)])
     short, turned = LATE_SHARE * spans + losses
-    strayed, swerved = spans + losses
+    # On the way to the committed pose the turn of wheels that run out comes last.
+    widest = np.maximum(spans, [0.0, nominal.lag * np.abs(driving.yaw_rate).max()])
+    strayed, swerved = widest + losses
     way = latency * float(np.abs(driving.speed).max()) + losses[0]
     turn = latency * float(np.abs(driving.yaw_rate).max()) + losses[1]
     slide = ground.sideslip * way + abs(ground.lever_arm) * turn

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sets.robot.actuation import NO_LAG, Actuation
-from sets.robot.committed import Ground
+from sets.robot.late_ways import Ground
 from sets.robot.plant import Late, Period
 
 NEGLIGIBLE = 1e-12

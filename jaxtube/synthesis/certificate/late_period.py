@@ -95,7 +95,8 @@ def next_late_errors(
     reference_turn = (cases.wheels[:, 0] - cases.wheels[:, 1]) / problem.model.track_width
     # The reference is at the origin of the world frame, heading along its x axis.
     origin = Poses(0j + none, none)
-    ahead = _arc(past.speed + none, past.turn + none, lag + delay)
+    ahead = _run_out(past.speed + none, past.turn + none, lag)
+    ahead = ahead.join(_arc(past.speed + none, past.turn + none, delay))
     if problem.scenario.controller.has_observer:
         pose = _pose_of(cases.errors - cases.noise, origin).join(ahead.back())
     else:
@@ -106,7 +107,7 @@ def next_late_errors(
     left = np.exp(-max(T - delay, 0.0) / lag) if lag > 0 else float(delay >= T)
     coast_speed = speed + (past.speed - speed) * left
     coast_turn = turn + (past.turn - turn) * left
-    committed = pose.join(_arc(coast_speed, coast_turn, lag))
+    committed = pose.join(_run_out(coast_speed, coast_turn, lag))
     committed = committed.join(_arc(past.speed + none, past.turn + none, max(delay - T, 0.0)))
     committed = committed.join(_arc(speed, turn, min(delay, T)))
     return _error_of(committed, _arc(reference_speed, reference_turn, T))
@@ -148,6 +149,11 @@ def _follow(before, asked, past: Past, time: float) -> tuple[list[Numbers], list
     travel = [old * time + (new - old) * covered for old, new in wheels]
     speeds = [old + (new - old) * closed for old, new in wheels]
     return travel, speeds
+
+
+def _run_out(speed: Numbers, turn: Numbers, lag: float) -> Poses:
+    """Return the motion of wheels that run out: a way ahead, and then a turn."""
+    return Poses(lag * speed + 0j, lag * turn)
 
 
 def _arc(speed: Numbers, turn: Numbers, time: float) -> Poses:

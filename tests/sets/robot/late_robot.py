@@ -86,18 +86,18 @@ def commit(period, now):
     after = end - period.issued[1:, None] - delay
     closed = np.where(after > 0, -np.expm1(-np.maximum(after, 0) / max(lag, 1e-12)), 0.0)
     expected = period.commands[0] + (nominal_steps * closed).sum(axis=0)
-    ways = [lag * expected]
+    ways = []
+    place = lag * expected.mean()
+    heading = lag * (expected[0] - expected[1]) / period.track_width
     ends = np.append(period.issued[1:], period.dt)
     for index, command in enumerate(period.commands):
         begins = period.issued[index] if index else -np.inf
         ways.append(max(min(ends[index], end) - max(begins, end - delay), 0.0) * command)
-    place = 0.0
-    heading = 0.0
     for way in ways:
         chord, turn = arc(way, period.track_width)
         place = place + chord * np.exp(1j * heading)
         heading = heading + turn
-    return place, heading, np.sum(ways, axis=0)
+    return place, heading, lag * expected + np.sum(ways, axis=0)
 
 
 def arc(way, track_width):

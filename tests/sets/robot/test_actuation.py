@@ -7,10 +7,10 @@ import pytest
 from sets.robot.actuation import (
     NO_LAG,
     Actuation,
-    bound_unknown_travel,
     held_back,
     step_travel,
 )
+from sets.robot.unknown_travel import bound_unknown_travel
 
 T = 0.1
 PERIODS = 60

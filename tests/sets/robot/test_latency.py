@@ -8,7 +8,7 @@ from test_committed import YAW, B, T, draw_period, make_driving
 from tolerances import ROUNDING
 
 from sets.robot.actuation import Actuation
-from sets.robot.committed import Ground
+from sets.robot.late_ways import Ground
 from sets.robot.latency import bound_committed_noise, bound_later_errors
 
 
