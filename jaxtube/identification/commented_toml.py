@@ -10,14 +10,9 @@ import textwrap
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from jaxtube.scenario.tree import RobotTable
-
 WIDTH = 100
 DIGITS = 4
 """After the point."""
-
-PENDING = {"wheel_lag_s", "command_delay_s"} - set(RobotTable.__struct_fields__)
-"""Keys that no scenario has yet: they are written as comments."""
 
 
 class Line(NamedTuple):
@@ -34,8 +29,7 @@ def write_table(name: str, lines: Iterable[Line]) -> str:
     for line in lines:
         if line.comment:
             texts.append(write_comment(f"{line.key}: {line.comment}"))
-        mark = "# " if line.key in PENDING else ""
-        texts.append(f"{mark}{line.key} = {line.value}")
+        texts.append(f"{line.key} = {line.value}")
     return "\n".join(texts)
 
 

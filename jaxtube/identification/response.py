@@ -5,11 +5,16 @@
 The gains c tell which wheel speeds the robot's own driver makes of a command, and with them the
 track width it believes in, b = (c_2r - c_2l). Delta and tau are fitted robustly over the seconds
 that follow a change of the command. A row shows a command later than it was given, by a row at
-most, so that delta may come out negative. The lag of single changes spreads about the common one:
-its middle 90 % are the interval.
+most, so that delta may come out negative.
+
+The lag of single changes spreads about the common one, by what a single fit is off by and by what
+the robot itself varies. Of the first each fit knows the size; the second is what is then still
+needed for half of the lags to lie within the quartiles of a normal distribution. The interval of
+the lag is the middle 90 % of what the robot varies, and of what the common lag is off by.
 
 Source: new; variable projection as in Golub and Pereyra, SIAM J. Numer. Anal. 1973; loss soft L1 of
-scipy.optimize.least_squares.
+scipy.optimize.least_squares; the robot's own spread as in DerSimonian and Laird, Meta-analysis in
+clinical trials, 1986, but by the median.
 """
 
 from __future__ import annotations
@@ -18,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.optimize import least_squares, minimize
+from scipy.optimize import brentq, least_squares, minimize
 
 from jaxtube.recordings.log import Log
 
@@ -37,11 +42,25 @@ LONGEST_DELAY_S = 1.0
 SMALLEST_CHANGE = 0.2
 """Of the largest change of a wheel's speed: smaller ones tell no lag of their own."""
 
+SMALLEST_SPREAD_MPS = 1e-4
+"""Of wheel speeds about their response, as their files round them."""
+
 SCALE_MPS = 0.02
 """Beyond which what is missed counts linearly."""
 
-MIDDLE = (5.0, 95.0)
-"""Percentiles of the lag of single changes that make its interval."""
+SHORTEST_SEEN = 0.25
+"""Of the time between two rows, the lag up to which there may be none."""
+
+STEP_S = 0.002
+"""By which dead time and lag are moved to see what the wheels' speeds tell of them."""
+
+OUTLIER = 3.0
+"""Standard deviations beyond which what is missed counts linearly, in the fit of a single lag."""
+
+QUARTILE = 0.6745
+"""Of a normal distribution, in standard deviations: half of it lies no further from its middle."""
+MIDDLE = 1.645
+"""Standard deviations to either side that hold 90 % of a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +68,11 @@ class Response:
     """How the wheels follow commands.
 
     Attributes:
-        lag: common time constant, s. lag_interval: of the lag of single changes, s. delay: dead
-        time, s; negative down to the time between two rows. track_width: that the robot's own
-        driver turns commands into wheel speeds with, m; None where
-            commands do not turn.
+        lag: common time constant, s.
+        lag_interval: 90 % of what it varies from change to change, and is off by, s.
+        delay: dead time, s; negative down to the time between two rows.
+        track_width: that the robot's own driver turns commands into wheel speeds with, m; None
+            where commands do not turn.
         changes: of the command that were looked at.
         explained: share of the wheels' spread, by medians, that the response explains.
     """
@@ -85,14 +105,15 @@ def find_response(log: Log) -> Response | None:
     missed = float(np.median(np.abs(_miss(changes, delay, lag))))
     size = np.array([np.ptp(changes.wheels[rows], axis=0).max() for rows in changes.rows])
     large = np.flatnonzero(size > SMALLEST_CHANGE * size.max())
-    single = [_fit_lag(changes, changes.rows[k], delay, lag, gains) for k in large]
-    least, greatest = np.percentile(single, MIDDLE).tolist()
+    single = np.array([_fit_lag(changes, changes.rows[k], delay, lag, gains) for k in large])
+    least, greatest = _find_interval(lag, single[:, 0], single[:, 1])
+    row = float(np.median(np.diff(changes.time)))
     width = float(gains[1, 0] - gains[1, 1])
     turns = bool(np.ptp(changes.commands[:, 1]) > 1e-3) and width > 0.0
     spread = float(np.median(np.abs(changes.wheels - np.median(changes.wheels, axis=0))))
     return Response(
         lag,
-        (min(least, lag), max(greatest, lag)),
+        (least if lag > SHORTEST_SEEN * row else 0.0, greatest),
         delay,
         width if turns else None,
         len(changes.rows),
@@ -141,22 +162,66 @@ def _fit_lag(
     delay: float,
     lag: float,
     gains: Float[np.ndarray, "2 2"],
-) -> float:
-    """Return the lag of the rows of one change, before which the wheels had settled; dead time and
-    gains are given."""
+) -> tuple[float, float]:
+    """Return the lag of the rows of one change, before which the wheels had settled, and its
+    standard deviation, s.
+
+    Gains are given; the dead time is the common one but for the wait until the next row, which is
+    any part of the time between two rows.
+    """
     time = changes.time[rows]
     commands = changes.commands[rows]
+    row = float(np.median(np.diff(changes.time)))
+    wait = row / np.sqrt(12.0)
 
-    def residuals(values: Float[np.ndarray, "1"]) -> Float[np.ndarray, "k"]:
-        expected = follow_commands(time, commands, delay, float(values[0])) @ gains
+    def miss(own_delay: float, own_lag: float) -> Float[np.ndarray, "k"]:
+        expected = follow_commands(time, commands, own_delay, own_lag) @ gains
         return (changes.wheels[rows] - expected).ravel()
 
-    bounds = ([0.0], [LONGEST_LAG_S])
-    start = [min(max(lag, 0.01), 0.9 * LONGEST_LAG_S)]
+    spread = float(np.median(np.abs(miss(delay, lag)))) / QUARTILE
+    spread = max(spread, SMALLEST_SPREAD_MPS)
+
+    def residuals(values: Float[np.ndarray, "2"]) -> Float[np.ndarray, "k+1"]:
+        return np.append(miss(*values.tolist()) / spread, (values[0] - delay) / wait)
+
     fit = least_squares(
-        residuals, start, bounds=bounds, loss="soft_l1", f_scale=SCALE_MPS, diff_step=1e-2
+        residuals,
+        [delay, min(max(lag, STEP_S), 0.9 * LONGEST_LAG_S)],
+        bounds=([delay - row, 0.0], [delay + row, LONGEST_LAG_S]),
+        loss="soft_l1",
+        f_scale=OUTLIER,
+        diff_step=1e-2,
+        x_scale=[wait, max(lag, STEP_S)],
     )
-    return float(fit.x[0])
+    slopes = np.column_stack([residuals(fit.x + step) for step in STEP_S * np.eye(2)])
+    slopes = (slopes - residuals(fit.x)[:, None]) / STEP_S
+    of_delay, of_lag = slopes.T
+    information = of_lag @ of_lag - (of_lag @ of_delay) ** 2 / (of_delay @ of_delay)
+    return float(fit.x[1]), max(float(information), row**-2.0) ** -0.5
+
+
+def _find_interval(
+    lag: float, single: Float[np.ndarray, "k"], errors: Float[np.ndarray, "k"]
+) -> tuple[float, float]:
+    """Return the interval of the lag, s.
+
+    Args:
+        lag: the common one, s; their mean may differ from it, as they have dead times of their own.
+        single: of single changes, s.
+        errors: their standard deviations, s.
+    """
+    away = np.abs(single - lag)
+
+    def exceed(spread: float) -> float:
+        return float(np.median(away / np.hypot(errors, spread))) - QUARTILE
+
+    varies = 0.0
+    if exceed(0.0) > 0.0:
+        varies = brentq(exceed, 0.0, 2.0 * float(away.max()) / QUARTILE)
+    weights = np.hypot(errors, varies) ** -2.0
+    mean = float(weights @ single / weights.sum())
+    reach = MIDDLE * float(np.hypot(varies, weights.sum() ** -0.5))
+    return max(min(lag, mean) - reach, 0.0), max(lag, mean) + reach
 
 
 def _miss(changes: _Changes, delay: float, lag: float) -> Float[np.ndarray, "k 2"]:

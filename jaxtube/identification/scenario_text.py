@@ -155,8 +155,8 @@ def _lag(findings: Findings | None) -> list[Line]:
         Line(
             "wheel_lag_s",
             f"[{round_down(least)}, {round_up(greatest)}]",
-            f"wheels behind commands, first order: {response.lag:.3g} s in common, this is the "
-            f"middle 90 % of {response.changes} changes; not part of the promise",
+            f"wheels behind commands, first order: {response.lag:.3g} s in common, this is 90 % of "
+            f"what {response.changes} changes vary; not part of the promise",
         )
     ]
     assert findings is not None

@@ -29,7 +29,7 @@ from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis.prediction import Prediction, predict
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import Terminal
-from jaxtube.synthesis.tightening import BACK_OFF, Tightening
+from jaxtube.synthesis.tightening import Tightening, find_back_off
 from jaxtube.synthesis.windows import Windows
 
 
@@ -48,8 +48,9 @@ def tube_bounds(problem: Problem, tightening: Tightening, terminal: Terminal) ->
     """Return the tightened sets, backed off for the solver's slack."""
     N = problem.horizon
     normals = terminal.constraint_normals
-    back_off = BACK_OFF * np.arange(1, N + 1)[:, None]
-    last_back_off = (N + 1) * BACK_OFF * np.linalg.norm(normals, axis=1)
+    once = find_back_off(problem)
+    back_off = once * np.arange(1, N + 1)[:, None]
+    last_back_off = (N + 1) * once * np.linalg.norm(normals, axis=1)
     return Bounds(
         errors=problem.operating_set.offsets - tightening.error_reach[:, :N] - back_off,
         inputs=problem.input_rows.offsets - tightening.input_reach - back_off,

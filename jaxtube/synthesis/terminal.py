@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from jaxtube.synthesis.gains import Gain, given_gain, vertex_gain
 from jaxtube.synthesis.problem import Problem
-from jaxtube.synthesis.tightening import BACK_OFF, Tightening
+from jaxtube.synthesis.tightening import Tightening, find_back_off
 from jaxtube.synthesis.tubes import Tube
 from sets import tubes
 from sets.few_facets import few_facet_rpi
@@ -140,7 +140,7 @@ def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tighten
 
 def set_back_off(problem: Problem) -> float:
     """Return by how much the invariant set stays inside the limits, and W is widened."""
-    return (problem.horizon + 2) * BACK_OFF
+    return (problem.horizon + 2) * find_back_off(problem)
 
 
 def _find_invariant(

@@ -20,9 +20,9 @@ from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.tubes import Tube
 
 BACK_OFF = 1e-7
-"""What constraints are drawn in by for the solver, once more at every stage: more than the slack
-that it allows, in the units of E and U. So a plan that misses its constraints by that slack still
-meets, shifted, those of a stage less."""
+"""What constraints whose rows are no longer than `LONG_ROW` are drawn in by for the solver."""
+LONG_ROW = 10.0
+"""Norm of a row, in the units of E and U, from which on its answers miss it by more."""
 
 WHEEL_NAMES = ("right wheel deficit", "left wheel deficit")
 CAP_NAMES = (*INPUT_NAMES, "coupled cap, outwards", "coupled cap, inwards")
@@ -49,6 +49,19 @@ class Tightening:
 
     error_reach: Float[np.ndarray, "windows horizon+1 6"]
     input_reach: Float[np.ndarray, "windows horizon k"]
+
+
+def find_back_off(problem: Problem) -> float:
+    """Return what constraints are drawn in by for the solver, once more at every stage: more than
+    the slack that it allows, in the units of E and U.
+
+    So a plan that misses its constraints by that slack still meets, shifted, those of a stage less.
+    A solver's slack is a share of the length of a row; those that couple error and input are long
+    where the robot is small.
+    """
+    rows = np.hstack([problem.input_rows.inputs, problem.input_rows.errors])
+    longest = float(np.linalg.norm(rows, axis=1).max())
+    return BACK_OFF * max(1.0, longest / LONG_ROW)
 
 
 def tighten(problem: Problem, tube: Tube, windows: int) -> Tightening:

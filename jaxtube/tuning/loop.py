@@ -21,7 +21,7 @@ from jaxtube.control.mpc import AnyArray, CondensedQp
 from jaxtube.synthesis.condense import Bounds, Cost, Gains, row_bounds, weigh, widths
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.prediction import Prediction, predict, with_terminal_rows
-from jaxtube.synthesis.tightening import BACK_OFF
+from jaxtube.synthesis.tightening import find_back_off
 from jaxtube.tuning.caps import CapLimits, make_limits
 from jaxtube.tuning.gains import GainMaps, differentiate_terminal_cost, make_gain_maps
 from jaxtube.tuning.terminal import TerminalRows, compute_terminal_set, trace_terminal_rows
@@ -58,6 +58,7 @@ class DesignConstants(NamedTuple):
     terminal_rows: TerminalRows
     terminal_cost: Float[AnyArray, "3 3"]
     widths: Float[AnyArray, "3"]
+    back_off: Float[AnyArray, ""]
     index: Int[AnyArray, " steps"]
 
 
@@ -85,6 +86,7 @@ def make_design_constants(design: Design) -> DesignConstants:
         terminal_rows=trace_terminal_rows(design, normals, offsets),
         terminal_cost=design.cost.cost,
         widths=widths(problem),
+        back_off=np.array(find_back_off(problem)),
         index=windows.index,
     )
 
@@ -140,8 +142,8 @@ def tightened_bounds(constants: DesignConstants, kappa: Float[Array, " kappa"]) 
     normals, offsets = terminal_set_at(constants, kappa)
     terminal_rows = jnp.broadcast_to(normals, (count, *normals.shape))
     last = reach_along(loops, constants.generators, terminal_rows, horizon)
-    back_off = BACK_OFF * jnp.arange(1.0, horizon + 1)[:, None]
-    last_back_off = (horizon + 1) * BACK_OFF * jnp.linalg.norm(normals, axis=1)
+    back_off = constants.back_off * jnp.arange(1.0, horizon + 1)[:, None]
+    last_back_off = (horizon + 1) * constants.back_off * jnp.linalg.norm(normals, axis=1)
 
     def subtract(offsets, taken):
         return jnp.maximum(offsets - taken, ROOM * offsets)

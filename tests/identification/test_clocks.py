@@ -13,11 +13,15 @@ from jaxtube.identification.response import find_response, follow_commands
 from jaxtube.identification.samples import drop_held_poses, measure_steps, measure_travel
 from jaxtube.identification.simulated_drive import Truth, drive
 from jaxtube.identification.simulated_log import Sensors, record
+from jaxtube.recordings.log import Log
 from jaxtube.scenario import ScenarioError
 
 OFFSET_S = 0.02
 """Of an offset, beside the time between two rows, which it may hold or not."""
 LAG_S = 0.02
+NARROW = 0.3
+"""Of the time between two rows."""
+NEAR_S = 0.006
 SUPERPOSED = 1e-12
 
 TRUTH = Truth(wheel_lag=0.12, lever_arm=0.05)
@@ -139,6 +143,39 @@ def test_lag_and_dead_time_of_the_wheels_are_told_apart(lag):
     assert response.lag_interval[0] <= response.lag <= response.lag_interval[1]
     assert response.track_width == pytest.approx(truth.track_width, rel=0.01)
     assert response.explained > 0.95
+
+
+@pytest.mark.parametrize(("lag", "rate"), [(0.03, 20.0), (0.08, 10.0), (0.2, 20.0)])
+def test_rows_that_show_commands_late_do_not_widen_the_interval_of_the_lag(lag, rate):
+    truth = dataclasses.replace(TRUTH, wheel_lag=lag)
+    sensors = Sensors(wheel_rate=rate)
+    response = find_response(record(drive(truth, 16, seed=5), sensors, seed=5).log)
+    assert response is not None
+    least, greatest = response.lag_interval
+    assert least <= lag <= greatest
+    assert greatest - least < NARROW / rate
+
+
+def test_the_interval_of_the_lag_holds_lags_that_differ_from_change_to_change():
+    lags = [0.06, 0.1]
+    time = 0.02 * np.arange(4000)
+    held = np.arange(4000) // 200
+    steps = np.random.default_rng(8).uniform(0.3, 1.0, (20, 2))
+    wheels = np.empty((4000, 2))
+    state = steps[0]
+    for command, target in enumerate(steps):
+        rows = np.flatnonzero(held == command)
+        decay = np.exp(-(time[rows] - time[rows[0]]) / lags[command % 2])
+        wheels[rows] = target + (state - target) * decay[:, None]
+        state = target
+    noise = np.random.default_rng(9).normal(0.0, 0.003, wheels.shape)
+    commands = np.column_stack([steps.mean(axis=1), steps[:, 0] - steps[:, 1]])[held]
+    log = Log("made", time, wheels + noise, time, np.zeros((4000, 3)), held, commands)
+    response = find_response(log)
+    assert response is not None
+    least, greatest = response.lag_interval
+    assert least < lags[0] + NEAR_S
+    assert greatest > lags[1] - NEAR_S
 
 
 def test_without_commands_nothing_is_said_of_their_lag():

@@ -68,7 +68,7 @@ def _response_rows(findings: Findings) -> list[Row]:
         (
             "wheels behind commands",
             f"{response.lag:.3f} s",
-            f"{least:.3f} to {greatest:.3f} s in single changes",
+            f"{least:.3f} to {greatest:.3f} s for 90 % of them",
             f"first-order lag; {changes}",
         ),
         (

@@ -21,7 +21,7 @@ from jaxtube.synthesis.certificate.terminal import (
 )
 from jaxtube.synthesis.gains import Region
 from jaxtube.synthesis.parts import Design
-from jaxtube.synthesis.tightening import BACK_OFF
+from jaxtube.synthesis.tightening import find_back_off
 from sets.certificate import ROUNDING, Certificate, Condition, decrease_margin, judge
 
 GRID = 21
@@ -39,6 +39,7 @@ def certify(design: Design) -> Certificate:
 def _conditions(design: Design) -> Iterator[Condition]:
     problem = design.problem
     slack = design.solver_slack
+    back_off = find_back_off(problem)
     yield from check_stages(design)
     yield from check_terminal(design)
     if has_any_order(design):
@@ -49,10 +50,10 @@ def _conditions(design: Design) -> Iterator[Condition]:
     yield from check_robot(problem)
     yield judge(
         "solver_residual",
-        BACK_OFF - slack,
-        f"Constraints are backed off by {BACK_OFF:.0e}, more than the {slack:.0e} a solved QP "
+        back_off - slack,
+        f"Constraints are backed off by {back_off:.0e}, more than the {slack:.0e} a solved QP "
         "may miss them by.",
-        f"Constraints are backed off by {BACK_OFF:.0e}, less than the {slack:.0e} a solved QP "
+        f"Constraints are backed off by {back_off:.0e}, less than the {slack:.0e} a solved QP "
         "may miss them by.",
     )
     yield check_in_rationals(design)
