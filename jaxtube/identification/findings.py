@@ -24,6 +24,13 @@ DEVIATION_PERCENTILE = 68.27
 """The same for the standard deviation, as of a normal law."""
 
 
+SETTLING_LAGS = 4.0
+"""After which wheels have all but 2 % of a new command."""
+SETTLING_S = 0.3
+"""The time counted with for wheels whose lag is not known."""
+LONGEST_SETTLING_S = 1.0
+
+
 @dataclass(frozen=True)
 class Noise:
     """What poses miss of the arc of their window.
@@ -83,19 +90,30 @@ def inspect_log(log: Log, length: float) -> Findings:
     travel = measure_travel(log)
     clock = align(log.path, travel, poses)
     cuts = find_cuts(travel, poses, clock)
-    windows = cut_windows(log, travel, poses, clock, cuts, length)
+    row = float(np.median(np.diff(log.time)))
+    response = find_response(log)
+    settle = _find_settling(response, row)
+    windows = cut_windows(log, travel, poses, clock, cuts, length, settle)
     return Findings(
         log,
-        float(np.median(np.diff(log.time))),
+        row,
         poses.period,
         poses.held_share,
         clock,
         cuts,
-        find_response(log),
+        response,
         _measure_noise(windows.standing),
         _measure_noise(windows.missed),
         windows,
     )
+
+
+def _find_settling(response: Response | None, row: float) -> float:
+    """Return how long after a new command wheels follow it, s."""
+    if response is None:
+        return SETTLING_S
+    late = max(response.delay, 0.0) + 2 * row
+    return min(late + SETTLING_LAGS * response.lag, LONGEST_SETTLING_S)
 
 
 def _measure_noise(missed: Float[np.ndarray, "poses 3"]) -> Noise | None:

@@ -27,8 +27,8 @@ from jaxtube.scenario.tree import Constraints
 MIDDLE_SPEED = 0.6
 """Of the fastest wheel speed: the speed of the reference that a search starts from."""
 
-RADIUS_BY_TRACK = 2.5
-"""Radius of the reference by effective track: wheels then differ from the speed by a fifth."""
+RADIUS_BY_TRACK = 5.0
+"""Radius of the reference by effective track: wheels then differ from the speed by a tenth."""
 
 BOX_SPARE = 1.02
 """By which the box of reference wheel speeds is wider than those of the circles."""

@@ -1,7 +1,8 @@
 """The windows of a log: stretches of one command, over which wheels and body are averaged.
 
 A command is a stretch of constant `step` and commanded velocity. Windows are laid from its end
-backwards, without overlap: its last one is the most settled. A stretch that no command is known for
+backwards, without overlap: its last one is the most settled, and the first one begins when the
+wheels have followed the command. A stretch that no command is known for
 (a robot driven by hand) is cut into windows from its start, and each run of steady ones whose wheel
 speeds agree counts as a command.
 
@@ -79,10 +80,26 @@ class _Place(NamedTuple):
 
 
 def cut_windows(
-    log: Log, travel: Travel, poses: Poses, clock: Clock, cuts: Cuts, length: float
+    log: Log,
+    travel: Travel,
+    poses: Poses,
+    clock: Clock,
+    cuts: Cuts,
+    length: float,
+    settle: float = 0.0,
 ) -> LogWindows:
-    """Cut a log into windows of `length` seconds and measure each."""
-    places = _lay_windows(log, length)
+    """Cut a log into windows and measure each.
+
+    Args:
+        log: of wheels and commands.
+        travel: of the wheels.
+        poses: without held ones.
+        clock: of wheels and poses.
+        cuts: where poses are not trusted.
+        length: of a window, s.
+        settle: left out after each new command, s.
+    """
+    places = _lay_windows(log, length, settle)
     start = np.array([place.start for place in places])
     fastest = find_fastest(log.wheels)
     wheels = travel.between(start, start + length) / length
@@ -120,7 +137,7 @@ def find_fastest(wheels: Float[np.ndarray, "n 2"]) -> float:
     return float(np.percentile(moving, FASTEST)) if len(moving) else 0.0
 
 
-def _lay_windows(log: Log, length: float) -> list[_Place]:
+def _lay_windows(log: Log, length: float, settle: float) -> list[_Place]:
     """Place windows on each stretch of one command, in order of time."""
     changes = np.zeros(len(log.time) - 1, dtype=bool)
     known = np.zeros(len(log.time), dtype=bool)
@@ -132,10 +149,12 @@ def _lay_windows(log: Log, length: float) -> list[_Place]:
     if log.step is not None:
         changes |= np.diff(log.step) != 0
     first = np.concatenate([[0], np.flatnonzero(changes) + 1])
-    end = np.append(log.time[first[1:]], log.time[-1])
+    # A command is given before the row that shows it first: the wheels may have left the last one.
+    end = log.time[np.append(first[1:] - 1, -1)]
     places = []
     for stretch, (row, stop) in enumerate(zip(first, end, strict=True)):
-        count = int((stop - log.time[row]) / length + SLACK)
+        held = stop - log.time[row] - (settle if known[row] else 0.0)
+        count = max(int(held / length + SLACK), 0)
         spare = stop - log.time[row] - count * length if known[row] else 0.0
         begins = log.time[row] + spare + length * np.arange(count)
         places += [_Place(float(begin), stretch, not known[row]) for begin in begins]
