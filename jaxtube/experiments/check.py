@@ -7,7 +7,14 @@ The file expected.toml beside a scenario holds the claims,
     value = 0.038934
     tolerance = 5e-7                        |metric - value| <= tolerance
     provenance = "independent computation"
-    command = "design"                      or "paper": the run that writes the metric
+    command = "design"                      or "paper", "identify": the run that writes the metric
+
+and, for what `identify` must find in a log beside it,
+
+    [identify]
+    log = "drive.csv"
+    box = "alike"
+    least_wheel_mps = 0.1
 """
 
 import importlib
@@ -36,13 +43,22 @@ class Metric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     value: bool | int | float | str
     provenance: str
     tolerance: Annotated[float, msgspec.Meta(ge=0)] = 0.0
-    command: Literal["design", "paper"] = "design"
+    command: Literal["design", "paper", "identify"] = "design"
+
+
+class Log(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The log that metrics of `identify` come from, and the choices made before."""
+
+    log: str
+    box: Literal["each", "alike", "scaled"] = "each"
+    least_wheel_mps: Annotated[float, msgspec.Meta(gt=0)] | None = None
 
 
 class Claims(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The file expected.toml."""
 
     metric: tuple[Metric, ...] = ()
+    identify: Log | None = None
 
 
 def run(scenario: Scenario | None, options: CheckOptions) -> int:
@@ -99,11 +115,11 @@ def _claims_file(name: str) -> Path:
     return find(name).with_name("expected.toml")
 
 
-def _read_claims(name: str) -> tuple[Metric, ...]:
+def _read_claims(name: str) -> Claims:
     path = _claims_file(name)
     try:
         tree = tomllib.loads(path.read_text(encoding="utf-8"))
-        claims = msgspec.convert(tree, Claims).metric
+        claims = msgspec.convert(tree, Claims)
     except OSError as error:
         raise ScenarioError(
             f"{path}: cannot be read ({error.strerror}); write the expected metrics there"
@@ -112,31 +128,44 @@ def _read_claims(name: str) -> tuple[Metric, ...]:
         raise ScenarioError(
             f"{path}: {error}; give path, value, tolerance and provenance of each [[metric]]"
         ) from None
-    for metric in claims:
+    for metric in claims.metric:
         if isinstance(metric.value, float) and not math.isfinite(metric.value):
             raise ScenarioError(
                 f"{path}: {metric.path} = {metric.value}: is not finite; give a finite number"
+            )
+        if metric.command == "identify" and claims.identify is None:
+            raise ScenarioError(
+                f"{path}: {metric.path} is of `identify`, and no log is named; add [identify] with "
+                'log = "FILE"'
             )
     return claims
 
 
 def _check(name: str, options: CheckOptions) -> list[str]:
     claims = _read_claims(name)
-    commands = {claim.command for claim in claims}
+    commands = {claim.command for claim in claims.metric}
     if options.quick:
         commands.discard("paper")
-    results = {command: _run_again(command, name, options) for command in sorted(commands)}
-    return [_judge(name, claim, results) for claim in claims]
+    results = {command: _run_again(command, name, claims, options) for command in sorted(commands)}
+    return [_judge(name, claim, results) for claim in claims.metric]
 
 
-def _run_again(command: str, name: str, options: CheckOptions) -> Any:
-    """Run a command on a scenario and return its metrics; an empty table when the run did not end
-    well."""
+def _run_again(command: str, name: str, claims: Claims, options: CheckOptions) -> Any:
+    """Run a command on a scenario, or on its log, and return its metrics; an empty table when the
+    run did not end well."""
     out = Path(options.out or "runs") / f"check-{title(name)}" / command
     kind = COMMANDS[command]
-    settings = kind(scenario=name, out=str(out), seed=options.seed, overrides=options.overrides)
+    scenario = None
+    if command == "identify":
+        assert claims.identify is not None
+        choices = msgspec.structs.asdict(claims.identify)
+        choices["log"] = str(find(name).with_name(claims.identify.log))
+    else:
+        choices = {"scenario": name, "overrides": options.overrides}
+        scenario = load(name, options.overrides)
+    settings = kind(out=str(out), seed=options.seed, **choices)
     module = importlib.import_module(f"{__package__}.{kind.module}")
-    code = module.run(load(name, options.overrides), settings)
+    code = module.run(scenario, settings)
     if code:
         print(f"{name}: {command} ended with exit code {code}")
         return {}

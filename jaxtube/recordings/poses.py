@@ -16,6 +16,9 @@ them to a micrometre, but single-precision tools and figures do not."""
 UNIT_QUATERNION = 0.05
 """Largest deviation of a quaternion's norm from 1: more is no rounding."""
 
+LONGEST_WAY = 3.0
+"""From one pose to the next that counts in full, by the median of those that move."""
+
 LEAST_ALIGNMENT = 0.3
 """Of headings with the way; noise of a robot that stands lowers it, a wrong axis makes it
 negative."""
@@ -39,14 +42,19 @@ def find_bad_quaternions(quaternions: Float[np.ndarray, "n 4"]) -> Int[np.ndarra
 
 def align_headings(positions: Float[np.ndarray, "n 2"], headings: Float[np.ndarray, "n"]) -> float:
     """Return how well headings lie along the way between positions: 1 always along it, forward or
-    backward, near 0 for numbers that are no headings; weighted with the way."""
+    backward, near 0 for numbers that are no headings.
+
+    Weighted with the way, up to a few times the usual one: poses that jump tell no direction.
+    """
     steps = np.diff(positions, axis=0)
     ways = np.hypot(steps[:, 0], steps[:, 1])
     directions = np.arctan2(steps[:, 1], steps[:, 0])
     # Twice the angle does not tell forward from backward.
     turned = np.exp(2j * (directions - headings[:-1]))
-    total = float(ways.sum())
-    return float((ways * turned).sum().real) / total if total > 0.0 else 0.0
+    moving = ways[ways > 0.0]
+    weights = np.minimum(ways, LONGEST_WAY * np.median(moving)) if len(moving) else ways
+    total = float(weights.sum())
+    return float((weights * turned).sum().real) / total if total > 0.0 else 0.0
 
 
 def are_degrees(positions: Float[np.ndarray, "n 2"], headings: Float[np.ndarray, "n"]) -> bool:

@@ -22,6 +22,7 @@ from jaxtube.scenario import (
     to_toml,
     weight_matrix,
 )
+from jaxtube.scenario.tree import RobotTable
 
 # What the line of a refusal has to name: the key, the value as it was given, and the cure.
 REFUSED_OVERRIDES = [
@@ -377,7 +378,9 @@ def test_a_scenario_shows_what_differs_from_the_defaults(name, tmp_path):
     path.write_text(str(scenario))
     assert load(path) == scenario
     assert "duration_s = 6.0" in repr(scenario)
-    assert "null" not in repr(scenario) and "track_width" not in repr(scenario)
+    assert "null" not in repr(scenario)
+    is_usual = scenario.robot.track_width_m == RobotTable().track_width_m
+    assert ("track_width_m" in repr(scenario)) != is_usual
 
 
 def test_the_defaults_show_as_one_line():
