@@ -1,5 +1,5 @@
-"""Laws of `bench devices`: a missing library is told before anything is measured; speeds are set against
-those of one."""
+"""Laws of `bench devices`: a missing library is told before anything is measured; speeds are set
+against those of one."""
 
 import sys
 

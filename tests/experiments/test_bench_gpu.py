@@ -45,7 +45,8 @@ def test_lines_of_the_driver_are_read_and_others_are_no_sample():
 
 def test_rows_come_as_programs_do_until_more_laps_are_no_faster():
     rows = []
-    programs = {laps: made(sleeping(0.02 * laps / min(laps, 200))) for laps in (100, 200, 400, 800)}
+    seconds = {100: 0.02, 200: 0.02, 400: 0.06, 800: 0.0}
+    programs = {laps: made(sleeping(time)) for laps, time in seconds.items()}
     clock = Clock(time.perf_counter() + 60, 0.0)
     assert sweep.measure_case(CASE, TASK, programs, Watch(), clock, rows.append) == ""
     assert [row.laps_at_once for row in rows] == [100, 200, 400]
@@ -71,7 +72,8 @@ def test_an_error_of_the_device_ends_a_case_in_one_line():
     failed.set_exception(jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory\nmore"))
     clock = Clock(time.perf_counter() + 60, 0.0)
     told = sweep.measure_case(CASE, TASK, {8: failed}, Watch(), clock, lambda row: None)
-    assert told == "paper, float64: 8 laps at once: RESOURCE_EXHAUSTED: Out of memory"
+    assert told.startswith("paper, float64: 8 laps at once: ")
+    assert told.endswith("RESOURCE_EXHAUSTED: Out of memory")
 
 
 def test_programs_are_made_in_the_order_in_which_they_are_asked_for():

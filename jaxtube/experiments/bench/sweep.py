@@ -121,7 +121,7 @@ def measure_case(
             seconds = time.perf_counter() - begin
         except TimeoutError:
             return f"{case.words}: {laps:,} laps at once: not compiled in time"
-        except jax.errors.JaxRuntimeError as error:
+        except Exception as error:  # of a compiler or a device: the other cases go on
             return f"{case.words}: {laps:,} laps at once: {first_line(error)}"
         tell(row)
         if row.checked_steps_per_s < GAIN * best:
@@ -173,4 +173,5 @@ def _run(program: Program, task: Task, first: int, check) -> None:
 
 def first_line(error: Exception) -> str:
     """Return what a library says of an error, in short."""
-    return textwrap.shorten(str(error).partition("\n")[0] or type(error).__name__, 120)
+    line = str(error).partition("\n")[0]
+    return textwrap.shorten(f"{type(error).__name__}: {line}", 160)
