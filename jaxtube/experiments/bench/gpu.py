@@ -85,6 +85,9 @@ def run(scenario: Scenario, options: BenchOptions) -> int:
     record = Record(run_folder.create(scenario, options), device, has_gpu)
     with Watch() as watch:
         measure_all(name_scenarios(scenario, options, has_gpu), options, record, watch)
+    if has_gpu:
+        # What is still being compiled, and not needed any more, would be waited for.
+        leave(0)
     return 0
 
 
@@ -100,17 +103,15 @@ def measure_all(
     """Measure and compare as many cases as the time allows, and report the best."""
     extent = ON_GPU if record.has_gpu else ON_PROCESSOR
     clock = Clock(record.begin + options.seconds, extent.timed_s)
-    with agreement.on_a_processor() as process:
-        jobs = begin_all(scenarios, options.seed, record.device, extent, process)
-        record.begin_rows()
-        for case, job in jobs.items():
-            record.say(measure_case(case, job.task, job.programs, watch, clock, record.add_row))
-        for case, job in jobs.items():
-            compare_laps(case, job, extent.compared, options.seed, clock, record)
-        record.end()
-        if record.has_gpu:
-            # What is still being compiled, and not needed any more, would be waited for.
-            leave(0)
+    process = agreement.on_a_processor()
+    jobs = begin_all(scenarios, options.seed, record.device, extent, process)
+    record.begin_rows()
+    for case, job in jobs.items():
+        record.say(measure_case(case, job.task, job.programs, watch, clock, record.add_row))
+    for case, job in jobs.items():
+        compare_laps(case, job, extent.compared, options.seed, clock, record)
+    record.end()
+    process.shutdown(wait=not record.has_gpu, cancel_futures=True)
 
 
 def begin_all(
