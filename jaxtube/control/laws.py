@@ -20,6 +20,7 @@ from jaxtube.control import mpc
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.control.tracking import tracking_input
 from jaxtube.plant.protocol import Command, Measurement
+from jaxtube.qp.batched_ldl import matmul
 
 
 @partial(
@@ -123,7 +124,7 @@ class ScheduledGain:
     ) -> tuple[Command, tuple[()], mpc.Diagnostics]:
         """Return the command of the law."""
         errors = measurement.errors
-        inputs = errors @ self.gains[step].T
+        inputs = matmul(errors, self.gains[step].T)
         command = self.wheel_map.command(inputs, measurement, reference_wheels)
         return command, memory, mpc.no_diagnostics(errors)
 

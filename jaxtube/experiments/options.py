@@ -58,6 +58,9 @@ SEED = Rule(
 RATE = Rule(
     lambda value: 0 < value < math.inf, "is out of range; give a positive number, such as 0.1"
 )
+DURATION = Rule(
+    lambda value: 0 < value < math.inf, "is out of range; give a positive number, such as 60"
+)
 POSITIVE_OR_NONE = Rule(
     lambda value: value is None or 0 < value < math.inf,
     "is out of range; give a positive number, or leave it out",
@@ -481,13 +484,26 @@ class ReplayOptions(LogOptions):
 @dataclass(frozen=True)
 class BenchOptions(Options):
     """Measure laps a second on one device, on all of them, and on one and two workers of a
-    cluster."""
+    cluster; or on one GPU, by laps at once and floats."""
 
     command = "bench"
-    module = "bench"
+    module = "bench.command"
+    positional = ("topic",)
 
+    topic: Positional[Literal["devices", "gpu"]] = "devices"
+    """devices and workers of this machine; or one GPU, also for `certified` and `tuned`, its laps
+    compared with the processor's"""
     blocks: Annotated[int, arg(metavar="COUNT"), at_least(1)] = 16
-    """blocks of 4,096 laps in each of three rounds"""
+    """of devices: blocks of 4,096 laps in each of three rounds"""
+    seconds: Annotated[float, arg(metavar="SECONDS"), DURATION] = 330.0
+    """of gpu: time for all of it; what was measured by then is kept"""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run: one for each topic."""
+        if self.out or self.topic == type(self).topic:
+            return super().folder
+        return Path(f"runs/{self.command}-{self.topic}-{title(self.scenario)}")
 
 
 @dataclass(frozen=True)

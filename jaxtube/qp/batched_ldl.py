@@ -11,7 +11,8 @@ Notation: a symmetric matrix is packed row by row of its upper triangle, (0,0), 
 section 4.1.
 """
 
-from functools import partial
+import functools
+import operator
 from typing import NamedTuple
 
 import jax
@@ -20,9 +21,25 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-matmul = partial(jnp.matmul, precision=jax.lax.Precision.HIGHEST)
-"""Accelerators round the factors of a product to fewer bits unless told not to; an error of 1e-2
-would follow here."""
+from jaxtube.qp.blocks import on_accelerator
+
+FEW_TERMS = 5
+"""Terms up to which an accelerator adds up a product by itself."""
+
+
+def matmul(one: Float[Array, "*stack m k"], other: Float[Array, "*stack k n"]):
+    """Return the product of matrices in full precision.
+
+    Accelerators round the factors of a product to fewer bits unless told not to; an error of 1e-2
+    would follow here. There a product of few terms is written out: it then joins the kernel of what
+    is done to it next, and a batch of results that only their extremes are asked of is never
+    stored.
+    """
+    terms = other.shape[-2]
+    if terms > FEW_TERMS or not on_accelerator():
+        return jnp.matmul(one, other, precision=jax.lax.Precision.HIGHEST)
+    products = [one[..., :, k, None] * other[..., None, k, :] for k in range(terms)]
+    return functools.reduce(operator.add, products)
 
 
 class LDL(NamedTuple):
@@ -63,7 +80,7 @@ def factorise(packed: Float[Array, "pairs batch"]) -> LDL:
         multiplier = jnp.where(below > k, column / row[k], 0.0)
         return s - multiplier[:, None] * row[None]
 
-    upper = jax.lax.fori_loop(0, n, eliminate, packed[position])
+    upper = jax.lax.fori_loop(0, n, eliminate, packed[position], unroll=on_accelerator())
     pivots = upper[index, index]
     inverse_pivots = jnp.where(pivots > 0, 1 / pivots, 0.0)
     strictly_upper = np.triu(np.ones((n, n), bool), 1)[..., None]
@@ -93,5 +110,5 @@ def solve(ldl: LDL, right: Float[Array, "n batch"]) -> Float[Array, "n batch"]:
         k = n - 1 - j
         return x.at[k].add(-jnp.sum(columns[k] * x, axis=0))
 
-    scaled = jax.lax.fori_loop(0, n, forward, right) * inverse_pivots
-    return jax.lax.fori_loop(0, n, backward, scaled)
+    scaled = jax.lax.fori_loop(0, n, forward, right, unroll=on_accelerator()) * inverse_pivots
+    return jax.lax.fori_loop(0, n, backward, scaled, unroll=on_accelerator())

@@ -23,6 +23,7 @@ from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.protocol import Controller
 from jaxtube.plant import slip as slips
 from jaxtube.plant.protocol import Command, Measurement, Memory, Plant
+from jaxtube.qp.batched_ldl import matmul
 
 DIAGNOSTICS = "diagnostics_"
 """Begins the names of the arrays of diagnostics in a file."""
@@ -178,12 +179,13 @@ def follow_plan(
         offset, planned = ahead
         now = step + offset
         condensed = controller.condensed_qp(now)
-        inputs = planned + (state.measured - nominal) @ condensed.tube_gain.T
+        inputs = planned + matmul(state.measured - nominal, condensed.tube_gain.T)
         command = controller.wheel_map.command(
             inputs, state.measurement, plant.reference_wheels[now]
         )
         state, _ = _move(plant, keys, now, state, command)
-        nominal = nominal @ condensed.transition.T + planned @ condensed.input_matrix.T
+        nominal = matmul(nominal, condensed.transition.T)
+        nominal = nominal + matmul(planned, condensed.input_matrix.T)
         return (state, nominal), state.measured - nominal
 
     planned = jnp.moveaxis(plan.inputs, 1, 0)

@@ -19,6 +19,7 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -202,11 +203,20 @@ def _simulate(mesh: Mesh, task: Task, words, counts, numbers, validate) -> dict[
 def _simulate_in_turn(task: Task, words, counts, numbers, validate) -> dict[str, Array]:
     """Run the blocks of one device, one after the other."""
 
+    size = BlockSize(BLOCK, TILE)
+
     def simulate(block):
         first, count, number = block
-        return simulate_block(task, first, count, number, validate)
+        return simulate_block(task, first, count, number, validate, size)
 
     return jax.lax.map(simulate, (words, counts, numbers))
+
+
+class BlockSize(NamedTuple):
+    """How many laps make a block, and how many of them run side by side: a tile."""
+
+    block: int
+    tile: int
 
 
 def simulate_block(
@@ -215,6 +225,7 @@ def simulate_block(
     count: Int[Array, ""],
     number: Int[Array, ""],
     validate: Bool[Array, ""],
+    size: BlockSize,
 ) -> dict[str, Array]:
     """Return the statistics of one block, its laps numbered from 0 in the lists of the worst.
 
@@ -225,27 +236,30 @@ def simulate_block(
         number: of the block, modulo 2^31: it shifts the steps at which plans are followed, as the
             tile does.
         validate: whether periods are checked; without, all counts stay 0.
+        size: of the block, and of the tiles that it is worked through in.
     """
-    simulate = partial(_simulate_tile, task, words, count, number, validate)
-    sums, largest, usage = jax.lax.map(simulate, jnp.arange(BLOCK // TILE, dtype=jnp.int32))
+    simulate = partial(_simulate_tile, task, words, count, number, validate, size)
+    tiles = jnp.arange(size.block // size.tile, dtype=jnp.int32)
+    sums, largest, usage = jax.lax.map(simulate, tiles)
     sums = jax.tree.map(lambda array: jnp.sum(array, axis=0, dtype=jnp.int32), sums)
     largest = jax.tree.map(lambda array: jnp.max(array, axis=0), largest)
-    worst, laps = jax.lax.top_k(jnp.moveaxis(usage, 1, 0).reshape(len(RANKED), BLOCK), WORST)
+    worst, laps = jax.lax.top_k(jnp.moveaxis(usage, 1, 0).reshape(len(RANKED), size.block), WORST)
     ranked = {f"worst_usage/{name}": worst[i] for i, name in enumerate(RANKED)}
     numbers = {f"worst_lap/{name}": laps[i] for i, name in enumerate(RANKED)}
     return sums | largest | ranked | numbers
 
 
 def _simulate_tile(
-    task: Task, words, count, number, validate, place: Int[Array, ""]
+    task: Task, words, count, number, validate, size: BlockSize, place: Int[Array, ""]
 ) -> tuple[dict[str, Array], dict[str, Array], Array]:
     """Run the tile at a place of a block, with plans at steps that depend on the place."""
-    first = place * TILE
-    low = words[1] + first.astype(jnp.uint32) + jnp.arange(TILE, dtype=jnp.uint32)
+    first = place * size.tile
+    low = words[1] + first.astype(jnp.uint32) + jnp.arange(size.tile, dtype=jnp.uint32)
     keys = jax.vmap(lambda word: realisation_key(task.seed_key, words[0], word))(low)
-    counted = validate & (first + jnp.arange(TILE, dtype=jnp.int32) < count)
+    counted = validate & (first + jnp.arange(size.tile, dtype=jnp.int32) < count)
     plans, distance = plan_steps(len(task.checks.transitions), task.checks.horizon)
-    shift = first_plan(number % max(distance, 1) * (BLOCK // TILE) + place, max(distance, 1))
+    tiles = size.block // size.tile
+    shift = first_plan(number % max(distance, 1) * tiles + place, max(distance, 1))
     stops = shift + distance * jnp.arange(plans, dtype=jnp.int32)
     return run_tile(task, keys, counted, stops, validate)
 

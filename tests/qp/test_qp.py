@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 from tube_programs import BATCH, Family, easy, family, hard
 
 from jaxtube import qp
-from jaxtube.qp import batched_ldl, farkas, fixed_point, solver
+from jaxtube.qp import batched_ldl, blocks, farkas, fixed_point, solver
 
 QP_SHARE = 0.999
 """Of the feasible instances solved, and of the infeasible ones proved."""
@@ -350,3 +350,28 @@ def test_the_size_of_the_cost_neither_moves_the_answer_nor_widens_the_bounds(fac
     missed = np.maximum(l - values, values - u) / norms
     assert missed[solved].max() <= qp.bound_tolerance(1.0)
     np.testing.assert_allclose(solution.x[solved], x[solved], atol=tol.QP_ANSWER)
+
+
+def test_an_accelerator_finds_the_answers_of_a_processor(monkeypatch):
+    fam = family(3)
+    programs = first(64, hard(fam, 3))
+    expected = answer(fam.P, fam.A, *programs)
+    monkeypatch.setattr(blocks, "_assumed", True)
+    arrays = [jnp.asarray(part) for part in programs]
+    # A function of its own: the processor's program is kept under the name of the other one.
+    found = jax.jit(lambda *given: qp.solve(*given))(factorise(fam.P, fam.A), *arrays)
+    np.testing.assert_array_equal(found.status, expected.status)
+    solved = expected.status == qp.SOLVED
+    np.testing.assert_allclose(found.x[solved], expected.x[solved], rtol=0, atol=tol.QP_ANSWER)
+
+
+def test_a_product_of_few_terms_is_that_of_matrices(monkeypatch):
+    rng = np.random.default_rng(0)
+    for left, right in (((4, 3), (3, 7)), ((7, 5), (5, 2)), ((2, 4, 3), (2, 3, 6))):
+        one = jnp.asarray(rng.normal(size=left))
+        other = jnp.asarray(rng.normal(size=right))
+        expected = np.asarray(one) @ np.asarray(other)
+        for assumed in (False, True):
+            monkeypatch.setattr(blocks, "_assumed", assumed)
+            product = batched_ldl.matmul(one, other)
+            np.testing.assert_allclose(product, expected, rtol=0, atol=tol.QP_ROUNDING)

@@ -1,5 +1,5 @@
-"""`bench`: laps a second of the tube-MPC, checks included, by devices and by workers of a cluster,
-side by side.
+"""`bench devices`: laps a second of the tube-MPC, checks included, by devices and by workers of a
+cluster, side by side.
 
 And what the gradient of a tuning objective costs, in the time of its value.
 """
