@@ -17,7 +17,6 @@ from jaxtube.figures.style import (
     INSIDE,
     LIMIT,
     OUTSIDE,
-    area_key,
     bottom_legend,
     line_key,
     mark_key,
@@ -35,7 +34,6 @@ DENIED = {**MARK, "color": OUTSIDE, "markerfacecolor": "white"}
 OWN = {**MARK, "marker": "o", "markersize": 10, "markerfacecolor": "none", "color": "0.15"}
 HIGHEST = 2.0
 """Share up to which is drawn."""
-TINT = 0.12
 
 
 @styled
@@ -53,7 +51,6 @@ def frontier(scenario: Scenario, found: Fit) -> Figure:
     ]
     if found.second is not None:
         _draw_frontier(panels[1], scenario, found, shapes)
-        keys.append(area_key("easier than a certified design", INSIDE, TINT))
     keys += [mark_key(f"{row} binds", "0.5", marker=shape) for row, shape in shapes.items()]
     bottom_legend(figure, keys, columns=4)
     return figure
@@ -96,8 +93,6 @@ def _draw_frontier(axes: Axes, scenario: Scenario, found: Fit, shapes: dict[str,
     own = found.lever.measure(scenario)
     top = 1.15 * max(values.max(), own)
     is_upper = found.lever.easier < 0
-    floor = 0.0 if is_upper else top
-    axes.fill_between(seconds, values, floor, color=INSIDE, alpha=TINT, linewidth=0)
     axes.plot(seconds, values, color=INSIDE, linewidth=0.8)
     for second, value, (_, attempt) in zip(seconds, values, held, strict=True):
         axes.plot(second, value, **_look(attempt, shapes))
