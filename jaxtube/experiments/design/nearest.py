@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import shlex
 
-from jaxtube.experiments.options import PROGRAM, Options
+from jaxtube.experiments.options import PROGRAM, FitOptions, Options
 from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.advice import say_what_widens
@@ -46,7 +46,8 @@ def say_nearest_to(found: Optimum, options: Options) -> list[str]:
     missing = [lever.name for lever, scenario in nearest.items() if scenario is None]
     if missing:
         lines.append(f"nothing certified was found by another {' or '.join(missing)} alone")
-    fitted = [lever.name for lever in nearest if lever.name in FITTED]
+    asked = options.quantity if isinstance(options, FitOptions) else ""
+    fitted = [lever.name for lever in nearest if lever.name in FITTED and lever.name != asked]
     if fitted:
         lines.append(f"the border itself: {_command(f'fit {fitted[0]}', options)}")
     return lines
