@@ -36,7 +36,7 @@ def limits_of(scenario: Scenario) -> WheelLimits:
     return WheelLimits(
         least=scenario.reference.wheel_speed_min_mps,
         greatest=scenario.reference.wheel_speed_max_mps,
-        acceleration=getattr(scenario.robot, "wheel_acceleration_max_mps2", None),
+        acceleration=scenario.robot.wheel_acceleration_max_mps2,
         track_width=scenario.robot.turning_track_m,
     )
 

@@ -41,6 +41,7 @@ def check_rules(scenario: Scenario, refuse: Refuse) -> None:
     _check_slip(scenario.slip, refuse)
     _check_recording(scenario.slip, refuse)
     _check_actuation(scenario, refuse)
+    _check_acceleration(scenario, refuse)
     _check_weights(scenario.controller, refuse)
     _check_limits(scenario, refuse)
     _check_complete(scenario.operating, refuse)
@@ -219,6 +220,23 @@ def _check_actuation(scenario: Scenario, refuse: Refuse) -> None:
         key = "robot.wheel_lag_s" if robot.wheel_lag_s[1] > 0 else "robot.command_delay_s"
         cure = "leave out operating.bands, or set it to [0.0, 0.0]"
         refuse(key, "goes with no gains by speed, which operating.bands asks for", cure)
+
+
+def _check_acceleration(scenario: Scenario, refuse: Refuse) -> None:
+    key = "robot.wheel_acceleration_max_mps2"
+    if scenario.robot.wheel_acceleration_max_mps2 is None:
+        return
+    slip = scenario.slip
+    if slip.is_measured or slip.random != "true":
+        problem = "goes with no measured slip, whose compensation makes commands jump"
+        which = "slip.random" if slip.random != "true" else "the measurement errors of [slip]"
+        refuse(key, problem, f"leave out {which}, or the limit")
+    if scenario.operating.bands:
+        problem = "is kept by plans, and operating.bands asks for a law without them"
+        refuse(key, problem, "leave out one of the two")
+    if not scenario.controller.restart:
+        problem = "is kept by plans that start at the measured error"
+        refuse(key, problem, "set controller.restart = true, or leave out the limit")
 
 
 def _check_weights(controller: ControllerTable, refuse: Refuse) -> None:

@@ -53,6 +53,10 @@ class RobotTable(Table, frozen=True):
     command arrives after a delay anywhere in `command_delay_s`. The controller counts on values in
     between and steers the pose to which its commands will take the robot, which the robot itself
     follows by that much later.
+
+    From one period to the next a wheel's command changes by at most `wheel_acceleration_max_mps2`
+    times the period, where that is given: the plans keep it, and so does the speed along a path
+    that is cleaned. Of the first command nothing is said, except of wheels that lag.
     """
 
     track_width_m: Positive = 0.5
@@ -62,6 +66,7 @@ class RobotTable(Table, frozen=True):
     command_delay_s: tuple[NonNegative, NonNegative] = (0.0, 0.0)
     wheel_speed_min_mps: float = -3.0
     wheel_speed_max_mps: float = 3.0
+    wheel_acceleration_max_mps2: Positive | None = None
 
     @property
     def turning_track_m(self) -> float:

@@ -23,7 +23,8 @@ from jaxtube.synthesis.feasible import noise_corners, reach_of_ray, shortfall
 from jaxtube.synthesis.gains import compensating_gain
 from jaxtube.synthesis.parts import Condensed, Design
 from jaxtube.synthesis.problem import Problem
-from jaxtube.synthesis.terminal import make_terminal, terminal_cost_and_gain
+from jaxtube.synthesis.terminal import make_terminal
+from jaxtube.synthesis.terminal_cost import terminal_cost_and_gain
 from jaxtube.synthesis.tightening import EmptySetError, refuse_empty, tighten
 from jaxtube.synthesis.tubes import make_tubes
 from jaxtube.synthesis.windows import make_windows

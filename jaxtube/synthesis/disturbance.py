@@ -17,6 +17,7 @@ from jaxtube.scenario.error_box import error_vector
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.rules import CAP_ROUNDING
 from jaxtube.scenario.tree import Scenario, Slip
+from jaxtube.synthesis.acceleration import find_command_steps, limit_acceleration
 from jaxtube.synthesis.problem import Problem, make_problem
 from sets.polytope import Polytope
 from sets.robot.actuation import Actuation
@@ -40,7 +41,7 @@ def operation(problem: Problem) -> Operation:
     """Return where the robot works: measured or estimated errors, inputs, certified wheel speeds,
     slip errors and noise. Inputs are those that the rows of the QPs allow."""
     slip = problem.scenario.slip
-    rows = problem.input_rows
+    rows = problem.cap_rows
     is_coupled = rows.is_coupled
     input_set = Polytope(rows.inputs[~is_coupled], rows.offsets[~is_coupled])
     coupling = None
@@ -65,6 +66,7 @@ def operation(problem: Problem) -> Operation:
         estimate_error=problem.estimate_error,
         actuation=find_actuation(problem.scenario),
         stale_errors=_find_stale_errors(problem.scenario),
+        command_steps=find_command_steps(problem),
     )
 
 
@@ -179,19 +181,21 @@ def ground_speed_limits(problem: Problem) -> Float[np.ndarray, "2 2"]:
 
 def complete_problem(scenario: Scenario) -> Problem:
     """Build the problem of a scenario, the error of an estimate bounded, and W computed for the
-    robot itself where the scenario asks for it.
+    robot itself and rows that keep the acceleration of the wheels where the scenario asks for them.
 
     Raises:
         ScenarioError: as `make_problem`; where the operating set is so wide that angles leave a
             quarter turn, or W is flat; where the error of the estimate has no bound, or leaves too
-            little of the constraints.
+            little of the constraints; where the wheels must accelerate by more than their limit.
     """
     problem = make_problem(scenario)
     if scenario.controller.has_observer:
         problem = _with_estimate_error(problem)
-    if scenario.disturbance.bound == "assumed":
+    if scenario.disturbance.bound == "computed":
+        problem = with_computed_bound(problem)
+    if scenario.robot.wheel_acceleration_max_mps2 is None:
         return problem
-    return with_computed_bound(problem)
+    return limit_acceleration(problem, operation(problem), kinematics(problem))
 
 
 def _with_estimate_error(problem: Problem) -> Problem:

@@ -74,7 +74,8 @@ def _find_driving(
         wheels=np.stack([wheels.min(axis=1), wheels.max(axis=1)]),
         speed=np.array([speed.min(), speed.max()]),
         yaw_rate=turns / operation.track_width + deficit * np.array([-1.0, 1.0]),
-        change=np.full(2, np.inf),
+        change=operation.body_change,
+        wheel_change=operation.wheel_change,
     )
 
 

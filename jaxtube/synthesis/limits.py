@@ -27,7 +27,8 @@ class InputRows:
     """Constraints  inputs u + errors e <= offsets  of one period; the second half of the rows is
     minus the first.
 
-    The rows of U, where e does not count, and with a coupling |e_x| / a + |u2| / b <= 1 its four.
+    The rows of U, where e does not count, with a coupling |e_x| / a + |u2| / b <= 1 its four, and
+    with a limit on the acceleration of the wheels those that keep it (`synthesis.acceleration`).
     """
 
     inputs: Float[np.ndarray, "k 2"]
@@ -42,6 +43,14 @@ class InputRows:
     def on_errors(self, gains: Float[np.ndarray, "... 2 3"]) -> Float[np.ndarray, "... k 3"]:
         """Return the rows on the error under u = K e."""
         return self.inputs @ gains + self.errors
+
+    def with_pairs(self, pairs: InputRows) -> InputRows:
+        """Return these rows and further ones, each of which stands for its opposite, too."""
+        half = len(self.offsets) // 2
+        first = (self.inputs[:half], pairs.inputs, self.inputs[half:], -pairs.inputs)
+        errors = (self.errors[:half], pairs.errors, self.errors[half:], -pairs.errors)
+        offsets = (self.offsets[:half], pairs.offsets, self.offsets[half:], pairs.offsets)
+        return InputRows(*(np.concatenate(parts) for parts in (first, errors, offsets)))
 
     @classmethod
     def from_set(cls, input_set: Polytope) -> InputRows:
@@ -131,14 +140,7 @@ def make_input_rows(scenario: Scenario, input_set: Polytope) -> InputRows:
     turning = np.array([0.0, 1 / operating.turning_yaw_rate_radps])
     along = np.array([1 / operating.turning_longitudinal_m, 0.0, 0.0])
     coupled = InputRows(np.stack([turning, -turning]), np.stack([along, along]), np.ones(2))
-    half = len(rows.offsets) // 2
-    return InputRows(
-        np.concatenate([rows.inputs[:half], coupled.inputs, rows.inputs[half:], -coupled.inputs]),
-        np.concatenate([rows.errors[:half], coupled.errors, rows.errors[half:], -coupled.errors]),
-        np.concatenate(
-            [rows.offsets[:half], coupled.offsets, rows.offsets[half:], coupled.offsets]
-        ),
-    )
+    return rows.with_pairs(coupled)
 
 
 def _wheel_deficits(scenario: Scenario, robot: Robot) -> Float[np.ndarray, "2 2"]:

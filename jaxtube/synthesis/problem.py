@@ -30,6 +30,7 @@ from jaxtube.scenario.tree import Scenario, weight_matrix
 from jaxtube.synthesis.limits import (
     InputRows,
     input_constraints,
+    make_input_rows,
     operating_bounds,
 )
 from sets.polytope import Polytope
@@ -49,7 +50,8 @@ class Problem:
     and certificate hold under arbitrary changes: the box of the reference, or the points that occur
     on its path. `disturbance_bound` is what W was computed from, None where W is assumed.
     `estimate_error` bounds the error of what the controller acts on, half widths (m, m, rad): the
-    noise, or S of the estimate (`synthesis.disturbance: complete_problem`).
+    noise, or S of the estimate (`synthesis.disturbance: complete_problem`). `keeps_acceleration`
+    says whether `input_rows` have those that keep the acceleration of the wheels.
     """
 
     scenario: Scenario
@@ -68,6 +70,7 @@ class Problem:
     regions: Float[np.ndarray, "m 2 2"]
     estimate_error: Float[np.ndarray, "3"]
     disturbance_bound: DisturbanceBound | None = None
+    keeps_acceleration: bool = False
 
     @property
     def schedule(self) -> Float[np.ndarray, "periods 2"]:
@@ -78,6 +81,13 @@ class Problem:
     def noise(self) -> Float[np.ndarray, "3"]:
         """Half widths of the error of the measured pose in the robot's frame (m, m, rad)."""
         return noise_bounds(self.scenario)
+
+    @property
+    def cap_rows(self) -> InputRows:
+        """The input rows that are caps: those of U and of the coupling."""
+        if not self.keeps_acceleration:
+            return self.input_rows
+        return make_input_rows(self.scenario, self.input_set)
 
     @property
     def given_gains(self) -> Float[np.ndarray, " kappa"]:

@@ -36,7 +36,7 @@ from jaxtube.synthesis.gains import Gain, compensating_gain, decoupled_gain
 from jaxtube.synthesis.optimise import optimise, wheel_excess
 from jaxtube.synthesis.problem import Problem, make_problem
 from jaxtube.synthesis.starts import caps_and_gains
-from jaxtube.synthesis.terminal import terminal_cost_and_gain
+from jaxtube.synthesis.terminal_cost import terminal_cost_and_gain
 
 ERROR_WEIGHT = (1.0, 3.0, 1.0)
 INPUT_WEIGHT = (0.3, 0.3)

@@ -23,15 +23,13 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.synthesis.gains import Gain, given_gain, vertex_gain
+from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.tightening import Tightening, find_back_off
 from jaxtube.synthesis.tubes import Tube
 from sets import tubes
 from sets.few_facets import few_facet_rpi
 from sets.invariant import MaximalRpi, maximal_rpi
-from sets.lmi import TerminalCost, terminal_cost
-from sets.lyapunov import cost_of_gains
 from sets.polytope import Polytope, SupportFunction
 
 FACET_MULTIPLES = (1, 2)
@@ -88,26 +86,6 @@ def admissible_set(
         np.concatenate([E.normals, *by_gain]),
         np.concatenate([errors, np.tile(inputs, len(by_gain))]),
     )
-
-
-def terminal_cost_and_gain(problem: Problem) -> tuple[TerminalCost, Gain]:
-    """Return cost and gain of the terminal controller: the scenario's gains where it gives some,
-    else those of the LMI.
-
-    Raises:
-        RuntimeError, ValueError: where there is no such cost.
-    """
-    Q = problem.error_weight
-    R = problem.input_weight
-    if len(problem.given_gains):
-        gain = given_gain(problem, problem.given_gains)
-        P = cost_of_gains(*gain.pairs, Q, R)
-        none = np.zeros((0, 0, 0))
-        return TerminalCost(P, gain.vertices, none, "trace_p", float(np.trace(P))), gain
-    model = problem.model
-    objective = problem.scenario.controller.lmi_objective
-    cost = terminal_cost(*model.matrices(model.vertices), Q, R, objective)
-    return cost, vertex_gain(problem, cost.gains)
 
 
 def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tightening) -> Terminal:

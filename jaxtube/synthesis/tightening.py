@@ -26,6 +26,12 @@ LONG_ROW = 10.0
 
 WHEEL_NAMES = ("right wheel deficit", "left wheel deficit")
 CAP_NAMES = (*INPUT_NAMES, "coupled cap, outwards", "coupled cap, inwards")
+STEP_NAMES = (
+    "right command beside its law",
+    "right command's step",
+    "left command beside its law",
+    "left command's step",
+)
 UNITS = {
     "longitudinal error": "m",
     "lateral error": "m",
@@ -34,6 +40,7 @@ UNITS = {
     "left wheel deficit": "m/s",
     "speed deficit": "m/s",
     "yaw rate deficit": "rad/s",
+    **dict.fromkeys(STEP_NAMES, "m/s"),
 }
 """Units in which constraints are told, by name; the coupled cap is a share and has none."""
 
@@ -78,9 +85,10 @@ def tighten(problem: Problem, tube: Tube, windows: int) -> Tightening:
 
 def input_names(problem: Problem) -> tuple[str, ...]:
     """Return the names of the input rows, one for each opposite pair."""
+    steps = STEP_NAMES if problem.keeps_acceleration else ()
     if problem.scenario.operating.yaw_rate_deficit_radps is None:
-        return WHEEL_NAMES
-    return CAP_NAMES[: len(problem.input_rows.offsets) // 2]
+        return (*WHEEL_NAMES, *steps)
+    return (*CAP_NAMES[: len(problem.cap_rows.offsets) // 2], *steps)
 
 
 def refuse_empty(problem: Problem, tightening: Tightening) -> None:

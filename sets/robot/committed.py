@@ -128,8 +128,7 @@ def bound_unknown(
     widths = driving.wheels[1] - driving.wheels[0]
     if ground.stale_errors is None:
         shares = np.abs(ground.wheel_errors).max(axis=0)
-        change = np.full(2, driving.change @ [1.0, track_width / 2])
-        of_slip = bound_unknown_travel(actuation, dt, widths, change)
+        of_slip = bound_unknown_travel(actuation, dt, widths, driving.wheel_change)
     else:
         shares = np.ones(2)
         widths = np.ptp(_multiply_ends(ground.stale_errors, driving.wheels), axis=0)

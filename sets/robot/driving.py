@@ -87,7 +87,8 @@ def find_driving(operation: Operation, kinematics: Kinematics) -> Driving:
         wheels=np.stack([least[:2], most[:2]]),
         speed=np.array([least[2], most[2]]),
         yaw_rate=_find_yaw_rates(operation),
-        change=np.full(2, np.inf),
+        change=operation.body_change,
+        wheel_change=operation.wheel_change,
     )
 
 

@@ -28,12 +28,14 @@ class Driving(NamedTuple):
         speed: least and greatest speed of the body, m/s.
         yaw_rate: least and greatest, rad/s.
         change: greatest changes of (speed m/s, yaw rate rad/s) from one period to the next.
+        wheel_change: those of the wheels (right, left), m/s.
     """
 
     wheels: Float[np.ndarray, "2 2"]
     speed: Float[np.ndarray, "2"]
     yaw_rate: Float[np.ndarray, "2"]
     change: Float[np.ndarray, "2"]
+    wheel_change: Float[np.ndarray, "2"]
 
 
 class Ground(NamedTuple):

@@ -59,6 +59,8 @@ class Operation:
             at all times before.
         stale_errors: wheel errors under commands given before, where each compensates another slip;
             None where they are the same.
+        command_steps: greatest change of what the wheels (right, left) are told from one period to
+            the next, m/s over ground under the compensated slip; None for no limit.
         late: what wheels that lag add, where the committed pose is taken for that of a robot that
             obeys at once; wheel errors then are speeds that the wheels lose, m/s.
     """
@@ -77,6 +79,7 @@ class Operation:
     estimate_error: Float[np.ndarray, "3"] | None = None
     actuation: Actuation = NO_LAG
     stale_errors: Float[np.ndarray, "2 2"] | None = None
+    command_steps: Float[np.ndarray, "2"] | None = None
     late: Late | None = None
 
     def __post_init__(self):
@@ -145,6 +148,16 @@ class Operation:
         """How far a yaw kick moves the estimate sideways, by how far it turns it, m/rad."""
         _, of_y, of_heading = self.gain
         return self.period.lateral_per_yaw * (of_y / of_heading)
+
+    @property
+    def wheel_change(self) -> Float[np.ndarray, "2"]:
+        """Greatest change of what the wheels (right, left) are told in a period, m/s."""
+        return np.full(2, np.inf) if self.command_steps is None else self.command_steps
+
+    @property
+    def body_change(self) -> Float[np.ndarray, "2"]:
+        """Greatest change of the body's (speed m/s, yaw rate rad/s) that the wheels are told."""
+        return self.wheel_change.sum() * np.array([0.5, 1 / self.track_width])
 
     @property
     def ground(self) -> Ground:

@@ -13,7 +13,7 @@ from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.gains import compensating_gain
 from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, guarantee, set_point
 from jaxtube.synthesis.starts import caps_and_gains
-from jaxtube.synthesis.terminal import terminal_cost_and_gain
+from jaxtube.synthesis.terminal_cost import terminal_cost_and_gain
 
 NEARBY_SEARCH = 0.02
 """Of the ratio; searches from different starts that end at the same optimum."""

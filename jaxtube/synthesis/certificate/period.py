@@ -158,7 +158,7 @@ def _meet_coupling(
     problem: Problem, errors: Float[np.ndarray, "n 3"], inputs: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, "n 3"]:
     """Return the errors with as much of e_x as the rows that couple it with the inputs allow."""
-    rows = problem.input_rows
+    rows = problem.cap_rows
     is_coupled = rows.is_coupled
     left = rows.offsets[is_coupled] - inputs @ rows.inputs[is_coupled].T
     most = np.min(left / np.abs(rows.errors[is_coupled, 0]), axis=1, initial=np.inf)

@@ -21,7 +21,7 @@ SAMPLES = 250
 
 def make_driving(change=np.inf):
     """Return what is asked for, wheel speeds changing by so much in a period."""
-    return Driving(WHEELS, SPEED, YAW, np.array([change, 2 * change / B]))
+    return Driving(WHEELS, SPEED, YAW, np.array([change, 2 * change / B]), np.full(2, change))
 
 
 def draw_commands(generator, change):
