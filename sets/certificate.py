@@ -51,7 +51,7 @@ INFORMATIVE = {True: "yes", False: "no"}
 TIGHT = 1e-5
 """Margins below this are those of conditions that hold with equality by construction: what is left
 is the back-off of the constraints, the inflation of W or rounding."""
-UNITS = {"wheel_limits": " m/s", "widest_tube_fits": " of a cap"}
+UNITS = {"wheel_limits": " m/s", "wheel_acceleration": " m/s^2", "widest_tube_fits": " of a cap"}
 """Units of the margins that have one of their own."""
 MARGINS = (
     "margin: by how much a condition holds, below 0 by how much it fails; where no unit is named "

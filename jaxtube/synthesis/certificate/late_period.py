@@ -41,10 +41,27 @@ class Past(NamedTuple):
         delay: of the command of the instant, s.
     """
 
-    speed: float
-    turn: float
+    speed: float | Numbers
+    turn: float | Numbers
     lag: float
     delay: float
+
+    def near(
+        self, speed: Numbers, turn: Numbers, steps: Float[np.ndarray, "2"], track_width: float
+    ) -> Past:
+        """Return this past, or as much of it as the next command allows.
+
+        Args:
+            speed, turn: of the next command, m/s and rad/s.
+            steps: greatest change of what the wheels (right, left) are told, m/s.
+            track_width: m.
+        """
+        ends = []
+        for side, step in zip((track_width / 2, -track_width / 2), steps, strict=True):
+            told = speed + side * turn
+            ends.append(np.clip(self.speed + side * self.turn, told - step, told + step))
+        right, left = ends
+        return self._replace(speed=(right + left) / 2, turn=(right - left) / track_width)
 
 
 class Poses(NamedTuple):

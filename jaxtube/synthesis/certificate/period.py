@@ -27,6 +27,7 @@ from jaxtyping import Complex, Float
 
 from jaxtube.plant.slip_bounds import SlipBounds, slip_bounds
 from jaxtube.scenario.error_box import error_vector
+from jaxtube.synthesis.acceleration import find_command_steps
 from jaxtube.synthesis.certificate.late_period import find_pasts, next_late_errors
 from jaxtube.synthesis.certificate.period_cases import Numbers, PeriodCases
 from jaxtube.synthesis.problem import Problem, region_corners
@@ -62,10 +63,11 @@ def next_true_errors(problem: Problem, cases: PeriodCases) -> list[Float[np.ndar
     if problem.scenario.robot.obeys_at_once:
         return [next_errors(problem, cases)]
     speed, turn = map_inputs(problem, cases)
-    return [
-        next_late_errors(problem, cases, speed, turn, past)
-        for past in find_pasts(problem, speed, turn)
-    ]
+    pasts = find_pasts(problem, speed, turn)
+    steps = find_command_steps(problem)
+    if steps is not None:
+        pasts = [past.near(speed, turn, steps, problem.model.track_width) for past in pasts]
+    return [next_late_errors(problem, cases, speed, turn, past) for past in pasts]
 
 
 def next_estimates(

@@ -11,6 +11,8 @@ from jaxtyping import Float
 from jaxtube.coordinates import COORDINATES
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.scenario.tree import Slip
+from jaxtube.synthesis.acceleration import find_reference_steps
+from jaxtube.synthesis.certificate.acceleration import check_acceleration
 from jaxtube.synthesis.certificate.period import (
     extreme_cases,
     find_disturbances,
@@ -41,6 +43,8 @@ def check_robot(problem: Problem) -> Iterator[Condition]:
     yield check_disturbance_set(problem)
     if not _is_limited_by_wheels(problem):
         yield _check_wheels(problem)
+    if problem.scenario.robot.wheel_acceleration_max_mps2 is not None:
+        yield check_acceleration(problem)
 
 
 def check_true_error(problem: Problem) -> Condition:
@@ -383,6 +387,9 @@ def _assume_reference(problem: Problem, any_order: bool) -> str:
         speeds = f"the {len(problem.regions)} pairs of wheel speeds of the path{order}"
     if problem.scenario.operating.bands:
         return f"reference of {speeds}"
+    if problem.scenario.robot.wheel_acceleration_max_mps2 is not None:
+        steps = " and ".join(f"{step:.4g}" for step in find_reference_steps(problem))
+        speeds += f", changing by at most {steps} m/s (right, left) from one period to the next"
     return f"reference of {speeds}, known {problem.horizon} periods of {problem.model.dt:g} s ahead"
 
 
@@ -390,6 +397,13 @@ def _assume_start(problem: Problem, has_proved_w: bool) -> str:
     if problem.scenario.operating.bands:
         return "the first measured error lies in the invariant set"
     start = "the first measured error lies within its caps and has a plan"
+    if problem.scenario.robot.wheel_acceleration_max_mps2 is not None:
+        start += (
+            "; the wheels' acceleration is promised from the second command on"
+            if problem.scenario.robot.obeys_at_once
+            else ", whose first command keeps the wheels' acceleration from where the reference "
+            "begins"
+        )
     if problem.scenario.disturbance.bound == "assumed" and not has_proved_w:
         return f"{start}, and no disturbance leaves W"
     return start
