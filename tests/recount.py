@@ -87,10 +87,20 @@ def flags_of(case, laps, w):
         "row_active": laps.diagnostics.active,
         "backup": laps.diagnostics.status != qp.SOLVED,
         "outside_ultimate_bound": late & ~np.all(settled <= case.task.checks.ultimate, axis=-1),
+        "acceleration_exceeded": is_too_fast(case.task.checks, laps),
         "not_finite": ~(np.isfinite(e).all(axis=-1) & np.isfinite(laps.inputs).all(axis=-1)),
     }
     assert set(found) == set(EVENT_NAMES)
     return np.stack([found[name] for name in EVENT_NAMES], axis=-1)
+
+
+def is_too_fast(checks, laps):
+    """Return where a command differs by too much from the one before, (steps, laps)."""
+    if checks.command_step is None:
+        return np.zeros(laps.demanded.shape[:2], bool)
+    change = np.abs(np.diff(laps.demanded, axis=0))
+    found = ~np.all(change <= checks.command_step, axis=-1)
+    return np.concatenate([np.zeros((1, found.shape[1]), bool), found])
 
 
 def positions(design, errors):
@@ -134,6 +144,7 @@ def recount(case, laps: Trajectory, first: int) -> dict:
         "excess/disturbance": np.nanmax(excess(sets["disturbance"], w), axis=(0, 1)),
         "excess/error": np.nanmax(excess(sets["error"], e), axis=(0, 1)),
         "excess/input": np.nanmax(input_excess(case.input_rows, laps), axis=(0, 1)),
+        "command_step": np.nanmax(np.abs(np.diff(laps.demanded, axis=0)), axis=(0, 1)),
         "error_by_step": np.stack([histogram(now) for now in e]),
         "disturbance": histogram(w),
         "peak": histogram(np.abs(e).max(axis=0)),

@@ -61,6 +61,7 @@ class Sections(NamedTuple):
         "cost_errors",
         "error_weight",
         "input_weight",
+        "command_step",
     ],
 )
 @dataclass(frozen=True)
@@ -70,7 +71,8 @@ class Checks:
     `ultimate` holds the half widths that bound the measured error once it has settled, `settled`
     the step from which that and the RMS count. `map_corner` and `map_cell` lay the grid of the
     trajectory map. With windows as in the controller, e^T cost_errors e + (F e)^T g + g^T H g / 2
-    is the whole cost of a plan. `input` is a set of (u, measured error).
+    is the whole cost of a plan. `input` is a set of (u, measured error). `command_step` is by how
+    much a wheel's command may change from one period to the next, m/s; None for any.
     """
 
     transitions: Float[AnyArray, "steps 3 3"]
@@ -88,6 +90,7 @@ class Checks:
     cost_errors: Float[AnyArray, "windows 3 3"]
     error_weight: Float[AnyArray, "3 3"]
     input_weight: Float[AnyArray, "2 2"]
+    command_step: Float[AnyArray, ""] | None = None
 
     @property
     def horizon(self) -> int:

@@ -25,6 +25,7 @@ DIMENSIONS = {
     "stage_events": ("stage", "stage_event", "plans_with_event"),
     "plans_by_lap": ("plans_with_event",),
     "ultimate_bound": ("coordinate",),
+    "command_step": ("wheel",),
     "error_by_step": ("step", "coordinate", "bucket"),
     **{name: ("coordinate", "bucket") for name in ("disturbance", "peak", "rms")},
     "map": ("map_row", "map_column"),
@@ -56,6 +57,7 @@ EXPLANATIONS = {
     "next_plan_missing": "plans without another one where they expected the error a step later",
     "cost_excesses": "plans whose cost fell by less than that of the step",
     "cost_excess": "largest V+ - V + cost of the step; negative: every cost fell by more",
+    "command_step": "largest change of each wheel's command in a period, m/s",
     "ultimate_bound": "half widths of the settled error while w is in W and no row is active",
 }
 
@@ -109,6 +111,8 @@ def make_coordinates(design: Design, statistics: Statistics) -> dict[str, tuple]
         "coordinate": np.array(NAMES),
         "plane": np.array(planes),
     }
+    if "command_step" in statistics:
+        plain["wheel"] = np.array(["right", "left"])
     for name in ("disturbance", "error", "input"):
         plain[f"{name}_facet"] = np.arange(len(statistics[f"excess/{name}"]))
     return {

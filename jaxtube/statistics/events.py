@@ -18,7 +18,7 @@ class Event(NamedTuple):
         meaning: one sentence.
         part: what it is a part of: indented below it in tables; "" for an event of its own.
         needs: what a run must have for the event to be possible: a "QP" or "wheels", a "bound" that
-            is finite; "" for nothing.
+            is finite, a limit of "acceleration"; "" for nothing.
     """
 
     name: str
@@ -65,6 +65,12 @@ EVENTS = (
         "the settled error lies outside what it should end within",
         needs="bound",
     ),
+    Event(
+        "acceleration_exceeded",
+        "acceleration beyond its limit",
+        "a wheel's command changes from the period before by more than its acceleration allows",
+        needs="acceleration",
+    ),
     Event("not_finite", "not finite", "an error or an input is not a finite number"),
 )
 """In the order of the rows of `statistics["events"]`."""
@@ -76,11 +82,12 @@ VIOLATIONS = (
     "e_outside_E",
     "u_outside_U",
     "wheels_saturated",
+    "acceleration_exceeded",
     "qp_infeasible",
     "qp_unsolved",
     "not_finite",
 )
-"""Names of the events that must not happen."""
+"""Names of the events that must not happen, of those that a run can have."""
 
 
 def find_event(name: str) -> Event:

@@ -135,7 +135,17 @@ def summarise(design: Design, law: SamplingLaw, statistics: Statistics) -> dict:
         "disturbance": _quantiles(statistics["disturbance"]),
         "worst": {name: _worst_laps(name, statistics) for name in RANKED},
     }
+    if "acceleration_exceeded" in numbers["events"]:
+        numbers["wheel_acceleration"] = _summarise_acceleration(problem, statistics)
     return numbers | (_summarise_plans(design, law, statistics) if statistics["plans"] else {})
+
+
+def _summarise_acceleration(problem: Problem, statistics: Statistics) -> dict:
+    """Return the largest change of a command from one period to the next, m/s^2, and its limit."""
+    return {
+        "largest_mps2": float(statistics["command_step"].max() / problem.model.dt),
+        "limit_mps2": problem.scenario.robot.wheel_acceleration_max_mps2,
+    }
 
 
 def _summarise_events(law: SamplingLaw, statistics: Statistics, settled: int) -> dict[str, dict]:
@@ -159,6 +169,8 @@ def _missing(law: SamplingLaw, statistics: Statistics) -> set[str]:
         missing.add("wheels")
     if not np.all(np.isfinite(statistics["ultimate_bound"])):
         missing.add("bound")
+    if "command_step" not in statistics or "wheels" in missing:
+        missing.add("acceleration")
     return missing
 
 

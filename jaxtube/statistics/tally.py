@@ -1,13 +1,14 @@
 """The tally of closed loops: every period of every lap counted against the sets of a design.
 
     w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k) in W,     e(k+1) in E,     D u(k) + C e(k) <= d,
-    wheels within their limits,     QP solved,
+    wheels within their limits,     |c(k+1) - c(k)| <= a T,     QP solved,
     and for plans followed to their end     e - e_nominal in R_j,  j = 1..N
 
 w, the tube and the rows on inputs are those of the measured errors, which the controller works
 with; E holds the true ones. D u + C e <= d are the rows of U and, where inputs are coupled to
-errors, those of the coupling. Counts are whole numbers and extremes are maxima, so the tallies of
-any parts of a run join to the same bits in any order. NaN counts as outside.
+errors, those of the coupling; c is what the wheels are asked for. Counts are whole numbers and
+extremes are maxima, so the tallies of any parts of a run join to the same bits in any order. NaN
+counts as outside.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from jaxtube.plant.error_dynamics import world_pose
 from jaxtube.qp.batched_ldl import matmul
 from jaxtube.simulation.rollout import LoopState, PeriodOutcome
 from jaxtube.statistics import histogram
-from jaxtube.statistics.checks import Checks, Facets, Judgement, judge_points
+from jaxtube.statistics.checks import OUTSIDE, Checks, Facets, Judgement, judge_points
 from jaxtube.statistics.events import EVENT_NAMES, find_row
 
 COST_ROUNDING = 1e-9
@@ -65,6 +66,7 @@ class LapNumbers(NamedTuple):
     square: Float[Array, "3 batch"]  # sum of squared errors since they settled
     peak: Float[Array, "3 batch"]  # largest |error|
     usage: Float[Array, "3 batch"]  # of E, W and the tube: 1 on a facet, more outside
+    asked: Float[Array, "batch 2"] | None  # of the wheels last, m/s; None without a limit of steps
 
 
 def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
@@ -77,6 +79,7 @@ def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
         square=jnp.zeros((3, batch), dtype),
         peak=jnp.zeros((3, batch), dtype),
         usage=jnp.full((3, batch), -jnp.inf, dtype),
+        asked=None if checks.command_step is None else jnp.full((batch, 2), jnp.nan, dtype),
     )
     counted = {
         "error_by_step": (steps, 3, histogram.BUCKETS),
@@ -92,6 +95,8 @@ def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
     extremes = {f"excess/{name}": facet.offsets.shape for name, facet in facets.items()}
     extremes |= {f"tube_excess/{name}": (horizon,) for name in checks.tubes}
     extremes |= {"cost_excess": ()}
+    if checks.command_step is not None:
+        extremes |= {"command_step": (2,)}
     sums = {name: jnp.zeros(shape, jnp.int32) for name, shape in counted.items()}
     largest = {name: jnp.full(shape, -jnp.inf, dtype) for name, shape in extremes.items()}
     return Tally(laps, sums, largest)
@@ -105,10 +110,27 @@ class Judgements(NamedTuple):
     input: Judgement
 
 
+def _find_command_step(laps: LapNumbers, happened: PeriodOutcome) -> Float[Array, "2 batch"] | None:
+    """Return how far the wheels' commands are from those of the period before, m/s; NaN in the
+    first, None without a limit."""
+    return None if laps.asked is None else jnp.abs(happened.demanded - laps.asked).T
+
+
+def _is_too_fast(
+    checks: Checks, command_step: Float[Array, "2 batch"] | None, step: Int[Array, ""], batch: int
+) -> Bool[Array, " batch"]:
+    """Return whether commands change by more than the limit."""
+    if command_step is None:
+        return jnp.zeros(batch, bool)
+    is_within = jnp.all(command_step <= checks.command_step + OUTSIDE, axis=0)
+    return (step > 0) & ~is_within
+
+
 def find_events(
     checks: Checks, judged: Judgements, happened: PeriodOutcome, after: LoopState, settled
 ) -> dict[str, Bool[Array, " batch"]]:
-    """Return which events of `jaxtube.statistics.events` one period of every lap had."""
+    """Return which events of `jaxtube.statistics.events` one period of every lap had, without those
+    that compare it with the one before."""
     diagnostics = happened.diagnostics
     e = after.errors.T
     u = happened.inputs.T
@@ -152,8 +174,12 @@ def observe(
         judge_points(checks.input, jnp.concatenate([u, before.measured.T])),
     )
     settled = step + 1 >= checks.settled
+    command_step = _find_command_step(tally.laps, happened)
     events = find_events(checks, judged, happened, after, settled)
+    events["acceleration_exceeded"] = _is_too_fast(checks, command_step, step, e.shape[1])
     laps = _observe_laps(tally.laps, events, judged, e, settled)
+    if command_step is not None:
+        laps = laps._replace(asked=happened.demanded)
     sums = dict(tally.sums)
     counts = counted.astype(jnp.int32)
     axes = jnp.arange(3)[:, None]
@@ -165,6 +191,9 @@ def observe(
     for name, judgement in judged._asdict().items():
         key = f"excess/{name}"
         largest[key] = jnp.maximum(largest[key], _largest(judgement.excess, counted))
+    if command_step is not None:
+        seen = _largest(command_step, counted)
+        largest["command_step"] = jnp.maximum(largest["command_step"], seen)
     return Tally(laps, sums, largest)
 
 

@@ -28,6 +28,7 @@ from jaxtube.plant.robot import Robot
 from jaxtube.plant.slip_bounds import near_nominal
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario import Scenario, ScenarioError, load
+from jaxtube.scenario.tree import RobotTable
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.events import EVENT_NAMES, VIOLATIONS, find_event
@@ -176,10 +177,12 @@ HOLDING = (
     "true_error_in_e",
     "input_sets_not_empty",
     "wheel_limits",
+    "wheel_acceleration",
     "terminal_cost_decrease",
     claims.RATIONALS,
 )
-ROBOT = (*claims.PREMISE, "true_error_in_e", "wheel_limits")
+ROBOT = (*claims.PREMISE, "true_error_in_e", "wheel_limits", "wheel_acceleration")
+LIMITED = Scenario(robot=RobotTable(wheel_acceleration_max_mps2=5.0))
 
 
 def law(laps=4096, steps=300, plans=8000, usage=0.9, **seen):
@@ -207,7 +210,7 @@ def make_tested(*failing, absent=(), laws=None, name="mine"):
             scope = "robot" if condition in ROBOT else "model"
             conditions.append(Condition(condition, margin, "", scope))
     laws = laws or {"iid": law(), "edge-vertex": law(steps=10)}
-    return claims.DesignUnderTest(name, Scenario(), Certificate(tuple(conditions)), laws)
+    return claims.DesignUnderTest(name, LIMITED, Certificate(tuple(conditions)), laws)
 
 
 def find_certified(design) -> set[str]:
@@ -353,7 +356,7 @@ def test_the_text_keeps_to_its_width_and_the_markdown_table_is_one():
 
 
 def test_the_legend_explains_every_column_of_an_event():
-    legend = report.legend()
+    legend = report.legend([make_tested()])
     for name in VIOLATIONS:
         event = find_event(name)
         assert f"{event.words}: {event.meaning}" in legend

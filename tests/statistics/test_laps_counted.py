@@ -116,6 +116,7 @@ def make_case(found, controller, spread, most_mps):
         input=jax.device_put(input_facets(rows)),
         ultimate=jnp.array([0.02, 0.05, 0.02]),
         settled=20,
+        command_step=jnp.array(0.2),
         error_weight=2.5 * task.checks.error_weight,
     )
     robot = dataclasses.replace(task.plant.robot, wheel_speed_max=most_mps)

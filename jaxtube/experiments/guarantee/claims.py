@@ -60,6 +60,7 @@ class GuaranteeClaim(NamedTuple):
         on_robot: whether it is on the robot, so that W must hold as well, or on the model alone.
         refutation: how often the summary of one law refutes it; None where laps cannot tell.
         scope: how far it goes, in words.
+        concerns: whether a design has what the claim is about; where none has, it is not told.
     """
 
     title: str
@@ -67,6 +68,7 @@ class GuaranteeClaim(NamedTuple):
     on_robot: bool = True
     refutation: Callable[[dict], EventCount] | None = None
     scope: Callable[[DesignUnderTest], str] = lambda design: ""
+    concerns: Callable[[DesignUnderTest], bool] = lambda design: True
 
 
 class Verdict(NamedTuple):
@@ -110,6 +112,15 @@ def _wheel_speeds(design: DesignUnderTest) -> str:
     speeds = span if reference.certified_for == "box" else f"those of the path in {span}"
     order = "any order" if _has_any_order(design) else "in the order of this path alone"
     return f"{speeds}, {order}"
+
+
+def _limits_acceleration(design: DesignUnderTest) -> bool:
+    return design.scenario.robot.wheel_acceleration_max_mps2 is not None
+
+
+def _wheel_acceleration(design: DesignUnderTest) -> str:
+    most = design.scenario.robot.wheel_acceleration_max_mps2
+    return "" if most is None else f"{most:g} m/s^2 from the second command on"
 
 
 def _has_any_order(design: DesignUnderTest) -> bool:
@@ -186,6 +197,13 @@ CLAIMS = (
         refutation=_laps_with("wheels_saturated"),
     ),
     GuaranteeClaim(
+        "commands keep the wheels' acceleration",
+        ("wheel_acceleration", *RECURSION),
+        refutation=_laps_with("acceleration_exceeded"),
+        scope=_wheel_acceleration,
+        concerns=_limits_acceleration,
+    ),
+    GuaranteeClaim(
         "the cost of the model decreases",
         ("terminal_cost_decrease", "plan_stays_feasible"),
         on_robot=False,
@@ -212,6 +230,7 @@ def judge_claim(claim: GuaranteeClaim, design: DesignUnderTest) -> Verdict:
     """Return whether a design makes a claim, whether its certificate proves it, and how often it
     was seen to fail."""
     known = design.certificate.conditions
+    concerned = claim.concerns(design)
     # Without caps of its own a design takes U from the wheel limits: what keeps U then keeps the
     # wheels.
     names = [name for name in claim.conditions if name in known or name != "wheel_limits"]
@@ -223,11 +242,11 @@ def judge_claim(claim: GuaranteeClaim, design: DesignUnderTest) -> Verdict:
     if claim.conditions == TERMINAL and own_gain and not own_gain.holds:
         proof += f"; but not for the gain of the tube ({own_gain.margin:.3g})"
     return Verdict(
-        claimed=claim.conditions != (RATIONALS,) or RATIONALS in known,
+        claimed=concerned and (claim.conditions != (RATIONALS,) or RATIONALS in known),
         scope=claim.scope(design),
         certified=not reasons,
         proof=proof,
-        seen=count(claim.refutation, design.laws) if claim.refutation else None,
+        seen=count(claim.refutation, design.laws) if concerned and claim.refutation else None,
     )
 
 
@@ -256,9 +275,20 @@ def count(refutation: Callable[[dict], EventCount], laws: dict[str, dict]) -> Co
     return Count(times, trials, most.unit, worst if most.times else "", most.times, most.trials)
 
 
+def list_claims(tested: list[DesignUnderTest]) -> list[GuaranteeClaim]:
+    """Return those of CLAIMS that concern some design."""
+    return [claim for claim in CLAIMS if any(map(claim.concerns, tested))]
+
+
+def list_violations(tested: list[DesignUnderTest]) -> list[str]:
+    """Return those of VIOLATIONS that the laps of some design can have."""
+    events = [law["events"] for design in tested for law in design.laws.values()]
+    return [name for name in VIOLATIONS if any(name in counted for counted in events)]
+
+
 def bound_violating_laps(law: dict, events: Collection[str] = VIOLATIONS) -> tuple[int, int]:
     """Return the least and the largest number of laps that can have had one of some events."""
-    laps = [law["events"][name]["laps"] for name in events]
+    laps = [law["events"][name]["laps"] for name in events if name in law["events"]]
     return max(laps), min(sum(laps), law["laps"])
 
 
@@ -277,7 +307,7 @@ def metrics(tested: list[DesignUnderTest]) -> dict:
     """Return what `metrics.json` holds, by design."""
     return {
         "confidence": CONFIDENCE,
-        "violations": list(VIOLATIONS),
+        "violations": list_violations(tested),
         "designs": {design.name: _metrics(design) for design in tested},
     }
 
@@ -288,7 +318,10 @@ def _metrics(design: DesignUnderTest) -> dict:
         "certified": certificate.holds_for_robot,
         "certified_for_model": certificate.holds_for_model,
         "certificate": condition_metrics(certificate),
-        "claims": {claim.title: _verdict_metrics(judge_claim(claim, design)) for claim in CLAIMS},
+        "claims": {
+            claim.title: _verdict_metrics(judge_claim(claim, design))
+            for claim in list_claims([design])
+        },
         "laws": {name: law | _bounds(law) for name, law in design.laws.items()},
         "note": design.note,
     }

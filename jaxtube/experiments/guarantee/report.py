@@ -7,7 +7,6 @@ import textwrap
 from collections.abc import Collection
 
 from jaxtube.experiments.guarantee.claims import (
-    CLAIMS,
     Count,
     DesignUnderTest,
     GuaranteeClaim,
@@ -15,6 +14,8 @@ from jaxtube.experiments.guarantee.claims import (
     bound_violating_share,
     count_steps,
     judge_claim,
+    list_claims,
+    list_violations,
 )
 from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
 from jaxtube.statistics.events import VIOLATIONS, find_event
@@ -27,6 +28,8 @@ TOTALS = (
     f"violating share, worst law, at most ({CONFIDENCE:.0%})",
 )
 HEADINGS = ("claimed", "proved", "seen")
+WIDE = ("acceleration_exceeded",)
+"""Events that are counted in the second table of the text, where there is room."""
 USAGES = ("steps", "active", "w, share of W", "e, share of E", "violating share at most")
 
 
@@ -82,7 +85,7 @@ def text(tested: list[DesignUnderTest]) -> str:
     parts.append(claim_table(tested))
     for design in tested:
         parts += law_tables(design)
-    parts += [legend(), *_notes(tested)]
+    parts += [legend(tested), *_notes(tested)]
     return "\n\n".join("\n".join(_wrap(part)) for part in parts)
 
 
@@ -109,7 +112,7 @@ def claim_table(tested: list[DesignUnderTest]) -> str:
     """Return the claims side by side, three lines each: claimed, proved, seen."""
     columns = [left("claim"), left(""), *(left(design.name) for design in tested)]
     rows = []
-    for claim in CLAIMS:
+    for claim in list_claims(tested):
         by_heading = zip(*[cells(claim, design) for design in tested], strict=True)
         rows += _claim_rows(claim.title, HEADINGS, list(by_heading))
     by_total = zip(*map(totals, tested), strict=True)
@@ -138,22 +141,26 @@ def _claim_rows(
 def law_tables(design: DesignUnderTest) -> list[str]:
     """Return a line for each law: the laps in which each event occurred; and how far w and e went,
     with the bound on the violating laps."""
-    columns = [left(design.name), Column("laps")]
-    columns += [Column(find_event(name).words) for name in VIOLATIONS]
-    events = [_event_row(name, law) for name, law in design.laws.items()]
-    usages = [_usage_row(name, law) for name, law in design.laws.items()]
+    counted = list_violations([design])
+    first = [name for name in counted if name not in WIDE]
+    second = [name for name in counted if name in WIDE]
+    events = [
+        [name, f"{law['laps']:,}", *_event_cells(law, first)] for name, law in design.laws.items()
+    ]
+    usages = [
+        [*_usage_row(name, law), *_event_cells(law, second)] for name, law in design.laws.items()
+    ]
+    words = [find_event(name).words for name in (*first, *second)]
+    event_columns = ["laps", *words[: len(first)]]
+    usage_columns = [*USAGES, *words[len(first) :]]
     return [
-        format_table(columns, events, WIDTH),
-        format_table([left(design.name), *map(Column, USAGES)], usages, WIDTH),
+        format_table([left(design.name), *map(Column, event_columns)], events, WIDTH),
+        format_table([left(design.name), *map(Column, usage_columns)], usages, WIDTH),
     ]
 
 
-def _event_row(name: str, law: dict) -> list[str]:
-    return [
-        name,
-        f"{law['laps']:,}",
-        *(f"{law['events'][event]['laps']:,}" for event in VIOLATIONS),
-    ]
+def _event_cells(law: dict, counted: Collection[str]) -> list[str]:
+    return [f"{law['events'][event]['laps']:,}" for event in counted]
 
 
 def _usage_row(name: str, law: dict) -> list[str]:
@@ -167,9 +174,9 @@ def _usage_row(name: str, law: dict) -> list[str]:
     ]
 
 
-def legend() -> str:
+def legend(tested: list[DesignUnderTest]) -> str:
     """Return what the columns mean."""
-    events = [find_event(name) for name in VIOLATIONS]
+    events = [find_event(name) for name in list_violations(tested)]
     lines = [
         "Each row is a law, which laps are drawn from: the process of the slips, over whole laps "
         "from starts all over the feasible set; edge-: the first second, from its edge.",
@@ -187,7 +194,7 @@ def markdown(tested: list[DesignUnderTest]) -> str:
     """Return the same tables in Markdown."""
     parts = [*map(verdict, tested), _claims_in_markdown(tested)]
     parts += [_laws_in_markdown(design) for design in tested]
-    parts += [legend(), *_notes(tested)]
+    parts += [legend(tested), *_notes(tested)]
     return "\n\n".join(parts) + "\n"
 
 
@@ -196,7 +203,7 @@ def _claims_in_markdown(tested: list[DesignUnderTest]) -> str:
     for design in tested:
         head += [f"{design.name}: {heading}" for heading in HEADINGS]
     rows = []
-    for claim in CLAIMS:
+    for claim in list_claims(tested):
         row = [claim.title]
         for design in tested:
             row += cells(claim, design)
@@ -211,10 +218,13 @@ def _claims_in_markdown(tested: list[DesignUnderTest]) -> str:
 
 
 def _laws_in_markdown(design: DesignUnderTest) -> str:
-    events = [find_event(name).words for name in VIOLATIONS]
+    counted = list_violations([design])
+    events = [find_event(name).words for name in counted]
     rows = []
     for name, law in design.laws.items():
-        rows.append(_event_row(name, law) + _usage_row(name, law)[1:])
+        rows.append(
+            [name, f"{law['laps']:,}", *_event_cells(law, counted), *_usage_row(name, law)[1:]]
+        )
     return _format_markdown([design.name, "laps", *events, *USAGES], rows)
 
 
