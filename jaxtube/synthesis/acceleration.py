@@ -29,7 +29,7 @@ from scipy.optimize import minimize
 
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis.gains import Gain
-from jaxtube.synthesis.limits import InputRows, make_input_rows
+from jaxtube.synthesis.limits import FirstCommand, InputRows, make_input_rows
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal_cost import terminal_cost_and_gain
 from sets.robot.command_steps import (
@@ -189,21 +189,30 @@ def limit_acceleration(problem: Problem, where: Operation, how: Kinematics) -> P
     bounds = bound_steps(problem, where, how)
     _, gain = terminal_cost_and_gain(problem)
     largest = np.abs(where.box[:, :5]).max(axis=0)
+    feedback = []
     pairs = []
     for row in bounds.rows:
         law = _Law(problem, gain, row, bounds.model, largest)
         on_error = law.choose()
+        feedback.append(on_error)
         used = law.use(on_error)
         over = bounds.change - law.unknown(on_error) - used.sum()
         if over <= 0:
             raise _refuse_limit(problem, bounds, law.total(on_error))
         pairs.append(replace(law.rows(on_error), offsets=used + over / 2))
     first, second = pairs
+    first_command = FirstCommand(
+        feedback=np.stack(feedback),
+        kept=np.array([first.offsets[0], second.offsets[0]]),
+        map_slopes=bounds.slopes.errors,
+        mapped=float(bounds.slopes.inputs[0] * largest[3]),
+        most=float(bounds.commands.min()),
+    )
     rows = make_input_rows(problem.scenario, problem.input_set)
     return replace(
         problem,
         input_rows=rows.with_pairs(first).with_pairs(second),
-        keeps_acceleration=True,
+        first_command=first_command,
     )
 
 

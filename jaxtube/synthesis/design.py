@@ -156,6 +156,7 @@ def refuse_infeasible_start(design: Design, error: Float[np.ndarray, "3"] | None
     used = _use_of_caps(problem, error)
     missing = _find_missing(design, error)
     if np.max(used) <= 1 and missing <= SHORT:
+        _refuse_quick_start(problem, error)
         return
     share = _share_with_plan(design, error)
     cure = _say_how_near(error, share)
@@ -167,6 +168,25 @@ def refuse_infeasible_start(design: Design, error: Float[np.ndarray, "3"] | None
     raise ScenarioError(
         f"scenario: {_say_pose(error)}: the start lies outside the feasible set of the tube-MPC "
         f"(constraints short by {missing:.3g}); {cure}; {others}"
+    )
+
+
+def _refuse_quick_start(problem: Problem, error: Float[np.ndarray, "3"]) -> None:
+    """Refuse a start of wheels that lag whose first command may pass their acceleration."""
+    first = problem.first_command
+    if first is None or problem.scenario.robot.obeys_at_once:
+        return
+    noise = noise_corners(problem)
+    if np.max(first.use(error + noise)) <= 1:
+        return
+    limit = problem.scenario.robot.wheel_acceleration_max_mps2
+    # The bound is convex along the way to the start, the noise being the same.
+    at_origin = np.max(first.use(noise))
+    share = (1 - at_origin) / (np.max(first.use(error + noise)) - at_origin)
+    raise ScenarioError(
+        f"scenario: {_say_pose(error)}: the first command may change by more than "
+        f"robot.wheel_acceleration_max_mps2 = {limit:g} "
+        f"allows; {_say_how_near(error, share)}"
     )
 
 

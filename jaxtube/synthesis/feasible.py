@@ -91,7 +91,8 @@ def true_starts(
     """Return corners of a polytope of true errors from which there is a plan, whatever the noise of
     the pose.
 
-    The hull of `boundary`, which measured errors may fill, less the noise.
+    The hull of `boundary`, which measured errors may fill, less the noise; of wheels that lag and
+    have a limit of acceleration as much of it as lets the first command keep that, too.
 
     Raises:
         ScenarioError: where no error has a plan.
@@ -102,6 +103,8 @@ def true_starts(
             "`design`"
         )
     points = (1 - EDGE) * boundary(qps, index, problem.operating_set, RAYS, seed)
+    if problem.first_command is not None and not problem.scenario.robot.obeys_at_once:
+        points = problem.first_command.shrink(points)
     noise = problem.noise
     if not noise.any():
         return points

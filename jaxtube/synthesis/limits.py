@@ -59,6 +59,40 @@ class InputRows:
         return cls(input_set.normals, np.zeros((count, 3)), input_set.offsets)
 
 
+@dataclass(frozen=True, eq=False)
+class FirstCommand:
+    """What bounds how far the first command is from the speed at which the reference begins: over
+    ground |m u| <= kept + |feedback e| for both m of `synthesis.acceleration`, and the input map.
+
+    Attributes:
+        feedback: rows m K.
+        kept: m/s.
+        map_slopes: what the input map adds by the size of each error.
+        mapped: what it adds besides, m/s.
+        most: that a command may change by, m/s over ground.
+    """
+
+    feedback: Float[np.ndarray, "2 3"]
+    kept: Float[np.ndarray, "2"]
+    map_slopes: Float[np.ndarray, "3"]
+    mapped: float
+    most: float
+
+    def use(self, errors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
+        """Return what share of `most` the first command may take from measured errors: convex."""
+        of_law = np.max(np.abs(errors @ self.feedback.T) + self.kept, axis=1)
+        return (of_law + np.abs(errors) @ self.map_slopes + self.mapped) / self.most
+
+    def shrink(self, errors: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Return errors as far out as they are and keep the limit."""
+        at_origin = self.use(np.zeros((1, 3)))
+        if at_origin[0] >= 1:
+            return 0 * errors
+        # Along a ray the bound is convex, so this share of the way is enough.
+        share = np.minimum((1 - at_origin) / np.maximum(self.use(errors) - at_origin, 1e-300), 1)
+        return share[:, None] * errors
+
+
 def wheel_rows(track_width: float) -> Float[np.ndarray, "2 2"]:
     """Return the matrix that takes (u1, u2) to (p, q), the deficits of the right and the left
     wheel, m/s."""

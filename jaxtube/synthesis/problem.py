@@ -28,6 +28,7 @@ from jaxtube.scenario.reference_rules import check_reference_wheels
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, weight_matrix
 from jaxtube.synthesis.limits import (
+    FirstCommand,
     InputRows,
     input_constraints,
     make_input_rows,
@@ -50,8 +51,9 @@ class Problem:
     and certificate hold under arbitrary changes: the box of the reference, or the points that occur
     on its path. `disturbance_bound` is what W was computed from, None where W is assumed.
     `estimate_error` bounds the error of what the controller acts on, half widths (m, m, rad): the
-    noise, or S of the estimate (`synthesis.disturbance: complete_problem`). `keeps_acceleration`
-    says whether `input_rows` have those that keep the acceleration of the wheels.
+    noise, or S of the estimate (`synthesis.disturbance: complete_problem`). `first_command`
+    bounds the first command where `input_rows` keep the acceleration of the wheels, else it is
+    None.
     """
 
     scenario: Scenario
@@ -70,7 +72,7 @@ class Problem:
     regions: Float[np.ndarray, "m 2 2"]
     estimate_error: Float[np.ndarray, "3"]
     disturbance_bound: DisturbanceBound | None = None
-    keeps_acceleration: bool = False
+    first_command: FirstCommand | None = None
 
     @property
     def schedule(self) -> Float[np.ndarray, "periods 2"]:
@@ -85,7 +87,7 @@ class Problem:
     @property
     def cap_rows(self) -> InputRows:
         """The input rows that are caps: those of U and of the coupling."""
-        if not self.keeps_acceleration:
+        if self.first_command is None:
             return self.input_rows
         return make_input_rows(self.scenario, self.input_set)
 

@@ -85,7 +85,7 @@ def tighten(problem: Problem, tube: Tube, windows: int) -> Tightening:
 
 def input_names(problem: Problem) -> tuple[str, ...]:
     """Return the names of the input rows, one for each opposite pair."""
-    steps = STEP_NAMES if problem.keeps_acceleration else ()
+    steps = () if problem.first_command is None else STEP_NAMES
     if problem.scenario.operating.yaw_rate_deficit_radps is None:
         return (*WHEEL_NAMES, *steps)
     return (*CAP_NAMES[: len(problem.cap_rows.offsets) // 2], *steps)
