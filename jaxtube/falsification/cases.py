@@ -23,6 +23,8 @@ ERRORS = tuple((f"{one.name} error", one.to_display, one.unit) for one in COORDI
 """What each error is called, and its unit with the factor into it."""
 
 WHEELS = ("right wheel", "left wheel")
+KINDS = {"input": " deficit", "wheels": "", "acceleration": "'s change in a period"}
+"""What of a wheel a limit bounds."""
 CAPS = tuple(zip(CAP_NAMES, ("m/s", "rad/s", "rad/s", "rad/s"), strict=True))
 """What each pair of rows bounds where U is a box of caps, and its unit; the coupling comes last."""
 
@@ -80,8 +82,7 @@ def describe_facet(limit: Limit, worst: Worst) -> Facet:
         what, unit = CAPS[coordinate]
         factor = 1.0
     else:
-        kind = " deficit" if worst.limit == "input" else ""
-        what = f"{WHEELS[coordinate]}{kind}"
+        what = f"{WHEELS[coordinate]}{KINDS[worst.limit]}"
         factor = 1.0
         unit = "m/s"
     # Upper bounds come first in a limit, lower ones after them.

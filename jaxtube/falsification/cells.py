@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from jaxtube.simulation.usage import Limits
 
-DURING_PERIODS = ("input", "wheels")
+DURING_PERIODS = ("input", "wheels", "acceleration")
 """Limits of what happens during a period; the others are met at its end."""
 
 

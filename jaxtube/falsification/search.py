@@ -303,8 +303,8 @@ def search_worst_cases(
     limits = loop.limits
     if not limits or ("tube" in limits and len(limits) > 1):
         raise ValueError(
-            f"limits = {sorted(limits)}: do not go together; give some of `error`, `input` and "
-            "`wheels`, or `tube` alone"
+            f"limits = {sorted(limits)}: do not go together; give some of `error`, `input`, "
+            "`wheels` and `acceleration`, or `tube` alone"
         )
     if "wheels" in limits and not loop.plant.has_wheels:
         raise ValueError(

@@ -41,7 +41,7 @@ from jaxtube.simulation.usage import (
 )
 from jaxtube.synthesis.design import refuse_infeasible_start
 from jaxtube.synthesis.feasible import true_starts
-from jaxtube.synthesis.limits import InputRows
+from jaxtube.synthesis.limits import InputRows, find_command_step
 from jaxtube.synthesis.parts import Design
 from sets.polytope import hull_vertices
 
@@ -51,7 +51,7 @@ INSIDE = 0.999
 POOL = 4096
 """Starts that drawn laps choose from."""
 
-TARGETS = {"error": ("error",), "input": ("input", "wheels"), "tube": ("tube",)}
+TARGETS = {"error": ("error",), "input": ("input", "wheels", "acceleration"), "tube": ("tube",)}
 """The limits of each target."""
 
 
@@ -62,7 +62,8 @@ class LoopLimits(NamedTuple):
         design: gives the limits.
         controller: its name, "own" for a user's.
         plant: its name, "own" for a user's.
-        of_laps: E, U with its coupling to the error and, of a plant with wheels, their speeds.
+        of_laps: E, U with its coupling to the error and, of a plant with wheels, their speeds and
+            where these have a limit their changes.
         of_plans: R_1 .. R_N; empty for a controller that keeps no tube.
     """
 
@@ -162,7 +163,7 @@ def make_setting(
     planner = choose_planner(design, controller, acting_controller)
     names = ["error", "input"]
     if acting_plant.has_wheels:
-        names.append("wheels")
+        names += ["wheels", "acceleration"]
     if planner is not None:
         names.append("tube")
     return Setting(
@@ -240,11 +241,15 @@ def make_lap_limits(design: Design) -> Limits:
     identity = np.eye(2)
     speeds = [robot.wheel_speed_max] * 2 + [-robot.wheel_speed_min] * 2
     middle = [robot.wheel_speed_middle] * 2
-    return {
+    limits = {
         "error": make_limit(problem.error_set.normals, problem.error_set.offsets),
-        "input": make_input_limit(problem.input_rows),
+        "input": make_input_limit(problem.cap_rows),
         "wheels": make_limit(np.vstack([identity, -identity]), speeds, middle),
     }
+    step = find_command_step(problem.scenario)
+    if step is not None:
+        limits["acceleration"] = make_limit(np.vstack([identity, -identity]), [step] * 4)
+    return limits
 
 
 def make_input_limit(rows: InputRows) -> Limit:

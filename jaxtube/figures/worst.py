@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from jaxtube.coordinates import COORDINATES, TO_DISPLAY
 from jaxtube.falsification.cases import CAPS
+from jaxtube.falsification.cells import DURING_PERIODS
 from jaxtube.falsification.worst import Worst
 from jaxtube.figures.style import (
     CONTROLLERS,
@@ -121,6 +122,8 @@ def _labels(problem: Problem, name: str) -> list[str]:
         return [error_label(coordinate) for coordinate in range(3)]
     if name == "wheels":
         return ["right wheel [m/s]", "left wheel [m/s]"]
+    if name == "acceleration":
+        return ["right wheel's change [m/s]", "left wheel's change [m/s]"]
     if problem.scenario.operating.yaw_rate_deficit_radps is not None:
         return [f"{what} [{unit}]" for what, unit in CAPS]
     return ["right wheel's deficit [m/s]", "left wheel's deficit [m/s]"]
@@ -173,7 +176,7 @@ def worst_run(
 def _first_instant(name: str) -> int:
     """Return the step of the first usage of a limit: errors are judged after each period, inputs
     and wheels during it."""
-    return 0 if name in ("input", "wheels") else 1
+    return 0 if name in DURING_PERIODS else 1
 
 
 def _find_settled(

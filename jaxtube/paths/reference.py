@@ -33,10 +33,14 @@ MOST_NOTES = 3
 
 def limits_of(scenario: Scenario) -> WheelLimits:
     """Return what the wheels of a scenario's reference may do."""
+    most = scenario.robot.wheel_acceleration_max_mps2
+    if most is not None:
+        # What a wheel is told is more than its speed over ground where it slips.
+        most *= 1 - max(scenario.slip.nominal)
     return WheelLimits(
         least=scenario.reference.wheel_speed_min_mps,
         greatest=scenario.reference.wheel_speed_max_mps,
-        acceleration=scenario.robot.wheel_acceleration_max_mps2,
+        acceleration=most,
         track_width=scenario.robot.turning_track_m,
     )
 

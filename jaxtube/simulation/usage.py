@@ -3,9 +3,10 @@
     usage = n (x - c) / (h - n c)        1 on the facet n x = h, above 1 outside, 0 at the centre c
 
 Limits have names: `error` true tracking errors (m, m, rad), `input` virtual inputs (m/s, rad/s)
-with the measured errors (m, m, rad) that a cap couples them to,
-`wheels` speeds asked for before saturation (right, left) m/s, and `tube` deviations from a plan
-that is followed to its end. Following a plan is another closed loop, so `tube` stands alone.
+with the measured errors (m, m, rad) that a cap couples them to, `wheels` speeds asked for before
+saturation (right, left) m/s, `acceleration` how far these are from those of the period before, m/s,
+and `tube` deviations from a plan that is followed to its end. Following a plan is another closed
+loop, so `tube` stands alone.
 """
 
 from __future__ import annotations
@@ -105,8 +106,8 @@ def play(
     the answers of each period, and computes the rest again.
 
     Returns:
-        `error` after each period; `input`, `wheels` and `backup`, (steps, batch), where there was
-        no plan, during it.
+        `error` after each period; `input`, `wheels`, `acceleration`, 0 in the first, and `backup`,
+        (steps, batch), where there was no plan, during it.
     """
 
     def observe(
@@ -119,7 +120,13 @@ def play(
             "backup": happened.diagnostics.backup,
         }
 
-    return _scan_periods(controller, plant, keys, errors, script, observe)
+    seen = _scan_periods(controller, plant, keys, errors, script, observe)
+    return seen | {"acceleration": find_changes(seen["wheels"])}
+
+
+def find_changes(wheels: Float[Array, "steps *n"]) -> Float[Array, "steps *n"]:
+    """Return how far speeds are from those of the period before, none in the first."""
+    return jnp.diff(wheels, axis=0, prepend=wheels[:1])
 
 
 def play_plans(
@@ -190,7 +197,7 @@ class JudgedLoop(NamedTuple):
     Attributes:
         controller: any; for the limit `tube` one whose plans restart at the measured error.
         plant: the slipping robot, the linear plant, or another one that says what bounds its draws.
-        limits: some of `error`, `input` and `wheels`, or `tube` alone.
+        limits: some of `error`, `input`, `wheels` and `acceleration`, or `tube` alone.
         plan_steps: at which a plan that is followed may begin; all unless given.
     """
 
@@ -327,5 +334,7 @@ def read_values(name: str, played: Replay) -> Float[np.ndarray, "steps n"]:
         return np.concatenate([np.zeros((1, 3)), played.deviations])
     if name == "input":
         return np.concatenate([lap.inputs[:, 0], lap.measured[:-1, 0]], axis=1)
+    if name == "acceleration":
+        return np.asarray(find_changes(lap.demanded[:, 0]))
     values = {"error": lap.errors, "wheels": lap.demanded}[name]
     return np.asarray(values)[:, 0]

@@ -15,9 +15,8 @@ from jaxtube.simulation.starts import Starts
 from jaxtube.statistics.checks import Checks, Facets, Sections
 from jaxtube.statistics.run import Task
 from jaxtube.statistics.tally import HEAT_CELLS
-from jaxtube.synthesis.limits import InputRows
+from jaxtube.synthesis.limits import InputRows, find_command_step
 from jaxtube.synthesis.parts import Design
-from jaxtube.synthesis.problem import Problem
 from sets.polytope import Polytope
 
 MAP_MARGIN_M = 0.4
@@ -60,16 +59,9 @@ def make_checks(design: Design, controller: Controller) -> Checks:
         cost_errors=cost_of_errors(design),
         error_weight=problem.error_weight,
         input_weight=problem.input_weight,
-        command_step=find_command_step(problem),
+        command_step=find_command_step(problem.scenario),
     )
     return jax.device_put(checks)
-
-
-def find_command_step(problem: Problem) -> np.float64 | None:
-    """Return by how much a wheel's command may change from one period to the next, m/s; None for
-    any."""
-    most = problem.scenario.robot.wheel_acceleration_max_mps2
-    return None if most is None else np.float64(most * problem.model.dt)
 
 
 def lay_map_grid(reference: Reference) -> tuple[Float[np.ndarray, "2"], np.float64]:

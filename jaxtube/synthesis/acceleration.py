@@ -29,7 +29,12 @@ from scipy.optimize import minimize
 
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis.gains import Gain
-from jaxtube.synthesis.limits import FirstCommand, InputRows, make_input_rows
+from jaxtube.synthesis.limits import (
+    FirstCommand,
+    InputRows,
+    find_command_step,
+    make_input_rows,
+)
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal_cost import terminal_cost_and_gain
 from sets.robot.command_steps import (
@@ -86,10 +91,8 @@ class StepBounds:
 def find_command_steps(problem: Problem) -> Float[np.ndarray, "2"] | None:
     """Return the greatest change of what the wheels (right, left) are told in a period, m/s over
     ground under the slip that is compensated; None for no limit."""
-    most = problem.scenario.robot.wheel_acceleration_max_mps2
-    if most is None:
-        return None
-    return most * problem.model.dt * (1 - np.array(problem.scenario.slip.nominal))
+    most = find_command_step(problem.scenario)
+    return None if most is None else most * (1 - np.array(problem.scenario.slip.nominal))
 
 
 def find_reference_steps(problem: Problem) -> Float[np.ndarray, "2"]:

@@ -99,6 +99,13 @@ def wheel_rows(track_width: float) -> Float[np.ndarray, "2 2"]:
     return np.array([[1.0, track_width / 2], [1.0, -track_width / 2]])
 
 
+def find_command_step(scenario: Scenario) -> float | None:
+    """Return by how much a wheel's command may change from one period to the next, m/s; None for
+    any."""
+    most = scenario.robot.wheel_acceleration_max_mps2
+    return None if most is None else most * scenario.controller.dt_s
+
+
 def wheel_deficit_bounds(
     robot: Robot,
     slowest: float,

@@ -125,7 +125,7 @@ def _proof_lines(plan: PathPlan, drive: Drive) -> list[str]:
     periods = sum(len(mission.reference.wheels) for mission in plan.missions)
     bound = "no limit is set (robot.wheel_acceleration_max_mps2)"
     if limits.acceleration is not None:
-        bound = f"the limit is {limits.acceleration:.4g} m/s^2"
+        bound = f"the limit over ground is {limits.acceleration:.4g} m/s^2"
     arcs = max(mission.deviations.from_curve for mission in plan.missions)
     rows = max(mission.deviations.from_rows for mission in plan.missions)
     return [
@@ -182,7 +182,7 @@ def metrics(plan: PathPlan, drive: Drive) -> dict:
         "largest_deviation_m": drive.largest_deviation,
         "wheel_speed_min_mps": drive.limits.least,
         "wheel_speed_max_mps": drive.limits.greatest,
-        "wheel_acceleration_max_mps2": drive.limits.acceleration,
+        "reference_acceleration_max_mps2": drive.limits.acceleration,
     }
 
 
