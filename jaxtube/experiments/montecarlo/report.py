@@ -56,6 +56,8 @@ def findings(summary: dict) -> str:
         *_describe_disturbance(summary),
         f"share of the laps that leave E: {interval}",
     ]
+    if "wheel_acceleration" in summary:
+        lines.append(_describe_acceleration(summary))
     if summary["plans"]:
         lines.append(_describe_plans(summary["tube"]["stages"]))
     return "\n  ".join([*lines, *_describe_unsolved(summary["events"])])
@@ -80,6 +82,16 @@ def _describe_disturbance(summary: dict) -> list[str]:
         f"w outside W in {outside['share_of_steps']:.2%} of the steps ({low:.2%} to {high:.2%})",
         f"  by coordinate: {', '.join(f'{name} {share:.2%}' for name, share in shares.items())}",
     ]
+
+
+def _describe_acceleration(summary: dict) -> str:
+    laps = summary["events"]["acceleration_exceeded"]["laps"]
+    largest = summary["wheel_acceleration"]["largest_mps2"]
+    limit = summary["wheel_acceleration"]["limit_mps2"]
+    return (
+        f"commands change by {largest:.3g} m/s^2 at most from one period to the next, the wheels' "
+        f"limit is {limit:g}: beyond it in {laps:,} laps"
+    )
 
 
 def _describe_plans(stages: list[dict]) -> str:
