@@ -23,6 +23,7 @@ from jaxtube.statistics.run import RANKED, Statistics
 from jaxtube.statistics.tally import STAGE_EVENTS
 from jaxtube.synthesis.feasible import RAYS
 from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.problem import Problem
 
 QUANTILES = {"median": 0.5, "p95": 0.95, "p999": 0.999}
 

@@ -120,9 +120,10 @@ def _is_too_fast(
     checks: Checks, command_step: Float[Array, "2 batch"] | None, step: Int[Array, ""], batch: int
 ) -> Bool[Array, " batch"]:
     """Return whether commands change by more than the limit."""
-    if command_step is None:
+    most = checks.command_step
+    if command_step is None or most is None:
         return jnp.zeros(batch, bool)
-    is_within = jnp.all(command_step <= checks.command_step + OUTSIDE, axis=0)
+    is_within = jnp.all(command_step <= most + OUTSIDE, axis=0)
     return (step > 0) & ~is_within
 
 

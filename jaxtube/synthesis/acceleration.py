@@ -222,6 +222,7 @@ def limit_acceleration(problem: Problem, where: Operation, how: Kinematics) -> P
 def _refuse_limit(problem: Problem, bounds: StepBounds, used: float) -> ScenarioError:
     """Return the refusal of a limit that the law alone would pass, with the least that it needs."""
     most = problem.scenario.robot.wheel_acceleration_max_mps2
+    assert most is not None
     needed = used + bounds.reference + bounds.mapped
     least = np.max(needed / bounds.commands) * most
     dt = problem.model.dt

@@ -55,6 +55,7 @@ def check_acceleration(problem: Problem) -> Condition:
         return Condition(NAME, -np.inf, f"No bound on changes of commands: {error}.", "robot")
     dt = problem.model.dt
     limit = problem.scenario.robot.wheel_acceleration_max_mps2
+    assert limit is not None
     share = find_largest_change(problem)
     if share > 1 + ROUNDING:
         return Condition(
@@ -189,7 +190,7 @@ class _Search:
                 break
             point = answer.x
             best = max(best, self._change(point))
-        return best / self.limit
+        return float(best / self.limit)
 
     def _split(self, point: Float[np.ndarray, "13"]) -> tuple[np.ndarray, np.ndarray]:
         """Return (error, input) of both periods."""
