@@ -187,10 +187,14 @@ def limit_acceleration(problem: Problem, where: Operation, how: Kinematics) -> P
 
     Raises:
         ScenarioError: where the law alone would need more, with the least limit that leaves it
-            enough.
+            enough; where the operation is so wide that angles leave a quarter turn, or there is no
+            law.
     """
-    bounds = bound_steps(problem, where, how)
-    _, gain = terminal_cost_and_gain(problem)
+    try:
+        bounds = bound_steps(problem, where, how)
+        _, gain = terminal_cost_and_gain(problem)
+    except (RuntimeError, ValueError) as error:
+        raise ScenarioError(f"scenario: robot.wheel_acceleration_max_mps2: {error}") from None
     largest = np.abs(where.box[:, :5]).max(axis=0)
     feedback = []
     pairs = []
