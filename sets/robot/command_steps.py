@@ -76,13 +76,14 @@ def bound_map_slopes(operation: Operation, kinematics: Kinematics) -> MapSlopes:
 def enclose_model(operation: Operation, kinematics: Kinematics) -> ModelRange:
     """Enclose A and B of the model over all reference wheel speeds of the operation."""
     lower, upper = operation.box[:, 5:7]
-    V_r, V_l = (Interval(*ends) for ends in zip(lower, upper, strict=True))
+    V_r = Interval(lower[0], upper[0])
+    V_l = Interval(lower[1], upper[1])
     length = (V_r + V_l) * (0.5 * operation.dt)
-    zero = 0.0 * length
+    units = (1.0, 1.0, length, 1.0, length)
     rows = []
     for row in plane_rows(kinematics, operation.period, V_r, V_l):
-        x, y, heading, u1, u2 = (zero + entry for entry in row)
-        rows.append([x, y, heading * length, u1, u2 * length])
+        # An entry may be a number; added to an interval that is 0 it is one.
+        rows.append([(0.0 * length + entry) * unit for entry, unit in zip(row, units, strict=True)])
     low = np.array([[entry.lower for entry in row] for row in rows] + [[0, 0, 1, 0, operation.dt]])
     high = np.array([[entry.upper for entry in row] for row in rows] + [[0, 0, 1, 0, operation.dt]])
     middle = (low + high) / 2

@@ -198,11 +198,9 @@ class _Search:
         return point[:5], after
 
     def _change(self, point: Float[np.ndarray, "13"]) -> float:
-        now, after = (
-            self._command(wheels, state[None])[0]
-            for wheels, state in zip(self.wheels, self._split(point), strict=True)
-        )
-        return float(self.sign * (after - now))
+        now, after = self._split(point)
+        before = self._command(self.wheels[0], now[None])[0]
+        return float(self.sign * (self._command(self.wheels[1], after[None])[0] - before))
 
     def _differentiate(self, point: Float[np.ndarray, "13"]) -> Float[np.ndarray, "13"]:
         """Return the slopes of the change."""
