@@ -80,10 +80,11 @@ def enclose_model(operation: Operation, kinematics: Kinematics) -> ModelRange:
     V_l = Interval(lower[1], upper[1])
     length = (V_r + V_l) * (0.5 * operation.dt)
     units = (1.0, 1.0, length, 1.0, length)
-    rows = []
-    for row in plane_rows(kinematics, operation.period, V_r, V_l):
-        # An entry may be a number; added to an interval that is 0 it is one.
-        rows.append([(0.0 * length + entry) * unit for entry, unit in zip(row, units, strict=True)])
+    # An entry may be a number; added to an interval that is 0 it is one.
+    rows = [
+        [(0.0 * length + entry) * unit for entry, unit in zip(row, units, strict=True)]
+        for row in plane_rows(kinematics, operation.period, V_r, V_l)
+    ]
     low = np.array([[entry.lower for entry in row] for row in rows] + [[0, 0, 1, 0, operation.dt]])
     high = np.array([[entry.upper for entry in row] for row in rows] + [[0, 0, 1, 0, operation.dt]])
     middle = (low + high) / 2
