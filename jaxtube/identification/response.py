@@ -23,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.optimize import brentq, least_squares, minimize
+from scipy.optimize import least_squares, minimize, root_scalar
 
 from jaxtube.recordings.log import Log
 
@@ -217,7 +217,8 @@ def _find_interval(
 
     varies = 0.0
     if exceed(0.0) > 0.0:
-        varies = brentq(exceed, 0.0, 2.0 * float(away.max()) / QUARTILE)
+        most = 2.0 * float(away.max()) / QUARTILE
+        varies = float(root_scalar(exceed, bracket=(0.0, most)).root)
     weights = np.hypot(errors, varies) ** -2.0
     mean = float(weights @ single / weights.sum())
     reach = MIDDLE * float(np.hypot(varies, weights.sum() ** -0.5))
