@@ -183,7 +183,7 @@ def test_without_commands_nothing_is_said_of_their_lag():
 
 
 def test_pose_noise_comes_out_as_it_went_in():
-    findings = inspect_log(simulate().log, 2.0)
+    findings = inspect_log(simulate().log, 1.5)
     assert findings.moving is not None
     assert findings.standing is not None
     for noise in (findings.moving, findings.standing):
