@@ -34,9 +34,6 @@ quotient of small numbers."""
 SLOWEST_MPS = 1e-3
 """Below which no wheel drives, whatever the user asks for."""
 
-PARTS = 3
-"""Into which commands are dealt; one of them fits the track."""
-
 
 @dataclass(frozen=True)
 class Choices:
@@ -216,5 +213,5 @@ def _deal(
 ) -> tuple[Bool[np.ndarray, "k"], Bool[np.ndarray, "k"]]:
     """Deal the commands of used windows into those that fit and those that count."""
     names = np.unique(command[used])
-    fits = used & np.isin(command, names[::PARTS])
+    fits = used & np.isin(command, names[:: refusals.PARTS])
     return fits, used & ~fits

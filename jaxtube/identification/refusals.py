@@ -12,7 +12,7 @@ from jaxtyping import Bool
 
 from jaxtube.identification.box import Box
 from jaxtube.identification.geometry import Geometry
-from jaxtube.identification.promise import Promise
+from jaxtube.identification.promise import Promise, make_promise
 from jaxtube.recordings.windows import Windows
 from jaxtube.scenario.refusal import ScenarioError, refusal
 
@@ -27,6 +27,9 @@ MOST_LOST = 0.8
 
 FEWEST_FITTED = 3
 """Commands that track and lever arm are fitted to."""
+
+PARTS = 3
+"""Commands are dealt to: one part fits track and lever arm, the others count."""
 
 LEAST_TURNING = 0.05
 """Of |v_r - v_l| / (v_r + v_l), in one of four windows at least."""
@@ -59,10 +62,14 @@ def few_commands(
         f"from {promise.commands} of them, beside those for the track, "
         f"{100 * promise.share:.0f} % of new commands could be promised"
     )
-    cure = (
-        f"record {more} such commands for {100 * USUAL_PROMISE:.0f} %, "
-        "or lower --least-wheel-mps, or choose a --box of fewer sides"
-    )
+    cure = f"record {more} such commands for {100 * USUAL_PROMISE:.0f} %"
+    rolling = windows.steady & ~windows.lost & (windows.wheels.min(axis=1) > 0.0)
+    most = len(np.unique(windows.command[rolling]))
+    counted = most - math.ceil(most / PARTS)
+    if most - counted >= FEWEST_FITTED and make_promise(counted, 1).share >= LEAST_PROMISE:
+        cure += ", or lower --least-wheel-mps, or choose a --box of fewer sides"
+    else:
+        cure += f"; no option makes this log enough, {most} drive both wheels forwards at all"
     return refusal(windows.path, "commands", commands, problem, cure)
 
 

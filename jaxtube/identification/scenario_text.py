@@ -22,6 +22,7 @@ from jaxtube.identification.commented_toml import (
 from jaxtube.identification.findings import Findings, Noise
 from jaxtube.identification.identify import Identified
 from jaxtube.identification.words import say_promise, say_sample
+from jaxtube.recordings.fingerprint import find_fingerprint
 from jaxtube.scenario.tree import Constraints
 
 MIDDLE_SPEED = 0.6
@@ -38,6 +39,9 @@ ROOM_BY_NOISE = 4.0
 
 LEAST_EXPLAINED = 0.8
 """Of the wheels' spread, for a lag that is counted with."""
+
+LATE_S = 0.01
+"""From which on late poses count."""
 
 SURE_EXPLAINED = 0.95
 """The same for the track width that commands are made to wheel speeds with."""
@@ -59,9 +63,10 @@ def write_scenario(
         f"What was identified of {identified.windows.path}.",
         f"Its box of slips {say_promise(identified)}.",
         say_sample(identified),
+        *_say_fingerprint(identified.windows.path),
         "Other wheel speeds, turns on the spot, reversing and other ground are not covered. "
         "Reference and controller are a start to search from.",
-        *_say_lateness(findings),
+        *(f"To settle: {point}." for point in list_open_points(findings)),
     ]
     tables = {
         "robot": _robot(identified, findings, track_width),
@@ -81,14 +86,32 @@ def write_scenario(
     return "\n\n".join(texts) + "\n"
 
 
-def _say_lateness(findings: Findings | None) -> list[str]:
-    """Return what a user must know of late poses, in a paragraph, where they are late."""
-    if findings is None or findings.clock.offset <= findings.wheel_period:
-        return []
-    return [
-        f"Poses were stamped {findings.clock.offset:.3f} s after the wheels had moved so. Where "
-        "the controller gets them as late, that is dead time: add it to robot.command_delay_s."
-    ]
+def _say_fingerprint(path: str) -> list[str]:
+    """Return what tells this log from others, so that it is not taken for a witness of itself."""
+    fingerprint = find_fingerprint(path)
+    return [f"SHA-256 of the file begins with {fingerprint}."] if fingerprint else []
+
+
+def list_open_points(findings: Findings | None) -> list[str]:
+    """Return what the file does not know of a robot, and a certificate from it counts on."""
+    points = []
+    if findings is None or findings.noise is None:
+        points.append(
+            "noise: not identified, and 0 in the file: give the bound of your localisation"
+        )
+    response = findings.response if findings else None
+    if response is None or response.explained < LEAST_EXPLAINED:
+        points.append(
+            "robot.wheel_lag_s: not identified, and 0 in the file: give the least and the greatest"
+        )
+    if findings is not None and findings.clock.offset > LATE_S:
+        late = findings.clock.offset
+        points.append(
+            f"robot.command_delay_s: poses are stamped {late:.3f} s after the wheels moved so, and "
+            "the file takes it that the controller gets them in time; where it gets them as late, "
+            f"add {late:.3f} to both ends"
+        )
+    return points
 
 
 def find_track_width(

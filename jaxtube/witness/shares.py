@@ -22,6 +22,9 @@ PROMISE = re.compile(
 )
 """As `jaxtube.identification.words.say_promise` writes it."""
 
+FINGERPRINT = re.compile(r"SHA-256 of the file begins with (?P<digits>[0-9a-f]+)")
+"""As `jaxtube.identification.scenario_text` writes it, of the log that a promise comes from."""
+
 
 class Share(NamedTuple):
     """How many are inside."""
@@ -43,10 +46,19 @@ class Share(NamedTuple):
 
 
 class Promise(NamedTuple):
-    """What was promised of new commands."""
+    """What was promised of new commands.
+
+    Attributes:
+        share: of them that is inside, at least.
+        source: of the promise, in words.
+        sentence: that it stands in, to be carried on; empty for one given otherwise.
+        fingerprint: of the log that it comes from; empty where that is not known.
+    """
 
     share: float
     source: str
+    sentence: str = ""
+    fingerprint: str = ""
 
 
 def count_share(inside: Bool[np.ndarray, "k"], command: Int[np.ndarray, "k"]) -> Share:
@@ -59,8 +71,18 @@ def count_share(inside: Bool[np.ndarray, "k"], command: Int[np.ndarray, "k"]) ->
 def find_promise(text: str) -> Promise | None:
     """Return the promise that stands in the comments of a scenario file; None where none does."""
     comments = [line.strip()[1:] for line in text.splitlines() if line.strip().startswith("#")]
-    found = PROMISE.search(" ".join(" ".join(comments).split()))
-    return Promise(int(found["share"]) / 100, "in the scenario's file") if found else None
+    told = " ".join(" ".join(comments).split())
+    found = PROMISE.search(told)
+    if found is None:
+        return None
+    origin = FINGERPRINT.search(told)
+    words = [f"Its box of slips {found.group()}.", f"{origin.group()}." if origin else ""]
+    return Promise(
+        int(found["share"]) / 100,
+        "in the scenario's file",
+        " ".join(filter(None, words)),
+        origin["digits"] if origin else "",
+    )
 
 
 def judge_promise(share: Share, promise: Promise) -> str:

@@ -161,7 +161,8 @@ def test_slips_of_a_log_drive_laps(finished, files):
 
 def test_a_given_promise_counts_before_that_of_the_file(files):
     options = ReplayOptions(scenario=str(files / "fits.toml"))
-    assert find_promised(options) == Promise(0.73, "in the scenario's file")
+    promise = find_promised(options)
+    assert (promise.share, promise.source) == (0.73, "in the scenario's file")
     assert find_promised(replace(options, promised=0.9)) == Promise(0.9, "as given")
     assert find_promised(replace(options, scenario="paper")) is None
 

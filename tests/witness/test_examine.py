@@ -168,3 +168,15 @@ def test_the_promise_of_an_identification_is_found_in_the_comments_of_its_file()
     assert found is not None
     assert found.share == int(100 * identified.promise.share) / 100
     assert find_promise("[robot]\n# nothing\n") is None
+
+
+def test_a_promise_is_carried_on_with_the_log_it_comes_from():
+    text = (
+        "# holds for at least 82 % of new commands at 95 % confidence, from 34\n"
+        "# SHA-256 of the file begins with 0123456789abcdef.\n"
+    )
+    first = find_promise(text)
+    assert first is not None
+    again = find_promise(f"# {first.sentence}\n")
+    assert again == first
+    assert again.fingerprint == "0123456789abcdef"

@@ -23,12 +23,14 @@ from jaxtube.experiments.run.exit_codes import ExitCode
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import wrap
 from jaxtube.experiments.run.value_log import open_log
+from jaxtube.scenario.reading import find
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.synthesis.attempt import Attempt
 from jaxtube.synthesis.levers import FITTED, Lever
 from jaxtube.synthesis.optimise import refuse_other_kinds
 from jaxtube.synthesis.starts import caps_and_gains, with_caps_and_gains, without_caps
+from jaxtube.witness.shares import find_promise
 
 FILE = "fitted.toml"
 
@@ -98,9 +100,18 @@ def _save_fitted(
     """Write the certified scenario at the border."""
     fitted = make_fitted(scenario, found.lever, best)
     told = " ".join([f"Fitted from {options.label}.", *describe_border(scenario, found)])
-    comment = "\n".join(f"# {line}" for line in wrap(told))
+    paragraphs = [told, _carry_promise(found.lever, options)]
+    comment = "\n".join(f"# {line}" for told in paragraphs for line in wrap(told))
     text = f"{comment}\n\n{to_toml(fitted)}"
     write_atomically(folder.path / FILE, lambda file: file.write(text.encode()))
+
+
+def _carry_promise(lever: Lever, options: FitOptions) -> str:
+    """Return what the scenario's file promises of its slips, where they stay; else nothing."""
+    if lever.name == "slip":
+        return ""
+    promise = find_promise(find(options.scenario).read_text(encoding="utf-8-sig"))
+    return promise.sentence if promise else ""
 
 
 def make_fitted(scenario: Scenario, lever: Lever, attempt: Attempt) -> Scenario:

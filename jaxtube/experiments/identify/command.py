@@ -18,7 +18,7 @@ from jaxtube.experiments.identify import box_figure, figures, prediction_figure
 from jaxtube.experiments.identify.log_report import say_log
 from jaxtube.experiments.identify.metrics import measure
 from jaxtube.experiments.identify.report import report
-from jaxtube.experiments.options import IdentifyOptions
+from jaxtube.experiments.options import PROGRAM, IdentifyOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.hints import make_hints
@@ -62,7 +62,9 @@ def run(scenario: None, options: IdentifyOptions) -> int:
     save(folder, identified, findings, options)
     folder.save_metrics(measure(identified, findings, options.track_m))
     print(f"\n{FILE}, figures, windows.npz, metrics.json and manifest.json are in {folder.path}/")
-    print(f"next: python -m jaxtube.experiments design --optimise --scenario {folder.path / FILE}")
+    scenario_file = folder.path / FILE
+    print(f"next: {PROGRAM} fit speed --scenario {scenario_file}")
+    print(f"and, with a log recorded besides: {PROGRAM} replay LOG --scenario {scenario_file}")
     return 0
 
 

@@ -73,7 +73,7 @@ def _response_rows(findings: Findings) -> list[Row]:
         ),
         (
             "dead time of commands",
-            f"{response.delay:.3f} s",
+            f"{response.delay:.3f} s" if response.delay > 0.0 else "none seen",
             f"a row shows commands up to {findings.wheel_period:.3g} s late",
             changes,
         ),

@@ -9,7 +9,7 @@ from jaxtube.experiments.identify.log_report import Row, count_words, say_log, t
 from jaxtube.experiments.run.table import wrap
 from jaxtube.identification.findings import Findings
 from jaxtube.identification.identify import Identified
-from jaxtube.identification.scenario_text import find_track_width
+from jaxtube.identification.scenario_text import find_track_width, list_open_points
 from jaxtube.identification.uncovered import find_uncovered
 from jaxtube.identification.words import say_other_boxes, say_promise, say_sample
 
@@ -24,6 +24,7 @@ def report(identified: Identified, findings: Findings | None, track_width: float
         tabulate(_robot_rows(identified, findings, track_width)),
         say_log(findings) if findings else "",
         "\n".join(_say_limits(identified)),
+        "\n".join(_say_open(findings)),
         "\n".join(wrap(f"Read: {'; '.join(identified.windows.guesses)}", "  "))
         if identified.windows.guesses
         else "",
@@ -81,6 +82,17 @@ def _robot_rows(
 
 def _say_interval(interval: tuple[float, float]) -> str:
     return f"{100 * interval[0]:.1f} to {100 * interval[1]:.1f} %"
+
+
+def _say_open(findings: Findings | None) -> list[str]:
+    """Return what a user has to settle before the scenario is designed for."""
+    open_points = list_open_points(findings)
+    if not open_points:
+        return []
+    lines = ["Before a design, settle in identified.toml:"]
+    for point in open_points:
+        lines += wrap(f"* {point}")
+    return lines
 
 
 def _say_limits(identified: Identified) -> list[str]:
