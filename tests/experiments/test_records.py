@@ -158,7 +158,7 @@ def test_a_killed_process_loses_no_block_that_it_said_was_recorded(tmp_path):
     told = set()
     killed = 0
     random = np.random.default_rng(0)
-    for _ in range(5):
+    for _ in range(3):
         with subprocess.Popen(
             [sys.executable, __file__, str(tmp_path / "run"), str(blocks)], stdout=-1
         ) as child:
@@ -172,7 +172,7 @@ def test_a_killed_process_loses_no_block_that_it_said_was_recorded(tmp_path):
         with opened(tmp_path / "run") as run:
             assert run.damaged == []
             assert told.isdisjoint(run.missing(blocks * BLOCK_SIZE))
-    assert killed >= 3
+    assert killed >= 2
     assert continued(tmp_path / "run", blocks * BLOCK_SIZE) == continued(
         tmp_path / "once", blocks * BLOCK_SIZE
     )
