@@ -168,7 +168,14 @@ PARTIAL = 100
 def constrained(uncertified):
     """The tube-MPC from starts in and around its feasible set; both slips walk, pose noise, wheels
     that saturate."""
-    settings = (SHORT, *NOISE, "slip.process=walk", "slip.random=both", "slip.relative_error=0.2", "controller.horizon=3")
+    settings = (
+        SHORT,
+        *NOISE,
+        "slip.process=walk",
+        "slip.random=both",
+        "slip.relative_error=0.2",
+        "controller.horizon=3",
+    )
     return make_case(uncertified("robust", *settings), "tube_mpc", 1.1, 2.1)
 
 
