@@ -116,13 +116,13 @@ def edge_starts():
 
 @pytest.fixture(scope="session")
 def stressed(robust_design, edge_starts):
-    """Tube-MPC and MPC without tube from the same 512 starts, on the linear plant of `robust` with
+    """Tube-MPC and MPC without tube from the same 256 starts, on the linear plant of `robust` with
     w in W."""
     from jaxtube.simulation import batches, components
 
     controllers = components.controllers(robust_design)
     plant = components.linear_plant(robust_design)
-    starts = edge_starts(robust_design, 512)
+    starts = edge_starts(robust_design, batches.BATCH)
     return {
         name: batches.run_realisations(controllers[name], plant, starts, 5)
         for name in ("tube_mpc", "plain_mpc")

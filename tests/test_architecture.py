@@ -6,6 +6,7 @@ import graphlib
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -79,7 +80,10 @@ def imports_of(path: Path) -> list[Import]:
     return list(imports(tree, module_name(path), path.name == "__init__.py"))
 
 
-GRAPH = {module_name(path): imports_of(path) for path in FILES}
+@cache
+def read_graph() -> dict[str, list[Import]]:
+    """Return the imports of every module; read by the first test that asks, not by every worker."""
+    return {module_name(path): imports_of(path) for path in FILES}
 
 
 def violations(importers: str, *forbidden: str, allowed: tuple[str, ...] = ()) -> list[str]:
@@ -87,7 +91,7 @@ def violations(importers: str, *forbidden: str, allowed: tuple[str, ...] = ()) -
     the allowed ones."""
     return [
         f"{module} -> {entry.name}"
-        for module, entries in GRAPH.items()
+        for module, entries in read_graph().items()
         if f"{module}.".startswith(f"{importers}.")
         for entry in entries
         if any(entry.within(name) for name in forbidden)
@@ -147,15 +151,15 @@ def test_nothing_outside_experiments_imports_experiments():
 def test_cvxpy_is_imported_inside_functions_of_the_lmi_alone():
     users = {
         (module, entry.inside_function)
-        for module in GRAPH
-        for entry in GRAPH[module]
+        for module in read_graph()
+        for entry in read_graph()[module]
         if entry.within("cvxpy")
     }
     assert users <= {("sets.lmi", True)}
 
 
 def test_every_room_has_a_place_in_the_order():
-    names = {module.split(".")[1] for module in GRAPH if module.startswith("jaxtube.")}
+    names = {module.split(".")[1] for module in read_graph() if module.startswith("jaxtube.")}
     assert names == set(ROOMS)
 
 
@@ -168,7 +172,7 @@ def test_no_import_points_to_a_later_room():
     level = {f"jaxtube.{name}": number for number, name in enumerate(ROOMS)}
     upwards = [
         f"{module} -> {entry.name}"
-        for module, entries in GRAPH.items()
+        for module, entries in read_graph().items()
         for entry in entries
         if not is_lookup_of_a_drawing(entry)
         for name, number in level.items()
@@ -179,12 +183,12 @@ def test_no_import_points_to_a_later_room():
 
 def test_no_modules_import_each_other():
     def defining_module(entry: Import) -> str | None:
-        return max((name for name in GRAPH if entry.within(name)), key=len, default=None)
+        return max((name for name in read_graph() if entry.within(name)), key=len, default=None)
 
     edges = {
         module: {defining_module(entry) for entry in entries if not is_lookup_of_a_drawing(entry)}
         - {None}
-        for module, entries in GRAPH.items()
+        for module, entries in read_graph().items()
     }
     assert list(graphlib.TopologicalSorter(edges).static_order())
 
@@ -195,7 +199,7 @@ def test_the_package_is_marked_as_typed(package):
 
 
 def test_sets_imports_and_works_where_jax_is_absent():
-    modules = [name for name in GRAPH if name.split(".")[0] == "sets"]
+    modules = [name for name in read_graph() if name.split(".")[0] == "sets"]
     blocked = (
         "import sys; sys.modules['jax'] = sys.modules['jaxlib'] = sys.modules['jaxtube'] = None; "
     )

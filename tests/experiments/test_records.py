@@ -158,7 +158,7 @@ def test_a_killed_process_loses_no_block_that_it_said_was_recorded(tmp_path):
     told = set()
     killed = 0
     random = np.random.default_rng(0)
-    for _ in range(5):
+    for _ in range(3):
         with subprocess.Popen(
             [sys.executable, __file__, str(tmp_path / "run"), str(blocks)], stdout=-1
         ) as child:
@@ -172,7 +172,7 @@ def test_a_killed_process_loses_no_block_that_it_said_was_recorded(tmp_path):
         with opened(tmp_path / "run") as run:
             assert run.damaged == []
             assert told.isdisjoint(run.missing(blocks * BLOCK_SIZE))
-    assert killed >= 3
+    assert killed >= 2
     assert continued(tmp_path / "run", blocks * BLOCK_SIZE) == continued(
         tmp_path / "once", blocks * BLOCK_SIZE
     )
@@ -181,15 +181,23 @@ def test_a_killed_process_loses_no_block_that_it_said_was_recorded(tmp_path):
 # --------------------------------------------------------------------------------------- compaction
 
 
-def test_files_stay_few(tmp_path, quick):
-    count = 64 * 64 + 70
+@pytest.mark.parametrize(
+    ("sizes", "ranges"),
+    [
+        ((1, 4, 16), [1] * 3 + [4] * 2 + [16] * 5),
+        pytest.param((1, 64, 4096), [1] * 6 + [64, 4096], marks=pytest.mark.slow),
+    ],
+)
+def test_files_stay_few(tmp_path, quick, monkeypatch, sizes, ranges):
+    monkeypatch.setattr(records, "SIZES", sizes)
+    count = sum(ranges)
     with Records(
         tmp_path, IDENTITY, lambda first, second: {"n": first["n"] + second["n"]}, 1
     ) as run:
         for block in run.missing(count):
             run.add(block, 1, {"n": np.array(1)})
         assert run.laps == run.merge()["n"] == count and list(run.missing(count)) == []
-    assert sorted(len(records._blocks(name)) for name in files(tmp_path)) == [1] * 6 + [64, 4096]
+    assert sorted(len(records._blocks(name)) for name in files(tmp_path)) == ranges
 
 
 def test_the_largest_range_is_merged_no_further(tmp_path, small, quick):

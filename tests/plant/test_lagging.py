@@ -67,17 +67,24 @@ def draw_script(seed=3, batch=BATCH):
     }
 
 
+@jax.jit
+def run_period(plant, keys, step, memory, errors, wheels):
+    """Return the state at an instant, and errors and memory at the next one."""
+    _, memory = plant.sense(keys, step, memory, errors)
+    state = (plant.body.pose_errors(step, memory, errors), memory, errors)
+    following, after, _ = plant.advance(keys, step, memory, errors, Command(wheels, wheels))
+    return state, following, after
+
+
 def run(plant, errors, wheels):
     """Return the errors of poses and the memories at every instant."""
     keys = realisation_keys(5, 0, len(errors))
     memory = plant.initial(keys, errors)
     states = []
-    for step in range(STEPS):
-        _, memory = plant.sense(keys, step, memory, errors)
-        states.append((plant.body.pose_errors(step, memory, errors), memory, errors))
-        command = Command(wheels[step], wheels[step])
-        errors, memory, _ = plant.advance(keys, step, memory, errors, command)
-    states.append((plant.body.pose_errors(STEPS, memory, errors), memory, errors))
+    for step in range(len(wheels)):
+        state, errors, memory = run_period(plant, keys, step, memory, errors, wheels[step])
+        states.append(state)
+    states.append((plant.body.pose_errors(len(wheels), memory, errors), memory, errors))
     return states
 
 
@@ -228,39 +235,42 @@ def test_draws_are_within_the_script(actuation):
     assert ("delay" in names) == (actuation.delay[0] < actuation.delay[1])
 
 
-def test_gradients_by_lag_and_delay_are_those_of_differences():
+FEW = 3
+"""Periods over which derivatives are taken: a command of the first one has arrived by then."""
+
+
+@pytest.fixture(scope="module")
+def sensitive():
+    """A robot whose lag may be nothing, its script, and a number made of its errors after a few
+    periods, with its gradient, as functions of lag and delay of the script."""
     body = make_body(Actuation((0.0, 0.06), (0.02, 0.08)))
     script = {name: jnp.asarray(values) for name, values in draw_script().items()}
     draw = np.random.default_rng(4).uniform
-    wheels = jnp.asarray(draw(0.3, 2.5, (STEPS, BATCH, 2)))
+    wheels = jnp.asarray(draw(0.3, 2.5, (FEW, BATCH, 2)))
     errors = jnp.asarray(draw(-0.2, 0.2, (BATCH, 3)))
 
-    @jax.jit
-    def last(deviations):
-        plant = make_plant(body).under_script(script | deviations)
+    def last(given):
+        plant = make_plant(body).under_script(script | given)
         return jnp.sum(run(plant, errors, wheels)[-1][2] * jnp.array([1.0, 2.0, 3.0]))
 
+    return script, jax.jit(last), jax.jit(jax.grad(last))
+
+
+@pytest.mark.parametrize("name", ["lag", "delay"])
+def test_gradients_by_lag_and_delay_are_those_of_differences(sensitive, name):
+    script, last, differentiate = sensitive
+    given = {each: script[each] for each in ("lag", "delay")}
+    gradient = differentiate(given)[name]
+    assert np.all(np.isfinite(gradient)) and np.any(gradient != 0)
+    along = jnp.asarray(np.random.default_rng(5).uniform(-1, 1, given[name].shape))
     step = 1e-5
-    for name in ("lag", "delay"):
-        values = script[name]
-        gradient = jax.grad(lambda each, name=name: last({name: each}))(values)
-        assert np.all(np.isfinite(gradient))
-        along = jnp.asarray(draw(-1, 1, values.shape))
-        there = last({name: values + step * along})
-        back = last({name: values - step * along})
-        slope = jnp.sum(gradient * along)
-        np.testing.assert_allclose(slope, (there - back) / (2 * step), rtol=1e-6, atol=1e-9)
+    there = last(given | {name: given[name] + step * along})
+    back = last(given | {name: given[name] - step * along})
+    slope = jnp.sum(gradient * along)
+    np.testing.assert_allclose(slope, (there - back) / (2 * step), rtol=1e-6, atol=1e-9)
 
 
-def test_at_the_end_of_its_interval_a_lag_of_nothing_has_a_gradient():
-    body = make_body(Actuation((0.0, 0.06)))
-    script = draw_script() | {"lag": -np.ones((1, BATCH, 1))}
-    wheels = jnp.full((STEPS, BATCH, 2), 1.0)
-
-    def last(lag):
-        given = {name: jnp.asarray(values) for name, values in script.items()} | {"lag": lag}
-        return jnp.sum(
-            run(make_plant(body).under_script(given), jnp.zeros((BATCH, 3)), wheels)[-1][2]
-        )
-
-    assert np.all(np.isfinite(jax.grad(last)(jnp.asarray(script["lag"]))))
+def test_at_the_end_of_its_interval_a_lag_of_nothing_has_a_gradient(sensitive):
+    script, _, differentiate = sensitive
+    ideal = {"lag": -jnp.ones_like(script["lag"]), "delay": script["delay"]}
+    assert np.all(np.isfinite(differentiate(ideal)["lag"]))

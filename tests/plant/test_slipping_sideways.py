@@ -35,14 +35,26 @@ def make_robot(process="iid", extra=()):
     return robot_of(make_problem(load("paper", [*SETTINGS, *extra])), process)
 
 
+@jax.jit
+def begin(robot, keys, errors):
+    """Return what the robot remembers once it was sensed first."""
+    return robot.sense(keys, 0, robot.initial(keys, errors), errors)[1]
+
+
+@jax.jit
+def advance(robot, keys, memory, errors, wheels):
+    """Return the errors after the first period."""
+    return robot.advance(keys, 0, memory, errors, Command(wheels, wheels)).errors
+
+
 @pytest.mark.parametrize("process", PROCESSES)
 def test_a_period_is_the_integral_of_the_world_frame(process):
     robot = make_robot(process)
     keys = realisation_keys(5, 0, BATCH)
     errors = jnp.asarray(np.random.default_rng(1).uniform(-0.2, 0.2, (BATCH, 3)))
-    _, memory = robot.sense(keys, 0, robot.initial(keys, errors), errors)
+    memory = begin(robot, keys, errors)
     wheels = jnp.asarray(np.random.default_rng(2).uniform(0.5, 2.5, (BATCH, 2)))
-    following = robot.advance(keys, 0, memory, errors, Command(wheels, wheels)).errors
+    following = advance(robot, keys, memory, errors, wheels)
     middle = np.array([0.125, 0.2])
     half = np.array([0.175, 0.2])
     assert np.abs(memory.sideslip).max() <= 1.0
@@ -67,7 +79,7 @@ def test_sideslip_of_an_adversary_pushes_the_lateral_error_as_its_wheels_turn_it
     robot = make_robot("adversarial", ["slip.measurement_error=0.0"])
     keys = realisation_keys(5, 0, 60)
     errors = jnp.zeros((60, 3))
-    _, memory = robot.sense(keys, 0, robot.initial(keys, errors), errors)
+    memory = begin(robot, keys, errors)
     right, left = np.asarray(memory.true - memory.measured).clip(-1, 1).T
     np.testing.assert_allclose(memory.sideslip, (left - right) / 2, atol=ROUNDING)
 
@@ -103,7 +115,7 @@ def test_noise_in_the_world_stays_within_its_bound_in_the_robots_frame():
     half_widths = np.array([0.02, 0.01, np.deg2rad(2.0)])
     drawn = random.choice([-1, 1], (100_000, 3)) * half_widths
     step = random.integers(0, 300, 100_000)
-    add = jax.vmap(lambda k, e, n: robot.add_noise(k, e[None], n[None])[0])
+    add = jax.jit(jax.vmap(lambda k, e, n: robot.add_noise(k, e[None], n[None])[0]))
     off = np.abs(add(jnp.asarray(step), jnp.asarray(errors), jnp.asarray(drawn)) - errors)
     assert np.all(off <= problem.noise + ROUNDING)
     assert np.all(off.max(axis=0) >= 0.98 * problem.noise)

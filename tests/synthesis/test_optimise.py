@@ -59,15 +59,24 @@ def found() -> Optimum:
     return optimise(make_problem(bare()))
 
 
-@pytest.mark.parametrize("size", [0.1, pytest.param(10.0, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [0.1, 10.0])
 def test_a_robot_of_another_size_has_the_same_design_in_its_units(size, found):
     other = optimise(make_problem(resize(bare(), size)))
     assert other.ratio == pytest.approx(found.ratio, rel=SEARCHED)
+
+
+@pytest.mark.parametrize("size", [0.1, 10.0])
+def test_a_search_for_a_robot_of_another_size_starts_from_the_same_designs_in_its_units(size):
     usual = make_problem(bare())
     starts = [np.exp(start) for start in make_starts(Estimate(usual))]
     resized = [np.exp(start) for start in make_starts(Estimate(make_problem(resize(bare(), size))))]
     for start, same in zip(starts, resized, strict=True):
         np.testing.assert_allclose(same, start * size**POWERS, rtol=1e-6)
+    shares = Estimate(usual).shares(np.log(starts[0]))
+    others = Estimate(make_problem(resize(bare(), size))).shares(np.log(resized[0]))
+    np.testing.assert_allclose(others.caps, shares.caps, rtol=1e-6)
+    np.testing.assert_allclose(others.limits, shares.limits, rtol=1e-6)
 
 
 def test_the_optimum_is_a_design_whose_start_has_a_plan(found):
