@@ -428,7 +428,7 @@ class PathOptions(Options):
     """keep the speeds of the recording, as far as the wheels' box lets it"""
     deviation: Annotated[
         float | None,
-        arg(metavar="METRES", help_behavior_hint="(default: a fifth of the track width)"),
+        arg(metavar="METRES", help_behavior_hint="(default: a fifth of the effective track)"),
         POSITIVE_OR_NONE,
     ] = None
     """largest distance of a row from the smooth path"""

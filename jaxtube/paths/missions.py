@@ -70,7 +70,7 @@ def plan_path(raw: RawPath, drive: Drive) -> PathPlan:
     for piece in cut.pieces:
         outcomes += _drive_piece(piece, drive, notes)
     if not cut.pieces:
-        notes.append(Note(None, "no stretch between breaks is as long as two track widths"))
+        notes.append(Note(None, "no stretch between breaks is as long as two effective tracks"))
     return PathPlan(rows.raw, outcomes, sorted(notes, key=line_of))
 
 

@@ -81,7 +81,7 @@ def cut_path(raw: RawPath, track_width: float, through_stops: bool) -> Cut:
             pieces.append(piece)
         elif length > 2.0 * radius:
             rows = len(stretch.rows)
-            reason = "shorter than two track widths" if rows >= FEWEST_ROWS else f"{rows} rows"
+            reason = "shorter than two effective tracks" if rows >= FEWEST_ROWS else f"{rows} rows"
             text = f"{length:.2f} m to the next break left out: {reason}"
             notes.append(Note(place_of(piece.raw, 0), text))
     return Cut(pieces, sorted(notes, key=line_of))

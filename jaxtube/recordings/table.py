@@ -95,6 +95,8 @@ def open_table(path: str | Path) -> Table:
         ValueError: in one line, for a file that cannot be read or is no table of numbers.
     """
     text = read_text(path)
+    if not text.content.strip():
+        raise ValueError(f"{path}: is empty; name another file")
     layout = find_layout(text.content)
     if layout is None:
         raise ValueError(

@@ -103,7 +103,11 @@ def _explain(message: str, tables: Mapping[str, Any]) -> tuple[str, Any, str, st
         return key, value, "must be a table", f"write [{key}] and its keys below it"
     if text.startswith("Invalid enum value"):
         return key, value, "unknown choice", f"choose one of {', '.join(_find_choices(key))}"
-    return key, value, _describe_requirement(text), f"the default is {literal(find_default(key))}"
+    default = find_default(key)
+    cure = f"the default is {literal(default)}"
+    if key in ("robot.wheel_lag_s", "robot.command_delay_s"):
+        cure = f"give [least, greatest]; {cure}"
+    return key, value, _describe_requirement(text), cure
 
 
 def _describe_requirement(text: str) -> str:

@@ -238,6 +238,6 @@ def _refuse_limit(problem: Problem, bounds: StepBounds, used: float) -> Scenario
     listed = ", ".join(f"{size / dt:.3g} for {name}" for name, size in parts.items())
     return ScenarioError(
         f"scenario: robot.wheel_acceleration_max_mps2 = {most:g}: over ground {listed} may be "
-        f"needed (m/s^2); raise it above {least:.4g}, or lower gains, caps, reference.speed_mps or "
-        "the disturbances"
+        f"needed (m/s^2); raise it by a few per cent above {least:.4g}, or lower gains, caps, "
+        "reference.speed_mps or the disturbances"
     )

@@ -119,7 +119,7 @@ LONG = "9" * (csv.field_size_limit() + 1)
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (b"", "no table of numbers"),
+        (b"", "is empty"),
         (b"just words\nand more\n", "no table of numbers"),
         (b"x,y\n", "no table of numbers"),
         (b"PK\x03\x04...", "workbook"),

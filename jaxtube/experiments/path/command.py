@@ -41,7 +41,11 @@ def run(scenario: Scenario, options: PathOptions) -> int:
     folder.save_metrics(metrics(plan, drive))
     print(f"\nwritten to {folder.path}/")
     if not plan.missions:
-        print(f"{options.file}: no mission is left", file=sys.stderr)
+        print(
+            f"{options.file}: no mission is left; the report says why: drive slower (--speed), "
+            "allow more --deviation, or take a robot that turns as sharply",
+            file=sys.stderr,
+        )
         return ExitCode.BAD_INPUT
     first = folder.path / f"{name_missions(plan)[0]}.toml"
     print(f"next: python -m jaxtube.experiments design --scenario {first}")
