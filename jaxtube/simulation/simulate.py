@@ -67,7 +67,7 @@ class Laps:
 
     @property
     def errors(self) -> Float[np.ndarray, "steps+1 laps 3"]:
-        """True tracking errors, (m, m, rad)."""
+        """True tracking errors, (m, m, rad); of the committed poses where wheels lag."""
         return np.asarray(self.trajectory.errors)
 
     @property

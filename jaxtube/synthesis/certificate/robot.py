@@ -59,16 +59,18 @@ def check_true_error(problem: Problem) -> Condition:
     room = float(rooms[worst])
     kept = "measured error and the pose noise"
     added = "pose noise"
+    when = ""
     if problem.scenario.controller.has_observer:
         kept = "estimated error and the error of the estimate"
         added = "error of the estimate"
     if not problem.scenario.robot.obeys_at_once:
         kept = f"{kept}, and how far the pose strays from where it was committed to be,"
         added = f"{added} and the latency"
+        when = ", a latency after the ends of periods"
     return judge(
         "true_error_in_e",
         room + ROUNDING,
-        f"What the controller keeps of the {kept} together lie in the error constraints.",
+        f"What the controller keeps of the {kept} together lie in the error constraints{when}.",
         f"With the {added} the true {COORDINATES[worst].name} error may pass its constraint by "
         f"{_say_size(worst, -room)}.",
         "robot",
@@ -281,8 +283,7 @@ def assumptions(problem: Problem, any_order: bool, has_proved_w: bool = False) -
         _assume_measurement(problem),
         _assume_reference(problem, any_order),
         _assume_period(problem),
-        "what is promised holds at the ends of periods, nothing between them; controllers in 64 "
-        "bits",
+        _assume_instants(problem),
         _assume_start(problem, has_proved_w),
     )
 
@@ -338,6 +339,20 @@ def _assume_noise(problem: Problem) -> str:
     )
 
 
+def _assume_instants(problem: Problem) -> str:
+    """Return when the promise holds, in words."""
+    if problem.scenario.robot.obeys_at_once:
+        when = "at the ends of periods, nothing between them"
+    else:
+        latency = find_actuation(problem.scenario).nominal(problem.model.dt).latency
+        when = (
+            "at the ends of periods for the error of the committed pose, to which the commands "
+            f"given will take the robot, and for the pose itself {latency:.3g} s after them; "
+            "nothing in between"
+        )
+    return f"what is promised holds {when}; controllers in 64 bits"
+
+
 def _assume_period(problem: Problem) -> str:
     at_once = problem.scenario.robot.obeys_at_once
     speeds = "wheel speeds" if at_once else "commands"
@@ -368,8 +383,8 @@ def _say_actuation(problem: Problem) -> str:
     if robot.command_delay_s[1] > 0:
         parts.append(f"each command arrives {_say_times(robot.command_delay_s)} late")
     return (
-        f"{'; '.join(parts)}; before the start the robot drives as the reference begins; "
-        f"it follows the reference {nominal.latency:.3g} s late"
+        f"{'; '.join(parts)}; before the start the wheels run as the reference begins, under "
+        f"nominal slip; the robot follows the reference {nominal.latency:.3g} s late"
     )
 
 
