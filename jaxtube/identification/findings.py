@@ -18,7 +18,7 @@ from jaxtube.identification.windows import LogWindows, cut_windows
 from jaxtube.recordings.log import Log
 
 NOISE_PERCENTILE = 99.5
-"""Of what poses miss of their arcs, in absolute value: the bound of the noise."""
+"""Of what poses miss of parabolas through seven neighbours, in size: the bound of the noise."""
 
 DEVIATION_PERCENTILE = 68.27
 """The same for the standard deviation, as of a normal law."""
@@ -33,7 +33,7 @@ LONGEST_SETTLING_S = 1.0
 
 @dataclass(frozen=True)
 class Noise:
-    """What poses miss of the arc of their window.
+    """What poses miss of parabolas through seven neighbours.
 
     Attributes:
         poses: looked at.

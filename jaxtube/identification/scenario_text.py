@@ -165,7 +165,7 @@ def _robot(
 def _lag(findings: Findings | None) -> list[Line]:
     response = findings.response if findings else None
     if response is None or response.explained < LEAST_EXPLAINED:
-        reason = "no commands in the file"
+        reason = "no commands in the log, or too few changes of them"
         if response is not None:
             reason = (
                 "a first-order lag explains only "
@@ -228,8 +228,8 @@ def _noise(noise: Noise | None) -> list[Line]:
         ]
     place, turn = noise.bound
     said = (
-        f"that 99.5 % of {noise.poses} poses keep about their arc of a window; slower drift of the "
-        "localisation does not show in it"
+        f"that 99.5 % of {noise.poses} poses keep about parabolas through seven neighbours; slower "
+        "drift of the localisation does not show in it"
     )
     degrees = round_up(math.degrees(turn))
     return [

@@ -97,7 +97,9 @@ def cut_at_corner(piece: Piece, failure: Failure, track_width: float) -> Halves 
     if not is_sharp.any():
         return None
     parameter = fit.rows[np.argmax(fit.deviations)]
-    place = failure.at or float(np.interp(parameter, curve.parameter, curve.lengths))
+    place = failure.at
+    if place is None:
+        place = float(np.interp(parameter, curve.parameter, curve.lengths))
     sharp = np.flatnonzero(is_sharp)
     corner = int(sharp[np.argmin(np.abs(curve.lengths[sharp] - place))])
     around = curve.lengths[corner] + np.array([-1.0, 1.0]) * track_width

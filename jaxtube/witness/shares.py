@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Int
 
+from jaxtube.recordings.fingerprint import find_fingerprint
 from jaxtube.statistics.intervals import share_interval
 
 PROMISE = re.compile(
@@ -83,6 +84,13 @@ def find_promise(text: str) -> Promise | None:
         " ".join(filter(None, words)),
         origin["digits"] if origin else "",
     )
+
+
+def is_own_log(promise: Promise | None, path: str) -> bool:
+    """Whether a promise comes from the log of this file, which then says nothing of it."""
+    if promise is None or not promise.fingerprint:
+        return False
+    return promise.fingerprint == find_fingerprint(path)
 
 
 def judge_promise(share: Share, promise: Promise) -> str:

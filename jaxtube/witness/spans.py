@@ -214,5 +214,7 @@ def _find_commands(findings: Findings, start: Float[np.ndarray, "k"]) -> Int[np.
     """Return the number of the command that each span begins under: that of the window that began
     last."""
     windows = findings.windows
+    if not len(windows.start):
+        return np.zeros(len(start), dtype=int)
     begun = np.searchsorted(windows.start + findings.clock.offset, start, side="right") - 1
     return windows.windows.command[np.maximum(begun, 0)]

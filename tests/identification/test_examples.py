@@ -4,9 +4,14 @@ import numpy as np
 import pytest
 
 from jaxtube.identification.examples import EXAMPLES, FILE, record_example
+from jaxtube.identification.findings import inspect_log
+from jaxtube.identification.identify import Choices, identify_log
+from jaxtube.identification.scenario_text import write_scenario
 from jaxtube.recordings.reading import read_log
 from jaxtube.scenario.reading import experiments_folder
+from jaxtube.witness.shares import find_promise, is_own_log
 
+CHOICES = Choices(least_wheel=0.1, box="alike")
 ROUNDED = 1e-4
 """Of numbers in the file, which has four decimals at least."""
 
@@ -20,3 +25,15 @@ def test_the_log_beside_a_scenario_is_what_its_robot_drives(name):
     np.testing.assert_allclose(read.poses[:, :2], made.poses[:, :2], atol=ROUNDED)
     assert np.array_equal(read.step, made.step)
     np.testing.assert_allclose(read.commands, made.commands, atol=ROUNDED)
+
+
+def test_a_log_is_no_witness_of_the_scenario_made_of_it(tmp_path):
+    own = experiments_folder() / "husky" / FILE
+    findings = inspect_log(read_log(own), 2.0)
+    text = write_scenario(identify_log(findings, CHOICES), findings, None)
+    promise = find_promise(text)
+    other = tmp_path / FILE
+    other.write_text(own.read_text() + "\n")
+    assert is_own_log(promise, str(own))
+    assert not is_own_log(promise, str(other))
+    assert not is_own_log(None, str(own))

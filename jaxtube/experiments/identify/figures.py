@@ -109,12 +109,13 @@ def over_time(identified: Identified, findings: Findings | None) -> Figure:
     return figure
 
 
-def draw_wheels(axes: Axes, findings: Findings) -> None:
-    """Draw the wheel speeds of a log over time."""
+def draw_wheels(axes: Axes, findings: Findings, shift: float = 0.0) -> None:
+    """Draw the wheel speeds of a log over time, so many seconds later than their own clock says."""
     log = findings.log
+    time = log.time + shift
     every = max(1, len(log.time) // SHOWN_WHEELS)
     for column, (_, colour, _) in enumerate(SIDES):
-        axes.plot(log.time[::every], log.wheels[::every, column], color=colour, linewidth=0.6)
+        axes.plot(time[::every], log.wheels[::every, column], color=colour, linewidth=0.6)
 
 
 def _draw_window_speeds(axes: Axes, identified: Identified, x: Float[np.ndarray, "k"]) -> None:

@@ -38,7 +38,8 @@ def over_time(witness: Witness, test: SpanTest) -> Figure:
     figure = page_figure(5.6)
     ratios = {"height_ratios": (0.8, 1, 1, 1)}
     speeds, *panels = figure.subplots(4, 1, sharex=True, gridspec_kw=ratios)
-    draw_wheels(speeds, witness.findings)
+    # Spans and cuts are on the clock of the poses.
+    draw_wheels(speeds, witness.findings, witness.findings.clock.offset)
     speeds.set_ylabel("wheel speed [m/s]")
     middle = (test.spans.start + test.spans.end) / 2.0
     for axis, axes in enumerate(panels):

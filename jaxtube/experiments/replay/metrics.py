@@ -11,7 +11,7 @@ from jaxtube.coordinates import KEYS, TO_DISPLAY
 from jaxtube.experiments.replay.set_table import compare
 from jaxtube.statistics.intervals import CONFIDENCE
 from jaxtube.witness.examine import Witness
-from jaxtube.witness.shares import Promise, Share, judge_promise
+from jaxtube.witness.shares import Promise, Share, is_own_log, judge_promise
 from jaxtube.witness.span_test import JUDGED, SpanTest
 from jaxtube.witness.spans import KINDS
 
@@ -19,10 +19,13 @@ from jaxtube.witness.spans import KINDS
 def metrics(witness: Witness, promise: Promise | None) -> dict[str, Any]:
     """Return the numbers of a replay."""
     share = witness.windows.share
+    verdict = judge_promise(share, promise) if promise else None
+    if is_own_log(promise, witness.findings.log.path):
+        verdict = "none: the scenario was made of this log"
     return {
         "promised_share": promise.share if promise else None,
         "windows": _measure_share(share),
-        "verdict_on_promise": judge_promise(share, promise) if promise else None,
+        "verdict_on_promise": verdict,
         "confidence": CONFIDENCE,
         "period": _measure_test(witness.period),
         "longer": _measure_test(witness.longer) if witness.longer else None,

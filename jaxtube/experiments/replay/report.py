@@ -9,10 +9,9 @@ from jaxtube.experiments.replay.set_table import say_sets
 from jaxtube.experiments.replay.span_tables import list_tests, say_spans, say_stretches
 from jaxtube.experiments.replay.words import say_percent
 from jaxtube.experiments.run.table import wrap
-from jaxtube.recordings.fingerprint import find_fingerprint
 from jaxtube.statistics.intervals import CONFIDENCE
 from jaxtube.witness.examine import Witness
-from jaxtube.witness.shares import Promise, judge_promise
+from jaxtube.witness.shares import Promise, is_own_log, judge_promise
 
 MOST_TIMES = 12
 """Of windows that the report lists."""
@@ -48,7 +47,7 @@ def _say_promise(witness: Witness, promise: Promise | None, name: str) -> str:
         f"{say_percent(low)} to {say_percent(high)} ({CONFIDENCE:.0%}, a command counts once). Of "
         f"the windows {share.inside} of {share.count} are inside, {say_percent(share.value)}."
     )
-    if promise is not None and promise.fingerprint == find_fingerprint(witness.findings.log.path):
+    if is_own_log(promise, witness.findings.log.path):
         first = (
             "This is the log that the scenario was made of: it says nothing of new commands, "
             "whatever stands below. Replay one that was recorded besides."
