@@ -125,6 +125,7 @@ def identify_windows(
     geometry = _fit_sample(windows, sample, known)
     slips, sideslips = _find_all_slips(windows, geometry)
     box = _make_box(choices.box, slips, sideslips, sample.fits, sample.counts)
+    refusals.refuse_units(windows, slips[sample.counts])
     refusals.refuse_box(windows, box.widen(choices.margin))
     noise = None
     if spread is not None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from jaxtube.identification.box import Box
 from jaxtube.identification.geometry import Geometry
@@ -36,6 +36,12 @@ LEAST_TURNING = 0.05
 
 LEAST_EXPLAINED = 0.5
 """Of the yaw rate, by the wheels through an effective track."""
+
+MOST_ROLLED = 2.0
+"""Times that wheels may roll as far as the poses move, or the other way round."""
+
+MOST_SPREAD = 0.8
+"""Width of an interval of slip."""
 
 MOST_TRACK_ERROR = 0.1
 """Standard error of the track, relative."""
@@ -109,8 +115,21 @@ def refuse_vague_track(windows: Windows, geometry: Geometry) -> None:
         raise refusal(windows.path, "track error", round(error, 3), problem, cure)
 
 
+def refuse_units(windows: Windows, slips: Float[np.ndarray, "k 2"]) -> None:
+    """Refuse slips, of the windows that count, that wheels in other units make."""
+    rolled = 1.0 / max(1.0 - float(np.median(slips)), 1e-3)
+    if not 1.0 / MOST_ROLLED <= rolled <= MOST_ROLLED:
+        problem = "is how far the wheels roll, by how far the poses move: no ground slips so much"
+        cure = (
+            "name what the wheel speeds are in, such as --units left=rad/s,right=rad/s with "
+            "--wheel-radius"
+        )
+        raise refusal(windows.path, "wheels", round(rolled, 3), problem, cure)
+
+
 def refuse_box(windows: Windows, box: Box) -> None:
-    """Refuse slips of one and more, which no wheel speed makes up for, and as much sideslip."""
+    """Refuse slips of one and more, which no wheel speed makes up for, as much sideslip, and slips
+    that tell of a pose that does not hold."""
     for name, values in (("slip.right", box.right), ("slip.left", box.left)):
         greatest = max(values, key=abs)
         if abs(greatest) >= 1.0:
@@ -120,6 +139,11 @@ def refuse_box(windows: Windows, box: Box) -> None:
             )
             cure = "record on firmer ground or with a steadier pose, or raise --least-wheel-mps"
             raise refusal(windows.path, name, round(greatest, 3), problem, cure)
+        spread = values[1] - values[0]
+        if spread > MOST_SPREAD:
+            problem = "is how far slips lie apart: that is the pose rather than the ground"
+            cure = "record with a pose that holds, or raise --window-s or --least-wheel-mps"
+            raise refusal(windows.path, name, round(spread, 3), problem, cure)
     if box.sideslip >= 1.0:
         problem = "is the greatest one, by forward speed: the robot slides rather than drives"
         cure = "record on firmer ground or with a steadier pose, or raise --least-wheel-mps"

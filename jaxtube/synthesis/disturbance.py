@@ -28,7 +28,7 @@ from sets.robot.disturbance import (
     wheel_error_range,
 )
 from sets.robot.driving import find_driving
-from sets.robot.latency import bound_later_errors
+from sets.robot.latency import bound_late_pose_errors
 from sets.robot.observer import bound_next_error, find_estimate_error
 from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics
@@ -151,8 +151,8 @@ def _answer_estimate_error(question: bytes) -> bytes:
 
 
 def bound_pose_errors(problem: Problem) -> Float[np.ndarray, "3"]:
-    """Return the greatest true errors, (m, m, rad): of wheels that lag those of the pose itself, a
-    latency after each instant.
+    """Return the greatest true errors, (m, m, rad): of wheels that lag those of the pose itself, at
+    each instant and a latency after it.
 
     Raises:
         ValueError: as `prove_bound`.
@@ -163,8 +163,14 @@ def bound_pose_errors(problem: Problem) -> Float[np.ndarray, "3"]:
     if where.actuation.is_ideal:
         return promised
     driving = find_driving(where, kinematics(problem))
-    return bound_later_errors(
-        promised, where.actuation, where.dt, where.track_width, driving, where.ground
+    return bound_late_pose_errors(
+        promised,
+        where.actuation,
+        where.dt,
+        where.track_width,
+        driving,
+        where.ground,
+        where.schedules,
     )
 
 

@@ -28,7 +28,7 @@ from jaxtube.synthesis.corners import (
     read_caps,
 )
 from jaxtube.synthesis.disturbance import ground_speed_limits
-from jaxtube.synthesis.late_corners import find_later_errors
+from jaxtube.synthesis.late_corners import find_pose_errors
 from jaxtube.synthesis.lateral_tube import Policy, Ring
 from jaxtube.synthesis.problem import Problem, region_corners
 
@@ -201,7 +201,7 @@ class Estimate:
         error = w.error * (1 + RESERVE * is_observed[:, None])
         kept = np.stack([caps.longitudinal, caps.lateral, caps.heading], axis=1)
         if w.late is not None:
-            later = find_later_errors(self.corners.operation, w.late, kept + error)
+            later = find_pose_errors(self.corners.operation, w.late, kept + error)
             error = (later - kept) * (1 + RESERVE)
         left = np.maximum(self.constraints - error, ACCURACY * self.constraints)
         return kept / left

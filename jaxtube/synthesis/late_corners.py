@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from jaxtube.synthesis.estimated_error import FAR, CornerErrors
 from sets.robot.committed import Commitment, bound_commitment
 from sets.robot.late_ways import Driving
-from sets.robot.latency import bound_later_errors
+from sets.robot.latency import bound_late_pose_errors
 from sets.robot.operation import Operation
 
 HOPELESS = Commitment(
@@ -109,19 +109,20 @@ def add_lag(corners: CornerErrors, late: LatePoints) -> CornerErrors:
     return corners._replace(sliding=sliding, yaw=np.clip(corners.yaw, -most, most))
 
 
-def find_later_errors(
+def find_pose_errors(
     operation: Operation, late: LatePoints, errors: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Return the greatest errors of the pose itself, (m, m, rad), from those that are kept."""
     return np.stack(
         [
-            bound_later_errors(
+            bound_late_pose_errors(
                 kept,
                 operation.actuation,
                 operation.dt,
                 operation.track_width,
                 driving,
                 operation.ground,
+                operation.schedules,
             )
             for kept, driving in zip(errors, late.drivings, strict=True)
         ]

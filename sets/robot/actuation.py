@@ -22,6 +22,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
+FORGOTTEN = 37.0
+"""Time constants after which e^{-t / tau} is below the rounding of 1."""
 BISECTIONS = 60
 """Halvings after which the nominal lag is as exact as a float."""
 

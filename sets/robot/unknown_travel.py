@@ -26,14 +26,12 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from sets.robot.actuation import Actuation, Nominal, step_travel
+from sets.robot.actuation import FORGOTTEN, Actuation, Nominal, step_travel
 
 LAG_CELLS = 128
 """Pieces into which the interval of the lag is cut on either side of the nominal one."""
 TIME_CELLS = 32
 """Pieces into which a period is cut."""
-FORGOTTEN = 37.0
-"""Time constants after which e^{-t / tau} is below the rounding of 1."""
 OUTWARDS = 1 + 1e-12
 """Factor that covers the rounding of sums of up to a thousand terms of size 1."""
 WHOLE = np.ones(1)

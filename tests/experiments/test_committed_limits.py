@@ -18,4 +18,4 @@ def test_limits_of_a_committed_pose_and_of_the_pose_are_both_named():
     assert describe_half_widths(committed) in words
     assert describe_half_widths(pose) in words
     told = " ".join(assumptions(problem, True))
-    assert "for the pose itself 0.05 s after them" in told
+    assert "for that of the pose itself, then and 0.05 s later" in told

@@ -41,7 +41,7 @@ def _describe_committed(problem: Problem) -> str:
     latency = find_actuation(problem.scenario).nominal(problem.model.dt).latency
     constraints = error_vector(problem.scenario.constraints)
     return (
-        f"{words}\n  of the pose itself, {latency:.3g} s after the end of a period: "
+        f"{words}\n  of the pose itself, then and {latency:.3g} s later: "
         f"{describe_half_widths(pose)}\n"
         f"  [constraints] are {describe_half_widths(constraints)}"
     )

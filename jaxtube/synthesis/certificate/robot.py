@@ -66,7 +66,7 @@ def check_true_error(problem: Problem) -> Condition:
     if not problem.scenario.robot.obeys_at_once:
         kept = f"{kept}, and how far the pose strays from where it was committed to be,"
         added = f"{added} and the latency"
-        when = ", a latency after the ends of periods"
+        when = ", at the ends of periods and a latency later"
     return judge(
         "true_error_in_e",
         room + ROUNDING,
@@ -347,8 +347,8 @@ def _assume_instants(problem: Problem) -> str:
         latency = find_actuation(problem.scenario).nominal(problem.model.dt).latency
         when = (
             "at the ends of periods for the error of the committed pose, to which the commands "
-            f"given will take the robot, and for the pose itself {latency:.3g} s after them; "
-            "nothing in between"
+            f"given will take the robot, and for that of the pose itself, then and {latency:.3g} s "
+            "later, against where the reference was or is by then as late; nothing in between"
         )
     return f"what is promised holds {when}; controllers in 64 bits"
 
