@@ -15,8 +15,8 @@ from jaxtube.paths.breaks import Break, find_breaks
 from jaxtube.paths.cells import find_radius, make_chain
 from jaxtube.paths.headings import find_heading_problem, find_reversing
 from jaxtube.paths.places import Note, line_of, place_of
-from jaxtube.paths.rows import FEWEST_ROWS, polygon_length, take_rows
-from jaxtube.recordings.path import RawPath
+from jaxtube.paths.rows import polygon_length, take_rows
+from jaxtube.recordings.path import FEWEST_ROWS, RawPath
 
 SHORTEST = 2.0
 """Length of a piece, in track widths, below which it is no drive."""

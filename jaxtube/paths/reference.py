@@ -18,7 +18,7 @@ from jaxtube.paths.missions import PathPlan, plan_path
 from jaxtube.paths.places import PathWarning, place_of
 from jaxtube.paths.profile import WheelLimits
 from jaxtube.paths.proof import find_excess, find_use
-from jaxtube.plant.recorded_reference import from_file
+from jaxtube.plant.recorded_reference import follow_recording
 from jaxtube.plant.reference import Reference
 from jaxtube.recordings.reading import read_path
 from jaxtube.scenario.tree import Scenario
@@ -73,8 +73,9 @@ def follow_file(scenario: Scenario) -> Reference:
     mission = read_mission(file, drive.dt, drive.preview, width, drive.duration)
     if mission is not None:
         return mission
+    raw = read_path(file)
     try:
-        reference = from_file(file, drive.dt, drive.preview, width, drive.duration)
+        reference = follow_recording(raw, drive.dt, drive.preview, width, drive.duration)
     except ValueError as error:
         reason = str(error).removeprefix(f"{file}: ")
     else:
@@ -85,7 +86,7 @@ def follow_file(scenario: Scenario) -> Reference:
             f"its own timing asks the wheels for {use.least:.4g} to {use.greatest:.4g} m/s, "
             f"changing by up to {use.acceleration:.3g} m/s^2"
         )
-    plan = plan_path(read_path(file), drive)
+    plan = plan_path(raw, drive)
     mission = _take_only_mission(file, plan)
     warnings.warn(_tell(file, reason, plan, mission), PathWarning, stacklevel=2)
     return mission.reference

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from scipy.ndimage import median_filter
 
 from jaxtube.paths.places import Note, place_of
-from jaxtube.recordings.path import RawPath
+from jaxtube.recordings.path import FEWEST_ROWS, RawPath
 
 LONGER_WHEN_SORTED = 1.5
 """Times its length in the order of the file beyond which a path sorted by time is none."""
@@ -39,9 +39,6 @@ coordinate: of 1.5 n_i - 1.5 n_{i-1} - 0.5 n_{i+1} + 0.5 n_{i-2}."""
 
 FEWEST_CHANGES = 10
 """Fewer have no noise to speak of: they are waypoints."""
-
-FEWEST_ROWS = 4
-"""A path of fewer rows leaves a curve free to invent."""
 
 
 class Rows(NamedTuple):

@@ -1,4 +1,4 @@
-"""References along a recorded path: a CSV file of positions becomes held wheel speeds.
+"""References along a recorded path: its rows, with their times, become held wheel speeds.
 
 Cubic splines in time go through the recorded positions. At each period the reference stands at the
 pose it has really reached, sees the recording's next sample under the bearing beta from there, and
@@ -11,13 +11,10 @@ Source: the mean is new (the arc to the position alone has a heading error that 
 the one to the heading alone lets lateral errors add up); splines as in any textbook.
 """
 
-from pathlib import Path
-
 import numpy as np
 from jaxtyping import Float
 from scipy.interpolate import CubicSpline
 
-from jaxtube.plant.recording import SLOWEST_RECORDING, Recording, read_recording
 from jaxtube.plant.reference import (
     Reference,
     count_periods,
@@ -25,19 +22,25 @@ from jaxtube.plant.reference import (
     refuse_too_many_periods,
     refuse_unless_positive,
 )
+from jaxtube.recordings.path import FEWEST_ROWS, RawPath
 
 SHARPEST_TURN = np.pi / 2.0
 """Turn in rad of one period beyond which the path is taken to reverse."""
 
+SLOWEST_RECORDING = 1e-3
+"""Speed in m/s below which a recorded path has no heading."""
 
-def from_file(
-    path: str | Path, dt: float, preview: int, track_width: float, duration: float | None = None
+SHORT_TIME = 1e-6
+"""Of a period, by which a recording may be short of a whole one: rounding of its times."""
+
+
+def follow_recording(
+    raw: RawPath, dt: float, preview: int, track_width: float, duration: float | None = None
 ) -> Reference:
-    """Build a reference along a recorded path (module docstring).
+    """Build a reference along a recorded path at its own times (module docstring).
 
     Args:
-        path: CSV file with the header time_s,x_m,y_m; time increasing, the robot always moving
-            forwards.
+        raw: the path; its time increases and its robot always moves forwards.
         dt: s.
         preview: periods known beyond the run; past the end of the recording the last wheel speeds
             are held.
@@ -46,34 +49,36 @@ def from_file(
             recording.
 
     Returns:
-        A reference that starts at the recorded pose and keeps to the recording: exactly where that
-        is made of arcs, else within about half of what a single arc from sample to sample misses.
+        A reference that starts at the recorded pose, in the coordinates of the file, and keeps to
+        the recording: exactly where that is made of arcs, else within about half of what a single
+        arc from sample to sample misses.
 
     Raises:
-        ValueError: in one line, for a file that is not UTF-8 CSV, a missing column, too few rows, a
-            bad number, time that does not increase or is not in seconds, a stop or a reversal in
-            the path, or a duration longer than the recording.
+        ValueError: in one line, for a path without time, too few rows, time that does not increase
+            or is not in its unit, a stop or a reversal in the path, or a duration longer than the
+            recording.
     """
     refuse_unless_positive(track_width=track_width, dt=dt)
-    recording = read_recording(path)
-    refuse_too_many_periods(recording.duration, dt)
-    recorded_steps = int(np.floor(recording.duration / dt * (1.0 + 1e-12)))
+    time = _find_time(raw)
+    refuse_too_many_periods(float(time[-1]), dt)
+    recorded_steps = int(np.floor(time[-1] / dt + SHORT_TIME))
     steps = recorded_steps if duration is None else count_periods(duration, dt)
     if not 0 < steps <= recorded_steps:
         raise ValueError(
-            f"{path}: column time_s covers {recording.duration:.9g} s but the duration asked for "
-            f"is {steps * dt:.9g} s; choose a duration from {dt:g} s to {recorded_steps * dt:.9g} s"
+            f"{raw.path}: its time covers {time[-1]:.9g} s but the duration asked for is "
+            f"{steps * dt:.9g} s; choose a duration from {dt:g} s to {recorded_steps * dt:.9g} s"
         )
     known = min(steps + preview, recorded_steps)
     samples = dt * np.arange(known + 1)
-    spline = CubicSpline(recording.time, recording.positions)
+    spline = CubicSpline(time, raw.positions)
     positions = spline(samples)
-    headings = _find_headings(recording, samples, spline(samples, 1))
+    headings = _find_headings(raw, samples, spline(samples, 1))
+    _refuse_reversing(raw, spline(time, 1))
     turns, lengths = _follow_path(positions, headings)
     speeds = lengths / (dt * np.sinc(turns / (2.0 * np.pi)))
     held = (0, steps + preview - known)
     return make_reference(
-        start=np.append(positions[0], headings[0]),
+        start=np.append(positions[0] + raw.origin, headings[0]),
         speeds=np.pad(speeds, held, "edge"),
         yaw_rates=np.pad(turns / dt, held, "edge"),
         dt=dt,
@@ -82,8 +87,36 @@ def from_file(
     )
 
 
+def _find_time(raw: RawPath) -> Float[np.ndarray, "rows"]:
+    """Return the times of a path's rows, s, which increase."""
+    if raw.time is None:
+        raise ValueError(f"{raw.path}: has no time; give a column of it, such as time_s")
+    if len(raw.time) < FEWEST_ROWS:
+        raise ValueError(
+            f"{raw.path}: {len(raw.time)} rows are too few; record at least {FEWEST_ROWS}"
+        )
+    stalled = np.flatnonzero(np.diff(raw.time) <= 0.0)
+    if stalled.size:
+        before = raw.time[stalled[0]]
+        after = raw.time[stalled[0] + 1]
+        raise ValueError(
+            f"{raw.path}: time does not increase at {raw.word} {raw.lines[stalled[0] + 1]}: "
+            f"{before:.9g} s then {after:.9g} s after the first row; sort the rows and drop "
+            "repeated times"
+        )
+    length = float(np.linalg.norm(np.diff(raw.positions, axis=0), axis=1).sum())
+    mean_speed = length / raw.time[-1]
+    if 0.0 < mean_speed < SLOWEST_RECORDING:
+        raise ValueError(
+            f"{raw.path}: the path moves at {mean_speed:.2g} m/s on average, so that its time is "
+            "in another unit; give seconds (divide milliseconds by 1e3, microseconds by 1e6, "
+            "nanoseconds by 1e9)"
+        )
+    return raw.time
+
+
 def _find_headings(
-    recording: Recording,
+    raw: RawPath,
     samples: Float[np.ndarray, "periods+1"],
     velocities: Float[np.ndarray, "periods+1 2"],
 ) -> Float[np.ndarray, "periods+1"]:
@@ -93,33 +126,44 @@ def _find_headings(
     stops = np.flatnonzero(speeds < SLOWEST_RECORDING)
     jumps = np.flatnonzero(np.abs(np.diff(headings)) > SHARPEST_TURN)
     if stops.size or jumps.size:
-        _refuse_repeats(recording)
+        _refuse_repeats(raw)
     if stops.size:
         raise ValueError(
-            f"{recording.path}: columns x_m, y_m: the path moves at {speeds[stops[0]]:.2g} m/s at "
-            f"{samples[stops[0]]:g} s, without a heading there; cut parts slower than "
-            f"{SLOWEST_RECORDING:g} m/s out"
+            f"{raw.path}: the path moves at {speeds[stops[0]]:.2g} m/s at {samples[stops[0]]:g} s, "
+            f"without a heading there; cut parts slower than {SLOWEST_RECORDING:g} m/s out"
         )
     if jumps.size:
         turn = np.degrees(headings[jumps[0] + 1] - headings[jumps[0]])
         raise ValueError(
-            f"{recording.path}: columns x_m, y_m: the path turns by {turn:.0f} deg in the step at "
-            f"{samples[jumps[0]]:g} s; shorten dt, or smooth the recording"
+            f"{raw.path}: the path turns by {turn:.0f} deg in the step at {samples[jumps[0]]:g} s; "
+            "shorten dt, or smooth the recording"
         )
     return headings
 
 
-def _refuse_repeats(recording: Recording) -> None:
+def _refuse_repeats(raw: RawPath) -> None:
     """Refuse a position that is given twice in a row."""
-    moves = np.diff(recording.positions, axis=0)
+    moves = np.diff(raw.positions, axis=0)
     repeats = np.flatnonzero(~moves.any(axis=1))
     if repeats.size:
-        first = recording.lines[repeats[0]]
-        second = recording.lines[repeats[0] + 1]
+        first = raw.lines[repeats[0]]
+        second = raw.lines[repeats[0] + 1]
         raise ValueError(
-            f"{recording.path}: columns x_m, y_m: line {second} repeats the position of line "
-            f"{first} and leaves the path without a heading; drop repeated positions and cut stops "
-            "out"
+            f"{raw.path}: {raw.word} {second} repeats the position of {raw.word} {first} and "
+            "leaves the path without a heading; drop repeated positions and cut stops out"
+        )
+
+
+def _refuse_reversing(raw: RawPath, velocities: Float[np.ndarray, "rows 2"]) -> None:
+    """Refuse a robot that moves against its own heading, where the path has headings."""
+    if raw.headings is None:
+        return
+    forwards = np.column_stack([np.cos(raw.headings), np.sin(raw.headings)])
+    against = np.flatnonzero(np.sum(forwards * velocities, axis=1) < 0.0)
+    if against.size:
+        raise ValueError(
+            f"{raw.path}: at {raw.word} {raw.lines[against[0]]} the robot moves against its "
+            "heading, and references drive forwards; cut parts in reverse out"
         )
 
 

@@ -12,6 +12,9 @@ from jaxtyping import Float, Int
 
 from jaxtube.recordings.poses import describe_headings, describe_origin, find_origin
 
+FEWEST_ROWS = 4
+"""A path of fewer rows leaves a curve through them free to invent."""
+
 
 @dataclass(frozen=True, eq=False)
 class RawPath:

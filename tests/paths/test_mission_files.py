@@ -12,7 +12,7 @@ from jaxtube.paths.mission_file import read_mission, write_mission
 from jaxtube.paths.missions import plan_path
 from jaxtube.paths.places import PathWarning
 from jaxtube.paths.profile import WheelLimits
-from jaxtube.plant.recorded_reference import from_file
+from jaxtube.plant.recorded_reference import follow_recording
 from jaxtube.recordings.reading import read_path
 from jaxtube.scenario.reading import experiments_folder, load, replace
 from jaxtube.scenario.refusal import ScenarioError
@@ -35,7 +35,7 @@ def test_a_clean_recording_is_driven_as_ever():
         warnings.simplefilter("error")
         reference = along(RECORDED, "untuned")
         shorter = along(RECORDED, "untuned", duration_s=12.0)
-    expected = from_file(RECORDED, 0.1, PREVIEW, WIDTH)
+    expected = follow_recording(read_path(RECORDED), 0.1, PREVIEW, WIDTH)
     np.testing.assert_array_equal(reference.wheels, expected.wheels)
     np.testing.assert_array_equal(reference.poses, expected.poses)
     np.testing.assert_array_equal(shorter.wheels, expected.wheels[: 120 + PREVIEW])

@@ -7,13 +7,19 @@ from scipy.interpolate import CubicSpline
 from tolerances import ROUNDING
 
 from jaxtube.plant import reference
-from jaxtube.plant.recorded_reference import from_file
+from jaxtube.plant.recorded_reference import follow_recording
+from jaxtube.recordings.reading import read_path
 from jaxtube.scenario import reference_rules
 
 SPLINE = 1e-4
 """In m and rad; cubic splines through a smooth path sampled each 0.1 s."""
 
 TRACK_WIDTH = 0.5
+
+
+def from_file(file, *asked):
+    """Return the reference along a file: dt, preview, track width, duration."""
+    return follow_recording(read_path(file), *asked)
 
 
 def recorded_circle(path, radius=4.0, duration=12.0):
@@ -83,13 +89,14 @@ HEADER = "time_s,x_m,y_m"
 @pytest.mark.parametrize(
     "lines, duration, message",
     [
-        (["time_s,x_m,y", *GOOD], None, "column y_m is missing.*write the header time_s,x_m,y_m"),
-        ([], None, "column time_s is missing"),
-        ([HEADER, *GOOD[:3]], None, "3 rows of time_s.*at least 4"),
+        (["time_s,x_m,z_m", *GOOD], None, "hold the coordinate y, among .*; name it: --columns y="),
+        (["x_m,y_m", *(row.partition(",")[2] for row in GOOD)], None, "has no time; give a column"),
+        ([], None, "is empty; name another file"),
+        ([HEADER, *GOOD[:3]], None, "3 rows are too few; record at least 4"),
         (
             [HEADER, *GOOD[:4], GOOD[3], *GOOD[4:]],
             None,
-            "time_s does not increase in line 6: 1.5 then 1.5; sort",
+            "time does not increase at line 6: 1.5 s then 1.5 s after the first row; sort",
         ),
         (
             [HEADER, *GOOD[:2], "1.0,nan,0.04", *GOOD[3:]],
@@ -104,18 +111,18 @@ HEADER = "time_s,x_m,y_m"
         (
             [HEADER, *GOOD[:2], "1.0,0.8", *GOOD[3:]],
             None,
-            "column y_m, line 4: nothing .*mend or drop",
+            "line 4 has 2 cells, the header names 3; mend or drop",
         ),
         (
             [HEADER, *GOOD],
             4.5,
-            "time_s covers 4 s but .* asked for is 4.5 s; choose a duration from 0.1 s to 4 s",
+            "its time covers 4 s but .* asked for is 4.5 s; choose a duration from 0.1 s to 4 s",
         ),
         ([HEADER, *GOOD], 0.25, "duration = 0.25 s is no whole number of dt = 0.1 s"),
         (
             [HEADER, *[f"{k},1.0,2.0" for k in range(9)]],
             None,
-            "columns x_m, y_m: line 3 repeats the position of line 2.*drop repeated",
+            "line 3 repeats the position of line 2.*drop repeated",
         ),
         (
             [HEADER, *GOOD[:3], "", "", "1.5,1.2,0.09", "2.0,1.2,0.09", "2.5,1.2,0.09"],
@@ -126,29 +133,27 @@ HEADER = "time_s,x_m,y_m"
         (
             [HEADER, *[f"{k},{(k - 4) ** 3},0.0" for k in range(9)]],
             None,
-            "columns x_m, y_m: .* m/s at 4 s, without a heading there; cut",
+            "the path moves at .* m/s at 4 s, without a heading there; cut",
         ),
         (
-            [HEADER, *[f"{17 * 10**17 + k * 10**8},{0.1 * k},0.0" for k in range(9)]],
+            [
+                f"{HEADER},heading_rad",
+                *[f"{row},{np.pi if k > 4 else 0.0}" for k, row in enumerate(GOOD)],
+            ],
             None,
-            r"column time_s starts at 1.7e\+18: nanoseconds since 1970; .*divide .* by 1e9",
-        ),
-        (
-            [HEADER, *[f"{17 * 10**11 + k * 100},{0.1 * k},0.0" for k in range(9)]],
-            None,
-            "milliseconds since 1970.*divide the column by 1e3",
+            "at line 7 the robot moves against its heading, .*; cut parts in reverse out",
         ),
         (
             [HEADER, *[f"{k * 10**8},{0.1 * k},0.0" for k in range(9)]],
             None,
-            "time_s: the path moves at 1e-09 m/s on average; give seconds .*nanoseconds by 1e9",
+            "the path moves at 1e-09 m/s on average, .* give seconds .*nanoseconds by 1e9",
         ),
-        ([HEADER, "0," + "1" * 140_000 + ",0"], None, "is not CSV .*save it as CSV in UTF-8"),
-        (["x" * 1000], None, "missing from the header x+\\.\\.\\.; write"),
+        ([HEADER, "0," + "1" * 140_000 + ",0"], None, "is no table of numbers; give rows"),
+        (["x" * 1000], None, "is no table of numbers; give rows"),
         (
             [HEADER, *[f"{k},{np.cos(k)},0.0" for k in range(9)]],
             None,
-            "columns x_m, y_m: .*turns by .*shorten dt",
+            "the path turns by .*shorten dt",
         ),
     ],
 )
@@ -192,14 +197,37 @@ def test_stamps_since_1970_lose_no_step(tmp_path):
         assert from_file(file, 0.1, 0, TRACK_WIDTH).steps == tenths
 
 
+@pytest.mark.parametrize("unit, per_second", [("ns", 10**9), ("us", 10**6), ("ms", 10**3)])
+def test_stamps_since_1970_are_told_by_their_size(tmp_path, unit, per_second):
+    file = tmp_path / "stamped.csv"
+    rows = [f"{(17 * 10**9 + k) * per_second // 10},{0.1 * k},0.0" for k in range(9)]
+    file.write_text("\n".join(["stamp,x_m,y_m", *rows]))
+    reference = from_file(file, 0.1, 0, TRACK_WIDTH)
+    assert reference.steps == 8
+    np.testing.assert_allclose(reference.wheels, 1.0, rtol=1e-9)
+
+
 @pytest.mark.parametrize("encoding", ["latin-1", "utf-16", "utf-16-le"])
-def test_other_encodings_are_refused_with_file_and_cure(tmp_path, encoding):
+def test_other_encodings_delimiters_and_tables_without_header_are_read(tmp_path, encoding):
     file = tmp_path / "saved.csv"
-    text = "\n".join(["time_s,x_m,y_m,Stra\u00dfe", *[f"{row}," for row in GOOD]])
+    text = "\n".join(["time_s;x_m;y_m;Stra\u00dfe", *[f"{row},".replace(",", ";") for row in GOOD]])
     file.write_bytes(text.encode(encoding))
-    with pytest.raises(ValueError, match=r"saved\.csv: .*UTF-8") as caught:
-        from_file(file, 0.1, 0, TRACK_WIDTH)
-    assert "\n" not in str(caught.value)
+    plain = tmp_path / "plain.txt"
+    plain.write_text("\n".join(row.replace(",", " ") for row in GOOD))
+    expected = from_file(file, 0.1, 0, TRACK_WIDTH)
+    np.testing.assert_array_equal(from_file(plain, 0.1, 0, TRACK_WIDTH).poses, expected.poses)
+
+
+def test_coordinates_far_from_zero_stay_those_of_the_file(tmp_path):
+    file = tmp_path / "near.csv"
+    file.write_text("\n".join([HEADER, *GOOD]))
+    far = tmp_path / "far.csv"
+    origin = np.array([500123.5, 4649776.25])
+    table = np.loadtxt(file, delimiter=",", skiprows=1) + np.append(0.0, origin)
+    np.savetxt(far, table, delimiter=",", header=HEADER, comments="", fmt="%.17g")
+    near = from_file(file, 0.1, 0, TRACK_WIDTH)
+    poses = from_file(far, 0.1, 0, TRACK_WIDTH).poses
+    np.testing.assert_allclose(poses - np.append(origin, 0.0), near.poses, rtol=0, atol=1e-8)
 
 
 def test_a_recording_of_too_many_periods_is_refused(tmp_path):
