@@ -7,8 +7,9 @@ Source: new.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.descent import PENALTY
@@ -18,6 +19,9 @@ from jaxtube.synthesis.optimise import optimise, optimise_nearby
 from jaxtube.synthesis.optimum import LIMIT_ROOM, Optimum
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.starts import caps_and_gains
+
+HOLDS_IN_FILES = "is_certified"
+"""Key of `Attempt.holds` in files of runs, where most attempts are designs."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +37,9 @@ class Attempt:
             limits are kept, larger where they are passed; None where no tube is bounded.
         binding: the row of `descent.ROWS` that binds most; empty without a search's end.
         caps_and_gains: of the best design found, None without one.
-        is_certified: whether the certificate holds and the start has a plan.
-        reason: what denies it; empty where it is certified.
+        holds: of a design, whether its certificate holds and the start has a plan; of a search,
+            whether its estimate lets it hold.
+        reason: what denies it; empty where it holds.
     """
 
     factor: float
@@ -43,8 +48,20 @@ class Attempt:
     level: float | None = None
     binding: str = ""
     caps_and_gains: tuple[float, ...] | None = None
-    is_certified: bool = False
+    holds: bool = False
     reason: str = ""
+
+    def to_record(self) -> dict[str, Any]:
+        """Return the attempt as files of runs have it: there `holds` is called `is_certified`."""
+        record = asdict(self)
+        return {HOLDS_IN_FILES if name == "holds" else name: record[name] for name in record}
+
+
+def read_attempt(record: Mapping[str, Any]) -> Attempt:
+    """Return an attempt from its record, whose tuples are lists."""
+    values = {"holds" if name == HOLDS_IN_FILES else name: record[name] for name in record}
+    caps = values["caps_and_gains"]
+    return Attempt(**{**values, "caps_and_gains": None if caps is None else tuple(caps)})
 
 
 def attempt_design(
@@ -60,14 +77,14 @@ def attempt_design(
     if not made.holds:
         return tried
     reason = _find_fault(made.scenario)
-    return replace(tried, is_certified=not reason, reason=reason)
+    return replace(tried, holds=not reason, reason=reason)
 
 
 def attempt_search(
     scenario: Scenario, lever: Lever, factor: float, near: Sequence[float] | None
 ) -> Attempt:
     """Scale the quantity of a scenario without caps and gains, and search them from some nearby
-    alone, where any are given; what the estimate lets hold counts as certified here."""
+    alone, where any are given; nothing is certified."""
     try:
         scaled = lever.scale(scenario, factor)
         problem = make_problem(scaled)
@@ -76,7 +93,7 @@ def attempt_search(
         return Attempt(factor, reason=str(error))
     if made is None:
         return Attempt(factor, lever.measure(scaled), reason="no bounded tube nearby")
-    return replace(_describe_search(factor, lever, made), is_certified=made.holds)
+    return replace(_describe_search(factor, lever, made), holds=made.holds)
 
 
 def _describe_search(factor: float, lever: Lever, made: Optimum) -> Attempt:

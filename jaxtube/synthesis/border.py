@@ -4,10 +4,9 @@ smallest limits, the widest slip.
     hardness x = -easier log(factor),    factor of the quantity, `easier` as of its lever
 
 An attempt at x (`synthesis.attempt`) begins with the caps and gains of the nearest one that has
-some. Attempts bracket the border: one that is certified below, one that is
-not above. Its place is predicted from the logarithms of ratios, a secant kept inside the bracket,
-until the bracket is as narrow as asked for. Nothing says that no design exists beyond: none was
-found.
+some. Attempts bracket the border: one that holds below, one that does not above. Its place is
+predicted from the logarithms of ratios, a secant kept inside the bracket, until the bracket is as
+narrow as asked for. Nothing says that no design exists beyond: none was found.
 
 Source: new.
 """
@@ -54,8 +53,8 @@ class Border:
 
     Attributes:
         attempts: all of them.
-        best: the hardest certified one, None where none is.
-        beyond: the easiest one that is harder than `best` and not certified, None where there is
+        best: the hardest one that holds, None where none does.
+        beyond: the easiest one that is harder than `best` and does not hold, None where there is
             none as far as was searched.
     """
 
@@ -91,10 +90,10 @@ def find_border(
 
 
 def _bracket(attempts: dict[float, Attempt]) -> tuple[float, float]:
-    """Return the hardest certified place and the easiest one beyond that is not; infinite where
+    """Return the hardest place that holds and the easiest one beyond that does not; infinite where
     there is none."""
-    certified = [place for place, attempt in attempts.items() if attempt.is_certified]
-    lower = max(certified, default=-math.inf)
+    held = [place for place, attempt in attempts.items() if attempt.holds]
+    lower = max(held, default=-math.inf)
     return lower, min((place for place in attempts if place > lower), default=math.inf)
 
 
@@ -129,7 +128,7 @@ def _step_on(attempts: dict[float, Attempt], end: float, direction: int) -> floa
 
 
 def _step_down(attempts: dict[float, Attempt]) -> float | None:
-    """Return the place to try where none is certified: an easier one; where that gains nothing, as
+    """Return the place to try where none holds: an easier one; where that gains nothing, as
     slower wheels may not, a harder one; None where the least level lies between two others."""
     places = sorted(attempts)
     levels = [_find_level(attempts[place]) for place in places]
@@ -165,9 +164,9 @@ def _find_level(attempt: Attempt) -> float:
 
 
 def _find_near(attempts: dict[float, Attempt], place: float) -> tuple[float, ...] | None:
-    """Return caps and gains of the attempt closest to a place, certified ones before others."""
+    """Return caps and gains of the attempt closest to a place, those that hold before others."""
     with_caps = [
-        (not attempt.is_certified, abs(other - place), attempt.caps_and_gains)
+        (not attempt.holds, abs(other - place), attempt.caps_and_gains)
         for other, attempt in attempts.items()
         if attempt.caps_and_gains is not None
     ]
@@ -197,6 +196,6 @@ def find_certified(
     for step in EASED:
         factor = border.best.factor * math.exp(easier * step)
         tried = certify(factor, near)
-        if tried.is_certified:
+        if tried.holds:
             return tried
     return None

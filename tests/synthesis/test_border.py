@@ -12,13 +12,13 @@ PRECISION = math.log(1.01)
 FEW = 9
 
 
-def make_asker(level, is_certified=None, asked=None):
+def make_asker(level, holds=None, asked=None):
     """Return what attempts a factor whose logarithm has a known level of the ratio's logarithm."""
 
     def ask(factor, near) -> Attempt:
         place = math.log(factor)
         height = level(place)
-        held = height <= 0 if is_certified is None else is_certified(place)
+        held = height <= 0 if holds is None else holds(place)
         if asked is not None:
             asked.append((place, near))
         return Attempt(factor, factor, math.exp(height), height, "row", (place,), held)

@@ -11,14 +11,14 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 
 from jaxtube.experiments.run.value_log import ValueLog
 from jaxtube.progress import ProgressBar, progress
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.attempt import Attempt, attempt_design, attempt_search
+from jaxtube.synthesis.attempt import Attempt, attempt_design, attempt_search, read_attempt
 from jaxtube.synthesis.border import MOST_ATTEMPTS, Ask, Border, find_border, find_certified
 from jaxtube.synthesis.levers import SLIP, SPEED, Lever
 
@@ -71,7 +71,7 @@ class Attempts:
         self._scenario = scenario
         self._second_factor = 1.0
         self._log = log
-        self._answers = {_key(record): _read(record["attempt"]) for record in log.records}
+        self._answers = {_key(record): read_attempt(record["attempt"]) for record in log.records}
 
     def of(self, second: Lever, factor: float) -> Attempts | None:
         """Return attempts at a factor of the second quantity, None where no scenario may have
@@ -93,7 +93,7 @@ class Attempts:
         key = _key(question)
         if key not in self._answers:
             made = METHODS[method](self._scenario, self.lever, factor, near)
-            self._log.append(question | {"attempt": asdict(made)})
+            self._log.append(question | {"attempt": made.to_record()})
             self._answers[key] = made
         return self._answers[key]
 
@@ -145,7 +145,7 @@ def _shown(ask: Ask, bar: ProgressBar) -> Ask:
 
     def ask_and_show(factor: float, near: Sequence[float] | None) -> Attempt:
         made = ask(factor, near)
-        held = "certified" if made.is_certified else "not certified"
+        held = "certified" if made.holds else "not certified"
         if made.value is not None:
             bar.set_postfix_str(f"{made.value:.4g} {held}", refresh=False)
         bar.update()
@@ -204,9 +204,3 @@ def _is_allowed(scenario: Scenario, lever: Lever, factor: float) -> bool:
 
 def _key(question: Mapping) -> tuple[str, float, float]:
     return question["method"], question["second_factor"], question["factor"]
-
-
-def _read(values: Mapping) -> Attempt:
-    """Return an attempt from its record, whose tuples are lists."""
-    caps = values["caps_and_gains"]
-    return Attempt(**{**values, "caps_and_gains": None if caps is None else tuple(caps)})

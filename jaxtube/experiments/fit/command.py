@@ -10,12 +10,12 @@ none.
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from typing import Any
 
 from jaxtube.atomic import write_atomically
 from jaxtube.experiments.design.nearest import say_nearest
 from jaxtube.experiments.fit import figures
-from jaxtube.experiments.fit.attempts import Fit, fit
+from jaxtube.experiments.fit.attempts import Fit, FrontierPoint, fit
 from jaxtube.experiments.fit.report import describe_border, report
 from jaxtube.experiments.options import PROGRAM, FitOptions
 from jaxtube.experiments.run import folder as run_folder
@@ -82,16 +82,21 @@ def _refuse_unfit(scenario: Scenario, lever: Lever) -> None:
     raise ScenarioError(f"scenario: fit {lever.name}: the scenario has none of it; give some")
 
 
-def _metrics(found: Fit) -> dict:
+def _metrics(found: Fit) -> dict[str, Any]:
     border = found.border
     return {
         "quantity": found.lever.name,
-        "best": None if border.best is None else asdict(border.best),
-        "beyond": None if border.beyond is None else asdict(border.beyond),
-        "attempts": [asdict(attempt) for attempt in border.attempts],
+        "best": None if border.best is None else border.best.to_record(),
+        "beyond": None if border.beyond is None else border.beyond.to_record(),
+        "attempts": [attempt.to_record() for attempt in border.attempts],
         "second_quantity": None if found.second is None else found.second.name,
-        "frontier": [asdict(point) for point in found.frontier],
+        "frontier": [_describe_point(point) for point in found.frontier],
     }
+
+
+def _describe_point(point: FrontierPoint) -> dict[str, Any]:
+    attempt = None if point.attempt is None else point.attempt.to_record()
+    return {"factor": point.factor, "value": point.value, "attempt": attempt}
 
 
 def _save_fitted(

@@ -106,5 +106,5 @@ def _draw_frontier(axes: Axes, scenario: Scenario, found: Fit, shapes: dict[str,
 
 
 def _look(attempt: Attempt, shapes: dict[str, str]) -> dict[str, Any]:
-    look = CERTIFIED if attempt.is_certified else DENIED
+    look = CERTIFIED if attempt.holds else DENIED
     return {**look, "marker": shapes.get(attempt.binding, SHAPES[-1])}

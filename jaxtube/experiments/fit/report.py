@@ -73,12 +73,12 @@ def _attempt_table(found: Fit) -> str:
 
 
 def _attempt_row(attempt: Attempt) -> list[str]:
-    is_told = attempt.is_certified or attempt.ratio is None or attempt.ratio > 1
+    is_told = attempt.holds or attempt.ratio is None or attempt.ratio > 1
     return [
         "-" if attempt.value is None else f"{attempt.value:.4g}",
         f"{attempt.factor:.4g}",
         "-" if attempt.ratio is None else f"{100 * attempt.ratio:.1f}",
-        "yes" if attempt.is_certified else "no",
+        "yes" if attempt.holds else "no",
         attempt.binding if is_told and attempt.binding else _shorten(attempt.reason),
     ]
 
