@@ -21,6 +21,7 @@ from jaxtyping import Float
 from scipy.optimize import least_squares
 
 from jaxtube.identification.samples import Poses, Steps, Travel, measure_steps
+from jaxtube.recordings.spread import find_spread
 from jaxtube.scenario.refusal import refusal
 
 FURTHEST_S = 10.0
@@ -92,9 +93,9 @@ def align(path: str, travel: Travel, poses: Poses) -> Clock:
     fitted = _refine(travel, steps, best, scale)
     parts = np.array_split(np.arange(len(steps.start)), 8)
     by_part = [_refine(travel, _take(steps, part), fitted[0], scale)[0] for part in parts]
-    spread = 1.4826 * np.median(np.abs(np.array(by_part) - fitted[0])) / np.sqrt(len(parts))
+    error = find_spread(np.array(by_part) - fitted[0]) / float(np.sqrt(len(parts)))
     offset, right, left, turn_right, turn_left = fitted.tolist()
-    return Clock(offset, float(spread), correlation, (right, left), (turn_right, turn_left))
+    return Clock(offset, error, correlation, (right, left), (turn_right, turn_left))
 
 
 def _correlate(travel: Travel, steps: Steps, offset: float) -> tuple[float, float]:
@@ -120,7 +121,7 @@ def _find_scale(travel: Travel, steps: Steps, offset: float) -> Float[np.ndarray
     """Return the sizes of what forward motion and turn differ from the wheels' by."""
     fitted = _refine(travel, steps, offset, np.ones(2))
     missed = _miss(travel, steps, fitted)
-    return np.maximum(1.4826 * np.median(np.abs(missed), axis=0), 1e-6)
+    return np.maximum(find_spread(missed, axis=0), 1e-6)
 
 
 def _refine(

@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float
 
 from jaxtube.identification.clocks import Clock
 from jaxtube.identification.samples import Poses, Travel
+from jaxtube.recordings.spread import find_spread
 
 SIGMAS = 6.0
 
@@ -107,7 +108,7 @@ def _measure_jumps(poses: Poses, expected: Float[np.ndarray, "k 2"]) -> Float[np
 def _find_noise(poses: Poses) -> Float[np.ndarray, "2"]:
     """Return the spread of poses about the mean of their neighbours (m, rad)."""
     bent = poses.pose[1:-1] - (poses.pose[2:] + poses.pose[:-2]) / 2.0
-    spread = 1.4826 * np.median(np.abs(bent), axis=0)
+    spread = find_spread(bent, axis=0)
     return np.array([max(spread[0], spread[1]), spread[2]])
 
 

@@ -27,6 +27,8 @@ import numpy as np
 from jaxtyping import Float, Int
 from scipy.optimize import least_squares
 
+from jaxtube.recordings.spread import find_spread
+
 ITERATIONS = 8
 
 BOOTSTRAPS = 40
@@ -87,12 +89,12 @@ def fit_geometry(
     slips = find_slips(wheels, velocity, gains[2]) - (1.0 - gains[:2])
     return Geometry(
         float(gains[2]),
-        _find_spread(np.array(tracks)),
+        find_spread(np.array(tracks) - np.median(tracks)),
         float(side[0]),
-        _find_spread(np.array(levers)),
+        find_spread(np.array(levers) - np.median(levers)),
         float(side[1]),
         (float(1.0 - gains[0]), float(1.0 - gains[1])),
-        float(1.4826 * np.median(np.abs(slips))),
+        find_spread(slips),
         1.0 - float(np.median(np.abs(missed)) / max(np.median(np.abs(velocity[:, 1])), 1e-9)),
     )
 
@@ -123,7 +125,7 @@ def _fit_track(
     for _ in range(ITERATIONS if start is None else 2):
         track = float(gains[2])
         slips = find_slips(wheels, velocity, track)
-        scale = max(1.4826 * float(np.median(np.abs(slips - (1.0 - gains[:2])))), 1e-6)
+        scale = max(find_spread(slips - (1.0 - gains[:2])), 1e-6)
         noise = np.hypot(spread[:, :1], track * spread[:, 1:2] / 2.0) / wheels
         weight = 1.0 / np.sqrt(scale**2 + noise**2)
 
@@ -192,14 +194,9 @@ def _fit_side(velocity: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "2"]:
     aside = velocity[:, 2] / velocity[:, 0]
     design = np.column_stack([-turned, np.ones(len(turned))])
     start = np.linalg.lstsq(design, aside, rcond=None)[0]
-    scale = max(1.4826 * float(np.median(np.abs(aside - design @ start))), 1e-6)
+    scale = max(find_spread(aside - design @ start), 1e-6)
 
     def residuals(values: Float[np.ndarray, "2"]) -> Float[np.ndarray, "k"]:
         return aside - design @ values
 
     return least_squares(residuals, start, loss="soft_l1", f_scale=scale).x
-
-
-def _find_spread(values: Float[np.ndarray, "k"]) -> float:
-    """Return a robust standard deviation."""
-    return float(1.4826 * np.median(np.abs(values - np.median(values))))

@@ -26,6 +26,7 @@ from jaxtyping import Float, Int
 from scipy.optimize import least_squares, minimize, root_scalar
 
 from jaxtube.recordings.log import Log
+from jaxtube.recordings.spread import find_spread
 
 BEFORE_S = 0.3
 AFTER_S = 2.5
@@ -178,8 +179,7 @@ def _fit_lag(
         expected = follow_commands(time, commands, own_delay, own_lag) @ gains
         return (changes.wheels[rows] - expected).ravel()
 
-    spread = float(np.median(np.abs(miss(delay, lag)))) / QUARTILE
-    spread = max(spread, SMALLEST_SPREAD_MPS)
+    spread = max(find_spread(miss(delay, lag)), SMALLEST_SPREAD_MPS)
 
     def residuals(values: Float[np.ndarray, "2"]) -> Float[np.ndarray, "k+1"]:
         return np.append(miss(*values.tolist()) / spread, (values[0] - delay) / wait)

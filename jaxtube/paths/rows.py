@@ -16,6 +16,7 @@ from scipy.ndimage import median_filter
 
 from jaxtube.paths.places import Note, place_of
 from jaxtube.recordings.path import FEWEST_ROWS, RawPath
+from jaxtube.recordings.spread import find_spread
 
 LONGER_WHEN_SORTED = 1.5
 """Times its length in the order of the file beyond which a path sorted by time is none."""
@@ -29,9 +30,6 @@ STRAY_NOISES = 10.0
 STRAY_STEPS = 5.0
 """Steps of its neighbourhood by which a stray row is off: the median of a path that turns back is
 nearer."""
-
-TO_DEVIATION = 1.4826
-"""From the median of absolute values of a normal variable to its standard deviation."""
 
 CHANGE_SHARE = 5.0
 """Variance of the change of a row's distance from the chord of its neighbours, in variances of one
@@ -98,7 +96,7 @@ def measure_noise(positions: Float[np.ndarray, "n 2"]) -> float:
     changes = np.abs(np.diff(offset))[(shorter > 0.0) & (shorter >= np.median(shorter))]
     if len(changes) < FEWEST_CHANGES:
         return 0.0
-    return float(TO_DEVIATION * np.median(changes) / np.sqrt(CHANGE_SHARE))
+    return find_spread(changes) / float(np.sqrt(CHANGE_SHARE))
 
 
 def polygon_length(positions: Float[np.ndarray, "n 2"]) -> float:
