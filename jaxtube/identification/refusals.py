@@ -34,7 +34,7 @@ PARTS = 3
 LEAST_TURNING = 0.05
 """Of |v_r - v_l| / (v_r + v_l), in one of four windows at least."""
 
-LEAST_EXPLAINED = 0.5
+LEAST_EXPLAINED_BY_TRACK = 0.5
 """Of the yaw rate, by the wheels through an effective track."""
 
 MOST_ROLLED = 2.0
@@ -92,7 +92,7 @@ def refuse_straight(windows: Windows, fits: Bool[np.ndarray, "k"]) -> None:
 
 def refuse_other_turning(windows: Windows, geometry: Geometry) -> None:
     """Refuse a robot that an effective track does not describe."""
-    if geometry.explained >= LEAST_EXPLAINED:
+    if geometry.explained >= LEAST_EXPLAINED_BY_TRACK:
         return
     problem = (
         "is the share of the yaw rate that wheels explain through an effective track: this robot "

@@ -37,7 +37,7 @@ BOX_SPARE = 1.02
 ROOM_BY_NOISE = 4.0
 """Half width of an error set by the bound of the noise, at least."""
 
-LEAST_EXPLAINED = 0.8
+LEAST_EXPLAINED_BY_LAG = 0.8
 """Of the wheels' spread, for a lag that is counted with."""
 
 LATE_S = 0.01
@@ -100,7 +100,7 @@ def list_open_points(findings: Findings | None) -> list[str]:
             "noise: not identified, and 0 in the file: give the bound of your localisation"
         )
     response = findings.response if findings else None
-    if response is None or response.explained < LEAST_EXPLAINED:
+    if response is None or response.explained < LEAST_EXPLAINED_BY_LAG:
         points.append(
             "robot.wheel_lag_s: not identified, and 0 in the file: give the least and the greatest"
         )
@@ -164,7 +164,7 @@ def _robot(
 
 def _lag(findings: Findings | None) -> list[Line]:
     response = findings.response if findings else None
-    if response is None or response.explained < LEAST_EXPLAINED:
+    if response is None or response.explained < LEAST_EXPLAINED_BY_LAG:
         reason = "no commands in the log, or too few changes of them"
         if response is not None:
             reason = (

@@ -35,9 +35,9 @@ def find_headings(quaternions: Float[np.ndarray, "n 4"]) -> Float[np.ndarray, "n
 
 
 def find_bad_quaternions(quaternions: Float[np.ndarray, "n 4"]) -> Int[np.ndarray, "bad"]:
-    """Return the rows whose quaternion is no rotation."""
+    """Return the rows whose quaternion is no rotation, NaN included."""
     norms = np.linalg.norm(quaternions, axis=1)
-    return np.flatnonzero(np.abs(norms - 1.0) > UNIT_QUATERNION)
+    return np.flatnonzero(~(np.abs(norms - 1.0) <= UNIT_QUATERNION))
 
 
 def align_headings(positions: Float[np.ndarray, "n 2"], headings: Float[np.ndarray, "n"]) -> float:

@@ -20,13 +20,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from jaxtube.recordings.delimiter import MISSING, Layout, find_layout, is_number, split_rows
+from jaxtube.recordings.poses import find_bad_quaternions
 from jaxtube.recordings.text import read_text
 
 POSE_NAMES = ("timestamp", "tx", "ty", "tz", "qx", "qy", "qz", "qw")
 """The columns of a TUM pose file, which has no header."""
-
-UNIT_QUATERNION = 1e-2
-"""Largest deviation of a recorded quaternion's norm from 1."""
 
 SHOWN_NAMES = 16
 """Columns that a message lists."""
@@ -128,7 +126,7 @@ def _holds_poses(layout: Layout) -> bool:
     if len(cells) != len(POSE_NAMES) or not all(is_number(cell) for cell in cells):
         return False
     quaternion = [float(cell.replace(",", ".", 1)) for cell in cells[4:]]
-    return abs(float(np.linalg.norm(quaternion)) - 1.0) < UNIT_QUATERNION
+    return not find_bad_quaternions(np.array([quaternion])).size
 
 
 def read_cells(table: Table, places: Sequence[int]) -> Cells:

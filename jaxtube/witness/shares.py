@@ -46,7 +46,7 @@ class Share(NamedTuple):
         return share_interval(self.whole, self.commands) if self.commands else (0.0, 1.0)
 
 
-class Promise(NamedTuple):
+class QuotedPromise(NamedTuple):
     """What was promised of new commands.
 
     Attributes:
@@ -69,7 +69,7 @@ def count_share(inside: Bool[np.ndarray, "k"], command: Int[np.ndarray, "k"]) ->
     return Share(int(inside.sum()), len(inside), len(commands) - len(failed), len(commands))
 
 
-def find_promise(text: str) -> Promise | None:
+def find_promise(text: str) -> QuotedPromise | None:
     """Return the promise that stands in the comments of a scenario file; None where none does."""
     comments = [line.strip()[1:] for line in text.splitlines() if line.strip().startswith("#")]
     told = " ".join(" ".join(comments).split())
@@ -78,7 +78,7 @@ def find_promise(text: str) -> Promise | None:
         return None
     origin = FINGERPRINT.search(told)
     words = [f"Its box of slips {found.group()}.", f"{origin.group()}." if origin else ""]
-    return Promise(
+    return QuotedPromise(
         int(found["share"]) / 100,
         "in the scenario's file",
         " ".join(filter(None, words)),
@@ -86,14 +86,14 @@ def find_promise(text: str) -> Promise | None:
     )
 
 
-def is_own_log(promise: Promise | None, path: str) -> bool:
+def is_own_log(promise: QuotedPromise | None, path: str) -> bool:
     """Whether a promise comes from the log of this file, which then says nothing of it."""
     if promise is None or not promise.fingerprint:
         return False
     return promise.fingerprint == find_fingerprint(path)
 
 
-def judge_promise(share: Share, promise: Promise) -> str:
+def judge_promise(share: Share, promise: QuotedPromise) -> str:
     """Return what a log says of a promise, in words."""
     low, high = share.interval
     if not share.commands:

@@ -17,7 +17,7 @@ from jaxtube.identification.simulated_drive import Truth, drive
 from jaxtube.identification.simulated_log import Sensors, record, write_log
 from jaxtube.plant.recorded_slips import make_recorded, read_slips
 from jaxtube.scenario import load
-from jaxtube.witness.shares import Promise
+from jaxtube.witness.shares import QuotedPromise
 
 DATA = Path(os.environ.get("JAXTUBE_DATA", Path(__file__).parents[2] / "../shared/data"))
 ASPHALT = DATA / "logs" / "warthog_asphalt.csv"
@@ -163,7 +163,7 @@ def test_a_given_promise_counts_before_that_of_the_file(files):
     options = ReplayOptions(scenario=str(files / "fits.toml"))
     promise = find_promised(options)
     assert (promise.share, promise.source) == (0.73, "in the scenario's file")
-    assert find_promised(replace(options, promised=0.9)) == Promise(0.9, "as given")
+    assert find_promised(replace(options, promised=0.9)) == QuotedPromise(0.9, "as given")
     assert find_promised(replace(options, scenario="paper")) is None
 
 

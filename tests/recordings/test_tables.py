@@ -247,3 +247,14 @@ def test_hints_of_what_nothing_holds_are_refused():
         ValueError, match=r"--topics pose=/odom: pose is unknown; name one of wheel"
     ):
         Hints(topics={"pose": "/odom"})
+
+
+@pytest.mark.parametrize(
+    ("quaternion", "is_pose_file"),
+    [("0 0 0.71 0.71", True), ("0 0 0.7 0.69", True), ("0 0 2 1", False), ("0 0 nan 1", False)],
+)
+def test_a_row_with_a_unit_quaternion_but_for_rounding_is_one_of_a_pose_file(
+    tmp_path, quaternion, is_pose_file
+):
+    table = open_table(write(tmp_path / "poses.txt", f"0.0 1 2 0 {quaternion}\n" * 3))
+    assert table.has_names == is_pose_file

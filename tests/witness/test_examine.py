@@ -13,7 +13,7 @@ from jaxtube.recordings.windows import Windows
 from jaxtube.statistics.intervals import share_interval
 from jaxtube.witness.examine import examine
 from jaxtube.witness.model_sets import find_model_sets, measure_usage
-from jaxtube.witness.shares import Promise, Share, count_share, find_promise, judge_promise
+from jaxtube.witness.shares import QuotedPromise, Share, count_share, find_promise, judge_promise
 
 LONGER_S = 1.0
 
@@ -149,7 +149,7 @@ def test_a_command_is_whole_where_all_of_it_is_inside():
     ],
 )
 def test_a_promise_is_judged_by_the_interval_of_new_commands(whole, commands, said):
-    assert said in judge_promise(Share(whole, commands, whole, commands), Promise(0.77, ""))
+    assert said in judge_promise(Share(whole, commands, whole, commands), QuotedPromise(0.77, ""))
 
 
 def test_the_promise_of_an_identification_is_found_in_the_comments_of_its_file():

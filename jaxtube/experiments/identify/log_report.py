@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
 from jaxtube.identification.findings import Findings, Noise
-from jaxtube.identification.scenario_text import LEAST_EXPLAINED
+from jaxtube.identification.scenario_text import LEAST_EXPLAINED_BY_LAG
 
 MOST_CUTS = 12
 """That are listed one by one."""
@@ -60,7 +60,7 @@ def _response_rows(findings: Findings) -> list[Row]:
     if response is None:
         return [("wheels behind commands", "unknown", "", "no commands in the log, or too few")]
     changes = f"{response.changes} changes, {100 * max(response.explained, 0):.0f} % explained"
-    if response.explained < LEAST_EXPLAINED:
+    if response.explained < LEAST_EXPLAINED_BY_LAG:
         reason = f"{changes}: no first-order lag"
         return [("wheels behind commands", "unknown", "", reason)]
     least, greatest = response.lag_interval

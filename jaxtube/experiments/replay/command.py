@@ -27,7 +27,7 @@ from jaxtube.scenario.reading import find
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario
 from jaxtube.witness.examine import Witness, examine
-from jaxtube.witness.shares import Promise, find_promise
+from jaxtube.witness.shares import QuotedPromise, find_promise
 from jaxtube.witness.span_test import SpanTest
 
 SLIPS = "slips.csv"
@@ -74,10 +74,10 @@ def read(options: ReplayOptions) -> Log:
         raise ScenarioError(str(error)) from None
 
 
-def find_promised(options: ReplayOptions) -> Promise | None:
+def find_promised(options: ReplayOptions) -> QuotedPromise | None:
     """Return what was promised: as an option says, or the comments of the scenario's file."""
     if options.promised is not None:
-        return Promise(options.promised, "as given")
+        return QuotedPromise(options.promised, "as given")
     return find_promise(find(options.scenario).read_text(encoding="utf-8-sig"))
 
 

@@ -11,12 +11,12 @@ from jaxtube.coordinates import KEYS, TO_DISPLAY
 from jaxtube.experiments.replay.set_table import compare
 from jaxtube.statistics.intervals import CONFIDENCE
 from jaxtube.witness.examine import Witness
-from jaxtube.witness.shares import Promise, Share, is_own_log, judge_promise
+from jaxtube.witness.shares import QuotedPromise, Share, is_own_log, judge_promise
 from jaxtube.witness.span_test import JUDGED, SpanTest
 from jaxtube.witness.spans import KINDS
 
 
-def metrics(witness: Witness, promise: Promise | None) -> dict[str, Any]:
+def metrics(witness: Witness, promise: QuotedPromise | None) -> dict[str, Any]:
     """Return the numbers of a replay."""
     share = witness.windows.share
     verdict = judge_promise(share, promise) if promise else None

@@ -11,13 +11,13 @@ from jaxtube.experiments.replay.words import say_percent
 from jaxtube.experiments.run.table import wrap
 from jaxtube.statistics.intervals import CONFIDENCE
 from jaxtube.witness.examine import Witness
-from jaxtube.witness.shares import Promise, is_own_log, judge_promise
+from jaxtube.witness.shares import QuotedPromise, is_own_log, judge_promise
 
 MOST_TIMES = 12
 """Of windows that the report lists."""
 
 
-def report(witness: Witness, promise: Promise | None, name: str) -> str:
+def report(witness: Witness, promise: QuotedPromise | None, name: str) -> str:
     """Return the report."""
     parts = [
         _say_promise(witness, promise, name),
@@ -30,7 +30,7 @@ def report(witness: Witness, promise: Promise | None, name: str) -> str:
     return "\n\n".join(part for part in parts if part)
 
 
-def _say_promise(witness: Witness, promise: Promise | None, name: str) -> str:
+def _say_promise(witness: Witness, promise: QuotedPromise | None, name: str) -> str:
     """Return what was promised of new commands, and what the windows of this log say."""
     windows = witness.windows
     share = windows.share
