@@ -142,12 +142,19 @@ def test_a_scenario_that_is_too_narrow_is_found_out_with_times(files, capsys):
     metrics = read_metrics(out)
     assert metrics["longer"]["refuted"] > 10
     text = (out / "report.txt").read_text()
-    assert "BROKEN" in text or "not contradicted" in text
+    # The windows of some commands lie outside, but twelve are too few to break 73 %.
+    low, high = metrics["windows"]["share_of_commands_interval"]
+    assert metrics["windows"]["commands_whole"] < metrics["windows"]["commands"]
+    assert low < 0.73 < high < 0.95
+    assert metrics["verdict_on_promise"] == "not contradicted"
+    assert "not contradicted" in text and "BROKEN" not in text
     assert "Not explained" in text and "Steady windows outside begin at" in text
     first, last = metrics["longer"]["not_explained_s"][0]
     assert f"{first:.2f}" in text and f"{last:.2f}" in text
     assert "100 %" not in text.split("1 s, steady")[1].split("1 s, changing")[0].split("%")[0]
     assert text in capsys.readouterr().out
+    code, out = run(files, "narrow.toml", "--promised", "0.95")
+    assert code == 0 and "BROKEN" in (out / "report.txt").read_text()
 
 
 def test_slips_of_a_log_drive_laps(finished, files):
