@@ -23,19 +23,17 @@ PROJECTIONS = 3
 
 
 class Deviations(NamedTuple):
-    """Largest distances in m.
+    """Distances in m.
 
     Attributes:
-        from_curve: of the drive from the curve.
-        from_rows: of the rows from the drive.
-        rms_from_rows: their root mean square.
-        widest_row: the row that is furthest off.
+        from_curve: largest one of the drive from the curve.
+        from_rows: largest one from the drive to a row that the run comes to.
+        rms_from_rows: root mean square of these, over the rows that the run comes to.
     """
 
     from_curve: float
     from_rows: float
     rms_from_rows: float
-    widest_row: int
 
 
 def measure_deviations(
@@ -63,14 +61,13 @@ def measure_deviations(
     from_curve = np.linalg.norm(driven - curve.spline(nearest), axis=1)
     row_lengths = np.interp(parameters, curve.parameter, curve.lengths)
     passed = np.interp(row_lengths, profile.lengths, profile.times)
-    from_rows = _distances(reference, positions, np.minimum(passed, duration))
-    # Rows that the run does not come to, within its last unfinished period, are not compared.
-    from_rows[passed > duration] = 0.0
+    # Rows that the run does not come to, as within its last unfinished period, are not compared.
+    reached = passed <= duration
+    from_rows = _distances(reference, positions[reached], passed[reached])
     return Deviations(
         from_curve=float(from_curve.max()),
         from_rows=float(from_rows.max()),
         rms_from_rows=float(np.sqrt(np.mean(from_rows**2))),
-        widest_row=int(np.argmax(from_rows)),
     )
 
 

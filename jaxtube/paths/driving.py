@@ -24,9 +24,6 @@ from jaxtube.plant.reference import Reference, count_periods, refuse_too_many_pe
 GRID_SHARE = 0.25
 """Of the step of a period: the grid of the speed profile."""
 
-TABLE_POINTS = 2000
-"""Of a curve among which its least radius is found."""
-
 FEWEST_POINTS = 50
 """Of that grid."""
 
@@ -90,10 +87,9 @@ class Mission:
         return place_of(self.piece.raw, 0)
 
     @property
-    def tightest_radius(self) -> float:
-        """Least radius of its curve, m."""
-        lengths = np.linspace(0.0, self.fit.curve.length, TABLE_POINTS)
-        sharpest = float(np.abs(self.fit.curve.at(lengths).curvature).max())
+    def least_radius(self) -> float:
+        """Least radius of curvature of its curve, m, infinite where that is straight."""
+        sharpest = self.fit.curve.sharpest
         return 1.0 / sharpest if sharpest > 0.0 else np.inf
 
 
