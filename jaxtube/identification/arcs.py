@@ -26,12 +26,15 @@ NEIGHBOURS = 7
 
 
 class Arc(NamedTuple):
-    """The motion of a body over one window."""
+    """The motion of a body over one window.
 
-    velocity: Float[np.ndarray, "3"]  # (v m/s, omega rad/s, v_y m/s)
-    spread: Float[
-        np.ndarray, "3"
-    ]  # standard deviations for noise of one metre, one radian, one metre
+    Attributes:
+        velocity: (v m/s forward, omega rad/s, v_y m/s to the left), in the body's frame.
+        spread: standard deviations of it for noise of one metre, one radian, one metre, 1/s.
+    """
+
+    velocity: Float[np.ndarray, "3"]
+    spread: Float[np.ndarray, "3"]
 
 
 def fit_arc(time: Float[np.ndarray, "k"], pose: Float[np.ndarray, "k 3"]) -> Arc:

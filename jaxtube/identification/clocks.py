@@ -2,10 +2,12 @@
 
     forward ~ a_r dS_r + a_l dS_l,   turn ~ b_r dS_r - b_l dS_l,   S at the times less the offset
 
-The offset first maximises the correlation of wheels and poses over a grid, then it and the gains
-are fitted together, robustly. A positive offset says that a pose is stamped later than the wheels
-moved. It holds whatever delays poses against wheels: clocks, the time of computing a pose, and rows
-that show a pose only when their own time comes.
+The offset first maximises, over a grid, the sum of two correlations: of forward motion and of turn
+as the poses and as the wheels have them. They are about zero, not about means: steady motion counts
+as being in common. Then the offset and the gains are fitted together, robustly. A positive offset
+says that a pose is stamped later than the wheels moved. It holds whatever delays poses against
+wheels: clocks, the time of computing a pose, and rows that show a pose only when their own time
+comes.
 
 Source: new; correlation of yaw rates as in any alignment of odometry, e.g. Censi et al.,
 Simultaneous calibration of odometry and sensor parameters for mobile robots, IEEE T-RO 2013; loss
@@ -34,7 +36,8 @@ SPAN_S = 0.6
 """Over which motions are compared; at least two and a half periods of the poses."""
 
 LEAST_CORRELATION = 0.5
-"""Of wheels and poses at the best offset; below it they are not of one drive."""
+"""Of wheels and poses, in forward motion or in turn, at some offset of the grid; where both stay
+below it at all offsets, wheels and poses are not of one drive."""
 
 CLIPPED = 98.0
 """Percentile of motions at which they are clipped for a correlation: a jump is no motion."""
@@ -50,7 +53,7 @@ class Clock:
     Attributes:
         offset: by which poses come late, s.
         standard_error: of the offset, s, from the spread over eighths of the log.
-        correlation: the larger one of forward and turn, at the offset.
+        correlation: the largest one of forward motion or of turn, at any offset of the grid.
         forward_gains: forward motion by travel (right, left).
         turn_gains: rad by m of travel (right, -left).
     """
@@ -99,13 +102,14 @@ def align(path: str, travel: Travel, poses: Poses) -> Clock:
 
 
 def _correlate(travel: Travel, steps: Steps, offset: float) -> tuple[float, float]:
-    """Return the correlations of forward motion and of turn with those of the wheels."""
+    """Return the correlations of forward motion, and of turn, between poses and wheels."""
     way = travel.between(steps.start - offset, steps.end - offset)
     forward = _correlation(steps.forward, way.sum(axis=1))
     return forward, _correlation(steps.turn, way[:, 0] - way[:, 1])
 
 
 def _correlation(measured: Float[np.ndarray, "k"], expected: Float[np.ndarray, "k"]) -> float:
+    """Return the correlation about zero of two motions, clipped; 0 where one of them is none."""
     first = _clip(measured)
     second = _clip(expected)
     size = float(np.sqrt(np.mean(first**2) * np.mean(second**2)))

@@ -55,13 +55,19 @@ class Identified:
     """What was identified of a robot.
 
     Attributes:
-        windows: all of them. choices: made before. least_wheel: speed that both wheels of a used
-        window reach, m/s. fastest_wheel: of the used windows, m/s. fits: windows that track and
-        lever arm were fitted to. counts: windows that the box encloses. geometry: track and lever
-        arm. slips: of each window (right, left); meaningless where it is lost or not driving
-        forwards. sideslips: of each window, signed, left positive; the same. slip_noise: standard
-        deviation of a slip by pose noise, median of the windows in the box; None
-            where the noise is not known.
+        windows: all of them, used or not.
+        choices: made before looking.
+        least_wheel: speed that both wheels of a used window reach, m/s.
+        fastest_wheel: greatest wheel speed of the used windows, m/s.
+        fits: windows that track and lever arm were fitted to.
+        counts: windows that the box encloses.
+        geometry: effective track and lever arm.
+        slips: of each window (right, left), shares of the wheel speeds; meaningless where it is
+            lost or does not drive forwards.
+        sideslips: of each window, lateral by forward speed in the robot's frame, left positive;
+            meaningless where the slips are.
+        slip_noise: standard deviation of a slip by pose noise, median of the windows of `counts`;
+            None where the noise is not known.
         box: smallest around the windows of `counts`, without the margin.
         promise: of the box.
     """

@@ -55,12 +55,14 @@ class LogWindows:
     """Windows of a log, and when they were.
 
     Attributes:
-        windows: as a table of windows would hold them. start: of each window, s on the clock of the
-        wheels. length: s. spread: standard deviations of (v, omega, v_y) for noise of one metre,
-        one radian, one metre;
-            NaN where the pose was lost.
-        missed: of all steady windows, pose noise as `arcs.find_noise` finds it, (m, m, rad).
-        standing: of the standing ones, the same.
+        windows: as a table of windows would hold them.
+        start: of each window, s on the clock of the wheels.
+        length: of every window, s.
+        spread: standard deviations of (v, omega, v_y) in the robot's frame for noise of one metre,
+            one radian, one metre, that is 1/s; NaN where the pose was lost.
+        missed: what the poses of steady windows that drive miss of a smooth path, by
+            `arcs.find_noise`: (x m, y m, heading rad) in the world frame.
+        standing: the same of the steady windows that stand.
     """
 
     windows: Windows
