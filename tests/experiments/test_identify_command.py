@@ -11,8 +11,8 @@ from jaxtube.experiments.cli import main
 from jaxtube.experiments.identify.prediction_figure import predict
 from jaxtube.experiments.options import IdentifyOptions, command_line
 from jaxtube.identification.identify import Choices, identify_windows
-from jaxtube.identification.simulated_drive import Truth, drive
-from jaxtube.identification.simulated_log import Sensors, record, write_log
+from jaxtube.identification.simulated.drive import Truth, drive
+from jaxtube.identification.simulated.log import Sensors, record, write_log
 from jaxtube.recordings.window_table import read_windows
 from jaxtube.scenario import load
 

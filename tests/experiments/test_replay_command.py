@@ -13,8 +13,8 @@ import pytest
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.options import ReplayOptions, command_line
 from jaxtube.experiments.replay.command import find_promised
-from jaxtube.identification.simulated_drive import Truth, drive
-from jaxtube.identification.simulated_log import Sensors, record, write_log
+from jaxtube.identification.simulated.drive import Truth, drive
+from jaxtube.identification.simulated.log import Sensors, record, write_log
 from jaxtube.plant.recorded_slips import make_recorded, read_slips
 from jaxtube.scenario import load
 from jaxtube.witness.shares import QuotedPromise

@@ -3,8 +3,8 @@
 import numpy as np
 
 from jaxtube.identification.box import Box
-from jaxtube.identification.simulated_drive import Truth, draw_slips, move_body
-from jaxtube.identification.simulated_log import Sensors
+from jaxtube.identification.simulated.drive import Truth, draw_slips, move_body
+from jaxtube.identification.simulated.log import Sensors
 from jaxtube.recordings.windows import Windows
 
 WINDOWS = 2

@@ -11,8 +11,8 @@ from jaxtube.identification.cuts import find_cuts
 from jaxtube.identification.findings import inspect_log
 from jaxtube.identification.response import find_response, follow_commands
 from jaxtube.identification.samples import drop_held_poses, measure_steps, measure_travel
-from jaxtube.identification.simulated_drive import Truth, drive
-from jaxtube.identification.simulated_log import Sensors, record
+from jaxtube.identification.simulated.drive import Truth, drive
+from jaxtube.identification.simulated.log import Sensors, record
 from jaxtube.recordings.log import Log
 from jaxtube.scenario import ScenarioError
 

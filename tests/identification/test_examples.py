@@ -5,12 +5,12 @@ import dataclasses
 import numpy as np
 import pytest
 
-from jaxtube.identification.examples import EXAMPLES, FILE, HOLD_S, record_example
 from jaxtube.identification.findings import inspect_log
 from jaxtube.identification.identify import Choices, identify_log
 from jaxtube.identification.scenario_text import write_scenario
-from jaxtube.identification.simulated_drive import drive
-from jaxtube.identification.simulated_log import record
+from jaxtube.identification.simulated.drive import drive
+from jaxtube.identification.simulated.log import record
+from jaxtube.identification.simulated.robots import EXAMPLES, FILE, HOLD_S, record_example
 from jaxtube.recordings.reading import read_log
 from jaxtube.scenario.reading import experiments_folder
 from jaxtube.scenario.refusal import ScenarioError

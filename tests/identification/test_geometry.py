@@ -7,7 +7,7 @@ import pytest
 from simulated_robots import draw_windows
 
 from jaxtube.identification.geometry import find_sideslip, find_slips, fit_geometry
-from jaxtube.identification.simulated_drive import Truth
+from jaxtube.identification.simulated.drive import Truth
 
 EXACT = 1e-6
 UNBIASED = 0.007

@@ -13,8 +13,8 @@ from jaxtube.identification.geometry import find_sideslip, find_slips
 from jaxtube.identification.identify import Choices, identify_log, identify_windows
 from jaxtube.identification.promise import make_promise
 from jaxtube.identification.scenario_text import write_scenario
-from jaxtube.identification.simulated_drive import Truth, drive
-from jaxtube.identification.simulated_log import Sensors, record
+from jaxtube.identification.simulated.drive import Truth, drive
+from jaxtube.identification.simulated.log import Sensors, record
 from jaxtube.identification.uncovered import find_uncovered
 from jaxtube.identification.words import say_other_boxes, say_promise, say_sample
 from jaxtube.scenario import ScenarioError

@@ -14,8 +14,8 @@ from simulated_robots import draw_robot, draw_windows, share_inside
 from jaxtube.identification.findings import inspect_log
 from jaxtube.identification.geometry import find_sideslip, find_slips
 from jaxtube.identification.identify import Choices, Identified, identify_log, identify_windows
-from jaxtube.identification.simulated_drive import Truth, drive
-from jaxtube.identification.simulated_log import record
+from jaxtube.identification.simulated.drive import Truth, drive
+from jaxtube.identification.simulated.log import record
 
 TRACK = 0.02
 """Relative."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from jaxtube.identification.simulated_drive import (
+from jaxtube.identification.simulated.drive import (
     STEP,
     Truth,
     command_wheels,
@@ -14,7 +14,7 @@ from jaxtube.identification.simulated_drive import (
     follow,
     integrate,
 )
-from jaxtube.identification.simulated_log import Sensors, record, write_log
+from jaxtube.identification.simulated.log import Sensors, record, write_log
 from jaxtube.recordings.reading import read_log
 
 MIDPOINT = 1e-5

@@ -7,8 +7,8 @@ import pytest
 
 from jaxtube.identification.arcs import find_noise, fit_arc
 from jaxtube.identification.findings import inspect_log
-from jaxtube.identification.simulated_drive import STEP, Truth, drive
-from jaxtube.identification.simulated_log import Sensors, record
+from jaxtube.identification.simulated.drive import STEP, Truth, drive
+from jaxtube.identification.simulated.log import Sensors, record
 
 EXACT = 1e-9
 VELOCITY = 0.004

@@ -1,8 +1,8 @@
 """Logs of the project's own simulator, and scenarios beside them."""
 
 from jaxtube.identification.findings import inspect_log
-from jaxtube.identification.simulated_drive import Truth, drive
-from jaxtube.identification.simulated_log import Sensors, record
+from jaxtube.identification.simulated.drive import Truth, drive
+from jaxtube.identification.simulated.log import Sensors, record
 from jaxtube.scenario.tree import to_toml
 from jaxtube.scenario.validation import validate
 

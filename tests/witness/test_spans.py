@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from made_logs import find, make_log, scenario
 
-from jaxtube.identification.simulated_log import Sensors
+from jaxtube.identification.simulated.log import Sensors
 from jaxtube.witness.spans import KINDS, cut_spans
 
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from jaxtube.identification.simulated_drive import Truth, drive
-from jaxtube.identification.simulated_log import Sensors, SimulatedLog, record
+from jaxtube.identification.simulated.drive import Truth, drive
+from jaxtube.identification.simulated.log import Sensors, SimulatedLog, record
 
 COMMANDS = 64
 HOLD_S = (4.0, 5.0)

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.identification.simulated_drive import STEP, Drive
+from jaxtube.identification.simulated.drive import STEP, Drive
 from jaxtube.recordings.log import Log
 
 HEADER = "time_s,left_wheel_mps,right_wheel_mps,x_m,y_m,heading_rad,cmd_v_mps,cmd_w_radps,step"
