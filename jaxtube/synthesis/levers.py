@@ -143,12 +143,13 @@ def _scale_slip(scenario: Scenario, factor: float) -> Values:
         return _scale_keys("slip", names, 1, scenario, factor)
     if slip.right is None or slip.left is None:
         return _scale_keys("slip", ("relative_error",), 1, scenario, factor)
+    if not any(low < high for low, high in (slip.right, slip.left)):
+        return {}
     right, left = slip.nominal
-    scaled = {
+    return {
         "slip.right": _scale_interval(slip.right, right, factor),
         "slip.left": _scale_interval(slip.left, left, factor),
     }
-    return scaled if any(low < high for low, high in scaled.values()) else {}
 
 
 def _scale_interval(

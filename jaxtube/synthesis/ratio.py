@@ -33,6 +33,7 @@ from jaxtube.synthesis.certificate.existence import OBJECTIVES
 from jaxtube.synthesis.certificate.fill import cap_shares
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.gains import Gain, compensating_gain, decoupled_gain
+from jaxtube.synthesis.levers import SLIP
 from jaxtube.synthesis.optimise import optimise, wheel_excess
 from jaxtube.synthesis.problem import Problem, make_problem
 from jaxtube.synthesis.starts import caps_and_gains
@@ -47,8 +48,8 @@ computed."""
 
 
 class OperatingPoint(NamedTuple):
-    """What a guarantee is asked for: slip error, least wheel speed of the reference in m/s, period
-    in s."""
+    """What a guarantee is asked for: slip error, as of `find_slip_error`, least wheel speed of the
+    reference in m/s, period in s."""
 
     slip_error: float
     slowest_mps: float
@@ -89,6 +90,39 @@ class Guarantee:
         return self.ratio < 1 and self.wheels <= 1
 
 
+def find_slip_error(scenario: Scenario) -> float:
+    """Return what is not known of the slips of a scenario, as one number: relative_error, of
+    measured slips their error, of intervals the half width of the right one."""
+    return SLIP.measure(scenario) if SLIP.values(scenario, 1.0) else 0.0
+
+
+def name_slip_error(scenario: Scenario) -> str:
+    """Return what `find_slip_error` is of a scenario, in words."""
+    slip = scenario.slip
+    if slip.is_measured:
+        return "error of measured slip"
+    if not slip.has_intervals:
+        return "slip error"
+    is_same = slip.right == slip.left and slip.nominal_right == slip.nominal_left
+    return "half width of slip interval" if is_same else "half width of right slip interval"
+
+
+def set_slip_error(scenario: Scenario, error: float) -> Scenario:
+    """Return a scenario with another slip error; the errors or intervals of both wheels go along.
+
+    Raises:
+        ScenarioError: where no scenario may have that.
+    """
+    own = find_slip_error(scenario)
+    if error == own:
+        return scenario
+    slip = scenario.slip
+    if not slip.has_intervals:
+        slip = msgspec.structs.replace(slip, relative_error=error)
+        return msgspec.structs.replace(scenario, slip=slip)
+    return SLIP.scale(scenario, error / own)
+
+
 def set_point(scenario: Scenario, point: OperatingPoint) -> Scenario:
     """Return the scenario at an operating point: W computed, any order of wheel speeds in the box.
 
@@ -105,8 +139,7 @@ def set_point(scenario: Scenario, point: OperatingPoint) -> Scenario:
         duration_s=whole_periods,
     )
     return change(
-        scenario,
-        slip=change(scenario.slip, relative_error=point.slip_error),
+        set_slip_error(scenario, point.slip_error),
         reference=reference,
         controller=change(scenario.controller, dt_s=T),
         disturbance=change(scenario.disturbance, bound="computed"),

@@ -80,6 +80,16 @@ def test_the_grid_holds_the_scenarios_own_condition_and_the_reference(count):
         assert count <= len(values) <= count + 1
 
 
+def test_the_grid_of_slip_intervals_widens_them_about_the_nominal_slips():
+    scenario = load("husky")
+    grid = make_grid(scenario, 0.538, 4)
+    own = (0.0609 + 0.0022) / 2
+    assert grid.slip_errors == pytest.approx((0.0, own, 2 * own, 3 * own), abs=1e-4)
+    assert grid.own.slip_error in grid.slip_errors
+    # The slowest wheel of the reference is all but the end of the scenario's own range.
+    assert grid.slowest_mps[-1] == scenario.reference.wheel_speed_min_mps
+
+
 def test_each_search_starts_from_its_neighbours_optimum(found):
     for operating_point in GRID.operating_points():
         start = found[Point("optimised", operating_point)].caps_and_gains
@@ -138,7 +148,7 @@ def test_borders_are_those_of_the_ratio(found):
     # 0.5 + 0.2 + 0.5 (1.224 - v) - 0.05 = 1 at v = 0.524
     assert border["optimised"]["lowest_wheel_speed_mps_computed"] == 0.8
     assert border["optimised"]["lowest_wheel_speed_mps_interpolated"] == pytest.approx(0.524)
-    assert "none: ratio 2.95 without slip error" in maps.report(GRID, border, found)
+    assert "none: ratio 2.95 without slip error" in maps.report(GRID, border, found, "slip error")
 
 
 def test_a_point_without_a_design_ends_what_is_guaranteed():
@@ -149,11 +159,11 @@ def test_a_point_without_a_design_ends_what_is_guaranteed():
 
 
 def test_the_ratio_map_shows_points_without_a_design_as_crosses(found):
-    figure = maps_figures.ratio_map(GRID, found, "dt_s")
+    figure = maps_figures.ratio_map(GRID, found, "dt_s", "slip error")
     marks = [[line.get_marker() for line in axes.lines] for axes in figure.axes[:3]]
     assert [panel.count("x") for panel in marks] == [3, 0, 0]
     nothing = dict.fromkeys(found, Guarantee(reason="none"))
-    maps_figures.ratio_map(GRID, nothing, "slowest_mps")
+    maps_figures.ratio_map(GRID, nothing, "slowest_mps", "slip error")
 
 
 def test_feasible_sets_are_drawn_with_and_without_a_largest_set():

@@ -5,13 +5,20 @@ import dataclasses
 
 import pytest
 
-from jaxtube.scenario import load
+from jaxtube.scenario import load, replace
 from jaxtube.synthesis import ratio as module
 from jaxtube.synthesis.certificate.existence import OBJECTIVES
 from jaxtube.synthesis.certificate.fill import cap_shares
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.gains import compensating_gain
-from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, guarantee, set_point
+from jaxtube.synthesis.ratio import (
+    Guarantee,
+    OperatingPoint,
+    find_slip_error,
+    guarantee,
+    name_slip_error,
+    set_point,
+)
 from jaxtube.synthesis.starts import caps_and_gains
 from jaxtube.synthesis.terminal_cost import terminal_cost_and_gain
 
@@ -32,6 +39,22 @@ def test_a_condition_is_the_scenario_with_three_keys_changed_and_w_computed(cert
     assert changed.controller.dt_s == 0.07 and changed.disturbance.bound == "computed"
     assert changed.reference.duration_s == pytest.approx(429 * 0.07)
     assert set_point(certified, OWN) == certified
+
+
+def test_the_slip_error_of_intervals_and_of_measured_slips_is_the_one_that_counts():
+    wide = load("husky")
+    own = find_slip_error(wide)
+    point = OperatingPoint(own, wide.reference.wheel_speed_min_mps, wide.controller.dt_s)
+    widened = set_point(wide, point._replace(slip_error=2 * own)).slip
+    assert widened.right == pytest.approx((0.02935 - 2 * own, 0.02935 + 2 * own))
+    known = set_point(wide, point._replace(slip_error=0.0)).slip
+    assert known.right == known.left == pytest.approx((0.02935, 0.02935))
+    assert set_point(wide, point).slip == wide.slip
+    measured = replace(wide, {"slip.measurement_error_relative": 0.1})
+    changed = set_point(measured, point._replace(slip_error=0.25)).slip
+    assert changed.measurement_error_relative == 0.25 and changed.right == wide.slip.right
+    names = [name_slip_error(each) for each in (wide, measured, load("certified"))]
+    assert names == ["half width of slip interval", "error of measured slip", "slip error"]
 
 
 def test_the_papers_ratio_is_the_least_of_its_gains_and_limits(certified):

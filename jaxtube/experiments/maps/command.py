@@ -30,7 +30,7 @@ from jaxtube.experiments.run.value_log import open_log
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.problem import make_problem
-from jaxtube.synthesis.ratio import Guarantee, OperatingPoint
+from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, name_slip_error
 
 TITLES = {
     "paper": "the paper's weights, model and map",
@@ -58,12 +58,16 @@ def run(scenario: Scenario, options: MapsOptions) -> int:
     folder = run_folder.create(scenario, options)
     with open_log(folder, "points", {"grid": asdict(grid)}, scenario) as log:
         results = compute(scenario, grid, log)
-    folder.save_figure(maps_figures.ratio_map(grid, results, "slowest_mps"), "ratio_speed")
-    folder.save_figure(maps_figures.ratio_map(grid, results, "dt_s"), "ratio_period")
+    slip_error = name_slip_error(scenario)
+    folder.save_figure(
+        maps_figures.ratio_map(grid, results, "slowest_mps", slip_error), "ratio_speed"
+    )
+    folder.save_figure(maps_figures.ratio_map(grid, results, "dt_s", slip_error), "ratio_period")
     border = find_borders(grid, results)
-    folder.report(report(grid, border, results))
+    folder.report(report(grid, border, results, slip_error))
     metrics = {
         "grid": asdict(grid) | {"own": grid.own._asdict()},
+        "slip_error_is": slip_error,
         "border": border,
         "points": [_point_metrics(*item) for item in sorted(results.items())],
     }
@@ -144,13 +148,13 @@ def interpolate(results: list[Guarantee], values: list[float]) -> Border:
     return Border(last, float(np.interp(1.0, [before, after], [last, values[count]])))
 
 
-def report(grid: Grid, borders: dict, results: GuaranteeByPoint) -> str:
+def report(grid: Grid, borders: dict, results: GuaranteeByPoint, slip_error: str) -> str:
     """Return the borders of the three designs, and the ratios of the optimised one."""
     own = grid.own
     columns = [
         left("guaranteed"),
-        left(f"largest slip error from {own.slowest_mps:g} m/s on"),
-        left(f"lowest wheel speed at {own.slip_error:.0%}"),
+        left(f"largest {slip_error} from {own.slowest_mps:g} m/s on"),
+        left(f"lowest wheel speed at {100 * own.slip_error:.4g}%"),
     ]
     rows = [_border_row(grid, borders[design], results, design) for design in TITLES]
     counts = ", ".join(_count(results, design) for design in TITLES)
@@ -161,7 +165,7 @@ def report(grid: Grid, borders: dict, results: GuaranteeByPoint) -> str:
         RATIO,
     ]
     for axis, values in (("slowest_mps", grid.slowest_mps), ("dt_s", grid.periods_s)):
-        lines += ["", _format_ratios(grid, results, axis, values)]
+        lines += ["", _format_ratios(grid, results, axis, values, slip_error)]
     return "\n".join(lines)
 
 
@@ -193,7 +197,7 @@ def _say_where(border: Border, scale: float, unit: str) -> str:
 
 
 def _format_ratios(
-    grid: Grid, results: GuaranteeByPoint, axis: str, values: Sequence[float]
+    grid: Grid, results: GuaranteeByPoint, axis: str, values: Sequence[float], slip_error: str
 ) -> str:
     """Return the ratios of the optimised design, values downwards and slip errors across."""
     name = {"slowest_mps": "from [m/s]", "dt_s": "period [s]"}[axis]
@@ -202,7 +206,7 @@ def _format_ratios(
     for value, ratios in zip(values, ratio_table(grid, results, "optimised", axis), strict=True):
         words = ["none" if np.isnan(ratio) else f"{ratio:.3f}" for ratio in ratios]
         rows.append([f"{value:.4g}", *words])
-    return f"{TITLES['optimised']}: ratio by slip error\n{format_table(columns, rows)}"
+    return f"{TITLES['optimised']}: ratio by {slip_error}\n{format_table(columns, rows)}"
 
 
 def feasible_report(sets: dict) -> str:

@@ -59,9 +59,9 @@ FIRST = Line("feasible set $F_N$", "#D55E00", (0, (1, 1)))
 
 
 @styled
-def ratio_map(grid: Grid, found: GuaranteeByPoint, axis: str) -> Figure:
+def ratio_map(grid: Grid, found: GuaranteeByPoint, axis: str, slip_error: str) -> Figure:
     """Draw the ratio of the three designs over slip error and "slowest_mps" or "dt_s", a cell a
-    point that was computed."""
+    point that was computed; `slip_error` says what that error is."""
     figure = page_figure(3.4)
     panels = figure.subplots(1, 3, sharex=True, sharey=True)
     norm = BoundaryNorm(LEVELS, COLOURS.N, extend="both")
@@ -69,7 +69,7 @@ def ratio_map(grid: Grid, found: GuaranteeByPoint, axis: str) -> Figure:
     for axes, (design, title) in zip(panels, TITLES.items(), strict=True):
         _draw_cells(axes, grid, ratio_table(grid, found, design, axis), axis, norm)
         outcomes |= _draw_marks(axes, grid, found, design, axis)
-        axes.set(title=title, xlabel="slip error [%]")
+        axes.set(title=title, xlabel=f"{slip_error} [%]")
     panels[0].set_ylabel(AXES[axis])
     scale = ScalarMappable(norm, COLOURS)
     bar = figure.colorbar(scale, ax=panels, label="largest share of a cap", pad=0.015)
@@ -98,7 +98,8 @@ def _draw_cells(
     axes.set(xlim=(x[0], x[-1]), ylim=(y[0], y[-1]))
     # Few values are ticks themselves: nothing is known in between.
     if len(x) <= MOST_TICKS:
-        axes.set_xticks(100 * np.array(grid.slip_errors))
+        errors = 100 * np.array(grid.slip_errors)
+        axes.set_xticks(errors, [f"{error:.3g}" for error in errors])
     if len(y) <= MOST_TICKS:
         axes.set_yticks(_values(grid, axis))
 

@@ -21,17 +21,30 @@ from jaxtyping import Float
 
 from jaxtube.experiments.run.value_log import ValueLog
 from jaxtube.progress import progress
+from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.ratio import Guarantee, OperatingPoint, guarantee, set_point
+from jaxtube.synthesis.ratio import (
+    Guarantee,
+    OperatingPoint,
+    find_slip_error,
+    guarantee,
+    set_point,
+    set_slip_error,
+)
 from jaxtube.synthesis.starts import caps_and_gains
 
 DESIGNS = ("optimised", "weighted", "paper")
 """In the order in which they are computed: the searches wait for each other, the others fill the
 gaps."""
-SLIP_ERRORS = (0.0, 0.3)
+LARGEST_ERROR = 0.3
+"""Of a slip, relative to it."""
+WIDEST = (3.0, 2.0, 1.5)
+"""Times the scenario's own up to which other slip errors go, the first one that slips allow."""
 SLOWEST_MPS = 0.2
 """Where the lower end of the speed range starts; it ends at the slowest wheel of the reference."""
 PERIODS_S = (0.05, 0.2)
+APART = 0.1
+"""Of the distance between values: one closer to the scenario's own gives way to it."""
 
 
 class Point(NamedTuple):
@@ -106,23 +119,40 @@ def make_grid(scenario: Scenario, slowest_wheel: float, count: int) -> Grid:
         count: at least 2.
     """
     own = OperatingPoint(
-        scenario.slip.relative_error,
+        find_slip_error(scenario),
         scenario.reference.wheel_speed_min_mps,
         float(scenario.controller.dt_s),
     )
     top = max(np.floor(1e3 * slowest_wheel + 1e-6) / 1e3, own.slowest_mps)
     bottom = min(SLOWEST_MPS, own.slowest_mps)
     return Grid(
-        slip_errors=_make_axis(np.linspace(*SLIP_ERRORS, count), own.slip_error),
+        slip_errors=_make_axis(np.linspace(0.0, _find_top(scenario), count), own.slip_error),
         slowest_mps=_make_axis(np.linspace(bottom, top, count), own.slowest_mps),
         periods_s=_make_axis(np.geomspace(*PERIODS_S, count), own.dt_s),
         own=own,
     )
 
 
+def _find_top(scenario: Scenario) -> float:
+    """Return the largest slip error of the grid."""
+    slip = scenario.slip
+    if not slip.has_intervals:
+        return LARGEST_ERROR
+    own = find_slip_error(scenario)
+    for factor in WIDEST:
+        try:
+            set_slip_error(scenario, factor * own)
+        except ScenarioError:
+            continue
+        return factor * own
+    return own
+
+
 def _make_axis(values: Float[np.ndarray, " count"], own: float) -> tuple[float, ...]:
     """Return values with 4 decimals and the scenario's own, increasing."""
-    return tuple(sorted({*np.round(values, 4).tolist(), float(own)}))
+    apart = APART * float(np.min(np.diff(values)))
+    others = [value for value in np.round(values, 4).tolist() if abs(value - own) > apart]
+    return tuple(sorted({*others, float(own)}))
 
 
 def compute(scenario: Scenario, grid: Grid, log: ValueLog) -> GuaranteeByPoint:
