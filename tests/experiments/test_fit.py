@@ -146,6 +146,20 @@ def test_a_quantity_without_a_border_is_told_and_drawn(asked, scenario, monkeypa
     assert "too wide" in report(scenario, found)
 
 
+def test_where_no_attempt_has_a_tube_nothing_is_drawn_and_that_is_said(
+    asked, monkeypatch, tmp_path
+):
+    def deny(scenario, lever, factor, near):
+        return Attempt(factor, reason="controller: no tube is bounded; wider caps")
+
+    monkeypatch.setattr(module, "METHODS", {"design": deny, "search": deny})
+    monkeypatch.setattr(command, "say_nearest", lambda *arguments: ["nearest: another slip"])
+    assert run(tmp_path, "speed") == 0
+    assert not list((tmp_path / "run").glob("frontier.*"))
+    text = (tmp_path / "run" / "report.txt").read_text()
+    assert "No certified design was found" in text and "No figure" in text
+
+
 @pytest.mark.parametrize(
     ("words", "fragments"),
     [

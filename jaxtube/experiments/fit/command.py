@@ -2,7 +2,8 @@
 found.
 
     fitted.toml       the certified scenario at the border, which `design` certifies again
-    frontier.png      the ratio towards the border, and the border by a second quantity
+    frontier.png      the ratio towards the border, and the border by a second quantity; not where
+                      no attempt has a ratio
 
 A border is that of one search: beyond it no design was found, which does not prove that there is
 none.
@@ -52,7 +53,10 @@ def run(scenario: Scenario, options: FitOptions) -> int:
     if found.border.best is None:
         told = [line for each in say_nearest(scenario, options) for line in wrap(each, "  ")]
         folder.report("\n" + "\n".join(told))
-    folder.save_figure(figures.frontier(bare, found), "frontier")
+    if any(attempt.ratio is not None for attempt in found.border.attempts):
+        folder.save_figure(figures.frontier(bare, found), "frontier")
+    else:
+        folder.report("\n  No figure: of no attempt is there a tube to draw.")
     folder.save_metrics(_metrics(found))
     best = found.border.best
     if best is not None:
