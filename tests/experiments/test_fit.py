@@ -4,19 +4,21 @@ goes on, what is found and what is not is said and drawn."""
 import json
 import math
 
+import numpy as np
 import pytest
 from figure_checks import assert_presentable, legend_texts
 
 from jaxtube.experiments.cli import main, parse
 from jaxtube.experiments.fit import attempts as module
 from jaxtube.experiments.fit import command, figures
-from jaxtube.experiments.fit.attempts import fit
+from jaxtube.experiments.fit.attempts import Fit, fit
 from jaxtube.experiments.fit.report import report
 from jaxtube.experiments.options import FitOptions, command_line
 from jaxtube.experiments.run.value_log import ValueLog
 from jaxtube.scenario import load
 from jaxtube.scenario.tree import to_toml
 from jaxtube.synthesis.attempt import Attempt
+from jaxtube.synthesis.border import Border
 from jaxtube.synthesis.levers import FITTED, SLIP, SPEED
 from jaxtube.synthesis.starts import caps_and_gains, without_caps
 
@@ -144,6 +146,22 @@ def test_a_quantity_without_a_border_is_told_and_drawn(asked, scenario, monkeypa
     assert found.border.best is None and found.frontier == ()
     assert_presentable(figures.frontier(scenario, found))
     assert "too wide" in report(scenario, found)
+
+
+@pytest.mark.parametrize("least", [0.4, 1.4, 7.0])
+def test_the_figure_shows_every_attempt_however_much_its_tube_fills(scenario, least):
+    attempts = tuple(
+        Attempt(factor, SPEED.measure(SPEED.scale(scenario, factor)), ratio, 1.0, "coupling", CAPS)
+        for factor, ratio in ((0.5, least), (1.0, 3 * least), (1.5, None))
+    )
+    figure = figures.frontier(scenario, Fit(SPEED, Border(attempts, None, attempts[0]), None, ()))
+    assert_presentable(figure)
+    axes = figure.axes[0]
+    marks = [line for line in axes.lines if line.get_marker() == "o"]
+    heights = [np.asarray(line.get_ydata()).item() for line in marks]
+    top = axes.get_ylim()[1]
+    assert len(marks) == 4 and max(heights) <= top
+    assert heights[0] == least < top
 
 
 def test_where_no_attempt_has_a_tube_nothing_is_drawn_and_that_is_said(

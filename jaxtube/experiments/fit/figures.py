@@ -33,7 +33,9 @@ CERTIFIED = {**MARK, "color": INSIDE}
 DENIED = {**MARK, "color": OUTSIDE, "markerfacecolor": "white"}
 OWN = {**MARK, "marker": "o", "markersize": 10, "markerfacecolor": "none", "color": "0.15"}
 HIGHEST = 2.0
-"""Share up to which is drawn."""
+"""Share up to which is drawn, where the least one is not near it or above."""
+ABOVE_LEAST = 1.2
+"""Times the least share up to which is drawn at least."""
 
 
 @styled
@@ -70,18 +72,19 @@ def _draw_shares(axes: Axes, scenario: Scenario, found: Fit, shapes: dict[str, s
     known = np.isfinite(ratios)
     order = np.argsort(values[known])
     axes.plot(values[known][order], ratios[known][order], color="0.6", linewidth=0.8)
-    for value, ratio, attempt in zip(values, ratios, attempts, strict=True):
-        look = _look(attempt, shapes)
-        if np.isfinite(ratio):
-            axes.plot(value, ratio, **look)
-        else:  # no caps keep the limits: at the upper edge
-            axes.plot(value, 1.0, **look, transform=axes.get_xaxis_transform(), clip_on=False)
+    highest = max(HIGHEST, ABOVE_LEAST * np.min(ratios[known], initial=np.inf))
+    top = min(highest, 1.08 * np.max(ratios[known], initial=1.0))
+    # Larger ones, and where no caps keep the limits: at the upper edge.
+    heights = np.fmin(ratios, top)
+    heights[~known] = top
+    for value, height, attempt in zip(values, heights, attempts, strict=True):
+        axes.plot(value, height, **_look(attempt, shapes), clip_on=False)
     own = values == found.lever.measure(scenario)
-    axes.plot(values[own], ratios[own], **OWN)
+    axes.plot(values[own], heights[own], **OWN, clip_on=False)
     axes.axhline(1.0, **LIMIT)
     axes.set(title="(a) the tube of the best design found", xlabel=found.lever.label)
     axes.set_ylabel("largest share of a cap")
-    axes.set_ylim(0, min(HIGHEST, 1.08 * np.max(ratios[known], initial=1.0)))
+    axes.set_ylim(0, top)
     axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g} %"))
 
 
