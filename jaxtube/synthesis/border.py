@@ -31,8 +31,6 @@ LEAST_STEP = 0.03
 """Step at least, where a bracket has only one end."""
 MOST_ATTEMPTS = 20
 """Attempts at one border at most."""
-QUICK_PRECISION = 0.04
-"""Width of the bracket of a quick search."""
 EASED = (0.0, 0.03, 0.1)
 """Steps from the border of the estimate to what is certified, in logarithms."""
 LOOKED_BACK = 2
@@ -177,9 +175,9 @@ def find_certified(
     search: Ask,
     certify: Ask,
     easier: int,
-    precision: float = QUICK_PRECISION,
-    first: float = 1.0,
-    near: tuple[float, ...] | None = None,
+    precision: float,
+    first: float,
+    near: tuple[float, ...] | None,
 ) -> Attempt | None:
     """Return a certified attempt near the border of a quantity, quickly: the border of what the
     estimate lets hold, and from there on what is easier; None where none was found.

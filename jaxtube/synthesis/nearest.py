@@ -36,6 +36,8 @@ LEAST_PULL = 0.02
 SEARCHED = 3
 """Quantities at most whose border is searched."""
 ON_PATH = Initial(x_m=0.0, y_m=0.0, heading_deg=0.0)
+PRECISION = 0.04
+"""Width of the bracket of a border, in logarithms."""
 WANTED = 2
 """Quantities of which a value that holds is enough."""
 
@@ -64,7 +66,9 @@ def find_nearest(
                 partial(attempt_search, bare, lever),
                 partial(attempt_design, bare, lever),
                 lever.easier,
-                near=near,
+                PRECISION,
+                1.0,
+                near,
             )
             scaled = None if certified is None else lever.scale(bare, certified.factor)
             nearest[lever] = scaled

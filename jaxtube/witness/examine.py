@@ -49,7 +49,7 @@ class Witness:
     windows: WindowSlips
 
 
-def examine(findings: Findings, scenario: Scenario, longer: float = 1.0) -> Witness:
+def examine(findings: Findings, scenario: Scenario, longer: float) -> Witness:
     """Put a scenario to the test of a log.
 
     Args:

@@ -98,8 +98,8 @@ def test_each_attempt_starts_from_the_closest_certified_one():
 def test_a_quick_search_ends_at_what_is_certified_or_with_nothing():
     search = make_asker(lambda place: place - 0.5)
     late = make_asker(lambda place: place - 0.5, lambda place: place <= 0.42)
-    found = find_certified(search, late, -1, 0.02)
+    found = find_certified(search, late, -1, 0.02, 1.0, None)
     assert found is not None and 0.35 < math.log(found.factor) <= 0.42
     never = make_asker(lambda place: place - 0.5, lambda place: False)
-    assert find_certified(search, never, -1, 0.02) is None
-    assert find_certified(make_asker(lambda place: 1.0), late, -1, 0.02) is None
+    assert find_certified(search, never, -1, 0.02, 1.0, None) is None
+    assert find_certified(make_asker(lambda place: 1.0), late, -1, 0.02, 1.0, None) is None
