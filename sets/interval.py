@@ -47,6 +47,8 @@ class Interval:
     """Arrays of closed intervals; a float operand stands for that very number."""
 
     __slots__ = ("lower", "upper")
+    unit = 1
+    """Of the ends, in 1."""
     __array_ufunc__ = None  # an array on the left leaves the operation to this class
 
     def __init__(self, lower: Float[np.ndarray, "..."], upper: Float[np.ndarray, "..."]):
@@ -93,12 +95,21 @@ class Interval:
 
     def intersect(self, other: Interval) -> Interval:
         """Return what two enclosures of the same numbers have in common."""
-        return Interval(np.maximum(self.lower, other.lower), np.minimum(self.upper, other.upper))
+        return type(self)(np.maximum(self.lower, other.lower), np.minimum(self.upper, other.upper))
+
+    def invert(self) -> Interval:
+        """Enclose 1 / x, x of one sign."""
+        return _round_outwards(1.0 / self.upper, 1.0 / self.lower)
+
+    def enclose(self, name: str, low, high) -> Interval:
+        """Enclose a function of an angle between its values at two points."""
+        function = _ON_FLOATS[name]
+        return _round_outwards(function(low), function(high), UNITS)
 
     @property
     def magnitudes(self) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "..."]]:
         """Least and largest absolute value of the members."""
-        near = np.maximum(np.maximum(self.lower, -self.upper), 0.0)
+        near = np.maximum(np.maximum(self.lower, -self.upper), 0)
         far = np.maximum(-self.lower, self.upper)
         return near, far
 
@@ -153,35 +164,36 @@ class Dual:
         return reciprocal(self) * other
 
 
-def _enclose_increasing(function, x: Interval) -> Interval:
+def _enclose_increasing(name: str, x: Interval) -> Interval:
     _check_angle(x)
-    return _round_outwards(function(x.lower), function(x.upper), UNITS)
+    return x.enclose(name, x.lower, x.upper)
 
 
-def _enclose_decreasing(function, x: Interval) -> Interval:
+def _enclose_decreasing(name: str, x: Interval) -> Interval:
     _check_angle(x)
-    return _round_outwards(function(x.upper), function(x.lower), UNITS)
+    return x.enclose(name, x.upper, x.lower)
 
 
-def _enclose_even_decreasing(function, x: Interval) -> Interval:
+def _enclose_even_decreasing(name: str, x: Interval) -> Interval:
     """Enclose an even function that decreases with the magnitude."""
     _check_angle(x)
     near, far = x.magnitudes
-    return _round_outwards(function(far), function(near), UNITS)
+    return x.enclose(name, far, near)
 
 
-def _enclose_even_increasing(function, x: Interval) -> Interval:
+def _enclose_even_increasing(name: str, x: Interval) -> Interval:
     """Enclose an even function that increases with the magnitude."""
     _check_angle(x)
     near, far = x.magnitudes
-    return _round_outwards(function(near), function(far), UNITS)
+    return x.enclose(name, near, far)
 
 
 def _check_angle(x: Interval) -> None:
     """Refuse angles beyond a quarter turn."""
-    if np.any(x.lower < -QUARTER_TURN) or np.any(x.upper > QUARTER_TURN):
-        low = np.min(x.lower)
-        high = np.max(x.upper)
+    limit = QUARTER_TURN * x.unit
+    if np.any(x.lower < -limit) or np.any(x.upper > limit):
+        low = np.min(x.lower) / x.unit
+        high = np.max(x.upper) / x.unit
         raise ValueError(
             f"angle: [{low:.3f}, {high:.3f}] rad leaves +-pi/2; "
             "shrink errors, inputs, schedule or dt"
@@ -190,24 +202,24 @@ def _check_angle(x: Interval) -> None:
 
 def _enclose_square(_, x: Interval) -> Interval:
     near, far = x.magnitudes
-    enclosure = _round_outwards(near * near, far * far)
-    return Interval(np.maximum(enclosure.lower, 0.0), enclosure.upper)
+    of_near = type(x)(near, near) * type(x)(near, near)
+    of_far = type(x)(far, far) * type(x)(far, far)
+    return type(x)(np.maximum(of_near.lower, 0), of_far.upper)
 
 
 def _enclose_reciprocal(_, x: Interval) -> Interval:
     if np.any((x.lower <= 0) & (x.upper >= 0)):
         raise ValueError("divisor: an interval holds 0; shrink errors, inputs, schedule or dt")
-    return _round_outwards(1.0 / x.upper, 1.0 / x.lower)
+    return x.invert()
 
 
-def _make_function(on_floats, enclose, derivative: Any = None) -> Callable[[Any], Any]:
-    """Make a function of floats, intervals and duals from its values, its enclosure and its
-    derivative."""
+def _make_function(name: str, enclose, derivative: Any = None) -> Callable[[Any], Any]:
+    """Make a function of floats, intervals and duals from its enclosure and its derivative."""
 
     def function(x):
         if isinstance(x, Dual):
             return Dual(function(x.value), derivative(x.value) * x.gradient)
-        return enclose(on_floats, x) if isinstance(x, Interval) else on_floats(x)
+        return enclose(name, x) if isinstance(x, Interval) else _ON_FLOATS[name](x)
 
     return function
 
@@ -255,30 +267,41 @@ def _lag_slope(x) -> Float[np.ndarray, "..."]:
     return 1.0 / 6.0 * _series(x, lambda k: (2 * k + 1) / ((2 * k - 1) * (2 * k + 2) * (2 * k + 3)))
 
 
-square = _make_function(np.square, _enclose_square, lambda x: x * 2.0)
+_ON_FLOATS: dict[str, Callable] = {
+    "square": np.square,
+    "reciprocal": lambda x: 1.0 / x,
+    "sin": np.sin,
+    "cos": np.cos,
+    "sinc": _sinc,
+    "sinc_slope": _sinc_slope,
+    "sinc_curvature": _sinc_curvature,
+    "sine_excess": _sine_excess,
+    "lag": _lag,
+    "lag_slope": _lag_slope,
+}
+
+square = _make_function("square", _enclose_square, lambda x: x * 2.0)
 """x^2, never negative."""
 
-reciprocal = _make_function(
-    lambda x: 1.0 / x, _enclose_reciprocal, lambda x: -square(reciprocal(x))
-)
+reciprocal = _make_function("reciprocal", _enclose_reciprocal, lambda x: -square(reciprocal(x)))
 """1 / x, refused where an interval holds 0."""
 
-sin = _make_function(np.sin, _enclose_increasing, lambda x: cos(x))
-cos = _make_function(np.cos, _enclose_even_decreasing, lambda x: -sin(x))
+sin = _make_function("sin", _enclose_increasing, lambda x: cos(x))
+cos = _make_function("cos", _enclose_even_decreasing, lambda x: -sin(x))
 
-sinc = _make_function(_sinc, _enclose_even_decreasing, lambda x: sinc_slope(x))
+sinc = _make_function("sinc", _enclose_even_decreasing, lambda x: sinc_slope(x))
 """sin x / x."""
 
-sinc_curvature = _make_function(_sinc_curvature, _enclose_even_increasing)
-sinc_slope = _make_function(_sinc_slope, _enclose_decreasing, sinc_curvature)
+sinc_curvature = _make_function("sinc_curvature", _enclose_even_increasing)
+sinc_slope = _make_function("sinc_slope", _enclose_decreasing, sinc_curvature)
 
 sine_excess = _make_function(
-    _sine_excess, _enclose_decreasing, lambda x: square(sin(x * 0.5)) * -2.0
+    "sine_excess", _enclose_decreasing, lambda x: square(sin(x * 0.5)) * -2.0
 )
 """sin x - x."""
 
-lag_slope = _make_function(_lag_slope, _enclose_even_decreasing)
-lag = _make_function(_lag, _enclose_increasing, lag_slope)
+lag_slope = _make_function("lag_slope", _enclose_even_decreasing)
+lag = _make_function("lag", _enclose_increasing, lag_slope)
 """(x - sin x) / x^2."""
 
 
@@ -299,5 +322,5 @@ def _compute_change(function, derivative, x, step) -> Any:
     difference = function(end) - function(x)
     if not isinstance(x, Interval):
         return difference
-    swept = Interval(np.minimum(x.lower, end.lower), np.maximum(x.upper, end.upper))
+    swept = type(x)(np.minimum(x.lower, end.lower), np.maximum(x.upper, end.upper))
     return difference.intersect(step * derivative(swept))

@@ -219,7 +219,7 @@ def split_disturbance(kinematics: Kinematics, period: Period, variables: Iterabl
         lever = 0.0
     else:
         speed_taken, yaw_rate_taken = taken
-        kick = (d_r - d_l) * (T / b) + yaw_rate_taken * T
+        kick = (d_r - d_l) * T / b + yaw_rate_taken * T
         brake = (d_r + d_l) * (0.5 * T) + speed_taken * T
         lever = late.lever
     # Where the reference goes, in the frame of a robot that turned by a.

@@ -23,6 +23,7 @@ from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Operating, Scenario
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
+from jaxtube.synthesis.certificate.motions import confirm_motions
 from jaxtube.synthesis.design import (
     design,
     refuse_infeasible_start,
@@ -54,7 +55,7 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
         scenario = find_caps_and_gains(scenario, options)
     refuse_start_outside_limits(make_problem(scenario))
     try:
-        made = design(scenario)
+        made = confirm_motions(design(scenario))
     except EmptySetError as error:
         raise EmptySetError("; ".join([str(error), *say_nearest(scenario, options)])) from None
     numbers = metrics.design_metrics(made)
