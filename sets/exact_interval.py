@@ -6,12 +6,14 @@ functions of an angle are summed up term by term,
 
     f(x) = factor x^power (1 - r_1 y (1 - r_2 y (1 - ...))),    y = x^2,    r_k = ratio(k).
 
+So is e^{-x}, x halved until it is below 1 and the sum squared as often.
+
 Source: Moore, Kearfott, Cloud 2009, Introduction to Interval Analysis.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from fractions import Fraction
 from functools import lru_cache
 from math import ceil, floor
@@ -75,6 +77,35 @@ class ExactInterval(Interval):
         """Enclose a function of an angle between its values at two points."""
         series = _SERIES[name]
         return ExactInterval(series.add_up(low) - SERIES_UNITS, series.add_up(high) + SERIES_UNITS)
+
+
+def enclose_numbers(numbers: Sequence) -> ExactInterval:
+    """Return an array of numbers as intervals."""
+    exact = np.asarray(numbers, dtype=object)
+    return ExactInterval(scale_down(exact), scale_up(exact))
+
+
+def decay(x: ExactInterval) -> ExactInterval:
+    """Enclose e^{-x}, x not negative."""
+    halvings = (int(np.max(x.upper)) // GRID).bit_length()
+    least = _sum_decay(-(-x.upper >> halvings))
+    most = _sum_decay(x.lower >> halvings)
+    value = ExactInterval(least - SERIES_UNITS, most + SERIES_UNITS)
+    for _ in range(halvings):
+        value = value * value
+    return value
+
+
+def _sum_decay(x) -> Any:
+    """Return e^{-x} at points from 0 to 1, up to `SERIES_UNITS`, all in units of 1/GRID."""
+    term = 0 * x + GRID
+    total = term
+    k = 0
+    while np.any(term):
+        k += 1
+        term = (term * x >> BITS) // k
+        total = total + (-1) ** k * term
+    return total
 
 
 def scale_down(numbers: Float[np.ndarray, "..."]) -> np.ndarray:
