@@ -188,7 +188,9 @@ def test_slow_wheels_that_cannot_change_fast_are_refused_by_name():
     assert "no speed keeps the wheels" in text and "wheel_acceleration_max_mps2" in text
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    "seed", [*range(6), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(6, 12))]
+)
 def test_random_paths_drive_within_random_limits_or_are_refused(seed):
     random = np.random.default_rng(seed)
     lengths = random.uniform(1.0, 4.0, 8)
