@@ -63,14 +63,15 @@ class LatePasts:
 
 
 class _Picks(NamedTuple):
-    """Which of the extremes a past has in each period, and which end of the lag."""
+    """Which of the extremes a past has in each period, and which end of the lag; of several pasts,
+    one row each."""
 
-    corner: Int[np.ndarray, " periods"]
-    demand: Int[np.ndarray, " periods"]
-    slip: Int[np.ndarray, " periods"]
-    side: Int[np.ndarray, " periods"]
-    delay: Int[np.ndarray, " periods"]
-    lag: int
+    corner: Int[np.ndarray, "... periods"]
+    demand: Int[np.ndarray, "... periods"]
+    slip: Int[np.ndarray, "... periods"]
+    side: Int[np.ndarray, "... periods"]
+    delay: Int[np.ndarray, "... periods"]
+    lag: int | Int[np.ndarray, " n"]
 
 
 def draw_pasts(problem: Problem) -> LatePasts:

@@ -36,6 +36,8 @@ from jaxtube.synthesis.certificate.poses import (
 from jaxtube.synthesis.disturbance import bound_committed_errors, find_actuation
 from jaxtube.synthesis.problem import Problem
 
+AT_ONCE = 1e-300
+"""Lag that stands for none, s."""
 SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
 
 
@@ -70,7 +72,7 @@ def expect_ahead(problem: Problem, pasts: LatePasts) -> Poses:
     """Return the motions to the committed poses at the instant, by nominal lag and delay."""
     lag, delay = find_actuation(problem.scenario).nominal(problem.model.dt)
     arrived = np.maximum(-delay - pasts.begins[1:], 0.0)
-    reached = -np.expm1(-arrived / max(lag, np.finfo(float).tiny))
+    reached = -np.expm1(-arrived / max(lag, AT_ONCE))
     speeds = pasts.asked[:, 0] + np.einsum("p,npi->ni", reached, np.diff(pasts.asked, axis=1))
     motion = run_out(*find_body(speeds, problem.model.track_width), lag)
     return _drive_arcs(problem, motion, pasts, pasts.asked, delay)
@@ -140,7 +142,7 @@ def _roll(
     first = pasts.told[:, 0]
     steps = np.diff(pasts.told, axis=1)
     after = np.maximum(times[:, None] - pasts.begins[1:] - pasts.delay[:, 1:], 0.0)
-    lag = np.maximum(pasts.lag, np.finfo(float).tiny)[:, None]
+    lag = np.maximum(pasts.lag, AT_ONCE)[:, None]
     closed = -np.expm1(-after / lag)
     covered = after - lag * closed
     travel = first * times[:, None] + np.einsum("np,npi->ni", covered, steps)

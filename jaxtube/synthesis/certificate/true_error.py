@@ -6,6 +6,8 @@ Source: new.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from jaxtyping import Float
 
@@ -28,17 +30,15 @@ def check_true_error(problem: Problem) -> Condition:
         promised = bound_pose_errors(problem)
     except ValueError as error:
         return Condition(NAME, -np.inf, f"No bound on true errors: {error}.", "robot")
-    if problem.scenario.robot.obeys_at_once:
-        return _compare(problem, promised, "")
+    condition = _compare(problem, promised)
+    if problem.scenario.robot.obeys_at_once or not condition.holds:
+        return condition
     found = np.array([np.abs(errors).max(axis=0) for errors in find_pose_errors(problem)])
     if np.any(found > promised + ROUNDING):
         return _refute(promised, found)
     shares = found.max(axis=0) / np.maximum(promised, TINY)
-    told = (
-        ", at the ends of periods and a latency later; errors found reach "
-        f"{shares.min():.1%} to {shares.max():.1%} of the bound"
-    )
-    return _compare(problem, promised, told)
+    reach = f"Errors found reach {shares.min():.1%} to {shares.max():.1%} of the bound."
+    return replace(condition, sentence=f"{condition.sentence} {reach}")
 
 
 def _refute(promised: Float[np.ndarray, "3"], found: Float[np.ndarray, "2 3"]) -> Condition:
@@ -56,23 +56,25 @@ def _refute(promised: Float[np.ndarray, "3"], found: Float[np.ndarray, "2 3"]) -
     )
 
 
-def _compare(problem: Problem, promised: Float[np.ndarray, "3"], told: str) -> Condition:
-    """Compare the constraints with what is promised; `told` says when, and what was found."""
+def _compare(problem: Problem, promised: Float[np.ndarray, "3"]) -> Condition:
+    """Compare the constraints with what is promised."""
     rooms = error_vector(problem.scenario.constraints) - promised
     worst = int(np.argmin(rooms))
     room = float(rooms[worst])
     kept = "measured error and the pose noise"
     added = "pose noise"
+    when = ""
     if problem.scenario.controller.has_observer:
         kept = "estimated error and the error of the estimate"
         added = "error of the estimate"
     if not problem.scenario.robot.obeys_at_once:
         kept = f"{kept}, and how far the pose strays from where it was committed to be,"
         added = f"{added} and the latency"
+        when = ", at the ends of periods and a latency later"
     return judge(
         NAME,
         room + ROUNDING,
-        f"What the controller keeps of the {kept} together lie in the error constraints{told}.",
+        f"What the controller keeps of the {kept} together lie in the error constraints{when}.",
         f"With the {added} the true {COORDINATES[worst].name} error may pass its constraint by "
         f"{COORDINATES[worst].say(-room)}.",
         "robot",
