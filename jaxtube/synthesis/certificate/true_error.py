@@ -50,7 +50,7 @@ def _refute(promised: Float[np.ndarray, "3"], found: Float[np.ndarray, "2 3"]) -
         NAME,
         float(np.min(promised - found)),
         f"The bound of the true errors is refuted: {MOMENTS[moment]} a {shown.name} error of "
-        f"{shown.say(found[moment, worst])}, where it has {shown.say(promised[worst])}, is "
+        f"{shown.say(found[moment, worst])}, where {shown.say(promised[worst])} is promised, is "
         "possible while the error of the committed pose keeps its limits.",
         "robot",
     )
