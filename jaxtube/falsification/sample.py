@@ -55,7 +55,7 @@ def sample(
         laps: after which it ends if the time is not up before.
     """
     generator = np.random.default_rng(seed)
-    key = jax.random.key(seed)
+    key = make_key(seed)
     pool = jnp.asarray(starts, float)
     choices = loop.list_plan_steps()
 
