@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int, Key
 
+from jaxtube.plant.random_keys import make_key
 from jaxtube.simulation.usage import JudgedLoop, play_limits
 
 BATCH = 256
