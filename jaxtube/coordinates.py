@@ -42,6 +42,10 @@ class Coordinate(NamedTuple):
         """Symbol of the disturbance, LaTeX without dollars."""
         return f"w_{self.letter}"
 
+    def say(self, size: float) -> str:
+        """Return a size, from m or rad, with its unit of display."""
+        return f"{self.to_display * size:.3g} {self.unit}"
+
 
 COORDINATES = (
     Coordinate("longitudinal", "x", "x", "m", 1.0),

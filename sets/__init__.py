@@ -11,7 +11,7 @@
     interval, supremum  rigorous bounds of functions over boxes
     robot               what a wheeled robot that slips adds: `sets.robot`
 
-Needs numpy, scipy and clarabel alone; `terminal_cost` imports cvxpy when it is called.
+Needs numpy, scipy, clarabel and highspy alone; `terminal_cost` imports cvxpy when it is called.
 """
 
 from sets.certificate import (

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
 
+import highspy
 import numpy as np
 from jaxtyping import Float, Int
 from scipy.linalg import qr
-from scipy.optimize import linprog
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
 FLAT = 1e-9
@@ -41,6 +41,14 @@ PLAIN = 1e-2
 
 HULL_DIMENSION = 4
 """Above this dimension vertices may explode: the support function goes by linear programs."""
+
+
+SOLVER_OPTIONS = {
+    "output_flag": False,
+    "primal_feasibility_tolerance": 1e-10,
+    "dual_feasibility_tolerance": 1e-10,
+}
+"""Of HiGHS."""
 
 
 @dataclass(frozen=True)
@@ -255,18 +263,45 @@ def solve_program(
         ArithmeticError: no method of the solver gets that far; the program must be feasible and
             bounded.
     """
-    options = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-    for method in ("highs", "highs-ds", "highs-ipm"):
-        answer = linprog(cost, rows, limits, bounds=(None, None), method=method, options=options)
-        if answer.status != 0:
-            continue
-        solution = answer.x
-        multipliers = -answer.ineqlin.marginals
+    for solver in ("choose", "simplex", "ipm"):
+        solution, multipliers = _run_solver(solver, cost, rows, limits)
         if _compute_misfit(cost, rows, limits, solution, multipliers) <= 1e-8:
             return solution, multipliers
     raise ArithmeticError(
         "linear program not solved to 1e-8: rescale the coordinates of the polytope"
     )
+
+
+def _run_solver(
+    solver: str,
+    cost: Float[np.ndarray, " n"],
+    rows: Float[np.ndarray, "m n"],
+    limits: Float[np.ndarray, " m"],
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]:
+    """Return x and multipliers as HiGHS leaves them; NaN where it has none."""
+    count, dimension = rows.shape
+    program = highspy.HighsLp()
+    program.num_col_ = dimension
+    program.num_row_ = count
+    program.col_cost_ = cost
+    program.col_lower_ = np.full(dimension, -np.inf)
+    program.col_upper_ = np.full(dimension, np.inf)
+    program.row_lower_ = np.full(count, -np.inf)
+    program.row_upper_ = limits
+    program.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
+    program.a_matrix_.start_ = dimension * np.arange(count + 1)
+    program.a_matrix_.index_ = np.tile(np.arange(dimension), count)
+    program.a_matrix_.value_ = rows.ravel()
+    highs = highspy.Highs()
+    for option, value in SOLVER_OPTIONS.items():
+        highs.setOptionValue(option, value)
+    highs.setOptionValue("solver", solver)
+    highs.passModel(program)
+    highs.run()
+    answer = highs.getSolution()
+    if not (answer.value_valid and answer.dual_valid):
+        return np.full(dimension, np.nan), np.full(count, np.nan)
+    return np.array(answer.col_value), -np.array(answer.row_dual)
 
 
 def _compute_misfit(cost, rows, limits, solution, multipliers) -> float:

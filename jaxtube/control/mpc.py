@@ -30,6 +30,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
 from jaxtube.qp.batched_ldl import matmul
+from jaxtube.qp.regions import Known, Regions
 
 AnyArray = Any
 """A design holds numpy arrays, a controller jax arrays."""
@@ -62,6 +63,7 @@ class CondensedQp(NamedTuple):
     terminal_gain: Float[AnyArray, "2 3"]  # Gamma(th_k)
     transition: Float[AnyArray, "3 3"]  # A(th_k)
     input_matrix: Float[AnyArray, "3 2"]  # B(th_k)
+    regions: Regions | None = None  # of e, that are known beforehand
 
 
 class MpcState(NamedTuple):
@@ -183,8 +185,9 @@ def constrained_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) ->
     """Return the plans of a batch of which some instance needs the solver."""
     shift = _image(condensed.row_errors, errors)
     gradient = _image(condensed.linear, errors)
+    known = None if condensed.regions is None else Known(condensed.regions, errors)
     solution = qp.solve(
-        condensed.factors, gradient, condensed.lower - shift, condensed.upper - shift
+        condensed.factors, gradient, condensed.lower - shift, condensed.upper - shift, known
     )
     admissible = _is_admissible(condensed, errors)
     # Data that are not numbers are no proof of anything; their residual is infinite.

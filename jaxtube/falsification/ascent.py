@@ -23,6 +23,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxtube.falsification.cells import stack_cells
 from jaxtube.plant.protocol import SearchablePlant, Uncertainty
+from jaxtube.plant.random_keys import make_key
 from jaxtube.simulation.usage import JudgedLoop, play_limits
 
 Attack = dict[str, Float[Array, "times batch n"]]
@@ -116,7 +117,7 @@ def ascend(
         """Return the sum of the usages aimed at; beside it these usages and those of all cells."""
         script = {name: values for name, values in attack.items() if name != "start"}
         starts = attack["start"][0]
-        keys = jax.random.split(jax.random.key(0), len(starts))  # a script draws nothing
+        keys = jax.random.split(make_key(0), len(starts))  # a script draws nothing
         usages = play_limits(loop, keys, starts, aim.when, script)
         cells = stack_cells(usages)
         aimed = jnp.take_along_axis(cells, aim.cell[None], axis=0)[0]

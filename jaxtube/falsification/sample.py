@@ -11,6 +11,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int, Key
 
+from jaxtube.plant.random_keys import make_key
 from jaxtube.simulation.usage import JudgedLoop, play_limits
 
 BATCH = 256
@@ -55,7 +56,7 @@ def sample(
         laps: after which it ends if the time is not up before.
     """
     generator = np.random.default_rng(seed)
-    key = jax.random.key(seed)
+    key = make_key(seed)
     pool = jnp.asarray(starts, float)
     choices = loop.list_plan_steps()
 

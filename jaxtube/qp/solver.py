@@ -8,7 +8,7 @@ P > 0 (n, n) and A (m, n) are shared; q (batch, n) and l, u (batch, m), infinite
 absent, are not.
 
 (1) The unconstrained optimum -P^-1 q: the exact answer where it meets the bounds. If all do,
-    nothing else is done.
+    nothing else is done. Else answers known beforehand are tried, where there are any (`regions`).
 (2) A fixed number of ADMM iterations, started at (1).
 (3) A few active-set Newton steps; each instance keeps its iterate of smallest residual.
 (4) An interior point method for the few that remain, then (3) again.
@@ -36,12 +36,13 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxtube.qp import farkas, fixed_point, interior_point, sensitivity
+from jaxtube.qp import farkas, fixed_point, interior_point, regions, sensitivity
 from jaxtube.qp.batched_ldl import matmul
 from jaxtube.qp.blocks import block_sizes, update_in_blocks
 from jaxtube.qp.factors import Factors
 from jaxtube.qp.fixed_point import TOLERANCE, Instances, Iterate
 from jaxtube.qp.interior_point import BOLD, CAUTIOUS, Caution
+from jaxtube.qp.regions import Known
 from jaxtube.qp.status import INFEASIBLE, SOLVED, UNSOLVED
 
 ITERATIONS = 30
@@ -73,6 +74,7 @@ def solve(
     q: Float[Array, "batch n"],
     l: Float[Array, "*batch m"],
     u: Float[Array, "*batch m"],
+    known: Known | None = None,
 ) -> Solution:
     """Solve the batch; never raises on data, never returns a NaN.
 
@@ -81,6 +83,8 @@ def solve(
         q: linear costs.
         l: lower bounds, of every instance or common to all.
         u: upper bounds, likewise.
+        known: critical regions of a parametric program of which these are instances, and their
+            parameters. An answer found there is taken only if its residual would be accepted.
 
     Returns:
         The best iterates. With the residual and the scales of `fixed_point`: SOLVED where the
@@ -95,7 +99,7 @@ def solve(
         for the residual.
     """
     shape = (len(q), len(factors.rows))
-    return solve_batch(factors, q, jnp.broadcast_to(l, shape), jnp.broadcast_to(u, shape))
+    return solve_batch(factors, q, jnp.broadcast_to(l, shape), jnp.broadcast_to(u, shape), known)
 
 
 @jax.custom_vjp
@@ -104,6 +108,7 @@ def solve_batch(
     q: Float[Array, "batch n"],
     l: Float[Array, "batch m"],
     u: Float[Array, "batch m"],
+    known: Known | None,
 ) -> Solution:
     """Solve as `solve`, every instance with bounds of its own."""
     x = matmul(q, factors.optimum)  # (1)
@@ -114,17 +119,17 @@ def solve_batch(
     is_solved = is_inside & (residual <= TOLERANCE[q.dtype.itemsize])
     status = jnp.where(is_solved, SOLVED, UNSOLVED).astype(jnp.int32)
     free = Solution(x, jnp.zeros_like(l), status, residual)
-    general = partial(solve_constrained, factors, Instances(q, l, u, scale))
+    general = partial(solve_constrained, factors, Instances(q, l, u, scale), known)
     return jax.lax.cond(jnp.all(is_solved), lambda free: free, general, free)
 
 
-def solve_and_remember(factors: Factors, q, l, u) -> tuple[Solution, tuple]:
+def solve_and_remember(factors: Factors, q, l, u, known) -> tuple[Solution, tuple]:
     """Solve; return the answers and what their derivative needs."""
-    solution = solve_batch(factors, q, l, u)
+    solution = solve_batch(factors, q, l, u, known)
     return solution, (factors, l, u, solution)
 
 
-def pull_back(saved: tuple, cotangent: Solution) -> tuple[Factors, Array, Array, Array]:
+def pull_back(saved: tuple, cotangent: Solution) -> tuple[Factors, Array, Array, Array, None]:
     """Return the cotangents of factors, q, l and u; only the instances with an active row cost more
     than a product."""
     factors, l, u, solution = saved
@@ -142,7 +147,7 @@ def pull_back(saved: tuple, cotangent: Solution) -> tuple[Factors, Array, Array,
     shared = sensitivity.shared_cotangents(
         factors, solution.x, solution.multipliers, d, l_bar + u_bar
     )
-    return shared, -d, l_bar, u_bar
+    return shared, -d, l_bar, u_bar, None
 
 
 def solve_adjoint(
@@ -164,7 +169,9 @@ def solve_adjoint(
 solve_batch.defvjp(solve_and_remember, pull_back)
 
 
-def solve_constrained(factors: Factors, instances: Instances, free: Solution) -> Solution:
+def solve_constrained(
+    factors: Factors, instances: Instances, known: Known | None, free: Solution
+) -> Solution:
     """Run steps (2) to (5) on the instances that `free`, the unconstrained optimum, does not
     solve."""
     A = factors.rows
@@ -176,6 +183,8 @@ def solve_constrained(factors: Factors, instances: Instances, free: Solution) ->
         method = partial(rescue, factors, quadratic, caution)
         return improve(method, rare_size, factors, instances, solution), None
 
+    if known is not None:
+        free = accept_known(factors, known, instances, size, free)
     solution = improve(partial(split, factors), size, factors, instances, free)
     # A scan compiles one program for both: the cautious method for what the bold one leaves.
     cautions = Caution(*jnp.array([BOLD, CAUTIOUS], A.dtype).T)
@@ -186,6 +195,30 @@ def solve_constrained(factors: Factors, instances: Instances, free: Solution) ->
         x=jnp.where(sound[:, None], solution.x, 0.0),
         residual=jnp.where(sound, solution.residual, jnp.inf),
     )
+
+
+def accept_known(
+    factors: Factors, known: Known, instances: Instances, size: int, solution: Solution
+) -> Solution:
+    """Take the answers of known regions where they are answers."""
+    pending = (solution.status == UNSOLVED) & jnp.isfinite(solution.residual)
+    tolerance = TOLERANCE[instances.q.dtype.itemsize]
+
+    def take(data, before: Solution) -> Solution:
+        block, parameters = data
+        x, y = regions.look_up(Known(known.regions, parameters), len(factors.rows))
+        unit = unit_rows(factors, block)
+        residual = fixed_point.residual(factors, unit, x.T, (y * factors.row_norms).T)
+        is_answer = residual <= tolerance
+        status = jnp.where(is_answer, SOLVED, before.status).astype(jnp.int32)
+        answer = Solution(x, y, status, residual)
+        return jax.tree.map(
+            lambda new, old: jnp.where(jnp.expand_dims(is_answer, range(1, new.ndim)), new, old),
+            answer,
+            before,
+        )
+
+    return update_in_blocks(take, size, pending, (instances, known.parameters), solution)
 
 
 def split(

@@ -28,6 +28,7 @@ from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.regions import find_regions
 
 PlantType = TypeVar("PlantType", bound=Plant)
 
@@ -63,8 +64,18 @@ def controllers(design: Design) -> dict[str, Controller]:
 
 def make_tube_mpc(design: Design) -> TubeMpc:
     """Return the tube-MPC of a design."""
-    restart = design.problem.scenario.controller.restart
-    return dataclasses.replace(_make_mpc(design, design.tube_qps), restart=restart)
+    problem = design.problem
+    qps = design.tube_qps
+    if not problem.scenario.controller.restart:
+        return dataclasses.replace(_make_mpc(design, qps), restart=False)
+    regions = find_regions(
+        qps,
+        design.windows.index,
+        problem.initial_error,
+        problem.noise,
+        problem.disturbance_set.vertices(),
+    )
+    return _make_mpc(design, qps._replace(regions=regions))
 
 
 def make_plain_mpc(design: Design) -> TubeMpc:

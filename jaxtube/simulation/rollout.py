@@ -23,6 +23,7 @@ from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.protocol import Controller
 from jaxtube.plant import slip as slips
 from jaxtube.plant.protocol import Command, Measurement, Memory, Plant
+from jaxtube.plant.random_keys import make_key
 from jaxtube.qp.batched_ldl import matmul
 
 DIAGNOSTICS = "diagnostics_"
@@ -197,7 +198,7 @@ def follow_plan(
 def realisation_keys(seed: int, first: int, count: int) -> Key[Array, " count"]:
     """Return the keys of realisations first .. first + count - 1: functions of seed and index
     alone."""
-    seed_key = jax.random.key(seed)
+    seed_key = make_key(seed)
     indices = range(first, first + count)
     high = jnp.array([index >> 32 for index in indices], jnp.uint32)
     low = jnp.array([index & 0xFFFFFFFF for index in indices], jnp.uint32)

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from jaxtube.control.laws import free_gains_of
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant
+from jaxtube.plant.random_keys import make_key
 from jaxtube.plant.reference import Reference, settled_step
 from jaxtube.simulation.starts import Starts
 from jaxtube.statistics.checks import Checks, Facets, Sections
@@ -30,7 +31,7 @@ def make_task(
 ) -> Task:
     """Return what every block of a Monte Carlo run of a closed loop needs."""
     checks = make_checks(design, controller)
-    return Task(controller, plant, starts, checks, jax.random.key(seed))
+    return Task(controller, plant, starts, checks, make_key(seed))
 
 
 def make_checks(design: Design, controller: Controller) -> Checks:

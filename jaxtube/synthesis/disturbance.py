@@ -150,6 +150,13 @@ def _answer_estimate_error(question: bytes) -> bytes:
     return pickle.dumps(find_estimate_error(where, how))
 
 
+def bound_committed_errors(problem: Problem) -> Float[np.ndarray, "3"]:
+    """Return the greatest true errors, (m, m, rad), that the caps leave: of wheels that lag those
+    of the committed pose."""
+    limits = problem.operating_set.support(np.eye(3)) + problem.estimate_error
+    return np.maximum(limits, problem.error_set.support(np.eye(3)))
+
+
 def bound_pose_errors(problem: Problem) -> Float[np.ndarray, "3"]:
     """Return the greatest true errors, (m, m, rad): of wheels that lag those of the pose itself, at
     each instant and a latency after it.
@@ -157,8 +164,7 @@ def bound_pose_errors(problem: Problem) -> Float[np.ndarray, "3"]:
     Raises:
         ValueError: as `prove_bound`.
     """
-    limits = problem.operating_set.support(np.eye(3)) + problem.estimate_error
-    promised = np.maximum(limits, problem.error_set.support(np.eye(3)))
+    promised = bound_committed_errors(problem)
     where = operation(problem)
     if where.actuation.is_ideal:
         return promised

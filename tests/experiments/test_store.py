@@ -23,9 +23,9 @@ def store(tmp_path):
 
 def test_an_entry_comes_back_as_it_was_written(store):
     numbers = np.array([0.1, -0.0, np.nan])
-    written = store.write("a-1", {"value": {"b": [1, None]}}, {"numbers": numbers})
+    store.write("a-1", {"value": {"b": [1, None]}}, {"numbers": numbers})
     read = store.read("a-1")
-    assert read.header == written.header and read.header["value"] == {"b": [1, None]}
+    assert read.header["name"] == "a-1" and read.header["value"] == {"b": [1, None]}
     assert read.arrays["numbers"].tobytes() == numbers.tobytes()
     assert list(store.read_all("lost")) == ["a-1"] and store.damaged == []
 

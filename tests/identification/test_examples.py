@@ -10,7 +10,14 @@ from jaxtube.identification.identify import Choices, identify_log
 from jaxtube.identification.scenario_text import write_scenario
 from jaxtube.identification.simulated.drive import drive
 from jaxtube.identification.simulated.log import record
-from jaxtube.identification.simulated.robots import EXAMPLES, FILE, HOLD_S, record_example
+from jaxtube.identification.simulated.robots import (
+    EXAMPLES,
+    FILE,
+    HOLD_S,
+    SECOND_FILE,
+    record_example,
+    record_second,
+)
 from jaxtube.recordings.reading import read_log
 from jaxtube.scenario.reading import experiments_folder
 from jaxtube.scenario.refusal import ScenarioError
@@ -22,10 +29,13 @@ ROUNDED = 1e-4
 """Of numbers in the file, which has four decimals at least."""
 
 
-@pytest.mark.parametrize("name", EXAMPLES)
-def test_the_log_beside_a_scenario_is_what_its_robot_drives(name):
-    made = record_example(name).log
-    read = read_log(experiments_folder() / name / FILE)
+@pytest.mark.parametrize(
+    ("name", "file", "simulated"),
+    [*((name, FILE, record_example) for name in EXAMPLES), ("husky", SECOND_FILE, record_second)],
+)
+def test_the_log_beside_a_scenario_is_what_its_robot_drives(name, file, simulated):
+    made = simulated(name).log
+    read = read_log(experiments_folder() / name / file)
     np.testing.assert_allclose(read.time, made.time, atol=ROUNDED)
     np.testing.assert_allclose(read.wheels, made.wheels, atol=ROUNDED)
     np.testing.assert_allclose(read.poses[:, :2], made.poses[:, :2], atol=ROUNDED)

@@ -1,6 +1,7 @@
 """Laws of missions: made and real paths are driven with the wheels in their box, or refused with
 time and place."""
 
+import functools
 import os
 from pathlib import Path
 
@@ -81,9 +82,16 @@ def integrate(reference, track_width):
     return np.column_stack([positions, headings])
 
 
+@pytest.fixture(scope="module")
+def plan_made(tmp_path_factory):
+    """Plan a made path, once."""
+    folder = tmp_path_factory.mktemp("made")
+    return functools.cache(lambda name: plan_path(read_path(write_made(folder, name)), DRIVE))
+
+
 @pytest.mark.parametrize("name", MADE)
-def test_made_paths_drive_or_are_refused_with_time_and_place(tmp_path, name):
-    plan = plan_path(read_path(write_made(tmp_path, name)), DRIVE)
+def test_made_paths_drive_or_are_refused_with_time_and_place(plan_made, name):
+    plan = plan_made(name)
     count, words = CUTS[name]
     assert len(plan.missions) == count
     said = [str(note) for note in (*plan.notes, *(refused.note for refused in plan.refused))]
@@ -96,10 +104,9 @@ def test_every_made_path_is_expected():
     assert set(CUTS) == set(MADE)
 
 
-def test_formats_of_one_drive_give_one_mission(tmp_path):
+def test_formats_of_one_drive_give_one_mission(plan_made):
     names = ("no_time", "semicolons", "byte_order_mark", "carriage_returns", "no_header", "utm")
-    plans = [plan_path(read_path(write_made(tmp_path, name)), DRIVE) for name in names]
-    wheels = [plan.missions[0].reference.wheels for plan in plans]
+    wheels = [plan_made(name).missions[0].reference.wheels for name in names]
     for other in wheels[1:]:
         np.testing.assert_allclose(other, wheels[0], atol=1e-5)
 
@@ -114,9 +121,8 @@ def test_a_noisy_drive_is_driven_nearer_to_the_true_one_than_its_rows_are(noise)
     assert plan.missions[0].deviations.from_rows > 2.0 * noise
 
 
-def test_a_closed_path_ends_where_it_began_in_the_same_direction(tmp_path):
-    plan = plan_path(read_path(write_made(tmp_path, "closed")), DRIVE)
-    mission = plan.missions[0]
+def test_a_closed_path_ends_where_it_began_in_the_same_direction(plan_made):
+    mission = plan_made("closed").missions[0]
     reference = mission.reference
     assert mission.fit.curve.closed
     lap = mission.profile.duration
@@ -182,7 +188,9 @@ def test_slow_wheels_that_cannot_change_fast_are_refused_by_name():
     assert "no speed keeps the wheels" in text and "wheel_acceleration_max_mps2" in text
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize(
+    "seed", [*range(6), *(pytest.param(seed, marks=pytest.mark.slow) for seed in range(6, 12))]
+)
 def test_random_paths_drive_within_random_limits_or_are_refused(seed):
     random = np.random.default_rng(seed)
     lengths = random.uniform(1.0, 4.0, 8)

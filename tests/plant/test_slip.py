@@ -26,9 +26,14 @@ DRAWN = (*UNIFORM, "vertex")  # and the adversary chooses
 STEPS = 41
 
 
-@partial(jax.jit, static_argnames=("process", "uncertain_slip", "steps"))
 def one_run(process, uncertain_slip, steps, index_low, situation=HERE, index_high=0):
     """Deviations (steps, 2) of the true and the measured slip of one realisation."""
+    # With every argument given, so that calls share their compilation.
+    return scan_run(process, uncertain_slip, steps, index_low, situation, index_high)
+
+
+@partial(jax.jit, static_argnames=("process", "uncertain_slip", "steps"))
+def scan_run(process, uncertain_slip, steps, index_low, situation, index_high):
     key = slip.realisation_key(SEED, index_high, index_low)
 
     def body(state, step):
@@ -118,7 +123,8 @@ def test_only_the_slip_that_is_random_deviates(process):
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_dtype_is_that_of_the_situation(process, dtype):
     here = jax.tree.map(lambda array: array.astype(dtype), HERE)
-    assert all(array.dtype == dtype for array in one_run(process, "both", STEPS, 3, here))
+    run = partial(one_run, process, "both", STEPS, 3)
+    assert all(array.dtype == dtype for array in jax.eval_shape(run, here))
 
 
 @dataclass(frozen=True)
@@ -177,7 +183,7 @@ def test_fresh_draws_forget_the_step_before(name):
 
 
 def test_constant_is_constant_in_a_run():
-    true, measured = np.asarray(many_runs(PROCESSES["constant"], "both", 20, 10))
+    true, measured = runs("constant")
     for deviations in (true, measured):
         np.testing.assert_array_equal(
             deviations, np.broadcast_to(deviations[:, :1], deviations.shape)
@@ -185,7 +191,7 @@ def test_constant_is_constant_in_a_run():
 
 
 def test_walk_takes_uniform_steps_and_is_reflected():
-    true, _ = np.asarray(many_runs(PROCESSES["walk"], "true", 30, 2000))
+    true, _ = runs("walk")
     moves = true[:, 1:] - true[:, :-1]
     assert np.all(np.abs(true) <= 1.0)
     assert np.all(np.abs(moves) <= STEP_SIZE + ROUNDING)
@@ -201,10 +207,13 @@ def test_patches_meet_the_same_slip_on_the_same_ground_at_any_time():
     size = PATCH_SIZE
     key = slip.realisation_key(SEED, 0, 5)
 
-    def at(x, y, step=0, run_key=key):
-        positions = jnp.array([[x, y], [x + 7.0, y]])
+    @jax.jit
+    def draw(positions, step, run_key):
         situation = HERE._replace(wheel_positions=positions)
-        return np.asarray(slip.draw_slip(run_key, step, ((), ()), situation, process, "true")[0])
+        return slip.draw_slip(run_key, step, ((), ()), situation, process, "true")[0]
+
+    def at(x, y, step=0, run_key=key):
+        return np.asarray(draw(jnp.array([[x, y], [x + 7.0, y]]), step, run_key))
 
     corners = (np.stack(np.meshgrid(np.arange(-6, 6), np.arange(-6, 6)), -1).reshape(-1, 2)) * size
     right, left = np.array([at(*corner) for corner in corners + 0.01]).T

@@ -13,7 +13,7 @@ from jaxtube.scenario import load
 from jaxtube.simulation.components import bare_robot, make_wheel_map, robot_of
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.synthesis.certificate.period import find_disturbances, noise_reach
-from jaxtube.synthesis.certificate.robot import check_true_error
+from jaxtube.synthesis.certificate.true_error import check_true_error
 from jaxtube.synthesis.disturbance import complete_problem, kinematics, operation
 from sets.robot.disturbance import disturbance_parts
 

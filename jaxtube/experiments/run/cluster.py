@@ -26,6 +26,7 @@ import jax
 import numpy as np
 
 from jaxtube.experiments.run.folder import source_hashes, version
+from jaxtube.plant.random_keys import wrap_key
 from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics.run import Run, Statistics
 
@@ -214,7 +215,7 @@ class Job:
 
     def make_run(self, device) -> Run:
         """Return the run on one device."""
-        key = jax.random.wrap_key_data(jax.numpy.asarray(self.key_data))
+        key = wrap_key(jax.numpy.asarray(self.key_data))
         task = jax.device_put(dataclasses.replace(self.task, seed_key=key), device)
         return Run(task, self.realisations, 1, (device,))
 

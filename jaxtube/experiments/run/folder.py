@@ -43,10 +43,11 @@ PACKAGES = (
     "scipy",
     "cvxpy-base",
     "clarabel",
+    "highspy",
     "msgspec",
     "matplotlib",
 )
-COMPUTING_PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "clarabel")
+COMPUTING_PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "clarabel", "highspy")
 """Those whose version may change the numbers of a run."""
 SCENARIOS = ("scenario.toml", "against.toml", "tuned.toml", "identified.toml", "fitted.toml")
 """Scenarios that commands write."""

@@ -129,11 +129,8 @@ class Store:
         self.remove(useless)
         return entries
 
-    def write(self, name: str, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> Entry:
+    def write(self, name: str, header: Mapping[str, Any], arrays: Mapping[str, Any]) -> None:
         """Write an entry; once this returns, it outlives the process.
-
-        Returns:
-            The entry as it will be read: with the same bits and the same layout in memory.
 
         Raises:
             ValueError: for arrays that are neither integers nor floats.
@@ -141,7 +138,6 @@ class Store:
         """
         record = encode({"name": name, "identity": self._identity, **header}, arrays)
         write_atomically(self.folder / f"{name}{SUFFIX}", lambda file: file.write(record))
-        return Entry(*decode(record))
 
     def remove(self, paths: Iterable[Path]) -> None:
         """Remove files."""

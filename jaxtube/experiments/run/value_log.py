@@ -47,7 +47,8 @@ class ValueLog(StoreOwner):
         """
         name = f"{self._count:06d}"
         with self._explain_failure(f"logging {name}"):
-            entry = self._store.write(name, {"value": record}, {})
+            self._store.write(name, {"value": record}, {})
+            entry = self._store.read(name)
         self._count += 1
         self.records.append(entry.header["value"])
 

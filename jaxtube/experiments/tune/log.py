@@ -99,7 +99,9 @@ class TuningLog(StoreOwner):
 
     def _add(self, name: str, arrays: Arrays) -> None:
         with self._explain_failure(f"logging {name}{SUFFIX}"):
-            self._entries[name] = self._store.write(name, {}, arrays).arrays
+            self._store.write(name, {}, arrays)
+            # As a resumed run will read them: with the same layout in memory, too.
+            self._entries[name] = self._store.read(name).arrays
 
     def _say_what_is_safe(self) -> str:
         return f"the {self.entries} evaluations logged there are safe"

@@ -20,9 +20,10 @@ from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Float
 
 from jaxtube.synthesis.certificate.period_cases import Numbers, PeriodCases
+from jaxtube.synthesis.certificate.poses import Poses, arc, error_of, pose_of, run_out
 from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.problem import Problem
 
@@ -64,22 +65,6 @@ class Past(NamedTuple):
         return self._replace(speed=(right + left) / 2, turn=(right - left) / track_width)
 
 
-class Poses(NamedTuple):
-    """Poses in the world, or motions from one to another."""
-
-    place: Complex[np.ndarray, " n"]
-    heading: Numbers
-
-    def join(self, motion: Poses) -> Poses:
-        """Return where motions lead from here."""
-        place = self.place + motion.place * np.exp(1j * self.heading)
-        return Poses(place, self.heading + motion.heading)
-
-    def back(self) -> Poses:
-        """Return the motions back."""
-        return Poses(-self.place * np.exp(-1j * self.heading), -self.heading)
-
-
 def find_pasts(problem: Problem, speed: Numbers, turn: Numbers) -> Iterator[Past]:
     """Yield extreme pasts: the pairs of speeds at the ends of all that is asked for, each with one
     of the extremes of lag and delay."""
@@ -112,22 +97,22 @@ def next_late_errors(
     reference_turn = (cases.wheels[:, 0] - cases.wheels[:, 1]) / problem.model.track_width
     # The reference is at the origin of the world frame, heading along its x axis.
     origin = Poses(0j + none, none)
-    ahead = _run_out(past.speed + none, past.turn + none, lag)
-    ahead = ahead.join(_arc(past.speed + none, past.turn + none, delay))
+    ahead = run_out(past.speed + none, past.turn + none, lag)
+    ahead = ahead.join(arc(past.speed + none, past.turn + none, delay))
     if problem.scenario.controller.has_observer:
-        pose = _pose_of(cases.errors - cases.noise, origin).join(ahead.back())
+        pose = pose_of(cases.errors - cases.noise, origin).join(ahead.back())
     else:
-        behind = _arc(reference_speed, reference_turn, lag + delay).back()
-        measured = _pose_of(cases.errors, origin).join(ahead.back())
-        pose = _pose_of(_error_of(measured, behind) - cases.noise, behind)
+        behind = arc(reference_speed, reference_turn, lag + delay).back()
+        measured = pose_of(cases.errors, origin).join(ahead.back())
+        pose = pose_of(error_of(measured, behind) - cases.noise, behind)
     pose = pose.join(_drive(problem, cases, speed, turn, past))
     left = np.exp(-max(T - delay, 0.0) / lag) if lag > 0 else float(delay >= T)
     coast_speed = speed + (past.speed - speed) * left
     coast_turn = turn + (past.turn - turn) * left
-    committed = pose.join(_run_out(coast_speed, coast_turn, lag))
-    committed = committed.join(_arc(past.speed + none, past.turn + none, max(delay - T, 0.0)))
-    committed = committed.join(_arc(speed, turn, min(delay, T)))
-    return _error_of(committed, _arc(reference_speed, reference_turn, T))
+    committed = pose.join(run_out(coast_speed, coast_turn, lag))
+    committed = committed.join(arc(past.speed + none, past.turn + none, max(delay - T, 0.0)))
+    committed = committed.join(arc(speed, turn, min(delay, T)))
+    return error_of(committed, arc(reference_speed, reference_turn, T))
 
 
 def _drive(
@@ -166,27 +151,3 @@ def _follow(before, asked, past: Past, time: float) -> tuple[list[Numbers], list
     travel = [old * time + (new - old) * covered for old, new in wheels]
     speeds = [old + (new - old) * closed for old, new in wheels]
     return travel, speeds
-
-
-def _run_out(speed: Numbers, turn: Numbers, lag: float) -> Poses:
-    """Return the motion of wheels that run out: a way ahead, and then a turn."""
-    return Poses(lag * speed + 0j, lag * turn)
-
-
-def _arc(speed: Numbers, turn: Numbers, time: float) -> Poses:
-    """Return the motion along an arc."""
-    half = time * turn / 2
-    return Poses(time * speed * np.sinc(half / np.pi) * np.exp(1j * half), time * turn)
-
-
-def _pose_of(errors: Float[np.ndarray, "n 3"], reference: Poses) -> Poses:
-    """Return the poses that have errors against a reference."""
-    heading = reference.heading - errors[:, 2]
-    place = reference.place - (errors[:, 0] + 1j * errors[:, 1]) * np.exp(1j * heading)
-    return Poses(place, heading)
-
-
-def _error_of(pose: Poses, reference: Poses) -> Float[np.ndarray, "n 3"]:
-    """Return the tracking errors of poses against a reference."""
-    offset = np.exp(-1j * pose.heading) * (reference.place - pose.place)
-    return np.stack([np.real(offset), np.imag(offset), reference.heading - pose.heading], axis=1)

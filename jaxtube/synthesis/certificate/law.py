@@ -10,9 +10,9 @@ from jaxtyping import Float
 from jaxtube.synthesis.certificate.robot import (
     assumptions,
     check_disturbance_set,
-    check_true_error,
     judge_wheel_limits,
 )
+from jaxtube.synthesis.certificate.true_error import check_true_error
 from jaxtube.synthesis.disturbance import prove_bound
 from jaxtube.synthesis.gains import Gain, exact_loops
 from jaxtube.synthesis.problem import Problem

@@ -25,7 +25,7 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Complex, Float
 
-from jaxtube.plant.slip_bounds import SlipBounds, slip_bounds
+from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.acceleration import find_command_steps
 from jaxtube.synthesis.certificate.late_period import find_pasts, next_late_errors
@@ -94,19 +94,12 @@ def extreme_cases(problem: Problem) -> PeriodCases:
 
     Where input and error are coupled the longitudinal error is shrunk until their row is met.
     """
-    half_widths = problem.operating_set.offsets[:3]
-    errors = half_widths * np.array(list(itertools.product(ALONG, (-1, 1), (-1, 0, 1))))
-    vertices = problem.input_set.vertices()
-    inputs = np.concatenate([vertices, (vertices + np.roll(vertices, 1, axis=0)) / 2])
+    errors, inputs = pair_errors_and_inputs(problem)
     wheels = np.unique(region_corners(problem.regions), axis=0)
-    slips = slip_bounds(problem.scenario.slip)
-    slip_pairs = slips.extremes() if problem.scenario.slip.has_intervals else _pair_slips(slips)
+    slip_pairs = pair_slips(problem)
     sideslips = np.unique(problem.scenario.slip.sideslip * np.array([-1.0, 1.0]))
     has_observer = problem.scenario.controller.has_observer
     noise = _extreme_estimate_errors(problem) if has_observer else _extreme_noise(problem)
-    error, asked = np.indices((len(errors), len(inputs))).reshape(2, -1)
-    inputs = inputs[asked]
-    errors = _meet_coupling(problem, errors[error], inputs)
     sizes = [len(part) for part in (errors, wheels, slip_pairs, sideslips, noise)]
     pair, wheel, slip, sideslip, shift = np.indices(sizes).reshape(len(sizes), -1)
     true, measured = np.swapaxes(slip_pairs[slip], 0, 1)
@@ -120,6 +113,19 @@ def extreme_cases(problem: Problem) -> PeriodCases:
         sideslip=sideslips[sideslip],
         noise=noise[shift] if has_observer else _in_robot_frame(problem, noise[shift], errors),
     )
+
+
+def pair_errors_and_inputs(
+    problem: Problem,
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 2"]]:
+    """Return corners of the operating set, (m, m, rad), with those of U, (m/s, rad/s)."""
+    half_widths = problem.operating_set.offsets[:3]
+    errors = half_widths * np.array(list(itertools.product(ALONG, (-1, 1), (-1, 0, 1))))
+    vertices = problem.input_set.vertices()
+    inputs = np.concatenate([vertices, (vertices + np.roll(vertices, 1, axis=0)) / 2])
+    error, asked = np.indices((len(errors), len(inputs))).reshape(2, -1)
+    inputs = inputs[asked]
+    return _meet_coupling(problem, errors[error], inputs), inputs
 
 
 def _extreme_estimate_errors(problem: Problem) -> Float[np.ndarray, "k 3"]:
@@ -168,12 +174,13 @@ def _meet_coupling(
     return np.column_stack([along, errors[:, 1:]])
 
 
-def _pair_slips(slips: SlipBounds) -> Float[np.ndarray, "k 2 2"]:
-    """Return pairs of true and measured slip (right, left) near nominal ones at their extremes: one
-    of them nominal, unless the scenario lets both vary."""
-    if slips.uncertain_slip == "both":
-        return slips.extremes()
+def pair_slips(problem: Problem) -> Float[np.ndarray, "k 2 2"]:
+    """Return pairs of true and measured slip (right, left) at their extremes: near nominal ones
+    either of the two is nominal, unless the scenario lets both vary."""
+    slips = slip_bounds(problem.scenario.slip)
     pairs = slips.extremes()
+    if problem.scenario.slip.has_intervals or slips.uncertain_slip == "both":
+        return pairs
     # A bound on either slip's error is one on both readings: the other slip may vary instead.
     return np.concatenate([pairs, pairs[:, ::-1]])
 

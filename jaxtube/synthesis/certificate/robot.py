@@ -9,10 +9,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.coordinates import COORDINATES
-from jaxtube.scenario.error_box import error_vector
 from jaxtube.scenario.tree import Slip
 from jaxtube.synthesis.acceleration import find_reference_steps
 from jaxtube.synthesis.certificate.acceleration import check_acceleration
+from jaxtube.synthesis.certificate.noise import changes_noise, find_noise
 from jaxtube.synthesis.certificate.period import (
     extreme_cases,
     find_disturbances,
@@ -20,8 +20,8 @@ from jaxtube.synthesis.certificate.period import (
     find_wheel_commands,
     noise_reach,
 )
+from jaxtube.synthesis.certificate.true_error import check_true_error
 from jaxtube.synthesis.disturbance import (
-    bound_pose_errors,
     find_actuation,
     ground_speed_limits,
     prove_bound,
@@ -47,36 +47,6 @@ def check_robot(problem: Problem) -> Iterator[Condition]:
         yield check_acceleration(problem)
 
 
-def check_true_error(problem: Problem) -> Condition:
-    """Check that the caps and the pose noise, or the error of the estimate, and what the latency
-    adds leave the error constraints room."""
-    try:
-        promised = bound_pose_errors(problem)
-    except ValueError as error:
-        return Condition("true_error_in_e", -np.inf, f"No bound on true errors: {error}.", "robot")
-    rooms = error_vector(problem.scenario.constraints) - promised
-    worst = int(np.argmin(rooms))
-    room = float(rooms[worst])
-    kept = "measured error and the pose noise"
-    added = "pose noise"
-    when = ""
-    if problem.scenario.controller.has_observer:
-        kept = "estimated error and the error of the estimate"
-        added = "error of the estimate"
-    if not problem.scenario.robot.obeys_at_once:
-        kept = f"{kept}, and how far the pose strays from where it was committed to be,"
-        added = f"{added} and the latency"
-        when = ", at the ends of periods and a latency later"
-    return judge(
-        "true_error_in_e",
-        room + ROUNDING,
-        f"What the controller keeps of the {kept} together lie in the error constraints{when}.",
-        f"With the {added} the true {COORDINATES[worst].name} error may pass its constraint by "
-        f"{_say_size(worst, -room)}.",
-        "robot",
-    )
-
-
 def check_estimate_error(problem: Problem) -> Condition:
     """Check that the error of the estimate stays in its set S: an error that is possible from
     within S can refute it, a bound on all of them can prove it."""
@@ -89,7 +59,7 @@ def check_estimate_error(problem: Problem) -> Condition:
     # The first estimate is a measurement.
     room = size - np.maximum(np.maximum(met, proved), problem.noise)
     worst = int(np.argmin(room))
-    shown = ", ".join(_say_size(i, width) for i, width in enumerate(size))
+    shown = ", ".join(COORDINATES[i].say(width) for i, width in enumerate(size))
     return judge(
         "estimate_error_invariant",
         float(room[worst]),
@@ -103,8 +73,31 @@ def check_estimate_error(problem: Problem) -> Condition:
 
 def check_disturbance_set(problem: Problem) -> Condition:
     """Check that W, computed or assumed, holds every disturbance of the robot: one that is possible
-    within the certified errors and inputs can refute it, a bound on them can prove it."""
-    return _refute_disturbance_set(problem) or _prove_disturbance_set(problem)
+    within the certified errors and inputs can refute it, or noise beyond what it counts on; a bound
+    on them can prove it."""
+    return (
+        _refute_noise(problem)
+        or _refute_disturbance_set(problem)
+        or _prove_disturbance_set(problem)
+    )
+
+
+def _refute_noise(problem: Problem) -> Condition | None:
+    """Return that W counts on less noise of the measured error than that of the pose may make."""
+    if not changes_noise(problem):
+        return None
+    found = find_noise(problem)
+    room = problem.noise - found
+    worst = int(np.argmin(room))
+    if room[worst] + ROUNDING >= 0:
+        return None
+    shown = COORDINATES[worst]
+    late = "" if problem.scenario.robot.obeys_at_once else " of the committed pose"
+    sentence = (
+        f"The noise that W counts on is refuted: the measured {shown.name} error{late} may be off "
+        f"by {shown.say(found[worst])}, where {shown.say(problem.noise[worst])} is counted on."
+    )
+    return Condition(PREMISE, float(room[worst]), sentence, "robot")
 
 
 def _find_bound(problem: Problem) -> DisturbanceBound | None:
@@ -161,11 +154,22 @@ def _prove_disturbance_set(problem: Problem) -> Condition:
         margin + ROUNDING,
         "W holds every disturbance of the slipping robot over everything certified, proved by "
         f"interval arithmetic; disturbances found reach {shares.min():.1%} to {shares.max():.1%} "
-        "of the bound.",
+        f"of the bound{_say_noise(problem)}.",
         f"W is narrower than the proved bound by {-margin:.3g}, though no disturbance outside it "
         "was found.",
         "robot",
     )
+
+
+def _say_noise(problem: Problem) -> str:
+    """Return what share of the noise that W counts on was found, in words; nothing where it is that
+    of the scenario."""
+    counted = problem.noise
+    noisy = counted > 0
+    if not (changes_noise(problem) and noisy.any()):
+        return ""
+    shares = find_noise(problem)[noisy] / counted[noisy]
+    return f", noise {shares.min():.1%} to {shares.max():.1%} of what is counted on"
 
 
 def _found_shares(bound: DisturbanceBound) -> Float[np.ndarray, " k"]:
@@ -188,9 +192,10 @@ def _say_what_leaves(problem: Problem, met: Float[np.ndarray, "n 3"], room: floa
         place = _say_place(problem, int(np.argmax(heights[:, facet])))
         return f"a disturbance passes a facet of W by {-room:.3g} {place}"
     place = _say_place(problem, int(np.argmax(np.abs(met[:, worst]))))
+    shown = COORDINATES[worst]
     return (
-        f"a {COORDINATES[worst].name} disturbance of {_say_size(worst, found[worst])}, where W "
-        f"allows {_say_size(worst, allowed[worst])}, is possible {place}"
+        f"a {shown.name} disturbance of {shown.say(found[worst])}, where W allows "
+        f"{shown.say(allowed[worst])}, is possible {place}"
     )
 
 
@@ -198,18 +203,12 @@ def _say_place(problem: Problem, index: int) -> str:
     """Return one of the cases in which disturbances are looked for, in words."""
     cases = extreme_cases(problem)
     index = index % len(cases.errors)
-    error = ", ".join(_say_size(i, size) for i, size in enumerate(cases.errors[index]))
+    error = ", ".join(COORDINATES[i].say(size) for i, size in enumerate(cases.errors[index]))
     speed, turn = cases.inputs[index]
     return (
         "somewhere within everything that the limits allow, where laps need not come, at "
         f"e = ({error}), u = ({speed:.3g} m/s, {turn:.3g} rad/s)"
     )
-
-
-def _say_size(coordinate: int, size: float) -> str:
-    """Return a coordinate of an error or a disturbance, from m or rad, with its unit."""
-    shown = COORDINATES[coordinate]
-    return f"{shown.to_display * size:.3g} {shown.unit}"
 
 
 def _check_wheels(problem: Problem) -> Condition:

@@ -1,0 +1,60 @@
+"""A bank of critical regions: answers of a parametric program that are known beforehand.
+
+Where the data of a strictly convex program depend on three numbers p,
+
+    minimise over x   1/2 x' P x + (F p)' x   subject to   l <= R p + A x <= u,
+
+each set of active rows has a region of p, a polytope, in which x and the multipliers are affine in
+p. To look p up costs a product with the facets of all regions that the bank holds. What is found is
+checked like any other answer; what is not found is left to a solver.
+
+Source: Bemporad, Morari, Dua, Pistikopoulos 2002, "The explicit linear quadratic regulator for
+constrained systems", Automatica 38(1).
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Float, Int
+
+from jaxtube.qp.batched_ldl import matmul
+
+AnyArray = Any
+"""A bank is made of numpy arrays, and looked up in jax arrays."""
+
+
+class Regions(NamedTuple):
+    """The regions of a program, or of a stack of programs."""
+
+    normals: Float[AnyArray, "*stack facets k 3"]
+    offsets: Float[AnyArray, "*stack facets k"]  # infinite where a region has fewer facets
+    optimum: Float[AnyArray, "*stack k n 4"]
+    multipliers: Float[AnyArray, "*stack k a 4"]
+    rows: Int[AnyArray, "*stack k a"]  # of the multipliers; beyond the last one where there is none
+
+
+class Known(NamedTuple):
+    """The regions of a program, and p of every instance."""
+
+    regions: Regions
+    parameters: Float[Array, "batch 3"]
+
+
+def look_up(
+    known: Known, row_count: int
+) -> tuple[Float[Array, "batch n"], Float[Array, "batch m"]]:
+    """Return x and multipliers of the region in which each p lies, or to which it is nearest."""
+    regions, p = known
+    facets, count, size = regions.normals.shape
+    values = matmul(regions.normals.reshape(-1, size), p.T).reshape(facets, count, -1)
+    beyond = jnp.max(values - regions.offsets[..., None], axis=0)
+    region = jnp.argmin(beyond, axis=0)
+    extended = jnp.concatenate([p, jnp.ones_like(p[:, :1])], axis=1)[:, None]
+    x = jnp.sum(regions.optimum[region] * extended, axis=-1)
+    active = jnp.sum(regions.multipliers[region] * extended, axis=-1)
+    instance = jnp.arange(len(p))[:, None]
+    y = jnp.zeros((len(p), row_count), p.dtype)
+    return x, y.at[instance, regions.rows[region]].set(active, mode="drop")

@@ -1,0 +1,136 @@
+"""Laws of the critical regions that laps meet: their plans are those of the solver, each region is
+what its rows say, and what a bank holds changes nothing but the time."""
+
+import dataclasses
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxtube import qp
+from jaxtube.control import mpc
+from jaxtube.qp.regions import Known, look_up
+from jaxtube.scenario import load
+from jaxtube.simulation import batches, components
+from jaxtube.synthesis.design import design
+from jaxtube.synthesis.regions import MOST_REGIONS, find_regions
+
+SAME = 1e-9
+"""In the units of inputs: the accuracy that the solver accepts."""
+
+
+@pytest.fixture(scope="module")
+def tuned():
+    """A design whose rows are active after its start."""
+    return design(load("tuned"))
+
+
+@pytest.fixture(scope="module")
+def controller(tuned):
+    return components.make_tube_mpc(tuned)
+
+
+@pytest.fixture(scope="module")
+def first(tuned, controller):
+    """The QP of the first window."""
+    return mpc.take_qp(controller.qps, tuned.first_window)
+
+
+@pytest.fixture(scope="module")
+def errors(tuned):
+    """Errors around the start and on the way from there, in the regions and beside them."""
+    rng = np.random.default_rng(4)
+    shares = rng.uniform(0.0, 1.0, (1000, 1))
+    widths = np.array([0.02, 0.02, 0.05])
+    return shares * tuned.problem.initial_error + rng.uniform(-widths, widths, (1000, 3))
+
+
+def without_regions(condensed):
+    return condensed._replace(regions=None)
+
+
+def test_plans_are_those_of_the_solver(first, errors):
+    known = mpc.plan(first, jnp.asarray(errors))
+    solved = mpc.plan(without_regions(first), jnp.asarray(errors))
+    np.testing.assert_array_equal(known.status, solved.status)
+    np.testing.assert_array_equal(known.active, solved.active)
+    assert np.mean(known.active) > 0.3
+    np.testing.assert_allclose(known.inputs, solved.inputs, rtol=0, atol=SAME)
+    assert np.all(known.residual[known.status == qp.SOLVED] <= qp.TOLERANCE[8])
+
+
+def test_most_active_programs_of_laps_are_known(tuned, controller):
+    starts = np.tile(tuned.problem.initial_error, (64, 1))
+    robot = components.slipping_robot(tuned)
+    lap = batches.run_realisations(controller, robot, starts, seed=9)
+    steps, runs = np.nonzero(np.asarray(lap.diagnostics.active))
+    assert len(steps) > 100
+    windows = np.asarray(controller.index)[steps]
+    met = np.asarray(lap.measured)[steps, runs]
+    regions = controller.qps.regions
+    beyond = np.einsum("tfki,ti->tfk", regions.normals[windows], met) - regions.offsets[windows]
+    assert np.mean(beyond.max(axis=1).min(axis=1) <= SAME) > 0.99
+
+
+def test_answers_of_regions_satisfy_the_optimality_conditions(first, errors):
+    """At points of each region, by the conditions themselves."""
+    factors = first.factors
+    rows = factors.rows * factors.row_norms[:, None]
+    x, y = look_up(Known(first.regions, jnp.asarray(errors)), len(rows))
+    beyond = jnp.einsum("fki,ni->nfk", first.regions.normals, errors) - first.regions.offsets
+    inside = np.asarray(beyond.max(axis=1).min(axis=1) <= 0)
+    assert inside.sum() > 50
+    gradient = x @ factors.hessian + errors @ first.linear.T + y @ rows
+    values = x @ rows.T + errors @ first.row_errors.T
+    bounds = np.where(y > 0, first.upper, np.where(y < 0, first.lower, values))
+    np.testing.assert_allclose(gradient[inside], 0.0, atol=SAME)
+    np.testing.assert_allclose(values[inside], bounds[inside], atol=SAME)
+    assert np.all(values[inside] <= first.upper + SAME)
+    assert np.all(values[inside] >= first.lower - SAME)
+
+
+def test_a_wrong_answer_is_not_taken(first, errors):
+    wrong = first.regions._replace(optimum=first.regions.optimum * 1.01)
+    spoilt = mpc.plan(first._replace(regions=wrong), jnp.asarray(errors))
+    solved = mpc.plan(without_regions(first), jnp.asarray(errors))
+    np.testing.assert_array_equal(spoilt.status, solved.status)
+    np.testing.assert_allclose(spoilt.inputs, solved.inputs, rtol=0, atol=SAME)
+
+
+def test_no_plan_depends_on_the_other_instances(first, errors):
+    together = mpc.plan(first, jnp.asarray(errors))
+    few = mpc.plan(first, jnp.asarray(errors[::7]))
+    np.testing.assert_allclose(together.inputs[::7], few.inputs, rtol=0, atol=1e-13)
+
+
+def test_derivatives_do_not_know_the_bank(first, errors):
+    def total(condensed, scale):
+        return jnp.sum(mpc.plan(condensed, scale * jnp.asarray(errors[:32])).inputs ** 2)
+
+    known = jax.grad(total, argnums=1)(first, 1.0)
+    solved = jax.grad(total, argnums=1)(without_regions(first), 1.0)
+    np.testing.assert_allclose(known, solved, rtol=1e-7)
+
+
+def test_a_start_where_no_row_is_active_has_no_bank(tuned):
+    problem = tuned.problem
+    regions = find_regions(
+        tuned.tube_qps, tuned.windows.index, np.zeros(3), problem.noise, np.zeros((1, 3))
+    )
+    assert regions is None
+
+
+def test_a_bank_has_an_end(tuned):
+    far = 10 * tuned.problem.disturbance_set.vertices()
+    found = find_regions(
+        tuned.tube_qps, tuned.windows.index, tuned.problem.initial_error, np.zeros(3), far
+    )
+    assert found.offsets.shape[-1] <= MOST_REGIONS
+
+
+def test_a_controller_that_keeps_its_nominal_error_has_no_bank(tuned):
+    scenario = load("tuned", ["controller.restart=false"])
+    problem = dataclasses.replace(tuned.problem, scenario=scenario)
+    controller = components.make_tube_mpc(dataclasses.replace(tuned, problem=problem))
+    assert controller.qps.regions is None
