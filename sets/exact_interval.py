@@ -49,6 +49,12 @@ class ExactInterval(Interval):
         added = _promote(other)
         return ExactInterval(self.lower + added.lower, self.upper + added.upper)
 
+    def __sub__(self, other) -> ExactInterval:
+        return self + (-other)
+
+    def __rsub__(self, other) -> ExactInterval:
+        return -self + other
+
     def __mul__(self, other) -> ExactInterval:
         factor = _promote(other)
         low_low = self.lower * factor.lower

@@ -11,7 +11,8 @@ are given, every float is the rational that it is, and `sets.exact_supremum` pro
     (1 - l) r + l nu                              <=  S
 
 in the notation there, with W leaning by g. The parts of a motion are those of `sets.robot.plant`,
-over the pieces of the operation. What lag and delay add (`sets.robot.committed`) is taken as given.
+over the pieces of the operation. What lag and delay add (`sets.robot.committed`) is taken as given;
+`sets.robot.exact_committed` derives it anew.
 
 Source: new.
 """

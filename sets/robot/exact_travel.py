@@ -12,11 +12,12 @@ integral over the first f T of the i-th period after the step, A_i = A_i(1). The
 * of commands in a range of width 1, with steps c_i - c_{i-1}, it is half the variation of the A_i,
   hence max A_i, for averages of a function with one peak have one peak; and so at every time,
   max phi;
-* beside a constant speed, sum |A_i(f) - f A_i| per greatest step, both terms of a difference growing
-  with tau and f: where these lie in a cell, between what they are at its ends.
+* beside a constant speed, sum |A_i(f) - f A_i| per greatest step, both terms of a difference
+  growing with tau and f: where these lie in a cell, between what they are at its ends.
 
-A delay that is wrong moves the same speeds in time. Per step, travel of a period that came too early
-or too late lies between 0 and its own total; both together are at most the width of the delays.
+A delay that is wrong moves the same speeds in time. Per step, travel of a period that came too
+early or too late lies between 0 and its own total; both together are at most the width of the
+delays.
 Steps after the last period that is summed up add less than the area that they have left.
 
 Source: new.
@@ -235,8 +236,7 @@ def _sum_late(actuation: Actuation, dt: Fraction, delay: Fraction) -> ExactInter
     lags = [least + (most - least) * cell / cells for cell in range(cells + 1)]
     count = _count_periods(actuation, dt)
     early, middle, late = (
-        _difference(_enclose_travels(lags, -when, dt, count))
-        for when in (earliest, delay, latest)
+        _difference(_enclose_travels(lags, -when, dt, count)) for when in (earliest, delay, latest)
     )
     sooner = take(early, slice(-1)) - take(middle, slice(1, None))
     later = take(middle, slice(-1)) - take(late, slice(1, None))

@@ -39,7 +39,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sets.exact import Row, exact_row
+from sets.exact import Row, dot, exact_row
 from sets.exact_interval import ExactInterval, enclose_numbers
 from sets.interval import cos, sin
 from sets.robot.exact_travel import (
@@ -193,10 +193,9 @@ def _enclose_slip(
     b |w|, whichever is more."""
     fastest = [max(map(abs, ends)) for ends in late.wheels]
     of_body = max(2 * late.speed, late.track * late.yaw_rate)
-    by_wheel = [sum(d * s for d, s in zip(each, fastest, strict=True)) for each in (fresh, old)]
-    by_body = [max(each) * of_body for each in (fresh, old)]
-    by_wheel = _mix(share, *([value] for value in by_wheel))
-    return find_smallest(by_wheel, _mix(share, *([value] for value in by_body)))
+    by_wheel = [(dot(each, fastest),) for each in (fresh, old)]
+    by_body = [(max(each) * of_body,) for each in (fresh, old)]
+    return find_smallest(_mix(share, *by_wheel), _mix(share, *by_body))
 
 
 def _enclose_unknown(
@@ -207,7 +206,10 @@ def _enclose_unknown(
     actuation = late.operation.actuation
     dt = late.operation.dt
     spans = (_width(late.speeds), _width(late.yaw_rates))
-    sides = late.steps and (sum(late.steps) / 2, sum(late.steps) / late.track)
+    sides = None
+    if late.steps is not None:
+        both = dot(late.steps, (Fraction(1), Fraction(1)))
+        sides = (both / 2, both / late.track)
     of_body = enclose_taken(actuation, dt, spans, sides)
     if products is None:
         widths = tuple(map(_width, late.wheels))

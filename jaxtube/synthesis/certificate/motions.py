@@ -20,6 +20,7 @@ from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from sets.certificate import Certificate, Condition
 from sets.exact_supremum import Room
+from sets.robot.exact_committed import find_lateness_rooms
 from sets.robot.exact_disturbance import find_disturbance_rooms, find_estimate_rooms
 
 NAME = "motions_checked_in_rationals"
@@ -60,10 +61,9 @@ def check_motions(problem: Problem) -> Condition:
             "beyond which nothing was found."
         )
         return Condition(NAME, proved, sentence, "information")
-    given = "" if problem.scenario.robot.obeys_at_once else "; what lag and delay add is given"
     sentence = (
         f"Exact integer arithmetic proves the {len(rooms)} bounds that W, S and the ground speeds "
-        f"are made of once more, from the same split of a motion into its parts{given}."
+        f"are made of once more, from the same split of a motion into its parts."
     )
     return Condition(NAME, proved, sentence, "robot")
 
@@ -73,6 +73,7 @@ def _find_rooms(problem: Problem) -> dict[str, Room]:
     where = operation(problem)
     how = kinematics(problem)
     rooms = find_disturbance_rooms(where, how, prove_bound(problem))
+    rooms |= find_lateness_rooms(where, how)
     if not problem.scenario.controller.has_observer:
         return rooms
     of_estimate = find_estimate_rooms(where, how)
