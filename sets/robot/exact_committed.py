@@ -84,7 +84,8 @@ def find_driving_rooms(
 
 def _find_turning_rooms(operation: Operation, driving: Driving) -> dict[str, Room]:
     """Return the rooms within the yaw rates: those of the reference less a deficit."""
-    lower, upper = (list(map(exact_row, ends)) for ends in np.moveaxis(operation.schedules, 1, 0))
+    lower = [exact_row(ends) for ends in operation.schedules[:, 0]]
+    upper = [exact_row(ends) for ends in operation.schedules[:, 1]]
     track = Fraction(operation.track_width)
     slowest = min(low[0] - high[1] for low, high in zip(lower, upper, strict=True)) / track
     fastest = max(high[0] - low[1] for low, high in zip(lower, upper, strict=True)) / track

@@ -235,9 +235,9 @@ def _sum_late(actuation: Actuation, dt: Fraction, delay: Fraction) -> ExactInter
     cells = LAG_CELLS if least < most else 1
     lags = [least + (most - least) * cell / cells for cell in range(cells + 1)]
     count = _count_periods(actuation, dt)
-    early, middle, late = (
-        _difference(_enclose_travels(lags, -when, dt, count)) for when in (earliest, delay, latest)
-    )
+    early = _difference(_enclose_travels(lags, -earliest, dt, count))
+    middle = _difference(_enclose_travels(lags, -delay, dt, count))
+    late = _difference(_enclose_travels(lags, -latest, dt, count))
     sooner = take(early, slice(-1)) - take(middle, slice(1, None))
     later = take(middle, slice(-1)) - take(late, slice(1, None))
     sums = _reduce(np.add, find_largest(sooner, later), 1)

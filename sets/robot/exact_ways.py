@@ -142,7 +142,9 @@ def enclose_lost(late: Late) -> Lost:
         span = sum(d * _width(ends) for d, ends in zip(largest[0], late.wheels, strict=True))
     else:
         span = sum(old_most) - sum(old_least)
-    stray, mean_stray = (late.of_body * span * part for part in _enclose_strays(late))
+    stray, mean_stray = _enclose_strays(late)
+    stray = late.of_body * span * stray
+    mean_stray = late.of_body * span * mean_stray
     return Lost(
         least=_mix(share, least, old_least),
         most=_mix(share, most, old_most),
