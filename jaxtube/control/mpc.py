@@ -13,7 +13,8 @@ Where the QP has no solution the last feasible plan goes on, u = g_j + K(th) (e 
 its end the terminal gain, u = Gamma(th) e: nothing raises, and every step says what it did.
 
 While no row is active the optimum is linear, g = G e, and so is what the rows see of it: a batch
-that meets all its bounds this way is answered without a solver. Only the others go to `qp.solve`.
+that meets all its bounds this way is answered without a solver. Only the others go to `qp.solve`,
+with the critical regions that laps are known to meet (`synthesis.regions`).
 """
 
 from __future__ import annotations

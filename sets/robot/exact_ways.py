@@ -13,7 +13,7 @@ integrand times S and half its range times R, hence ahead and sideways
 
     x_0 = sin(turn) S + sin(s) R,    y_0 = S + sin(turn) sin(s) R,    first = S + 2 sin(s / 2) R
 
-at most, and so at every instant. Losses. Let them grow as lambda delta from 0 to 1. With p_A(t) and
+at most, and so at every instant. Lost. Let them grow as lambda delta from 0 to 1. With p_A(t) and
 p(t) on the arc and on the way, by parts
 
     d/dlambda (the ends' distance, seen from there)
@@ -56,7 +56,7 @@ from sets.robot.late_ways import Driving
 from sets.robot.operation import Operation
 
 
-class Late(NamedTuple):
+class LateDriving(NamedTuple):
     """Period, track and nominal lag and delay, s and m; ends of what is commanded, m/s and rad/s,
     of the wheels (right, left), and greatest changes of the wheels' speeds, None for no limit."""
 
@@ -95,7 +95,7 @@ class Late(NamedTuple):
         return self.delay % self.dt
 
 
-class Lost(NamedTuple):
+class Losses(NamedTuple):
     """What is lost in a period: least and greatest speed that slip takes from the wheels (right,
     left), m/s; and of (way m, turn rad) what unknown lag and delay take, what slip does, both
     together, their variation, and how far they stray from an even loss, at most and in the mean."""
@@ -110,11 +110,11 @@ class Lost(NamedTuple):
     mean_strays: ExactInterval
 
 
-def read_late(operation: Operation, driving: Driving) -> Late:
+def read_late(operation: Operation, driving: Driving) -> LateDriving:
     """Return the numbers of an operation as rationals."""
     lag, delay = map(Fraction, operation.actuation.nominal(operation.dt))
     steps = operation.command_steps
-    return Late(
+    return LateDriving(
         operation,
         Fraction(operation.dt),
         Fraction(operation.track_width),
@@ -127,7 +127,7 @@ def read_late(operation: Operation, driving: Driving) -> Late:
     )
 
 
-def enclose_lost(late: Late) -> Lost:
+def enclose_lost(late: LateDriving) -> Losses:
     """Enclose what is lost in a period."""
     errors = _read_errors(late.operation.wheel_errors)
     stale = late.operation.stale_errors
@@ -145,7 +145,7 @@ def enclose_lost(late: Late) -> Lost:
     stray, mean_stray = _enclose_strays(late)
     stray = late.of_body * span * stray
     mean_stray = late.of_body * span * mean_stray
-    return Lost(
+    return Losses(
         least=_mix(share, least, old_least),
         most=_mix(share, most, old_most),
         unknown=unknown.total,
@@ -180,7 +180,7 @@ def _mix(share: ExactInterval, fresh: Row, old: Row) -> ExactInterval:
     return share * enclose_numbers(fresh) + (1 - share) * enclose_numbers(old)
 
 
-def _enclose_fresh_share(late: Late) -> ExactInterval:
+def _enclose_fresh_share(late: LateDriving) -> ExactInterval:
     """Enclose the least share of a period's travel that is under the command of the period: errors
     of older commands range at least as far."""
     actuation = late.operation.actuation
@@ -189,7 +189,7 @@ def _enclose_fresh_share(late: Late) -> ExactInterval:
 
 
 def _enclose_slip(
-    late: Late, share: ExactInterval, fresh: list[Fraction], old: list[Fraction]
+    late: LateDriving, share: ExactInterval, fresh: list[Fraction], old: list[Fraction]
 ) -> ExactInterval:
     """Enclose the speed that slip takes from both wheels together: their speeds add up to 2 |v| or
     b |w|, whichever is more."""
@@ -201,7 +201,7 @@ def _enclose_slip(
 
 
 def _enclose_unknown(
-    late: Late, largest: list[Fraction], products: tuple[Row, Row] | None
+    late: LateDriving, largest: list[Fraction], products: tuple[Row, Row] | None
 ) -> Taken:
     """Enclose what unknown lag and delay take from the body's (way, turn), and what slip makes of
     that: of each wheel its share, or, where d differs by command, that of a signal d c."""
@@ -226,7 +226,7 @@ def _enclose_unknown(
     return Taken(*(own + slip for own, slip in zip(of_body, slips, strict=True)))
 
 
-def _enclose_strays(late: Late) -> tuple[ExactInterval, ExactInterval]:
+def _enclose_strays(late: LateDriving) -> tuple[ExactInterval, ExactInterval]:
     """Enclose how far nominal travel strays from an even one, at most and in the mean, s, per width
     of the range of commands.
 
@@ -254,7 +254,7 @@ class _Order(NamedTuple):
     spread: Fraction
 
 
-def _enclose_order(late: Late) -> _Order:
+def _enclose_order(late: LateDriving) -> _Order:
     """Enclose what it does that nominal wheels run out before the period instead of after it.
 
     From the speed s to s', under a command c, the areas add up to tau^2 / 2 (v' - v) (w + w'), and
@@ -285,13 +285,15 @@ def _find_greatest_cross(first: Row, second: Row) -> Fraction:
     return max(abs(a * q - b * p) for a, b, p, q in product(first, first, second, second))
 
 
-def enclose_turn(late: Late, lost: Lost) -> ExactInterval:
+def enclose_turn(late: LateDriving, lost: Losses) -> ExactInterval:
     """Enclose by how much headings differ from that at the end at most, rad."""
     nominal = (late.dt + late.latency) * late.yaw_rate
     return take(lost.total, np.s_[1:]) + take(lost.strays, np.s_[1:]) + nominal
 
 
-def enclose_box(late: Late, lost: Lost, lever: Fraction) -> tuple[ExactInterval, ExactInterval]:
+def enclose_box(
+    late: LateDriving, lost: Losses, lever: Fraction
+) -> tuple[ExactInterval, ExactInterval]:
     """Enclose half widths (m, m) of what lag and delay do beside a kick with a lever, m.
 
     Raises:
@@ -320,7 +322,7 @@ def enclose_box(late: Late, lost: Lost, lever: Fraction) -> tuple[ExactInterval,
     return ahead, sideways_first + across + swing * (missed + rest)
 
 
-def _enclose_across(late: Late, lost: Lost) -> ExactInterval:
+def _enclose_across(late: LateDriving, lost: Losses) -> ExactInterval:
     """Enclose what losses do at other headings and unevenly: as much way as they have in all, by
     how far the headings of the arc and of the robot differ, and strays of way and turn along the
     arc."""
@@ -339,7 +341,7 @@ def _split(values: ExactInterval) -> tuple[ExactInterval, ExactInterval]:
     return take(values, np.s_[:1]), take(values, np.s_[1:])
 
 
-def _enclose_missed_lever(late: Late, turn: ExactInterval, lever: Fraction) -> ExactInterval:
+def _enclose_missed_lever(late: LateDriving, turn: ExactInterval, lever: Fraction) -> ExactInterval:
     """Enclose how far the way still ahead, seen from the end, differs from a lever, m."""
     cosine = cos(turn)
     misses = []
@@ -349,7 +351,7 @@ def _enclose_missed_lever(late: Late, turn: ExactInterval, lever: Fraction) -> E
     return find_largest(*misses, *(-miss for miss in misses))
 
 
-def enclose_slide(late: Late, lost: Lost) -> tuple[ExactInterval, ExactInterval]:
+def enclose_slide(late: LateDriving, lost: Losses) -> tuple[ExactInterval, ExactInterval]:
     """Enclose half widths (m, m) of what sideslip and lever arm do: wheels drive no further than
     commanded and slipped.
 

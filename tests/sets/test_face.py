@@ -1,5 +1,7 @@
 """The face of `sets`: every public name has one meaning, and importing it is quick."""
 
+import importlib
+import pkgutil
 import subprocess
 import sys
 from types import ModuleType
@@ -23,6 +25,8 @@ def test_no_public_name_means_two_things():
     for name in sets.__all__:
         assert not isinstance(getattr(sets, name), ModuleType)
     functions: dict[str, str] = {}
+    for module in pkgutil.walk_packages(sets.__path__, "sets."):
+        importlib.import_module(module.name)
     for path in [name for name in sys.modules if name.startswith("sets.")]:
         for name, value in vars(sys.modules[path]).items():
             if name.startswith("_") or getattr(value, "__module__", None) != path:
