@@ -94,8 +94,8 @@ def bound_commitment(
     """
     nominal = actuation.nominal(dt)
     of_body = np.array([0.5, 1 / track_width])
-    errors = _mix_errors(actuation, dt, ground)
-    slipped = dt * _bound_slip(driving, errors, track_width) * of_body
+    share = _find_fresh_share(actuation, dt)
+    slipped = dt * _bound_slip(driving, ground, share, track_width) * of_body
     uneven = bound_unevenness(nominal, dt) * _span_of_losses(driving, ground)
     unknown = bound_unknown(actuation, dt, track_width, driving, ground)
     lost = Lost(
@@ -106,7 +106,7 @@ def bound_commitment(
     )
     ways = Ways(nominal, dt, track_width, driving, lost)
     return Commitment(
-        loss=_bound_loss(errors, driving),
+        loss=_bound_loss(driving, ground, share),
         unknown=OUTWARDS * unknown.total / dt,
         kick=OUTWARDS * float(lost.total[1]),
         lever=nominal.latency * middle_speed,
@@ -137,30 +137,38 @@ def bound_unknown(
     return UnknownTravel(*(np.add(*parts) for parts in zip(of_body, slipped, strict=True)))
 
 
-def _mix_errors(actuation: Actuation, dt: float, ground: Ground) -> Float[np.ndarray, "2 2"]:
-    """Return the least and the greatest share that the wheels lose of what all commands that meet
-    in a period have them travel."""
-    if ground.stale_errors is None:
-        return ground.wheel_errors
+def _find_fresh_share(actuation: Actuation, dt: float) -> float:
+    """Return the least share of a period's travel that is under the command of the period."""
     left = np.array(max(dt - actuation.delay[1], 0.0))
-    fresh = float(step_travel(left, actuation.lag[1])) / dt
-    return fresh * ground.wheel_errors + (1 - fresh) * ground.stale_errors
+    return float(step_travel(left, actuation.lag[1])) / dt
 
 
-def _bound_slip(driving: Driving, errors: Float[np.ndarray, "2 2"], track_width: float) -> float:
+def _mix(share: float, fresh, stale):
+    """Return what is lost under the command of the period and under those before it, each at its
+    own worst."""
+    return share * fresh + (1 - share) * stale
+
+
+def _bound_slip(driving: Driving, ground: Ground, share: float, track_width: float) -> float:
     """Return how much speed slip takes from both wheels together, m/s: |g_r| + |g_l| is 2 |v| or
     b |w|, whichever is more."""
-    largest = np.abs(errors).max(axis=0)
-    by_wheel = largest @ np.abs(driving.wheels).max(axis=0)
+    stale = ground.wheel_errors if ground.stale_errors is None else ground.stale_errors
+    fresh_most = np.abs(ground.wheel_errors).max(axis=0)
+    stale_most = np.abs(stale).max(axis=0)
+    by_wheel = _mix(share, fresh_most, stale_most) @ np.abs(driving.wheels).max(axis=0)
     of_body = max(2 * np.abs(driving.speed).max(), track_width * np.abs(driving.yaw_rate).max())
-    return float(min(by_wheel, largest.max() * of_body))
+    return float(min(by_wheel, _mix(share, fresh_most.max(), stale_most.max()) * of_body))
 
 
-def _bound_loss(errors: Float[np.ndarray, "2 2"], driving: Driving) -> Float[np.ndarray, "2 2"]:
+def _bound_loss(driving: Driving, ground: Ground, share: float) -> Float[np.ndarray, "2 2"]:
     """Return the least and the greatest speed that slip takes from each wheel, m/s."""
-    products = _multiply_ends(errors, driving.wheels)
-    rounding = (OUTWARDS - 1) * np.abs(products).max(axis=0)
-    return np.stack([products.min(axis=0) - rounding, products.max(axis=0) + rounding])
+    stale = ground.wheel_errors if ground.stale_errors is None else ground.stale_errors
+    fresh_products = _multiply_ends(ground.wheel_errors, driving.wheels)
+    stale_products = _multiply_ends(stale, driving.wheels)
+    least = _mix(share, fresh_products.min(axis=0), stale_products.min(axis=0))
+    most = _mix(share, fresh_products.max(axis=0), stale_products.max(axis=0))
+    rounding = (OUTWARDS - 1) * np.maximum(np.abs(least), np.abs(most))
+    return np.stack([least - rounding, most + rounding])
 
 
 def _span_of_losses(driving: Driving, ground: Ground) -> float:

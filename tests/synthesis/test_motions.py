@@ -33,7 +33,7 @@ def test_a_motion_beyond_a_bound_fails_the_certificate(husky, monkeypatch):
     condition = check_motions(husky)
     assert not condition.holds
     assert condition.scope == "robot"
-    assert condition.sentence == "In exact integer arithmetic motions pass: y."
+    assert condition.sentence == "Exact integer arithmetic does not confirm: y."
 
 
 def test_a_search_that_gives_up_decides_nothing(husky, monkeypatch):

@@ -53,7 +53,7 @@ def check_motions(problem: Problem) -> Condition:
     refuted = [name for name, room in rooms.items() if room.met < 0]
     if refuted:
         met = min(float(rooms[name].met) for name in refuted)
-        sentence = f"In exact integer arithmetic motions pass: {', '.join(refuted)}."
+        sentence = f"Exact integer arithmetic does not confirm: {', '.join(refuted)}."
         return Condition(NAME, met, sentence, "robot")
     if proved < 0:
         sentence = (

@@ -23,8 +23,15 @@ LONG_DELAY = dataclasses.replace(LATE, actuation=Actuation((0.0, 0.0), (0.12, 0.
 MEASURED_SLIP = dataclasses.replace(
     LATE, stale_errors=np.array([[-0.04, -0.06], [0.07, 0.05]]), command_steps=None
 )
-PLACES = [LATE, KNOWN_LAG, LONG_DELAY, MEASURED_SLIP]
-IDS = ["unknown lag", "known lag", "long delay", "measured slip"]
+BOTH_WAYS = dataclasses.replace(
+    MEASURED_SLIP,
+    schedules=np.array([[[-0.2, -0.2], [0.3, 0.3]]]),
+    inputs=np.array([[-0.9, -0.3], [0.8, 0.3]]),
+    actuation=Actuation((0.0, 0.0), (0.05, 0.05)),
+)
+"""Where wheels turn both ways, what is lost under an older command has a worst case of its own."""
+PLACES = [LATE, KNOWN_LAG, LONG_DELAY, MEASURED_SLIP, BOTH_WAYS]
+IDS = ["unknown lag", "known lag", "long delay", "measured slip", "both ways"]
 LESS = 1 - 1e-9
 """What a bound that equals its derivation must not be lowered by."""
 LOOSE = 0.5
