@@ -47,10 +47,10 @@ def operation(problem: Problem) -> Operation:
     coupling = None
     if is_coupled.any():
         offsets = rows.offsets[is_coupled]
-        coupling = (
-            float(np.max(offsets / np.abs(rows.errors[is_coupled, 0]))),
-            float(np.max(offsets / np.abs(rows.inputs[is_coupled, 1]))),
-        )
+        of_error = np.max(offsets / np.abs(rows.errors[is_coupled, 0]))
+        of_turning = np.max(offsets / np.abs(rows.inputs[is_coupled, 1]))
+        # Outwards: the operation holds all that the rows allow.
+        coupling = (float(np.nextafter(of_error, np.inf)), float(np.nextafter(of_turning, np.inf)))
     return Operation(
         errors=problem.operating_set.offsets[:3] * np.array([[-1.0], [1.0]]),
         inputs=_box_ends(input_set),

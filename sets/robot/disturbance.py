@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from itertools import chain
+from itertools import chain, product
 
 import numpy as np
 from jaxtyping import Float
@@ -115,13 +115,18 @@ def wheel_error_bound(
         raise ValueError(
             f"nominal_slip: {nominal_slip} (1 + {relative_error}) reaches 1; lower one of them"
         )
-    ends = nominal_slip * (1 + relative_error * np.array([[-1.0], [1.0]]))
-    fixed = np.stack([nominal_slip] * 2)
-    true = fixed if uncertain_slip == "measured" else ends
-    measured = fixed if uncertain_slip == "true" else ends
+    largest = [_find_largest_error(slip, relative_error, uncertain_slip) for slip in nominal_slip]
+    return _round_up(np.array(largest))
+
+
+def _find_largest_error(nominal_slip: float, relative_error: float, uncertain_slip: str) -> float:
+    """Return the largest |d| of a wheel; in fractions, for i - i_m is a small difference."""
+    slip = Fraction(nominal_slip)
+    ends = [slip * (1 - Fraction(relative_error)), slip * (1 + Fraction(relative_error))]
+    true = [slip] if uncertain_slip == "measured" else ends
+    measured = [slip] if uncertain_slip == "true" else ends
     # d grows with i and falls with i_m, so its extremes lie at ends of both.
-    errors = (true[:, None] - measured[None]) / (1 - measured[None])
-    return _round_up(np.abs(errors).max(axis=(0, 1)))
+    return float(max(abs(i - i_m) / (1 - i_m) for i, i_m in product(true, measured)))
 
 
 def wheel_error_range(
@@ -135,15 +140,12 @@ def wheel_error_range(
     Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (7)-(8) for the division by 1 - i_m.
     """
     true, measured = np.swapaxes(slips, 0, 1)
-    errors = (true - measured) / (1 - measured)
-    least = errors.min(axis=0)
-    greatest = errors.max(axis=0)
-    return np.stack([least - _rounding(least), greatest + _rounding(greatest)])
-
-
-def _rounding(numbers: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Return a bound on the rounding of numbers that were rounded a few times."""
-    return 8 * np.finfo(float).eps * np.abs(numbers)
+    left = 1 - measured
+    errors = (true - measured) / left
+    # Of a small difference the slips themselves, which were rounded, leave most.
+    sizes = np.abs(errors) + (np.abs(true) + np.abs(measured)) / left
+    rounding = 8 * np.finfo(float).eps * sizes
+    return np.stack([(errors - rounding).min(axis=0), (errors + rounding).max(axis=0)])
 
 
 def disturbance_bound(

@@ -3,7 +3,8 @@
 `sets.robot.driving` finds the speeds that are commanded, and `sets.robot.committed` from these a
 `Commitment`, in floats. Here both are given. That commands stay within the speeds is proved as W is
 (`sets.exact_supremum`); every number of the commitment is compared with its bound by
-`sets.robot.exact_ways`. Where steps of commands are bounded, that is taken as given.
+`sets.robot.exact_ways`. The operation is given here, too: ranges of slip errors, the nominal lag
+and delay, and bounded steps of commands where there are any.
 
 Source: new.
 """

@@ -4,15 +4,17 @@ once more on integers.
 `sets.robot.disturbance` and `sets.robot.observer` find W and S by intervals of floats. Here they
 are given, every float is the rational that it is, and `sets.exact_supremum` proves, up and down,
 
-    l_th kappa                                    <=  yaw
-    l_x rest_x + l_x nu_x                         <=  box_x
-    l_y rest_y + (l_y g_y - l_th g) kappa + l_y nu_y  <=  box_y
-    l_th (S_th + nu_th)                           <=  box_th
-    (1 - l) r + l nu                              <=  S
+    l_th kappa                                                  <=  yaw
+    m_x + l_x (s_x + nu_x)                                      <=  box_x
+    m_y + l_y (s_y + nu_y) + (l_y g_y - l_th g) kappa           <=  box_y
+    l_th (S_th + nu_th)                                         <=  box_th
+    (1 - l) r + l nu                                            <=  S
 
-in the notation there, with W leaning by g. The parts of a motion are those of `sets.robot.plant`,
-over the pieces of the operation. What lag and delay add (`sets.robot.committed`) is taken as given;
-`sets.robot.exact_committed` derives it anew.
+in the notation there, with W leaning by g, m what the model misses (bilinear, sine, sampling) and s
+what the ground and noise do (slip, sideslip, noise). The parts of a motion are those of
+`sets.robot.plant`. Given are the operation, by its pieces: caps and their coupling, the ranges of
+slip errors, sideslip and noise; and what lag and delay add (`sets.robot.committed`), which
+`sets.robot.exact_committed` derives anew.
 
 Source: new.
 """

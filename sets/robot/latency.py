@@ -161,19 +161,8 @@ def bound_later_errors(
     driving: Driving,
     ground: Ground,
 ) -> Float[np.ndarray, "3"]:
-    """Bound the errors of the pose itself a latency after an instant.
-
-    Args:
-        committed: half widths of the errors of the committed pose at the instant (m, m, rad).
-        actuation: lag and delay.
-        dt: period, s.
-        track_width: m.
-        driving: what the wheels are asked for.
-        ground: what it does.
-
-    Returns:
-        Half widths (m, m, rad), against where the reference is at the instant.
-    """
+    """Bound the errors of the pose itself a latency after an instant; see
+    `bound_late_pose_errors`."""
     nominal = actuation.nominal(dt)
     latency = nominal.latency
     unknown = bound_unknown(actuation, dt, track_width, driving, ground).total

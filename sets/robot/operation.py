@@ -212,7 +212,9 @@ class Operation:
         pieces = []
         for low, high in pairwise(turns):
             if max(abs(low), abs(high)) > uncut:
-                pieces.append(TurnRange(low, high, a, -np.copysign(a / b, low + high)))
+                # Outwards, so that no error that the coupling allows is left out.
+                slope = np.nextafter(a / b, 0.0)
+                pieces.append(TurnRange(low, high, a, -np.copysign(slope, low + high)))
             else:
                 pieces.append(TurnRange(low, high, half, 0.0))
         return pieces

@@ -5,7 +5,7 @@ import numpy as np
 from jaxtube.coordinates import describe_half_widths
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.scenario.reading import load
-from jaxtube.synthesis.certificate.robot import assumptions
+from jaxtube.synthesis.certificate.assumptions import assumptions
 from jaxtube.synthesis.disturbance import bound_pose_errors, complete_problem
 
 

@@ -1,6 +1,8 @@
 """Slip bounds hold every slip of a scenario, and their extremes reach every relative error of the
 ground speeds."""
 
+from fractions import Fraction
+
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -72,3 +74,28 @@ def test_an_interval_is_compensated_by_its_middle_unless_a_nominal_slip_is_given
     intervals = {"right": (0.1, 0.3), "left": (-0.1, 0.0)}
     assert Slip(**intervals).nominal == pytest.approx((0.2, -0.05))
     assert Slip(**intervals, nominal_right=0.15).nominal == pytest.approx((0.15, -0.05))
+
+
+@pytest.mark.parametrize("reading", ["true", "measured", "both"])
+def test_no_rounding_makes_the_bound_of_wheel_errors_too_small(reading):
+    """Compared with fractions, for small errors of slips that are no round numbers."""
+    random = np.random.default_rng(8)
+    for slip, share in random.uniform([0.02, 1e-4], [0.5, 1e-2], (200, 2)):
+        nominal = Fraction(slip)
+        ends = [nominal * (1 - Fraction(share)), nominal * (1 + Fraction(share))]
+        true = [nominal] if reading == "measured" else ends
+        measured = [nominal] if reading == "true" else ends
+        largest = max(abs(i - j) / (1 - j) for i in true for j in measured)
+        bound = Fraction(wheel_error_bound(np.array([slip, slip]), share, reading)[0])
+        assert largest <= bound <= largest * (1 + Fraction(1, 10**14))
+
+
+def test_no_rounding_makes_an_interval_of_slip_too_small():
+    random = np.random.default_rng(9)
+    for low, width in random.uniform([-0.3, 1e-5], [0.3, 1e-3], (200, 2)):
+        high = low + width
+        slip = Slip(right=(low, high), left=(low, high), nominal_right=low, nominal_left=low)
+        least, greatest = wheel_error_range(slip_bounds(slip).extremes())
+        exact = (Fraction(high) - Fraction(low)) / (1 - Fraction(low))
+        assert Fraction(least[0]) <= 0
+        assert exact <= Fraction(greatest[0]) <= exact + Fraction(1, 10**14)

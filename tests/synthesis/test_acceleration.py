@@ -16,8 +16,9 @@ from jaxtube.plant.protocol import Measurement
 from jaxtube.scenario import ScenarioError, load
 from jaxtube.synthesis.acceleration import find_command_steps, find_reference_steps
 from jaxtube.synthesis.certificate.acceleration import check_acceleration, find_largest_change
+from jaxtube.synthesis.certificate.assumptions import assumptions
 from jaxtube.synthesis.certificate.period import find_disturbances, noise_reach
-from jaxtube.synthesis.certificate.robot import assumptions, check_robot
+from jaxtube.synthesis.certificate.robot import check_robot
 from jaxtube.synthesis.design import design, refuse_infeasible_start
 from jaxtube.synthesis.disturbance import complete_problem, with_computed_bound
 from jaxtube.synthesis.limits import InputRows

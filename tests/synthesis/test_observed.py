@@ -11,12 +11,13 @@ from jaxtube.scenario import ScenarioError, load, replace
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.choices import choose_starts
 from jaxtube.simulation.rollout import realisation_keys
+from jaxtube.synthesis.certificate.assumptions import assumptions
 from jaxtube.synthesis.certificate.period import (
     find_disturbances,
     find_estimate_errors,
     noise_reach,
 )
-from jaxtube.synthesis.certificate.robot import assumptions, check_estimate_error, check_robot
+from jaxtube.synthesis.certificate.robot import check_estimate_error, check_robot
 from jaxtube.synthesis.disturbance import complete_problem, kinematics, operation, prove_bound
 from jaxtube.synthesis.estimate import RESERVE, Estimate
 from jaxtube.synthesis.optimise import optimise

@@ -7,9 +7,9 @@ import pytest
 
 from jaxtube.scenario import load
 from jaxtube.synthesis.certificate import robot
+from jaxtube.synthesis.certificate.assumptions import assumptions
 from jaxtube.synthesis.certificate.robot import (
     PREMISE,
-    assumptions,
     check_disturbance_set,
     check_robot,
 )

@@ -7,11 +7,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from jaxtube.synthesis.certificate.assumptions import assumptions
 from jaxtube.synthesis.certificate.exact import check_in_rationals
 from jaxtube.synthesis.certificate.existence import say_what_exists
 from jaxtube.synthesis.certificate.fill import check_widest_tube
 from jaxtube.synthesis.certificate.program import check_program
-from jaxtube.synthesis.certificate.robot import PREMISE, assumptions, check_robot
+from jaxtube.synthesis.certificate.robot import PREMISE, check_robot
 from jaxtube.synthesis.certificate.stages import check_stages
 from jaxtube.synthesis.certificate.terminal import (
     ANY_ORDER,

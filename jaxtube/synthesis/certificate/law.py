@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.synthesis.certificate.assumptions import assumptions
 from jaxtube.synthesis.certificate.robot import (
-    assumptions,
     check_disturbance_set,
     judge_wheel_limits,
 )

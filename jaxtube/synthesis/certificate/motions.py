@@ -41,7 +41,8 @@ def check_motions(problem: Problem) -> Condition:
     """Prove once more, on integers, that motions stay within W and its ground speeds, and the error
     of an estimate within S.
 
-    A motion that leaves them refutes the certificate; a search that gives up is told, no more.
+    A motion that leaves them refutes the certificate, and so does a bound of lag and delay below
+    the one derived anew; a search that gives up is told, no more.
     """
     try:
         rooms = _find_rooms(problem)
@@ -63,7 +64,8 @@ def check_motions(problem: Problem) -> Condition:
         return Condition(NAME, proved, sentence, "information")
     sentence = (
         f"Exact integer arithmetic proves the {len(rooms)} bounds that W, S and the ground speeds "
-        f"are made of once more, from the same split of a motion into its parts."
+        "are made of once more, from the same split of a motion into its parts, for the caps and "
+        "the ranges of slip, noise and steps of commands as they are."
     )
     return Condition(NAME, proved, sentence, "robot")
 

@@ -1,8 +1,10 @@
 """Laws of the computed W: it holds every disturbance of the nonlinear, sampled, slipping robot, and
 hardly more."""
 
+import dataclasses
 import functools
 import itertools
+from fractions import Fraction
 
 import jax
 import jax.numpy as jnp
@@ -529,3 +531,18 @@ def test_unknown_names_and_slips_of_one_are_refused():
         wheel_error_bound(np.array([0.9, 0.2]), 0.2, "true")
     with pytest.raises(ValueError, match="relative_error"):
         wheel_error_bound(SLIPS, -0.1, "true")
+
+
+def test_pieces_hold_all_that_a_coupling_allows():
+    """In fractions: at the end of a piece in u2 it reaches as far as |e_x| / a + |u2| / b <= 1."""
+    random = np.random.default_rng(6)
+    for a, b in random.uniform([0.05, 0.5], [0.2, 0.9], (50, 2)):
+        where = dataclasses.replace(EIGHT, coupling=(a, b))
+        lower, upper = where.pieces()
+        for piece in range(lower.shape[1]):
+            reach, slope = map(Fraction, lower[-2:, piece])
+            if slope == 0:
+                continue
+            for turning in (Fraction(lower[4, piece]), Fraction(upper[4, piece])):
+                allowed = Fraction(a) * (1 - abs(turning) / Fraction(b))
+                assert reach + slope * turning >= allowed
