@@ -75,8 +75,9 @@ def test_what_floats_prove_is_proved_on_integers(name):
 
 
 @each_signal
-def test_a_bound_that_is_too_narrow_is_refuted_where_it_is(signal):
-    bound = bound_of("sliding")
+@pytest.mark.parametrize("name", ["sliding", "observed"])
+def test_a_bound_that_is_too_narrow_is_refuted_where_it_is(name, signal):
+    bound = bound_of(name)
     narrow = 1 - 2 * TIGHT
     if signal == "yaw kick":
         smaller = dataclasses.replace(bound, yaw=bound.yaw * narrow)
@@ -86,7 +87,7 @@ def test_a_bound_that_is_too_narrow_is_refuted_where_it_is(signal):
         shrunk = bound.box.copy()
         shrunk[["x", "y", "heading"].index(signal)] *= narrow
         smaller = dataclasses.replace(bound, box=shrunk)
-    rooms = find_disturbance_rooms(SLIDING, MODEL, smaller)
+    rooms = find_disturbance_rooms(WHERE[name], MODEL, smaller)
     refuted = {each for each, room in rooms.items() if room.met < 0}
     expected = {"fastest left", "fastest right"} if signal == "fastest left" else {signal}
     assert refuted == expected
