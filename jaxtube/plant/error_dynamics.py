@@ -26,10 +26,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from jaxtube.plant.angles import sinc, sine_and_cosine
 from jaxtube.plant.robot import body_velocity
-
-SERIES_END = 0.3
-"""Angle in rad below which `sinc` is a series: its first term left out is below 1e-16 there."""
 
 
 class Sideslip(NamedTuple):
@@ -105,26 +103,24 @@ def advance(
     v, w = _split(body_velocity(wheels, slip, track_width))
     V, Om = _split(body_velocity(reference_wheels, 0.0, track_width))
     reference_motion = _rotate(_chord(V, Om, dt), error[..., 2])
-    robot_motion = _chord(v, w, dt)
+    half_turn = dt * w / 2.0
+    sine, cosine = sine_and_cosine(half_turn)
+    shortening = dt * sinc(half_turn, sine)
+    along = shortening * v * cosine
+    across = shortening * v * sine
     if sideslip is not None:
-        forwards, sideways = _split(_chord(sideslip.share * v - sideslip.lever_arm * w, w, dt))
-        robot_motion = robot_motion + jnp.stack([-sideways, forwards], axis=-1)
-    seen_from_start = error[..., :2] + reference_motion - robot_motion
-    position = _rotate(seen_from_start, -dt * w)
+        sideways = shortening * (sideslip.share * v - sideslip.lever_arm * w)
+        along = along - sideways * sine
+        across = across + sideways * cosine
+    x = error[..., 0] + reference_motion[..., 0] - along
+    y = error[..., 1] + reference_motion[..., 1] - across
+    # The frame turns by twice the half turn, whose sine and cosine are known.
+    turn_cosine = 1.0 - 2.0 * sine * sine
+    turn_sine = 2.0 * sine * cosine
+    longitudinal = turn_cosine * x + turn_sine * y
+    lateral = turn_cosine * y - turn_sine * x
     heading = error[..., 2] + dt * (Om - w)
-    return jnp.concatenate([position, heading[..., None]], axis=-1)
-
-
-def sinc(x: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Return sin(x) / x, x in rad; value and derivatives are exact to rounding, also near zero."""
-    is_near = jnp.abs(x) < SERIES_END
-    square = jnp.where(is_near, x, 0.0) ** 2
-    series = 1.0 - square / 6.0 * (
-        1.0 - square / 20.0 * (1.0 - square / 42.0 * (1.0 - square / 72.0 * (1.0 - square / 110.0)))
-    )
-    # Both branches are differentiated, so the one not taken must stay finite.
-    far = jnp.where(is_near, 1.0, x)
-    return jnp.where(is_near, series, jnp.sin(far) / far)
+    return jnp.stack([longitudinal, lateral, heading], axis=-1)
 
 
 def _chord(
@@ -132,17 +128,15 @@ def _chord(
 ) -> Float[Array, "... 2"]:
     """Return the displacement along an arc, in the frame at its start, m."""
     half_turn = dt * yaw_rate / 2.0
-    length = dt * speed * sinc(half_turn)
-    along = length * jnp.cos(half_turn)
-    sideways = length * jnp.sin(half_turn)
-    return jnp.stack([along, sideways], axis=-1)
+    sine, cosine = sine_and_cosine(half_turn)
+    length = dt * speed * sinc(half_turn, sine)
+    return jnp.stack([length * cosine, length * sine], axis=-1)
 
 
 def _rotate(vector: Float[Array, "... 2"], angle: Float[Array, "..."]) -> Float[Array, "... 2"]:
     """Rotate plane vectors to the left by an angle in rad."""
     x, y = _split(vector)
-    cosine = jnp.cos(angle)
-    sine = jnp.sin(angle)
+    sine, cosine = sine_and_cosine(angle)
     rotated_x = cosine * x - sine * y
     rotated_y = sine * x + cosine * y
     return jnp.stack([rotated_x, rotated_y], axis=-1)

@@ -28,7 +28,8 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int, Key
 
-from jaxtube.plant.error_dynamics import Sideslip, advance, sinc, tracking_error
+from jaxtube.plant.angles import sinc
+from jaxtube.plant.error_dynamics import Sideslip, advance, tracking_error
 from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.robot import body_velocity, saturate, wheel_commands
 from jaxtube.plant.slipping import SlipMemory, SlippingRobot

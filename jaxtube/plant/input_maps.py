@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from jaxtube.plant.error_dynamics import sinc
+from jaxtube.plant.angles import sinc, sine_and_cosine
 from jaxtube.plant.robot import body_velocity
 
 LEAST_SINC = 0.1
@@ -87,8 +87,9 @@ def _paper(arguments: MapArguments) -> Float[Array, "..."]:
 def _cosine_free(arguments: MapArguments) -> Float[Array, "..."]:
     """Return V - v = u1 + V (1 - cos e_th)."""
     u1, _, _, _, e_th, V, _, _ = arguments
+    half_sine, _ = sine_and_cosine(e_th / 2.0)
     # 2 sin^2(e_th / 2) is 1 - cos e_th without its cancellation near zero.
-    return u1 + V * 2.0 * jnp.sin(e_th / 2.0) ** 2
+    return u1 + V * 2.0 * half_sine**2
 
 
 def _x_exact(arguments: MapArguments) -> Float[Array, "..."]:
@@ -97,12 +98,15 @@ def _x_exact(arguments: MapArguments) -> Float[Array, "..."]:
     reference_turn = T * Om
     turn = T * (Om - u2)
     chord_direction = e_th + reference_turn / 2.0 - turn
-    reference_travel = T * V * sinc(reference_turn / 2.0) * jnp.cos(chord_direction)
+    _, chord_cosine = sine_and_cosine(chord_direction)
+    reference_travel = T * V * sinc(reference_turn / 2.0) * chord_cosine
+    half_sine, half_cosine = sine_and_cosine(turn / 2.0)
+    turn_sine = 2.0 * half_sine * half_cosine
     # -2 sin^2(a / 2) is cos a - 1 without its cancellation near zero.
-    from_e_x = -2.0 * jnp.sin(turn / 2.0) ** 2 * e_x
-    from_e_y = (jnp.sin(turn) - reference_turn) * e_y
+    from_e_x = -2.0 * half_sine**2 * e_x
+    from_e_y = (turn_sine - reference_turn) * e_y
     travel = from_e_x + from_e_y + reference_travel
-    return V - (travel / T - u1) / jnp.maximum(sinc(turn), LEAST_SINC)
+    return V - (travel / T - u1) / jnp.maximum(sinc(turn, turn_sine), LEAST_SINC)
 
 
 INPUT_MAPS = {"paper": _paper, "cosine_free": _cosine_free, "x_exact": _x_exact}

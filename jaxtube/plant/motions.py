@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float
 
-from jaxtube.plant.error_dynamics import sinc
+from jaxtube.plant.angles import sinc, sine_and_cosine
 
 Motion = Float[Array, "... 3"]
 
@@ -36,13 +36,13 @@ def arc_of_travel(travel: Float[Array, "... 2"], track_width) -> Motion:
     right = travel[..., 0]
     left = travel[..., 1]
     turn = (right - left) / track_width
-    chord = (right + left) / 2.0 * sinc(turn / 2.0)
-    return jnp.stack([chord * jnp.cos(turn / 2.0), chord * jnp.sin(turn / 2.0), turn], axis=-1)
+    sine, cosine = sine_and_cosine(turn / 2.0)
+    chord = (right + left) / 2.0 * sinc(turn / 2.0, sine)
+    return jnp.stack([chord * cosine, chord * sine, turn], axis=-1)
 
 
 def _rotate(vector: Float[Array, "... 2"], angle: Float[Array, "..."]) -> Float[Array, "... 2"]:
-    cosine = jnp.cos(angle)
-    sine = jnp.sin(angle)
+    sine, cosine = sine_and_cosine(angle)
     x = vector[..., 0]
     y = vector[..., 1]
     return jnp.stack([cosine * x - sine * y, sine * x + cosine * y], axis=-1)

@@ -19,6 +19,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from jaxtube.plant.angles import sine_and_cosine
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -148,8 +150,9 @@ def wheel_positions(pose: Float[Array, "... 3"], track_width: float) -> Float[Ar
     x = pose[..., 0]
     y = pose[..., 1]
     heading = pose[..., 2]
-    offset_x = track_width / 2.0 * jnp.sin(heading)
-    offset_y = track_width / 2.0 * jnp.cos(heading)
+    sine, cosine = sine_and_cosine(heading)
+    offset_x = track_width / 2.0 * sine
+    offset_y = track_width / 2.0 * cosine
     right = jnp.stack([x + offset_x, y - offset_y], axis=-1)
     left = jnp.stack([x - offset_x, y + offset_y], axis=-1)
     return jnp.stack([right, left], axis=-2)

@@ -25,6 +25,7 @@ from jaxtube.plant import slip as slips
 from jaxtube.plant.protocol import Command, Measurement, Memory, Plant
 from jaxtube.plant.random_keys import make_key
 from jaxtube.qp.batched_ldl import matmul
+from jaxtube.simulation.columns import scan_by_columns
 
 DIAGNOSTICS = "diagnostics_"
 """Begins the names of the arrays of diagnostics in a file."""
@@ -144,7 +145,7 @@ def rollout(
 
     start = begin(controller, plant, keys, errors)
     steps = jnp.arange(plant.reference_wheels.shape[0])
-    last, (before, measured, happened) = jax.lax.scan(period, start, steps)
+    last, (before, measured, happened) = scan_by_columns(period, start, steps)
     errors = jnp.concatenate([before, last.errors[None]])
     measured = jnp.concatenate([measured, last.measured[None]])
     return Trajectory(errors, measured, *happened)
@@ -191,7 +192,7 @@ def follow_plan(
 
     planned = jnp.moveaxis(plan.inputs, 1, 0)
     offsets = jnp.arange(len(planned), dtype=step.dtype)
-    _, deviations = jax.lax.scan(follow_period, (state, state.measured), (offsets, planned))
+    _, deviations = scan_by_columns(follow_period, (state, state.measured), (offsets, planned))
     return deviations
 
 

@@ -28,6 +28,7 @@ from jaxtube.control.laws import TubeMpc, planner_of
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant, Script, SearchablePlant
 from jaxtube.plant.slipping import DRAWN
+from jaxtube.simulation.columns import loop_by_columns, scan_by_columns
 from jaxtube.simulation.rollout import (
     LoopState,
     PeriodOutcome,
@@ -174,7 +175,7 @@ def _scan_periods(
         return following, observe(state, happened, following)
 
     start = begin(controller, choose_plant(script or {}), keys, errors)
-    _, seen = jax.lax.scan(period, start, (jnp.arange(steps), entries))
+    _, seen = scan_by_columns(period, start, (jnp.arange(steps), entries))
     return seen
 
 
@@ -316,7 +317,7 @@ def _run_until(
     def period(now, state: LoopState) -> LoopState:
         return run_period(controller, plant, keys, now, state)[0]
 
-    return jax.lax.fori_loop(0, step, period, begin(controller, plant, keys, errors))
+    return loop_by_columns(0, step, period, begin(controller, plant, keys, errors))
 
 
 @jax.jit

@@ -33,6 +33,7 @@ from jaxtube.control.laws import TubeMpc, planner_of
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip import realisation_key
+from jaxtube.simulation.columns import loop_by_columns
 from jaxtube.simulation.rollout import LoopState, begin, follow_plan, run_period
 from jaxtube.simulation.starts import Starts
 from jaxtube.statistics import tally
@@ -300,7 +301,7 @@ def _run_stretch(
         observe = partial(tally.observe, task.checks, step, state, happened, after, counted)
         return after, jax.lax.cond(validate, observe, _keep, counts)
 
-    state, counts = jax.lax.fori_loop(first, last, run_and_observe, carry)
+    state, counts = loop_by_columns(first, last, run_and_observe, carry)
     planner = planner_of(task.controller)
     if planner is not None:
         observe = partial(follow_and_observe, task, planner, keys, last, counted, state)
