@@ -483,18 +483,18 @@ class ReplayOptions(LogOptions):
 
 @dataclass(frozen=True)
 class BenchOptions(Options):
-    """Measure laps a second on one device, on all of them, and on one and two workers of a
-    cluster; or on one GPU, by laps at once and floats."""
+    """Measure speed beside peers in one run: programs, laps, gradients, designs, single steps; or
+    laps on one GPU."""
 
     command = "bench"
     module = "bench.command"
     positional = ("topic",)
 
-    topic: Positional[Literal["devices", "gpu"]] = "devices"
-    """devices and workers of this machine; or one GPU, also for `certified` and `tuned`, its laps
-    compared with the processor's"""
-    blocks: Annotated[int, arg(metavar="COUNT"), at_least(1)] = 16
-    """of devices: blocks of 4,096 laps in each of three rounds"""
+    topic: Positional[Literal["all", "qp", "loop", "gpu"]] = "all"
+    """qp: programs with active rows; loop: the closed loop; gpu: laps on one GPU, also of
+    `certified` and `tuned`, compared with the processor's; all: everything but the GPU"""
+    quick: bool = False
+    """a small part of each, which shows that it works; its speeds say little"""
     seconds: Annotated[float, arg(metavar="SECONDS"), DURATION] = 330.0
     """of gpu: time for all of it; what was measured by then is kept"""
 

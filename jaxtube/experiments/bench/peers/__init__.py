@@ -1,0 +1,1 @@
+"""Solvers beside which the batched one is measured: `catalogue.find_peers`."""
