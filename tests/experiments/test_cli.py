@@ -143,7 +143,7 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
         (["montecarlo", "--replay", "-5"], ["--replay = -5", "from 0"]),
         (["montecarlo", "--replay", str(2**64)], ["--replay = 18446744073709551616", "2^64"]),
         (["tune", "--learning-rate", "nan"], ["--learning-rate = nan", "positive"]),
-        (["bench", "--blocks", "0"], ["--blocks = 0", "from 1"]),
+        (["bench", "--seconds", "0"], ["--seconds = 0", "positive number"]),
         (["design", "controller.tube=\udcff"], [r"controller.tube=\udcff", "UTF-8"]),
         (["design", "--out", "a\udcff"], [r"a\udcff", "UTF-8"]),
         (["design", "--realisations", "3"], ["--realisations"]),

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
@@ -54,7 +53,7 @@ def count_wrong(x: Float[np.ndarray, "k n"], exact: Float[np.ndarray, "k n"]) ->
 
 def find_residuals(problems: Problems, answers: Answers) -> Float[np.ndarray, " k"]:
     """Return the residual of every answer."""
-    factors = jax.tree.map(jnp.asarray, factorise(problems.P, problems.A, np))
+    factors = factorise(jnp.asarray(problems.P), jnp.asarray(problems.A))
     norms = factors.row_norms
     q = jnp.asarray(problems.q)
     scale = fixed_point.dual_scale(factors, q, q @ factors.optimum)

@@ -118,7 +118,7 @@ def measure_loop(
     periods = {"bare": steps * BLOCK, "checked": steps * BLOCK, DAQP: steps * laps}
     by_period = {name: seconds[name] / periods[name] for name in periods if name in seconds}
     if clock:
-        by_period[CLOCK] = clock.seconds[None]
+        by_period[CLOCK] = clock.seconds
     solved = record.status == qp.SOLVED
     return LoopResult(
         name,

@@ -68,8 +68,10 @@ def _threads_settled() -> Iterator[None]:
 
 
 def _settle(cores: int) -> None:
-    """Take the last cores, away from the first one, on which interrupts are served."""
+    """Take the last cores, away from the first one, on which interrupts are served; and let nothing
+    be printed, as solvers do that are told not to."""
     if hasattr(os, "sched_setaffinity"):
         present = sorted(os.sched_getaffinity(0))
         os.sched_setaffinity(0, present[-cores:])
     os.environ["JAX_ENABLE_X64"] = "1"
+    os.dup2(os.open(os.devnull, os.O_WRONLY), 1)

@@ -141,7 +141,9 @@ def make_batched(family: Family, with_regions: bool) -> Solver:
     """Return the batched solver, its data on the device."""
     condensed = family.condensed
     q, lower, upper = map(jnp.asarray, family.problems[2:])
-    known = Known(condensed.regions, jnp.asarray(family.starts)) if with_regions else None
+    known = None
+    if with_regions and condensed.regions is not None:
+        known = Known(condensed.regions, jnp.asarray(family.starts))
     solve = partial(jax.jit(qp.solve), condensed.factors, q, lower, upper, known)
 
     def run():
@@ -195,6 +197,6 @@ def time_entries(
         found = Measured(entry.name, entry.settings, entry.tolerance, count, of_rounds, accuracy)
         measured.append(found)
         if number in clocks:
-            own = 1e6 * clocks[number].seconds[None]
+            own = 1e6 * clocks[number].seconds
             measured.append(found._replace(name=CLOCK, microseconds=own))
     return measured

@@ -86,7 +86,10 @@ KINDS = {
 def at_tolerance(name: str, tolerance: float) -> Peer:
     """Return an iterative peer at one of its tolerances."""
     kind = KINDS[name]
-    make = partial(kind.make, tolerance=tolerance)
+
+    def make(problems: Problems) -> Solver:
+        return kind.make(problems, tolerance)
+
     return Peer(name, kind.package, kind.module, f"{kind.words} {tolerance:.0e}", make, tolerance)
 
 

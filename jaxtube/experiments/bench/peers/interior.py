@@ -6,7 +6,9 @@ Tracy and Manchester, arXiv 2406.11749 (qpax).
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.sparse import csc_array
@@ -51,8 +53,7 @@ def _read_piqp(result) -> tuple:
 
 def make_clarabel(problems: Problems, tolerance: float) -> Solver:
     """Return Clarabel, whose data are updated from program to program."""
-    import clarabel
-
+    clarabel: Any = importlib.import_module("clarabel")
     settings = clarabel.DefaultSettings()
     settings.verbose = False
     settings.presolve_enable = False
