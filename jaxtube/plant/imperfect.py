@@ -28,7 +28,7 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int, Key
 
-from jaxtube.plant.angles import sinc
+from jaxtube.plant.angles import sinc, sine_and_cosine
 from jaxtube.plant.error_dynamics import Sideslip, advance, tracking_error
 from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.robot import body_velocity, saturate, wheel_commands
@@ -274,12 +274,12 @@ def _path(travel, slip, sideslip: Sideslip, track_width) -> Float[Array, "batch 
     each of them."""
     moved = body_velocity(travel, slip, track_width)
     turn = moved[..., 1]
-    forwards = moved[..., 0] * sinc(turn / 2.0)
-    sideways = sideslip.share * forwards - sideslip.lever_arm * turn * sinc(turn / 2.0)
+    shortening = sinc(turn / 2.0)
+    forwards = moved[..., 0] * shortening
+    sideways = sideslip.share * forwards - sideslip.lever_arm * turn * shortening
     heading = jnp.cumsum(turn, axis=0)
     chord_heading = heading - turn / 2.0
-    c = jnp.cos(chord_heading)
-    s = jnp.sin(chord_heading)
+    s, c = sine_and_cosine(chord_heading)
     x = jnp.sum(c * forwards - s * sideways, axis=0)
     y = jnp.sum(s * forwards + c * sideways, axis=0)
     return jnp.stack([x, y, heading[-1]], axis=-1)

@@ -25,6 +25,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
+from jaxtube.plant.angles import sine_and_cosine
 from jaxtube.plant.error_dynamics import Sideslip
 
 NODES = 10
@@ -81,15 +82,17 @@ def drive(
     heading = (travel[..., 0] * grip[:, 0] - travel[..., 1] * grip[:, 1]) / track_width
     speed = (speeds[..., 0] * grip[:, 0] + speeds[..., 1] * grip[:, 1]) / 2.0
     weighted = jnp.asarray(weights, half.dtype)[:, None, None] * half * speed
-    along = jnp.sum(weighted * jnp.cos(heading), axis=(0, 1))
-    across = jnp.sum(weighted * jnp.sin(heading), axis=(0, 1))
+    sine, cosine = sine_and_cosine(heading)
+    along = jnp.sum(weighted * cosine, axis=(0, 1))
+    across = jnp.sum(weighted * sine, axis=(0, 1))
     whole, last = _follow(wheels, jnp.full_like(ends[-1], dt))
     turn = (whole[:, 0] * grip[:, 0] - whole[:, 1] * grip[:, 1]) / track_width
     if sideslip is not None:
         share = sideslip.share
         arm = sideslip.lever_arm
-        sideways = along * share - arm * jnp.sin(turn)
-        along = along - share * across + 2.0 * arm * jnp.sin(turn / 2.0) ** 2
+        half_sine, half_cosine = sine_and_cosine(turn / 2.0)
+        sideways = along * share - arm * 2.0 * half_sine * half_cosine
+        along = along - share * across + 2.0 * arm * half_sine**2
         across = across + sideways
     return jnp.stack([along, across, turn], axis=-1), last
 

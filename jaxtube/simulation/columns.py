@@ -32,7 +32,10 @@ class Columns:
 
 
 def loop_by_columns(
-    first: Int[Array, ""], last: Int[Array, ""], body: Callable[[Array, Any], Any], carry: Any
+    first: Int[Array, ""] | int,
+    last: Int[Array, ""] | int,
+    body: Callable[[Array, Any], Any],
+    carry: Any,
 ) -> Any:
     """Return `jax.lax.fori_loop(first, last, body, carry)`."""
 

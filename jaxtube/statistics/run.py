@@ -103,13 +103,13 @@ class Run:
         if pending:
             yield from self.collect(*pending)
 
-    def dispatch(self, blocks: list[int], validate: bool = True) -> dict[str, Array]:
+    def dispatch(self, blocks: list[int]) -> dict[str, Array]:
         """Start the computation of up to `at_once` blocks; the arrays, blocks first, are ready
         later."""
         padded = [*blocks, *[blocks[-1]] * (self.at_once - len(blocks))]
         mesh = Mesh(np.array(self.devices), ("devices",))
         words, counts, numbers = _labels(padded, self.realisations)
-        return _simulate(mesh, self.task, words, counts, numbers, validate)
+        return _simulate(mesh, self.task, words, counts, numbers)
 
     def collect(
         self, blocks: list[int], dispatched: dict[str, Array]
@@ -186,7 +186,7 @@ def _statistics(block: int, arrays: dict[str, np.ndarray], place: int) -> Statis
 
 
 @partial(jax.jit, static_argnums=0)
-def _simulate(mesh: Mesh, task: Task, words, counts, numbers, validate) -> dict[str, Array]:
+def _simulate(mesh: Mesh, task: Task, words, counts, numbers) -> dict[str, Array]:
     """Run blocks, spread over the devices; each device works through its own in turn."""
     spread = PartitionSpec("devices")
     same = PartitionSpec()
@@ -194,21 +194,21 @@ def _simulate(mesh: Mesh, task: Task, words, counts, numbers, validate) -> dict[
     on_devices = jax.shard_map(
         _simulate_in_turn,
         mesh=mesh,
-        in_specs=(same, spread, spread, spread, same),
+        in_specs=(same, spread, spread, spread),
         out_specs=spread,
         check_vma=False,
     )
-    return on_devices(task, words, counts, numbers, validate)
+    return on_devices(task, words, counts, numbers)
 
 
-def _simulate_in_turn(task: Task, words, counts, numbers, validate) -> dict[str, Array]:
+def _simulate_in_turn(task: Task, words, counts, numbers) -> dict[str, Array]:
     """Run the blocks of one device, one after the other."""
 
     size = BlockSize(BLOCK, TILE)
 
     def simulate(block):
         first, count, number = block
-        return simulate_block(task, first, count, number, validate, size)
+        return simulate_block(task, first, count, number, size)
 
     return jax.lax.map(simulate, (words, counts, numbers))
 
@@ -225,7 +225,6 @@ def simulate_block(
     words: UInt32[Array, "2"],
     count: Int[Array, ""],
     number: Int[Array, ""],
-    validate: Bool[Array, ""],
     size: BlockSize,
 ) -> dict[str, Array]:
     """Return the statistics of one block, its laps numbered from 0 in the lists of the worst.
@@ -236,10 +235,9 @@ def simulate_block(
         count: its first laps that count.
         number: of the block, modulo 2^31: it shifts the steps at which plans are followed, as the
             tile does.
-        validate: whether periods are checked; without, all counts stay 0.
         size: of the block, and of the tiles that it is worked through in.
     """
-    simulate = partial(_simulate_tile, task, words, count, number, validate, size)
+    simulate = partial(_simulate_tile, task, words, count, number, size)
     tiles = jnp.arange(size.block // size.tile, dtype=jnp.int32)
     sums, largest, usage = jax.lax.map(simulate, tiles)
     sums = jax.tree.map(lambda array: jnp.sum(array, axis=0, dtype=jnp.int32), sums)
@@ -251,22 +249,22 @@ def simulate_block(
 
 
 def _simulate_tile(
-    task: Task, words, count, number, validate, size: BlockSize, place: Int[Array, ""]
+    task: Task, words, count, number, size: BlockSize, place: Int[Array, ""]
 ) -> tuple[dict[str, Array], dict[str, Array], Array]:
     """Run the tile at a place of a block, with plans at steps that depend on the place."""
     first = place * size.tile
     low = words[1] + first.astype(jnp.uint32) + jnp.arange(size.tile, dtype=jnp.uint32)
     keys = jax.vmap(lambda word: realisation_key(task.seed_key, words[0], word))(low)
-    counted = validate & (first + jnp.arange(size.tile, dtype=jnp.int32) < count)
+    counted = first + jnp.arange(size.tile, dtype=jnp.int32) < count
     plans, distance = plan_steps(len(task.checks.transitions), task.checks.horizon)
     tiles = size.block // size.tile
     shift = first_plan(number % max(distance, 1) * tiles + place, max(distance, 1))
     stops = shift + distance * jnp.arange(plans, dtype=jnp.int32)
-    return run_tile(task, keys, counted, stops, validate)
+    return run_tile(task, keys, counted, stops)
 
 
 def run_tile(
-    task: Task, keys: Key[Array, " batch"], counted, stops: Int[Array, " plans"], validate
+    task: Task, keys: Key[Array, " batch"], counted, stops: Int[Array, " plans"]
 ) -> tuple[dict[str, Array], dict[str, Array], Array]:
     """Run a tile of laps from start to end; return (sums, largest, by lap the usage of the sets
     ranked by).
@@ -282,7 +280,7 @@ def run_tile(
     state = begin(task.controller, task.plant, keys, errors)
     counts = tally.empty(checks, checks.horizon, len(errors), errors.dtype)
     parts = (bounds[:-1], bounds[1:], jnp.arange(plans + 1) < plans)
-    run_stretch = partial(_run_stretch, task, keys, counted, validate)
+    run_stretch = partial(_run_stretch, task, keys, counted)
     (_, counts), _ = jax.lax.scan(run_stretch, (state, counts), parts)
     usage = jnp.where(counted, counts.laps.usage, -jnp.inf)
     sums, largest = tally.close(checks, errors, plans, counted, counts)
@@ -290,7 +288,7 @@ def run_tile(
 
 
 def _run_stretch(
-    task: Task, keys: Key[Array, " batch"], counted, validate, carry, part
+    task: Task, keys: Key[Array, " batch"], counted, carry, part
 ) -> tuple[tuple[LoopState, tally.Tally], None]:
     """Run the periods from one stop to the next, and follow the plans made there."""
     first, last, has_plan = part
@@ -298,14 +296,14 @@ def _run_stretch(
     def run_and_observe(step, carry):
         state, counts = carry
         after, happened = run_period(task.controller, task.plant, keys, step, state)
-        observe = partial(tally.observe, task.checks, step, state, happened, after, counted)
-        return after, jax.lax.cond(validate, observe, _keep, counts)
+        counts = tally.observe(task.checks, step, state, happened, after, counted, counts)
+        return after, counts
 
     state, counts = loop_by_columns(first, last, run_and_observe, carry)
     planner = planner_of(task.controller)
     if planner is not None:
         observe = partial(follow_and_observe, task, planner, keys, last, counted, state)
-        counts = jax.lax.cond(validate & has_plan, observe, _keep, counts)
+        counts = jax.lax.cond(has_plan, observe, _keep, counts)
     return (state, counts), None
 
 

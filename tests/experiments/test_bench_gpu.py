@@ -14,7 +14,7 @@ from jaxtube.control.mpc import Diagnostics
 from jaxtube.experiments.bench import gpu_record, sweep
 from jaxtube.experiments.bench.agreement import Laps, compare
 from jaxtube.experiments.bench.programs import Ahead, Program, in_single_precision
-from jaxtube.experiments.bench.sweep import Case, Clock, Row
+from jaxtube.experiments.bench.sweep import Case, Clock, Programs, Row
 from jaxtube.experiments.bench.watch import Watch, read_sample
 from jaxtube.simulation.rollout import Trajectory
 
@@ -33,6 +33,10 @@ def sleeping(seconds: float) -> Program:
     return Program(lambda *_: time.sleep(seconds), 1.0, 2.0)
 
 
+def with_checks(programs: dict[int, Future]) -> Programs:
+    return Programs(programs, made(sleeping(0.01)))
+
+
 def test_lines_of_the_driver_are_read_and_others_are_no_sample():
     assert read_sample("97, 1234\n", 5.0) == (5.0, 97.0, 1234.0)
     assert read_sample("97 %, 1234 MiB\n", 5.0) == (5.0, 97.0, 1234.0)
@@ -43,25 +47,26 @@ def test_lines_of_the_driver_are_read_and_others_are_no_sample():
     assert watch.mean_utilisation(7, 8) is None and watch.most_memory(7, 8) is None
 
 
-def test_rows_come_as_programs_do_until_more_laps_are_no_faster():
+def test_rows_come_as_programs_do_and_the_last_is_measured_bare_too():
     rows = []
-    seconds = {100: 0.02, 200: 0.02, 400: 0.06, 800: 0.0}
-    programs = {laps: made(sleeping(time)) for laps, time in seconds.items()}
+    programs = with_checks({laps: made(sleeping(0.02)) for laps in (100, 200)})
     clock = Clock(time.perf_counter() + 60, 0.0)
     assert sweep.measure_case(CASE, TASK, programs, Watch(), clock, rows.append) == ""
-    assert [row.laps_at_once for row in rows] == [100, 200, 400]
+    assert [row.laps_at_once for row in rows] == [100, 200]
     fastest = rows[1]
+    assert rows[0].bare_steps_per_s is None
+    assert fastest.checked_steps_per_s < fastest.bare_steps_per_s <= 200 * STEPS / 0.01
     assert fastest.laps_per_s <= 200 / 0.02
     assert fastest.checked_steps_per_s == pytest.approx(STEPS * fastest.laps_per_s)
 
 
 def test_what_does_not_fit_the_time_is_told():
     rows = []
-    programs = {100: made(sleeping(0.0)), 200: Future()}
+    programs = with_checks({100: made(sleeping(0.0)), 200: Future()})
     clock = Clock(time.perf_counter() + 0.3, 0.0)
     told = sweep.measure_case(CASE, TASK, programs, Watch(), clock, rows.append)
     assert len(rows) == 1 and told == "paper, float64: 200 laps at once: not compiled in time"
-    slow = {100: made(sleeping(0.1)), 200: made(sleeping(0.1))}
+    slow = with_checks({100: made(sleeping(0.1)), 200: made(sleeping(0.1))})
     clock = Clock(time.perf_counter() + 0.6, 0.0)
     told = sweep.measure_case(CASE, TASK, slow, Watch(), clock, rows.append)
     assert len(rows) == 2 and told.endswith("200 laps at once: no time left")
@@ -71,7 +76,9 @@ def test_an_error_of_the_device_ends_a_case_in_one_line():
     failed: Future = Future()
     failed.set_exception(jax.errors.JaxRuntimeError("RESOURCE_EXHAUSTED: Out of memory\nmore"))
     clock = Clock(time.perf_counter() + 60, 0.0)
-    told = sweep.measure_case(CASE, TASK, {8: failed}, Watch(), clock, lambda row: None)
+    told = sweep.measure_case(
+        CASE, TASK, with_checks({8: failed}), Watch(), clock, lambda row: None
+    )
     assert told.startswith("paper, float64: 8 laps at once: ")
     assert told.endswith("RESOURCE_EXHAUSTED: Out of memory")
 

@@ -81,7 +81,7 @@ def run_laps(scenario: Scenario, seed: int, bits: Sequence[int], amount: Amount)
     laps = {}
     for number, task in make_tasks(scenario, seed, bits).items():
         trajectory = rollout(task.controller, task.plant, keys, task.starts.draw(keys))
-        found = simulate_laps(task, jnp.uint32(0), jnp.asarray(True), laps=amount.counted)
+        found = simulate_laps(task, jnp.uint32(0), laps=amount.counted)
         laps[number] = Laps(jax.tree.map(np.asarray, trajectory), np.asarray(found["events"]))
     return laps
 

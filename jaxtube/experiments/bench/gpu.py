@@ -2,7 +2,7 @@
 
 Laps a second by laps at once, in float64 and float32, bare and with all checks; how busy the GPU
 is; its laps beside the same ones of the processor; and how long a billion of them take. Programs
-are compiled ahead in threads, every row is printed and saved once it is measured, and the command
+are compiled first, in threads, every row is printed and saved once it is measured, and the command
 ends in time with what it has.
 
 Without a GPU a small part of it runs on the processor, by the GPU's programs: that it works and
@@ -13,6 +13,8 @@ Source: new.
 
 from __future__ import annotations
 
+import concurrent.futures
+import itertools
 import os
 from concurrent.futures import Future, ProcessPoolExecutor
 from functools import partial
@@ -30,10 +32,11 @@ from jaxtube.experiments.bench.gpu_record import Record
 from jaxtube.experiments.bench.programs import (
     Ahead,
     Program,
+    compile_bare_laps,
     compile_laps,
     compile_trajectories,
 )
-from jaxtube.experiments.bench.sweep import Case, Clock, first_line, measure_case
+from jaxtube.experiments.bench.sweep import Case, Clock, Programs, first_line, measure_case
 from jaxtube.experiments.bench.watch import Watch
 from jaxtube.experiments.environment import leave
 from jaxtube.experiments.options import BenchOptions
@@ -59,9 +62,10 @@ class Extent(NamedTuple):
     timed_s: float
 
 
-ON_GPU = Extent(
-    (64, 32), (2**12, 2**14, 2**16, 2**18, 2**20), (2**12, 2**16, 2**20), Amount(1024, 2**12), 1.0
-)
+SHARE = 0.75
+"""Of the time, that may pass before anything is timed."""
+
+ON_GPU = Extent((64, 32), (2**16, 2**18, 2**20), (2**16, 2**20), Amount(1024, 2**16), 1.0)
 ON_PROCESSOR = Extent((64,), (256,), (), Amount(64, 256), 0.0)
 
 
@@ -69,7 +73,7 @@ class Job(NamedTuple):
     """A case, its task on the device, its programs in the making, and the processor's laps."""
 
     task: Task
-    programs: dict[int, Future[Program]]
+    programs: Programs
     trajectories: Future[Program]
     there: Future[dict[int, Laps]]
 
@@ -105,6 +109,7 @@ def measure_all(
     clock = Clock(record.begin + options.seconds, extent.timed_s)
     process = agreement.on_a_processor()
     jobs = begin_all(scenarios, options.seed, record.device, extent, process)
+    wait_for(jobs, clock)
     record.begin_rows()
     for case, job in jobs.items():
         record.say(measure_case(case, job.task, job.programs, watch, clock, record.add_row))
@@ -135,11 +140,18 @@ def begin_all(
             tasks = agreement.make_tasks(scenario, seed, extent.bits)
         for bits, made in tasks.items():
             task = put(made, device)
-            programs = {laps: ahead.ask(partial(compile_laps, task, laps)) for laps in sizes}
+            checked = {laps: ahead.ask(partial(compile_laps, task, laps)) for laps in sizes}
+            bare = ahead.ask(partial(compile_bare_laps, task, max(sizes)))
             keys, errors = draw_starts(task, seed, extent.compared.recorded)
             trajectories = ahead.ask(partial(compile_trajectories, task, keys, errors))
-            jobs[Case(name, bits)] = Job(task, programs, trajectories, there[name])
+            jobs[Case(name, bits)] = Job(task, Programs(checked, bare), trajectories, there[name])
     return jobs
+
+
+def wait_for(jobs: dict[Case, Job], clock: Clock) -> None:
+    """Wait until all programs are made: to make them takes the processor that feeds the GPU."""
+    programs = [[*job.programs.checked.values(), job.programs.bare] for job in jobs.values()]
+    concurrent.futures.wait(itertools.chain.from_iterable(programs), SHARE * clock.left)
 
 
 def put(task: Task, device: Any) -> Task:
@@ -165,7 +177,7 @@ def compare_laps(
     """Compare laps of a case with those of the processor, where both are there in time."""
     try:
         program = job.trajectories.result(timeout=clock.left)
-        counting = job.programs[amount.counted].result(timeout=clock.left)
+        counting = job.programs.checked[amount.counted].result(timeout=clock.left)
         there = job.there.result(timeout=clock.left)
     except TimeoutError:
         record.say(f"{case.words}: not compared with the processor: no time left")
@@ -177,6 +189,6 @@ def compare_laps(
     trajectory = program.call(
         task.controller, task.plant, *draw_starts(task, seed, amount.recorded)
     )
-    found = counting.call(task, jnp.uint32(0), jnp.asarray(True))
+    found = counting.call(task, jnp.uint32(0))
     here = Laps(jax.tree.map(np.asarray, trajectory), np.asarray(found["events"]))
     record.add_agreement(case, amount, agreement.compare(here, there[case.bits]))

@@ -58,8 +58,8 @@ class Record:
             sys.stdout.flush()
 
     def begin_rows(self) -> None:
-        """Say how long the designs took, and head the rows."""
-        self.say(f"designs ready after {time.perf_counter() - self.begin:.0f} s\n\n{HEADINGS}")
+        """Say how long designs and programs took, and head the rows."""
+        self.say(f"compiled after {time.perf_counter() - self.begin:.0f} s\n\n{HEADINGS}")
 
     def add_row(self, row: Row) -> None:
         """Print and save what was measured of a program."""
@@ -109,10 +109,11 @@ class Record:
 def format_row(row: Row) -> str:
     """Return a row below `HEADINGS`."""
     busy = "-" if row.utilisation_percent is None else f"{row.utilisation_percent:.0f}"
+    bare = "" if row.bare_steps_per_s is None else f"{row.bare_steps_per_s:.3g}"
     memory = row.temporary_mb if row.memory_mb is None else row.memory_mb
     return (
         f"{row.scenario:<12}{row.bits:>8}{row.laps_at_once:>14,}{row.compile_s:>10.1f}"
-        f"{row.bare_steps_per_s:>12.3g}{row.checked_steps_per_s:>12.3g}{row.laps_per_s:>12.4g}"
+        f"{bare:>12}{row.checked_steps_per_s:>12.3g}{row.laps_per_s:>12.4g}"
         f"{busy:>7}{memory:>10,.0f}"
     )
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
@@ -27,12 +28,13 @@ from jaxtube.experiments.bench.peers.active_set import (
 )
 from jaxtube.experiments.bench.peers.catalogue import EXACT
 from jaxtube.experiments.bench.peers.problems import Solver, one_by_one
+from jaxtube.experiments.bench.programs import run_bare_laps
 from jaxtube.experiments.bench.recorded import Record, pose, record_laps
 from jaxtube.experiments.bench.rounds import OwnClock, time_rounds
 from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
 from jaxtube.statistics.montecarlo import make_closed_loop_task
-from jaxtube.statistics.run import BLOCK, Run
+from jaxtube.statistics.run import BLOCK, TILE, BlockSize, Run
 from jaxtube.synthesis.design import design as make_design
 
 DAQP = "DAQP update+solve"
@@ -100,9 +102,11 @@ def measure_loop(
     controller = task.controller
     assert isinstance(controller, TubeMpc)
     run = Run(task, BLOCK, 1, tuple(jax.local_devices()[:1]))
+    first = jnp.uint32(0)
+    size = BlockSize(BLOCK, TILE)
     record = record_laps(controller, task.plant, task.starts, seed, range(extent.laps))
     work: dict[str, Callable[[], object]] = {
-        "bare": lambda: jax.block_until_ready(run.dispatch([0], validate=False)),
+        "bare": lambda: jax.block_until_ready(run_bare_laps(task, first, size)),
         "checked": lambda: jax.block_until_ready(run.dispatch([0])),
     }
     clock = None

@@ -1,7 +1,7 @@
 """The programs that `bench gpu` times, compiled ahead in threads of their own.
 
 A program runs one block of the Monte Carlo whose laps all run side by side, so its checks are those
-of `montecarlo`; whether it makes them is an argument, so that one compilation serves both times.
+of `montecarlo`; or it runs bare laps, the closed loop and nothing else.
 No array of the size of the laps enters or leaves it: there is no buffer to donate.
 
 Source: new.
@@ -20,9 +20,11 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float, Key
+from jaxtyping import Float, Key, UInt32
 
-from jaxtube.simulation.rollout import rollout
+from jaxtube.plant.slip import realisation_key
+from jaxtube.simulation.columns import loop_by_columns
+from jaxtube.simulation.rollout import begin, rollout, run_period
 from jaxtube.statistics.run import BlockSize, Task, simulate_block
 
 GPU_COMPILER = {"xla_gpu_autotune_level": 0, "xla_gpu_enable_triton_gemm": False}
@@ -43,8 +45,13 @@ Build = Callable[[], Program]
 
 
 def compile_laps(task: Task, laps: int) -> Program:
-    """Return the program of laps side by side: call(task, first lap, whether to check)."""
-    return _compile(simulate_laps, (task, jnp.uint32(0), jnp.asarray(True)), laps=laps)
+    """Return the program of laps side by side, every period checked: call(task, first lap)."""
+    return _compile(simulate_laps, (task, jnp.uint32(0)), laps=laps)
+
+
+def compile_bare_laps(task: Task, laps: int) -> Program:
+    """Return the program of laps side by side, without checks: call(task, first lap)."""
+    return _compile(run_bare_laps, (task, jnp.uint32(0)), size=BlockSize(laps, laps))
 
 
 def compile_trajectories(
@@ -55,12 +62,33 @@ def compile_trajectories(
 
 
 @partial(jax.jit, static_argnames="laps")
-def simulate_laps(task: Task, first, validate, laps: int) -> dict[str, Array]:
+def simulate_laps(task: Task, first: UInt32[Array, ""], laps: int) -> dict[str, Array]:
     """Return the statistics of laps that run side by side, from number `first` below 2^32 on."""
     words = jnp.stack([jnp.zeros_like(first), first])
     count = jnp.int32(laps)
     number = jnp.int32(0)
-    return simulate_block(task, words, count, number, validate, BlockSize(laps, laps))
+    return simulate_block(task, words, count, number, BlockSize(laps, laps))
+
+
+@partial(jax.jit, static_argnames="size")
+def run_bare_laps(
+    task: Task, first: UInt32[Array, ""], size: BlockSize
+) -> Float[Array, "tiles tile 3"]:
+    """Run laps from number `first` below 2^32 on, tile by tile, with nothing checked; return their
+    last errors."""
+    steps = len(task.plant.reference_wheels)
+
+    def run_tile(place):
+        low = first + place * size.tile + jnp.arange(size.tile, dtype=jnp.uint32)
+        keys = jax.vmap(lambda word: realisation_key(task.seed_key, jnp.uint32(0), word))(low)
+        start = begin(task.controller, task.plant, keys, task.starts.draw(keys))
+
+        def period(step, state):
+            return run_period(task.controller, task.plant, keys, step, state)[0]
+
+        return loop_by_columns(jnp.int32(0), jnp.int32(steps), period, start).errors
+
+    return jax.lax.map(run_tile, jnp.arange(size.block // size.tile, dtype=jnp.uint32))
 
 
 def _compile(function, arguments: tuple, **static) -> Program:

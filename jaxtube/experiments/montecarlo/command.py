@@ -17,7 +17,6 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import jax
-import numpy as np
 
 from jaxtube.experiments.montecarlo import netcdf, replay, tube_reach
 from jaxtube.experiments.montecarlo import report as montecarlo_report
@@ -39,9 +38,6 @@ from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
     from jaxtube.experiments.run.cluster import Cluster
-
-ENOUGH = 20
-"""Dispatches of a run that is long enough for the share of the checks, which takes four more."""
 
 
 def run(scenario: Scenario, options: MontecarloOptions) -> int:
@@ -93,8 +89,6 @@ def compute(
             bar.update(records.laps - recorded)
             seconds.append(time.perf_counter() - start)
     performance = {"laps": records.laps - before, **measure_rate(seconds, at_once)}
-    if not options.cluster and len(seconds) >= ENOUGH * local.at_once:
-        performance["validation_share"] = measure_validation_share(local)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return performance | {"peak_memory_bytes": peak}
 
@@ -129,18 +123,6 @@ def measure_rate(seconds: list[float], at_once: int) -> dict:
 def count_laps_outside(statistics: Statistics) -> int:
     """Return how many laps left E."""
     return int(statistics["events"][find_row("e_outside_E"), 1:].sum()) if statistics else 0
-
-
-def measure_validation_share(local: Run) -> float:
-    """Return the share of the computing time that the checks take: the same laps with and without
-    them, in turns."""
-    blocks = list(range(local.at_once))
-    seconds = {True: np.inf, False: np.inf}
-    for validate in (True, False) * 2:
-        start = time.perf_counter()
-        jax.block_until_ready(local.dispatch(blocks, validate))
-        seconds[validate] = min(seconds[validate], time.perf_counter() - start)
-    return max(1 - seconds[False] / seconds[True], 0.0)
 
 
 def save(

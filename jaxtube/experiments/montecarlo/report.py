@@ -223,8 +223,5 @@ def _describe_performance(performance: dict) -> str:
     ]
     if performance["laps_per_second"]:
         parts.append(f"then {performance['laps_per_second']:,.0f} laps a second")
-    if "validation_share" in performance:
-        share = performance["validation_share"]
-        parts.append(f"{share:.0%} of the computing time spent in validation")
     parts.append(f"peak memory {performance['peak_memory_bytes'] / 2**20:,.0f} MiB")
     return "; ".join(parts)
