@@ -7,6 +7,9 @@ outside.
 
 from __future__ import annotations
 
+import functools
+import operator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -21,6 +24,10 @@ from jaxtube.qp.batched_ldl import matmul
 
 OUTSIDE = 1e-12
 """What counts as outside is further out than this: relative to a set's facet, or m/s and rad/s."""
+
+
+FEW_FACETS = 16
+"""Facets up to which a set is compared with points facet by facet."""
 
 
 class Facets(NamedTuple):
@@ -107,12 +114,50 @@ class Judgement(NamedTuple):
     usage: Float[Array, " batch"]  # 1 on a facet, more outside, relative to its offset
 
 
+Coordinates = Sequence[Float[Array, " batch"]]
+"""Points, coordinate by coordinate: kernels that run over neighbouring numbers make them."""
+
+
+def find_excess(facets: Facets, points: Coordinates) -> Float[Array, "f batch"]:
+    """Return by how much points are beyond each facet."""
+    terms = [facets.normals[:, k, None] * points[k] for k in range(len(points))]
+    return functools.reduce(operator.add, terms) - facets.offsets[:, None]
+
+
+def is_outside(facets: Facets, points: Coordinates) -> Bool[Array, " batch"]:
+    """Return whether points lie outside a polytope."""
+    if len(facets.offsets) > FEW_FACETS:
+        return ~jnp.all(find_excess(facets, points) <= OUTSIDE, axis=0)
+    # Written out, the facets are compared in one kernel, and no product is stored.
+    inside = [_beyond(facets, facet, points) <= OUTSIDE for facet in range(len(facets.offsets))]
+    return ~functools.reduce(operator.and_, inside)
+
+
+def _beyond(facets: Facets, facet: int, points: Coordinates) -> Float[Array, " batch"]:
+    terms = [facets.normals[facet, k] * points[k] for k in range(len(points))]
+    return functools.reduce(operator.add, terms) - facets.offsets[facet]
+
+
+def is_beyond(
+    facets: Facets, coordinate: int, values: Float[Array, " batch"]
+) -> Bool[Array, " batch"]:
+    """Return whether a coordinate of points lies outside the box around a polytope."""
+    below = values <= facets.upper[coordinate] + OUTSIDE
+    above = values >= facets.lower[coordinate] - OUTSIDE
+    return ~(below & above)
+
+
+def find_usage(facets: Facets, excess: Float[Array, "f batch"]) -> Float[Array, " batch"]:
+    """Return what points use of a polytope, 1 on a facet and more outside, from their excess."""
+    scale = jnp.where((facets.offsets > 0) & jnp.isfinite(facets.offsets), facets.offsets, 1.0)
+    return jnp.max(1 + excess / scale[:, None], axis=0)
+
+
 def judge_points(facets: Facets, points: Float[Array, "n batch"]) -> Judgement:
     """Compare points with a polytope."""
     excess = matmul(facets.normals, points) - facets.offsets[:, None]
     outside = ~jnp.all(excess <= OUTSIDE, axis=0)
     below = points <= facets.upper[:, None] + OUTSIDE
     above = points >= facets.lower[:, None] - OUTSIDE
-    scale = jnp.where((facets.offsets > 0) & jnp.isfinite(facets.offsets), facets.offsets, 1.0)
-    usage = jnp.max(1 + excess / scale[:, None], axis=0)
+    usage = find_usage(facets, excess)
     return Judgement(outside, ~(below & above), excess, jnp.where(jnp.isnan(usage), jnp.inf, usage))

@@ -15,6 +15,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
+from jaxtube.qp.blocks import on_accelerator
+
 CUTS = 8
 """Buckets an octave."""
 LEAST = -12
@@ -24,6 +26,9 @@ BUCKETS = CUTS * (GREATEST - LEAST)
 OCTAVES = np.repeat(2.0 ** np.arange(LEAST, GREATEST), CUTS)
 EDGES = OCTAVES * np.tile(1 + np.arange(CUTS) / CUTS, GREATEST - LEAST)
 """Lower edges of the buckets."""
+COPIES = 64
+"""Of the counters on an accelerator: laps side by side are in the same few cells, and threads that
+add to one number wait for each other."""
 BITS = {4: (jnp.int32, 23, 127), 8: (jnp.int64, 52, 1023)}
 """Integer type, bits of the mantissa and bias of the exponent, by the bytes of a float."""
 
@@ -35,6 +40,32 @@ def bucket(values: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     leading = bits >> (mantissa - 3)
     number = leading - (bias + LEAST) * CUTS
     return jnp.clip(number, 0, BUCKETS - 1).astype(jnp.int32)
+
+
+def begin_counts(size: int) -> Int[Array, "copies size"]:
+    """Return counters at zero."""
+    copies = COPIES if on_accelerator() else 1
+    return jnp.zeros((copies, size), jnp.int32)
+
+
+def add_counts(
+    counts: Int[Array, "copies size"],
+    cells: Int[Array, "*rows batch"],
+    weights: Int[Array, " batch"],
+) -> Int[Array, "copies size"]:
+    """Return counters with the laps' weights added in their cells; cells that are none are left
+    out."""
+    copies, size = counts.shape
+    copy = jnp.arange(cells.shape[-1], dtype=jnp.int32) % copies
+    valid = (cells >= 0) & (cells < size)
+    place = jnp.where(valid, copy * size + cells, copies * size)
+    added = counts.reshape(-1).at[place].add(weights, mode="drop")
+    return added.reshape(copies, size)
+
+
+def end_counts(counts: Int[Array, "copies size"], shape: tuple[int, ...]) -> Int[Array, "*shape"]:
+    """Return what was counted."""
+    return jnp.sum(counts, axis=0, dtype=jnp.int32).reshape(shape)
 
 
 def quantile(

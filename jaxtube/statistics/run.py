@@ -282,7 +282,7 @@ def run_tile(
     parts = (bounds[:-1], bounds[1:], jnp.arange(plans + 1) < plans)
     run_stretch = partial(_run_stretch, task, keys, counted)
     (_, counts), _ = jax.lax.scan(run_stretch, (state, counts), parts)
-    usage = jnp.where(counted, counts.laps.usage, -jnp.inf)
+    usage = jnp.where(counted, tally.find_usages(checks, counts.laps), -jnp.inf)
     sums, largest = tally.close(checks, errors, plans, counted, counts)
     return sums, largest, usage
 

@@ -13,6 +13,10 @@ counts as outside.
 
 from __future__ import annotations
 
+import functools
+import math
+import operator
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -28,7 +32,17 @@ from jaxtube.plant.error_dynamics import world_pose
 from jaxtube.qp.batched_ldl import matmul
 from jaxtube.simulation.rollout import LoopState, PeriodOutcome
 from jaxtube.statistics import histogram
-from jaxtube.statistics.checks import OUTSIDE, Checks, Facets, Judgement, judge_points
+from jaxtube.statistics.checks import (
+    OUTSIDE,
+    Checks,
+    Coordinates,
+    Facets,
+    find_excess,
+    find_usage,
+    is_beyond,
+    is_outside,
+    judge_points,
+)
 from jaxtube.statistics.events import EVENT_NAMES, find_row
 
 COST_ROUNDING = 1e-9
@@ -44,6 +58,8 @@ COVERAGE_CELLS = 24
 """Cells along each axis of the coverage of starts."""
 HEAT_CELLS = (96, 96)
 """Rows and columns of the trajectory map."""
+COUNTED_PLANS = ("plans", "next_plan_missing", "cost_excesses")
+"""Numbers of plans, over all steps."""
 OFF_GRID = 1_000_000
 """A cell outside every grid."""
 
@@ -60,54 +76,61 @@ class Tally(NamedTuple):
 class LapNumbers(NamedTuple):
     """Numbers of each lap."""
 
-    events: Int[Array, "events batch"]
+    events: Int[Array, "events batch"]  # without those of the last period
+    # Of the last period, as the bits of a number: a kernel that counts them at once would find them
+    # anew for every row.
+    flags: Int[Array, " batch"]
     plans: Int[Array, " batch"]  # followed to their end
     stage_events: Int[Array, "horizon 4 batch"]
     square: Float[Array, "3 batch"]  # sum of squared errors since they settled
     peak: Float[Array, "3 batch"]  # largest |error|
-    usage: Float[Array, "3 batch"]  # of E, W and the tube: 1 on a facet, more outside
+    excess: dict[str, Float[Array, "f batch"]]  # largest over each facet of a set, by its name
+    tube_usage: Float[Array, " batch"]  # 1 on a facet, more outside
     asked: Float[Array, "batch 2"] | None  # of the wheels last, m/s; None without a limit of steps
 
 
 def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
     """Return a tally of nothing."""
-    steps = len(checks.transitions)
     laps = LapNumbers(
         events=jnp.zeros((len(EVENT_NAMES), batch), jnp.int32),
+        flags=jnp.zeros(batch, jnp.int32),
         plans=jnp.zeros(batch, jnp.int32),
         stage_events=jnp.zeros((horizon, len(STAGE_EVENTS), batch), jnp.int32),
         square=jnp.zeros((3, batch), dtype),
         peak=jnp.zeros((3, batch), dtype),
-        usage=jnp.full((3, batch), -jnp.inf, dtype),
+        excess={
+            name: jnp.full((len(facets.offsets), batch), -jnp.inf, dtype)
+            for name, facets in _judged_sets(checks).items()
+        },
+        tube_usage=jnp.full(batch, -jnp.inf, dtype),
         asked=None if checks.command_step is None else jnp.full((batch, 2), jnp.nan, dtype),
     )
-    counted = {
-        "error_by_step": (steps, 3, histogram.BUCKETS),
-        "disturbance": (3, histogram.BUCKETS),
-        "map": HEAT_CELLS,
-        "cloud": (horizon, len(PLANES), CLOUD_CELLS, CLOUD_CELLS),
-        "plans": (),
-        "next_plan_missing": (),
-        "cost_excesses": (),
+    sums = {
+        name: histogram.begin_counts(math.prod(shape))
+        for name, shape in _histogram_shapes(checks, horizon).items()
     }
-    counted |= {f"tube_outside/{name}": (horizon,) for name in checks.tubes}
-    facets = {"disturbance": checks.disturbance, "error": checks.error, "input": checks.input}
-    extremes = {f"excess/{name}": facet.offsets.shape for name, facet in facets.items()}
+    sums |= {name: jnp.zeros((), jnp.int32) for name in COUNTED_PLANS}
+    sums |= {f"tube_outside/{name}": jnp.zeros(horizon, jnp.int32) for name in checks.tubes}
+    extremes: dict[str, tuple[int, ...]] = {"cost_excess": ()}
     extremes |= {f"tube_excess/{name}": (horizon,) for name in checks.tubes}
-    extremes |= {"cost_excess": ()}
     if checks.command_step is not None:
         extremes |= {"command_step": (2,)}
-    sums = {name: jnp.zeros(shape, jnp.int32) for name, shape in counted.items()}
     largest = {name: jnp.full(shape, -jnp.inf, dtype) for name, shape in extremes.items()}
     return Tally(laps, sums, largest)
 
 
-class Judgements(NamedTuple):
-    """What one period of every lap came to against W, E, and U with its coupling."""
+def _histogram_shapes(checks: Checks, horizon: int) -> dict[str, tuple[int, ...]]:
+    return {
+        "error_by_step": (len(checks.transitions), 3, histogram.BUCKETS),
+        "disturbance": (3, histogram.BUCKETS),
+        "map": HEAT_CELLS,
+        "cloud": (horizon, len(PLANES), CLOUD_CELLS, CLOUD_CELLS),
+    }
 
-    disturbance: Judgement
-    error: Judgement
-    input: Judgement
+
+def _judged_sets(checks: Checks) -> dict[str, Facets]:
+    """Return the sets that every period is judged by."""
+    return {"disturbance": checks.disturbance, "error": checks.error, "input": checks.input}
 
 
 def _find_command_step(laps: LapNumbers, happened: PeriodOutcome) -> Float[Array, "2 batch"] | None:
@@ -128,29 +151,36 @@ def _is_too_fast(
 
 
 def find_events(
-    checks: Checks, judged: Judgements, happened: PeriodOutcome, after: LoopState, settled
+    checks: Checks,
+    judged: dict[str, Coordinates],
+    happened: PeriodOutcome,
+    after: LoopState,
+    settled: Bool[Array, ""],
 ) -> dict[str, Bool[Array, " batch"]]:
     """Return which events of `jaxtube.statistics.events` one period of every lap had, without those
-    that compare it with the one before."""
+    that compare it with the one before; `judged` are the points of each set."""
     diagnostics = happened.diagnostics
-    e = after.errors.T
-    u = happened.inputs.T
-    within_bound = jnp.all(jnp.abs(after.measured.T) <= checks.ultimate[:, None], axis=0)
+    measured = _coordinates(after.measured)
+    within = [jnp.abs(measured[i]) <= checks.ultimate[i] for i in range(3)]
+    numbers = functools.reduce(operator.add, [*judged["error"], *judged["input"][:2]])
     found = {
-        "w_outside_W": judged.disturbance.outside,
-        "e_outside_E": judged.error.outside,
-        "u_outside_U": judged.input.outside,
+        "w_outside_W": is_outside(checks.disturbance, judged["disturbance"]),
+        "e_outside_E": is_outside(checks.error, judged["error"]),
+        "u_outside_U": is_outside(checks.input, judged["input"]),
         "wheels_saturated": jnp.any(jnp.abs(happened.demanded - happened.wheels) > 0, axis=1),
         "qp_infeasible": diagnostics.status == qp.INFEASIBLE,
         "qp_unsolved": diagnostics.status == qp.UNSOLVED,
         "row_active": diagnostics.active,
         "backup": diagnostics.backup,
-        "outside_ultimate_bound": settled & ~within_bound,
-        "not_finite": ~jnp.isfinite(jnp.sum(e, axis=0) + jnp.sum(u, axis=0)),
+        "outside_ultimate_bound": settled & ~functools.reduce(operator.and_, within),
+        "not_finite": ~jnp.isfinite(numbers),
     }
-    for i, coordinate in enumerate(coordinates.NAMES):
-        found[f"w_outside_{coordinate}"] = judged.disturbance.outside_box[i]
-        found[f"e_outside_{coordinate}"] = judged.error.outside_box[i]
+    for letter, facets, name in (
+        ("w", checks.disturbance, "disturbance"),
+        ("e", checks.error, "error"),
+    ):
+        for i, coordinate in enumerate(coordinates.NAMES):
+            found[f"{letter}_outside_{coordinate}"] = is_beyond(facets, i, judged[name][i])
     return found
 
 
@@ -164,56 +194,90 @@ def observe(
     tally: Tally,
 ) -> Tally:
     """Count one period; of laps that are not `counted` only their own numbers go on."""
-    e = after.errors.T
-    A = checks.transitions[step]
-    B = checks.input_matrices[step]
-    u = happened.inputs.T
-    w = after.measured.T - matmul(A, before.measured.T) - matmul(B, u)
-    judged = Judgements(
-        judge_points(checks.disturbance, w),
-        judge_points(checks.error, e),
-        judge_points(checks.input, jnp.concatenate([u, before.measured.T])),
-    )
+    e = _coordinates(after.errors)
+    u = _coordinates(happened.inputs)
+    measured = _coordinates(before.measured)
+    w = _find_disturbance(checks, step, measured, u, _coordinates(after.measured))
+    judged: dict[str, Coordinates] = {"disturbance": w, "error": e, "input": [*u, *measured]}
     settled = step + 1 >= checks.settled
     command_step = _find_command_step(tally.laps, happened)
     events = find_events(checks, judged, happened, after, settled)
-    events["acceleration_exceeded"] = _is_too_fast(checks, command_step, step, e.shape[1])
-    laps = _observe_laps(tally.laps, events, judged, e, settled)
+    events["acceleration_exceeded"] = _is_too_fast(checks, command_step, step, len(e[0]))
+    laps = _observe_laps(checks, tally.laps, events, judged, settled)
     if command_step is not None:
         laps = laps._replace(asked=happened.demanded)
     sums = dict(tally.sums)
     counts = counted.astype(jnp.int32)
-    axes = jnp.arange(3)[:, None]
+    for i in range(3):
+        of_error = (step * 3 + i) * histogram.BUCKETS + histogram.bucket(e[i])
+        of_disturbance = i * histogram.BUCKETS + histogram.bucket(w[i])
+        sums["error_by_step"] = histogram.add_counts(sums["error_by_step"], of_error, counts)
+        sums["disturbance"] = histogram.add_counts(sums["disturbance"], of_disturbance, counts)
     cells = map_cells(checks, step, after.errors)
-    sums["error_by_step"] = sums["error_by_step"].at[step, axes, histogram.bucket(e)].add(counts)
-    sums["disturbance"] = sums["disturbance"].at[axes, histogram.bucket(w)].add(counts)
-    sums["map"] = sums["map"].at[cells].add(counts, mode="drop")
+    sums["map"] = histogram.add_counts(sums["map"], cells, counts)
     largest = dict(tally.largest)
-    for name, judgement in judged._asdict().items():
-        key = f"excess/{name}"
-        largest[key] = jnp.maximum(largest[key], _largest(judgement.excess, counted))
     if command_step is not None:
         seen = _largest(command_step, counted)
         largest["command_step"] = jnp.maximum(largest["command_step"], seen)
     return Tally(laps, sums, largest)
 
 
+def _coordinates(points: Float[Array, "batch n"]) -> list[Float[Array, " batch"]]:
+    return [points[:, i] for i in range(points.shape[1])]
+
+
+def _find_disturbance(
+    checks: Checks, step: Int[Array, ""], before: Coordinates, u: Coordinates, after: Coordinates
+) -> list[Float[Array, " batch"]]:
+    """Return w = e(k+1) - A e(k) - B u(k)."""
+    A = checks.transitions[step]
+    B = checks.input_matrices[step]
+    found = []
+    for i in range(3):
+        moved = [A[i, j] * before[j] for j in range(3)] + [B[i, j] * u[j] for j in range(2)]
+        found.append(after[i] - functools.reduce(operator.add, moved))
+    return found
+
+
 def _observe_laps(
+    checks: Checks,
     laps: LapNumbers,
     events: dict[str, Bool[Array, " batch"]],
-    judged: Judgements,
-    e: Float[Array, "3 batch"],
+    judged: dict[str, Coordinates],
     settled,
 ) -> LapNumbers:
     """Return the numbers of each lap after one more period."""
-    flags = jnp.stack([events[name] for name in EVENT_NAMES])
-    usage = jnp.stack([judged.error.usage, judged.disturbance.usage, laps.usage[2]])
+    flags = [events[name].astype(jnp.int32) << row for row, name in enumerate(EVENT_NAMES)]
+    e = jnp.stack(judged["error"])
+    excess = {}
+    for name, facets in _judged_sets(checks).items():
+        found = find_excess(facets, judged[name])
+        # NaN is not larger.
+        excess[name] = jnp.where(found > laps.excess[name], found, laps.excess[name])
     return laps._replace(
-        events=laps.events + flags.astype(jnp.int32),
+        events=_count_flags(laps),
+        flags=functools.reduce(operator.or_, flags),
         square=laps.square + jnp.where(settled, e * e, 0.0),
         peak=jnp.maximum(laps.peak, jnp.abs(e)),
-        usage=jnp.maximum(laps.usage, usage),
+        excess=excess,
     )
+
+
+def _count_flags(laps: LapNumbers) -> Int[Array, "events batch"]:
+    """Return the events of laps with those of the last period."""
+    rows = jnp.arange(len(EVENT_NAMES), dtype=jnp.int32)[:, None]
+    return laps.events + (laps.flags >> rows & 1)
+
+
+def find_usages(checks: Checks, laps: LapNumbers) -> Float[Array, "3 batch"]:
+    """Return what laps used of E, W and the tube: 1 on a facet, more outside; infinitely much where
+    a number was not finite."""
+    is_finite = _count_flags(laps)[find_row("not_finite")] == 0
+    used = [
+        jnp.where(is_finite, find_usage(facets, laps.excess[name]), jnp.inf)
+        for name, facets in (("error", checks.error), ("disturbance", checks.disturbance))
+    ]
+    return jnp.stack([*used, laps.tube_usage])
 
 
 class FollowedPlans(NamedTuple):
@@ -263,10 +327,10 @@ def _observe_tubes(
             laps = laps._replace(
                 plans=laps.plans + counts,
                 stage_events=laps.stage_events + (flags & counted).astype(jnp.int32),
-                usage=laps.usage.at[2].max(usage, mode="drop"),
+                tube_usage=jnp.maximum(laps.tube_usage, usage),
             )
             cells = cloud_cells(facets, points)
-            sums["cloud"] = sums["cloud"].at[cells].add(counts, mode="drop")
+            sums["cloud"] = histogram.add_counts(sums["cloud"], cells, counts)
     sums["plans"] += jnp.sum(counts, dtype=jnp.int32)
     return Tally(laps, sums, largest)
 
@@ -325,25 +389,39 @@ def _form(matrix: Float[Array, "n n"], vectors: Float[Array, "batch n"]) -> Floa
     return jnp.sum(matmul(vectors, matrix) * vectors, axis=1)
 
 
-def map_cells(
-    checks: Checks, step, errors: Float[Array, "batch 3"]
-) -> tuple[Int[Array, " batch"], Int[Array, " batch"]]:
-    """Return (row, column) of the robots' positions on the trajectory map; out of range where they
+def map_cells(checks: Checks, step, errors: Float[Array, "batch 3"]) -> Int[Array, " batch"]:
+    """Return the cells of the robots' positions on the trajectory map, row by row; none where they
     are off it."""
-    position = world_pose(errors, checks.poses[step + 1])[:, :2]
-    column, row = _cells((position - checks.map_corner) / checks.map_cell).T
-    return row, column
+    pose = world_pose(errors, checks.poses[step + 1])
+    column = _cells((pose[:, 0] - checks.map_corner[0]) / checks.map_cell)
+    row = _cells((pose[:, 1] - checks.map_corner[1]) / checks.map_cell)
+    return _number_cells((row, column), HEAT_CELLS)
 
 
-def cloud_cells(facets: Facets, points: Float[Array, "horizon 3 batch"]) -> tuple[Array, ...]:
-    """Return the cells (stage, plane, row, column) of deviations in the three planes."""
+def cloud_cells(
+    facets: Facets, points: Float[Array, "horizon 3 batch"]
+) -> Int[Array, "horizon planes batch"]:
+    """Return the cells of deviations in the three planes of every stage."""
     width = CLOUD_REACH * jnp.maximum(facets.upper, -facets.lower)[:, :, None]
     cells = _cells((points / jnp.where(width > 0, width, 1.0) + 1) / 2 * CLOUD_CELLS)
     column = jnp.stack([cells[:, abscissa] for abscissa, _ in PLANES], axis=1)
     row = jnp.stack([cells[:, ordinate] for _, ordinate in PLANES], axis=1)
-    stage = jnp.arange(len(points))[:, None, None]
-    plane = jnp.arange(len(PLANES))[None, :, None]
-    return stage, plane, row, column
+    stage = jnp.arange(len(points), dtype=jnp.int32)[:, None, None]
+    plane = jnp.arange(len(PLANES), dtype=jnp.int32)[None, :, None]
+    shape = (len(points), len(PLANES), CLOUD_CELLS, CLOUD_CELLS)
+    return _number_cells((stage, plane, row, column), shape)
+
+
+def _number_cells(
+    places: Sequence[Int[Array, "*shape"]], sizes: tuple[int, ...]
+) -> Int[Array, "*shape"]:
+    """Return the numbers of cells of a grid, -1 outside it."""
+    number = jnp.int32(0)
+    valid = jnp.asarray(True)
+    for place, size in zip(places, sizes, strict=True):
+        number = number * size + place
+        valid = valid & (place >= 0) & (place < size)
+    return jnp.where(valid, number, -1)
 
 
 def _cells(places: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
@@ -364,31 +442,42 @@ def close(
     counts = counted.astype(jnp.int32)
     steps = len(checks.transitions)
     rms = jnp.sqrt(laps.square / max(steps + 1 - checks.settled, 1))
-    left = laps.events[find_row("e_outside_E")] > 0
-    events = jnp.arange(len(EVENT_NAMES))[:, None]
-    stages = jnp.arange(len(laps.stage_events))[:, None, None]
-    stage_events = jnp.arange(len(STAGE_EVENTS))[None, :, None]
-    by_event = jnp.zeros((len(EVENT_NAMES), steps + 1), jnp.int32)
-    by_plans = jnp.zeros(plans_each + 1, jnp.int32)
-    by_stage = jnp.zeros((*laps.stage_events.shape[:2], plans_each + 1), jnp.int32)
+    events = _count_flags(laps)
+    left = events[find_row("e_outside_E")] > 0
+    shapes = _histogram_shapes(checks, len(laps.stage_events))
+    sums = {
+        name: histogram.end_counts(value, shapes[name]) if name in shapes else value
+        for name, value in tally.sums.items()
+    }
     of_laps = {
         "laps": jnp.sum(counts, dtype=jnp.int32),
-        "events": by_event.at[events, laps.events].add(counts),
-        "plans_by_lap": by_plans.at[laps.plans].add(counts),
-        "stage_events": by_stage.at[stages, stage_events, laps.stage_events].add(counts),
+        "events": _count_times(events, steps, counts),
+        "plans_by_lap": _count_times(laps.plans, plans_each, counts),
+        "stage_events": _count_times(laps.stage_events, plans_each, counts),
         "peak": _lap_histogram(laps.peak, counts),
         "rms": _lap_histogram(rms, counts),
         "starts": _coverage(checks, starts, counts),
         "starts_that_left": _coverage(checks, starts, counts * left.astype(jnp.int32)),
     }
-    return tally.sums | of_laps, tally.largest | {"ultimate_bound": checks.ultimate}
+    largest = {f"excess/{name}": _largest(seen, counted) for name, seen in laps.excess.items()}
+    return sums | of_laps, tally.largest | largest | {"ultimate_bound": checks.ultimate}
+
+
+def _count_times(
+    times: Int[Array, "*rows batch"], most: int, counts: Int[Array, " batch"]
+) -> Int[Array, "*rows most+1"]:
+    """Return how many laps had something 0, 1, .. `most` times."""
+    size = most + 1
+    rows = math.prod(times.shape[:-1])
+    first = jnp.arange(rows, dtype=jnp.int32).reshape(*times.shape[:-1], 1) * size
+    counted = histogram.add_counts(histogram.begin_counts(rows * size), first + times, counts)
+    return histogram.end_counts(counted, (*times.shape[:-1], size))
 
 
 def _lap_histogram(
     values: Float[Array, "3 batch"], counts: Int[Array, " batch"]
 ) -> Int[Array, "3 buckets"]:
-    empty_buckets = jnp.zeros((3, histogram.BUCKETS), jnp.int32)
-    return empty_buckets.at[jnp.arange(3)[:, None], histogram.bucket(values)].add(counts)
+    return _count_times(histogram.bucket(values), histogram.BUCKETS - 1, counts)
 
 
 def _coverage(
@@ -398,6 +487,8 @@ def _coverage(
     cells = _cells((starts / checks.error.upper + 1) / 2 * COVERAGE_CELLS)
     column = jnp.stack([cells[:, abscissa] for abscissa, _ in PLANES])
     row = jnp.stack([cells[:, ordinate] for _, ordinate in PLANES])
-    plane = jnp.arange(len(PLANES))[:, None]
-    grid = jnp.zeros((len(PLANES), COVERAGE_CELLS, COVERAGE_CELLS), jnp.int32)
-    return grid.at[plane, row, column].add(counts, mode="drop")
+    plane = jnp.arange(len(PLANES), dtype=jnp.int32)[:, None]
+    shape = (len(PLANES), COVERAGE_CELLS, COVERAGE_CELLS)
+    numbers = _number_cells((plane, row, column), shape)
+    counted = histogram.add_counts(histogram.begin_counts(math.prod(shape)), numbers, counts)
+    return histogram.end_counts(counted, shape)
