@@ -1,4 +1,4 @@
-"""Loops that carry coordinates apart: an array (.., n), n small, as n arrays (..).
+"""Loops that carry coordinates apart: a matrix (laps, n), n small, as n arrays (laps).
 
 Arrays of laps lie row by row, the coordinates of a lap together. What makes the coordinates one by
 one and joins them is then a kernel that makes one number at a time, with all that it needs made
@@ -20,13 +20,13 @@ from jax import Array
 from jaxtyping import Int
 
 MOST = 4
-"""Coordinates that are carried apart, of arrays with that many at most."""
+"""Coordinates that are carried apart, of matrices with that many at most."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Columns:
-    """The coordinates of an array, its last axis."""
+    """The columns of a matrix."""
 
     arrays: tuple[Array, ...]
 
@@ -57,7 +57,7 @@ def scan_by_columns(
 
 
 def split(tree: Any) -> Any:
-    """Return a tree with small arrays' last axes taken apart."""
+    """Return a tree with the columns of narrow matrices taken apart."""
     return jax.tree.map(_split_array, tree)
 
 
@@ -67,9 +67,9 @@ def join(tree: Any) -> Any:
 
 
 def _split_array(array: Array) -> Array | Columns:
-    if array.ndim < 2 or not 0 < array.shape[-1] <= MOST:
+    if array.ndim != 2 or not 0 < array.shape[-1] <= MOST:
         return array
-    return Columns(tuple(array[..., i] for i in range(array.shape[-1])))
+    return Columns(tuple(array[:, i] for i in range(array.shape[-1])))
 
 
 def _join_array(leaf: Array | Columns) -> Array:
