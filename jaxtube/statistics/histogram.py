@@ -27,8 +27,8 @@ OCTAVES = np.repeat(2.0 ** np.arange(LEAST, GREATEST), CUTS)
 EDGES = OCTAVES * np.tile(1 + np.arange(CUTS) / CUTS, GREATEST - LEAST)
 """Lower edges of the buckets."""
 COPIES = 64
-"""Of the counters on an accelerator: laps side by side are in the same few cells, and threads that
-add to one number wait for each other."""
+"""Of each counter on an accelerator, side by side: neighbouring laps are in the same few cells, and
+threads that add to one number wait for each other."""
 BITS = {4: (jnp.int32, 23, 127), 8: (jnp.int64, 52, 1023)}
 """Integer type, bits of the mantissa and bias of the exponent, by the bytes of a float."""
 
@@ -42,30 +42,30 @@ def bucket(values: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     return jnp.clip(number, 0, BUCKETS - 1).astype(jnp.int32)
 
 
-def begin_counts(size: int) -> Int[Array, "copies size"]:
+def begin_counts(size: int) -> Int[Array, "size copies"]:
     """Return counters at zero."""
     copies = COPIES if on_accelerator() else 1
-    return jnp.zeros((copies, size), jnp.int32)
+    return jnp.zeros((size, copies), jnp.int32)
 
 
 def add_counts(
-    counts: Int[Array, "copies size"],
+    counts: Int[Array, "size copies"],
     cells: Int[Array, "*rows batch"],
     weights: Int[Array, " batch"],
-) -> Int[Array, "copies size"]:
+) -> Int[Array, "size copies"]:
     """Return counters with the laps' weights added in their cells; cells that are none are left
     out."""
-    copies, size = counts.shape
+    size, copies = counts.shape
     copy = jnp.arange(cells.shape[-1], dtype=jnp.int32) % copies
     valid = (cells >= 0) & (cells < size)
-    place = jnp.where(valid, copy * size + cells, copies * size)
+    place = jnp.where(valid, cells * copies + copy, size * copies)
     added = counts.reshape(-1).at[place].add(weights, mode="drop")
-    return added.reshape(copies, size)
+    return added.reshape(size, copies)
 
 
-def end_counts(counts: Int[Array, "copies size"], shape: tuple[int, ...]) -> Int[Array, "*shape"]:
+def end_counts(counts: Int[Array, "size copies"], shape: tuple[int, ...]) -> Int[Array, "*shape"]:
     """Return what was counted."""
-    return jnp.sum(counts, axis=0, dtype=jnp.int32).reshape(shape)
+    return jnp.sum(counts, axis=1, dtype=jnp.int32).reshape(shape)
 
 
 def quantile(

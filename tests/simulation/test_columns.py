@@ -19,7 +19,12 @@ def make_carry():
 
 
 def test_a_split_tree_is_joined_to_itself():
-    tree = {"flat": jnp.arange(4), "none": jnp.zeros((3, 0)), "deep": jnp.ones((2, 3, 2)), "narrow": jnp.ones((3, 2))}
+    tree = {
+        "flat": jnp.arange(4),
+        "none": jnp.zeros((3, 0)),
+        "deep": jnp.ones((2, 3, 2)),
+        "narrow": jnp.ones((3, 2)),
+    }
     joined = join(split(tree))
     assert jax.tree.structure(joined) == jax.tree.structure(tree)
     jax.tree.map(np.testing.assert_array_equal, joined, tree)
