@@ -13,8 +13,8 @@ Where the QP has no solution the last feasible plan goes on, u = g_j + K(th) (e 
 its end the terminal gain, u = Gamma(th) e: nothing raises, and every step says what it did.
 
 While no row is active the optimum is linear, g = G e, and so is what the rows see of it: a batch
-that meets all its bounds this way is answered without a solver. Only the others go to `qp.solve`,
-with the critical regions that laps are known to meet (`synthesis.regions`).
+that meets all its bounds this way is answered without a solver. Only the others go to the
+solver, with the critical regions that laps are known to meet (`synthesis.regions`).
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
 from jaxtube.qp.batched_ldl import matmul
-from jaxtube.qp.regions import Known, Regions
+from jaxtube.qp.parametric import Parametric, solve_parametric
+from jaxtube.qp.regions import Regions
 
 AnyArray = Any
 """A design holds numpy arrays, a controller jax arrays."""
@@ -183,24 +184,20 @@ def free_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
 
 
 def constrained_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
-    """Return the plans of a batch of which some instance needs the solver."""
-    shift = _image(condensed.row_errors, errors)
-    gradient = _image(condensed.linear, errors)
-    known = None if condensed.regions is None else Known(condensed.regions, errors)
-    solution = qp.solve(
-        condensed.factors, gradient, condensed.lower - shift, condensed.upper - shift, known
-    )
-    admissible = _is_admissible(condensed, errors)
-    # Data that are not numbers are no proof of anything; their residual is infinite.
-    excluded = ~admissible & jnp.isfinite(solution.residual)
-    status = jnp.where(excluded, qp.INFEASIBLE, solution.status)
-    active = (status == qp.SOLVED) & jnp.any(jnp.abs(solution.multipliers) > 0, axis=1)
+    """Return the plans of a batch of which some instance needs the solver; the others cost no
+    more than where none does."""
+    # An instance with a free plan takes it even here: its plan must not depend on the others.
+    free = _is_free(condensed, errors)
+    program = Parametric(condensed.linear, condensed.row_errors, condensed.lower, condensed.upper)
+    solution = solve_parametric(condensed.factors, program, errors, ~free, condensed.regions)
+    active = (solution.status == qp.SOLVED) & jnp.any(jnp.abs(solution.multipliers) > 0, axis=1)
     inputs = solution.x.reshape(len(errors), -1, 2)
-    solved = Plan(inputs, status, solution.residual, active)
-    # An instance with a free plan takes it even in a batch that is solved: its plan must not depend
-    # on the other instances.
-    free = admissible & _is_free(condensed, errors)
-    return _select(free, free_plan(condensed, errors), solved)
+    solved = Plan(inputs, solution.status, solution.residual, active)
+    plan = _select(free, free_plan(condensed, errors), solved)
+    # Data that are not numbers are no proof of anything; their residual is infinite.
+    excluded = ~_is_admissible(condensed, errors) & jnp.isfinite(plan.residual)
+    status = jnp.where(excluded, qp.INFEASIBLE, plan.status)
+    return plan._replace(status=status, active=plan.active & ~excluded)
 
 
 def _select(first_where: Bool[Array, " batch"], first: Any, second: Any) -> Any:

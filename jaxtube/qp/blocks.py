@@ -1,12 +1,12 @@
 """Work on the pending instances of a batch alone, a block of fixed size at a time, under jit."""
 
 from collections.abc import Callable
-from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Bool, PyTree
+from jaxtyping import Bool, Int, PyTree
 
 _assumed = False
 
@@ -31,6 +31,36 @@ def block_sizes() -> tuple[int, int]:
     return (16384, 8192) if on_accelerator() else (64, 32)
 
 
+class Line(NamedTuple):
+    """The pending instances of a batch, in order, and how many they are."""
+
+    places: Int[Array, " batch+block"]  # in the batch; its length where no instance is left
+    count: Int[Array, ""]
+
+
+def line_up(pending: Bool[Array, " batch"], block: int) -> Line:
+    """Return the line of the pending instances, long enough for blocks of a size."""
+    batch = len(pending)
+    rank = jnp.cumsum(pending, dtype=jnp.int32)
+    empty = jnp.full(batch + block, batch, jnp.int32)
+    place = jnp.where(pending, rank - 1, batch + block)
+    return Line(empty.at[place].set(jnp.arange(batch, dtype=jnp.int32), mode="drop"), rank[-1])
+
+
+def gather(index: Int[Array, " block"], data: PyTree) -> PyTree:
+    """Return the rows of arrays at places in the batch, those of the last instance beyond it."""
+    return jax.tree.map(lambda array: jnp.take(array, index, axis=0, mode="clip"), data)
+
+
+def scatter(index: Int[Array, " block"], answers: PyTree, block: PyTree) -> PyTree:
+    """Return arrays with a block in the rows at places in the batch, and none beyond it."""
+
+    def put(array, rows):
+        return array.at[index].set(rows, mode="drop")
+
+    return jax.tree.map(put, answers, block)
+
+
 def update_in_blocks(
     method: Callable[[PyTree, PyTree], PyTree],
     size: int,
@@ -48,33 +78,18 @@ def update_in_blocks(
         data: arrays with the batch as their leading axis.
         answers: the same, of the shapes and types that `method` returns.
     """
-    batch = len(pending)
-    size = min(size, batch)
+    size = min(size, len(pending))
+    line = line_up(pending, size)
 
     def is_unfinished(carry):
-        pending, _ = carry
-        return jnp.any(pending)
+        first, _ = carry
+        return first < line.count
 
-    update = partial(update_block, method, size, data)
-    _, answers = jax.lax.while_loop(is_unfinished, update, (pending, answers))
+    def update(carry):
+        first, answers = carry
+        index = jax.lax.dynamic_slice(line.places, (first,), (size,))
+        block = method(gather(index, data), gather(index, answers))
+        return first + size, scatter(index, answers, block)
+
+    _, answers = jax.lax.while_loop(is_unfinished, update, (jnp.int32(0), answers))
     return answers
-
-
-def update_block(
-    method: Callable[[PyTree, PyTree], PyTree],
-    size: int,
-    data: PyTree,
-    carry: tuple[Bool[Array, " batch"], PyTree],
-) -> tuple[Bool[Array, " batch"], PyTree]:
-    """Replace the answers of the first `size` pending instances, which are then pending no more."""
-    pending, answers = carry
-    index = jnp.nonzero(pending, size=size, fill_value=len(pending))[0]
-
-    def gather(array):
-        return jnp.take(array, index, axis=0, mode="clip")
-
-    def scatter(array, block):
-        return array.at[index].set(block, mode="drop")
-
-    block = method(jax.tree.map(gather, data), jax.tree.map(gather, answers))
-    return scatter(pending, False), jax.tree.map(scatter, answers, block)

@@ -28,6 +28,8 @@ class Accelerators(NamedTuple):
 
     optimum: Float[Array, "*stack n n"]
     optimum_rows: Float[Array, "*stack n m"]
+    root: Float[Array, "*stack n n"]
+    whitened: Float[Array, "*stack m n"]
     admm_gain: Float[Array, "*stack n n"]
     rho: Float[Array, "*stack"]
     packed_hessian: Float[Array, "*stack pairs"]
@@ -42,6 +44,8 @@ class Factors(NamedTuple):
     row_norms: Float[Array, "*stack m"]
     optimum: Float[Array, "*stack n n"]  # without constraints x = q @ optimum
     optimum_rows: Float[Array, "*stack n m"]  # and A x = q @ optimum_rows, in the caller's scaling
+    root: Float[Array, "*stack n n"]  # S, the inverse of the Cholesky factor of P: S P S' = I
+    whitened: Float[Array, "*stack m n"]  # rows S': those of S'^-1 x, whose cost is round
     admm_gain: Float[Array, "*stack n n"]  # K
     rho: Float[Array, "*stack"]
     packed_hessian: Float[Array, "*stack pairs"]
@@ -113,13 +117,23 @@ def compute_accelerators(
         spectrum = xp.linalg.eigvalsh(root @ gram @ root_transposed)
         rho = fastest_penalty(spectrum, rows.shape[-2], xp)
         admm_gain = xp.linalg.inv(P + rho[..., None, None] * gram)
+        whitened = rows @ root_transposed
     pair_products = batched_ldl.pair_products(rows)
-    return Accelerators(optimum, optimum_rows, admm_gain, rho, batched_ldl.pack(P), pair_products)
+    return Accelerators(
+        optimum=optimum,
+        optimum_rows=optimum_rows,
+        root=root,
+        whitened=whitened,
+        admm_gain=admm_gain,
+        rho=rho,
+        packed_hessian=batched_ldl.pack(P),
+        pair_products=pair_products,
+    )
 
 
 accelerators_in_turn = jnp.vectorize(
     sequential_vmap(partial(compute_accelerators, jnp)),
-    signature="(n,n),(m,n),(m)->(n,n),(n,m),(n,n),(),(p),(p,m)",
+    signature="(n,n),(m,n),(m)->(n,n),(n,m),(n,n),(m,n),(n,n),(),(p),(p,m)",
 )
 """`compute_accelerators` of a stack under jax, one program after the other, under `vmap` too.
 

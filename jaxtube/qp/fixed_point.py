@@ -67,6 +67,15 @@ class Iterate(NamedTuple):
     residual: Float[Array, " batch"]
 
 
+def unit_rows(factors: Factors, instances: Instances) -> Instances:
+    """Return instances with the batch first and the caller's rows as those of unit rows, batch
+    last."""
+    norms = factors.row_norms
+    l = (instances.l / norms).T
+    u = (instances.u / norms).T
+    return Instances(instances.q.T, l, u, instances.dual_scale)
+
+
 def dual_scale(
     factors: Factors, q: Float[Array, "batch n"], optimum: Float[Array, "batch n"]
 ) -> Float[Array, " batch"]:

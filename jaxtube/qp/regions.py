@@ -36,18 +36,10 @@ class Regions(NamedTuple):
     rows: Int[AnyArray, "*stack k a"]  # of the multipliers; beyond the last one where there is none
 
 
-class Known(NamedTuple):
-    """The regions of a program, and p of every instance."""
-
-    regions: Regions
-    parameters: Float[Array, "batch 3"]
-
-
 def look_up(
-    known: Known, row_count: int
+    regions: Regions, p: Float[Array, "batch 3"], row_count: int
 ) -> tuple[Float[Array, "batch n"], Float[Array, "batch m"]]:
     """Return x and multipliers of the region in which each p lies, or to which it is nearest."""
-    regions, p = known
     facets, count, size = regions.normals.shape
     values = matmul(regions.normals.reshape(-1, size), p.T).reshape(facets, count, -1)
     beyond = jnp.max(values - regions.offsets[..., None], axis=0)

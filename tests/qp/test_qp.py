@@ -13,7 +13,7 @@ from scipy.optimize import linprog
 from tube_programs import BATCH, Family, easy, family, hard
 
 from jaxtube import qp
-from jaxtube.qp import batched_ldl, blocks, farkas, fixed_point, solver
+from jaxtube.qp import batched_ldl, blocks, farkas, fixed_point
 
 QP_SHARE = 0.999
 """Of the feasible instances solved, and of the infeasible ones proved."""
@@ -283,7 +283,7 @@ def test_polish_makes_most_iterates_exact_and_loses_none():
     def before_and_after(P, A, q, l, u):
         factors = qp.factorise(P, A)
         instances = fixed_point.Instances(q, l, u, jnp.ones(len(q)))
-        instances = solver.unit_rows(factors, instances)
+        instances = fixed_point.unit_rows(factors, instances)
         x, y = fixed_point.admm(factors, instances, jnp.zeros_like(q.T), 30)
         start = fixed_point.Iterate(x, y, fixed_point.residual(factors, instances, x, y))
         polished = fixed_point.polish(factors, instances, start, x, y, 4)

@@ -11,7 +11,7 @@ import tolerances as tol
 from tube_programs import Family, family, hard
 
 from jaxtube import qp
-from jaxtube.qp import fixed_point, solver
+from jaxtube.qp import fixed_point
 
 SENSITIVITY = 1e-6
 """Relative; derivatives against differences and against unrolled iterations."""
@@ -145,7 +145,7 @@ def test_agrees_with_unrolled_iterations():
         P, A, q, l, u = data
         factors = differentiable_gain(qp.factorise(P, A))
         instances = fixed_point.Instances(q, l, u, jnp.ones(len(q)))
-        instances = solver.unit_rows(factors, instances)
+        instances = fixed_point.unit_rows(factors, instances)
         x, y = fixed_point.admm(factors, instances, jnp.zeros_like(instances.q), 600)
         return jnp.sum(x.T * x_bar), fixed_point.residual(factors, instances, x, y)
 

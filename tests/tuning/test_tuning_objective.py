@@ -13,7 +13,7 @@ import tuned
 
 from jaxtube import qp
 from jaxtube.control.laws import ScheduledGain, TubeMpc
-from jaxtube.qp import fixed_point, solver
+from jaxtube.qp import fixed_point
 from jaxtube.simulation import components
 from jaxtube.simulation.components import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys, rollout
@@ -331,7 +331,7 @@ def test_agrees_with_unrolled_iterations(monkeypatch):
         # The product of an infinite bound with its cotangent, zero, would be NaN.
         scale = jnp.ones(len(q))
         given = fixed_point.Instances(q, jnp.maximum(lower, -1e6), jnp.minimum(upper, 1e6), scale)
-        given = solver.unit_rows(factors, given)
+        given = fixed_point.unit_rows(factors, given)
         x, y = fixed_point.admm(factors, given, jnp.zeros_like(given.q), 400)
         status = jnp.full(len(q), qp.SOLVED, jnp.int32)
         return qp.Solution(

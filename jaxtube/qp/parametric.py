@@ -1,0 +1,100 @@
+# ruff: noqa: E741 -- l and u are the letters of the problem
+"""Solve some instances of a parametric quadratic program: batches whose numbers are affine in a few
+parameters p of each instance.
+
+    minimise over x   1/2 x' P x + (F p)' x   subject to   l <= R p + A x <= u
+
+Those that are not wanted cost nothing, and q and bounds are formed for blocks of the others alone:
+in a batch of which few rows are active nothing but p is as long as the batch.
+
+Source: as `solver`; Bemporad, Morari, Dua, Pistikopoulos 2002, "The explicit linear quadratic
+regulator for constrained systems", Automatica 38(1), for the form.
+"""
+
+from functools import partial
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+from jaxtyping import Bool, Float
+
+from jaxtube.qp.batched_ldl import matmul
+from jaxtube.qp.factors import Factors
+from jaxtube.qp.regions import Regions
+from jaxtube.qp.solver import finish, pull_back
+from jaxtube.qp.stages import Solution, Source, solve_constrained
+from jaxtube.qp.status import UNSOLVED
+
+AnyArray = Any
+"""A design holds numpy arrays, a controller jax arrays."""
+
+
+class Parametric(NamedTuple):
+    """How q and the bounds depend on p."""
+
+    linear: Float[AnyArray, "n k"]  # F
+    rows: Float[AnyArray, "m k"]  # R
+    lower: Float[AnyArray, " m"]  # l
+    upper: Float[AnyArray, " m"]  # u
+
+
+@jax.custom_vjp
+def solve_parametric(
+    factors: Factors,
+    program: Parametric,
+    parameters: Float[Array, "batch k"],
+    is_wanted: Bool[Array, " batch"],
+    known: Regions | None,
+) -> Solution:
+    """Solve the instances that are wanted.
+
+    Args:
+        factors: of P and A, by `factorise`.
+        program: what makes instances of parameters.
+        parameters: p of every instance.
+        is_wanted: the instances to solve; the others' x is zero, and they are UNSOLVED.
+        known: critical regions of the program. An answer found there is taken only if its residual
+            would be accepted.
+
+    Returns:
+        As `solver.solve`, with its derivative. A wanted instance is solved as one that its
+        unconstrained optimum does not solve.
+    """
+    batch = len(parameters)
+    m, n = factors.rows.shape
+    dtype = parameters.dtype
+    is_sound = is_wanted & jnp.all(jnp.isfinite(parameters), axis=1)
+    nothing = Solution(
+        x=jnp.zeros((batch, n), dtype),
+        multipliers=jnp.zeros((batch, m), dtype),
+        status=jnp.full(batch, UNSOLVED, jnp.int32),
+        residual=jnp.where(is_sound, 1.0, jnp.inf).astype(dtype),
+    )
+    source = Source(parameters, partial(form, program))
+    return finish(solve_constrained(factors, source, known, nothing))
+
+
+def form(
+    program: Parametric, parameters: Float[Array, "batch k"]
+) -> tuple[Float[Array, "batch n"], Float[Array, "batch m"], Float[Array, "batch m"]]:
+    """Return q and the bounds of A x."""
+    shift = matmul(parameters, program.rows.T)
+    q = matmul(parameters, program.linear.T)
+    return q, program.lower - shift, program.upper - shift
+
+
+def _solve_and_remember(factors, program, parameters, is_wanted, known) -> tuple[Solution, tuple]:
+    solution = solve_parametric(factors, program, parameters, is_wanted, known)
+    return solution, (factors, program, parameters, solution)
+
+
+def _pull_back(saved: tuple, cotangent: Solution) -> tuple:
+    """Return the cotangents of the factors, the program and the parameters."""
+    factors, program, parameters, solution = saved
+    (_, l, u), pull = jax.vjp(form, program, parameters)
+    of_factors, *of_instances = pull_back((factors, l, u, solution), cotangent)
+    return of_factors, *pull(tuple(of_instances)), None, None
+
+
+solve_parametric.defvjp(_solve_and_remember, _pull_back)
