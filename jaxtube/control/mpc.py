@@ -67,6 +67,11 @@ class CondensedQp(NamedTuple):
     input_matrix: Float[AnyArray, "3 2"]  # B(th_k)
     regions: Regions | None = None  # of e, that are known beforehand
 
+    @property
+    def parametric(self) -> Parametric:
+        """The QP as one of parameters e."""
+        return Parametric(self.linear, self.row_errors, self.lower, self.upper)
+
 
 class MpcState(NamedTuple):
     """Memory of the controller: the last plan, its stage that is due, and the error that the plan
@@ -188,8 +193,9 @@ def constrained_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) ->
     more than where none does."""
     # An instance with a free plan takes it even here: its plan must not depend on the others.
     free = _is_free(condensed, errors)
-    program = Parametric(condensed.linear, condensed.row_errors, condensed.lower, condensed.upper)
-    solution = solve_parametric(condensed.factors, program, errors, ~free, condensed.regions)
+    solution = solve_parametric(
+        condensed.factors, condensed.parametric, errors, ~free, condensed.regions
+    )
     active = (solution.status == qp.SOLVED) & jnp.any(jnp.abs(solution.multipliers) > 0, axis=1)
     inputs = solution.x.reshape(len(errors), -1, 2)
     solved = Plan(inputs, solution.status, solution.residual, active)

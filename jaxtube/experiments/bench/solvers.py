@@ -22,7 +22,7 @@ from jaxtube.experiments.bench.peers.problems import Answers, Problems, Solver
 from jaxtube.experiments.bench.recorded import Family, collect_active
 from jaxtube.experiments.bench.rounds import OwnClock, time_rounds
 from jaxtube.progress import progress
-from jaxtube.qp.regions import Known
+from jaxtube.qp.parametric import solve_parametric
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.design import design as make_design
 
@@ -140,11 +140,15 @@ def batched_entries(family: Family, exact: Answers | None) -> list[Entry]:
 def make_batched(family: Family, with_regions: bool) -> Solver:
     """Return the batched solver, its data on the device."""
     condensed = family.condensed
-    q, lower, upper = map(jnp.asarray, family.problems[2:])
-    known = None
-    if with_regions and condensed.regions is not None:
-        known = Known(condensed.regions, jnp.asarray(family.starts))
-    solve = partial(jax.jit(qp.solve), condensed.factors, q, lower, upper, known)
+    if with_regions:
+        errors = jnp.asarray(family.starts)
+        everyone = jnp.ones(len(errors), bool)
+        of_errors = (condensed.parametric, errors, everyone, condensed.regions)
+        solve = partial(jax.jit(solve_parametric), condensed.factors, *of_errors)
+    else:
+        solve = partial(
+            jax.jit(qp.solve), condensed.factors, *map(jnp.asarray, family.problems[2:])
+        )
 
     def run():
         return jax.block_until_ready(solve())
