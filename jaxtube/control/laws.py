@@ -71,7 +71,7 @@ class TubeMpc:
     ) -> tuple[Command, mpc.MpcState, mpc.Diagnostics]:
         """Plan, and return the command of the plan's first period (see `mpc.act`)."""
         inputs, following, diagnostics = mpc.act(
-            self.condensed_qp(step), memory, measurement.errors, self.restart
+            self.qps, self.index[step], memory, measurement.errors, self.restart
         )
         command = self.wheel_map.command(inputs, measurement, reference_wheels)
         return command, following, diagnostics

@@ -41,6 +41,13 @@ ACTED = "acted"
 """Name under which reverse mode keeps what `act` returns; else each step is solved again."""
 
 
+class HalfSpaces(NamedTuple):
+    """Errors e with normals e <= offsets."""
+
+    normals: Float[AnyArray, "k 3"]
+    offsets: Float[AnyArray, " k"]  # infinite for a row that is only padding
+
+
 class CondensedQp(NamedTuple):
     """The QP of one window of the reference, condensed: all that the controller knows of what lies
     ahead. A stack of them has a leading axis over the distinct windows.
@@ -66,6 +73,9 @@ class CondensedQp(NamedTuple):
     transition: Float[AnyArray, "3 3"]  # A(th_k)
     input_matrix: Float[AnyArray, "3 2"]  # B(th_k)
     regions: Regions | None = None  # of e, that are known beforehand
+    # Errors whose plan without constraints is the plan, by the rows that bound them; None where all
+    # rows are to be tested.
+    free_region: HalfSpaces | None = None
 
     @property
     def parametric(self) -> Parametric:
@@ -128,6 +138,11 @@ def plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
 def _are_all_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, ""]:
     """Return whether the plan without constraints is that of every instance; only the extremes of
     each row over the batch are compared."""
+    region = condensed.free_region
+    if region is not None:
+        fits = jnp.all(matmul(region.normals, errors.T).max(axis=1) <= region.offsets)
+        # A maximum may lose a NaN on its way, a sum does not.
+        return fits & jnp.isfinite(jnp.sum(errors))
     check_lower, check_upper = _check_bounds(condensed, errors)
     plans_fit = _extremes_fit(condensed.lower, condensed.free_rows, errors, condensed.upper)
     errors_fit = _extremes_fit(check_lower, condensed.check_errors, errors, check_upper)
@@ -145,7 +160,11 @@ def _extremes_fit(
 
 
 def _is_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
-    """Return which instances the plan without constraints serves, were their errors admissible."""
+    """Return which instances the plan without constraints serves, were their errors admissible; no
+    other ones where the region of such errors is known."""
+    region = condensed.free_region
+    if region is not None:
+        return jnp.all(_image(region.normals, errors) <= region.offsets, axis=1)
     values = _image(condensed.free_rows, errors)
     return jnp.all((condensed.lower <= values) & (values <= condensed.upper), axis=1)
 
@@ -217,12 +236,17 @@ def _select(first_where: Bool[Array, " batch"], first: Any, second: Any) -> Any:
 
 
 def act(
-    condensed: CondensedQp, state: MpcState, errors: Float[Array, "batch 3"], restart: bool
+    qps: CondensedQp,
+    index: Int[Array, ""],
+    state: MpcState,
+    errors: Float[Array, "batch 3"],
+    restart: bool,
 ) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
     """Return the virtual input of one step of the tube-MPC.
 
     Args:
-        condensed: the reference ahead.
+        qps: one for each window of the reference.
+        index: of the window that lies ahead.
         state: memory.
         errors: measured tracking errors, (m, m, rad).
         restart: start the prediction at the measured error (True) or at the nominal one.
@@ -234,15 +258,16 @@ def act(
     # The derivative of a conditional keeps what any branch does: the rows of every instance, even
     # if none is active.
     constrained = jax.checkpoint(_act_constrained)
-    all_free = _are_all_free(condensed, start)
-    step = jax.lax.cond(all_free, _act_freely, constrained, condensed, state, start, errors)
+    all_free = _are_all_free(take_qp(qps, index), start)
+    step = jax.lax.cond(all_free, _act_freely, constrained, qps, index, state, start, errors)
     return jax.tree.map(functools.partial(checkpoint_name, name=ACTED), step)
 
 
 def _act_freely(
-    condensed: CondensedQp, state: MpcState, start, errors
+    qps: CondensedQp, index, state: MpcState, start, errors
 ) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
     """Act where every instance has just made a free plan."""
+    condensed = take_qp(qps, index)
     plan = free_plan(condensed, start)
     due = plan.inputs[:, 0]
     command = due + _image(condensed.tube_gain, errors - start)
@@ -252,9 +277,10 @@ def _act_freely(
 
 
 def _act_constrained(
-    condensed: CondensedQp, state: MpcState, start, errors
+    qps: CondensedQp, index, state: MpcState, start, errors
 ) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
     """Act where some instance needs the solver, or its backup."""
+    condensed = take_qp(qps, index)
     plan = constrained_plan(condensed, start)
     fresh = MpcState(plan.inputs, jnp.zeros_like(state.stage), start)
     now = _select(plan.status == qp.SOLVED, fresh, state)

@@ -26,6 +26,7 @@ from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.precision import require_64_bits
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.disturbance import find_actuation
+from jaxtube.synthesis.free_region import find_free_regions
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.regions import find_regions
@@ -85,7 +86,7 @@ def make_plain_mpc(design: Design) -> TubeMpc:
 
 def _make_mpc(design: Design, qps: mpc.CondensedQp) -> TubeMpc:
     require_64_bits("controllers of a design")
-    on_device = jax.device_put(qps)
+    on_device = jax.device_put(qps._replace(free_region=find_free_regions(qps)))
     return TubeMpc(on_device, jnp.asarray(design.windows.index), make_wheel_map(design.problem))
 
 
