@@ -31,6 +31,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
 from jaxtube.qp.batched_ldl import matmul
+from jaxtube.qp.blocks import on_accelerator
 from jaxtube.qp.parametric import Parametric, solve_parametric
 from jaxtube.qp.regions import Regions
 
@@ -140,6 +141,8 @@ def _are_all_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Bo
     each row over the batch are compared."""
     region = condensed.free_region
     if region is not None:
+        if on_accelerator():
+            return jnp.all(_is_within(region, errors))
         fits = jnp.all(matmul(region.normals, errors.T).max(axis=1) <= region.offsets)
         # A maximum may lose a NaN on its way, a sum does not.
         return fits & jnp.isfinite(jnp.sum(errors))
@@ -147,6 +150,15 @@ def _are_all_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Bo
     plans_fit = _extremes_fit(condensed.lower, condensed.free_rows, errors, condensed.upper)
     errors_fit = _extremes_fit(check_lower, condensed.check_errors, errors, check_upper)
     return plans_fit & errors_fit
+
+
+def _is_within(region: HalfSpaces, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
+    """Return which errors lie within; written out, for one kernel."""
+    within = [
+        sum(region.normals[row, i] * errors[:, i] for i in range(3)) <= region.offsets[row]
+        for row in range(len(region.offsets))
+    ]
+    return functools.reduce(operator.and_, within)
 
 
 def _extremes_fit(
@@ -164,7 +176,7 @@ def _is_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Ar
     other ones where the region of such errors is known."""
     region = condensed.free_region
     if region is not None:
-        return jnp.all(_image(region.normals, errors) <= region.offsets, axis=1)
+        return _is_within(region, errors)
     values = _image(condensed.free_rows, errors)
     return jnp.all((condensed.lower <= values) & (values <= condensed.upper), axis=1)
 

@@ -9,6 +9,8 @@ The buckets are those of a floating-point number's exponent and leading bits (Te
 2012).
 """
 
+from collections.abc import Sequence
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,9 +28,9 @@ BUCKETS = CUTS * (GREATEST - LEAST)
 OCTAVES = np.repeat(2.0 ** np.arange(LEAST, GREATEST), CUTS)
 EDGES = OCTAVES * np.tile(1 + np.arange(CUTS) / CUTS, GREATEST - LEAST)
 """Lower edges of the buckets."""
-COPIES = 64
-"""Of each counter on an accelerator, side by side: neighbouring laps are in the same few cells, and
-threads that add to one number wait for each other."""
+COPIES = 256
+"""Of counters on an accelerator, one for each stretch of neighbouring laps: laps are in the same
+few cells, and threads that add to one number wait for each other."""
 BITS = {4: (jnp.int32, 23, 127), 8: (jnp.int64, 52, 1023)}
 """Integer type, bits of the mantissa and bias of the exponent, by the bytes of a float."""
 
@@ -42,30 +44,34 @@ def bucket(values: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
     return jnp.clip(number, 0, BUCKETS - 1).astype(jnp.int32)
 
 
-def begin_counts(size: int) -> Int[Array, "size copies"]:
+def begin_counts(size: int) -> Int[Array, "copies size"]:
     """Return counters at zero."""
     copies = COPIES if on_accelerator() else 1
-    return jnp.zeros((size, copies), jnp.int32)
+    return jnp.zeros((copies, size), jnp.int32)
 
 
 def add_counts(
-    counts: Int[Array, "size copies"],
-    cells: Int[Array, "*rows batch"],
+    counts: Int[Array, "copies size"],
+    cells: Sequence[Int[Array, "*rows batch"]],
     weights: Int[Array, " batch"],
-) -> Int[Array, "size copies"]:
-    """Return counters with the laps' weights added in their cells; cells that are none are left
-    out."""
-    size, copies = counts.shape
-    copy = jnp.arange(cells.shape[-1], dtype=jnp.int32) % copies
-    valid = (cells >= 0) & (cells < size)
-    place = jnp.where(valid, cells * copies + copy, size * copies)
-    added = counts.reshape(-1).at[place].add(weights, mode="drop")
-    return added.reshape(size, copies)
+) -> Int[Array, "copies size"]:
+    """Return counters with the laps' weights added in their cells, for each array of cells; cells
+    that are none are left out."""
+    copies, size = counts.shape
+    batch = len(weights)
+    copy = jnp.arange(batch, dtype=jnp.int32) // -(-batch // copies)
+    flat = counts.reshape(-1)
+    # A processor makes each array on its way; an accelerator would start a kernel for each.
+    for several in [jnp.stack(cells)] if on_accelerator() else cells:
+        valid = (several >= 0) & (several < size)
+        place = jnp.where(valid, copy * size + several, copies * size)
+        flat = flat.at[place].add(weights, mode="drop")
+    return flat.reshape(copies, size)
 
 
-def end_counts(counts: Int[Array, "size copies"], shape: tuple[int, ...]) -> Int[Array, "*shape"]:
+def end_counts(counts: Int[Array, "copies size"], shape: tuple[int, ...]) -> Int[Array, "*shape"]:
     """Return what was counted."""
-    return jnp.sum(counts, axis=1, dtype=jnp.int32).reshape(shape)
+    return jnp.sum(counts, axis=0, dtype=jnp.int32).reshape(shape)
 
 
 def quantile(

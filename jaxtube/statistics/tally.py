@@ -208,18 +208,25 @@ def observe(
         laps = laps._replace(asked=happened.demanded)
     sums = dict(tally.sums)
     counts = counted.astype(jnp.int32)
-    for i in range(3):
-        of_error = (step * 3 + i) * histogram.BUCKETS + histogram.bucket(e[i])
-        of_disturbance = i * histogram.BUCKETS + histogram.bucket(w[i])
-        sums["error_by_step"] = histogram.add_counts(sums["error_by_step"], of_error, counts)
-        sums["disturbance"] = histogram.add_counts(sums["disturbance"], of_disturbance, counts)
-    cells = map_cells(checks, step, after.errors)
-    sums["map"] = histogram.add_counts(sums["map"], cells, counts)
+    cells = {
+        "error_by_step": [_number_bucket(3 * step + i, e[i]) for i in range(3)],
+        "disturbance": [_number_bucket(i, w[i]) for i in range(3)],
+        "map": [map_cells(checks, step, after.errors)],
+    }
+    for name, of_name in cells.items():
+        sums[name] = histogram.add_counts(sums[name], of_name, counts)
     largest = dict(tally.largest)
     if command_step is not None:
         seen = _largest(command_step, counted)
         largest["command_step"] = jnp.maximum(largest["command_step"], seen)
     return Tally(laps, sums, largest)
+
+
+def _number_bucket(
+    row: Int[Array, ""] | int, values: Float[Array, "*shape"]
+) -> Int[Array, "*shape"]:
+    """Return the numbers of the buckets of values in a row of a histogram."""
+    return row * histogram.BUCKETS + histogram.bucket(values)
 
 
 def _coordinates(points: Float[Array, "batch n"]) -> list[Float[Array, " batch"]]:
@@ -330,7 +337,7 @@ def _observe_tubes(
                 tube_usage=jnp.maximum(laps.tube_usage, usage),
             )
             cells = cloud_cells(facets, points)
-            sums["cloud"] = histogram.add_counts(sums["cloud"], cells, counts)
+            sums["cloud"] = histogram.add_counts(sums["cloud"], [cells], counts)
     sums["plans"] += jnp.sum(counts, dtype=jnp.int32)
     return Tally(laps, sums, largest)
 
@@ -470,7 +477,7 @@ def _count_times(
     size = most + 1
     rows = math.prod(times.shape[:-1])
     first = jnp.arange(rows, dtype=jnp.int32).reshape(*times.shape[:-1], 1) * size
-    counted = histogram.add_counts(histogram.begin_counts(rows * size), first + times, counts)
+    counted = histogram.add_counts(histogram.begin_counts(rows * size), [first + times], counts)
     return histogram.end_counts(counted, (*times.shape[:-1], size))
 
 
@@ -490,5 +497,5 @@ def _coverage(
     plane = jnp.arange(len(PLANES), dtype=jnp.int32)[:, None]
     shape = (len(PLANES), COVERAGE_CELLS, COVERAGE_CELLS)
     numbers = _number_cells((plane, row, column), shape)
-    counted = histogram.add_counts(histogram.begin_counts(math.prod(shape)), numbers, counts)
+    counted = histogram.add_counts(histogram.begin_counts(math.prod(shape)), [numbers], counts)
     return histogram.end_counts(counted, shape)
