@@ -17,6 +17,7 @@ reach that leaves proves emptiness. Sets of few facets: `sets.few_facets`.
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -40,6 +41,9 @@ leaves."""
 FLAT = 1e-9
 """A disturbance whose extent along a normal is below this share of its largest counts as flat, and
 normals whose hull holds no ball of this radius about the origin as open."""
+
+SAMPLE = 16
+"""Of so many vertices one is asked first whether a row cuts it off."""
 
 MOST_ITERATIONS = 2000
 """Steps after which it is left undecided whether there is a maximal set."""
@@ -86,40 +90,69 @@ class MaximalRpi:
     paths: tuple[tuple[int, ...], ...] = ()
 
 
+class _History:
+    """Of every candidate row, by its number: the row whose predecessor it is, and along which
+    loop."""
+
+    def __init__(self, loops: int):
+        self._loops = loops
+        self._parents: list[Int[np.ndarray, " k"]] = []
+        self._starts = [0]
+
+    def number(self, parents: Int[np.ndarray, " k"]) -> Int[np.ndarray, " vk"]:
+        """Number the predecessors of rows along every loop; a row of no predecessor has -1."""
+        first = self._starts[-1]
+        self._parents.append(parents)
+        self._starts.append(first + self._loops * len(parents))
+        return np.arange(first, self._starts[-1])
+
+    def trace(self, number: int) -> tuple[int, ...]:
+        """Return the loops from a constraint to the row of a number."""
+        path = []
+        while number >= 0:
+            generation = bisect.bisect_right(self._starts, number) - 1
+            parents = self._parents[generation]
+            loop, place = divmod(number - self._starts[generation], len(parents))
+            path.append(loop)
+            number = int(parents[place])
+        return tuple(reversed(path))
+
+
 @dataclass
 class _Rows:
-    """Constraint rows with their history: each is the predecessor of another along a path of
-    loops."""
+    """Constraint rows: the constraint whose predecessor each is, and its number in the history,
+    -1 for the constraint itself."""
 
     normals: Float[np.ndarray, "k n"]
     offsets: Float[np.ndarray, " k"]
     roots: Int[np.ndarray, " k"]
-    paths: list[tuple[int, ...]]
+    numbers: Int[np.ndarray, " k"]
 
     @property
     def dual(self) -> Float[np.ndarray, "k n"]:
         return self.normals / self.offsets[:, None]
 
-    def take(self, index: Int[np.ndarray, " m"]) -> _Rows:
-        paths = [self.paths[i] for i in index]
-        return _Rows(self.normals[index], self.offsets[index], self.roots[index], paths)
+    def take(self, index: Int[np.ndarray, " m"] | Bool[np.ndarray, " k"]) -> _Rows:
+        return _Rows(
+            self.normals[index], self.offsets[index], self.roots[index], self.numbers[index]
+        )
 
     def join(self, other: _Rows) -> _Rows:
         return _Rows(
             np.concatenate([self.normals, other.normals]),
             np.concatenate([self.offsets, other.offsets]),
             np.concatenate([self.roots, other.roots]),
-            self.paths + other.paths,
+            np.concatenate([self.numbers, other.numbers]),
         )
 
     def find_predecessors(
-        self, loops: Float[np.ndarray, "v n n"], room: Float[np.ndarray, "v k"]
+        self, loops: Float[np.ndarray, "v n n"], room: Float[np.ndarray, "v k"], history: _History
     ) -> _Rows:
         return _Rows(
-            np.concatenate([self.normals @ loop for loop in loops]),
+            (self.normals @ loops).reshape(-1, self.normals.shape[1]),
             room.ravel(),
             np.tile(self.roots, len(loops)),
-            [(*path, i) for i in range(len(loops)) for path in self.paths],
+            history.number(self.numbers),
         )
 
 
@@ -149,43 +182,63 @@ def maximal_rpi(
         )
     _refuse_open("constraints", constraints.normals)
     k = len(constraints.offsets)
-    given = _Rows(constraints.normals, constraints.offsets, np.arange(k), [()] * k)
-    rows = given.take(ConvexHull(given.dual).vertices)
+    given = _Rows(constraints.normals, constraints.offsets, np.arange(k), np.full(k, -1))
+    history = _History(len(loops))
+    hull = ConvexHull(given.dual)
+    rows = given.take(hull.vertices)
     new = rows
     for iteration in range(MOST_ITERATIONS):
         steps = compute_steps(disturbance, new.normals, len(loops))
         room = new.offsets - (1 + INFLATION) * steps
         if np.any(room <= 0):
-            escape = _find_escape(constraints, new, room.min(axis=0))
+            escape = _find_escape(constraints, new, room.min(axis=0), history)
             return MaximalRpi(None, escape, iteration)
-        candidates = new.find_predecessors(loops, room)
-        candidates = candidates.take(np.flatnonzero(_cuts(candidates, rows)))
-        kept = ConvexHull(np.concatenate([rows.dual, candidates.dual])).vertices
-        fresh = kept[kept >= len(rows.offsets)]
+        joined = rows.join(new.find_predecessors(loops, room, history))
+        joined, hull = _prune(joined, len(rows.offsets), _take_vertices(hull))
+        fresh = hull.vertices[hull.vertices >= len(rows.offsets)]
         if len(fresh) == 0:
             polytope = Polytope(rows.dual, np.ones(len(rows.offsets)))
             roots = tuple(rows.roots.tolist())
-            return MaximalRpi(polytope, None, iteration, roots, tuple(rows.paths))
-        joined = rows.join(candidates)
+            paths = tuple(history.trace(number) for number in rows.numbers.tolist())
+            return MaximalRpi(polytope, None, iteration, roots, paths)
         new = joined.take(fresh)
-        rows = joined.take(kept)
+        rows = joined.take(hull.vertices)
     return MaximalRpi(None, None, MOST_ITERATIONS)
 
 
-def _cuts(candidates: _Rows, rows: _Rows) -> Bool[np.ndarray, " k"]:
-    """Return which candidates cut the set of the rows."""
-    vertices = find_vertices(rows.normals, rows.offsets)
-    return np.max(candidates.dual @ vertices.T, axis=1) > 1 + PRUNING
+def _prune(
+    joined: _Rows, known: int, vertices: Float[np.ndarray, "v n"]
+) -> tuple[_Rows, ConvexHull]:
+    """Return rows without the candidates that do not cut the set of those `known` first, and their
+    dual hull; candidates inside the hull may stay."""
+    while True:
+        hull = ConvexHull(joined.dual)
+        fresh = hull.vertices[hull.vertices >= known]
+        implied = fresh[~_cut(hull.points[fresh], vertices)]
+        if len(implied) == 0:
+            return joined, hull
+        joined = joined.take(np.delete(np.arange(len(joined.offsets)), implied))
 
 
-def _find_escape(constraints: Polytope, rows: _Rows, room: Float[np.ndarray, " k"]) -> Escape:
+def _cut(
+    points: Float[np.ndarray, "k n"], vertices: Float[np.ndarray, "v n"]
+) -> Bool[np.ndarray, " k"]:
+    """Return which dual points cut off some vertex of a set; most of them cut off many."""
+    cuts = np.zeros(len(points), bool)
+    for some in (vertices[::SAMPLE], vertices):
+        rest = np.flatnonzero(~cuts)
+        cuts[rest] = np.max(points[rest] @ some.T, axis=1, initial=0.0) > 1 + PRUNING
+    return cuts
+
+
+def _find_escape(
+    constraints: Polytope, rows: _Rows, room: Float[np.ndarray, " k"], history: _History
+) -> Escape:
     """Return the run that leaves by the row with least room; among rows equal up to `TIE`, the one
     of the first constraint along the first loops."""
     equal = np.flatnonzero(room <= room.min() + TIE * rows.offsets)
-    worst = min(equal, key=lambda i: (rows.roots[i], rows.paths[i]))
-    root = rows.roots[worst]
-    path = tuple(reversed(rows.paths[worst]))
-    return Escape(constraints.normals[root], float(constraints.offsets[root]), path)
+    root, path = min((rows.roots[i], history.trace(int(rows.numbers[i]))) for i in equal)
+    return Escape(constraints.normals[root], float(constraints.offsets[root]), path[::-1])
 
 
 def compute_steps(
@@ -212,8 +265,12 @@ def find_vertices(
 ) -> Float[np.ndarray, "v n"]:
     """Return the vertices of {normals x <= offsets}, the origin inside: each facet c y <= 1 of the
     hull of the dual points is a vertex y, some of them several times."""
-    equations = ConvexHull(normals / offsets[:, None]).equations
-    return equations[:, :-1] / -equations[:, -1:]
+    return _take_vertices(ConvexHull(normals / offsets[:, None]))
+
+
+def _take_vertices(hull: ConvexHull) -> Float[np.ndarray, "v n"]:
+    """Return the vertices of the set whose dual points have this hull."""
+    return hull.equations[:, :-1] / -hull.equations[:, -1:]
 
 
 def _refuse_open(name: str, normals: Float[np.ndarray, "k n"]) -> None:
