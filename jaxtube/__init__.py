@@ -7,6 +7,7 @@
     run = jt.montecarlo(design, laps=100_000)     laps by the million, every period checked
     worst = jt.falsify(design)                    the worst case, by gradient
     tuned = jt.tune(jt.load("untuned"))           weights and gains, by gradient
+    stepper = jt.Stepper(design)                  the controller of one robot, period by period
 
 Controllers and plants of your own fit `jt.Controller` and `jt.Plant`, slip processes
 `jt.SlipProcess`. What these functions compute on the device they compute in 64 bits, whatever JAX
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from jaxtube.scenario.refusal import ScenarioError
     from jaxtube.scenario.tree import Scenario
     from jaxtube.simulation.simulate import Laps, simulate
+    from jaxtube.simulation.stepper import Step, Stepper
     from jaxtube.statistics.montecarlo import MonteCarlo, montecarlo
     from jaxtube.synthesis.design import EmptySetError, design
     from jaxtube.synthesis.parts import Design
@@ -47,6 +49,8 @@ HOMES = {
     "Scenario": "jaxtube.scenario",
     "ScenarioError": "jaxtube.scenario",
     "SlipProcess": "jaxtube.plant.slip",
+    "Step": "jaxtube.simulation.stepper",
+    "Stepper": "jaxtube.simulation.stepper",
     "Tuned": "jaxtube.tuning.tune",
     "WheelMap": "jaxtube.control.protocol",
     "design": "jaxtube.synthesis.design",
@@ -73,6 +77,8 @@ __all__ = [
     "Scenario",
     "ScenarioError",
     "SlipProcess",
+    "Step",
+    "Stepper",
     "Tuned",
     "WheelMap",
     "design",

@@ -14,7 +14,7 @@ from functools import partial
 
 import jax
 from jax import Array
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from jaxtube.control import mpc
 from jaxtube.control.protocol import Controller, WheelMap
@@ -75,6 +75,23 @@ class TubeMpc:
         )
         command = self.wheel_map.command(inputs, measurement, reference_wheels)
         return command, following, diagnostics
+
+    def act_freely(
+        self,
+        step,
+        memory: mpc.MpcState,
+        measurement: Measurement,
+        reference_wheels: Float[Array, "2"],
+    ) -> tuple[Bool[Array, ""], tuple[Command, mpc.MpcState, mpc.Diagnostics]]:
+        """Return whether `act` meets no active row in any instance, and what it then returns: a
+        short program without a solver."""
+        index = self.index[step]
+        errors = measurement.errors
+        start = errors if self.restart else memory.nominal
+        fits = mpc.are_all_free(mpc.take_qp(self.qps, index), start)
+        inputs, following, diagnostics = mpc.act_freely(self.qps, index, memory, start, errors)
+        command = self.wheel_map.command(inputs, measurement, reference_wheels)
+        return fits, (command, following, diagnostics)
 
 
 @jax.tree_util.register_dataclass

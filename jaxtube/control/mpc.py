@@ -132,11 +132,11 @@ def plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
         it.
     """
     return jax.lax.cond(
-        _are_all_free(condensed, errors), free_plan, constrained_plan, condensed, errors
+        are_all_free(condensed, errors), free_plan, constrained_plan, condensed, errors
     )
 
 
-def _are_all_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, ""]:
+def are_all_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, ""]:
     """Return whether the plan without constraints is that of every instance; only the extremes of
     each row over the batch are compared."""
     region = condensed.free_region
@@ -270,12 +270,12 @@ def act(
     # The derivative of a conditional keeps what any branch does: the rows of every instance, even
     # if none is active.
     constrained = jax.checkpoint(_act_constrained)
-    all_free = _are_all_free(take_qp(qps, index), start)
-    step = jax.lax.cond(all_free, _act_freely, constrained, qps, index, state, start, errors)
+    all_free = are_all_free(take_qp(qps, index), start)
+    step = jax.lax.cond(all_free, act_freely, constrained, qps, index, state, start, errors)
     return jax.tree.map(functools.partial(checkpoint_name, name=ACTED), step)
 
 
-def _act_freely(
+def act_freely(
     qps: CondensedQp, index, state: MpcState, start, errors
 ) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
     """Act where every instance has just made a free plan."""

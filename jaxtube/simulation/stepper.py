@@ -1,0 +1,212 @@
+"""One robot: a controller of a design, period by period, in tens of microseconds.
+
+`simulate` runs thousands of loops with their plant; a robot has a plant of its own, and asks for
+one command a period. All that does not change from one period to the next is compiled in: the
+controller, the reference and the shapes of a batch of one. Nothing is traced after that.
+
+A tube-MPC has two programs. The first knows plans without active rows alone, and says whether the
+plan is one; where it is not, the second one, with the solver, makes it. A single program would pay
+in every period for the buffers of a solver that it does not run.
+
+Source: new.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jaxtyping import Float
+
+from jaxtube import qp
+from jaxtube.control.laws import TubeMpc
+from jaxtube.control.mpc import Diagnostics
+from jaxtube.control.protocol import Controller
+from jaxtube.plant.protocol import Command, Measurement, Memory
+from jaxtube.plant.slip_bounds import slip_bounds
+from jaxtube.precision import in_64_bits
+from jaxtube.simulation.choices import ControllerChoice, choose_controller
+from jaxtube.synthesis.parts import Design, require_design
+
+Acted = tuple[Command, Memory, Diagnostics]
+
+
+class Step(NamedTuple):
+    """What one period is to do, and how it was found.
+
+    Attributes:
+        wheels: speeds asked of the wheels (right, left), m/s, not saturated.
+        inputs: the virtual inputs that they realise (u1 m/s, u2 rad/s).
+        status: of the QP: `qp.SOLVED`, `qp.INFEASIBLE` or `qp.UNSOLVED`.
+        residual: of its optimality conditions.
+        active: whether some row of it is active.
+        backup: whether it gave no plan, so that the input is that of the backup.
+    """
+
+    wheels: Float[np.ndarray, "2"]
+    inputs: Float[np.ndarray, "2"]
+    status: int
+    residual: float
+    active: bool
+    backup: bool
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether there is a plan."""
+        return self.status == qp.SOLVED
+
+
+class Stepper:
+    """The controller of one robot along the reference of a design, asked once a period.
+
+        stepper = jt.Stepper(design)
+        step = stepper(errors)
+
+    Errors are those that the controller acts on: (longitudinal m, lateral m, heading rad) in the
+    frame of the robot, positive where the reference is ahead and to the left; measured, or
+    estimated where the scenario's controller acts on an estimate. Commands are those of a batch of
+    one in `jt.simulate`.
+
+    Attributes:
+        periods: how many the reference has.
+        next: the one that the next call is for, from 0.
+    """
+
+    @in_64_bits
+    def __init__(self, design: Design, controller: ControllerChoice = "tube_mpc"):
+        """Compile the controller for one robot.
+
+        Args:
+            design: a design.
+            controller: as for `jt.simulate`.
+
+        Raises:
+            ValueError: for an unknown name, or a controller of other shapes.
+        """
+        require_design(design)
+        problem = design.problem
+        self.periods = problem.reference.steps
+        self._slip = np.asarray(slip_bounds(problem.scenario.slip).nominal, float)
+        programs = _Programs(
+            choose_controller(design, controller), problem.schedule[: self.periods]
+        )
+        self._begin = programs.compile_begin()
+        memory = self._begin(np.zeros(3))
+        self._act = programs.compile_act(memory)
+        self._act_freely = programs.compile_act_freely(memory)
+        self.restart()
+
+    def restart(self, period: int = 0) -> None:
+        """Forget everything; the next call is for a period of the reference, the first one unless
+        told.
+
+        Raises:
+            ValueError: where the reference has no such period.
+        """
+        if not 0 <= period < self.periods:
+            raise ValueError(f"period = {period}: the reference has 0 to {self.periods - 1}")
+        self.next = period
+        self._memory = None
+
+    @in_64_bits
+    def __call__(
+        self, errors: Float[np.ndarray, "3"], slip: Float[np.ndarray, "2"] | None = None
+    ) -> Step:
+        """Return what the next period is to do.
+
+        Args:
+            errors: at its start (see the class).
+            slip: what is measured of the slips (right, left); the nominal ones unless given.
+
+        Raises:
+            ValueError: beyond the end of the reference, or for other shapes.
+        """
+        if self.next >= self.periods:
+            raise ValueError(
+                f"the reference ended after {self.periods} periods; call restart() for another lap"
+            )
+        errors = np.asarray(errors, float)
+        slip = self._slip if slip is None else np.asarray(slip, float)
+        if errors.shape != (3,) or slip.shape != (2,):
+            raise ValueError(
+                f"errors, slip: shapes {errors.shape} and {slip.shape}; give (3,) and (2,)"
+            )
+        memory = self._begin(errors) if self._memory is None else self._memory
+        report, self._memory = self._run(np.int32(self.next), memory, errors, slip)
+        self.next += 1
+        return _read(np.asarray(report))
+
+    def _run(self, period, memory: Memory, errors, slip) -> tuple[Float[Array, " 9"], Memory]:
+        """Run the short program, and the other where that does not do."""
+        if self._act_freely is not None:
+            report, following = self._act_freely(period, memory, errors, slip)
+            if np.asarray(report)[-1]:
+                return report, following
+        return self._act(period, memory, errors, slip)
+
+
+class _Programs:
+    """A controller's programs for one robot."""
+
+    def __init__(self, controller: Controller, reference_wheels: Float[np.ndarray, "steps 2"]):
+        self._controller = controller
+        self._wheels = jnp.asarray(reference_wheels)
+
+    def compile_begin(self) -> Callable[..., Memory]:
+        """Compile what returns the memory before the first period, by its errors."""
+
+        def begin(errors):
+            return self._controller.initial(errors[None])
+
+        return _compile(begin, np.zeros(3))
+
+    def compile_act(self, memory: Memory) -> Callable[..., Any]:
+        """Compile what acts, (report, next memory) by period, memory, errors and slip."""
+
+        def act(period, memory, errors, slip):
+            measurement = Measurement(errors[None], slip[None])
+            acted = self._controller.act(period, memory, measurement, self._wheels[period])
+            return _report(acted, True)
+
+        return _compile(act, *_example(memory))
+
+    def compile_act_freely(self, memory: Memory) -> Callable[..., Any] | None:
+        """Compile the same without the solver of a tube-MPC; None for other controllers."""
+        controller = self._controller
+        if not isinstance(controller, TubeMpc):
+            return None
+
+        def act(period, memory, errors, slip):
+            measurement = Measurement(errors[None], slip[None])
+            fits, acted = controller.act_freely(period, memory, measurement, self._wheels[period])
+            return _report(acted, fits)
+
+        return _compile(act, *_example(memory))
+
+
+def _example(memory: Memory) -> tuple:
+    """Return arguments of the shapes of a period."""
+    return np.int32(0), memory, np.zeros(3), np.zeros(2)
+
+
+def _compile(function: Callable, *arguments) -> Callable:
+    """Compile a function for arguments of these shapes alone: it is never traced again."""
+    return jax.jit(function).lower(*arguments).compile()
+
+
+def _report(acted: Acted, fits) -> tuple[Float[Array, " 9"], Memory]:
+    """Return all that the host reads in one array, and the memory, which stays on the device."""
+    command, memory, diagnostics = acted
+    flags = jnp.stack([diagnostics.status[0], diagnostics.active[0], diagnostics.backup[0], fits])
+    numbers = [command.wheels[0], command.inputs[0], diagnostics.residual, flags.astype(float)]
+    return jnp.concatenate(numbers), memory
+
+
+def _read(report: Float[np.ndarray, " 9"]) -> Step:
+    """Return what a report says."""
+    residual, status, active, backup, _ = report[4:].tolist()
+    return Step(report[:2], report[2:4], int(status), residual, bool(active), bool(backup))
