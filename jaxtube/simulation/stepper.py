@@ -138,7 +138,7 @@ class Stepper:
         memory = self._begin(errors) if self._memory is None else self._memory
         report, self._memory = self._run(np.int32(self.next), memory, errors, slip)
         self.next += 1
-        return _read(np.asarray(report))
+        return _read(np.array(report))
 
     def _run(self, period, memory: Memory, errors, slip) -> tuple[Float[Array, " 9"], Memory]:
         """Run the short program, and the other where that does not do."""
@@ -170,7 +170,7 @@ class _Programs:
         def act(period, memory, errors, slip):
             measurement = Measurement(errors[None], slip[None])
             acted = self._controller.act(period, memory, measurement, self._wheels[period])
-            return _report(acted, True)
+            return _report(acted, jnp.asarray(True))
 
         return _compile(act, *_example(memory))
 
@@ -201,9 +201,10 @@ def _compile(function: Callable, *arguments) -> Callable:
 def _report(acted: Acted, fits) -> tuple[Float[Array, " 9"], Memory]:
     """Return all that the host reads in one array, and the memory, which stays on the device."""
     command, memory, diagnostics = acted
-    flags = jnp.stack([diagnostics.status[0], diagnostics.active[0], diagnostics.backup[0], fits])
-    numbers = [command.wheels[0], command.inputs[0], diagnostics.residual, flags.astype(float)]
-    return jnp.concatenate(numbers), memory
+    status, residual, active, backup = diagnostics
+    numbers = [command.wheels[0], command.inputs[0], residual, status, active, backup]
+    numbers.append(jnp.expand_dims(fits, 0))
+    return jnp.concatenate([number.astype(float) for number in numbers]), memory
 
 
 def _read(report: Float[np.ndarray, " 9"]) -> Step:
