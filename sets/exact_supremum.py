@@ -16,7 +16,16 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from sets.exact_interval import BITS, GRID, ExactInterval, scale_down, scale_up
+from sets.deferred import defer, force
+from sets.exact_interval import (
+    BITS,
+    GRID,
+    ExactInterval,
+    Gradient,
+    enclose_numbers,
+    scale_down,
+    scale_up,
+)
 from sets.interval import Dual
 
 CENTRE_UNITS = 2**53
@@ -100,24 +109,24 @@ def find_room(
 def _bound_cells(function, low: np.ndarray, high: np.ndarray) -> _Form:
     """Bound the function in every cell, from the point that bounds best."""
     size, count = low.shape
-    # Variables of equal ends have no part in the gradient.
-    wide = np.flatnonzero((low < high).any(axis=1))
-    seeds = np.zeros((size, len(wide), count), dtype=object)
-    seeds[wide, np.arange(len(wide))] = GRID
-    duals = [
-        Dual(ExactInterval(*ends), ExactInterval(seed, seed))
-        for *ends, seed in zip(low, high, seeds, strict=True)
-    ]
-    result = function(duals)
+    ends = [ExactInterval(*pair) for pair in zip(low, high, strict=True)]
+    result = force(function(defer([_seed(index, end) for index, end in enumerate(ends)])))
     least = np.zeros((size, count), dtype=object)
     most = np.zeros((size, count), dtype=object)
-    least[wide] = result.gradient.lower
-    most[wide] = result.gradient.upper
+    for variable, row in result.gradient.rows.items():
+        least[variable] = row.lower
+        most[variable] = row.upper
     centre = _choose_centre(low, high, least, most)
-    at_centre = function([ExactInterval(row, row) for row in centre])
+    at_centre = force(function(defer([ExactInterval(row, row) for row in centre])))
     rises = np.maximum(most * (high - centre), least * (low - centre)).sum(axis=0)
     bound = at_centre.upper - (-rises >> BITS)
     return _Form(np.minimum(bound, result.value.upper), at_centre.lower, least, most)
+
+
+def _seed(variable: int, ends: ExactInterval) -> Dual:
+    """Return a variable with its gradient; one whose ends are equal has no part in it."""
+    is_wide = np.any(ends.lower < ends.upper)
+    return Dual(ends, Gradient({variable: enclose_numbers([1])} if is_wide else {}))
 
 
 def _choose_centre(low, high, least, most) -> np.ndarray:

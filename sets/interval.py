@@ -219,6 +219,8 @@ def _make_function(name: str, enclose, derivative: Any = None) -> Callable[[Any]
     def function(x):
         if isinstance(x, Dual):
             return Dual(function(x.value), derivative(x.value) * x.gradient)
+        if hasattr(x, "apply"):  # a deferred number
+            return x.apply(function)
         return enclose(name, x) if isinstance(x, Interval) else _ON_FLOATS[name](x)
 
     return function
@@ -308,6 +310,8 @@ lag = _make_function("lag", _enclose_increasing, lag_slope)
 def sinc_change(x, step) -> Any:
     """Return sinc(x + step) - sinc(x); over intervals it is zero where the step is, and so are its
     derivatives in x."""
+    if hasattr(x, "apply"):  # a deferred number
+        return x.apply(sinc_change, step)
     if not isinstance(x, Dual):
         return _compute_change(sinc, sinc_slope, x, step)
     value = sinc_change(x.value, step.value)
