@@ -9,9 +9,8 @@ import tempfile
 
 from jaxtube.experiments import environment
 
-environment.compile_in_one_piece()
-# Idle threads of the linear algebra wait in a loop, and there is no core to spare for them.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+environment.compile_in_few_pieces()
+environment.use_one_thread_for_linear_algebra()
 
 import jax  # noqa: E402 -- it reads the environment
 import pytest  # noqa: E402

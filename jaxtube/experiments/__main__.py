@@ -10,7 +10,8 @@ from jaxtube.experiments.run.exit_codes import ExitCode
 if __name__ == "__main__":
     environment.print_any_character()
     environment.use_float64()
-    environment.compile_in_one_piece()
+    environment.use_one_thread_for_linear_algebra()
+    environment.compile_in_few_pieces()
     environment.keep_compiled_programs()
     environment.end_after_interrupt(INTERRUPTED_LINE, ExitCode.INTERRUPTED)
     code = main()

@@ -14,6 +14,9 @@ import time
 from pathlib import Path
 from typing import NoReturn
 
+PIECES = 8
+"""Pieces of a program that are compiled side by side."""
+
 GRACE_SECONDS = 3.0
 """Time that the main thread has to end by itself after Ctrl-C."""
 
@@ -23,13 +26,20 @@ def use_float64() -> None:
     os.environ["JAX_ENABLE_X64"] = "1"
 
 
-def compile_in_one_piece() -> None:
-    """Let XLA compile a program as a whole: it splits it over 32 compilations, which doubles the
-    time on few cores."""
+def compile_in_few_pieces() -> None:
+    """Let XLA compile a program in a few pieces, side by side: it splits it over 32, which takes
+    longer on few processors."""
     # An unknown flag is fatal, so it is passed only to the releases that were seen to know it.
     if importlib.metadata.version("jaxlib").startswith("0.10."):
         flags = os.environ.get("XLA_FLAGS", "")
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_parallel_codegen_split_count=1".strip()
+        flag = f"--xla_cpu_parallel_codegen_split_count={PIECES}"
+        os.environ["XLA_FLAGS"] = f"{flags} {flag}".strip()
+
+
+def use_one_thread_for_linear_algebra() -> None:
+    """Let matrices, which are small off line, be factorised by one thread: others wait for it in a
+    loop, on the processor that compiles meanwhile."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def keep_compiled_programs() -> None:
