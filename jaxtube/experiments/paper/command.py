@@ -27,6 +27,7 @@ from jaxtube.experiments.run.design_report import report
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.side_by_side import run_side_by_side
 from jaxtube.progress import progress
 from jaxtube.scenario.reading import load
 from jaxtube.scenario.tree import Scenario
@@ -34,6 +35,7 @@ from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.design import refuse_infeasible_start, refuse_start_outside_limits
+from jaxtube.synthesis.feasible import spread_starts
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import make_problem
 
@@ -48,6 +50,11 @@ STRESS_RUNS = 40
 STRESSED_FOR_PAPER = "robust"
 """The scenario whose design is put under stress for the scenario `paper`."""
 NOISE_FREE = ("uncompensated", "compensated", "tube_mpc", "plain_mpc")
+
+
+LAPS = "laps"
+OTHER = "other"
+"""Names of the laps among all runs, and of those that are reset otherwise."""
 
 
 class PaperRuns(NamedTuple):
@@ -132,16 +139,28 @@ def simulate_laps(
     starts = np.tile(design.problem.initial_error, (laps, 1))
     tube_mpc = components.make_tube_mpc(design)
     other = dataclasses.replace(tube_mpc, restart=not tube_mpc.restart)
+    stress_starts = spread_starts(boundary, stress_runs, options.seed)
+    run = batches.run_realisations
     with progress(total, "simulating", "laps") as bar:
-        by_name = {}
-        for name, controller in (controllers | {"other": other}).items():
-            by_name[name] = batches.run_realisations(
-                controller, plant, starts, options.seed, bar.update
-            )
-        other_restart = by_name.pop("other")
-        under_stress = stress.run(stressed, boundary, stress_runs, options.seed, bar.update)
+
+        def show(count: int) -> None:
+            with bar.get_lock():
+                bar.update(count)
+
+        runs = {
+            (LAPS, name): partial(run, controller, plant, starts, options.seed, show)
+            for name, controller in (controllers | {OTHER: other}).items()
+        }
+        runs |= stress.make_runs(stressed, stress_starts, options.seed, show)
+        found = run_side_by_side(runs)
+    by_name = {name: found[LAPS, name] for name in controllers}
+    under_stress = {
+        case: {name: lap for (its_case, name), lap in found.items() if its_case == case}
+        for case in stress.CASES
+    }
     deviations = batches.plan_deviations(design, tube_mpc, plant, by_name["tube_mpc"], options.seed)
-    return PaperRuns(by_name, other_restart, under_stress, deviations)
+    stress_found = stress.Stress(boundary, stress_starts, under_stress)
+    return PaperRuns(by_name, found[LAPS, OTHER], stress_found, deviations)
 
 
 def _metrics(design: Design, simulated: PaperRuns) -> dict:

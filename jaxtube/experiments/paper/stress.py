@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -18,7 +19,7 @@ from jaxtube import qp
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.promise import limit_true_errors
 from jaxtube.simulation.rollout import Trajectory
-from jaxtube.synthesis.feasible import spread_starts, true_starts
+from jaxtube.synthesis.feasible import true_starts
 from jaxtube.synthesis.parts import Design
 
 LINEAR = "linear_w_in_W"
@@ -47,23 +48,20 @@ def find_starts(design: Design, seed: int) -> Float[np.ndarray, "corners 3"]:
     return true_starts(design.tube_qps, design.first_window, design.problem, seed=seed)
 
 
-def run(
+def make_runs(
     design: Design,
-    boundary: Float[np.ndarray, "corners 3"],
-    count: int,
+    starts: Float[np.ndarray, "runs 3"],
     seed: int,
-    on_progress: Callable[[int], object] | None = None,
-) -> Stress:
-    """Run tube-MPC and MPC without tube from the same starts, in each case.
+    on_progress: Callable[[int], object],
+) -> dict[tuple[str, str], Callable[[], Trajectory]]:
+    """Return what runs tube-MPC and MPC without tube from the same starts, by case and controller.
 
     Args:
         design: under stress.
-        boundary: corners of the set of starts, of `find_starts`.
-        count: runs of each controller in each case.
+        starts: of every case.
         seed: of every draw.
         on_progress: called with the number of runs of each block that has been run.
     """
-    starts = spread_starts(boundary, count, seed)
     plants = {
         LINEAR: components.linear_plant(design),
         "slip_constant": components.slipping_robot(design, "constant"),
@@ -73,13 +71,12 @@ def run(
         "tube_mpc": components.make_tube_mpc(design),
         "plain_mpc": components.make_plain_mpc(design),
     }
-    runs = {}
-    for case, plant in plants.items():
-        runs[case] = {
-            name: batches.run_realisations(controller, plant, starts, seed, on_progress)
-            for name, controller in controllers.items()
-        }
-    return Stress(boundary, starts, runs)
+    run = batches.run_realisations
+    return {
+        (case, name): partial(run, controller, plant, starts, seed, on_progress)
+        for case, plant in plants.items()
+        for name, controller in controllers.items()
+    }
 
 
 def metrics(design: Design, stress: Stress) -> dict:
