@@ -65,7 +65,7 @@ class Extent(NamedTuple):
 SHARE = 0.75
 """Of the time, that may pass before anything is timed."""
 
-ON_GPU = Extent((64, 32), (2**16, 2**18, 2**20), (2**16, 2**20), Amount(1024, 2**16), 1.0)
+ON_GPU = Extent((64, 32), (2**16, 2**20, 2**21), (2**16, 2**20), Amount(1024, 2**16), 1.0)
 ON_PROCESSOR = Extent((64,), (256,), (), Amount(64, 256), 0.0)
 
 
