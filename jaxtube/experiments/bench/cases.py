@@ -41,7 +41,21 @@ def choose_cases(
     scenario: Scenario, options: BenchOptions, usual: Sequence[tuple[str, str]]
 ) -> list[Case]:
     """Return the usual cases; those of the scenario that was asked for, where one was."""
-    if options.scenario == BenchOptions.scenario and not options.overrides:
+    if not is_asked_for(options):
         return [Case(name, starts, load(name, ())) for name, starts in usual]
     starts = sorted({starts for _, starts in usual}, reverse=True)
     return [Case(options.label, each, scenario) for each in starts]
+
+
+def name_scenarios(
+    scenario: Scenario, options: BenchOptions, usual: Sequence[str]
+) -> list[tuple[str, Scenario]]:
+    """Return the usual scenarios with their names; the one that was asked for, where one was."""
+    if not is_asked_for(options):
+        return [(name, load(name, ())) for name in usual]
+    return [(options.label, scenario)]
+
+
+def is_asked_for(options: BenchOptions) -> bool:
+    """Return whether the command names a scenario, or a key of one."""
+    return options.scenario != BenchOptions.scenario or bool(options.overrides)

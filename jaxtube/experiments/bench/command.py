@@ -3,14 +3,27 @@ laps on one GPU."""
 
 from __future__ import annotations
 
-from jaxtube.experiments.bench import gpu, loop_topic, qp_topic
-from jaxtube.experiments.bench.topic import Topic
+from collections.abc import Sequence
+
+from jaxtube.experiments.bench import gpu, gradient_topic, loop_topic, qp_topic
+from jaxtube.experiments.bench.topic import Headline, Topic
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.scenario.tree import Scenario
 
-TOPICS: dict[str, Topic] = {"qp": qp_topic.TOPIC, "loop": loop_topic.TOPIC}
+TOPICS: dict[str, Topic] = {
+    "qp": qp_topic.TOPIC,
+    "loop": loop_topic.TOPIC,
+    "gradient": gradient_topic.TOPIC,
+}
+CLOSING = [
+    left("measured"),
+    left("ours"),
+    left("beside it"),
+    Column("ratio"),
+    Column("largest\nresidual"),
+]
 
 
 def run(scenario: Scenario, options: BenchOptions) -> int:
@@ -19,7 +32,7 @@ def run(scenario: Scenario, options: BenchOptions) -> int:
         return gpu.run(scenario, options)
     folder = run_folder.create(scenario, options)
     metrics = {}
-    headlines: list[tuple[str, str]] = []
+    headlines: list[Headline] = []
     for name in TOPICS if options.topic == "all" else [options.topic]:
         print(f"{name}: {TOPICS[name].waits}", flush=True)
         told = TOPICS[name].run(scenario, options, folder)
@@ -27,6 +40,11 @@ def run(scenario: Scenario, options: BenchOptions) -> int:
         headlines += told.headlines
         folder.save_metrics(metrics)
     if options.topic == "all":
-        folder.report(format_table([left("measured"), Column("median [quartiles]")], headlines))
+        folder.report(f"\n{write_closing_table(headlines)}")
     print(f"\nwritten to {folder.path}/")
     return 0
+
+
+def write_closing_table(headlines: Sequence[Headline]) -> str:
+    """Return the lines of all topics as one table."""
+    return format_table(CLOSING, headlines)

@@ -11,7 +11,7 @@ from jaxtube.experiments.bench.loops import CLOCK, DAQP, FULL, QUICK, LoopResult
 from jaxtube.experiments.bench.peers.catalogue import EXACT
 from jaxtube.experiments.bench.pinned import run_pinned
 from jaxtube.experiments.bench.rounds import Spread, spread, write_number
-from jaxtube.experiments.bench.topic import Told, Topic, describe
+from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
@@ -58,12 +58,7 @@ def write_speeds(cases: list[Case], results: list[LoopResult]) -> str:
     """Return periods a second of the loops as a table."""
     rows = []
     for case, result in zip(cases, results, strict=True):
-        speeds = [
-            write_number(1e-6 / spread(result.seconds[name]).median)
-            if name in result.seconds
-            else "-"
-            for name in TIMED
-        ]
+        speeds = [write_speed(result, name) if name in result.seconds else "-" for name in TIMED]
         rows.append(
             [
                 case.words,
@@ -127,11 +122,24 @@ def metrics(result: LoopResult) -> dict:
     }
 
 
-def headlines(cases: list[Case], results: list[LoopResult]) -> list[tuple[str, str]]:
+def headlines(cases: list[Case], results: list[LoopResult]) -> list[Headline]:
     """Return what the table of all topics shows."""
     lines = []
     for case, result in zip(cases, results, strict=True):
         for title, found in ratios(result).items():
-            words = title.replace("\n", " ")
-            lines.append((f"loop, {case.words}: {words}", str(found)))
+            name, peer = COMPARED[title]
+            lines.append(
+                Headline(
+                    what=f"loop, {case.words}, {name}",
+                    ours=f"{write_speed(result, name)} M/s",
+                    peer=f"{peer}: {write_speed(result, peer)} M/s",
+                    ratio=str(found),
+                    residual=f"{result.largest_residual:.0e}",
+                )
+            )
     return lines
+
+
+def write_speed(result: LoopResult, name: str) -> str:
+    """Return million periods a second, the median of rounds."""
+    return write_number(1e-6 / spread(result.seconds[name]).median)

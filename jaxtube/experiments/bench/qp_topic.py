@@ -11,7 +11,7 @@ from jaxtube.experiments.bench.peers.catalogue import tight_peers
 from jaxtube.experiments.bench.pinned import run_pinned
 from jaxtube.experiments.bench.rounds import Spread, spread, write_number
 from jaxtube.experiments.bench.solvers import FULL, KNOWING, OURS, QUICK, FamilyResult, Measured
-from jaxtube.experiments.bench.topic import Told, Topic, describe
+from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
@@ -141,15 +141,28 @@ def _describe(result: FamilyResult, solver: Measured) -> dict:
     }
 
 
-def headlines(results: list[FamilyResult]) -> list[tuple[str, str]]:
+def headlines(results: list[FamilyResult]) -> list[Headline]:
     """Return what the table of all topics shows."""
     lines = []
     for result in results:
-        for solver in result.solvers:
-            for name in COMPARED:
-                over = ratio(result, solver, name)
-                if over and solver.name not in COMPARED:
-                    lines.append(
-                        (f"qp, {name_family(result)}: {solver.name} over {name}", str(over))
-                    )
+        for ours in result.solvers:
+            if ours.name in COMPARED:
+                lines += [make_headline(result, ours, each) for each in find_peers(result)]
     return lines
+
+
+def find_peers(result: FamilyResult) -> list[Measured]:
+    """Return the solvers that are not ours."""
+    return [solver for solver in result.solvers if solver.name not in COMPARED]
+
+
+def make_headline(result: FamilyResult, ours: Measured, peer: Measured) -> Headline:
+    """Return the line of one of ours beside one peer."""
+    knowing = " with regions" if ours.name == KNOWING else ""
+    return Headline(
+        what=f"qp, {name_family(result)}, m = {result.m}{knowing}",
+        ours=f"{write_number(spread(ours.microseconds).median)} us",
+        peer=f"{peer.name}: {write_number(spread(peer.microseconds).median)} us",
+        ratio=str(ratio(result, peer, ours.name)),
+        residual=f"{ours.accuracy.largest:.0e}",
+    )

@@ -14,12 +14,28 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.scenario.tree import Scenario
 
 
+class Headline(NamedTuple):
+    """A line of the table of all topics.
+
+    Attributes:
+        what: the topic, and on what it was measured.
+        ours, peer: what was measured of this project and of what stands beside it, with units.
+        ratio: of the two; what it is of is told by the topic's own table.
+        residual: largest of ours, of the optimality conditions; empty where no program is solved.
+    """
+
+    what: str
+    ours: str
+    peer: str
+    ratio: str
+    residual: str = ""
+
+
 class Told(NamedTuple):
-    """What a topic found: its metrics, and its lines of the table of all topics, each a sentence
-    and a number."""
+    """What a topic found: its metrics, and its lines of the table of all topics."""
 
     metrics: dict[str, Any]
-    headlines: list[tuple[str, str]]
+    headlines: list[Headline]
 
 
 class Topic(NamedTuple):
