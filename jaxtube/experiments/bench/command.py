@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from jaxtube.experiments.bench import gpu, gradient_topic, loop_topic, qp_topic
+from jaxtube.experiments.bench import gpu, gradient_topic, loop_topic, qp_topic, scale_topic
 from jaxtube.experiments.bench.topic import Headline, Topic
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run import folder as run_folder
@@ -16,6 +16,7 @@ TOPICS: dict[str, Topic] = {
     "qp": qp_topic.TOPIC,
     "loop": loop_topic.TOPIC,
     "gradient": gradient_topic.TOPIC,
+    "scale": scale_topic.TOPIC,
 }
 CLOSING = [
     left("measured"),
