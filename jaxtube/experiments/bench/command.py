@@ -5,7 +5,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from jaxtube.experiments.bench import gpu, gradient_topic, loop_topic, qp_topic, scale_topic
+from jaxtube.experiments.bench import (
+    design_topic,
+    gpu,
+    gradient_topic,
+    loop_topic,
+    qp_topic,
+    scale_topic,
+)
 from jaxtube.experiments.bench.topic import Headline, Topic
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run import folder as run_folder
@@ -15,6 +22,7 @@ from jaxtube.scenario.tree import Scenario
 TOPICS: dict[str, Topic] = {
     "qp": qp_topic.TOPIC,
     "loop": loop_topic.TOPIC,
+    "design": design_topic.TOPIC,
     "gradient": gradient_topic.TOPIC,
     "scale": scale_topic.TOPIC,
 }
