@@ -490,7 +490,9 @@ class BenchOptions(Options):
     module = "bench.command"
     positional = ("topic",)
 
-    topic: Positional[Literal["all", "qp", "loop", "design", "gradient", "scale", "gpu"]] = "all"
+    topic: Positional[
+        Literal["all", "qp", "loop", "design", "gradient", "scale", "latency", "gpu"]
+    ] = "all"
     """qp: programs with active rows; loop: the closed loop; gpu: laps on one GPU, also of
     `certified` and `tuned`, compared with the processor's; all: everything but the GPU"""
     quick: bool = False

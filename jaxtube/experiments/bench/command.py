@@ -9,6 +9,7 @@ from jaxtube.experiments.bench import (
     design_topic,
     gpu,
     gradient_topic,
+    latency_topic,
     loop_topic,
     qp_topic,
     scale_topic,
@@ -25,6 +26,7 @@ TOPICS: dict[str, Topic] = {
     "design": design_topic.TOPIC,
     "gradient": gradient_topic.TOPIC,
     "scale": scale_topic.TOPIC,
+    "latency": latency_topic.TOPIC,
 }
 CLOSING = [
     left("measured"),

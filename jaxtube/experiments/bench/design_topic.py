@@ -76,8 +76,9 @@ def write_sets(results: dict[str, DesignResult]) -> str:
     rows = [_write_set(name, result.invariant) for name, result in results.items()]
     text = (
         "Both find the same set by the same recursion, to the same tolerance; `polytope` reduces "
-        "by linear programs, scipy's unless it finds cvxopt. Where it was stopped, its steps are those "
-        "it did, and its time is more. Difference: by which share the smaller set has to grow to contain the other one."
+        "by linear programs, scipy's unless it finds cvxopt. Where it was stopped, its steps are "
+        "those it did, and its time is more. Difference: by which share the smaller set has to "
+        "grow to contain the other one."
     )
     return "\n".join([format_table(columns, rows), "", *wrap(text)])
 
