@@ -50,7 +50,7 @@ class Extent(NamedTuple):
     rounds: int
 
 
-FULL = Extent(starts=256, few=64, rounds=3)
+FULL = Extent(starts=1024, few=64, rounds=5)
 QUICK = Extent(starts=64, few=16, rounds=2)
 
 

@@ -12,12 +12,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.experiments.bench import horizons, lap_counts, scale_figure, threads
+from jaxtube.experiments.bench import horizons, lap_counts, scale_figure, shares, threads
 from jaxtube.experiments.bench.cases import is_asked_for
 from jaxtube.experiments.bench.horizons import HorizonResult, fit_exponents
 from jaxtube.experiments.bench.lap_counts import LapsResult
 from jaxtube.experiments.bench.pinned import run_pinned
 from jaxtube.experiments.bench.rounds import Spread, spread, write_number
+from jaxtube.experiments.bench.shares import SharesResult
 from jaxtube.experiments.bench.threads import ThreadsResult
 from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe
 from jaxtube.experiments.options import BenchOptions
@@ -28,18 +29,21 @@ from jaxtube.scenario.tree import Scenario
 
 HORIZONS = (5, 10, 20, 40)
 OF_HORIZONS = "certified"
-"""Scenario whose horizon grows, unless another one is asked for."""
+OF_SHARES = "tuned"
+"""Scenarios whose horizon grows, and whose plans have active rows, unless another is asked for."""
 CORES = 2
 
 
 class Results(NamedTuple):
-    """What was measured: laps, threads, horizons."""
+    """What was measured, with the names of the scenarios: of laps, shares and horizons."""
 
-    name: str  # of the scenario whose laps run
+    name: str
     laps: LapsResult
     threads: ThreadsResult
-    horizons: list[HorizonResult]
+    of_shares: str
+    shares: SharesResult
     of_horizons: str
+    horizons: list[HorizonResult]
 
 
 def run(scenario: Scenario, options: BenchOptions, folder: RunFolder) -> Told:
@@ -48,8 +52,10 @@ def run(scenario: Scenario, options: BenchOptions, folder: RunFolder) -> Told:
     folder.report(f"{write_laps(results)}\n")
     folder.report(f"{write_tiles(results.laps)}\n")
     folder.report(f"{write_threads(results.threads)}\n")
+    folder.report(f"{write_shares(results)}\n")
     folder.report(write_horizons(results))
-    folder.save_figure(scale_figure.scale(results.laps, results.horizons), "scale")
+    figure = scale_figure.scale(results.laps, results.shares, results.horizons)
+    folder.save_figure(figure, "scale")
     return Told(metrics(results), headlines(results))
 
 
@@ -70,14 +76,19 @@ def measure(scenario: Scenario, options: BenchOptions) -> Results:
     kinds = ("devices", "workers") if has_dask() else ("devices",)
     extent = threads.QUICK if quick else threads.FULL
     on_cores = run_pinned(CORES, threads.measure, scenario, seed, extent, kinds)
-    name = options.scenario if is_asked_for(options) else OF_HORIZONS
+    asked = is_asked_for(options)
+    of_shares = scenario if asked else load(OF_SHARES, ())
+    size_of_shares = shares.QUICK if quick else shares.FULL
+    plans = run_pinned(1, shares.measure, of_shares, seed, size_of_shares)
+    name = options.scenario if asked else OF_HORIZONS
     longer = [
         load(name, (*options.overrides, f"controller.horizon={N}"))
         for N in (HORIZONS[:2] if quick else HORIZONS)
     ]
     size = horizons.QUICK if quick else horizons.FULL
     programs = run_pinned(1, horizons.measure, longer, seed, size)
-    return Results(options.label, laps, on_cores, programs, name)
+    names = (options.label,) * 2 if asked else (OF_SHARES, OF_HORIZONS)
+    return Results(options.label, laps, on_cores, names[0], plans, names[1], programs)
 
 
 def has_dask() -> bool:
@@ -132,6 +143,24 @@ def over_one(found: ThreadsResult, kind: str, count: int) -> Spread:
     return spread(found.seconds[kind, 1] / found.seconds[kind, count])
 
 
+def write_shares(results: Results) -> str:
+    """Return what a plan costs by the share of a batch that has active rows, as a table."""
+    found = results.shares
+    columns = [Column("active", "%"), *(Column(name, "us") for name in found.microseconds)]
+    rows = [
+        [
+            f"{100 * share:g}",
+            *(write_number(spread(times[at]).median) for times in found.microseconds.values()),
+        ]
+        for at, share in enumerate(found.shares)
+    ]
+    text = (
+        f"{results.of_shares}: a plan in batches of {found.batch} of which so many have an active "
+        f"row; largest residual {found.largest_residual:.0e}."
+    )
+    return "\n".join([*wrap(text), "", format_table(columns, rows)])
+
+
 def write_horizons(results: Results) -> str:
     """Return what a program costs by horizon as a table."""
     exponents = fit_exponents(results.horizons)
@@ -180,6 +209,13 @@ def metrics(results: Results) -> dict:
             f"{kind}_{count}": describe(spread(results.threads.laps / seconds))
             for (kind, count), seconds in results.threads.seconds.items()
         },
+        "us_a_plan_by_percent_active": {
+            name: {
+                f"{100 * share:g}": describe(spread(each))
+                for share, each in zip(results.shares.shares, times, strict=True)
+            }
+            for name, times in results.shares.microseconds.items()
+        },
         "us_a_program_by_horizon": {
             f"{result.horizon}": {
                 "n": result.n,
@@ -218,6 +254,22 @@ def headlines(results: Results) -> list[Headline]:
             ratio = str(over_one(found, kind, count))
             lines.append(Headline(f"scale, {count} {kind} beside one", ours, one, ratio))
     exponents = fit_exponents(results.horizons)
+    for name in list(results.shares.microseconds)[1:]:
+        lines += [_compare_shares(results, name, at) for at in (0, -1)]
     laws = [f"{name}: N^{exponent:.2f}" for name, exponent in exponents.items()]
     lines += [Headline("scale, time against the horizon", laws[0], law, "") for law in laws[1:]]
     return lines
+
+
+def _compare_shares(results: Results, name: str, at: int) -> Headline:
+    """Return the line of one share of active rows beside one peer."""
+    found = results.shares
+    ours = next(iter(found.microseconds.values()))[at]
+    peer = found.microseconds[name][at]
+    return Headline(
+        what=f"scale, {results.of_shares}: a plan, {100 * found.shares[at]:g} % active",
+        ours=f"{write_number(spread(ours).median)} us",
+        peer=f"{name}: {write_number(spread(peer).median)} us",
+        ratio=str(spread(peer / ours)),
+        residual=f"{found.largest_residual:.0e}",
+    )
