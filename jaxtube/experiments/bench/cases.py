@@ -12,16 +12,35 @@ from jaxtube.experiments.options import BenchOptions
 from jaxtube.scenario.reading import load
 from jaxtube.scenario.tree import Scenario
 
+
+class Usual(NamedTuple):
+    """What is measured where no scenario is asked for: its name, where its laps start, and keys of
+    it that are set."""
+
+    name: str
+    starts: str
+    overrides: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """The name, with the overrides."""
+        return " ".join([self.name, *self.overrides])
+
+
 LOOPS = (
-    ("paper", "scenario"),
-    ("robust", "feasible"),
-    ("certified", "feasible"),
-    ("tuned", "scenario"),
-    ("certified", "edge"),
+    Usual("paper", "scenario"),
+    Usual("robust", "feasible"),
+    Usual("certified", "feasible"),
+    Usual("tuned", "scenario"),
+    Usual("certified", "edge"),
 )
-"""Closed loops from no active row to many: scenario, and where its laps start."""
-FAMILIES = (("certified_30", "feasible"), ("robust", "edge"), ("tuned", "scenario"))
-"""Closed loops whose programs with active rows are solved."""
+"""Closed loops from no active row to many."""
+FAMILIES = (
+    Usual("certified_30", "feasible"),
+    Usual("robust", "edge", ("controller.terminal_facets=62",)),
+    Usual("tuned", "scenario"),
+)
+"""Closed loops whose programs with active rows are solved: 52, 81 and 68 rows."""
 
 
 class Case(NamedTuple):
@@ -37,13 +56,11 @@ class Case(NamedTuple):
         return self.name if self.starts == "scenario" else f"{self.name}, {self.starts} starts"
 
 
-def choose_cases(
-    scenario: Scenario, options: BenchOptions, usual: Sequence[tuple[str, str]]
-) -> list[Case]:
+def choose_cases(scenario: Scenario, options: BenchOptions, usual: Sequence[Usual]) -> list[Case]:
     """Return the usual cases; those of the scenario that was asked for, where one was."""
     if not is_asked_for(options):
-        return [Case(name, starts, load(name, ())) for name, starts in usual]
-    starts = sorted({starts for _, starts in usual}, reverse=True)
+        return [Case(each.label, each.starts, load(each.name, each.overrides)) for each in usual]
+    starts = sorted({each.starts for each in usual}, reverse=True)
     return [Case(options.label, each, scenario) for each in starts]
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -132,7 +132,7 @@ def make_starts(design: Design, seed: int, laps: int) -> dict[str, Float[Array, 
     }
 
 
-def _compile(function: Callable[..., Array], *arguments) -> jax.stages.Compiled:
+def _compile(function: Callable[..., Any], *arguments) -> jax.stages.Compiled:
     return jax.jit(function).lower(*arguments).compile()
 
 

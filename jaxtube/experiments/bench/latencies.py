@@ -150,7 +150,8 @@ class Stepper:
     def __init__(self, design: Design, controller: TubeMpc):
         """Compile it."""
         wheels = jax.numpy.asarray(design.problem.schedule[: len(design.windows.index)])
-        slip = np.asarray(slip_bounds(design.problem.scenario.slip).nominal, float)[None]
+        nominal = slip_bounds(design.problem.scenario.slip).nominal
+        slip = jax.numpy.asarray(nominal, float)[None]
 
         def act(period, memory, errors):
             measurement = Measurement(errors[None], slip)
@@ -235,7 +236,7 @@ class CountCompilations:
     def __exit__(self, *_: object) -> None:
         monitoring.unregister_event_duration_listener(self._hear)
 
-    def _hear(self, event: str, seconds: float, **_: object) -> None:
+    def _hear(self, event: str, duration_secs: float, **kwargs: str | int) -> None:
         self.count += event.startswith(COMPILING)
 
 

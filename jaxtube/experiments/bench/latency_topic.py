@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxtube.experiments.bench import latencies
-from jaxtube.experiments.bench.cases import Case, choose_cases
+from jaxtube.experiments.bench.cases import Case, Usual, choose_cases
 from jaxtube.experiments.bench.latencies import DAQP, FULL, OURS, QUICK, LatencyResult
 from jaxtube.experiments.bench.peers.catalogue import EXACT
 from jaxtube.experiments.bench.pinned import run_pinned
@@ -26,7 +26,7 @@ from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.figures.style import bottom_legend, page_figure, styled
 from jaxtube.scenario.tree import Scenario
 
-USUAL = (("paper", "scenario"), ("tuned", "scenario"))
+USUAL = (Usual("paper", "scenario"), Usual("tuned", "scenario"))
 COLUMNS = [
     left("one robot"),
     left("controller"),

@@ -27,8 +27,7 @@ QPAX_ITERATIONS = 60
 
 def make_piqp(problems: Problems, tolerance: float) -> Solver:
     """Return PIQP, dense."""
-    import piqp
-
+    piqp: Any = importlib.import_module("piqp")
     solver = piqp.DenseSolver()
     solver.settings.eps_abs = tolerance
     solver.settings.eps_rel = 0.0
@@ -103,8 +102,8 @@ def make_qpax(problems: Problems, tolerance: float) -> Solver:
 def _map_qpax(problems: Problems, tolerance: float) -> Callable:
     import jax
     import jax.numpy as jnp
-    import qpax
 
+    qpax: Any = importlib.import_module("qpax")
     P = jnp.asarray(problems.P)
     G = jnp.asarray(OneSided.of(problems).G)
     no_rows = jnp.zeros((0, len(P)))

@@ -10,10 +10,11 @@ Source: Kolmanovsky and Gilbert 1998, algorithm 6.2; Filippidis et al., `polytop
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import logging
 import time
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -52,8 +53,7 @@ def find_maximal_rpi(
     """
     # It would tell that it has no other solver of linear programs.
     logging.getLogger("polytope").setLevel(logging.ERROR)
-    import polytope
-
+    polytope: Any = importlib.import_module("polytope")
     support = support_function(disturbance, "disturbance")
     begin = time.process_time()
     given = polytope.Polytope(constraints.normals, constraints.offsets)

@@ -7,6 +7,9 @@ Bambade, El-Kazdadi, Taylor, Carpentier, Robotics: Science and Systems 2022 (Pro
 
 from __future__ import annotations
 
+import importlib
+from typing import Any
+
 from scipy.sparse import csc_matrix
 
 from jaxtube.experiments.bench.peers.problems import (
@@ -22,8 +25,7 @@ MOST_ITERATIONS = 100_000
 
 def make_osqp(problems: Problems, tolerance: float, polishing: bool) -> Solver:
     """Return OSQP, each program begun without the answer of the one before."""
-    import osqp
-
+    osqp: Any = importlib.import_module("osqp")
     solver = osqp.OSQP()
     # It takes no arrays of scipy's newer kind.
     solver.setup(
@@ -53,8 +55,7 @@ def _read_osqp(answer) -> tuple:
 
 def make_proxqp(problems: Problems, tolerance: float) -> Solver:
     """Return ProxQP, dense, each program begun without the answer of the one before."""
-    from proxsuite import proxqp
-
+    proxqp: Any = importlib.import_module("proxsuite").proxqp
     rows, columns = problems.A.shape
     solver = proxqp.dense.QP(columns, 0, rows)
     data = list(contiguous(problems.q, without_infinity(problems.l), without_infinity(problems.u)))
