@@ -1,13 +1,15 @@
 """`bench latency`: how long one step of one robot takes, call by call.
 
 The errors are those of laps that were recorded beforehand. A step is all that a robot waits for:
-from its errors to a command that Python has; of DAQP from its errors to a plan.
+from its errors to a command that Python has; of DAQP from its errors to a plan. Beside the wall
+clock stands the processor's time of this process, in which other processes do not count.
 
 Source: new.
 """
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Sequence
 from functools import partial
@@ -24,14 +26,12 @@ from jaxtube.experiments.bench.peers.active_set import DaqpModel, set_up_daqp
 from jaxtube.experiments.bench.peers.catalogue import EXACT
 from jaxtube.experiments.bench.peers.problems import INFINITE
 from jaxtube.experiments.bench.recorded import Record, pose, record_laps
-from jaxtube.plant.protocol import Measurement
-from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation.choices import choose_starts
 from jaxtube.simulation.components import make_tube_mpc, slipping_robot
+from jaxtube.simulation.stepper import Stepper
 from jaxtube.synthesis.design import design as make_design
-from jaxtube.synthesis.parts import Design
 
 OURS = "jaxtube"
 DAQP = "DAQP from Python"
@@ -55,7 +55,9 @@ class LatencyResult(NamedTuple):
 
     Attributes:
         scenario, starts: of its laps.
-        microseconds: of every step after those that warm up, by controller.
+        microseconds: of every step after those that warm up, by controller: wall clock.
+        own: the same by the processor's time of this process.
+        load: processes that wanted a core of this machine when it began.
         active: share of the steps with an active row.
         compilations: how often JAX traced or compiled after warming up.
         grown_kib: memory that this process has more after those steps than before.
@@ -65,6 +67,8 @@ class LatencyResult(NamedTuple):
     scenario: str
     starts: str
     microseconds: dict[str, Float[np.ndarray, " steps"]]
+    own: dict[str, Float[np.ndarray, " steps"]]
+    load: float
     active: float
     compilations: int
     grown_kib: float
@@ -108,7 +112,8 @@ def measure_loop(
     robots: dict[str, OneRobot] = {OURS: Stepper(design, controller)}
     if EXACT[0].is_installed:
         robots[DAQP] = DaqpStepper(controller, record)
-    times = {each: np.zeros(laps * steps) for each in robots}
+    times = {each: np.zeros((2, laps * steps)) for each in robots}
+    load = os.getloadavg()[0]
     warm = -(-extent.warm_up // steps)
     run = partial(run_laps, robots, record.starts, times)
     run(range(warm))
@@ -118,7 +123,9 @@ def measure_loop(
     return LatencyResult(
         name,
         starts,
-        {each: 1e6 * seconds[warm * steps :] for each, seconds in times.items()},
+        {each: 1e6 * seconds[0, warm * steps :] for each, seconds in times.items()},
+        {each: 1e6 * seconds[1, warm * steps :] for each, seconds in times.items()},
+        load,
         active=float(np.mean(record.active[:, warm:])),
         compilations=counted.count,
         grown_kib=(read_memory() - before) / 1024,
@@ -129,50 +136,21 @@ def measure_loop(
 def run_laps(
     robots: dict[str, OneRobot],
     errors: Float[np.ndarray, "steps laps 3"],
-    times: dict[str, Float[np.ndarray, " all"]],
+    times: dict[str, Float[np.ndarray, "2 all"]],
     laps: range,
 ) -> None:
-    """Run laps, and note the seconds of every step."""
+    """Run laps, and note the seconds of every step: of the wall clock, and of this process."""
     steps = len(errors)
     for lap in laps:
         for name, robot in robots.items():
             robot.restart()
-            seconds = times[name][lap * steps : (lap + 1) * steps]
+            seconds = times[name][:, lap * steps : (lap + 1) * steps]
             for step in range(steps):
+                own = time.process_time()
                 start = time.perf_counter()
                 robot(errors[step, lap])
-                seconds[step] = time.perf_counter() - start
-
-
-class Stepper:
-    """The tube-MPC of one robot: a batch of one, compiled once."""
-
-    def __init__(self, design: Design, controller: TubeMpc):
-        """Compile it."""
-        wheels = jax.numpy.asarray(design.problem.schedule[: len(design.windows.index)])
-        nominal = slip_bounds(design.problem.scenario.slip).nominal
-        slip = jax.numpy.asarray(nominal, float)[None]
-
-        def act(period, memory, errors):
-            measurement = Measurement(errors[None], slip)
-            command, following, _ = controller.act(period, memory, measurement, wheels[period])
-            return command.wheels[0], following
-
-        self._initial = jax.jit(lambda errors: controller.initial(errors[None]))
-        self._act = jax.jit(act)
-        self.restart()
-
-    def restart(self) -> None:
-        """Begin a lap."""
-        self._period = 0
-        self._memory = None
-
-    def __call__(self, errors: Float[np.ndarray, "3"]) -> Float[np.ndarray, "2"]:
-        """Return the wheels' speeds."""
-        memory = self._initial(errors) if self._memory is None else self._memory
-        wheels, self._memory = self._act(np.int32(self._period), memory, errors)
-        self._period += 1
-        return np.asarray(wheels)
+                seconds[0, step] = time.perf_counter() - start
+                seconds[1, step] = time.process_time() - own
 
 
 class DaqpStepper:

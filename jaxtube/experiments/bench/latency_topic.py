@@ -34,6 +34,7 @@ COLUMNS = [
     Column("99 %", "us"),
     Column("99.9 %", "us"),
     Column("longest", "us"),
+    Column("99.9 % of\nits own time", "us"),
 ]
 COLOURS = {OURS: "#0072B2", DAQP: "#D55E00"}
 
@@ -74,7 +75,12 @@ TOPIC = Topic(
 def write_table(cases: Sequence[Case], results: Sequence[LatencyResult]) -> str:
     """Return the latencies as a table."""
     rows = [
-        [case.words, controller, *(f"{each:,.1f}" for each in find_latency(times))]
+        [
+            case.words,
+            controller,
+            *(f"{each:,.1f}" for each in find_latency(times)),
+            f"{find_latency(result.own[controller]).percent_99_9:,.1f}",
+        ]
         for case, result in zip(cases, results, strict=True)
         for controller, times in result.microseconds.items()
     ]
@@ -93,7 +99,8 @@ def write_notes(cases: Sequence[Case], results: Sequence[LatencyResult]) -> str:
     text = (
         f"Wall clock of {steps:,} steps, after others that warm up, on one core: from the errors "
         "of recorded laps to a command that Python has; DAQP: from the errors to a plan, one model "
-        f"a window. {'; '.join(told)}."
+        f"a window. Own time: of the processor, without what other processes took; "
+        f"{results[0].load:.1f} wanted its cores when this began. {'; '.join(told)}."
     )
     cure = "" if EXACT[0].is_installed else f" DAQP: {EXACT[0].cure}."
     return "\n".join(wrap(text + cure))
@@ -110,6 +117,10 @@ def metrics(result: LatencyResult) -> dict:
             controller: find_latency(times)._asdict()
             for controller, times in result.microseconds.items()
         },
+        "own_us": {
+            controller: find_latency(times)._asdict() for controller, times in result.own.items()
+        },
+        "load_of_the_machine": result.load,
     }
 
 
