@@ -41,7 +41,7 @@ def run(scenario: Scenario, options: BenchOptions, folder: RunFolder) -> Told:
 
 TOPIC = Topic(
     "compiles the tuning objective of two scenarios and its gradient, and runs both in turn: about "
-    "two minutes",
+    "three minutes",
     run,
 )
 

@@ -53,7 +53,7 @@ def run(scenario: Scenario, options: BenchOptions, folder: RunFolder) -> Told:
 
 TOPIC = Topic(
     "laps of a Monte Carlo from a thousand to a million, on one core and on two; programs of "
-    "longer horizons: about four minutes",
+    "longer horizons: about eight minutes",
     run,
 )
 

@@ -91,7 +91,7 @@ def _open_devices(task: Task) -> Iterator[Sources]:
 def _open_workers(task: Task) -> Iterator[Sources]:
     run = Run(task, UNLIMITED, 1, tuple(jax.local_devices()[:1]))
     # Dask tells that the second cluster's pages are not where the first one's are.
-    warnings.filterwarnings("ignore", "\\nPort .* is already in use")
+    warnings.filterwarnings("ignore", r"Port \d+ is already in use")
     with Cluster("local:1", run) as one, Cluster("local:2", run) as two:
         yield {1: one, 2: two}
 
