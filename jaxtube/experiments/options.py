@@ -494,9 +494,9 @@ class BenchOptions(Options):
         Literal["all", "qp", "loop", "design", "gradient", "scale", "latency", "gpu"]
     ] = "all"
     """qp: programs with active rows; loop: the closed loop; design: a design by stage; gradient: of
-    the tuning objective; scale: laps, cores, share of active rows, horizon; latency: one step of one
-    robot; gpu: laps on one GPU, also of `certified` and `tuned`, compared with the processor's; all:
-    everything but the GPU"""
+    the tuning objective; scale: laps, cores, share of active rows, horizon; latency: one step of
+    one robot; gpu: laps on one GPU, also of `certified` and `tuned`, compared with the processor's;
+    all: everything but the GPU"""
     quick: bool = False
     """a small part of each, which shows that it works; its speeds say little"""
     seconds: Annotated[float, arg(metavar="SECONDS"), DURATION] = 330.0

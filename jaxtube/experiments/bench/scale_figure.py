@@ -71,6 +71,11 @@ def _draw_shares(axes: Axes, found: SharesResult) -> None:
     ticks = [0, 0.2, 1, 10, 100]
     axes.set_xticks(ticks, [f"{each:g}" for each in ticks])
     axes.set(yscale="log", xlabel="plans with active rows [%]", ylabel="time of a plan [µs]")
+    times = [0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 50]
+    limits = axes.get_ylim()
+    axes.set_yticks(times, [f"{each:g}" for each in times])
+    axes.minorticks_off()
+    axes.set_ylim(limits)
     axes.legend(fontsize=LEGEND_SIZE, handlelength=1.4)
 
 
