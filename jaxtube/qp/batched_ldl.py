@@ -26,6 +26,9 @@ from jaxtube.qp.blocks import on_accelerator
 FEW_TERMS = 5
 """Terms up to which an accelerator adds up a product by itself."""
 
+SHORT = 16
+"""Terms up to which the product with a batch of vectors is written out."""
+
 
 def matmul(one: Float[Array, "*stack m k"], other: Float[Array, "*stack k n"]):
     """Return the product of matrices in full precision.
@@ -38,8 +41,40 @@ def matmul(one: Float[Array, "*stack m k"], other: Float[Array, "*stack k n"]):
     terms = other.shape[-2]
     if terms > FEW_TERMS or not on_accelerator():
         return jnp.matmul(one, other, precision=jax.lax.Precision.HIGHEST)
-    products = [one[..., :, k, None] * other[..., None, k, :] for k in range(terms)]
-    return functools.reduce(operator.add, products)
+    return add_up([one[..., :, k, None] * other[..., None, k, :] for k in range(terms)])
+
+
+def product(matrix: Float[Array, "m k"], vectors: Float[Array, "k batch"]):
+    """Return the product of a matrix with a batch of vectors, the batch last.
+
+    Where these are short it is written out, as a loop over the batch that joins what is done to it
+    next; a product by itself would be stored.
+    """
+    terms = matrix.shape[1]
+    if terms > SHORT:
+        return matmul(matrix, vectors)
+    return add_up([matrix[:, k, None] * vectors[k] for k in range(terms)])
+
+
+def add_up(terms: list[Array]) -> Array:
+    """Return a sum, written out."""
+    return functools.reduce(operator.add, terms)
+
+
+def largest(values: Float[Array, "m batch"]) -> Float[Array, " batch"]:
+    """Return the largest of numbers >= 0, NaN where one of them is.
+
+    As integers, whose order is the same: a processor's compiler hands the maximum of floats over to
+    a library that is many times slower.
+    """
+    greatest = jnp.max(as_integer(jnp.abs(values)), axis=0)
+    return jax.lax.bitcast_convert_type(greatest, values.dtype)
+
+
+def as_integer(value: Array) -> Array:
+    """Return the bits of numbers."""
+    integer = jnp.int64 if value.dtype.itemsize == 8 else jnp.int32
+    return jax.lax.bitcast_convert_type(value, integer)
 
 
 class LDL(NamedTuple):

@@ -147,7 +147,7 @@ def _refill(load: Load, line: Line, queue: _Queue) -> _Queue:
 def _read(lanes: Lanes) -> Found:
     is_ray = lanes.adding <= STUCK
     last = jnp.where(is_ray, STUCK - lanes.adding, -1)
-    multiplier = jnp.where(is_ray, lanes.multiplier, 0.0)
+    multiplier = is_ray.astype(lanes.multipliers.dtype)
     return Found(
         multipliers=jnp.concatenate([lanes.multipliers, multiplier[None]]).T,
         rows=jnp.concatenate([lanes.rows, last[None]]).T,

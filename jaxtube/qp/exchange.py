@@ -24,7 +24,6 @@ of a factor of N is new.
 """
 
 import functools
-import operator
 from typing import NamedTuple
 
 import jax
@@ -33,7 +32,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxtube.qp.batched_ldl import matmul
+from jaxtube.qp.batched_ldl import add_up, as_integer, product
 from jaxtube.qp.blocks import on_accelerator
 
 NEXT = -1
@@ -46,8 +45,6 @@ DEPENDENT = 0.625
 """Power of eps, by the square of a row, below which d'd counts as zero."""
 UNMOVED = 0.75
 """Power of eps below which r counts as zero."""
-MANY_TERMS = 16
-"""Of a product with the rows, from which on it is not written out."""
 
 
 class Program(NamedTuple):
@@ -69,7 +66,7 @@ class Lanes(NamedTuple):
     multipliers: Float[Array, "a lanes"]  # y; -r where there is no step
     rows: Int[Array, "a lanes"]  # of the slots, -1 where empty
     adding: Int[Array, " lanes"]  # p, or a mark
-    multiplier: Float[Array, " lanes"]  # y_p; 1 where there is no step
+    multiplier: Float[Array, " lanes"]  # y_p; it stands for 1 where there is no step
     count: Int[Array, " lanes"]  # of exchanges
 
 
@@ -128,18 +125,15 @@ def exchange(program: Program, lanes: Lanes) -> Lanes:
         z=lanes.z - jnp.where(jnp.isfinite(way.square), step.length, 0.0) * way.d,
         multipliers=jnp.where(is_stuck, jnp.maximum(-way.r, 0.0), changed.multipliers),
         adding=jnp.where(moves & (step.joins > 0), NEXT, ended),
-        multiplier=jnp.where(is_stuck, 1.0, begun),
+        multiplier=begun,
         count=lanes.count + 1,
     )
 
 
 def choose_row(program: Program, lanes: Lanes) -> Missed:
     """Return p, (1)."""
-    m, n = program.rows.shape
-    if n > MANY_TERMS:
-        values = matmul(program.rows, lanes.z)
-    else:
-        values = add_up([program.rows[:, j, None] * lanes.z[j] for j in range(n)])
+    m = len(program.rows)
+    values = product(program.rows, lanes.z)
     index = jnp.arange(m)[:, None]
     above = tag(values - lanes.bounds[:m], index, 2 * m)
     below = tag(-values - lanes.bounds[m:], index + m, 2 * m)
@@ -218,22 +212,16 @@ def change_rows(
     pivot = jnp.take_along_axis(column, place, axis=0, mode="clip")[0]
     vector = keep(program, step.joins * (way.r - one_hot) + (1 - step.joins) * column)
     divisor = jnp.where(step.joins > 0, way.square, -pivot)
-    scale = jnp.where(step.slot < slots, 1 / divisor, 0.0)
-    scaled = keep(program, scale * vector)
-    # What has left is zero but for rounding; a product is faster than a choice.
+    scale = keep(program, jnp.where(step.slot < slots, 1 / divisor, 0.0))
     present = keep(program, stays + joins)
+    inverse = (lanes.inverse + scale * vector[:, None] * vector) * present[:, None] * present
+    taken = jnp.maximum(lanes.multipliers - step.length * way.r, 0.0)
     return lanes._replace(
         normals=lanes.normals * stays[:, None] + joins[:, None] * missed.normal,
-        inverse=(lanes.inverse + scaled[:, None] * vector) * present[:, None] * present,
-        multipliers=stays * jnp.maximum(lanes.multipliers - step.length * way.r, 0.0)
-        + joins * multiplier,
+        inverse=inverse,
+        multipliers=stays * taken + joins * multiplier,
         rows=jnp.where(is_slot, jnp.where(step.joins > 0, missed.row, -1), lanes.rows),
     )
-
-
-def add_up(terms: list[Array]) -> Array:
-    """Return a sum, written out: the compiler then makes one loop of it over the lanes."""
-    return functools.reduce(operator.add, terms)
 
 
 def tag(value: Array, index: Array | int, count: int) -> Array:
@@ -242,12 +230,6 @@ def tag(value: Array, index: Array | int, count: int) -> Array:
     bits = as_integer(jnp.maximum(value, 0.0))
     spare = (1 << (count - 1).bit_length()) - 1
     return (bits & ~spare) | jnp.asarray(index, bits.dtype)
-
-
-def as_integer(value: Array) -> Array:
-    """Return the bits of a number."""
-    integer = jnp.int64 if value.dtype.itemsize == 8 else jnp.int32
-    return jax.lax.bitcast_convert_type(value, integer)
 
 
 def untag(tagged: Array, dtype) -> Array:

@@ -2,9 +2,9 @@
 """Prove that l <= A x <= u has no solution, for a batch of bounds l, u and one A with rows of unit
 2-norm.
 
-(1) Elastic problem: minimise t subject to l - t <= A x <= u + t and t >= -1. It always has interior
-    points, so that the interior point method is safe; where its optimum is positive its multipliers
-    y_u, y_l >= 0 add up to one.
+(1) Elastic problem: minimise t subject to l - t <= A x <= u + t and t >= -1; `rounds` solves it. It
+    always has interior points, so that the interior point method is safe; where its optimum is
+    positive its multipliers y_u, y_l >= 0 add up to one.
 (2) Check, whatever (1) returned: every x inside the bounds has l'y_l - u'y_u <= -g'x with g =
     A'(y_u - y_l), and x'H x <= S, where H = sum_i a_i a_i' / (1 + max(l_i^2, u_i^2)) + I / X^2 over
     the rows with two finite bounds and S = their number + 1. So there is none if l'y_l - u'y_u >
@@ -40,24 +40,9 @@ def elastic_program(
     return interior_point.program(cost, jnp.concatenate([of_x, of_t], axis=1))
 
 
-def elastic_multipliers(
-    program: interior_point.Program,
-    l: Float[Array, "m batch"],
-    u: Float[Array, "m batch"],
-    start: Float[Array, "n batch"],
-    iterations: int,
-) -> tuple[Float[Array, "m batch"], Float[Array, "m batch"]]:
-    """Solve (1); return y_u, y_l >= 0, zero where the bound is infinite."""
-    m = len(l)
-    n = len(start)
-    row_values = matmul(program.rows[:m, :n], start)
-    violation = jnp.max(jnp.maximum(row_values - u, l - row_values), axis=0)
-    interior_t = jnp.maximum(violation, 0.0)[None] + 1.0
-    begin = jnp.concatenate([start, interior_t])
-    q = jnp.zeros_like(begin).at[n].set(1.0)
-    h = jnp.concatenate([u, -l, jnp.ones_like(u[:1])])
-    _, y = interior_point.solve(program, q, h, begin, iterations)
-    return y[:m], y[m : 2 * m]
+def interior_t(missed: Float[Array, " batch"]) -> Float[Array, " batch"]:
+    """Return a t well inside problem (1), `missed` being the most by which x misses a bound."""
+    return jnp.maximum(missed, 0.0) + 1.0
 
 
 def excludes(

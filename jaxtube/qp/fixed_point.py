@@ -30,10 +30,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from jaxtube.qp import batched_ldl
-from jaxtube.qp.batched_ldl import matmul
+from jaxtube.qp.batched_ldl import largest, matmul, product
 from jaxtube.qp.factors import Factors
 
 TOLERANCE = {8: 1e-9, 4: 5e-7}
@@ -56,6 +56,7 @@ class Instances(NamedTuple):
     q: Float[Array, "n batch"]
     l: Float[Array, "m batch"]
     u: Float[Array, "m batch"]
+    optimum: Float[Array, "n batch"]  # of no constraints
     dual_scale: Float[Array, " batch"]  # sigma
 
 
@@ -67,23 +68,36 @@ class Iterate(NamedTuple):
     residual: Float[Array, " batch"]
 
 
-def unit_rows(factors: Factors, instances: Instances) -> Instances:
-    """Return instances with the batch first and the caller's rows as those of unit rows, batch
-    last."""
-    norms = factors.row_norms
-    l = (instances.l / norms).T
-    u = (instances.u / norms).T
-    return Instances(instances.q.T, l, u, instances.dual_scale)
+def unit_rows(
+    factors: Factors,
+    q: Float[Array, "batch n"],
+    l: Float[Array, "batch m"],
+    u: Float[Array, "batch m"],
+) -> Instances:
+    """Return instances whose bounds are those of the caller's rows."""
+    norms = factors.row_norms[:, None]
+    return make_instances(factors, q.T, l.T / norms, u.T / norms)
+
+
+def make_instances(
+    factors: Factors,
+    q: Float[Array, "n batch"],
+    l: Float[Array, "m batch"],
+    u: Float[Array, "m batch"],
+) -> Instances:
+    """Return instances whose bounds are those of unit rows."""
+    optimum = product(factors.optimum, q)
+    return Instances(q, l, u, optimum, dual_scale(factors, q, optimum))
 
 
 def dual_scale(
-    factors: Factors, q: Float[Array, "batch n"], optimum: Float[Array, "batch n"]
+    factors: Factors, q: Float[Array, "n batch"], optimum: Float[Array, "n batch"]
 ) -> Float[Array, " batch"]:
     """Return sigma, `optimum` being the x without constraints."""
     eps = jnp.finfo(q.dtype).eps
     unit = DUAL_ROUNDING * eps / TOLERANCE[q.dtype.itemsize]
-    rounding = unit * jnp.max(jnp.abs(factors.hessian)) * jnp.max(jnp.abs(optimum), axis=1)
-    return jnp.maximum(jnp.maximum(1.0, jnp.max(jnp.abs(q), axis=1)), rounding)
+    rounding = unit * jnp.max(jnp.abs(factors.hessian)) * jnp.max(jnp.abs(optimum), axis=0)
+    return jnp.maximum(jnp.maximum(1.0, jnp.max(jnp.abs(q), axis=0)), rounding)
 
 
 def primal_scale(x: Float[Array, "n batch"]) -> Float[Array, " batch"]:
@@ -103,12 +117,12 @@ def residual(
 ) -> Float[Array, " batch"]:
     """Return the residual of a guess; infinite where a number is NaN or where bounds cross."""
     row_values = matmul(factors.rows, x)
-    stationarity = matmul(factors.hessian, x) + instances.q + matmul(factors.rows.T, y)
+    stationarity = product(factors.hessian, x) + instances.q + matmul(factors.rows.T, y)
     projected = jnp.clip(row_values + y / instances.dual_scale, instances.l, instances.u)
-    dual = jnp.max(jnp.abs(stationarity), axis=0) / instances.dual_scale
-    primal = jnp.max(jnp.abs(row_values - projected), axis=0) / primal_scale(x)
-    largest = jnp.maximum(dual, primal)
-    return jnp.where(jnp.isnan(largest) | has_crossing_bounds(instances), jnp.inf, largest)
+    dual = largest(stationarity) / instances.dual_scale
+    primal = largest(row_values - projected) / primal_scale(x)
+    either = jnp.maximum(dual, primal)
+    return jnp.where(jnp.isnan(either) | has_crossing_bounds(instances), jnp.inf, either)
 
 
 def has_crossing_bounds(instances: Instances) -> Bool[Array, " batch"]:
@@ -159,7 +173,7 @@ def polish(
     best: Iterate,
     x: Float[Array, "n batch"],
     y: Float[Array, "m batch"],
-    steps: int,
+    steps: Int[Array, ""] | int,
 ) -> Iterate:
     """Take Newton steps from x, y; return the best of `best`, of x, y and of the steps, never worse
     than `best`."""

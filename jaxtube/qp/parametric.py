@@ -19,11 +19,13 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float
 
-from jaxtube.qp.batched_ldl import matmul
+from jaxtube.qp.batched_ldl import matmul, product
 from jaxtube.qp.factors import Factors
+from jaxtube.qp.fixed_point import Instances, make_instances
 from jaxtube.qp.regions import Regions
 from jaxtube.qp.solver import finish, pull_back
-from jaxtube.qp.stages import Solution, Source, solve_constrained
+from jaxtube.qp.source import Solution, Source
+from jaxtube.qp.stages import solve_constrained
 from jaxtube.qp.status import UNSOLVED
 
 AnyArray = Any
@@ -71,8 +73,26 @@ def solve_parametric(
         status=jnp.full(batch, UNSOLVED, jnp.int32),
         residual=jnp.where(is_sound, 1.0, jnp.inf).astype(dtype),
     )
-    source = Source(parameters, partial(form, program))
+    of_units = Parametric(program.linear, *(_of_units(factors, part) for part in program[1:]))
+    source = Source(parameters, partial(form_block, factors, of_units))
     return finish(solve_constrained(factors, source, known, nothing))
+
+
+def _of_units(factors: Factors, array: Array) -> Array:
+    """Return what belongs to the caller's rows, for those of unit norm."""
+    norms = factors.row_norms
+    return array / (norms if array.ndim == 1 else norms[:, None])
+
+
+def form_block(
+    factors: Factors, program: Parametric, parameters: Float[Array, "block k"]
+) -> Instances:
+    """Return the instances of a program of unit rows."""
+    p = parameters.T
+    shift = product(program.rows, p)
+    lower = program.lower[:, None] - shift
+    upper = program.upper[:, None] - shift
+    return make_instances(factors, product(program.linear, p), lower, upper)
 
 
 def form(

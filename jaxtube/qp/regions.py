@@ -14,13 +14,14 @@ constrained systems", Automatica 38(1).
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxtube.qp.batched_ldl import matmul
+from jaxtube.qp.batched_ldl import product
 
 AnyArray = Any
 """A bank is made of numpy arrays, and looked up in jax arrays."""
@@ -38,15 +39,15 @@ class Regions(NamedTuple):
 
 def look_up(
     regions: Regions, p: Float[Array, "batch 3"], row_count: int
-) -> tuple[Float[Array, "batch n"], Float[Array, "batch m"]]:
+) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"]]:
     """Return x and multipliers of the region in which each p lies, or to which it is nearest."""
-    facets, count, size = regions.normals.shape
-    values = matmul(regions.normals.reshape(-1, size), p.T).reshape(facets, count, -1)
-    beyond = jnp.max(values - regions.offsets[..., None], axis=0)
-    region = jnp.argmin(beyond, axis=0)
+    facets = len(regions.normals)
+    values = [product(regions.normals[each], p.T) for each in range(facets)]
+    distances = [each - regions.offsets[i, :, None] for i, each in enumerate(values)]
+    region = jnp.argmin(functools.reduce(jnp.maximum, distances), axis=0)
     extended = jnp.concatenate([p, jnp.ones_like(p[:, :1])], axis=1)[:, None]
     x = jnp.sum(regions.optimum[region] * extended, axis=-1)
     active = jnp.sum(regions.multipliers[region] * extended, axis=-1)
     instance = jnp.arange(len(p))[:, None]
-    y = jnp.zeros((len(p), row_count), p.dtype)
-    return x, y.at[instance, regions.rows[region]].set(active, mode="drop")
+    y = jnp.zeros((row_count, len(p)), p.dtype)
+    return x.T, y.at[regions.rows[region], instance].set(active, mode="drop")

@@ -40,7 +40,8 @@ from jaxtube.qp.batched_ldl import matmul
 from jaxtube.qp.blocks import block_sizes, update_in_blocks
 from jaxtube.qp.factors import Factors
 from jaxtube.qp.fixed_point import TOLERANCE
-from jaxtube.qp.stages import Solution, Source, solve_constrained
+from jaxtube.qp.source import Solution, Source
+from jaxtube.qp.stages import solve_constrained
 from jaxtube.qp.status import SOLVED, UNSOLVED
 
 
@@ -84,13 +85,13 @@ def solve_batch(
     """Solve as `solve`, every instance with bounds of its own."""
     x = matmul(q, factors.optimum)  # (1)
     row_values = matmul(q, factors.optimum_rows)
-    scale = fixed_point.dual_scale(factors, q, x)
+    scale = fixed_point.dual_scale(factors, q.T, x.T)
     residual = jnp.max(jnp.abs(matmul(x, factors.hessian) + q), axis=1) / scale
     is_inside = jnp.all((l <= row_values) & (row_values <= u), axis=1)
     is_solved = is_inside & (residual <= TOLERANCE[q.dtype.itemsize])
     status = jnp.where(is_solved, SOLVED, UNSOLVED).astype(jnp.int32)
     free = Solution(x, jnp.zeros_like(l), status, residual)
-    source = Source((q, l, u), lambda data: data)
+    source = Source((q, l, u), lambda data: fixed_point.unit_rows(factors, *data))
     general = partial(solve_the_rest, factors, source)
     return jax.lax.cond(jnp.all(is_solved), lambda free: free, general, free)
 

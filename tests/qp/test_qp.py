@@ -282,8 +282,7 @@ def test_polish_makes_most_iterates_exact_and_loses_none():
     @jax.jit
     def before_and_after(P, A, q, l, u):
         factors = qp.factorise(P, A)
-        instances = fixed_point.Instances(q, l, u, jnp.ones(len(q)))
-        instances = fixed_point.unit_rows(factors, instances)
+        instances = fixed_point.unit_rows(factors, q, l, u)
         x, y = fixed_point.admm(factors, instances, jnp.zeros_like(q.T), 30)
         start = fixed_point.Iterate(x, y, fixed_point.residual(factors, instances, x, y))
         polished = fixed_point.polish(factors, instances, start, x, y, 4)

@@ -144,8 +144,7 @@ def test_agrees_with_unrolled_iterations():
     def unrolled(data, x_bar):
         P, A, q, l, u = data
         factors = differentiable_gain(qp.factorise(P, A))
-        instances = fixed_point.Instances(q, l, u, jnp.ones(len(q)))
-        instances = fixed_point.unit_rows(factors, instances)
+        instances = fixed_point.unit_rows(factors, q, l, u)
         x, y = fixed_point.admm(factors, instances, jnp.zeros_like(instances.q), 600)
         return jnp.sum(x.T * x_bar), fixed_point.residual(factors, instances, x, y)
 

@@ -77,7 +77,7 @@ def test_answers_of_regions_satisfy_the_optimality_conditions(first, errors):
     """At points of each region, by the conditions themselves."""
     factors = first.factors
     rows = factors.rows * factors.row_norms[:, None]
-    x, y = look_up(first.regions, jnp.asarray(errors), len(rows))
+    x, y = (part.T for part in look_up(first.regions, jnp.asarray(errors), len(rows)))
     beyond = jnp.einsum("fki,ni->nfk", first.regions.normals, errors) - first.regions.offsets
     inside = np.asarray(beyond.max(axis=1).min(axis=1) <= 0)
     assert inside.sum() > 50

@@ -329,9 +329,8 @@ def test_agrees_with_unrolled_iterations(monkeypatch):
         gain = jnp.linalg.inv(factors.hessian + factors.rho * gram)
         factors = factors._replace(admm_gain=gain)
         # The product of an infinite bound with its cotangent, zero, would be NaN.
-        scale = jnp.ones(len(q))
-        given = fixed_point.Instances(q, jnp.maximum(lower, -1e6), jnp.minimum(upper, 1e6), scale)
-        given = fixed_point.unit_rows(factors, given)
+        finite = (jnp.maximum(lower, -1e6), jnp.minimum(upper, 1e6))
+        given = fixed_point.unit_rows(factors, q, *finite)
         x, y = fixed_point.admm(factors, given, jnp.zeros_like(given.q), 400)
         status = jnp.full(len(q), qp.SOLVED, jnp.int32)
         return qp.Solution(

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from jaxtube.experiments.bench.peers.problems import Answers, Problems
 from jaxtube.qp import fixed_point
 from jaxtube.qp.factors import factorise
-from jaxtube.qp.fixed_point import TOLERANCE, Instances
+from jaxtube.qp.fixed_point import TOLERANCE
 
 WRONG = 1e-6
 """Distance to the exact answer, relative to its largest entry where that is above 1, from which on
@@ -54,12 +54,7 @@ def count_wrong(x: Float[np.ndarray, "k n"], exact: Float[np.ndarray, "k n"]) ->
 def find_residuals(problems: Problems, answers: Answers) -> Float[np.ndarray, " k"]:
     """Return the residual of every answer."""
     factors = factorise(jnp.asarray(problems.P), jnp.asarray(problems.A))
-    norms = factors.row_norms
-    q = jnp.asarray(problems.q)
-    scale = fixed_point.dual_scale(factors, q, q @ factors.optimum)
-    lower = jnp.asarray(problems.l) / norms
-    upper = jnp.asarray(problems.u) / norms
-    instances = Instances(q.T, lower.T, upper.T, scale)
-    multipliers = jnp.asarray(answers.multipliers) * norms
+    instances = fixed_point.unit_rows(factors, *map(jnp.asarray, problems[2:]))
+    multipliers = jnp.asarray(answers.multipliers) * factors.row_norms
     x = jnp.asarray(answers.x)
     return np.asarray(fixed_point.residual(factors, instances, x.T, multipliers.T))
