@@ -15,8 +15,6 @@ Functions, chapter 8.
 
 from __future__ import annotations
 
-import functools
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -102,4 +100,8 @@ def sinc(x: Float[Array, "..."], sine: Float[Array, "..."] | None = None) -> Flo
 
 def _polynomial(coefficients: tuple[float, ...], x: Float[Array, "..."]) -> Float[Array, "..."]:
     """Return the sum of coefficients[i] x^i."""
-    return functools.reduce(lambda value, next_one: value * x + next_one, reversed(coefficients))
+    *lower, last = coefficients
+    value = jnp.full_like(x, last)
+    for coefficient in reversed(lower):
+        value = value * x + coefficient
+    return value
