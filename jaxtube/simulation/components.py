@@ -66,7 +66,8 @@ def controllers(design: Design) -> dict[str, Controller]:
 def make_tube_mpc(design: Design) -> TubeMpc:
     """Return the tube-MPC of a design."""
     problem = design.problem
-    qps = design.tube_qps
+    free_region, _ = find_free_regions(design.tube_qps, design.plain_qps)
+    qps = design.tube_qps._replace(free_region=free_region)
     if not problem.scenario.controller.restart:
         return dataclasses.replace(_make_mpc(design, qps), restart=False)
     regions = find_regions(
@@ -81,13 +82,15 @@ def make_tube_mpc(design: Design) -> TubeMpc:
 
 def make_plain_mpc(design: Design) -> TubeMpc:
     """Return the MPC of a design without its tube: constraints untightened, no terminal set."""
-    return _make_mpc(design, design.plain_qps)
+    _, free_region = find_free_regions(design.tube_qps, design.plain_qps)
+    return _make_mpc(design, design.plain_qps._replace(free_region=free_region))
 
 
 def _make_mpc(design: Design, qps: mpc.CondensedQp) -> TubeMpc:
     require_64_bits("controllers of a design")
-    on_device = jax.device_put(qps._replace(free_region=find_free_regions(qps)))
-    return TubeMpc(on_device, jnp.asarray(design.windows.index), make_wheel_map(design.problem))
+    return TubeMpc(
+        jax.device_put(qps), jnp.asarray(design.windows.index), make_wheel_map(design.problem)
+    )
 
 
 def make_wheel_map(problem: Problem) -> WheelMap:

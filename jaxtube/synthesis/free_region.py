@@ -22,19 +22,25 @@ DISTANCE = 1e-7
 """From an implied row, by the bound of that row."""
 
 
-def find_free_regions(qps: CondensedQp) -> HalfSpaces:
-    """Return the errors that have a free plan, window by window.
+def find_free_regions(*stacks: CondensedQp) -> list[HalfSpaces]:
+    """Return the errors that have a free plan, window by window, for each stack of QPs.
+
+    All have as many rows as the one that needs most, so that controllers of equal shapes stay so
+    and share their compiled programs.
 
     Args:
-        qps: condensed, with a leading axis over the windows.
+        *stacks: condensed, with a leading axis over the windows.
     """
-    regions = [
+    regions = [_find_regions(qps) for qps in stacks]
+    most = max(len(region.offsets) for of_stack in regions for region in of_stack)
+    return [_stack_regions(of_stack, most) for of_stack in regions]
+
+
+def _find_regions(qps: CondensedQp) -> list[HalfSpaces]:
+    return [
         _find_region(jax.tree.map(lambda array, number=number: array[number], qps))
         for number in range(len(qps.lower))
     ]
-    most = max(len(region.offsets) for region in regions)
-    padded = [_pad(region, most) for region in regions]
-    return HalfSpaces(*map(np.stack, zip(*padded, strict=True)))
 
 
 def _find_region(condensed: CondensedQp) -> HalfSpaces:
@@ -55,6 +61,11 @@ def _find_region(condensed: CondensedQp) -> HalfSpaces:
     reach = np.max(normals @ region.vertices().T, axis=1)
     decides = reach >= offsets - DISTANCE * np.abs(offsets)
     return HalfSpaces(normals[decides], offsets[decides])
+
+
+def _stack_regions(regions: list[HalfSpaces], most: int) -> HalfSpaces:
+    padded = [_pad(region, most) for region in regions]
+    return HalfSpaces(*map(np.stack, zip(*padded, strict=True)))
 
 
 def _pad(region: HalfSpaces, most: int) -> HalfSpaces:

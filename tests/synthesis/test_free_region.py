@@ -1,11 +1,13 @@
 """The region of free plans, by few rows, is the one that all rows leave."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import jaxtube as jt
 from jaxtube import qp
+from jaxtube.simulation import components
 from jaxtube.synthesis.free_region import find_free_regions
 
 
@@ -27,7 +29,7 @@ def meets_all_rows(window, errors):
 @pytest.mark.parametrize("which", ["tube_qps", "plain_qps"])
 def test_few_rows_say_what_all_say(design, which):
     qps = getattr(design, which)
-    regions = find_free_regions(qps)
+    [regions] = find_free_regions(qps)
     generator = np.random.default_rng(5)
     for number in range(len(qps.lower)):
         window = jax.tree.map(lambda array, number=number: array[number], qps)
@@ -46,7 +48,7 @@ def test_few_rows_say_what_all_say(design, which):
 
 
 def test_the_rows_are_fewer(design):
-    regions = find_free_regions(design.tube_qps)
+    [regions] = find_free_regions(design.tube_qps)
     finite = (
         np.isfinite(design.tube_qps.lower[0]).sum() + np.isfinite(design.tube_qps.upper[0]).sum()
     )
@@ -63,6 +65,13 @@ def test_without_bounds_on_all_sides_every_row_stays(design):
         check_lower=nothing[..., 0],
         check_upper=nothing[..., 0],
     )
-    kept = find_free_regions(unbounded)
+    [kept] = find_free_regions(unbounded)
     sides = np.isfinite(qps.lower[0]).sum() + np.isfinite(qps.upper[0]).sum()
     assert kept.offsets.shape[1] == sides
+
+
+def test_controllers_of_one_design_share_their_shapes(design):
+    tube = components.make_tube_mpc(design)
+    plain = components.make_plain_mpc(design)
+    shapes = [jax.tree.map(jnp.shape, mpc.qps.free_region) for mpc in (tube, plain)]
+    assert shapes[0] == shapes[1]

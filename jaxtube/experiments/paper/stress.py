@@ -74,8 +74,9 @@ def make_runs(
     run = batches.run_realisations
     return {
         (case, name): partial(run, controller, plant, starts, seed, on_progress)
-        for case, plant in plants.items()
+        # Both controllers of a case share one compiled program: the second comes when it is there.
         for name, controller in controllers.items()
+        for case, plant in plants.items()
     }
 
 
