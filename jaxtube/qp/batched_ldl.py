@@ -61,22 +61,6 @@ def add_up(terms: list[Array]) -> Array:
     return functools.reduce(operator.add, terms)
 
 
-def largest(values: Float[Array, "m batch"]) -> Float[Array, " batch"]:
-    """Return the largest of numbers >= 0, NaN where one of them is.
-
-    As integers, whose order is the same: a processor's compiler hands the maximum of floats over to
-    a library that is many times slower.
-    """
-    greatest = jnp.max(as_integer(jnp.abs(values)), axis=0)
-    return jax.lax.bitcast_convert_type(greatest, values.dtype)
-
-
-def as_integer(value: Array) -> Array:
-    """Return the bits of numbers."""
-    integer = jnp.int64 if value.dtype.itemsize == 8 else jnp.int32
-    return jax.lax.bitcast_convert_type(value, integer)
-
-
 class LDL(NamedTuple):
     """Factors of a batch of matrices: columns[k] is column k of L without its unit diagonal, and
     the inverse of D."""

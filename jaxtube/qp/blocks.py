@@ -8,6 +8,9 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Int, PyTree
 
+MANY = 2048
+"""Instances from which on blocks are made as if all were worked on."""
+
 _assumed = False
 
 
@@ -24,11 +27,15 @@ def on_accelerator() -> bool:
     return _assumed or jax.default_backend() != "cpu"
 
 
-def block_sizes() -> tuple[int, int]:
-    """Return how many instances make a block, and how many where few are expected."""
-    # A processor's caches hold 64 instances and it pays for every one; an accelerator pays for
-    # every block, and moves the matrices of some 10,000 instances while it starts a kernel.
-    return (16384, 8192) if on_accelerator() else (64, 32)
+def block_sizes(batch: int) -> tuple[int, int]:
+    """Return how many instances of a batch make a block, and how many where few are expected or
+    much is kept for each."""
+    if on_accelerator():
+        # It pays for every block, and moves the matrices of some 10,000 instances while it starts a
+        # kernel.
+        return 16384, 8192
+    # A processor pays for every instance, for every kernel of a block, and where caches overflow.
+    return (128, 64) if batch >= MANY else (64, 32)
 
 
 class Line(NamedTuple):

@@ -23,7 +23,7 @@ MOST_SLOTS = 16
 """Active rows of an instance; one that needs more is not solved here."""
 EXCHANGES = 4
 """By the number of unknowns, before an instance is given up."""
-WAITING = 2
+WAITING = 3
 """The share of lanes that are done, inverted, at which instances that wait are taken in."""
 
 

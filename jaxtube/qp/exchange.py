@@ -26,14 +26,14 @@ of a factor of N is new.
 import functools
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxtube.qp.batched_ldl import add_up, as_integer, product
+from jaxtube.qp.batched_ldl import add_up, product
 from jaxtube.qp.blocks import on_accelerator
+from jaxtube.qp.tags import as_integer, read_tag, tag, untag
 
 NEXT = -1
 """Of `adding`: no row is on its way."""
@@ -222,21 +222,3 @@ def change_rows(
         multipliers=stays * taken + joins * multiplier,
         rows=jnp.where(is_slot, jnp.where(step.joins > 0, missed.row, -1), lanes.rows),
     )
-
-
-def tag(value: Array, index: Array | int, count: int) -> Array:
-    """Return max(value, 0) as an integer in the same order, whose last bits are an index below a
-    count."""
-    bits = as_integer(jnp.maximum(value, 0.0))
-    spare = (1 << (count - 1).bit_length()) - 1
-    return (bits & ~spare) | jnp.asarray(index, bits.dtype)
-
-
-def untag(tagged: Array, dtype) -> Array:
-    """Return the number, changed by as much as its tag takes of it."""
-    return jax.lax.bitcast_convert_type(tagged, dtype)
-
-
-def read_tag(tagged: Array, count: int) -> Array:
-    """Return the index."""
-    return (tagged & ((1 << (count - 1).bit_length()) - 1)).astype(jnp.int32)

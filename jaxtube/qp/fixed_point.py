@@ -33,8 +33,9 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxtube.qp import batched_ldl
-from jaxtube.qp.batched_ldl import largest, matmul, product
+from jaxtube.qp.batched_ldl import matmul, product
 from jaxtube.qp.factors import Factors
+from jaxtube.qp.tags import largest
 
 TOLERANCE = {8: 1e-9, 4: 5e-7}
 """Residual that is accepted, by bytes of a float."""
@@ -118,19 +119,25 @@ def residual(
     """Return the residual of a guess; infinite where a number is NaN or where bounds cross."""
     row_values = matmul(factors.rows, x)
     stationarity = product(factors.hessian, x) + instances.q + matmul(factors.rows.T, y)
-    projected = jnp.clip(row_values + y / instances.dual_scale, instances.l, instances.u)
-    dual = largest(stationarity) / instances.dual_scale
-    primal = largest(row_values - projected) / primal_scale(x)
-    either = jnp.maximum(dual, primal)
-    return jnp.where(jnp.isnan(either) | has_crossing_bounds(instances), jnp.inf, either)
+    share = 1 / instances.dual_scale
+    projected = jnp.clip(row_values + y * share, instances.l, instances.u)
+    dual = largest(stationarity) * share
+    missed = jnp.where(is_crossing(instances), jnp.inf, row_values - projected)
+    either = jnp.maximum(dual, largest(missed) / primal_scale(x))
+    return jnp.where(jnp.isnan(either), jnp.inf, either)
 
 
 def has_crossing_bounds(instances: Instances) -> Bool[Array, " batch"]:
-    """Return whether the bounds of some row leave no number between them; clip would silently take
-    the upper one."""
+    """Return whether the bounds of some row leave no number between them."""
+    return jnp.any(is_crossing(instances), axis=0)
+
+
+def is_crossing(instances: Instances) -> Bool[Array, "m batch"]:
+    """Return the rows whose bounds leave no number between them; clip would silently take the upper
+    one."""
     l = instances.l
     u = instances.u
-    return jnp.any((l > u) | (l == jnp.inf) | (u == -jnp.inf), axis=0)
+    return (l > u) | (l == jnp.inf) | (u == -jnp.inf)
 
 
 def keep_better(

@@ -22,6 +22,7 @@ from jax import Array
 from jaxtyping import Float, Int
 
 from jaxtube.qp.batched_ldl import product
+from jaxtube.qp.tags import read_tag, tag
 
 AnyArray = Any
 """A bank is made of numpy arrays, and looked up in jax arrays."""
@@ -40,11 +41,15 @@ class Regions(NamedTuple):
 def look_up(
     regions: Regions, p: Float[Array, "batch 3"], row_count: int
 ) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"]]:
-    """Return x and multipliers of the region in which each p lies, or to which it is nearest."""
-    facets = len(regions.normals)
-    values = [product(regions.normals[each], p.T) for each in range(facets)]
-    distances = [each - regions.offsets[i, :, None] for i, each in enumerate(values)]
-    region = jnp.argmin(functools.reduce(jnp.maximum, distances), axis=0)
+    """Return x and multipliers of the first region that holds p, or of the nearest one."""
+    facets, count, _ = regions.normals.shape
+    beyond = [
+        product(regions.normals[facet], p.T) - regions.offsets[facet, :, None]
+        for facet in range(facets)
+    ]
+    farthest = functools.reduce(jnp.maximum, beyond)
+    tagged = tag(farthest, jnp.arange(count)[:, None], count)
+    region = read_tag(jnp.min(tagged, axis=0), count)
     extended = jnp.concatenate([p, jnp.ones_like(p[:, :1])], axis=1)[:, None]
     x = jnp.sum(regions.optimum[region] * extended, axis=-1)
     active = jnp.sum(regions.multipliers[region] * extended, axis=-1)

@@ -69,7 +69,7 @@ ROUNDS = (
 
 def play_rounds(factors: Factors, source: Source, solution: Solution) -> Solution:
     """Return what the rounds make of the instances that are pending."""
-    _, size = block_sizes()
+    _, size = block_sizes(len(solution.x))
     programs = make_programs(factors)
 
     def play(solution: Solution, now: Round):

@@ -129,7 +129,7 @@ def pull_back(saved: tuple, cotangent: Solution) -> tuple[Factors, Array, Array,
 
     free = jnp.where(solved[:, None], -matmul(x_bar, factors.optimum), 0.0)
     data = (solution.x, solution.multipliers, l, u, x_bar, y_bar)
-    size, _ = block_sizes()
+    size, _ = block_sizes(len(x_bar))
     adjoint = partial(solve_adjoint, factors)
     d, l_bar, u_bar = update_in_blocks(adjoint, size, constrained, data, (free, zero, zero))
     shared = sensitivity.shared_cotangents(

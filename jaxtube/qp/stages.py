@@ -49,7 +49,7 @@ def solve_constrained(
         solution: of those that are solved; the residual of the others is finite unless their data
             are not numbers.
     """
-    size, _ = block_sizes()
+    size, _ = block_sizes(len(solution.x))
     if known is not None:
         look_up = partial(look_up_block, factors, source, known)
         pending = find_pending(solution)
@@ -76,7 +76,7 @@ def look_up_block(
 
 def search_active_sets(factors: Factors, source: Source, solution: Solution) -> Solution:
     """Solve by the dual active-set method; refute what it says has no answer."""
-    size, rare_size = block_sizes()
+    size, rare_size = block_sizes(len(solution.x))
     program = make_program(factors.whitened)
     load = partial(load_lanes, factors, source)
     pending = find_pending(solution)
