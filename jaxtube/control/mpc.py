@@ -31,7 +31,6 @@ from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
 from jaxtube.qp.batched_ldl import matmul
-from jaxtube.qp.blocks import on_accelerator
 from jaxtube.qp.parametric import Parametric, solve_parametric
 from jaxtube.qp.regions import Regions
 
@@ -141,11 +140,7 @@ def are_all_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Boo
     each row over the batch are compared."""
     region = condensed.free_region
     if region is not None:
-        if on_accelerator():
-            return jnp.all(_is_within(region, errors))
-        fits = jnp.all(matmul(region.normals, errors.T).max(axis=1) <= region.offsets)
-        # A maximum may lose a NaN on its way, a sum does not.
-        return fits & jnp.isfinite(jnp.sum(errors))
+        return jnp.all(_is_within(region, errors))
     check_lower, check_upper = _check_bounds(condensed, errors)
     plans_fit = _extremes_fit(condensed.lower, condensed.free_rows, errors, condensed.upper)
     errors_fit = _extremes_fit(check_lower, condensed.check_errors, errors, check_upper)

@@ -66,9 +66,9 @@ def body_velocity(
     Returns:
         (speed m/s, forwards positive; yaw rate rad/s, left positive).
     """
-    ground_speeds = wheels * (1.0 - slip)
-    right = ground_speeds[..., 0]
-    left = ground_speeds[..., 1]
+    right_slip, left_slip = _split(slip)
+    right = wheels[..., 0] * (1.0 - right_slip)
+    left = wheels[..., 1] * (1.0 - left_slip)
     speed = (right + left) / 2.0
     yaw_rate = (right - left) / track_width
     return jnp.stack([speed, yaw_rate], axis=-1)
@@ -120,8 +120,10 @@ def wheel_commands(
     turning = track_width / 2.0 * yaw_rate_deficit
     right_deficit = speed_deficit + turning
     left_deficit = speed_deficit - turning
-    wheel_deficits = jnp.stack([right_deficit, left_deficit], axis=-1)
-    return (reference_wheels - wheel_deficits) / (1.0 - measured_slip)
+    right_slip, left_slip = _split(measured_slip)
+    right = (reference_wheels[..., 0] - right_deficit) / (1.0 - right_slip)
+    left = (reference_wheels[..., 1] - left_deficit) / (1.0 - left_slip)
+    return jnp.stack([right, left], axis=-1)
 
 
 def saturate(wheels: Float[Array, "... 2"], robot: Robot) -> Float[Array, "... 2"]:
@@ -135,6 +137,15 @@ def saturate(wheels: Float[Array, "... 2"], robot: Robot) -> Float[Array, "... 2
         The nearest wheel speeds within the limits, each wheel on its own.
     """
     return jnp.clip(wheels, robot.wheel_speed_min, robot.wheel_speed_max)
+
+
+def _split(
+    slips: Float[Array | np.ndarray, "... 2"] | float,
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Return the slips of the right and of the left wheel: apart, laps next to each other make
+    kernels that compute several at once."""
+    pair = jnp.broadcast_to(slips, (*jnp.shape(slips)[:-1], 2))
+    return pair[..., 0], pair[..., 1]
 
 
 def wheel_positions(pose: Float[Array, "... 3"], track_width: float) -> Float[Array, "... 2 2"]:

@@ -40,6 +40,7 @@ from jaxtube.plant.protocol import (
 from jaxtube.plant.robot import Robot, saturate, wheel_positions
 from jaxtube.plant.slip_bounds import SlipBounds
 from jaxtube.plant.slip_processes import find_process
+from jaxtube.qp.blocks import on_accelerator
 
 DRAWN = "drawn"
 """Name of what is drawn at random, for reverse mode to keep: drawing again costs more than all else
@@ -134,7 +135,17 @@ class SlippingRobot:
         noise = self.noise
         if noise is None:
             return errors
-        drawn = jax.vmap(lambda key: slip.pose_noise(key, step, noise))(keys)
+
+        def draw():
+            return jax.vmap(lambda key: slip.pose_noise(key, step, noise))(keys)
+
+        # Several kernels of a period need the noise. On a processor each would draw it anew, unless
+        # it comes out of a condition, which always holds.
+        drawn = (
+            draw()
+            if on_accelerator()
+            else jax.lax.cond(step >= 0, draw, lambda: jnp.zeros_like(errors))
+        )
         return self.add_noise(step, errors, checkpoint_name(drawn, DRAWN))
 
     def add_noise(
