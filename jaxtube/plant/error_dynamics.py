@@ -53,8 +53,8 @@ def tracking_error(
         wrapped.
     """
     difference = reference_pose - pose
-    position = _rotate(difference[..., :2], -pose[..., 2])
-    return jnp.concatenate([position, difference[..., 2:]], axis=-1)
+    longitudinal, lateral = _rotate(difference[..., 0], difference[..., 1], -pose[..., 2])
+    return jnp.stack([longitudinal, lateral, difference[..., 2]], axis=-1)
 
 
 def world_pose(
@@ -70,8 +70,10 @@ def world_pose(
         (x m, y m, heading rad) of the robot in the world frame.
     """
     heading = reference_pose[..., 2] - error[..., 2]
-    position = reference_pose[..., :2] - _rotate(error[..., :2], heading)
-    return jnp.concatenate([position, heading[..., None]], axis=-1)
+    ahead_x, ahead_y = _rotate(error[..., 0], error[..., 1], heading)
+    x = reference_pose[..., 0] - ahead_x
+    y = reference_pose[..., 1] - ahead_y
+    return jnp.stack([x, y, heading], axis=-1)
 
 
 def advance(
@@ -102,7 +104,7 @@ def advance(
     """
     v, w = _split(body_velocity(wheels, slip, track_width))
     V, Om = _split(body_velocity(reference_wheels, 0.0, track_width))
-    reference_motion = _rotate(_chord(V, Om, dt), error[..., 2])
+    reference_x, reference_y = _rotate(*_chord(V, Om, dt), error[..., 2])
     half_turn = dt * w / 2.0
     sine, cosine = sine_and_cosine(half_turn)
     shortening = dt * sinc(half_turn, sine)
@@ -112,8 +114,8 @@ def advance(
         sideways = shortening * (sideslip.share * v - sideslip.lever_arm * w)
         along = along - sideways * sine
         across = across + sideways * cosine
-    x = error[..., 0] + reference_motion[..., 0] - along
-    y = error[..., 1] + reference_motion[..., 1] - across
+    x = error[..., 0] + reference_x - along
+    y = error[..., 1] + reference_y - across
     # The frame turns by twice the half turn, whose sine and cosine are known.
     turn_cosine = 1.0 - 2.0 * sine * sine
     turn_sine = 2.0 * sine * cosine
@@ -125,21 +127,20 @@ def advance(
 
 def _chord(
     speed: Float[Array, "..."], yaw_rate: Float[Array, "..."], dt: float
-) -> Float[Array, "... 2"]:
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Return the displacement along an arc, in the frame at its start, m."""
     half_turn = dt * yaw_rate / 2.0
     sine, cosine = sine_and_cosine(half_turn)
     length = dt * speed * sinc(half_turn, sine)
-    return jnp.stack([length * cosine, length * sine], axis=-1)
+    return length * cosine, length * sine
 
 
-def _rotate(vector: Float[Array, "... 2"], angle: Float[Array, "..."]) -> Float[Array, "... 2"]:
+def _rotate(
+    x: Float[Array, "..."], y: Float[Array, "..."], angle: Float[Array, "..."]
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
     """Rotate plane vectors to the left by an angle in rad."""
-    x, y = _split(vector)
     sine, cosine = sine_and_cosine(angle)
-    rotated_x = cosine * x - sine * y
-    rotated_y = sine * x + cosine * y
-    return jnp.stack([rotated_x, rotated_y], axis=-1)
+    return cosine * x - sine * y, sine * x + cosine * y
 
 
 def _split(pair: Float[Array, "... 2"]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
