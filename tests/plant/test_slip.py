@@ -13,7 +13,10 @@ from scipy.stats import chisquare, kstest
 from tolerances import LEAST_P_VALUE, ROUNDING
 
 from jaxtube.plant import slip
+from jaxtube.plant.robot import Robot
+from jaxtube.plant.slip_bounds import near_nominal
 from jaxtube.plant.slip_processes import PATCH_SIZE, PROCESSES, STEP_SIZE, find_process
+from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.scenario.tree import Slip
 
 CORRELATION = 0.08
@@ -240,6 +243,24 @@ def test_pose_noise_is_uniform_in_its_box_and_new_at_each_step():
     )
     assert abs(np.corrcoef(now[:, 0], next_[:, 0])[0, 1]) < CORRELATION
     assert abs(np.corrcoef(now[:, 0], now[:, 1])[0, 1]) < CORRELATION
+
+
+def test_a_robot_measures_its_error_with_the_noise_of_the_instant():
+    half_widths = jnp.array([0.001, 0.002, 0.003])
+    robot = SlippingRobot(
+        robot=Robot(track_width=0.5, wheel_speed_min=-1.0, wheel_speed_max=1.0),
+        dt=0.1,
+        reference_wheels=jnp.zeros((2, 2)),
+        reference_poses=jnp.zeros((3, 3)),
+        slips=near_nominal(np.zeros(2), 0.1, "true"),
+        noise=half_widths,
+    )
+    keys = jax.vmap(lambda i: slip.realisation_key(SEED, 0, i))(jnp.arange(5))
+    errors = jnp.linspace(-0.2, 0.2, 15).reshape(5, 3)
+    measure = jax.jit(robot.measure_errors)
+    for step in range(3):
+        noise = [slip.pose_noise(key, step, half_widths) for key in keys]
+        np.testing.assert_array_equal(measure(keys, step, errors), errors + jnp.stack(noise))
 
 
 def test_noise_and_slips_use_different_streams():
