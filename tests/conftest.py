@@ -2,14 +2,13 @@
 
 import functools
 import gc
-import importlib.metadata
 import os
 import shutil
 import tempfile
 
 from jaxtube.experiments import environment
 
-environment.compile_in_few_pieces()
+environment.compile_quickly()
 environment.use_one_thread_for_linear_algebra()
 
 import jax  # noqa: E402 -- it reads the environment
@@ -25,17 +24,6 @@ COMPILED = "JAX_COMPILATION_CACHE_DIR"
 """Variable of the environment that names the folder of compiled programs."""
 
 
-def emit_loops_directly():
-    """Let XLA emit fused loops as LLVM IR at once, which halves the time that compiling takes.
-
-    Two branches of a program may then round the same sum otherwise.
-    """
-    # An unknown flag is fatal, so it is passed only to the releases that were seen to know it.
-    if importlib.metadata.version("jaxlib").startswith("0.10."):
-        flags = os.environ.get("XLA_FLAGS", "")
-        os.environ["XLA_FLAGS"] = f"{flags} --xla_cpu_use_fusion_emitters=false".strip()
-
-
 def pytest_configure(config):
     """Compile quickly what runs once or twice; long tests compile as users do.
 
@@ -44,7 +32,6 @@ def pytest_configure(config):
     """
     if config.option.markexpr == "not slow":
         jax.config.update("jax_disable_most_optimizations", True)
-        emit_loops_directly()
     if COMPILED not in os.environ:
         folder = tempfile.mkdtemp(prefix="jaxtube-compiled-")
         os.environ[COMPILED] = folder

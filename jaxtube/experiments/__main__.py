@@ -11,7 +11,7 @@ if __name__ == "__main__":
     environment.print_any_character()
     environment.use_float64()
     environment.use_one_thread_for_linear_algebra()
-    environment.compile_in_few_pieces()
+    environment.compile_quickly()
     environment.keep_compiled_programs()
     environment.end_after_interrupt(INTERRUPTED_LINE, ExitCode.INTERRUPTED)
     code = main()
