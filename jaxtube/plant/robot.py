@@ -17,9 +17,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxtube.plant.angles import sine_and_cosine
+
+SAME = 16
+"""Speeds, m/s, closer than so many units of rounding are the same."""
 
 
 @jax.tree_util.register_dataclass
@@ -137,6 +140,20 @@ def saturate(wheels: Float[Array, "... 2"], robot: Robot) -> Float[Array, "... 2
         The nearest wheel speeds within the limits, each wheel on its own.
     """
     return jnp.clip(wheels, robot.wheel_speed_min, robot.wheel_speed_max)
+
+
+def is_saturated(
+    demanded: Float[Array | np.ndarray, "... 2"], wheels: Float[Array | np.ndarray, "... 2"]
+) -> Bool[Array | np.ndarray, "..."]:
+    """Return whether some wheel could not be given the speed that was asked of it; rounding is no
+    difference, since compiled programs may make a number twice.
+
+    Args:
+        demanded: wheel speeds (right, left) before saturation, m/s.
+        wheels: after it, m/s.
+    """
+    rounding = SAME * np.finfo(demanded.dtype).eps * (1 + abs(demanded))
+    return (abs(demanded - wheels) > rounding).any(axis=-1)
 
 
 def _split(

@@ -29,6 +29,7 @@ from jaxtube.control import mpc
 from jaxtube.control.laws import TubeMpc
 from jaxtube.coordinates import PLANES
 from jaxtube.plant.error_dynamics import world_pose
+from jaxtube.plant.robot import is_saturated
 from jaxtube.qp.batched_ldl import matmul
 from jaxtube.simulation.rollout import LoopState, PeriodOutcome
 from jaxtube.statistics import histogram
@@ -167,7 +168,7 @@ def find_events(
         "w_outside_W": is_outside(checks.disturbance, judged["disturbance"]),
         "e_outside_E": is_outside(checks.error, judged["error"]),
         "u_outside_U": is_outside(checks.input, judged["input"]),
-        "wheels_saturated": jnp.any(jnp.abs(happened.demanded - happened.wheels) > 0, axis=1),
+        "wheels_saturated": is_saturated(happened.demanded, happened.wheels),
         "qp_infeasible": diagnostics.status == qp.INFEASIBLE,
         "qp_unsolved": diagnostics.status == qp.UNSOLVED,
         "row_active": diagnostics.active,

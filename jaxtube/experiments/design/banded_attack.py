@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from jaxtube.control.laws import ScheduledGain
 from jaxtube.plant.reference import Reference, from_wheels
+from jaxtube.plant.robot import is_saturated
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.components import make_robot
@@ -131,7 +132,7 @@ def _count(
         used_w[steps] = np.max(w[steps] @ W.normals.T / W.offsets, axis=2)
         used_rows = u[steps] @ rows.inputs.T + e[:-1][steps] @ rows.errors.T
         outside_caps[steps] = ~np.all(used_rows <= rows.offsets + OUTSIDE, axis=2)
-    saturated = np.any(trajectory.wheels != trajectory.demanded, axis=2)
+    saturated = is_saturated(trajectory.demanded, trajectory.wheels)
     return BandedLaps(
         laps=e.shape[1],
         steps=w.shape[0] * w.shape[1],

@@ -17,6 +17,7 @@ from jaxtube.experiments.run.folder import RunFolder, unwritable
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.record_file import differences
 from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.plant.robot import is_saturated
 from jaxtube.scenario.refusal import refusal
 from jaxtube.statistics.events import find_event
 from jaxtube.statistics.lap import Lap, Usage, lap
@@ -173,7 +174,7 @@ def _say_wheels(problem: Problem, replayed: Lap) -> list[str]:
         f"{side} {wheels[:, i].min():.4g} to {wheels[:, i].max():.4g} m/s"
         for i, side in enumerate(WHEELS)
     ]
-    saturated = int(np.sum(np.any(replayed.trajectory.demanded != wheels, axis=1)))
+    saturated = int(np.sum(is_saturated(replayed.trajectory.demanded, wheels)))
     limits = f"{robot.wheel_speed_min:.4g} to {robot.wheel_speed_max:.4g} m/s"
     return [
         f"wheels: {', '.join(ranges)}; limits {limits}, reached in {saturated} of {len(wheels)} "

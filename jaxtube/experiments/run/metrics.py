@@ -10,6 +10,7 @@ from jaxtube import qp
 from jaxtube.coordinates import KEYS, TO_DISPLAY
 from jaxtube.experiments.run.conditions import WHOLE, condition_metrics
 from jaxtube.plant.reference import settled_step
+from jaxtube.plant.robot import is_saturated
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.certificate.fill import cap_shares, ultimate_bound
 from jaxtube.synthesis.limits import InputRows, wheel_rows
@@ -119,7 +120,7 @@ def controller_metrics(design: Design, trajectory: Trajectory) -> dict:
     settled = min(settled_step(problem.reference), len(errors) - 1)
     late = errors[settled:]
     status = trajectory.diagnostics.status
-    saturated = np.any(trajectory.demanded != trajectory.wheels, axis=2)
+    saturated = is_saturated(trajectory.demanded, trajectory.wheels)
     return {
         "realisations": errors.shape[1],
         "violation_share": float(outside.mean()),
