@@ -6,12 +6,13 @@
     few_facets          robust positively invariant sets of few facets
     control_invariant   maximal robust control invariant sets
     lmi, lyapunov       terminal costs, with gains or for given ones; gap, how good they are
+    semidefinite        semidefinite programs, written in matrices
     riccati             linear-quadratic regulator
     certificate         margins of every condition in floats; exact, in rational arithmetic
     interval, supremum  rigorous bounds of functions over boxes
     robot               what a wheeled robot that slips adds: `sets.robot`
 
-Needs numpy, scipy, clarabel and highspy alone; `terminal_cost` imports cvxpy when it is called.
+Needs numpy, scipy, clarabel and highspy alone.
 """
 
 from sets.certificate import (

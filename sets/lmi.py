@@ -20,12 +20,10 @@ Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (22) and (32)-(41), where 
 identity as I_3.
 """
 
-import contextlib
 import itertools
-import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 import scipy.linalg
@@ -38,6 +36,23 @@ from sets.riccati import (
     compute_gain,
     is_stabilising,
     solve_riccati,
+    transpose,
+)
+from sets.semidefinite import (
+    ALMOST_SOLVED,
+    INFEASIBLE,
+    SOLVED,
+    Affine,
+    Answer,
+    block_matrix,
+    evaluate,
+    full_basis,
+    lift,
+    make_unknowns,
+    minimise,
+    symmetric_basis,
+    trace,
+    triangular_basis,
 )
 
 Objective = Literal["trace_s", "trace_p", "logdet"]
@@ -170,67 +185,94 @@ def decrease_margins(
     return np.linalg.eigvalsh(surplus)[:, 0]
 
 
+class _Goal(NamedTuple):
+    """An objective to minimise, scaled to order one, with the constraints that it needs and the
+    unit that it was divided by."""
+
+    objective: Float[np.ndarray, "1+k"]
+    constraints: list[Affine]
+    exponential: Float[np.ndarray, "1+k l 3"] | None
+    unit: float
+
+
 def _solve(A, B, Q_factor, T, objective: Objective) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve L_i >= 0 for R = I and Q = Q_factor^T Q_factor, where P = T^-T S^-1 T^-1: S, Y_i and
     multipliers Z_i."""
-    import cvxpy as cp  # here because it takes seconds to import
+    count, n, m = B.shape
+    of_goal = {
+        "trace_s": [],
+        "trace_p": [symmetric_basis(n)],
+        "logdet": [triangular_basis(n), full_basis(n, 1)],
+    }[objective]
+    S, *others = make_unknowns(symmetric_basis(n), *[full_basis(m, n)] * count, *of_goal)
+    Y = others[:count]
+    decrease = [_state_decrease(a, b, S, y, Q_factor) for a, b, y in zip(A, B, Y, strict=True)]
+    floor = S - lift(COST_FLOOR * np.eye(n), len(S) - 1)
+    goal = _state_goal(S, others[count:], T, objective)
+    answer = _answer(goal, [*decrease, floor, *goal.constraints])
+    multipliers = goal.unit * np.array(answer.multipliers[:count])
+    return evaluate(S, answer.x), np.array([evaluate(y, answer.x) for y in Y]), multipliers
 
-    _, n, m = B.shape
-    S = cp.Variable((n, n), symmetric=True)
-    Y = [cp.Variable((m, n)) for _ in A]
+
+def _state_decrease(a, b, S: Affine, y: Affine, Q_factor) -> Affine:
+    """Return the decrease of the cost at one vertex, as a Schur complement."""
+    n, m = b.shape
     no_error = np.zeros((n, n))
     no_input = np.zeros((n, m))
-
-    def require_decrease(a, b, y) -> Any:
-        """Return the decrease of the cost at one vertex, as a Schur complement."""
-        following = a @ S + b @ y
-        weighted = Q_factor @ S
-        rows = [
-            [S, following.T, weighted.T, y.T],
-            [following, S, no_error, no_input],
-            [weighted, no_error, np.eye(n), no_input],
-            [y, no_input.T, no_input.T, np.eye(m)],
-        ]
-        return cp.bmat(rows) >> 0
-
-    decrease = [require_decrease(a, b, y) for a, b, y in zip(A, B, Y, strict=True)]
-    goal, extra, unit = _state_goal(cp, S, T, objective)
-    problem = cp.Problem(goal, [*decrease, S >> COST_FLOOR * np.eye(n), *extra])
-    for tolerance, decompose in itertools.product(SOLVER_TOLERANCES, (False, True)):
-        settings = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance)
-        with contextlib.suppress(cp.SolverError), warnings.catch_warnings():
-            # cvxpy warns of the inaccurate answers that are refused here.
-            warnings.simplefilter("ignore")
-            problem.solve(solver=cp.CLARABEL, chordal_decomposition_enable=decompose, **settings)
-        if problem.status in (cp.OPTIMAL, cp.INFEASIBLE):
-            break
-    # An inaccurate answer is scaled and checked afterwards.
-    if problem.status not in (cp.OPTIMAL, cp.OPTIMAL_INACCURATE):
-        raise RuntimeError(
-            f"terminal_cost: Clarabel reports {problem.status}, not optimal; narrow the schedule "
-            "or bring the weights nearer to each other"
-        )
-    multipliers = unit * np.array([constraint.dual_value for constraint in decrease])
-    return np.asarray(S.value), np.array([y.value for y in Y]), multipliers
+    following = a @ S + b @ y
+    weighted = Q_factor @ S
+    rows = [
+        [S, transpose(following), transpose(weighted), transpose(y)],
+        [following, S, no_error, no_input],
+        [weighted, no_error, np.eye(n), no_input],
+        [y, no_input.T, no_input.T, np.eye(m)],
+    ]
+    return block_matrix(rows)
 
 
-def _state_goal(
-    cp: Any, S: Any, T: np.ndarray, objective: Objective
-) -> tuple[Any, list[Any], float]:
-    """State the objective, scaled to order one, with the constraints it needs and the unit it was
-    divided by."""
+def _state_goal(S: Affine, unknowns: list[Affine], T: np.ndarray, objective: Objective) -> _Goal:
+    """State the objective in S and in unknowns of its own: Z >= L S^-1 L^T for `trace_p`; for
+    `logdet` an upper triangular U and t, where D = diag U, t_i <= log D_ii and S >= U^T D^-1 U,
+    whose determinant is that of D."""
     if objective == "trace_s":
         unit = np.sum(T**2)
-        return cp.Maximize(cp.trace(T.T @ T / unit @ S)), [], unit
+        return _Goal(-trace(T.T @ T / unit @ S), [], None, unit)
     if objective == "trace_p":
-        n = len(T)
+        (Z,) = unknowns
         L = np.linalg.inv(T).T
         unit = np.sum(L**2)
         scaled = L / np.sqrt(unit)
-        Z = cp.Variable((n, n), symmetric=True)
-        bound = cp.bmat([[Z, scaled], [scaled.T, S]]) >> 0
-        return cp.Minimize(cp.trace(Z)), [bound], unit
-    return cp.Maximize(cp.log_det(S)), [], 1.0
+        return _Goal(trace(Z), [block_matrix([[Z, scaled], [scaled.T, S]])], None, unit)
+    U, t = unknowns
+    n = len(T)
+    D = U * np.eye(n)
+    bound = block_matrix([[D, U], [transpose(U), S]])
+    logarithms = block_matrix([[t, np.ones((n, 1)), D @ np.ones((n, 1))]])
+    return _Goal(-np.sum(t, axis=(1, 2)), [bound], logarithms, 1.0)
+
+
+def _answer(goal: _Goal, constraints: list[Affine]) -> Answer:
+    """Return the solver's answer with the first settings that bring one, else its last one that is
+    almost one.
+
+    Raises:
+        RuntimeError: there is none.
+    """
+    answers = []
+    for tolerance, decompose in itertools.product(SOLVER_TOLERANCES, (False, True)):
+        tolerances = dict.fromkeys(("tol_gap_abs", "tol_gap_rel", "tol_feas"), tolerance)
+        settings = {"chordal_decomposition_enable": decompose, **tolerances}
+        answers.append(minimise(goal.objective, constraints, goal.exponential, **settings))
+        if answers[-1].status in (SOLVED, INFEASIBLE):
+            break
+    # What is almost an answer is scaled and checked afterwards.
+    usable = [answer for answer in answers if answer.status in (SOLVED, ALMOST_SOLVED)]
+    if not usable or answers[-1].status == INFEASIBLE:
+        raise RuntimeError(
+            f"terminal_cost: Clarabel reports {answers[-1].status}, not optimal; narrow the "
+            "schedule or bring the weights nearer to each other"
+        )
+    return usable[-1]
 
 
 def _compute_value(P: np.ndarray, objective: Objective) -> float:

@@ -18,11 +18,20 @@ from __future__ import annotations
 
 from typing import Any
 
-import clarabel
 import numpy as np
 import scipy.linalg
 from jaxtyping import Float
-from scipy.sparse import csc_matrix
+
+from sets.semidefinite import (
+    ALMOST_SOLVED,
+    SOLVED,
+    evaluate,
+    lift,
+    make_unknowns,
+    minimise,
+    symmetric_basis,
+    trace,
+)
 
 ROUNDING_SURPLUS = 1e-7
 """Surplus that covers the rounding of a float64 check; it costs the same share of the objective."""
@@ -99,45 +108,20 @@ def centring(
     return slope, CENTRING * xp.einsum("vaij,vbji->ab", relative, relative)
 
 
-def symmetric_basis(n: int) -> Float[np.ndarray, "k n n"]:
-    """Return a basis of the symmetric matrices, upper triangle column by column."""
-    rows, columns = np.triu_indices(n)
-    order = np.lexsort((rows, columns))
-    rows = rows[order]
-    columns = columns[order]
-    entry = np.arange(len(rows))
-    basis = np.zeros((len(rows), n, n))
-    basis[entry, rows, columns] = 1.0
-    basis[entry, columns, rows] = 1.0
-    return basis
-
-
 def _minimise_trace(loops, stage) -> Float[np.ndarray, "n n"]:
     """Solve  minimise trace P  subject to D_i(P) >= 0  to the solver's tolerance."""
-    n = loops.shape[-1]
-    basis = symmetric_basis(n)
-    columns, rows = np.tril_indices(n)  # the order of the basis
-    scale = np.where(rows == columns, 1.0, np.sqrt(2.0))
-    decrease = basis - np.swapaxes(loops, 1, 2)[:, None] @ basis @ loops[:, None]
-    A = -(decrease[:, :, rows, columns] * scale).swapaxes(1, 2).reshape(-1, len(rows))
-    solve: Any = clarabel  # its stubs name none of these
-    settings = solve.DefaultSettings()
-    settings.verbose = False
-    solver = solve.DefaultSolver(
-        csc_matrix((len(rows), len(rows))),
-        np.trace(basis, axis1=1, axis2=2),
-        csc_matrix(A),
-        -(stage[:, rows, columns] * scale).ravel(),
-        [solve.PSDTriangleConeT(n)] * len(loops),
-        settings,
-    )
-    answer = solver.solve()
+    (P,) = make_unknowns(symmetric_basis(loops.shape[-1]))
+    decrease = [
+        P - loop.T @ P @ loop - lift(wanted, len(P) - 1)
+        for loop, wanted in zip(loops, stage, strict=True)
+    ]
+    answer = minimise(trace(P), decrease)
     # An inaccurate answer is scaled, centred and checked afterwards.
-    if str(answer.status) not in ("Solved", "AlmostSolved"):
+    if answer.status not in (SOLVED, ALMOST_SOLVED):
         raise RuntimeError(
             f"cost_of_gains: Clarabel reports {answer.status}; the loops share no quadratic cost"
         )
-    return np.tensordot(answer.x, basis, axes=1)
+    return evaluate(P, answer.x)
 
 
 def scale_to_decrease(

@@ -23,6 +23,7 @@ from jaxtube.control.mpc import AnyArray
 from jaxtube.synthesis.gains import given_gain
 from jaxtube.synthesis.problem import Problem
 from sets import lyapunov
+from sets.semidefinite import symmetric_basis
 
 
 class Affine(NamedTuple):
@@ -96,4 +97,4 @@ def differentiate_terminal_cost(
     stage = error_weight + jnp.swapaxes(gains, 1, 2) @ input_weight @ gains
     slope, curvature = lyapunov.centring(answer, loops, stage, jnp)
     step = jnp.linalg.solve(jax.lax.stop_gradient(curvature), slope)
-    return answer - jnp.tensordot(step, lyapunov.symmetric_basis(len(cost)), axes=1)
+    return answer - jnp.tensordot(step, symmetric_basis(len(cost)), axes=1)

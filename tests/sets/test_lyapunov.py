@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from tolerances import SCALED_COST
 
-from sets.lyapunov import CENTRING, centring, cost_of_gains, stage_cost, symmetric_basis
+from sets.lyapunov import CENTRING, centring, cost_of_gains, stage_cost
+from sets.semidefinite import symmetric_basis
 
 LEAST_TRACE = 1e-6
 """Relative; what a semidefinite program's answer is known to."""

@@ -41,7 +41,6 @@ PACKAGES = (
     "jaxlib",
     "numpy",
     "scipy",
-    "cvxpy-base",
     "clarabel",
     "highspy",
     "msgspec",
