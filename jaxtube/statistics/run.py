@@ -16,10 +16,10 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -106,7 +106,8 @@ class Run:
     def dispatch(self, blocks: list[int]) -> dict[str, Array]:
         """Start the computation of up to `at_once` blocks; the arrays, blocks first, are ready
         later."""
-        padded = [*blocks, *[blocks[-1]] * (self.at_once - len(blocks))]
+        without_laps = -(-self.realisations // BLOCK)
+        padded = [*blocks, *[without_laps] * (self.at_once - len(blocks))]
         mesh = Mesh(np.array(self.devices), ("devices",))
         words, counts, numbers = _labels(padded, self.realisations)
         return _simulate(mesh, self.task, words, counts, numbers)
@@ -227,7 +228,8 @@ def simulate_block(
     number: Int[Array, ""],
     size: BlockSize,
 ) -> dict[str, Array]:
-    """Return the statistics of one block, its laps numbered from 0 in the lists of the worst.
+    """Return the statistics of one block, its laps numbered from 0 in the lists of the worst; tiles
+    without laps that count are not worked through.
 
     Args:
         task: what every block needs.
@@ -238,14 +240,31 @@ def simulate_block(
         size: of the block, and of the tiles that it is worked through in.
     """
     simulate = partial(_simulate_tile, task, words, count, number, size)
-    tiles = jnp.arange(size.block // size.tile, dtype=jnp.int32)
-    sums, largest, usage = jax.lax.map(simulate, tiles)
+    with_laps = (count + size.tile - 1) // size.tile
+    sums, largest, usage = _map_first(simulate, with_laps, size.block // size.tile)
     sums = jax.tree.map(lambda array: jnp.sum(array, axis=0, dtype=jnp.int32), sums)
     largest = jax.tree.map(lambda array: jnp.max(array, axis=0), largest)
     worst, laps = jax.lax.top_k(jnp.moveaxis(usage, 1, 0).reshape(len(RANKED), size.block), WORST)
     ranked = {f"worst_usage/{name}": worst[i] for i, name in enumerate(RANKED)}
     numbers = {f"worst_lap/{name}": laps[i] for i, name in enumerate(RANKED)}
     return sums | largest | ranked | numbers
+
+
+def _map_first(function: Callable, count: Int[Array, ""], most: int) -> Any:
+    """Return what a function makes of 0 .. count - 1, stacked to a length of `most`; beyond it
+    whole numbers are 0, the others -inf."""
+    traced_once = jax.jit(function)
+
+    def begin_stack(shape):
+        nothing = 0 if jnp.issubdtype(shape.dtype, jnp.integer) else -jnp.inf
+        return jnp.full((most, *shape.shape), nothing, shape.dtype)
+
+    def put(place, stacks):
+        made = traced_once(place)
+        return jax.tree.map(lambda stack, array: stack.at[place].set(array), stacks, made)
+
+    stacks = jax.tree.map(begin_stack, jax.eval_shape(traced_once, jnp.int32(0)))
+    return jax.lax.fori_loop(0, count, put, stacks)
 
 
 def _simulate_tile(
