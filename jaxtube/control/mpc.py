@@ -199,7 +199,8 @@ def _image(
 ) -> Float[Array, "batch m"]:
     """Return matrix @ vector of every instance as a sum over few columns, which fuses with what is
     done to it next."""
-    terms = [vectors[:, i, None] * matrix[:, i] for i in range(matrix.shape[1])]
+    columns = jnp.unstack(vectors, axis=1)
+    terms = [column[:, None] * matrix[:, i] for i, column in enumerate(columns)]
     return functools.reduce(operator.add, terms)
 
 
@@ -265,7 +266,8 @@ def act(
     # The derivative of a conditional keeps what any branch does: the rows of every instance, even
     # if none is active.
     constrained = jax.checkpoint(_act_constrained)
-    all_free = are_all_free(take_qp(qps, index), start)
+    # Kept as well: the test of all rows takes longer than what follows from it.
+    all_free = checkpoint_name(are_all_free(take_qp(qps, index), start), ACTED)
     step = jax.lax.cond(all_free, act_freely, constrained, qps, index, state, start, errors)
     return jax.tree.map(functools.partial(checkpoint_name, name=ACTED), step)
 

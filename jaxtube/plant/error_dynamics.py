@@ -102,9 +102,10 @@ def advance(
         The error in the robot's frame at the end of the period; smooth in every argument, also on
         straight lines.
     """
-    v, w = _split(body_velocity(wheels, slip, track_width))
-    V, Om = _split(body_velocity(reference_wheels, 0.0, track_width))
-    reference_x, reference_y = _rotate(*_chord(V, Om, dt), error[..., 2])
+    v, w = jnp.unstack(body_velocity(wheels, slip, track_width), axis=-1)
+    V, Om = jnp.unstack(body_velocity(reference_wheels, 0.0, track_width), axis=-1)
+    ahead, aside, heading = jnp.unstack(error, axis=-1)
+    reference_x, reference_y = _rotate(*_chord(V, Om, dt), heading)
     half_turn = dt * w / 2.0
     sine, cosine = sine_and_cosine(half_turn)
     shortening = dt * sinc(half_turn, sine)
@@ -114,15 +115,14 @@ def advance(
         sideways = shortening * (sideslip.share * v - sideslip.lever_arm * w)
         along = along - sideways * sine
         across = across + sideways * cosine
-    x = error[..., 0] + reference_x - along
-    y = error[..., 1] + reference_y - across
+    x = ahead + reference_x - along
+    y = aside + reference_y - across
     # The frame turns by twice the half turn, whose sine and cosine are known.
     turn_cosine = 1.0 - 2.0 * sine * sine
     turn_sine = 2.0 * sine * cosine
     longitudinal = turn_cosine * x + turn_sine * y
     lateral = turn_cosine * y - turn_sine * x
-    heading = error[..., 2] + dt * (Om - w)
-    return jnp.stack([longitudinal, lateral, heading], axis=-1)
+    return jnp.stack([longitudinal, lateral, heading + dt * (Om - w)], axis=-1)
 
 
 def _chord(
@@ -141,8 +141,3 @@ def _rotate(
     """Rotate plane vectors to the left by an angle in rad."""
     sine, cosine = sine_and_cosine(angle)
     return cosine * x - sine * y, sine * x + cosine * y
-
-
-def _split(pair: Float[Array, "... 2"]) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
-    """Return the two coordinates of the last axis."""
-    return pair[..., 0], pair[..., 1]

@@ -66,13 +66,9 @@ def acting_input(
     """
     reference = body_velocity(reference_wheels, 0.0, track_width)
     columns = jnp.broadcast_arrays(
-        virtual_input[..., 0],
-        virtual_input[..., 1],
-        error[..., 0],
-        error[..., 1],
-        error[..., 2],
-        reference[..., 0],
-        reference[..., 1],
+        *jnp.unstack(virtual_input, axis=-1),
+        *jnp.unstack(error, axis=-1),
+        *jnp.unstack(reference, axis=-1),
     )
     arguments = MapArguments(*columns, T=dt)
     speed_deficit = INPUT_MAPS[input_map](arguments)

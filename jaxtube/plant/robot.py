@@ -70,8 +70,9 @@ def body_velocity(
         (speed m/s, forwards positive; yaw rate rad/s, left positive).
     """
     right_slip, left_slip = _split(slip)
-    right = wheels[..., 0] * (1.0 - right_slip)
-    left = wheels[..., 1] * (1.0 - left_slip)
+    right_wheel, left_wheel = jnp.unstack(wheels, axis=-1)
+    right = right_wheel * (1.0 - right_slip)
+    left = left_wheel * (1.0 - left_slip)
     speed = (right + left) / 2.0
     yaw_rate = (right - left) / track_width
     return jnp.stack([speed, yaw_rate], axis=-1)
@@ -118,8 +119,7 @@ def wheel_commands(
     Returns:
         Wheel speeds (right, left), m/s, not saturated.
     """
-    speed_deficit = virtual_input[..., 0]
-    yaw_rate_deficit = virtual_input[..., 1]
+    speed_deficit, yaw_rate_deficit = jnp.unstack(virtual_input, axis=-1)
     turning = track_width / 2.0 * yaw_rate_deficit
     right_deficit = speed_deficit + turning
     left_deficit = speed_deficit - turning
@@ -162,7 +162,8 @@ def _split(
     """Return the slips of the right and of the left wheel: apart, laps next to each other make
     kernels that compute several at once."""
     pair = jnp.broadcast_to(slips, (*jnp.shape(slips)[:-1], 2))
-    return pair[..., 0], pair[..., 1]
+    right, left = jnp.unstack(pair, axis=-1)
+    return right, left
 
 
 def wheel_positions(pose: Float[Array, "... 3"], track_width: float) -> Float[Array, "... 2 2"]:

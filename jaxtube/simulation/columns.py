@@ -69,7 +69,8 @@ def join(tree: Any) -> Any:
 def _split_array(array: Array) -> Array | Columns:
     if array.ndim != 2 or not 0 < array.shape[-1] <= MOST:
         return array
-    return Columns(tuple(array[:, i] for i in range(array.shape[-1])))
+    # Its transpose stacks columns, where that of indexing adds up matrices that are zero elsewhere.
+    return Columns(tuple(jnp.unstack(array, axis=1)))
 
 
 def _join_array(leaf: Array | Columns) -> Array:
