@@ -194,6 +194,7 @@ def _check_bounds(
     return condensed.check_lower - slack, condensed.check_upper + slack
 
 
+@jax.custom_vjp
 def _image(
     matrix: Float[AnyArray, "m n"], vectors: Float[Array, "batch n"]
 ) -> Float[Array, "batch m"]:
@@ -202,6 +203,20 @@ def _image(
     columns = jnp.unstack(vectors, axis=1)
     terms = [column[:, None] * matrix[:, i] for i, column in enumerate(columns)]
     return functools.reduce(operator.add, terms)
+
+
+def _image_and_arguments(matrix, vectors) -> tuple[Array, tuple[Array, Array]]:
+    return _image(matrix, vectors), (matrix, vectors)
+
+
+def _pull_image_back(saved: tuple[Array, Array], cotangent: Array) -> tuple[Array, Array]:
+    """Return the cotangents as products: those of the sum over columns pass over the batch once for
+    each entry."""
+    matrix, vectors = saved
+    return matmul(cotangent.T, vectors), _image(matrix.T, cotangent)
+
+
+_image.defvjp(_image_and_arguments, _pull_image_back)
 
 
 def free_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:

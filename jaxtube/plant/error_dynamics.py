@@ -27,7 +27,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube.plant.angles import sinc, sine_and_cosine
-from jaxtube.plant.robot import body_velocity
+from jaxtube.plant.robot import body_motion
 
 
 class Sideslip(NamedTuple):
@@ -102,8 +102,8 @@ def advance(
         The error in the robot's frame at the end of the period; smooth in every argument, also on
         straight lines.
     """
-    v, w = jnp.unstack(body_velocity(wheels, slip, track_width), axis=-1)
-    V, Om = jnp.unstack(body_velocity(reference_wheels, 0.0, track_width), axis=-1)
+    v, w = body_motion(wheels, slip, track_width)
+    V, Om = body_motion(reference_wheels, 0.0, track_width)
     ahead, aside, heading = jnp.unstack(error, axis=-1)
     reference_x, reference_y = _rotate(*_chord(V, Om, dt), heading)
     half_turn = dt * w / 2.0

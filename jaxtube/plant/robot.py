@@ -69,13 +69,22 @@ def body_velocity(
     Returns:
         (speed m/s, forwards positive; yaw rate rad/s, left positive).
     """
+    return jnp.stack(body_motion(wheels, slip, track_width), axis=-1)
+
+
+def body_motion(
+    wheels: Float[Array, "... 2"],
+    slip: Float[Array | np.ndarray, "... 2"] | float,
+    track_width: float,
+) -> tuple[Float[Array, "..."], Float[Array, "..."]]:
+    """Return speed and yaw rate of `body_velocity` apart."""
     right_slip, left_slip = _split(slip)
     right_wheel, left_wheel = jnp.unstack(wheels, axis=-1)
     right = right_wheel * (1.0 - right_slip)
     left = left_wheel * (1.0 - left_slip)
     speed = (right + left) / 2.0
     yaw_rate = (right - left) / track_width
-    return jnp.stack([speed, yaw_rate], axis=-1)
+    return speed, yaw_rate
 
 
 def virtual_input(
