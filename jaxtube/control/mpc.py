@@ -230,6 +230,7 @@ def free_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
     return Plan(inputs.reshape(batch, -1, 2), solved, residual, jnp.zeros(batch, bool))
 
 
+@jax.jit  # long to trace, and asked for in several places of a program
 def constrained_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
     """Return the plans of a batch of which some instance needs the solver; the others cost no
     more than where none does."""

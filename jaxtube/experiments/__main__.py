@@ -13,6 +13,7 @@ if __name__ == "__main__":
     environment.use_one_thread_for_linear_algebra()
     environment.compile_quickly()
     environment.keep_compiled_programs()
+    environment.search_garbage_rarely()
     environment.end_after_interrupt(INTERRUPTED_LINE, ExitCode.INTERRUPTED)
     code = main()
     if code == ExitCode.INTERRUPTED:

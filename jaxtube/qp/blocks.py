@@ -19,6 +19,7 @@ def assume_accelerator() -> None:
     run on."""
     global _assumed
     _assumed = True
+    jax.clear_caches()
 
 
 def on_accelerator() -> bool:

@@ -84,7 +84,7 @@ def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
 
 
 def _usage(facets: Facets, points: Float[np.ndarray, "steps 3"]) -> Usage:
-    judged = jax.tree.map(np.asarray, judge_points(facets, jnp.asarray(points.T)))
+    judged = jax.tree.map(np.asarray, jax.jit(judge_points)(facets, points.T))
     return Usage(judged.outside, judged.outside_box.T, judged.usage)
 
 

@@ -57,20 +57,20 @@ def run(scenario: Scenario, options: MontecarloOptions) -> int:
         missing = records.missing(int(options.realisations))
         folder = run_folder.create(scenario, options)
         folder.save_json("identity", known)
-        performance = compute(design, options, records, missing)
+        task = make_task(design, options)
+        performance = compute(task, options, records, missing)
         statistics = records.merge()
-    save(design, options, folder, statistics, performance)
+    save(design, task, options, folder, statistics, performance)
     return 0
 
 
 def compute(
-    design: Design, options: MontecarloOptions, records: Records, missing: Iterator[int]
+    task: Task, options: MontecarloOptions, records: Records, missing: Iterator[int]
 ) -> dict:
     """Compute and record the missing blocks; return what it took, {} where none was missing."""
     first = next(missing, None)
     if first is None:
         return {}
-    task = make_task(design, options)
     devices = tuple(jax.local_devices()[: options.devices or None])
     local = Run(task, int(options.realisations), options.chunk, devices)
     before = records.laps
@@ -127,6 +127,7 @@ def count_laps_outside(statistics: Statistics) -> int:
 
 def save(
     design: Design,
+    task: Task,
     options: MontecarloOptions,
     folder: RunFolder,
     statistics: Statistics,
@@ -144,7 +145,6 @@ def save(
     folder.save_metrics(summary)
     if performance:
         folder.save_json("performance", performance)
-    task = make_task(design, options)
     if options.netcdf:
         netcdf.save(folder.path / "statistics.nc", result)
     montecarlo_figures.draw(design, task, options.seed, statistics, summary, folder)

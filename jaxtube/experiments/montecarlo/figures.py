@@ -5,6 +5,8 @@ All but the worst lap, which is simulated again, are functions of the run's stat
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
@@ -56,19 +58,22 @@ def draw(
     """Draw the figures of a run into its folder; those that have nothing to show are left out."""
     problem = design.problem
     worst = summary["worst"]["error"][0]["lap"]
+    # Simulated while the others are drawn: most of it is compilation, which runs beside Python.
+    pool = ThreadPoolExecutor(1)
+    worst_lap = pool.submit(lap, design, task, seed, worst)
     drawings = {
         "violations": lambda: shares_figure.violations(summary),
         "error_quantiles": lambda: error_quantiles(problem, statistics),
         "disturbance": lambda: disturbance(problem, statistics, summary),
         "map": lambda: map_figure.error_map(problem, task.checks, statistics),
-        "worst": lambda: lap_figure.draw(problem, lap(design, task, seed, worst)),
     }
     if summary["plans"]:
         drawings["tube_cloud"] = lambda: heat_figures.tube_cloud(design, statistics, summary)
     if isinstance(task.starts, UniformStart):
         corners = np.asarray(task.starts.triangles).reshape(-1, 3)
         drawings["coverage"] = lambda: heat_figures.coverage(problem, statistics, summary, corners)
-    with progress(len(drawings), "drawing", "figures", starting="starting") as bar:
+    drawings["worst"] = lambda: lap_figure.draw(problem, worst_lap.result())
+    with pool, progress(len(drawings), "drawing", "figures", starting="starting") as bar:
         for name, figure in drawings.items():
             folder.save_figure(figure(), name)
             bar.update()
