@@ -38,7 +38,8 @@ AnyArray = Any
 """A design holds numpy arrays, a controller jax arrays."""
 
 ACTED = "acted"
-"""Name under which reverse mode keeps what `act` returns; else each step is solved again."""
+"""Name under which reverse mode keeps what `act` returns; with `parametric.FOUND` kept as well no
+step is solved again."""
 
 
 class HalfSpaces(NamedTuple):

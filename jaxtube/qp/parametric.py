@@ -1,4 +1,3 @@
-# ruff: noqa: E741 -- l and u are the letters of the problem
 """Solve some instances of a parametric quadratic program: batches whose numbers are affine in a few
 parameters p of each instance.
 
@@ -17,19 +16,26 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Bool, Float
+from jax.ad_checkpoint import checkpoint_name
+from jaxtyping import Bool, Float, Int
 
+from jaxtube.qp import sensitivity
 from jaxtube.qp.batched_ldl import matmul, product
+from jaxtube.qp.blocks import block_sizes, update_in_blocks
 from jaxtube.qp.factors import Factors
 from jaxtube.qp.fixed_point import Instances, make_instances
 from jaxtube.qp.regions import Regions
-from jaxtube.qp.solver import finish, pull_back
+from jaxtube.qp.solver import find_active_rows, finish, pull_back
 from jaxtube.qp.source import Solution, Source
 from jaxtube.qp.stages import solve_constrained
-from jaxtube.qp.status import UNSOLVED
+from jaxtube.qp.status import SOLVED, UNSOLVED
 
 AnyArray = Any
 """A design holds numpy arrays, a controller jax arrays."""
+
+FOUND = "found"
+"""Name under which reverse mode may keep which rows are active, a few bytes for each instance: the
+answers follow from them without a solver."""
 
 
 class Parametric(NamedTuple):
@@ -73,9 +79,16 @@ def solve_parametric(
         status=jnp.full(batch, UNSOLVED, jnp.int32),
         residual=jnp.where(is_sound, 1.0, jnp.inf).astype(dtype),
     )
-    of_units = Parametric(program.linear, *(_of_units(factors, part) for part in program[1:]))
-    source = Source(parameters, partial(form_block, factors, of_units))
+    source = make_source(factors, program, parameters)
     return finish(solve_constrained(factors, source, known, nothing))
+
+
+def make_source(
+    factors: Factors, program: Parametric, parameters: Float[Array, "batch k"]
+) -> Source:
+    """Return the numbers of the instances, with rows of unit norm."""
+    of_units = Parametric(program.linear, *(_of_units(factors, part) for part in program[1:]))
+    return Source(parameters, partial(form_block, factors, of_units))
 
 
 def _of_units(factors: Factors, array: Array) -> Array:
@@ -106,14 +119,45 @@ def form(
 
 def _solve_and_remember(factors, program, parameters, is_wanted, known) -> tuple[Solution, tuple]:
     solution = solve_parametric(factors, program, parameters, is_wanted, known)
-    return solution, (factors, program, parameters, solution)
+    source = make_source(factors, program, parameters)
+    active = checkpoint_name(find_active_rows(factors, source, solution), FOUND)
+    status = checkpoint_name(solution.status, FOUND)
+    residual = checkpoint_name(solution.residual, FOUND)
+    x, multipliers = answer_from_rows(factors, source, active, status == SOLVED)
+    solution = Solution(x, multipliers, status, residual)
+    return solution, (factors, program, parameters, active, solution)
+
+
+def answer_from_rows(
+    factors: Factors,
+    source: Source,
+    active: Int[Array, "batch n"],
+    is_solved: Bool[Array, " batch"],
+) -> tuple[Float[Array, "batch n"], Float[Array, "batch m"]]:
+    """Return x and multipliers of solved instances from their active rows; zero for the others."""
+
+    def answer(data, _):
+        of_instances, active = data
+        block = source.form(of_instances)
+        bounds = jnp.concatenate([block.u, block.l])
+        b = jnp.take_along_axis(bounds, active.T, axis=0, mode="fill", fill_value=0.0)
+        x, of_rows = sensitivity.minimise_on_rows(factors, active.T, block.q, b)
+        upper, lower = sensitivity.spread(factors, active.T, of_rows)
+        return x.T, (upper + lower).T / factors.row_norms
+
+    batch, n = active.shape
+    m, _ = factors.rows.shape
+    dtype = factors.rows.dtype
+    nothing = (jnp.zeros((batch, n), dtype), jnp.zeros((batch, m), dtype))
+    size, _ = block_sizes(batch)
+    return update_in_blocks(answer, size, is_solved, (source.data, active), nothing)
 
 
 def _pull_back(saved: tuple, cotangent: Solution) -> tuple:
     """Return the cotangents of the factors, the program and the parameters."""
-    factors, program, parameters, solution = saved
-    (_, l, u), pull = jax.vjp(form, program, parameters)
-    of_factors, *of_instances = pull_back((factors, l, u, solution), cotangent)
+    factors, program, parameters, active, solution = saved
+    _, pull = jax.vjp(form, program, parameters)
+    of_factors, *of_instances = pull_back((factors, solution, active), cotangent)
     return of_factors, *pull(tuple(of_instances)), None, None
 
 

@@ -24,62 +24,90 @@ analysis for nonlinear programming using penalty methods, Mathematical Programmi
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 from jaxtube.qp import batched_ldl
-from jaxtube.qp.batched_ldl import matmul
+from jaxtube.qp.batched_ldl import add_up, matmul
 from jaxtube.qp.factors import Factors
 
-ADJOINT_PENALTY = {8: 1e6, 4: 1e3}
-"""Penalty over rho, by bytes of a float.
+SLACK = {8: 1e-10, 4: 1e-5}
+"""What passes add to the diagonal of A P^-1 A', over 1 / rho, by bytes of a float.
 
-Each pass divides the error by about ADJOINT_PENALTY times the least eigenvalue of A P^-1 A' on the
-active rows, over rho; there is no good guess to begin with, so that penalty and passes exceed those
-of polish.
+Each pass divides the error by 1 + the least eigenvalue of A P^-1 A' on the active rows over this:
+rows that are nearly parallel leave none after a few, and the multipliers of rows that are parallel
+stay as far above rounding.
 """
-ADJOINT_PASSES = 6
+PASSES = 4
 
 
-def active_rows(
+def find_active_rows(
     factors: Factors,
     x: Float[Array, "n batch"],
     y: Float[Array, "m batch"],
     l: Float[Array, "m batch"],
     u: Float[Array, "m batch"],
-) -> tuple[Bool[Array, "m batch"], Bool[Array, "m batch"]]:
-    """Return which rows are active at l and which at u, for answers x with multipliers y.
+) -> Int[Array, "n batch"]:
+    """Return which rows are active, for answers x with multipliers y: i for row i at u, m + i at l,
+    2 m where there is none.
 
     The smaller of distance to the bound and multiplier counts as zero: y alone may be a rounding
-    error anywhere.
+    error anywhere, and so may the distance of a row that depends on active ones. Of more than n
+    rows, which then depend on each other, the first n count.
     """
+    m, n = factors.rows.shape
     v = matmul(factors.rows, x) + y / factors.rho
-    return v < l, v > u
+    is_lower = (v < l) & (y < 0)
+    is_active = is_lower | ((v > u) & (y > 0))
+    rank = jnp.cumsum(is_active, axis=0, dtype=jnp.int32)
+    place = jnp.where(is_active, rank - 1, n)
+    row = jnp.arange(m, dtype=jnp.int16)[:, None] + jnp.where(is_lower, m, 0).astype(jnp.int16)
+    nothing = jnp.full(x.shape, 2 * m, jnp.int16)
+    return nothing.at[place, jnp.arange(x.shape[1])].set(row, mode="drop")
 
 
-def adjoint(
+def spread(
+    factors: Factors, active: Int[Array, "n batch"], values: Float[Array, "n batch"]
+) -> tuple[Float[Array, "m batch"], Float[Array, "m batch"]]:
+    """Return what belongs to active rows as that of all rows at u, and of all rows at l."""
+    m, _ = factors.rows.shape
+    lanes = values.shape[1]
+    both = jnp.zeros((2 * m, lanes), values.dtype)
+    both = both.at[active, jnp.arange(lanes)].set(values, mode="drop")
+    return both[:m], both[m:]
+
+
+def minimise_on_rows(
     factors: Factors,
-    active: Bool[Array, "m batch"],
-    x_bar: Float[Array, "n batch"],
-    y_bar: Float[Array, "m batch"],
-) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"]]:
-    """Solve (1) by augmented Lagrangian passes, so that their penalty leaves no error; return d and
-    nu."""
-    A = factors.rows
-    P = factors.hessian
-    weights = jnp.where(active, factors.rho * ADJOINT_PENALTY[x_bar.dtype.itemsize], 0.0)
-    penalised = factors.packed_hessian[:, None] + matmul(factors.pair_products, weights)
-    ldl = batched_ldl.factorise(penalised)
+    active: Int[Array, "n batch"],
+    q: Float[Array, "n batch"],
+    b: Float[Array, "n batch"],
+) -> tuple[Float[Array, "n batch"], Float[Array, "n batch"]]:
+    """Minimise 1/2 x' P x + q' x subject to a_i x = b_i on the active rows; return x and the
+    multipliers, those of least norm.
 
-    def correct(_, guess):
-        d, nu = guess
-        multipliers = nu + weights * (matmul(A, d) - y_bar)
-        gradient = matmul(P, d) - x_bar + matmul(A.T, multipliers)
-        d = d - batched_ldl.solve(ldl, gradient)
-        return d, nu + weights * (matmul(A, d) - y_bar)
+    Augmented Lagrangian passes, so that their penalty leaves no error; b is zero where there is no
+    row.
+    """
+    m, n = factors.rows.shape
+    row = jnp.where(active < 2 * m, active % m, m)
+    # Columns first: what is added up below then runs over the batch.
+    columns = jnp.take(factors.rows.T, row, axis=1, mode="fill", fill_value=0.0)
+    whitened = jnp.take(factors.whitened.T, row, axis=1, mode="fill", fill_value=0.0)
+    gram = add_up([column[:, None] * column for column in whitened])
+    slack = SLACK[q.dtype.itemsize] / factors.rho
+    diagonal = slack * jnp.eye(n, dtype=gram.dtype)[:, :, None]
+    ldl = batched_ldl.factorise((gram + diagonal)[np.triu_indices(n)])
+    free = matmul(factors.optimum, q)
+    missed = add_up([columns[i] * free[i] for i in range(n)]) - b
 
-    start = (jnp.zeros_like(x_bar), jnp.zeros_like(y_bar))
-    return jax.lax.fori_loop(0, ADJOINT_PASSES, correct, start)
+    def correct(_, y):
+        return y + batched_ldl.solve(ldl, missed - add_up([gram[i] * y[i] for i in range(n)]))
+
+    y = jax.lax.fori_loop(0, PASSES, correct, jnp.zeros_like(b))
+    push = add_up([columns[:, i] * y[i] for i in range(n)])
+    return free + matmul(factors.optimum, push), y
 
 
 def shared_cotangents(

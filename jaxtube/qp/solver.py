@@ -33,7 +33,7 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxtube.qp import fixed_point, sensitivity
 from jaxtube.qp.batched_ldl import matmul
@@ -114,23 +114,43 @@ def finish(solution: Solution) -> Solution:
 def solve_and_remember(factors: Factors, q, l, u) -> tuple[Solution, tuple]:
     """Solve; return the answers and what their derivative needs."""
     solution = solve_batch(factors, q, l, u)
-    return solution, (factors, l, u, solution)
+    source = Source((q, l, u), lambda data: fixed_point.unit_rows(factors, *data))
+    return solution, (factors, solution, find_active_rows(factors, source, solution))
+
+
+def find_active_rows(factors: Factors, source: Source, solution: Solution) -> Int[Array, "batch n"]:
+    """Return the active rows of every instance, none where it is not solved; as
+    `sensitivity.find_active_rows`."""
+    m, _ = factors.rows.shape
+    norms = factors.row_norms
+
+    def find(data, _):
+        of_instances, x, y = data
+        block = source.form(of_instances)
+        return sensitivity.find_active_rows(factors, x.T, (y * norms).T, block.l, block.u).T
+
+    is_constrained = jnp.any(solution.multipliers != 0, axis=1) & (solution.status == SOLVED)
+    size, _ = block_sizes(len(solution.x))
+    data = (source.data, solution.x, solution.multipliers)
+    nothing = jnp.full(solution.x.shape, 2 * m, jnp.int16)
+    return update_in_blocks(find, size, is_constrained, data, nothing)
 
 
 def pull_back(saved: tuple, cotangent: Solution) -> tuple[Factors, Array, Array, Array]:
     """Return the cotangents of factors, q, l and u; only the instances with an active row cost more
     than a product."""
-    factors, l, u, solution = saved
-    zero = jnp.zeros_like(l)
+    factors, solution, active = saved
+    m, _ = factors.rows.shape
+    zero = jnp.zeros_like(solution.multipliers)
     solved = solution.status == SOLVED
     x_bar = jnp.where(solved[:, None], cotangent.x, 0.0)
     y_bar = jnp.where(solved[:, None], cotangent.multipliers, 0.0)
-    constrained = solved & jnp.any(solution.multipliers != 0, axis=1)
 
     free = jnp.where(solved[:, None], -matmul(x_bar, factors.optimum), 0.0)
-    data = (solution.x, solution.multipliers, l, u, x_bar, y_bar)
     size, _ = block_sizes(len(x_bar))
     adjoint = partial(solve_adjoint, factors)
+    constrained = jnp.any(active < 2 * m, axis=1)
+    data = (active, x_bar, y_bar)
     d, l_bar, u_bar = update_in_blocks(adjoint, size, constrained, data, (free, zero, zero))
     shared = sensitivity.shared_cotangents(
         factors, solution.x, solution.multipliers, d, l_bar + u_bar
@@ -141,17 +161,15 @@ def pull_back(saved: tuple, cotangent: Solution) -> tuple[Factors, Array, Array,
 def solve_adjoint(
     factors: Factors, data: tuple[Array, ...], _
 ) -> tuple[Float[Array, "batch n"], Float[Array, "batch m"], Float[Array, "batch m"]]:
-    """Return d and the cotangents of l and u for a block of instances, `data` being (x, y, l, u,
+    """Return d and the cotangents of l and u for a block of instances, `data` being (active rows,
     x_bar, y_bar)."""
-    x, y, l, u, x_bar, y_bar = data
+    active, x_bar, y_bar = data
     norms = factors.row_norms
-    at_lower, at_upper = sensitivity.active_rows(
-        factors, x.T, (y * norms).T, (l / norms).T, (u / norms).T
-    )
-    d, nu = sensitivity.adjoint(factors, at_lower | at_upper, x_bar.T, (y_bar / norms).T)
-    l_bar = jnp.where(at_lower, nu, 0.0).T / norms
-    u_bar = jnp.where(at_upper, nu, 0.0).T / norms
-    return d.T, l_bar, u_bar
+    twice = jnp.concatenate([y_bar / norms, y_bar / norms], axis=1)
+    of_rows = jnp.take_along_axis(twice, active, axis=1, mode="fill", fill_value=0.0)
+    d, nu = sensitivity.minimise_on_rows(factors, active.T, -x_bar.T, of_rows.T)
+    u_bar, l_bar = sensitivity.spread(factors, active.T, nu)
+    return d.T, l_bar.T / norms, u_bar.T / norms
 
 
 solve_batch.defvjp(solve_and_remember, pull_back)

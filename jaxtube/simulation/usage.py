@@ -28,6 +28,7 @@ from jaxtube.control.laws import TubeMpc, planner_of
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant, Script, SearchablePlant
 from jaxtube.plant.slipping import DRAWN
+from jaxtube.qp.parametric import FOUND
 from jaxtube.simulation.columns import loop_by_columns, scan_by_columns
 from jaxtube.simulation.rollout import (
     LoopState,
@@ -49,6 +50,9 @@ class Limit(NamedTuple):
     offsets: Float[Array, "stages facets"]
     centre: Float[Array, " n"]
 
+
+KEPT = jax.checkpoint_policies.save_only_these_names(DRAWN, mpc.ACTED, FOUND)
+"""What reverse mode keeps of a period."""
 
 Limits = dict[str, Limit]
 """Limits by name; see the module."""
@@ -167,7 +171,7 @@ def _scan_periods(
     def choose_plant(values: Script) -> Plant:
         return plant if script is None else plant.under_script(values)
 
-    @partial(jax.checkpoint, policy=jax.checkpoint_policies.save_only_these_names(DRAWN, mpc.ACTED))
+    @partial(jax.checkpoint, policy=KEPT)
     def period(state: LoopState, now):
         step, of_period = now
         acting = choose_plant({name: values[None] for name, values in of_period.items()})
