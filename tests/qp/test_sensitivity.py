@@ -247,6 +247,25 @@ def test_rows_that_depend_on_each_other_share_the_derivative_of_one():
         )
 
 
+def test_rows_that_are_nearly_parallel_count_as_two():
+    P, A, *_ = programs(1)
+    rng = np.random.default_rng(8)
+    pair = rng.normal(size=(2, 10))
+    pair[1] = pair[0] + 1e-4 * pair[1]
+    rows = np.zeros_like(A)
+    rows[:2] = pair
+    x = rng.normal(size=(COUNT, 10))
+    upper = np.ones((COUNT, len(A)))
+    upper[:, :2] = x @ pair.T
+    q = -x @ P - rng.uniform(1, 2, (COUNT, 2)) @ pair
+    x_bar = rng.normal(size=q.shape)
+    (_, _, q_bar, *_), solution = gradient([P, rows, q, np.full_like(upper, -1e3), upper], x_bar)
+    assert (solution.status == qp.SOLVED).all() and (solution.multipliers[:, :2] > 0).all()
+    system = np.block([[P, pair.T], [pair, np.zeros((2, 2))]])
+    d = np.linalg.solve(system, np.pad(x_bar, ((0, 0), (0, 2))).T)[:10].T
+    np.testing.assert_allclose(q_bar, -d, atol=SENSITIVITY * np.abs(d).max())
+
+
 @pytest.mark.slow
 def test_float32_follows_float64():
     data = programs(2)
