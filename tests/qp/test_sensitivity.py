@@ -252,10 +252,10 @@ def test_rows_that_are_nearly_parallel_count_as_two():
     rng = np.random.default_rng(8)
     pair = rng.normal(size=(2, 10))
     pair[1] = pair[0] + 1e-4 * pair[1]
-    rows = np.zeros_like(A)
+    rows = A.copy()
     rows[:2] = pair
     x = rng.normal(size=(COUNT, 10))
-    upper = np.ones((COUNT, len(A)))
+    upper = np.full((COUNT, len(A)), 1e3)
     upper[:, :2] = x @ pair.T
     q = -x @ P - rng.uniform(1, 2, (COUNT, 2)) @ pair
     x_bar = rng.normal(size=q.shape)
