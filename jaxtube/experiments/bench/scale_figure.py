@@ -96,4 +96,6 @@ def _draw_times(axes: Axes, results: Sequence[HorizonResult]) -> None:
     axes.set(xscale="log", yscale="log", xlabel="horizon $N$", ylabel="time of a program [µs]")
     axes.set_xticks(ticks, [f"{each}" for each in ticks])
     axes.minorticks_off()
-    axes.legend(fontsize=LEGEND_SIZE, handlelength=1.4)
+    # Room for the legend above the curves.
+    axes.set_ylim(top=30 * axes.get_ylim()[1])
+    axes.legend(fontsize=LEGEND_SIZE, handlelength=1.4, loc="upper left", ncols=2)
