@@ -113,7 +113,7 @@ def terminal_cost(
 
     Raises:
         ValueError: shapes or weights that are refused, or a vertex that no gain stabilises.
-        RuntimeError: the solver does not report `optimal`, or its answer does not decrease.
+        RuntimeError: the solver finds no answer, or its answer does not decrease.
 
     Source: Gonzalez et al. 2009, eqs. (32)-(41).
     """
@@ -303,7 +303,7 @@ def compute_root(weight: np.ndarray) -> np.ndarray:
 
 
 def _raise_in_turn(Q: np.ndarray, R: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yield the weights raised to each of `SHARES`, those that differ from the ones before."""
+    """Yield the weights raised to each of `SHARES`, those that differ from the last ones."""
     known: list[np.ndarray] = []
     for share in SHARES:
         weights = raise_weights(Q, R, share)

@@ -81,7 +81,8 @@ def _differentiate(primals, tangents):
 
 
 def sinc(x: Float[Array, "..."], sine: Float[Array, "..."] | None = None) -> Float[Array, "..."]:
-    """Return sin(x) / x, x in rad; value and derivatives are exact to rounding, also near zero.
+    """Return sin(x) / x, x in rad; the value is exact to rounding, the derivative
+    to 1e-13, also near zero.
 
     Args:
         x: in rad.

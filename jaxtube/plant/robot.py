@@ -161,7 +161,7 @@ def is_saturated(
         demanded: wheel speeds (right, left) before saturation, m/s.
         wheels: after it, m/s.
     """
-    rounding = SAME * np.finfo(demanded.dtype).eps * (1 + abs(demanded))
+    rounding = SAME * np.finfo(demanded.dtype).eps * (1 + abs(wheels))
     return (abs(demanded - wheels) > rounding).any(axis=-1)
 
 

@@ -66,8 +66,9 @@ def solve_parametric(
             would be accepted.
 
     Returns:
-        As `solver.solve`, with its derivative. A wanted instance is solved as one that its
-        unconstrained optimum does not solve.
+        As `solver.solve`, with its derivative; where that is taken, x and multipliers are zero
+        wherever the status is not SOLVED. A wanted instance is solved as one that its unconstrained
+        optimum does not solve.
     """
     batch = len(parameters)
     m, n = factors.rows.shape

@@ -1,9 +1,9 @@
 """Histograms over logarithmic buckets: whole numbers only, so that they add up in any order and on
 any machine.
 
-Each octave [2^p, 2^(p+1)) is cut into 8 buckets of equal width, read off the bits of the number. A
-value is known to 12 % at worst. What is smaller than the first edge counts in the first bucket,
-what is larger than the last, is infinite or NaN, in the last.
+Each octave [2^p, 2^(p+1)) is cut into 8 buckets of equal width, read off the bits of the number.
+Between the edges a value is known to an eighth. What is smaller than the first edge counts in the
+first bucket, what is larger than the last, is infinite or NaN, in the last.
 
 The buckets are those of a floating-point number's exponent and leading bits (Tene, HdrHistogram,
 2012).

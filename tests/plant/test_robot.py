@@ -119,7 +119,7 @@ def test_functions_keep_the_dtype_they_are_given_inside_jit(dtype):
 
 def test_a_wheel_saturates_where_it_is_denied_more_than_rounding():
     limit = 1.7
-    demanded = np.array([[0.3, limit], [limit * (1 + 1e-9), 0.1], [-2.0, 1.0], [np.nan, 0.0]])
+    demanded = np.array([[0.3, limit], [limit * (1 + 1e-9), 0.1], [-np.inf, 1.0], [np.nan, 0.0]])
     wheels = np.clip(demanded, -limit, limit)
     made_again = np.nextafter(wheels, np.inf)
     for given in (wheels, made_again):
