@@ -23,8 +23,8 @@ from jaxtube.control.mpc import AnyArray
 from jaxtube.qp.batched_ldl import matmul
 
 OUTSIDE = 1e-12
-"""What counts as outside is further out than this: relative to a set's facet, or m/s and rad/s."""
-
+"""What counts as outside is further out than this: beyond a facet, in the unit of its row, or in
+m/s."""
 
 FEW_FACETS = 16
 """Facets up to which a set is compared with points facet by facet."""

@@ -55,6 +55,8 @@ CLOUD_CELLS = 48
 """Cells along each axis of the clouds of deviations."""
 CLOUD_REACH = 2.0
 """The cells of a cloud reach so many times as far as the box around the section."""
+FACE_ROUNDING = 1e-6
+"""Share of the box around E by which a start may be off a face."""
 COVERAGE_CELLS = 24
 """Cells along each axis of the coverage of starts."""
 HEAT_CELLS = (96, 96)
@@ -376,10 +378,7 @@ def expected_error(
     controller: TubeMpc, step, errors: Float[Array, "batch 3"], plan: mpc.Plan
 ) -> Float[Array, "batch 3"]:
     """Return A e + B g_0, where a plan expects the error one step later."""
-    condensed = controller.condensed_qp(step)
-    return matmul(errors, condensed.transition.T) + matmul(
-        plan.inputs[:, 0], condensed.input_matrix.T
-    )
+    return mpc.predict(controller.condensed_qp(step), errors, plan.inputs[:, 0])
 
 
 def plan_cost(
@@ -433,7 +432,7 @@ def _number_cells(
 
 
 def _cells(places: Float[Array, "*shape"]) -> Int[Array, "*shape"]:
-    """Return whole numbers, OFF_GRID for what is negative or NaN."""
+    """Return whole numbers, OFF_GRID for what is negative, NaN or that large."""
     valid = (places >= 0) & (places < OFF_GRID)
     return jnp.where(valid, jnp.where(valid, places, 0.0).astype(jnp.int32), OFF_GRID)
 
@@ -491,8 +490,13 @@ def _lap_histogram(
 def _coverage(
     checks: Checks, starts: Float[Array, "batch 3"], counts: Int[Array, " batch"]
 ) -> Int[Array, "planes rows columns"]:
-    """Return how many starts lie in each cell of the box around E, plane by plane."""
-    cells = _cells((starts / checks.error.upper + 1) / 2 * COVERAGE_CELLS)
+    """Return how many starts lie in each cell of the box around E, plane by plane; its faces belong
+    to the cells within."""
+    box = checks.error
+    share = (starts - box.lower) / (box.upper - box.lower)
+    is_inside = (share >= -FACE_ROUNDING) & (share <= 1 + FACE_ROUNDING)
+    within = jnp.clip(share, 0.0, 1 - FACE_ROUNDING)
+    cells = _cells(jnp.where(is_inside, within, -1.0) * COVERAGE_CELLS)
     column = jnp.stack([cells[:, abscissa] for abscissa, _ in PLANES])
     row = jnp.stack([cells[:, ordinate] for _, ordinate in PLANES])
     plane = jnp.arange(len(PLANES), dtype=jnp.int32)[:, None]

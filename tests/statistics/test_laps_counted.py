@@ -17,9 +17,11 @@ import pytest
 from recount import join, recount, recount_plans
 from tolerances import CLOSED_LOOP, COUNTED
 
+from jaxtube.coordinates import PLANES
 from jaxtube.scenario import load
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
 from jaxtube.statistics import run as montecarlo
+from jaxtube.statistics import tally
 from jaxtube.statistics.events import EVENT_NAMES, find_row
 from jaxtube.statistics.montecarlo import make_closed_loop_task
 from jaxtube.statistics.run import RANKED, WORST, Run, first_plan, merge, plan_steps
@@ -511,3 +513,17 @@ if __name__ == "__main__":
     for count, chunk in ((1, 1), (1, 4), (4, 1), (3, 2)):
         run = Run(case.task, 3 * BLOCK + 5, chunk, tuple(jax.devices()[:count]))
         print(digest([as_bytes(found) for _, found in run.compute(range(4))]))
+
+
+def test_starts_on_the_faces_of_the_box_count_in_the_cells_within(static):
+    box = static.task.checks.error
+    faces = np.diag(box.upper) * (1 - 1e-12)
+    inside = np.concatenate([faces, -faces, np.diag(box.upper) * (1 + 1e-12)])
+    outside = np.concatenate([1.01 * faces, -1.01 * faces, [[np.nan, 0.0, 0.0]]])
+    for starts, counted in ((inside, True), (outside, False)):
+        counts = jnp.ones(len(starts), jnp.int32)
+        found = np.asarray(tally._coverage(static.task.checks, jnp.asarray(starts), counts))
+        # A start outside along one axis is inside in the plane of the others.
+        along = [np.sum(np.any(starts[:, list(plane)] != 0, axis=1)) for plane in PLANES]
+        expected = len(starts) - (0 if counted else np.array(along))
+        np.testing.assert_array_equal(found.sum(axis=(1, 2)), expected)
