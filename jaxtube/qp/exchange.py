@@ -40,7 +40,7 @@ NEXT = -1
 MET = -2
 """No row is missed."""
 STUCK = -3
-"""At and below it: row STUCK - adding has no step."""
+"""At and below it: row STUCK - adding has no step, or no slot is left for it."""
 DEPENDENT = 0.625
 """Power of eps, by the square of a row, below which d'd counts as zero."""
 UNMOVED = 0.75
@@ -91,9 +91,7 @@ class Step(NamedTuple):
 
     length: Float[Array, " lanes"]  # t
     joins: Float[Array, " lanes"]
-    slot: Int[
-        Array, " lanes"
-    ]  # of what joins or leaves; the number of slots where there is no step
+    slot: Int[Array, " lanes"]  # of what joins or leaves; the number of slots where there is none
 
 
 def make_program(whitened: Float[Array, "m n"]) -> Program:
@@ -180,15 +178,17 @@ def find_step(program: Program, lanes: Lanes, missed: Missed, way: Way) -> Step:
 
 
 def ratios(lanes: Lanes, way: Way) -> list[Int[Array, " lanes"]]:
-    """Return, tagged by their slots, the t at which multipliers are zero."""
+    """Return, tagged by their slots, the t at which multipliers are zero; the least normal number
+    stands for zero, whose tag would be lost where subnormal ones are flushed."""
     slots = len(lanes.rows)
     eps = jnp.finfo(way.r.dtype).eps
+    least = np.finfo(way.r.dtype).tiny
     largest = np.finfo(way.r.dtype).max
 
     def ratio(i):
         shrinks = way.r[i] > eps**UNMOVED
         t = jnp.where(shrinks, lanes.multipliers[i], largest) / jnp.where(shrinks, way.r[i], 1.0)
-        return tag(jnp.minimum(t, largest), i, slots)
+        return tag(jnp.clip(t, least, largest), i, slots)
 
     return [ratio(i) for i in range(slots)]
 

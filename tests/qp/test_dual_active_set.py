@@ -12,7 +12,16 @@ from tube_programs import family, hard
 
 from jaxtube import qp
 from jaxtube.qp import blocks, dual_active_set, farkas, fixed_point, rounds, stages
-from jaxtube.qp.exchange import MET, NEXT, STUCK, exchange, make_program
+from jaxtube.qp.exchange import (
+    MET,
+    NEXT,
+    STUCK,
+    Missed,
+    Way,
+    exchange,
+    find_step,
+    make_program,
+)
 from jaxtube.qp.source import Solution, Source
 from jaxtube.qp.tags import largest, read_tag, tag, untag
 
@@ -240,3 +249,19 @@ def test_tagged_numbers_keep_their_order_and_their_places(dtype):
 def test_the_largest_number_is_not_a_number_where_one_is_none():
     values = jnp.asarray([[1.0, np.inf, -np.nan, 0.0], [-3.0, 2.0, np.inf, -0.0]])
     np.testing.assert_array_equal(largest(values), [3.0, np.inf, np.nan, 0.0])
+
+
+def test_a_step_of_no_length_lets_the_row_leave_that_allows_no_more(programs):
+    fam, given = programs
+    factors, source = prepare(fam, given)
+    program, lanes = begin(factors, source, COUNT)
+    slots = len(lanes.rows)
+    multipliers = jnp.ones((slots, COUNT)).at[2].set(0.0)
+    lanes = lanes._replace(multipliers=multipliers, rows=jnp.zeros_like(lanes.rows))
+    n = len(lanes.z)
+    missed = Missed(jnp.ones(COUNT, jnp.int32), jnp.zeros((n, COUNT)), jnp.ones(COUNT))
+    way = Way(jnp.full((slots, COUNT), 0.5), jnp.zeros((n, COUNT)), jnp.ones(COUNT))
+    step = jax.jit(find_step)(program, lanes, missed, way)
+    np.testing.assert_array_less(step.length, 1e-300)
+    np.testing.assert_array_equal(step.slot, 2)
+    np.testing.assert_array_equal(step.joins, 0.0)
