@@ -9,7 +9,7 @@ from jax import Array
 from jaxtyping import Bool, Int, PyTree
 
 MANY = 2048
-"""Instances from which on blocks are made as if all were worked on."""
+"""Instances of a batch from which on blocks are larger."""
 
 _assumed = False
 

@@ -11,7 +11,7 @@ regulator for constrained systems", Automatica 38(1), for the form.
 """
 
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,14 +24,11 @@ from jaxtube.qp.batched_ldl import matmul, product
 from jaxtube.qp.blocks import block_sizes, update_in_blocks
 from jaxtube.qp.factors import Factors
 from jaxtube.qp.fixed_point import Instances, make_instances
-from jaxtube.qp.regions import Regions
-from jaxtube.qp.solver import find_active_rows, finish, pull_back
+from jaxtube.qp.regions import AnyArray, Regions
+from jaxtube.qp.solver import find_rows_of_solved, finish, pull_back
 from jaxtube.qp.source import Solution, Source
 from jaxtube.qp.stages import solve_constrained
 from jaxtube.qp.status import SOLVED, UNSOLVED
-
-AnyArray = Any
-"""A design holds numpy arrays, a controller jax arrays."""
 
 FOUND = "found"
 """Name under which reverse mode may keep which rows are active, a few bytes for each instance: the
@@ -121,7 +118,7 @@ def form(
 def _solve_and_remember(factors, program, parameters, is_wanted, known) -> tuple[Solution, tuple]:
     solution = solve_parametric(factors, program, parameters, is_wanted, known)
     source = make_source(factors, program, parameters)
-    active = checkpoint_name(find_active_rows(factors, source, solution), FOUND)
+    active = checkpoint_name(find_rows_of_solved(factors, source, solution), FOUND)
     status = checkpoint_name(solution.status, FOUND)
     residual = checkpoint_name(solution.residual, FOUND)
     x, multipliers = answer_from_rows(factors, source, active, status == SOLVED)

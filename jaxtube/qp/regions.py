@@ -25,7 +25,7 @@ from jaxtube.qp.batched_ldl import product
 from jaxtube.qp.tags import read_tag, tag
 
 AnyArray = Any
-"""A bank is made of numpy arrays, and looked up in jax arrays."""
+"""A design holds numpy arrays, a controller jax arrays."""
 
 
 class Regions(NamedTuple):

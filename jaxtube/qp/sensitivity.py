@@ -62,9 +62,15 @@ def find_active_rows(
     is_active = is_lower | ((v > u) & (y > 0))
     rank = jnp.cumsum(is_active, axis=0, dtype=jnp.int32)
     place = jnp.where(is_active, rank - 1, n)
-    row = jnp.arange(m, dtype=jnp.int16)[:, None] + jnp.where(is_lower, m, 0).astype(jnp.int16)
-    nothing = jnp.full(x.shape, 2 * m, jnp.int16)
+    kind = find_row_type(m)
+    row = jnp.arange(m, dtype=kind)[:, None] + jnp.where(is_lower, m, 0).astype(kind)
+    nothing = jnp.full(x.shape, 2 * m, kind)
     return nothing.at[place, jnp.arange(x.shape[1])].set(row, mode="drop")
+
+
+def find_row_type(m: int) -> type[np.integer]:
+    """Return the smallest integer that numbers 2 m rows, and none of them."""
+    return np.int16 if 2 * m <= np.iinfo(np.int16).max else np.int32
 
 
 def spread(

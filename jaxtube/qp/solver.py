@@ -91,9 +91,19 @@ def solve_batch(
     is_solved = is_inside & (residual <= TOLERANCE[q.dtype.itemsize])
     status = jnp.where(is_solved, SOLVED, UNSOLVED).astype(jnp.int32)
     free = Solution(x, jnp.zeros_like(l), status, residual)
-    source = Source((q, l, u), lambda data: fixed_point.unit_rows(factors, *data))
+    source = make_source(factors, q, l, u)
     general = partial(solve_the_rest, factors, source)
     return jax.lax.cond(jnp.all(is_solved), lambda free: free, general, free)
+
+
+def make_source(
+    factors: Factors,
+    q: Float[Array, "batch n"],
+    l: Float[Array, "batch m"],
+    u: Float[Array, "batch m"],
+) -> Source:
+    """Return the numbers of the instances, with rows of unit norm."""
+    return Source((q, l, u), lambda data: fixed_point.unit_rows(factors, *data))
 
 
 def solve_the_rest(factors: Factors, source: Source, free: Solution) -> Solution:
@@ -114,13 +124,15 @@ def finish(solution: Solution) -> Solution:
 def solve_and_remember(factors: Factors, q, l, u) -> tuple[Solution, tuple]:
     """Solve; return the answers and what their derivative needs."""
     solution = solve_batch(factors, q, l, u)
-    source = Source((q, l, u), lambda data: fixed_point.unit_rows(factors, *data))
-    return solution, (factors, solution, find_active_rows(factors, source, solution))
+    source = make_source(factors, q, l, u)
+    return solution, (factors, solution, find_rows_of_solved(factors, source, solution))
 
 
-def find_active_rows(factors: Factors, source: Source, solution: Solution) -> Int[Array, "batch n"]:
-    """Return the active rows of every instance, none where it is not solved; as
-    `sensitivity.find_active_rows`."""
+def find_rows_of_solved(
+    factors: Factors, source: Source, solution: Solution
+) -> Int[Array, "batch n"]:
+    """Return the active rows of every instance, as `sensitivity.find_active_rows`; none where it is
+    not solved."""
     m, _ = factors.rows.shape
     norms = factors.row_norms
 
@@ -132,7 +144,7 @@ def find_active_rows(factors: Factors, source: Source, solution: Solution) -> In
     is_constrained = jnp.any(solution.multipliers != 0, axis=1) & (solution.status == SOLVED)
     size, _ = block_sizes(len(solution.x))
     data = (source.data, solution.x, solution.multipliers)
-    nothing = jnp.full(solution.x.shape, 2 * m, jnp.int16)
+    nothing = jnp.full(solution.x.shape, 2 * m, sensitivity.find_row_type(m))
     return update_in_blocks(find, size, is_constrained, data, nothing)
 
 

@@ -11,7 +11,7 @@ import tolerances as tol
 from tube_programs import Family, family, hard
 
 from jaxtube import qp
-from jaxtube.qp import fixed_point
+from jaxtube.qp import fixed_point, sensitivity
 
 SENSITIVITY = 1e-6
 """Relative; derivatives against differences and against unrolled iterations."""
@@ -319,3 +319,9 @@ def test_a_scan_of_checkpoints_differentiates_a_closed_loop():
             total += weight / STEP * float(value)
         products = np.asarray(found[part]) * direction
         assert abs(products.sum() - total) <= SENSITIVITY * np.abs(products).sum()
+
+
+@pytest.mark.parametrize("m, kind", [(16383, np.int16), (16384, np.int32)])
+def test_row_numbers_fit_their_integers(m, kind):
+    assert sensitivity.find_row_type(m) is kind
+    assert 2 * m <= np.iinfo(kind).max
