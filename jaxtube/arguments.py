@@ -16,13 +16,13 @@ def require_count(name: str, value: object) -> int:
     Raises:
         ValueError: one line, for anything else.
     """
-    count = _find_whole(value)
+    count = find_whole(value)
     if count is None or count < 1:
         raise ValueError(f"{name} = {value}: is no whole number from 1 up; give one, such as 256")
     return count
 
 
-def _find_whole(value: object) -> int | None:
+def find_whole(value: object) -> int | None:
     """Return a whole number as an int, None for anything else."""
     if isinstance(value, bool) or not isinstance(value, Real):
         return None

@@ -23,6 +23,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube import qp
+from jaxtube.arguments import find_whole
 from jaxtube.control.laws import TubeMpc
 from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.protocol import Controller
@@ -107,9 +108,10 @@ class Stepper:
         Raises:
             ValueError: where the reference has no such period.
         """
-        if not 0 <= period < self.periods:
+        first = find_whole(period)
+        if first is None or not 0 <= first < self.periods:
             raise ValueError(f"period = {period}: the reference has 0 to {self.periods - 1}")
-        self.next = period
+        self.next = first
         self._memory = None
 
     @in_64_bits

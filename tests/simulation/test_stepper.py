@@ -132,8 +132,9 @@ def test_the_end_of_the_reference_and_other_shapes_are_refused(stepper):
     stepper(np.zeros(3))
     with pytest.raises(ValueError, match="the reference ended after"):
         stepper(np.zeros(3))
-    with pytest.raises(ValueError, match="period = -1"):
-        stepper.restart(-1)
+    for period in (-1, 1.5, stepper.periods):
+        with pytest.raises(ValueError, match=f"period = {period}: the reference has 0 to"):
+            stepper.restart(period)
 
 
 def test_what_is_no_design_is_refused():
