@@ -36,9 +36,9 @@ def compile_quickly() -> None:
     and they run as fast. Two branches of a program may then round the same sum otherwise."""
     # An unknown flag is fatal, so they are passed only to the releases that were seen to know them.
     if importlib.metadata.version("jaxlib").startswith("0.10."):
-        given = os.environ.get("XLA_FLAGS", "")
         pieces = f"--xla_cpu_parallel_codegen_split_count={PIECES}"
-        os.environ["XLA_FLAGS"] = f"{given} {pieces} --xla_cpu_use_fusion_emitters=false".strip()
+        given = os.environ.get("XLA_FLAGS", "")  # last, where it counts
+        os.environ["XLA_FLAGS"] = f"{pieces} --xla_cpu_use_fusion_emitters=false {given}".strip()
 
 
 def use_one_thread_for_linear_algebra() -> None:
@@ -118,4 +118,4 @@ def leave(code: int) -> NoReturn:
 def _find_processor_features() -> set[str]:
     info = Path("/proc/cpuinfo")
     lines = info.read_text().splitlines() if info.exists() else []
-    return {line for line in lines if line.startswith("flags")}
+    return {line for line in lines if line.startswith(("flags", "Features"))}  # x86, ARM
