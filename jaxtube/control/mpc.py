@@ -32,10 +32,7 @@ from jaxtyping import Bool, Float, Int
 from jaxtube import qp
 from jaxtube.qp.batched_ldl import matmul
 from jaxtube.qp.parametric import Parametric, solve_parametric
-from jaxtube.qp.regions import Regions
-
-AnyArray = Any
-"""A design holds numpy arrays, a controller jax arrays."""
+from jaxtube.qp.regions import AnyArray, Regions
 
 ACTED = "acted"
 """Name under which reverse mode keeps what `act` returns; with `parametric.FOUND` kept as well no
@@ -297,7 +294,7 @@ def act_freely(
     plan = free_plan(condensed, start)
     due = plan.inputs[:, 0]
     command = due + _image(condensed.tube_gain, errors - start)
-    nominal = _predict(condensed, start, due)
+    nominal = predict(condensed, start, due)
     following = MpcState(plan.inputs, jnp.ones_like(state.stage), nominal)
     return command, following, _diagnose(plan)
 
@@ -319,15 +316,15 @@ def _act_constrained(
         _image(condensed.terminal_gain, deviation),
     )
     due, feedback = _select(now.stage < horizon, planned, at_the_end)
-    nominal = _predict(condensed, now.nominal, due)
+    nominal = predict(condensed, now.nominal, due)
     following = MpcState(now.inputs, jnp.minimum(now.stage + 1, horizon), nominal)
     return due + feedback, following, _diagnose(plan)
 
 
-def _predict(
+def predict(
     condensed: CondensedQp, nominal: Float[Array, "batch 3"], inputs: Float[Array, "batch 2"]
 ) -> Float[Array, "batch 3"]:
-    """Return the nominal error one step ahead."""
+    """Return A e + B g, the nominal error one step ahead."""
     return _image(condensed.transition, nominal) + _image(condensed.input_matrix, inputs)
 
 

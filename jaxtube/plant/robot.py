@@ -155,7 +155,7 @@ def is_saturated(
     demanded: Float[Array | np.ndarray, "... 2"], wheels: Float[Array | np.ndarray, "... 2"]
 ) -> Bool[Array | np.ndarray, "..."]:
     """Return whether some wheel could not be given the speed that was asked of it; rounding is no
-    difference, since compiled programs may make a number twice.
+    difference, since compiled programs may make a number twice. NaN counts as given.
 
     Args:
         demanded: wheel speeds (right, left) before saturation, m/s.

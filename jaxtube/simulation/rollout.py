@@ -186,8 +186,7 @@ def follow_plan(
             inputs, state.measurement, plant.reference_wheels[now]
         )
         state, _ = _move(plant, keys, now, state, command)
-        nominal = matmul(nominal, condensed.transition.T)
-        nominal = nominal + matmul(planned, condensed.input_matrix.T)
+        nominal = mpc.predict(condensed, nominal, planned)
         return (state, nominal), state.measured - nominal
 
     planned = jnp.moveaxis(plan.inputs, 1, 0)
