@@ -266,7 +266,7 @@ class ControllerTable(Table, frozen=True):
     """
 
     dt_s: Positive = 0.1
-    horizon: Annotated[int, msgspec.Meta(ge=1)] = 5
+    horizon: Annotated[int, msgspec.Meta(ge=1, le=200)] = 5
     error_weight: Weight = (1.0, 1.0, 0.01)
     input_weight: Weight = (1.0, 1.0)
     tube: Literal["paper", "hull", "summed", "sequence"] = "paper"

@@ -41,6 +41,10 @@ REFUSED_OVERRIDES = [
     ("controller.horizon", ["controller.horizon", "no key and value", "controller.horizon=7"]),
     ("=3", ['"3"', "no key and value", "controller.horizon=7"]),
     ("controller.horizon=0", ["controller.horizon = 0", "whole number >= 1", "default is 5"]),
+    (
+        "controller.horizon=1000000",
+        ["controller.horizon = 1000000", "whole number <= 200", "default is 5"],
+    ),
     ("controller.horizon=5.0", ["controller.horizon = 5.0", "whole number", "default is 5"]),
     ("controller.horizon=true", ["controller.horizon = true", "whole number"]),
     ("controller.horizon=five", ['controller.horizon = "five"', "whole number"]),
