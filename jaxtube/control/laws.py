@@ -13,9 +13,11 @@ from dataclasses import dataclass
 from functools import partial
 
 import jax
+import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from jaxtube import qp
 from jaxtube.control import mpc
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.control.tracking import tracking_input
@@ -91,6 +93,24 @@ class TubeMpc:
         fits = mpc.are_all_free(mpc.take_qp(self.qps, index), start)
         inputs, following, diagnostics = mpc.act_freely(self.qps, index, memory, start, errors)
         command = self.wheel_map.command(inputs, measurement, reference_wheels)
+        return fits, (command, following, diagnostics)
+
+    def act_as_known(
+        self,
+        step,
+        memory: mpc.MpcState,
+        measurement: Measurement,
+        reference_wheels: Float[Array, "2"],
+    ) -> tuple[Bool[Array, ""], tuple[Command, mpc.MpcState, mpc.Diagnostics]]:
+        """Return whether `act` finds every plan without a solver, in the regions that the QPs have,
+        and what it then returns."""
+        errors = measurement.errors
+        start = errors if self.restart else memory.nominal
+        inputs, following, diagnostics = mpc.act_as_known(
+            self.qps, self.index[step], memory, start, errors
+        )
+        command = self.wheel_map.command(inputs, measurement, reference_wheels)
+        fits = jnp.all(diagnostics.status != qp.UNSOLVED)
         return fits, (command, following, diagnostics)
 
 

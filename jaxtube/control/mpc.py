@@ -31,7 +31,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
 from jaxtube.qp.batched_ldl import matmul
-from jaxtube.qp.parametric import Parametric, solve_parametric
+from jaxtube.qp.parametric import Parametric, look_up, solve_parametric
 from jaxtube.qp.regions import AnyArray, Regions
 
 ACTED = "acted"
@@ -237,6 +237,25 @@ def constrained_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) ->
     solution = solve_parametric(
         condensed.factors, condensed.parametric, errors, ~free, condensed.regions
     )
+    return _choose(condensed, errors, free, solution)
+
+
+def known_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
+    """Return the plans of a batch as far as no solver is needed: free ones and those of the regions
+    that the QP has; UNSOLVED elsewhere."""
+    free = _is_free(condensed, errors)
+    solution = look_up(condensed.factors, condensed.parametric, errors, condensed.regions)
+    return _choose(condensed, errors, free, solution)
+
+
+def _choose(
+    condensed: CondensedQp,
+    errors: Float[Array, "batch 3"],
+    free: Bool[Array, " batch"],
+    solution: qp.Solution,
+) -> Plan:
+    """Return the free plan where it serves, and what a solver says elsewhere, if the error is
+    admissible."""
     active = (solution.status == qp.SOLVED) & jnp.any(jnp.abs(solution.multipliers) > 0, axis=1)
     inputs = solution.x.reshape(len(errors), -1, 2)
     solved = Plan(inputs, solution.status, solution.residual, active)
@@ -304,7 +323,21 @@ def _act_constrained(
 ) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
     """Act where some instance needs the solver, or its backup."""
     condensed = take_qp(qps, index)
-    plan = constrained_plan(condensed, start)
+    return _act_on(constrained_plan(condensed, start), condensed, state, start, errors)
+
+
+def act_as_known(
+    qps: CondensedQp, index, state: MpcState, start, errors
+) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
+    """Act where no instance needs the solver: no status is then UNSOLVED."""
+    condensed = take_qp(qps, index)
+    return _act_on(known_plan(condensed, start), condensed, state, start, errors)
+
+
+def _act_on(
+    plan: Plan, condensed: CondensedQp, state: MpcState, start, errors
+) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
+    """Act by plans that have just been made, and by the backup where there is none."""
     fresh = MpcState(plan.inputs, jnp.zeros_like(state.stage), start)
     now = _select(plan.status == qp.SOLVED, fresh, state)
     horizon = now.inputs.shape[1]

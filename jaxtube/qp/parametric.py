@@ -27,7 +27,7 @@ from jaxtube.qp.fixed_point import Instances, make_instances
 from jaxtube.qp.regions import AnyArray, Regions
 from jaxtube.qp.solver import find_rows_of_solved, finish, pull_back
 from jaxtube.qp.source import Solution, Source
-from jaxtube.qp.stages import solve_constrained
+from jaxtube.qp.stages import look_up_block, solve_constrained
 from jaxtube.qp.status import SOLVED, UNSOLVED
 
 FOUND = "found"
@@ -79,6 +79,15 @@ def solve_parametric(
     )
     source = make_source(factors, program, parameters)
     return finish(solve_constrained(factors, source, known, nothing))
+
+
+def look_up(
+    factors: Factors, program: Parametric, parameters: Float[Array, "batch k"], known: Regions
+) -> Solution:
+    """Return what known critical regions say of every instance: UNSOLVED where that is no
+    answer."""
+    source = make_source(factors, program, parameters)
+    return finish(look_up_block(factors, source, known, parameters))
 
 
 def make_source(

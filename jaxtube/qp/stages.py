@@ -51,7 +51,10 @@ def solve_constrained(
     """
     size, _ = block_sizes(len(solution.x))
     if known is not None:
-        look_up = partial(look_up_block, factors, source, known)
+
+        def look_up(parameters, _):
+            return look_up_block(factors, source, known, parameters)
+
         pending = find_pending(solution)
         solution = update_in_blocks(look_up, size, pending, source.data, solution)
     solution = _where_any(partial(search_active_sets, factors, source), solution)
@@ -65,11 +68,11 @@ def _where_any(method: Callable[[Solution], Solution], solution: Solution) -> So
 
 
 def look_up_block(
-    factors: Factors, source: Source, known: Regions, data: Float[Array, "block 3"], _: Solution
+    factors: Factors, source: Source, known: Regions, parameters: Float[Array, "block 3"]
 ) -> Solution:
     """Return the answers of known regions, where they are answers."""
-    block = source.form(data)
-    x, y = regions.look_up(known, data, len(factors.rows))
+    block = source.form(parameters)
+    x, y = regions.look_up(known, parameters, len(factors.rows))
     y = y * factors.row_norms[:, None]
     return as_solution(factors, Iterate(x, y, fixed_point.residual(factors, block, x, y)))
 

@@ -4,9 +4,10 @@
 one command a period. All that does not change from one period to the next is compiled in: the
 controller, the reference and the shapes of a batch of one. Nothing is traced after that.
 
-A tube-MPC has two programs. The first knows plans without active rows alone, and says whether the
-plan is one; where it is not, the second one, with the solver, makes it. A single program would pay
-in every period for the buffers of a solver that it does not run.
+A tube-MPC has up to three programs. The first knows plans without active rows alone, the second the
+critical regions that come with the design as well, and both say whether the plan is one of these;
+where it is not, the last one, with the solver, makes it. A single program would pay in every period
+for the buffers of a solver that it does not run.
 
 Source: new.
 """
@@ -97,8 +98,8 @@ class Stepper:
         )
         self._begin = programs.compile_begin()
         memory = self._begin(np.zeros(3))
+        self._short = programs.compile_short(memory)
         self._act = programs.compile_act(memory)
-        self._act_freely = programs.compile_act_freely(memory)
         self.restart()
 
     def restart(self, period: int = 0) -> None:
@@ -143,9 +144,9 @@ class Stepper:
         return _read(np.array(report))
 
     def _run(self, period, memory: Memory, errors, slip) -> tuple[Float[Array, " 9"], Memory]:
-        """Run the short program, and the other where that does not do."""
-        if self._act_freely is not None:
-            report, following = self._act_freely(period, memory, errors, slip)
+        """Run the short programs, and the long one where they do not do."""
+        for program in self._short:
+            report, following = program(period, memory, errors, slip)
             if np.asarray(report)[-1]:
                 return report, following
         return self._act(period, memory, errors, slip)
@@ -176,18 +177,26 @@ class _Programs:
 
         return _compile(act, *_example(memory))
 
-    def compile_act_freely(self, memory: Memory) -> Callable[..., Any] | None:
-        """Compile the same without the solver of a tube-MPC; None for other controllers."""
+    def compile_short(self, memory: Memory) -> list[Callable[..., Any]]:
+        """Compile the same without the solver of a tube-MPC, the shortest program first; none for
+        other controllers."""
         controller = self._controller
         if not isinstance(controller, TubeMpc):
-            return None
+            return []
+        ways = [controller.act_freely]
+        if controller.qps.regions is not None:
+            ways.append(controller.act_as_known)
+        return [_compile(self._describe(way), *_example(memory)) for way in ways]
+
+    def _describe(self, way: Callable) -> Callable:
+        """Return what acts one way, and reports whether that is what `act` does."""
 
         def act(period, memory, errors, slip):
             measurement = Measurement(errors[None], slip[None])
-            fits, acted = controller.act_freely(period, memory, measurement, self._wheels[period])
+            fits, acted = way(period, memory, measurement, self._wheels[period])
             return _report(acted, fits)
 
-        return _compile(act, *_example(memory))
+        return act
 
 
 def _example(memory: Memory) -> tuple:

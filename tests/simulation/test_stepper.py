@@ -24,6 +24,12 @@ def stepper(design):
     return jt.Stepper(design)
 
 
+@pytest.fixture(scope="module")
+def tuned(uncertified):
+    """Its laps meet active rows that the design knows the regions of."""
+    return uncertified("tuned", SHORT)
+
+
 def follow(stepper: jt.Stepper, laps: jt.Laps) -> list[jt.Step]:
     """Return what the stepper commands on the errors of the first of some laps."""
     stepper.restart()
@@ -57,6 +63,13 @@ def test_active_rows_and_lost_plans_are_those_of_a_batch_of_one(design, stepper,
         require_same(steps, laps)
         kinds |= {(step.is_solved, step.active) for step in steps}
     assert kinds == {(True, False), (True, True), (False, False)}
+
+
+def test_active_rows_of_known_regions_are_those_of_a_batch_of_one(tuned):
+    laps = jt.simulate(tuned, laps=1)
+    steps = follow(jt.Stepper(tuned), laps)
+    assert any(step.active for step in steps)
+    require_same(steps, laps)
 
 
 @pytest.mark.parametrize(

@@ -60,6 +60,18 @@ def test_plans_are_those_of_the_solver(first, errors):
     assert np.all(known.residual[known.status == qp.SOLVED] <= qp.TOLERANCE[8])
 
 
+def test_a_plan_without_a_solver_is_that_of_the_solver_or_none(first, errors):
+    known = mpc.known_plan(first, jnp.asarray(errors))
+    solved = mpc.plan(without_regions(first), jnp.asarray(errors))
+    found = np.asarray(known.status) != qp.UNSOLVED
+    assert 0.5 < np.mean(found) < 1.0
+    assert np.sum(known.active[found]) > 50
+    np.testing.assert_array_equal(known.status[found], solved.status[found])
+    np.testing.assert_array_equal(known.active[found], solved.active[found])
+    np.testing.assert_allclose(known.inputs[found], solved.inputs[found], rtol=0, atol=SAME)
+    assert np.all(known.residual[known.status == qp.SOLVED] <= qp.TOLERANCE[8])
+
+
 def test_most_active_programs_of_laps_are_known(tuned, controller):
     starts = np.tile(tuned.problem.initial_error, (64, 1))
     robot = components.slipping_robot(tuned)
