@@ -9,6 +9,7 @@ Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, sections III and IV.
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass
 from functools import partial
 
@@ -55,6 +56,12 @@ class TubeMpc:
     def planner(self) -> TubeMpc | None:
         """Itself, where its plans start at the measured error."""
         return self if self.restart else None
+
+    def without_rounds(self) -> TubeMpc:
+        """Return the controller for programs without the rounds of iterations that the solver ends
+        with: a QP that needs them stays UNSOLVED."""
+        factors = self.qps.factors._replace(iterated=None)
+        return dataclasses.replace(self, qps=self.qps._replace(factors=factors))
 
     def condensed_qp(self, step) -> mpc.CondensedQp:
         """Return the condensed QP of a period."""
@@ -182,6 +189,13 @@ def solves_qp(controller: Controller) -> bool:
     """Return whether a controller solves QPs, of which its diagnostics tell; one that solves none
     says so in a member `solves_qp`."""
     return getattr(controller, "solves_qp", True)
+
+
+def without_rounds(controller: Controller) -> Controller:
+    """Return a controller for programs that leave the solver's last stage out, which takes long to
+    compile and hardly ever runs; itself where it does not say how, in a method `without_rounds`."""
+    leave_out = getattr(controller, "without_rounds", None)
+    return controller if leave_out is None else leave_out()
 
 
 def input_map_of(controller: Controller) -> str | None:

@@ -242,9 +242,16 @@ def constrained_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) ->
 
 def known_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
     """Return the plans of a batch as far as no solver is needed: free ones and those of the regions
-    that the QP has; UNSOLVED elsewhere."""
+    that the QP has; UNSOLVED elsewhere.
+
+    Raises:
+        ValueError: where the QP has no regions.
+    """
+    known = condensed.regions
+    if known is None:
+        raise ValueError("regions = None: the QP has none; ask for `free_plan`")
     free = _is_free(condensed, errors)
-    solution = look_up(condensed.factors, condensed.parametric, errors, condensed.regions)
+    solution = look_up(condensed.factors, condensed.parametric, errors, known)
     return _choose(condensed, errors, free, solution)
 
 

@@ -23,15 +23,10 @@ from jaxtyping import Float
 from jaxtube.qp import batched_ldl
 
 
-class Accelerators(NamedTuple):
-    """What makes the solver fast and leaves its answers as they are, as in `Factors`."""
+class Iterated(NamedTuple):
+    """What the rounds of iterations need, those of the solver's last stage."""
 
-    optimum: Float[Array, "*stack n n"]
-    optimum_rows: Float[Array, "*stack n m"]
-    root: Float[Array, "*stack n n"]
-    whitened: Float[Array, "*stack m n"]
-    admm_gain: Float[Array, "*stack n n"]
-    rho: Float[Array, "*stack"]
+    admm_gain: Float[Array, "*stack n n"]  # K
     packed_hessian: Float[Array, "*stack pairs"]
     pair_products: Float[Array, "*stack pairs m"]
 
@@ -46,10 +41,10 @@ class Factors(NamedTuple):
     optimum_rows: Float[Array, "*stack n m"]  # and A x = q @ optimum_rows, in the caller's scaling
     root: Float[Array, "*stack n n"]  # S, the inverse of the Cholesky factor of P: S P S' = I
     whitened: Float[Array, "*stack m n"]  # rows S': those of S'^-1 x, whose cost is round
-    admm_gain: Float[Array, "*stack n n"]  # K
     rho: Float[Array, "*stack"]
-    packed_hessian: Float[Array, "*stack pairs"]
-    pair_products: Float[Array, "*stack pairs m"]
+    # None: a program without the rounds, which take most of the time to compile and hardly ever
+    # run. What the dual active-set method leaves stays UNSOLVED.
+    iterated: Iterated | None
 
 
 def factorise(
@@ -80,10 +75,12 @@ def factorise(
         )
     rows, norms = normalise_rows(A, xp)
     if xp is np:
-        accelerators = compute_accelerators(np, P, rows, norms)
+        parts = compute_accelerators(np, P, rows, norms)
     else:
-        accelerators = accelerators_in_turn(*jax.lax.stop_gradient((P, rows, norms)))
-    return Factors(P, rows, norms, *accelerators)
+        parts = accelerators_in_turn(*jax.lax.stop_gradient((P, rows, norms)))
+    optimum, optimum_rows, root, whitened, rho, *of_rounds = parts
+    iterated = Iterated(*of_rounds)
+    return Factors(P, rows, norms, optimum, optimum_rows, root, whitened, rho, iterated)
 
 
 def normalise_rows(
@@ -104,8 +101,9 @@ def compute_accelerators(
     P: Float[Array, "*stack n n"],
     rows: Float[Array, "*stack m n"],
     norms: Float[Array, "*stack m"],
-) -> Accelerators:
-    """Return what makes the solver fast and leaves its answers as they are."""
+) -> tuple[Array, ...]:
+    """Return what makes the solver fast and leaves its answers as they are: the fields of `Factors`
+    from `optimum` to `rho`, then those of `Iterated`."""
     with jax.default_matmul_precision("highest"):
         columns = xp.swapaxes(rows, -1, -2)
         gram = columns @ rows
@@ -118,22 +116,15 @@ def compute_accelerators(
         rho = fastest_penalty(spectrum, rows.shape[-2], xp)
         admm_gain = xp.linalg.inv(P + rho[..., None, None] * gram)
         whitened = rows @ root_transposed
+    packed_hessian = batched_ldl.pack(P)
     pair_products = batched_ldl.pair_products(rows)
-    return Accelerators(
-        optimum=optimum,
-        optimum_rows=optimum_rows,
-        root=root,
-        whitened=whitened,
-        admm_gain=admm_gain,
-        rho=rho,
-        packed_hessian=batched_ldl.pack(P),
-        pair_products=pair_products,
-    )
+    accelerators = (optimum, optimum_rows, root, whitened, rho)
+    return (*accelerators, admm_gain, packed_hessian, pair_products)
 
 
 accelerators_in_turn = jnp.vectorize(
     sequential_vmap(partial(compute_accelerators, jnp)),
-    signature="(n,n),(m,n),(m)->(n,n),(n,m),(n,n),(m,n),(n,n),(),(p),(p,m)",
+    signature="(n,n),(m,n),(m)->(n,n),(n,m),(n,n),(m,n),(),(n,n),(p),(p,m)",
 )
 """`compute_accelerators` of a stack under jax, one program after the other, under `vmap` too.
 

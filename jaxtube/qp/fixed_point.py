@@ -34,7 +34,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxtube.qp import batched_ldl
 from jaxtube.qp.batched_ldl import matmul, product
-from jaxtube.qp.factors import Factors
+from jaxtube.qp.factors import Factors, Iterated
 from jaxtube.qp.tags import largest
 
 TOLERANCE = {8: 1e-9, 4: 5e-7}
@@ -155,11 +155,15 @@ def keep_better(
 
 
 def admm(
-    factors: Factors, instances: Instances, start: Float[Array, "n batch"], iterations: int
+    factors: Factors,
+    iterated: Iterated,
+    instances: Instances,
+    start: Float[Array, "n batch"],
+    iterations: int,
 ) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"]]:
     """Iterate from v = A start; return x and y."""
     A = factors.rows
-    K = factors.admm_gain
+    K = iterated.admm_gain
     rho = factors.rho
 
     def primal(v, z):
@@ -176,21 +180,21 @@ def admm(
 
 def polish(
     factors: Factors,
+    iterated: Iterated,
     instances: Instances,
     best: Iterate,
-    x: Float[Array, "n batch"],
-    y: Float[Array, "m batch"],
+    guess: tuple[Float[Array, "n batch"], Float[Array, "m batch"]],
     steps: Int[Array, ""] | int,
 ) -> Iterate:
-    """Take Newton steps from x, y; return the best of `best`, of x, y and of the steps, never worse
-    than `best`."""
-    step = partial(take_newton_step, factors, instances)
-    start = (x, y, keep_better(factors, instances, best, x, y))
+    """Take Newton steps from a guess x, y; return the best of these, the guess and `best`."""
+    step = partial(take_newton_step, factors, iterated, instances)
+    start = (*guess, keep_better(factors, instances, best, *guess))
     return jax.lax.fori_loop(0, steps, step, start)[2]
 
 
 def take_newton_step(
     factors: Factors,
+    iterated: Iterated,
     instances: Instances,
     _,
     carry: tuple[Float[Array, "n batch"], Float[Array, "m batch"], Iterate],
@@ -206,7 +210,8 @@ def take_newton_step(
     active = (v < instances.l) | (v > instances.u)
     bound = jnp.clip(v, instances.l, instances.u)
     weights = jnp.where(active, penalty, 0.0)
-    penalised = factors.packed_hessian[:, None] + matmul(factors.pair_products, weights)
+    products = matmul(iterated.pair_products, weights)
+    penalised = iterated.packed_hessian[:, None] + products
     ldl = batched_ldl.factorise(penalised)
 
     def correct(_, guess):

@@ -25,7 +25,7 @@ from jaxtyping import Float, Int, PyTree
 from jaxtube.qp import farkas, fixed_point, interior_point
 from jaxtube.qp.batched_ldl import matmul
 from jaxtube.qp.blocks import block_sizes, update_in_blocks
-from jaxtube.qp.factors import Factors
+from jaxtube.qp.factors import Factors, Iterated
 from jaxtube.qp.fixed_point import Instances, Iterate
 from jaxtube.qp.interior_point import BOLD, CAUTIOUS, Caution, Program
 from jaxtube.qp.source import (
@@ -50,6 +50,14 @@ Push = tuple[Float[Array, "n block"], Float[Array, "m block"], Float[Array, "m b
 """x, and the multipliers y_u, y_l >= 0."""
 
 
+class Means(NamedTuple):
+    """What all instances share: the problem and the elastic one as programs in (x, t)."""
+
+    iterated: Iterated
+    problem: Program
+    elastic: Program
+
+
 class Round(NamedTuple):
     """What is iterated, and how it is polished."""
 
@@ -67,19 +75,22 @@ ROUNDS = (
 )
 
 
-def play_rounds(factors: Factors, source: Source, solution: Solution) -> Solution:
+def play_rounds(
+    factors: Factors, iterated: Iterated, source: Source, solution: Solution
+) -> Solution:
     """Return what the rounds make of the instances that are pending."""
     _, size = block_sizes(len(solution.x))
-    programs = make_programs(factors)
+    means = make_means(factors, iterated)
 
     def play(solution: Solution, now: Round):
         def improve(data: PyTree, before: Solution) -> Solution:
             block = source.form(data)
             best = as_iterate(factors, before)
             x, upper, lower = jax.lax.cond(
-                now.is_split, split, penetrate, factors, programs, now, block, best
+                now.is_split, split, penetrate, factors, means, now, block, best
             )
-            best = fixed_point.polish(factors, block, best, x, upper - lower, now.steps)
+            guess = (x, upper - lower)
+            best = fixed_point.polish(factors, iterated, block, best, guess, now.steps)
             return as_solution(factors, best, is_excluded(factors, block, upper, lower))
 
         pending = find_pending(solution)
@@ -95,32 +106,30 @@ def _stack(each: tuple, dtype) -> Array:
     return jnp.array(each, kinds[type(each[0])])
 
 
-def make_programs(factors: Factors) -> tuple[Program, Program]:
-    """Return the problem and the elastic one as programs in (x, t)."""
+def make_means(factors: Factors, iterated: Iterated) -> Means:
+    """Return what the rounds share."""
     m, n = factors.rows.shape
     dtype = factors.rows.dtype
     elastic = farkas.elastic_program(factors.hessian, factors.rows)
     cost = jnp.zeros((n + 1, n + 1), dtype).at[:n, :n].set(factors.hessian).at[n, n].set(1.0)
     rows = elastic.rows.at[: 2 * m, n].set(0.0)
-    return interior_point.program(cost, rows), elastic
+    return Means(iterated, interior_point.program(cost, rows), elastic)
 
 
-def split(factors: Factors, _: tuple, now: Round, block: Instances, best: Iterate) -> Push:
+def split(factors: Factors, means: Means, now: Round, block: Instances, best: Iterate) -> Push:
     """Iterate by ADMM from the unconstrained optimum."""
-    x, y = fixed_point.admm(factors, block, block.optimum, ITERATIONS)
+    x, y = fixed_point.admm(factors, means.iterated, block, block.optimum, ITERATIONS)
     return x, jnp.maximum(y, 0.0), jnp.maximum(-y, 0.0)
 
 
-def penetrate(
-    factors: Factors,
-    programs: tuple[Program, Program],
-    now: Round,
-    block: Instances,
-    best: Iterate,
-) -> Push:
+def penetrate(factors: Factors, means: Means, now: Round, block: Instances, best: Iterate) -> Push:
     """Iterate by the interior point method from the best x; the elastic problem leaves it."""
     m, n = factors.rows.shape
-    program = jax.tree.map(lambda *two: jnp.where(now.is_elastic, two[1], two[0]), *programs)
+
+    def choose(of_problem, of_elastic):
+        return jnp.where(now.is_elastic, of_elastic, of_problem)
+
+    program = jax.tree.map(choose, means.problem, means.elastic)
     row_values = matmul(factors.rows, best.x)
     missed = jnp.max(jnp.maximum(row_values - block.u, block.l - row_values), axis=0)
     t = jnp.where(now.is_elastic, farkas.interior_t(missed), 0.0)

@@ -58,7 +58,10 @@ def solve_constrained(
         pending = find_pending(solution)
         solution = update_in_blocks(look_up, size, pending, source.data, solution)
     solution = _where_any(partial(search_active_sets, factors, source), solution)
-    return _where_any(partial(play_rounds, factors, source), solution)
+    if factors.iterated is None:
+        return solution
+    rounds = partial(play_rounds, factors, factors.iterated, source)
+    return _where_any(rounds, solution)
 
 
 def _where_any(method: Callable[[Solution], Solution], solution: Solution) -> Solution:

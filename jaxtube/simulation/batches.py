@@ -22,7 +22,7 @@ from jaxtube.simulation.rollout import (
     begin,
     follow_plan,
     realisation_keys,
-    rollout,
+    run_laps,
 )
 from jaxtube.synthesis.parts import Design
 
@@ -55,7 +55,7 @@ def run_realisations(
         missing = BATCH - len(block)
         padded = np.concatenate([block, np.repeat(block[-1:], missing, axis=0)])
         keys = realisation_keys(seed, first, BATCH)
-        trajectory = rollout(controller, plant, keys, jnp.asarray(padded))
+        trajectory = run_laps(controller, plant, keys, jnp.asarray(padded))
         blocks.append(jax.tree.map(partial(_take_first, len(block)), trajectory))
         if on_progress:
             on_progress(len(block))

@@ -22,7 +22,7 @@ from jaxtube.plant.estimating import robot_behind
 from jaxtube.plant.lagging import LaggingRobot, SlipSource
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import batches
-from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
+from jaxtube.simulation.rollout import Trajectory, realisation_keys, run_laps
 from jaxtube.statistics.checks import Facets, judge_points
 from jaxtube.statistics.run import Task
 from jaxtube.synthesis.parts import Design
@@ -63,7 +63,7 @@ def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
     """Simulate lap `number`, from 0 to 2^64 - 1, of the run of a task and seed."""
     keys = realisation_keys(seed, number, 1)
     batch = jax.tree.map(
-        np.asarray, rollout(task.controller, task.plant, keys, task.starts.draw(keys))
+        np.asarray, run_laps(task.controller, task.plant, keys, task.starts.draw(keys))
     )
     trajectory = jax.tree.map(lambda array: array[:, 0], batch)
     disturbance = batches.model_disturbances(design, batch)[:, 0]

@@ -14,11 +14,12 @@ either.
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax
@@ -29,7 +30,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Bool, Int, Key, UInt32
 
 from jaxtube.control import mpc
-from jaxtube.control.laws import TubeMpc, planner_of
+from jaxtube.control.laws import TubeMpc, planner_of, without_rounds
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip import realisation_key
@@ -38,6 +39,7 @@ from jaxtube.simulation.rollout import LoopState, begin, follow_plan, run_period
 from jaxtube.simulation.starts import Starts
 from jaxtube.statistics import tally
 from jaxtube.statistics.checks import Checks
+from jaxtube.statistics.events import find_row
 
 BLOCK = 4096
 """Laps of a block."""
@@ -85,6 +87,12 @@ class Run:
     chunk: int
     devices: tuple
 
+    @cached_property
+    def short_task(self) -> Task:
+        """The task of a program that is compiled in two thirds of the time: its solver leaves out
+        what hardly a QP needs."""
+        return dataclasses.replace(self.task, controller=without_rounds(self.task.controller))
+
     @property
     def at_once(self) -> int:
         """Blocks that one dispatch takes."""
@@ -103,21 +111,27 @@ class Run:
         if pending:
             yield from self.collect(*pending)
 
-    def dispatch(self, blocks: list[int]) -> dict[str, Array]:
-        """Start the computation of up to `at_once` blocks; the arrays, blocks first, are ready
-        later."""
+    def dispatch(self, blocks: list[int], task: Task | None = None) -> dict[str, Array]:
+        """Start the computation of up to `at_once` blocks, of the short task unless told; the
+        arrays, blocks first, are ready later."""
         without_laps = -(-self.realisations // BLOCK)
         padded = [*blocks, *[without_laps] * (self.at_once - len(blocks))]
         mesh = Mesh(np.array(self.devices), ("devices",))
         words, counts, numbers = _labels(padded, self.realisations)
-        return _simulate(mesh, self.task, words, counts, numbers)
+        return _simulate(mesh, task or self.short_task, words, counts, numbers)
 
     def collect(
         self, blocks: list[int], dispatched: dict[str, Array]
     ) -> list[tuple[int, Statistics]]:
-        """Wait for a dispatch and return the statistics of its blocks."""
-        arrays = jax.tree.map(np.asarray, dispatched)
-        return [(block, _statistics(block, arrays, place)) for place, block in enumerate(blocks)]
+        """Wait for a dispatch and return the statistics of its blocks; of those with a QP that the
+        short program leaves unsolved by the whole one."""
+        found = _statistics_of(blocks, dispatched)
+        unsolved = [block for block in blocks if _has_unsolved(found[block])]
+        if unsolved:
+            found |= _statistics_of(unsolved, self.dispatch(unsolved, self.task))
+        for statistics in found.values():
+            del statistics["next_plan_unsolved"]
+        return list(found.items())
 
     def laps(self, block: int) -> int:
         """Return how many laps of a block belong to the run."""
@@ -169,6 +183,18 @@ def _labels(
     words = np.array([[lap >> 32, lap & 0xFFFFFFFF] for lap in first], np.uint32)
     counts = np.array([max(0, min(BLOCK, realisations - lap)) for lap in first], np.int32)
     return words, counts, np.array([block % 2**31 for block in blocks], np.int32)
+
+
+def _statistics_of(blocks: list[int], dispatched: dict[str, Array]) -> dict[int, Statistics]:
+    """Return the statistics of the blocks of a dispatch."""
+    arrays = jax.tree.map(np.asarray, dispatched)
+    return {block: _statistics(block, arrays, place) for place, block in enumerate(blocks)}
+
+
+def _has_unsolved(statistics: Statistics) -> bool:
+    """Return whether a QP of a block is neither solved nor refuted."""
+    periods = statistics["events"][find_row("qp_unsolved"), 1:]
+    return bool(periods.any() or statistics["next_plan_unsolved"])
 
 
 def _statistics(block: int, arrays: dict[str, np.ndarray], place: int) -> Statistics:

@@ -61,7 +61,7 @@ COVERAGE_CELLS = 24
 """Cells along each axis of the coverage of starts."""
 HEAT_CELLS = (96, 96)
 """Rows and columns of the trajectory map."""
-COUNTED_PLANS = ("plans", "next_plan_missing", "cost_excesses")
+COUNTED_PLANS = ("plans", "next_plan_missing", "next_plan_unsolved", "cost_excesses")
 """Numbers of plans, over all steps."""
 OFF_GRID = 1_000_000
 """A cell outside every grid."""
@@ -362,6 +362,8 @@ def _observe_costs(
     too_much = ~(excess <= COST_ROUNDING * jnp.maximum(cost, 1.0))
     sums = dict(tally.sums)
     sums["next_plan_missing"] += jnp.sum(counted & ~both, dtype=jnp.int32)
+    unsolved = counted & (followed.next_plan.status == qp.UNSOLVED)
+    sums["next_plan_unsolved"] += jnp.sum(unsolved, dtype=jnp.int32)
     sums["cost_excesses"] += jnp.sum(both & too_much, dtype=jnp.int32)
     largest = dict(tally.largest)
     largest["cost_excess"] = jnp.maximum(largest["cost_excess"], _largest(excess, both))

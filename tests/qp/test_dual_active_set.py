@@ -204,7 +204,9 @@ def test_rounds_of_iterations_decide_alone_what_the_method_may_leave():
         jnp.full(COUNT, qp.UNSOLVED, jnp.int32),
         jnp.ones(COUNT),
     )
-    found = jax.jit(lambda start: rounds.play_rounds(factors, source, start))(nothing)
+    found = jax.jit(lambda start: rounds.play_rounds(factors, factors.iterated, source, start))(
+        nothing
+    )
     x, feasible = exact(fam.P, fam.A, *map(np.asarray, given))
     solved = np.asarray(found.status == qp.SOLVED)
     refuted = np.asarray(found.status == qp.INFEASIBLE)

@@ -283,9 +283,9 @@ def test_polish_makes_most_iterates_exact_and_loses_none():
     def before_and_after(P, A, q, l, u):
         factors = qp.factorise(P, A)
         instances = fixed_point.unit_rows(factors, q, l, u)
-        x, y = fixed_point.admm(factors, instances, jnp.zeros_like(q.T), 30)
+        x, y = fixed_point.admm(factors, factors.iterated, instances, jnp.zeros_like(q.T), 30)
         start = fixed_point.Iterate(x, y, fixed_point.residual(factors, instances, x, y))
-        polished = fixed_point.polish(factors, instances, start, x, y, 4)
+        polished = fixed_point.polish(factors, factors.iterated, instances, start, (x, y), 4)
         return start.residual, polished.residual
 
     before, after = before_and_after(fam.P, fam.A, *programs)

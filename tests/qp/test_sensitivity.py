@@ -132,7 +132,8 @@ def test_agrees_with_differences_of_an_exact_solver(seed, part):
 def differentiable_gain(factors: qp.Factors) -> qp.Factors:
     """The factors with the derivative of the gain of the iterations, which `qp` leaves out."""
     gram = factors.rows.T @ factors.rows
-    return factors._replace(admm_gain=jnp.linalg.inv(factors.hessian + factors.rho * gram))
+    gain = jnp.linalg.inv(factors.hessian + factors.rho * gram)
+    return factors._replace(iterated=factors.iterated._replace(admm_gain=gain))
 
 
 @pytest.mark.slow

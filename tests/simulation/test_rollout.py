@@ -7,13 +7,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from doubtful import Doubtful
 from oracles import PlainMpc
 from scipy.integrate import solve_ivp
 from tolerances import CLOSED_LOOP, ROUNDING, WORLD_FRAME
 
+from jaxtube import qp
 from jaxtube.plant.slip_bounds import near_nominal
 from jaxtube.simulation import batches, components
-from jaxtube.simulation.rollout import realisation_keys, rollout
+from jaxtube.simulation.rollout import realisation_keys, rollout, run_laps
 
 BATCH = batches.BATCH
 DT = 0.1
@@ -36,6 +38,32 @@ def tracked(paper_design, paper_controllers, paper_plant):
     """256 laps of the linear law with slip compensation: the controller that compiles fastest."""
     starts = np.tile(paper_design.problem.initial_error, (BATCH, 1))
     return batches.run_realisations(paper_controllers["compensated"], paper_plant, starts, 0)
+
+
+# ------------------------------------------------------------------------------- the short program
+
+
+def leaves_the_far_ones(errors):
+    return jnp.abs(errors[:, 1]) > 0.1
+
+
+def test_laps_that_the_short_program_leaves_are_those_of_the_whole_one(
+    paper_controllers, paper_plant
+):
+    whole = Doubtful(paper_controllers["compensated"], leaves_the_far_ones)
+    starts = jnp.array([[0.0, 0.0, 0.0], [0.0, 0.15, 0.0], [0.05, 0.0, 0.0]])
+    arguments = (paper_plant, realisation_keys(0, 0, len(starts)), starts)
+    found = run_laps(whole, *arguments)
+    expected = rollout(whole, *arguments)
+    short = rollout(whole.without_rounds(), *arguments)
+    left = np.asarray(short.diagnostics.status == qp.UNSOLVED).any(axis=0)
+    assert left.tolist() == [False, True, False]
+    assert not np.any(found.diagnostics.status == qp.UNSOLVED)
+    for name in ("errors", "wheels", "inputs"):
+        part, of_whole, of_short = (getattr(laps, name) for laps in (found, expected, short))
+        np.testing.assert_array_equal(part[:, left], of_whole[:, left])
+        np.testing.assert_array_equal(part[:, ~left], of_short[:, ~left])
+        assert not np.array_equal(part[:, ~left], of_whole[:, ~left])
 
 
 # --------------------------------------------------------------------------------- world-frame laps

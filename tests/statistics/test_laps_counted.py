@@ -14,11 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from doubtful import Doubtful
 from recount import join, recount, recount_plans
 from tolerances import CLOSED_LOOP, COUNTED
 
 from jaxtube.coordinates import PLANES
 from jaxtube.scenario import load
+from jaxtube.simulation import components
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics import tally
@@ -414,6 +416,23 @@ def test_blocks_come_in_the_order_asked_for(static, first_blocks):
         (i, first_blocks[i]) for i in (3, 0, 2)
     ]
     assert list(static.run(5).compute([])) == []
+
+
+@pytest.mark.parametrize("far", [0.0, np.inf])
+def test_a_block_with_an_unsolved_qp_is_that_of_the_whole_program(static, paper_design, far):
+    inner = components.controllers(paper_design)["compensated"]
+
+    def leaves(errors):
+        return jnp.abs(errors[:, 1]) > far
+
+    whole = Doubtful(inner, leaves)
+    case = static._replace(task=dataclasses.replace(static.task, controller=whole))
+    found = dict(case.run(2 * BLOCK).compute([0, 1]))
+    runs = whole if far == 0.0 else whole.without_rounds()
+    played = dataclasses.replace(case.task, controller=runs)
+    for number, statistics in found.items():
+        first = number * BLOCK
+        check_same(statistics, recount(case, record(played, first), first))
 
 
 @pytest.mark.slow

@@ -327,11 +327,11 @@ def test_agrees_with_unrolled_iterations(monkeypatch):
         # What the iterations go by has a derivative here, which `qp` leaves out.
         gram = factors.rows.T @ factors.rows
         gain = jnp.linalg.inv(factors.hessian + factors.rho * gram)
-        factors = factors._replace(admm_gain=gain)
+        iterated = factors.iterated._replace(admm_gain=gain)
         # The product of an infinite bound with its cotangent, zero, would be NaN.
         finite = (jnp.maximum(lower, -1e6), jnp.minimum(upper, 1e6))
         given = fixed_point.unit_rows(factors, q, *finite)
-        x, y = fixed_point.admm(factors, given, jnp.zeros_like(given.q), 400)
+        x, y = fixed_point.admm(factors, iterated, given, jnp.zeros_like(given.q), 400)
         status = jnp.full(len(q), qp.SOLVED, jnp.int32)
         return qp.Solution(
             x.T, y.T / factors.row_norms, status, fixed_point.residual(factors, given, x, y)

@@ -18,7 +18,7 @@ from jaxtube.plant.imperfect import Imperfections, ImperfectRobot, shifted_previ
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.simulation import batches, components
-from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
+from jaxtube.simulation.rollout import Trajectory, realisation_keys, run_laps
 from jaxtube.synthesis.parts import Design
 
 ROUNDING = 1e-9
@@ -118,7 +118,7 @@ class ImperfectLaps:
             return batches.run_realisations(controller, plant, self.starts, self.seed)
         # Without the padding of a block: a quick look stays quick.
         keys = realisation_keys(self.seed, 0, len(self.starts))
-        return jax.tree.map(np.asarray, rollout(controller, plant, keys, jnp.asarray(self.starts)))
+        return jax.tree.map(np.asarray, run_laps(controller, plant, keys, jnp.asarray(self.starts)))
 
 
 def lap_usage(design: Design, trajectory: Trajectory) -> ProcessUsage:
