@@ -87,29 +87,6 @@ def body_motion(
     return speed, yaw_rate
 
 
-def virtual_input(
-    wheels: Float[Array, "... 2"],
-    reference_wheels: Float[Array, "... 2"],
-    slip: Float[Array | np.ndarray, "... 2"] | float,
-    track_width: float,
-) -> Float[Array, "... 2"]:
-    """Return by how much the body falls short of the reference's velocity, eq. (5).
-
-    Args:
-        wheels: wheel speeds (right, left), m/s.
-        reference_wheels: wheel speeds of the reference, which does not slip, m/s.
-        slip: longitudinal slips (right, left).
-        track_width: m.
-
-    Returns:
-        (speed deficit m/s, yaw rate deficit rad/s); positive: slower, turning less to the left than
-        the reference. Exact inverse of `wheel_commands` for the same slip.
-    """
-    reference_velocity = body_velocity(reference_wheels, 0.0, track_width)
-    velocity = body_velocity(wheels, slip, track_width)
-    return reference_velocity - velocity
-
-
 def wheel_commands(
     virtual_input: Float[Array, "... 2"],
     reference_wheels: Float[Array, "... 2"],

@@ -83,7 +83,8 @@ class SlippingRobot:
         reference_poses: (x m, y m, heading rad) at the ends of the periods, world frame.
         slips: where true and measured slips may lie.
         noise: half widths (m, m, rad) of the pose noise, None for an exact measurement.
-        sideslip: greatest lateral velocity, by the forward speed, None for none.
+        sideslip: greatest lateral velocity, by the forward speed, None for none; the lever arm of
+            the robot is then left out as well.
         process: how deviations evolve: a name of `slip_processes.PROCESSES`, or one of your own.
         noise_frame: whether the noise is a box in the frame of the "robot" or of the "world".
     """

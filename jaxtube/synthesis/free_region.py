@@ -19,7 +19,7 @@ from jaxtube.control.mpc import CondensedQp, HalfSpaces
 from sets.polytope import Polytope
 
 DISTANCE = 1e-7
-"""From an implied row, by the bound of that row."""
+"""From an implied row, by the bound of that row or its largest value, whichever is larger."""
 
 
 def find_free_regions(*stacks: CondensedQp) -> list[HalfSpaces]:
@@ -58,8 +58,9 @@ def _find_region(condensed: CondensedQp) -> HalfSpaces:
     region = Polytope(normals, offsets)
     if not region.is_bounded() or region.is_empty() or region.is_flat():
         return HalfSpaces(normals, offsets)
-    reach = np.max(normals @ region.vertices().T, axis=1)
-    decides = reach >= offsets - DISTANCE * np.abs(offsets)
+    values = normals @ region.vertices().T
+    scale = np.maximum(np.abs(offsets), np.max(np.abs(values), axis=1))
+    decides = np.max(values, axis=1) >= offsets - DISTANCE * scale
     return HalfSpaces(normals[decides], offsets[decides])
 
 

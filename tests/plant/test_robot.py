@@ -34,13 +34,19 @@ def test_body_velocity_follows_the_ground_speeds_of_the_wheels(draws):
     np.testing.assert_allclose(speed - yaw_rate * TRACK_WIDTH / 2, left, atol=ROUNDING)
 
 
+def find_deficits(wheels, reference_wheels, slip):
+    """(speed, yaw rate) by which the body falls short of the reference's velocity, eq. (5)."""
+    reference = robot.body_velocity(reference_wheels, 0.0, TRACK_WIDTH)
+    return reference - robot.body_velocity(wheels, slip, TRACK_WIDTH)
+
+
 def test_faster_right_wheel_turns_left():
     assert robot.body_velocity(jnp.array([1.0, 0.5]), 0.0, TRACK_WIDTH)[1] > 0.0
 
 
-def test_wheel_commands_and_virtual_input_are_inverse(draws):
+def test_wheel_commands_undo_the_deficits_of_the_body(draws):
     wheels, reference_wheels, slip = draws
-    deficits = robot.virtual_input(wheels, reference_wheels, slip, TRACK_WIDTH)
+    deficits = find_deficits(wheels, reference_wheels, slip)
     commands = robot.wheel_commands(deficits, reference_wheels, slip, TRACK_WIDTH)
     np.testing.assert_allclose(commands, wheels, atol=ROUNDING)
 
@@ -63,7 +69,7 @@ def test_a_wrong_slip_acts_as_the_closed_form_says(draws):
     u2 = -0.4
     deficits = jnp.full_like(slip, 1.0) * jnp.array([u1, u2])
     commands = robot.wheel_commands(deficits, reference_wheels, measured, TRACK_WIDTH)
-    acting = robot.virtual_input(commands, reference_wheels, slip, TRACK_WIDTH)
+    acting = find_deficits(commands, reference_wheels, slip)
     d_r, d_l = np.asarray((slip - measured) / (1.0 - measured)).T
     p = u1 + TRACK_WIDTH / 2 * u2
     q = u1 - TRACK_WIDTH / 2 * u2
@@ -110,7 +116,7 @@ def test_functions_keep_the_dtype_they_are_given_inside_jit(dtype):
         commands = robot.wheel_commands(pair, pair, pair, b)
         return (
             robot.saturate(commands, robot_),
-            robot.virtual_input(pair, pair, pair, b),
+            robot.body_velocity(pair, pair, b),
             robot.wheel_positions(pose, b),
         )
 
