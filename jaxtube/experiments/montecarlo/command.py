@@ -133,7 +133,7 @@ def save(
     statistics: Statistics,
     performance: dict,
 ) -> None:
-    """Write statistics, metrics and figures, and print the report."""
+    """Write statistics and metrics, print the report, and draw the figures."""
     from jaxtube.experiments.montecarlo import figures as montecarlo_figures
 
     law = name_law(design, options.controller, options.plant, options.starts)
@@ -147,6 +147,7 @@ def save(
         folder.save_json("performance", performance)
     if options.netcdf:
         netcdf.save(folder.path / "statistics.nc", result)
-    montecarlo_figures.draw(design, task, options.seed, statistics, summary, folder)
+    # First what was found: figures take as long as a small run.
     folder.report(montecarlo_report.text(design.problem, options.seed, summary, performance))
+    montecarlo_figures.draw(design, task, options.seed, statistics, summary, folder)
     print(f"\nfigures, metrics.json, statistics.npz and the records are in {folder.path}/")

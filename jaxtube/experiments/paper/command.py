@@ -97,11 +97,6 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     rows = claims(measured)
     measured["claims"] = [row._asdict() for row in rows]
     folder.save_metrics(measured)
-    drawings = _make_drawings(design, options.label, simulated)
-    drawings |= _make_stress_drawings(stressed, simulated.stressed)
-    if stressed is not design:
-        drawings["stress_terminal_set"] = partial(_draw_terminal_set, stressed, stressed_name)
-    _draw(drawings, folder)
     parts = [
         report(design),
         disturbance_line(design, measured["disturbance"], "the tube MPC"),
@@ -111,6 +106,11 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
         table(rows),
     ]
     folder.report("\n\n".join(parts))
+    drawings = _make_drawings(design, options.label, simulated)
+    drawings |= _make_stress_drawings(stressed, simulated.stressed)
+    if stressed is not design:
+        drawings["stress_terminal_set"] = partial(_draw_terminal_set, stressed, stressed_name)
+    _draw(drawings, folder)
     print(
         f"\nfigures, metrics.json, laps.npz, noise_free.npz and manifest.json are in {folder.path}/"
     )
