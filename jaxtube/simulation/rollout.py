@@ -163,8 +163,10 @@ def run_laps(
     of the whole program."""
     short = without_rounds(controller)
     trajectory = rollout(short, plant, keys, errors)
-    unsolved = jnp.any(trajectory.diagnostics.status == qp.UNSOLVED, axis=0)
-    if short is controller or not jnp.any(unsolved):
+    status = np.asarray(trajectory.diagnostics.status)
+    has_data = np.isfinite(trajectory.diagnostics.residual)
+    unsolved = np.any((status == qp.UNSOLVED) & has_data, axis=0)
+    if short is controller or not unsolved.any():
         return trajectory
     whole = rollout(controller, plant, keys, errors)
 

@@ -192,9 +192,11 @@ def _statistics_of(blocks: list[int], dispatched: dict[str, Array]) -> dict[int,
 
 
 def _has_unsolved(statistics: Statistics) -> bool:
-    """Return whether a QP of a block is neither solved nor refuted."""
-    periods = statistics["events"][find_row("qp_unsolved"), 1:]
-    return bool(periods.any() or statistics["next_plan_unsolved"])
+    """Return whether a QP of a block is neither solved nor refuted; the QPs of a lap that is not
+    finite are not, whatever the solver."""
+    laps = statistics["events"][:, 1:].sum(axis=1)
+    of_finite = laps[find_row("qp_unsolved")] - laps[find_row("not_finite")]
+    return bool(of_finite > 0 or statistics["next_plan_unsolved"])
 
 
 def _statistics(block: int, arrays: dict[str, np.ndarray], place: int) -> Statistics:

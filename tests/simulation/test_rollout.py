@@ -193,7 +193,7 @@ def test_a_realisation_does_not_depend_on_its_companions(robust_design, stressed
     plant = components.linear_plant(robust_design)
     order = np.random.default_rng(1).permutation(BATCH)
     starts = edge_starts(robust_design, BATCH)
-    mixed = rollout(
+    mixed = run_laps(
         controller, plant, realisation_keys(5, 0, BATCH)[order], jnp.asarray(starts[order])
     )
     np.testing.assert_allclose(

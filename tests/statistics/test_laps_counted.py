@@ -21,7 +21,7 @@ from tolerances import CLOSED_LOOP, COUNTED
 from jaxtube.coordinates import PLANES
 from jaxtube.scenario import load
 from jaxtube.simulation import components
-from jaxtube.simulation.rollout import Trajectory, realisation_keys, rollout
+from jaxtube.simulation.rollout import Trajectory, realisation_keys, run_laps
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics import tally
 from jaxtube.statistics.events import EVENT_NAMES, find_row
@@ -138,7 +138,7 @@ def record(task, first, count=BLOCK) -> Trajectory:
         keys = realisation_keys(SEED, begin, TILE)
         found.append(
             jax.tree.map(
-                np.asarray, rollout(task.controller, task.plant, keys, task.starts.draw(keys))
+                np.asarray, run_laps(task.controller, task.plant, keys, task.starts.draw(keys))
             )
         )
     return jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=1)[:, :count], *found)
@@ -247,7 +247,7 @@ def run_with_a_spoilt_lap(task, errors):
     others = np.arange(TILE) != VICTIM
 
     def run(starts):
-        laps = rollout(task.controller, task.plant, keys, jnp.asarray(starts))
+        laps = run_laps(task.controller, task.plant, keys, jnp.asarray(starts))
         return jax.tree.map(np.asarray, laps)
 
     clean = run(errors)
