@@ -16,6 +16,7 @@ import jax
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
+from jaxtube.columns import fan_out
 from jaxtube.control import mpc
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.control.tracking import tracking_input
@@ -70,10 +71,11 @@ class TubeMpc:
         reference_wheels: Float[Array, "2"],
     ) -> tuple[Command, mpc.MpcState, mpc.Diagnostics]:
         """Plan, and return the command of the plan's first period (see `mpc.act`)."""
+        planned, driven = fan_out(measurement, 2)
         inputs, following, diagnostics = mpc.act(
-            self.qps, self.index[step], memory, measurement.errors, self.restart
+            self.qps, self.index[step], memory, planned.errors, self.restart
         )
-        command = self.wheel_map.command(inputs, measurement, reference_wheels)
+        command = self.wheel_map.command(inputs, driven, reference_wheels)
         return command, following, diagnostics
 
     def act_freely(
@@ -89,7 +91,9 @@ class TubeMpc:
         errors = measurement.errors
         start = errors if self.restart else memory.nominal
         fits = mpc.are_all_free(mpc.take_qp(self.qps, index), start)
-        inputs, following, diagnostics = mpc.act_freely(self.qps, index, memory, start, errors)
+        inputs, following, diagnostics = mpc.act_freely(
+            self.qps, index, memory, errors, self.restart
+        )
         command = self.wheel_map.command(inputs, measurement, reference_wheels)
         return fits, (command, following, diagnostics)
 

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import functools
 import operator
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -30,7 +31,8 @@ from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
-from jaxtube.qp.batched_ldl import matmul
+from jaxtube.columns import MOST, by_columns, join, name_columns, split
+from jaxtube.qp.batched_ldl import add_up, matmul
 from jaxtube.qp.parametric import Parametric, solve_parametric
 from jaxtube.qp.regions import AnyArray, Regions
 
@@ -199,8 +201,15 @@ def _image(
     """Return matrix @ vector of every instance as a sum over few columns, which fuses with what is
     done to it next."""
     columns = jnp.unstack(vectors, axis=1)
+    if 0 < len(matrix) <= MOST:
+        return jnp.stack([_weigh(row, columns) for row in jnp.unstack(matrix)], axis=1)
     terms = [column[:, None] * matrix[:, i] for i, column in enumerate(columns)]
     return functools.reduce(operator.add, terms)
+
+
+def _weigh(weights: Float[Array, " n"], columns: tuple[Float[Array, " batch"], ...]):
+    """Return the weighted sum of columns."""
+    return add_up([weights[i] * column for i, column in enumerate(columns)])
 
 
 def _image_and_arguments(matrix, vectors) -> tuple[Array, tuple[Array, Array]]:
@@ -211,7 +220,17 @@ def _pull_image_back(saved: tuple[Array, Array], cotangent: Array) -> tuple[Arra
     """Return the cotangents as products: those of the sum over columns pass over the batch once for
     each entry."""
     matrix, vectors = saved
-    return matmul(cotangent.T, vectors), _image(matrix.T, cotangent)
+
+    def pull(cotangent):
+        return matmul(cotangent.T, vectors), _image(matrix.T, cotangent)
+
+    def pull_nothing(cotangent):
+        return jnp.zeros_like(matrix), jnp.zeros_like(vectors)
+
+    if len(matrix) <= MOST:
+        return pull(cotangent)
+    # Nothing comes back from most plans but what is due of them.
+    return jax.lax.cond(jnp.any(cotangent != 0), pull, pull_nothing, cotangent)
 
 
 _image.defvjp(_image_and_arguments, _pull_image_back)
@@ -276,34 +295,39 @@ def act(
     Returns:
         (inputs (speed deficit m/s, yaw rate deficit rad/s), next memory, diagnostics).
     """
-    start = errors if restart else state.nominal
+    freely = by_columns(partial(act_freely, restart=restart))
     # The derivative of a conditional keeps what any branch does: the rows of every instance, even
     # if none is active.
-    constrained = jax.checkpoint(_act_constrained)
+    constrained = jax.checkpoint(by_columns(partial(_act_constrained, restart=restart)))
     # Kept as well: the test of all rows takes longer than what follows from it.
-    all_free = checkpoint_name(are_all_free(take_qp(qps, index), start), ACTED)
-    step = jax.lax.cond(all_free, act_freely, constrained, qps, index, state, start, errors)
-    return jax.tree.map(functools.partial(checkpoint_name, name=ACTED), step)
+    all_free = checkpoint_name(
+        are_all_free(take_qp(qps, index), _choose_start(state, errors, restart)), ACTED
+    )
+    state, errors = split((state, errors))
+    step = jax.lax.cond(all_free, freely, constrained, qps, index, state, errors)
+    return name_columns(join(step), ACTED)
 
 
 def act_freely(
-    qps: CondensedQp, index, state: MpcState, start, errors
+    qps: CondensedQp, index, state: MpcState, errors, restart: bool
 ) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
     """Act where every instance has just made a free plan."""
     condensed = take_qp(qps, index)
+    start = _choose_start(state, errors, restart)
     plan = free_plan(condensed, start)
-    due = plan.inputs[:, 0]
-    command = due + _image(condensed.tube_gain, errors - start)
+    due = _image(condensed.free_inputs[:2], start)
+    command = due if restart else due + _image(condensed.tube_gain, errors - start)
     nominal = predict(condensed, start, due)
     following = MpcState(plan.inputs, jnp.ones_like(state.stage), nominal)
     return command, following, _diagnose(plan)
 
 
 def _act_constrained(
-    qps: CondensedQp, index, state: MpcState, start, errors
+    qps: CondensedQp, index, state: MpcState, errors, restart: bool
 ) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
     """Act where some instance needs the solver, or its backup."""
     condensed = take_qp(qps, index)
+    start = _choose_start(state, errors, restart)
     plan = constrained_plan(condensed, start)
     fresh = MpcState(plan.inputs, jnp.zeros_like(state.stage), start)
     now = _select(plan.status == qp.SOLVED, fresh, state)
@@ -319,6 +343,13 @@ def _act_constrained(
     nominal = predict(condensed, now.nominal, due)
     following = MpcState(now.inputs, jnp.minimum(now.stage + 1, horizon), nominal)
     return due + feedback, following, _diagnose(plan)
+
+
+def _choose_start(
+    state: MpcState, errors: Float[Array, "batch 3"], restart: bool
+) -> Float[Array, "batch 3"]:
+    """Return the errors from which plans are made."""
+    return errors if restart else state.nominal
 
 
 def predict(

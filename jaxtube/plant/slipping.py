@@ -15,6 +15,7 @@ sideslip and lever arm are new.
 from __future__ import annotations
 
 import itertools
+import operator
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -23,9 +24,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Float, Key
 
+from jaxtube.columns import each_coordinate, name_columns
 from jaxtube.plant import slip
 from jaxtube.plant.error_dynamics import Sideslip, advance, tracking_error, world_pose
 from jaxtube.plant.protocol import (
@@ -146,16 +147,17 @@ class SlippingRobot:
             if on_accelerator()
             else jax.lax.cond(step >= 0, draw, lambda: jnp.zeros_like(errors))
         )
-        return self.add_noise(step, errors, checkpoint_name(drawn, DRAWN))
+        return self.add_noise(step, errors, name_columns(drawn, DRAWN))
 
     def add_noise(
         self, step, errors: Float[Array, "batch 3"], noise: Float[Array, "batch 3"]
     ) -> Float[Array, "batch 3"]:
         """Return what is measured of true tracking errors under noise (m, m, rad)."""
         if self.noise_frame == "robot":
-            return errors + noise
+            return each_coordinate(operator.add, errors, noise)
         reference_pose = self.reference_poses[step]
-        return tracking_error(world_pose(errors, reference_pose) + noise, reference_pose)
+        noisy_pose = each_coordinate(operator.add, world_pose(errors, reference_pose), noise)
+        return tracking_error(noisy_pose, reference_pose)
 
     def draw_slips(
         self, keys: Key[Array, " batch"], step, memory: SlipMemory, errors: Float[Array, "batch 3"]
@@ -173,11 +175,11 @@ class SlippingRobot:
         situation = self.situation(step, errors)
         before = memory.process if self.sideslip is None else memory.process[0]
         drawn = jax.vmap(draw)(keys, before, situation)
-        true, measured, following = checkpoint_name(drawn, DRAWN)
+        true, measured, following = name_columns(drawn, DRAWN)
         if self.sideslip is None:
             return SlipMemory(following, true, measured)
         drawn = jax.vmap(draw_sideslip)(keys, memory.process[1], situation, true - measured)
-        sideways, following_sideways = checkpoint_name(drawn, DRAWN)
+        sideways, following_sideways = name_columns(drawn, DRAWN)
         return SlipMemory((following, following_sideways), true, measured, sideways)
 
     def situation(self, step, errors: Float[Array, "batch 3"]) -> slip.Situation:

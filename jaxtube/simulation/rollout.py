@@ -17,6 +17,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int, Key
 
+from jaxtube.columns import fan_out, scan_by_columns
 from jaxtube.control import mpc
 from jaxtube.control.laws import TubeMpc
 from jaxtube.control.mpc import Diagnostics
@@ -25,7 +26,6 @@ from jaxtube.plant import slip as slips
 from jaxtube.plant.protocol import Command, Measurement, Memory, Plant
 from jaxtube.plant.random_keys import make_key
 from jaxtube.qp.batched_ldl import matmul
-from jaxtube.simulation.columns import scan_by_columns
 
 DIAGNOSTICS = "diagnostics_"
 """Begins the names of the arrays of diagnostics in a file."""
@@ -103,8 +103,9 @@ def run_period(
     command, memory, diagnostics = controller.act(
         step, state.memory, state.measurement, plant.reference_wheels[step]
     )
-    following, wheels = _move(plant, keys, step, state, command)
-    happened = PeriodOutcome(command.inputs, wheels, command.wheels, diagnostics)
+    asked, told = fan_out(command, 2)
+    following, wheels = _move(plant, keys, step, state, asked)
+    happened = PeriodOutcome(told.inputs, wheels, told.wheels, diagnostics)
     return following._replace(memory=memory), happened
 
 
@@ -116,7 +117,8 @@ def _move(
     errors, plant_memory, wheels = plant.advance(
         keys, step, state.plant_memory, state.errors, command
     )
-    measurement, plant_memory = plant.sense(keys, step + 1, plant_memory, errors)
+    errors, sensed = fan_out(errors, 2)
+    measurement, plant_memory = plant.sense(keys, step + 1, plant_memory, sensed)
     return LoopState(errors, measurement, state.memory, plant_memory), wheels
 
 

@@ -12,7 +12,6 @@ loop, so `tube` stands alone.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -22,6 +21,7 @@ from jax import Array
 from jaxtyping import Float, Int, Key
 
 from jaxtube import qp
+from jaxtube.columns import by_columns, fan_out, join, loop_by_columns, split
 from jaxtube.control import mpc
 from jaxtube.control.follow import PlanFollower
 from jaxtube.control.laws import TubeMpc, planner_of
@@ -29,7 +29,6 @@ from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant, Script, SearchablePlant
 from jaxtube.plant.slipping import DRAWN
 from jaxtube.qp.parametric import FOUND
-from jaxtube.simulation.columns import loop_by_columns, scan_by_columns
 from jaxtube.simulation.rollout import (
     LoopState,
     PeriodOutcome,
@@ -171,16 +170,18 @@ def _scan_periods(
     def choose_plant(values: Script) -> Plant:
         return plant if script is None else plant.under_script(values)
 
-    @partial(jax.checkpoint, policy=KEPT)
     def period(state: LoopState, now):
         step, of_period = now
         acting = choose_plant({name: values[None] for name, values in of_period.items()})
         following, happened = run_period(controller, acting, keys, step, state)
-        return following, observe(state, happened, following)
+        carried, seen = fan_out(following, 2)
+        return carried, observe(state, happened, seen)
 
     start = begin(controller, choose_plant(script or {}), keys, errors)
-    _, seen = scan_by_columns(period, start, (jnp.arange(steps), entries))
-    return seen
+    # By columns already where reverse mode keeps what a period begins with.
+    turn = jax.checkpoint(by_columns(period), policy=KEPT)
+    _, seen = jax.lax.scan(turn, split(start), (jnp.arange(steps), entries))
+    return join(seen)
 
 
 def _read_periods(

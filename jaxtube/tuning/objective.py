@@ -29,6 +29,7 @@ from jaxtube.control.mpc import AnyArray
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.lagging import BareRobot
+from jaxtube.qp.batched_ldl import add_up
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation.usage import play
 from jaxtube.tuning.caps import CapLimits, shares_of_caps
@@ -119,20 +120,21 @@ def measure_laps(
     seen = play(controller, plant, lap_inputs.keys, lap_inputs.starts)
     robot = plant.plant if isinstance(plant, EstimatingRobot) else plant
     idle = robot.reference_wheels / (1.0 - robot.slips.nominal)
-    effort = jnp.sum((seen["wheels"] - idle[:, None]) ** 2, axis=2) / 2.0
+    wheels = jnp.unstack(seen["wheels"], axis=2)
+    errors = jnp.unstack(seen["error"], axis=2)
+    effort = add_up([(wheel - idle[:, i, None]) ** 2 for i, wheel in enumerate(wheels)]) / 2.0
     first = aim.settled - 1  # what is seen first comes after a period
-    errors = jnp.mean(seen["error"][first:] ** 2, axis=0)
-    error_share = jnp.abs(seen["error"]) / limits.widths
-    wheel_share = seen["wheels"] / robot.robot.wheel_speed_max
-    error_excess = jnp.maximum(error_share - aim.margin, 0.0)
-    wheel_excess = jnp.maximum(wheel_share - aim.margin, 0.0)
-    excess = jnp.sum(error_excess**2, axis=2) + jnp.sum(wheel_excess**2, axis=2)
+    squares = [jnp.mean(error[first:] ** 2, axis=0) for error in errors]
+    widths = jnp.unstack(limits.widths)
+    shares = [jnp.abs(error) / width for error, width in zip(errors, widths, strict=True)]
+    shares += [wheel / robot.robot.wheel_speed_max for wheel in wheels]
+    excess = add_up([jnp.maximum(share - aim.margin, 0.0) ** 2 for share in shares])
     return LapMeasures(
-        errors=_root(errors),
+        errors=_root(jnp.stack(squares, axis=1)),
         effort=_root(jnp.mean(effort, axis=0)),
         settled_effort=_root(jnp.mean(effort[first:], axis=0)),
         excess=jnp.mean(excess, axis=0),
-        backups=jnp.sum(seen["backup"], axis=0).astype(errors.dtype),
+        backups=jnp.sum(seen["backup"], axis=0).astype(effort.dtype),
     )
 
 
