@@ -110,7 +110,7 @@ def advance(
     reference_x, reference_y = _rotate(*_chord(V, Om, dt), heading)
     half_turn = dt * w / 2.0
     sine, cosine = sine_and_cosine(half_turn)
-    shortening = dt * sinc(half_turn, sine)
+    shortening = dt * sinc(half_turn, (sine, cosine))
     along = shortening * v * cosine
     across = shortening * v * sine
     if sideslip is not None:
@@ -133,7 +133,7 @@ def _chord(
     """Return the displacement along an arc, in the frame at its start, m."""
     half_turn = dt * yaw_rate / 2.0
     sine, cosine = sine_and_cosine(half_turn)
-    length = dt * speed * sinc(half_turn, sine)
+    length = dt * speed * sinc(half_turn, (sine, cosine))
     return length * cosine, length * sine
 
 
