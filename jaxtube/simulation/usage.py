@@ -12,7 +12,7 @@ loop, so `tube` stands alone.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -155,6 +155,35 @@ def play_plans(
     return jnp.take_along_axis(deviations, periods[:, :, None], axis=0, mode="clip")
 
 
+def add_up_periods(
+    controller: Controller,
+    plant: SearchablePlant,
+    keys: Key[Array, " batch"],
+    errors: Float[Array, "batch 3"],
+    observe: Callable[[Array, LoopState, PeriodOutcome, LoopState], dict[str, Array]],
+) -> dict[str, Float[Array, " batch"]]:
+    """Run laps and return the sums over their periods of what is observed of each, (batch,): of
+    `observe(step, before, happened, following)`. Nothing of a period is stored but what reverse
+    mode keeps, as `play` does."""
+
+    def observe_numbers(step, before, happened, following) -> dict[str, Array]:
+        observed = observe(step, before, happened, following)
+        return {name: values.astype(errors.dtype) for name, values in observed.items()}
+
+    turn, start, entries = _make_turn(controller, plant, keys, errors, None, observe_numbers)
+
+    def add(carry, now):
+        state, sums = carry
+        state, observed = turn(state, now)
+        return (state, {name: sums[name] + observed[name] for name in sums}), None
+
+    first = jax.tree.map(lambda values: values[0], entries)
+    _, shapes = jax.eval_shape(turn, start, first)
+    zeros = {name: jnp.zeros(shape.shape, shape.dtype) for name, shape in shapes.items()}
+    (_, sums), _ = jax.lax.scan(add, (start, zeros), entries)
+    return sums
+
+
 def _scan_periods(
     controller: Controller,
     plant: SearchablePlant,
@@ -164,8 +193,25 @@ def _scan_periods(
     observe: Observe,
 ) -> dict[str, Array]:
     """Run laps and stack what is observed of each period."""
+    turn, start, entries = _make_turn(
+        controller, plant, keys, errors, script, lambda _, *states: observe(*states)
+    )
+    _, seen = jax.lax.scan(turn, start, entries)
+    return join(seen)
+
+
+def _make_turn(
+    controller: Controller,
+    plant: SearchablePlant,
+    keys: Key[Array, " batch"],
+    errors: Float[Array, "batch 3"],
+    script: Script | None,
+    observe: Callable[[Array, LoopState, PeriodOutcome, LoopState], dict[str, Array]],
+) -> tuple[Callable[[Any, Any], tuple[Any, Any]], Any, Any]:
+    """Return the body of a scan over periods, the state before the first one, and the entries; the
+    body takes and returns columns, so that reverse mode keeps columns."""
     steps = len(plant.reference_wheels)
-    entries = {name: _read_periods(values, steps, name) for name, values in (script or {}).items()}
+    values = {name: _read_periods(values, steps, name) for name, values in (script or {}).items()}
 
     def choose_plant(values: Script) -> Plant:
         return plant if script is None else plant.under_script(values)
@@ -175,13 +221,11 @@ def _scan_periods(
         acting = choose_plant({name: values[None] for name, values in of_period.items()})
         following, happened = run_period(controller, acting, keys, step, state)
         carried, seen = fan_out(following, 2)
-        return carried, observe(state, happened, seen)
+        return carried, observe(step, state, happened, seen)
 
     start = begin(controller, choose_plant(script or {}), keys, errors)
-    # By columns already where reverse mode keeps what a period begins with.
     turn = jax.checkpoint(by_columns(period), policy=KEPT)
-    _, seen = jax.lax.scan(turn, split(start), (jnp.arange(steps), entries))
-    return join(seen)
+    return turn, split(start), (jnp.arange(steps), values)
 
 
 def _read_periods(

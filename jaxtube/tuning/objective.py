@@ -31,7 +31,8 @@ from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.lagging import BareRobot
 from jaxtube.qp.batched_ldl import add_up
 from jaxtube.scenario.tree import Scenario
-from jaxtube.simulation.usage import play
+from jaxtube.simulation.rollout import LoopState, PeriodOutcome
+from jaxtube.simulation.usage import add_up_periods
 from jaxtube.tuning.caps import CapLimits, shares_of_caps
 from jaxtube.tuning.loop import DesignConstants, Weights, condense_windows
 from jaxtube.tuning.minimal import ActiveFacets
@@ -117,24 +118,37 @@ def measure_laps(
 ) -> LapMeasures:
     """Run laps of a controller and reduce each to what counts; differentiable."""
     plant = lap_inputs.plant
-    seen = play(controller, plant, lap_inputs.keys, lap_inputs.starts)
     robot = plant.plant if isinstance(plant, EstimatingRobot) else plant
     idle = robot.reference_wheels / (1.0 - robot.slips.nominal)
-    wheels = jnp.unstack(seen["wheels"], axis=2)
-    errors = jnp.unstack(seen["error"], axis=2)
-    effort = add_up([(wheel - idle[:, i, None]) ** 2 for i, wheel in enumerate(wheels)]) / 2.0
-    first = aim.settled - 1  # what is seen first comes after a period
-    squares = [jnp.mean(error[first:] ** 2, axis=0) for error in errors]
-    widths = jnp.unstack(limits.widths)
-    shares = [jnp.abs(error) / width for error, width in zip(errors, widths, strict=True)]
-    shares += [wheel / robot.robot.wheel_speed_max for wheel in wheels]
-    excess = add_up([jnp.maximum(share - aim.margin, 0.0) ** 2 for share in shares])
+    steps = len(idle)
+
+    def observe(step, before: LoopState, happened: PeriodOutcome, following: LoopState):
+        errors = jnp.unstack(following.errors, axis=1)
+        wheels = jnp.unstack(happened.demanded, axis=1)
+        is_settled = step + 1 >= aim.settled
+        squares = [jnp.where(is_settled, error**2, 0.0) for error in errors]
+        effort = add_up([(wheels[i] - idle[step, i]) ** 2 for i in range(2)]) / 2.0
+        shares = [jnp.abs(error) / limits.widths[i] for i, error in enumerate(errors)]
+        shares += [wheel / robot.robot.wheel_speed_max for wheel in wheels]
+        return {
+            "longitudinal": squares[0],
+            "lateral": squares[1],
+            "heading": squares[2],
+            "effort": effort,
+            "settled_effort": jnp.where(is_settled, effort, 0.0),
+            "excess": add_up([jnp.maximum(share - aim.margin, 0.0) ** 2 for share in shares]),
+            "backups": happened.diagnostics.backup,
+        }
+
+    sums = add_up_periods(controller, plant, lap_inputs.keys, lap_inputs.starts, observe)
+    errors = jnp.stack([sums[name] for name in ("longitudinal", "lateral", "heading")], axis=1)
+    settled_steps = steps - aim.settled + 1
     return LapMeasures(
-        errors=_root(jnp.stack(squares, axis=1)),
-        effort=_root(jnp.mean(effort, axis=0)),
-        settled_effort=_root(jnp.mean(effort[first:], axis=0)),
-        excess=jnp.mean(excess, axis=0),
-        backups=jnp.sum(seen["backup"], axis=0).astype(effort.dtype),
+        errors=_root(errors / settled_steps),
+        effort=_root(sums["effort"] / steps),
+        settled_effort=_root(sums["settled_effort"] / settled_steps),
+        excess=sums["excess"] / steps,
+        backups=sums["backups"],
     )
 
 
