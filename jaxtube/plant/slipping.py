@@ -16,9 +16,10 @@ from __future__ import annotations
 
 import itertools
 import operator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,7 +27,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Key
 
-from jaxtube.columns import each_coordinate, name_columns
+from jaxtube.columns import each_coordinate, join, name_columns, split
 from jaxtube.plant import slip
 from jaxtube.plant.error_dynamics import Sideslip, advance, tracking_error, world_pose
 from jaxtube.plant.protocol import (
@@ -140,14 +141,7 @@ class SlippingRobot:
         def draw():
             return jax.vmap(lambda key: slip.pose_noise(key, step, noise))(keys)
 
-        # Several kernels of a period need the noise. On a processor each would draw it anew, unless
-        # it comes out of a condition, which always holds.
-        drawn = (
-            draw()
-            if on_accelerator()
-            else jax.lax.cond(step >= 0, draw, lambda: jnp.zeros_like(errors))
-        )
-        return self.add_noise(step, errors, name_columns(drawn, DRAWN))
+        return self.add_noise(step, errors, name_columns(_draw_once(step, draw), DRAWN))
 
     def add_noise(
         self, step, errors: Float[Array, "batch 3"], noise: Float[Array, "batch 3"]
@@ -174,11 +168,14 @@ class SlippingRobot:
 
         situation = self.situation(step, errors)
         before = memory.process if self.sideslip is None else memory.process[0]
-        drawn = jax.vmap(draw)(keys, before, situation)
+        drawn = _draw_once(step, lambda: jax.vmap(draw)(keys, before, situation))
         true, measured, following = name_columns(drawn, DRAWN)
         if self.sideslip is None:
             return SlipMemory(following, true, measured)
-        drawn = jax.vmap(draw_sideslip)(keys, memory.process[1], situation, true - measured)
+        slip_errors = true - measured
+        drawn = _draw_once(
+            step, lambda: jax.vmap(draw_sideslip)(keys, memory.process[1], situation, slip_errors)
+        )
         sideways, following_sideways = name_columns(drawn, DRAWN)
         return SlipMemory((following, following_sideways), true, measured, sideways)
 
@@ -305,6 +302,18 @@ class ScriptedRobot:
     ) -> Advance:
         """Move through one period under the slips of the script."""
         return self.robot.advance(keys, step, memory, errors, command)
+
+
+def _draw_once(step, draw: Callable[[], Any]) -> Any:
+    """Return what is drawn, made once: several kernels of a period need it, and on a processor each
+    would draw it anew, unless it comes out of a condition, which always holds."""
+    if on_accelerator():
+        return draw()
+
+    def draw_nothing():
+        return jax.tree.map(lambda drawn: jnp.zeros(drawn.shape, drawn.dtype), jax.eval_shape(draw))
+
+    return join(jax.lax.cond(step >= 0, lambda: split(draw()), lambda: split(draw_nothing())))
 
 
 def box_vertices(dimension: int) -> Float[np.ndarray, "v n"]:

@@ -11,8 +11,9 @@ loop, so `tube` stands alone.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,13 +27,13 @@ from jaxtube.control import mpc
 from jaxtube.control.follow import PlanFollower
 from jaxtube.control.laws import TubeMpc, planner_of
 from jaxtube.control.protocol import Controller
-from jaxtube.plant.protocol import Plant, Script, SearchablePlant
-from jaxtube.plant.slipping import DRAWN
+from jaxtube.plant.protocol import Memory, Plant, Script, SearchablePlant
 from jaxtube.qp.parametric import FOUND
 from jaxtube.simulation.rollout import (
     LoopState,
     PeriodOutcome,
     Trajectory,
+    advance_period,
     begin,
     follow_plan,
     realisation_keys,
@@ -50,7 +51,7 @@ class Limit(NamedTuple):
     centre: Float[Array, " n"]
 
 
-KEPT = jax.checkpoint_policies.save_only_these_names(DRAWN, mpc.ACTED, FOUND)
+KEPT = jax.checkpoint_policies.save_only_these_names(mpc.ACTED, FOUND)
 """What reverse mode keeps of a period."""
 
 Limits = dict[str, Limit]
@@ -157,30 +158,43 @@ def play_plans(
 
 def add_up_periods(
     controller: Controller,
-    plant: SearchablePlant,
+    plant: Plant,
     keys: Key[Array, " batch"],
     errors: Float[Array, "batch 3"],
-    observe: Callable[[Array, LoopState, PeriodOutcome, LoopState], dict[str, Array]],
+    observe: Callable[[Array, Float[Array, "batch 3"], PeriodOutcome], dict[str, Array]],
 ) -> dict[str, Float[Array, " batch"]]:
     """Run laps and return the sums over their periods of what is observed of each, (batch,): of
-    `observe(step, before, happened, following)`. Nothing of a period is stored but what reverse
-    mode keeps, as `play` does."""
+    `observe(step, errors after the period, outcome)`.
 
-    def observe_numbers(step, before, happened, following) -> dict[str, Array]:
-        observed = observe(step, before, happened, following)
-        return {name: values.astype(errors.dtype) for name, values in observed.items()}
+    Reverse mode keeps the errors and the answers of each period, and computes the rest again, the
+    draws too: to keep these takes more memory, and more time.
+    """
 
-    turn, start, entries = _make_turn(controller, plant, keys, errors, None, observe_numbers)
+    def period(state: tuple[Array, Memory, Memory], step):
+        errors, memory, plant_memory = state
+        sensed, moved = fan_out(errors, 2)
+        # What is measured is no part of the state, and not kept.
+        measurement, plant_memory = plant.sense(keys, step, plant_memory, sensed)
+        before = LoopState(moved, measurement, memory, plant_memory)
+        errors, memory, plant_memory, happened = advance_period(
+            controller, plant, keys, step, before
+        )
+        carried, seen = fan_out(errors, 2)
+        return (carried, memory, plant_memory), observe(step, seen, happened)
 
-    def add(carry, now):
+    turn = jax.checkpoint(by_columns(period), policy=KEPT)
+
+    def add(carry, step):
         state, sums = carry
-        state, observed = turn(state, now)
-        return (state, {name: sums[name] + observed[name] for name in sums}), None
+        state, observed = turn(state, step)
+        return (state, jax.tree.map(operator.add, sums, observed)), None
 
-    first = jax.tree.map(lambda values: values[0], entries)
-    _, shapes = jax.eval_shape(turn, start, first)
-    zeros = {name: jnp.zeros(shape.shape, shape.dtype) for name, shape in shapes.items()}
-    (_, sums), _ = jax.lax.scan(add, (start, zeros), entries)
+    memory = begin(controller, plant, keys, errors).memory
+    start = split((errors, memory, plant.initial(keys, errors)))
+    steps = jnp.arange(len(plant.reference_wheels))
+    _, observed = jax.eval_shape(turn, start, steps[0])
+    nothing = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), observed)
+    (_, sums), _ = jax.lax.scan(add, (start, nothing), steps)
     return sums
 
 
@@ -193,25 +207,8 @@ def _scan_periods(
     observe: Observe,
 ) -> dict[str, Array]:
     """Run laps and stack what is observed of each period."""
-    turn, start, entries = _make_turn(
-        controller, plant, keys, errors, script, lambda _, *states: observe(*states)
-    )
-    _, seen = jax.lax.scan(turn, start, entries)
-    return join(seen)
-
-
-def _make_turn(
-    controller: Controller,
-    plant: SearchablePlant,
-    keys: Key[Array, " batch"],
-    errors: Float[Array, "batch 3"],
-    script: Script | None,
-    observe: Callable[[Array, LoopState, PeriodOutcome, LoopState], dict[str, Array]],
-) -> tuple[Callable[[Any, Any], tuple[Any, Any]], Any, Any]:
-    """Return the body of a scan over periods, the state before the first one, and the entries; the
-    body takes and returns columns, so that reverse mode keeps columns."""
     steps = len(plant.reference_wheels)
-    values = {name: _read_periods(values, steps, name) for name, values in (script or {}).items()}
+    entries = {name: _read_periods(values, steps, name) for name, values in (script or {}).items()}
 
     def choose_plant(values: Script) -> Plant:
         return plant if script is None else plant.under_script(values)
@@ -221,11 +218,13 @@ def _make_turn(
         acting = choose_plant({name: values[None] for name, values in of_period.items()})
         following, happened = run_period(controller, acting, keys, step, state)
         carried, seen = fan_out(following, 2)
-        return carried, observe(step, state, happened, seen)
+        return carried, observe(state, happened, seen)
 
     start = begin(controller, choose_plant(script or {}), keys, errors)
+    # By columns already where reverse mode keeps what a period begins with.
     turn = jax.checkpoint(by_columns(period), policy=KEPT)
-    return turn, split(start), (jnp.arange(steps), values)
+    _, seen = jax.lax.scan(turn, split(start), (jnp.arange(steps), entries))
+    return join(seen)
 
 
 def _read_periods(

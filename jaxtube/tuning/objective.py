@@ -31,7 +31,7 @@ from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.lagging import BareRobot
 from jaxtube.qp.batched_ldl import add_up
 from jaxtube.scenario.tree import Scenario
-from jaxtube.simulation.rollout import LoopState, PeriodOutcome
+from jaxtube.simulation.rollout import PeriodOutcome
 from jaxtube.simulation.usage import add_up_periods
 from jaxtube.tuning.caps import CapLimits, shares_of_caps
 from jaxtube.tuning.loop import DesignConstants, Weights, condense_windows
@@ -122,8 +122,8 @@ def measure_laps(
     idle = robot.reference_wheels / (1.0 - robot.slips.nominal)
     steps = len(idle)
 
-    def observe(step, before: LoopState, happened: PeriodOutcome, following: LoopState):
-        errors = jnp.unstack(following.errors, axis=1)
+    def observe(step, errors: Float[Array, "laps 3"], happened: PeriodOutcome):
+        errors = jnp.unstack(errors, axis=1)
         wheels = jnp.unstack(happened.demanded, axis=1)
         is_settled = step + 1 >= aim.settled
         squares = [jnp.where(is_settled, error**2, 0.0) for error in errors]
@@ -137,7 +137,7 @@ def measure_laps(
             "effort": effort,
             "settled_effort": jnp.where(is_settled, effort, 0.0),
             "excess": add_up([jnp.maximum(share - aim.margin, 0.0) ** 2 for share in shares]),
-            "backups": happened.diagnostics.backup,
+            "backups": happened.diagnostics.backup.astype(effort.dtype),
         }
 
     sums = add_up_periods(controller, plant, lap_inputs.keys, lap_inputs.starts, observe)
