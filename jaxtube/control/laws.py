@@ -90,10 +90,9 @@ class TubeMpc:
         index = self.index[step]
         errors = measurement.errors
         start = errors if self.restart else memory.nominal
-        fits = mpc.are_all_free(mpc.take_qp(self.qps, index), start)
-        inputs, following, diagnostics = mpc.act_freely(
-            self.qps, index, memory, errors, self.restart
-        )
+        condensed = mpc.take_qp(self.qps, index)
+        fits = mpc.are_all_free(condensed, start)
+        inputs, following, diagnostics = mpc.act_freely(condensed, memory, errors, self.restart)
         command = self.wheel_map.command(inputs, measurement, reference_wheels)
         return fits, (command, following, diagnostics)
 

@@ -28,7 +28,6 @@ from jaxtube.control.follow import PlanFollower
 from jaxtube.control.laws import TubeMpc, planner_of
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Memory, Plant, Script, SearchablePlant
-from jaxtube.qp.parametric import FOUND
 from jaxtube.simulation.rollout import (
     LoopState,
     PeriodOutcome,
@@ -51,7 +50,7 @@ class Limit(NamedTuple):
     centre: Float[Array, " n"]
 
 
-KEPT = jax.checkpoint_policies.save_only_these_names(mpc.ACTED, FOUND)
+KEPT = jax.checkpoint_policies.save_only_these_names(mpc.ACTED)
 """What reverse mode keeps of a period."""
 
 Limits = dict[str, Limit]
