@@ -366,6 +366,7 @@ def _pull_step_back(restart: bool, saved: tuple, cotangent: Step) -> tuple:
     """Return the cotangents of QPs, memory and errors, on the active rows that were found."""
     qps, index, state, errors, all_free, found = saved
     whole = qps._replace(regions=None, free_region=None)
+    columns_bar = split(cotangent)
 
     def pull_back(act_again: Callable[..., Step], qps, state, errors):
         condensed = take_qp(qps, index)
@@ -376,7 +377,7 @@ def _pull_step_back(restart: bool, saved: tuple, cotangent: Step) -> tuple:
             return act_again(known, state._replace(inputs=inputs, nominal=nominal), errors)
 
         _, pull = jax.vjp(act, numbers, state.inputs, state.nominal, errors)
-        return pull(cotangent)
+        return pull(join(columns_bar))
 
     def recall_step(condensed, state, errors) -> Step:
         start = _choose_start(state, errors, restart)
