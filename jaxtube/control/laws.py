@@ -72,9 +72,8 @@ class TubeMpc:
     ) -> tuple[Command, mpc.MpcState, mpc.Diagnostics]:
         """Plan, and return the command of the plan's first period (see `mpc.act`)."""
         planned, driven = fan_out(measurement, 2)
-        inputs, following, diagnostics = mpc.act(
-            self.qps, self.index[step], memory, planned.errors, self.restart
-        )
+        acted: mpc.Step = mpc.act(self.qps, self.index[step], memory, planned.errors, self.restart)
+        inputs, following, diagnostics = acted
         command = self.wheel_map.command(inputs, driven, reference_wheels)
         return command, following, diagnostics
 

@@ -27,7 +27,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Key
 
-from jaxtube.columns import each_coordinate, join, name_columns, split
+from jaxtube.columns import each_coordinate, join, split
 from jaxtube.plant import slip
 from jaxtube.plant.error_dynamics import Sideslip, advance, tracking_error, world_pose
 from jaxtube.plant.protocol import (
@@ -43,10 +43,6 @@ from jaxtube.plant.robot import Robot, saturate, wheel_positions
 from jaxtube.plant.slip_bounds import SlipBounds
 from jaxtube.plant.slip_processes import find_process
 from jaxtube.qp.blocks import on_accelerator
-
-DRAWN = "drawn"
-"""Name of what is drawn at random, for reverse mode to keep: drawing again costs more than all else
-in a period."""
 
 EXTREME = ("vertex", "adversarial")
 """Processes whose deviations are -1 or 1."""
@@ -141,7 +137,7 @@ class SlippingRobot:
         def draw():
             return jax.vmap(lambda key: slip.pose_noise(key, step, noise))(keys)
 
-        return self.add_noise(step, errors, name_columns(_draw_once(step, draw), DRAWN))
+        return self.add_noise(step, errors, _draw_once(step, draw, jnp.zeros_like(errors)))
 
     def add_noise(
         self, step, errors: Float[Array, "batch 3"], noise: Float[Array, "batch 3"]
@@ -168,15 +164,19 @@ class SlippingRobot:
 
         situation = self.situation(step, errors)
         before = memory.process if self.sideslip is None else memory.process[0]
-        drawn = _draw_once(step, lambda: jax.vmap(draw)(keys, before, situation))
-        true, measured, following = name_columns(drawn, DRAWN)
+        true, measured, following = _draw_once(
+            step,
+            lambda: jax.vmap(draw)(keys, before, situation),
+            (memory.true, memory.measured, before),
+        )
         if self.sideslip is None:
             return SlipMemory(following, true, measured)
         slip_errors = true - measured
-        drawn = _draw_once(
-            step, lambda: jax.vmap(draw_sideslip)(keys, memory.process[1], situation, slip_errors)
+        sideways, following_sideways = _draw_once(
+            step,
+            lambda: jax.vmap(draw_sideslip)(keys, memory.process[1], situation, slip_errors),
+            (memory.sideslip, memory.process[1]),
         )
-        sideways, following_sideways = name_columns(drawn, DRAWN)
         return SlipMemory((following, following_sideways), true, measured, sideways)
 
     def situation(self, step, errors: Float[Array, "batch 3"]) -> slip.Situation:
@@ -304,16 +304,13 @@ class ScriptedRobot:
         return self.robot.advance(keys, step, memory, errors, command)
 
 
-def _draw_once(step, draw: Callable[[], Any]) -> Any:
+def _draw_once(step, draw: Callable[[], Any], otherwise: Any) -> Any:
     """Return what is drawn, made once: several kernels of a period need it, and on a processor each
-    would draw it anew, unless it comes out of a condition, which always holds."""
+    would draw it anew, unless it comes out of a condition, which always holds; `otherwise` is of
+    the same form."""
     if on_accelerator():
         return draw()
-
-    def draw_nothing():
-        return jax.tree.map(lambda drawn: jnp.zeros(drawn.shape, drawn.dtype), jax.eval_shape(draw))
-
-    return join(jax.lax.cond(step >= 0, lambda: split(draw()), lambda: split(draw_nothing())))
+    return join(jax.lax.cond(step >= 0, lambda: split(draw()), lambda: split(otherwise)))
 
 
 def box_vertices(dimension: int) -> Float[np.ndarray, "v n"]:

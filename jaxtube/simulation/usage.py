@@ -106,8 +106,8 @@ def play(
 ) -> dict[str, Float[Array, "steps batch n"]]:
     """Run laps and return the quantities that have limits, period by period.
 
-    With a script its values take the place of draws. Reverse mode keeps the state, the draws and
-    the answers of each period, and computes the rest again.
+    With a script its values take the place of draws. Reverse mode keeps the state and the answers
+    of each period, and computes the rest again.
 
     Returns:
         `error` after each period; `input`, `wheels`, `acceleration`, 0 in the first, and `backup`,

@@ -123,12 +123,12 @@ def measure_laps(
     steps = len(idle)
 
     def observe(step, errors: Float[Array, "laps 3"], happened: PeriodOutcome):
-        errors = jnp.unstack(errors, axis=1)
+        coordinates = jnp.unstack(errors, axis=1)
         wheels = jnp.unstack(happened.demanded, axis=1)
         is_settled = step + 1 >= aim.settled
-        squares = [jnp.where(is_settled, error**2, 0.0) for error in errors]
+        squares = [jnp.where(is_settled, error**2, 0.0) for error in coordinates]
         effort = add_up([(wheels[i] - idle[step, i]) ** 2 for i in range(2)]) / 2.0
-        shares = [jnp.abs(error) / limits.widths[i] for i, error in enumerate(errors)]
+        shares = [jnp.abs(error) / limits.widths[i] for i, error in enumerate(coordinates)]
         shares += [wheel / robot.robot.wheel_speed_max for wheel in wheels]
         return {
             "longitudinal": squares[0],
