@@ -164,10 +164,9 @@ class SlippingRobot:
 
         situation = self.situation(step, errors)
         before = memory.process if self.sideslip is None else memory.process[0]
+        none = jnp.zeros_like(errors[:, :2])
         true, measured, following = _draw_once(
-            step,
-            lambda: jax.vmap(draw)(keys, before, situation),
-            (memory.true, memory.measured, before),
+            step, lambda: jax.vmap(draw)(keys, before, situation), (none, none, before)
         )
         if self.sideslip is None:
             return SlipMemory(following, true, measured)
@@ -175,7 +174,7 @@ class SlippingRobot:
         sideways, following_sideways = _draw_once(
             step,
             lambda: jax.vmap(draw_sideslip)(keys, memory.process[1], situation, slip_errors),
-            (memory.sideslip, memory.process[1]),
+            (none[:, 0], memory.process[1]),
         )
         return SlipMemory((following, following_sideways), true, measured, sideways)
 
