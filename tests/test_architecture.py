@@ -22,6 +22,7 @@ ROOMS = (
     "coordinates",
     "arguments",
     "progress",
+    "columns",
     "scenario",
     "storage",
     "recordings",

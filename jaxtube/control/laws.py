@@ -19,6 +19,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
+from jaxtube.columns import fan_out
 from jaxtube.control import mpc
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.control.tracking import tracking_input
@@ -79,10 +80,10 @@ class TubeMpc:
         reference_wheels: Float[Array, "2"],
     ) -> tuple[Command, mpc.MpcState, mpc.Diagnostics]:
         """Plan, and return the command of the plan's first period (see `mpc.act`)."""
-        inputs, following, diagnostics = mpc.act(
-            self.qps, self.index[step], memory, measurement.errors, self.restart
-        )
-        command = self.wheel_map.command(inputs, measurement, reference_wheels)
+        planned, driven = fan_out(measurement, 2)
+        acted: mpc.Step = mpc.act(self.qps, self.index[step], memory, planned.errors, self.restart)
+        inputs, following, diagnostics = acted
+        command = self.wheel_map.command(inputs, driven, reference_wheels)
         return command, following, diagnostics
 
     def act_freely(
@@ -94,11 +95,11 @@ class TubeMpc:
     ) -> tuple[Bool[Array, ""], tuple[Command, mpc.MpcState, mpc.Diagnostics]]:
         """Return whether `act` meets no active row in any instance, and what it then returns: a
         short program without a solver."""
-        index = self.index[step]
         errors = measurement.errors
         start = errors if self.restart else memory.nominal
-        fits = mpc.are_all_free(mpc.take_qp(self.qps, index), start)
-        inputs, following, diagnostics = mpc.act_freely(self.qps, index, memory, start, errors)
+        condensed = self.condensed_qp(step)
+        fits = mpc.are_all_free(condensed, start)
+        inputs, following, diagnostics = mpc.act_freely(condensed, memory, errors, self.restart)
         command = self.wheel_map.command(inputs, measurement, reference_wheels)
         return fits, (command, following, diagnostics)
 
@@ -111,10 +112,9 @@ class TubeMpc:
     ) -> tuple[Bool[Array, ""], tuple[Command, mpc.MpcState, mpc.Diagnostics]]:
         """Return whether `act` finds every plan without a solver, in the regions that the QPs have,
         and what it then returns."""
-        errors = measurement.errors
-        start = errors if self.restart else memory.nominal
+        condensed = self.condensed_qp(step)
         inputs, following, diagnostics = mpc.act_as_known(
-            self.qps, self.index[step], memory, start, errors
+            condensed, memory, measurement.errors, self.restart
         )
         command = self.wheel_map.command(inputs, measurement, reference_wheels)
         fits = jnp.all(diagnostics.status != qp.UNSOLVED)

@@ -21,22 +21,32 @@ from __future__ import annotations
 
 import functools
 import operator
+from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
-from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
-from jaxtube.qp.batched_ldl import matmul
-from jaxtube.qp.parametric import Parametric, look_up, solve_parametric
+from jaxtube.columns import MOST, by_columns, join, name_columns, split
+from jaxtube.qp.batched_ldl import add_up, matmul
+from jaxtube.qp.parametric import (
+    Parametric,
+    find_nothing,
+    find_rows,
+    look_up,
+    recall,
+    solve_parametric,
+)
 from jaxtube.qp.regions import AnyArray, Regions
 
 ACTED = "acted"
-"""Name under which reverse mode keeps what `act` returns; with `parametric.FOUND` kept as well no
-step is solved again."""
+"""Name under which reverse mode keeps what `act` returns, and which rows were active, a few bytes
+for each instance: no step is solved again."""
 
 
 class HalfSpaces(NamedTuple):
@@ -199,8 +209,15 @@ def _image(
     """Return matrix @ vector of every instance as a sum over few columns, which fuses with what is
     done to it next."""
     columns = jnp.unstack(vectors, axis=1)
+    if 0 < len(matrix) <= MOST:
+        return jnp.stack([_weigh(row, columns) for row in jnp.unstack(matrix)], axis=1)
     terms = [column[:, None] * matrix[:, i] for i, column in enumerate(columns)]
     return functools.reduce(operator.add, terms)
+
+
+def _weigh(weights: Float[Array, " n"], columns: tuple[Float[Array, " batch"], ...]):
+    """Return the weighted sum of columns."""
+    return add_up([weights[i] * column for i, column in enumerate(columns)])
 
 
 def _image_and_arguments(matrix, vectors) -> tuple[Array, tuple[Array, Array]]:
@@ -211,7 +228,17 @@ def _pull_image_back(saved: tuple[Array, Array], cotangent: Array) -> tuple[Arra
     """Return the cotangents as products: those of the sum over columns pass over the batch once for
     each entry."""
     matrix, vectors = saved
-    return matmul(cotangent.T, vectors), _image(matrix.T, cotangent)
+
+    def pull(cotangent):
+        return matmul(cotangent.T, vectors), _image(matrix.T, cotangent)
+
+    def pull_nothing(cotangent):
+        return jnp.zeros_like(matrix), jnp.zeros_like(vectors)
+
+    if len(matrix) <= MOST:
+        return pull(cotangent)
+    # Nothing comes back from most plans but what is due of them.
+    return jax.lax.cond(jnp.any(cotangent != 0), pull, pull_nothing, cotangent)
 
 
 _image.defvjp(_image_and_arguments, _pull_image_back)
@@ -234,10 +261,15 @@ def constrained_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) ->
     more than where none does."""
     # An instance with a free plan takes it even here: its plan must not depend on the others.
     free = _is_free(condensed, errors)
-    solution = solve_parametric(
-        condensed.factors, condensed.parametric, errors, ~free, condensed.regions
+    return _choose_plan(condensed, errors, free, _solve(condensed, errors, ~free))
+
+
+def _solve(
+    condensed: CondensedQp, errors: Float[Array, "batch 3"], is_wanted: Bool[Array, " batch"]
+) -> qp.Solution:
+    return solve_parametric(
+        condensed.factors, condensed.parametric, errors, is_wanted, condensed.regions
     )
-    return _choose(condensed, errors, free, solution)
 
 
 def known_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
@@ -252,10 +284,10 @@ def known_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
         raise ValueError("regions = None: the QP has none; ask for `free_plan`")
     free = _is_free(condensed, errors)
     solution = look_up(condensed.factors, condensed.parametric, errors, known)
-    return _choose(condensed, errors, free, solution)
+    return _choose_plan(condensed, errors, free, solution)
 
 
-def _choose(
+def _choose_plan(
     condensed: CondensedQp,
     errors: Float[Array, "batch 3"],
     free: Bool[Array, " batch"],
@@ -283,13 +315,18 @@ def _select(first_where: Bool[Array, " batch"], first: Any, second: Any) -> Any:
     return jax.tree.map(select, first, second)
 
 
+Step = tuple[Float[Array, "batch 2"], MpcState, Diagnostics]
+"""Virtual inputs, next memory and diagnostics of a step."""
+
+
+@partial(jax.custom_vjp, nondiff_argnums=(4,))
 def act(
     qps: CondensedQp,
     index: Int[Array, ""],
     state: MpcState,
     errors: Float[Array, "batch 3"],
     restart: bool,
-) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
+) -> Step:
     """Return the virtual input of one step of the tube-MPC.
 
     Args:
@@ -300,50 +337,134 @@ def act(
         restart: start the prediction at the measured error (True) or at the nominal one.
 
     Returns:
-        (inputs (speed deficit m/s, yaw rate deficit rad/s), next memory, diagnostics).
+        (inputs (speed deficit m/s, yaw rate deficit rad/s), next memory, diagnostics). Reverse mode
+        gives the derivative of inputs and memory on the active rows.
     """
-    start = errors if restart else state.nominal
-    # The derivative of a conditional keeps what any branch does: the rows of every instance, even
-    # if none is active.
-    constrained = jax.checkpoint(_act_constrained)
-    # Kept as well: the test of all rows takes longer than what follows from it.
-    all_free = checkpoint_name(are_all_free(take_qp(qps, index), start), ACTED)
-    step = jax.lax.cond(all_free, act_freely, constrained, qps, index, state, start, errors)
-    return jax.tree.map(functools.partial(checkpoint_name, name=ACTED), step)
+
+    @by_columns
+    def freely(qps, state, errors):
+        return act_freely(take_qp(qps, index), state, errors, restart)
+
+    @by_columns
+    def constrained(qps, state, errors):
+        condensed = take_qp(qps, index)
+        start = _choose_start(state, errors, restart)
+        return _follow(condensed, state, errors, start, constrained_plan(condensed, start))
+
+    start = _choose_start(state, errors, restart)
+    all_free = are_all_free(take_qp(qps, index), start)
+    state, errors = split((state, errors))
+    return join(jax.lax.cond(all_free, freely, constrained, qps, state, errors))
+
+
+def _act_and_remember(qps, index, state, errors, restart: bool) -> tuple[Step, tuple]:
+    """Act; return the step and what its derivative needs, all of it under ACTED."""
+    batch = len(errors)
+
+    @by_columns
+    def freely(qps, state, errors):
+        condensed = take_qp(qps, index)
+        found = find_nothing(condensed.factors, batch)
+        return act_freely(condensed, state, errors, restart), found
+
+    @by_columns
+    def constrained(qps, state, errors):
+        condensed = take_qp(qps, index)
+        start = _choose_start(state, errors, restart)
+        free = _is_free(condensed, start)
+        solution = _solve(condensed, start, ~free)
+        found = find_rows(condensed.factors, condensed.parametric, start, solution)
+        plan = _choose_plan(condensed, start, free, solution)
+        return _follow(condensed, state, errors, start, plan), found
+
+    start = _choose_start(state, errors, restart)
+    all_free = are_all_free(take_qp(qps, index), start)
+    columns = split((state, errors))
+    outcome = join(jax.lax.cond(all_free, freely, constrained, qps, *columns))
+    all_free, (step, found) = name_columns((all_free, outcome), ACTED)
+    return step, (qps, index, state, errors, all_free, found)
+
+
+def _pull_step_back(restart: bool, saved: tuple, cotangent: Step) -> tuple:
+    """Return the cotangents of QPs, memory and errors, on the active rows that were found."""
+    qps, index, state, errors, all_free, found = saved
+    whole = qps._replace(regions=None, free_region=None)
+    columns_bar = split(cotangent)
+
+    def pull_back(act_again: Callable[..., Step], qps, state, errors):
+        condensed = take_qp(qps, index)
+        numbers = condensed._replace(regions=None, free_region=None)
+
+        def act(numbers, inputs, nominal, errors):
+            known = numbers._replace(regions=condensed.regions, free_region=condensed.free_region)
+            return act_again(known, state._replace(inputs=inputs, nominal=nominal), errors)
+
+        _, pull = jax.vjp(act, numbers, state.inputs, state.nominal, errors)
+        return pull(join(columns_bar))
+
+    def recall_step(condensed, state, errors) -> Step:
+        start = _choose_start(state, errors, restart)
+        free = _is_free(condensed, start)
+        solution = recall(condensed.factors, condensed.parametric, start, found)
+        plan = _choose_plan(condensed, start, free, solution)
+        return _follow(condensed, state, errors, start, plan)
+
+    freely = by_columns(partial(pull_back, partial(act_freely, restart=restart)))
+    constrained = by_columns(partial(pull_back, recall_step))
+    columns = split((state, errors))
+    of_window, inputs, nominal, of_errors = join(
+        jax.lax.cond(all_free, freely, constrained, qps, *columns)
+    )
+    of_qps = jax.tree.map(
+        lambda stack, part: jnp.zeros_like(stack).at[index].set(part), whole, of_window
+    )
+    of_qps = of_qps._replace(
+        regions=_no_cotangent(qps.regions), free_region=_no_cotangent(qps.free_region)
+    )
+    return of_qps, None, MpcState(inputs, _no_cotangent(state.stage), nominal), of_errors
+
+
+def _no_cotangent(tree: Any) -> Any:
+    """Return the cotangent zero of a tree."""
+
+    def make_zero(array):
+        is_real = jnp.issubdtype(array.dtype, jnp.floating)
+        return jnp.zeros_like(array) if is_real else np.zeros(array.shape, jax.dtypes.float0)
+
+    return jax.tree.map(make_zero, tree)
+
+
+act.defvjp(_act_and_remember, _pull_step_back)
+
+
+def act_as_known(
+    condensed: CondensedQp, state: MpcState, errors: Float[Array, "batch 3"], restart: bool
+) -> Step:
+    """Act where no instance needs the solver: no status is then UNSOLVED."""
+    start = _choose_start(state, errors, restart)
+    return _follow(condensed, state, errors, start, known_plan(condensed, start))
 
 
 def act_freely(
-    qps: CondensedQp, index, state: MpcState, start, errors
-) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
+    condensed: CondensedQp, state: MpcState, errors: Float[Array, "batch 3"], restart: bool
+) -> Step:
     """Act where every instance has just made a free plan."""
-    condensed = take_qp(qps, index)
+    start = _choose_start(state, errors, restart)
     plan = free_plan(condensed, start)
-    due = plan.inputs[:, 0]
-    command = due + _image(condensed.tube_gain, errors - start)
+    due = _image(condensed.free_inputs[:2], start)
+    command = due if restart else due + _image(condensed.tube_gain, errors - start)
     nominal = predict(condensed, start, due)
     following = MpcState(plan.inputs, jnp.ones_like(state.stage), nominal)
     return command, following, _diagnose(plan)
 
 
-def _act_constrained(
-    qps: CondensedQp, index, state: MpcState, start, errors
-) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
-    """Act where some instance needs the solver, or its backup."""
-    condensed = take_qp(qps, index)
-    return _act_on(constrained_plan(condensed, start), condensed, state, start, errors)
-
-
-def act_as_known(
-    qps: CondensedQp, index, state: MpcState, start, errors
-) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
-    """Act where no instance needs the solver: no status is then UNSOLVED."""
-    condensed = take_qp(qps, index)
-    return _act_on(known_plan(condensed, start), condensed, state, start, errors)
-
-
-def _act_on(
-    plan: Plan, condensed: CondensedQp, state: MpcState, start, errors
-) -> tuple[Float[Array, "batch 2"], MpcState, Diagnostics]:
+def _follow(
+    condensed: CondensedQp,
+    state: MpcState,
+    errors: Float[Array, "batch 3"],
+    start: Float[Array, "batch 3"],
+    plan: Plan,
+) -> Step:
     """Act by plans that have just been made, and by the backup where there is none."""
     fresh = MpcState(plan.inputs, jnp.zeros_like(state.stage), start)
     now = _select(plan.status == qp.SOLVED, fresh, state)
@@ -359,6 +480,13 @@ def _act_on(
     nominal = predict(condensed, now.nominal, due)
     following = MpcState(now.inputs, jnp.minimum(now.stage + 1, horizon), nominal)
     return due + feedback, following, _diagnose(plan)
+
+
+def _choose_start(
+    state: MpcState, errors: Float[Array, "batch 3"], restart: bool
+) -> Float[Array, "batch 3"]:
+    """Return the errors from which plans are made."""
+    return errors if restart else state.nominal
 
 
 def predict(

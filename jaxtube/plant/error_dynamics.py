@@ -52,9 +52,10 @@ def tracking_error(
         when the reference is ahead, to the left, turned to the left. The heading error is not
         wrapped.
     """
-    difference = reference_pose - pose
-    longitudinal, lateral = _rotate(difference[..., 0], difference[..., 1], -pose[..., 2])
-    return jnp.stack([longitudinal, lateral, difference[..., 2]], axis=-1)
+    x, y, heading = jnp.unstack(pose, axis=-1)
+    reference_x, reference_y, reference_heading = jnp.unstack(reference_pose, axis=-1)
+    longitudinal, lateral = _rotate(reference_x - x, reference_y - y, -heading)
+    return jnp.stack([longitudinal, lateral, reference_heading - heading], axis=-1)
 
 
 def world_pose(
@@ -69,8 +70,9 @@ def world_pose(
     Returns:
         (x m, y m, heading rad) of the robot in the world frame.
     """
-    heading = reference_pose[..., 2] - error[..., 2]
-    ahead_x, ahead_y = _rotate(error[..., 0], error[..., 1], heading)
+    ahead, aside, turn = jnp.unstack(error, axis=-1)
+    heading = reference_pose[..., 2] - turn
+    ahead_x, ahead_y = _rotate(ahead, aside, heading)
     x = reference_pose[..., 0] - ahead_x
     y = reference_pose[..., 1] - ahead_y
     return jnp.stack([x, y, heading], axis=-1)
@@ -108,7 +110,7 @@ def advance(
     reference_x, reference_y = _rotate(*_chord(V, Om, dt), heading)
     half_turn = dt * w / 2.0
     sine, cosine = sine_and_cosine(half_turn)
-    shortening = dt * sinc(half_turn, sine)
+    shortening = dt * sinc(half_turn, (sine, cosine))
     along = shortening * v * cosine
     across = shortening * v * sine
     if sideslip is not None:
@@ -131,7 +133,7 @@ def _chord(
     """Return the displacement along an arc, in the frame at its start, m."""
     half_turn = dt * yaw_rate / 2.0
     sine, cosine = sine_and_cosine(half_turn)
-    length = dt * speed * sinc(half_turn, sine)
+    length = dt * speed * sinc(half_turn, (sine, cosine))
     return length * cosine, length * sine
 
 

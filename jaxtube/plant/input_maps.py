@@ -98,11 +98,12 @@ def _x_exact(arguments: MapArguments) -> Float[Array, "..."]:
     reference_travel = T * V * sinc(reference_turn / 2.0) * chord_cosine
     half_sine, half_cosine = sine_and_cosine(turn / 2.0)
     turn_sine = 2.0 * half_sine * half_cosine
+    turn_cosine = 1.0 - 2.0 * half_sine**2
     # -2 sin^2(a / 2) is cos a - 1 without its cancellation near zero.
     from_e_x = -2.0 * half_sine**2 * e_x
     from_e_y = (turn_sine - reference_turn) * e_y
     travel = from_e_x + from_e_y + reference_travel
-    return V - (travel / T - u1) / jnp.maximum(sinc(turn, turn_sine), LEAST_SINC)
+    return V - (travel / T - u1) / jnp.maximum(sinc(turn, (turn_sine, turn_cosine)), LEAST_SINC)
 
 
 INPUT_MAPS = {"paper": _paper, "cosine_free": _cosine_free, "x_exact": _x_exact}

@@ -17,7 +17,6 @@ from typing import Protocol
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Bool, Float, Key
 
 from jaxtube.plant import slip
@@ -32,7 +31,7 @@ from jaxtube.plant.protocol import (
 )
 from jaxtube.plant.robot import Robot
 from jaxtube.plant.slip_bounds import SlipBounds
-from jaxtube.plant.slipping import DRAWN, ScriptedRobot, SlipMemory, SlippingRobot, box_vertices
+from jaxtube.plant.slipping import ScriptedRobot, SlipMemory, SlippingRobot, box_vertices
 from jaxtube.plant.streams import Stream
 
 
@@ -143,7 +142,7 @@ class LaggingRobot:
             drawn = slip.draw_uniform(key, (), dtype)
             return jnp.where(self.source.draws_extremes, jnp.where(drawn < 0, -1.0, 1.0), drawn)
 
-        return checkpoint_name(jax.vmap(draw)(keys), DRAWN)
+        return jax.vmap(draw)(keys)
 
     def with_nominal_times(self) -> LaggingRobot:
         """Return the robot whose lag and delay are the nominal ones and known."""

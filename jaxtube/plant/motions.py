@@ -37,7 +37,7 @@ def arc_of_travel(travel: Float[Array, "... 2"], track_width) -> Motion:
     left = travel[..., 1]
     turn = (right - left) / track_width
     sine, cosine = sine_and_cosine(turn / 2.0)
-    chord = (right + left) / 2.0 * sinc(turn / 2.0, sine)
+    chord = (right + left) / 2.0 * sinc(turn / 2.0, (sine, cosine))
     return jnp.stack([chord * cosine, chord * sine, turn], axis=-1)
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
+from jaxtube.columns import each_coordinate
 from jaxtube.plant.angles import sine_and_cosine
 
 SAME = 16
@@ -125,7 +126,11 @@ def saturate(wheels: Float[Array, "... 2"], robot: Robot) -> Float[Array, "... 2
     Returns:
         The nearest wheel speeds within the limits, each wheel on its own.
     """
-    return jnp.clip(wheels, robot.wheel_speed_min, robot.wheel_speed_max)
+
+    def clip(speed):
+        return jnp.clip(speed, robot.wheel_speed_min, robot.wheel_speed_max)
+
+    return each_coordinate(clip, wheels)
 
 
 def is_saturated(

@@ -15,17 +15,19 @@ sideslip and lever arm are new.
 from __future__ import annotations
 
 import itertools
+import operator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Float, Key
 
+from jaxtube.columns import each_coordinate, join, split
 from jaxtube.plant import slip
 from jaxtube.plant.error_dynamics import Sideslip, advance, tracking_error, world_pose
 from jaxtube.plant.protocol import (
@@ -41,10 +43,6 @@ from jaxtube.plant.robot import Robot, saturate, wheel_positions
 from jaxtube.plant.slip_bounds import SlipBounds
 from jaxtube.plant.slip_processes import find_process
 from jaxtube.qp.blocks import on_accelerator
-
-DRAWN = "drawn"
-"""Name of what is drawn at random, for reverse mode to keep: drawing again costs more than all else
-in a period."""
 
 EXTREME = ("vertex", "adversarial")
 """Processes whose deviations are -1 or 1."""
@@ -140,23 +138,17 @@ class SlippingRobot:
         def draw():
             return jax.vmap(lambda key: slip.pose_noise(key, step, noise))(keys)
 
-        # Several kernels of a period need the noise. On a processor each would draw it anew, unless
-        # it comes out of a condition, which always holds.
-        drawn = (
-            draw()
-            if on_accelerator()
-            else jax.lax.cond(step >= 0, draw, lambda: jnp.zeros_like(errors))
-        )
-        return self.add_noise(step, errors, checkpoint_name(drawn, DRAWN))
+        return self.add_noise(step, errors, _draw_once(step, draw, jnp.zeros_like(errors)))
 
     def add_noise(
         self, step, errors: Float[Array, "batch 3"], noise: Float[Array, "batch 3"]
     ) -> Float[Array, "batch 3"]:
         """Return what is measured of true tracking errors under noise (m, m, rad)."""
         if self.noise_frame == "robot":
-            return errors + noise
+            return each_coordinate(operator.add, errors, noise)
         reference_pose = self.reference_poses[step]
-        return tracking_error(world_pose(errors, reference_pose) + noise, reference_pose)
+        noisy_pose = each_coordinate(operator.add, world_pose(errors, reference_pose), noise)
+        return tracking_error(noisy_pose, reference_pose)
 
     def draw_slips(
         self, keys: Key[Array, " batch"], step, memory: SlipMemory, errors: Float[Array, "batch 3"]
@@ -173,12 +165,18 @@ class SlippingRobot:
 
         situation = self.situation(step, errors)
         before = memory.process if self.sideslip is None else memory.process[0]
-        drawn = jax.vmap(draw)(keys, before, situation)
-        true, measured, following = checkpoint_name(drawn, DRAWN)
+        none = jnp.zeros_like(errors[:, :2])
+        true, measured, following = _draw_once(
+            step, lambda: jax.vmap(draw)(keys, before, situation), (none, none, before)
+        )
         if self.sideslip is None:
             return SlipMemory(following, true, measured)
-        drawn = jax.vmap(draw_sideslip)(keys, memory.process[1], situation, true - measured)
-        sideways, following_sideways = checkpoint_name(drawn, DRAWN)
+        slip_errors = true - measured
+        sideways, following_sideways = _draw_once(
+            step,
+            lambda: jax.vmap(draw_sideslip)(keys, memory.process[1], situation, slip_errors),
+            (none[:, 0], memory.process[1]),
+        )
         return SlipMemory((following, following_sideways), true, measured, sideways)
 
     def situation(self, step, errors: Float[Array, "batch 3"]) -> slip.Situation:
@@ -304,6 +302,15 @@ class ScriptedRobot:
     ) -> Advance:
         """Move through one period under the slips of the script."""
         return self.robot.advance(keys, step, memory, errors, command)
+
+
+def _draw_once(step, draw: Callable[[], Any], otherwise: Any) -> Any:
+    """Return what is drawn, made once: several kernels of a period need it, and on a processor each
+    would draw it anew, unless it comes out of a condition, which always holds; `otherwise` is of
+    the same form."""
+    if on_accelerator():
+        return draw()
+    return join(jax.lax.cond(step >= 0, lambda: split(draw()), lambda: split(otherwise)))
 
 
 def box_vertices(dimension: int) -> Float[np.ndarray, "v n"]:

@@ -50,6 +50,10 @@ def line_up(pending: Bool[Array, " batch"], block: int) -> Line:
     """Return the line of the pending instances, long enough for blocks of a size."""
     batch = len(pending)
     rank = jnp.cumsum(pending, dtype=jnp.int32)
+    if not on_accelerator():
+        # A processor scatters number by number.
+        numbers = jnp.arange(1, batch + block + 1, dtype=jnp.int32)
+        return Line(jnp.searchsorted(rank, numbers).astype(jnp.int32), rank[-1])
     empty = jnp.full(batch + block, batch, jnp.int32)
     place = jnp.where(pending, rank - 1, batch + block)
     return Line(empty.at[place].set(jnp.arange(batch, dtype=jnp.int32), mode="drop"), rank[-1])

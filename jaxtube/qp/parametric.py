@@ -16,7 +16,6 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jax.ad_checkpoint import checkpoint_name
 from jaxtyping import Bool, Float, Int
 
 from jaxtube.qp import sensitivity
@@ -25,14 +24,11 @@ from jaxtube.qp.blocks import block_sizes, update_in_blocks
 from jaxtube.qp.factors import Factors
 from jaxtube.qp.fixed_point import Instances, make_instances
 from jaxtube.qp.regions import AnyArray, Regions
+from jaxtube.qp.sensitivity import find_row_type
 from jaxtube.qp.solver import find_rows_of_solved, finish, pull_back
 from jaxtube.qp.source import Solution, Source
 from jaxtube.qp.stages import look_up_block, solve_constrained
 from jaxtube.qp.status import SOLVED, UNSOLVED
-
-FOUND = "found"
-"""Name under which reverse mode may keep which rows are active, a few bytes for each instance: the
-answers follow from them without a solver."""
 
 
 class Parametric(NamedTuple):
@@ -124,15 +120,58 @@ def form(
     return q, program.lower - shift, program.upper - shift
 
 
+class Found(NamedTuple):
+    """What reverse mode keeps of answers: they follow from it without a solver."""
+
+    active: Int[Array, "batch n"]  # rows, as `sensitivity.find_active_rows`
+    is_solved: Bool[Array, " batch"]
+
+
+def find_rows(
+    factors: Factors, program: Parametric, parameters: Float[Array, "batch k"], solution: Solution
+) -> Found:
+    """Return the active rows of solved instances."""
+    source = make_source(factors, program, parameters)
+    return Found(find_rows_of_solved(factors, source, solution), solution.status == SOLVED)
+
+
+def find_nothing(factors: Factors, batch: int) -> Found:
+    """Return what is found of instances none of which is solved."""
+    m, n = factors.rows.shape
+    active = jnp.full((batch, n), 2 * m, find_row_type(m))
+    return Found(active, jnp.zeros(batch, bool))
+
+
+@jax.custom_vjp
+def recall(
+    factors: Factors, program: Parametric, parameters: Float[Array, "batch k"], found: Found
+) -> Solution:
+    """Return the solved instances from their active rows, with their derivative; the others' x is
+    zero, and they are UNSOLVED. Residuals, which have none, are zero."""
+    source = make_source(factors, program, parameters)
+    x, multipliers = answer_from_rows(factors, source, *found)
+    status = jnp.where(found.is_solved, SOLVED, UNSOLVED).astype(jnp.int32)
+    return Solution(x, multipliers, status, jnp.zeros_like(parameters[:, 0]))
+
+
+def _recall_and_remember(factors, program, parameters, found) -> tuple[Solution, tuple]:
+    solution = recall(factors, program, parameters, found)
+    return solution, (factors, program, parameters, found.active, solution)
+
+
+def _pull_back_recalled(saved: tuple, cotangent: Solution) -> tuple:
+    return *_pull_back(saved, cotangent), None
+
+
+recall.defvjp(_recall_and_remember, _pull_back_recalled)
+
+
 def _solve_and_remember(factors, program, parameters, is_wanted, known) -> tuple[Solution, tuple]:
     solution = solve_parametric(factors, program, parameters, is_wanted, known)
-    source = make_source(factors, program, parameters)
-    active = checkpoint_name(find_rows_of_solved(factors, source, solution), FOUND)
-    status = checkpoint_name(solution.status, FOUND)
-    residual = checkpoint_name(solution.residual, FOUND)
-    x, multipliers = answer_from_rows(factors, source, active, status == SOLVED)
-    solution = Solution(x, multipliers, status, residual)
-    return solution, (factors, program, parameters, active, solution)
+    found = find_rows(factors, program, parameters, solution)
+    recalled = recall(factors, program, parameters, found)
+    solution = solution._replace(x=recalled.x, multipliers=recalled.multipliers)
+    return solution, (factors, program, parameters, found.active, solution)
 
 
 def answer_from_rows(
@@ -165,7 +204,11 @@ def _pull_back(saved: tuple, cotangent: Solution) -> tuple:
     factors, program, parameters, active, solution = saved
     _, pull = jax.vjp(form, program, parameters)
     of_factors, *of_instances = pull_back((factors, solution, active), cotangent)
-    return of_factors, *pull(tuple(of_instances)), None, None
+    return of_factors, *pull(tuple(of_instances))
 
 
-solve_parametric.defvjp(_solve_and_remember, _pull_back)
+def _pull_back_solved(saved: tuple, cotangent: Solution) -> tuple:
+    return *_pull_back(saved, cotangent), None, None
+
+
+solve_parametric.defvjp(_solve_and_remember, _pull_back_solved)

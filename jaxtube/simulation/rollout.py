@@ -18,15 +18,15 @@ from jax import Array
 from jaxtyping import Float, Int, Key
 
 from jaxtube import qp
+from jaxtube.columns import fan_out, scan_by_columns
 from jaxtube.control import mpc
 from jaxtube.control.laws import TubeMpc, without_rounds
 from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.protocol import Controller
 from jaxtube.plant import slip as slips
-from jaxtube.plant.protocol import Command, Measurement, Memory, Plant
+from jaxtube.plant.protocol import Measurement, Memory, Plant
 from jaxtube.plant.random_keys import make_key
 from jaxtube.qp.batched_ldl import matmul
-from jaxtube.simulation.columns import scan_by_columns
 
 DIAGNOSTICS = "diagnostics_"
 """Begins the names of the arrays of diagnostics in a file."""
@@ -100,25 +100,43 @@ def run_period(
     step: Int[Array, ""],
     state: LoopState,
 ) -> tuple[LoopState, PeriodOutcome]:
-    """Run one period of the closed loop, the one that begins at `step`."""
+    """Run one period of the closed loop, the one that begins at `step`, and measure at its end."""
+    errors, memory, plant_memory, happened = advance_period(controller, plant, keys, step, state)
+    return _measure(plant, keys, step + 1, errors, memory, plant_memory), happened
+
+
+def advance_period(
+    controller: Controller,
+    plant: Plant,
+    keys: Key[Array, " batch"],
+    step: Int[Array, ""],
+    state: LoopState,
+) -> tuple[Float[Array, "batch 3"], Memory, Memory, PeriodOutcome]:
+    """Run one period of the closed loop, the one that begins at `step`; return errors, memories of
+    controller and plant, and what happened, before anything is measured."""
     command, memory, diagnostics = controller.act(
         step, state.memory, state.measurement, plant.reference_wheels[step]
     )
-    following, wheels = _move(plant, keys, step, state, command)
-    happened = PeriodOutcome(command.inputs, wheels, command.wheels, diagnostics)
-    return following._replace(memory=memory), happened
-
-
-def _move(
-    plant: Plant, keys: Key[Array, " batch"], step, state: LoopState, command: Command
-) -> tuple[LoopState, Float[Array, "batch 2"]]:
-    """Let the plant run one period under a command, then measure; the controller's memory stays as
-    it was."""
+    asked, told = fan_out(command, 2)
     errors, plant_memory, wheels = plant.advance(
-        keys, step, state.plant_memory, state.errors, command
+        keys, step, state.plant_memory, state.errors, asked
     )
-    measurement, plant_memory = plant.sense(keys, step + 1, plant_memory, errors)
-    return LoopState(errors, measurement, state.memory, plant_memory), wheels
+    happened = PeriodOutcome(told.inputs, wheels, told.wheels, diagnostics)
+    return errors, memory, plant_memory, happened
+
+
+def _measure(
+    plant: Plant,
+    keys: Key[Array, " batch"],
+    step,
+    errors: Float[Array, "batch 3"],
+    memory: Memory,
+    plant_memory: Memory,
+) -> LoopState:
+    """Return the closed loop at an instant, before which memories are those given."""
+    errors, sensed = fan_out(errors, 2)
+    measurement, plant_memory = plant.sense(keys, step, plant_memory, sensed)
+    return LoopState(errors, measurement, memory, plant_memory)
 
 
 @jax.jit
@@ -211,7 +229,10 @@ def follow_plan(
         command = controller.wheel_map.command(
             inputs, state.measurement, plant.reference_wheels[now]
         )
-        state, _ = _move(plant, keys, now, state, command)
+        errors, plant_memory, _ = plant.advance(
+            keys, now, state.plant_memory, state.errors, command
+        )
+        state = _measure(plant, keys, now + 1, errors, state.memory, plant_memory)
         nominal = mpc.predict(condensed, nominal, planned)
         return (state, nominal), state.measured - nominal
 

@@ -11,8 +11,8 @@ loop, so `tube` stands alone.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -22,18 +22,17 @@ from jax import Array
 from jaxtyping import Float, Int, Key
 
 from jaxtube import qp
+from jaxtube.columns import by_columns, fan_out, join, loop_by_columns, split
 from jaxtube.control import mpc
 from jaxtube.control.follow import PlanFollower
 from jaxtube.control.laws import TubeMpc, planner_of
 from jaxtube.control.protocol import Controller
-from jaxtube.plant.protocol import Plant, Script, SearchablePlant
-from jaxtube.plant.slipping import DRAWN
-from jaxtube.qp.parametric import FOUND
-from jaxtube.simulation.columns import loop_by_columns, scan_by_columns
+from jaxtube.plant.protocol import Memory, Plant, Script, SearchablePlant
 from jaxtube.simulation.rollout import (
     LoopState,
     PeriodOutcome,
     Trajectory,
+    advance_period,
     begin,
     follow_plan,
     realisation_keys,
@@ -51,7 +50,7 @@ class Limit(NamedTuple):
     centre: Float[Array, " n"]
 
 
-KEPT = jax.checkpoint_policies.save_only_these_names(DRAWN, mpc.ACTED, FOUND)
+KEPT = jax.checkpoint_policies.save_only_these_names(mpc.ACTED)
 """What reverse mode keeps of a period."""
 
 Limits = dict[str, Limit]
@@ -107,8 +106,8 @@ def play(
 ) -> dict[str, Float[Array, "steps batch n"]]:
     """Run laps and return the quantities that have limits, period by period.
 
-    With a script its values take the place of draws. Reverse mode keeps the state, the draws and
-    the answers of each period, and computes the rest again.
+    With a script its values take the place of draws. Reverse mode keeps the state and the answers
+    of each period, and computes the rest again.
 
     Returns:
         `error` after each period; `input`, `wheels`, `acceleration`, 0 in the first, and `backup`,
@@ -156,6 +155,48 @@ def play_plans(
     return jnp.take_along_axis(deviations, periods[:, :, None], axis=0, mode="clip")
 
 
+def add_up_periods(
+    controller: Controller,
+    plant: Plant,
+    keys: Key[Array, " batch"],
+    errors: Float[Array, "batch 3"],
+    observe: Callable[[Array, Float[Array, "batch 3"], PeriodOutcome], dict[str, Array]],
+) -> dict[str, Float[Array, " batch"]]:
+    """Run laps and return the sums over their periods of what is observed of each, (batch,): of
+    `observe(step, errors after the period, outcome)`.
+
+    Reverse mode keeps the errors and the answers of each period, and computes the rest again, the
+    draws too: to keep these takes more memory, and more time.
+    """
+
+    def period(state: tuple[Array, Memory, Memory], step):
+        errors, memory, plant_memory = state
+        sensed, moved = fan_out(errors, 2)
+        # What is measured is no part of the state, and not kept.
+        measurement, plant_memory = plant.sense(keys, step, plant_memory, sensed)
+        before = LoopState(moved, measurement, memory, plant_memory)
+        errors, memory, plant_memory, happened = advance_period(
+            controller, plant, keys, step, before
+        )
+        carried, seen = fan_out(errors, 2)
+        return (carried, memory, plant_memory), observe(step, seen, happened)
+
+    turn = jax.checkpoint(by_columns(period), policy=KEPT)
+
+    def add(carry, step):
+        state, sums = carry
+        state, observed = turn(state, step)
+        return (state, jax.tree.map(operator.add, sums, observed)), None
+
+    memory = begin(controller, plant, keys, errors).memory
+    start = split((errors, memory, plant.initial(keys, errors)))
+    steps = jnp.arange(len(plant.reference_wheels))
+    _, observed = jax.eval_shape(turn, start, steps[0])
+    nothing = jax.tree.map(lambda shape: jnp.zeros(shape.shape, shape.dtype), observed)
+    (_, sums), _ = jax.lax.scan(add, (start, nothing), steps)
+    return sums
+
+
 def _scan_periods(
     controller: Controller,
     plant: SearchablePlant,
@@ -171,16 +212,18 @@ def _scan_periods(
     def choose_plant(values: Script) -> Plant:
         return plant if script is None else plant.under_script(values)
 
-    @partial(jax.checkpoint, policy=KEPT)
     def period(state: LoopState, now):
         step, of_period = now
         acting = choose_plant({name: values[None] for name, values in of_period.items()})
         following, happened = run_period(controller, acting, keys, step, state)
-        return following, observe(state, happened, following)
+        carried, seen = fan_out(following, 2)
+        return carried, observe(state, happened, seen)
 
     start = begin(controller, choose_plant(script or {}), keys, errors)
-    _, seen = scan_by_columns(period, start, (jnp.arange(steps), entries))
-    return seen
+    # By columns already where reverse mode keeps what a period begins with.
+    turn = jax.checkpoint(by_columns(period), policy=KEPT)
+    _, seen = jax.lax.scan(turn, split(start), (jnp.arange(steps), entries))
+    return join(seen)
 
 
 def _read_periods(

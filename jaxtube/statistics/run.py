@@ -29,12 +29,12 @@ from jax import Array
 from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Bool, Int, Key, UInt32
 
+from jaxtube.columns import loop_by_columns
 from jaxtube.control import mpc
 from jaxtube.control.laws import TubeMpc, planner_of, without_rounds
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip import realisation_key
-from jaxtube.simulation.columns import loop_by_columns
 from jaxtube.simulation.rollout import LoopState, begin, follow_plan, run_period
 from jaxtube.simulation.starts import Starts
 from jaxtube.statistics import tally

@@ -29,8 +29,10 @@ from jaxtube.control.mpc import AnyArray
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.lagging import BareRobot
+from jaxtube.qp.batched_ldl import add_up
 from jaxtube.scenario.tree import Scenario
-from jaxtube.simulation.usage import play
+from jaxtube.simulation.rollout import PeriodOutcome
+from jaxtube.simulation.usage import add_up_periods
 from jaxtube.tuning.caps import CapLimits, shares_of_caps
 from jaxtube.tuning.loop import DesignConstants, Weights, condense_windows
 from jaxtube.tuning.minimal import ActiveFacets
@@ -116,23 +118,37 @@ def measure_laps(
 ) -> LapMeasures:
     """Run laps of a controller and reduce each to what counts; differentiable."""
     plant = lap_inputs.plant
-    seen = play(controller, plant, lap_inputs.keys, lap_inputs.starts)
     robot = plant.plant if isinstance(plant, EstimatingRobot) else plant
     idle = robot.reference_wheels / (1.0 - robot.slips.nominal)
-    effort = jnp.sum((seen["wheels"] - idle[:, None]) ** 2, axis=2) / 2.0
-    first = aim.settled - 1  # what is seen first comes after a period
-    errors = jnp.mean(seen["error"][first:] ** 2, axis=0)
-    error_share = jnp.abs(seen["error"]) / limits.widths
-    wheel_share = seen["wheels"] / robot.robot.wheel_speed_max
-    error_excess = jnp.maximum(error_share - aim.margin, 0.0)
-    wheel_excess = jnp.maximum(wheel_share - aim.margin, 0.0)
-    excess = jnp.sum(error_excess**2, axis=2) + jnp.sum(wheel_excess**2, axis=2)
+    steps = len(idle)
+
+    def observe(step, errors: Float[Array, "laps 3"], happened: PeriodOutcome):
+        coordinates = jnp.unstack(errors, axis=1)
+        wheels = jnp.unstack(happened.demanded, axis=1)
+        is_settled = step + 1 >= aim.settled
+        squares = [jnp.where(is_settled, error**2, 0.0) for error in coordinates]
+        effort = add_up([(wheels[i] - idle[step, i]) ** 2 for i in range(2)]) / 2.0
+        shares = [jnp.abs(error) / limits.widths[i] for i, error in enumerate(coordinates)]
+        shares += [wheel / robot.robot.wheel_speed_max for wheel in wheels]
+        return {
+            "longitudinal": squares[0],
+            "lateral": squares[1],
+            "heading": squares[2],
+            "effort": effort,
+            "settled_effort": jnp.where(is_settled, effort, 0.0),
+            "excess": add_up([jnp.maximum(share - aim.margin, 0.0) ** 2 for share in shares]),
+            "backups": happened.diagnostics.backup.astype(effort.dtype),
+        }
+
+    sums = add_up_periods(controller, plant, lap_inputs.keys, lap_inputs.starts, observe)
+    errors = jnp.stack([sums[name] for name in ("longitudinal", "lateral", "heading")], axis=1)
+    settled_steps = steps - aim.settled + 1
     return LapMeasures(
-        errors=_root(errors),
-        effort=_root(jnp.mean(effort, axis=0)),
-        settled_effort=_root(jnp.mean(effort[first:], axis=0)),
-        excess=jnp.mean(excess, axis=0),
-        backups=jnp.sum(seen["backup"], axis=0).astype(errors.dtype),
+        errors=_root(errors / settled_steps),
+        effort=_root(sums["effort"] / steps),
+        settled_effort=_root(sums["settled_effort"] / settled_steps),
+        excess=sums["excess"] / steps,
+        backups=sums["backups"],
     )
 
 

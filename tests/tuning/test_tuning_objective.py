@@ -69,8 +69,8 @@ def code(flags):
     return jnp.where(flags, jnp.asarray(marks), 0.0).sum(axis=-1)
 
 
-def watched_play(controller, plant, keys, starts, *, told, widths, margin):
-    """Play with a controller that is watched, and tell of every lap:
+def watch(controller, plant, keys, starts, *, widths, margin):
+    """Play with a controller that is watched, and return of every lap:
 
     its backups, its steps with active rows, which those are, and what is used beyond the margin or
     saturates.
@@ -81,8 +81,7 @@ def watched_play(controller, plant, keys, starts, *, told, widths, margin):
     beyond = code(jnp.concatenate([errors > margin, wheels > margin, jnp.abs(wheels) > 1], axis=2))
     order = 1.0 + jnp.cos(jnp.arange(float(len(wheels))))[:, None]  # tells the steps apart
     backup, active, rows = jnp.moveaxis(seen["backup"], 2, 0)
-    told.append(jnp.stack([backup, active, rows * order, beyond * order], axis=2).sum(axis=0))
-    return {**seen, "backup": backup > 0}
+    return jnp.stack([backup, active, rows * order, beyond * order], axis=2).sum(axis=0)
 
 
 class Loop:
@@ -98,13 +97,11 @@ class Loop:
         plant = tuned.shortened(components.robot_of(problem), steps)
         self.tuner = Tuner(problem, plant, self.parameters, aim, laps=LAPS)
         widths = make_limits(problem).widths
-        watched = partial(watched_play, widths=widths, margin=aim.margin)
 
         def evaluate(weights, constants, lap_inputs):
-            told = []
-            with pytest.MonkeyPatch.context() as patch:
-                patch.setattr(objective, "play", partial(watched, told=told))
-                return objective.objective(weights, constants, lap_inputs, aim), told[0]
+            controller = constants.controller(jax.lax.stop_gradient(weights))
+            pattern = watch(controller, *lap_inputs, widths=widths, margin=aim.margin)
+            return objective.objective(weights, constants, lap_inputs, aim), pattern
 
         self.evaluate = jax.jit(jax.value_and_grad(evaluate, has_aux=True))
 

@@ -22,8 +22,8 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Float, Key, UInt32
 
+from jaxtube.columns import loop_by_columns
 from jaxtube.plant.slip import realisation_key
-from jaxtube.simulation.columns import loop_by_columns
 from jaxtube.simulation.rollout import begin, rollout, run_period
 from jaxtube.statistics.run import BlockSize, Task, simulate_block
 

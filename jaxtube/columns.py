@@ -10,6 +10,7 @@ Source: new.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import Array
-from jaxtyping import Int
+from jax.ad_checkpoint import checkpoint_name
+from jaxtyping import Float, Int
 
 MOST = 4
 """Coordinates that are carried apart, of matrices with that many at most."""
@@ -50,10 +52,35 @@ def scan_by_columns(
 ) -> tuple[Any, Any]:
     """Return `jax.lax.scan(body, carry, entries)`."""
 
-    def turn(columns, entry):
-        return split(body(join(columns), entry))
+    return join(jax.lax.scan(by_columns(body), split(carry), entries))
 
-    return join(jax.lax.scan(turn, split(carry), entries))
+
+def by_columns(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of split trees that returns what `function` does, split."""
+
+    @functools.wraps(function)
+    def split_function(*trees):
+        return split(function(*join(trees)))
+
+    return split_function
+
+
+def name_columns(tree: Any, name: str) -> Any:
+    """Return a tree whose columns reverse mode may keep under a name."""
+    return join(checkpoint_name(split(tree), name))
+
+
+def fan_out(tree: Any, count: int) -> list[Any]:
+    """Return a tree once for each of its uses, whose cotangents are then added up column by
+    column."""
+    columns = split(tree)
+    return [join(columns) for _ in range(count)]
+
+
+def each_coordinate(function: Callable[..., Array], *points: Float[Array, "... n"]) -> Array:
+    """Return a function of points that takes each coordinate by itself."""
+    columns = [jnp.unstack(jnp.asarray(point), axis=-1) for point in points]
+    return jnp.stack([function(*of_points) for of_points in zip(*columns, strict=True)], axis=-1)
 
 
 def split(tree: Any) -> Any:

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxtube.simulation.columns import MOST, join, loop_by_columns, scan_by_columns, split
+from jaxtube.columns import MOST, join, loop_by_columns, scan_by_columns, split
 
 
 def turn_about(step, carry):
