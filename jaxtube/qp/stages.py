@@ -19,7 +19,7 @@ from jaxtube.qp.blocks import block_sizes, gather, update_in_blocks
 from jaxtube.qp.dual_active_set import Found, Start
 from jaxtube.qp.exchange import make_program
 from jaxtube.qp.factors import Factors
-from jaxtube.qp.fixed_point import TOLERANCE, Iterate
+from jaxtube.qp.fixed_point import TOLERANCE, Instances, Iterate
 from jaxtube.qp.regions import Regions
 from jaxtube.qp.rounds import play_rounds
 from jaxtube.qp.source import (
@@ -69,9 +69,14 @@ def look_up_block(
 ) -> Solution:
     """Return the answers of known regions, where they are answers."""
     block = source.form(data)
-    x, y = regions.look_up(known, data, len(factors.rows))
-    y = y * factors.row_norms[:, None]
-    return as_solution(factors, Iterate(x, y, fixed_point.residual(factors, block, x, y)))
+    y = regions.look_up(known, data, len(factors.rows)) * factors.row_norms[:, None]
+    return as_solution(factors, answer_of(factors, block, y))
+
+
+def answer_of(factors: Factors, block: Instances, y: Float[Array, "m block"]) -> Iterate:
+    """Return what multipliers say of a block of instances."""
+    x = product(factors.optimum, block.q + matmul(factors.rows.T, y))
+    return Iterate(x, y, fixed_point.residual(factors, block, x, y))
 
 
 def search_active_sets(factors: Factors, source: Source, solution: Solution) -> Solution:
@@ -111,8 +116,7 @@ def judge_block(
     is_guess = jnp.all(jnp.isfinite(found.multipliers), axis=1) & ~found.is_ray
     upper, lower = push_of(found, len(factors.rows))
     y = jnp.where(is_guess, upper - lower, 0.0)
-    x = product(factors.optimum, block.q + matmul(factors.rows.T, y))
-    best = Iterate(x, y, fixed_point.residual(factors, block, x, y))
+    best = answer_of(factors, block, y)
     return as_solution(factors, best, fixed_point.has_crossing_bounds(block))
 
 

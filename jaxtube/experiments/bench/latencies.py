@@ -104,10 +104,10 @@ def measure_loop(
 ) -> LatencyResult:
     """Measure one closed loop, the controllers taking turns lap by lap."""
     design = make_design(scenario)
-    controller = make_tube_mpc(design)
+    law = choose_starts(design, starts)
+    controller = make_tube_mpc(design, law)
     steps = len(design.windows.index)
     laps = -(-(extent.steps + extent.warm_up) // steps)
-    law = choose_starts(design, starts)
     record = record_laps(controller, slipping_robot(design), law, seed, range(laps))
     robots: dict[str, OneRobot] = {OURS: Stepper(design, controller)}
     if EXACT[0].is_installed:

@@ -79,9 +79,9 @@ def collect_active(design: Design, starts: str, seed: int, count: int) -> Family
         seed: of the laps, which are numbered from 0.
         count: programs wanted; fewer where `MOST_LAPS` laps pose fewer.
     """
-    controller = make_tube_mpc(design)
-    record = partial(record_laps, controller, slipping_robot(design))
     law = choose_starts(design, starts)
+    controller = make_tube_mpc(design, law)
+    record = partial(record_laps, controller, slipping_robot(design))
     index = design.windows.index
     found: list[list[np.ndarray]] = [[] for _ in range(index.max() + 1)]
     for first in range(0, MOST_LAPS, LAPS):

@@ -1,0 +1,123 @@
+"""A tree of planes that tells regions of errors apart, learnt from errors whose regions are known.
+
+Two regions whose active rows differ by one row lie on both sides of the plane where its multiplier
+is zero. At each place of the tree the plane of such a kind is taken that leaves least doubt about
+the region (the entropy of the regions on either side).
+
+Source: Tondel, Johansen, Bemporad 2003, "Evaluation of piecewise affine control via binary search
+tree", Automatica 39(5), for the tree and its planes; the choice by samples is that of Quinlan 1986,
+"Induction of decision trees", Machine Learning 1(1).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+MOST_JUDGED = 512
+"""Errors by which the planes of a place are judged."""
+MOST_PLANES = 256
+"""Planes that are judged at a place, those of its most frequent regions."""
+DEEPEST = 20
+"""Planes in a row."""
+
+
+class Tree(NamedTuple):
+    """As in `jaxtube.qp.regions`; it begins at plane 0."""
+
+    planes: Float[np.ndarray, "s 4"]
+    following: Int[np.ndarray, "s 2"]
+
+    def guess(self, points: Float[np.ndarray, "k 4"]) -> Int[np.ndarray, " k"]:
+        """Return the regions of (e, 1)."""
+        node = np.zeros(len(points), int)
+        going = np.arange(len(points))
+        while len(going):
+            plane = node[going]
+            values = np.sum(self.planes[plane] * points[going], axis=1)
+            node[going] = self.following[plane, (values >= 0).astype(int)]
+            going = going[node[going] >= 0]
+        return ~node
+
+
+def grow_tree(
+    planes: Float[np.ndarray, "c 4"],
+    owners: Int[np.ndarray, " c"],
+    points: Float[np.ndarray, "k 4"],
+    regions: Int[np.ndarray, " k"],
+) -> Tree:
+    """Return a tree that tells the regions of points apart.
+
+    Args:
+        planes: to choose from.
+        owners: the regions that these planes bound.
+        points: (e, 1), some.
+        regions: of the points.
+    """
+    return _Growth(planes, owners, points @ planes.T >= 0, regions).tree()
+
+
+class _Growth:
+    """A tree that grows."""
+
+    def __init__(self, planes, owners, beyond: Bool[np.ndarray, "k c"], regions):
+        self.planes = planes
+        self.owners = owners
+        self.beyond = beyond
+        self.regions = regions
+        self.chosen: list[int] = []
+        self.following: list[tuple[int, int]] = []
+
+    def tree(self) -> Tree:
+        """Grow it."""
+        end = self._divide(np.arange(len(self.regions)), DEEPEST)
+        if end < 0:
+            return Tree(np.zeros((1, 4)), np.full((1, 2), end, np.int32))
+        return Tree(self.planes[self.chosen], np.array(self.following, np.int32))
+
+    def _divide(self, members: Int[np.ndarray, " k"], depth: int) -> int:
+        """Return the place where these points are told apart, or where they end."""
+        most_frequent = ~int(np.argmax(np.bincount(self.regions[members])))
+        plane = self._choose(members[:: 1 + len(members) // MOST_JUDGED]) if depth else None
+        if plane is None:
+            return most_frequent
+        place = len(self.chosen)
+        self.chosen.append(plane)
+        self.following.append((most_frequent, most_frequent))
+        beyond = self.beyond[members, plane]
+        near = self._divide(members[~beyond], depth - 1)
+        far = self._divide(members[beyond], depth - 1)
+        self.following[place] = (near, far)
+        return place
+
+    def _choose(self, members: Int[np.ndarray, " k"]) -> int | None:
+        """Return the plane that leaves least doubt; None where there is none, or none divides."""
+        present, number, counts = np.unique(
+            self.regions[members], return_inverse=True, return_counts=True
+        )
+        if len(present) == 1:
+            return None
+        by_region = np.zeros(self.owners.max() + 2, int)
+        by_region[present] = counts
+        bounding = np.flatnonzero(by_region[self.owners])
+        if len(bounding) > MOST_PLANES:
+            order = np.argsort(-by_region[self.owners[bounding]], kind="stable")
+            bounding = bounding[order[:MOST_PLANES]]
+        one_hot = np.eye(len(present), dtype=np.float32)[number]
+        far = self.beyond[np.ix_(members, bounding)].T.astype(np.float32) @ one_hot
+        near = counts - far
+        doubt = _doubt(far) + _doubt(near)
+        doubt[(far.sum(axis=1) == 0) | (near.sum(axis=1) == 0)] = np.inf
+        if not len(bounding) or not np.isfinite(doubt.min()):
+            return None
+        return int(bounding[np.argmin(doubt)])
+
+
+def _doubt(counts: Float[np.ndarray, "c r"]) -> Float[np.ndarray, " c"]:
+    """Return the entropy of counts, times their sum."""
+    total = counts.sum(axis=1)
+    return total * np.log(np.maximum(total, 1)) - np.sum(
+        counts * np.log(np.maximum(counts, 1)), axis=1
+    )
