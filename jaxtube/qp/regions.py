@@ -28,13 +28,18 @@ AnyArray = Any
 
 
 class Regions(NamedTuple):
-    """The regions of a program, or of a stack of programs, and their tree, which begins at plane
-    0."""
+    """The regions of a program, or of a stack of programs that are numbered in one row, and their
+    trees."""
 
-    planes: Float[AnyArray, "*stack s 4"]  # of (p, 1)
-    following: Int[AnyArray, "*stack s 2"]  # on the negative side, on the other; ~region at an end
-    multipliers: Float[AnyArray, "*stack k a 4"]  # of (p, 1)
-    rows: Int[AnyArray, "*stack k a"]  # of the multipliers; beyond the last one where there is none
+    begin: Int[AnyArray, "*stack"]  # plane at which the tree of a program begins, or ~region
+    planes: Float[AnyArray, "s 4"]  # of (p, 1)
+    following: Int[AnyArray, "s 2"]  # plane on the negative side, on the other; ~region at an end
+    multipliers: Float[AnyArray, "k a 4"]  # of (p, 1)
+    rows: Int[AnyArray, "k a"]  # of the multipliers; beyond the last one where there is none
+
+    def take(self, program: Int[Array, ""] | int) -> Regions:
+        """Return the regions of one program of a stack."""
+        return self._replace(begin=self.begin[program])
 
 
 def look_up(
@@ -51,6 +56,7 @@ def look_up(
 
 def guess_region(regions: Regions, p: Float[Array, "batch 3"]) -> Int[Array, " batch"]:
     """Return the region at the end of the way that each p takes through the tree."""
+    begin = jnp.full(len(p), regions.begin, jnp.int32)
     columns = jnp.unstack(regions.planes, axis=1)
     following = regions.following.reshape(-1)
 
@@ -63,4 +69,4 @@ def guess_region(regions: Regions, p: Float[Array, "batch 3"]) -> Int[Array, " b
         is_beyond = sum(terms, start=columns[3][plane]) >= 0
         return jnp.where(node < 0, node, following[2 * plane + is_beyond])
 
-    return ~jax.lax.while_loop(is_under_way, step, jnp.zeros(len(p), jnp.int32))
+    return ~jax.lax.while_loop(is_under_way, step, begin)

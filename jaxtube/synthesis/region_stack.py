@@ -35,25 +35,28 @@ def stack_regions(programs: Sequence[Bank | None]) -> Regions | None:
     if not banks:
         return None
     every = [region for bank in banks for region in bank.regions]
-    shape = (
-        len(programs),
-        max(len(bank.regions) for bank in banks),
-        max(len(region.rows) for region in every),
+    shape = (1 + len(every), max(len(region.rows) for region in every))
+    # Region 0 is that of programs without any: it has no rows.
+    multipliers = np.zeros((*shape, 4))
+    rows = np.full(shape, np.iinfo(np.int32).max, np.int32)
+    for number, region in enumerate(every, start=1):
+        multipliers[number, : len(region.rows)] = region.multipliers
+        rows[number, : len(region.rows)] = region.rows
+    begin: list[int] = []
+    following = []
+    planes = 0
+    regions = 1
+    for bank in programs:
+        begin.append(~0 if bank is None else planes)
+        if bank is not None:
+            after = bank.tree.following
+            following.append(np.where(after < 0, after - regions, after + planes))
+            planes += len(bank.tree.planes)
+            regions += len(bank.regions)
+    return Regions(
+        begin=np.array(begin, np.int32),
+        planes=np.concatenate([bank.tree.planes for bank in banks]),
+        following=np.concatenate(following).astype(np.int32),
+        multipliers=multipliers,
+        rows=rows,
     )
-    places = max(len(bank.tree.planes) for bank in banks)
-    stack = Regions(
-        planes=np.zeros((len(programs), places, 4)),
-        # Where there is no region, region 0 is guessed, which has no rows.
-        following=np.full((len(programs), places, 2), ~0, np.int32),
-        multipliers=np.zeros((*shape, 4)),
-        rows=np.full(shape, np.iinfo(np.int32).max, np.int32),
-    )
-    for program, bank in enumerate(programs):
-        if bank is None:
-            continue
-        stack.planes[program, : len(bank.tree.planes)] = bank.tree.planes
-        stack.following[program, : len(bank.tree.planes)] = bank.tree.following
-        for number, region in enumerate(bank.regions):
-            stack.multipliers[program, number, : len(region.rows)] = region.multipliers
-            stack.rows[program, number, : len(region.rows)] = region.rows
-    return stack

@@ -14,11 +14,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-MOST_JUDGED = 512
+MOST_JUDGED = 256
 """Errors by which the planes of a place are judged."""
-MOST_PLANES = 256
+MOST_PLANES = 128
 """Planes that are judged at a place, those of its most frequent regions."""
 DEEPEST = 20
 """Planes in a row."""
@@ -56,16 +56,22 @@ def grow_tree(
         points: (e, 1), some.
         regions: of the points.
     """
-    return _Growth(planes, owners, points @ planes.T >= 0, regions).tree()
+    return _Growth(planes, owners, points, regions).tree()
 
 
 class _Growth:
     """A tree that grows."""
 
-    def __init__(self, planes, owners, beyond: Bool[np.ndarray, "k c"], regions):
+    def __init__(
+        self,
+        planes: Float[np.ndarray, "c 4"],
+        owners: Int[np.ndarray, " c"],
+        points: Float[np.ndarray, "k 4"],
+        regions: Int[np.ndarray, " k"],
+    ):
         self.planes = planes
         self.owners = owners
-        self.beyond = beyond
+        self.points = points
         self.regions = regions
         self.chosen: list[int] = []
         self.following: list[tuple[int, int]] = []
@@ -86,7 +92,7 @@ class _Growth:
         place = len(self.chosen)
         self.chosen.append(plane)
         self.following.append((most_frequent, most_frequent))
-        beyond = self.beyond[members, plane]
+        beyond = self.points[members] @ self.planes[plane] >= 0
         near = self._divide(members[~beyond], depth - 1)
         far = self._divide(members[beyond], depth - 1)
         self.following[place] = (near, far)
@@ -106,7 +112,8 @@ class _Growth:
             order = np.argsort(-by_region[self.owners[bounding]], kind="stable")
             bounding = bounding[order[:MOST_PLANES]]
         one_hot = np.eye(len(present), dtype=np.float32)[number]
-        far = self.beyond[np.ix_(members, bounding)].T.astype(np.float32) @ one_hot
+        beyond = self.planes[bounding] @ self.points[members].T >= 0
+        far = beyond.astype(np.float32) @ one_hot
         near = counts - far
         doubt = _doubt(far) + _doubt(near)
         doubt[(far.sum(axis=1) == 0) | (near.sum(axis=1) == 0)] = np.inf

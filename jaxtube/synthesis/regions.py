@@ -40,8 +40,14 @@ IDLE_PERIODS = 4
 and then no more."""
 RARE = 0.005
 """Share of errors that are not guessed right, up to which no further lot is played."""
-MOST_REGIONS = 256
+MOST_REGIONS = 512
 """Of a window."""
+ENOUGH = 128
+"""Errors of a region by which it is told from others."""
+SPREADINGS = 8
+"""Times that errors of regions which have fewer are multiplied."""
+AT_ONCE = 64
+"""Errors that are compared with all regions at once."""
 ON_A_FACET = 1e-9
 """By how much a row of norm one may miss its bound."""
 ACTIVE = 1e-4
@@ -79,7 +85,7 @@ def find_regions(
         ahead = [windows[number] for number in index[:PERIODS]]
         missed = _play(ahead, errors, disturbances, generator)
         for window in windows:
-            window.learn()
+            window.learn(generator)
         if missed <= RARE:
             break
     return stack_regions([window.find_bank() for window in windows])
@@ -161,8 +167,8 @@ class _Window:
         regions = [Region(multipliers[i, rows], rows) for i, rows in enumerate(active)]
         return Bank(regions, self.tree)
 
-    def learn(self) -> None:
-        """Let the tree know all errors that were met."""
+    def learn(self, generator: np.random.Generator) -> None:
+        """Let the tree know the errors that were met, and others of their regions."""
         if not self.count:
             return
         owners, rows = np.nonzero(self.sides[: self.count])
@@ -172,9 +178,66 @@ class _Window:
         self.tree = grow_tree(
             planes[slanted] / lengths[slanted, None],
             owners[slanted],
-            np.concatenate(self.points),
-            np.concatenate(self.regions),
+            *self._spread(np.concatenate(self.points), np.concatenate(self.regions), generator),
         )
+
+    def _spread(
+        self,
+        points: Float[np.ndarray, "k 4"],
+        regions: Int[np.ndarray, " k"],
+        generator: np.random.Generator,
+    ) -> tuple[Float[np.ndarray, "j 4"], Int[np.ndarray, " j"]]:
+        """Return these errors and, of regions that have few, others: each uniform on the part of a
+        line through the last one that lies in its region (hit and run, Smith 1984)."""
+        widths = np.append(points[:, :3].std(axis=0), 0.0)
+        every = [(points, regions)]
+        counts = np.bincount(regions)
+        for _ in range(SPREADINGS):
+            has_few = counts[regions] < ENOUGH
+            points = points[has_few]
+            regions = regions[has_few]
+            ways = generator.normal(size=points.shape) * widths
+            back, ahead = self._find_ends(points, ways, regions)
+            share = generator.random(len(points))
+            points = points + (share * ahead - (1 - share) * back)[:, None] * ways
+            every.append((points, regions))
+            counts = counts + np.bincount(regions, minlength=len(counts))
+        all_points, all_regions = zip(*every, strict=True)
+        return np.concatenate(all_points), np.concatenate(all_regions)
+
+    def _find_ends(
+        self,
+        points: Float[np.ndarray, "k 4"],
+        ways: Float[np.ndarray, "k 4"],
+        regions: Int[np.ndarray, " k"],
+    ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
+        """Return how far regions reach from points in them, against a way and along it; 0 where
+        they have no end."""
+        sides = self.sides[regions]
+        values, of_rows = self._see(regions, points)
+        rates, of_ways = self._see(regions, ways)
+        idle = np.where(sides == 0, 1.0, np.inf)
+        room = np.concatenate(
+            [
+                idle * np.maximum(self.upper - values, 0.0),
+                idle * np.maximum(values - self.lower, 0.0),
+                np.where(sides == 0, np.inf, np.maximum(sides * of_rows, 0.0)),
+            ],
+            axis=1,
+        )
+        speed = np.concatenate([rates, -rates, -sides * of_ways], axis=1)
+        lengths = np.divide(room, np.abs(speed), out=np.full_like(room, np.inf), where=speed != 0)
+        back = np.min(lengths, axis=1, where=speed < 0, initial=np.inf)
+        ahead = np.min(lengths, axis=1, where=speed > 0, initial=np.inf)
+        return tuple(np.where(np.isfinite(end), end, 0.0) for end in (back, ahead))
+
+    def _see(
+        self, regions: Int[np.ndarray, " k"], points: Float[np.ndarray, "k 4"]
+    ) -> tuple[Float[np.ndarray, "k m"], Float[np.ndarray, "k m"]]:
+        """Return the values and the multipliers of all rows, each point in its region."""
+        of_regions = (self.pieces.values[regions], self.pieces.multipliers[regions])
+        values, multipliers = (np.einsum("kij,kj->ki", each, points) for each in of_regions)
+        return values, multipliers
 
     def plan(self, errors: Float[np.ndarray, "k 3"]) -> _Plans:
         """Return the plans from errors; regions that are met for the first time then are known."""
@@ -206,8 +269,10 @@ class _Window:
             region = np.where(self._holds(guess, points), guess, -1)
         pending = np.flatnonzero(region < 0)
         missed = len(pending)
-        for number in range(self.count):
-            pending = self._assign(number, points, region, pending)
+        for first in range(0, missed, AT_ONCE):
+            some = pending[first : first + AT_ONCE]
+            region[some] = self._compare(points[some])
+        pending = pending[region[pending] < 0]
         while len(pending) and self.count < MOST_REGIONS:
             number = self._find_region(points[pending[0]])
             first, pending = pending[0], pending[1:]
@@ -215,6 +280,19 @@ class _Window:
                 region[first] = number
                 pending = self._assign(number, points, region, pending)
         return region, missed
+
+    def _compare(self, points: Float[np.ndarray, "k 4"]) -> Int[np.ndarray, " k"]:
+        """Return the first known region that holds each error, -1 where none does."""
+        if not self.count:
+            return np.full(len(points), -1)
+        known = slice(self.count)
+        shape = (len(points), self.count, -1)
+        values = points @ self.pieces.values[known].reshape(-1, 4).T
+        multipliers = points @ self.pieces.multipliers[known].reshape(-1, 4).T
+        holds = self._are_kept(
+            self.sides[known], values.reshape(shape), multipliers.reshape(shape)
+        )
+        return np.where(holds.any(axis=1), np.argmax(holds, axis=1), -1)
 
     def _assign(
         self,
@@ -236,9 +314,7 @@ class _Window:
         self, region: Int[np.ndarray, " k"], points: Float[np.ndarray, "k 4"]
     ) -> Bool[np.ndarray, " k"]:
         """Return which errors lie in the regions that are guessed."""
-        values = np.einsum("kij,kj->ki", self.pieces.values[region], points)
-        multipliers = np.einsum("kij,kj->ki", self.pieces.multipliers[region], points)
-        return self._are_kept(self.sides[region], values, multipliers)
+        return self._are_kept(self.sides[region], *self._see(region, points))
 
     def _are_kept(
         self,

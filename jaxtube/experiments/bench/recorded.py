@@ -16,7 +16,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int, Key
 
 from jaxtube.control.laws import TubeMpc
-from jaxtube.control.mpc import CondensedQp
+from jaxtube.control.mpc import CondensedQp, take_qp
 from jaxtube.experiments.bench.peers.problems import Problems
 from jaxtube.plant.protocol import Plant
 from jaxtube.simulation.choices import choose_starts
@@ -93,7 +93,7 @@ def collect_active(design: Design, starts: str, seed: int, count: int) -> Family
             break
     joined = [np.concatenate(errors)[:count] for errors in found]
     window = int(np.argmax([len(errors) for errors in joined]))
-    condensed = jax.tree.map(lambda array: array[window], controller.qps)
+    condensed = take_qp(controller.qps, window)
     return Family(window, condensed, joined[window], pose(condensed, joined[window]))
 
 
