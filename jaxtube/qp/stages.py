@@ -15,7 +15,7 @@ from jaxtyping import Float, Int, PyTree
 
 from jaxtube.qp import dual_active_set, fixed_point, regions
 from jaxtube.qp.batched_ldl import matmul, product
-from jaxtube.qp.blocks import block_sizes, gather, update_in_blocks
+from jaxtube.qp.blocks import block_sizes, gather, on_accelerator, update_in_blocks
 from jaxtube.qp.dual_active_set import Found, Start
 from jaxtube.qp.exchange import make_program
 from jaxtube.qp.factors import Factors
@@ -35,6 +35,10 @@ MISSED = 1e-2
 """By how much the dual active-set method may miss a row, by the tolerance of the residual."""
 MISSED_ROUNDING = 4
 """The same, by the rounding of a row's value."""
+
+LANES = 16
+"""Instances that a processor solves side by side by the dual active-set method: their matrices stay
+in the first cache, and few wait for the last one."""
 
 
 def solve_constrained(
@@ -60,8 +64,18 @@ def solve_constrained(
 
 def _where_any(method: Callable[[Solution], Solution], solution: Solution) -> Solution:
     """Apply a method where any instance is pending."""
-    is_any = jnp.any(find_pending(solution))
-    return jax.lax.cond(is_any, method, lambda solution: solution, solution)
+
+    def is_due(carry):
+        is_done, solution = carry
+        return ~is_done & jnp.any(find_pending(solution))
+
+    def apply(carry):
+        _, solution = carry
+        return jnp.bool_(True), method(solution)
+
+    # A loop, not a condition: that would copy the answers of the whole batch.
+    _, solution = jax.lax.while_loop(is_due, apply, (jnp.bool_(False), solution))
+    return solution
 
 
 def look_up_block(
@@ -85,7 +99,8 @@ def search_active_sets(factors: Factors, source: Source, solution: Solution) -> 
     program = make_program(factors.whitened)
     load = partial(load_lanes, factors, source)
     pending = find_pending(solution)
-    found = dual_active_set.find_active_sets(program, load, pending, rare_size)
+    width = rare_size if on_accelerator() else LANES
+    found = dual_active_set.find_active_sets(program, load, pending, width)
     data = (source.data, found)
     judge = partial(judge_block, factors, source)
     solution = update_in_blocks(judge, size, pending, data, solution)
