@@ -1,8 +1,9 @@
 """A tree of planes that tells regions of errors apart, learnt from errors whose regions are known.
 
-Two regions whose active rows differ by one row lie on both sides of the plane where its multiplier
-is zero. At each place of the tree the plane of such a kind is taken that leaves least doubt about
-the region (the entropy of the regions on either side).
+Neighbours differ by a row that is active in one of them: between them lies the plane where its
+multiplier is zero, which is where the row meets its bound. At each place of the tree that of these
+planes is taken that leaves least doubt about the region (the entropy of the regions on either
+side).
 
 Source: Tondel, Johansen, Bemporad 2003, "Evaluation of piecewise affine control via binary search
 tree", Automatica 39(5), for the tree and its planes; the choice by samples is that of Quinlan 1986,
@@ -14,12 +15,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 MOST_JUDGED = 256
 """Errors by which the planes of a place are judged."""
-MOST_PLANES = 128
-"""Planes that are judged at a place, those of its most frequent regions."""
+MOST_BOUNDED = 6
+"""Regions whose planes are judged at a place, the most frequent ones."""
 DEEPEST = 20
 """Planes in a row."""
 
@@ -43,20 +44,20 @@ class Tree(NamedTuple):
 
 
 def grow_tree(
-    planes: Float[np.ndarray, "c 4"],
-    owners: Int[np.ndarray, " c"],
+    planes: Float[np.ndarray, "r m 4"],
+    is_active: Bool[np.ndarray, "r m"],
     points: Float[np.ndarray, "k 4"],
     regions: Int[np.ndarray, " k"],
 ) -> Tree:
     """Return a tree that tells the regions of points apart.
 
     Args:
-        planes: to choose from.
-        owners: the regions that these planes bound.
+        planes: of each region, where a row becomes active, or idle.
+        is_active: which rows are active in each region.
         points: (e, 1), some.
         regions: of the points.
     """
-    return _Growth(planes, owners, points, regions).tree()
+    return _Growth(planes, is_active, points, regions).tree()
 
 
 class _Growth:
@@ -64,16 +65,16 @@ class _Growth:
 
     def __init__(
         self,
-        planes: Float[np.ndarray, "c 4"],
-        owners: Int[np.ndarray, " c"],
+        planes: Float[np.ndarray, "r m 4"],
+        is_active: Bool[np.ndarray, "r m"],
         points: Float[np.ndarray, "k 4"],
         regions: Int[np.ndarray, " k"],
     ):
         self.planes = planes
-        self.owners = owners
+        self.is_active = is_active
         self.points = points
         self.regions = regions
-        self.chosen: list[int] = []
+        self.chosen: list[Float[np.ndarray, "4"]] = []
         self.following: list[tuple[int, int]] = []
 
     def tree(self) -> Tree:
@@ -81,7 +82,7 @@ class _Growth:
         end = self._divide(np.arange(len(self.regions)), DEEPEST)
         if end < 0:
             return Tree(np.zeros((1, 4)), np.full((1, 2), end, np.int32))
-        return Tree(self.planes[self.chosen], np.array(self.following, np.int32))
+        return Tree(np.array(self.chosen), np.array(self.following, np.int32))
 
     def _divide(self, members: Int[np.ndarray, " k"], depth: int) -> int:
         """Return the place where these points are told apart, or where they end."""
@@ -92,34 +93,30 @@ class _Growth:
         place = len(self.chosen)
         self.chosen.append(plane)
         self.following.append((most_frequent, most_frequent))
-        beyond = self.points[members] @ self.planes[plane] >= 0
+        beyond = self.points[members] @ plane >= 0
         near = self._divide(members[~beyond], depth - 1)
         far = self._divide(members[beyond], depth - 1)
         self.following[place] = (near, far)
         return place
 
-    def _choose(self, members: Int[np.ndarray, " k"]) -> int | None:
+    def _choose(self, members: Int[np.ndarray, " k"]) -> Float[np.ndarray, "4"] | None:
         """Return the plane that leaves least doubt; None where there is none, or none divides."""
         present, number, counts = np.unique(
             self.regions[members], return_inverse=True, return_counts=True
         )
         if len(present) == 1:
             return None
-        by_region = np.zeros(self.owners.max() + 2, int)
-        by_region[present] = counts
-        bounding = np.flatnonzero(by_region[self.owners])
-        if len(bounding) > MOST_PLANES:
-            order = np.argsort(-by_region[self.owners[bounding]], kind="stable")
-            bounding = bounding[order[:MOST_PLANES]]
+        frequent = present[np.argsort(-counts, kind="stable")[:MOST_BOUNDED]]
+        rows = np.flatnonzero(self.is_active[frequent].any(axis=0))
+        planes = self.planes[np.ix_(frequent, rows)].reshape(-1, 4)
         one_hot = np.eye(len(present), dtype=np.float32)[number]
-        beyond = self.planes[bounding] @ self.points[members].T >= 0
+        beyond = planes @ self.points[members].T >= 0
         far = beyond.astype(np.float32) @ one_hot
         near = counts - far
         doubt = _doubt(far) + _doubt(near)
         doubt[(far.sum(axis=1) == 0) | (near.sum(axis=1) == 0)] = np.inf
-        if not len(bounding) or not np.isfinite(doubt.min()):
-            return None
-        return int(bounding[np.argmin(doubt)])
+        best = np.argmin(doubt)
+        return planes[best] if np.isfinite(doubt[best]) else None
 
 
 def _doubt(counts: Float[np.ndarray, "c r"]) -> Float[np.ndarray, " c"]:

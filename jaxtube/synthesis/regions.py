@@ -31,18 +31,20 @@ from jaxtube.qp.regions import Regions
 from jaxtube.synthesis.region_stack import Bank, Region, stack_regions
 from jaxtube.synthesis.region_tree import Tree, grow_tree
 
-LAPS = (256, 1024, 4096)
-"""Laps that are played, one lot after the other; a lot says where the next one is guessed to be."""
+FIRST_LAPS = 512
+"""Laps that are played to see how many errors with active rows laps meet, and which regions."""
+MOST_LAPS = 16384
+"""That are played then, at most."""
+ERRORS = 8192
+"""With active rows, that these laps are to meet."""
 PERIODS = 40
 """Of each lap, at most."""
 IDLE_PERIODS = 4
 """Without an active row in any lap, after which a lot ends: rows are active after starts far away,
 and then no more."""
-RARE = 0.005
-"""Share of errors that are not guessed right, up to which no further lot is played."""
 MOST_REGIONS = 512
 """Of a window."""
-ENOUGH = 128
+ENOUGH = 64
 """Errors of a region by which it is told from others."""
 SPREADINGS = 8
 """Times that errors of regions which have fewer are multiplied."""
@@ -80,14 +82,16 @@ def find_regions(
     """
     windows = [_Window(_take_window(qps, number)) for number in range(len(qps.lower))]
     generator = np.random.default_rng(0)
-    for laps in LAPS:
+    ahead = [windows[number] for number in index[:PERIODS]]
+    laps = FIRST_LAPS
+    for _ in range(2):
         errors = draw(generator, laps) + noise * generator.uniform(-1.0, 1.0, (laps, 3))
-        ahead = [windows[number] for number in index[:PERIODS]]
-        missed = _play(ahead, errors, disturbances, generator)
+        active = _play(ahead, errors, disturbances, generator)
+        if not active:
+            break
         for window in windows:
             window.learn(generator)
-        if missed <= RARE:
-            break
+        laps = min(laps * ERRORS // active, MOST_LAPS)
     return stack_regions([window.find_bank() for window in windows])
 
 
@@ -96,25 +100,22 @@ def _play(
     errors: Float[np.ndarray, "k 3"],
     disturbances: Float[np.ndarray, "v 3"],
     generator: np.random.Generator,
-) -> float:
-    """Play laps through the windows of their periods; return the share of the errors with active
-    rows whose region was not known."""
-    active = 0
-    missed = 0
+) -> int:
+    """Play laps through the windows of their periods; return how many errors had active rows."""
+    total = 0
     idle = 0
     for window in windows:
-        plans = window.plan(errors)
-        active += plans.active
-        missed += plans.missed
-        idle = 0 if plans.active else idle + 1
+        inputs, active = window.plan(errors)
+        total += active
+        idle = 0 if active else idle + 1
         if idle == IDLE_PERIODS:
             break
-        known = np.isfinite(plans.inputs).all(axis=1)
+        known = np.isfinite(inputs).all(axis=1)
         # A lap whose plan is unknown ends.
-        errors = window.predict(errors[known], plans.inputs[known])
+        errors = window.predict(errors[known], inputs[known])
         weights = generator.dirichlet(np.ones(len(disturbances)), len(errors))
         errors = errors + weights @ disturbances
-    return missed / max(active, 1)
+    return total
 
 
 def _take_window(qps: CondensedQp, number: int) -> CondensedQp:
@@ -128,15 +129,6 @@ class _Pieces(NamedTuple):
     due: Float[np.ndarray, "*regions 2 4"]  # the inputs that are due
     multipliers: Float[np.ndarray, "*regions m 4"]  # zero of the rows that are not active
     values: Float[np.ndarray, "*regions m 4"]  # of the rows
-
-
-class _Plans(NamedTuple):
-    """Inputs that are due, NaN where none are known; how many errors have active rows, and of how
-    many of these the region was not guessed."""
-
-    inputs: Float[np.ndarray, "k 2"]
-    active: int
-    missed: int
 
 
 class _Window:
@@ -171,15 +163,23 @@ class _Window:
         """Let the tree know the errors that were met, and others of their regions."""
         if not self.count:
             return
-        owners, rows = np.nonzero(self.sides[: self.count])
-        planes = self.sides[owners, rows, None] * self.pieces.multipliers[owners, rows]
-        lengths = np.linalg.norm(planes[:, :3], axis=1)
-        slanted = lengths > 0
-        self.tree = grow_tree(
-            planes[slanted] / lengths[slanted, None],
-            owners[slanted],
-            *self._spread(np.concatenate(self.points), np.concatenate(self.regions), generator),
-        )
+        known = slice(self.count)
+        sides = self.sides[known]
+        spread = self._spread(np.concatenate(self.points), np.concatenate(self.regions), generator)
+        self.tree = grow_tree(self._find_planes(known), sides != 0, *spread)
+
+    def _find_planes(self, known: slice) -> Float[np.ndarray, "r m 4"]:
+        """Return where rows become active in known regions, or idle: on the side on which they are
+        active somewhere."""
+        sides = self.sides[known]
+        side = np.where(sides.max(axis=0) > 0, 1.0, -1.0)
+        bounds = np.where(side > 0, self.condensed.upper, self.condensed.lower)
+        missed = self.pieces.values[known].copy()
+        missed[..., 3] -= np.where(np.isfinite(bounds), bounds, 0.0)
+        pushes = (sides != 0)[..., None]
+        planes = side[:, None] * np.where(pushes, self.pieces.multipliers[known], missed)
+        lengths = np.linalg.norm(planes[..., :3], axis=-1, keepdims=True)
+        return np.divide(planes, lengths, out=np.zeros_like(planes), where=lengths > 0)
 
     def _spread(
         self,
@@ -239,21 +239,22 @@ class _Window:
         values, multipliers = (np.einsum("kij,kj->ki", each, points) for each in of_regions)
         return values, multipliers
 
-    def plan(self, errors: Float[np.ndarray, "k 3"]) -> _Plans:
-        """Return the plans from errors; regions that are met for the first time then are known."""
+    def plan(self, errors: Float[np.ndarray, "k 3"]) -> tuple[Float[np.ndarray, "k 2"], int]:
+        """Return the inputs that are due, NaN where none are known, and how many errors have active
+        rows; regions that are met for the first time then are known."""
         condensed = self.condensed
         inputs = errors @ condensed.free_inputs[:2].T
         values = errors @ condensed.free_rows.T
         is_free = ((condensed.lower <= values) & (values <= condensed.upper)).all(axis=1)
         constrained = np.flatnonzero(~is_free)
         points = np.column_stack([errors[constrained], np.ones(len(constrained))])
-        region, missed = self._find(points)
+        region = self._find(points)
         is_known = region >= 0
         self.points.append(points[is_known])
         self.regions.append(region[is_known])
         due = np.einsum("kij,kj->ki", self.pieces.due[region], points)
         inputs[constrained] = np.where(is_known[:, None], due, np.nan)
-        return _Plans(inputs, len(constrained), missed)
+        return inputs, len(constrained)
 
     def predict(
         self, errors: Float[np.ndarray, "k 3"], inputs: Float[np.ndarray, "k 2"]
@@ -261,15 +262,14 @@ class _Window:
         """Return the errors that the model predicts of the next period."""
         return errors @ self.condensed.transition.T + inputs @ self.condensed.input_matrix.T
 
-    def _find(self, points: Float[np.ndarray, "k 4"]) -> tuple[Int[np.ndarray, " k"], int]:
-        """Return the regions of errors, -1 where none is known, and how many were not guessed."""
+    def _find(self, points: Float[np.ndarray, "k 4"]) -> Int[np.ndarray, " k"]:
+        """Return the regions of errors, -1 where none is known."""
         region = np.full(len(points), -1)
         if self.tree is not None:
             guess = self.tree.guess(points)
             region = np.where(self._holds(guess, points), guess, -1)
         pending = np.flatnonzero(region < 0)
-        missed = len(pending)
-        for first in range(0, missed, AT_ONCE):
+        for first in range(0, len(pending), AT_ONCE):
             some = pending[first : first + AT_ONCE]
             region[some] = self._compare(points[some])
         pending = pending[region[pending] < 0]
@@ -279,7 +279,7 @@ class _Window:
             if number is not None:
                 region[first] = number
                 pending = self._assign(number, points, region, pending)
-        return region, missed
+        return region
 
     def _compare(self, points: Float[np.ndarray, "k 4"]) -> Int[np.ndarray, " k"]:
         """Return the first known region that holds each error, -1 where none does."""
@@ -289,9 +289,7 @@ class _Window:
         shape = (len(points), self.count, -1)
         values = points @ self.pieces.values[known].reshape(-1, 4).T
         multipliers = points @ self.pieces.multipliers[known].reshape(-1, 4).T
-        holds = self._are_kept(
-            self.sides[known], values.reshape(shape), multipliers.reshape(shape)
-        )
+        holds = self._are_kept(self.sides[known], values.reshape(shape), multipliers.reshape(shape))
         return np.where(holds.any(axis=1), np.argmax(holds, axis=1), -1)
 
     def _assign(
