@@ -340,7 +340,7 @@ def no_diagnostics(errors: Float[Array, "batch 3"]) -> Diagnostics:
     return Diagnostics(solved, jnp.zeros_like(errors[:, 0]), never, never)
 
 
-def take_qp(qps: CondensedQp, index: Int[Array, ""]) -> CondensedQp:
+def take_qp(qps: CondensedQp, index: Int[Array, ""] | int) -> CondensedQp:
     """Return the QP of one window."""
     regions = qps.regions
     of_window = jax.tree.map(lambda array: array[index], qps._replace(regions=None))

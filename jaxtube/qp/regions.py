@@ -34,7 +34,7 @@ class Regions(NamedTuple):
     begin: Int[AnyArray, "*stack"]  # plane at which the tree of a program begins, or ~region
     planes: Float[AnyArray, "s 4"]  # of (p, 1)
     following: Int[AnyArray, "s 2"]  # plane on the negative side, on the other; ~region at an end
-    multipliers: Float[AnyArray, "k a 4"]  # of (p, 1)
+    multipliers: Float[AnyArray, "k a 4"]  # of (p, 1), of rows of unit norm
     rows: Int[AnyArray, "k a"]  # of the multipliers; beyond the last one where there is none
 
     def take(self, program: Int[Array, ""] | int) -> Regions:
@@ -45,7 +45,8 @@ class Regions(NamedTuple):
 def look_up(
     regions: Regions, p: Float[Array, "batch 3"], row_count: int
 ) -> Float[Array, "m batch"]:
-    """Return the multipliers of all rows in the region that is guessed to hold p."""
+    """Return the multipliers of all rows, as of unit norm, in the region that is guessed to hold
+    p."""
     region = guess_region(regions, p)
     extended = jnp.concatenate([p, jnp.ones_like(p[:, :1])], axis=1)[:, None]
     active = jnp.sum(regions.multipliers[region] * extended, axis=-1)
@@ -67,6 +68,7 @@ def guess_region(regions: Regions, p: Float[Array, "batch 3"]) -> Int[Array, " b
         plane = jnp.maximum(node, 0)
         terms = [columns[i][plane] * p[:, i] for i in range(3)]
         is_beyond = sum(terms, start=columns[3][plane]) >= 0
-        return jnp.where(node < 0, node, following[2 * plane + is_beyond])
+        place = 2 * plane + is_beyond.astype(plane.dtype)
+        return jnp.where(node < 0, node, following[place])
 
     return ~jax.lax.while_loop(is_under_way, step, begin)

@@ -155,7 +155,7 @@ class _Window:
         if self.tree is None:
             return None
         active = [np.flatnonzero(sides) for sides in self.sides[: self.count]]
-        multipliers = self.pieces.multipliers
+        multipliers = self.norms[:, None] * self.pieces.multipliers
         regions = [Region(multipliers[i, rows], rows) for i, rows in enumerate(active)]
         return Bank(regions, self.tree)
 
@@ -229,14 +229,14 @@ class _Window:
         lengths = np.divide(room, np.abs(speed), out=np.full_like(room, np.inf), where=speed != 0)
         back = np.min(lengths, axis=1, where=speed < 0, initial=np.inf)
         ahead = np.min(lengths, axis=1, where=speed > 0, initial=np.inf)
-        return tuple(np.where(np.isfinite(end), end, 0.0) for end in (back, ahead))
+        return np.where(np.isfinite(back), back, 0.0), np.where(np.isfinite(ahead), ahead, 0.0)
 
     def _see(
         self, regions: Int[np.ndarray, " k"], points: Float[np.ndarray, "k 4"]
     ) -> tuple[Float[np.ndarray, "k m"], Float[np.ndarray, "k m"]]:
         """Return the values and the multipliers of all rows, each point in its region."""
-        of_regions = (self.pieces.values[regions], self.pieces.multipliers[regions])
-        values, multipliers = (np.einsum("kij,kj->ki", each, points) for each in of_regions)
+        values = np.einsum("kij,kj->ki", self.pieces.values[regions], points)
+        multipliers = np.einsum("kij,kj->ki", self.pieces.multipliers[regions], points)
         return values, multipliers
 
     def plan(self, errors: Float[np.ndarray, "k 3"]) -> tuple[Float[np.ndarray, "k 2"], int]:
@@ -275,9 +275,10 @@ class _Window:
         pending = pending[region[pending] < 0]
         while len(pending) and self.count < MOST_REGIONS:
             number = self._find_region(points[pending[0]])
-            first, pending = pending[0], pending[1:]
             if number is not None:
-                region[first] = number
+                region[pending[0]] = number
+            pending = pending[1:]
+            if number is not None:
                 pending = self._assign(number, points, region, pending)
         return region
 

@@ -22,6 +22,7 @@ from jax import monitoring
 from jaxtyping import Float
 
 from jaxtube.control.laws import TubeMpc
+from jaxtube.control.mpc import take_qp
 from jaxtube.experiments.bench.peers.active_set import DaqpModel, set_up_daqp
 from jaxtube.experiments.bench.peers.catalogue import EXACT
 from jaxtube.experiments.bench.peers.problems import INFINITE
@@ -105,7 +106,7 @@ def measure_loop(
     """Measure one closed loop, the controllers taking turns lap by lap."""
     design = make_design(scenario)
     law = choose_starts(design, starts)
-    controller = make_tube_mpc(design, law)
+    controller = make_tube_mpc(design)
     steps = len(design.windows.index)
     laps = -(-(extent.steps + extent.warm_up) // steps)
     record = record_laps(controller, slipping_robot(design), law, seed, range(laps))
@@ -162,7 +163,7 @@ class DaqpStepper:
         self._windows: dict[int, _DaqpWindow] = {}
         for step, window in enumerate(self._index):
             if window not in self._windows:
-                condensed = jax.tree.map(lambda array, window=window: array[window], controller.qps)
+                condensed = take_qp(controller.qps, window)
                 self._windows[window] = _DaqpWindow(condensed, record.starts[step, :1])
         self.restart()
 
