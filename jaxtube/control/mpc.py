@@ -508,6 +508,10 @@ def no_diagnostics(errors: Float[Array, "batch 3"]) -> Diagnostics:
     return Diagnostics(solved, jnp.zeros_like(errors[:, 0]), never, never)
 
 
-def take_qp(qps: CondensedQp, index: Int[Array, ""]) -> CondensedQp:
+def take_qp(qps: CondensedQp, index: Int[Array, ""] | int) -> CondensedQp:
     """Return the QP of one window."""
-    return jax.tree.map(lambda array: array[index], qps)
+    regions = qps.regions
+    of_window = jax.tree.map(lambda array: array[index], qps._replace(regions=None))
+    # The regions of all windows stay where they are: a copy of those of one takes longer than to
+    # look some errors up in them.
+    return of_window._replace(regions=None if regions is None else regions.take(index))

@@ -15,11 +15,11 @@ from jaxtyping import Float, Int, PyTree
 
 from jaxtube.qp import dual_active_set, fixed_point, regions
 from jaxtube.qp.batched_ldl import matmul, product
-from jaxtube.qp.blocks import block_sizes, gather, update_in_blocks
+from jaxtube.qp.blocks import block_sizes, gather, on_accelerator, update_in_blocks
 from jaxtube.qp.dual_active_set import Found, Start
 from jaxtube.qp.exchange import make_program
 from jaxtube.qp.factors import Factors
-from jaxtube.qp.fixed_point import TOLERANCE, Iterate
+from jaxtube.qp.fixed_point import TOLERANCE, Instances, Iterate
 from jaxtube.qp.regions import Regions
 from jaxtube.qp.rounds import play_rounds
 from jaxtube.qp.source import (
@@ -35,6 +35,10 @@ MISSED = 1e-2
 """By how much the dual active-set method may miss a row, by the tolerance of the residual."""
 MISSED_ROUNDING = 4
 """The same, by the rounding of a row's value."""
+
+LANES = 16
+"""Instances that a processor solves side by side by the dual active-set method: their matrices stay
+in the first cache, and few wait for the last one."""
 
 
 def solve_constrained(
@@ -75,9 +79,14 @@ def look_up_block(
 ) -> Solution:
     """Return the answers of known regions, where they are answers."""
     block = source.form(parameters)
-    x, y = regions.look_up(known, parameters, len(factors.rows))
-    y = y * factors.row_norms[:, None]
-    return as_solution(factors, Iterate(x, y, fixed_point.residual(factors, block, x, y)))
+    y = regions.look_up(known, parameters, len(factors.rows))
+    return as_solution(factors, answer_of(factors, block, y))
+
+
+def answer_of(factors: Factors, block: Instances, y: Float[Array, "m block"]) -> Iterate:
+    """Return what multipliers say of a block of instances."""
+    x = product(factors.optimum, block.q + matmul(factors.rows.T, y))
+    return Iterate(x, y, fixed_point.residual(factors, block, x, y))
 
 
 def search_active_sets(factors: Factors, source: Source, solution: Solution) -> Solution:
@@ -86,7 +95,8 @@ def search_active_sets(factors: Factors, source: Source, solution: Solution) -> 
     program = make_program(factors.whitened)
     load = partial(load_lanes, factors, source)
     pending = find_pending(solution)
-    found = dual_active_set.find_active_sets(program, load, pending, rare_size)
+    width = rare_size if on_accelerator() else LANES
+    found = dual_active_set.find_active_sets(program, load, pending, width)
     data = (source.data, found)
     judge = partial(judge_block, factors, source)
     solution = update_in_blocks(judge, size, pending, data, solution)
@@ -117,8 +127,7 @@ def judge_block(
     is_guess = jnp.all(jnp.isfinite(found.multipliers), axis=1) & ~found.is_ray
     upper, lower = push_of(found, len(factors.rows))
     y = jnp.where(is_guess, upper - lower, 0.0)
-    x = product(factors.optimum, block.q + matmul(factors.rows.T, y))
-    best = Iterate(x, y, fixed_point.residual(factors, block, x, y))
+    best = answer_of(factors, block, y)
     return as_solution(factors, best, fixed_point.has_crossing_bounds(block))
 
 

@@ -23,11 +23,14 @@ SlipChoice = str | SlipProcess | None
 StartChoice = str | Float[np.ndarray, "laps 3"]
 
 
-def choose_controller(design: Design, controller: ControllerChoice) -> Controller:
-    """Return the controller of a name, or what a closed loop can run of a user's own."""
+def choose_controller(
+    design: Design, controller: ControllerChoice, starts: Starts | None = None
+) -> Controller:
+    """Return the controller of a name, or what a closed loop can run of a user's own; `starts` as
+    for `components.make_tube_mpc`."""
     if not isinstance(controller, str):
         return adapt_controller(controller, components.make_wheel_map(design.problem))
-    named = components.controllers(design)
+    named = components.controllers(design, starts)
     if controller not in named:
         raise ValueError(f"controller = {controller!r}: is unknown; choose one of {list(named)}")
     return named[controller]

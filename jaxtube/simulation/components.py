@@ -25,6 +25,7 @@ from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.precision import require_64_bits
 from jaxtube.scenario.error_box import error_vector
+from jaxtube.simulation.starts import FixedStart, Starts
 from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.free_region import find_free_regions
 from jaxtube.synthesis.parts import Design
@@ -39,8 +40,8 @@ Robot = BareRobot | EstimatingRobot[BareRobot]
 """The same, with or without an estimate of its errors."""
 
 
-def controllers(design: Design) -> dict[str, Controller]:
-    """Return the controllers compared, by name.
+def controllers(design: Design, starts: Starts | None = None) -> dict[str, Controller]:
+    """Return the controllers compared, by name; `starts` as for `make_tube_mpc`.
 
     `local_gain` is the tube's u = K(th) e; `equal_gain` the static law that the MPC is while no row
     is active.
@@ -59,21 +60,28 @@ def controllers(design: Design) -> dict[str, Controller]:
         "local_gain": ScheduledGain(local_gains, wheel_map),
         "equal_gain": ScheduledGain(equal_gains, wheel_map),
         "plain_mpc": plain_mpc,
-        "tube_mpc": make_tube_mpc(design),
+        "tube_mpc": make_tube_mpc(design, starts),
     }
 
 
-def make_tube_mpc(design: Design) -> TubeMpc:
-    """Return the tube-MPC of a design."""
+def make_tube_mpc(design: Design, starts: Starts | None = None) -> TubeMpc:
+    """Return the tube-MPC of a design.
+
+    Args:
+        design: a design.
+        starts: what laps start from, the scenario's start unless given: plans that such laps meet
+            are known beforehand. It decides how fast plans are found, not which.
+    """
     problem = design.problem
     free_region, _ = find_free_regions(design.tube_qps, design.plain_qps)
     qps = design.tube_qps._replace(free_region=free_region)
     if not problem.scenario.controller.restart:
         return dataclasses.replace(_make_mpc(design, qps), restart=False)
+    law = FixedStart(jnp.asarray(problem.initial_error)) if starts is None else starts
     regions = find_regions(
         qps,
         design.windows.index,
-        problem.initial_error,
+        law.sample,
         problem.noise,
         problem.disturbance_set.vertices(),
     )

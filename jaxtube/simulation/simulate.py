@@ -214,13 +214,13 @@ def simulate(
     require_design(design)
     count = _count_laps(laps, starts)
     refuse_laps_beyond_memory(count, design.problem.reference.steps)
-    acting_controller = choose_controller(design, controller)
+    law = choose_starts(design, starts) if isinstance(starts, str) else None
+    acting_controller = choose_controller(design, controller, law)
     acting_plant = choose_plant(design, plant, slip)
-    if isinstance(starts, str):
-        keys = realisation_keys(seed, 0, count)
-        errors = np.asarray(choose_starts(design, starts).draw(keys))
-    else:
+    if law is None:
         errors = np.asarray(starts, float)
+    else:
+        errors = np.asarray(law.draw(realisation_keys(seed, 0, count)))
     with show_progress(count, "simulating", "laps") as bar:
         trajectory = batches.run_realisations(
             acting_controller, acting_plant, errors, seed, bar.update

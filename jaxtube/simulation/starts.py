@@ -10,7 +10,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
+from types import ModuleType
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -29,6 +30,10 @@ class Starts(Protocol):
         """Return the initial true errors, (m, m, rad)."""
         ...
 
+    def sample(self, generator: np.random.Generator, count: int) -> Float[np.ndarray, "count 3"]:
+        """Return so many of the same law, off line."""
+        ...
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
@@ -40,6 +45,10 @@ class FixedStart:
     def draw(self, keys: Key[Array, " batch"]) -> Float[Array, "batch 3"]:
         """Return the initial errors."""
         return jnp.broadcast_to(self.error, (len(keys), 3))
+
+    def sample(self, generator: np.random.Generator, count: int) -> Float[np.ndarray, "count 3"]:
+        """Return the initial error so many times."""
+        return np.tile(np.asarray(self.error), (count, 1))
 
 
 @partial(
@@ -68,11 +77,20 @@ class UniformStart:
                 jax.random.fold_in(key, Stream.INITIAL_ERROR), (4,), dtype
             )
         )(keys)
-        chosen = self.triangles[jnp.searchsorted(self.cumulative, draws[:, 0], side="right")]
-        weights = jnp.diff(jnp.sort(draws[:, 1:], axis=1), prepend=0.0, axis=1)
+        return self._place(draws, jnp)
+
+    def sample(self, generator: np.random.Generator, count: int) -> Float[np.ndarray, "count 3"]:
+        """Return so many of the same law, off line."""
+        on_the_host = jax.tree.map(np.asarray, self)
+        return on_the_host._place(generator.random((count, 4)), np)
+
+    def _place(self, draws: Float[Any, "batch 4"], xp: ModuleType) -> Float[Any, "batch 3"]:
+        """Return the errors of four uniform numbers each."""
+        chosen = self.triangles[xp.searchsorted(self.cumulative, draws[:, 0], side="right")]
+        weights = xp.diff(xp.sort(draws[:, 1:], axis=1), prepend=0.0, axis=1)
         if self.edge:
-            weights = weights / jnp.sum(weights, axis=1, keepdims=True)
-        return jnp.sum(weights[:, :, None] * chosen, axis=1)
+            weights = weights / xp.sum(weights, axis=1, keepdims=True)
+        return xp.sum(weights[:, :, None] * chosen, axis=1)
 
 
 def uniform_start(points: Float[np.ndarray, "k 3"], edge: bool = False) -> UniformStart:

@@ -196,11 +196,12 @@ def make_closed_loop_task(
     seed: int,
 ) -> Task:
     """Return what every block of a run needs, from what `montecarlo` is given."""
+    law = choose_starts(design, starts)
     return make_task(
         limit_true_errors(design, name_choice(plant)),
-        choose_controller(design, controller),
+        choose_controller(design, controller, law),
         choose_plant(design, plant, slip),
-        choose_starts(design, starts),
+        law,
         seed,
     )
 

@@ -1,4 +1,4 @@
-"""Critical regions one by one, and as the arrays in which a controller looks them up.
+"""The critical regions of windows as the arrays in which a controller looks them up.
 
 Source: as `jaxtube.qp.regions`.
 """
@@ -12,52 +12,51 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtube.qp.regions import Regions
-from sets.polytope import Polytope
-
-ON_A_FACET = 1e-9
-"""By how much an error may lie beyond facets of norm one."""
+from jaxtube.synthesis.region_tree import Tree
 
 
 class Region(NamedTuple):
-    """Where some rows are active: its facets, of norm one, and x and the multipliers of the active
-    rows, affine in (p, 1)."""
+    """Where some rows are active: their multipliers, affine in (p, 1)."""
 
-    facets: Polytope
-    optimum: Float[np.ndarray, "n 4"]
     multipliers: Float[np.ndarray, "a 4"]
     rows: Int[np.ndarray, " a"]
 
-    def holds(self, p: Float[np.ndarray, "3"]) -> bool:
-        """Return whether p lies in the region."""
-        return bool(self.facets.contains(p, ON_A_FACET))
+
+class Bank(NamedTuple):
+    """The regions of a program, and the tree that tells them apart."""
+
+    regions: Sequence[Region]
+    tree: Tree
 
 
-def stack_regions(programs: Sequence[Sequence[Region]], variables: int) -> Regions | None:
-    """Return the regions of a stack of programs of so many variables; None where there are none."""
-    every = [region for regions in programs for region in regions]
-    if not every:
+def stack_regions(programs: Sequence[Bank | None]) -> Regions | None:
+    """Return the regions of a stack of programs; None where no program has any."""
+    banks = [bank for bank in programs if bank is not None]
+    if not banks:
         return None
-    count = max(map(len, programs))
-    facets = max(len(region.facets.offsets) for region in every)
-    active = max(len(region.rows) for region in every)
-    shape = (len(programs), count)
-    nowhere = np.iinfo(np.int32).max
-    stack = Regions(
-        normals=np.zeros((len(programs), facets, count, 3)),
-        offsets=np.full((len(programs), facets, count), np.inf),
-        optimum=np.zeros((*shape, variables, 4)),
-        multipliers=np.zeros((*shape, active, 4)),
-        rows=np.full((*shape, active), nowhere, np.int32),
+    every = [region for bank in banks for region in bank.regions]
+    shape = (1 + len(every), max(len(region.rows) for region in every))
+    # Region 0 is that of programs without any: it has no rows.
+    multipliers = np.zeros((*shape, 4))
+    rows = np.full(shape, np.iinfo(np.int32).max, np.int32)
+    for number, region in enumerate(every, start=1):
+        multipliers[number, : len(region.rows)] = region.multipliers
+        rows[number, : len(region.rows)] = region.rows
+    begin: list[int] = []
+    following = []
+    planes = 0
+    regions = 1
+    for bank in programs:
+        begin.append(~0 if bank is None else planes)
+        if bank is not None:
+            after = bank.tree.following
+            following.append(np.where(after < 0, after - regions, after + planes))
+            planes += len(bank.tree.planes)
+            regions += len(bank.regions)
+    return Regions(
+        begin=np.array(begin, np.int32),
+        planes=np.concatenate([bank.tree.planes for bank in banks]),
+        following=np.concatenate(following).astype(np.int32),
+        multipliers=multipliers,
+        rows=rows,
     )
-    for program, regions in enumerate(programs):
-        # Nothing lies in a region that is not there.
-        stack.offsets[program, 0, len(regions) :] = -np.inf
-        for number, region in enumerate(regions):
-            place = (program, number)
-            used = len(region.facets.offsets)
-            stack.normals[program, :used, number] = region.facets.normals
-            stack.offsets[program, :used, number] = region.facets.offsets
-            stack.optimum[place] = region.optimum
-            stack.multipliers[place][: len(region.rows)] = region.multipliers
-            stack.rows[place][: len(region.rows)] = region.rows
-    return stack

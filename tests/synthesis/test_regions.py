@@ -10,9 +10,12 @@ import pytest
 
 from jaxtube import qp
 from jaxtube.control import mpc
+from jaxtube.qp import parametric
 from jaxtube.qp.regions import look_up
 from jaxtube.scenario import load
 from jaxtube.simulation import batches, components
+from jaxtube.simulation.choices import choose_starts
+from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.regions import MOST_REGIONS, find_regions
 
@@ -46,6 +49,11 @@ def errors(tuned):
     return shares * tuned.problem.initial_error + rng.uniform(-widths, widths, (1000, 3))
 
 
+def start_at(error):
+    """Draw one first error again and again."""
+    return lambda _, count: np.broadcast_to(error, (count, 3))
+
+
 def without_regions(condensed):
     return condensed._replace(regions=None)
 
@@ -72,42 +80,74 @@ def test_a_plan_without_a_solver_is_that_of_the_solver_or_none(first, errors):
     assert np.all(known.residual[known.status == qp.SOLVED] <= qp.TOLERANCE[8])
 
 
-def test_most_active_programs_of_laps_are_known(tuned, controller):
+def are_known(condensed, errors):
+    """Whether the region that is guessed holds each error."""
+    factors = condensed.factors
+    errors = jnp.asarray(errors)
+    found = parametric.look_up(factors, condensed.parametric, errors, condensed.regions)
+    return np.asarray(found.status) == qp.SOLVED
+
+
+def share_of_known(design, controller, starts):
+    """The share of the active programs of laps whose regions are guessed."""
+    lap = batches.run_realisations(controller, components.slipping_robot(design), starts, seed=9)
+    active = np.asarray(lap.diagnostics.active)
+    windows = np.asarray(controller.index)
+    known = []
+    for window in np.unique(windows[active.any(axis=1)]):
+        of_window = active & (windows == window)[:, None]
+        met = np.asarray(lap.measured)[:-1][of_window]
+        known.append(are_known(mpc.take_qp(controller.qps, window), met))
+    answered = np.concatenate(known)
+    assert len(answered) > 100
+    return np.mean(answered)
+
+
+def test_active_programs_of_laps_are_known(tuned, controller):
     starts = np.tile(tuned.problem.initial_error, (64, 1))
-    robot = components.slipping_robot(tuned)
-    lap = batches.run_realisations(controller, robot, starts, seed=9)
-    steps, runs = np.nonzero(np.asarray(lap.diagnostics.active))
-    assert len(steps) > 100
-    windows = np.asarray(controller.index)[steps]
-    met = np.asarray(lap.measured)[steps, runs]
-    regions = controller.qps.regions
-    beyond = np.einsum("tfki,ti->tfk", regions.normals[windows], met) - regions.offsets[windows]
-    assert np.mean(beyond.max(axis=1).min(axis=1) <= SAME) > 0.99
+    assert share_of_known(tuned, controller, starts) > 0.995
+
+
+def test_programs_from_starts_that_are_drawn_are_known_as_well():
+    """Of laps from the edge, which those from the scenario's start do not resemble."""
+    robust = design(load("robust"))
+    law = choose_starts(robust, "edge")
+    controller = components.make_tube_mpc(robust, law)
+    assert components.make_tube_mpc(robust).qps.regions is None
+    starts = np.asarray(law.draw(realisation_keys(3, 0, 512)))
+    assert share_of_known(robust, controller, starts) > 0.95
 
 
 def test_answers_of_regions_satisfy_the_optimality_conditions(first, errors):
     """At points of each region, by the conditions themselves."""
     factors = first.factors
     rows = factors.rows * factors.row_norms[:, None]
-    x, y = (part.T for part in look_up(first.regions, jnp.asarray(errors), len(rows)))
-    beyond = jnp.einsum("fki,ni->nfk", first.regions.normals, errors) - first.regions.offsets
-    inside = np.asarray(beyond.max(axis=1).min(axis=1) <= 0)
-    assert inside.sum() > 50
-    gradient = x @ factors.hessian + errors @ first.linear.T + y @ rows
+    y = np.asarray(look_up(first.regions, jnp.asarray(errors), len(rows))).T / factors.row_norms
+    x = -np.linalg.solve(factors.hessian, (errors @ first.linear.T + y @ rows).T).T
     values = x @ rows.T + errors @ first.row_errors.T
+    inside = are_known(first, errors)
+    assert inside.sum() > 50
     bounds = np.where(y > 0, first.upper, np.where(y < 0, first.lower, values))
-    np.testing.assert_allclose(gradient[inside], 0.0, atol=SAME)
     np.testing.assert_allclose(values[inside], bounds[inside], atol=SAME)
     assert np.all(values[inside] <= first.upper + SAME)
     assert np.all(values[inside] >= first.lower - SAME)
 
 
 def test_a_wrong_answer_is_not_taken(first, errors):
-    wrong = first.regions._replace(optimum=first.regions.optimum * 1.01)
+    wrong = first.regions._replace(multipliers=first.regions.multipliers * 1.01)
+    assert not np.any(are_known(first._replace(regions=wrong), errors))
     spoilt = mpc.plan(first._replace(regions=wrong), jnp.asarray(errors))
     solved = mpc.plan(without_regions(first), jnp.asarray(errors))
     np.testing.assert_array_equal(spoilt.status, solved.status)
     np.testing.assert_allclose(spoilt.inputs, solved.inputs, rtol=0, atol=SAME)
+
+
+def test_a_window_without_regions_guesses_no_row(tuned, controller):
+    """Its multipliers are zero: the answer without constraints, which is checked."""
+    begin = np.asarray(controller.qps.regions.begin)
+    empty = mpc.take_qp(controller.qps, np.flatnonzero(begin < 0)[0])
+    errors = jnp.asarray(np.tile(tuned.problem.initial_error, (5, 1)))
+    assert not np.any(look_up(empty.regions, errors, len(empty.lower)))
 
 
 def test_no_plan_depends_on_the_other_instances(first, errors):
@@ -128,17 +168,17 @@ def test_derivatives_do_not_know_the_bank(first, errors):
 def test_a_start_where_no_row_is_active_has_no_bank(tuned):
     problem = tuned.problem
     regions = find_regions(
-        tuned.tube_qps, tuned.windows.index, np.zeros(3), problem.noise, np.zeros((1, 3))
+        tuned.tube_qps, tuned.windows.index, start_at(0.0), problem.noise, np.zeros((1, 3))
     )
     assert regions is None
 
 
 def test_a_bank_has_an_end(tuned):
     far = 10 * tuned.problem.disturbance_set.vertices()
-    found = find_regions(
-        tuned.tube_qps, tuned.windows.index, tuned.problem.initial_error, np.zeros(3), far
-    )
-    assert found.offsets.shape[-1] <= MOST_REGIONS
+    begin = start_at(tuned.problem.initial_error)
+    found = find_regions(tuned.tube_qps, tuned.windows.index, begin, np.zeros(3), far)
+    windows = np.count_nonzero(found.begin >= 0)
+    assert len(found.rows) <= 1 + windows * MOST_REGIONS
 
 
 def test_a_controller_that_keeps_its_nominal_error_has_no_bank(tuned):

@@ -22,6 +22,7 @@ from jax import monitoring
 from jaxtyping import Float
 
 from jaxtube.control.laws import TubeMpc
+from jaxtube.control.mpc import take_qp
 from jaxtube.experiments.bench.peers.active_set import DaqpModel, set_up_daqp
 from jaxtube.experiments.bench.peers.catalogue import EXACT
 from jaxtube.experiments.bench.peers.problems import INFINITE
@@ -104,10 +105,10 @@ def measure_loop(
 ) -> LatencyResult:
     """Measure one closed loop, the controllers taking turns lap by lap."""
     design = make_design(scenario)
+    law = choose_starts(design, starts)
     controller = make_tube_mpc(design)
     steps = len(design.windows.index)
     laps = -(-(extent.steps + extent.warm_up) // steps)
-    law = choose_starts(design, starts)
     record = record_laps(controller, slipping_robot(design), law, seed, range(laps))
     robots: dict[str, OneRobot] = {OURS: Stepper(design, controller)}
     if EXACT[0].is_installed:
@@ -162,7 +163,7 @@ class DaqpStepper:
         self._windows: dict[int, _DaqpWindow] = {}
         for step, window in enumerate(self._index):
             if window not in self._windows:
-                condensed = jax.tree.map(lambda array, window=window: array[window], controller.qps)
+                condensed = take_qp(controller.qps, window)
                 self._windows[window] = _DaqpWindow(condensed, record.starts[step, :1])
         self.restart()
 

@@ -18,6 +18,7 @@ from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.control.laws import TubeMpc
+from jaxtube.control.mpc import take_qp
 from jaxtube.experiments.bench.accuracy import count_wrong
 from jaxtube.experiments.bench.peers.active_set import (
     DaqpModel,
@@ -148,7 +149,7 @@ def make_daqp_of_laps(controller: TubeMpc, record: Record) -> Solver:
     data: list[list[tuple]] = []
     for step in range(steps):
         window = int(index[step])
-        condensed = jax.tree.map(lambda array, window=window: array[window], controller.qps)
+        condensed = take_qp(controller.qps, window)
         problems = pose(condensed, record.starts[step])
         if window not in models:
             models[window] = set_up_daqp(problems)

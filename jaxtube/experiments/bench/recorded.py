@@ -16,7 +16,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int, Key
 
 from jaxtube.control.laws import TubeMpc
-from jaxtube.control.mpc import CondensedQp
+from jaxtube.control.mpc import CondensedQp, take_qp
 from jaxtube.experiments.bench.peers.problems import Problems
 from jaxtube.plant.protocol import Plant
 from jaxtube.simulation.choices import choose_starts
@@ -79,9 +79,9 @@ def collect_active(design: Design, starts: str, seed: int, count: int) -> Family
         seed: of the laps, which are numbered from 0.
         count: programs wanted; fewer where `MOST_LAPS` laps pose fewer.
     """
-    controller = make_tube_mpc(design)
-    record = partial(record_laps, controller, slipping_robot(design))
     law = choose_starts(design, starts)
+    controller = make_tube_mpc(design, law)
+    record = partial(record_laps, controller, slipping_robot(design))
     index = design.windows.index
     found: list[list[np.ndarray]] = [[] for _ in range(index.max() + 1)]
     for first in range(0, MOST_LAPS, LAPS):
@@ -93,7 +93,7 @@ def collect_active(design: Design, starts: str, seed: int, count: int) -> Family
             break
     joined = [np.concatenate(errors)[:count] for errors in found]
     window = int(np.argmax([len(errors) for errors in joined]))
-    condensed = jax.tree.map(lambda array: array[window], controller.qps)
+    condensed = take_qp(controller.qps, window)
     return Family(window, condensed, joined[window], pose(condensed, joined[window]))
 
 

@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.control import mpc
-from jaxtube.control.mpc import CondensedQp
+from jaxtube.control.mpc import CondensedQp, take_qp
 from jaxtube.experiments.bench.peers.active_set import make_cold_daqp
 from jaxtube.experiments.bench.peers.catalogue import EXACT
 from jaxtube.experiments.bench.recorded import LAPS, pose, record_laps
@@ -104,7 +104,7 @@ def record_starts(
     window = int(np.argmax(np.bincount(index, weights=record.active.sum(axis=1))))
     starts = record.starts[index == window]
     active = record.active[index == window]
-    condensed = jax.tree.map(lambda array: array[window], controller.qps)
+    condensed = take_qp(controller.qps, window)
     return condensed, starts[active], starts[~active]
 
 
