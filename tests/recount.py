@@ -15,7 +15,7 @@ from oracles import PlainMpc, model
 from tolerances import COUNTED
 
 from jaxtube import qp
-from jaxtube.control import mpc
+from jaxtube.control import planning
 from jaxtube.coordinates import PLANES
 from jaxtube.simulation import batches
 from jaxtube.simulation.rollout import LoopState, Trajectory, follow_plan
@@ -241,7 +241,7 @@ def follow(case, solver, laps: Trajectory, keys, step) -> Followed:
     memory = slip_memory(task.plant, keys, step)
     measurement, memory = task.plant.sense(keys, step, memory, errors)
     state = LoopState(errors, measurement, (), memory)
-    given = mpc.Plan(jnp.nan_to_num(jnp.asarray(plans.inputs)), *[jnp.zeros(len(keys))] * 3)
+    given = planning.Plan(jnp.nan_to_num(jnp.asarray(plans.inputs)), *[jnp.zeros(len(keys))] * 3)
     deviations = np.asarray(
         follow_plan(task.controller, task.plant, keys, state, jnp.asarray(step), given)
     )

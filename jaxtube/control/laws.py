@@ -20,7 +20,7 @@ from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
 from jaxtube.columns import fan_out
-from jaxtube.control import mpc
+from jaxtube.control import mpc, planning
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.control.tracking import tracking_input
 from jaxtube.plant.protocol import Command, Measurement
@@ -43,7 +43,7 @@ class TubeMpc:
         restart: start each prediction at the measured error, not at the nominal one.
     """
 
-    qps: mpc.CondensedQp
+    qps: planning.CondensedQp
     index: Int[Array, " steps"]
     wheel_map: WheelMap
     restart: bool = True
@@ -64,9 +64,9 @@ class TubeMpc:
         factors = self.qps.factors._replace(iterated=None)
         return dataclasses.replace(self, qps=self.qps._replace(factors=factors))
 
-    def condensed_qp(self, step) -> mpc.CondensedQp:
+    def condensed_qp(self, step) -> planning.CondensedQp:
         """Return the condensed QP of a period."""
-        return mpc.take_qp(self.qps, self.index[step])
+        return planning.take_qp(self.qps, self.index[step])
 
     def initial(self, errors: Float[Array, "batch 3"]) -> mpc.MpcState:
         """Return the memory before the first period: no plan."""
@@ -81,7 +81,9 @@ class TubeMpc:
     ) -> tuple[Command, mpc.MpcState, mpc.Diagnostics]:
         """Plan, and return the command of the plan's first period (see `mpc.act`)."""
         planned, driven = fan_out(measurement, 2)
-        acted: mpc.Step = mpc.act(self.qps, self.index[step], memory, planned.errors, self.restart)
+        acted: mpc.Action = mpc.act(
+            self.qps, self.index[step], memory, planned.errors, self.restart
+        )
         inputs, following, diagnostics = acted
         command = self.wheel_map.command(inputs, driven, reference_wheels)
         return command, following, diagnostics
@@ -98,7 +100,7 @@ class TubeMpc:
         errors = measurement.errors
         start = errors if self.restart else memory.nominal
         condensed = self.condensed_qp(step)
-        fits = mpc.are_all_free(condensed, start)
+        fits = planning.are_all_free(condensed, start)
         inputs, following, diagnostics = mpc.act_freely(condensed, memory, errors, self.restart)
         command = self.wheel_map.command(inputs, measurement, reference_wheels)
         return fits, (command, following, diagnostics)

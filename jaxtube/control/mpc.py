@@ -12,15 +12,11 @@ Guzman, Alamo 2009, eqs. (12)-(15), (31)).
 Where the QP has no solution the last feasible plan goes on, u = g_j + K(th) (e - e_j), and after
 its end the terminal gain, u = Gamma(th) e: nothing raises, and every step says what it did.
 
-While no row is active the optimum is linear, g = G e, and so is what the rows see of it: a batch
-that meets all its bounds this way is answered without a solver. Only the others go to the
-solver, with the critical regions that laps are known to meet (`synthesis.regions`).
+`planning` makes the plans.
 """
 
 from __future__ import annotations
 
-import functools
-import operator
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -32,63 +28,17 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
-from jaxtube.columns import MOST, by_columns, join, name_columns, split
-from jaxtube.qp.batched_ldl import add_up, matmul
+from jaxtube.columns import by_columns, join, name_columns, split
+from jaxtube.control import planning
 from jaxtube.qp.parametric import (
-    Parametric,
     find_nothing,
     find_rows,
-    look_up,
     recall,
-    solve_parametric,
 )
-from jaxtube.qp.regions import AnyArray, Regions
 
 ACTED = "acted"
 """Name under which reverse mode keeps what `act` returns, and which rows were active, a few bytes
 for each instance: no step is solved again."""
-
-
-class HalfSpaces(NamedTuple):
-    """Errors e with normals e <= offsets."""
-
-    normals: Float[AnyArray, "k 3"]
-    offsets: Float[AnyArray, " k"]  # infinite for a row that is only padding
-
-
-class CondensedQp(NamedTuple):
-    """The QP of one window of the reference, condensed: all that the controller knows of what lies
-    ahead. A stack of them has a leading axis over the distinct windows.
-
-    Rows that no input reaches are kept apart as `check_*`: they only say whether the present error
-    is admissible.
-    """
-
-    factors: qp.Factors
-    linear: Float[AnyArray, "n 3"]  # q = linear e
-    cost_unit: Float[AnyArray, ""]  # what the QP's cost is divided by
-    row_errors: Float[AnyArray, "m 3"]  # lower <= row_errors e + rows g <= upper
-    lower: Float[AnyArray, " m"]
-    upper: Float[AnyArray, " m"]
-    check_errors: Float[AnyArray, "c 3"]
-    check_lower: Float[AnyArray, " c"]
-    check_upper: Float[AnyArray, " c"]
-    free_inputs: Float[AnyArray, "n 3"]  # G: without constraints g = G e
-    free_rows: Float[AnyArray, "m 3"]  # row_errors + rows G
-    free_scale: Float[AnyArray, ""]  # of rounding in H G e + F e: |H| |G| + |F|, row sum
-    tube_gain: Float[AnyArray, "2 3"]  # K(th_k)
-    terminal_gain: Float[AnyArray, "2 3"]  # Gamma(th_k)
-    transition: Float[AnyArray, "3 3"]  # A(th_k)
-    input_matrix: Float[AnyArray, "3 2"]  # B(th_k)
-    regions: Regions | None = None  # of e, that are known beforehand
-    # Errors whose plan without constraints is the plan, by the rows that bound them; None where all
-    # rows are to be tested.
-    free_region: HalfSpaces | None = None
-
-    @property
-    def parametric(self) -> Parametric:
-        """The QP as one of parameters e."""
-        return Parametric(self.linear, self.row_errors, self.lower, self.upper)
 
 
 class MpcState(NamedTuple):
@@ -98,15 +48,6 @@ class MpcState(NamedTuple):
     inputs: Float[Array, "batch horizon 2"]
     stage: Int[Array, " batch"]  # of the plan's input that is due; the horizon where none is left
     nominal: Float[Array, "batch 3"]
-
-
-class Plan(NamedTuple):
-    """Inputs g_0 .. g_{N-1} of every instance, and the outcome of its QP."""
-
-    inputs: Float[Array, "batch horizon 2"]
-    status: Int[Array, " batch"]  # qp.SOLVED where there is a plan
-    residual: Float[Array, " batch"]
-    active: Bool[Array, " batch"]
 
 
 class Diagnostics(NamedTuple):
@@ -126,207 +67,18 @@ def initial_state(errors: Float[Array, "batch 3"], horizon: int) -> MpcState:
     return MpcState(no_inputs, at_the_end, errors)
 
 
-def plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
-    """Solve the QP of every instance from its own error.
-
-    Args:
-        condensed: one QP (no leading axis).
-        errors: start of each prediction, (m, m, rad).
-
-    Returns:
-        The plans. An instance has one where it is solved and the rows that no input reaches hold to
-        the solver's tolerance. Its `residual` is that of the optimality conditions, or a bound on
-        it.
-    """
-    return jax.lax.cond(
-        are_all_free(condensed, errors), free_plan, constrained_plan, condensed, errors
-    )
-
-
-def are_all_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, ""]:
-    """Return whether the plan without constraints is that of every instance; only the extremes of
-    each row over the batch are compared."""
-    region = condensed.free_region
-    if region is not None:
-        return jnp.all(_is_within(region, errors))
-    check_lower, check_upper = _check_bounds(condensed, errors)
-    plans_fit = _extremes_fit(condensed.lower, condensed.free_rows, errors, condensed.upper)
-    errors_fit = _extremes_fit(check_lower, condensed.check_errors, errors, check_upper)
-    return plans_fit & errors_fit
-
-
-def _is_within(region: HalfSpaces, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
-    """Return which errors lie within; written out, for one kernel."""
-    within = [
-        sum(region.normals[row, i] * errors[:, i] for i in range(3)) <= region.offsets[row]
-        for row in range(len(region.offsets))
-    ]
-    return functools.reduce(operator.and_, within)
-
-
-def _extremes_fit(
-    lower: Float[Array, " m"],
-    rows: Float[AnyArray, "m 3"],
-    errors: Float[Array, "batch 3"],
-    upper: Float[Array, " m"],
-) -> Bool[Array, ""]:
-    values = matmul(rows, errors.T)
-    return jnp.all(lower <= values.min(axis=1)) & jnp.all(values.max(axis=1) <= upper)
-
-
-def _is_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
-    """Return which instances the plan without constraints serves, were their errors admissible; no
-    other ones where the region of such errors is known."""
-    region = condensed.free_region
-    if region is not None:
-        return _is_within(region, errors)
-    values = _image(condensed.free_rows, errors)
-    return jnp.all((condensed.lower <= values) & (values <= condensed.upper), axis=1)
-
-
-def _is_admissible(
-    condensed: CondensedQp, errors: Float[Array, "batch 3"]
-) -> Bool[Array, " batch"]:
-    """Return which errors meet the rows that no input reaches."""
-    lower, upper = _check_bounds(condensed, errors)
-    values = _image(condensed.check_errors, errors)
-    return jnp.all((lower <= values) & (values <= upper), axis=1)
-
-
-def _check_bounds(
-    condensed: CondensedQp, errors: Float[Array, "batch 3"]
-) -> tuple[Float[Array, " c"], Float[Array, " c"]]:
-    """Return the bounds of the rows that no input reaches, widened to be as exact as the rows of
-    the QP: what an admissible plan meets with equality, it meets to rounding when shifted."""
-    slack = qp.TOLERANCE[errors.dtype.itemsize]
-    return condensed.check_lower - slack, condensed.check_upper + slack
-
-
-@jax.custom_vjp
-def _image(
-    matrix: Float[AnyArray, "m n"], vectors: Float[Array, "batch n"]
-) -> Float[Array, "batch m"]:
-    """Return matrix @ vector of every instance as a sum over few columns, which fuses with what is
-    done to it next."""
-    columns = jnp.unstack(vectors, axis=1)
-    if 0 < len(matrix) <= MOST:
-        return jnp.stack([_weigh(row, columns) for row in jnp.unstack(matrix)], axis=1)
-    terms = [column[:, None] * matrix[:, i] for i, column in enumerate(columns)]
-    return functools.reduce(operator.add, terms)
-
-
-def _weigh(weights: Float[Array, " n"], columns: tuple[Float[Array, " batch"], ...]):
-    """Return the weighted sum of columns."""
-    return add_up([weights[i] * column for i, column in enumerate(columns)])
-
-
-def _image_and_arguments(matrix, vectors) -> tuple[Array, tuple[Array, Array]]:
-    return _image(matrix, vectors), (matrix, vectors)
-
-
-def _pull_image_back(saved: tuple[Array, Array], cotangent: Array) -> tuple[Array, Array]:
-    """Return the cotangents as products: those of the sum over columns pass over the batch once for
-    each entry."""
-    matrix, vectors = saved
-
-    def pull(cotangent):
-        return matmul(cotangent.T, vectors), _image(matrix.T, cotangent)
-
-    def pull_nothing(cotangent):
-        return jnp.zeros_like(matrix), jnp.zeros_like(vectors)
-
-    if len(matrix) <= MOST:
-        return pull(cotangent)
-    # Nothing comes back from most plans but what is due of them.
-    return jax.lax.cond(jnp.any(cotangent != 0), pull, pull_nothing, cotangent)
-
-
-_image.defvjp(_image_and_arguments, _pull_image_back)
-
-
-def free_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
-    """Return the plans without constraints: the answer of every instance that meets all of them
-    this way."""
-    batch = len(errors)
-    inputs = _image(condensed.free_inputs, errors)
-    rounding = (inputs.shape[1] + 5) * jnp.finfo(errors.dtype).eps * condensed.free_scale
-    residual = rounding * jnp.max(jnp.abs(errors), axis=1)
-    solved = jnp.full(batch, qp.SOLVED, jnp.int32)
-    return Plan(inputs.reshape(batch, -1, 2), solved, residual, jnp.zeros(batch, bool))
-
-
-@jax.jit  # long to trace, and asked for in several places of a program
-def constrained_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
-    """Return the plans of a batch of which some instance needs the solver; the others cost no
-    more than where none does."""
-    # An instance with a free plan takes it even here: its plan must not depend on the others.
-    free = _is_free(condensed, errors)
-    return _choose_plan(condensed, errors, free, _solve(condensed, errors, ~free))
-
-
-def _solve(
-    condensed: CondensedQp, errors: Float[Array, "batch 3"], is_wanted: Bool[Array, " batch"]
-) -> qp.Solution:
-    return solve_parametric(
-        condensed.factors, condensed.parametric, errors, is_wanted, condensed.regions
-    )
-
-
-def known_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
-    """Return the plans of a batch as far as no solver is needed: free ones and those of the regions
-    that the QP has; UNSOLVED elsewhere.
-
-    Raises:
-        ValueError: where the QP has no regions.
-    """
-    known = condensed.regions
-    if known is None:
-        raise ValueError("regions = None: the QP has none; ask for `free_plan`")
-    free = _is_free(condensed, errors)
-    solution = look_up(condensed.factors, condensed.parametric, errors, known)
-    return _choose_plan(condensed, errors, free, solution)
-
-
-def _choose_plan(
-    condensed: CondensedQp,
-    errors: Float[Array, "batch 3"],
-    free: Bool[Array, " batch"],
-    solution: qp.Solution,
-) -> Plan:
-    """Return the free plan where it serves, and what a solver says elsewhere, if the error is
-    admissible."""
-    active = (solution.status == qp.SOLVED) & jnp.any(jnp.abs(solution.multipliers) > 0, axis=1)
-    inputs = solution.x.reshape(len(errors), -1, 2)
-    solved = Plan(inputs, solution.status, solution.residual, active)
-    plan = _select(free, free_plan(condensed, errors), solved)
-    # Data that are not numbers are no proof of anything; their residual is infinite.
-    excluded = ~_is_admissible(condensed, errors) & jnp.isfinite(plan.residual)
-    status = jnp.where(excluded, qp.INFEASIBLE, plan.status)
-    return plan._replace(status=status, active=plan.active & ~excluded)
-
-
-def _select(first_where: Bool[Array, " batch"], first: Any, second: Any) -> Any:
-    """Return, instance by instance, the first pytree or the second."""
-
-    def select(a, b):
-        condition = jnp.expand_dims(first_where, tuple(range(1, a.ndim)))
-        return jnp.where(condition, a, b)
-
-    return jax.tree.map(select, first, second)
-
-
-Step = tuple[Float[Array, "batch 2"], MpcState, Diagnostics]
+Action = tuple[Float[Array, "batch 2"], MpcState, Diagnostics]
 """Virtual inputs, next memory and diagnostics of a step."""
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(4,))
 def act(
-    qps: CondensedQp,
+    qps: planning.CondensedQp,
     index: Int[Array, ""],
     state: MpcState,
     errors: Float[Array, "batch 3"],
     restart: bool,
-) -> Step:
+) -> Action:
     """Return the virtual input of one step of the tube-MPC.
 
     Args:
@@ -343,56 +95,56 @@ def act(
 
     @by_columns
     def freely(qps, state, errors):
-        return act_freely(take_qp(qps, index), state, errors, restart)
+        return act_freely(planning.take_qp(qps, index), state, errors, restart)
 
     @by_columns
     def constrained(qps, state, errors):
-        condensed = take_qp(qps, index)
+        condensed = planning.take_qp(qps, index)
         start = _choose_start(state, errors, restart)
-        return _follow(condensed, state, errors, start, constrained_plan(condensed, start))
+        return _follow(condensed, state, errors, start, planning.constrained_plan(condensed, start))
 
     start = _choose_start(state, errors, restart)
-    all_free = are_all_free(take_qp(qps, index), start)
+    all_free = planning.are_all_free(planning.take_qp(qps, index), start)
     state, errors = split((state, errors))
     return join(jax.lax.cond(all_free, freely, constrained, qps, state, errors))
 
 
-def _act_and_remember(qps, index, state, errors, restart: bool) -> tuple[Step, tuple]:
+def _act_and_remember(qps, index, state, errors, restart: bool) -> tuple[Action, tuple]:
     """Act; return the step and what its derivative needs, all of it under ACTED."""
     batch = len(errors)
 
     @by_columns
     def freely(qps, state, errors):
-        condensed = take_qp(qps, index)
+        condensed = planning.take_qp(qps, index)
         found = find_nothing(condensed.factors, batch)
         return act_freely(condensed, state, errors, restart), found
 
     @by_columns
     def constrained(qps, state, errors):
-        condensed = take_qp(qps, index)
+        condensed = planning.take_qp(qps, index)
         start = _choose_start(state, errors, restart)
-        free = _is_free(condensed, start)
-        solution = _solve(condensed, start, ~free)
+        free = planning.is_free(condensed, start)
+        solution = planning.solve_some(condensed, start, ~free)
         found = find_rows(condensed.factors, condensed.parametric, start, solution)
-        plan = _choose_plan(condensed, start, free, solution)
+        plan = planning.choose_plan(condensed, start, free, solution)
         return _follow(condensed, state, errors, start, plan), found
 
     start = _choose_start(state, errors, restart)
-    all_free = are_all_free(take_qp(qps, index), start)
+    all_free = planning.are_all_free(planning.take_qp(qps, index), start)
     columns = split((state, errors))
     outcome = join(jax.lax.cond(all_free, freely, constrained, qps, *columns))
     all_free, (step, found) = name_columns((all_free, outcome), ACTED)
     return step, (qps, index, state, errors, all_free, found)
 
 
-def _pull_step_back(restart: bool, saved: tuple, cotangent: Step) -> tuple:
+def _pull_step_back(restart: bool, saved: tuple, cotangent: Action) -> tuple:
     """Return the cotangents of QPs, memory and errors, on the active rows that were found."""
     qps, index, state, errors, all_free, found = saved
     whole = qps._replace(regions=None, free_region=None)
     columns_bar = split(cotangent)
 
-    def pull_back(act_again: Callable[..., Step], qps, state, errors):
-        condensed = take_qp(qps, index)
+    def pull_back(act_again: Callable[..., Action], qps, state, errors):
+        condensed = planning.take_qp(qps, index)
         numbers = condensed._replace(regions=None, free_region=None)
 
         def act(numbers, inputs, nominal, errors):
@@ -402,11 +154,11 @@ def _pull_step_back(restart: bool, saved: tuple, cotangent: Step) -> tuple:
         _, pull = jax.vjp(act, numbers, state.inputs, state.nominal, errors)
         return pull(join(columns_bar))
 
-    def recall_step(condensed, state, errors) -> Step:
+    def recall_step(condensed, state, errors) -> Action:
         start = _choose_start(state, errors, restart)
-        free = _is_free(condensed, start)
+        free = planning.is_free(condensed, start)
         solution = recall(condensed.factors, condensed.parametric, start, found)
-        plan = _choose_plan(condensed, start, free, solution)
+        plan = planning.choose_plan(condensed, start, free, solution)
         return _follow(condensed, state, errors, start, plan)
 
     freely = by_columns(partial(pull_back, partial(act_freely, restart=restart)))
@@ -438,46 +190,46 @@ act.defvjp(_act_and_remember, _pull_step_back)
 
 
 def act_as_known(
-    condensed: CondensedQp, state: MpcState, errors: Float[Array, "batch 3"], restart: bool
-) -> Step:
+    condensed: planning.CondensedQp, state: MpcState, errors: Float[Array, "batch 3"], restart: bool
+) -> Action:
     """Act where no instance needs the solver: no status is then UNSOLVED."""
     start = _choose_start(state, errors, restart)
-    return _follow(condensed, state, errors, start, known_plan(condensed, start))
+    return _follow(condensed, state, errors, start, planning.known_plan(condensed, start))
 
 
 def act_freely(
-    condensed: CondensedQp, state: MpcState, errors: Float[Array, "batch 3"], restart: bool
-) -> Step:
+    condensed: planning.CondensedQp, state: MpcState, errors: Float[Array, "batch 3"], restart: bool
+) -> Action:
     """Act where every instance has just made a free plan."""
     start = _choose_start(state, errors, restart)
-    plan = free_plan(condensed, start)
-    due = _image(condensed.free_inputs[:2], start)
-    command = due if restart else due + _image(condensed.tube_gain, errors - start)
-    nominal = predict(condensed, start, due)
+    plan = planning.free_plan(condensed, start)
+    due = planning.image(condensed.free_inputs[:2], start)
+    command = due if restart else due + planning.image(condensed.tube_gain, errors - start)
+    nominal = planning.predict(condensed, start, due)
     following = MpcState(plan.inputs, jnp.ones_like(state.stage), nominal)
     return command, following, _diagnose(plan)
 
 
 def _follow(
-    condensed: CondensedQp,
+    condensed: planning.CondensedQp,
     state: MpcState,
     errors: Float[Array, "batch 3"],
     start: Float[Array, "batch 3"],
-    plan: Plan,
-) -> Step:
+    plan: planning.Plan,
+) -> Action:
     """Act by plans that have just been made, and by the backup where there is none."""
     fresh = MpcState(plan.inputs, jnp.zeros_like(state.stage), start)
-    now = _select(plan.status == qp.SOLVED, fresh, state)
+    now = planning.select(plan.status == qp.SOLVED, fresh, state)
     horizon = now.inputs.shape[1]
     deviation = errors - now.nominal
     due = jnp.take_along_axis(now.inputs, now.stage[:, None, None], axis=1, mode="clip")[:, 0]
-    planned = (due, _image(condensed.tube_gain, deviation))
+    planned = (due, planning.image(condensed.tube_gain, deviation))
     at_the_end = (
-        _image(condensed.terminal_gain, now.nominal),
-        _image(condensed.terminal_gain, deviation),
+        planning.image(condensed.terminal_gain, now.nominal),
+        planning.image(condensed.terminal_gain, deviation),
     )
-    due, feedback = _select(now.stage < horizon, planned, at_the_end)
-    nominal = predict(condensed, now.nominal, due)
+    due, feedback = planning.select(now.stage < horizon, planned, at_the_end)
+    nominal = planning.predict(condensed, now.nominal, due)
     following = MpcState(now.inputs, jnp.minimum(now.stage + 1, horizon), nominal)
     return due + feedback, following, _diagnose(plan)
 
@@ -489,14 +241,7 @@ def _choose_start(
     return errors if restart else state.nominal
 
 
-def predict(
-    condensed: CondensedQp, nominal: Float[Array, "batch 3"], inputs: Float[Array, "batch 2"]
-) -> Float[Array, "batch 3"]:
-    """Return A e + B g, the nominal error one step ahead."""
-    return _image(condensed.transition, nominal) + _image(condensed.input_matrix, inputs)
-
-
-def _diagnose(plan: Plan) -> Diagnostics:
+def _diagnose(plan: planning.Plan) -> Diagnostics:
     return Diagnostics(plan.status, plan.residual, plan.active, plan.status != qp.SOLVED)
 
 
@@ -506,12 +251,3 @@ def no_diagnostics(errors: Float[Array, "batch 3"]) -> Diagnostics:
     solved = jnp.full(batch, qp.SOLVED)
     never = jnp.zeros(batch, bool)
     return Diagnostics(solved, jnp.zeros_like(errors[:, 0]), never, never)
-
-
-def take_qp(qps: CondensedQp, index: Int[Array, ""] | int) -> CondensedQp:
-    """Return the QP of one window."""
-    regions = qps.regions
-    of_window = jax.tree.map(lambda array: array[index], qps._replace(regions=None))
-    # The regions of all windows stay where they are: a copy of those of one takes longer than to
-    # look some errors up in them.
-    return of_window._replace(regions=None if regions is None else regions.take(index))

@@ -16,10 +16,9 @@ from __future__ import annotations
 
 import itertools
 import operator
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +26,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Key
 
-from jaxtube.columns import each_coordinate, join, split
+from jaxtube.columns import each_coordinate
 from jaxtube.plant import slip
 from jaxtube.plant.error_dynamics import Sideslip, advance, tracking_error, world_pose
 from jaxtube.plant.protocol import (
@@ -42,7 +41,7 @@ from jaxtube.plant.protocol import (
 from jaxtube.plant.robot import Robot, saturate, wheel_positions
 from jaxtube.plant.slip_bounds import SlipBounds
 from jaxtube.plant.slip_processes import find_process
-from jaxtube.qp.blocks import on_accelerator
+from jaxtube.qp.blocks import make_once
 
 EXTREME = ("vertex", "adversarial")
 """Processes whose deviations are -1 or 1."""
@@ -138,7 +137,7 @@ class SlippingRobot:
         def draw():
             return jax.vmap(lambda key: slip.pose_noise(key, step, noise))(keys)
 
-        return self.add_noise(step, errors, _draw_once(step, draw, jnp.zeros_like(errors)))
+        return self.add_noise(step, errors, make_once(step, draw()))
 
     def add_noise(
         self, step, errors: Float[Array, "batch 3"], noise: Float[Array, "batch 3"]
@@ -165,18 +164,11 @@ class SlippingRobot:
 
         situation = self.situation(step, errors)
         before = memory.process if self.sideslip is None else memory.process[0]
-        none = jnp.zeros_like(errors[:, :2])
-        true, measured, following = _draw_once(
-            step, lambda: jax.vmap(draw)(keys, before, situation), (none, none, before)
-        )
+        true, measured, following = jax.vmap(draw)(keys, before, situation)
         if self.sideslip is None:
             return SlipMemory(following, true, measured)
-        slip_errors = true - measured
-        sideways, following_sideways = _draw_once(
-            step,
-            lambda: jax.vmap(draw_sideslip)(keys, memory.process[1], situation, slip_errors),
-            (none[:, 0], memory.process[1]),
-        )
+        drawn = jax.vmap(draw_sideslip)(keys, memory.process[1], situation, true - measured)
+        sideways, following_sideways = drawn
         return SlipMemory((following, following_sideways), true, measured, sideways)
 
     def situation(self, step, errors: Float[Array, "batch 3"]) -> slip.Situation:
@@ -302,15 +294,6 @@ class ScriptedRobot:
     ) -> Advance:
         """Move through one period under the slips of the script."""
         return self.robot.advance(keys, step, memory, errors, command)
-
-
-def _draw_once(step, draw: Callable[[], Any], otherwise: Any) -> Any:
-    """Return what is drawn, made once: several kernels of a period need it, and on a processor each
-    would draw it anew, unless it comes out of a condition, which always holds; `otherwise` is of
-    the same form."""
-    if on_accelerator():
-        return draw()
-    return join(jax.lax.cond(step >= 0, lambda: split(draw()), lambda: split(otherwise)))
 
 
 def box_vertices(dimension: int) -> Float[np.ndarray, "v n"]:

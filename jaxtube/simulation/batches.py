@@ -13,7 +13,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube import qp
-from jaxtube.control import mpc
+from jaxtube.control import planning
 from jaxtube.control.laws import TubeMpc
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant
@@ -75,7 +75,7 @@ def model_disturbances(design: Design, trajectory: Trajectory) -> Float[np.ndarr
     return trajectory.measured[1:] - free - forced
 
 
-_make_plans = jax.jit(mpc.plan)
+_make_plans = jax.jit(planning.plan)
 
 
 def plan_deviations(

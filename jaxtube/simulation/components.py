@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.control import mpc
+from jaxtube.control import planning
 from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.estimating import EstimatingRobot
@@ -94,7 +94,7 @@ def make_plain_mpc(design: Design) -> TubeMpc:
     return _make_mpc(design, design.plain_qps._replace(free_region=free_region))
 
 
-def _make_mpc(design: Design, qps: mpc.CondensedQp) -> TubeMpc:
+def _make_mpc(design: Design, qps: planning.CondensedQp) -> TubeMpc:
     require_64_bits("controllers of a design")
     return TubeMpc(
         jax.device_put(qps), jnp.asarray(design.windows.index), make_wheel_map(design.problem)

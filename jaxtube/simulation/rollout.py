@@ -19,7 +19,7 @@ from jaxtyping import Float, Int, Key
 
 from jaxtube import qp
 from jaxtube.columns import fan_out, scan_by_columns
-from jaxtube.control import mpc
+from jaxtube.control import planning
 from jaxtube.control.laws import TubeMpc, without_rounds
 from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.protocol import Controller
@@ -202,7 +202,7 @@ def follow_plan(
     keys: Key[Array, " batch"],
     state: LoopState,
     step: Int[Array, ""],
-    plan: mpc.Plan,
+    plan: planning.Plan,
 ) -> Float[Array, "horizon batch 3"]:
     """Follow plans to their end, u = g_j + K(th) (e - e_nominal), without planning again.
 
@@ -233,7 +233,7 @@ def follow_plan(
             keys, now, state.plant_memory, state.errors, command
         )
         state = _measure(plant, keys, now + 1, errors, state.memory, plant_memory)
-        nominal = mpc.predict(condensed, nominal, planned)
+        nominal = planning.predict(condensed, nominal, planned)
         return (state, nominal), state.measured - nominal
 
     planned = jnp.moveaxis(plan.inputs, 1, 0)

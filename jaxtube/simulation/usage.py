@@ -23,11 +23,12 @@ from jaxtyping import Float, Int, Key
 
 from jaxtube import qp
 from jaxtube.columns import by_columns, fan_out, join, loop_by_columns, split
-from jaxtube.control import mpc
+from jaxtube.control import mpc, planning
 from jaxtube.control.follow import PlanFollower
 from jaxtube.control.laws import TubeMpc, planner_of
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Memory, Plant, Script, SearchablePlant
+from jaxtube.qp.blocks import make_once
 from jaxtube.simulation.rollout import (
     LoopState,
     PeriodOutcome,
@@ -173,7 +174,8 @@ def add_up_periods(
         errors, memory, plant_memory = state
         sensed, moved = fan_out(errors, 2)
         # What is measured is no part of the state, and not kept.
-        measurement, plant_memory = plant.sense(keys, step, plant_memory, sensed)
+        drawn = make_once(step, plant.sense(keys, step, plant_memory, sensed))
+        measurement, plant_memory = drawn
         before = LoopState(moved, measurement, memory, plant_memory)
         errors, memory, plant_memory, happened = advance_period(
             controller, plant, keys, step, before
@@ -368,8 +370,8 @@ def _run_until(
 
 
 @jax.jit
-def _make_plan(planner: TubeMpc, step, measured: Float[Array, "1 3"]) -> mpc.Plan:
-    return mpc.plan(planner.condensed_qp(step), measured)
+def _make_plan(planner: TubeMpc, step, measured: Float[Array, "1 3"]) -> planning.Plan:
+    return planning.plan(planner.condensed_qp(step), measured)
 
 
 def read_values(name: str, played: Replay) -> Float[np.ndarray, "steps n"]:

@@ -19,8 +19,8 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Int
 
-from jaxtube.control.mpc import AnyArray
 from jaxtube.qp.batched_ldl import matmul
+from jaxtube.qp.regions import AnyArray
 
 OUTSIDE = 1e-12
 """What counts as outside is further out than this: beyond a facet, in the unit of its row, or in

@@ -30,7 +30,7 @@ from jax.sharding import Mesh, PartitionSpec
 from jaxtyping import Bool, Int, Key, UInt32
 
 from jaxtube.columns import loop_by_columns
-from jaxtube.control import mpc
+from jaxtube.control import planning
 from jaxtube.control.laws import TubeMpc, planner_of, without_rounds
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant
@@ -371,7 +371,7 @@ def follow_and_observe(
     count what is seen."""
 
     def make_plan(errors, at):
-        plan = mpc.plan(controller.condensed_qp(at), errors)
+        plan = planning.plan(controller.condensed_qp(at), errors)
         return tally.expected_error(controller, at, errors, plan), plan
 
     # One program for both plans: what solves a QP takes long to compile.

@@ -25,7 +25,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxtube import coordinates, qp
-from jaxtube.control import mpc
+from jaxtube.control import planning
 from jaxtube.control.laws import TubeMpc
 from jaxtube.coordinates import PLANES
 from jaxtube.plant.error_dynamics import world_pose
@@ -294,9 +294,9 @@ class FollowedPlans(NamedTuple):
     """Plans made at one step and followed to their end, and what was planned one step later."""
 
     state: LoopState  # at the step
-    plan: mpc.Plan
+    plan: planning.Plan
     deviations: Float[Array, "horizon batch 3"]
-    next_plan: mpc.Plan  # made where `plan` expects the error one step later
+    next_plan: planning.Plan  # made where `plan` expects the error one step later
 
 
 def observe_plans(
@@ -377,17 +377,17 @@ def _largest(
 
 
 def expected_error(
-    controller: TubeMpc, step, errors: Float[Array, "batch 3"], plan: mpc.Plan
+    controller: TubeMpc, step, errors: Float[Array, "batch 3"], plan: planning.Plan
 ) -> Float[Array, "batch 3"]:
     """Return A e + B g_0, where a plan expects the error one step later."""
-    return mpc.predict(controller.condensed_qp(step), errors, plan.inputs[:, 0])
+    return planning.predict(controller.condensed_qp(step), errors, plan.inputs[:, 0])
 
 
 def plan_cost(
-    checks: Checks, controller: TubeMpc, index, errors: Float[Array, "batch 3"], plan: mpc.Plan
+    checks: Checks, controller: TubeMpc, index, errors: Float[Array, "batch 3"], plan: planning.Plan
 ) -> Float[Array, " batch"]:
     """Return the cost of plans, sum of e'Qe + g'Rg and e'Pe at the end."""
-    condensed = mpc.take_qp(controller.qps, index)
+    condensed = planning.take_qp(controller.qps, index)
     inputs = plan.inputs.reshape(len(errors), -1)
     linear = jnp.sum(matmul(errors, condensed.linear.T) * inputs, axis=1)
     of_inputs = linear + _form(condensed.factors.hessian, inputs) / 2

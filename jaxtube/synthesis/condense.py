@@ -24,7 +24,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube import qp
-from jaxtube.control.mpc import AnyArray, CondensedQp
+from jaxtube.control.planning import CondensedQp
+from jaxtube.qp.regions import AnyArray
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis.prediction import Prediction, predict
 from jaxtube.synthesis.problem import Problem

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import linprog
 
-from jaxtube.control.mpc import CondensedQp
+from jaxtube.control.planning import CondensedQp
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis.problem import Problem
 from sets.polytope import Polytope

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube import qp
-from jaxtube.control.mpc import CondensedQp, HalfSpaces
+from jaxtube.control.planning import CondensedQp, HalfSpaces
 from sets.polytope import Polytope
 
 DISTANCE = 1e-7

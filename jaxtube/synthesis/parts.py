@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.arguments import describe_type
-from jaxtube.control.mpc import CondensedQp
+from jaxtube.control.planning import CondensedQp
 from jaxtube.storage import StoredResult, write_result
 from jaxtube.synthesis import condense
 from jaxtube.synthesis.condense import Bounds

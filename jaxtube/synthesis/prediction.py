@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.control.mpc import AnyArray
+from jaxtube.qp.regions import AnyArray
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.windows import Windows
 

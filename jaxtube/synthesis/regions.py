@@ -26,7 +26,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.sparse import csc_array
 
-from jaxtube.control.mpc import CondensedQp
+from jaxtube.control.planning import CondensedQp
 from jaxtube.qp.regions import Regions
 from jaxtube.synthesis.region_stack import Bank, Region, stack_regions
 from jaxtube.synthesis.region_tree import Tree, grow_tree

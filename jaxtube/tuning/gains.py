@@ -19,7 +19,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float
 
-from jaxtube.control.mpc import AnyArray
+from jaxtube.qp.regions import AnyArray
 from jaxtube.synthesis.gains import given_gain
 from jaxtube.synthesis.problem import Problem
 from sets import lyapunov

@@ -17,7 +17,8 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxtube.control.mpc import AnyArray, CondensedQp
+from jaxtube.control.planning import CondensedQp
+from jaxtube.qp.regions import AnyArray
 from jaxtube.synthesis.condense import Bounds, Cost, Gains, row_bounds, weigh, widths
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.prediction import Prediction, predict, with_terminal_rows

@@ -25,11 +25,11 @@ from jax import Array
 from jaxtyping import Float, Key
 
 from jaxtube.control.laws import TubeMpc
-from jaxtube.control.mpc import AnyArray
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.lagging import BareRobot
 from jaxtube.qp.batched_ldl import add_up
+from jaxtube.qp.regions import AnyArray
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation.rollout import PeriodOutcome
 from jaxtube.simulation.usage import add_up_periods

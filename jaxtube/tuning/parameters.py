@@ -20,7 +20,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Bool, Float
 
-from jaxtube.control.mpc import AnyArray
+from jaxtube.qp.regions import AnyArray
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.loop import Weights

@@ -25,7 +25,7 @@ import numpy as np
 from jax import Array
 from jaxtyping import Float, Int
 
-from jaxtube.control.mpc import AnyArray
+from jaxtube.qp.regions import AnyArray
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.terminal import Terminal, set_back_off
 from jaxtube.tuning.caps import CapLimits

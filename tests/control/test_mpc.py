@@ -12,7 +12,7 @@ from oracles import SEQUENCE, TIGHT, PlainMpc, terminal_gain, tube_gain
 from tolerances import KKT, LINEAR_PROGRAM, ROUNDING
 
 from jaxtube import qp
-from jaxtube.control import mpc
+from jaxtube.control import planning
 from jaxtube.scenario import load
 from jaxtube.simulation import batches, components
 from jaxtube.synthesis.design import design as make_design
@@ -27,12 +27,12 @@ SINGLE_KKT = 2e-5
 BATCH = 256
 ONE_SIDED = ("robot.wheel_speed_max_mps=2.2",)
 
-planned = jax.jit(mpc.plan)
+planned = jax.jit(planning.plan)
 
 
 def plan_in_blocks(design, step, starts, dtype=float):
     """Solve the QPs of one step from many starts, BATCH at a time, and return numpy arrays."""
-    window = mpc.take_qp(design.tube_qps, design.windows.index[step])
+    window = planning.take_qp(design.tube_qps, design.windows.index[step])
     window = jax.tree.map(lambda array: jnp.asarray(array, dtype), window)
     answers = [planned(window, jnp.asarray(block, dtype)) for block in starts.reshape(-1, BATCH, 3)]
     return jax.tree.map(lambda *arrays: np.concatenate(arrays), *answers)
@@ -356,6 +356,6 @@ CYCLING = np.array(
 @pytest.mark.slow
 def test_plans_from_the_edge_of_a_certified_design_are_found():
     found = make_design(load("certified"))
-    window = mpc.take_qp(jax.device_put(found.tube_qps), found.windows.index[0])
-    plan = jax.jit(mpc.plan)(window, jnp.asarray(CYCLING))
+    window = planning.take_qp(jax.device_put(found.tube_qps), found.windows.index[0])
+    plan = jax.jit(planning.plan)(window, jnp.asarray(CYCLING))
     np.testing.assert_array_equal(plan.status, qp.SOLVED)

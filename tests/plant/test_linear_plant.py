@@ -9,7 +9,7 @@ from oracles import SEQUENCE, model
 from tolerances import CLOSED_LOOP, INSIDE_TUBE
 
 from jaxtube import qp
-from jaxtube.control import mpc
+from jaxtube.control import planning
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import begin, follow_plan, realisation_keys
 from sets.tubes import sequence_tube
@@ -66,7 +66,7 @@ def test_disturbances_fill_W_and_reach_every_vertex(robust_design, disturbances)
     assert abs(np.corrcoef(first[:, :-1].ravel(), first[:, 1:].ravel())[0, 1]) < 0.01
 
 
-planned = jax.jit(mpc.plan)
+planned = jax.jit(planning.plan)
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +80,7 @@ def deviations(robust_design, stressed):
     for step in (0, 1, 40, 113, 114, 115, 116, 230):
         starts = jnp.asarray(stressed["tube_mpc"].errors[step, :BATCH])
         state = begin(controller, plant, keys, starts)
-        plans = planned(mpc.take_qp(controller.qps, controller.index[step]), starts)
+        plans = planned(planning.take_qp(controller.qps, controller.index[step]), starts)
         deviations = follow_plan(controller, plant, keys, state, jnp.asarray(step), plans)
         found.append((step, np.asarray(deviations), np.asarray(plans.status) == qp.SOLVED))
     return found

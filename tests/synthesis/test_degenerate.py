@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxtube import qp
-from jaxtube.control import mpc
+from jaxtube.control import planning
 from jaxtube.scenario import load
 from jaxtube.synthesis.design import design
 
@@ -23,7 +23,7 @@ STARTS = np.array(
 
 def test_plans_are_solved_where_an_active_set_is_almost_degenerate():
     found = design(load("tuned"))
-    window = mpc.take_qp(jax.device_put(found.tube_qps), jnp.asarray(found.windows.index[0]))
-    plans = jax.jit(mpc.plan)(window, jnp.asarray(STARTS))
+    window = planning.take_qp(jax.device_put(found.tube_qps), jnp.asarray(found.windows.index[0]))
+    plans = jax.jit(planning.plan)(window, jnp.asarray(STARTS))
     np.testing.assert_array_equal(plans.status, np.full(len(STARTS), qp.SOLVED))
     assert plans.active.all()

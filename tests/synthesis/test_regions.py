@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jaxtube import qp
-from jaxtube.control import mpc
+from jaxtube.control import planning
 from jaxtube.qp import parametric
 from jaxtube.qp.regions import look_up
 from jaxtube.scenario import load
@@ -37,7 +37,7 @@ def controller(tuned):
 @pytest.fixture(scope="module")
 def first(tuned, controller):
     """The QP of the first window."""
-    return mpc.take_qp(controller.qps, tuned.first_window)
+    return planning.take_qp(controller.qps, tuned.first_window)
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +59,8 @@ def without_regions(condensed):
 
 
 def test_plans_are_those_of_the_solver(first, errors):
-    known = mpc.plan(first, jnp.asarray(errors))
-    solved = mpc.plan(without_regions(first), jnp.asarray(errors))
+    known = planning.plan(first, jnp.asarray(errors))
+    solved = planning.plan(without_regions(first), jnp.asarray(errors))
     np.testing.assert_array_equal(known.status, solved.status)
     np.testing.assert_array_equal(known.active, solved.active)
     assert np.mean(known.active) > 0.3
@@ -69,8 +69,8 @@ def test_plans_are_those_of_the_solver(first, errors):
 
 
 def test_a_plan_without_a_solver_is_that_of_the_solver_or_none(first, errors):
-    known = mpc.known_plan(first, jnp.asarray(errors))
-    solved = mpc.plan(without_regions(first), jnp.asarray(errors))
+    known = planning.known_plan(first, jnp.asarray(errors))
+    solved = planning.plan(without_regions(first), jnp.asarray(errors))
     found = np.asarray(known.status) != qp.UNSOLVED
     assert 0.5 < np.mean(found) < 1.0
     assert np.sum(known.active[found]) > 50
@@ -97,7 +97,7 @@ def share_of_known(design, controller, starts):
     for window in np.unique(windows[active.any(axis=1)]):
         of_window = active & (windows == window)[:, None]
         met = np.asarray(lap.measured)[:-1][of_window]
-        known.append(are_known(mpc.take_qp(controller.qps, window), met))
+        known.append(are_known(planning.take_qp(controller.qps, window), met))
     answered = np.concatenate(known)
     assert len(answered) > 100
     return np.mean(answered)
@@ -136,8 +136,8 @@ def test_answers_of_regions_satisfy_the_optimality_conditions(first, errors):
 def test_a_wrong_answer_is_not_taken(first, errors):
     wrong = first.regions._replace(multipliers=first.regions.multipliers * 1.01)
     assert not np.any(are_known(first._replace(regions=wrong), errors))
-    spoilt = mpc.plan(first._replace(regions=wrong), jnp.asarray(errors))
-    solved = mpc.plan(without_regions(first), jnp.asarray(errors))
+    spoilt = planning.plan(first._replace(regions=wrong), jnp.asarray(errors))
+    solved = planning.plan(without_regions(first), jnp.asarray(errors))
     np.testing.assert_array_equal(spoilt.status, solved.status)
     np.testing.assert_allclose(spoilt.inputs, solved.inputs, rtol=0, atol=SAME)
 
@@ -145,20 +145,20 @@ def test_a_wrong_answer_is_not_taken(first, errors):
 def test_a_window_without_regions_guesses_no_row(tuned, controller):
     """Its multipliers are zero: the answer without constraints, which is checked."""
     begin = np.asarray(controller.qps.regions.begin)
-    empty = mpc.take_qp(controller.qps, np.flatnonzero(begin < 0)[0])
+    empty = planning.take_qp(controller.qps, np.flatnonzero(begin < 0)[0])
     errors = jnp.asarray(np.tile(tuned.problem.initial_error, (5, 1)))
     assert not np.any(look_up(empty.regions, errors, len(empty.lower)))
 
 
 def test_no_plan_depends_on_the_other_instances(first, errors):
-    together = mpc.plan(first, jnp.asarray(errors))
-    few = mpc.plan(first, jnp.asarray(errors[::7]))
+    together = planning.plan(first, jnp.asarray(errors))
+    few = planning.plan(first, jnp.asarray(errors[::7]))
     np.testing.assert_allclose(together.inputs[::7], few.inputs, rtol=0, atol=1e-13)
 
 
 def test_derivatives_do_not_know_the_bank(first, errors):
     def total(condensed, scale):
-        return jnp.sum(mpc.plan(condensed, scale * jnp.asarray(errors[:32])).inputs ** 2)
+        return jnp.sum(planning.plan(condensed, scale * jnp.asarray(errors[:32])).inputs ** 2)
 
     known = jax.grad(total, argnums=1)(first, 1.0)
     solved = jax.grad(total, argnums=1)(without_regions(first), 1.0)

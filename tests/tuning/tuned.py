@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import msgspec
 import numpy as np
 
-from jaxtube.control import mpc
+from jaxtube.control import planning
 from jaxtube.scenario import load
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.gains import given_gain
@@ -130,7 +130,7 @@ def shortened(plant, steps: int):
     )
 
 
-def active_rows(window: mpc.CondensedQp, errors, inputs, slack: float):
+def active_rows(window: planning.CondensedQp, errors, inputs, slack: float):
     """Return which rows of each plan meet a bound, (batch, m)."""
     rows = window.factors.rows * window.factors.row_norms[:, None]
     values = errors @ window.row_errors.T + inputs.reshape(len(errors), -1) @ rows.T

@@ -16,7 +16,7 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.control.mpc import CondensedQp
+from jaxtube.control.planning import CondensedQp
 from jaxtube.experiments.bench.peers.catalogue import EXACT, KINDS, at_tolerance
 from jaxtube.experiments.bench.recorded import Family, pose
 from jaxtube.experiments.bench.rounds import spread

@@ -22,7 +22,7 @@ from jax import monitoring
 from jaxtyping import Float
 
 from jaxtube.control.laws import TubeMpc
-from jaxtube.control.mpc import take_qp
+from jaxtube.control.planning import take_qp
 from jaxtube.experiments.bench.peers.active_set import DaqpModel, set_up_daqp
 from jaxtube.experiments.bench.peers.catalogue import EXACT
 from jaxtube.experiments.bench.peers.problems import INFINITE

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.control.laws import TubeMpc
-from jaxtube.control.mpc import take_qp
+from jaxtube.control.planning import take_qp
 from jaxtube.experiments.bench.accuracy import count_wrong
 from jaxtube.experiments.bench.peers.active_set import (
     DaqpModel,

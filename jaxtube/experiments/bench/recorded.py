@@ -16,7 +16,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int, Key
 
 from jaxtube.control.laws import TubeMpc
-from jaxtube.control.mpc import CondensedQp, take_qp
+from jaxtube.control.planning import CondensedQp, take_qp
 from jaxtube.experiments.bench.peers.problems import Problems
 from jaxtube.plant.protocol import Plant
 from jaxtube.simulation.choices import choose_starts

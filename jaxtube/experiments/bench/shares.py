@@ -19,8 +19,8 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube import qp
-from jaxtube.control import mpc
-from jaxtube.control.mpc import CondensedQp, take_qp
+from jaxtube.control import planning
+from jaxtube.control.planning import CondensedQp, take_qp
 from jaxtube.experiments.bench.peers.active_set import make_cold_daqp
 from jaxtube.experiments.bench.peers.catalogue import EXACT
 from jaxtube.experiments.bench.recorded import LAPS, pose, record_laps
@@ -122,16 +122,16 @@ def mix(
 
 
 @jax.jit
-def plan_in_turn(condensed: CondensedQp, starts: Float[Array, "tiles tile 3"]) -> mpc.Plan:
+def plan_in_turn(condensed: CondensedQp, starts: Float[Array, "tiles tile 3"]) -> planning.Plan:
     """Return the plans of batches, one after the other."""
-    return jax.lax.map(partial(mpc.plan, condensed), starts)
+    return jax.lax.map(partial(planning.plan, condensed), starts)
 
 
-def find_residual(plan: mpc.Plan) -> float:
+def find_residual(plan: planning.Plan) -> float:
     """Return the largest residual of plans; infinite where one was not found."""
     solved = np.asarray(plan.status) == qp.SOLVED
     return float(np.max(np.where(solved, plan.residual, np.inf)))
 
 
-def _run(make_plans: Callable[..., mpc.Plan], starts) -> None:
+def _run(make_plans: Callable[..., planning.Plan], starts) -> None:
     jax.block_until_ready(make_plans(starts))

@@ -15,8 +15,8 @@ from types import ModuleType
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.control.mpc import AnyArray
 from jaxtube.coordinates import ERROR_NAMES
+from jaxtube.qp.regions import AnyArray
 from jaxtube.synthesis.disturbance import with_computed_bound
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.limits import make_input_rows
