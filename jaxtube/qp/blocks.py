@@ -42,16 +42,14 @@ def block_sizes(batch: int) -> tuple[int, int]:
 
 
 def make_once(step: Int[Array, ""], tree: PyTree) -> PyTree:
-    """Return a tree that is made once: a processor's compiler lets every kernel that needs a part of
-    it make that anew, but does not look into a condition, which here always holds: `step` is not
+    """Return a tree that is made once: a processor's compiler lets every kernel that needs a part
+    make it anew, but does not look into a condition, which here always holds: `step` is not
     negative."""
     if on_accelerator():
         return tree
     columns = split(tree)
-    nothing = jax.tree.map(jnp.zeros_like, columns)
-    return join(
-        jax.lax.cond(step >= 0, lambda made, _: made, lambda _, zero: zero, columns, nothing)
-    )
+    zeros = jax.tree.map(jnp.zeros_like, columns)
+    return join(jax.lax.cond(step >= 0, lambda one, _: one, lambda _, other: other, columns, zeros))
 
 
 class Line(NamedTuple):
