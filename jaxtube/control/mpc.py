@@ -90,7 +90,7 @@ def act(
 
     Returns:
         (inputs (speed deficit m/s, yaw rate deficit rad/s), next memory, diagnostics). Reverse mode
-        gives the derivative of inputs and memory on the active rows.
+        gives the derivative of inputs and memory on the active rows; that of diagnostics is zero.
     """
 
     @by_columns
@@ -117,7 +117,7 @@ def _act_and_remember(qps, index, state, errors, restart: bool) -> tuple[Action,
     def freely(qps, state, errors):
         condensed = planning.take_qp(qps, index)
         found = find_nothing(condensed.factors, batch)
-        return act_freely(condensed, state, errors, restart), found
+        return act_freely(condensed, state, errors, restart), (jnp.ones(batch, bool), found)
 
     @by_columns
     def constrained(qps, state, errors):
@@ -127,7 +127,7 @@ def _act_and_remember(qps, index, state, errors, restart: bool) -> tuple[Action,
         solution = planning.solve_some(condensed, start, ~free)
         found = find_rows(condensed.factors, condensed.parametric, start, solution)
         plan = planning.choose_plan(condensed, start, free, solution)
-        return _follow(condensed, state, errors, start, plan), found
+        return _follow(condensed, state, errors, start, plan), (free, found)
 
     start = _choose_start(state, errors, restart)
     all_free = planning.are_all_free(planning.take_qp(qps, index), start)
@@ -139,7 +139,7 @@ def _act_and_remember(qps, index, state, errors, restart: bool) -> tuple[Action,
 
 def _pull_step_back(restart: bool, saved: tuple, cotangent: Action) -> tuple:
     """Return the cotangents of QPs, memory and errors, on the active rows that were found."""
-    qps, index, state, errors, all_free, found = saved
+    qps, index, state, errors, all_free, (free, found) = saved
     whole = qps._replace(regions=None, free_region=None)
     columns_bar = split(cotangent)
 
@@ -156,7 +156,7 @@ def _pull_step_back(restart: bool, saved: tuple, cotangent: Action) -> tuple:
 
     def recall_step(condensed, state, errors) -> Action:
         start = _choose_start(state, errors, restart)
-        free = planning.is_free(condensed, start)
+        # Which plans were free is not asked again: in another program the test may round otherwise.
         solution = recall(condensed.factors, condensed.parametric, start, found)
         plan = planning.choose_plan(condensed, start, free, solution)
         return _follow(condensed, state, errors, start, plan)
@@ -242,7 +242,8 @@ def _choose_start(
 
 
 def _diagnose(plan: planning.Plan) -> Diagnostics:
-    return Diagnostics(plan.status, plan.residual, plan.active, plan.status != qp.SOLVED)
+    residual = jax.lax.stop_gradient(plan.residual)
+    return Diagnostics(plan.status, residual, plan.active, plan.status != qp.SOLVED)
 
 
 def no_diagnostics(errors: Float[Array, "batch 3"]) -> Diagnostics:

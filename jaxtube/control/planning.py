@@ -210,8 +210,8 @@ def free_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
 
 @jax.jit  # long to trace, and asked for in several places of a program
 def constrained_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
-    """Return the plans of a batch of which some instance needs the solver; the others cost no
-    more than where none does."""
+    """Return the plans of a batch of which some instance needs the solver; those with a free plan
+    are not handed to it."""
     # An instance with a free plan takes it even here: its plan must not depend on the others.
     free = is_free(condensed, errors)
     return choose_plan(condensed, errors, free, solve_some(condensed, errors, ~free))
@@ -235,6 +235,7 @@ def known_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
 def solve_some(
     condensed: CondensedQp, errors: Float[Array, "batch 3"], is_wanted: Bool[Array, " batch"]
 ) -> qp.Solution:
+    """Return the plans that are wanted, as answers of the QP."""
     return solve_parametric(
         condensed.factors, condensed.parametric, errors, is_wanted, condensed.regions
     )

@@ -85,7 +85,7 @@ def sinc(
     known: tuple[Float[Array, "..."], Float[Array, "..."]] | None = None,
 ) -> Float[Array, "..."]:
     """Return sin(x) / x, x in rad; the value is exact to rounding, the derivative
-    to 1e-14, also near zero.
+    to 1e-14 absolute, also near zero.
 
     Args:
         x: in rad.

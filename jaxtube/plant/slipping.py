@@ -29,6 +29,7 @@ from jaxtyping import Float, Key
 from jaxtube.columns import each_coordinate
 from jaxtube.plant import slip
 from jaxtube.plant.error_dynamics import Sideslip, advance, tracking_error, world_pose
+from jaxtube.plant.once import make_once
 from jaxtube.plant.protocol import (
     Advance,
     Command,
@@ -41,7 +42,6 @@ from jaxtube.plant.protocol import (
 from jaxtube.plant.robot import Robot, saturate, wheel_positions
 from jaxtube.plant.slip_bounds import SlipBounds
 from jaxtube.plant.slip_processes import find_process
-from jaxtube.qp.blocks import make_once
 
 EXTREME = ("vertex", "adversarial")
 """Processes whose deviations are -1 or 1."""

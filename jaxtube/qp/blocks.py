@@ -8,8 +8,6 @@ import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Int, PyTree
 
-from jaxtube.columns import join, split
-
 MANY = 2048
 """Instances of a batch from which on blocks are larger."""
 
@@ -39,17 +37,6 @@ def block_sizes(batch: int) -> tuple[int, int]:
         return 16384, 8192
     # A processor pays for every instance, for every kernel of a block, and where caches overflow.
     return (128, 64) if batch >= MANY else (64, 32)
-
-
-def make_once(step: Int[Array, ""], tree: PyTree) -> PyTree:
-    """Return a tree that is made once: a processor's compiler lets every kernel that needs a part
-    make it anew, but does not look into a condition, which here always holds: `step` is not
-    negative."""
-    if on_accelerator():
-        return tree
-    columns = split(tree)
-    zeros = jax.tree.map(jnp.zeros_like, columns)
-    return join(jax.lax.cond(step >= 0, lambda one, _: one, lambda _, other: other, columns, zeros))
 
 
 class Line(NamedTuple):

@@ -40,6 +40,7 @@ class Regions(NamedTuple):
     begin: Int[AnyArray, "*stack"]  # plane at which the tree of a program begins, or ~region
     planes: Float[AnyArray, "s 4"]  # of (p, 1)
     following: Int[AnyArray, "s 2"]  # plane on the negative side, on the other; ~region at an end
+    optimum: Float[AnyArray, "k n 4"]  # x, of (p, 1)
     multipliers: Float[AnyArray, "k a 4"]  # of (p, 1), of rows of unit norm
     rows: Int[AnyArray, "k a"]  # of the multipliers; beyond the last one where there is none
 
@@ -50,15 +51,16 @@ class Regions(NamedTuple):
 
 def look_up(
     regions: Regions, p: Float[Array, "batch 3"], row_count: int
-) -> Float[Array, "m batch"]:
-    """Return the multipliers of all rows, as of unit norm, in the region that is guessed to hold
-    p."""
+) -> tuple[Float[Array, "n batch"], Float[Array, "m batch"]]:
+    """Return x and the multipliers of all rows, as of unit norm, in the region that is guessed to
+    hold p."""
     region = guess_region(regions, p)
     extended = jnp.concatenate([p, jnp.ones_like(p[:, :1])], axis=1)[:, None]
+    x = jnp.sum(regions.optimum[region] * extended, axis=-1)
     active = jnp.sum(regions.multipliers[region] * extended, axis=-1)
     y = jnp.zeros((row_count, len(p)), p.dtype)
     place = regions.rows[region].T
-    return y.at[place, jnp.arange(len(p))].set(active.T, mode="drop")
+    return x.T, y.at[place, jnp.arange(len(p))].set(active.T, mode="drop")
 
 
 def guess_region(regions: Regions, p: Float[Array, "batch 3"]) -> Int[Array, " batch"]:

@@ -79,8 +79,8 @@ def look_up_block(
 ) -> Solution:
     """Return the answers of known regions, where they are answers."""
     block = source.form(parameters)
-    y = regions.look_up(known, parameters, len(factors.rows))
-    return as_solution(factors, answer_of(factors, block, y))
+    x, y = regions.look_up(known, parameters, len(factors.rows))
+    return as_solution(factors, Iterate(x, y, fixed_point.residual(factors, block, x, y)))
 
 
 def answer_of(factors: Factors, block: Instances, y: Float[Array, "m block"]) -> Iterate:

@@ -30,10 +30,10 @@ def choose_controller(
     for `components.make_tube_mpc`."""
     if not isinstance(controller, str):
         return adapt_controller(controller, components.make_wheel_map(design.problem))
-    named = components.controllers(design, starts)
-    if controller not in named:
-        raise ValueError(f"controller = {controller!r}: is unknown; choose one of {list(named)}")
-    return named[controller]
+    makers = components.controller_makers(design, starts)
+    if controller not in makers:
+        raise ValueError(f"controller = {controller!r}: is unknown; choose one of {list(makers)}")
+    return makers[controller]()
 
 
 def choose_plant(design: Design, plant: PlantChoice, slip: SlipChoice = None) -> Plant:

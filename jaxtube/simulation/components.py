@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import TypeVar
 
 import jax
@@ -40,28 +41,42 @@ Robot = BareRobot | EstimatingRobot[BareRobot]
 """The same, with or without an estimate of its errors."""
 
 
-def controllers(design: Design, starts: Starts | None = None) -> dict[str, Controller]:
-    """Return the controllers compared, by name; `starts` as for `make_tube_mpc`.
+def controllers(design: Design) -> dict[str, Controller]:
+    """Return the controllers compared, by name."""
+    return {name: make() for name, make in controller_makers(design).items()}
+
+
+def controller_makers(
+    design: Design, starts: Starts | None = None
+) -> dict[str, Callable[[], Controller]]:
+    """Return what makes each of the controllers compared, by name; `starts` as for `make_tube_mpc`.
 
     `local_gain` is the tube's u = K(th) e; `equal_gain` the static law that the MPC is while no row
     is active.
     """
-    problem = design.problem
-    weights = problem.model.weights(problem.schedule[: problem.reference.steps])
-    local_gains = jnp.asarray(design.tube_gain.at(weights))
-    plain_mpc = make_plain_mpc(design)
-    equal_gains = plain_mpc.qps.free_inputs[plain_mpc.index][:, :2]
-    wheel_map = make_wheel_map(problem)
+    wheel_map = make_wheel_map(design.problem)
     law_map = dataclasses.replace(wheel_map, input_map="paper")
     blind_map = dataclasses.replace(law_map, compensates=False)
     return {
-        "uncompensated": TrackingLaw(blind_map),
-        "compensated": TrackingLaw(law_map),
-        "local_gain": ScheduledGain(local_gains, wheel_map),
-        "equal_gain": ScheduledGain(equal_gains, wheel_map),
-        "plain_mpc": plain_mpc,
-        "tube_mpc": make_tube_mpc(design, starts),
+        "uncompensated": lambda: TrackingLaw(blind_map),
+        "compensated": lambda: TrackingLaw(law_map),
+        "local_gain": lambda: _make_local_gain(design),
+        "equal_gain": lambda: _make_equal_gain(design),
+        "plain_mpc": lambda: make_plain_mpc(design),
+        "tube_mpc": lambda: make_tube_mpc(design, starts),
     }
+
+
+def _make_local_gain(design: Design) -> ScheduledGain:
+    problem = design.problem
+    weights = problem.model.weights(problem.schedule[: problem.reference.steps])
+    return ScheduledGain(jnp.asarray(design.tube_gain.at(weights)), make_wheel_map(problem))
+
+
+def _make_equal_gain(design: Design) -> ScheduledGain:
+    plain_mpc = make_plain_mpc(design)
+    gains = plain_mpc.qps.free_inputs[plain_mpc.index][:, :2]
+    return ScheduledGain(gains, plain_mpc.wheel_map)
 
 
 def make_tube_mpc(design: Design, starts: Starts | None = None) -> TubeMpc:

@@ -133,7 +133,7 @@ def _measure(
     memory: Memory,
     plant_memory: Memory,
 ) -> LoopState:
-    """Return the closed loop at an instant, before which memories are those given."""
+    """Return the closed loop at an instant; memories are those before it."""
     errors, sensed = fan_out(errors, 2)
     measurement, plant_memory = plant.sense(keys, step, plant_memory, sensed)
     return LoopState(errors, measurement, memory, plant_memory)
@@ -182,8 +182,8 @@ def run_laps(
     short = without_rounds(controller)
     trajectory = rollout(short, plant, keys, errors)
     status = np.asarray(trajectory.diagnostics.status)
-    has_data = np.isfinite(trajectory.diagnostics.residual)
-    unsolved = np.any((status == qp.UNSOLVED) & has_data, axis=0)
+    is_finite = np.isfinite(trajectory.errors).all(axis=(0, 2))
+    unsolved = np.any(status == qp.UNSOLVED, axis=0) & is_finite
     if short is controller or not unsolved.any():
         return trajectory
     whole = rollout(controller, plant, keys, errors)

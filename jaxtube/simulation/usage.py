@@ -27,8 +27,8 @@ from jaxtube.control import mpc, planning
 from jaxtube.control.follow import PlanFollower
 from jaxtube.control.laws import TubeMpc, planner_of
 from jaxtube.control.protocol import Controller
+from jaxtube.plant.once import make_once
 from jaxtube.plant.protocol import Memory, Plant, Script, SearchablePlant
-from jaxtube.qp.blocks import make_once
 from jaxtube.simulation.rollout import (
     LoopState,
     PeriodOutcome,

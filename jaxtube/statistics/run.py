@@ -39,7 +39,6 @@ from jaxtube.simulation.rollout import LoopState, begin, follow_plan, run_period
 from jaxtube.simulation.starts import Starts
 from jaxtube.statistics import tally
 from jaxtube.statistics.checks import Checks
-from jaxtube.statistics.events import find_row
 
 BLOCK = 4096
 """Laps of a block."""
@@ -50,6 +49,8 @@ PLANS_SHARE = 0.01
 WORST = 16
 """Laps kept by index, for each of the three sets ranked by."""
 
+UNSOLVED = ("laps_unsolved", "plans_unsolved")
+"""Counts that tell whether a block needs the whole solver; no part of its statistics."""
 RANKED = ("error", "disturbance", "tube")
 """Sets by whose usage laps are ranked."""
 _JOIN = {"i": np.add, "f": np.maximum}
@@ -127,10 +128,11 @@ class Run:
         short program leaves unsolved by the whole one."""
         found = _statistics_of(blocks, dispatched)
         unsolved = [block for block in blocks if _has_unsolved(found[block])]
-        if unsolved:
+        if unsolved and self.short_task.controller is not self.task.controller:
             found |= _statistics_of(unsolved, self.dispatch(unsolved, self.task))
         for statistics in found.values():
-            del statistics["next_plan_unsolved"]
+            for name in UNSOLVED:
+                del statistics[name]
         return list(found.items())
 
     def laps(self, block: int) -> int:
@@ -192,11 +194,9 @@ def _statistics_of(blocks: list[int], dispatched: dict[str, Array]) -> dict[int,
 
 
 def _has_unsolved(statistics: Statistics) -> bool:
-    """Return whether a QP of a block is neither solved nor refuted; the QPs of a lap that is not
-    finite are not, whatever the solver."""
-    laps = statistics["events"][:, 1:].sum(axis=1)
-    of_finite = laps[find_row("qp_unsolved")] - laps[find_row("not_finite")]
-    return bool(of_finite > 0 or statistics["next_plan_unsolved"])
+    """Return whether a QP of a block is neither solved nor refuted; laps that are not finite, from
+    whatever period on, ask for nothing."""
+    return any(statistics[name] > 0 for name in UNSOLVED)
 
 
 def _statistics(block: int, arrays: dict[str, np.ndarray], place: int) -> Statistics:

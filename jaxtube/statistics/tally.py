@@ -61,7 +61,7 @@ COVERAGE_CELLS = 24
 """Cells along each axis of the coverage of starts."""
 HEAT_CELLS = (96, 96)
 """Rows and columns of the trajectory map."""
-COUNTED_PLANS = ("plans", "next_plan_missing", "next_plan_unsolved", "cost_excesses")
+COUNTED_PLANS = ("plans", "next_plan_missing", "plans_unsolved", "cost_excesses")
 """Numbers of plans, over all steps."""
 OFF_GRID = 1_000_000
 """A cell outside every grid."""
@@ -309,8 +309,13 @@ def observe_plans(
 ) -> Tally:
     """Count plans that were followed to their end, and whether the next plan costs less by what the
     stage cost, V+ <= V - e'Qe - g_0'Rg_0."""
+    has_data = counted & jnp.isfinite(followed.plan.residual)
     counted = counted & (followed.plan.status == qp.SOLVED)
-    tally = _observe_tubes(checks, step, followed.deviations, counted, tally)
+    statuses = (followed.plan.status, followed.next_plan.status)
+    unsolved = has_data & functools.reduce(operator.or_, [each == qp.UNSOLVED for each in statuses])
+    sums = dict(tally.sums)
+    sums["plans_unsolved"] += jnp.sum(unsolved, dtype=jnp.int32)
+    tally = _observe_tubes(checks, step, followed.deviations, counted, tally._replace(sums=sums))
     return _observe_costs(checks, controller, step, followed, counted, tally)
 
 
@@ -362,8 +367,6 @@ def _observe_costs(
     too_much = ~(excess <= COST_ROUNDING * jnp.maximum(cost, 1.0))
     sums = dict(tally.sums)
     sums["next_plan_missing"] += jnp.sum(counted & ~both, dtype=jnp.int32)
-    unsolved = counted & (followed.next_plan.status == qp.UNSOLVED)
-    sums["next_plan_unsolved"] += jnp.sum(unsolved, dtype=jnp.int32)
     sums["cost_excesses"] += jnp.sum(both & too_much, dtype=jnp.int32)
     largest = dict(tally.largest)
     largest["cost_excess"] = jnp.maximum(largest["cost_excess"], _largest(excess, both))
@@ -453,6 +456,8 @@ def close(
     rms = jnp.sqrt(laps.square / max(steps + 1 - checks.settled, 1))
     events = _count_flags(laps)
     left = events[find_row("e_outside_E")] > 0
+    is_finite = events[find_row("not_finite")] == 0
+    unsolved = is_finite & (events[find_row("qp_unsolved")] > 0)
     shapes = _histogram_shapes(checks, len(laps.stage_events))
     sums = {
         name: histogram.end_counts(value, shapes[name]) if name in shapes else value
@@ -460,6 +465,7 @@ def close(
     }
     of_laps = {
         "laps": jnp.sum(counts, dtype=jnp.int32),
+        "laps_unsolved": jnp.sum(counted & unsolved, dtype=jnp.int32),
         "events": _count_times(events, steps, counts),
         "plans_by_lap": _count_times(laps.plans, plans_each, counts),
         "stage_events": _count_times(laps.stage_events, plans_each, counts),

@@ -16,9 +16,10 @@ from jaxtube.synthesis.region_tree import Tree
 
 
 class Region(NamedTuple):
-    """Where some rows are active: their multipliers, affine in (p, 1)."""
+    """Where some rows are active."""
 
-    multipliers: Float[np.ndarray, "a 4"]
+    optimum: Float[np.ndarray, "n 4"]  # x, affine in (p, 1)
+    multipliers: Float[np.ndarray, "a 4"]  # likewise
     rows: Int[np.ndarray, " a"]
 
 
@@ -37,9 +38,11 @@ def stack_regions(programs: Sequence[Bank | None]) -> Regions | None:
     every = [region for bank in banks for region in bank.regions]
     shape = (1 + len(every), max(len(region.rows) for region in every))
     # Region 0 is that of programs without any: it has no rows.
+    optimum = np.zeros((len(every) + 1, len(every[0].optimum), 4))
     multipliers = np.zeros((*shape, 4))
     rows = np.full(shape, np.iinfo(np.int32).max, np.int32)
     for number, region in enumerate(every, start=1):
+        optimum[number] = region.optimum
         multipliers[number, : len(region.rows)] = region.multipliers
         rows[number, : len(region.rows)] = region.rows
     begin: list[int] = []
@@ -57,6 +60,7 @@ def stack_regions(programs: Sequence[Bank | None]) -> Regions | None:
         begin=np.array(begin, np.int32),
         planes=np.concatenate([bank.tree.planes for bank in banks]),
         following=np.concatenate(following).astype(np.int32),
+        optimum=optimum,
         multipliers=multipliers,
         rows=rows,
     )

@@ -90,10 +90,13 @@ class _Growth:
         plane = self._choose(members[:: 1 + len(members) // MOST_JUDGED]) if depth else None
         if plane is None:
             return most_frequent
+        beyond = self.points[members] @ plane >= 0
+        if beyond.all() or not beyond.any():
+            # Rounding: the plane was chosen by a product of another shape.
+            return most_frequent
         place = len(self.chosen)
         self.chosen.append(plane)
         self.following.append((most_frequent, most_frequent))
-        beyond = self.points[members] @ plane >= 0
         near = self._divide(members[~beyond], depth - 1)
         far = self._divide(members[beyond], depth - 1)
         self.following[place] = (near, far)

@@ -126,7 +126,7 @@ def _take_window(qps: CondensedQp, number: int) -> CondensedQp:
 class _Pieces(NamedTuple):
     """Everything that is affine in (e, 1) while some rows are active."""
 
-    due: Float[np.ndarray, "*regions 2 4"]  # the inputs that are due
+    optimum: Float[np.ndarray, "*regions n 4"]  # the inputs
     multipliers: Float[np.ndarray, "*regions m 4"]  # zero of the rows that are not active
     values: Float[np.ndarray, "*regions m 4"]  # of the rows
 
@@ -136,7 +136,7 @@ class _Window:
 
     def __init__(self, condensed: CondensedQp):
         factors = condensed.factors
-        m, _ = factors.rows.shape
+        m, n = factors.rows.shape
         self.condensed = condensed
         self.norms = np.asarray(factors.row_norms)
         self.rows = np.asarray(factors.rows * factors.row_norms[:, None])
@@ -145,7 +145,7 @@ class _Window:
         self.upper = condensed.upper + ON_A_FACET * self.norms
         self.count = 0
         self.sides = np.zeros((MOST_REGIONS, m))
-        self.pieces = _Pieces(*(np.zeros((MOST_REGIONS, rows, 4)) for rows in (2, m, m)))
+        self.pieces = _Pieces(*(np.zeros((MOST_REGIONS, rows, 4)) for rows in (n, m, m)))
         self.points: list[Float[np.ndarray, "k 4"]] = []
         self.regions: list[Int[np.ndarray, " k"]] = []
         self.tree: Tree | None = None
@@ -156,7 +156,10 @@ class _Window:
             return None
         active = [np.flatnonzero(sides) for sides in self.sides[: self.count]]
         multipliers = self.norms[:, None] * self.pieces.multipliers
-        regions = [Region(multipliers[i, rows], rows) for i, rows in enumerate(active)]
+        regions = [
+            Region(self.pieces.optimum[i], multipliers[i, rows], rows)
+            for i, rows in enumerate(active)
+        ]
         return Bank(regions, self.tree)
 
     def learn(self, generator: np.random.Generator) -> None:
@@ -252,7 +255,7 @@ class _Window:
         is_known = region >= 0
         self.points.append(points[is_known])
         self.regions.append(region[is_known])
-        due = np.einsum("kij,kj->ki", self.pieces.due[region], points)
+        due = np.einsum("kij,kj->ki", self.pieces.optimum[region, :2], points)
         inputs[constrained] = np.where(is_known[:, None], due, np.nan)
         return inputs, len(constrained)
 
@@ -397,7 +400,7 @@ class _Window:
         optimum = -self.inverse @ gradient
         values = self.rows @ optimum
         values[:, :3] += condensed.row_errors
-        return _Pieces(optimum[:2], multipliers, values)
+        return _Pieces(optimum, multipliers, values)
 
     def _keep(self, sides: Float[np.ndarray, " m"], pieces: _Pieces) -> int:
         """Return the number of a region that is new."""

@@ -50,6 +50,20 @@ def test_one_robot_is_commanded_what_a_batch_of_one_is(design, stepper):
     require_same(steps, laps)
 
 
+def test_steps_in_known_regions_need_no_solver(design, monkeypatch):
+    stepper = jt.Stepper(design)
+    solved = []
+    act = stepper._act
+
+    def count(*arguments):
+        solved.append(arguments)
+        return act(*arguments)
+
+    monkeypatch.setattr(stepper, "_act", count)
+    steps = follow(stepper, jt.simulate(design, laps=1))
+    assert len(solved) < sum(step.active for step in steps)
+
+
 def test_active_rows_and_lost_plans_are_those_of_a_batch_of_one(design, stepper, edge_starts):
     inside = edge_starts(design, 64, edge_share=1.0)
     active = np.asarray(jt.simulate(design, starts=inside).trajectory.diagnostics.active)[0]

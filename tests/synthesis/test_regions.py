@@ -122,12 +122,14 @@ def test_answers_of_regions_satisfy_the_optimality_conditions(first, errors):
     """At points of each region, by the conditions themselves."""
     factors = first.factors
     rows = factors.rows * factors.row_norms[:, None]
-    y = np.asarray(look_up(first.regions, jnp.asarray(errors), len(rows))).T / factors.row_norms
-    x = -np.linalg.solve(factors.hessian, (errors @ first.linear.T + y @ rows).T).T
+    x, y = (part.T for part in look_up(first.regions, jnp.asarray(errors), len(rows)))
+    y = y / factors.row_norms
+    gradient = x @ factors.hessian + errors @ first.linear.T + y @ rows
     values = x @ rows.T + errors @ first.row_errors.T
     inside = are_known(first, errors)
     assert inside.sum() > 50
     bounds = np.where(y > 0, first.upper, np.where(y < 0, first.lower, values))
+    np.testing.assert_allclose(gradient[inside], 0.0, atol=SAME)
     np.testing.assert_allclose(values[inside], bounds[inside], atol=SAME)
     assert np.all(values[inside] <= first.upper + SAME)
     assert np.all(values[inside] >= first.lower - SAME)
@@ -143,11 +145,13 @@ def test_a_wrong_answer_is_not_taken(first, errors):
 
 
 def test_a_window_without_regions_guesses_no_row(tuned, controller):
-    """Its multipliers are zero: the answer without constraints, which is checked."""
+    """Nothing is taken from it."""
     begin = np.asarray(controller.qps.regions.begin)
     empty = planning.take_qp(controller.qps, np.flatnonzero(begin < 0)[0])
     errors = jnp.asarray(np.tile(tuned.problem.initial_error, (5, 1)))
-    assert not np.any(look_up(empty.regions, errors, len(empty.lower)))
+    _, multipliers = look_up(empty.regions, errors, len(empty.lower))
+    assert not np.any(multipliers)
+    assert not np.any(are_known(empty, errors))
 
 
 def test_no_plan_depends_on_the_other_instances(first, errors):

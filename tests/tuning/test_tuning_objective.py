@@ -12,8 +12,9 @@ import tolerances as tol
 import tuned
 
 from jaxtube import qp
+from jaxtube.control import mpc, planning
 from jaxtube.control.laws import ScheduledGain, TubeMpc
-from jaxtube.qp import fixed_point
+from jaxtube.qp import fixed_point, parametric
 from jaxtube.simulation import components
 from jaxtube.simulation.components import make_wheel_map
 from jaxtube.simulation.rollout import realisation_keys, rollout
@@ -334,9 +335,21 @@ def test_agrees_with_unrolled_iterations(monkeypatch):
             x.T, y.T / factors.row_norms, status, fixed_point.residual(factors, given, x, y)
         )
 
-    monkeypatch.setattr(qp, "solve", unrolled)
+    traced = []
+
+    def act_unrolled(qps, index, state, errors, restart):
+        assert restart
+        traced.append(index)
+        condensed = planning.take_qp(qps, index)
+        solution = unrolled(condensed.factors, *parametric.form(condensed.parametric, errors))
+        free = planning.is_free(condensed, errors)
+        plan = planning.choose_plan(condensed, errors, free, solution)
+        return mpc._follow(condensed, state, errors, errors, plan)
+
+    monkeypatch.setattr(mpc, "act", act_unrolled)
     again = Loop("decoupled", 4)
     (expected, of_unrolled), expected_slope = again.evaluate(weights, constants, lap_inputs)
+    assert traced
     np.testing.assert_array_equal(of_unrolled[:, :2], pattern[:, :2])
     assert value == pytest.approx(float(expected), rel=UNROLLED)
     for mine, other in zip(slope, expected_slope, strict=True):

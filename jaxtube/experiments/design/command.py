@@ -149,7 +149,7 @@ def simulate_disturbance(made: Design, seed: int) -> dict:
     for.
     """
     starts = np.tile(made.problem.initial_error, (batches.BATCH, 1))
-    controller = components.controllers(made)["local_gain"]
+    controller = components.controller_makers(made)["local_gain"]()
     trajectory = batches.run_realisations(controller, components.slipping_robot(made), starts, seed)
     disturbances = batches.model_disturbances(made, trajectory)
     if made.problem.disturbance_bound is not None:
