@@ -1,2 +1,2 @@
 """Control laws of the robot: `protocol.Controller` and its implementations in `laws`; the MPC in
-`mpc`."""
+`mpc`, its plans in `planning`."""

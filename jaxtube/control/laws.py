@@ -1,8 +1,8 @@
 """The controllers that come with a design: tube-MPC, the paper's tracking law, a scheduled gain.
 
 Each is a `Controller`, a pytree whose arrays run along the reference. Beyond the contract they say
-what the checks of a Monte Carlo run ask of them: `free_gains_of`, `planner_of`, `solves_qp`,
-`input_map_of`.
+what runs and their checks ask of them: `free_gains_of`, `planner_of`, `solves_qp`, `input_map_of`,
+`without_rounds`.
 
 Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, sections III and IV.
 """
