@@ -70,11 +70,11 @@ def name_columns(tree: Any, name: str) -> Any:
     return join(checkpoint_name(split(tree), name))
 
 
-def fan_out(tree: Any, count: int) -> list[Any]:
-    """Return a tree once for each of its uses, whose cotangents are then added up column by
+def use_twice(tree: Any) -> tuple[Any, Any]:
+    """Return a tree once for each of two uses, whose cotangents are then added up column by
     column."""
     columns = split(tree)
-    return [join(columns) for _ in range(count)]
+    return join(columns), join(columns)
 
 
 def each_coordinate(function: Callable[..., Array], *points: Float[Array, "... n"]) -> Array:

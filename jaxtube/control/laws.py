@@ -19,7 +19,7 @@ from jax import Array
 from jaxtyping import Bool, Float, Int
 
 from jaxtube import qp
-from jaxtube.columns import fan_out
+from jaxtube.columns import use_twice
 from jaxtube.control import mpc, planning
 from jaxtube.control.protocol import Controller, WheelMap
 from jaxtube.control.tracking import tracking_input
@@ -80,12 +80,12 @@ class TubeMpc:
         reference_wheels: Float[Array, "2"],
     ) -> tuple[Command, mpc.MpcState, mpc.Diagnostics]:
         """Plan, and return the command of the plan's first period (see `mpc.act`)."""
-        planned, driven = fan_out(measurement, 2)
+        for_plan, for_wheels = use_twice(measurement)
         acted: mpc.Action = mpc.act(
-            self.qps, self.index[step], memory, planned.errors, self.restart
+            self.qps, self.index[step], memory, for_plan.errors, self.restart
         )
         inputs, following, diagnostics = acted
-        command = self.wheel_map.command(inputs, driven, reference_wheels)
+        command = self.wheel_map.command(inputs, for_wheels, reference_wheels)
         return command, following, diagnostics
 
     def act_freely(

@@ -93,35 +93,50 @@ def act(
         gives the derivative of inputs and memory on the active rows; that of diagnostics is zero.
     """
 
-    @by_columns
-    def freely(qps, state, errors):
-        return act_freely(planning.take_qp(qps, index), state, errors, restart)
-
-    @by_columns
-    def constrained(qps, state, errors):
-        condensed = planning.take_qp(qps, index)
+    def constrained(condensed, state, errors):
         start = _choose_start(state, errors, restart)
         return _follow(condensed, state, errors, start, planning.constrained_plan(condensed, start))
 
+    freely = partial(act_freely, restart=restart)
+    _, action = _branch(freely, constrained, qps, index, state, errors, restart)
+    return action
+
+
+def _branch(
+    freely: Callable[..., Any],
+    constrained: Callable[..., Any],
+    qps: planning.CondensedQp,
+    index: Int[Array, ""],
+    state: MpcState,
+    errors: Float[Array, "batch 3"],
+    restart: bool,
+) -> tuple[Bool[Array, ""], Any]:
+    """Return whether every plan is free, and what one function or the other makes of the QP of the
+    window, the memory and the errors."""
+
+    def of_window(function):
+        @by_columns
+        def call(qps, state, errors):
+            return function(planning.take_qp(qps, index), state, errors)
+
+        return call
+
     start = _choose_start(state, errors, restart)
     all_free = planning.are_all_free(planning.take_qp(qps, index), start)
-    state, errors = split((state, errors))
-    return join(jax.lax.cond(all_free, freely, constrained, qps, state, errors))
+    columns = split((state, errors))
+    outcome = jax.lax.cond(all_free, of_window(freely), of_window(constrained), qps, *columns)
+    return all_free, join(outcome)
 
 
 def _act_and_remember(qps, index, state, errors, restart: bool) -> tuple[Action, tuple]:
     """Act; return the step and what its derivative needs, all of it under ACTED."""
     batch = len(errors)
 
-    @by_columns
-    def freely(qps, state, errors):
-        condensed = planning.take_qp(qps, index)
+    def freely(condensed, state, errors):
         found = find_nothing(condensed.factors, batch)
         return act_freely(condensed, state, errors, restart), (jnp.ones(batch, bool), found)
 
-    @by_columns
-    def constrained(qps, state, errors):
-        condensed = planning.take_qp(qps, index)
+    def constrained(condensed, state, errors):
         start = _choose_start(state, errors, restart)
         free = planning.is_free(condensed, start)
         solution = planning.solve_some(condensed, start, ~free)
@@ -129,12 +144,9 @@ def _act_and_remember(qps, index, state, errors, restart: bool) -> tuple[Action,
         plan = planning.choose_plan(condensed, start, free, solution)
         return _follow(condensed, state, errors, start, plan), (free, found)
 
-    start = _choose_start(state, errors, restart)
-    all_free = planning.are_all_free(planning.take_qp(qps, index), start)
-    columns = split((state, errors))
-    outcome = join(jax.lax.cond(all_free, freely, constrained, qps, *columns))
-    all_free, (step, found) = name_columns((all_free, outcome), ACTED)
-    return step, (qps, index, state, errors, all_free, found)
+    outcome = _branch(freely, constrained, qps, index, state, errors, restart)
+    all_free, (action, found) = name_columns(outcome, ACTED)
+    return action, (qps, index, state, errors, all_free, found)
 
 
 def _pull_step_back(restart: bool, saved: tuple, cotangent: Action) -> tuple:
@@ -147,11 +159,11 @@ def _pull_step_back(restart: bool, saved: tuple, cotangent: Action) -> tuple:
         condensed = planning.take_qp(qps, index)
         numbers = condensed._replace(regions=None, free_region=None)
 
-        def act(numbers, inputs, nominal, errors):
+        def act_on_numbers(numbers, inputs, nominal, errors):
             known = numbers._replace(regions=condensed.regions, free_region=condensed.free_region)
             return act_again(known, state._replace(inputs=inputs, nominal=nominal), errors)
 
-        _, pull = jax.vjp(act, numbers, state.inputs, state.nominal, errors)
+        _, pull = jax.vjp(act_on_numbers, numbers, state.inputs, state.nominal, errors)
         return pull(join(columns_bar))
 
     def recall_step(condensed, state, errors) -> Action:

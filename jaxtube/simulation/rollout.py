@@ -18,7 +18,7 @@ from jax import Array
 from jaxtyping import Float, Int, Key
 
 from jaxtube import qp
-from jaxtube.columns import fan_out, scan_by_columns
+from jaxtube.columns import scan_by_columns, use_twice
 from jaxtube.control import planning
 from jaxtube.control.laws import TubeMpc, without_rounds
 from jaxtube.control.mpc import Diagnostics
@@ -117,11 +117,11 @@ def advance_period(
     command, memory, diagnostics = controller.act(
         step, state.memory, state.measurement, plant.reference_wheels[step]
     )
-    asked, told = fan_out(command, 2)
+    for_plant, for_record = use_twice(command)
     errors, plant_memory, wheels = plant.advance(
-        keys, step, state.plant_memory, state.errors, asked
+        keys, step, state.plant_memory, state.errors, for_plant
     )
-    happened = PeriodOutcome(told.inputs, wheels, told.wheels, diagnostics)
+    happened = PeriodOutcome(for_record.inputs, wheels, for_record.wheels, diagnostics)
     return errors, memory, plant_memory, happened
 
 
@@ -134,8 +134,8 @@ def _measure(
     plant_memory: Memory,
 ) -> LoopState:
     """Return the closed loop at an instant; memories are those before it."""
-    errors, sensed = fan_out(errors, 2)
-    measurement, plant_memory = plant.sense(keys, step, plant_memory, sensed)
+    errors, for_sensor = use_twice(errors)
+    measurement, plant_memory = plant.sense(keys, step, plant_memory, for_sensor)
     return LoopState(errors, measurement, memory, plant_memory)
 
 
@@ -176,9 +176,9 @@ def run_laps(
     keys: Key[Array, " batch"],
     errors: Float[Array, "batch 3"],
 ) -> Trajectory:
-    """Return the same as `rollout` does, from a program that is compiled in two thirds of the time:
-    its solver leaves out what hardly a QP needs. Laps with a QP that it leaves unsolved are those
-    of the whole program."""
+    """Return what `rollout` does, to rounding, from a program that is compiled in two thirds of the
+    time (see `laws.without_rounds`). Laps with a QP that it leaves unsolved are those of the whole
+    program."""
     short = without_rounds(controller)
     trajectory = rollout(short, plant, keys, errors)
     status = np.asarray(trajectory.diagnostics.status)

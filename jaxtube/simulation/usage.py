@@ -22,7 +22,7 @@ from jax import Array
 from jaxtyping import Float, Int, Key
 
 from jaxtube import qp
-from jaxtube.columns import by_columns, fan_out, join, loop_by_columns, split
+from jaxtube.columns import by_columns, join, loop_by_columns, split, use_twice
 from jaxtube.control import mpc, planning
 from jaxtube.control.follow import PlanFollower
 from jaxtube.control.laws import TubeMpc, planner_of
@@ -172,16 +172,16 @@ def add_up_periods(
 
     def period(state: tuple[Array, Memory, Memory], step):
         errors, memory, plant_memory = state
-        sensed, moved = fan_out(errors, 2)
+        for_sensor, for_motion = use_twice(errors)
         # What is measured is no part of the state, and not kept.
-        drawn = make_once(step, plant.sense(keys, step, plant_memory, sensed))
+        drawn = make_once(step, plant.sense(keys, step, plant_memory, for_sensor))
         measurement, plant_memory = drawn
-        before = LoopState(moved, measurement, memory, plant_memory)
+        before = LoopState(for_motion, measurement, memory, plant_memory)
         errors, memory, plant_memory, happened = advance_period(
             controller, plant, keys, step, before
         )
-        carried, seen = fan_out(errors, 2)
-        return (carried, memory, plant_memory), observe(step, seen, happened)
+        carried, for_record = use_twice(errors)
+        return (carried, memory, plant_memory), observe(step, for_record, happened)
 
     turn = jax.checkpoint(by_columns(period), policy=KEPT)
 
@@ -218,8 +218,8 @@ def _scan_periods(
         step, of_period = now
         acting = choose_plant({name: values[None] for name, values in of_period.items()})
         following, happened = run_period(controller, acting, keys, step, state)
-        carried, seen = fan_out(following, 2)
-        return carried, observe(state, happened, seen)
+        carried, for_record = use_twice(following)
+        return carried, observe(state, happened, for_record)
 
     start = begin(controller, choose_plant(script or {}), keys, errors)
     # By columns already where reverse mode keeps what a period begins with.

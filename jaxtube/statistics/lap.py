@@ -3,8 +3,8 @@
     w(k) = e(k+1) - A(th_k) e(k) - B(th_k) u(k)     of the measured or estimated errors
     usage  1 on a facet, more outside
 
-Every draw is a function of seed, lap and step, so that the lap is the one of the run, whatever ran
-beside it there.
+Every draw is a function of seed, lap and step, so that the lap is the one of the run, to rounding,
+whatever ran beside it there.
 """
 
 from __future__ import annotations

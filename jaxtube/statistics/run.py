@@ -7,9 +7,9 @@ counts and extremes.
     chunk   blocks that a device works through in one dispatch; any number, it changes no bit of
             the statistics
 
-Every draw is a function of seed, lap, step and purpose. A block is one program of fixed shape that
-the devices run independently, so its statistics do not depend on chunk, devices or processes
-either.
+Every draw is a function of seed, lap, step and purpose. A block is run by one program of fixed
+shape, and by another one with the whole solver where a QP of it needs that; the devices run blocks
+independently, so their statistics do not depend on chunk, devices or processes either.
 """
 
 from __future__ import annotations
@@ -90,8 +90,7 @@ class Run:
 
     @cached_property
     def short_task(self) -> Task:
-        """The task of a program that is compiled in two thirds of the time: its solver leaves out
-        what hardly a QP needs."""
+        """The task of the program by which blocks are run first (see `laws.without_rounds`)."""
         return dataclasses.replace(self.task, controller=without_rounds(self.task.controller))
 
     @property

@@ -32,22 +32,22 @@ from jaxtube.synthesis.region_stack import Bank, Region, stack_regions
 from jaxtube.synthesis.region_tree import Tree, grow_tree
 
 FIRST_LAPS = 512
-"""Laps that are played to see how many errors with active rows laps meet, and which regions."""
+"""Laps of the first set: it shows how many errors with active rows a lap meets, and which regions."""
 MOST_LAPS = 16384
-"""That are played then, at most."""
-ERRORS = 8192
-"""With active rows, that these laps are to meet."""
+"""Laps of the second set, at most."""
+ERRORS_WANTED = 8192
+"""Errors with active rows that the second set of laps is to meet."""
 PERIODS = 40
-"""Of each lap, at most."""
+"""Periods of a lap, at most."""
 IDLE_PERIODS = 4
-"""Without an active row in any lap, after which a lot ends: rows are active after starts far away,
-and then no more."""
+"""Periods in which no lap of a set has an active row, after which the set ends: rows are active
+after starts far away, and then no more."""
 MOST_REGIONS = 512
-"""Of a window."""
+"""Regions of a window, at most."""
 ENOUGH = 64
-"""Errors of a region by which it is told from others."""
+"""Errors by which a region is told from others; those of regions that meet fewer are spread."""
 SPREADINGS = 8
-"""Times that errors of regions which have fewer are multiplied."""
+"""Rounds in which errors of such regions are spread over them."""
 AT_ONCE = 64
 """Errors that are compared with all regions at once."""
 ON_A_FACET = 1e-9
@@ -91,7 +91,7 @@ def find_regions(
             break
         for window in windows:
             window.learn(generator)
-        laps = min(laps * ERRORS // active, MOST_LAPS)
+        laps = min(laps * ERRORS_WANTED // active, MOST_LAPS)
     return stack_regions([window.find_bank() for window in windows])
 
 
