@@ -32,7 +32,7 @@ from jaxtube.synthesis.region_stack import Bank, Region, stack_regions
 from jaxtube.synthesis.region_tree import Tree, grow_tree
 
 FIRST_LAPS = 512
-"""Laps of the first set: it shows how many errors with active rows a lap meets, and which regions."""
+"""Laps of the first set: it shows how many errors with active rows laps meet, and which regions."""
 MOST_LAPS = 16384
 """Laps of the second set, at most."""
 ERRORS_WANTED = 8192
