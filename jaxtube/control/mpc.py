@@ -141,6 +141,9 @@ def _act_and_remember(qps, index, state, errors, restart: bool) -> tuple[Action,
         free = planning.is_free(condensed, start)
         solution = planning.solve_some(condensed, start, ~free)
         found = find_rows(condensed.factors, condensed.parametric, start, solution)
+        # As the derivative takes them, and more exact where active rows are nearly parallel.
+        recalled = recall(condensed.factors, condensed.parametric, start, found)
+        solution = solution._replace(x=recalled.x, multipliers=recalled.multipliers)
         plan = planning.choose_plan(condensed, start, free, solution)
         return _follow(condensed, state, errors, start, plan), (free, found)
 

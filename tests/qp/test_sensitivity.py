@@ -146,7 +146,8 @@ def test_agrees_with_unrolled_iterations():
         P, A, q, l, u = data
         factors = differentiable_gain(qp.factorise(P, A))
         instances = fixed_point.unit_rows(factors, q, l, u)
-        x, y = fixed_point.admm(factors, instances, jnp.zeros_like(instances.q), 600)
+        start = jnp.zeros_like(instances.q)
+        x, y = fixed_point.admm(factors, factors.iterated, instances, start, 600)
         return jnp.sum(x.T * x_bar), fixed_point.residual(factors, instances, x, y)
 
     iterate = jax.jit(jax.grad(unrolled, has_aux=True))
