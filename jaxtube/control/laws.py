@@ -81,12 +81,10 @@ class TubeMpc:
     ) -> tuple[Command, mpc.MpcState, mpc.Diagnostics]:
         """Plan, and return the command of the plan's first period (see `mpc.act`)."""
         for_plan, for_wheels = use_twice(measurement)
-        acted: mpc.Action = mpc.act(
+        action: mpc.Action = mpc.act(
             self.qps, self.index[step], memory, for_plan.errors, self.restart
         )
-        inputs, following, diagnostics = acted
-        command = self.wheel_map.command(inputs, for_wheels, reference_wheels)
-        return command, following, diagnostics
+        return self._command(action, for_wheels, reference_wheels)
 
     def act_freely(
         self,
@@ -101,9 +99,8 @@ class TubeMpc:
         start = errors if self.restart else memory.nominal
         condensed = self.condensed_qp(step)
         fits = planning.are_all_free(condensed, start)
-        inputs, following, diagnostics = mpc.act_freely(condensed, memory, errors, self.restart)
-        command = self.wheel_map.command(inputs, measurement, reference_wheels)
-        return fits, (command, following, diagnostics)
+        action = mpc.act_freely(condensed, memory, errors, self.restart)
+        return fits, self._command(action, measurement, reference_wheels)
 
     def act_as_known(
         self,
@@ -115,12 +112,18 @@ class TubeMpc:
         """Return whether `act` finds every plan without a solver, in the regions that the QPs have,
         and what it then returns."""
         condensed = self.condensed_qp(step)
-        inputs, following, diagnostics = mpc.act_as_known(
-            condensed, memory, measurement.errors, self.restart
-        )
-        command = self.wheel_map.command(inputs, measurement, reference_wheels)
+        action = mpc.act_as_known(condensed, memory, measurement.errors, self.restart)
+        command, following, diagnostics = self._command(action, measurement, reference_wheels)
         fits = jnp.all(diagnostics.status != qp.UNSOLVED)
         return fits, (command, following, diagnostics)
+
+    def _command(
+        self, action: mpc.Action, measurement: Measurement, reference_wheels: Float[Array, "2"]
+    ) -> tuple[Command, mpc.MpcState, mpc.Diagnostics]:
+        """Return what a step asks of the wheels, and the rest of it."""
+        inputs, following, diagnostics = action
+        command = self.wheel_map.command(inputs, measurement, reference_wheels)
+        return command, following, diagnostics
 
 
 @jax.tree_util.register_dataclass
