@@ -8,6 +8,7 @@
     worst = jt.falsify(design)                    the worst case, by gradient
     tuned = jt.tune(jt.load("untuned"))           weights and gains, by gradient
     stepper = jt.Stepper(design)                  the controller of one robot, period by period
+    jt.export(design, "controller")               the same as NumPy and C99, certified as written
 
 Controllers and plants of your own fit `jt.Controller` and `jt.Plant`, slip processes
 `jt.SlipProcess`. What these functions compute on the device they compute in 64 bits, whatever JAX
@@ -21,6 +22,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from jaxtube.control.protocol import Controller, Feedback, WheelMap
+    from jaxtube.exporting.write import Exported, export
     from jaxtube.falsification.falsify import Falsification, falsify
     from jaxtube.plant.protocol import Command, Measurement, Plant
     from jaxtube.plant.slip import SlipProcess
@@ -40,6 +42,7 @@ HOMES = {
     "Controller": "jaxtube.control.protocol",
     "Design": "jaxtube.synthesis.design",
     "EmptySetError": "jaxtube.synthesis.design",
+    "Exported": "jaxtube.exporting.write",
     "Falsification": "jaxtube.falsification.falsify",
     "Feedback": "jaxtube.control.protocol",
     "Laps": "jaxtube.simulation.simulate",
@@ -54,6 +57,7 @@ HOMES = {
     "Tuned": "jaxtube.tuning.tune",
     "WheelMap": "jaxtube.control.protocol",
     "design": "jaxtube.synthesis.design",
+    "export": "jaxtube.exporting.write",
     "falsify": "jaxtube.falsification.falsify",
     "load": "jaxtube.scenario",
     "montecarlo": "jaxtube.statistics.montecarlo",
@@ -68,6 +72,7 @@ __all__ = [
     "Controller",
     "Design",
     "EmptySetError",
+    "Exported",
     "Falsification",
     "Feedback",
     "Laps",
@@ -82,6 +87,7 @@ __all__ = [
     "Tuned",
     "WheelMap",
     "design",
+    "export",
     "falsify",
     "load",
     "montecarlo",

@@ -38,6 +38,7 @@ ROOMS = (
     "falsification",
     "tuning",
     "results",
+    "exporting",
     "figures",
     "experiments",
 )

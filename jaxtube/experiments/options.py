@@ -482,6 +482,34 @@ class ReplayOptions(LogOptions):
 
 
 @dataclass(frozen=True)
+class ExportOptions(Options):
+    """Write the controller of a design as NumPy and C99 for a robot, certified again as it is
+    written."""
+
+    command = "export"
+    module = "export.command"
+    positional = ("scenario",)
+
+    scenario: Annotated[Positional[str], arg(metavar="NAME|FILE.toml", help_behavior_hint="")] = (
+        "certified"
+    )
+    """a scenario that `list` prints, or a file"""
+    to: Annotated[
+        str,
+        arg(metavar="DIR", help_behavior_hint="(default: controller/ in the run's folder)"),
+        FOLDER,
+    ] = ""
+    """folder of the controller"""
+    require_certificate: bool = False
+    """exit with 3 when the controller is not certified for the robot"""
+
+    @property
+    def controller_folder(self) -> Path:
+        """The folder of the controller."""
+        return Path(self.to) if self.to else self.folder / "controller"
+
+
+@dataclass(frozen=True)
 class BenchOptions(Options):
     """Measure speed beside peers in one run: programs, laps, gradients, designs, single steps; or
     laps on one GPU."""
@@ -556,6 +584,7 @@ COMMANDS: dict[str, type[Options]] = {
         TuneOptions,
         IdentifyOptions,
         ReplayOptions,
+        ExportOptions,
         BenchOptions,
         ListOptions,
         CheckOptions,

@@ -45,11 +45,21 @@ class Bounds:
     terminal: Float[AnyArray, "windows facets"]
 
 
-def tube_bounds(problem: Problem, tightening: Tightening, terminal: Terminal) -> Bounds:
-    """Return the tightened sets, backed off for the solver's slack."""
+def tube_bounds(
+    problem: Problem, tightening: Tightening, terminal: Terminal, once: float | None = None
+) -> Bounds:
+    """Return the tightened sets, backed off for the solver's slack.
+
+    Args:
+        problem: of the design.
+        tightening: by its tube.
+        terminal: its terminal set.
+        once: what a stage is backed off more than the one before, in the units of E and U; that of
+            `find_back_off` unless given.
+    """
     N = problem.horizon
     normals = terminal.constraint_normals
-    once = find_back_off(problem)
+    once = find_back_off(problem) if once is None else once
     back_off = once * np.arange(1, N + 1)[:, None]
     last_back_off = (N + 1) * once * np.linalg.norm(normals, axis=1)
     return Bounds(

@@ -1,0 +1,1 @@
+"""`export`: the controller of a design as NumPy and C99."""

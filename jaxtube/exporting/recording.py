@@ -1,0 +1,83 @@
+"""Laps of a design as an exported controller meets them: poses and slips in, wheel speeds out."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from jaxtube.columns import use_twice
+from jaxtube.plant.error_dynamics import world_pose
+from jaxtube.plant.estimating import robot_behind
+from jaxtube.plant.lagging import LaggingRobot
+from jaxtube.plant.motions import join
+from jaxtube.precision import in_64_bits
+from jaxtube.simulation.choices import StartChoice, choose_starts
+from jaxtube.simulation.components import make_tube_mpc, slipping_robot
+from jaxtube.simulation.rollout import begin, realisation_keys, run_period
+from jaxtube.synthesis.parts import Design
+
+
+class Recording(NamedTuple):
+    """What a lap shows, step by step; time first, then the laps."""
+
+    poses: Float[np.ndarray, "steps laps 3"]  # measured, (x m, y m, heading rad) in the world
+    slips: Float[np.ndarray, "steps laps 2"]  # measured
+    errors: Float[np.ndarray, "steps laps 3"]  # that the controller acted on, (m, m, rad)
+    inputs: Float[np.ndarray, "steps laps 2"]
+    wheels: Float[np.ndarray, "steps laps 2"]  # within the limits, m/s
+    status: Int[np.ndarray, "steps laps"]
+
+
+@in_64_bits
+def record_laps(
+    design: Design, laps: int, starts: StartChoice = "scenario", seed: int = 0
+) -> Recording:
+    """Run laps of the tube-MPC on the robot of a design, and record what it measures and commands.
+
+    Args:
+        design: a design.
+        laps: how many.
+        starts: as for `jaxtube.simulate`.
+        seed: of every draw.
+    """
+    keys = realisation_keys(seed, 0, laps)
+    law = choose_starts(design, starts) if isinstance(starts, str) else None
+    errors = jnp.asarray(starts, float) if law is None else law.draw(keys)
+    controller = make_tube_mpc(design, law)
+    plant = slipping_robot(design)
+    poses = jnp.asarray(design.problem.reference.poses)
+
+    @jax.jit
+    def run(keys, errors):
+        def period(state, step):
+            state, before = use_twice(state)
+            pose = _measure_poses(plant, keys, step, before, poses[step])
+            following, happened = run_period(controller, plant, keys, step, state)
+            seen = (pose, before.measurement.slip, before.measured)
+            return following, (*seen, happened.inputs, happened.wheels, happened.diagnostics.status)
+
+        start = begin(controller, plant, keys, errors)
+        _, recorded = jax.lax.scan(period, start, jnp.arange(len(plant.reference_wheels)))
+        return Recording(*recorded)
+
+    return jax.tree.map(np.asarray, run(keys, errors))
+
+
+def _measure_poses(
+    plant, keys, step, state, reference_pose: Float[Array, "3"]
+) -> Float[Array, "batch 3"]:
+    """Return the poses that are measured at an instant: their noise depends on key and step alone,
+    so that to sense twice is to sense the same."""
+    robot = robot_behind(plant)
+    memory = state.plant_memory if robot is plant else state.plant_memory.plant
+    measurement, _ = robot.sense(keys, step, memory, state.errors)
+    errors = measurement.errors
+    if isinstance(robot, LaggingRobot):
+        # Errors are those of the committed pose, from which the pose lies the motion ahead behind.
+        ahead = robot.body.forecast.motion_ahead(memory.expected, memory.intended)
+        errors = join(ahead, errors)
+    return world_pose(errors, reference_pose)

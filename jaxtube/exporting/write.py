@@ -1,0 +1,257 @@
+"""`export`: the controller of a design leaves the program, with the proof of its numbers.
+
+    controller.py, controller.npz                  in NumPy
+    c/controller.h, controller.c, constants.h, constants.c, main.c, steps.csv, Makefile
+    certificate.json                               of the design, and of the numbers as written
+    README.md, SHA256SUMS
+
+While the files are written SHA256SUMS is missing, and what lies there is refused.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import NamedTuple
+
+import jinja2
+import numpy as np
+
+from jaxtube.atomic import write_atomically
+from jaxtube.exporting.c_source import count_operations, render_header, render_source
+from jaxtube.exporting.constants import Constants
+from jaxtube.exporting.proof import Proof, list_margins, prove_doubles, prove_floats
+from jaxtube.exporting.recording import Recording, record_laps
+from jaxtube.precision import in_64_bits
+from jaxtube.scenario.refusal import ScenarioError, refusal
+from jaxtube.synthesis.parts import Design, require_design
+
+LAPS = 4
+"""Laps of recorded steps, from the scenario's start and again from the edge of the feasible set."""
+SUMS = "SHA256SUMS"
+STATIC = {
+    "controller.py": "controller.py",
+    "c/controller.h": "controller.h",
+    "c/controller.c": "controller.c",
+    "c/main.c": "main.c",
+    "c/Makefile": "Makefile",
+}
+"""Templates by the files that they are, unchanged."""
+
+
+class Exported(NamedTuple):
+    """An exported controller.
+
+    Attributes:
+        folder: where it lies.
+        constants: its numbers.
+        proofs: of its numbers, by precision; None where they are not certified.
+        recorded: steps in steps.csv.
+        operations: of floating point in a plan, at most.
+    """
+
+    folder: Path
+    constants: Constants
+    proofs: dict[str, Proof | None]
+    recorded: int
+    operations: int
+
+    def __repr__(self) -> str:
+        verdict = self.proofs["float64"].design.certificate.verdict  # type: ignore[union-attr]
+        return "\n".join(
+            [
+                f"{verdict}: controller in {self.folder}/",
+                *list_margins(self.proofs),
+                f"{self.recorded:,} recorded steps; a plan takes {self.operations:,} operations of "
+                "floating point at most",
+            ]
+        )
+
+
+@in_64_bits
+def export(design: Design, folder: str | Path, title: str = "a design") -> Exported:
+    """Write the tube-MPC of a design as NumPy and C99, certified again as it is written.
+
+    Args:
+        design: a design, certified or not; its verdict stands in every file.
+        folder: a new or an empty one, or one that an export has written, which is replaced.
+        title: of the design, for people.
+
+    Raises:
+        ScenarioError: one line, for a folder with anything else, or one that cannot be written; and
+            where the numbers, rounded to float64, do not keep the guarantee of the design.
+    """
+    require_design(design)
+    path = Path(folder)
+    _refuse_foreign(path)
+    proof = prove_doubles(design)
+    if not proof.holds:
+        raise ScenarioError(
+            "scenario: controller: rows rounded to float64 do not keep the guarantee "
+            f"(least margin {min(proof.margins.values()):.3g}); bring the sizes of caps and "
+            "weights closer together"
+        )
+    proofs = {"float64": proof, "float32": prove_floats(design)}
+    recordings = [record_laps(design, LAPS, starts) for starts in ("scenario", "edge")]
+    contents = _render(design, proofs, recordings, title)
+    _write(path, contents)
+    steps = sum(recording.status.size for recording in recordings)
+    return Exported(path, proof.constants, proofs, steps, count_operations(proof.constants))
+
+
+def _render(
+    design: Design,
+    proofs: Mapping[str, Proof | None],
+    recordings: list[Recording],
+    title: str,
+) -> dict[str, bytes]:
+    """Return the contents of all files by their names."""
+    proof = proofs["float64"]
+    assert proof is not None
+    constants = proof.constants
+    floats = proofs["float32"]
+    verdict = design.certificate.verdict
+    certificate = _describe_certificate(design, proofs)
+    digest = hashlib.sha256(certificate).hexdigest()
+    contents = {name: _read_template(template).encode() for name, template in STATIC.items()}
+    of_floats = None if floats is None else floats.constants
+    contents |= {
+        "certificate.json": certificate,
+        "controller.npz": _pack(constants.arrays() | {"certificate_sha256": np.array(digest)}),
+        "c/constants.h": render_header(constants, title, verdict, digest).encode(),
+        "c/constants.c": render_source(constants, of_floats, title).encode(),
+        "c/steps.csv": _write_steps(constants, recordings).encode(),
+        "README.md": _render_readme(design, proofs, recordings, title).encode(),
+    }
+    sums = [f"{hashlib.sha256(contents[name]).hexdigest()}  {name}\n" for name in sorted(contents)]
+    return contents | {SUMS: "".join(sums).encode()}
+
+
+def _describe_certificate(design: Design, proofs: Mapping[str, Proof | None]) -> bytes:
+    """Return the certificate of a design and of what is exported of it, as JSON."""
+    certificate = design.certificate
+    conditions = [
+        {
+            "name": condition.name,
+            "scope": condition.scope,
+            "holds": condition.holds,
+            "margin": condition.margin if np.isfinite(condition.margin) else None,
+            "sentence": condition.sentence,
+        }
+        for condition in certificate.checked
+    ]
+    content = {
+        "verdict": certificate.verdict,
+        "holds_for_model": certificate.holds_for_model,
+        "holds_for_robot": certificate.holds_for_robot,
+        "conditions": conditions,
+        "assumptions": certificate.assumptions,
+        "exported": {name: proof and proof.describe() for name, proof in proofs.items()},
+    }
+    return f"{json.dumps(content, indent=2, sort_keys=True)}\n".encode()
+
+
+def _pack(arrays: Mapping[str, np.ndarray]) -> bytes:
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def _write_steps(constants: Constants, recordings: list[Recording]) -> str:
+    """Return recorded steps as lines that main.c reads; an empty line begins a lap."""
+    lines = []
+    for recording in recordings:
+        steps, laps = recording.status.shape
+        for lap in range(laps):
+            lines.append("")
+            for step in range(steps):
+                now = step * constants.dt
+                numbers = [*recording.poses[step, lap], now, now]
+                wheels = recording.wheels[step, lap]
+                slips = recording.slips[step, lap]
+                words = ["1", *map(_spell, numbers), "1", *map(_spell, slips), *map(_spell, wheels)]
+                lines.append(",".join([*words, str(recording.status[step, lap])]))
+    return "\n".join(lines).lstrip("\n") + "\n"
+
+
+def _spell(number: float) -> str:
+    """Return the shortest decimals that are read back to the bit."""
+    return repr(float(number))
+
+
+def _render_readme(
+    design: Design,
+    proofs: Mapping[str, Proof | None],
+    recordings: list[Recording],
+    title: str,
+) -> str:
+    proof = proofs["float64"]
+    assert proof is not None
+    constants = proof.constants
+    settings = design.problem.scenario.controller
+    caps = constants.caps
+    of_commands = not design.problem.scenario.robot.obeys_at_once
+    acted_on = "; an estimate" if settings.has_observer else ""
+    acted_on += (
+        "; of the committed pose, to which commands given will take it" if of_commands else ""
+    )
+    floats = "solves in floats" if proofs["float32"] else "is refused: it would not be certified"
+    right, left = constants.nominal_slip
+    x, y, heading = constants.reference_poses[0]
+    environment = jinja2.Environment(
+        undefined=jinja2.StrictUndefined,
+        autoescape=False,
+        keep_trailing_newline=True,
+        trim_blocks=True,
+    )
+    return environment.from_string(_read_template("README.md.jinja")).render(
+        title=" ".join(title.split()),
+        steps=len(constants.window),
+        dt=constants.dt,
+        verdict=design.certificate.verdict,
+        proved="; ".join(list_margins(dict(proofs))) + ".",
+        operations=f"{count_operations(constants):,}",
+        floats=floats,
+        recorded=f"{sum(recording.status.size for recording in recordings):,}",
+        start=f"({x:g} m, {y:g} m, {heading:g} rad)",
+        limits=[f"{limit:g}" for limit in constants.wheel_limits],
+        slip=f"{right:g} right, {left:g} left",
+        acted_on=acted_on,
+        caps=f"{caps[0]:.3g} m, {caps[1]:.3g} m, {np.rad2deg(caps[2]):.3g} deg",
+        age=f"{constants.most_age:g}",
+        jitter=f"{constants.most_jitter:g}",
+        horizon=constants.horizon,
+        exchanges=constants.most_exchanges,
+        assumptions=[assumption.rstrip(".") for assumption in design.certificate.assumptions],
+    )
+
+
+def _read_template(name: str) -> str:
+    return files("jaxtube.exporting").joinpath("templates", name).read_text(encoding="utf-8")
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Raise ScenarioError for a folder that holds anything but an exported controller."""
+    cure = "name a new or an empty folder"
+    if path.is_file():
+        raise refusal("export", "folder", str(path), "is a file", cure)
+    if path.is_dir() and any(path.iterdir()) and not (path / SUMS).is_file():
+        problem = "holds files that no export has written"
+        raise refusal("export", "folder", str(path), problem, cure)
+
+
+def _write(path: Path, contents: Mapping[str, bytes]) -> None:
+    """Write all files, the sums last: without them what lies there is refused."""
+    try:
+        (path / "c").mkdir(parents=True, exist_ok=True)
+        (path / SUMS).unlink(missing_ok=True)
+        for name in sorted(contents, key=lambda name: name == SUMS):
+            write_atomically(path / name, lambda file, name=name: file.write(contents[name]))
+    except OSError as error:
+        problem = f"cannot be written ({error.strerror})"
+        cure = "name a folder that you may write to"
+        raise refusal("export", "folder", str(path), problem, cure) from None
