@@ -32,7 +32,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxtube.exporting.constants import DOUBLE, SINGLE, Constants, Precision, gather_constants
+from jaxtube.exporting.constants import DOUBLE, SINGLE, Constants, gather_constants
 from jaxtube.synthesis.certificate.exact import recheck
 from jaxtube.synthesis.condense import tube_bounds
 from jaxtube.synthesis.design import finish
@@ -91,7 +91,7 @@ class Proof:
 
 def prove_doubles(design: Design) -> Proof:
     """Prove what float64 constants of a design keep."""
-    return _prove(design, DOUBLE, find_back_off(design.problem))
+    return prove(design, gather_constants(design, DOUBLE), find_back_off(design.problem))
 
 
 def prove_floats(design: Design) -> Proof | None:
@@ -106,7 +106,7 @@ def prove_floats(design: Design) -> Proof | None:
             return None
         if drawn_in.certificate.holds_for_robot < design.certificate.holds_for_robot:
             return None
-        proof = _prove(drawn_in, SINGLE, once)
+        proof = prove(drawn_in, gather_constants(drawn_in, SINGLE), once)
         if proof.holds:
             return proof
         once = 2 * once
@@ -120,10 +120,9 @@ def _draw_in(design: Design, once: float) -> Design:
     return finish(replace(design, bounds=bounds, condensed=condensed))
 
 
-def _prove(design: Design, precision: Precision, once: float) -> Proof:
-    """Prove what constants of a precision keep of a design whose constraints are backed off by so
-    much in every stage."""
-    constants = gather_constants(design, precision)
+def prove(design: Design, constants: Constants, once: float) -> Proof:
+    """Compare constants with a design whose constraints are backed off by so much more in every
+    stage than in the one before."""
     comparison = _Comparison(design, constants)
     missed = comparison.find_missed()
     rooms, is_exact = _find_rooms(design, once)

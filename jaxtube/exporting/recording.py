@@ -15,7 +15,7 @@ from jaxtube.plant.estimating import robot_behind
 from jaxtube.plant.lagging import LaggingRobot
 from jaxtube.plant.motions import join
 from jaxtube.precision import in_64_bits
-from jaxtube.simulation.choices import StartChoice, choose_starts
+from jaxtube.simulation.choices import choose_starts
 from jaxtube.simulation.components import make_tube_mpc, slipping_robot
 from jaxtube.simulation.rollout import begin, realisation_keys, run_period
 from jaxtube.synthesis.parts import Design
@@ -33,21 +33,27 @@ class Recording(NamedTuple):
 
 
 @in_64_bits
-def record_laps(
-    design: Design, laps: int, starts: StartChoice = "scenario", seed: int = 0
-) -> Recording:
+@in_64_bits
+def draw_starts(design: Design, laps: int, seed: int = 0) -> Float[np.ndarray, "2*laps 3"]:
+    """Return true errors to start from: the scenario's start, and as many on the edge of the
+    feasible set."""
+    keys = realisation_keys(seed, 0, laps)
+    laws = [choose_starts(design, name) for name in ("scenario", "edge")]
+    return np.concatenate([law.draw(keys) for law in laws])
+
+
+@in_64_bits
+def record_laps(design: Design, starts: Float[np.ndarray, "laps 3"], seed: int = 0) -> Recording:
     """Run laps of the tube-MPC on the robot of a design, and record what it measures and commands.
 
     Args:
         design: a design.
-        laps: how many.
-        starts: as for `jaxtube.simulate`.
+        starts: true errors, (m, m, rad), one a lap.
         seed: of every draw.
     """
-    keys = realisation_keys(seed, 0, laps)
-    law = choose_starts(design, starts) if isinstance(starts, str) else None
-    errors = jnp.asarray(starts, float) if law is None else law.draw(keys)
-    controller = make_tube_mpc(design, law)
+    keys = realisation_keys(seed, 0, len(starts))
+    errors = jnp.asarray(starts, float)
+    controller = make_tube_mpc(design)
     plant = slipping_robot(design)
     poses = jnp.asarray(design.problem.reference.poses)
 

@@ -25,7 +25,7 @@ from jaxtube.atomic import write_atomically
 from jaxtube.exporting.c_source import count_operations, render_header, render_source
 from jaxtube.exporting.constants import Constants
 from jaxtube.exporting.proof import Proof, list_margins, prove_doubles, prove_floats
-from jaxtube.exporting.recording import Recording, record_laps
+from jaxtube.exporting.recording import Recording, draw_starts, record_laps
 from jaxtube.precision import in_64_bits
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.synthesis.parts import Design, require_design
@@ -96,17 +96,16 @@ def export(design: Design, folder: str | Path, title: str = "a design") -> Expor
             "weights closer together"
         )
     proofs = {"float64": proof, "float32": prove_floats(design)}
-    recordings = [record_laps(design, LAPS, starts) for starts in ("scenario", "edge")]
-    contents = _render(design, proofs, recordings, title)
-    _write(path, contents)
-    steps = sum(recording.status.size for recording in recordings)
+    recording = record_laps(design, draw_starts(design, LAPS))
+    _write(path, _render(design, proofs, recording, title))
+    steps = recording.status.size
     return Exported(path, proof.constants, proofs, steps, count_operations(proof.constants))
 
 
 def _render(
     design: Design,
     proofs: Mapping[str, Proof | None],
-    recordings: list[Recording],
+    recording: Recording,
     title: str,
 ) -> dict[str, bytes]:
     """Return the contents of all files by their names."""
@@ -124,8 +123,8 @@ def _render(
         "controller.npz": _pack(constants.arrays() | {"certificate_sha256": np.array(digest)}),
         "c/constants.h": render_header(constants, title, verdict, digest).encode(),
         "c/constants.c": render_source(constants, of_floats, title).encode(),
-        "c/steps.csv": _write_steps(constants, recordings).encode(),
-        "README.md": _render_readme(design, proofs, recordings, title).encode(),
+        "c/steps.csv": write_steps(constants, recording).encode(),
+        "README.md": _render_readme(design, proofs, recording, title).encode(),
     }
     sums = [f"{hashlib.sha256(contents[name]).hexdigest()}  {name}\n" for name in sorted(contents)]
     return contents | {SUMS: "".join(sums).encode()}
@@ -161,20 +160,19 @@ def _pack(arrays: Mapping[str, np.ndarray]) -> bytes:
     return buffer.getvalue()
 
 
-def _write_steps(constants: Constants, recordings: list[Recording]) -> str:
+def write_steps(constants: Constants, recording: Recording) -> str:
     """Return recorded steps as lines that main.c reads; an empty line begins a lap."""
     lines = []
-    for recording in recordings:
-        steps, laps = recording.status.shape
-        for lap in range(laps):
-            lines.append("")
-            for step in range(steps):
-                now = step * constants.dt
-                numbers = [*recording.poses[step, lap], now, now]
-                wheels = recording.wheels[step, lap]
-                slips = recording.slips[step, lap]
-                words = ["1", *map(_spell, numbers), "1", *map(_spell, slips), *map(_spell, wheels)]
-                lines.append(",".join([*words, str(recording.status[step, lap])]))
+    steps, laps = recording.status.shape
+    for lap in range(laps):
+        lines.append("")
+        for step in range(steps):
+            now = step * constants.dt
+            numbers = [*recording.poses[step, lap], now, now]
+            wheels = recording.wheels[step, lap]
+            slips = recording.slips[step, lap]
+            words = ["1", *map(_spell, numbers), "1", *map(_spell, slips), *map(_spell, wheels)]
+            lines.append(",".join([*words, str(recording.status[step, lap])]))
     return "\n".join(lines).lstrip("\n") + "\n"
 
 
@@ -186,7 +184,7 @@ def _spell(number: float) -> str:
 def _render_readme(
     design: Design,
     proofs: Mapping[str, Proof | None],
-    recordings: list[Recording],
+    recording: Recording,
     title: str,
 ) -> str:
     proof = proofs["float64"]
@@ -216,7 +214,7 @@ def _render_readme(
         proved="; ".join(list_margins(dict(proofs))) + ".",
         operations=f"{count_operations(constants):,}",
         floats=floats,
-        recorded=f"{sum(recording.status.size for recording in recordings):,}",
+        recorded=f"{recording.status.size:,}",
         start=f"({x:g} m, {y:g} m, {heading:g} rad)",
         limits=[f"{limit:g}" for limit in constants.wheel_limits],
         slip=f"{right:g} right, {left:g} left",

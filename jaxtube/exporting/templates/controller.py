@@ -31,8 +31,9 @@ class Controller:
         path = Path(path)
         lines = (path.parent / "SHA256SUMS").read_text(encoding="utf-8").splitlines()
         sums = {name: digest for digest, name in map(str.split, lines)}
-        if sums.get(path.name) != hashlib.sha256(path.read_bytes()).hexdigest():
-            raise ValueError(f"{path}: is not the file that SHA256SUMS names; export it again")
+        for file in (Path(__file__), path):
+            if sums.get(file.name) != hashlib.sha256(file.read_bytes()).hexdigest():
+                raise ValueError(f"{file}: is not the file that SHA256SUMS names; export it again")
         with np.load(path, allow_pickle=False) as file:
             for name, value in file.items():
                 setattr(self, name, value if value.ndim else value.item())
@@ -89,10 +90,9 @@ class Controller:
         is_near = np.shape(pose) == (3,) and np.max(np.abs(pose)) <= 1e8  # m, rad
         if not (is_near and -self.most_age <= age < math.inf):
             return INVALID
-        last = self.last_stamp
-        self.last_stamp = last if stamp is None else max(stamp, last)
-        if stamp is not None and not stamp > last:
+        if stamp is not None and not stamp > self.last_stamp:
             return MISSING
+        self.last_stamp = self.last_stamp if stamp is None else stamp
         return USED if age <= self.most_age else LATE
 
     def _correct_estimate(self, pose):
@@ -100,12 +100,12 @@ class Controller:
         x, y, heading = self.reference_poses[self.period]
         error = see((complex(x, y), heading), (complex(pose[0], pose[1]), pose[2]))
         right, left = self.expected * self.lag
-        ahead = (complex((right + left) / 2.0, 0.0), (right - left) / self.track_width)
+        ahead = ((right + left) / 2.0, (right - left) / self.track_width)
         ahead = join(ahead, self._arc(self.intended[1] * self.delay_rest))
         for speeds in self.intended[2:]:
             ahead = join(ahead, self._arc(speeds * self.dt))
         place, turn = see(error, ahead)
-        measured = np.array([place.real, place.imag, math.remainder(turn, 2.0 * math.pi)])
+        measured = np.array([place.real, place.imag, math.remainder(turn, math.tau)])
         if self.estimate is None:
             self.estimate = self.nominal = measured
         self.estimate = self.estimate + self.observer_gain * (measured - self.estimate)

@@ -1,0 +1,89 @@
+"""The C of an exported controller: no warning, no undefined behaviour, no access out of bounds, and no
+more operations than it says."""
+
+import ctypes
+import shutil
+import subprocess
+
+import numpy as np
+import pytest
+from c_controller import CController, compile_c, needs_compiler
+
+pytestmark = needs_compiler
+
+
+@pytest.mark.parametrize("flags", [["-Wdouble-promotion", "-Wcast-qual"], ["-DJAXTUBE_FLOAT32"]])
+@pytest.mark.parametrize("level", ["-O0", "-O3"])
+def test_it_compiles_without_a_warning(exported, tmp_path, flags, level):
+    compile_c(exported.folder, tmp_path / "replay", *flags, level, main=True)
+
+
+def test_it_asks_for_nothing_but_math(exported):
+    source = (exported.folder / "c" / "controller.c").read_text()
+    included = {line.split()[1] for line in source.splitlines() if line.startswith("#include")}
+    assert included == {'"controller.h"', "<math.h>", "<stddef.h>", "<string.h>"}
+    assert "malloc" not in source
+
+
+def test_sanitizers_find_nothing(exported, tmp_path):
+    flags = ("-fsanitize=undefined,float-divide-by-zero", "-fno-sanitize-recover=all", "-g")
+    try:
+        program = compile_c(exported.folder, tmp_path / "replay", *flags, main=True)
+    except AssertionError as error:
+        pytest.skip(f"this compiler has no sanitizers: {str(error)[:80]}")
+    steps = exported.folder / "c" / "steps.csv"
+    done = subprocess.run([program, steps], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "runtime error" not in done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("valgrind") is None, reason="there is no valgrind here")
+def test_valgrind_finds_nothing(exported, tmp_path):
+    program = compile_c(exported.folder, tmp_path / "replay", "-g", "-O1", main=True)
+    steps = exported.folder / "c" / "steps.csv"
+    command = ["valgrind", "--error-exitcode=9", "--leak-check=full", "--track-origins=yes"]
+    done = subprocess.run([*command, program, steps], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture(scope="module")
+def counting(exported, tmp_path_factory):
+    """A library that counts what it does."""
+    return compile_c(
+        exported.folder, tmp_path_factory.mktemp("counting") / "c.so", "-DJAXTUBE_COUNT"
+    )
+
+
+def test_no_plan_takes_more_operations_than_the_bound(exported, counting, certified):
+    controller = CController(counting)
+    counter = ctypes.c_ulong.in_dll(ctypes.CDLL(str(counting)), "jaxtube_operations")
+    generator = np.random.default_rng(2)
+    most = 0
+    for _ in range(3000):
+        controller.restart()
+        pose = generator.uniform(-1.0, 1.0, 3) * [0.5, 0.5, 0.6]
+        counter.value = 0
+        controller.step(pose)
+        most = max(most, counter.value)
+    assert 10_000 < most <= exported.operations
+
+
+def test_floats_command_nearly_what_doubles_do(exported, library, tmp_path, certified):
+    floats = CController(compile_c(exported.folder, tmp_path / "c.so", "-DJAXTUBE_FLOAT32"))
+    assert floats.is_sound
+    doubles = CController(library)
+    generator = np.random.default_rng(3)
+    differences = []
+    for _ in range(500):
+        pose = generator.uniform(-1.0, 1.0, 3) * [0.1, 0.15, 0.2]
+        floats.restart()
+        doubles.restart()
+        ours = floats.step(pose)
+        theirs = doubles.step(pose)
+        if ours.status == theirs.status == 0:
+            differences.append(np.abs(ours.wheels - theirs.wheels).max())
+    # Not their rounding but constraints that are drawn in by up to a millimetre make the difference.
+    assert len(differences) > 100
+    assert np.median(differences) < 1e-5
+    assert max(differences) < 1e-2
