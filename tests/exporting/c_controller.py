@@ -11,7 +11,7 @@ import pytest
 
 COMPILER = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
 needs_compiler = pytest.mark.skipif(COMPILER is None, reason="there is no C compiler here")
-WARNINGS = "-std=c99 -Wall -Wextra -Wconversion -Wshadow -pedantic -Werror".split()
+WARNINGS = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Wshadow", "-pedantic", "-Werror"]
 LARGEST = 1 << 16
 """Bytes of the largest controller."""
 

@@ -1,5 +1,5 @@
-"""The C of an exported controller: no warning, no undefined behaviour, no access out of bounds, and no
-more operations than it says."""
+"""The C of an exported controller: no warning, no undefined behaviour, no access out of bounds, and
+no more operations than it says."""
 
 import ctypes
 import shutil
@@ -83,7 +83,7 @@ def test_floats_command_nearly_what_doubles_do(exported, library, tmp_path, cert
         theirs = doubles.step(pose)
         if ours.status == theirs.status == 0:
             differences.append(np.abs(ours.wheels - theirs.wheels).max())
-    # Not their rounding but constraints that are drawn in by up to a millimetre make the difference.
+    # Not rounding makes the difference but constraints that are drawn in by up to a millimetre.
     assert len(differences) > 100
     assert np.median(differences) < 1e-5
     assert max(differences) < 1e-2

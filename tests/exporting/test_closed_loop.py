@@ -1,5 +1,5 @@
-"""The exported controllers drive the robot: no period leaves W, E, U or the wheels' limits, and every
-QP has a plan. All of it is computed here, from the sets of the design."""
+"""The exported controllers drive the robot: no period leaves W, E, U or the wheels' limits, and
+every QP has a plan. All of it is computed here, from the sets of the design."""
 
 import jax
 import jax.numpy as jnp
@@ -18,8 +18,8 @@ ROUNDING = 1e-9
 
 
 def drive(design, controllers: list, starts, slip: str) -> dict[str, float]:
-    """Drive one lap with each controller; return by how much each limit was passed at worst, and how
-    many steps had no plan or no guarantee."""
+    """Drive one lap with each controller; return by how much each limit was passed at worst, and
+    how many steps had no plan or no guarantee."""
     problem = design.problem
     plant = slipping_robot(design, slip)
     keys = realisation_keys(1, 0, len(starts))

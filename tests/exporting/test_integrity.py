@@ -33,7 +33,8 @@ def check_sums(folder) -> bool:
 
 
 def mutate(content: bytes, generator: np.random.Generator) -> bytes:
-    """Return content with a flipped bit, a lost end, a lost, doubled or exchanged stretch, or NaN."""
+    """Return content with a flipped bit, a lost end, a lost, doubled or exchanged stretch, or a
+    NaN."""
     place = int(generator.integers(len(content)))
     other = int(generator.integers(len(content)))
     low = min(place, other)

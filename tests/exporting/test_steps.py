@@ -1,5 +1,5 @@
-"""An exported controller commands what the controller of the design does, in NumPy and in C, on laps
-and on errors from everywhere, where there is a plan and where there is none."""
+"""An exported controller commands what the controller of the design does, in NumPy and in C, on
+laps and on errors from everywhere, where there is a plan and where there is none."""
 
 import subprocess
 import sys
@@ -149,10 +149,10 @@ def test_the_controller_needs_numpy_alone(exported):
 
 
 def test_turning_whole_circles_changes_no_command(controller, certified):
-    pose = np.array(certified.problem.reference.poses[0]) + [0.01, 0.02, 0.03]
+    pose = np.add(certified.problem.reference.poses[0], [0.01, 0.02, 0.03])
     straight = controller.step(pose)
     controller.restart()
-    turned = controller.step(pose + [0.0, 0.0, 6 * np.pi])
+    turned = controller.step(np.add(pose, [0.0, 0.0, 6 * np.pi]))
     np.testing.assert_allclose(turned.wheels, straight.wheels, rtol=0, atol=1e-12)
 
 

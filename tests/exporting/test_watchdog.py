@@ -119,7 +119,7 @@ def test_without_poses_for_longer_than_a_plan_the_robot_stands_still(either, cer
 
 
 def test_blind_periods_follow_the_reference(either, certified, poses, dt):
-    # With the pose of the reference and no pose after it the plan is to drive as the reference does.
+    # From the reference the plan is to drive as the reference does.
     begin(either, poses, dt, 3)
     for period in range(3, 6):
         output = either.step(None, None, period * dt)
