@@ -1,37 +1,55 @@
 """Results in folders.
 
-    result.json      what kind of result it is, and its plain numbers and names
+    result.json      what kind of result it is, its plain numbers and names, and the SHA-256 of each
+                     other file and of itself
     scenario.toml    the scenario with every key spelled out
     arrays.npz       its arrays, without pickles
+    reference.*, slips.*    copies of the files that the scenario names
 
 Each file appears complete or not at all, and while they are written result.json says so: a save
-that was broken off is told from a result.
+that was broken off is told from a result. A folder that was moved still reads, one of whose files
+any byte was changed does not.
 """
 
 from __future__ import annotations
 
-import json
-import zipfile
+import io
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from jaxtube.atomic import write_atomically
-from jaxtube.scenario.reading import load
+from jaxtube.numpy_archive import read_archive
+from jaxtube.scenario.folders import (
+    FACTS,
+    MANIFEST,
+    SCENARIO,
+    SCHEMA,
+    UNFINISHED,
+    is_inside,
+    read_bytes,
+    read_facts,
+    read_loosely,
+    refuse_folder,
+)
+from jaxtube.scenario.reading import FILE_KEYS, load
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario, to_toml
+from jaxtube.sealed import hash_bytes, seal
 
 Arrays = Mapping[str, Any]
 """Arrays, numbers and lists of them by name, or such mappings again."""
 
-FILES = ("result.json", "scenario.toml", "arrays.npz")
+ARRAYS = "arrays.npz"
+FILES = (FACTS, SCENARIO, ARRAYS)
+COPIES = {"reference.file": "reference", "slip.recording": "slips"}
+"""What the copy of a file that a key names is called, before its suffix."""
+ADDED = ("kind", "schema", "files")
+"""What result.json holds beside the facts of a result."""
 
-SCHEMA = 2
-"""Of result.json: raised where an older reader would misunderstand a newer folder."""
-UNFINISHED = "unfinished"
-"""Stands in result.json while the other files are written."""
 SHOWN_NAMES = 3
 """Files named in a message."""
 AGREEMENT = 1e-9
@@ -55,35 +73,103 @@ def write_result(folder: str | Path, result: StoredResult) -> Path:
         ScenarioError: one line, for a folder with anything else, or one that cannot be written.
     """
     path = Path(folder)
-    facts = {"kind": result.kind, "schema": SCHEMA, **result.facts}
+    parts = _make_parts(result)
+    header = {"kind": result.kind, "schema": SCHEMA}
+    files = {name: hash_bytes(content) for name, content in parts.items()}
     try:
         path.mkdir(parents=True, exist_ok=True)
-        _refuse_to_overwrite(path, result.kind)
-        _write_facts(path, {"kind": result.kind, "schema": SCHEMA, UNFINISHED: True})
-        _write_text(path / "scenario.toml", to_toml(result.scenario))
-        _write_arrays(path / "arrays.npz", result.arrays)
-        _write_facts(path, facts)
+        replaced = _find_replaced(path, result.kind)
+        names = sorted({*parts, *replaced})
+        _write(path / FACTS, seal({**header, UNFINISHED: True, "files": names}))
+        for name, content in parts.items():
+            (path / name).parent.mkdir(parents=True, exist_ok=True)
+            _write(path / name, content)
+        for name in replaced - set(parts):
+            (path / name).unlink(missing_ok=True)
+        _write(path / FACTS, seal({**result.facts, **header, "files": files}))
     except OSError as error:
         problem = f"cannot be written ({error.strerror})"
         raise _refuse_to_save(path, problem) from None
     return path
 
 
-def _refuse_to_overwrite(path: Path, kind: str) -> None:
-    """Raise ScenarioError for a folder with anything but a result of a kind."""
-    names = sorted(entry.name for entry in path.iterdir() if not _is_leftover(entry))
-    foreign = [name for name in names if name not in FILES]
-    if names and (foreign or "result.json" not in names):
+def _make_parts(result: StoredResult) -> dict[str, bytes]:
+    """Return all files of a result but result.json, by name."""
+    copies = {}
+    names = {}
+    for key, stem in COPIES.items():
+        section, _, name = key.partition(".")
+        file = getattr(getattr(result.scenario, section), name)
+        if file and _is_read(result.scenario, key):
+            names[key] = f"{stem}{Path(file).suffix}"
+            copies |= _copy(key, Path(file), names[key])
+    packed = io.BytesIO()
+    np.savez_compressed(packed, allow_pickle=False, **result.arrays)
+    text = to_toml(_rename_files(result.scenario, names))
+    return {SCENARIO: text.encode(), ARRAYS: packed.getvalue(), **copies}
+
+
+def _is_read(scenario: Scenario, key: str) -> bool:
+    """Tell whether a scenario reads the file that a key names."""
+    return key != "slip.recording" or scenario.slip.process == "recorded"
+
+
+def _rename_files(scenario: Scenario, names: Mapping[str, str]) -> Scenario:
+    """Return a scenario that names files by other names, which nobody looks for yet."""
+    for key, name in names.items():
+        section, _, field = key.partition(".")
+        table = msgspec.structs.replace(getattr(scenario, section), **{field: name})
+        scenario = msgspec.structs.replace(scenario, **{section: table})
+    return scenario
+
+
+def _copy(key: str, source: Path, name: str) -> dict[str, bytes]:
+    """Return a file, or all files of a folder, as parts of a result.
+
+    Raises:
+        ScenarioError: one line, where it cannot be read.
+    """
+    try:
+        if not source.is_dir():
+            return {name: source.read_bytes()}
+        below = [path for path in sorted(source.rglob("*")) if path.is_file()]
+        return {
+            f"{name}/{path.relative_to(source).as_posix()}": path.read_bytes() for path in below
+        }
+    except OSError as error:
+        problem = f"cannot be read ({error.strerror})"
+        cure = "put the file back: a copy of it is part of the result"
+        raise refusal("save", key, str(source), problem, cure) from None
+
+
+def _find_replaced(path: Path, kind: str) -> set[str]:
+    """Return the files of the result that lies in a folder, none in an empty one.
+
+    Raises:
+        ScenarioError: one line, for a folder with anything but a result of a kind.
+    """
+    present = sorted(entry.name for entry in path.iterdir())
+    told = read_loosely(path) if FACTS in present else {}
+    files = told.get("files")
+    listed = files if isinstance(files, list | dict) else ()
+    own: set[str] = {name for name in listed if is_inside(name)}
+    own.update(FILES)
+    entries = {name.split("/")[0] for name in own}
+    names = [name for name in present if not _is_leftover(name, entries)]
+    foreign = [name for name in names if name not in entries]
+    if names and (foreign or FACTS not in names):
         shown = ", ".join((foreign or names)[:SHOWN_NAMES])
         raise _refuse_to_save(path, f"holds files that no result has saved ({shown})")
-    present = _read_facts(path).get("kind") if names else kind
-    if present != kind:
-        raise _refuse_to_save(path, f"holds {present!r}, another kind of result than {kind!r}")
+    if names and "kind" not in told:
+        raise refuse_folder(path, "is damaged: result.json tells no kind of result")
+    if names and told["kind"] != kind:
+        raise _refuse_to_save(path, f"holds {told['kind']!r}, another kind of result than {kind!r}")
+    return own - {FACTS}
 
 
-def _is_leftover(entry: Path) -> bool:
-    """Tell whether a file is one that a killed process was writing here."""
-    return any(entry.name.startswith(f".{name}.") for name in FILES)
+def _is_leftover(name: str, entries: set[str]) -> bool:
+    """Tell whether a name is that of a file that a killed process was writing."""
+    return any(name.startswith(f".{entry}.") for entry in entries)
 
 
 def _refuse_to_save(path: Path, problem: str) -> ScenarioError:
@@ -99,21 +185,27 @@ def read_result(folder: str | Path) -> StoredResult:
     """
     path = Path(folder)
     _refuse_what_holds_no_result(path)
-    facts = _read_facts(path)
-    if facts.get("schema") != SCHEMA:
-        raise refuse_folder(path, f"holds a {facts['kind']!r} of another version")
-    if UNFINISHED in facts:
-        raise refuse_folder(path, f"holds a {facts['kind']!r} whose saving was broken off")
+    facts = read_facts(path)
     try:
-        with np.load(path / "arrays.npz", allow_pickle=False) as file:
-            arrays = dict(file)
-    except OSError as error:
-        problem = f"is damaged: arrays.npz cannot be read ({error.strerror or 'no arrays'})"
-        raise refuse_folder(path, problem) from None
-    except (ValueError, EOFError, zipfile.BadZipFile):
-        raise refuse_folder(path, "is damaged: arrays.npz holds no arrays") from None
-    plain = {name: value for name, value in facts.items() if name not in ("kind", "schema")}
-    return StoredResult(facts["kind"], load(path / "scenario.toml"), plain, arrays)
+        arrays = read_archive(read_bytes(path, ARRAYS))
+    except ValueError as error:
+        raise refuse_folder(path, f"is damaged: {ARRAYS} {error}") from None
+    scenario = load(path / SCENARIO)
+    _refuse_files_elsewhere(path, scenario, facts["files"])
+    plain = {name: value for name, value in facts.items() if name not in ADDED}
+    return StoredResult(facts["kind"], scenario, plain, arrays)
+
+
+def _refuse_files_elsewhere(path: Path, scenario: Scenario, files: Mapping[str, str]) -> None:
+    """Raise ScenarioError where a scenario reads a file that is no part of its result."""
+    tops = {name.split("/")[0] for name in files}
+    for key in FILE_KEYS:
+        section, _, name = key.partition(".")
+        file = getattr(getattr(scenario, section), name)
+        if not file or not _is_read(scenario, key):
+            continue
+        if Path(file).name not in tops or Path(file).parent != Path.cwd() / path:
+            raise refuse_folder(path, f"is damaged: {key} names a file outside the folder")
 
 
 def _refuse_what_holds_no_result(path: Path) -> None:
@@ -122,29 +214,12 @@ def _refuse_what_holds_no_result(path: Path) -> None:
         raise refuse_folder(path, "does not exist")
     if not path.is_dir():
         raise refuse_folder(path, "is a file")
-    if (path / "result.json").exists():
+    if (path / FACTS).exists():
         return
-    if (path / "manifest.json").exists() and (path / "scenario.toml").exists():
-        cure = f"give jt.design(jt.load({str(path / 'scenario.toml')!r})) to design it again"
+    if (path / MANIFEST).exists() and (path / SCENARIO).exists():
+        cure = f"give jt.design(jt.load({str(path)!r})) to design it again"
         raise refusal("read", "folder", str(path), "is a run folder of the command line", cure)
     raise refuse_folder(path, "holds no result.json")
-
-
-def _read_facts(path: Path) -> dict[str, Any]:
-    """Return what stands in result.json.
-
-    Raises:
-        ScenarioError: one line, for a damaged file.
-    """
-    try:
-        facts = json.loads((path / "result.json").read_text(encoding="utf-8"))
-    except OSError as error:
-        raise refuse_folder(path, f"cannot be read ({error.strerror})") from None
-    except ValueError:
-        facts = None
-    if not isinstance(facts, dict) or "kind" not in facts:
-        raise refuse_folder(path, "is damaged: result.json tells no kind of result")
-    return facts
 
 
 def flatten(nested: Arrays, above: str = "") -> dict[str, np.ndarray]:
@@ -171,34 +246,20 @@ def nest(flat: Mapping[str, np.ndarray]) -> dict[str, Any]:
     return nested
 
 
-def refuse_folder(folder: str | Path, problem: str) -> ScenarioError:
-    """Return the refusal of a folder."""
-    cure = "name a folder that the `save` of a result has written"
-    return refusal("read", "folder", str(folder), problem, cure)
-
-
 def refuse_differences(saved: Mapping[str, np.ndarray], made: Mapping[str, np.ndarray]) -> None:
     """Raise ScenarioError where an array that was saved differs from one that was made again."""
-    for name, value in made.items():
-        if name not in saved or not _agree(saved[name], value):
+    for name in sorted({*saved, *made}):
+        if name not in saved or name not in made or not _agree(saved[name], made[name]):
             problem = "differs from that of the scenario designed again"
             cure = "use the version of jaxtube that saved it, or save it again"
             raise refusal("read", "array", name, problem, cure)
 
 
 def _agree(one: np.ndarray, other: np.ndarray) -> bool:
-    if one.shape != other.shape:
+    if one.shape != other.shape or one.dtype != other.dtype:
         return False
-    return np.allclose(one, other, rtol=AGREEMENT, atol=AGREEMENT, equal_nan=True)
+    return np.allclose(one, other, rtol=AGREEMENT, atol=AGREEMENT)
 
 
-def _write_facts(path: Path, facts: Mapping[str, Any]) -> None:
-    _write_text(path / "result.json", f"{json.dumps(facts, indent=2, sort_keys=True)}\n")
-
-
-def _write_text(path: Path, text: str) -> None:
-    write_atomically(path, lambda file: file.write(text.encode()))
-
-
-def _write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    write_atomically(path, lambda file: np.savez_compressed(file, allow_pickle=False, **arrays))
+def _write(path: Path, content: bytes) -> None:
+    write_atomically(path, lambda file: file.write(content))

@@ -29,14 +29,14 @@ FIGURES |= {"tube_sections", "tightened_sets", "terminal_set", "stress_terminal_
 def known_designs(monkeypatch, certified_paper_design, robust_design):
     """Hand out the session's designs where a scenario differs in its start at most."""
 
-    def design(scenario):
+    def design(scenario, options=None):
         for known in (certified_paper_design, robust_design):
             same = known.problem.scenario
             if replace(scenario, {"initial": same.initial}) == same:
                 return dataclasses.replace(known, problem=make_problem(scenario))
         return compute(scenario)
 
-    monkeypatch.setattr("jaxtube.experiments.design.command.design", design)
+    monkeypatch.setattr("jaxtube.experiments.design.command.make_design", design)
     monkeypatch.setattr("jaxtube.experiments.paper.command.make_design", design)
 
 
@@ -98,7 +98,7 @@ def test_a_start_outside_the_feasible_set_does_not_hide_the_design(tmp_path, cap
 def test_a_start_outside_the_limits_is_refused_before_any_design(
     words, overrides, limits, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.delattr("jaxtube.experiments.design.command.design")
+    monkeypatch.delattr("jaxtube.experiments.design.command.make_design")
     monkeypatch.delattr("jaxtube.experiments.design.command.optimise")
     monkeypatch.delattr("jaxtube.experiments.paper.command.make_design")
     assert run(tmp_path / "run", *words, *overrides) == 2

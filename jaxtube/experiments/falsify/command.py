@@ -15,6 +15,7 @@ import numpy as np
 from jaxtube.experiments.falsify.report import metrics, report
 from jaxtube.experiments.options import FalsifyOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.falsification.cases import Row, describe_facet, is_violated
 from jaxtube.falsification.falsify import search_setting
@@ -24,7 +25,6 @@ from jaxtube.progress import progress
 from jaxtube.scenario.refusal import refusal
 from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.simulation.usage import Replay
-from jaxtube.synthesis.design import design
 
 NUMBERS = ("usage", "margin", "step", "facet", "when")
 """The numbers of a worst case that are saved under their own names."""
@@ -36,7 +36,11 @@ def run(scenario: Scenario, options: FalsifyOptions) -> int:
         return play_again(scenario, options)
     refuse_options(options)
     setting = make_setting(
-        design(scenario), options.controller, options.plant, options.starts, seed=options.seed
+        make_design(scenario, options),
+        options.controller,
+        options.plant,
+        options.starts,
+        seed=options.seed,
     )
     names = setting.limits.choose_names(options.target)
     folder = run_folder.create(scenario, options)
@@ -133,7 +137,7 @@ def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
             "command line", "--replay", str(path), "was found with another scenario", cure
         )
     setting = make_setting(
-        design(scenario),
+        make_design(scenario, options),
         str(saved["controller"]),
         str(saved["plant"]),
         str(saved["starts"]),
