@@ -18,7 +18,6 @@ and, for what `identify` must find in a log beside it,
 """
 
 import importlib
-import json
 import math
 import tomllib
 from collections import Counter
@@ -29,6 +28,7 @@ import msgspec
 
 from jaxtube.experiments.options import COMMANDS, CheckOptions, title
 from jaxtube.experiments.run.exit_codes import ExitCode
+from jaxtube.experiments.run.json_file import read_table
 from jaxtube.scenario.reading import experiments_folder, find, load, names
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
@@ -115,7 +115,12 @@ def _claims_file(name: str) -> Path:
     return find(name).with_name("expected.toml")
 
 
-def _read_claims(name: str) -> Claims:
+def read_claims(name: str) -> Claims:
+    """Read the expected metrics beside a scenario.
+
+    Raises:
+        ScenarioError: one line, for a file that cannot be read or is damaged.
+    """
     path = _claims_file(name)
     try:
         tree = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -142,7 +147,7 @@ def _read_claims(name: str) -> Claims:
 
 
 def _check(name: str, options: CheckOptions) -> list[str]:
-    claims = _read_claims(name)
+    claims = read_claims(name)
     commands = {claim.command for claim in claims.metric}
     if options.quick:
         commands.discard("paper")
@@ -169,7 +174,7 @@ def _run_again(command: str, name: str, claims: Claims, options: CheckOptions) -
     if code:
         print(f"{name}: {command} ended with exit code {code}")
         return {}
-    return json.loads((out / "metrics.json").read_text(encoding="utf-8"))
+    return read_table(out / "metrics.json")
 
 
 def _judge(name: str, claim: Metric, results: dict[str, Any]) -> str:

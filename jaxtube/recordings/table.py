@@ -110,7 +110,7 @@ def open_table(path: str | Path) -> Table:
     return Table(
         str(path),
         text.content,
-        tuple(names or map(str, range(1, layout.width + 1))),
+        tuple(map(join_lines, names or map(str, range(1, layout.width + 1)))),
         has_names,
         layout.header_line,
         layout.delimiter,
@@ -221,6 +221,12 @@ def refuse_cell(cells: Cells, place: int, row: int, problem: str = "no finite nu
     )
 
 
+def join_lines(text: str) -> str:
+    """Return a text in one line, for messages: a header may hold any character that ends one."""
+    return " ".join(text.splitlines())
+
+
 def shorten(text: str, longest: int = LONGEST_SHOWN) -> str:
-    """Return a text cut to what a message shows."""
+    """Return a text cut to what a message shows, in one line."""
+    text = join_lines(text)
     return text if len(text) <= longest else f"{text[: longest - 3]}..."

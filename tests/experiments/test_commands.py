@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tolerances import CLOSED_LOOP, WORLD_FRAME
 
+from jaxtube import storage
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.design import command
 from jaxtube.experiments.run.exit_codes import exit_code
@@ -225,7 +226,12 @@ def test_the_design_command_writes_what_was_designed(
         "scenario.toml",
         "sets.pdf",
         "sets.png",
+        "design",
     }
+    kept = storage.read_result(tmp_path / "design")
+    assert kept.scenario == robust_design.problem.scenario
+    for name, array in robust_design.arrays().items():
+        assert kept.arrays[name].tobytes() == array.tobytes(), name
     text = capsys.readouterr().out
     assert text.startswith((tmp_path / "report.txt").read_text())
     for words in ("* summed", f"{found['terminal_facets']} facets", str(tmp_path)):
