@@ -36,7 +36,7 @@ def read_archive(data: bytes) -> dict[str, np.ndarray]:
             arrays = dict(file)
     except (*DAMAGE, TypeError, AttributeError):
         # The last two are of a single array, which NumPy returns without an archive around it.
-        raise ValueError("holds no arrays") from None
+        raise ValueError("is no archive of arrays") from None
     if not all(isinstance(array, np.ndarray) for array in arrays.values()):
         raise ValueError("holds other files than arrays")
     return arrays

@@ -113,7 +113,7 @@ def test_damaged_and_foreign_folders_are_refused_in_one_line(tmp_path, laps, qui
     digest = sealed.hash_bytes(b"no archive")
     forged = {**facts, "files": {**facts["files"], "arrays.npz": digest}}
     (tmp_path / "result.json").write_bytes(sealed.seal(forged))
-    assert "is damaged: arrays.npz holds no arrays" in refuse(jt.read, tmp_path)
+    assert "is damaged: arrays.npz is no archive of arrays" in refuse(jt.read, tmp_path)
     (tmp_path / "arrays.npz").unlink()
     assert "is damaged: arrays.npz cannot be read" in refuse(jt.read, tmp_path)
 
