@@ -6,6 +6,7 @@ import dataclasses
 import io
 import json
 import math
+import re
 import tomllib
 from collections.abc import Callable
 from pathlib import Path
@@ -18,15 +19,23 @@ from hypothesis import HealthCheck, given, settings
 
 from jaxtube.experiments import check
 from jaxtube.experiments.falsify.command import read_worst_case
+from jaxtube.experiments.identify import command as identify
 from jaxtube.experiments.montecarlo.replay import read_laps, refuse_another_run
+from jaxtube.experiments.options import IdentifyOptions
 from jaxtube.experiments.run.record_file import DamagedError, decode, encode
+from jaxtube.experiments.run.records import Records
 from jaxtube.paths.mission_file import COLUMNS, read_mission
 from jaxtube.plant.recorded_slips import read_slips, write_slips
-from jaxtube.recordings.reading import read_log, read_path
-from jaxtube.recordings.window_table import is_window_table, read_windows
+from jaxtube.recordings.log import Log
+from jaxtube.recordings.reading import read_path
+from jaxtube.recordings.windows import Windows
 from jaxtube.scenario.reading import FILE_KEYS, experiments_folder, load, names
+from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, to_toml
+from jaxtube.sealed import hash_bytes
+from jaxtube.witness.shares import find_promise
 
+NUMBER = r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*"
 QUICK = 30
 """Files of each kind; the long test reads 40 times as many, more than 10,000."""
 
@@ -40,20 +49,20 @@ class Kind:
         corpus: whole files.
         read: reads one, and asserts what holds of all that is accepted.
         errors: with which one is refused.
-        beside: name of an empty file that lies beside it.
+        beside: what lies beside it, by name.
     """
 
     name: str
     corpus: list[bytes]
     read: Callable[[Path], object]
     errors: tuple[type[Exception], ...] = (ValueError,)
-    beside: str = ""
+    beside: dict[str, bytes] = dataclasses.field(default_factory=dict)
 
     def write(self, folder: Path) -> Path:
         """Write the first file of the corpus into a folder; return its path."""
         folder.mkdir(exist_ok=True)
-        if self.beside:
-            (folder / self.beside).touch()
+        for name, content in self.beside.items():
+            (folder / name).write_bytes(content)
         path = folder / self.name
         path.write_bytes(self.corpus[0])
         return path
@@ -82,6 +91,7 @@ def read_scenario(path: Path) -> None:
         if key not in derived:
             section, _, name = key.partition(".")
             assert value == msgspec.to_builtins(getattr(getattr(default, section), name)), key
+    find_promise(path.read_text(encoding="utf-8-sig"))
     again = msgspec.convert(tomllib.loads(to_toml(scenario)), Scenario)
     assert again == scenario
 
@@ -103,6 +113,11 @@ def is_same(meant, written) -> bool:
     return type(meant) is type(written) and meant == written
 
 
+def read_run(path: Path) -> None:
+    assert load(path.parent) == load("certified")
+    assert json.loads(path.read_bytes())["scenario_sha256"] == hash_bytes(TEXT)
+
+
 def read_expected(path: Path) -> None:
     claims = check.read_claims(str(path.with_name("scenario.toml")))
     written = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -113,28 +128,51 @@ def read_expected(path: Path) -> None:
 
 
 def read_a_log(path: Path) -> None:
-    log = read_log(path)
+    log = identify.read(IdentifyOptions(log=str(path)))
+    if isinstance(log, Windows):
+        return
     assert np.all(np.diff(log.time) > 0) and np.all(np.diff(log.pose_time) > 0)
     for values in (log.time, log.wheels, log.pose_time, log.poses):
         assert np.isfinite(values).all()
+    table = find_plain_table(path, DRIVE)
+    if table is not None:
+        rows = {row[:3] for row in table.values()}
+        first = min(time for time, _, _ in rows)
+        for time, (right, left) in zip(log.time, log.wheels, strict=True):
+            assert any(
+                abs(time + first - row[0]) < 1e-9 and row[1:] == (left, right) for row in rows
+            ), time
+
+
+def find_plain_table(path: Path, whole: bytes) -> dict[int, tuple[float, ...]] | None:
+    """Return the numbers of a table by line, where its header is whole and nothing is quoted."""
+    data = path.read_bytes()
+    header = whole.split(b"\n")[0] + b"\n"
+    if not data.startswith(header) or any(mark in data for mark in (b'"', b"\r", b";", b"\t")):
+        return None
+    lines = enumerate(data.decode("utf-8", "replace").split("\n"), start=1)
+    rows = {number: line.split(",") for number, line in lines}
+    return {
+        number: tuple(map(float, cells))
+        for number, cells in rows.items()
+        if all(re.fullmatch(NUMBER, cell) for cell in cells)
+    }
 
 
 def read_a_path(path: Path) -> None:
     raw = read_path(path)
     assert np.isfinite(raw.positions).all()
     assert len(raw.positions) == len(raw.lines)
-    text = path.read_bytes()
-    if not text.startswith(b"time_s,x_m,y_m\n") or b'"' in text or b"\r" in text:
-        return
-    rows = text.decode("utf-8", "replace").split("\n")
-    for line, position in zip(raw.lines, raw.positions + raw.origin, strict=True):
-        cells = [float(cell) for cell in rows[line - 1].split(",")[1:3]]
-        np.testing.assert_allclose(position, cells, rtol=1e-12)
+    table = find_plain_table(path, RECORDED)
+    if table is not None:
+        for line, position in zip(raw.lines, raw.positions + raw.origin, strict=True):
+            np.testing.assert_allclose(position, table[line][1:3], rtol=1e-12)
 
 
 def read_window_rows(path: Path) -> None:
-    is_window_table(path)
-    windows = read_windows(path)
+    windows = identify.read(IdentifyOptions(log=str(path)))
+    if isinstance(windows, Log):
+        return
     kept = ~windows.lost
     assert np.isfinite(windows.wheels[kept]).all() and np.isfinite(windows.velocity[kept]).all()
 
@@ -226,8 +264,12 @@ def list_mission() -> bytes:
     return ("\n".join(rows) + "\n").encode()
 
 
+REFUSED = (ScenarioError,)
 FOLDER = experiments_folder()
+TEXT = to_toml(load("certified")).encode()
+MANIFEST = json.dumps({"scenario_sha256": hash_bytes(TEXT), "seed": 0}, indent=2).encode()
 DRIVE = b"".join((FOLDER / "husky" / "drive.csv").read_bytes().splitlines(True)[:60])
+RECORDED = (FOLDER / "untuned" / "recorded.csv").read_bytes()
 SLIPS = write_slips(np.arange(9.0) / 10, np.full((9, 3), 0.1)).encode()
 METRICS = json.dumps({"laps": 10, "law": "a", "events": {"e": [1, 2.5]}}).encode()
 IDENTITY = json.dumps({"seed": 0, "scenario": {"a": [1.0, 2]}}).encode()
@@ -235,28 +277,34 @@ IDENTITY = json.dumps({"seed": 0, "scenario": {"a": [1.0, 2]}}).encode()
 KINDS = {
     "scenarios": Kind(
         "scenario.toml",
-        [(FOLDER / name / "scenario.toml").read_bytes() for name in names()]
-        + [to_toml(load("certified")).encode()],
+        [(FOLDER / name / "scenario.toml").read_bytes() for name in names()] + [TEXT],
         read_scenario,
+        REFUSED,
+    ),
+    "manifests": Kind(
+        "manifest.json", [MANIFEST], read_run, REFUSED, beside={"scenario.toml": TEXT}
     ),
     "expected": Kind(
         "expected.toml",
         [(FOLDER / name / "expected.toml").read_bytes() for name in ("certified", "husky")],
         read_expected,
+        REFUSED,
     ),
-    "logs": Kind("drive.csv", [DRIVE], read_a_log),
+    "logs": Kind("drive.csv", [DRIVE], read_a_log, REFUSED),
     "paths": Kind(
         "path.csv",
-        [(FOLDER / "untuned" / "recorded.csv").read_bytes(), list_poses()],
+        [RECORDED, list_poses()],
         read_a_path,
     ),
-    "windows": Kind("windows.csv", [list_windows()], read_window_rows),
-    "slips": Kind("slips.csv", [SLIPS], read_slip_rows),
+    "windows": Kind("windows.csv", [list_windows()], read_window_rows, REFUSED),
+    "slips": Kind("slips.csv", [SLIPS], read_slip_rows, REFUSED),
     "missions": Kind("mission.csv", [list_mission()], read_mission_rows),
     "records": Kind("a.record", [RECORD], read_record, (DamagedError,)),
-    "identities": Kind("identity.json", [IDENTITY], read_identity),
-    "metrics": Kind("metrics.json", [METRICS], read_metrics, beside="identity.json"),
-    "worst cases": Kind("worst_E.npz", [write_archive(**WORST)], read_worst),
+    "identities": Kind("identity.json", [IDENTITY], read_identity, REFUSED),
+    "metrics": Kind(
+        "metrics.json", [METRICS], read_metrics, REFUSED, beside={"identity.json": b""}
+    ),
+    "worst cases": Kind("worst_E.npz", [write_archive(**WORST)], read_worst, REFUSED),
 }
 
 
@@ -302,3 +350,52 @@ def test_damaged_files_are_refused_in_one_line_or_mean_what_they_say(kind, tmp_p
 @pytest.mark.parametrize("kind", KINDS)
 def test_ten_thousand_damaged_files_are_refused_or_mean_what_they_say(kind, tmp_path):
     read_damaged_files(KINDS[kind], tmp_path, 40 * QUICK)
+
+
+# ----------------------------------------------------------------------------------------- records
+
+
+BLOCK = "blocks-0000000000-0000000000.record"
+SEED = {"seed": 0}
+
+
+def add(one, other):
+    return {name: one[name] + other[name] for name in one}
+
+
+def open_damaged_records(folder: Path, count: int) -> None:
+    with Records(folder, SEED, add, 10) as records:
+        records.add(0, 10, {"sum": np.arange(3.0)})
+    whole = (folder / BLOCK).read_bytes()
+    _, _, content = whole.partition(b"\n")
+
+    @settings(
+        max_examples=count,
+        deadline=None,
+        database=None,
+        derandomize=True,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(damaged([whole]), damaged([content]))
+    def read(data, forged):
+        sealed = b"record sha256 " + hash_bytes(forged).encode() + b"\n" + forged
+        for changed in (data, sealed):
+            (folder / BLOCK).write_bytes(changed)
+            try:
+                with Records(folder, SEED, add, 10) as records:
+                    assert records.laps in (0, 10) or changed is sealed
+                    assert changed == whole or records.laps == 0 or changed is sealed
+                    assert all(is_one_line(line) for line in records.damaged)
+            except ScenarioError as error:
+                assert changed is sealed and is_one_line(error)
+
+    read()
+
+
+def test_damaged_records_are_told_and_computed_again(tmp_path):
+    open_damaged_records(tmp_path / "records", QUICK)
+
+
+@pytest.mark.slow
+def test_a_thousand_damaged_records_are_told_and_computed_again(tmp_path):
+    open_damaged_records(tmp_path / "records", 500)
