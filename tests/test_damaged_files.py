@@ -8,6 +8,7 @@ import json
 import math
 import re
 import tomllib
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from jaxtube.experiments.options import IdentifyOptions
 from jaxtube.experiments.run.record_file import DamagedError, decode, encode
 from jaxtube.experiments.run.records import Records
 from jaxtube.paths.mission_file import COLUMNS, read_mission
+from jaxtube.paths.places import PathWarning
 from jaxtube.plant.recorded_slips import read_slips, write_slips
 from jaxtube.recordings.log import Log
 from jaxtube.recordings.reading import read_path
@@ -33,6 +35,7 @@ from jaxtube.scenario.reading import FILE_KEYS, experiments_folder, load, names
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.sealed import hash_bytes
+from jaxtube.synthesis.problem import make_problem
 from jaxtube.witness.shares import find_promise
 
 NUMBER = r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*"
@@ -50,6 +53,7 @@ class Kind:
         read: reads one, and asserts what holds of all that is accepted.
         errors: with which one is refused.
         beside: what lies beside it, by name.
+        share: of the usual number of files that is read, where that takes long.
     """
 
     name: str
@@ -57,6 +61,7 @@ class Kind:
     read: Callable[[Path], object]
     errors: tuple[type[Exception], ...] = (ValueError,)
     beside: dict[str, bytes] = dataclasses.field(default_factory=dict)
+    share: float = 1.0
 
     def write(self, folder: Path) -> Path:
         """Write the first file of the corpus into a folder; return its path."""
@@ -169,6 +174,14 @@ def read_a_path(path: Path) -> None:
             np.testing.assert_allclose(position, table[line][1:3], rtol=1e-12)
 
 
+def drive_a_path(path: Path) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PathWarning)
+        scenario = load("certified", ["reference.shape=file", f"reference.file={path}"])
+        reference = make_problem(scenario).reference
+    assert np.isfinite(reference.wheels).all() and np.isfinite(reference.poses).all()
+
+
 def read_window_rows(path: Path) -> None:
     windows = identify.read(IdentifyOptions(log=str(path)))
     if isinstance(windows, Log):
@@ -258,6 +271,11 @@ def list_poses() -> bytes:
     return ("\n".join(rows) + "\n").encode()
 
 
+def list_slow_path() -> bytes:
+    rows = [f"{0.1 * k:.1f},{0.136 * k:.4f},{0.0005 * k * k:.5f}" for k in range(30)]
+    return ("time_s,x_m,y_m\n" + "\n".join(rows) + "\n").encode()
+
+
 def list_mission() -> bytes:
     rows = [",".join(COLUMNS)]
     rows += [f"{0.1 * k:.6f},{0.05 * k:.9f},0.0,0.0,0.5,0.5" for k in range(9)]
@@ -296,6 +314,7 @@ KINDS = {
         [RECORDED, list_poses()],
         read_a_path,
     ),
+    "driven paths": Kind("path.csv", [list_slow_path()], drive_a_path, REFUSED, share=0.1),
     "windows": Kind("windows.csv", [list_windows()], read_window_rows, REFUSED),
     "slips": Kind("slips.csv", [SLIPS], read_slip_rows, REFUSED),
     "missions": Kind("mission.csv", [list_mission()], read_mission_rows),
@@ -313,7 +332,7 @@ def read_damaged_files(kind: Kind, folder: Path, count: int) -> None:
     (folder / "outside").write_text("mine")
 
     @settings(
-        max_examples=count,
+        max_examples=math.ceil(kind.share * count),
         deadline=None,
         database=None,
         derandomize=True,
