@@ -13,9 +13,10 @@ any byte was changed does not.
 
 from __future__ import annotations
 
+import contextlib
 import io
 from collections.abc import Mapping
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
 
 import msgspec
@@ -85,12 +86,20 @@ def write_result(folder: str | Path, result: StoredResult) -> Path:
             (path / name).parent.mkdir(parents=True, exist_ok=True)
             _write(path / name, content)
         for name in replaced - set(parts):
-            (path / name).unlink(missing_ok=True)
+            _remove(path, name)
         _write(path / FACTS, seal({**result.facts, **header, "files": files}))
     except OSError as error:
         problem = f"cannot be written ({error.strerror})"
         raise _refuse_to_save(path, problem) from None
     return path
+
+
+def _remove(folder: Path, name: str) -> None:
+    """Remove a file of a result that was replaced, and the folders that are then empty."""
+    (folder / name).unlink(missing_ok=True)
+    for above in list(PurePosixPath(name).parents)[:-1]:
+        with contextlib.suppress(OSError):
+            (folder / above).rmdir()
 
 
 def _make_parts(result: StoredResult) -> dict[str, bytes]:

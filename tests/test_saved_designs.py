@@ -235,6 +235,32 @@ def test_a_folder_that_was_moved_brings_the_files_that_its_scenario_names(
         load("here")
 
 
+def test_a_bag_that_is_a_folder_is_copied_with_all_that_it_holds(tmp_path):
+    bag = tmp_path / "bag"
+    (bag / "parts").mkdir(parents=True)
+    (bag / "metadata.yaml").write_text("a: 1\n")
+    (bag / "parts" / "0.db3").write_bytes(b"rows")
+    scenario = load("paper", ["reference.shape=file", f"reference.file={bag}"])
+    stored = storage.StoredResult("laps", scenario, {}, {"a": np.zeros(2)})
+    folder = storage.write_result(tmp_path / "laps", stored)
+    shutil.rmtree(bag)
+    moved = shutil.move(folder, tmp_path / "moved")
+    shutil.copytree(moved, tmp_path / "replaced")
+    plain = stored._replace(scenario=load("paper"))
+    for _ in range(2):
+        storage.write_result(tmp_path / "replaced", plain)
+    assert {entry.name for entry in (tmp_path / "replaced").iterdir()} == set(storage.FILES)
+    again = storage.read_result(moved)
+    assert again.scenario.reference.file == str(moved / "reference")
+    assert list_files(moved / "reference") == {
+        "metadata.yaml": b"a: 1\n",
+        "parts/0.db3": b"rows",
+    }
+    (moved / "reference" / "parts" / "0.db3").write_bytes(b"rowz")
+    with pytest.raises(jt.ScenarioError, match=r"reference/parts/0\.db3 differs"):
+        storage.read_result(moved)
+
+
 def test_a_result_replaces_the_copies_of_the_one_before(tmp_path, uncertified):
     path = tmp_path / "way.csv"
     write_path(path)
