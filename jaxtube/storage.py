@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import os
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, NamedTuple
@@ -219,13 +220,13 @@ def _refuse_files_elsewhere(path: Path, scenario: Scenario, files: Mapping[str, 
 
 def _refuse_what_holds_no_result(path: Path) -> None:
     """Raise ScenarioError where there is no folder, that of a run, or one without a result."""
-    if not path.exists():
+    if not os.path.exists(path):
         raise refuse_folder(path, "does not exist")
-    if not path.is_dir():
+    if not os.path.isdir(path):
         raise refuse_folder(path, "is a file")
-    if (path / FACTS).exists():
+    if os.path.exists(path / FACTS):
         return
-    if (path / MANIFEST).exists() and (path / SCENARIO).exists():
+    if os.path.exists(path / MANIFEST) and os.path.exists(path / SCENARIO):
         cure = f"give jt.design(jt.load({str(path)!r})) to design it again"
         raise refusal("read", "folder", str(path), "is a run folder of the command line", cure)
     raise refuse_folder(path, "holds no result.json")

@@ -19,6 +19,7 @@ from damage import damaged, is_one_line, list_files, only_reading
 from hypothesis import HealthCheck, given, settings
 
 from jaxtube.experiments import check
+from jaxtube.experiments.cli import main
 from jaxtube.experiments.falsify.command import read_worst_case
 from jaxtube.experiments.identify import command as identify
 from jaxtube.experiments.montecarlo.replay import read_laps, refuse_another_run
@@ -31,6 +32,7 @@ from jaxtube.plant.recorded_slips import read_slips, write_slips
 from jaxtube.recordings.log import Log
 from jaxtube.recordings.reading import read_path
 from jaxtube.recordings.windows import Windows
+from jaxtube.results import read
 from jaxtube.scenario.reading import FILE_KEYS, experiments_folder, load, names
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, to_toml
@@ -369,6 +371,41 @@ def test_damaged_files_are_refused_in_one_line_or_mean_what_they_say(kind, tmp_p
 @pytest.mark.parametrize("kind", KINDS)
 def test_ten_thousand_damaged_files_are_refused_or_mean_what_they_say(kind, tmp_path):
     read_damaged_files(KINDS[kind], tmp_path, 40 * QUICK)
+
+
+# ------------------------------------------------------------------------------------------- names
+
+
+TOO_LONG = "a" * 300
+"""A name that no file has."""
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["list", "--scenario", TOO_LONG],
+        ["list", "--scenario", f"{TOO_LONG}.toml"],
+        ["list", "--scenario", "paper", "reference.shape=file", f"reference.file={TOO_LONG}"],
+        ["list", "--scenario", "paper", "slip.process=recorded", f"slip.recording={TOO_LONG}"],
+        ["identify", TOO_LONG],
+        ["path", TOO_LONG],
+        ["replay", TOO_LONG, "--scenario", "husky"],
+        ["falsify", "--replay", TOO_LONG],
+        ["check", f"{TOO_LONG}/scenario.toml"],
+    ],
+)
+def test_names_that_no_file_has_are_refused_in_one_line(words, tmp_path, monkeypatch, capsys):
+    """The system fails to look them up, and not just to find them."""
+    monkeypatch.chdir(tmp_path)
+    assert main(words) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_folders_that_cannot_be_looked_up_are_refused_in_one_line(tmp_path):
+    for name in (TOO_LONG, f"{TOO_LONG}/below", "a\0b"):
+        with pytest.raises(ScenarioError, match="does not exist"):
+            read(tmp_path / name)
 
 
 # ----------------------------------------------------------------------------------------- records

@@ -6,6 +6,7 @@ Every command takes a scenario, the folder of its run, a seed, and overrides of 
 
 import json
 import math
+import os
 import re
 import shlex
 import textwrap
@@ -74,7 +75,7 @@ SHARE = Rule(
     lambda value: value is None or 0 < value < 1,
     "is out of range; give a share between 0 and 1, such as 0.77",
 )
-FOLDER = Rule(lambda value: not Path(value).is_file(), "is a file; name a folder")
+FOLDER = Rule(lambda value: not os.path.isfile(value), "is a file; name a folder")
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ the ones that were written.
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -29,9 +30,9 @@ def find_scenario(folder: Path) -> Path:
     Raises:
         ScenarioError: one line, for a folder that is neither, or whose files were changed.
     """
-    if (folder / FACTS).exists():
+    if os.path.exists(folder / FACTS):
         read_facts(folder)
-    elif (folder / MANIFEST).exists():
+    elif os.path.exists(folder / MANIFEST):
         _check_run(folder)
     else:
         problem = "is a folder without result.json and manifest.json"
@@ -43,7 +44,7 @@ def find_scenario(folder: Path) -> Path:
 def holds_design(folder: str | Path) -> bool:
     """Tell whether a path names the folder of a result that says it is a design."""
     path = Path(folder)
-    return (path / FACTS).is_file() and read_loosely(path).get("kind") == "design"
+    return os.path.isfile(path / FACTS) and read_loosely(path).get("kind") == "design"
 
 
 def read_facts(folder: Path) -> dict[str, Any]:

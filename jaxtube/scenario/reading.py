@@ -1,6 +1,7 @@
 """Find, read and override a scenario file; every refusal is one line with file, key, value and
 cure."""
 
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -103,8 +104,8 @@ def find(name_or_path: str | Path) -> Path:
 
 
 def _is_folder(text: str) -> bool:
-    """Tell whether a text names a folder; none with a null character does."""
-    return bool(text) and "\0" not in text and Path(text).is_dir()
+    """Tell whether a text names a folder; one that no path can be does not."""
+    return os.path.isdir(text)
 
 
 def _read(path: Path, source: str) -> dict[str, Any]:

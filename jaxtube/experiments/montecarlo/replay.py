@@ -4,6 +4,7 @@ used of E, W and the wheels."""
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,7 @@ def run(design: Design, options: MontecarloOptions, identity: dict[str, Any]) ->
 def refuse_another_run(folder: Path, number: int, identity: dict[str, Any]) -> None:
     """Raise ScenarioError where the folder holds a run of another identity."""
     recorded = folder / "identity.json"
-    if not recorded.exists():
+    if not os.path.exists(recorded):
         return
     plain = json.loads(json.dumps(identity))
     difference = differences(read_table(recorded), plain)
@@ -85,7 +86,7 @@ def read_laps(folder: Path) -> int | None:
         ScenarioError: one line, for a damaged file.
     """
     path = folder / "metrics.json"
-    if not path.exists() or not (folder / "identity.json").exists():
+    if not os.path.exists(path) or not os.path.exists(folder / "identity.json"):
         return None
     laps = read_table(path).get("laps")
     if type(laps) is not int or laps < 0:
