@@ -373,6 +373,31 @@ def test_ten_thousand_damaged_files_are_refused_or_mean_what_they_say(kind, tmp_
     read_damaged_files(KINDS[kind], tmp_path, 40 * QUICK)
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('path = "a"\nvalue = 1.0\ntolerance = inf', "inf is not finite"),
+        ('path = "a"\nvalue = 1.0\ntolerance = nan', "tolerance"),
+        ('path = "a"\nvalue = nan', "nan is not finite"),
+        ('path = "a"\nvalue = 1\n"b\\nc" = 2', "unknown field"),
+        ("x = " + "[" * 5000, "give path, value"),
+        ('path = "a"\nvalue = 1\n[identify]\nlog = "../drive.csv"', "is no name of a file"),
+        ('path = "a"\nvalue = 1\n[identify]\nlog = ""', "is no name of a file"),
+        ('path = "a"\nvalue = 1\n[identify]\nlog = ".."', "is no name of a file"),
+    ],
+)
+def test_expected_metrics_that_check_nothing_are_refused(tmp_path, text, told):
+    name = str(tmp_path / "scenario.toml")
+    head, _, rest = text.partition("\n[identify]")
+    whole = f'[[metric]]\nprovenance = "p"\n{head}\n'
+    if rest:
+        whole += f"[identify]{rest}\n"
+    (tmp_path / "expected.toml").write_text(whole)
+    with pytest.raises(ScenarioError) as refused:
+        check.read_claims(name)
+    assert told in str(refused.value) and is_one_line(refused.value)
+
+
 # ------------------------------------------------------------------------------------------- names
 
 
