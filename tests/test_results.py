@@ -7,6 +7,7 @@ import pytest
 
 import jaxtube as jt
 from jaxtube import results, sealed, storage
+from jaxtube.storage import writing
 
 SHORT = "reference.duration_s=1"
 
@@ -149,7 +150,7 @@ def test_a_save_that_is_broken_off_is_told_and_can_be_made_again(
     tmp_path, design, laps, quick_designs, monkeypatch, name
 ):
     laps.save(tmp_path)
-    write = storage.write_atomically
+    write = writing.write_atomically
     written = []
 
     def break_off(path, write_content):
@@ -159,7 +160,7 @@ def test_a_save_that_is_broken_off_is_told_and_can_be_made_again(
         write(path, write_content)
 
     other = jt.Laps(design, "other", "robot", 0, laps.trajectory)
-    monkeypatch.setattr(storage, "write_atomically", break_off)
+    monkeypatch.setattr(writing, "write_atomically", break_off)
     with pytest.raises(KeyboardInterrupt):
         other.save(tmp_path)
     assert "holds a 'laps' whose saving was broken off" in refuse(jt.read, tmp_path)

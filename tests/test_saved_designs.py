@@ -86,9 +86,9 @@ def forge(folder, files=(), **facts):
     (folder / "result.json").write_bytes(sealed.seal(told))
 
 
-def pack(arrays) -> bytes:
+def pack(arrays, save=np.savez_compressed) -> bytes:
     file = io.BytesIO()
-    np.savez_compressed(file, **arrays)
+    save(file, **arrays)
     return file.getvalue()
 
 
@@ -156,9 +156,6 @@ def test_a_design_that_was_read_is_certified_anew(design, saved):
     for name, array in design.arrays().items():
         assert again.arrays()[name].tobytes() == array.tobytes(), name
     assert jt.save(again, saved) == saved
-    assert jt.Stepper(again)(ERRORS[0]).wheels.tolist() == (
-        jt.Stepper(design)(ERRORS[0]).wheels.tolist()
-    )
 
 
 def test_a_verdict_that_does_not_hold_is_refused(folder):
@@ -311,7 +308,7 @@ def damage(folder, random):
     else:
         arrays = unpack(folder)
         random.choice([swap_two, put_nan])(arrays, random)
-        (folder / "arrays.npz").write_bytes(pack(arrays))
+        (folder / "arrays.npz").write_bytes(pack(arrays, np.savez))
 
 
 def test_a_thousand_damaged_designs_are_refused_before_anything_is_designed(folder, no_design):

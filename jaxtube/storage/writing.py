@@ -1,70 +1,35 @@
-"""Results in folders.
-
-    result.json      what kind of result it is, its plain numbers and names, and the SHA-256 of each
-                     other file and of itself
-    scenario.toml    the scenario with every key spelled out
-    arrays.npz       its arrays, without pickles
-    reference.*, slips.*    copies of the files that the scenario names
-
-Each file appears complete or not at all, and while they are written result.json says so: a save
-that was broken off is told from a result. A folder that was moved still reads, one of whose files
-any byte was changed does not.
-"""
+"""Results written into folders."""
 
 from __future__ import annotations
 
 import contextlib
 import io
-import os
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath
-from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
 
 from jaxtube.atomic import write_atomically
-from jaxtube.numpy_archive import read_archive
 from jaxtube.scenario.folders import (
     FACTS,
-    MANIFEST,
     SCENARIO,
     SCHEMA,
     UNFINISHED,
     is_inside,
-    read_bytes,
-    read_facts,
     read_loosely,
     refuse_folder,
 )
-from jaxtube.scenario.reading import FILE_KEYS, load
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.sealed import hash_bytes, seal
+from jaxtube.storage.stored import ARRAYS, FILES, StoredResult, reads_file
 
-Arrays = Mapping[str, Any]
-"""Arrays, numbers and lists of them by name, or such mappings again."""
-
-ARRAYS = "arrays.npz"
-FILES = (FACTS, SCENARIO, ARRAYS)
 COPIES = {"reference.file": "reference", "slip.recording": "slips"}
 """What the copy of a file that a key names is called, before its suffix."""
-ADDED = ("kind", "schema", "files")
-"""What result.json holds beside the facts of a result."""
 
 SHOWN_NAMES = 3
 """Files named in a message."""
-AGREEMENT = 1e-9
-"""Largest difference, relative and absolute, of an array of a design that is made again."""
-
-
-class StoredResult(NamedTuple):
-    """A result as it lies in its folder."""
-
-    kind: str
-    scenario: Scenario
-    facts: dict[str, Any]
-    arrays: dict[str, np.ndarray]
 
 
 def write_result(folder: str | Path, result: StoredResult) -> Path:
@@ -110,18 +75,13 @@ def _make_parts(result: StoredResult) -> dict[str, bytes]:
     for key, stem in COPIES.items():
         section, _, name = key.partition(".")
         file = getattr(getattr(result.scenario, section), name)
-        if file and _is_read(result.scenario, key):
+        if file and reads_file(result.scenario, key):
             names[key] = f"{stem}{Path(file).suffix}"
             copies |= _copy(key, Path(file), names[key])
     packed = io.BytesIO()
     np.savez_compressed(packed, allow_pickle=False, **result.arrays)
     text = to_toml(_rename_files(result.scenario, names))
     return {SCENARIO: text.encode(), ARRAYS: packed.getvalue(), **copies}
-
-
-def _is_read(scenario: Scenario, key: str) -> bool:
-    """Tell whether a scenario reads the file that a key names."""
-    return key != "slip.recording" or scenario.slip.process == "recorded"
 
 
 def _rename_files(scenario: Scenario, names: Mapping[str, str]) -> Scenario:
@@ -184,91 +144,6 @@ def _is_leftover(name: str, entries: set[str]) -> bool:
 
 def _refuse_to_save(path: Path, problem: str) -> ScenarioError:
     return refusal("save", "folder", str(path), problem, "name a new or an empty folder")
-
-
-def read_result(folder: str | Path) -> StoredResult:
-    """Read a result from its folder.
-
-    Raises:
-        ScenarioError: one line, for a folder that holds none, is damaged, or was written by another
-            version.
-    """
-    path = Path(folder)
-    _refuse_what_holds_no_result(path)
-    facts = read_facts(path)
-    try:
-        arrays = read_archive(read_bytes(path, ARRAYS))
-    except ValueError as error:
-        raise refuse_folder(path, f"is damaged: {ARRAYS} {error}") from None
-    scenario = load(path / SCENARIO)
-    _refuse_files_elsewhere(path, scenario, facts["files"])
-    plain = {name: value for name, value in facts.items() if name not in ADDED}
-    return StoredResult(facts["kind"], scenario, plain, arrays)
-
-
-def _refuse_files_elsewhere(path: Path, scenario: Scenario, files: Mapping[str, str]) -> None:
-    """Raise ScenarioError where a scenario reads a file that is no part of its result."""
-    tops = {name.split("/")[0] for name in files}
-    for key in FILE_KEYS:
-        section, _, name = key.partition(".")
-        file = getattr(getattr(scenario, section), name)
-        if not file or not _is_read(scenario, key):
-            continue
-        if Path(file).name not in tops or Path(file).parent != Path.cwd() / path:
-            raise refuse_folder(path, f"is damaged: {key} names a file outside the folder")
-
-
-def _refuse_what_holds_no_result(path: Path) -> None:
-    """Raise ScenarioError where there is no folder, that of a run, or one without a result."""
-    if not os.path.exists(path):
-        raise refuse_folder(path, "does not exist")
-    if not os.path.isdir(path):
-        raise refuse_folder(path, "is a file")
-    if os.path.exists(path / FACTS):
-        return
-    if os.path.exists(path / MANIFEST) and os.path.exists(path / SCENARIO):
-        cure = f"give jt.design(jt.load({str(path)!r})) to design it again"
-        raise refusal("read", "folder", str(path), "is a run folder of the command line", cure)
-    raise refuse_folder(path, "holds no result.json")
-
-
-def flatten(nested: Arrays, above: str = "") -> dict[str, np.ndarray]:
-    """Return nested arrays side by side, each named by its path, such as `error/worst/usage`."""
-    flat = {}
-    for name, value in nested.items():
-        path = f"{above}{name}"
-        if isinstance(value, Mapping):
-            flat |= flatten(value, f"{path}/")
-        else:
-            flat[path] = np.asarray(value)
-    return flat
-
-
-def nest(flat: Mapping[str, np.ndarray]) -> dict[str, Any]:
-    """Return what `flatten` was given, but for empty mappings."""
-    nested: dict[str, Any] = {}
-    for path, value in flat.items():
-        *above, name = path.split("/")
-        inner = nested
-        for part in above:
-            inner = inner.setdefault(part, {})
-        inner[name] = value
-    return nested
-
-
-def refuse_differences(saved: Mapping[str, np.ndarray], made: Mapping[str, np.ndarray]) -> None:
-    """Raise ScenarioError where an array that was saved differs from one that was made again."""
-    for name in sorted({*saved, *made}):
-        if name not in saved or name not in made or not _agree(saved[name], made[name]):
-            problem = "differs from that of the scenario designed again"
-            cure = "use the version of jaxtube that saved it, or save it again"
-            raise refusal("read", "array", name, problem, cure)
-
-
-def _agree(one: np.ndarray, other: np.ndarray) -> bool:
-    if one.shape != other.shape or one.dtype != other.dtype:
-        return False
-    return np.allclose(one, other, rtol=AGREEMENT, atol=AGREEMENT)
 
 
 def _write(path: Path, content: bytes) -> None:
