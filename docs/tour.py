@@ -84,6 +84,6 @@ print(tuned)
 # A result replaces a saved one of its kind, and nothing else.
 
 # %%
-folder = design.save("runs/tour")
+folder = jt.save(design, "runs/tour")
 same = jt.read(folder)
 print(same.certificate.verdict)

@@ -8,6 +8,7 @@
     worst = jt.falsify(design)                    the worst case, by gradient
     tuned = jt.tune(jt.load("untuned"))           weights and gains, by gradient
     stepper = jt.Stepper(design)                  the controller of one robot, period by period
+    jt.save(design, "my_design")                  for jt.read, in another process, to the bit
     jt.export(design, "controller")               the same as NumPy and C99, certified as written
 
 Controllers and plants of your own fit `jt.Controller` and `jt.Plant`, slip processes
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from jaxtube.falsification.falsify import Falsification, falsify
     from jaxtube.plant.protocol import Command, Measurement, Plant
     from jaxtube.plant.slip import SlipProcess
-    from jaxtube.results import read
+    from jaxtube.results import read, save
     from jaxtube.scenario.reading import load
     from jaxtube.scenario.refusal import ScenarioError
     from jaxtube.scenario.tree import Scenario
@@ -62,6 +63,7 @@ HOMES = {
     "load": "jaxtube.scenario",
     "montecarlo": "jaxtube.statistics.montecarlo",
     "read": "jaxtube.results",
+    "save": "jaxtube.results",
     "simulate": "jaxtube.simulation.simulate",
     "tune": "jaxtube.tuning.tune",
 }
@@ -92,6 +94,7 @@ __all__ = [
     "load",
     "montecarlo",
     "read",
+    "save",
     "simulate",
     "tune",
 ]

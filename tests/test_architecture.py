@@ -23,6 +23,8 @@ ROOMS = (
     "arguments",
     "progress",
     "columns",
+    "sealed",
+    "numpy_archive",
     "scenario",
     "storage",
     "recordings",

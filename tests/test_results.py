@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import jaxtube as jt
-from jaxtube import results, storage
+from jaxtube import results, sealed, storage
+from jaxtube.storage import writing
 
 SHORT = "reference.duration_s=1"
 
@@ -24,7 +25,12 @@ def quick_designs(monkeypatch, design):
         assert scenario == design.problem.scenario
         return design
 
+    def restore(scenario, arrays):
+        storage.refuse_differences(arrays, design.arrays())
+        return make(scenario).with_arrays(arrays)
+
     monkeypatch.setattr(results, "design", make)
+    monkeypatch.setattr(results, "restore_design", restore)
 
 
 @pytest.fixture(scope="module")
@@ -43,19 +49,38 @@ def test_laps_are_read_as_they_were_saved(tmp_path, laps, quick_designs):
 
 
 def test_a_design_is_read_as_it_was_saved(tmp_path, design, quick_designs):
-    again = jt.read(design.save(tmp_path))
+    again = jt.read(jt.save(design, tmp_path))
     assert again.arrays().keys() == design.arrays().keys()
+    for name, array in design.arrays().items():
+        assert again.arrays()[name].tobytes() == array.tobytes(), name
 
 
-def test_a_design_that_comes_out_differently_is_refused(tmp_path, design, quick_designs):
+def rewrite(folder, **changed):
+    """Put other arrays or facts into a result as one who knows the format does: hashes fit."""
+    facts = sealed.unseal((folder / "result.json").read_bytes())
+    with np.load(folder / "arrays.npz") as file:
+        arrays = dict(file) | changed.pop("arrays", {})
+    np.savez(folder / "arrays.npz", **arrays)
+    digest = sealed.hash_bytes((folder / "arrays.npz").read_bytes())
+    files = {**facts["files"], "arrays.npz": digest}
+    (folder / "result.json").write_bytes(sealed.seal({**facts, "files": files, **changed}))
+
+
+@pytest.mark.parametrize("change", [1e-3, 1e-8, np.nan])
+def test_arrays_that_are_not_those_of_the_scenario_are_refused(
+    tmp_path, design, quick_designs, change
+):
     design.save(tmp_path)
-    with np.load(tmp_path / "arrays.npz") as file:
-        arrays = dict(file)
-    name = max(arrays, key=lambda key: arrays[key].size)
-    arrays[name] = arrays[name] + 1e-3
-    np.savez(tmp_path / "arrays.npz", **arrays)
-    with pytest.raises(jt.ScenarioError, match="differs from that of the scenario designed again"):
-        jt.read(tmp_path)
+    for name, array in design.arrays().items():
+        if array.dtype.kind == "f" and array.size:
+            other = array.copy()
+            other.flat[0] += change * max(abs(float(array.flat[0])), 1.0) * 10
+            rewrite(tmp_path, arrays={name: other})
+            if np.isfinite(array.flat[0]):
+                told = refuse(jt.read, tmp_path)
+                assert "differs from that of the scenario designed again" in told, name
+            rewrite(tmp_path, arrays={name: array})
+    assert jt.read(tmp_path).arrays().keys() == design.arrays().keys()
 
 
 def refuse(function, *arguments) -> str:
@@ -71,19 +96,25 @@ def test_damaged_and_foreign_folders_are_refused_in_one_line(tmp_path, laps, qui
     assert "holds no result.json" in refuse(jt.read, tmp_path)
     laps.save(tmp_path)
     assert "is a file" in refuse(jt.read, tmp_path / "result.json")
-    facts = json.loads((tmp_path / "result.json").read_text())
-    (tmp_path / "result.json").write_text(json.dumps({**facts, "schema": 99}))
+    facts = sealed.unseal((tmp_path / "result.json").read_bytes())
+    (tmp_path / "result.json").write_bytes(sealed.seal({**facts, "schema": 99}))
     assert "of another version" in refuse(jt.read, tmp_path)
-    (tmp_path / "result.json").write_text(json.dumps({**facts, "kind": "cake"}))
+    (tmp_path / "result.json").write_bytes(sealed.seal({**facts, "kind": "cake"}))
     assert "'cake', which is unknown" in refuse(jt.read, tmp_path)
-    for text in ("{", "3", "{}"):
+    (tmp_path / "result.json").write_text(json.dumps(facts))
+    assert "is damaged: result.json differs from what was written" in refuse(jt.read, tmp_path)
+    for text in ("{", "3", "{}", "[" * 100_000):
         (tmp_path / "result.json").write_text(text)
         assert "is damaged: result.json" in refuse(jt.read, tmp_path)
     del facts["seed"]
-    (tmp_path / "result.json").write_text(json.dumps(facts))
+    (tmp_path / "result.json").write_bytes(sealed.seal(facts))
     assert "is damaged: it lacks a part" in refuse(jt.read, tmp_path)
     (tmp_path / "arrays.npz").write_bytes(b"no archive")
-    assert "is damaged: arrays.npz" in refuse(jt.read, tmp_path)
+    assert "is damaged: arrays.npz differs from what was written" in refuse(jt.read, tmp_path)
+    digest = sealed.hash_bytes(b"no archive")
+    forged = {**facts, "files": {**facts["files"], "arrays.npz": digest}}
+    (tmp_path / "result.json").write_bytes(sealed.seal(forged))
+    assert "is damaged: arrays.npz is no archive of arrays" in refuse(jt.read, tmp_path)
     (tmp_path / "arrays.npz").unlink()
     assert "is damaged: arrays.npz cannot be read" in refuse(jt.read, tmp_path)
 
@@ -93,7 +124,6 @@ def test_a_run_folder_of_the_command_line_is_named_with_what_to_do(tmp_path):
         (tmp_path / name).touch()
     told = refuse(jt.read, tmp_path)
     assert "is a run folder of the command line; give jt.design(jt.load(" in told
-    assert "scenario.toml" in told
 
 
 def test_a_save_replaces_a_result_of_its_kind_alone(tmp_path, design, laps, quick_designs):
@@ -120,7 +150,7 @@ def test_a_save_that_is_broken_off_is_told_and_can_be_made_again(
     tmp_path, design, laps, quick_designs, monkeypatch, name
 ):
     laps.save(tmp_path)
-    write = storage.write_atomically
+    write = writing.write_atomically
     written = []
 
     def break_off(path, write_content):
@@ -130,7 +160,7 @@ def test_a_save_that_is_broken_off_is_told_and_can_be_made_again(
         write(path, write_content)
 
     other = jt.Laps(design, "other", "robot", 0, laps.trajectory)
-    monkeypatch.setattr(storage, "write_atomically", break_off)
+    monkeypatch.setattr(writing, "write_atomically", break_off)
     with pytest.raises(KeyboardInterrupt):
         other.save(tmp_path)
     assert "holds a 'laps' whose saving was broken off" in refuse(jt.read, tmp_path)

@@ -18,7 +18,6 @@ and, for what `identify` must find in a log beside it,
 """
 
 import importlib
-import json
 import math
 import tomllib
 from collections import Counter
@@ -29,8 +28,9 @@ import msgspec
 
 from jaxtube.experiments.options import COMMANDS, CheckOptions, title
 from jaxtube.experiments.run.exit_codes import ExitCode
+from jaxtube.experiments.run.json_file import read_table
 from jaxtube.scenario.reading import experiments_folder, find, load, names
-from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.refusal import ScenarioError, literal
 from jaxtube.scenario.tree import Scenario
 
 MISSING = object()
@@ -115,7 +115,12 @@ def _claims_file(name: str) -> Path:
     return find(name).with_name("expected.toml")
 
 
-def _read_claims(name: str) -> Claims:
+def read_claims(name: str) -> Claims:
+    """Read the expected metrics beside a scenario.
+
+    Raises:
+        ScenarioError: one line, for a file that cannot be read or is damaged.
+    """
     path = _claims_file(name)
     try:
         tree = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -124,15 +129,23 @@ def _read_claims(name: str) -> Claims:
         raise ScenarioError(
             f"{path}: cannot be read ({error.strerror}); write the expected metrics there"
         ) from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
+        told = " ".join(str(error).split())
         raise ScenarioError(
-            f"{path}: {error}; give path, value, tolerance and provenance of each [[metric]]"
+            f"{path}: {told}; give path, value, tolerance and provenance of each [[metric]]"
         ) from None
+    if claims.identify is not None and not _is_name(claims.identify.log):
+        shown = literal(claims.identify.log)
+        raise ScenarioError(
+            f"{path}: identify.log = {shown}: is no name of a file beside it; name the log there"
+        )
     for metric in claims.metric:
-        if isinstance(metric.value, float) and not math.isfinite(metric.value):
-            raise ScenarioError(
-                f"{path}: {metric.path} = {metric.value}: is not finite; give a finite number"
-            )
+        for number in (metric.value, metric.tolerance):
+            if isinstance(number, float) and not math.isfinite(number):
+                where = " ".join(metric.path.split())
+                raise ScenarioError(
+                    f"{path}: {where}: {number} is not finite; give a finite number"
+                )
         if metric.command == "identify" and claims.identify is None:
             raise ScenarioError(
                 f"{path}: {metric.path} is of `identify`, and no log is named; add [identify] with "
@@ -141,8 +154,13 @@ def _read_claims(name: str) -> Claims:
     return claims
 
 
+def _is_name(text: str) -> bool:
+    """Tell whether a text is the name of a file without its folder."""
+    return text not in ("", "..") and Path(text).name == text
+
+
 def _check(name: str, options: CheckOptions) -> list[str]:
-    claims = _read_claims(name)
+    claims = read_claims(name)
     commands = {claim.command for claim in claims.metric}
     if options.quick:
         commands.discard("paper")
@@ -169,7 +187,7 @@ def _run_again(command: str, name: str, claims: Claims, options: CheckOptions) -
     if code:
         print(f"{name}: {command} ended with exit code {code}")
         return {}
-    return json.loads((out / "metrics.json").read_text(encoding="utf-8"))
+    return read_table(out / "metrics.json")
 
 
 def _judge(name: str, claim: Metric, results: dict[str, Any]) -> str:

@@ -6,6 +6,7 @@ Every command takes a scenario, the folder of its run, a seed, and overrides of 
 
 import json
 import math
+import os
 import re
 import shlex
 import textwrap
@@ -74,7 +75,7 @@ SHARE = Rule(
     lambda value: value is None or 0 < value < 1,
     "is out of range; give a share between 0 and 1, such as 0.77",
 )
-FOLDER = Rule(lambda value: not Path(value).is_file(), "is a file; name a folder")
+FOLDER = Rule(lambda value: not os.path.isfile(value), "is a file; name a folder")
 
 
 @dataclass(frozen=True)
@@ -86,8 +87,8 @@ class Options:
     positional: ClassVar[tuple[str, ...]] = ()
     """Options that are given by their place, without their name."""
 
-    scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "paper"
-    """a scenario that `list` prints, or a file"""
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml|DIR")] = "paper"
+    """a scenario that `list` prints, a file, or the folder of a saved result or a run"""
     out: Annotated[
         str, arg(metavar="DIR", help_behavior_hint="(default: runs/COMMAND-SCENARIO)"), FOLDER
     ] = ""
@@ -237,9 +238,9 @@ class GuaranteeOptions(Options):
     command = "guarantee"
     module = "guarantee.command"
 
-    scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "certified"
-    """a scenario that `list` prints, or a file"""
-    against: Annotated[str, arg(metavar="NAME|FILE.toml")] = "paper"
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml|DIR")] = "certified"
+    """a scenario that `list` prints, a file, or the folder of a saved result or a run"""
+    against: Annotated[str, arg(metavar="NAME|FILE.toml|DIR")] = "paper"
     """the scenario whose sets, gains and model are attacked on the same robot, path and slip"""
     realisations: Annotated[float, arg(metavar="COUNT"), LAPS] = 1e5
     """number of laps of each design, such as 1e6: spread over five slip processes; the edge comes
@@ -269,7 +270,7 @@ class MapsOptions(Options):
     command = "maps"
     module = "maps.command"
 
-    scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "certified"
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml|DIR")] = "certified"
     """a scenario that `list` prints, or a file; it needs caps"""
     points: Annotated[int, arg(metavar="COUNT"), at_least(2)] = 4
     """values along each axis, the scenario's own come on top"""
@@ -289,7 +290,7 @@ class FitOptions(Options):
     quantity: Positional[Literal["speed", "limits", "slip"]] = "speed"
     """what one factor scales: reference.speed_mps and its box of wheel speeds, all of
     [constraints], or what is not known of slip"""
-    scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "certified"
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml|DIR")] = "certified"
     """a scenario that `list` prints, or a file; caps and gains are searched"""
     require_certificate: bool = False
     """exit with 3 when no certified design is found"""
@@ -320,7 +321,7 @@ class TuneOptions(Options):
     command = "tune"
     module = "tune.command"
 
-    scenario: Annotated[str, arg(metavar="NAME|FILE.toml")] = "untuned"
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml|DIR")] = "untuned"
     """a scenario that `list` prints, or a file: where tuning starts, and under [tuning] what it
     aims at"""
     variables: Literal["both", "weights", "gains", "diagonal"] = "both"
@@ -466,7 +467,9 @@ class ReplayOptions(LogOptions):
     command = "replay"
     module = "replay.command"
 
-    scenario: Annotated[str, arg(metavar="NAME|FILE.toml", help_behavior_hint=""), SCENARIO] = ""
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml|DIR", help_behavior_hint=""), SCENARIO] = (
+        ""
+    )
     """what is put to the test, such as identified.toml"""
     longer_s: Annotated[float, arg(metavar="SECONDS"), RATE] = 1.0
     """longer spans beside those of a period, in which pose noise hides less"""
@@ -490,10 +493,10 @@ class ExportOptions(Options):
     module = "export.command"
     positional = ("scenario",)
 
-    scenario: Annotated[Positional[str], arg(metavar="NAME|FILE.toml", help_behavior_hint="")] = (
-        "certified"
-    )
-    """a scenario that `list` prints, or a file"""
+    scenario: Annotated[
+        Positional[str], arg(metavar="NAME|FILE.toml|DIR", help_behavior_hint="")
+    ] = "certified"
+    """a scenario that `list` prints, a file, or the folder of a saved result or a run"""
     to: Annotated[
         str,
         arg(metavar="DIR", help_behavior_hint="(default: controller/ in the run's folder)"),
@@ -545,9 +548,9 @@ class ListOptions(Options):
     command = "list"
     module = "listing"
 
-    scenario: Annotated[str, arg(metavar="NAME|FILE.toml", help_behavior_hint="(default: all)")] = (
-        ""
-    )
+    scenario: Annotated[
+        str, arg(metavar="NAME|FILE.toml|DIR", help_behavior_hint="(default: all)")
+    ] = ""
     """a scenario, or a file"""
 
 
@@ -560,10 +563,10 @@ class CheckOptions(Options):
     module = "check"
 
     names: Positional[
-        Annotated[tuple[str, ...], arg(metavar="[NAME|FILE.toml ...]", help_behavior_hint="")]
+        Annotated[tuple[str, ...], arg(metavar="[NAME|FILE.toml|DIR ...]", help_behavior_hint="")]
     ] = ()
     """scenarios with an expected.toml beside them; none: all that come with the project"""
-    scenario: Annotated[str, arg(metavar="NAME|FILE.toml", help_behavior_hint="")] = ""
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml|DIR", help_behavior_hint="")] = ""
     """the same as one NAME"""
     quick: bool = False
     """only the metrics that the design answers, without simulation"""
@@ -594,11 +597,14 @@ COMMANDS: dict[str, type[Options]] = {
 
 def title(scenario: str) -> str:
     """Name a scenario in a folder's name: its own name, or that of its file, or of the folder of a
-    scenario.toml."""
+    scenario.toml; a design that was saved in the folder of a run has the name of that run."""
     path = Path(scenario)
-    if path.suffix != ".toml":
+    if path.suffix == ".toml" and path.stem != "scenario":
+        return path.stem
+    if path.suffix != ".toml" and path.name == scenario:
         return scenario
-    return path.stem if path.stem != "scenario" else path.resolve().parent.name
+    folder = path.resolve().parent if path.suffix == ".toml" else path.resolve()
+    return folder.parent.name if folder.name == "design" else folder.name
 
 
 def flag(name: str) -> str:

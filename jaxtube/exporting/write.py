@@ -29,6 +29,7 @@ from jaxtube.exporting.recording import Recording, draw_starts, record_laps
 from jaxtube.precision import in_64_bits
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.synthesis.parts import Design, require_design
+from jaxtube.synthesis.stored_certificate import list_certificate_facts
 
 LAPS = 4
 """Laps of recorded steps, from the scenario's start and again from the edge of the feasible set."""
@@ -132,25 +133,8 @@ def _render(
 
 def _describe_certificate(design: Design, proofs: Mapping[str, Proof | None]) -> bytes:
     """Return the certificate of a design and of what is exported of it, as JSON."""
-    certificate = design.certificate
-    conditions = [
-        {
-            "name": condition.name,
-            "scope": condition.scope,
-            "holds": condition.holds,
-            "margin": condition.margin if np.isfinite(condition.margin) else None,
-            "sentence": condition.sentence,
-        }
-        for condition in certificate.checked
-    ]
-    content = {
-        "verdict": certificate.verdict,
-        "holds_for_model": certificate.holds_for_model,
-        "holds_for_robot": certificate.holds_for_robot,
-        "conditions": conditions,
-        "assumptions": certificate.assumptions,
-        "exported": {name: proof and proof.describe() for name, proof in proofs.items()},
-    }
+    content = list_certificate_facts(design.certificate)
+    content["exported"] = {name: proof and proof.describe() for name, proof in proofs.items()}
     return f"{json.dumps(content, indent=2, sort_keys=True)}\n".encode()
 
 

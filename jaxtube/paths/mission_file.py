@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.plant.reference import Reference, count_periods, make_reference
+from jaxtube.recordings.delimiter import is_number
 
 COLUMNS = ("time_s", "x_m", "y_m", "heading_rad", "right_mps", "left_mps")
 
@@ -89,6 +90,9 @@ def _read_table(path: str | Path) -> Float[np.ndarray, "rows 6"] | None:
             reader = csv.reader(file)
             if tuple(next(reader, ())) != COLUMNS:
                 return None
-            return np.array([[float(cell) for cell in row] for row in reader])
+            rows = list(reader)
     except (ValueError, csv.Error):
         return None
+    if any(len(row) != len(COLUMNS) or not all(map(is_number, row)) for row in rows):
+        return None
+    return np.array([[float(cell) for cell in row] for row in rows]).reshape(-1, len(COLUMNS))

@@ -7,6 +7,7 @@ Source: wiki.ros.org/Bags/Format/2.0; REP 149 and rosbag2 for folders; mcap.dev/
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -95,7 +96,7 @@ class Bag:
 def is_bag(path: str | Path) -> bool:
     """Say whether a path names a bag, by its first bytes or its name."""
     place = Path(path)
-    if place.is_dir() or place.suffix in SUFFIXES:
+    if os.path.isdir(place) or place.suffix in SUFFIXES:
         return True
     try:
         with place.open("rb") as file:
@@ -128,7 +129,7 @@ def _open_reader(path: str) -> Any:
         raise ValueError(
             f"{path}: to read bags the library rosbags is needed; pip install 'jaxtube[rosbag]'"
         ) from None
-    if not Path(path).exists():
+    if not os.path.exists(path):
         raise ValueError(f"{path}: there is no such file; name a bag")
     try:
         # Bags of ROS 2 before Iron do not describe their messages; those used here never changed.

@@ -142,9 +142,15 @@ def _score(rows: Sequence[Row]) -> float:
 
 
 def is_number(cell: str) -> bool:
-    """Say whether a cell holds a number, with a decimal point or a decimal comma."""
+    """Say whether a cell holds a number, with a decimal point or a decimal comma.
+
+    Python reads 1_0 as ten and digits of all scripts; no program that writes tables means that.
+    """
+    text = cell.strip()
+    if not text.isascii() or "_" in text:
+        return False
     try:
-        float(cell.replace(",", ".", 1))
+        float(text.replace(",", ".", 1))
     except ValueError:
         return False
     return True

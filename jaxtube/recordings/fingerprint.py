@@ -6,6 +6,7 @@ Source: NIST FIPS 180-4, SHA-256.
 from __future__ import annotations
 
 import hashlib
+import os
 from pathlib import Path
 
 DIGITS = 16
@@ -15,6 +16,6 @@ DIGITS = 16
 def find_fingerprint(path: str | Path) -> str | None:
     """Return the first digits of the hash of a file; None for a folder, such as a bag."""
     file = Path(path)
-    if not file.is_file():
+    if not os.path.isfile(file):
         return None
     return hashlib.sha256(file.read_bytes()).hexdigest()[:DIGITS]

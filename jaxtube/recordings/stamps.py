@@ -11,13 +11,14 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.recordings.columns import Column
+from jaxtube.recordings.delimiter import is_number
 from jaxtube.recordings.table import Cells, read_numbers, refuse_cell, write_points
 
 DIGITS = {"s": 0, "ms": 3, "us": 6, "ns": 9}
@@ -115,10 +116,7 @@ def _read_decimals(cells: Cells, place: int) -> list[Decimal]:
     """Return the numbers of a column as decimals."""
     decimals = []
     for row, text in enumerate(write_points(cells, place)):
-        try:
-            number = Decimal(text)
-        except InvalidOperation:
-            number = Decimal("nan")
+        number = Decimal(text) if is_number(text) else Decimal("nan")
         if not number.is_finite():
             refuse_cell(cells, place, row)
         decimals.append(number)

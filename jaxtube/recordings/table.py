@@ -110,7 +110,7 @@ def open_table(path: str | Path) -> Table:
     return Table(
         str(path),
         text.content,
-        tuple(names or map(str, range(1, layout.width + 1))),
+        tuple(map(join_lines, names or map(str, range(1, layout.width + 1)))),
         has_names,
         layout.header_line,
         layout.delimiter,
@@ -180,14 +180,24 @@ def read_numbers(cells: Cells, place: int) -> Float[np.ndarray, "n"]:
         ValueError: in one line, for a cell that is no finite number.
     """
     texts = write_points(cells, place)
-    try:
-        numbers = np.array(list(map(float, texts)))
-    except ValueError:
+    numbers = _read_at_once(texts)
+    if numbers is None:
         numbers = np.array([_read_number(cells, place, row) for row in range(len(texts))])
     infinite = np.flatnonzero(np.isinf(numbers))
     if infinite.size:
         refuse_cell(cells, place, int(infinite[0]))
     return numbers
+
+
+def _read_at_once(texts: list[str]) -> Float[np.ndarray, "n"] | None:
+    """Read numbers quickly, None where one of them needs a second look."""
+    together = "".join(texts)
+    if not together.isascii() or "_" in together:
+        return None
+    try:
+        return np.array(list(map(float, texts)))
+    except ValueError:
+        return None
 
 
 def write_points(cells: Cells, place: int) -> list[str]:
@@ -221,6 +231,12 @@ def refuse_cell(cells: Cells, place: int, row: int, problem: str = "no finite nu
     )
 
 
+def join_lines(text: str) -> str:
+    """Return a text in one line, for messages: a header may hold any character that ends one."""
+    return " ".join(text.splitlines())
+
+
 def shorten(text: str, longest: int = LONGEST_SHOWN) -> str:
-    """Return a text cut to what a message shows."""
+    """Return a text cut to what a message shows, in one line."""
+    text = join_lines(text)
     return text if len(text) <= longest else f"{text[: longest - 3]}..."

@@ -1,6 +1,7 @@
 """Find, read and override a scenario file; every refusal is one line with file, key, value and
 cure."""
 
+import os
 import re
 import tomllib
 from collections.abc import Iterable, Mapping
@@ -9,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from jaxtube.scenario.folders import find_scenario
 from jaxtube.scenario.refusal import refusal
 from jaxtube.scenario.tree import Scenario
 from jaxtube.scenario.validation import find_default, validate
@@ -18,10 +20,11 @@ FILE_KEYS = frozenset({"reference.file", "slip.recording"})
 
 
 def load(name_or_path: str | Path, overrides: str | Iterable[str] = ()) -> Scenario:
-    """Read a scenario by its name or by the path of its TOML file.
+    """Read a scenario by its name, by the path of its TOML file, or from a folder.
 
     Args:
-        name_or_path: a name that `names` lists, or a path that ends in `.toml`.
+        name_or_path: a name that `names` lists, a path that ends in `.toml`, or the folder of a
+            saved result or of a run.
         overrides: texts such as `controller.horizon=7`, or one of them; values are TOML, bare words
             are strings.
 
@@ -82,16 +85,27 @@ def find(name_or_path: str | Path) -> Path:
     """Locate the file of a scenario; a path is taken as it is.
 
     Raises:
-        ScenarioError: for a name that no scenario has.
+        ScenarioError: for a name that no scenario has, and for a folder that holds no scenario, or
+            one that was changed there.
     """
     text = str(name_or_path)
     if text.endswith(".toml"):
         return Path(text)
     known = names()
+    if text not in known and _is_folder(text):
+        return find_scenario(Path(text))
     if text not in known:
-        cure = f"choose one of {', '.join(known)}, or give the path of a file that ends in .toml"
+        cure = (
+            f"choose one of {', '.join(known)}, or give the path of a file that ends in .toml or "
+            "of a folder"
+        )
         raise refusal("scenario", "name", text, "no scenario has this name", cure)
     return experiments_folder() / text / "scenario.toml"
+
+
+def _is_folder(text: str) -> bool:
+    """Tell whether a text names a folder; one that no path can be does not."""
+    return os.path.isdir(text)
 
 
 def _read(path: Path, source: str) -> dict[str, Any]:

@@ -5,6 +5,7 @@ reference's box. Where the mean speed of the wheels is 0 the lateral error canno
 that no gain stabilises a model over a box that reaches there.
 """
 
+import os
 from pathlib import Path
 from typing import NoReturn
 
@@ -104,7 +105,7 @@ def _check_file(file: str, refuse: Refuse) -> None:
     if not file:
         problem = 'is empty, and reference.shape is "file"'
         refuse("reference.file", problem, "name the file, or choose another shape")
-    if Path(file).is_dir():
+    if os.path.isdir(file):
         return  # a bag
     check_readable("reference.file", file, refuse)
 

@@ -7,6 +7,7 @@ Everything here is offline, numpy float64; the windows of a `Design` are pytrees
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from jaxtyping import Float
 from jaxtube.coordinates import ERROR_NAMES
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, require_scenario
+from jaxtube.storage import refuse_differences
 from jaxtube.synthesis import condense
 from jaxtube.synthesis.advice import say_what_helps
 from jaxtube.synthesis.certificate.certify import certify
@@ -38,6 +40,7 @@ __all__ = [
     "prepare",
     "refuse_infeasible_start",
     "refuse_start_outside_limits",
+    "restore_design",
 ]
 
 SHORT = 1e-9
@@ -70,16 +73,37 @@ def design(scenario: Scenario) -> Design:
         ScenarioError: for data no controller can be built from, in one line.
         EmptySetError: where a tightened set E_j or U_j is empty.
     """
+    clock = Clock()
+    return finish(_begin(scenario, clock), clock)
+
+
+def restore_design(scenario: Scenario, arrays: Mapping[str, np.ndarray]) -> Design:
+    """Return the design of a scenario with the `Design.arrays` that it once had, to the bit, and
+    certify it anew on them; raises as `design`.
+
+    It takes about as long as to design the scenario: what is no part of the arrays, sets and
+    proofs, is computed again.
+
+    Raises:
+        ScenarioError: also where the scenario now gives other arrays, beyond rounding.
+    """
+    clock = Clock()
+    made = _begin(scenario, clock)
+    refuse_differences(arrays, made.arrays())
+    return finish(made.with_arrays(arrays), clock)
+
+
+def _begin(scenario: Scenario, clock: Clock) -> Design:
+    """Compute all of a design but the certificate."""
     require_scenario(scenario)
     if scenario.operating.bands:
         raise ScenarioError(
             "scenario: operating.bands: only the command `design` knows gains and caps by speed; "
             "leave them out"
         )
-    clock = Clock()
     problem = complete_problem(scenario)
     clock.lap("problem")
-    return finish(prepare(problem, clock), clock)
+    return prepare(problem, clock)
 
 
 def prepare(problem: Problem, clock: Clock | None = None) -> Design:

@@ -13,8 +13,8 @@ from jaxtube.plant.reference import TRANSIENT_S, settled_step
 from jaxtube.precision import in_64_bits
 from jaxtube.progress import show_progress
 from jaxtube.scenario.tree import Scenario, require_scenario
-from jaxtube.storage import StoredResult, flatten, nest, refuse_differences, write_result
-from jaxtube.synthesis.design import design
+from jaxtube.storage import StoredResult, flatten, nest, write_result
+from jaxtube.synthesis.design import design, restore_design
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.tuning.bar import DescentBar
@@ -116,7 +116,7 @@ class Tuned:
 
     @classmethod
     def restore(cls, stored: StoredResult) -> Tuned:
-        """Return a result that was saved, its design made again.
+        """Return a result that was saved, its design made again with the arrays that it had.
 
         Raises:
             ScenarioError: where the design comes out differently.
@@ -132,8 +132,7 @@ class Tuned:
             return cls(tuner, descent, None, None, None, failing)
         best = descent.judged[facts["best"]]
         scenario = tuner.parameters.scenario(stored.scenario, best.point)
-        designed = design(scenario)
-        refuse_differences(arrays["design"], designed.arrays())
+        designed = restore_design(scenario, flatten(arrays["design"]))
         return cls(tuner, descent, best, scenario, designed, failing)
 
     def _find_iteration(self, judgement: HeldOutJudgement) -> int:

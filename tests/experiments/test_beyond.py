@@ -148,7 +148,7 @@ def known_usage(monkeypatch, paper_design):
         def usage(self, imperfections, shift=0):
             return proportional(1.0 if shift else 0.07, 0.01)(max(*imperfections, abs(shift) / 2))
 
-    monkeypatch.setattr(beyond, "make_design", lambda scenario: paper_design)
+    monkeypatch.setattr(beyond, "make_design", lambda scenario, options: paper_design)
     monkeypatch.setattr(beyond, "ImperfectLaps", KnownLaps)
 
 

@@ -31,7 +31,9 @@ def design(uncertified):
 
 @pytest.fixture
 def known(monkeypatch, design):
-    monkeypatch.setattr(command, "make_design", lambda scenario: dataclasses.replace(design))
+    monkeypatch.setattr(
+        command, "make_design", lambda scenario, options: dataclasses.replace(design)
+    )
     monkeypatch.setattr("jaxtube.experiments.montecarlo.figures.draw", lambda *arguments: None)
     monkeypatch.setattr(clusters, "SECONDS_TO_CONNECT", 1)
 

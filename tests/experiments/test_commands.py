@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tolerances import CLOSED_LOOP, WORLD_FRAME
 
+from jaxtube import storage
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.design import command
 from jaxtube.experiments.run.exit_codes import exit_code
@@ -29,14 +30,14 @@ FIGURES |= {"tube_sections", "tightened_sets", "terminal_set", "stress_terminal_
 def known_designs(monkeypatch, certified_paper_design, robust_design):
     """Hand out the session's designs where a scenario differs in its start at most."""
 
-    def design(scenario):
+    def design(scenario, options=None):
         for known in (certified_paper_design, robust_design):
             same = known.problem.scenario
             if replace(scenario, {"initial": same.initial}) == same:
                 return dataclasses.replace(known, problem=make_problem(scenario))
         return compute(scenario)
 
-    monkeypatch.setattr("jaxtube.experiments.design.command.design", design)
+    monkeypatch.setattr("jaxtube.experiments.design.command.make_design", design)
     monkeypatch.setattr("jaxtube.experiments.paper.command.make_design", design)
 
 
@@ -98,7 +99,7 @@ def test_a_start_outside_the_feasible_set_does_not_hide_the_design(tmp_path, cap
 def test_a_start_outside_the_limits_is_refused_before_any_design(
     words, overrides, limits, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.delattr("jaxtube.experiments.design.command.design")
+    monkeypatch.delattr("jaxtube.experiments.design.command.make_design")
     monkeypatch.delattr("jaxtube.experiments.design.command.optimise")
     monkeypatch.delattr("jaxtube.experiments.paper.command.make_design")
     assert run(tmp_path / "run", *words, *overrides) == 2
@@ -225,7 +226,12 @@ def test_the_design_command_writes_what_was_designed(
         "scenario.toml",
         "sets.pdf",
         "sets.png",
+        "design",
     }
+    kept = storage.read_result(tmp_path / "design")
+    assert kept.scenario == robust_design.problem.scenario
+    for name, array in robust_design.arrays().items():
+        assert kept.arrays[name].tobytes() == array.tobytes(), name
     text = capsys.readouterr().out
     assert text.startswith((tmp_path / "report.txt").read_text())
     for words in ("* summed", f"{found['terminal_facets']} facets", str(tmp_path)):

@@ -25,7 +25,9 @@ def test_bad_words_and_files_cost_one_line(capsys, tmp_path):
 def test_the_command_saves_worst_cases_that_replay_to_the_same_margin(
     capsys, tmp_path, monkeypatch, uncertified
 ):
-    monkeypatch.setattr(command, "design", lambda scenario: uncertified("paper", *words))
+    monkeypatch.setattr(
+        command, "make_design", lambda scenario, options: uncertified("paper", *words)
+    )
     words = ["reference.duration_s=3", "controller.tube=summed", "noise.lateral_m=0.001"]
     options = [
         "--controller",

@@ -397,10 +397,10 @@ def small(monkeypatch):
     those."""
     make_design = command.make_design
 
-    def design(scenario):
+    def design(scenario, options=None):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr("jaxtube.synthesis.design.certify", lambda *sets: Certificate())
-            return make_design(scenario)
+            return make_design(scenario, options)
 
     monkeypatch.setattr(command, "make_design", design)
     for module in (montecarlo, command):

@@ -38,7 +38,7 @@ WORDS = ("montecarlo", "--scenario", "robust", "--controller", "equal_gain", *OV
 
 def small(patch, design):
     """Let the command take one known design, small blocks, and no time for figures."""
-    patch.setattr(command, "make_design", lambda scenario: dataclasses.replace(design))
+    patch.setattr(command, "make_design", lambda scenario, options: dataclasses.replace(design))
     for module in (montecarlo, command):
         patch.setattr(module, "BLOCK", BLOCK)
     for module in (montecarlo, blocks):

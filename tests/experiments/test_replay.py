@@ -49,7 +49,7 @@ def known(design, task, monkeypatch):
         return task
 
     monkeypatch.setattr(
-        "jaxtube.experiments.montecarlo.command.make_design", lambda scenario: design
+        "jaxtube.experiments.montecarlo.command.make_design", lambda scenario, options: design
     )
     monkeypatch.setattr("jaxtube.experiments.montecarlo.replay.make_closed_loop_task", make_task)
 

@@ -50,6 +50,25 @@ def test_a_table_reads_alike_with_any_delimiter_and_newline(tmp_path, separator,
     assert cells.lines.tolist() == [1 + header, 2 + header, 3 + header]
 
 
+@pytest.mark.parametrize("character", ["\v", "\f", "\x85", "\u2028"])
+def test_messages_are_one_line_whatever_ends_a_line(tmp_path, character):
+    text = f'"a{character}b",x_m\n1,2\n3,{character}4z\n'
+    table = open_table(write(tmp_path / "table.csv", text))
+    assert len(table.names[0].splitlines()) == 1
+    with pytest.raises(ValueError, match="no column") as told:
+        find_columns(table, [TIME], Hints(columns={"time": f"t{character}t"}))
+    assert len(str(told.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("cell", ["1_0", "٣", "1_0.5", "１.5"])
+def test_what_only_python_takes_for_a_number_is_refused(tmp_path, cell):
+    rows = "\n".join(f"{0.1 * k:.1f},{k}.5" for k in range(8))
+    table = open_table(write(tmp_path / "table.csv", f"time_s,x_m\n{rows}\n0.9,{cell}\n"))
+    cells = read_cells(table, range(2))
+    with pytest.raises(ValueError, match=f"line 10: '{cell}' is no finite number"):
+        read_numbers(cells, 1)
+
+
 @pytest.mark.parametrize("separator", [";", "\t", " "])
 def test_decimal_commas_are_read_as_points(tmp_path, separator):
     table, _, numbers = read_all(write(tmp_path / "table.csv", spell(separator, "\n", comma=True)))

@@ -23,12 +23,12 @@ from jaxtube.experiments.beyond.search import (
 )
 from jaxtube.experiments.options import BeyondOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
 from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.progress import progress
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.design import refuse_infeasible_start
 
 
@@ -40,7 +40,7 @@ def run(scenario: Scenario, options: BeyondOptions) -> int:
             lag would do to it.
     """
     _refuse_lag(scenario)
-    design = make_design(scenario)
+    design = make_design(scenario, options)
     refuse_infeasible_start(design)
     folder = run_folder.create(scenario, options)
     laps = ImperfectLaps(design, options.realisations, options.seed)

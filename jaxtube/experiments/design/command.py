@@ -3,7 +3,9 @@ certificate says."""
 
 from __future__ import annotations
 
+import shlex
 import time
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -15,6 +17,7 @@ from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.design_report import report
+from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
@@ -24,16 +27,15 @@ from jaxtube.scenario.tree import Operating, Scenario
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.certificate.motions import confirm_motions
-from jaxtube.synthesis.design import (
-    design,
-    refuse_infeasible_start,
-    refuse_start_outside_limits,
-)
+from jaxtube.synthesis.design import refuse_infeasible_start, refuse_start_outside_limits
 from jaxtube.synthesis.optimise import SEARCHES, optimise
 from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.tightening import EmptySetError
+
+SAVED = "design"
+"""Folder of the saved design in that of the run."""
 
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
@@ -55,7 +57,8 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
         scenario = find_caps_and_gains(scenario, options)
     refuse_start_outside_limits(make_problem(scenario))
     try:
-        made = confirm_motions(design(scenario))
+        designed = make_design(scenario, None if options.optimise else options)
+        made = confirm_motions(designed)
     except EmptySetError as error:
         raise EmptySetError("; ".join([str(error), *say_nearest(scenario, options)])) from None
     numbers = metrics.design_metrics(made)
@@ -63,6 +66,7 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     text = report(made, numbers.get("ultimate_bound"), nearest)
     folder = run_folder.create(scenario, options)
     folder.report(text)
+    folder.report(f"\n{describe_saved(designed.save(folder.path / SAVED))}")
     start_fault = _find_start_fault(made)
     started = time.perf_counter()
     if start_fault is None:
@@ -77,6 +81,15 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     if start_fault is not None:
         raise start_fault
     return exit_code(made.certificate, options.require_certificate)
+
+
+def describe_saved(folder: Path) -> str:
+    """Say where the design was saved, and how it is used."""
+    words = shlex.join(["--scenario", str(folder)])
+    return (
+        f"saved in {folder}/: {words} gives it to another command, and jt.read to a program, to "
+        "the bit"
+    )
 
 
 def _remove_caps(scenario: Scenario) -> Scenario:

@@ -5,17 +5,17 @@ from __future__ import annotations
 from jaxtube.experiments.export.report import describe_in_c, describe_in_numpy, say_verdict
 from jaxtube.experiments.options import ExportOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.exit_codes import ExitCode, exit_code
 from jaxtube.exporting.replay import find_compiler, replay_in_c, replay_in_numpy
 from jaxtube.exporting.write import Exported, export
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.design import design
 
 
 def run(scenario: Scenario, options: ExportOptions) -> int:
     """Run the command; returns 3 for what is not certified, where a certificate is required, and 1
     where recorded steps come out differently."""
-    made = design(scenario)
+    made = make_design(scenario, options)
     folder = run_folder.create(scenario, options)
     exported = export(made, options.controller_folder, options.label)
     folder.report(say_verdict(exported))

@@ -7,7 +7,6 @@ ordinary rollout.
 
 from __future__ import annotations
 
-import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -15,19 +14,22 @@ import numpy as np
 from jaxtube.experiments.falsify.report import metrics, report
 from jaxtube.experiments.options import FalsifyOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.falsification.cases import Row, describe_facet, is_violated
 from jaxtube.falsification.falsify import search_setting
 from jaxtube.falsification.setting import LoopLimits, make_setting
 from jaxtube.falsification.worst import Worst, confirm
+from jaxtube.numpy_archive import read_archive
 from jaxtube.progress import progress
-from jaxtube.scenario.refusal import refusal
+from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.simulation.usage import Replay
-from jaxtube.synthesis.design import design
 
 NUMBERS = ("usage", "margin", "step", "facet", "when")
 """The numbers of a worst case that are saved under their own names."""
+TEXTS = ("scenario", "controller", "plant", "starts", "limit")
+"""Its texts."""
 
 
 def run(scenario: Scenario, options: FalsifyOptions) -> int:
@@ -36,7 +38,11 @@ def run(scenario: Scenario, options: FalsifyOptions) -> int:
         return play_again(scenario, options)
     refuse_options(options)
     setting = make_setting(
-        design(scenario), options.controller, options.plant, options.starts, seed=options.seed
+        make_design(scenario, options),
+        options.controller,
+        options.plant,
+        options.starts,
+        seed=options.seed,
     )
     names = setting.limits.choose_names(options.target)
     folder = run_folder.create(scenario, options)
@@ -126,25 +132,25 @@ def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
     """Play a saved worst case again, compare it with what was saved, and draw it beside its
     file."""
     path = Path(options.replay)
-    saved = _read(path)
+    saved = read_worst_case(path)
     if str(saved["scenario"]) != to_toml(scenario):
         cure = f"give --scenario {path.parent / 'scenario.toml'}"
         raise refusal(
             "command line", "--replay", str(path), "was found with another scenario", cure
         )
-    setting = make_setting(
-        design(scenario),
-        str(saved["controller"]),
-        str(saved["plant"]),
-        str(saved["starts"]),
-        seed=options.seed,
-    )
+    design = make_design(scenario, options)
     before = _read_worst(saved)
     name = before.limit
-    limit = setting.limits.all[name]
-    worst = confirm(setting.loop(name).controller, setting.plant, limit, before)
-    played = setting.replay(worst)
-    difference = float(np.max(np.abs(played.trajectory.errors[:, 0] - saved["errors"])))
+    try:
+        choice = [str(saved[key]) for key in ("controller", "plant", "starts")]
+        setting = make_setting(design, *choice, seed=options.seed)
+        limit = setting.limits.all[name]
+        worst = confirm(setting.loop(name).controller, setting.plant, limit, before)
+        played = setting.replay(worst)
+        difference = float(np.max(np.abs(played.trajectory.errors[:, 0] - saved["errors"])))
+    except (ValueError, TypeError, LookupError) as error:
+        first = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise _refuse_replay(path, f"cannot be played ({first})") from error
     facet = describe_facet(limit, worst)
     verdict = "violation" if is_violated(worst) else "no violation"
     folder = RunFolder(path.parent)
@@ -170,16 +176,38 @@ def _read_worst(saved: dict[str, np.ndarray]) -> Worst:
     return Worst(limit=str(saved["limit"]), attack=attack, **numbers)
 
 
-def _read(path: Path) -> dict[str, np.ndarray]:
+def read_worst_case(path: Path) -> dict[str, np.ndarray]:
+    """Read what `save` has written.
+
+    Raises:
+        ScenarioError: one line, for a file that cannot be read, or is no worst case.
+    """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            saved = dict(file)
-        if "attack_start" in saved:
+        saved = read_archive(path.read_bytes())
+        if is_worst_case(saved):
             return saved
         problem = "is no worst case of a search"
     except OSError as error:
-        problem = f"cannot be read ({error.strerror or 'no archive of arrays'})"
-    except (ValueError, zipfile.BadZipFile):
-        problem = "is no archive of arrays"
+        problem = f"cannot be read ({error.strerror})"
+    except ValueError as error:
+        problem = str(error)
+    raise _refuse_replay(path, problem)
+
+
+def _refuse_replay(path: Path, problem: str) -> ScenarioError:
     cure = "name a counterexample_LIMIT.npz or worst_LIMIT.npz of the falsify command"
-    raise refusal("command line", "--replay", str(path), problem, cure)
+    return refusal("command line", "--replay", str(path), problem, cure)
+
+
+def is_worst_case(saved: dict[str, np.ndarray]) -> bool:
+    """Say whether arrays are all that `save` writes, each of its kind and shape, and finite."""
+    scalars = all(name in saved and saved[name].shape == () for name in (*TEXTS, *NUMBERS))
+    if not scalars or not {"errors", "attack_start"} <= saved.keys():
+        return False
+    if any(saved[name].dtype.kind != "U" for name in TEXTS):
+        return False
+    used = [name for name in saved if name.startswith("attack_")]
+    numbers = [saved[name] for name in (*NUMBERS, "errors", *used)]
+    if not all(array.dtype.kind in "biuf" and np.isfinite(array).all() for array in numbers):
+        return False
+    return saved["errors"].ndim == 2 and saved["errors"].shape[1] == 3

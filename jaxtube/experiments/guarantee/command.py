@@ -35,6 +35,7 @@ from jaxtube.experiments.guarantee.claims import DesignUnderTest
 from jaxtube.experiments.options import GuaranteeOptions, MontecarloOptions, title
 from jaxtube.experiments.run import blocks
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.designing import identify_restored, make_design
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
@@ -53,7 +54,6 @@ from jaxtube.statistics.montecarlo import name_law
 from jaxtube.statistics.run import BLOCK, Run, Statistics
 from jaxtube.statistics.summary import summarise
 from jaxtube.synthesis.design import EmptySetError
-from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.parts import Design
 
 SHARED = ("robot", "slip", "noise", "initial", "reference")
@@ -77,7 +77,7 @@ def run(scenario: Scenario, options: GuaranteeOptions) -> int:
     other = title(options.against)
     scenarios = {first: scenario, other: load_other(scenario, options)}
     blocks.use_devices(options.devices)
-    designs = make_designs(scenarios)
+    designs = make_designs(scenarios, options)
     attacks = []
     reasons = {}
     with contextlib.ExitStack() as stack:
@@ -130,8 +130,9 @@ def put_on_robot(own: Scenario, first: Scenario, source: str) -> Scenario:
         raise _name_source(error, f"--against {source}") from None
 
 
-def make_designs(scenarios: dict[str, Scenario]) -> dict[str, Design]:
-    """Return designs with their certificates, by the name of the scenario.
+def make_designs(scenarios: dict[str, Scenario], options: GuaranteeOptions) -> dict[str, Design]:
+    """Return designs with their certificates, by the name of the scenario; only the first may have
+    been saved, the other one is put on its robot.
 
     Raises:
         ScenarioError, EmptySetError: one line that names the scenario.
@@ -139,7 +140,8 @@ def make_designs(scenarios: dict[str, Scenario]) -> dict[str, Design]:
     designs = {}
     for name, scenario in scenarios.items():
         try:
-            designs[name] = make_design(scenario)
+            is_first = name == title(options.scenario)
+            designs[name] = make_design(scenario, options if is_first else None)
         except (ScenarioError, EmptySetError) as error:
             raise _name_source(error, name) from None
     return designs
@@ -176,6 +178,7 @@ def identity(design: Design, law: Law, options: GuaranteeOptions) -> dict:
     """Return all that determines the statistics of a block."""
     scenario = apply_law(design, law).problem.scenario
     known = blocks.identity(scenario, MontecarloOptions(seed=options.seed, starts=law.starts))
+    known |= identify_restored(design)
     return known | {"edge_seconds": EDGE_SECONDS} if law.edge else known
 
 

@@ -23,6 +23,7 @@ from jaxtube.experiments.montecarlo import report as montecarlo_report
 from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run import blocks
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.designing import identify_restored, make_design
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.records import Records
 from jaxtube.progress import progress
@@ -32,7 +33,6 @@ from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.events import find_row
 from jaxtube.statistics.montecarlo import MonteCarlo, make_closed_loop_task, name_law
 from jaxtube.statistics.run import BLOCK, Run, Statistics, Task
-from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.design import refuse_infeasible_start
 from jaxtube.synthesis.parts import Design
 
@@ -45,10 +45,10 @@ def run(scenario: Scenario, options: MontecarloOptions) -> int:
     blocks.use_devices(options.devices)
     if options.netcdf:
         netcdf.require_libraries()
-    design = limit_true_errors(make_design(scenario), options.plant)
+    design = limit_true_errors(make_design(scenario, options), options.plant)
     if options.starts == "scenario":
         refuse_infeasible_start(design)
-    known = blocks.identity(scenario, options)
+    known = blocks.identity(scenario, options) | identify_restored(design)
     if options.replay is not None:
         return replay.run(design, options, known)
     with Records(options.folder / "records", known, montecarlo.merge, BLOCK) as records:

@@ -4,6 +4,7 @@ used of E, W and the wheels."""
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from jaxtube import qp
 from jaxtube.coordinates import COORDINATES
 from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run.folder import RunFolder, unwritable
+from jaxtube.experiments.run.json_file import read_table, refuse_file
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.record_file import differences
 from jaxtube.experiments.run.table import Column, format_table, left
@@ -67,10 +69,10 @@ def run(design: Design, options: MontecarloOptions, identity: dict[str, Any]) ->
 def refuse_another_run(folder: Path, number: int, identity: dict[str, Any]) -> None:
     """Raise ScenarioError where the folder holds a run of another identity."""
     recorded = folder / "identity.json"
-    if not recorded.exists():
+    if not os.path.exists(recorded):
         return
     plain = json.loads(json.dumps(identity))
-    difference = differences(json.loads(recorded.read_text()), plain)
+    difference = differences(read_table(recorded), plain)
     if difference:
         problem = f"{folder} holds another run: {difference}"
         cure = "give its options, or name another --out"
@@ -78,11 +80,18 @@ def refuse_another_run(folder: Path, number: int, identity: dict[str, Any]) -> N
 
 
 def read_laps(folder: Path) -> int | None:
-    """Return the laps of the run in a folder, None where no run was completed there."""
+    """Return the laps of the run in a folder, None where no run was completed there.
+
+    Raises:
+        ScenarioError: one line, for a damaged file.
+    """
     path = folder / "metrics.json"
-    if not path.exists() or not (folder / "identity.json").exists():
+    if not os.path.exists(path) or not os.path.exists(folder / "identity.json"):
         return None
-    return json.loads(path.read_text())["laps"]
+    laps = read_table(path).get("laps")
+    if type(laps) is not int or laps < 0:
+        raise refuse_file(path, "is damaged: it tells no number of laps")
+    return laps
 
 
 def _make_arrays(replayed: Lap) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.conditions import condition_metrics
 from jaxtube.experiments.run.design_report import report
+from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
@@ -33,7 +34,6 @@ from jaxtube.scenario.reading import load
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
-from jaxtube.synthesis.design import design as make_design
 from jaxtube.synthesis.design import refuse_infeasible_start, refuse_start_outside_limits
 from jaxtube.synthesis.feasible import spread_starts
 from jaxtube.synthesis.parts import Design
@@ -78,7 +78,7 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     """Run the command; returns 3 where a certificate is required and fails."""
     name = title(options.scenario)
     refuse_start_outside_limits(make_problem(scenario))
-    design = make_design(scenario)
+    design = make_design(scenario, options)
     refuse_infeasible_start(design)
     stressed_name = STRESSED_FOR_PAPER if name == "paper" else name
     stressed = make_design(load(stressed_name)) if stressed_name != name else design

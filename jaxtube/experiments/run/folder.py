@@ -32,6 +32,7 @@ import numpy as np
 
 from jaxtube.atomic import write_atomically
 from jaxtube.experiments.options import Options, command_line
+from jaxtube.experiments.run.json_file import read_table
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario, to_toml
 
@@ -165,10 +166,9 @@ def _tell_replacement(text: str, folder: Path) -> None:
     path = folder / "scenario.toml"
     if not path.exists() or path.read_bytes() == text.encode():
         return
-    manifest = json.loads((folder / "manifest.json").read_bytes())
+    command = read_table(folder / "manifest.json").get("command_line")
     print(
-        f"{folder}/: replaces the run of another scenario ({manifest['command_line']}); "
-        "--out keeps both",
+        f"{folder}/: replaces the run of another scenario ({command}); --out keeps both",
         file=sys.stderr,
     )
 
@@ -178,7 +178,7 @@ def _is_of_a_run(path: Path) -> bool:
     try:
         manifest = json.loads((path.parent / "manifest.json").read_bytes())
         return manifest["scenario_sha256"] == hashlib.sha256(path.read_bytes()).hexdigest()
-    except (OSError, ValueError, LookupError, TypeError):
+    except (OSError, ValueError, LookupError, TypeError, RecursionError):
         return False
 
 

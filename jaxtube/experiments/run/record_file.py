@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from jaxtube.numpy_archive import read_archive
+
 SHOWN_KEYS = 3
 SHOWN_CHARACTERS = 24
 """Of a difference between two runs, in a message."""
@@ -42,14 +44,20 @@ def decode(record: bytes) -> tuple[dict[str, Any], Arrays]:
     """Return the header and the statistics of a record.
 
     Raises:
-        DamagedError: when any byte differs from what was written.
+        DamagedError: when any byte differs from what was written, or what was written is no record.
     """
     seal, newline, content = record.partition(b"\n")
     if seal + newline != _seal(content):
         raise DamagedError
     header, _, payload = content.partition(b"\n")
-    with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
-        return json.loads(header), dict(arrays)
+    try:
+        table = json.loads(header)
+        arrays = read_archive(payload)
+    except (ValueError, RecursionError):
+        raise DamagedError from None
+    if not isinstance(table, dict):
+        raise DamagedError
+    return table, arrays
 
 
 def plain(statistics: Mapping[str, Any]) -> Arrays:

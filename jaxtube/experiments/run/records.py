@@ -164,7 +164,7 @@ class Records(StoreOwner):
     def _count(self, blocks: range) -> bool:
         """Take a record into account unless it is damaged."""
         try:
-            self._laps[blocks] = self._read(blocks).header["laps"]
+            self._laps[blocks] = self._read_laps(blocks)
         except DamagedError:
             path = self._path(blocks)
             self.damaged.append(
@@ -173,6 +173,12 @@ class Records(StoreOwner):
             )
             return False
         return True
+
+    def _read_laps(self, blocks: range) -> int:
+        laps = self._read(blocks).header.get("laps")
+        if type(laps) is not int or not 0 < laps <= len(blocks) * self._block_size:
+            raise DamagedError
+        return laps
 
     def _compact(self, blocks: range) -> None:
         """Merge the siblings of a range into one record once all are there and full; then their

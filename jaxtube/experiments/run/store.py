@@ -96,13 +96,15 @@ class Store:
             OSError: where the disk fails.
         """
         header, arrays = decode((self.folder / f"{name}{SUFFIX}").read_bytes())
+        if "identity" not in header:
+            raise DamagedError
         difference = differences(header["identity"], self._identity)
         if difference:
             raise self.refuse(
                 f"{self.folder} holds another run: {difference}",
                 "name another --out, or delete that folder",
             )
-        if header["name"] != name:
+        if header.get("name") != name:
             raise DamagedError
         return Entry(header, arrays)
 
