@@ -1,7 +1,7 @@
 """The command line: reads the options, runs one command, and turns what it raises into an exit code
 and one line.
 
-    0  done        1  a checked metric is off        2  bad input
+    0  done        1  a checked metric is off, or `doctor` found a fault        2  bad input
     3  an empty tightened set; under --require-certificate also an empty terminal set,
        or a failed certificate
     4  interrupted, or stopped by a full disk; the same command goes on
@@ -27,14 +27,15 @@ from collections.abc import Iterable, Iterator, Sequence
 import tyro
 from tyro.extras import subcommand_type_from_defaults
 
-from jaxtube.experiments.options import COMMANDS, PROGRAM, Options, flag
+from jaxtube.experiments.options import COMMANDS, DEFAULT_COMMAND, PROGRAM, Options, flag
 from jaxtube.experiments.run.exit_codes import ExitCode
 
 DESCRIPTION = (
     "Robust tube MPC of a wheeled robot that slips. Without a command: paper. "
     "Any key of the scenario is overridden by controller.horizon=7 or --controller.horizon 7."
 )
-DEFAULT_COMMAND = "paper"
+COMPLETE = "--complete"
+"""Word before a line that a shell asks to complete."""
 INTERRUPTED_LINE = "interrupted; run the same command again"
 PAIR_OPTIONS = ("--select", "--columns", "--units", "--topics")
 """Options whose value looks like an override."""
@@ -46,8 +47,11 @@ LEAST_COLUMNS = 40
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; bad input costs one line on the standard error,
     never a traceback."""
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        options = parse(sys.argv[1:] if arguments is None else arguments)
+        if words[:1] == [COMPLETE]:
+            return print_completions(words[1:])
+        options = parse(words)
         return run(options) if options else 0
     except KeyboardInterrupt:
         return _report(INTERRUPTED_LINE, ExitCode.INTERRUPTED)
@@ -86,6 +90,15 @@ def parse(arguments: Sequence[str]) -> Options | None:
     if broken_rule:
         raise _refuse(broken_rule)
     return dataclasses.replace(options, overrides=tuple(overrides))
+
+
+def print_completions(line: Sequence[str]) -> int:
+    """Print the words that a line may end with, one a line; returns 0."""
+    from jaxtube.experiments.completion.words import complete
+
+    for word in complete(" ".join(line)):
+        print(word)
+    return 0
 
 
 def run(options: Options) -> int:

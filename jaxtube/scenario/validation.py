@@ -5,7 +5,7 @@ import difflib
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NoReturn, get_args, get_type_hints
+from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -68,6 +68,22 @@ def find_keys(name: str) -> list[str]:
     return [f"{key}.{name}" for key, table in tables.items() if name in table.__struct_fields__]
 
 
+def known_keys() -> list[str]:
+    """Return all dotted keys."""
+    tables = {section: getattr(Scenario(), section) for section in Scenario.__struct_fields__}
+    return [f"{key}.{name}" for key, table in tables.items() for name in table.__struct_fields__]
+
+
+def find_choices(key: str) -> tuple[str, ...]:
+    """Return the values that a dotted key with choices may take, as TOML has them without quotes;
+    none for a key whose values are endless."""
+    section, name = key.split(".")
+    kind = get_type_hints(type(getattr(Scenario(), section)))[name]
+    if kind is bool:
+        return ("true", "false")
+    return get_args(kind) if get_origin(kind) is Literal else ()
+
+
 def _walk(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
     """Yield (dotted key, value) of everything in nested tables and lists that is neither."""
     if isinstance(node, Mapping):
@@ -102,7 +118,7 @@ def _explain(message: str, tables: Mapping[str, Any]) -> tuple[str, Any, str, st
     if "." not in key:
         return key, value, "must be a table", f"write [{key}] and its keys below it"
     if text.startswith("Invalid enum value"):
-        return key, value, "unknown choice", f"choose one of {', '.join(_find_choices(key))}"
+        return key, value, "unknown choice", f"choose one of {', '.join(find_choices(key))}"
     default = find_default(key)
     cure = f"the default is {literal(default)}"
     if key in ("robot.wheel_lag_s", "robot.command_delay_s"):
@@ -131,9 +147,3 @@ def _suggest(key: str) -> str:
     same_name = [other for other in known if other.split(".")[1] == name]
     close = same_name or difflib.get_close_matches(key, [*sections, *known], n=1, cutoff=0.6)
     return f"did you mean {close[0]}?" if close else f"the sections are {', '.join(sections)}"
-
-
-def _find_choices(key: str) -> tuple[str, ...]:
-    """Return the values that a key with choices may take."""
-    section, name = key.split(".")
-    return get_args(get_type_hints(type(getattr(Scenario(), section)))[name])
