@@ -11,12 +11,10 @@ Nothing heavy is imported before a command runs.
 
 import contextlib
 import dataclasses
-import difflib
 import errno
 import importlib
 import inspect
 import io
-import itertools
 import os
 import re
 import shutil
@@ -27,7 +25,7 @@ from collections.abc import Iterable, Iterator, Sequence
 import tyro
 from tyro.extras import subcommand_type_from_defaults
 
-from jaxtube.experiments.options import COMMANDS, DEFAULT_COMMAND, PROGRAM, Options, flag
+from jaxtube.experiments.options import COMMANDS, DEFAULT_COMMAND, PROGRAM, Options
 from jaxtube.experiments.run.exit_codes import ExitCode
 
 DESCRIPTION = (
@@ -111,9 +109,10 @@ def run(options: Options) -> int:
         with _warnings_in_lines():
             return importlib.import_module(f"{__package__}.{options.module}").run(scenario, options)
     except ScenarioError as error:
-        # What only a design can find out is not told where the scenario came from.
+        # What only a design can find out is not told where the scenario came from. A name that no
+        # scenario has is that of another one.
         line = str(error)
-        if line.startswith("scenario:"):
+        if line.startswith("scenario:") and not line.startswith("scenario: name ="):
             line = f"{options.scenario}{line.removeprefix('scenario')}"
         raise ScenarioError(line) from None
 
@@ -191,55 +190,9 @@ def _parse_options(words: list[str]) -> Options | None:
     except SystemExit as stop:
         if not stop.code:
             return None
-        parts = [_shorten(errors.getvalue()), *_find_cures(words), f"see {PROGRAM} --help"]
-        raise _refuse("; ".join(parts)) from None
+        from jaxtube.experiments.misread import explain
 
-
-def _find_cures(words: list[str]) -> list[str]:
-    """Return what was probably meant by words that no option has: a command, or overrides."""
-    command, *others = words
-    if command not in COMMANDS:
-        close = difflib.get_close_matches(command, COMMANDS, n=1)
-        return [f"did you mean {name}?" for name in close]
-    options = [flag(field.name) for field in dataclasses.fields(COMMANDS[command])]
-    cures = []
-    for word, following in itertools.pairwise([*others, ""]):
-        name, _, value = word.partition("=")
-        if name in options:
-            continue
-        overrides = [f"{key}={value or following or 'VALUE'}" for key in _find_keys(name)]
-        if overrides:
-            cures.append(f"write {' or '.join(overrides)}")
-    return cures
-
-
-def _find_keys(word: str) -> list[str]:
-    """Return the keys of a scenario that a word means: section.key, or --key."""
-    from jaxtube.scenario.validation import find_keys
-
-    if re.fullmatch(r"\w+\.\w+", word):
-        return [word]
-    return find_keys(word[2:].replace("-", "_")) if word.startswith("--") else []
-
-
-def _shorten(box: str) -> str:
-    """Reduce the box that the parser draws around its message to what is wrong and the nearest
-    right word."""
-    first, *others = _paragraphs(box) or [["not understood"]]
-    sentences = [" ".join(first).rstrip(".")]
-    for paragraph in others:
-        if paragraph[0].startswith("Available"):
-            sentences.append(" ".join(paragraph))
-        if paragraph[0].startswith("Perhaps you meant") and len(paragraph) > 1:
-            sentences.append(f"did you mean {paragraph[1].split()[0]}?")
-    return "; ".join(sentences)
-
-
-def _paragraphs(box: str) -> list[list[str]]:
-    """Return the lines inside a box, below its title and without colours, cut at its rules."""
-    lines = [re.sub(r"\x1b\[[0-9;]*m|[|│╭╮╰╯]", "", line).strip() for line in box.splitlines()[1:]]
-    groups = itertools.groupby(lines, lambda line: set(line) <= set("-+─"))
-    return [list(group) for is_rule, group in groups if not is_rule]
+        raise _refuse(explain(words, errors.getvalue())) from None
 
 
 def _refuse(text: str) -> ValueError:

@@ -9,6 +9,7 @@ from typing import Any
 
 import msgspec
 
+from jaxtube.scenario.nearest import ask_if_meant, find_nearest, offer
 from jaxtube.scenario.refusal import refusal
 from jaxtube.scenario.tree import Scenario
 from jaxtube.scenario.validation import find_default, validate
@@ -89,7 +90,7 @@ def find(name_or_path: str | Path) -> Path:
         return Path(text)
     known = names()
     if text not in known:
-        cure = f"choose one of {', '.join(known)}, or give the path of a file that ends in .toml"
+        cure = f"{offer(text, known)}, or give the path of a file that ends in .toml"
         raise refusal("scenario", "name", text, "no scenario has this name", cure)
     return experiments_folder() / text / "scenario.toml"
 
@@ -101,7 +102,9 @@ def _read(path: Path, source: str) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         problem = f"cannot be read ({reason})"
-        cure = "give a readable file in UTF-8"
+        beside = [*map(str, path.parent.glob("*.toml")), *names()]
+        meant = [] if path.exists() else find_nearest(str(path), beside)
+        cure = ask_if_meant(meant) or "give a readable file in UTF-8"
         raise refusal(source, "scenario", str(path), problem, cure) from None
     try:
         return tomllib.loads(text)

@@ -162,6 +162,41 @@ def test_bad_input_ends_with_2_and_one_line_that_names_it(words, fragments, caps
     assert [fragment for fragment in fragments if fragment not in line] == []
 
 
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("montecralo", "did you mean montecarlo?"),
+        ("design --secnario paper", "did you mean --scenario?"),
+        ("design --optimize", "did you mean --optimise?"),
+        ("design --horizn 7", "write controller.horizon=7"),
+        ("design --realisations 4", "it is one of paper, montecarlo, guarantee, beyond"),
+        ("doctor --quick", "it is one of bench, check"),
+        ("design --scenario certifed", "did you mean certified?"),
+        ("design --scenario certified.toml", "did you mean certified?"),
+        ("check certifed", "did you mean certified?"),
+        ("guarantee --against certifed", 'scenario: name = "certifed"'),
+        ("design robust", "write --scenario robust"),
+        ("montecarlo --controller tube-mpc", "did you mean tube_mpc?"),
+        ("fit sped", "did you mean speed?"),
+        ("design horizn=7", "did you mean controller.horizon?"),
+        ("design controller.horizn=7", "did you mean controller.horizon?"),
+        ("design controler.horizon=7", "did you mean controller.horizon?"),
+        ("design contraints.lateral_m=3", "did you mean constraints.lateral_m?"),
+        ("design lateral_m=3", "did you mean constraints.lateral_m or operating.lateral_m or"),
+        ("design controller.terminal=T-X", "did you mean T-A or T-B?"),
+        ("design slip.process=Walk", "did you mean walk?"),
+        ("design controller.zzz=1", "the keys of [controller] are dt_s, horizon"),
+    ],
+)
+def test_a_typing_error_is_answered_with_what_was_meant(typed, meant, capsys):
+    assert meant in error_line(capsys, *typed.split())
+
+
+def test_nothing_is_suggested_for_what_is_near_to_nothing(capsys):
+    for typed in ("xyzzy", "design --qqqq", "design qqqq.zzzz=1", "design --scenario qqqq"):
+        assert "did you mean" not in error_line(capsys, *typed.split())
+
+
 def test_an_out_folder_that_cannot_be_is_bad_input(tmp_path, capsys, fake_runs):
     (tmp_path / "file").write_text("")
     assert "is a file" in error_line(capsys, "design", "--out", str(tmp_path / "file"))

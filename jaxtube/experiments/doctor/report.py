@@ -20,7 +20,10 @@ def report(findings: Sequence[Finding], seconds: float) -> str:
     width = max(len(_name(each)) for each in findings) + 2
     for finding in findings:
         lines += _lines(finding, width)
-    lines += ["", f"checked in {seconds:.1f} s; a first run also compiles, which takes as long again"]
+    lines += [
+        "",
+        f"checked in {seconds:.1f} s; a first run also compiles, which takes as long again",
+    ]
     return "\n".join(lines)
 
 
