@@ -20,7 +20,7 @@ BAR = "{l_bar}{bar}| {n_fmt} of {total_fmt}{unit}{times}{postfix}"
 
 def announce(work: str) -> None:
     """Say in one line on the standard error what is waited for from here on."""
-    print(work, file=sys.stderr, flush=True)
+    print(f"{work} ...", file=sys.stderr, flush=True)
 
 
 class ProgressBar(tqdm):

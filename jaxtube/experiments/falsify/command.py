@@ -20,7 +20,7 @@ from jaxtube.falsification.cases import Row, describe_facet, is_violated
 from jaxtube.falsification.falsify import search_setting
 from jaxtube.falsification.setting import LoopLimits, make_setting
 from jaxtube.falsification.worst import Worst, confirm
-from jaxtube.progress import progress
+from jaxtube.progress import announce, progress
 from jaxtube.scenario.refusal import refusal
 from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.simulation.usage import Replay
@@ -35,6 +35,7 @@ def run(scenario: Scenario, options: FalsifyOptions) -> int:
     if options.replay:
         return play_again(scenario, options)
     refuse_options(options)
+    announce("designing: sets, gains and certificate")
     setting = make_setting(
         design(scenario), options.controller, options.plant, options.starts, seed=options.seed
     )
@@ -50,6 +51,7 @@ def run(scenario: Scenario, options: FalsifyOptions) -> int:
         )
     folder.report(report(falsification))
     folder.save_metrics(metrics(falsification))
+    announce("drawing the worst cases")
     for name, row in falsification.rows.items():
         save(setting.limits, options.starts, folder, row.worst, row.played)
         draw(setting.limits, folder, f"worst_{name}", row.worst, row.played, row)
@@ -132,6 +134,7 @@ def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
         raise refusal(
             "command line", "--replay", str(path), "was found with another scenario", cure
         )
+    announce("designing, then playing the worst case again")
     setting = make_setting(
         design(scenario),
         str(saved["controller"]),
