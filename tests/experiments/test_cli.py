@@ -232,14 +232,29 @@ def test_help_ends_with_0(words, capsys):
     assert "usage: python -m jaxtube.experiments" in capsys.readouterr().out
 
 
-def test_help_imports_nothing_heavy():
+HEAVY = ("jax", "numpy", "scipy", "matplotlib", "sets", "highspy", "clarabel", "msgspec", "tqdm")
+
+
+@pytest.mark.parametrize(
+    ("words", "needed"),
+    [
+        (["--help"], ()),
+        (["montecarlo", "--help"], ()),
+        (["completion", "bash"], ("numpy", "msgspec", "tqdm")),
+        (["--complete", "jaxtube des"], ("numpy", "msgspec")),
+        (["--complete", "jaxtube montecarlo --controller pl"], ()),
+        (["list"], ("numpy", "msgspec", "scipy", "sets", "highspy", "clarabel")),
+    ],
+)
+def test_words_that_compute_nothing_import_nothing_heavy(words, needed):
     code = (
         "import sys; from jaxtube.experiments import __main__\n"
-        "assert __main__.main(['--help']) == 0\n"
-        "heavy = {'jax', 'numpy', 'scipy', 'matplotlib', 'sets'} & set(sys.modules)\n"
+        f"assert __main__.main({words}) == 0\n"
+        f"heavy = (set({HEAVY}) - set({needed})) & set(sys.modules)\n"
         "assert not heavy, heavy"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
 
 
 # --------------------------------------------------------------------------------------- exit codes

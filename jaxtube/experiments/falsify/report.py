@@ -19,9 +19,10 @@ from jaxtube.falsification.setting import LoopLimits
 from jaxtube.plant.reference import TRANSIENT_S
 
 NOTE = (
-    "usage: 1 on the facet, above 1 outside; certified: what no lap can pass. By gradient: laps "
-    "played with their derivative. Drawn laps: as many as fit into the time of the search; for "
-    "limits that one lap answers, into the sum of their times."
+    "usage: 1 on the facet, above 1 outside; certified: what no lap can pass; found: by gradient, "
+    "with the laps that were played with their derivative; drawn: the worst of laps that were "
+    "drawn, as many as fit into the time of the search, or, for limits that one lap answers, into "
+    "the sum of their times."
 )
 
 WIDEST = "Of the tube `sequence` only the plans with the widest window ahead were searched."
@@ -31,13 +32,13 @@ def report(falsification: Falsification) -> str:
     """Return the verdict and the table."""
     columns = [
         left("limit"),
-        Column("by gradient\ncertified"),
-        Column("by gradient\nusage"),
-        Column("by gradient\nmargin"),
-        Column("by gradient\nlaps"),
-        Column("by gradient\ntime", "s"),
-        Column("drawn laps\nusage"),
-        Column("drawn laps\nlaps"),
+        Column("certified"),
+        Column("found\nusage"),
+        Column("found\nmargin"),
+        Column("found\nlaps"),
+        Column("found\ntime", "s"),
+        Column("drawn\nusage"),
+        Column("drawn\nlaps"),
         left("where"),
     ]
     limits = falsification.limits
