@@ -18,6 +18,7 @@ from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 from tyro.conf import Positional, Suppress, arg
 
 PROGRAM = "python -m jaxtube.experiments"
+DEFAULT_COMMAND = "paper"
 SEED_LIMIT = 2**63
 REALISATIONS_LIMIT = 2**53
 LAPS_LIMIT = 2**64
@@ -572,6 +573,35 @@ class CheckOptions(Options):
     """only the metrics that the design answers, without simulation"""
 
 
+@dataclass(frozen=True)
+class DoctorOptions(Options):
+    """Check that everything jaxtube needs is installed and works: about 5 seconds; exit 1 where
+    not."""
+
+    command = "doctor"
+    module = "doctor.command"
+
+    scenario: Suppress[str] = ""
+    out: Suppress[str] = ""
+    seed: Suppress[int] = 0
+
+
+@dataclass(frozen=True)
+class CompletionOptions(Options):
+    """Print what lets a shell complete commands, options, scenarios and keys; add to ~/.bashrc:
+    eval "$(jaxtube completion bash)"."""
+
+    command = "completion"
+    module = "completion.command"
+    positional = ("shell",)
+
+    shell: Positional[Literal["bash", "zsh", "fish"]] = "bash"
+    """the shell that reads the script"""
+    scenario: Suppress[str] = ""
+    out: Suppress[str] = ""
+    seed: Suppress[int] = 0
+
+
 COMMANDS: dict[str, type[Options]] = {
     kind.command: kind
     for kind in (
@@ -591,6 +621,8 @@ COMMANDS: dict[str, type[Options]] = {
         BenchOptions,
         ListOptions,
         CheckOptions,
+        DoctorOptions,
+        CompletionOptions,
     )
 }
 

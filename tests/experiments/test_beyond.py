@@ -163,7 +163,8 @@ def test_the_command_writes_levels_with_units_and_prints_a_table(tmp_path, capsy
         levels = [entry[imperfection.key] for entry in found[name]["levels"]]
         assert levels[0] == 0
         assert levels == sorted(levels)
-    table, _, _ = capsys.readouterr().out.partition("\n\n")
+    verdict, _, table = capsys.readouterr().out.partition("\n\n")
+    assert len(verdict) < WIDTH and "imperfections" in verdict
     assert max(map(len, table.splitlines())) <= WIDTH
     words = set(table.split())
     for imperfection in IMPERFECTIONS.values():

@@ -18,6 +18,7 @@ from jaxtube.experiments.bench.topic import Headline, Topic
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.progress import announce
 from jaxtube.scenario.tree import Scenario
 
 TOPICS: dict[str, Topic] = {
@@ -45,7 +46,7 @@ def run(scenario: Scenario, options: BenchOptions) -> int:
     metrics = {}
     headlines: list[Headline] = []
     for name in TOPICS if options.topic == "all" else [options.topic]:
-        print(f"{name}: {TOPICS[name].waits}", flush=True)
+        announce(f"{name}: {TOPICS[name].waits}")
         told = TOPICS[name].run(scenario, options, folder)
         metrics[name] = told.metrics
         headlines += told.headlines

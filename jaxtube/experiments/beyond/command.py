@@ -24,9 +24,9 @@ from jaxtube.experiments.beyond.search import (
 from jaxtube.experiments.options import BeyondOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.designing import make_design
-from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
+from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.plant.slip_processes import TEST_PROCESSES
-from jaxtube.progress import progress
+from jaxtube.progress import announce, progress
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.design import refuse_infeasible_start
@@ -40,6 +40,7 @@ def run(scenario: Scenario, options: BeyondOptions) -> int:
             lag would do to it.
     """
     _refuse_lag(scenario)
+    announce("designing: sets, gains and certificate")
     design = make_design(scenario, options)
     refuse_infeasible_start(design)
     folder = run_folder.create(scenario, options)
@@ -139,11 +140,22 @@ def table(searches: dict[str, LevelSearch], realisations: int) -> str:
         left("violated"),
     ]
     rows = [_row(IMPERFECTIONS[name], search) for name, search in searches.items()]
+    note = wrap(
+        "Violation: a limit of errors, inputs or wheels is left, or there is no plan. First: the "
+        f"least level at which a lap did. {realisations:,} laps of each slip process: "
+        f"{', '.join(TEST_PROCESSES)}; in parentheses: those under which a limit is violated at "
+        "that level. A limit of acceleration is 1 / level."
+    )
+    return "\n".join([say_verdict(searches), "", format_table(columns, rows), "", *note])
+
+
+def say_verdict(searches: dict[str, LevelSearch]) -> str:
+    """Return one line: how many imperfections were too much."""
+    violated = sum(search.violation is not None for search in searches.values())
+    left_w = sum(search.disturbance is not None for search in searches.values())
     return (
-        f"{format_table(columns, rows, WIDTH)}\n\n{realisations:,} laps of each slip process: "
-        f"{', '.join(TEST_PROCESSES)};\n"
-        "in parentheses: those under which a limit is violated at that level. "
-        "A limit of acceleration is 1 / level."
+        f"of {len(searches)} imperfections {violated} violate a limit as far as tried; {left_w} "
+        "drive w out of W"
     )
 
 

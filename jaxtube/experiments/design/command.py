@@ -21,7 +21,7 @@ from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.progress import progress
+from jaxtube.progress import announce, progress
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Operating, Scenario
 from jaxtube.simulation import batches, components
@@ -52,10 +52,13 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
         )
     if scenario.operating.bands:
         return banded.run(scenario, options)
+    found = None
     if options.optimise:
         refuse_start_outside_limits(make_problem(_remove_caps(scenario)))
-        scenario = find_caps_and_gains(scenario, options)
+        found = find_caps_and_gains(scenario, options)
+        scenario = found.scenario
     refuse_start_outside_limits(make_problem(scenario))
+    announce("designing: sets, gains and certificate")
     try:
         designed = make_design(scenario, None if options.optimise else options)
         made = confirm_motions(designed)
@@ -66,14 +69,18 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     text = report(made, numbers.get("ultimate_bound"), nearest)
     folder = run_folder.create(scenario, options)
     folder.report(text)
+    if found is not None:
+        folder.report(f"\ncaps and gains found, as lines of a scenario\n\n{scenario_lines(found)}")
     folder.report(f"\n{describe_saved(designed.save(folder.path / SAVED))}")
     start_fault = _find_start_fault(made)
     started = time.perf_counter()
     if start_fault is None:
+        announce("driving laps, compiled first: does w stay in W?")
         disturbance = simulate_disturbance(made, options.seed)
         numbers["disturbance"] = disturbance
         folder.report("\n" + disturbance_line(made, disturbance, "the local gain"))
     folder.save_metrics(numbers)
+    announce("drawing the sets")
     draw_sets(made, options.label, folder)
     seconds = time.perf_counter() - started
     print(f"\nlaps, their compilation and figures took another {seconds:.1f} s")
@@ -113,14 +120,12 @@ def draw_sets(made: Design, name: str, folder: RunFolder) -> None:
     folder.save_figure(design_sets(made, name), "sets")
 
 
-def find_caps_and_gains(scenario: Scenario, options: DesignOptions) -> Scenario:
-    """Return the scenario with the caps and gains the optimiser finds, and print them as lines of a
-    scenario file.
+def find_caps_and_gains(scenario: Scenario, options: DesignOptions) -> Optimum:
+    """Return the caps and gains that the optimiser finds, with the scenario that has them.
 
     Raises:
         ScenarioError: where none are found, or the tube outgrows the best of them.
     """
-    started = time.perf_counter()
     try:
         with progress(SEARCHES, "optimising", "searches", starting="starting") as bar:
 
@@ -135,12 +140,7 @@ def find_caps_and_gains(scenario: Scenario, options: DesignOptions) -> Scenario:
     if not best.holds:
         told = "; ".join(say_nearest_to(best, options))
         raise ScenarioError(f"scenario: --optimise: no caps and gains found hold the tube: {told}")
-    print(scenario_lines(best))
-    seconds = time.perf_counter() - started
-    print(
-        f"\nfound in {seconds:.1f} s; the tube fills about {best.ratio:.1%} of the caps at most\n"
-    )
-    return best.scenario
+    return best
 
 
 def scenario_lines(best: Optimum) -> str:

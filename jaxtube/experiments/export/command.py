@@ -9,14 +9,17 @@ from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.exit_codes import ExitCode, exit_code
 from jaxtube.exporting.replay import find_compiler, replay_in_c, replay_in_numpy
 from jaxtube.exporting.write import Exported, export
+from jaxtube.progress import announce
 from jaxtube.scenario.tree import Scenario
 
 
 def run(scenario: Scenario, options: ExportOptions) -> int:
     """Run the command; returns 3 for what is not certified, where a certificate is required, and 1
     where recorded steps come out differently."""
+    announce("designing: sets, gains and certificate")
     made = make_design(scenario, options)
     folder = run_folder.create(scenario, options)
+    announce("proving the numbers again, and recording laps to play")
     exported = export(made, options.controller_folder, options.label)
     folder.report(say_verdict(exported))
     folder.report(f"{exported}\n")

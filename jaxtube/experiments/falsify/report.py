@@ -7,16 +7,22 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.experiments.run.table import Column, format_table, left
-from jaxtube.falsification.cases import Row, compute_certified_usage, describe_facet
+from jaxtube.experiments.run.table import Column, format_table, left, wrap
+from jaxtube.falsification.cases import (
+    Row,
+    compute_certified_usage,
+    describe_facet,
+    list_worst_first,
+)
 from jaxtube.falsification.falsify import Falsification
 from jaxtube.falsification.setting import LoopLimits
 from jaxtube.plant.reference import TRANSIENT_S
 
 NOTE = (
-    "usage: 1 on the facet, above 1 outside; certified: what no lap can pass. By gradient: laps "
-    "played with their\nderivative. Drawn laps: as many as fit into the time of the search; for "
-    "limits that one lap answers, into the sum\nof their times."
+    "usage: 1 on the facet, above 1 outside; certified: what no lap can pass; found: by gradient, "
+    "with the laps that were played with their derivative; drawn: the worst of laps that were "
+    "drawn, as many as fit into the time of the search, or, for limits that one lap answers, into "
+    "the sum of their times."
 )
 
 WIDEST = "Of the tube `sequence` only the plans with the widest window ahead were searched."
@@ -26,22 +32,36 @@ def report(falsification: Falsification) -> str:
     """Return the verdict and the table."""
     columns = [
         left("limit"),
-        Column("by gradient\ncertified"),
-        Column("by gradient\nusage"),
-        Column("by gradient\nmargin"),
-        Column("by gradient\nlaps"),
-        Column("by gradient\nseconds"),
-        Column("drawn laps\nusage"),
-        Column("drawn laps\nlaps"),
+        Column("certified"),
+        Column("found\nusage"),
+        Column("found\nmargin"),
+        Column("found\nlaps"),
+        Column("found\ntime", "s"),
+        Column("drawn\nusage"),
+        Column("drawn\nlaps"),
         left("where"),
     ]
     limits = falsification.limits
     rows = falsification.rows
     body = [_make_line(limits, name, row) for name, row in rows.items()]
-    lines = [falsification.verdict, "", format_table(columns, body), "", NOTE]
+    lines = [say_verdict(falsification), *wrap(falsification.verdict, "  "), ""]
+    lines += [format_table(columns, body), "", *wrap(NOTE)]
     if "tube" in rows and falsification.design.tube.follows_reference:
         lines.append(WIDEST)
     return "\n".join(lines)
+
+
+def say_verdict(falsification: Falsification) -> str:
+    """Return one line: which limits are violated, and by how much at the worst."""
+    rows = falsification.rows
+    names = list_worst_first(rows)
+    worst = rows[names[0]].worst
+    facet = describe_facet(falsification.limits.all[names[0]], worst)
+    violated = [name for name in names if rows[name].is_violated]
+    if violated:
+        size = f"{-facet.margin:.4g} {facet.unit}"
+        return f"VIOLATED: {', '.join(violated)}; at the worst by {size} at step {worst.step}"
+    return f"no violation found; smallest margin {facet.margin:.4g} {facet.unit} of `{names[0]}`"
 
 
 def _make_line(limits: LoopLimits, name: str, row: Row) -> list[str]:

@@ -42,7 +42,7 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.metrics import by_coordinate
 from jaxtube.experiments.run.records import Records
-from jaxtube.progress import progress
+from jaxtube.progress import announce, progress
 from jaxtube.scenario.reading import load, replace
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario, to_toml
@@ -78,6 +78,7 @@ def run(scenario: Scenario, options: GuaranteeOptions) -> int:
     scenarios = {first: scenario, other: load_other(scenario, options)}
     blocks.use_devices(options.devices)
     designs = make_designs(scenarios, options)
+    announce("searching the feasible sets that laps start from")
     attacks = []
     reasons = {}
     with contextlib.ExitStack() as stack:
@@ -89,6 +90,7 @@ def run(scenario: Scenario, options: GuaranteeOptions) -> int:
         folder = run_folder.create(scenario, options)
         performance = compute(attacks, missing)
         statistics = merge_records(attacks)
+    announce("summarising the laps")
     # The other design comes first, as what the first scenario is measured against.
     tested = [
         summarise_attacks(name, designs[name], statistics[name], reasons[name])
@@ -139,6 +141,7 @@ def make_designs(scenarios: dict[str, Scenario], options: GuaranteeOptions) -> d
     """
     designs = {}
     for name, scenario in scenarios.items():
+        announce(f"designing `{name}`")
         try:
             is_first = name == title(options.scenario)
             designs[name] = make_design(scenario, options if is_first else None)

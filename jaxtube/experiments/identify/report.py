@@ -11,14 +11,14 @@ from jaxtube.identification.findings import Findings
 from jaxtube.identification.identify import Identified
 from jaxtube.identification.scenario_text import find_track_width, list_open_points
 from jaxtube.identification.uncovered import find_uncovered
-from jaxtube.identification.words import say_other_boxes, say_promise, say_sample
+from jaxtube.identification.words import say_holding, say_needed, say_other_boxes, say_sample
 
 
 def report(identified: Identified, findings: Findings | None, track_width: float | None) -> str:
     """Return the report."""
-    promise = say_promise(identified)
     parts = [
-        promise,
+        say_verdict(identified),
+        "; ".join(say_needed(identified)),
         "\n".join(wrap(say_sample(identified))),
         "\n".join(wrap(say_other_boxes(identified))),
         tabulate(_robot_rows(identified, findings, track_width)),
@@ -30,6 +30,11 @@ def report(identified: Identified, findings: Findings | None, track_width: float
         else "",
     ]
     return "\n\n".join(part for part in parts if part)
+
+
+def say_verdict(identified: Identified) -> str:
+    """Return one line: what the box of slips promises of new commands."""
+    return f"the box of slips {say_holding(identified)} commands"
 
 
 def _robot_rows(

@@ -26,7 +26,7 @@ from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.designing import identify_restored, make_design
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.records import Records
-from jaxtube.progress import progress
+from jaxtube.progress import announce, progress
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation.promise import limit_true_errors
 from jaxtube.statistics import run as montecarlo
@@ -45,6 +45,7 @@ def run(scenario: Scenario, options: MontecarloOptions) -> int:
     blocks.use_devices(options.devices)
     if options.netcdf:
         netcdf.require_libraries()
+    announce("designing: sets, gains and certificate")
     design = limit_true_errors(make_design(scenario, options), options.plant)
     if options.starts == "scenario":
         refuse_infeasible_start(design)
@@ -136,6 +137,7 @@ def save(
     """Write statistics and metrics, print the report, and draw the figures."""
     from jaxtube.experiments.montecarlo import figures as montecarlo_figures
 
+    announce("joining the records")
     law = name_law(design, options.controller, options.plant, options.starts)
     result = MonteCarlo(design, law, options.seed, statistics)
     summary = dict(result.summary)

@@ -19,7 +19,7 @@ from jaxtyping import Float
 from jaxtube.experiments.options import PaperOptions, title
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.paper.claims import claims, table
-from jaxtube.experiments.paper.report import comparison, restart_note, stress_table
+from jaxtube.experiments.paper.report import comparison, restart_note, say_verdict, stress_table
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.conditions import condition_metrics
@@ -29,7 +29,7 @@ from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.side_by_side import run_side_by_side
-from jaxtube.progress import progress
+from jaxtube.progress import announce, progress
 from jaxtube.scenario.reading import load
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import batches, components
@@ -78,15 +78,22 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     """Run the command; returns 3 where a certificate is required and fails."""
     name = title(options.scenario)
     refuse_start_outside_limits(make_problem(scenario))
+    announce("designing: sets, gains and certificate")
     design = make_design(scenario, options)
     refuse_infeasible_start(design)
     stressed_name = STRESSED_FOR_PAPER if name == "paper" else name
+    if stressed_name != name:
+        announce(f"designing `{stressed_name}`, which is put under stress")
     stressed = make_design(load(stressed_name)) if stressed_name != name else design
+    announce("searching the edge of its feasible set")
     boundary = stress.find_starts(stressed, options.seed)
     folder = run_folder.create(scenario, options)
     simulated = simulate_laps(design, stressed, boundary, options)
+    announce("driving noise-free laps, compiled first")
     _save_noise_free(design, folder)
+    announce("saving all laps")
     _save_laps(simulated.laps, folder)
+    announce("measuring what was simulated")
     measured = {
         **metrics.design_metrics(design),
         **_metrics(design, simulated),
@@ -98,6 +105,7 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     measured["claims"] = [row._asdict() for row in rows]
     folder.save_metrics(measured)
     parts = [
+        say_verdict(rows, design),
         report(design),
         disturbance_line(design, measured["disturbance"], "the tube MPC"),
         comparison(measured),
@@ -158,6 +166,7 @@ def simulate_laps(
         case: {name: lap for (its_case, name), lap in found.items() if its_case == case}
         for case in stress.CASES
     }
+    announce("following plans to their end, compiled first")
     deviations = batches.plan_deviations(design, tube_mpc, plant, by_name["tube_mpc"], options.seed)
     stress_found = stress.Stress(boundary, stress_starts, under_stress)
     return PaperRuns(by_name, found[LAPS, OTHER], stress_found, deviations)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
+from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.paths.driving import Drive, Mission
 from jaxtube.paths.missions import PathPlan
 from jaxtube.paths.rows import polygon_length
@@ -38,7 +38,7 @@ def report(raw: RawPath, plan: PathPlan, drive: Drive, names: list[str]) -> str:
         drive: how it was to be driven.
         names: of the missions.
     """
-    lines = wrap(_describe_file(raw), "  ")
+    lines = [say_verdict(plan), "", *wrap(_describe_file(raw), "  ")]
     lines += ["", *_note_lines(plan), ""]
     if plan.missions:
         lines += [_table(plan, names), "", *wrap(LEGEND), "", *_proof_lines(plan, drive), ""]
@@ -46,6 +46,20 @@ def report(raw: RawPath, plan: PathPlan, drive: Drive, names: list[str]) -> str:
     else:
         lines.append("no mission is left")
     return "\n".join(lines)
+
+
+def say_verdict(plan: PathPlan) -> str:
+    """Return one line: what became of a path."""
+    refused = f"{len(plan.refused)} stretches refused" if plan.refused else "nothing refused"
+    if not plan.missions:
+        return f"no mission is left; {refused}"
+    count = len(plan.missions)
+    length = sum(mission.fit.curve.length for mission in plan.missions)
+    rows = max(mission.deviations.from_rows for mission in plan.missions)
+    return (
+        f"{count} {'mission' if count == 1 else 'missions'} of {length:.2f} m in all, {refused}; "
+        f"at most {rows:.4f} m off the file"
+    )
 
 
 def _describe_file(raw: RawPath) -> str:
@@ -87,7 +101,7 @@ def _table(plan: PathPlan, names: list[str]) -> str:
         Column("rms", "m"),
     ]
     rows = [_row(name, mission) for name, mission in zip(names, plan.missions, strict=True)]
-    return format_table(columns, rows, WIDTH)
+    return format_table(columns, rows)
 
 
 def _row(name: str, mission: Mission) -> list[str]:

@@ -19,6 +19,7 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.hints import make_hints
 from jaxtube.identification.findings import inspect_log
 from jaxtube.plant.recorded_slips import FEWEST_ROWS, write_slips
+from jaxtube.progress import announce
 from jaxtube.recordings.bag import is_bag
 from jaxtube.recordings.log import Log
 from jaxtube.recordings.reading import read_log
@@ -39,11 +40,14 @@ def run(scenario: Scenario, options: ReplayOptions) -> int:
     Raises:
         ScenarioError: one line, for a log that cannot be read or says nothing of the scenario.
     """
-    findings = inspect_log(read(options), options.window_s)
+    log = read(options)
+    announce("putting the scenario to the test of every period")
+    findings = inspect_log(log, options.window_s)
     witness = examine(findings, scenario, options.longer_s)
     promise = find_promised(options)
     folder = run_folder.create(scenario, options)
     folder.report(report(witness, promise, options.scenario))
+    announce("drawing")
     save(folder, witness)
     folder.save_metrics(metrics(witness, promise))
     print(f"\nfigures, spans.npz, metrics.json and manifest.json are in {folder.path}/")

@@ -20,6 +20,7 @@ MOST_TIMES = 12
 def report(witness: Witness, promise: QuotedPromise | None, name: str) -> str:
     """Return the report."""
     parts = [
+        say_verdict(witness, promise),
         _say_promise(witness, promise, name),
         say_spans(witness),
         *[say_stretches(test) for test in list_tests(witness)],
@@ -28,6 +29,21 @@ def report(witness: Witness, promise: QuotedPromise | None, name: str) -> str:
         f"The log, {witness.findings.log.path}:\n{say_log(witness.findings)}",
     ]
     return "\n\n".join(part for part in parts if part)
+
+
+def say_verdict(witness: Witness, promise: QuotedPromise | None) -> str:
+    """Return one line: what this log says of the promise, and how many of its commands are
+    inside."""
+    share = witness.windows.share
+    if not share.commands:
+        return "NO WITNESS: no steady window of this log drives both wheels forwards fast enough"
+    inside = f"{share.whole} of {share.commands} commands are inside"
+    if is_own_log(promise, witness.findings.log.path):
+        return f"NO WITNESS: the scenario was made of this log; {inside}"
+    if promise is None:
+        return f"nothing was promised that is known; {inside}"
+    judged = judge_promise(share, promise)
+    return f"{judged}: promised {say_percent(promise.share)} of new commands, {inside}"
 
 
 def _say_promise(witness: Witness, promise: QuotedPromise | None, name: str) -> str:

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.table import wrap
+from jaxtube.experiments.run.verdict import LONGEST, list_names
 from jaxtube.synthesis.advice import say_what_helps, say_what_proves_w
 from jaxtube.synthesis.certificate.robot import PREMISE
 from jaxtube.synthesis.disturbance import kinematics, operation
@@ -60,10 +61,26 @@ def report(design: Design, ultimate: dict | None = None, nearest: Sequence[str] 
     return "\n".join(lines)
 
 
+def say_verdict(design: Design) -> str:
+    """Return one line: for what a design is certified, how much of a cap its tube fills, and what
+    fails."""
+    certificate = design.certificate
+    if not certificate.holds_for_robot:
+        whole = "NOT CERTIFIED"
+        if certificate.holds_for_model:
+            whole = "CERTIFIED for the linear model with w in W alone; NOT for the robot"
+        return f"{whole}: {list_names(certificate.failing, LONGEST - len(whole) - 2)}"
+    line = "CERTIFIED: every required condition holds"
+    widest = certificate.conditions.get("widest_tube_fits")
+    if widest is None or not widest.holds:
+        return line
+    return f"{line}; the tube fills at most {1.0 - widest.margin:.1%} of a cap"
+
+
 def _verdict_lines(design: Design, nearest: Sequence[str]) -> list[str]:
     """Return the verdict, and what helps where it is not the wanted one."""
     certificate = design.certificate
-    lines = wrap(certificate.verdict, "  ")
+    lines = [say_verdict(design)]
     if nearest:
         return lines + [line for each in nearest for line in wrap(each, "  ")]
     is_assumed = design.problem.disturbance_bound is None

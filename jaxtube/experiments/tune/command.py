@@ -20,7 +20,7 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.tune import compare as tune_compare
 from jaxtube.experiments.tune import report as tune_report
 from jaxtube.experiments.tune.log import TuningLog
-from jaxtube.progress import progress
+from jaxtube.progress import announce, progress
 from jaxtube.scenario.reading import load
 from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.tuning.bar import DescentBar
@@ -35,6 +35,7 @@ SETTINGS = ("variables", "method", "evaluations", "laps", "held_out", "learning_
 
 def run(scenario: Scenario, options: TuneOptions) -> int:
     """Run the command; returns 3 where no iterate is certified, 2 where the descent broke off."""
+    announce("designing where tuning starts")
     tuner = make_tuner(
         scenario,
         variables=options.variables,
@@ -123,9 +124,11 @@ def save_result(tuned: Tuned, file: TunedFile, accept_uncertified: bool) -> str:
 
 def report(folder: RunFolder, tuned: Tuned) -> dict:
     """Print, draw and save what came out, and return the numbers."""
+    announce("comparing start and result on new laps, compiled first")
     summary = tune_report.summarise_tuning(tuned)
     folder.report(summary.text)
     folder.save_arrays("iterates", **tune_report.iterate_arrays(tuned))
+    announce("drawing")
     tune_report.draw(folder, tuned)
     return summary.numbers
 

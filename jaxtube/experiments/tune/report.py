@@ -58,6 +58,8 @@ def summarise_tuning(tuned: Tuned) -> Summary:
         Column("tuned"),
     ]
     lines = [
+        say_verdict(tuned, reduction.share, effort_increase),
+        "",
         f"{outcome.evaluations} gradients of {tuner.laps} laps; {outcome.sentence}",
         "",
         format_table(columns, _rows(before, after)),
@@ -82,6 +84,21 @@ def summarise_tuning(tuned: Tuned) -> Summary:
         "weights": weights._asdict(),
     }
     return Summary("\n".join(lines), numbers)
+
+
+def say_verdict(tuned: Tuned, reduction: float, effort_increase: float) -> str:
+    """Return one line: whether what came out is certified, and what it does better.
+
+    Args:
+        tuned: what came out.
+        reduction: share by which the lateral error is less than at the start.
+        effort_increase: share by which the effort is more.
+    """
+    certified = "CERTIFIED" if tuned.is_certified else "NOT CERTIFIED"
+    return (
+        f"{certified}; lateral error once settled {reduction:.1%} less than at the start, effort "
+        f"{effort_increase:+.1%}"
+    )
 
 
 def _rows(before: Result, after: Result) -> list[tuple[str, str, str]]:
