@@ -23,7 +23,7 @@ PROGRAM = (
     "start",
 )
 """Members of a `jaxtube_program`, in order."""
-MODEL = ("tube_gain", "terminal_gain", "transition", "input_matrix")
+MODEL = ("tube_gain", "terminal_gain", "transition", "input_matrix", "farthest")
 """Members of a `jaxtube_model`."""
 NUMBERS = (
     "caps",
@@ -37,6 +37,7 @@ NUMBERS = (
     "delay_rest",
     "most_age",
     "most_jitter",
+    "certified_time",
 )
 """Members of `jaxtube_numbers`, before the tolerances."""
 TOLERANCES = ("tolerance", "row_tolerance", "dependent", "unmoved")
@@ -63,28 +64,26 @@ def render_header(constants: Constants, title: str, verdict: str, certificate_sh
         title=_comment(title),
         verdict=_comment(verdict),
         certificate_sha256=certificate_sha256,
-        is_certified=int(constants.is_certified),
         windows=len(constants.rows),
         horizon=constants.horizon,
         inputs=n,
         rows=m,
         steps=len(constants.window),
-        delay_periods=constants.delay_periods,
-        restarts=int(constants.restarts),
-        input_map=INPUT_MAPS.index(constants.input_map),
-        most_exchanges=constants.most_exchanges,
+        **_list_choices(constants),
         most_operations=count_operations(constants),
     )
 
 
-def render_source(doubles: Constants, floats: Constants | None, title: str) -> str:
+def render_source(
+    doubles: Constants, floats: Constants | None, title: str, certificate_sha256: str
+) -> str:
     """Return constants.c; without constants for floats, that build is refused by the compiler."""
     refusal = "#error this controller is not certified with quadratic programs in floats"
     return _render(
         "constants.c.jinja",
         title=_comment(title),
-        of_doubles=_render_precision(doubles),
-        of_floats=_render_precision(floats) if floats else refusal,
+        of_doubles=_render_precision(doubles, certificate_sha256),
+        of_floats=_render_precision(floats, certificate_sha256) if floats else refusal,
         models=_braces([[getattr(doubles, name)[i] for name in MODEL] for i in _windows(doubles)]),
         references=_braces(
             list(zip(doubles.reference_wheels, doubles.reference_poses, strict=True))
@@ -106,14 +105,30 @@ def count_operations(constants: Constants) -> int:
     begin = m * (6 + 2) + n * (6 + 6)
     factor = sum(2 * n + 2 * j + 4 for i in range(n) for j in range(i + 1))
     way = 2 * n * n + solve + pull + 2 * n * 5 + 3 * n + 8 * n + 10
+    refute = n * (2 * n + 6) + 4
     move = 2 * (n * (4 * n + 3) + solve + pull) + n * (2 * n + 1)
-    return begin + 2 * check + constants.most_exchanges * (check + way + factor) + move
+    return begin + 2 * check + constants.most_exchanges * (check + way + factor) + refute + move
 
 
-def hash_constants(constants: Constants) -> int:
-    """Return the FNV-1a hash of the bits of all numbers, each as a double, in the order of C."""
+def _list_choices(constants: Constants) -> dict[str, int]:
+    """Return what the preprocessor of C chooses by."""
+    return {
+        "is_certified": int(constants.is_certified),
+        "delay_periods": constants.delay_periods,
+        "restarts": int(constants.restarts),
+        "needs_slip": int(constants.needs_slip),
+        "remembers_wheels": int(constants.remembers_wheels),
+        "input_map": INPUT_MAPS.index(constants.input_map),
+        "most_exchanges": constants.most_exchanges,
+    }
+
+
+def hash_constants(constants: Constants, certificate_sha256: str) -> int:
+    """Return the FNV-1a hash of the digest of the certificate and of the bits of all numbers, each
+    as a double, in the order of C."""
     value = FNV_START
-    for byte in np.fromiter(_chain(constants), float).tobytes():
+    numbers = [*map(ord, certificate_sha256), *_list_choices(constants).values()]
+    for byte in np.array([*numbers, *_chain(constants)], float).tobytes():
         value = (value ^ byte) * FNV_PRIME % WORD
     return value
 
@@ -141,16 +156,17 @@ def _windows(constants: Constants) -> range:
     return range(len(constants.rows))
 
 
-def _render_precision(constants: Constants) -> str:
+def _render_precision(constants: Constants, certificate_sha256: str) -> str:
     """Return the definitions that depend on the precision."""
     suffix = "f" if constants.precision.name == "float32" else ""
     programs = [[getattr(constants, name)[i] for name in PROGRAM] for i in _windows(constants)]
     limits = _braces(_numbers(constants))
+    digest = hash_constants(constants, certificate_sha256)
     return (
         "const jaxtube_program jaxtube_programs[JAXTUBE_WINDOWS] = "
         f"{_braces(programs, suffix)};\n\n"
         f"const jaxtube_numbers jaxtube_limits = {limits};\n\n"
-        f"const uint64_t jaxtube_constants_hash = UINT64_C({hash_constants(constants)});"
+        f"const uint64_t jaxtube_constants_hash = UINT64_C({digest});"
     )
 
 

@@ -20,7 +20,11 @@ from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.parts import Design
 
 TIMING = 0.1
-"""Share of a period by which poses may be old and calls early or late."""
+"""Share of a period by which poses may be old and calls early or late, and still be used."""
+CERTIFIED_TIMING = 1e-6
+"""The same for what is guaranteed: certificates know no such times."""
+FARTHER = 2.0
+"""Times their caps that inputs of plans are taken to be, where it is proved that there is none."""
 EXCHANGES = 4
 """By the number of inputs of a plan, before the active rows are given up."""
 SLIP_ROUNDING = 1e-12
@@ -99,6 +103,10 @@ class Constants:
     restarts: bool  # plans start at the error, not at the nominal one
     is_certified: bool  # for the robot
     precision: Precision
+    farthest: Float[np.ndarray, " windows"]  # |z| of a plan at most
+    certified_time: float  # by which poses may be old, calls off, and nothing be lost, s
+    needs_slip: bool  # the certificate is about slips that are measured
+    remembers_wheels: bool  # lag or delay: how wheels run at the start matters
 
     @property
     def horizon(self) -> int:
@@ -126,6 +134,9 @@ class Constants:
             array = named[name]
             named[name] = np.concatenate([array, -array[:, is_below]], axis=1)
         named["bounds"] = np.concatenate([upper, -lower[:, is_below]], axis=1)
+        phases = np.array([self.delay_rest, self.dt - self.delay_rest])
+        named["decays"] = np.exp(-phases / self.lag) if self.lag else np.zeros(2)
+        named["to_body"] = np.array([[0.5, 0.5], [1 / self.track_width, -1 / self.track_width]])
         named["most_rows"] = self.most_rows
         named["most_exchanges"] = self.most_exchanges
         for name in ("tolerance", "row_tolerance", "dependent", "unmoved"):
@@ -191,7 +202,20 @@ def gather_constants(design: Design, precision: Precision = DOUBLE) -> Constants
         restarts=settings.restart,
         is_certified=design.certificate.holds_for_robot,
         precision=precision,
+        farthest=_bound_plans(design),
+        certified_time=CERTIFIED_TIMING * problem.reference.dt,
+        needs_slip=problem.scenario.slip.is_measured,
+        remembers_wheels=not problem.scenario.robot.obeys_at_once,
     )
+
+
+def _bound_plans(design: Design) -> Float[np.ndarray, " windows"]:
+    """Return |z| at most of plans whose inputs are within twice their caps, in every window."""
+    problem = design.problem
+    inputs = problem.input_set.support(np.concatenate([np.eye(2), -np.eye(2)]))
+    largest = FARTHER * np.tile(np.maximum(inputs[:2], inputs[2:]), problem.horizon)
+    to_z = np.linalg.inv(np.swapaxes(design.tube_qps.factors.root, -1, -2))
+    return np.linalg.norm(np.abs(to_z) @ largest, axis=-1)
 
 
 def _gather_qps(qps: CondensedQp, precision: Precision) -> dict[str, np.ndarray]:

@@ -1,22 +1,27 @@
-"""The constants of an exported controller certified again, in exact rational arithmetic, as they
-were written: rounded to float64 or float32.
+"""The numbers of an exported controller certified again, in exact rational arithmetic, as they were
+written: rounded to float64 or float32.
 
-The certificate of a design is about plans that keep the sets of its `bounds` under exact
-predictions. An exported controller takes a plan x from errors e as soon as its rounded rows are
+The certificate of a design is about plans that keep the sets of its `bounds` under the predictions
+of its model. An exported controller takes a plan x from errors e as soon as its rounded rows are
 met, to a tolerance, in arithmetic that rounds. With every float the binary rational it is, and
 errors and inputs within twice their caps, this module bounds for each row
 
     over     by how much a plan that the controller accepts may miss the row of the design
     under    by how much a plan that meets the row of the design may miss that of the controller
 
-Plans shifted by one period are admissible again with some room, which the exact re-check of the
-design measures (`synthesis.certificate.exact`; elsewhere it is what constraints are backed off by
-in every stage). Where that room is at least over + under, in every kind of row, the guarantee of
-the design is that of the controller. A terminal row that is missed by a share of its bound enlarges
-the terminal set by that share, and so all that is asked of it.
+A plan that was accepted, shifted by one period, is admissible again with some room, which the exact
+re-check of the design proves (`synthesis.certificate.exact`); where the room of every kind of row
+is at least its largest over and its largest under together, the shifted plan is accepted again, and
+the guarantee of the design is that of the controller. A terminal row that is missed by a share of
+its bound enlarges the terminal set by that share, and so all that is asked of it. All other numbers
+of the controller have to be those of the design to the bit.
 
-Not proved here: that a plan is found (where none is, the controller says so), and the compiled
-code.
+A design without an exact re-check is not certified again: the back-off of its constraints is then
+compared with over and under, which says how exact the rows are, and no more.
+
+Not proved here: that a plan is found where there is one (where none is found, the controller says
+so); what the matrices of the model, which are floats, differ by from those of the exact re-check
+(at most `ROUNDING` an entry, some 1e-11 in a row); and the compiled code.
 
 Source: Higham 2002, Accuracy and Stability of Numerical Algorithms, lemma 3.1, for the rounding of
 inner products; the rest is new.
@@ -25,7 +30,7 @@ inner products; the rest is new.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from fractions import Fraction
 from functools import cached_property
 
@@ -51,6 +56,12 @@ KINDS = ("errors", "inputs", "terminal")
 Exact = np.ndarray
 """Fractions, as an array of objects."""
 
+NOTHING = Fraction(0)
+UNBOUNDED = Fraction(10) ** 9
+"""What rows miss that are bounded in the design or in the constants alone."""
+PROVED_ROWS = ("rows", "row_errors", "lower", "upper")
+"""The constants that rows are made of, which may differ by what is proved; no others may."""
+
 as_fractions = np.vectorize(Fraction, otypes=[object])
 
 
@@ -62,8 +73,8 @@ class Proof:
         constants: as they are exported.
         design: whose sets they keep.
         missed: over + under by kind of row, in the units of the rows of the design.
-        margins: what is left of the room of each condition; all at least 0 where it is proved.
-        is_exact: whether the rooms are proved in rationals too, not the back-off of the design.
+        margins: what is left of each room; all at least 0 where it is proved.
+        is_exact: whether the rooms are those of an exact re-check, not the back-off alone.
     """
 
     constants: Constants
@@ -74,16 +85,21 @@ class Proof:
 
     @property
     def holds(self) -> bool:
-        """Whether the constants keep the guarantee of the design."""
+        """Whether the rows are exact enough, and all other numbers those of the design."""
         return min(self.margins.values()) >= 0
+
+    @property
+    def certifies(self) -> bool:
+        """Whether the controller has the guarantee of the design for the robot."""
+        return self.holds and self.is_exact and self.design.certificate.holds_for_robot
 
     def describe(self) -> dict[str, object]:
         """Return all of it as plain numbers and names."""
         return {
             "precision": self.constants.precision.name,
-            "holds": self.holds,
+            "certified": self.certifies,
             "verdict_of_sets": self.design.certificate.verdict,
-            "rooms": "proved in rationals" if self.is_exact else "the back-off of the design",
+            "rooms": "of the exact re-check" if self.is_exact else "the back-off of constraints",
             "missed": self.missed,
             "margins": self.margins,
         }
@@ -96,7 +112,7 @@ def prove_doubles(design: Design) -> Proof:
 
 def prove_floats(design: Design) -> Proof | None:
     """Draw the constraints of a design in until float32 constants keep its guarantee; return the
-    proof, or None where no such design was found."""
+    proof, or None where no such design was found, or the verdict would be another."""
     missed = _Comparison(design, gather_constants(design, SINGLE)).find_missed()
     once = SPARE * float(max(missed["errors"], missed["inputs"]))
     for _ in range(ATTEMPTS):
@@ -104,7 +120,7 @@ def prove_floats(design: Design) -> Proof | None:
             drawn_in = _draw_in(design, once)
         except EmptySetError:
             return None
-        if drawn_in.certificate.holds_for_robot < design.certificate.holds_for_robot:
+        if drawn_in.certificate.verdict != design.certificate.verdict:
             return None
         proof = prove(drawn_in, gather_constants(drawn_in, SINGLE), once)
         if proof.holds:
@@ -125,9 +141,12 @@ def prove(design: Design, constants: Constants, once: float) -> Proof:
     stage than in the one before."""
     comparison = _Comparison(design, constants)
     missed = comparison.find_missed()
-    rooms, is_exact = _find_rooms(design, once)
+    rooms = _find_rooms(design)
+    is_exact = bool(rooms)
+    margins = {"other numbers": 0.0 if _are_others_the_same(design, constants) else -np.inf}
+    if not is_exact:
+        margins |= {f"{kind} backed off": float(Fraction(once) - missed[kind]) for kind in KINDS}
     enlarged = comparison.enlarge_terminal(missed["terminal"])
-    margins = {}
     for name, room in rooms.items():
         kind, condition = name.split(" ")
         needed = missed[kind]
@@ -138,22 +157,34 @@ def prove(design: Design, constants: Constants, once: float) -> Proof:
     return Proof(constants, design, as_floats, margins, is_exact)
 
 
-def _find_rooms(design: Design, once: float) -> tuple[dict[str, Fraction], bool]:
-    """Return the room of every condition under which shifted plans are admissible, and whether it
-    is proved."""
+def _are_others_the_same(design: Design, constants: Constants) -> bool:
+    """Return whether all numbers that are no rows are those of the design, to the bit."""
+    expected = gather_constants(design, constants.precision)
+    names = [field.name for field in fields(Constants) if field.name not in PROVED_ROWS]
+    return all(
+        np.array_equal(getattr(constants, name), getattr(expected, name))
+        for name in names
+        if name != "precision"
+    )
+
+
+def _find_rooms(design: Design) -> dict[str, Fraction]:
+    """Return the proved room of every condition under which shifted plans are admissible; none
+    where the design has no exact re-check, or it fails."""
     try:
-        margins = recheck(design).margins
+        report = recheck(design)
     except ValueError:
-        normals = np.linalg.norm(design.bounds.terminal_normals, axis=1)
-        least = Fraction(once) * Fraction(min(1.0, float(normals.min(initial=1.0))))
-        return {f"{kind} shifted": least for kind in KINDS}, False
-    rooms = {name: margin for name, margin in margins.items() if name.split(" ")[0] in KINDS}
-    return {name: margin for name, margin in rooms.items() if _is_of_rows(name)}, True
+        return {}
+    if not report.holds:
+        return {}
+    margins = report.margins
+    return {name: margin for name, margin in margins.items() if _is_of_rows(name)}
 
 
 def _is_of_rows(name: str) -> bool:
     """Tell whether a condition of the exact re-check is about the rows that a plan keeps."""
-    return name.split(" ")[-1] in ("reach", "shifted", "returns")
+    kind, _, condition = name.partition(" ")
+    return kind in KINDS and condition in ("reach", "shifted", "returns")
 
 
 class _Comparison:
@@ -193,16 +224,18 @@ class _Comparison:
         return WIDER * as_fractions(box)
 
     def find_missed(self) -> dict[str, Fraction]:
-        """Return over + under at worst, by kind of row."""
-        worst = np.array([self._miss_rows(w) for w in range(len(self._constants.rows))])
-        by_row = worst.max(axis=0)
+        """Return the largest over and the largest under together, by kind of row; infinite where a
+        row is bounded in one of both alone."""
+        misses = [self._miss_rows(window) for window in range(len(self._constants.rows))]
+        over = np.max([over for over, _ in misses], axis=0)
+        under = np.max([under for _, under in misses], axis=0)
         return {
-            kind: max(by_row[of_kind], default=Fraction(0))
+            kind: max(over[of_kind], default=NOTHING) + max(under[of_kind], default=NOTHING)
             for kind, of_kind in zip(KINDS, self._kinds, strict=True)
         }
 
-    def _miss_rows(self, window: int) -> Exact:
-        """Return over + under of every row of a window."""
+    def _miss_rows(self, window: int) -> tuple[Exact, Exact]:
+        """Return over and under of every row of a window."""
         constants = self._constants
         norms = as_fractions(self._norms[window])
         exact = _predict_rows(self._design, window)[self._order]
@@ -211,18 +244,22 @@ class _Comparison:
         differs = np.abs(norms[:, None] * scaled - exact) @ self._box
         size = np.abs(scaled) @ self._box
         tolerance = Fraction(constants.precision.tolerance)
-        total = 2 * differs
         lower, upper = _bound_rows(self._design, window)
-        of_bounds = np.full(len(norms), Fraction(0), object)
-        for ours, theirs in ((-lower, -constants.lower[window]), (upper, constants.upper[window])):
-            finite = np.isfinite(ours[self._order])
-            exported = as_fractions(np.where(finite, theirs, 0.0).astype(float))
-            designed = as_fractions(np.where(finite, ours[self._order], 0.0))
-            rounding = self._bound_rounding(size + np.abs(exported))
-            # What one side takes by its bound, the other one gives.
-            taken = np.abs(norms * exported - designed) + norms * (2 * rounding + tolerance)
-            of_bounds = np.where(finite, np.maximum(of_bounds, taken), of_bounds)
-        return total + of_bounds
+        over = np.full(len(norms), NOTHING, object)
+        under = np.full(len(norms), NOTHING, object)
+        sides = ((-lower, -constants.lower[window]), (upper, constants.upper[window]))
+        for ours, theirs in sides:
+            designed = ours[self._order]
+            finite = np.isfinite(designed)
+            if not np.array_equal(finite, np.isfinite(theirs)):
+                return over + UNBOUNDED, under
+            given = as_fractions(np.where(finite, theirs, 0.0).astype(float))
+            wider = norms * given - as_fractions(np.where(finite, designed, 0.0))
+            rounding = norms * self._bound_rounding(size + np.abs(given))
+            by_tolerance = differs + rounding + norms * tolerance
+            over = np.where(finite, np.maximum(over, wider + by_tolerance), over)
+            under = np.where(finite, np.maximum(under, differs + rounding - wider), under)
+        return over, under
 
     def _bound_rounding(self, size: Exact) -> Exact:
         """Return what the arithmetic of a row may be off by, its terms being of this size."""
@@ -298,9 +335,9 @@ def list_margins(proofs: Mapping[str, Proof | None]) -> list[str]:
 
 def _say_what_holds(proof: Proof | None) -> str:
     if proof is None:
-        return "not certified; constraints cannot be drawn in as far as it needs"
-    least = min(proof.margins, key=lambda condition: proof.margins[condition])
-    words = "certified again" if proof.holds else "NOT certified"
-    if proof.holds and not proof.constants.is_certified:
-        words = "as exact as the design, which is NOT certified for the robot"
-    return f"{words}, least margin {proof.margins[least]:.3g} ({least})"
+        return "not offered; constraints cannot be drawn in as far as it needs"
+    least = min(proof.margins.values())
+    if proof.certifies:
+        return f"certified again, least margin {least:.3g}"
+    missed = max(proof.missed.values())
+    return f"not certified; its rows are those of the design to {missed:.2g}"

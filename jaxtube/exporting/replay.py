@@ -43,12 +43,13 @@ def replay_in_numpy(folder: str | Path) -> Replay:
     """Play the steps of c/steps.csv by controller.py."""
     folder = Path(folder)
     controller = load_controller(folder).Controller(folder / "controller.npz")
+    controller.restart(runs=True)
     differences = []
     wrong = 0
     durations = []
     for line in (folder / "c" / "steps.csv").read_text(encoding="utf-8").splitlines():
         if not line:
-            controller.restart()
+            controller.restart(runs=True)
             continue
         _, *pose, stamp, now, _, right, left, right_wheel, left_wheel, status = line.split(",")
         begun = time.perf_counter()

@@ -10,6 +10,7 @@ While the files are written SHA256SUMS is missing, and what lies there is refuse
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import io
 import json
@@ -89,18 +90,27 @@ def export(design: Design, folder: str | Path, title: str = "a design") -> Expor
     require_design(design)
     path = Path(folder)
     _refuse_foreign(path)
-    proof = prove_doubles(design)
+    proof = _settle(prove_doubles(design))
     if not proof.holds:
         raise ScenarioError(
             "scenario: controller: rows rounded to float64 do not keep the guarantee "
             f"(least margin {min(proof.margins.values()):.3g}); bring the sizes of caps and "
             "weights closer together"
         )
-    proofs = {"float64": proof, "float32": prove_floats(design)}
+    floats = prove_floats(design)
+    if floats is not None:
+        floats = _settle(floats) if floats.certifies == proof.certifies else None
+    proofs = {"float64": proof, "float32": floats}
     recording = record_laps(design, draw_starts(design, LAPS))
     _write(path, _render(design, proofs, recording, title))
     steps = recording.status.size
     return Exported(path, proof.constants, proofs, steps, count_operations(proof.constants))
+
+
+def _settle(proof: Proof) -> Proof:
+    """Return a proof whose constants claim no more than it proves."""
+    constants = dataclasses.replace(proof.constants, is_certified=proof.certifies)
+    return dataclasses.replace(proof, constants=constants)
 
 
 def _render(
@@ -123,7 +133,7 @@ def _render(
         "certificate.json": certificate,
         "controller.npz": _pack(constants.arrays() | {"certificate_sha256": np.array(digest)}),
         "c/constants.h": render_header(constants, title, verdict, digest).encode(),
-        "c/constants.c": render_source(constants, of_floats, title).encode(),
+        "c/constants.c": render_source(constants, of_floats, title, digest).encode(),
         "c/steps.csv": write_steps(constants, recording).encode(),
         "README.md": _render_readme(design, proofs, recording, title).encode(),
     }

@@ -76,10 +76,10 @@ class CController:
     def __init__(self, library: Path):
         self._library = ctypes.CDLL(str(library))
         self._memory = ctypes.create_string_buffer(LARGEST)
-        self.is_sound = self._library.jaxtube_begin(self._memory) == 0
+        self.is_sound = self._library.jaxtube_begin(self._memory, 1) == 0
 
-    def restart(self) -> None:
-        self._library.jaxtube_restart(self._memory)
+    def restart(self, runs: bool = False) -> None:
+        self._library.jaxtube_restart(self._memory, int(runs))
 
     def step(self, pose=None, stamp=None, now=None, slip=None) -> Step:
         given = Input(

@@ -79,6 +79,44 @@ def test_a_pose_from_the_future_is_invalid(either, poses, dt, stamp):
     require_fallback(either.step(poses[3], stamp * dt, 3 * dt), INVALID)
 
 
+@pytest.mark.parametrize("late", [0.05, -0.05])
+def test_a_call_or_a_pose_that_is_nearly_in_time_is_used_but_not_covered(either, poses, dt, late):
+    # The certificate knows no jitter: what a tenth of a period moves the robot is no part of W.
+    begin(either, poses, dt, 3)
+    now = (3 + late) * dt
+    output = either.step(poses[3], now, now)
+    assert (output.status, output.pose, output.in_time) == (SOLVED, USED, True)
+    assert not output.guaranteed
+    either.restart()
+    begin(either, poses, dt, 3)
+    output = either.step(poses[3], (3 - abs(late)) * dt, 3 * dt)
+    assert (output.status, output.pose) == (SOLVED, USED)
+    assert not output.guaranteed
+
+
+def test_lateness_adds_up(either, poses, dt):
+    # Each call is nearly a period after the last one; the tenth is a third of a period early.
+    for period in range(10):
+        now = period * 0.97 * dt
+        output = either.step(poses[period], now, now)
+    assert not output.in_time
+
+
+@pytest.mark.parametrize("clock", [(0.0, None, 100.0), (None, 1.0, 2.0)])
+def test_times_are_given_always_or_never(either, poses, clock):
+    outputs = [either.step(pose, now, now) for pose, now in zip(poses[:3], clock, strict=True)]
+    assert outputs[0].guaranteed
+    assert not any(output.in_time or output.guaranteed for output in outputs[1:])
+
+
+@pytest.mark.parametrize("now", [math.nan, math.inf])
+def test_a_clock_that_is_no_number_is_not_in_time(either, poses, now):
+    output = either.step(poses[0], 0.0, now)
+    assert not output.in_time
+    assert not output.guaranteed
+    assert np.all(np.isfinite(output.wheels))
+
+
 @pytest.mark.parametrize("now", [3.5, 2.5, 9.0])
 def test_a_call_at_another_time_ends_the_guarantee_but_not_the_control(either, poses, dt, now):
     begin(either, poses, dt, 3)

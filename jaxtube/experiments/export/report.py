@@ -8,12 +8,10 @@ from jaxtube.exporting.write import Exported
 
 def say_verdict(exported: Exported) -> str:
     """Return in one line what came out."""
-    certified = [
-        name for name, proof in exported.proofs.items() if proof and proof.constants.is_certified
-    ]
+    certified = [name for name, proof in exported.proofs.items() if proof and proof.certifies]
     if certified:
         return f"exported and certified again as written, in {' and '.join(certified)}"
-    return "exported; the design is NOT CERTIFIED for the robot, and neither is the controller"
+    return "exported; NOT CERTIFIED for the robot: see certificate.json"
 
 
 def describe_in_numpy(replay: Replay) -> str:

@@ -4,12 +4,19 @@
 #include <stddef.h>
 #include <string.h>
 
+#ifdef __FAST_MATH__
+#error "-ffast-math breaks what is proved: compile without it"
+#endif
+
 #define N JAXTUBE_INPUTS
 #define M JAXTUBE_ROWS
 #define FARTHEST 1e8 /* m or rad: no pose is so far away */
 #define TWO_PI 6.28318530717958647693
 
 typedef jaxtube_real real;
+
+/* The hash of the constants is that of doubles of 64 bits. */
+typedef char doubles_have_64_bits[sizeof(double) == 8 ? 1 : -1];
 
 /* A motion of the plane. */
 typedef struct {
@@ -152,8 +159,28 @@ static void remove_row(const problem *of, active_set *active, int leaving)
     factor_from(of, active, leaving);
 }
 
+/* Return whether -r and 1 are multipliers of Farkas: no z that a plan may have meets the rows. What
+ * keeps the proof from being exact, d and r > 0, counts with the largest such z. */
+static int refutes(const problem *of, const active_set *active, const real *r, real bound,
+                   real square, real farthest)
+{
+    real gap = bound + (real)sqrt((double)square) * farthest;
+    real sum = 1;
+    for (int i = 0; i < active->count; i++) {
+        const real *normal = of->program->whitened[active->rows[i]];
+        if (r[i] > 0) {
+            gap += r[i] * (real)sqrt((double)dot(N, normal, normal)) * farthest;
+        } else {
+            gap -= r[i] * bound_of(of, active->rows[i], active->signs[i]);
+        }
+        sum += (real)fabs((double)r[i]);
+    }
+    COUNT(6 * active->count + 4);
+    return gap < -(real)limits->tolerance * sum;
+}
+
 /* Find the active rows by the dual method (Goldfarb and Idnani 1983); return a status. */
-static int find_active_rows(const problem *of, active_set *active, int *exchanges)
+static int find_active_rows(const problem *of, active_set *active, real farthest, int *exchanges)
 {
     const real no_row = -1;
     real z[N];
@@ -196,13 +223,8 @@ static int find_active_rows(const problem *of, active_set *active, int *exchange
         }
         const real length = full < part ? full : part;
         if (!(length < (real)INFINITY)) {
-            real gap = bound;
-            real sum = 1;
-            for (int i = 0; i < active->count; i++) {
-                gap -= r[i] * bound_of(of, active->rows[i], active->signs[i]);
-                sum += (real)fabs((double)r[i]);
-            }
-            return gap < -(real)limits->tolerance * sum ? JAXTUBE_INFEASIBLE : JAXTUBE_UNSOLVED;
+            return refutes(of, active, r, bound, square, farthest) ? JAXTUBE_INFEASIBLE
+                                                                   : JAXTUBE_UNSOLVED;
         }
         if (moves) {
             add(N, z, -length, d);
@@ -282,7 +304,8 @@ static int make_plan(int window, const double *errors, real *plan, int *exchange
         for (int i = 0; i < N; i++) {
             of.free[i] = dot(3, of.program->start[i], start);
         }
-        status = find_active_rows(&of, &active, exchanges);
+        status = find_active_rows(&of, &active, (real)jaxtube_models[window].farthest,
+                                  exchanges);
         if (status == JAXTUBE_SOLVED) {
             move_to_rows(&of, &active);
             if (!meets_rows(&of, (real)limits->tolerance)) {
@@ -474,17 +497,20 @@ static int judge_pose(jaxtube_controller *controller, const jaxtube_input *input
     return age <= limits->most_age ? JAXTUBE_USED : JAXTUBE_LATE;
 }
 
-/* Return whether this call comes one period after the last one. */
-static int is_in_time(jaxtube_controller *controller, const jaxtube_input *input)
+/* Return how far a call is from its period's start, counted from the first call; 0 where no call
+ * has times, NaN where only some have. */
+static double find_lateness(jaxtube_controller *controller, const jaxtube_input *input)
 {
-    int in_time = 1;
-    if (input->has_times && controller->has_now) {
-        const double late = input->now_s - controller->last_now_s - limits->dt;
-        in_time = fabs(late) <= limits->most_jitter;
+    if (!controller->is_begun) {
+        controller->is_begun = 1;
+        controller->has_times = input->has_times;
+        controller->begun_s = input->now_s;
     }
-    controller->last_now_s = input->now_s;
-    controller->has_now = input->has_times;
-    return in_time;
+    if (controller->has_times != input->has_times) {
+        return (double)NAN;
+    }
+    const double due = controller->begun_s + controller->period * limits->dt;
+    return input->has_times ? fabs(input->now_s - due) : 0.0;
 }
 
 /* Choose the slips to compensate; return whether they are those that the certificate is about. */
@@ -525,8 +551,15 @@ static uint64_t hash_doubles(uint64_t hash, const double *numbers, size_t size)
 
 static uint64_t hash_constants(void)
 {
-    const real *of_programs = &jaxtube_programs[0].rows[0][0];
+    const real *of_programs = (const real *)jaxtube_programs;
+    const double choices[] = {JAXTUBE_IS_CERTIFIED, JAXTUBE_DELAY_PERIODS,    JAXTUBE_RESTARTS,
+                              JAXTUBE_NEEDS_SLIP,   JAXTUBE_REMEMBERS_WHEELS, JAXTUBE_INPUT_MAP,
+                              JAXTUBE_MOST_EXCHANGES};
     uint64_t hash = UINT64_C(14695981039346656037);
+    for (const char *digit = JAXTUBE_CERTIFICATE; *digit != 0; digit++) {
+        hash = hash_bits(hash, *digit);
+    }
+    hash = hash_doubles(hash, choices, sizeof choices);
     for (size_t i = 0; i < sizeof jaxtube_programs / (sizeof *of_programs); i++) {
         hash = hash_bits(hash, (double)of_programs[i]);
     }
@@ -539,30 +572,33 @@ static uint64_t hash_constants(void)
     return hash;
 }
 
-void jaxtube_restart(jaxtube_controller *controller)
+void jaxtube_restart(jaxtube_controller *controller, int runs)
 {
     const int is_sound = controller->is_sound;
     memset(controller, 0, sizeof *controller);
     controller->is_sound = is_sound;
     controller->halted = !is_sound;
-    controller->guaranteed = is_sound && JAXTUBE_IS_CERTIFIED;
+    controller->guaranteed =
+        is_sound && JAXTUBE_IS_CERTIFIED && (runs || !JAXTUBE_REMEMBERS_WHEELS);
     controller->stage = JAXTUBE_HORIZON;
-    const double *speeds = jaxtube_references[0].wheels;
-    memcpy(controller->expected, speeds, sizeof controller->expected);
-    for (int i = 0; i < JAXTUBE_DELAY_PERIODS + 2; i++) {
-        memcpy(controller->intended[i], speeds, sizeof controller->intended[i]);
+    if (runs) {
+        const double *speeds = jaxtube_references[0].wheels;
+        memcpy(controller->expected, speeds, sizeof controller->expected);
+        for (int i = 0; i < JAXTUBE_DELAY_PERIODS + 2; i++) {
+            memcpy(controller->intended[i], speeds, sizeof controller->intended[i]);
+        }
     }
 }
 
-int jaxtube_begin(jaxtube_controller *controller)
+int jaxtube_begin(jaxtube_controller *controller, int runs)
 {
     controller->is_sound = hash_constants() == jaxtube_constants_hash;
-    jaxtube_restart(controller);
+    jaxtube_restart(controller, runs);
     return controller->is_sound ? 0 : -1;
 }
 
 /* Find the command of a period whose errors are known. */
-static void act(jaxtube_controller *controller, const jaxtube_input *input,
+static void act(jaxtube_controller *controller, const jaxtube_input *input, double late,
                 jaxtube_output *output)
 {
     const int window = jaxtube_window_of[controller->period];
@@ -581,7 +617,10 @@ static void act(jaxtube_controller *controller, const jaxtube_input *input,
     const int is_usable = judge_slip(input, slip);
     const int is_inside =
         output->margins[0] >= 0 && output->margins[1] >= 0 && output->margins[2] >= 0;
-    controller->guaranteed = controller->guaranteed && output->in_time && is_usable &&
+    const double age = input->has_times ? fabs(input->now_s - input->stamp_s) : 0.0;
+    const int is_exact = late <= limits->certified_time && age <= limits->certified_time;
+    const int is_told = input->has_slip || !JAXTUBE_NEEDS_SLIP;
+    controller->guaranteed = controller->guaranteed && is_exact && is_told && is_usable &&
                              is_inside && output->status == JAXTUBE_SOLVED;
     follow_plan(controller, window, output->inputs);
     turn_into_wheels(controller, output->inputs, slip, output->wheels);
@@ -597,15 +636,17 @@ int jaxtube_step(jaxtube_controller *controller, const jaxtube_input *input,
 {
     memset(output, 0, sizeof *output);
     const int is_over = controller->period >= JAXTUBE_STEPS;
+    const double late = find_lateness(controller, input);
     output->pose = judge_pose(controller, input);
-    output->in_time = is_in_time(controller, input);
+    output->in_time = late <= limits->most_jitter;
     if (output->pose == JAXTUBE_USED && !is_over) {
         correct_estimate(controller, input->pose);
         controller->blind = 0;
     } else {
         controller->blind++;
     }
-    if (!controller->has_estimate || controller->blind > JAXTUBE_HORIZON) {
+    if (!controller->is_sound || !controller->has_estimate ||
+        controller->blind > JAXTUBE_HORIZON) {
         controller->halted = 1;
     }
     for (int i = 0; i < 3; i++) {
@@ -616,7 +657,7 @@ int jaxtube_step(jaxtube_controller *controller, const jaxtube_input *input,
         controller->guaranteed = 0;
         output->status = is_over ? JAXTUBE_FINISHED : JAXTUBE_HALTED;
     } else {
-        act(controller, input, output);
+        act(controller, input, late, output);
     }
     return output->status;
 }

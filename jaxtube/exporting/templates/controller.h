@@ -12,7 +12,7 @@
 /* How the command was found. */
 enum {
     JAXTUBE_SOLVED,     /* by a plan that meets all rows */
-    JAXTUBE_INFEASIBLE, /* there is no plan: the last one goes on, then the terminal gain */
+    JAXTUBE_INFEASIBLE, /* no plan meets all rows: the last one goes on, then the terminal gain */
     JAXTUBE_UNSOLVED,   /* no plan was found: the same */
     JAXTUBE_BLIND,      /* no pose could be used: the same, from the predicted errors */
     JAXTUBE_HALTED,     /* stand still, until jaxtube_restart: no pose for too long */
@@ -33,7 +33,7 @@ typedef struct {
 } jaxtube_input;
 
 typedef struct {
-    double wheels[2];  /* speeds right, left, m/s, within the limits */
+    double wheels[2];  /* speeds right, left, m/s, within the limits; 0 to stand still */
     double inputs[2];  /* virtual inputs */
     double errors[3];  /* longitudinal m, lateral m, heading rad: what was acted on */
     double margins[3]; /* share of each cap that the errors leave */
@@ -52,14 +52,15 @@ typedef struct {
     double expected[2];
     double intended[JAXTUBE_DELAY_PERIODS + 2][2];
     double last_stamp_s;
-    double last_now_s;
+    double begun_s;
     int is_sound;
     int period;
     int stage;
     int blind;
     int has_estimate;
     int has_stamp;
-    int has_now;
+    int is_begun;
+    int has_times;
     int guaranteed;
     int halted;
 } jaxtube_controller;
@@ -68,11 +69,13 @@ typedef struct {
 extern "C" {
 #endif
 
-/* Check the constants, and begin; 0, or -1 where they are damaged: every step then halts. */
-int jaxtube_begin(jaxtube_controller *controller);
+/* Check the constants, and begin, to be called before the first step; 0, or -1 where they are
+ * damaged: every step then halts. `runs` as for jaxtube_restart. */
+int jaxtube_begin(jaxtube_controller *controller, int runs);
 
-/* Forget everything: the next call is for the first period of the reference. */
-void jaxtube_restart(jaxtube_controller *controller);
+/* Forget everything: the next call is for the first period of the reference. `runs`, which counts
+ * where wheels lag: they already run as the reference begins; 0: they stand still. */
+void jaxtube_restart(jaxtube_controller *controller, int runs);
 
 /* Find what the next period is to do; return its status. */
 int jaxtube_step(jaxtube_controller *controller, const jaxtube_input *input,

@@ -40,23 +40,25 @@ class Controller:
         self.horizon = self.free_inputs.shape[1] // 2
         self.restart()
 
-    def restart(self):
-        """Forget everything: the next call is for the first period of the reference."""
-        self.period = self.blind = 0
-        self.guaranteed = self.is_certified
-        self.halted = False
-        self.last_stamp = self.last_now = -math.inf
+    def restart(self, runs=False):
+        """Begin anew; `runs`: wheels that lag already run as the reference begins."""
+        self.period = self.blind = self.halted = 0
+        self.guaranteed = self.is_certified and (runs or not self.remembers_wheels)
+        self.last_stamp = -math.inf
         self.stage = self.horizon  # of the plan's input that is due: none is left
-        self.nominal = self.estimate = None
-        self.expected = self.reference_wheels[0]
+        self.nominal = self.estimate = self.begun = None
+        self.expected = self.reference_wheels[0] * runs
         self.intended = [self.expected] * (self.delay_periods + 2)
 
     def step(self, pose=None, stamp=None, now=None, slip=None):
         """Return what the next period is to do; numbers never raise, and no NaN comes back."""
-        use = self._judge_pose(pose, stamp, now)
-        late = 0.0 if now is None else now - self.last_now - self.dt
-        in_time = late == math.inf or abs(late) <= self.most_jitter
-        self.last_now = -math.inf if now is None else now
+        clock = math.nan if now is None else now
+        self.begun = clock if self.begun is None else self.begun  # NaN: calls without times
+        is_untimed = now is None and math.isnan(self.begun)
+        late = 0.0 if is_untimed else abs(clock - self.begun - self.period * self.dt)
+        in_time = bool(late <= self.most_jitter)
+        age = 0.0 if now is None or stamp is None else now - stamp
+        use = self._judge_pose(pose, stamp, age)
         is_over = self.period >= len(self.window)
         if use == USED and not is_over:
             self._correct_estimate(pose)
@@ -72,21 +74,21 @@ class Controller:
         if use == USED:
             found = self._make_plan(index, errors if self.restarts else self.nominal)
         status, plan, exchanges = found
-        slip = self.nominal_slip if slip is None else np.asarray(slip, float)
-        is_usable = np.all((self.slip_limits[0] <= slip) & (slip <= self.slip_limits[1]))
-        slip = slip if is_usable else self.nominal_slip
-        keeps = status == SOLVED and in_time and is_usable and margins.min() >= 0
+        given = self.nominal_slip if slip is None else np.asarray(slip, float)
+        is_usable = np.all((self.slip_limits[0] <= given) & (given <= self.slip_limits[1]))
+        slips = given if is_usable else self.nominal_slip
+        keeps = status == SOLVED and is_usable and not (slip is None and self.needs_slip)
+        keeps &= bool(max(late, abs(age)) <= self.certified_time and margins.min() >= 0)
         self.guaranteed = bool(self.guaranteed and keeps)
         inputs = self._follow_plan(index, errors, plan)
-        wheels = self._turn_into_wheels(inputs, errors, slip)
-        self._predict(errors, wheels * (1.0 - slip))
+        wheels = self._turn_into_wheels(inputs, errors, slips)
+        self._predict(errors, wheels * (1.0 - slips))
         found = (status, use, in_time, self.guaranteed, self.horizon - self.stage, exchanges)
         return Output(wheels, inputs, errors, margins, *found)
 
-    def _judge_pose(self, pose, stamp, now):
+    def _judge_pose(self, pose, stamp, age):
         if pose is None:
             return MISSING
-        age = 0.0 if now is None or stamp is None else now - stamp
         is_near = np.shape(pose) == (3,) and np.max(np.abs(pose)) <= 1e8  # m, rad
         if not (is_near and -self.most_age <= age < math.inf):
             return INVALID
@@ -99,8 +101,7 @@ class Controller:
         """Take a pose into the estimate of the errors; of the committed pose where wheels lag."""
         x, y, heading = self.reference_poses[self.period]
         error = see((complex(x, y), heading), (complex(pose[0], pose[1]), pose[2]))
-        right, left = self.expected * self.lag
-        ahead = ((right + left) / 2.0, (right - left) / self.track_width)
+        ahead = tuple(self.to_body @ self.expected * self.lag)
         ahead = join(ahead, self._arc(self.intended[1] * self.delay_rest))
         for speeds in self.intended[2:]:
             ahead = join(ahead, self._arc(speeds * self.dt))
@@ -111,9 +112,8 @@ class Controller:
         self.estimate = self.estimate + self.observer_gain * (measured - self.estimate)
 
     def _arc(self, travel):
-        turn = (travel[0] - travel[1]) / self.track_width
-        chord = (travel[0] + travel[1]) / 2.0 * sinc(turn / 2.0)
-        return chord * cmath.rect(1.0, turn / 2.0), turn
+        way, turn = self.to_body @ travel
+        return way * sinc(turn / 2.0) * cmath.rect(1.0, turn / 2.0), turn
 
     def _make_plan(self, index, start):
         """Return status, inputs, exchanges: a free plan's, or by active rows (Goldfarb, Idnani)."""
@@ -126,12 +126,12 @@ class Controller:
         rows = []
         adding = -1
         for exchanges in range(self.most_exchanges):
+            active = whitened[rows]
             missed = whitened @ (self.start[index] @ start - whitened.T @ y) - bounds
             if adding < 0:
                 adding = int(np.argmax(missed))
                 if missed[adding] <= self.row_tolerance or len(rows) > self.most_rows:
                     break
-            active = whitened[rows]
             r = np.zeros_like(y)
             r[rows] = np.linalg.solve(active @ active.T, active @ whitened[adding])
             d = whitened[adding] - whitened.T @ r
@@ -140,7 +140,10 @@ class Controller:
             ratios = np.where(r > self.unmoved, y, math.inf) / np.where(r > self.unmoved, r, 1.0)
             length = min(full, np.min(ratios))
             if length == math.inf:
-                is_proof = bounds[adding] - r @ bounds < -self.tolerance * (1.0 + abs(r).sum())
+                # Farkas: for every z that a plan may have, with what keeps this from being exact.
+                left = np.linalg.norm(d) + np.maximum(r, 0.0) @ np.linalg.norm(whitened, axis=1)
+                gap = bounds[adding] - np.minimum(r, 0.0) @ bounds + left * self.farthest[index]
+                is_proof = gap < -self.tolerance * (1.0 + abs(r).sum())
                 return (INFEASIBLE if is_proof else UNSOLVED), None, exchanges
             y = y - length * r
             y[adding] += length
@@ -150,7 +153,8 @@ class Controller:
             else:
                 rows.remove(np.argmin(ratios))
                 y[np.argmin(ratios)] = 0.0
-        active = whitened[rows]
+        else:
+            return UNSOLVED, None, self.most_exchanges
         y[rows] += np.linalg.solve(active @ active.T, missed[rows])
         x = x - self.unwhiten[index] @ (whitened.T @ y)
         is_met = np.all(self.rows[index] @ x - bounds <= self.tolerance)
@@ -172,9 +176,7 @@ class Controller:
 
     def _turn_into_wheels(self, inputs, errors, slip):
         """Return the wheel speeds that realise inputs by the input map, within the limits."""
-        right, left = self.reference_wheels[self.period]
-        V = (right + left) / 2.0
-        Om = (right - left) / self.track_width
+        V, Om = self.to_body @ self.reference_wheels[self.period]
         T = self.dt
         om = Om - inputs[1]
         v = V * (math.cos(errors[2]) if self.input_map == "cosine_free" else 1.0) - inputs[0]
@@ -183,7 +185,7 @@ class Controller:
             turned = (math.sin(T * om) - T * Om) * errors[1]
             turned -= 2.0 * math.sin(T * om / 2.0) ** 2 * errors[0]
             v = ((chord + turned) / T - inputs[0]) / max(sinc(T * om), 0.1)
-        over_ground = v + np.array([0.5, -0.5]) * self.track_width * om
+        over_ground = np.linalg.solve(self.to_body, [v, om])
         return np.clip(over_ground / (1.0 - slip), *self.wheel_limits)
 
     def _predict(self, errors, speeds):
@@ -192,8 +194,6 @@ class Controller:
         place, turn = join(moved, self._arc(self.reference_wheels[self.period] * self.dt))
         self.estimate = np.array([place.real, place.imag, turn])
         self.intended = [*self.intended[1:], speeds]
-        times = (self.delay_rest, self.dt - self.delay_rest)
-        for command, time in zip(self.intended, times, strict=False):
-            decay = math.exp(-time / self.lag) if self.lag else 0.0
+        for command, decay in zip(self.intended, self.decays, strict=False):
             self.expected = command + (self.expected - command) * decay
         self.period += 1

@@ -53,7 +53,7 @@ int main(int count, char **arguments)
         fprintf(stderr, "usage: %s steps.csv [tolerance]\n", arguments[0]);
         return 2;
     }
-    if (jaxtube_begin(&controller) != 0) {
+    if (jaxtube_begin(&controller, 1) != 0) {
         fprintf(stderr, "the constants are damaged; export the controller again\n");
         fclose(file);
         return 2;
@@ -64,7 +64,7 @@ int main(int count, char **arguments)
         double wheels[2];
         int status;
         if (line[0] == '\n' || line[0] == '#') {
-            jaxtube_restart(&controller);
+            jaxtube_restart(&controller, 1);
             continue;
         }
         if (!read_step(line, &input, wheels, &status)) {
