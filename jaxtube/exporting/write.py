@@ -191,7 +191,12 @@ def _render_readme(
     acted_on += (
         "; of the committed pose, to which commands given will take it" if of_commands else ""
     )
-    floats = "solves in floats" if proofs["float32"] else "is refused: it would not be certified"
+    floats = "solves in floats" if proofs["float32"] else "is refused: it would not be as exact"
+    needs_slip = ", which this design is **not** certified for: give slips" * constants.needs_slip
+    needs_running = (
+        " The wheels lag: begin with wheels that run as the reference does (`runs`); from rest "
+        "nothing is guaranteed."
+    ) * constants.remembers_wheels
     right, left = constants.nominal_slip
     x, y, heading = constants.reference_poses[0]
     environment = jinja2.Environment(
@@ -219,6 +224,10 @@ def _render_readme(
         horizon=constants.horizon,
         exchanges=constants.most_exchanges,
         is_certified=constants.is_certified,
+        needs_slip=needs_slip,
+        needs_running=needs_running,
+        certified_time=f"{constants.certified_time:g}",
+        has_floats=proofs["float32"] is not None,
         assumptions=[assumption.rstrip(".") for assumption in design.certificate.assumptions],
     )
 

@@ -82,7 +82,7 @@ def test_twists_make_the_base_turn_its_wheels_as_commanded(node, exported, certi
     controller = load_controller(exported.folder).Controller(exported.folder / "controller.npz")
     dt = certified.problem.reference.dt
     poses = find_path(certified)
-    assert node.timers[0][0] == dt
+    assert node.timers[0][0] == pytest.approx(dt / 20)
     send_path(node, poses)
     assert call(node, "~/start").success
     generator = np.random.default_rng(8)
@@ -110,6 +110,7 @@ def test_before_a_start_and_after_a_stop_the_robot_stands_still(node, certified)
     assert (twist.twist.linear.x, twist.twist.angular.z) == (0.0, 0.0)
     assert status.message == "waiting for a start"
     call(node, "~/start")
+    assert tick(node, 0.0)[1].message == "waiting for a pose"
     send_pose(node, poses[0], 0.0)
     assert tick(node, 0.0)[0].twist.linear.x != 0.0
     call(node, "~/stop")
@@ -119,10 +120,23 @@ def test_before_a_start_and_after_a_stop_the_robot_stands_still(node, certified)
 def test_another_path_is_refused(node, certified):
     poses = find_path(certified)
     send_path(node, [*poses[:10], poses[10] + [0.0, 0.2, 0.0]])
-    assert "leaves the reference of the controller by" in node.errors[-1]
+    assert "leaves the reference near" in node.errors[-1]
     assert not call(node, "~/start").success
     send_path(node, [])
     assert "no poses" in node.errors[-1]
+
+
+def test_a_part_of_the_path_or_the_path_backwards_is_refused(node, certified):
+    poses = find_path(certified)
+    turned = poses.copy()
+    turned[:, 2] += np.append(0.0, np.full(len(poses) - 1, np.pi))
+    there_and_back = [*poses[:30], *poses[:30][::-1]]
+    refused = {"ends before": [poses[:1], poses[:-10]], "leaves": [turned, there_and_back]}
+    for words, paths in refused.items():
+        for path in paths:
+            send_path(node, path)
+            assert words in node.errors[-1]
+            assert not call(node, "~/start").success
 
 
 def test_poses_that_do_not_come_are_told_and_then_halt(node, certified):
@@ -133,14 +147,19 @@ def test_poses_that_do_not_come_are_told_and_then_halt(node, certified):
     call(node, "~/start")
     send_pose(node, poses[0], 0.0)
     tick(node, 0.0)
+    # A twentieth of a period after a pose is due there is still time for it.
+    assert tick(node, 1.05 * dt)[1].message.startswith("solved")
     for period in range(1, horizon + 1):
-        _, status, _ = tick(node, period * dt)
+        _, status, _ = tick(node, (period + 0.1001) * dt)
         assert status.level == b"\x01"
         assert status.message.startswith("blind, pose missing")
         assert "no guarantee" in status.message
-    twist, status, _ = tick(node, (horizon + 1) * dt)
-    assert status.level == b"\x02"
-    assert (twist.twist.linear.x, twist.twist.angular.z) == (0.0, 0.0)
+    for moment in (horizon + 1.1001, horizon + 3):
+        twist, status, _ = tick(node, moment * dt)
+        assert status.level == b"\x02", "until it is started or stopped"
+        assert (twist.twist.linear.x, twist.twist.angular.z) == (0.0, 0.0)
+    call(node, "~/stop")
+    assert tick(node, (horizon + 4) * dt)[1].level == b"\x00"
 
 
 def test_a_damaged_controller_does_not_start_the_node(node, exported, tmp_path, monkeypatch):
@@ -179,7 +198,9 @@ struct PoseStamped { std_msgs::msg::Header header; Pose pose; };
 struct Twist { Vector linear; Vector angular; };
 struct TwistStamped { std_msgs::msg::Header header; Twist twist; };
 }
-namespace nav_msgs::msg { struct Path { std::vector<geometry_msgs::msg::PoseStamped> poses; }; }
+namespace nav_msgs::msg {
+struct Path { std_msgs::msg::Header header; std::vector<geometry_msgs::msg::PoseStamped> poses; };
+}
 namespace nav2_core {
 class GoalChecker {};
 class Controller {

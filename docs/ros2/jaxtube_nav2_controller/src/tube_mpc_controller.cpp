@@ -30,7 +30,10 @@ void TubeMpcController::configure(
   if (!(wheel_separation_ > 0.0)) {
     throw nav2_core::PlannerException(separation + ": give metres, such as 0.5");
   }
-  if (jaxtube_begin(&controller_) != 0) {
+  if (JAXTUBE_NEEDS_SLIP) {
+    throw nav2_core::PlannerException("the controller needs measured slips, which Nav2 has not");
+  }
+  if (jaxtube_begin(&controller_, 0) != 0) {
     throw nav2_core::PlannerException("the constants are damaged; export the controller again");
   }
 }
@@ -66,6 +69,18 @@ double measure_distance(double x, double y, const double * begin, const double *
   return std::hypot(x - begin[0] - share * along_x, y - begin[1] - share * along_y);
 }
 
+bool is_same(const nav_msgs::msg::Path & one, const nav_msgs::msg::Path & other)
+{
+  const auto are_equal = [](const auto & a, const auto & b) {
+      const auto & p = a.pose.position;
+      const auto & q = b.pose.position;
+      return p.x == q.x && p.y == q.y;
+    };
+  return one.header.frame_id == other.header.frame_id &&
+         std::equal(
+    one.poses.begin(), one.poses.end(), other.poses.begin(), other.poses.end(), are_equal);
+}
+
 }  // namespace
 
 double TubeMpcController::find_farthest(const nav_msgs::msg::Path & path) const
@@ -86,10 +101,14 @@ double TubeMpcController::find_farthest(const nav_msgs::msg::Path & path) const
 
 void TubeMpcController::setPlan(const nav_msgs::msg::Path & path)
 {
-  has_plan_ = false;
-  if (path.poses.empty()) {
+  if (path.poses.empty() || (has_plan_ && is_same(path, plan_))) {
     return;
   }
+  if (drives_) {
+    RCLCPP_ERROR(logger_, "another plan comes while one is driven: it is not taken");
+    return;
+  }
+  has_plan_ = false;
   // The frame in which the reference begins at the first pose of the plan.
   const Pose first = read(path.poses.front().pose);
   const double * begin = jaxtube_references[0].pose;
@@ -104,7 +123,8 @@ void TubeMpcController::setPlan(const nav_msgs::msg::Path & path)
       farthest);
     return;
   }
-  jaxtube_restart(&controller_);
+  jaxtube_restart(&controller_, 0);
+  plan_ = path;
   has_plan_ = true;
 }
 
@@ -114,6 +134,9 @@ geometry_msgs::msg::TwistStamped TubeMpcController::computeVelocityCommands(
 {
   if (!has_plan_) {
     throw nav2_core::PlannerException("the plan is not the reference of the controller");
+  }
+  if (pose.header.frame_id != plan_.header.frame_id) {
+    throw nav2_core::PlannerException("poses are not in the frame of the plan");
   }
   const rclcpp::Time now = clock_->now();
   const Pose seen = see(read(pose.pose), origin_);
@@ -127,6 +150,8 @@ geometry_msgs::msg::TwistStamped TubeMpcController::computeVelocityCommands(
   input.has_pose = 1;
   input.has_times = 1;
   const int status = jaxtube_step(&controller_, &input, &output);
+  drives_ = status != JAXTUBE_HALTED && status != JAXTUBE_FINISHED;
+  has_plan_ = drives_;
   if (status == JAXTUBE_HALTED) {
     throw nav2_core::PlannerException("halted: no pose could be used for too long");
   }

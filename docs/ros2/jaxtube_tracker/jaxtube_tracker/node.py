@@ -2,7 +2,7 @@
 
 in     pose      geometry_msgs/PoseStamped     measured, in the frame of the path
        path      nav_msgs/Path                 where the reference lies
-out    cmd_vel   geometry_msgs/TwistStamped    every period
+out    cmd_vel   geometry_msgs/TwistStamped    20 times a period
        status    diagnostic_msgs/DiagnosticStatus
        margins   std_msgs/Float64MultiArray    share of each cap that is left; below 0 outside
 services  ~/start, ~/stop  std_srvs/Trigger
@@ -23,6 +23,8 @@ from std_srvs.srv import Trigger
 from jaxtube_tracker.tracker import Tracker
 
 NANOSECONDS = 1e-9
+POLLS = 20
+"""How often a period the node looks whether one begins."""
 
 
 def load_controller(folder):
@@ -67,7 +69,7 @@ class TrackerNode(Node):
         self.create_subscription(PathMessage, "path", self._take_path, 1)
         self.create_service(Trigger, "~/start", self._start)
         self.create_service(Trigger, "~/stop", self._stop)
-        self.create_timer(self._tracker.period, self._tick)
+        self.create_timer(self._tracker.period / POLLS, self._poll)
 
     def _read(self, name):
         return self.get_parameter(name).value
@@ -90,9 +92,9 @@ class TrackerNode(Node):
         response.success = True
         return response
 
-    def _tick(self):
+    def _poll(self):
         now = self.get_clock().now()
-        tick = self._tracker.tick(NANOSECONDS * now.nanoseconds)
+        tick = self._tracker.poll(NANOSECONDS * now.nanoseconds)
         twist = TwistStamped()
         twist.header.stamp = now.to_msg()
         twist.header.frame_id = self._read("base_frame")

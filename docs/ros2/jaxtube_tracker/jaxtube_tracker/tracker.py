@@ -1,12 +1,15 @@
 """What the node does, without ROS: poses, a path and ticks in; twists, status and margins out.
 
 The exported controller drives one reference. A path places it: its first pose is where the
-reference begins, and the rest has to be the reference, to a tolerance; another path is refused.
+reference begins, and from there to the end it has to be the reference, in its order and direction,
+to a tolerance; another path is refused.
+
+`poll` is asked often. A period begins with the first pose that comes when it is due, or, when none
+comes in time, without one.
 """
 
 import math
 from enum import IntEnum
-from itertools import pairwise
 from typing import NamedTuple
 
 STATUS = ("solved", "infeasible", "unsolved", "blind", "halted", "finished")
@@ -33,6 +36,8 @@ class Tick(NamedTuple):
 
 
 STILL = (0.0, 0.0)
+MOST_TURN = 0.2
+"""By which a path may head off the reference, rad, beside what a stretch of it turns."""
 NO_MARGINS = (math.nan, math.nan, math.nan)
 
 
@@ -48,6 +53,8 @@ class Tracker:
     def __init__(self, controller, wheel_separation: float, path_tolerance: float):
         if not wheel_separation > 0:
             raise ValueError(f"wheel_separation = {wheel_separation}: give metres, such as 0.5")
+        if controller.needs_slip:
+            raise ValueError("the controller needs measured slips, which this node does not have")
         self._controller = controller
         self._wheel_separation = wheel_separation
         self._path_tolerance = path_tolerance
@@ -55,6 +62,8 @@ class Tracker:
         self._pose = None
         self._stamp = None
         self._drives = False
+        self._due = None
+        self._last = Tick(*STILL, Level.OK, "waiting for a start", NO_MARGINS, False)
 
     @property
     def period(self) -> float:
@@ -69,14 +78,32 @@ class Tracker:
         if not poses or not all(math.isfinite(number) for pose in poses for number in pose):
             return "path refused: it has no poses, or one that is not finite"
         origin = self._find_origin(poses[0])
-        farthest = max(self._find_distance(self._see(pose, origin)) for pose in poses)
-        if farthest > self._path_tolerance:
-            return (
-                f"path refused: it leaves the reference of the controller by {farthest:.3g} m; "
-                "export a controller for this path"
-            )
-        self._origin = origin
+        problem = self._compare([self._see(pose, origin) for pose in poses])
+        if not problem:
+            self._origin = origin
+        return problem and f"path refused: {problem}; export a controller for this path"
+
+    def _compare(self, path) -> str:
+        """Return why a path, in the frame of the reference, is not the reference, or nothing."""
+        points = self._controller.reference_poses.tolist()
+        at = 0
+        for pose in path:
+            # On from where the last pose was: a path that turns back leaves the reference.
+            ahead = range(at, len(points) - 1)
+            near = (i for i in ahead if self._is_near(pose, points[i], points[i + 1]))
+            at = next(near, None)
+            if at is None:
+                x, y, heading = pose
+                return f"it leaves the reference near ({x:.3g} m, {y:.3g} m, {heading:.3g} rad)"
+        if math.dist(path[-1][:2], points[-1][:2]) > self._path_tolerance:
+            return "it ends before the reference"
         return ""
+
+    def _is_near(self, pose, begin, end) -> bool:
+        """Return whether a pose is on a stretch of the reference, and heads along it."""
+        turn = math.remainder(pose[2] - begin[2], math.tau)
+        slack = abs(end[2] - begin[2]) + MOST_TURN
+        return measure_distance(pose, begin, end) <= self._path_tolerance and abs(turn) <= slack
 
     def take_pose(self, pose, stamp: float) -> None:
         """Take a measured pose (x m, y m, heading rad) of a time, s."""
@@ -89,21 +116,39 @@ class Tracker:
             return "not started: no path was accepted"
         self._controller.restart()
         self._drives = True
+        self._due = None
+        self._pose = None
+        self._last = Tick(*STILL, Level.OK, "waiting for a pose", NO_MARGINS, False)
         return ""
 
     def stop(self) -> None:
-        """Stand still from the next tick on."""
+        """Stand still."""
         self._drives = False
+        self._last = Tick(*STILL, Level.OK, "waiting for a start", NO_MARGINS, False)
 
-    def tick(self, now: float) -> Tick:
-        """Return what the period is to do that begins now, s."""
-        if not self._drives:
-            return Tick(*STILL, Level.OK, "waiting for a start", NO_MARGINS, False)
+    def poll(self, now: float) -> Tick:
+        """Return what to do now, s: the command of the period, a new one where it begins."""
+        if self._drives and self._begins(now):
+            self._last = self._tick(now)
+        return self._last
+
+    def _begins(self, now: float) -> bool:
+        """Return whether a period begins: the first one with the first pose, the others when they
+        are due and a pose is there, or is late."""
+        has_pose = self._pose is not None
+        if self._due is None:
+            return has_pose
+        jitter = self._controller.most_jitter
+        return now >= self._due + jitter or (has_pose and now >= self._due - jitter)
+
+    def _tick(self, now: float) -> Tick:
+        """Return what the period is to do that begins now."""
+        self._due = (now if self._due is None else self._due) + self._controller.dt
         pose = None if self._pose is None else self._see(self._pose, self._origin)
+        self._pose = None
         output = self._controller.step(pose, self._stamp, now)
         right, left = output.wheels.tolist()
-        status = STATUS[output.status]
-        if status in ("halted", "finished"):
+        if STATUS[output.status] in ("halted", "finished"):
             self._drives = False
         return Tick(
             speed=(right + left) / 2.0,
@@ -118,8 +163,9 @@ class Tracker:
         status = STATUS[output.status]
         if status == "halted":
             return Level.ERROR
-        is_usual = status in ("solved", "finished") and output.in_time
-        return Level.OK if is_usual and min(output.margins) >= 0 else Level.WARN
+        if status == "finished":
+            return Level.OK
+        return Level.OK if status == "solved" and output.in_time else Level.WARN
 
     def _describe(self, output) -> str:
         words = f"{STATUS[output.status]}, pose {POSE[output.pose]}"
@@ -145,12 +191,6 @@ class Tracker:
         x = pose[0] - origin[0]
         y = pose[1] - origin[1]
         return cosine * x + sine * y, cosine * y - sine * x, pose[2] - origin[2]
-
-    def _find_distance(self, pose) -> float:
-        """Return the distance of a pose in the frame of the reference from the line through the
-        poses of the reference, m."""
-        points = self._controller.reference_poses[:, :2]
-        return min(measure_distance(pose, a, b) for a, b in pairwise(points.tolist()))
 
 
 def measure_distance(point, begin, end) -> float:

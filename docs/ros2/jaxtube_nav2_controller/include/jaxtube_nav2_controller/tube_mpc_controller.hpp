@@ -27,7 +27,8 @@ public:
   void activate() override {}
   void deactivate() override {}
 
-  /// Place the reference at the first pose of the plan, and begin it.
+  /// Place the reference at the first pose of the plan, and begin it; the plan that is driven goes
+  /// on, and no other one is taken before it is driven.
   void setPlan(const nav_msgs::msg::Path & path) override;
 
   /// Throws nav2_core::PlannerException where the plan is not the reference, or the controller has
@@ -55,6 +56,8 @@ private:
   rclcpp::Clock::SharedPtr clock_;
   jaxtube_controller controller_{};
   Pose origin_{};
+  nav_msgs::msg::Path plan_;
+  bool drives_{false};
   double wheel_separation_{0.0};
   double path_tolerance_{0.05};
   bool has_plan_{false};
