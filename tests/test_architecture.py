@@ -39,6 +39,7 @@ ROOMS = (
     "tuning",
     "results",
     "figures",
+    "reporting",
     "experiments",
 )
 """A room may import from itself and from the rooms before it."""

@@ -19,6 +19,7 @@ from jaxtyping import Float
 from jaxtube.experiments.options import PaperOptions, title
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.paper.claims import claims, table
+from jaxtube.experiments.paper.page import make_page
 from jaxtube.experiments.paper.report import comparison, restart_note, stress_table
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
@@ -29,6 +30,8 @@ from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.side_by_side import run_side_by_side
 from jaxtube.progress import progress
+from jaxtube.reporting import laps as kept_laps
+from jaxtube.reporting.player import make_player
 from jaxtube.scenario.reading import load
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import batches, components
@@ -86,7 +89,8 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     folder = run_folder.create(scenario, options)
     simulated = simulate_laps(design, stressed, boundary, options)
     _save_noise_free(design, folder)
-    _save_laps(simulated.laps, folder)
+    kept = kept_laps.collect(design, simulated.laps)
+    folder.save_arrays("laps", **kept.arrays())
     measured = {
         **metrics.design_metrics(design),
         **_metrics(design, simulated),
@@ -111,8 +115,10 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     if stressed is not design:
         drawings["stress_terminal_set"] = partial(_draw_terminal_set, stressed, stressed_name)
     _draw(drawings, folder)
+    folder.save_page(make_page(design, options.label, measured, rows, make_player(kept)))
     print(
-        f"\nfigures, metrics.json, laps.npz, noise_free.npz and manifest.json are in {folder.path}/"
+        "\nreport.html, figures, metrics.json, laps.npz, noise_free.npz and manifest.json are in "
+        f"{folder.path}/"
     )
     return exit_code(design.certificate, options.require_certificate)
 
@@ -191,17 +197,6 @@ def _save_noise_free(design: Design, folder: RunFolder) -> None:
     for name in NOISE_FREE:
         laps[name] = batches.run_realisations(controllers[name], plant, start, 0).errors[:, 0]
     folder.save_arrays("noise_free", **laps)
-
-
-def _save_laps(laps: dict[str, Trajectory], folder: RunFolder) -> None:
-    """Save errors, inputs and wheel speeds of all laps of each controller, in single precision: the
-    figures can be drawn again from them."""
-    arrays = {}
-    for name, lap in laps.items():
-        arrays[f"{name}_errors"] = np.asarray(lap.errors, np.float32)
-        arrays[f"{name}_inputs"] = np.asarray(lap.inputs, np.float32)
-        arrays[f"{name}_wheels"] = np.asarray(lap.wheels, np.float32)
-    folder.save_arrays("laps", **arrays)
 
 
 def _make_drawings(design: Design, name: str, simulated: PaperRuns) -> Drawings:

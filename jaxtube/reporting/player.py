@@ -1,0 +1,118 @@
+"""Laps for the player of a page: as few bytes as keep what is seen.
+
+Errors and wheel speeds become 16-bit integers, little-endian, time first, then laps, in units of a
+step a channel that is told beside them. MISSING stands for what is no finite number.
+"""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from jaxtube.coordinates import COORDINATES
+from jaxtube.figures.style import controller_lines
+from jaxtube.reporting.alternatives import plain
+from jaxtube.reporting.laps import LapSet, StoredLaps, leaves_limits
+
+MOST_BYTES = 1_200_000
+"""Of all laps in a page, as text."""
+MOST_LAPS = 40
+"""Of a controller."""
+LEAST_LAPS = 2
+"""The median and the worst one."""
+MOST_STEPS = 6000
+"""Periods of a lap; of a longer one only every second, third, .. instant is shown."""
+MISSING = -32768
+LARGEST = 32767
+FARTHEST = 50.0
+"""Errors beyond so many limits are shown there: a loop that diverged would take all resolution."""
+
+
+def make_player(stored: StoredLaps, note: str = "") -> dict[str, Any]:
+    """Return the laps of a run as plain values for the player.
+
+    Args:
+        stored: laps that were kept.
+        note: a sentence on what they are.
+    """
+    stride = -(-len(stored.reference_poses) // MOST_STEPS)
+    reference = stored.reference_poses[::stride]
+    lines = controller_lines(stored.laps)
+    instants = len(reference)
+    bytes_a_lap = instants * (3 + 2) * 2 * 4 // 3
+    most = MOST_BYTES // (bytes_a_lap * max(len(stored.laps), 1))
+    most = int(np.clip(most, LEAST_LAPS, MOST_LAPS))
+    return {
+        "period_s": stored.period_s * stride,
+        "instants": instants,
+        "reference": _encode(reference.astype("<f4")),
+        "limits": [float(limit) for limit in stored.error_limits],
+        "track_m": stored.track_m,
+        "section": stored.tube_section.tolist(),
+        "coordinates": [
+            {"symbol": entry.symbol, "name": entry.name, "unit": entry.unit, "to": entry.to_display}
+            for entry in COORDINATES
+        ],
+        "controllers": [
+            _pack(stored, name, plain(lines[name].label), lines[name].colour, stride, most)
+            for name in lines
+        ],
+        "note": note,
+    }
+
+
+def choose_laps(usage: Float[np.ndarray, " laps"], most: int) -> Int[np.ndarray, " chosen"]:
+    """Return which laps are shown, in ascending order: the median one, the worst one, and the first
+    of the others."""
+    order = np.argsort(usage, kind="stable")
+    special = [int(order[-1]), int(order[(len(order) - 1) // 2])]
+    others = [place for place in range(len(usage)) if place not in special]
+    chosen = list(dict.fromkeys([*special, *others]))[: max(most, LEAST_LAPS)]
+    return np.sort(chosen)
+
+
+def _pack(
+    stored: StoredLaps, name: str, label: str, colour: str, stride: int, most: int
+) -> dict[str, Any]:
+    """Return the laps of one controller that are shown."""
+    kept = stored.laps[name]
+    usage = stored.usage(name)
+    chosen = choose_laps(usage, most)
+    beyond = leaves_limits(kept, stored.error_limits)
+    reach = FARTHEST * stored.error_limits
+    return {
+        "name": name,
+        "label": label,
+        "colour": colour,
+        "total": kept.total,
+        "kept": len(usage),
+        "numbers": kept.numbers[chosen].tolist(),
+        "outside": np.flatnonzero(beyond[chosen]).tolist(),
+        "median": int(np.flatnonzero(chosen == stored.find(name, "median"))[0]),
+        "worst": int(np.flatnonzero(chosen == stored.find(name, "worst"))[0]),
+        "errors": quantise(np.clip(kept.errors[::stride, chosen], -reach, reach)),
+        "wheels": _pack_wheels(kept, stride, chosen),
+    }
+
+
+def _pack_wheels(kept: LapSet, stride: int, chosen: Int[np.ndarray, " laps"]) -> dict | None:
+    """Return wheel speeds, None for a model without wheels."""
+    wheels = kept.wheels[::stride, chosen]
+    return quantise(wheels) if np.isfinite(wheels).any() else None
+
+
+def quantise(values: Float[np.ndarray, "times laps channels"]) -> dict[str, Any]:
+    """Return values as 16-bit integers in text, with the size of a step of each channel."""
+    finite = np.where(np.isfinite(values), values, 0.0).astype(float)
+    largest = np.abs(finite).max(axis=(0, 1), initial=0.0)
+    step = np.where(largest > 0, largest, 1.0) / LARGEST
+    whole = np.round(finite / step)
+    whole[~np.isfinite(values)] = MISSING
+    return {"step": step.tolist(), "data": _encode(whole.astype("<i2"))}
+
+
+def _encode(array: np.ndarray) -> str:
+    return base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
