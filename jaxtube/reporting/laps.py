@@ -2,9 +2,7 @@
 
     period_s                length of a period, s
     reference_poses         (steps+1, 3) poses of the reference in the world, m, m, rad
-    error_limits            (3,) half widths of E, m, m, rad
     track_m                 distance between the wheels, m
-    tube_section            (corners, 2) corners of the last section of the tube, e_x and e_y, m
     controllers             names of the controllers
     NAME_errors             (steps+1, laps, 3) true tracking errors, m, m, rad
     NAME_inputs             (steps, laps, 2) virtual inputs, m/s and rad/s
@@ -12,6 +10,8 @@
                             has no wheels
     NAME_numbers            (laps,) numbers of the laps in their run
     NAME_total              laps of the run that these were taken from
+    NAME_limits             (3,) half widths of the E that they are judged by, m, m, rad
+    NAME_section            (corners, 2) corners of the last section of the tube, e_x and e_y, m
 
 The pose of the robot follows from an error e and a pose (x, y, phi) of the reference: its heading
 is phi - e_theta, its position (x, y) less (e_x, e_y) turned by that heading.
@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from jaxtube.figures.style import outline
 from jaxtube.synthesis.parts import Design
@@ -48,6 +48,34 @@ class LapSet(NamedTuple):
     wheels: Float[np.ndarray, "steps laps 2"]  # right, left, m/s
     numbers: Int[np.ndarray, " laps"]
     total: int
+    limits: Float[np.ndarray, "3"]  # half widths of E, m, m, rad
+    section: Float[np.ndarray, "corners 2"]  # of the tube: e_x, e_y, m
+
+    @property
+    def usage(self) -> Float[np.ndarray, " laps"]:
+        """The largest share of a limit that each lap used; inf for a lap that is no finite number
+        somewhere."""
+        largest = (np.abs(self.errors) / self.limits).max(axis=(0, 2))
+        return np.where(np.isfinite(largest), largest, np.inf)
+
+    def find(self, which: str) -> int:
+        """Return the place of a lap among those kept: "median" or "worst" by `usage`, or its
+        number in the run.
+
+        Raises:
+            ValueError: one line, where no such lap was kept.
+        """
+        order = np.argsort(self.usage, kind="stable")
+        if which == "worst":
+            return int(order[-1])
+        if which == "median":
+            return int(order[(len(order) - 1) // 2])
+        places = np.flatnonzero(self.numbers == _read_number(which))
+        if not len(places):
+            kept = ", ".join(map(str, self.numbers[:8]))
+            more = ", .." if len(self.numbers) > 8 else ""
+            raise ValueError(f"is none of the laps that were kept; give one of {kept}{more}")
+        return int(places[0])
 
 
 class StoredLaps(NamedTuple):
@@ -55,36 +83,8 @@ class StoredLaps(NamedTuple):
 
     period_s: float
     reference_poses: Float[np.ndarray, "steps+1 3"]
-    error_limits: Float[np.ndarray, "3"]
     track_m: float
-    tube_section: Float[np.ndarray, "corners 2"]
     laps: dict[str, LapSet]
-
-    def usage(self, name: str) -> Float[np.ndarray, " laps"]:
-        """Return the largest share of a limit that each lap of a controller used; inf for a lap
-        that is no finite number somewhere."""
-        shares = np.abs(self.laps[name].errors) / self.error_limits
-        largest = shares.max(axis=(0, 2))
-        return np.where(np.isfinite(largest), largest, np.inf)
-
-    def find(self, name: str, which: str) -> int:
-        """Return the place of a lap among those kept: "median" or "worst" by `usage`, or its
-        number in the run.
-
-        Raises:
-            ValueError: one line, where no such lap was kept.
-        """
-        order = np.argsort(self.usage(name), kind="stable")
-        if which == "worst":
-            return int(order[-1])
-        if which == "median":
-            return int(order[(len(order) - 1) // 2])
-        places = np.flatnonzero(self.laps[name].numbers == _read_number(which))
-        if not len(places):
-            kept = ", ".join(map(str, self.laps[name].numbers[:8]))
-            more = ", .." if len(self.laps[name].numbers) > 8 else ""
-            raise ValueError(f"is none of the laps that were kept; give one of {kept}{more}")
-        return int(places[0])
 
     def poses(self, name: str) -> Float[np.ndarray, "steps+1 laps 3"]:
         """Return the poses of the robot in the world, m, m, rad."""
@@ -95,9 +95,7 @@ class StoredLaps(NamedTuple):
         arrays: dict[str, Any] = {
             "period_s": self.period_s,
             "reference_poses": self.reference_poses,
-            "error_limits": self.error_limits,
             "track_m": self.track_m,
-            "tube_section": self.tube_section,
             "controllers": np.array(list(self.laps)),
         }
         for name, kept in self.laps.items():
@@ -120,6 +118,8 @@ def collect(
         total: laps of the run; None where all are there.
     """
     problem = design.problem
+    limits = problem.error_set.support(np.eye(3))
+    section = outline(design.tube[-1].vertices()[:, :2])
     kept = {}
     for name, lap in laps.items():
         errors = np.asarray(lap.errors, np.float32)
@@ -130,13 +130,13 @@ def collect(
             np.asarray(lap.wheels, np.float32),
             np.arange(count) if numbers is None else np.asarray(numbers[name]),
             count if total is None else total,
+            limits,
+            section,
         )
     return StoredLaps(
         problem.reference.dt,
         np.asarray(problem.reference.poses[: problem.reference.steps + 1]),
-        problem.error_set.support(np.eye(3)),
         problem.robot.track_width,
-        outline(design.tube[-1].vertices()[:, :2]),
         kept,
     )
 
@@ -150,19 +150,11 @@ def read(folder: Path) -> StoredLaps:
     """
     with np.load(folder / FILE, allow_pickle=False) as arrays:
         laps = {
-            str(name): LapSet(
-                *(arrays[f"{name}_{field}"] for field in ("errors", "inputs", "wheels", "numbers")),
-                int(arrays[f"{name}_total"]),
-            )
+            str(name): LapSet(*(arrays[f"{name}_{field}"] for field in LapSet._fields))
             for name in arrays["controllers"]
         }
         return StoredLaps(
-            float(arrays["period_s"]),
-            arrays["reference_poses"],
-            arrays["error_limits"],
-            float(arrays["track_m"]),
-            arrays["tube_section"],
-            laps,
+            float(arrays["period_s"]), arrays["reference_poses"], float(arrays["track_m"]), laps
         )
 
 
@@ -178,11 +170,6 @@ def find_poses(
     return np.stack(
         [x - cosine * ahead + sine * aside, y - sine * ahead - cosine * aside, heading], axis=-1
     )
-
-
-def leaves_limits(kept: LapSet, limits: Float[np.ndarray, "3"]) -> Bool[np.ndarray, " laps"]:
-    """Return which laps leave the limits; NaN is outside."""
-    return ~np.all(np.abs(kept.errors) <= limits, axis=(0, 2))
 
 
 def _read_number(word: str) -> int:

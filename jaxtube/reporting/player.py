@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtube.coordinates import COORDINATES
-from jaxtube.figures.style import controller_lines
+from jaxtube.figures.style import Line, controller_lines
 from jaxtube.reporting.alternatives import plain
-from jaxtube.reporting.laps import LapSet, StoredLaps, leaves_limits
+from jaxtube.reporting.laps import LapSet, StoredLaps
 
 MOST_BYTES = 1_200_000
 """Of all laps in a page, as text."""
@@ -49,16 +49,13 @@ def make_player(stored: StoredLaps, note: str = "") -> dict[str, Any]:
         "period_s": stored.period_s * stride,
         "instants": instants,
         "reference": _encode(reference.astype("<f4")),
-        "limits": [float(limit) for limit in stored.error_limits],
         "track_m": stored.track_m,
-        "section": stored.tube_section.tolist(),
         "coordinates": [
             {"symbol": entry.symbol, "name": entry.name, "unit": entry.unit, "to": entry.to_display}
             for entry in COORDINATES
         ],
         "controllers": [
-            _pack(stored, name, plain(lines[name].label), lines[name].colour, stride, most)
-            for name in lines
+            _pack(name, line, stored.laps[name], stride, most) for name, line in lines.items()
         ],
         "note": note,
     }
@@ -74,25 +71,22 @@ def choose_laps(usage: Float[np.ndarray, " laps"], most: int) -> Int[np.ndarray,
     return np.sort(chosen)
 
 
-def _pack(
-    stored: StoredLaps, name: str, label: str, colour: str, stride: int, most: int
-) -> dict[str, Any]:
+def _pack(name: str, line: Line, kept: LapSet, stride: int, most: int) -> dict[str, Any]:
     """Return the laps of one controller that are shown."""
-    kept = stored.laps[name]
-    usage = stored.usage(name)
-    chosen = choose_laps(usage, most)
-    beyond = leaves_limits(kept, stored.error_limits)
-    reach = FARTHEST * stored.error_limits
+    chosen = choose_laps(kept.usage, most)
+    reach = FARTHEST * kept.limits
     return {
         "name": name,
-        "label": label,
-        "colour": colour,
-        "total": kept.total,
-        "kept": len(usage),
+        "label": plain(line.label),
+        "colour": line.colour,
+        "limits": kept.limits.tolist(),
+        "section": kept.section.tolist(),
+        "total": int(kept.total),
+        "kept": len(kept.numbers),
         "numbers": kept.numbers[chosen].tolist(),
-        "outside": np.flatnonzero(beyond[chosen]).tolist(),
-        "median": int(np.flatnonzero(chosen == stored.find(name, "median"))[0]),
-        "worst": int(np.flatnonzero(chosen == stored.find(name, "worst"))[0]),
+        "outside": np.flatnonzero(kept.usage[chosen] > 1).tolist(),
+        "median": int(np.flatnonzero(chosen == kept.find("median"))[0]),
+        "worst": int(np.flatnonzero(chosen == kept.find("worst"))[0]),
         "errors": quantise(np.clip(kept.errors[::stride, chosen], -reach, reach)),
         "wheels": _pack_wheels(kept, stride, chosen),
     }

@@ -46,7 +46,7 @@
     return [x - c * errors[0] + s * errors[1], y - s * errors[0] - c * errors[1], turned];
   };
   const poseAt = (c, l, k) => place(errorsAt(c, l, k), referenceAt(k));
-  const usageAt = (errors) => Math.max(...errors.map((e, i) => Math.abs(e) / data.limits[i]));
+  const usageAt = (c, errors) => Math.max(...errors.map((e, i) => Math.abs(e) / sets[c].limits[i]));
 
   // What all laps of a controller span at every instant, for the bands.
   const spans = sets.map((set) => [0, 1, 2].map((i) => {
@@ -194,7 +194,7 @@
 
   // Room for the section of the tube and for all laps now.
   const closeReach = () => {
-    const points = data.section.map(([x, y]) => Math.hypot(x, y));
+    const points = sets[state.controller].section.map(([x, y]) => Math.hypot(x, y));
     for (let l = 0; l < sets[state.controller].numbers.length; l++) {
       const [x, y] = errorsAt(state.controller, l, state.step);
       points.push(Math.hypot(x, y));
@@ -207,7 +207,7 @@
     const set = sets[state.controller];
     const at = referenceAt(state.step);
     const reach = state.view === "close" ? closeReach()
-      : Math.max(2.1 * Math.max(data.limits[0], data.limits[1]), 1.6 * data.track_m);
+      : Math.max(2.1 * Math.max(set.limits[0], set.limits[1]), 1.6 * data.track_m);
     const near = [at[0] - reach, at[1] - reach, at[0] + reach, at[1] + reach];
     const isNear = state.view !== "whole";
     const view = fit(isNear ? near : bounds, width, height, isNear ? 0 : 34);
@@ -217,10 +217,10 @@
     if (mine.every(Number.isFinite)) {
       // Where the reference may be, seen from the robot: e in E, and e in the tube's section.
       const around = frame(view, [at[0], at[1], mine[2]]);
-      const [a, b] = data.limits;
+      const [a, b] = set.limits;
       polygon(pen, [[-a, -b], [a, -b], [a, b], [-a, b]].map(around),
         { stroke: colours.ink, width: 1.3, dashes: [6, 4] });
-      polygon(pen, data.section.map(([x, y]) => around([-x, -y])),
+      polygon(pen, set.section.map(([x, y]) => around([-x, -y])),
         { fill: "#e69f00", alpha: 0.4, stroke: "#e69f00" });
     }
     robot(pen, view, at, colours.soft, true);
@@ -285,7 +285,7 @@
   const drawErrors = (pen, i, x, top, tall, width) => {
     const { to, symbol, unit } = data.coordinates[i];
     const shown = [state.controller, ...(state.beside >= 0 ? [state.beside] : [])];
-    const limit = data.limits[i];
+    const limit = sets[state.controller].limits[i];
     let reach = 1.12 * limit;
     const largest = Math.max(...shown.flatMap((c) => [...spans[c][i].high, ...spans[c][i].low])
       .filter(Number.isFinite).map(Math.abs));
@@ -330,10 +330,10 @@
     if (!errors.every(Number.isFinite)) return "no finite error";
     const parts = errors.map((value, i) => {
       const { symbol, to, unit } = data.coordinates[i];
-      const used = (100 * Math.abs(value) / data.limits[i]).toFixed(0);
-      return `${symbol} ${signed(to * value)} ${unit} (${used} % of ±${+(to * data.limits[i]).toPrecision(3)})`;
+      const used = (100 * Math.abs(value) / sets[c].limits[i]).toFixed(0);
+      return `${symbol} ${signed(to * value)} ${unit} (${used} % of ±${+(to * sets[c].limits[i]).toPrecision(3)})`;
     });
-    const beyond = usageAt(errors) > 1 ? "; outside E" : "";
+    const beyond = usageAt(c, errors) > 1 ? "; outside E" : "";
     return `${parts.join(", ")}${beyond}`;
   };
   const describe = () => {
