@@ -21,23 +21,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtube.figures.style import outline
-from jaxtube.synthesis.parts import Design
+
+if TYPE_CHECKING:
+    from jaxtube.simulation.rollout import Trajectory
+    from jaxtube.synthesis.parts import Design
 
 FILE = "laps.npz"
-
-
-class Recorded(Protocol):
-    """What was recorded of laps, such as a `Trajectory`."""
-
-    errors: Any
-    inputs: Any
-    wheels: Any
 
 
 class LapSet(NamedTuple):
@@ -105,7 +100,7 @@ class StoredLaps(NamedTuple):
 
 def collect(
     design: Design,
-    laps: Mapping[str, Recorded],
+    laps: Mapping[str, Trajectory],
     numbers: Mapping[str, Int[np.ndarray, " laps"]] | None = None,
     total: int | None = None,
 ) -> StoredLaps:

@@ -17,7 +17,9 @@ from jaxtube.experiments.bench import (
 from jaxtube.experiments.bench.topic import Headline, Topic
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.reporting.page import Page, Section
 from jaxtube.scenario.tree import Scenario
 
 TOPICS: dict[str, Topic] = {
@@ -52,6 +54,9 @@ def run(scenario: Scenario, options: BenchOptions) -> int:
         folder.save_metrics(metrics)
     if options.topic == "all":
         folder.report(f"\n{write_closing_table(headlines)}")
+    topics = ", ".join(metrics)
+    told = Section("Measured", [make_table(CLOSING, headlines)])
+    folder.save_page(Page(f"Speeds of {topics}, measured on this machine.", sections=[told]))
     print(f"\nwritten to {folder.path}/")
     return 0
 

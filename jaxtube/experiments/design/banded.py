@@ -7,14 +7,31 @@ import numpy as np
 from jaxtube.experiments.design.banded_attack import REFERENCES, BandedLaps, attack
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.design_page import certificate_section, find_tone
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.table import wrap
 from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.progress import progress
+from jaxtube.reporting.page import Bar, Bars, Heading, Page, Section, Table
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.bands import BandedLaw, make_law
 from sets.certificate import MARGINS
+
+ATTACKED = (
+    "laps",
+    "steps",
+    "left set",
+    "w left W",
+    "caps",
+    "wheels",
+    "set used",
+    "W used",
+)
+"""Headings of what laps that attacked the law came to."""
+ATTACK = (
+    "Laps with wheel speeds jumping anywhere in the range, from starts all over the invariant set."
+)
 
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
@@ -29,6 +46,7 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
                 attacks[process] = attack(law, process, options.seed, bar.update)
         folder.report("\n" + attack_report(attacks))
     folder.save_metrics(metrics(law, attacks))
+    folder.save_page(make_page(law, attacks))
     print(f"\nwritten to {folder.path}/")
     return exit_code(law.certificate, options.require_certificate)
 
@@ -55,6 +73,29 @@ def report(law: BandedLaw) -> str:
         lines += wrap(f"  * {assumption}", "    ")
     lines += ["", f"designed in {law.seconds:.1f} s"]
     return "\n".join(lines)
+
+
+def make_page(law: BandedLaw, attacks: dict[str, BandedLaps]) -> Page:
+    """Return the page of a law scheduled on speed."""
+    verdict = _verdict(law)
+    bars = [Bar(name, share, f"{share:.1%}") for name, share in law.shares.items()]
+    headings = [Heading("slip"), *(Heading(words, True) for words in ATTACKED)]
+    rows = [
+        [process, *(f"{value:,.4g}" for value in vars(laps).values())]
+        for process, laps in attacks.items()
+    ]
+    sections = [
+        certificate_section(law.certificate),
+        Section("What the law uses", [Bars("", bars, "The dashed line is the cap.")]),
+    ]
+    if rows:
+        sections.append(Section("Laps that attacked it", [Table("", headings, rows, ATTACK)]))
+    return Page(
+        f"{verdict}.",
+        find_tone(law.certificate),
+        sections=sections,
+        not_covered=law.certificate.assumptions,
+    )
 
 
 def _band_lines(law: BandedLaw) -> list[str]:
@@ -89,8 +130,7 @@ def _verdict(law: BandedLaw) -> str:
 def attack_report(attacks: dict[str, BandedLaps]) -> str:
     """Return the laps run against the law as text."""
     lines = [
-        "laps with wheel speeds jumping anywhere in the range, from starts all over the invariant "
-        "set",
+        *wrap(f"{ATTACK[0].lower()}{ATTACK[1:-1]}"),
         f"{'slip':<12}{'laps':>8}{'steps':>12}{'left set':>10}{'w left W':>10}{'caps':>8}"
         f"{'wheels':>8}{'set used':>10}{'W used':>8}",
     ]

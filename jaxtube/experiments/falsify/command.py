@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxtube.experiments.falsify.report import metrics, report
+from jaxtube.experiments.falsify.report import make_page, metrics, report
 from jaxtube.experiments.options import FalsifyOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
@@ -53,7 +53,8 @@ def run(scenario: Scenario, options: FalsifyOptions) -> int:
     for name, row in falsification.rows.items():
         save(setting.limits, options.starts, folder, row.worst, row.played)
         draw(setting.limits, folder, f"worst_{name}", row.worst, row.played, row)
-    print(f"\nworst cases, figures, metrics.json and manifest.json are in {folder.path}/")
+    folder.save_page(make_page(falsification))
+    print(f"\nreport.html, worst cases, figures and metrics.json are in {folder.path}/")
     return 0
 
 

@@ -7,12 +7,26 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.experiments.run.design_page import certificate_section
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.falsification.cases import Row, compute_certified_usage, describe_facet
 from jaxtube.falsification.falsify import Falsification
 from jaxtube.falsification.setting import LoopLimits
 from jaxtube.plant.reference import TRANSIENT_S
+from jaxtube.reporting.page import Bar, Bars, Page, Section
 
+COLUMNS = (
+    left("limit"),
+    Column("by gradient\ncertified"),
+    Column("by gradient\nusage"),
+    Column("by gradient\nmargin"),
+    Column("by gradient\nlaps"),
+    Column("by gradient\nseconds"),
+    Column("drawn laps\nusage"),
+    Column("drawn laps\nlaps"),
+    left("where"),
+)
 NOTE = (
     "usage: 1 on the facet, above 1 outside; certified: what no lap can pass. By gradient: laps "
     "played with their\nderivative. Drawn laps: as many as fit into the time of the search; for "
@@ -24,24 +38,48 @@ WIDEST = "Of the tube `sequence` only the plans with the widest window ahead wer
 
 def report(falsification: Falsification) -> str:
     """Return the verdict and the table."""
-    columns = [
-        left("limit"),
-        Column("by gradient\ncertified"),
-        Column("by gradient\nusage"),
-        Column("by gradient\nmargin"),
-        Column("by gradient\nlaps"),
-        Column("by gradient\nseconds"),
-        Column("drawn laps\nusage"),
-        Column("drawn laps\nlaps"),
-        left("where"),
-    ]
-    limits = falsification.limits
     rows = falsification.rows
-    body = [_make_line(limits, name, row) for name, row in rows.items()]
-    lines = [falsification.verdict, "", format_table(columns, body), "", NOTE]
+    lines = [falsification.verdict, "", format_table(COLUMNS, _list_rows(falsification)), "", NOTE]
     if "tube" in rows and falsification.design.tube.follows_reference:
         lines.append(WIDEST)
     return "\n".join(lines)
+
+
+def make_page(falsification: Falsification) -> Page:
+    """Return the page of a search."""
+    limits = falsification.limits
+    uses = [
+        Bar(name, row.worst.usage, f"{row.worst.usage:.1%} by gradient")
+        for name, row in falsification.rows.items()
+    ]
+    uses += [
+        Bar(f"{name}, drawn laps", row.sampled.usage(name), f"{row.sampled.usage(name):.1%}")
+        for name, row in falsification.rows.items()
+    ]
+    verdict = falsification.verdict
+    is_violated = any(row.is_violated for row in falsification.rows.values())
+    note = "The dashed line is the limit. What was not found may exist all the same."
+    sections = [
+        Section(
+            "Worst cases",
+            [
+                Bars("What worst cases use of each limit", uses, note),
+                make_table(COLUMNS, _list_rows(falsification), note=NOTE.replace("\n", " ")),
+            ],
+        ),
+        certificate_section(limits.design.certificate),
+    ]
+    return Page(
+        f"{verdict[0].upper()}{verdict[1:]}.",
+        "bad" if is_violated else "good",
+        sections=sections,
+        not_covered=limits.design.certificate.assumptions,
+    )
+
+
+def _list_rows(falsification: Falsification) -> list[list[str]]:
+    limits = falsification.limits
+    return [_make_line(limits, name, row) for name, row in falsification.rows.items()]
 
 
 def _make_line(limits: LoopLimits, name: str, row: Row) -> list[str]:

@@ -4,7 +4,9 @@ quantity."""
 from __future__ import annotations
 
 from jaxtube.experiments.fit.attempts import Fit, FrontierPoint
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
+from jaxtube.reporting.page import Page, Section
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.attempt import Attempt
 from jaxtube.synthesis.levers import Lever
@@ -23,6 +25,16 @@ def report(scenario: Scenario, found: Fit) -> str:
     if found.second is not None:
         lines += ["", _frontier_table(found, found.second)]
     return "\n".join(lines)
+
+
+def make_page(scenario: Scenario, found: Fit) -> Page:
+    """Return the page of a fit."""
+    verdict, *rest = describe_border(scenario, found)
+    table = make_table(
+        _attempt_columns(found), map(_attempt_row, found.border.attempts), note=CAVEAT
+    )
+    tone = "bad" if found.border.best is None else "good"
+    return Page(verdict, tone, rest, [Section("Attempts", [table])])
 
 
 def describe_border(scenario: Scenario, found: Fit) -> list[str]:
@@ -61,15 +73,19 @@ def _say_place(scenario: Scenario, lever: Lever, attempt: Attempt) -> str:
     return lever.say_measured(lever.scale(scenario, attempt.factor))
 
 
-def _attempt_table(found: Fit) -> str:
-    columns = [
+def _attempt_columns(found: Fit) -> list[Column]:
+    return [
         Column(found.lever.label),
         Column("factor"),
         Column("tube fills", "% of caps"),
         left("certified"),
         left("binds, or denies it"),
     ]
-    return format_table(columns, map(_attempt_row, found.border.attempts), WIDTH)
+
+
+def _attempt_table(found: Fit) -> str:
+    rows = map(_attempt_row, found.border.attempts)
+    return format_table(_attempt_columns(found), rows, WIDTH)
 
 
 def _attempt_row(attempt: Attempt) -> list[str]:

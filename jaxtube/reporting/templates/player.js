@@ -141,7 +141,8 @@
     if (!pose.every(Number.isFinite)) return;
     const half = data.track_m / 2;
     const to = frame(view, pose);
-    const look = outlined
+    const isClose = state.view === "close"; // inside the robot, whose body would fill the view
+    const look = outlined || isClose
       ? { stroke: colour, width: 1.2, dashes: [4, 3] }
       : { fill: colour, alpha: 0.16, stroke: colour, width: 1.6 };
     const length = 0.75 * data.track_m;
@@ -381,9 +382,10 @@
     find("lap").replaceChildren(...special, group);
     find("lap").value = `${state.lap}`;
     const count = set.outside.length;
-    find("shown").textContent = `${set.numbers.length} of ${set.total} laps of this controller are in this page: `
+    find("shown").textContent = `${set.numbers.length} of ${set.total.toLocaleString("en")} laps of this controller are in this page: `
       + `the worst and the median${of} by the largest share of a limit, and the first of the others; `
-      + `${count} of these leave E. The dots and the bands are all of them.`;
+      + `${count} of these leave E. The dots and the bands are all of them. The tube holds errors around a plan: its last section is `
+      + "drawn around the reference to show how wide it is.";
   };
   const fillBeside = () => {
     find("beside").replaceChildren(option("nothing", -1),
