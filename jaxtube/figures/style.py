@@ -6,11 +6,15 @@ Colours are those of Okabe and Ito, which differ for colour-blind eyes and in pr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import wraps
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import matplotlib
+import matplotlib.style
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -58,6 +62,39 @@ SETTINGS: dict[Any, Any] = {
     "pdf.fonttype": 42,
     "savefig.dpi": 300,
 }
+
+
+_CHOSEN: ContextVar[Mapping[str, Any]] = ContextVar("style", default=MappingProxyType({}))
+"""What a style that was chosen sets otherwise."""
+
+
+def read_style(name: str) -> dict[str, Any]:
+    """Return the settings of a style of matplotlib, by its name or file.
+
+    Raises:
+        OSError: where there is none of the name.
+    """
+    with matplotlib.rc_context():
+        matplotlib.rcdefaults()
+        usual = matplotlib.rcParams.copy()
+        matplotlib.style.use(name)
+        return {key: value for key, value in matplotlib.rcParams.items() if value != usual[key]}
+
+
+@contextmanager
+def use_style(settings: Mapping[str, Any]) -> Iterator[None]:
+    """Let figures follow a style besides this one, over which it goes; its width, where it sets
+    `figure.figsize`, becomes theirs."""
+    token = _CHOSEN.set(settings)
+    try:
+        yield
+    finally:
+        _CHOSEN.reset(token)
+
+
+def current_settings() -> dict[Any, Any]:
+    """Return the settings that figures are drawn in."""
+    return SETTINGS | dict(_CHOSEN.get())
 
 
 class Line(NamedTuple):
@@ -139,7 +176,7 @@ class PaperFigure(Figure):
         """Save as matplotlib does, PNG with less compression in half of the time."""
         if options.get("format") == "png":
             options.setdefault("pil_kwargs", {"compress_level": PNG_COMPRESSION})
-        with matplotlib.rc_context(SETTINGS):
+        with matplotlib.rc_context(current_settings()):
             self._fix_layout()
             super().savefig(*arguments, **options)
 
@@ -155,15 +192,18 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 
     @wraps(draw)
     def draw_in_style(*arguments, **options) -> Figure:
-        with matplotlib.rc_context(SETTINGS):
+        with matplotlib.rc_context(current_settings()):
             return draw(*arguments, **options)
 
     return draw_in_style
 
 
 def page_figure(height: float) -> Figure:
-    """Return an empty figure over the width of the page, height in inches."""
-    return PaperFigure(figsize=(PAGE_WIDTH, height), dpi=PNG_DPI, layout="constrained")
+    """Return an empty figure over the width of the page, height in inches at PAGE_WIDTH."""
+    width = _CHOSEN.get().get("figure.figsize", (PAGE_WIDTH,))[0]
+    return PaperFigure(
+        figsize=(width, height * width / PAGE_WIDTH), dpi=PNG_DPI, layout="constrained"
+    )
 
 
 def bottom_legend(figure: Figure, handles: list, columns: int = 3) -> None:
