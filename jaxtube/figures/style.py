@@ -64,6 +64,9 @@ SETTINGS: dict[Any, Any] = {
 }
 
 
+OF_NO_STYLE = ("backend", "interactive")
+"""Settings in a style's file that are none of its look."""
+
 _CHOSEN: ContextVar[Mapping[str, Any]] = ContextVar("style", default=MappingProxyType({}))
 """What a style that was chosen sets otherwise."""
 
@@ -74,11 +77,9 @@ def read_style(name: str) -> dict[str, Any]:
     Raises:
         OSError: where there is none of the name.
     """
-    with matplotlib.rc_context():
-        matplotlib.rcdefaults()
-        usual = matplotlib.rcParams.copy()
-        matplotlib.style.use(name)
-        return {key: value for key, value in matplotlib.rcParams.items() if value != usual[key]}
+    known = matplotlib.style.library.get(name)
+    given = known or matplotlib.rc_params_from_file(name, use_default_template=False)
+    return {key: value for key, value in given.items() if key not in OF_NO_STYLE}
 
 
 @contextmanager
@@ -207,8 +208,13 @@ def page_figure(height: float) -> Figure:
 
 
 def bottom_legend(figure: Figure, handles: list, columns: int = 3) -> None:
-    """Put one legend for all panels under them."""
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+    """Put one legend for all panels under them, in fewer columns where a style that was chosen
+    makes it wider than the figure."""
+    legend = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+    while _CHOSEN.get() and columns > 1 and legend.get_window_extent().width > figure.bbox.width:
+        legend.remove()
+        columns -= 1
+        legend = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
 
 
 def line_keys(lines: Iterable[Line]) -> list[Line2D]:

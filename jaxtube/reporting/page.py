@@ -178,7 +178,8 @@ class Section(NamedTuple):
     @property
     def anchor(self) -> str:
         """Name of the place in the page."""
-        return "".join(letter if letter.isalnum() else "-" for letter in self.title.lower())
+        words = "".join(letter if letter.isalnum() else "-" for letter in self.title.lower())
+        return f"section-{words}"
 
 
 @dataclass(frozen=True)

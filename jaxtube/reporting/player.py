@@ -7,6 +7,7 @@ step a channel that is told beside them. MISSING stands for what is no finite nu
 from __future__ import annotations
 
 import base64
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ MOST_BYTES = 1_200_000
 MOST_LAPS = 40
 """Of a controller."""
 LEAST_LAPS = 2
-"""The median and the worst one."""
+"""Of a controller, however long they are."""
 MOST_STEPS = 6000
 """Periods of a lap; of a longer one only every second, third, .. instant is shown."""
 MISSING = -32768
@@ -45,6 +46,7 @@ def make_player(stored: StoredLaps, note: str = "") -> dict[str, Any]:
     bytes_a_lap = instants * (3 + 2) * 2 * 4 // 3
     most = MOST_BYTES // (bytes_a_lap * max(len(stored.laps), 1))
     most = int(np.clip(most, LEAST_LAPS, MOST_LAPS))
+    chosen = choose_laps(stored.laps, most)
     return {
         "period_s": stored.period_s * stride,
         "instants": instants,
@@ -55,25 +57,35 @@ def make_player(stored: StoredLaps, note: str = "") -> dict[str, Any]:
             for entry in COORDINATES
         ],
         "controllers": [
-            _pack(name, line, stored.laps[name], stride, most) for name, line in lines.items()
+            _pack(name, line, stored.laps[name], stride, chosen[name])
+            for name, line in lines.items()
         ],
         "note": note,
     }
 
 
-def choose_laps(usage: Float[np.ndarray, " laps"], most: int) -> Int[np.ndarray, " chosen"]:
-    """Return which laps are shown, in ascending order: the median one, the worst one, and the first
-    of the others."""
-    order = np.argsort(usage, kind="stable")
-    special = [int(order[-1]), int(order[(len(order) - 1) // 2])]
-    others = [place for place in range(len(usage)) if place not in special]
-    chosen = list(dict.fromkeys([*special, *others]))[: max(most, LEAST_LAPS)]
-    return np.sort(chosen)
+def choose_laps(laps: Mapping[str, LapSet], most: int) -> dict[str, Int[np.ndarray, " chosen"]]:
+    """Return which laps are shown of each controller, in ascending order: its median and its worst
+    one, and the first of the others.
+
+    Controllers on the same draws get the same laps, so that they can be compared, where there is
+    room for the median and the worst one of each.
+    """
+    special = {name: [kept.find("worst"), kept.find("median")] for name, kept in laps.items()}
+    every = list(dict.fromkeys(place for places in special.values() for place in places))
+    numbers = [kept.numbers for kept in laps.values()]
+    if len(every) <= most and all(np.array_equal(numbers[0], other) for other in numbers):
+        special = dict.fromkeys(laps, every)
+    return {
+        name: np.sort(list(dict.fromkeys([*special[name], *range(len(kept.numbers))]))[:most])
+        for name, kept in laps.items()
+    }
 
 
-def _pack(name: str, line: Line, kept: LapSet, stride: int, most: int) -> dict[str, Any]:
+def _pack(
+    name: str, line: Line, kept: LapSet, stride: int, chosen: Int[np.ndarray, " chosen"]
+) -> dict[str, Any]:
     """Return the laps of one controller that are shown."""
-    chosen = choose_laps(kept.usage, most)
     reach = FARTHEST * kept.limits
     return {
         "name": name,

@@ -122,7 +122,7 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
             [
                 "papr",
                 "paper, design, montecarlo, falsify, guarantee, fit, maps, beyond, path, tune, "
-                "identify, replay, bench, list, check",
+                "identify, replay, bench, animate, figures, list, check",
             ],
         ),
         (["desing"], ["did you mean design?"]),

@@ -46,6 +46,12 @@
     return [x - c * errors[0] + s * errors[1], y - s * errors[0] - c * errors[1], turned];
   };
   const poseAt = (c, l, k) => place(errorsAt(c, l, k), referenceAt(k));
+  // The same lap of another controller: the one of the same draws, else its median one.
+  const twin = (c) => {
+    const number = sets[state.controller].numbers[state.lap];
+    const same = sets[c].numbers.indexOf(number);
+    return c === state.controller ? state.lap : same >= 0 ? same : sets[c].median;
+  };
   const usageAt = (c, errors) => Math.max(...errors.map((e, i) => Math.abs(e) / sets[c].limits[i]));
 
   // What all laps of a controller span at every instant, for the bands.
@@ -237,7 +243,7 @@
     }
     pen.globalAlpha = 1;
     if (state.beside >= 0) {
-      const l = Math.min(state.lap, sets[state.beside].numbers.length - 1);
+      const l = twin(state.beside);
       const other = tint(sets[state.beside].colour);
       line(pen, driven(view, state.beside, l, tail), other, 1.6);
       robot(pen, view, poseAt(state.beside, l, state.step), other, false);
@@ -307,8 +313,7 @@
       const lower = Array.from(low, (value, k) => [x(k), y(value)]).reverse();
       const band = [...upper, ...lower].filter(([, value]) => Number.isFinite(value));
       if (band.length) polygon(pen, band, { fill: tint(sets[c].colour), alpha: 0.25 });
-      const l = Math.min(state.lap, sets[c].numbers.length - 1);
-      const points = Array.from({ length: data.instants }, (_, k) => [x(k), y(sets[c].error(l, k, i))]);
+      const points = Array.from({ length: data.instants }, (_, k) => [x(k), y(sets[c].error(twin(c), k, i))]);
       line(pen, points, tint(sets[c].colour), c === state.controller ? 1.8 : 1.2);
     }
     pen.restore();
@@ -343,7 +348,8 @@
     const wheels = set.wheel && k < last
       ? `; wheels ${[1, 0].map((i) => set.wheel(state.lap, k, i).toFixed(2)).join(" and ")} m/s (left, right)` : "";
     const other = state.beside >= 0
-      ? ` ${sets[state.beside].label}: ${say(state.beside, Math.min(state.lap, sets[state.beside].numbers.length - 1), k)}.` : "";
+      ? ` ${sets[state.beside].label}, lap ${sets[state.beside].numbers[twin(state.beside)]}: `
+        + `${say(state.beside, twin(state.beside), k)}.` : "";
     return `${set.label}, lap ${set.numbers[state.lap]}, at ${seconds(k)} s: `
       + `${say(state.controller, state.lap, k)}${wheels}.${other}`;
   };
@@ -383,7 +389,7 @@
     find("lap").value = `${state.lap}`;
     const count = set.outside.length;
     find("shown").textContent = `${set.numbers.length} of ${set.total.toLocaleString("en")} laps of this controller are in this page: `
-      + `the worst and the median${of} by the largest share of a limit, and the first of the others; `
+      + `the worst and the median${of} by the largest share of a limit, and others from the first on; `
       + `${count} of these leave E. The dots and the bands are all of them. The tube holds errors around a plan: its last section is `
       + "drawn around the reference to show how wide it is.";
   };
@@ -430,9 +436,10 @@
     state.playing = true;
     told = 0;
     draw();
-    let before = performance.now();
+    let before = null; // the clock of the pictures, which may lag behind the page's
     const go = (now) => {
       if (!state.playing) return;
+      before ??= now;
       const steps = state.speed * (now - before) / 1000 / data.period_s;
       // Without motion: one jump a second instead of a picture that glides.
       if (!reduced.matches || now - before >= 1000) {
