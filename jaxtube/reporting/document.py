@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 import jinja2
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from jaxtube.reporting import pictures
 from jaxtube.reporting.page import Page, Picture, Run
@@ -51,6 +51,17 @@ def render(page: Page, run: Run) -> str:
     )
 
 
+def mark_code(text: str) -> Markup:
+    """Return text, escaped, with what stands between backticks as code."""
+    parts = [escape(part) for part in text.split("`")]
+    if len(parts) % 2 == 0:
+        return escape(text)
+    marked = [
+        Markup("<code>{}</code>").format(part) if n % 2 else part for n, part in enumerate(parts)
+    ]
+    return Markup("").join(marked)
+
+
 def encode_data(data: Mapping[str, Any]) -> Markup:
     """Return plain values as JSON that can stand inside a script element, whatever text they
     hold."""
@@ -61,13 +72,15 @@ def encode_data(data: Mapping[str, Any]) -> Markup:
 
 
 def _environment() -> jinja2.Environment:
-    return jinja2.Environment(
+    environment = jinja2.Environment(
         loader=jinja2.PackageLoader("jaxtube.reporting"),
         autoescape=True,
         undefined=jinja2.StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["code"] = mark_code
+    return environment
 
 
 def _read(name: str) -> Markup:
