@@ -244,7 +244,8 @@ def test_a_figure_in_words_names_panels_axes_ranges_and_legend():
 
     figure = Figure()
     first, second = figure.subplots(2, 1, sharex=True)
-    first.plot([0, 1], [0, 2], label="limits of $\\mathcal{E}$")
+    first.plot([0, 1], [-1, 1], "k--", label="limits of $\\mathcal{E}$")
+    first.plot([0, 10, 20, 40], [0, 1, 2, 9], "r", label="a curve")
     first.set(ylabel="$e_{\\theta}$ [deg]", title="whole lap", ylim=(-3, 3))
     second.set(xlabel="time [s]", xlim=(0, 30), yticks=[0, 1])
     second.set_yticklabels(["with", "without"])
@@ -253,6 +254,7 @@ def test_a_figure_in_words_names_panels_axes_ranges_and_legend():
     for words in ("2 panels", "“whole lap”", "e_theta [deg], from -3 to 3", "limits of E"):
         assert words in told
     assert told.count("time [s], from 0 to 30") == 2
+    assert "a curve 0 to 2" in told  # within the panel: the last point is outside
     assert "$" not in told and "\\" not in told
 
 

@@ -19,6 +19,7 @@ from jaxtube.experiments.run.design_report import report
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.limits import describe_pose
 from jaxtube.progress import progress
 from jaxtube.reporting import laps as kept_laps
 from jaxtube.reporting.player import make_player
@@ -82,7 +83,7 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
         folder.report("\n" + disturbance_line(made, disturbance, "the local gain"))
         kept = kept_laps.collect(made, {"local_gain": laps})
         folder.save_arrays("laps", **kept.arrays())
-        player = make_player(kept, PLAYED)
+        player = make_player(kept, " ".join([PLAYED, describe_pose(made.problem)]).strip())
     folder.save_metrics(numbers)
     draw_sets(made, options.label, folder)
     folder.save_page(make_page(made, options.label, numbers, nearest, player))

@@ -39,7 +39,7 @@ from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.experiments.run.limits import describe_error_set
+from jaxtube.experiments.run.limits import describe_error_set, describe_pose
 from jaxtube.experiments.run.metrics import by_coordinate
 from jaxtube.experiments.run.records import Records
 from jaxtube.progress import progress
@@ -317,4 +317,5 @@ def save_page(
             kept.append(collect(judged, {name: laps}, by_name, total))
     joined = kept[-1]._replace(laps={name: lap for each in kept for name, lap in each.laps.items()})
     folder.save_arrays("laps", **joined.arrays())
-    folder.save_page(guarantee_page.make_page(tested, make_player(joined)))
+    note = describe_pose(designs[tested[-1].name].problem)
+    folder.save_page(guarantee_page.make_page(tested, make_player(joined, note)))

@@ -27,6 +27,7 @@ from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run import blocks
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.limits import describe_pose
 from jaxtube.experiments.run.records import Records
 from jaxtube.progress import progress
 from jaxtube.reporting.laps import StoredLaps, collect
@@ -164,7 +165,8 @@ def save(
         montecarlo_figures.draw(design, task, options.seed, statistics, summary, folder)
         kept = keeping.result()
     folder.save_arrays("laps", **kept.arrays())
-    folder.save_page(make_page(design, summary, make_player(kept)))
+    player = make_player(kept, describe_pose(design.problem))
+    folder.save_page(make_page(design, summary, player))
     print(
         "\nreport.html, figures, metrics.json, statistics.npz, laps.npz and the records are in "
         f"{folder.path}/"

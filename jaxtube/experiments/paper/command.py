@@ -34,6 +34,7 @@ from jaxtube.experiments.run.design_report import report
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.limits import describe_pose
 from jaxtube.experiments.run.side_by_side import run_side_by_side
 from jaxtube.figures.stress import StressedCase, judge_case
 from jaxtube.progress import progress
@@ -115,7 +116,7 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     ]
     folder.report("\n\n".join(parts))
     draw(make_drawings(own, under_stress, options.label, drawn), folder)
-    player = make_player(drawn.kept)
+    player = make_player(drawn.kept, describe_pose(design.problem))
     folder.save_page(make_page(design, options.label, measured, rows, player))
     print(
         "\nreport.html, figures, metrics.json, laps.npz, noise_free.npz and manifest.json are in "
