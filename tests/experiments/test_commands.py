@@ -250,7 +250,9 @@ def check_page(folder, figures, design):
     for assumption in design.certificate.assumptions:
         assert assumption in told
     assert (folder / "report.txt").read_text() in told
-    pictures = re.findall(r'<img src="data:image/png;base64,[^"]+" [^>]*alt="([^"]{40,})"', text)
+    pictures = re.findall(
+        r'<img src="data:image/(?:webp|png);base64,[^"]+" [^>]*alt="([^"]{40,})"', text
+    )
     assert len(pictures) == len(figures)
     assert {name for name in figures if f"<b>{name}</b>" in text} == figures
     assert json.loads((folder / "manifest.json").read_text())["command_line"] in told

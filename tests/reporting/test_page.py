@@ -149,12 +149,15 @@ def test_laps_come_back_from_the_page_as_they_were_given():
     assert json.loads(data) == player
 
 
-def test_every_picture_is_told_in_words_and_has_its_size(page):
+def test_every_picture_is_told_in_words_and_keeps_its_size_and_colours(page):
     (image,) = page.all("img")
     assert image["alt"] == "word"
     assert (image["width"], image["height"]) == ("120", "80")
-    png = base64.b64decode(image["src"].removeprefix("data:image/png;base64,"))
-    assert Image.open(io.BytesIO(png)).size == (120, 80)
+    head, data = image["src"].split(";base64,")
+    assert head in ("data:image/webp", "data:image/png")
+    shown = np.asarray(Image.open(io.BytesIO(base64.b64decode(data))).convert("RGB"))
+    drawn = np.asarray(Image.open(io.BytesIO(make_png())))
+    np.testing.assert_array_equal(shown, drawn)
 
 
 def test_nothing_is_loaded_from_elsewhere(page):
