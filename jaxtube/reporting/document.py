@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jinja2
@@ -14,6 +14,8 @@ from jaxtube.reporting.page import Page, Picture, Run
 
 MOST_BYTES = 4_800_000
 """Of a page."""
+TOLD_ELSEWHERE = ("title", "command line")
+"""Entries of a manifest that a page tells in places of their own."""
 OVERHEAD = 120_000
 """Of a page without pictures, laps and printed text, at most."""
 
@@ -44,7 +46,9 @@ def render(page: Page, run: Run) -> str:
         run=run,
         player=player,
         shown=list(_embed(run.pictures, room)),
-        environment=list(_list_environment(run.manifest)),
+        environment=[
+            entry for entry in _list_environment(run.manifest) if entry[0] not in TOLD_ELSEWHERE
+        ],
         command=run.manifest.get("command_line", ""),
         style=_read("page.css"),
         script=_read("player.js") if page.player else "",
@@ -90,7 +94,7 @@ def _read(name: str) -> Markup:
     return Markup(environment.loader.get_source(environment, name)[0])
 
 
-def _embed(given: tuple[Picture, ...] | Any, room: int) -> Iterator[Shown]:
+def _embed(given: Sequence[Picture], room: int) -> Iterator[Shown]:
     """Put pictures into the page as long as there is room, the others as links."""
     for picture in given:
         address = pictures.embed(picture.png, room)

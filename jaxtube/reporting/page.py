@@ -60,6 +60,7 @@ class Bar(NamedTuple):
     label: str
     share: float
     words: str
+    is_judged: bool = True  # whether going beyond is bad news
 
     @property
     def percent(self) -> float:
@@ -69,6 +70,8 @@ class Bar(NamedTuple):
     @property
     def tone(self) -> Tone:
         """Bad beyond the limit; NaN is beyond."""
+        if not self.is_judged:
+            return "plain"
         return "good" if self.share <= 1 else "bad"
 
 

@@ -10,7 +10,19 @@ from jaxtube.coordinates import COORDINATES, KEYS
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.paper.claims import PaperClaim
 from jaxtube.experiments.run.design_page import design_sections, say_certified
-from jaxtube.reporting.page import Bar, Bars, Heading, Page, Section, Table, Tone, Words
+from jaxtube.reporting.page import (
+    Bar,
+    Bars,
+    Heading,
+    Interval,
+    Intervals,
+    Page,
+    Section,
+    Table,
+    Tone,
+    Words,
+)
+from jaxtube.statistics.intervals import CONFIDENCE, share_interval
 from jaxtube.synthesis.parts import Design
 
 TONES: dict[str, Tone] = {"reproduced": "good", "in part": "plain", "not reproduced": "bad"}
@@ -40,7 +52,7 @@ def make_page(
     )
     sections = [
         Section("Claims of the paper", [claims]),
-        Section("Controllers", [_compare(measured), _bars(design, measured)]),
+        Section("Controllers", [_compare(measured), _bars(design, measured), _shares(measured)]),
         *design_sections(design, measured),
         Section("Under stress", [_stress_table(measured)]),
     ]
@@ -91,6 +103,22 @@ def _bars(design: Design, measured: dict) -> Bars:
         symbol = max(shares, key=lambda key: shares[key])
         bars.append(Bar(name, shares[symbol], f"{shares[symbol]:.0%} of the limit of {symbol}"))
     return Bars("Worst of all laps against E", bars, "The dashed line is the limit.")
+
+
+def _shares(measured: dict) -> Intervals:
+    """Return the share of laps that leave E, with exact intervals, controller by controller."""
+    rows = []
+    for name, numbers in measured["controllers"].items():
+        laps = numbers["realisations"]
+        outside = numbers["violating_realisations"]
+        low, high = share_interval(outside, laps, CONFIDENCE)
+        words = f"{low:.2g} to {high:.2g}" if outside else f"none: at most {high:.2g}"
+        rows.append(Interval(name, words, outside / laps, low if outside else 0.0, high))
+    note = (
+        f"Exact intervals (Clopper-Pearson, {CONFIDENCE:.0%}, one controller each) for laps drawn "
+        "as these were. Logarithmic axis."
+    )
+    return Intervals("Share of laps that leave E", rows, note)
 
 
 def _stress_table(measured: dict) -> Table:

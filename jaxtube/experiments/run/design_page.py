@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxtube.coordinates import COORDINATES
 from jaxtube.experiments.run import metrics
-from jaxtube.experiments.run.design_report import LEGEND, find_causes
+from jaxtube.experiments.run.design_report import LEGEND, NOTHING, find_causes
 from jaxtube.reporting.page import (
     Bar,
     Bars,
@@ -95,7 +95,7 @@ def design_sections(design: Design, numbers: dict) -> list[Section]:
     """
     sections = [
         certificate_section(design.certificate),
-        Section("What the tube uses", list(_list_uses(design, numbers))),
+        Section("Tube and disturbances", list(_list_uses(design, numbers))),
     ]
     causes = find_causes(design)
     if causes:
@@ -128,7 +128,7 @@ def _make_row(condition: Condition) -> ConditionRow:
 
 def _list_uses(design: Design, numbers: dict) -> Iterator[Bars]:
     """Yield bars of the tube against the limits of errors, and against the caps where there are
-    any."""
+    any; and of the disturbances against W where laps were run."""
     limits = design.problem.operating_set.support(np.eye(3))
     widths = metrics.tube_half_widths(design, design.tube.name)[-1]
     bars = []
@@ -146,27 +146,53 @@ def _list_uses(design: Design, numbers: dict) -> Iterator[Bars]:
             [Bar(name, share, f"{share:.1%}") for name, share in shares.items()],
             "Of the terminal gain, after any number of steps. The dashed line is the cap.",
         )
+    if "disturbance" in numbers:
+        yield _compare_seen(numbers["disturbance"])
+
+
+def _compare_seen(disturbance: dict) -> Bars:
+    """Return the largest disturbances that laps met against the half widths of W."""
+    bars = []
+    for coordinate in COORDINATES:
+        largest = disturbance["largest"][coordinate.key]
+        allowed = disturbance["allowed"][coordinate.key]
+        share = largest / allowed if allowed else float(bool(largest)) * np.inf
+        outside = disturbance["share_of_steps_outside_by_coordinate"][coordinate.key]
+        words = f"{largest:.3g} of {allowed:.3g} {coordinate.unit}"
+        if outside:
+            words += f", beyond in {outside:.1%} of steps"
+        bars.append(Bar(coordinate.name, share, words))
+    note = f"In {disturbance['steps']:,} steps. Laps can refute W, never prove it."
+    return Bars("Largest disturbances seen in laps against W", bars, note)
 
 
 def _describe_causes(causes: dict) -> list[Table | Bars]:
     """Return the table of the causes of W, and of each of its parts the causes as shares of it."""
     headings = [Heading("cause, alone")]
     headings += [Heading(f"{name} [{unit}]", True) for name, unit in CAUSES]
-    rows = [[name, *(f"{width:.4g}" for width in widths)] for name, widths in causes.items()]
-    parts: list[Table | Bars] = [Table("Half widths of one step", headings, rows, LEGEND)]
     whole = causes["W"]
+    rows = [
+        [name, *(_say_width(width, largest) for width, largest in zip(widths, whole, strict=True))]
+        for name, widths in causes.items()
+    ]
+    parts: list[Table | Bars] = [Table("Half widths of one step", headings, rows, LEGEND)]
     alone = {name: widths for name, widths in causes.items() if name != "W"}
     for part, (name, unit) in enumerate(CAUSES):
         if not whole[part] > 0:
             continue
         bars = [
-            Bar(cause, widths[part] / whole[part], f"{widths[part]:.3g} {unit}")
+            Bar(cause, widths[part] / whole[part], f"{widths[part]:.3g} {unit}", is_judged=False)
             for cause, widths in alone.items()
             if widths[part] > SMALL * whole[part]
         ]
         title = f"{name.capitalize()}: causes against W, {whole[part]:.3g} {unit}"
         parts.append(Bars(title, bars))
     return parts
+
+
+def _say_width(width: float, largest: float) -> str:
+    """Return a half width, 0 for what is nothing beside the largest one."""
+    return f"{width:.4g}" if width > NOTHING * largest else "0"
 
 
 def _say_names(names: list[str]) -> str:
