@@ -13,7 +13,8 @@ from PIL import Image
 
 from jaxtube.experiments.cli import main
 from jaxtube.reporting import animation
-from jaxtube.reporting.animation import choose_instants, save_animation
+from jaxtube.reporting.animation import choose_instants
+from jaxtube.reporting.moving_pictures import save_animation
 
 FRAMES = 6
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 from jaxtube.experiments.options import AnimateOptions
 from jaxtube.experiments.run.folder import unwritable
-from jaxtube.reporting import animation
 from jaxtube.reporting import laps as kept_laps
 from jaxtube.reporting.laps import StoredLaps
+from jaxtube.reporting.moving_pictures import save_animation
 from jaxtube.scenario.refusal import refusal
 
 
@@ -30,7 +30,7 @@ def run(scenario: None, options: AnimateOptions) -> int:
     places |= {name: find_place(stored, name, number) for name in names[1:]}
     path = Path(options.to or Path(options.run) / "lap.gif")
     try:
-        animation.save_animation(stored, places, options.frames, path)
+        save_animation(stored, places, options.frames, path)
     except OSError as error:
         raise unwritable(path, error) from None
     except ValueError as error:
