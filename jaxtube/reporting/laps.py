@@ -46,6 +46,10 @@ class LapSet(NamedTuple):
     limits: Float[np.ndarray, "3"]  # half widths of E, m, m, rad
     section: Float[np.ndarray, "corners 2"]  # of the tube: e_x, e_y, m
 
+    def in_double_precision(self) -> LapSet:
+        """Return the same laps as computations want them, in double precision."""
+        return self._replace(errors=self.errors.astype(float), wheels=self.wheels.astype(float))
+
     @property
     def usage(self) -> Float[np.ndarray, " laps"]:
         """The largest share of a limit that each lap used; inf for a lap that is no finite number

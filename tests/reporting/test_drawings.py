@@ -5,9 +5,16 @@ import numpy as np
 import pytest
 from invented_laps import invent_laps
 
-from jaxtube.experiments.paper.drawings import Drawn, read_drawn
+from jaxtube.experiments.paper.drawings import (
+    DesignOfRun,
+    Drawn,
+    find_stressed,
+    make_drawings,
+    read_drawn,
+)
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.figures.stress import judge_case, stress
+from jaxtube.reporting.laps import find_poses
 
 
 @pytest.fixture
@@ -41,6 +48,21 @@ def test_the_figure_of_saved_runs_has_the_curves_of_the_runs(drawn, tmp_path, un
     again = stress(problem, list(read_drawn(tmp_path).cases.values()), drawn.boundary)
     for one, other in zip(first.axes[0].lines, again.axes[0].lines, strict=True):
         np.testing.assert_array_equal(one.get_xydata(), other.get_xydata())
+
+
+def test_saved_laps_are_drawn_where_they_were(drawn, tmp_path, uncertified):
+    design = uncertified("paper")
+    laps = invent_laps(count=2, steps=design.problem.reference.steps)
+    drawn._replace(kept=laps).save(RunFolder(tmp_path))
+    own = DesignOfRun("robust", design)
+    drawings = make_drawings(own, find_stressed(own), "a label", read_drawn(tmp_path))
+    assert "stress_terminal_set" not in drawings
+    whole = drawings["trajectories"]().axes[0]
+    reference = design.problem.reference.poses[: len(laps.reference_poses)]
+    wanted = find_poses(laps.laps["tube_mpc"].errors, reference[:, None]).mean(axis=1)
+    drawn_at = [line.get_xydata() for line in whole.lines if len(line.get_xdata()) == len(wanted)]
+    distances = [np.abs(points - wanted[:, :2]).max() for points in drawn_at]
+    assert min(distances) < 1e-3
 
 
 def test_what_is_drawn_of_a_case_is_counted_from_its_runs():

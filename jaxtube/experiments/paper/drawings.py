@@ -112,7 +112,7 @@ def make_drawings(own: DesignOfRun, stressed: DesignOfRun, label: str, drawn: Dr
 
     design = own.design
     problem = design.problem
-    laps = drawn.kept.laps
+    laps = {name: kept.in_double_precision() for name, kept in drawn.kept.laps.items()}
     drawings: Drawings = {
         "trajectories": partial(trajectories, problem, laps),
         "errors": partial(lap_figures.errors, problem, laps),
