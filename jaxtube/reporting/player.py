@@ -53,7 +53,7 @@ def make_player(stored: StoredLaps, note: str = "") -> dict[str, Any]:
         "reference": _encode(reference.astype("<f4")),
         "track_m": stored.track_m,
         "coordinates": [
-            {"symbol": entry.symbol, "name": entry.name, "unit": entry.unit, "to": entry.to_display}
+            {"symbol": entry.symbol, "unit": entry.unit, "to": entry.to_display}
             for entry in COORDINATES
         ],
         "controllers": [

@@ -105,6 +105,10 @@ def page():
     return Outline(render(make_page(player=make_player(invent_laps())), make_run()))
 
 
+def test_a_page_begins_as_html():
+    assert render(make_page(), make_run()).startswith("<!doctype html>")
+
+
 def test_every_element_is_closed(page):
     assert page.open == []
 
