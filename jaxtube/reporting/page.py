@@ -196,6 +196,7 @@ class Page:
         sections: in the order in which they are read.
         not_covered: what the guarantee takes for granted and what it says nothing about.
         player: laps to play, from `jaxtube.reporting.player`; None for a run without.
+        not_covered_lead: what introduces `not_covered`.
     """
 
     verdict: str
@@ -204,6 +205,10 @@ class Page:
     sections: Sequence[Section] = ()
     not_covered: Sequence[str] = ()
     player: Mapping[str, Any] | None = None
+    not_covered_lead: str = (
+        "All that is certified here takes this for granted, and says nothing about a robot for "
+        "which it is not so:"
+    )
 
 
 class Picture(NamedTuple):

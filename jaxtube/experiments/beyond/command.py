@@ -162,7 +162,7 @@ def make_page(searches: dict[str, LevelSearch], realisations: int, design: Desig
     )
     return Page(
         f"Of {len(searches)} imperfections that the certificate does not cover, {len(violated)} "
-        f"violate a limit within what was tried{': ' if violated else ''}{', '.join(violated)}.",
+        f"violate a limit within what was tried{': ' if violated else ''}{'; '.join(violated)}.",
         sections=[
             Section("First levels", [make_table(COLUMNS, _rows(searches), note=note)]),
             certificate_section(design.certificate),

@@ -46,6 +46,7 @@ def make_page(identified: Identified, findings: Findings | None, track_width: fl
         lead=[say_sample(identified), *filter(None, [say_other_boxes(identified)])],
         sections=[Section("What was found", parts)],
         not_covered=_list_limits(identified),
+        not_covered_lead="The promise does not cover:",
     )
 
 

@@ -62,6 +62,8 @@ def make_page(design: Design, summary: dict, player: Mapping[str, Any]) -> Page:
         sections,
         [law, *design.certificate.assumptions],
         player,
+        "Bounds and certificate take this for granted, and say nothing of laps or robots for which "
+        "it is not so:",
     )
 
 

@@ -35,7 +35,13 @@ def make_page(witness: Witness, promise: QuotedPromise | None, name: str) -> Pag
     """Return the page of a replay."""
     verdict, *rest = _list_promise(witness, promise, name)
     is_broken = promise is not None and "BROKEN" in verdict
-    return Page(verdict, "bad" if is_broken else "plain", rest, not_covered=_list_limits(witness))
+    return Page(
+        verdict,
+        "bad" if is_broken else "plain",
+        rest,
+        not_covered=_list_limits(witness),
+        not_covered_lead="What this can say, and what it cannot:",
+    )
 
 
 def _say_promise(witness: Witness, promise: QuotedPromise | None, name: str) -> str:
