@@ -170,7 +170,7 @@ def test_the_command_writes_levels_with_units_and_prints_a_table(tmp_path, capsy
     for imperfection in IMPERFECTIONS.values():
         assert set(imperfection.title.split()) <= words
     names = {"beyond.png", "beyond.pdf", "metrics.json", "manifest.json", "scenario.toml"}
-    names |= {"report.txt"}
+    names |= {"report.txt", "report.html"}
     assert {path.name for path in tmp_path.iterdir()} == names
 
 
