@@ -8,6 +8,7 @@ import re
 
 import numpy as np
 import pytest
+from pages import find_first_lines
 from PIL import Image
 from spoken import leave_out_waits
 from tolerances import CLOSED_LOOP, WORLD_FRAME
@@ -253,6 +254,8 @@ def check_page(folder, figures, design):
     """The page tells all conditions, what is assumed and the printed text, and shows all figures in
     words, too."""
     text = (folder / "report.html").read_text()
+    verdict, printed = find_first_lines(folder)
+    assert verdict == printed
     assert len(text.encode()) < 5e6
     told = html.unescape(text)
     for condition in design.certificate.checked:
@@ -343,7 +346,7 @@ def test_the_page_of_the_paper_command_tells_claims_first(paper_run, certified_p
     text = re.sub("</?code>", "`", (folder / "report.html").read_text())
     told = html.unescape(text)
     counted = sum(row["verdict"] == "reproduced" for row in found["claims"])
-    assert re.search(rf"<h1[^>]*>Of 13 claims of the paper {counted} are reproduced, ", told)
+    assert re.search(rf"<h1[^>]*>of 13 claims of the paper {counted} are reproduced, ", told)
     for row in found["claims"]:
         assert row["claim"] in told and row["measured"] in told
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from pages import find_first_lines
 from spoken import leave_out_waits
 from tolerances import CLOSED_LOOP
 
@@ -391,7 +392,7 @@ def test_the_metrics_are_plain_and_hold_every_verdict(tmp_path):
 def test_the_page_begins_with_what_became_of_the_design_under_test(broken):
     tested = [make_tested(name="other"), make_tested(*broken)]
     page = guarantee_page.make_page(tested, {})
-    assert page.verdict.startswith("“mine” is not certified" if broken else "“mine” is certified")
+    assert page.verdict.startswith("mine: NOT CERTIFIED" if broken else "mine: CERTIFIED")
     assert page.tone == ("bad" if broken else "good")
     (table, _) = page.sections[0].parts
     assert [row[0] for row in table.rows] == [claim.title for claim in claims.list_claims(tested)]
@@ -477,6 +478,8 @@ def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
     laws = json.loads((whole / "metrics.json").read_text())["designs"]["certified"]["laws"]
     assert set(laws) == {law.name for law in LAWS}
     assert all(law["laps"] == 128 for law in laws.values())
+    verdict, printed = find_first_lines(whole)
+    assert verdict == printed
 
     attacking = LAWS[-1]
     recorded = laws[attacking.name]

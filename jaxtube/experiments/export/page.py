@@ -19,8 +19,8 @@ UNPROVED = (
 )
 NOTE = (
     "Missed: by how much a plan that the controller accepts may miss a row of the design, and the "
-    "other way round, together, in the units of that row. Margin: what the certificate leaves for it, "
-    "once what is missed is taken off."
+    "other way round, together, in the units of that row. Margin: what the certificate leaves for "
+    "it, once what is missed is taken off."
 )
 
 
@@ -33,7 +33,7 @@ def make_page(design: Design, exported: Exported, replay: Replay, in_c: str | No
         replay: of recorded steps in NumPy.
         in_c: what main.c printed, None where it was not compiled.
     """
-    is_good = design.certificate.holds_for_robot and not replay.wrong
+    is_certified = any(proof and proof.constants.is_certified for proof in exported.proofs.values())
     headings = [
         Heading("numbers"),
         Heading("sets"),
@@ -42,14 +42,18 @@ def make_page(design: Design, exported: Exported, replay: Replay, in_c: str | No
     ]
     rows = [list(_list_cells(name, proof)) for name, proof in exported.proofs.items()]
     proved = list_margins(exported.proofs)
-    played = [describe_in_numpy(replay), describe_in_c(in_c)]
+    played = [" ".join(describe_in_numpy(replay).split())]
+    played += [line.strip() for line in describe_in_c(in_c).splitlines()]
     return Page(
         say_verdict(exported),
-        "good" if is_good else "bad",
-        [f"The controller is in `{exported.folder}/`; README.md there says how to use it."],
+        "good" if is_certified and not replay.wrong else "bad",
+        [
+            f"The controller is in `{exported.folder}/`; README.md there says how to use it "
+            "and when its guarantee holds."
+        ],
         [
             Section("Numbers as written", [Listing(proved), Table("", headings, rows, NOTE)]),
-            Section("Recorded steps", [Listing([" ".join(each.split()) for each in played])]),
+            Section("Recorded steps", [Listing(played)]),
             certificate_section(design.certificate),
         ],
         [*UNPROVED, *design.certificate.assumptions],
@@ -63,6 +67,6 @@ def _list_cells(name: str, proof: Proof | None) -> Iterator[str]:
         yield from ("not certified", *["-"] * (len(KINDS) + 1))
         return
     yield proof.design.certificate.verdict
-    yield "proved in rationals" if proof.is_exact else "the back-off of the design"
+    yield str(proof.describe()["rooms"])
     for kind in KINDS:
         yield f"{proof.missed[kind]:.2g}"
