@@ -37,12 +37,17 @@ print(json.dumps(laws.list_commands(jt.read(sys.argv[1]))))
 
 
 def list_commands(design):
-    """Return the wheel speeds of a stepper and of laps, bit by bit."""
+    """Return the numbers of a design, and wheel speeds of a stepper and of laps, bit by bit."""
     stepper = jt.Stepper(design)
     steps = np.array([stepper(errors).wheels for errors in ERRORS])
     laps = jt.simulate(design, "tube_mpc", laps=3, seed=1)
     assert np.isfinite(steps).all() and np.ptp(laps.trajectory.wheels) > 0
-    return {"steps": steps.tobytes().hex(), "laps": laps.trajectory.wheels.tobytes().hex()}
+    arrays = {name: sealed.hash_bytes(array.tobytes()) for name, array in design.arrays().items()}
+    return {
+        "arrays": arrays,
+        "steps": steps.tobytes().hex(),
+        "laps": laps.trajectory.wheels.tobytes().hex(),
+    }
 
 
 @pytest.fixture(scope="module")
@@ -439,6 +444,12 @@ def test_names_do_not_lead_out_of_the_folder(folder, tmp_path, design, no_design
         assert "names other files than its own" in refuse(folder)
         design.save(folder)
         assert outside.read_text() == "mine"
+    (folder / "result.json").write_bytes(sealed.seal(facts))
+    forge(folder, {"arrays.npz": pack({"../victim": np.ones(2), str(outside): np.ones(2)})})
+    before = list_files(tmp_path)
+    with only_reading():
+        assert "../victim" in storage.read_result(folder).arrays
+    assert list_files(tmp_path) == before
     text = (folder / "scenario.toml").read_text()
     forged = text.replace('shape = "two_circles"', 'shape = "file"')
     forged = forged.replace('file = ""', 'file = "../victim"')

@@ -81,8 +81,8 @@ class Constants:
     transition: Float[np.ndarray, "windows 3 3"]
     input_matrix: Float[np.ndarray, "windows 3 2"]
     window: Int[np.ndarray, " steps"]
-    reference_wheels: Float[np.ndarray, "steps 2"]  # m/s
-    reference_poses: Float[np.ndarray, "steps 3"]  # (x m, y m, heading rad) in the world
+    reference_wheels: Float[np.ndarray, "steps+1 2"]  # m/s
+    reference_poses: Float[np.ndarray, "steps+1 3"]  # (x m, y m, heading rad) in the world
     caps: Float[np.ndarray, "3"]  # of the errors that the controller acts on, (m, m, rad)
     wheel_limits: Float[np.ndarray, "2"]  # least and greatest, m/s
     nominal_slip: Float[np.ndarray, "2"]
@@ -173,8 +173,8 @@ def gather_constants(design: Design, precision: Precision = DOUBLE) -> Constants
         transition=qps.transition,
         input_matrix=qps.input_matrix,
         window=np.asarray(design.windows.index[:steps]),
-        reference_wheels=problem.schedule[:steps],
-        reference_poses=problem.reference.poses[:steps],
+        reference_wheels=problem.schedule[: steps + 1],
+        reference_poses=problem.reference.poses[: steps + 1],
         caps=problem.operating_set.support(np.eye(3)),
         wheel_limits=np.array([problem.robot.wheel_speed_min, problem.robot.wheel_speed_max]),
         nominal_slip=np.asarray(slip_bounds(problem.scenario.slip).nominal, float),

@@ -40,6 +40,16 @@ def test_a_saved_design_is_read_where_nothing_is_overridden(saved, origins):
     assert make_design(scenario, DesignOptions(scenario="certified")) == origins["made"]
 
 
+def test_a_scenario_of_the_project_goes_before_a_folder_of_its_name(
+    saved, origins, tmp_path, monkeypatch
+):
+    shutil.copytree(saved, tmp_path / "paper")
+    monkeypatch.chdir(tmp_path)
+    options = DesignOptions(scenario="paper")
+    assert make_design(load("paper"), options) == origins["made"]
+    assert make_design(load("./paper/"), DesignOptions(scenario="./paper/")) is origins["read"]
+
+
 def test_a_run_stands_for_its_scenario_unless_it_was_changed(tmp_path, capsys):
     scenario = load("certified", SHORT)
     folder = create(scenario, DesignOptions(out=str(tmp_path / "run")))

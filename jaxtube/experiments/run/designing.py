@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+from pathlib import Path
 
 from jaxtube.experiments.options import Options
 from jaxtube.results import read
 from jaxtube.scenario.folders import holds_design
+from jaxtube.scenario.reading import find
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.parts import Design, StoredQps
@@ -23,11 +25,17 @@ def make_design(scenario: Scenario, options: Options | None = None) -> Design:
     Raises:
         ScenarioError, EmptySetError: one line, as `jaxtube.design` and `jaxtube.read`.
     """
-    if options is None or options.scenario_overrides or not holds_design(options.scenario):
+    if options is None or options.scenario_overrides or not _names_design(options.scenario):
         return design(scenario)
     saved = read(options.scenario)
     assert isinstance(saved, Design)
     return saved
+
+
+def _names_design(name: str) -> bool:
+    """Tell whether `--scenario` names a saved design; a scenario that comes with the project goes
+    before a folder of its name."""
+    return find(name).parent == Path(name) and holds_design(name)
 
 
 def identify_restored(design: Design) -> dict[str, str]:

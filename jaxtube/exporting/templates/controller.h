@@ -64,6 +64,10 @@ typedef struct {
     int halted;
 } jaxtube_controller;
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Check the constants, and begin; 0, or -1 where they are damaged: every step then halts. */
 int jaxtube_begin(jaxtube_controller *controller);
 
@@ -73,5 +77,9 @@ void jaxtube_restart(jaxtube_controller *controller);
 /* Find what the next period is to do; return its status. */
 int jaxtube_step(jaxtube_controller *controller, const jaxtube_input *input,
                  jaxtube_output *output);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

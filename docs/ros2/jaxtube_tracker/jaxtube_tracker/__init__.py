@@ -1,0 +1,1 @@
+"""An exported jaxtube controller as a ROS 2 node."""
