@@ -61,7 +61,9 @@ def shorten(app: Sphinx, what: str, name: str, thing: object, options, arguments
     return tuple(text and TYPES.sub("", text) for text in (arguments, returned))
 
 
-def skip(app: Sphinx, what: str, name: str, thing: object, is_skipped: bool, options) -> bool | None:
+def skip(
+    app: Sphinx, what: str, name: str, thing: object, is_skipped: bool, options
+) -> bool | None:
     """Skip the fields of a named tuple, which its docstring describes."""
     text = getattr(thing, "__doc__", None) or ""
     return True if text.startswith("Alias for field number") else None

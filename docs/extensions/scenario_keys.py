@@ -67,7 +67,9 @@ def write_reference() -> str:
     tables = {field.name: field.type.cls for field in _list_fields(Scenario)}
     parts = []
     for section, table in tables.items():
-        parts.append(f"## `[{section}]`\n\n{_read_docstring(table)}\n\n{_write_table(table, section)}")
+        parts.append(
+            f"## `[{section}]`\n\n{_read_docstring(table)}\n\n{_write_table(table, section)}"
+        )
         parts += [
             f"### A table of `{section}.{field.name}`\n\n{_read_docstring(inner)}\n\n"
             f"{_write_table(inner, f'{section}.{field.name}')}"
