@@ -7,7 +7,6 @@ from latex2mathml.converter import convert
 from sphinx.application import Sphinx
 from sphinx.writers.html5 import HTML5Translator
 
-
 FUNCTION = re.compile(r"<mi>(arctan|cos|det|ln|log|max|min|sin|sinc|tan)</mi>(?=<m[in])")
 """A function that stands before its argument without a bracket."""
 
