@@ -58,6 +58,7 @@ autodoc_preserve_defaults = True
 autodoc_typehints = "signature"
 autodoc_inherit_docstrings = False
 napoleon_numpy_docstring = False
+napoleon_attr_annotations = False
 napoleon_use_ivar = True
 default_role = "literal"
 maximum_signature_line_length = 80
