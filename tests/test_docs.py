@@ -3,6 +3,7 @@ every assumption, command, public name and key has its place. Cells of pages run
 built."""
 
 import ast
+import dataclasses
 import importlib
 import re
 import shlex
@@ -16,7 +17,7 @@ import pytest
 import jaxtube
 import sets
 from jaxtube.experiments import cli
-from jaxtube.experiments.options import COMMANDS
+from jaxtube.experiments.options import COMMANDS, flag
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.certificate import assumptions
 
@@ -191,8 +192,12 @@ def test_every_command_is_shown_in_use(command):
 def test_the_reference_of_commands_has_every_option(command):
     reference = import_extension("commands").write_reference()
     section = reference.partition(f"## `{command}`\n")[2].partition("\n## ")[0]
-    assert "usage: " in section
-    assert "--help" in section
+    options = [
+        flag(field.name)
+        for field in dataclasses.fields(COMMANDS[command])
+        if not re.search("Suppress|Positional", str(field.type))
+    ]
+    assert [option for option in options if option not in section] == []
 
 
 def test_the_reference_of_a_scenario_has_every_key():
@@ -201,6 +206,37 @@ def test_the_reference_of_a_scenario_has_every_key():
         rows = reference.partition(f"## `[{section}]`\n")[2].partition("\n## ")[0]
         missing = [key for key in table.__struct_fields__ if f"| `{key}` |" not in rows]
         assert (section, missing) == (section, [])
+
+
+def test_defaults_that_depend_on_other_keys_are_of_keys_without_one():
+    extension = import_extension("scenario_keys")
+    for key in extension.FILLED_IN:
+        section, name = key.split(".")
+        table = Scenario.__annotations__[section]
+        assert table.__struct_defaults__[table.__struct_fields__.index(name)] is None
+
+
+@pytest.mark.parametrize(
+    ("docstring", "page"),
+    [
+        (["Words.", "", "    a = b"], ["Words.", "", "::", "", "    a = b"]),
+        (["Args:", "    a: b * c."], ["Args:", r"    a: b \* c."]),
+        (["|x| of `a*b`"], [r"\|x\| of `a*b`"]),
+        (
+            ["Words.", "", "    a*b", "", "More|"],
+            ["Words.", "", "::", "", "    a*b", "", r"More\|"],
+        ),
+    ],
+)
+def test_docstrings_keep_their_formulas_and_examples(docstring, page):
+    extension = import_extension("docstrings")
+    assert extension.escape_markup(extension.mark_literal_blocks(docstring)) == page
+
+
+def test_formulas_are_mathml_with_a_space_between_function_and_argument():
+    write_formula = import_extension("mathml").write_formula
+    assert "<mi>cos</mi><mspace" in write_formula(r"\cos a")
+    assert "<mspace" not in write_formula(r"a b")
 
 
 @pytest.mark.parametrize("name", jaxtube.__all__)

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+from unittest.mock import patch
 
 from docutils import nodes
 from sphinx.application import Sphinx
@@ -17,9 +18,9 @@ COLUMNS = 88
 
 def read_help(command: str) -> str:
     """Return what a command prints for `--help`."""
-    os.environ["COLUMNS"] = str(COLUMNS)
     printed = io.StringIO()
-    with contextlib.redirect_stdout(printed):
+    wide = patch.dict(os.environ, COLUMNS=str(COLUMNS))
+    with wide, contextlib.redirect_stdout(printed):
         parse([command, "--help"])
     return printed.getvalue().strip()
 

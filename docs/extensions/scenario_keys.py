@@ -108,19 +108,13 @@ def _find_tables(kind: msgspec.inspect.Type) -> list[type[msgspec.Struct]]:
 
 
 def _read_docstring(table: type) -> str:
-    """Return the docstring of a table; formulas there are plain text, which MyST may not read."""
-    text = inspect.getdoc(table) or ""
-    return re.sub(r"([*_\[\]|<>])", r"\\\1", text) if "`" not in text else _escape(text)
-
-
-def _escape(text: str) -> str:
-    """Escape what MyST would read as markup, but not inside of backticks."""
-    parts = text.split("`")
-    escaped = [
+    """Return the docstring of a table, with what MyST would read as markup escaped outside of
+    backticks."""
+    parts = (inspect.getdoc(table) or "").split("`")
+    return "`".join(
         part if number % 2 else re.sub(r"([*_\[\]|<>])", r"\\\1", part)
         for number, part in enumerate(parts)
-    ]
-    return "`".join(escaped)
+    )
 
 
 def _write_table(table: type[msgspec.Struct], section: str) -> str:
