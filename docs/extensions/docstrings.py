@@ -8,6 +8,8 @@ from sphinx.application import Sphinx
 SECTION = re.compile(r"\s*(Args|Attributes|Raises|Returns|Source|Sources|Yields):$")
 TYPES = re.compile(r"~?jaxlib\._jax\.|~?jaxtyping\.")
 """Modules in front of types that everyone knows without."""
+COLON = "\ue000"
+"""Stands for a colon in the first line of a property, which napoleon takes for the end of a type."""
 
 
 def mark_literal_blocks(lines: list[str]) -> list[str]:
@@ -52,6 +54,13 @@ def escape_markup(lines: list[str]) -> list[str]:
 def rewrite(app: Sphinx, what: str, name: str, thing: object, options, lines: list[str]) -> None:
     """Rewrite a docstring before it is read."""
     lines[:] = escape_markup(mark_literal_blocks(lines))
+    if what in ("attribute", "property"):
+        lines[:1] = [line.replace(":", COLON) for line in lines[:1]]
+
+
+def restore(app: Sphinx, what: str, name: str, thing: object, options, lines: list[str]) -> None:
+    """Put colons back."""
+    lines[:] = [line.replace(COLON, ":") for line in lines]
 
 
 def shorten(app: Sphinx, what: str, name: str, thing: object, options, arguments, returned):
@@ -70,8 +79,9 @@ def skip(
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Rewrite before napoleon reads the sections."""
+    """Rewrite before napoleon reads the sections, and restore after it."""
     app.connect("autodoc-process-docstring", rewrite, priority=100)
+    app.connect("autodoc-process-docstring", restore, priority=900)
     app.connect("autodoc-process-signature", shorten)
     app.connect("autodoc-skip-member", skip, priority=100)
     return {"parallel_read_safe": True, "parallel_write_safe": True}
