@@ -9,7 +9,7 @@ SECTION = re.compile(r"\s*(Args|Attributes|Raises|Returns|Source|Sources|Yields)
 TYPES = re.compile(r"~?jaxlib\._jax\.|~?jaxtyping\.")
 """Modules in front of types that everyone knows without."""
 COLON = "\ue000"
-"""Stands for a colon in the first line of a property, which napoleon takes for the end of a type."""
+"""Stands for a colon of a property, which napoleon would take for the end of a type."""
 
 
 def mark_literal_blocks(lines: list[str]) -> list[str]:
