@@ -18,6 +18,11 @@ LINE = "{desc}: {n_fmt} of {total_fmt}{unit}{times}{postfix}"
 BAR = "{l_bar}{bar}| {n_fmt} of {total_fmt}{unit}{times}{postfix}"
 
 
+def announce(work: str) -> None:
+    """Say in one line on the standard error what is waited for from here on."""
+    print(f"{work} ...", file=sys.stderr, flush=True)
+
+
 class ProgressBar(tqdm):
     """A bar whose clock starts with its first units."""
 

@@ -5,9 +5,10 @@ import sys
 import time
 
 import pytest
+from spoken import leave_out_waits
 
 from jaxtube import progress as module
-from jaxtube.progress import progress, show_progress
+from jaxtube.progress import announce, progress, show_progress
 
 
 def test_compilation_is_said_and_not_counted_in_the_time_left(monkeypatch, capsys):
@@ -74,3 +75,10 @@ def test_a_bar_in_a_terminal_tells_the_same(monkeypatch):
     assert "2 of 2 figures" in last
     assert "s each" in last or "figures/s" in last
     assert "s/ " not in last
+
+
+def test_a_wait_is_told_in_one_line_on_the_standard_error(capsys):
+    announce("designing")
+    told = capsys.readouterr()
+    assert told.out == "" and told.err == "designing ...\n"
+    assert leave_out_waits(told.err + "a refusal\n") == ["a refusal"]

@@ -1,13 +1,16 @@
-"""`python -m jaxtube.experiments`: sets what jax has to be told before it is imported, then runs
-the command line."""
+"""`python -m jaxtube.experiments`, or `jaxtube`: sets what jax has to be told before it is
+imported, then runs the command line."""
 
 import sys
+from typing import NoReturn
 
 from jaxtube.experiments import environment
 from jaxtube.experiments.cli import INTERRUPTED_LINE, main
 from jaxtube.experiments.run.exit_codes import ExitCode
 
-if __name__ == "__main__":
+
+def start() -> NoReturn:
+    """Run the command line in a process of its own, as `jaxtube` does, and end that process."""
     environment.print_any_character()
     environment.use_float64()
     environment.use_one_thread_for_linear_algebra()
@@ -19,3 +22,7 @@ if __name__ == "__main__":
     if code == ExitCode.INTERRUPTED:
         environment.leave(code)
     sys.exit(code)
+
+
+if __name__ == "__main__":
+    start()

@@ -29,6 +29,7 @@ import msgspec
 from jaxtube.experiments.options import COMMANDS, CheckOptions, title
 from jaxtube.experiments.run.exit_codes import ExitCode
 from jaxtube.experiments.run.json_file import read_table
+from jaxtube.progress import announce
 from jaxtube.scenario.reading import experiments_folder, find, load, names
 from jaxtube.scenario.refusal import ScenarioError, literal
 from jaxtube.scenario.tree import Scenario
@@ -182,6 +183,7 @@ def _run_again(command: str, name: str, claims: Claims, options: CheckOptions) -
         choices = {"scenario": name, "overrides": options.overrides}
         scenario = load(name, options.overrides)
     settings = kind(out=str(out), seed=options.seed, **choices)
+    announce(f"{name}: running `{command}`")
     module = importlib.import_module(f"{__package__}.{kind.module}")
     code = module.run(scenario, settings)
     if code:

@@ -1,7 +1,7 @@
 """The command line: reads the options, runs one command, and turns what it raises into an exit code
 and one line.
 
-    0  done        1  a checked metric is off        2  bad input
+    0  done        1  a checked metric is off, or `doctor` found a fault        2  bad input
     3  an empty tightened set; under --require-certificate also an empty terminal set,
        or a failed certificate
     4  interrupted, or stopped by a full disk; the same command goes on
@@ -11,12 +11,10 @@ Nothing heavy is imported before a command runs.
 
 import contextlib
 import dataclasses
-import difflib
 import errno
 import importlib
 import inspect
 import io
-import itertools
 import os
 import re
 import shutil
@@ -27,14 +25,15 @@ from collections.abc import Iterable, Iterator, Sequence
 import tyro
 from tyro.extras import subcommand_type_from_defaults
 
-from jaxtube.experiments.options import COMMANDS, PROGRAM, Options, flag
+from jaxtube.experiments.options import COMMANDS, DEFAULT_COMMAND, PROGRAM, Options
 from jaxtube.experiments.run.exit_codes import ExitCode
 
 DESCRIPTION = (
     "Robust tube MPC of a wheeled robot that slips. Without a command: paper. "
     "Any key of the scenario is overridden by controller.horizon=7 or --controller.horizon 7."
 )
-DEFAULT_COMMAND = "paper"
+COMPLETE = "--complete"
+"""Word before a line that a shell asks to complete."""
 INTERRUPTED_LINE = "interrupted; run the same command again"
 PAIR_OPTIONS = ("--select", "--columns", "--units", "--topics")
 """Options whose value looks like an override."""
@@ -46,8 +45,11 @@ LEAST_COLUMNS = 40
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code; bad input costs one line on the standard error,
     never a traceback."""
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        options = parse(sys.argv[1:] if arguments is None else arguments)
+        if words[:1] == [COMPLETE]:
+            return print_completions(words[1:])
+        options = parse(words)
         return run(options) if options else 0
     except KeyboardInterrupt:
         return _report(INTERRUPTED_LINE, ExitCode.INTERRUPTED)
@@ -88,6 +90,15 @@ def parse(arguments: Sequence[str]) -> Options | None:
     return dataclasses.replace(options, overrides=tuple(overrides))
 
 
+def print_completions(line: Sequence[str]) -> int:
+    """Print the words that a line may end with, one a line; returns 0."""
+    from jaxtube.experiments.completion.words import complete
+
+    for word in complete(" ".join(line)):
+        print(word)
+    return 0
+
+
 def run(options: Options) -> int:
     """Load the scenario, where one is given, and run the command's own module."""
     from jaxtube.scenario.reading import load
@@ -98,9 +109,10 @@ def run(options: Options) -> int:
         with _warnings_in_lines():
             return importlib.import_module(f"{__package__}.{options.module}").run(scenario, options)
     except ScenarioError as error:
-        # What only a design can find out is not told where the scenario came from.
+        # What only a design can find out is not told where the scenario came from. A name that no
+        # scenario has is that of another one.
         line = str(error)
-        if line.startswith("scenario:"):
+        if line.startswith("scenario:") and not line.startswith("scenario: name ="):
             line = f"{options.scenario}{line.removeprefix('scenario')}"
         raise ScenarioError(line) from None
 
@@ -178,55 +190,9 @@ def _parse_options(words: list[str]) -> Options | None:
     except SystemExit as stop:
         if not stop.code:
             return None
-        parts = [_shorten(errors.getvalue()), *_find_cures(words), f"see {PROGRAM} --help"]
-        raise _refuse("; ".join(parts)) from None
+        from jaxtube.experiments.misread import explain
 
-
-def _find_cures(words: list[str]) -> list[str]:
-    """Return what was probably meant by words that no option has: a command, or overrides."""
-    command, *others = words
-    if command not in COMMANDS:
-        close = difflib.get_close_matches(command, COMMANDS, n=1)
-        return [f"did you mean {name}?" for name in close]
-    options = [flag(field.name) for field in dataclasses.fields(COMMANDS[command])]
-    cures = []
-    for word, following in itertools.pairwise([*others, ""]):
-        name, _, value = word.partition("=")
-        if name in options:
-            continue
-        overrides = [f"{key}={value or following or 'VALUE'}" for key in _find_keys(name)]
-        if overrides:
-            cures.append(f"write {' or '.join(overrides)}")
-    return cures
-
-
-def _find_keys(word: str) -> list[str]:
-    """Return the keys of a scenario that a word means: section.key, or --key."""
-    from jaxtube.scenario.validation import find_keys
-
-    if re.fullmatch(r"\w+\.\w+", word):
-        return [word]
-    return find_keys(word[2:].replace("-", "_")) if word.startswith("--") else []
-
-
-def _shorten(box: str) -> str:
-    """Reduce the box that the parser draws around its message to what is wrong and the nearest
-    right word."""
-    first, *others = _paragraphs(box) or [["not understood"]]
-    sentences = [" ".join(first).rstrip(".")]
-    for paragraph in others:
-        if paragraph[0].startswith("Available"):
-            sentences.append(" ".join(paragraph))
-        if paragraph[0].startswith("Perhaps you meant") and len(paragraph) > 1:
-            sentences.append(f"did you mean {paragraph[1].split()[0]}?")
-    return "; ".join(sentences)
-
-
-def _paragraphs(box: str) -> list[list[str]]:
-    """Return the lines inside a box, below its title and without colours, cut at its rules."""
-    lines = [re.sub(r"\x1b\[[0-9;]*m|[|│╭╮╰╯]", "", line).strip() for line in box.splitlines()[1:]]
-    groups = itertools.groupby(lines, lambda line: set(line) <= set("-+─"))
-    return [list(group) for is_rule, group in groups if not is_rule]
+        raise _refuse(explain(words, errors.getvalue())) from None
 
 
 def _refuse(text: str) -> ValueError:

@@ -24,7 +24,7 @@ inner products; the rest is new.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property
@@ -291,12 +291,16 @@ def _bound_rows(
     )
 
 
-def list_margins(proofs: dict[str, Proof | None]) -> Iterator[str]:
-    """Yield a line for each precision: what is proved of it, with the least margin."""
-    for name, proof in proofs.items():
-        if proof is None:
-            yield f"{name}: not certified; constraints cannot be drawn in so far"
-            continue
-        least = min(proof.margins, key=lambda condition: proof.margins[condition])
-        words = "certified again" if proof.holds else "NOT certified"
-        yield f"{name}: {words}, least margin {proof.margins[least]:.3g} ({least})"
+def list_margins(proofs: Mapping[str, Proof | None]) -> list[str]:
+    """Return a line for each precision: what is proved of it, with the least margin."""
+    return [f"{name}: {_say_what_holds(proof)}" for name, proof in proofs.items()]
+
+
+def _say_what_holds(proof: Proof | None) -> str:
+    if proof is None:
+        return "not certified; constraints cannot be drawn in as far as it needs"
+    least = min(proof.margins, key=lambda condition: proof.margins[condition])
+    words = "certified again" if proof.holds else "NOT certified"
+    if proof.holds and not proof.constants.is_certified:
+        words = "as exact as the design, which is NOT certified for the robot"
+    return f"{words}, least margin {proof.margins[least]:.3g} ({least})"

@@ -15,6 +15,7 @@ from jaxtube.plant.estimating import robot_behind
 from jaxtube.plant.lagging import LaggingRobot
 from jaxtube.plant.motions import join
 from jaxtube.precision import in_64_bits
+from jaxtube.qp.regions import AnyArray
 from jaxtube.simulation.choices import choose_starts
 from jaxtube.simulation.components import make_tube_mpc, slipping_robot
 from jaxtube.simulation.rollout import begin, realisation_keys, run_period
@@ -24,12 +25,12 @@ from jaxtube.synthesis.parts import Design
 class Recording(NamedTuple):
     """What a lap shows, step by step; time first, then the laps."""
 
-    poses: Float[np.ndarray, "steps laps 3"]  # measured, (x m, y m, heading rad) in the world
-    slips: Float[np.ndarray, "steps laps 2"]  # measured
-    errors: Float[np.ndarray, "steps laps 3"]  # that the controller acted on, (m, m, rad)
-    inputs: Float[np.ndarray, "steps laps 2"]
-    wheels: Float[np.ndarray, "steps laps 2"]  # within the limits, m/s
-    status: Int[np.ndarray, "steps laps"]
+    poses: Float[AnyArray, "steps laps 3"]  # measured, (x m, y m, heading rad) in the world
+    slips: Float[AnyArray, "steps laps 2"]  # measured
+    errors: Float[AnyArray, "steps laps 3"]  # that the controller acted on, (m, m, rad)
+    inputs: Float[AnyArray, "steps laps 2"]
+    wheels: Float[AnyArray, "steps laps 2"]  # within the limits, m/s
+    status: Int[AnyArray, "steps laps"]
 
 
 @in_64_bits

@@ -208,6 +208,7 @@ def _render_readme(
         jitter=f"{constants.most_jitter:g}",
         horizon=constants.horizon,
         exchanges=constants.most_exchanges,
+        is_certified=constants.is_certified,
         assumptions=[assumption.rstrip(".") for assumption in design.certificate.assumptions],
     )
 

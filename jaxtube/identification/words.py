@@ -24,18 +24,27 @@ SIDES_IN_WORDS: dict[BoxKind, str] = {
 
 
 def say_promise(identified: Identified) -> str:
+    """Return what the box holds for, and what more would take."""
+    return "; ".join([say_holding(identified), *say_needed(identified)])
+
+
+def say_holding(identified: Identified) -> str:
     """Return what the box holds for: the first line of everything."""
     promise = identified.promise
-    needed = [
+    return (
+        f"holds for at least {math.floor(100 * promise.share)} % of new commands at "
+        f"{100 * promise.confidence:.0f} % confidence, from {promise.commands}"
+    )
+
+
+def say_needed(identified: Identified) -> list[str]:
+    """Return how many commands would be needed for greater shares."""
+    promise = identified.promise
+    return [
         f"{100 * share:.0f} % needs {promise.count_needed(share)}"
         for share in SHARES
         if share > promise.share
     ]
-    holds = (
-        f"holds for at least {math.floor(100 * promise.share)} % of new commands at "
-        f"{100 * promise.confidence:.0f} % confidence, from {promise.commands}"
-    )
-    return "; ".join([holds, *needed])
 
 
 def say_sample(identified: Identified) -> str:

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 
 from jaxtube.scenario.folders import find_scenario
+from jaxtube.scenario.nearest import ask_if_meant, find_nearest, offer
 from jaxtube.scenario.refusal import refusal
 from jaxtube.scenario.tree import Scenario
 from jaxtube.scenario.validation import find_default, validate
@@ -96,8 +97,7 @@ def find(name_or_path: str | Path) -> Path:
         return find_scenario(Path(text))
     if text not in known:
         cure = (
-            f"choose one of {', '.join(known)}, or give the path of a file that ends in .toml or "
-            "of a folder"
+            f"{offer(text, known)}, or give the path of a file that ends in .toml, or of a folder"
         )
         raise refusal("scenario", "name", text, "no scenario has this name", cure)
     return experiments_folder() / text / "scenario.toml"
@@ -115,7 +115,9 @@ def _read(path: Path, source: str) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         problem = f"cannot be read ({reason})"
-        cure = "give a readable file in UTF-8"
+        beside = [*map(str, path.parent.glob("*.toml")), *names()]
+        meant = [] if path.exists() else find_nearest(str(path), beside)
+        cure = ask_if_meant(meant) or "give a readable file in UTF-8"
         raise refusal(source, "scenario", str(path), problem, cure) from None
     try:
         return tomllib.loads(text)

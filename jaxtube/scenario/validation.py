@@ -1,15 +1,15 @@
 """From nested tables of plain values to a validated `Scenario`; every refusal is one line with
 source, key, value and cure."""
 
-import difflib
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NoReturn, get_args, get_type_hints
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, Literal, NoReturn, get_args, get_origin, get_type_hints
 
 import msgspec
 
 from jaxtube.scenario import rules
+from jaxtube.scenario.nearest import ask_if_meant, find_nearest, offer
 from jaxtube.scenario.refusal import literal, refusal
 from jaxtube.scenario.tree import Scenario
 
@@ -64,8 +64,35 @@ def find_default(key: str) -> Any:
 
 def find_keys(name: str) -> list[str]:
     """Return the dotted keys that end in a name."""
+    return [key for key in known_keys() if _ending(key) == name]
+
+
+def find_near_keys(name: str, keys: Sequence[str] | None = None) -> list[str]:
+    """Return those of some keys, of all where None, that end in the names nearest to another
+    one."""
+    keys = known_keys() if keys is None else keys
+    nearest = find_nearest(name, dict.fromkeys(map(_ending, keys)))
+    return [key for key in keys if _ending(key) in nearest]
+
+
+def _ending(key: str) -> str:
+    return key.split(".")[1]
+
+
+def known_keys() -> list[str]:
+    """Return all dotted keys."""
     tables = {section: getattr(Scenario(), section) for section in Scenario.__struct_fields__}
-    return [f"{key}.{name}" for key, table in tables.items() if name in table.__struct_fields__]
+    return [f"{key}.{name}" for key, table in tables.items() for name in table.__struct_fields__]
+
+
+def find_choices(key: str) -> tuple[str, ...]:
+    """Return the values that a dotted key with choices may take, as TOML has them without quotes;
+    none for a key whose values are endless."""
+    section, name = key.split(".")
+    kind = get_type_hints(type(getattr(Scenario(), section)))[name]
+    if kind is bool:
+        return ("true", "false")
+    return get_args(kind) if get_origin(kind) is Literal else ()
 
 
 def _walk(node: Any, key: str = "") -> Iterator[tuple[str, Any]]:
@@ -98,11 +125,16 @@ def _explain(message: str, tables: Mapping[str, Any]) -> tuple[str, Any, str, st
         name = unknown[1]
         full_key = f"{key}.{name}" if key else name
         problem = "unknown key" if key else "unknown section"
-        return full_key, value[name], problem, _suggest(full_key)
+        value = value[name]
+        if not key and isinstance(value, Mapping) and value:
+            first = next(iter(value))
+            full_key = f"{name}.{first}"
+            value = value[first]
+        return full_key, value, problem, _suggest(full_key)
     if "." not in key:
         return key, value, "must be a table", f"write [{key}] and its keys below it"
     if text.startswith("Invalid enum value"):
-        return key, value, "unknown choice", f"choose one of {', '.join(_find_choices(key))}"
+        return key, value, "unknown choice", offer(str(value), find_choices(key))
     default = find_default(key)
     cure = f"the default is {literal(default)}"
     if key in ("robot.wheel_lag_s", "robot.command_delay_s"):
@@ -121,19 +153,18 @@ def _describe_requirement(text: str) -> str:
 
 
 def _suggest(key: str) -> str:
-    """Return a cure for a key that does not exist: the one probably meant."""
+    """Return a cure for a key or section that does not exist: what was probably meant, or else what
+    there is."""
     sections = Scenario.__struct_fields__
-    known = []
-    for section in sections:
-        names = getattr(Scenario(), section).__struct_fields__
-        known.extend(f"{section}.{name}" for name in names)
-    name = key.split(".")[-1]
-    same_name = [other for other in known if other.split(".")[1] == name]
-    close = same_name or difflib.get_close_matches(key, [*sections, *known], n=1, cutoff=0.6)
-    return f"did you mean {close[0]}?" if close else f"the sections are {', '.join(sections)}"
-
-
-def _find_choices(key: str) -> tuple[str, ...]:
-    """Return the values that a key with choices may take."""
-    section, name = key.split(".")
-    return get_args(get_type_hints(type(getattr(Scenario(), section)))[name])
+    section, dot, name = key.partition(".")
+    near = [section] if section in sections else find_nearest(section, sections)
+    inside = [known for known in known_keys() if known.split(".")[0] in near]
+    if dot:
+        same = find_keys(name)
+        meant = [known for known in same if known in inside] or same
+        meant = meant or find_near_keys(name, inside) or find_near_keys(name)
+    else:
+        meant = find_keys(section) or near or find_near_keys(section)
+    if section in sections and not meant:
+        return f"the keys of [{section}] are {', '.join(map(_ending, inside))}"
+    return ask_if_meant(meant) or f"the sections are {', '.join(sections)}"

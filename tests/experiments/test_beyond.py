@@ -163,13 +163,14 @@ def test_the_command_writes_levels_with_units_and_prints_a_table(tmp_path, capsy
         levels = [entry[imperfection.key] for entry in found[name]["levels"]]
         assert levels[0] == 0
         assert levels == sorted(levels)
-    table, _, _ = capsys.readouterr().out.partition("\n\n")
+    verdict, _, table = capsys.readouterr().out.partition("\n\n")
+    assert len(verdict) < WIDTH and "imperfections" in verdict
     assert max(map(len, table.splitlines())) <= WIDTH
     words = set(table.split())
     for imperfection in IMPERFECTIONS.values():
         assert set(imperfection.title.split()) <= words
     names = {"beyond.png", "beyond.pdf", "metrics.json", "manifest.json", "scenario.toml"}
-    names |= {"report.txt"}
+    names |= {"report.txt", "report.html"}
     assert {path.name for path in tmp_path.iterdir()} == names
 
 

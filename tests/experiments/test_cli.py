@@ -122,7 +122,8 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
             [
                 "papr",
                 "paper, design, montecarlo, falsify, guarantee, fit, maps, beyond, path, tune, "
-                "identify, replay, bench, list, check",
+                "identify, replay, export, bench, animate, figures, list, check, doctor, "
+                "completion",
             ],
         ),
         (["desing"], ["did you mean design?"]),
@@ -162,6 +163,41 @@ def test_bad_input_ends_with_2_and_one_line_that_names_it(words, fragments, caps
     assert [fragment for fragment in fragments if fragment not in line] == []
 
 
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("montecralo", "did you mean montecarlo?"),
+        ("design --secnario paper", "did you mean --scenario?"),
+        ("design --optimize", "did you mean --optimise?"),
+        ("design --horizn 7", "write controller.horizon=7"),
+        ("design --realisations 4", "it is one of paper, montecarlo, guarantee, beyond"),
+        ("doctor --quick", "it is one of bench, check"),
+        ("design --scenario certifed", "did you mean certified?"),
+        ("design --scenario certified.toml", "did you mean certified?"),
+        ("check certifed", "did you mean certified?"),
+        ("guarantee --against certifed", 'scenario: name = "certifed"'),
+        ("design robust", "write --scenario robust"),
+        ("montecarlo --controller tube-mpc", "did you mean tube_mpc?"),
+        ("fit sped", "did you mean speed?"),
+        ("design horizn=7", "did you mean controller.horizon?"),
+        ("design controller.horizn=7", "did you mean controller.horizon?"),
+        ("design controler.horizon=7", "did you mean controller.horizon?"),
+        ("design contraints.lateral_m=3", "did you mean constraints.lateral_m?"),
+        ("design lateral_m=3", "did you mean constraints.lateral_m or operating.lateral_m or"),
+        ("design controller.terminal=T-X", "did you mean T-A or T-B?"),
+        ("design slip.process=Walk", "did you mean walk?"),
+        ("design controller.zzz=1", "the keys of [controller] are dt_s, horizon"),
+    ],
+)
+def test_a_typing_error_is_answered_with_what_was_meant(typed, meant, capsys):
+    assert meant in error_line(capsys, *typed.split())
+
+
+def test_nothing_is_suggested_for_what_is_near_to_nothing(capsys):
+    for typed in ("xyzzy", "design --qqqq", "design qqqq.zzzz=1", "design --scenario qqqq"):
+        assert "did you mean" not in error_line(capsys, *typed.split())
+
+
 def test_an_out_folder_that_cannot_be_is_bad_input(tmp_path, capsys, fake_runs):
     (tmp_path / "file").write_text("")
     assert "is a file" in error_line(capsys, "design", "--out", str(tmp_path / "file"))
@@ -197,14 +233,29 @@ def test_help_ends_with_0(words, capsys):
     assert "usage: python -m jaxtube.experiments" in capsys.readouterr().out
 
 
-def test_help_imports_nothing_heavy():
+HEAVY = ("jax", "numpy", "scipy", "matplotlib", "sets", "highspy", "clarabel", "msgspec", "tqdm")
+
+
+@pytest.mark.parametrize(
+    ("words", "needed"),
+    [
+        (["--help"], ()),
+        (["montecarlo", "--help"], ()),
+        (["completion", "bash"], ("numpy", "msgspec", "tqdm")),
+        (["--complete", "jaxtube des"], ("numpy", "msgspec")),
+        (["--complete", "jaxtube montecarlo --controller pl"], ()),
+        (["list"], ("numpy", "msgspec", "scipy", "sets", "highspy", "clarabel")),
+    ],
+)
+def test_words_that_compute_nothing_import_nothing_heavy(words, needed):
     code = (
         "import sys; from jaxtube.experiments import __main__\n"
-        "assert __main__.main(['--help']) == 0\n"
-        "heavy = {'jax', 'numpy', 'scipy', 'matplotlib', 'sets'} & set(sys.modules)\n"
+        f"assert __main__.main({words}) == 0\n"
+        f"heavy = (set({HEAVY}) - set({needed})) & set(sys.modules)\n"
         "assert not heavy, heavy"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert ended.returncode == 0, ended.stderr
 
 
 # --------------------------------------------------------------------------------------- exit codes

@@ -10,6 +10,7 @@ import distributed
 import jax
 import numpy as np
 import pytest
+from spoken import leave_out_waits
 
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.montecarlo import command
@@ -60,7 +61,7 @@ def test_what_is_no_cluster_costs_one_line(known, tmp_path, capsys, name):
         == 2
     )
     output = capsys.readouterr()
-    lines = [line for line in output.err.splitlines() if not line.startswith("simulating")]
+    lines = leave_out_waits(output.err)
     assert (
         len(lines) == 1
         and lines[0].startswith(f'command line: --cluster = "{name}": ')
@@ -78,7 +79,7 @@ def test_an_address_that_answers_but_is_no_scheduler_costs_one_line(known, tmp_p
         name = f"tcp://127.0.0.1:{silent.getsockname()[1]}"
         words = [*WORDS, "--realisations", "10", "--out", str(tmp_path / "run")]
         assert main([*words, "--cluster", name]) == 2
-    [line] = [line for line in capsys.readouterr().err.splitlines() if "simulating" not in line]
+    [line] = leave_out_waits(capsys.readouterr().err)
     assert line.startswith(f'command line: --cluster = "{name}": cannot be reached (TimeoutError)')
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from spoken import leave_out_waits
 
 from jaxtube import qp
 from jaxtube.experiments.cli import main
@@ -67,7 +68,7 @@ def statistics_of(folder):
 def refused(capsys):
     """Return the one line on the standard error."""
     output = capsys.readouterr()
-    lines = [line for line in output.err.splitlines() if not line.startswith("simulating")]
+    lines = leave_out_waits(output.err)
     assert len(lines) == 1
     assert not output.out
     return lines[0]
@@ -148,7 +149,7 @@ def test_a_verdict_without_violations_is_short_and_what_follows_bounds_them():
         "confidence": 0.95,
         "plans": 0,
     }
-    line = montecarlo_report.verdict(summary)
+    line = montecarlo_report.say_verdict(summary)
     event["steps"] = 0
     summary["events"] |= {"qp_infeasible": event, "qp_unsolved": event}
     assert line == "w stayed in W in every step; 0 of 1,000,000 laps left E"

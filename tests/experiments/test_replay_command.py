@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from spoken import leave_out_waits
 
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.options import ReplayOptions, command_line
@@ -119,10 +120,11 @@ def test_a_run_leaves_a_report_metrics_figures_and_slips(finished):
 
 def test_the_promise_stands_first_and_is_judged(finished):
     lines = (finished / "report.txt").read_text().splitlines()
-    assert lines[0].startswith("Promised: at least 73 % of new commands inside")
+    assert "promised 73 % of new commands" in lines[0] and len(lines[0]) < 100
+    assert lines[2].startswith("Promised: at least 73 % of new commands inside")
     metrics = read_metrics(finished)
     assert metrics["promised_share"] == 0.73
-    assert metrics["verdict_on_promise"] in " ".join(lines[:2])
+    assert lines[0].startswith(metrics["verdict_on_promise"])
 
 
 def test_a_scenario_that_fits_is_borne_out(finished):
@@ -194,7 +196,7 @@ def test_what_cannot_bear_witness_is_refused_in_one_line(files, words, fragment,
     )
     named = [str(files / word) if word.endswith((".csv", ".toml")) else word for word in words]
     assert main(["replay", *named, "--out", str(files / "refused")]) == 2
-    error = capsys.readouterr().err.strip().splitlines()
+    error = leave_out_waits(capsys.readouterr().err)
     assert len(error) == 1 and re.search(re.escape(fragment), error[0])
 
 

@@ -101,3 +101,17 @@ def test_designs_of_all_kinds_are_proved(name, floats_too):
     assert proof.is_exact == design.certificate.holds_for_robot
     if floats_too is not None:
         assert (prove_floats(design) is not None) == floats_too
+
+
+def test_what_is_not_certified_is_not_called_so(tmp_path):
+    import jaxtube as jt
+
+    design = jt.design(jt.load("paper", ["reference.duration_s=1"]))
+    exported = jt.export(design, tmp_path / "controller", "paper")
+    assert "NOT CERTIFIED" in repr(exported)
+    assert "certified again" not in repr(exported)
+    readme = (exported.folder / "README.md").read_text()
+    assert "Nothing: the design is not certified for the robot" in readme
+    assert "certified again" not in readme
+    header = (exported.folder / "c" / "constants.h").read_text()
+    assert "#define JAXTUBE_IS_CERTIFIED 0" in header

@@ -34,9 +34,9 @@ REFUSED_OVERRIDES = [
     ("horizon=3", ["horizon = 3", "unknown section", "did you mean controller.horizon?"]),
     (
         "controler.horizon=3",
-        ["controler = {horizon = 3}", "unknown section", "did you mean controller?"],
+        ["controler.horizon = 3", "unknown section", "did you mean controller.horizon?"],
     ),
-    ("zzzz.q=1", ["zzzz = {q = 1}", "unknown section", "the sections are robot, reference"]),
+    ("zzzz.q=1", ["zzzz.q = 1", "unknown section", "the sections are robot, reference"]),
     ("controller=3", ["controller = 3", "must be a table", "[controller]"]),
     ("controller.horizon", ["controller.horizon", "no key and value", "controller.horizon=7"]),
     ("=3", ['"3"', "no key and value", "controller.horizon=7"]),

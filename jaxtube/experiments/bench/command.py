@@ -14,10 +14,13 @@ from jaxtube.experiments.bench import (
     qp_topic,
     scale_topic,
 )
-from jaxtube.experiments.bench.topic import Headline, Topic
+from jaxtube.experiments.bench.topic import Headline, Topic, say_verdict
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.progress import announce
+from jaxtube.reporting.page import Page, Section
 from jaxtube.scenario.tree import Scenario
 
 TOPICS: dict[str, Topic] = {
@@ -45,13 +48,15 @@ def run(scenario: Scenario, options: BenchOptions) -> int:
     metrics = {}
     headlines: list[Headline] = []
     for name in TOPICS if options.topic == "all" else [options.topic]:
-        print(f"{name}: {TOPICS[name].waits}", flush=True)
+        announce(f"{name}: {TOPICS[name].waits}")
         told = TOPICS[name].run(scenario, options, folder)
         metrics[name] = told.metrics
         headlines += told.headlines
         folder.save_metrics(metrics)
     if options.topic == "all":
         folder.report(f"\n{write_closing_table(headlines)}")
+    section = Section("Measured", [make_table(CLOSING, headlines)])
+    folder.save_page(Page(say_verdict(headlines), sections=[section]))
     print(f"\nwritten to {folder.path}/")
     return 0
 

@@ -11,7 +11,7 @@ from jaxtube.experiments.bench.designs import FULL, QUICK, DesignResult, SetResu
 from jaxtube.experiments.bench.peers import invariant_sets
 from jaxtube.experiments.bench.pinned import run_pinned
 from jaxtube.experiments.bench.rounds import spread, write_number
-from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe
+from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe, say_verdict
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
@@ -28,10 +28,12 @@ def run(scenario: Scenario, options: BenchOptions, folder: RunFolder) -> Told:
         name: run_pinned(1, designs.measure, each, extent)
         for name, each in name_scenarios(scenario, options, USUAL)
     }
+    told = headlines(results)
+    folder.report(f"{say_verdict(told)}\n")
     folder.report(f"{write_stages(results)}\n")
     folder.report(write_sets(results))
     found = {name: metrics(result) for name, result in results.items()}
-    return Told(found, headlines(results))
+    return Told(found, told)
 
 
 TOPIC = Topic(

@@ -10,7 +10,7 @@ from jaxtube.experiments.bench.cases import name_scenarios
 from jaxtube.experiments.bench.gradients import FULL, QUICK, GradientResult
 from jaxtube.experiments.bench.pinned import run_pinned
 from jaxtube.experiments.bench.rounds import Spread, spread, write_number
-from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe
+from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe, say_verdict
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
@@ -34,9 +34,11 @@ def run(scenario: Scenario, options: BenchOptions, folder: RunFolder) -> Told:
     refuse_gains_of_a_search(scenarios)
     extent = QUICK if options.quick else FULL
     results = run_pinned(1, gradients.measure, scenarios, options.seed, extent)
+    told = headlines(results)
+    folder.report(f"{say_verdict(told)}\n")
     folder.report(f"{write_table(results)}\n\n{write_notes(results)}")
     found = {result.scenario: metrics(result) for result in results}
-    return Told(found, headlines(results))
+    return Told(found, told)
 
 
 TOPIC = Topic(

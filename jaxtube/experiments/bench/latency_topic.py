@@ -19,7 +19,7 @@ from jaxtube.experiments.bench.latencies import DAQP, FULL, OURS, QUICK, Latency
 from jaxtube.experiments.bench.peers.catalogue import EXACT
 from jaxtube.experiments.bench.pinned import run_pinned
 from jaxtube.experiments.bench.rounds import write_number
-from jaxtube.experiments.bench.topic import Headline, Told, Topic
+from jaxtube.experiments.bench.topic import Headline, Told, Topic, say_verdict
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
@@ -58,11 +58,13 @@ def run(scenario: Scenario, options: BenchOptions, folder: RunFolder) -> Told:
     cases = choose_cases(scenario, options, USUAL)
     extent = QUICK if options.quick else FULL
     results = run_pinned(1, latencies.measure, cases, options.seed, extent)
+    told = headlines(cases, results)
+    folder.report(f"{say_verdict(told)}\n")
     folder.report(f"{write_table(cases, results)}\n\n{write_notes(cases, results)}")
     folder.save_figure(draw(cases, results), "latency")
     names = [f"{case.name}_{case.starts}" for case in cases]
     found = dict(zip(names, map(metrics, results), strict=True))
-    return Told(found, headlines(cases, results))
+    return Told(found, told)
 
 
 TOPIC = Topic(

@@ -11,7 +11,7 @@ from jaxtube.experiments.bench.loops import CLOCK, DAQP, FULL, QUICK, LoopResult
 from jaxtube.experiments.bench.peers.catalogue import EXACT
 from jaxtube.experiments.bench.pinned import run_pinned
 from jaxtube.experiments.bench.rounds import Spread, spread, write_number
-from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe
+from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe, say_verdict
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
@@ -38,13 +38,15 @@ def run(scenario: Scenario, options: BenchOptions, folder: RunFolder) -> Told:
     """Measure and print the tables."""
     cases = choose_cases(scenario, options, LOOPS)
     results = run_pinned(1, loops.measure, cases, options.seed, QUICK if options.quick else FULL)
+    told = headlines(cases, results)
+    folder.report(f"{say_verdict(told)}\n")
     folder.report(f"{write_speeds(cases, results)}\n")
     if EXACT[0].is_installed:
         folder.report(f"{write_ratios(cases, results)}\n")
     folder.report(write_notes(results))
     names = [f"{case.name}_{case.starts}" for case in cases]
     found = dict(zip(names, map(metrics, results), strict=True))
-    return Told(found, headlines(cases, results))
+    return Told(found, told)
 
 
 TOPIC = Topic(

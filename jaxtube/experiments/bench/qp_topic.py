@@ -11,10 +11,10 @@ from jaxtube.experiments.bench.peers.catalogue import tight_peers
 from jaxtube.experiments.bench.pinned import run_pinned
 from jaxtube.experiments.bench.rounds import Spread, spread, write_number
 from jaxtube.experiments.bench.solvers import FULL, KNOWING, OURS, QUICK, FamilyResult, Measured
-from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe
+from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe, say_verdict
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.experiments.run.table import Column, format_table, left, wrap
+from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
 from jaxtube.qp.fixed_point import TOLERANCE
 from jaxtube.scenario.tree import Scenario
 
@@ -35,12 +35,14 @@ def run(scenario: Scenario, options: BenchOptions, folder: RunFolder) -> Told:
     cases = choose_cases(scenario, options, FAMILIES)
     results = run_pinned(1, solvers.measure, cases, options.seed, QUICK if options.quick else FULL)
     found = [result for result in results if result.programs]
+    told = headlines(found)
+    folder.report(f"{say_verdict(told)}\n")
     for result in results:
         folder.report(f"{write_title(result)}\n\n{write_table(result)}\n")
     folder.report(write_notes(results))
     if found:
         folder.save_figure(qp_figure.accuracy(found), "qp_accuracy")
-    return Told({name_family(each): metrics(each) for each in found}, headlines(found))
+    return Told({name_family(each): metrics(each) for each in found}, told)
 
 
 TOPIC = Topic(
@@ -67,9 +69,9 @@ def write_title(result: FamilyResult) -> str:
 def write_table(result: FamilyResult) -> str:
     """Return the solvers of a family as a table; peers that are not installed are named."""
     rows = [_write_row(result, each) for each in result.solvers]
-    missing = [peer for peer in tight_peers() if not peer.is_installed]
-    rows += [[peer.name, peer.cure, *[""] * (len(COLUMNS) - 2)] for peer in missing]
-    return format_table(COLUMNS, rows)
+    missing = [f"{peer.name}: {peer.cure}" for peer in tight_peers() if not peer.is_installed]
+    # Intervals read badly in two lines.
+    return "\n".join([format_table(COLUMNS, rows, WIDTH), *missing])
 
 
 def _write_row(result: FamilyResult, solver: Measured) -> list[str]:

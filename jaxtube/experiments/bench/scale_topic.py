@@ -26,7 +26,7 @@ from jaxtube.experiments.bench.scale_tables import (
     write_threads,
     write_tiles,
 )
-from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe
+from jaxtube.experiments.bench.topic import Headline, Told, Topic, describe, say_verdict
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.scenario.reading import load
@@ -41,6 +41,8 @@ OF_SHARES = "tuned"
 def run(scenario: Scenario, options: BenchOptions, folder: RunFolder) -> Told:
     """Measure, print the tables, draw the figure."""
     results = measure(scenario, options)
+    told = headlines(results)
+    folder.report(f"{say_verdict(told)}\n")
     folder.report(f"{write_laps(results)}\n")
     folder.report(f"{write_tiles(results.laps)}\n")
     folder.report(f"{write_threads(results.threads)}\n")
@@ -48,7 +50,7 @@ def run(scenario: Scenario, options: BenchOptions, folder: RunFolder) -> Told:
     folder.report(write_horizons(results))
     figure = scale_figure.scale(results.laps, results.shares, results.horizons)
     folder.save_figure(figure, "scale")
-    return Told(metrics(results), headlines(results))
+    return Told(metrics(results), told)
 
 
 TOPIC = Topic(

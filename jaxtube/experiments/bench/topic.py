@@ -5,12 +5,13 @@ Source: new.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 from jaxtube.experiments.bench.rounds import Spread
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.verdict import fit_line
 from jaxtube.scenario.tree import Scenario
 
 
@@ -43,6 +44,16 @@ class Topic(NamedTuple):
 
     waits: str
     run: Callable[[Scenario, BenchOptions, RunFolder], Told]
+
+
+def say_verdict(headlines: Sequence[Headline]) -> str:
+    """Return the first of some headlines in one line: what was measured, and what stands beside
+    it."""
+    if not headlines:
+        return "nothing was measured that stands beside anything"
+    first = headlines[0]
+    parts = [f"{first.what}: {first.ours}", first.peer, first.ratio and f"ratio {first.ratio}"]
+    return fit_line("; ".join(filter(None, parts)))
 
 
 def describe(found: Spread) -> dict[str, float]:

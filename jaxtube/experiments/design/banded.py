@@ -7,18 +7,40 @@ import numpy as np
 from jaxtube.experiments.design.banded_attack import REFERENCES, BandedLaps, attack
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.design_page import certificate_section, find_tone
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.limits import describe_error_set
-from jaxtube.experiments.run.table import wrap
+from jaxtube.experiments.run.page_table import make_table
+from jaxtube.experiments.run.table import Column, format_table, left, wrap
+from jaxtube.experiments.run.verdict import fit_line
 from jaxtube.plant.slip_processes import TEST_PROCESSES
-from jaxtube.progress import progress
+from jaxtube.progress import announce, progress
+from jaxtube.reporting.page import Bar, Bars, Page, Section
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.bands import BandedLaw, make_law
 from sets.certificate import MARGINS
 
+ATTACKED = (
+    left("slip"),
+    Column("laps"),
+    Column("steps"),
+    Column("left set"),
+    Column("w left W"),
+    Column("caps"),
+    Column("wheels"),
+    Column("set used"),
+    Column("W used"),
+)
+ATTACK = (
+    "laps with wheel speeds jumping anywhere in the range, from starts all over the invariant set: "
+    "periods in which the error left the set, w left W, an input left its caps, a wheel was at its "
+    "limit; and the largest share of set and W that was used"
+)
+
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
     """Run the command; returns 3 where a certificate is required and fails."""
+    announce("designing the law of each band")
     law = make_law(scenario)
     folder = run_folder.create(scenario, options)
     folder.report(report(law))
@@ -29,6 +51,7 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
                 attacks[process] = attack(law, process, options.seed, bar.update)
         folder.report("\n" + attack_report(attacks))
     folder.save_metrics(metrics(law, attacks))
+    folder.save_page(make_page(law, attacks))
     print(f"\nwritten to {folder.path}/")
     return exit_code(law.certificate, options.require_certificate)
 
@@ -37,9 +60,9 @@ def report(law: BandedLaw) -> str:
     """Return the bands and the certificate as text."""
     errors = ", ".join(f"{name} {law.shares[name]:.1%}" for name in list(law.shares)[:3])
     lines = [
-        *wrap(_verdict(law), "  "),
+        say_verdict(law),
         "",
-        *_band_lines(law),
+        _band_table(law),
         "",
         f"widest use of the caps on errors: {errors}",
         "",
@@ -57,11 +80,37 @@ def report(law: BandedLaw) -> str:
     return "\n".join(lines)
 
 
-def _band_lines(law: BandedLaw) -> list[str]:
-    lines = [
-        "band  mean speed [m/s]  k1 [1/s]  k2 [rad/(m s)]  k3 [1/s]  W: yaw [deg]  x [mm]  y [mm]"
-        "  caps used"
+def make_page(law: BandedLaw, attacks: dict[str, BandedLaps]) -> Page:
+    """Return the page of a law scheduled on speed."""
+    bars = [Bar(name, share, f"{share:.1%}") for name, share in law.shares.items()]
+    sections = [
+        certificate_section(law.certificate),
+        Section("What the law uses", [Bars("", bars, "The dashed line is the cap.")]),
     ]
+    if attacks:
+        table = make_table(ATTACKED, _list_attacks(attacks), note=ATTACK)
+        sections.append(Section("Laps that attacked it", [table]))
+    return Page(
+        say_verdict(law),
+        find_tone(law.certificate),
+        sections=sections,
+        not_covered=law.certificate.assumptions,
+    )
+
+
+def _band_table(law: BandedLaw) -> str:
+    columns = [
+        Column("band"),
+        left("mean speed [m/s]"),
+        Column("k1", "1/s"),
+        Column("k2", "rad/(m s)"),
+        Column("k3", "1/s"),
+        Column("W: yaw", "deg"),
+        Column("x", "mm"),
+        Column("y", "mm"),
+        Column("caps used"),
+    ]
+    rows = []
     scenario = law.problem.scenario
     slowest = scenario.reference.wheel_speed_min_mps
     for number, (band, settings) in enumerate(
@@ -71,36 +120,51 @@ def _band_lines(law: BandedLaw) -> list[str]:
         yaw = np.rad2deg(band.bound.yaw)
         x, y, _ = 1e3 * band.bound.box
         share = law.shares[f"inputs of band {number}"]
-        lines.append(
-            f"{number:>4}{slowest:>11g} to {settings.below_mps:<5g}{k1:>10g}{k2:>16g}{k3:>10g}"
-            f"{yaw:>14.3f}{x:>8.2f}{y:>8.2f}{share:>11.1%}"
+        rows.append(
+            [
+                str(number),
+                f"{slowest:g} to {settings.below_mps:g}",
+                *(f"{gain:.4g}" for gain in (k1, k2, k3)),
+                f"{yaw:.3f}",
+                f"{x:.2f}",
+                f"{y:.2f}",
+                f"{share:.1%}",
+            ]
         )
         slowest = settings.below_mps
-    return lines
+    return format_table(columns, rows)
 
 
-def _verdict(law: BandedLaw) -> str:
+def say_verdict(law: BandedLaw) -> str:
+    """Return one line: for which wheel speeds a law is certified, or what fails."""
     if not law.certificate.holds_for_robot:
-        return law.certificate.verdict
+        return fit_line(law.certificate.verdict)
     low, high = law.problem.model.box
-    return f"CERTIFIED for wheel speeds of {low[0]:g} to {high[0]:g} m/s in any order"
+    return (
+        f"CERTIFIED for wheel speeds of {low[0]:g} to {high[0]:g} m/s in any order; at most "
+        f"{max(law.shares.values()):.1%} of a cap is used"
+    )
 
 
 def attack_report(attacks: dict[str, BandedLaps]) -> str:
     """Return the laps run against the law as text."""
-    lines = [
-        "laps with wheel speeds jumping anywhere in the range, from starts all over the invariant "
-        "set",
-        f"{'slip':<12}{'laps':>8}{'steps':>12}{'left set':>10}{'w left W':>10}{'caps':>8}"
-        f"{'wheels':>8}{'set used':>10}{'W used':>8}",
+    return "\n".join([*wrap(ATTACK), format_table(ATTACKED, _list_attacks(attacks))])
+
+
+def _list_attacks(attacks: dict[str, BandedLaps]) -> list[list[str]]:
+    return [_attack_row(process, laps) for process, laps in attacks.items()]
+
+
+def _attack_row(process: str, laps: BandedLaps) -> list[str]:
+    counts = (laps.outside_set, laps.outside_w, laps.outside_caps, laps.saturated)
+    return [
+        process,
+        f"{laps.laps:,}",
+        f"{laps.steps:,}",
+        *map(str, counts),
+        f"{laps.used_set:.3f}",
+        f"{laps.used_w:.3f}",
     ]
-    for process, laps in attacks.items():
-        lines.append(
-            f"{process:<12}{laps.laps:>8,}{laps.steps:>12,}{laps.outside_set:>10}"
-            f"{laps.outside_w:>10}{laps.outside_caps:>8}{laps.saturated:>8}{laps.used_set:>10.3f}"
-            f"{laps.used_w:>8.3f}"
-        )
-    return "\n".join(lines)
 
 
 def metrics(law: BandedLaw, attacks: dict[str, BandedLaps]) -> dict:

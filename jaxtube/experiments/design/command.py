@@ -16,12 +16,16 @@ from jaxtube.experiments.design.nearest import say_nearest, say_nearest_to
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
+from jaxtube.experiments.run.design_page import make_page
 from jaxtube.experiments.run.design_report import report
 from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.progress import progress
+from jaxtube.experiments.run.limits import describe_pose
+from jaxtube.progress import announce, progress
+from jaxtube.reporting import laps as kept_laps
+from jaxtube.reporting.player import make_player
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Operating, Scenario
 from jaxtube.simulation import batches, components
@@ -36,6 +40,12 @@ from jaxtube.synthesis.tightening import EmptySetError
 
 SAVED = "design"
 """Folder of the saved design in that of the run."""
+
+PLAYED = (
+    "These are laps of the tube's local gain alone, without prediction; `paper` and `montecarlo` "
+    "play the tube-MPC."
+)
+"""What the laps of a design are."""
 
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
@@ -52,10 +62,13 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
         )
     if scenario.operating.bands:
         return banded.run(scenario, options)
+    found = None
     if options.optimise:
         refuse_start_outside_limits(make_problem(_remove_caps(scenario)))
-        scenario = find_caps_and_gains(scenario, options)
+        found = find_caps_and_gains(scenario, options)
+        scenario = found.scenario
     refuse_start_outside_limits(make_problem(scenario))
+    announce("designing: sets, gains and certificate")
     try:
         designed = make_design(scenario, None if options.optimise else options)
         made = confirm_motions(designed)
@@ -66,15 +79,25 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     text = report(made, numbers.get("ultimate_bound"), nearest)
     folder = run_folder.create(scenario, options)
     folder.report(text)
+    if found is not None:
+        folder.report(f"\ncaps and gains found, as lines of a scenario\n\n{scenario_lines(found)}")
     folder.report(f"\n{describe_saved(designed.save(folder.path / SAVED))}")
     start_fault = _find_start_fault(made)
     started = time.perf_counter()
+    player = None
     if start_fault is None:
-        disturbance = simulate_disturbance(made, options.seed)
+        announce("driving laps, compiled first: does w stay in W?")
+        laps = simulate_laps(made, options.seed)
+        disturbance = measure_disturbance(made, laps)
         numbers["disturbance"] = disturbance
         folder.report("\n" + disturbance_line(made, disturbance, "the local gain"))
+        kept = kept_laps.collect(made, {"local_gain": laps})
+        folder.save_arrays("laps", **kept.arrays())
+        player = make_player(kept, " ".join([PLAYED, describe_pose(made.problem)]).strip())
     folder.save_metrics(numbers)
+    announce("drawing the sets")
     draw_sets(made, options.label, folder)
+    folder.save_page(make_page(made, options.label, numbers, nearest, player))
     seconds = time.perf_counter() - started
     print(f"\nlaps, their compilation and figures took another {seconds:.1f} s")
     print(f"written to {folder.path}/; scenario.toml there can be run again")
@@ -113,14 +136,12 @@ def draw_sets(made: Design, name: str, folder: RunFolder) -> None:
     folder.save_figure(design_sets(made, name), "sets")
 
 
-def find_caps_and_gains(scenario: Scenario, options: DesignOptions) -> Scenario:
-    """Return the scenario with the caps and gains the optimiser finds, and print them as lines of a
-    scenario file.
+def find_caps_and_gains(scenario: Scenario, options: DesignOptions) -> Optimum:
+    """Return the caps and gains that the optimiser finds, with the scenario that has them.
 
     Raises:
         ScenarioError: where none are found, or the tube outgrows the best of them.
     """
-    started = time.perf_counter()
     try:
         with progress(SEARCHES, "optimising", "searches", starting="starting") as bar:
 
@@ -135,12 +156,7 @@ def find_caps_and_gains(scenario: Scenario, options: DesignOptions) -> Scenario:
     if not best.holds:
         told = "; ".join(say_nearest_to(best, options))
         raise ScenarioError(f"scenario: --optimise: no caps and gains found hold the tube: {told}")
-    print(scenario_lines(best))
-    seconds = time.perf_counter() - started
-    print(
-        f"\nfound in {seconds:.1f} s; the tube fills about {best.ratio:.1%} of the caps at most\n"
-    )
-    return best.scenario
+    return best
 
 
 def scenario_lines(best: Optimum) -> str:
@@ -155,15 +171,19 @@ def scenario_lines(best: Optimum) -> str:
     return "\n".join(lines)
 
 
-def simulate_disturbance(made: Design, seed: int) -> dict:
+def simulate_laps(made: Design, seed: int) -> Trajectory:
+    """Return laps of the local gain on the slipping robot, which compile quickly."""
+    starts = np.tile(made.problem.initial_error, (batches.BATCH, 1))
+    controller = components.controller_makers(made)["local_gain"]()
+    return batches.run_realisations(controller, components.slipping_robot(made), starts, seed)
+
+
+def measure_disturbance(made: Design, trajectory: Trajectory) -> dict:
     """Return what laps of the local gain say of w(k) in W: they can refute it, never prove it.
 
     Of a computed W only steps count in which measured error and input lie in what it was computed
     for.
     """
-    starts = np.tile(made.problem.initial_error, (batches.BATCH, 1))
-    controller = components.controller_makers(made)["local_gain"]()
-    trajectory = batches.run_realisations(controller, components.slipping_robot(made), starts, seed)
     disturbances = batches.model_disturbances(made, trajectory)
     if made.problem.disturbance_bound is not None:
         disturbances = disturbances[within_caps(made, trajectory)][:, None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from jaxtube.experiments.export.page import make_page
 from jaxtube.experiments.export.report import describe_in_c, describe_in_numpy, say_verdict
 from jaxtube.experiments.options import ExportOptions
 from jaxtube.experiments.run import folder as run_folder
@@ -9,14 +10,17 @@ from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.exit_codes import ExitCode, exit_code
 from jaxtube.exporting.replay import find_compiler, replay_in_c, replay_in_numpy
 from jaxtube.exporting.write import Exported, export
+from jaxtube.progress import announce
 from jaxtube.scenario.tree import Scenario
 
 
 def run(scenario: Scenario, options: ExportOptions) -> int:
     """Run the command; returns 3 for what is not certified, where a certificate is required, and 1
     where recorded steps come out differently."""
+    announce("designing: sets, gains and certificate")
     made = make_design(scenario, options)
     folder = run_folder.create(scenario, options)
+    announce("proving the numbers again, and recording laps to play")
     exported = export(made, options.controller_folder, options.label)
     folder.report(say_verdict(exported))
     folder.report(f"{exported}\n")
@@ -26,6 +30,7 @@ def run(scenario: Scenario, options: ExportOptions) -> int:
     in_c = None if compiler is None else replay_in_c(exported.folder, compiler)
     folder.report(describe_in_c(in_c))
     folder.save_metrics(list_metrics(exported) | {"replayed": replay._asdict()})
+    folder.save_page(make_page(made, exported, replay, in_c))
     print(f"\nREADME.md in {exported.folder}/ says how to use it")
     if replay.wrong:
         return ExitCode.METRIC_OFF

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxtube.experiments.falsify.report import metrics, report
+from jaxtube.experiments.falsify.report import make_page, metrics, report
 from jaxtube.experiments.options import FalsifyOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.designing import make_design
@@ -21,7 +21,7 @@ from jaxtube.falsification.falsify import search_setting
 from jaxtube.falsification.setting import LoopLimits, make_setting
 from jaxtube.falsification.worst import Worst, confirm
 from jaxtube.numpy_archive import read_archive
-from jaxtube.progress import progress
+from jaxtube.progress import announce, progress
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.simulation.usage import Replay
@@ -37,6 +37,7 @@ def run(scenario: Scenario, options: FalsifyOptions) -> int:
     if options.replay:
         return play_again(scenario, options)
     refuse_options(options)
+    announce("designing: sets, gains and certificate")
     setting = make_setting(
         make_design(scenario, options),
         options.controller,
@@ -56,10 +57,12 @@ def run(scenario: Scenario, options: FalsifyOptions) -> int:
         )
     folder.report(report(falsification))
     folder.save_metrics(metrics(falsification))
+    announce("drawing the worst cases")
     for name, row in falsification.rows.items():
         save(setting.limits, options.starts, folder, row.worst, row.played)
         draw(setting.limits, folder, f"worst_{name}", row.worst, row.played, row)
-    print(f"\nworst cases, figures, metrics.json and manifest.json are in {folder.path}/")
+    folder.save_page(make_page(falsification))
+    print(f"\nreport.html, worst cases, figures and metrics.json are in {folder.path}/")
     return 0
 
 
@@ -138,6 +141,7 @@ def play_again(scenario: Scenario, options: FalsifyOptions) -> int:
         raise refusal(
             "command line", "--replay", str(path), "was found with another scenario", cure
         )
+    announce("designing, then playing the worst case again")
     design = make_design(scenario, options)
     before = _read_worst(saved)
     name = before.limit

@@ -4,7 +4,9 @@ quantity."""
 from __future__ import annotations
 
 from jaxtube.experiments.fit.attempts import Fit, FrontierPoint
-from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
+from jaxtube.experiments.run.page_table import make_table
+from jaxtube.experiments.run.table import Column, format_table, left, wrap
+from jaxtube.reporting.page import Page, Section
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.attempt import Attempt
 from jaxtube.synthesis.levers import Lever
@@ -18,11 +20,34 @@ CAVEAT = (
 
 def report(scenario: Scenario, found: Fit) -> str:
     """Return the report as text."""
-    lines = [line for each in describe_border(scenario, found) for line in wrap(each, "  ")]
+    lines = [say_verdict(found)]
+    lines += [line for each in describe_border(scenario, found) for line in wrap(each, "  ")]
     lines += ["", _attempt_table(found), *wrap(CAVEAT, "  ")]
     if found.second is not None:
         lines += ["", _frontier_table(found, found.second)]
     return "\n".join(lines)
+
+
+def say_verdict(found: Fit) -> str:
+    """Return one line: how far a certificate was found."""
+    best = found.border.best
+    if best is None:
+        return f"NOT CERTIFIED at any {found.lever.name} tried"
+    assert best.ratio is not None
+    return (
+        f"CERTIFIED; the {SUPERLATIVES[found.lever.name]} found is {best.factor:.4g} times the "
+        f"scenario's; the tube fills {best.ratio:.1%} of its caps"
+    )
+
+
+def make_page(scenario: Scenario, found: Fit) -> Page:
+    """Return the page of a fit."""
+    table = make_table(
+        _attempt_columns(found), map(_attempt_row, found.border.attempts), note=CAVEAT
+    )
+    tone = "bad" if found.border.best is None else "good"
+    lead = describe_border(scenario, found)
+    return Page(say_verdict(found), tone, lead, [Section("Attempts", [table])])
 
 
 def describe_border(scenario: Scenario, found: Fit) -> list[str]:
@@ -45,13 +70,10 @@ def describe_border(scenario: Scenario, found: Fit) -> list[str]:
 
 
 def _say_none(scenario: Scenario, lever: Lever, attempts: tuple[Attempt, ...]) -> str:
-    """Return that no attempt holds, and which came closest."""
+    """Return which attempt came closest where none holds."""
     with_ratio = [attempt for attempt in attempts if attempt.ratio is not None]
     closest = min(with_ratio or attempts, key=lambda attempt: attempt.ratio or 0.0)
-    return (
-        f"No certified design was found at any {lever.name} tried; closest at "
-        f"{_say_place(scenario, lever, closest)}: {closest.reason}."
-    )
+    return f"Closest at {_say_place(scenario, lever, closest)}: {closest.reason}."
 
 
 def _say_place(scenario: Scenario, lever: Lever, attempt: Attempt) -> str:
@@ -61,15 +83,18 @@ def _say_place(scenario: Scenario, lever: Lever, attempt: Attempt) -> str:
     return lever.say_measured(lever.scale(scenario, attempt.factor))
 
 
-def _attempt_table(found: Fit) -> str:
-    columns = [
+def _attempt_columns(found: Fit) -> list[Column]:
+    return [
         Column(found.lever.label),
         Column("factor"),
         Column("tube fills", "% of caps"),
         left("certified"),
         left("binds, or denies it"),
     ]
-    return format_table(columns, map(_attempt_row, found.border.attempts), WIDTH)
+
+
+def _attempt_table(found: Fit) -> str:
+    return format_table(_attempt_columns(found), map(_attempt_row, found.border.attempts))
 
 
 def _attempt_row(attempt: Attempt) -> list[str]:
@@ -95,7 +120,7 @@ def _frontier_table(found: Fit, second: Lever) -> str:
         Column("tube fills", "% of caps"),
         left("binds"),
     ]
-    return format_table(columns, map(_frontier_row, found.frontier), WIDTH)
+    return format_table(columns, map(_frontier_row, found.frontier))
 
 
 def _frontier_row(point: FrontierPoint) -> list[str]:

@@ -18,6 +18,7 @@ from jaxtube.experiments.guarantee.claims import (
     list_violations,
 )
 from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
+from jaxtube.experiments.run.verdict import fit_line
 from jaxtube.statistics.events import VIOLATIONS, find_event
 from jaxtube.statistics.intervals import CONFIDENCE
 
@@ -28,7 +29,7 @@ TOTALS = (
     f"violating share, worst law, at most ({CONFIDENCE:.0%})",
 )
 HEADINGS = ("claimed", "proved", "seen")
-WIDE = ("acceleration_exceeded",)
+WIDE = ("acceleration_exceeded", "not_finite")
 """Events that are counted in the second table of the text, where there is room."""
 USAGES = ("steps", "active", "w, share of W", "e, share of E", "violating share at most")
 
@@ -81,7 +82,7 @@ def _say_how_many(laws: dict[str, dict], events: Collection[str]) -> str:
 
 def text(tested: list[DesignUnderTest]) -> str:
     """Return the report as text of at most WIDTH columns."""
-    parts = [verdict(design) for design in tested]
+    parts = [say_verdict(tested), *map(describe_outcome, tested)]
     parts.append(claim_table(tested))
     for design in tested:
         parts += law_tables(design)
@@ -100,8 +101,19 @@ def _wrap(part: str) -> list[str]:
     return lines
 
 
-def verdict(design: DesignUnderTest) -> str:
-    """Return one line: certified or not, and what the attack came to."""
+def say_verdict(tested: list[DesignUnderTest]) -> str:
+    """Return one line: of each design, the scenario's own first, whether it is certified, and how
+    many laps violate what it claims."""
+    return fit_line("; ".join(map(_say_briefly, reversed(tested))))
+
+
+def _say_briefly(design: DesignUnderTest) -> str:
+    proved = "CERTIFIED" if design.certificate.holds_for_robot else "NOT CERTIFIED"
+    return f"{design.name}: {proved}, {totals(design)[1]} laps violate it"
+
+
+def describe_outcome(design: DesignUnderTest) -> str:
+    """Return whether a design is certified, what fails, and what the attack came to."""
     laps, violations, *_ = totals(design)
     failing = ", ".join(design.certificate.failing)
     proved = "CERTIFIED" if design.certificate.holds_for_robot else f"NOT CERTIFIED ({failing})"
@@ -118,7 +130,7 @@ def claim_table(tested: list[DesignUnderTest]) -> str:
     by_total = zip(*map(totals, tested), strict=True)
     for title, words in zip(TOTALS, by_total, strict=True):
         rows += _claim_rows(title, ("",), [words])
-    return format_table(columns, rows, WIDTH)
+    return format_table(columns, rows)
 
 
 def _claim_rows(
@@ -154,8 +166,8 @@ def law_tables(design: DesignUnderTest) -> list[str]:
     event_columns = ["laps", *words[: len(first)]]
     usage_columns = [*USAGES, *words[len(first) :]]
     return [
-        format_table([left(design.name), *map(Column, event_columns)], events, WIDTH),
-        format_table([left(design.name), *map(Column, usage_columns)], usages, WIDTH),
+        format_table([left(design.name), *map(Column, event_columns)], events),
+        format_table([left(design.name), *map(Column, usage_columns)], usages),
     ]
 
 
@@ -192,7 +204,7 @@ def legend(tested: list[DesignUnderTest]) -> str:
 
 def markdown(tested: list[DesignUnderTest]) -> str:
     """Return the same tables in Markdown."""
-    parts = [*map(verdict, tested), _claims_in_markdown(tested)]
+    parts = [say_verdict(tested), *map(describe_outcome, tested), _claims_in_markdown(tested)]
     parts += [_laws_in_markdown(design) for design in tested]
     parts += [legend(tested), *_notes(tested)]
     return "\n\n".join(parts) + "\n"

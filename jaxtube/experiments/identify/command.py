@@ -17,7 +17,7 @@ from jaxtube.atomic import write_atomically
 from jaxtube.experiments.identify import box_figure, figures, prediction_figure
 from jaxtube.experiments.identify.log_report import say_log
 from jaxtube.experiments.identify.metrics import measure
-from jaxtube.experiments.identify.report import report
+from jaxtube.experiments.identify.report import make_page, report
 from jaxtube.experiments.options import PROGRAM, IdentifyOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
@@ -25,6 +25,7 @@ from jaxtube.experiments.run.hints import make_hints
 from jaxtube.identification.findings import Findings, inspect_log
 from jaxtube.identification.identify import Choices, Identified, identify_log, identify_windows
 from jaxtube.identification.scenario_text import find_track_width, write_scenario
+from jaxtube.progress import announce
 from jaxtube.recordings.bag import is_bag
 from jaxtube.recordings.hints import parse_pairs
 from jaxtube.recordings.log import Log
@@ -49,6 +50,7 @@ def run(scenario: None, options: IdentifyOptions) -> int:
         raise refusal("command line", "override", options.overrides[0], "is of no use here", cure)
     choices = Choices(options.least_wheel_mps, options.box, options.margin)
     recorded = read(options)
+    announce(f"identifying the robot of {options.log}")
     if isinstance(recorded, Log):
         findings = inspect_log(recorded, options.window_s)
         identified = _identify_log(findings, choices)
@@ -59,8 +61,10 @@ def run(scenario: None, options: IdentifyOptions) -> int:
     folder = run_folder.create(read_text(text), options)
     folder.report(report(identified, findings, options.track_m))
     write_atomically(folder.path / FILE, lambda file: file.write(text.encode()))
+    announce("drawing")
     save(folder, identified, findings, options)
     folder.save_metrics(measure(identified, findings, options.track_m))
+    folder.save_page(make_page(identified, findings, options.track_m))
     print(f"\n{FILE}, figures, windows.npz, metrics.json and manifest.json are in {folder.path}/")
     scenario_file = folder.path / FILE
     print(f"next: {PROGRAM} fit speed --scenario {scenario_file}")

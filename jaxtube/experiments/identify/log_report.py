@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
+from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.identification.findings import Findings, Noise
 from jaxtube.identification.scenario_text import LEAST_EXPLAINED_BY_LAG
 
@@ -28,7 +28,7 @@ def say_log(findings: Findings) -> str:
 def tabulate(rows: list[Row]) -> str:
     """Return quantities as a table."""
     columns = [left("quantity"), Column("value"), left("uncertainty"), left("from")]
-    return format_table(columns, rows, WIDTH)
+    return format_table(columns, rows)
 
 
 def _sensor_rows(findings: Findings) -> list[Row]:

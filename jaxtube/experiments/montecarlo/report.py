@@ -11,7 +11,7 @@ from jaxtube import qp
 from jaxtube.coordinates import COORDINATES, KEYS, NAMES
 from jaxtube.experiments.montecarlo import tube_reach
 from jaxtube.experiments.run.limits import describe_error_set
-from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
+from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
 from jaxtube.statistics.events import EVENTS, Event
 from jaxtube.statistics.tally import STAGE_EVENTS
 from jaxtube.synthesis.problem import Problem
@@ -20,7 +20,7 @@ from jaxtube.synthesis.problem import Problem
 def text(problem: Problem, seed: int, summary: dict, performance: dict) -> str:
     """Return the report; the verdict is its first line."""
     parts = [
-        verdict(summary),
+        say_verdict(summary),
         findings(summary),
         f"certificate: {summary['certificate']}",
         _describe_law(seed, summary),
@@ -37,7 +37,7 @@ def text(problem: Problem, seed: int, summary: dict, performance: dict) -> str:
     return "\n\n".join(parts)
 
 
-def verdict(summary: dict) -> str:
+def say_verdict(summary: dict) -> str:
     """Return one short line: whether w stayed in W, the tube's premise, and how many laps left
     E."""
     outside = summary["events"]["e_outside_E"]["laps"]
@@ -127,7 +127,7 @@ def _event_table(summary: dict) -> str:
     counted = [event for event in EVENTS if event.name in summary["events"]]
     rows = [_event_row(event, summary["events"][event.name]) for event in counted]
     meanings = [f"  {event.words}: {event.meaning}" for event in counted if not event.part]
-    lines = [format_table(columns, rows, WIDTH), *meanings]
+    lines = [format_table(columns, rows), *meanings]
     if "outside_ultimate_bound" in summary["events"]:
         lines.append(_describe_ultimate_bound(summary))
     return "\n".join(lines)
@@ -147,9 +147,9 @@ def _describe_ultimate_bound(summary: dict) -> str:
     bound = ", ".join(f"{value:.3g}" for value in summary["ultimate_bound"].values())
     units = ", ".join(coordinate.unit for coordinate in COORDINATES)
     return (
-        f"  ultimate bound ({bound}; {units}): holds the error that the controller sees from "
-        f"{summary['settled_s']:.3g} s on\n"
-        "  while w is in W and no constraint of the plan is active"
+        f"  ultimate bound ({bound}; {units}): holds the error that the controller sees\n"
+        f"  from {summary['settled_s']:.3g} s on while w is in W and no constraint of the plan is "
+        "active"
     )
 
 
@@ -166,9 +166,11 @@ def _tube_table(summary: dict) -> str:
     is_promised = cost["promised_by_the_certificate"]
     promise = "promises more" if is_promised else "makes no promise for this design"
     lines = [
-        f"{summary['plans']:,} plans from the error that the controller sees, followed to their "
-        f"end; share of them outside R_j of the tube `{tube['used']}`",
-        format_table(columns, rows, WIDTH),
+        *wrap(
+            f"{summary['plans']:,} plans from the error that the controller sees, followed to "
+            f"their end; share of them outside R_j of the tube `{tube['used']}`"
+        ),
+        format_table(columns, rows),
         "largest excess over a facet, all stages (m or rad; negative: inside):",
         f"  {largest}",
         f"there was no plan at {asked - summary['plans']:,} of {asked:,} states",
@@ -199,7 +201,7 @@ def _quantile_table(summary: dict) -> str:
     for label, kind in kinds.items():
         values = [summary[kind][quantile][key] for quantile in quantiles for key in KEYS]
         rows.append([label, *(f"{value:.3g}" for value in values)])
-    table = format_table(columns, rows, WIDTH)
+    table = format_table(columns, rows)
     return f"{table}\nquantiles are read off buckets and up to 12 % too large or too small"
 
 

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
+from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.synthesis.parts import Design
 from sets.certificate import reach_supports
 from sets.polytope import Polytope
@@ -73,7 +73,7 @@ def table(by_tube: dict) -> str:
     rows = [_row(name, numbers) for name, numbers in by_tube.items()]
     return (
         "tubes against w in W and schedules that switch at will (`sequence`: along the reference)\n"
-        f"{format_table(columns, rows, WIDTH)}\n"
+        f"{format_table(columns, rows)}\n"
         "the closed-form worst w, played along the reference, reaches every facet of `sequence` to "
         f"{by_tube['sequence']['least_share_reached']:.4%} at least"
     )

@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from jaxtube.coordinates import COORDINATES, Coordinate
-from jaxtube.experiments.run.table import WIDTH, format_table, left
+from jaxtube.experiments.run.table import format_table, left
 from jaxtube.synthesis.certificate.existence import OBJECTIVES
 
 SAME = 1e-9
@@ -45,7 +45,7 @@ def claims(metrics: dict) -> list[PaperClaim]:
 
 def table(rows: list[PaperClaim]) -> str:
     """Return the claims as a plain-text table."""
-    return format_table([left("claim"), left("measured"), left("verdict")], rows, WIDTH)
+    return format_table([left("claim"), left("measured"), left("verdict")], rows)
 
 
 def _verdict(share: float) -> str:

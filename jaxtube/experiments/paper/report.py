@@ -3,27 +3,44 @@ stress."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+
 from jaxtube import qp
 from jaxtube.coordinates import COORDINATES, KEYS
 from jaxtube.experiments.paper import stress
-from jaxtube.experiments.run.table import WIDTH, Column, format_table, left
+from jaxtube.experiments.paper.claims import PaperClaim
+from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.synthesis.parts import Design
+
+
+def say_verdict(rows: Sequence[PaperClaim], design: Design) -> str:
+    """Return one line: how many claims of the paper were reproduced, and whether its design is
+    certified."""
+    counts = Counter(row.verdict for row in rows)
+    certified = "CERTIFIED" if design.certificate.holds_for_robot else "NOT CERTIFIED"
+    return (
+        f"of {len(rows)} claims of the paper {counts['reproduced']} are reproduced, "
+        f"{counts['in part']} in part, {counts['not reproduced']} not; the design is {certified}"
+    )
 
 
 def comparison(measured: dict) -> str:
     """Return the controllers side by side: medians over realisations."""
-    columns = [
+    controllers = measured["controllers"].items()
+    errors = [left("controller"), *_error_columns("largest"), *_error_columns("RMS")]
+    uses = [
         left("controller"),
-        Column("outside\nE"),
-        *_error_columns("largest"),
-        *_error_columns("RMS"),
+        Column("outside E"),
         Column("active"),
-        Column("wheel\n[m/s]"),
+        Column("wheel", "m/s"),
     ]
-    rows = [_compare(name, numbers) for name, numbers in measured["controllers"].items()]
     inside = measured["plan_deviations"]
     shares = ", ".join(f"{share:.1%}" for share in inside["share_outside_by_stage"])
     lines = [
-        format_table(columns, rows, WIDTH),
+        format_table(errors, [_list_errors(name, numbers) for name, numbers in controllers]),
+        "",
+        format_table(uses, [_list_uses(name, numbers) for name, numbers in controllers]),
         "outside E: share of the runs that leave the error constraints; largest, RMS: medians over "
         "the runs;\nactive: share of the steps in which a constraint of the plan is active; "
         "wheel: largest wheel speed\n"
@@ -45,15 +62,22 @@ def _error_columns(kind: str) -> list[Column]:
     return [Column(f"{kind}\n{coordinate.symbol}", coordinate.unit) for coordinate in COORDINATES]
 
 
-def _compare(name: str, numbers: dict) -> list[str]:
-    """Return the row of one controller."""
+def _list_errors(name: str, numbers: dict) -> list[str]:
+    """Return the errors of one controller."""
     largest = numbers["max_error"]["whole_run"]["median"]
     rms = numbers["rms_error"]["whole_run"]["median"]
     return [
         name,
-        f"{numbers['violation_share']:.1%}",
         *(f"{largest[key]:.5f}" for key in KEYS),
         *(f"{rms[key]:.5f}" for key in KEYS),
+    ]
+
+
+def _list_uses(name: str, numbers: dict) -> list[str]:
+    """Return how a controller uses its limits."""
+    return [
+        name,
+        f"{numbers['violation_share']:.1%}",
         f"{numbers['active_share']:.2%}",
         f"{numbers['wheel_speed_max_mps']:.3f}",
     ]
@@ -81,7 +105,7 @@ def stress_table(measured: dict) -> str:
     lines = [
         f"under stress: design `{measured['stress_design']}`, starts all over the feasible set of "
         "its tube-MPC",
-        format_table(columns, rows, WIDTH),
+        format_table(columns, rows),
         "outside E, every w in W: counts of runs; recovered: of the runs that had no plan at some "
         "step, those\nthat had one at the last step",
         *_describe_unsolved(counts),

@@ -14,7 +14,7 @@ import msgspec
 from jaxtube.atomic import write_atomically
 from jaxtube.experiments.options import PathOptions
 from jaxtube.experiments.path import figures
-from jaxtube.experiments.path.report import metrics, report
+from jaxtube.experiments.path.report import make_page, metrics, report
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.exit_codes import ExitCode
 from jaxtube.experiments.run.folder import RunFolder
@@ -22,6 +22,7 @@ from jaxtube.paths.driving import Drive
 from jaxtube.paths.mission_file import write_mission
 from jaxtube.paths.missions import PathPlan, plan_path
 from jaxtube.paths.reference import drive_of
+from jaxtube.progress import announce
 from jaxtube.recordings.hints import Hints, parse_pairs
 from jaxtube.recordings.path import RawPath
 from jaxtube.recordings.reading import read_path
@@ -34,11 +35,13 @@ def run(scenario: Scenario, options: PathOptions) -> int:
     raw, plan, drive = make_plan(scenario, options)
     folder = run_folder.create(scenario, options)
     folder.report(report(raw, plan, drive, name_missions(plan)))
+    announce("drawing")
     folder.save_figure(figures.plan_figure(raw, plan, drive), "path")
     for name, mission in zip(name_missions(plan), plan.missions, strict=True):
         _save(folder, f"{name}.csv", write_mission(mission.reference, raw.origin))
         _save(folder, f"{name}.toml", _write_scenario(scenario, drive, name, options))
     folder.save_metrics(metrics(plan, drive))
+    folder.save_page(make_page(raw, plan, name_missions(plan)))
     print(f"\nwritten to {folder.path}/")
     if not plan.missions:
         print(

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
+from jaxtube.experiments.run.page_table import make_table
+from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.paths.driving import Drive, Mission
 from jaxtube.paths.missions import PathPlan
 from jaxtube.paths.rows import polygon_length
 from jaxtube.recordings.path import RawPath
+from jaxtube.reporting.page import Listing, Page, Part, Section
 
 STANDSTILL = 1e-6
 """Speed in m/s that is none."""
@@ -22,6 +24,18 @@ SAME_SPEED = 0.01
 STRAIGHT = 1e4
 """Radius in m from which on a path is straight."""
 
+COLUMNS = (
+    left("mission"),
+    left("from"),
+    Column("length", "m"),
+    Column("time", "s"),
+    Column("speed", "m/s"),
+    Column("radius", "m"),
+    Column("wheels", "m/s"),
+    Column("change", "m/s²"),
+    Column("off", "m"),
+    Column("rms", "m"),
+)
 LEGEND = (
     "off, rms: largest distance of a row of the file from the driven arcs, and the root mean "
     "square of all; radius: the tightest; wheels, change: least and greatest speed of a wheel, and "
@@ -38,7 +52,7 @@ def report(raw: RawPath, plan: PathPlan, drive: Drive, names: list[str]) -> str:
         drive: how it was to be driven.
         names: of the missions.
     """
-    lines = wrap(_describe_file(raw), "  ")
+    lines = [say_verdict(plan), "", *wrap(_describe_file(raw), "  ")]
     lines += ["", *_note_lines(plan), ""]
     if plan.missions:
         lines += [_table(plan, names), "", *wrap(LEGEND), "", *_proof_lines(plan, drive), ""]
@@ -46,6 +60,37 @@ def report(raw: RawPath, plan: PathPlan, drive: Drive, names: list[str]) -> str:
     else:
         lines.append("no mission is left")
     return "\n".join(lines)
+
+
+def say_verdict(plan: PathPlan) -> str:
+    """Return one line: what became of a path."""
+    refused = f"{len(plan.refused)} stretches refused" if plan.refused else "nothing refused"
+    if not plan.missions:
+        return f"no mission is left; {refused}"
+    count = len(plan.missions)
+    length = sum(mission.fit.curve.length for mission in plan.missions)
+    rows = max(mission.deviations.from_rows for mission in plan.missions)
+    return (
+        f"{count} {'mission' if count == 1 else 'missions'} of {length:.2f} m in all, {refused}; "
+        f"at most {rows:.4f} m off the file"
+    )
+
+
+def make_page(raw: RawPath, plan: PathPlan, names: list[str]) -> Page:
+    """Return the page of a path."""
+    count = len(plan.missions)
+    told = [str(note) for note in plan.notes]
+    refused = [str(reason) for reason in plan.refused]
+    parts: list[Part] = []
+    if told:
+        parts.append(Listing(told, "Cut and changed"))
+    if refused:
+        parts.append(Listing(refused, "Refused"))
+    if count:
+        parts.append(make_table(COLUMNS, _rows(plan, names), "Missions", LEGEND))
+    section = Section("What became of the path", parts)
+    tone = "good" if count else "bad"
+    return Page(say_verdict(plan), tone, [f"{_describe_file(raw)}."], [section])
 
 
 def _describe_file(raw: RawPath) -> str:
@@ -74,20 +119,11 @@ def _note_lines(plan: PathPlan) -> list[str]:
 
 
 def _table(plan: PathPlan, names: list[str]) -> str:
-    columns = [
-        left("mission"),
-        left("from"),
-        Column("length", "m"),
-        Column("time", "s"),
-        Column("speed", "m/s"),
-        Column("radius", "m"),
-        Column("wheels", "m/s"),
-        Column("change", "m/s²"),
-        Column("off", "m"),
-        Column("rms", "m"),
-    ]
-    rows = [_row(name, mission) for name, mission in zip(names, plan.missions, strict=True)]
-    return format_table(columns, rows, WIDTH)
+    return format_table(COLUMNS, _rows(plan, names))
+
+
+def _rows(plan: PathPlan, names: list[str]) -> list[list[str]]:
+    return [_row(name, mission) for name, mission in zip(names, plan.missions, strict=True)]
 
 
 def _row(name: str, mission: Mission) -> list[str]:

@@ -13,12 +13,13 @@ from jaxtube.atomic import write_atomically
 from jaxtube.experiments.options import ReplayOptions
 from jaxtube.experiments.replay import figures
 from jaxtube.experiments.replay.metrics import metrics
-from jaxtube.experiments.replay.report import report
+from jaxtube.experiments.replay.report import make_page, report
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.hints import make_hints
 from jaxtube.identification.findings import inspect_log
 from jaxtube.plant.recorded_slips import FEWEST_ROWS, write_slips
+from jaxtube.progress import announce
 from jaxtube.recordings.bag import is_bag
 from jaxtube.recordings.log import Log
 from jaxtube.recordings.reading import read_log
@@ -39,14 +40,20 @@ def run(scenario: Scenario, options: ReplayOptions) -> int:
     Raises:
         ScenarioError: one line, for a log that cannot be read or says nothing of the scenario.
     """
-    findings = inspect_log(read(options), options.window_s)
+    log = read(options)
+    announce("putting the scenario to the test of every period")
+    findings = inspect_log(log, options.window_s)
     witness = examine(findings, scenario, options.longer_s)
     promise = find_promised(options)
     folder = run_folder.create(scenario, options)
     folder.report(report(witness, promise, options.scenario))
+    announce("drawing")
     save(folder, witness)
     folder.save_metrics(metrics(witness, promise))
-    print(f"\nfigures, spans.npz, metrics.json and manifest.json are in {folder.path}/")
+    folder.save_page(make_page(witness, promise, options.scenario))
+    print(
+        f"\nreport.html, figures, spans.npz, metrics.json and manifest.json are in {folder.path}/"
+    )
     if save_slips(folder, witness):
         print(
             f"{SLIPS} drives laps with the slips of this log: montecarlo --scenario "

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.experiments.replay.words import MILLIMETRES, SYMBOLS, UNITS, say_percent
-from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
+from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.witness.examine import Witness
 from jaxtube.witness.model_sets import measure_usage
 from sets.polytope import Polytope
@@ -73,4 +73,4 @@ def say_sets(witness: Witness) -> str:
         "part of it that is slip, sideslip and noise. The rest of W is products and sines of "
         "errors and inputs, which no log can witness."
     )
-    return "\n".join([*head, "", format_table(columns, rows, WIDTH)])
+    return "\n".join([*head, "", format_table(columns, rows)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from jaxtube.experiments.replay.words import MILLIMETRES, SYMBOLS, UNITS, say_percent
-from jaxtube.experiments.run.table import WIDTH, Column, format_table, left, wrap
+from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.statistics.intervals import CONFIDENCE
 from jaxtube.witness.examine import Witness
 from jaxtube.witness.span_test import JUDGED, SpanTest
@@ -26,7 +26,7 @@ def say_spans(witness: Witness) -> str:
     """Return the table of what is explained, by length and kind of span."""
     columns = [
         left("spans"),
-        Column("number"),
+        Column("count"),
         Column("explained"),
         *[Column(symbol) for symbol in SYMBOLS],
         Column("refuted"),
@@ -41,7 +41,7 @@ def say_spans(witness: Witness) -> str:
         "that it may be. Usage: by how much all that is allowed would have to be scaled, 1 at the "
         "limit."
     )
-    table = format_table(columns, [row for row in rows if row], WIDTH)
+    table = format_table(columns, [row for row in rows if row])
     return "\n".join([*head, "", table, *_say_left_out(witness), *_say_noise(witness)])
 
 
@@ -113,7 +113,7 @@ def say_stretches(test: SpanTest) -> str:
     count = sum(len(run) for run in stretches)
     more = ", the worst" if len(stretches) > MOST_STRETCHES else ""
     head = f"Not explained, {count} spans of {np.median(test.spans.duration):.2g} s{more}:"
-    return f"{head}\n{format_table(columns, rows, WIDTH)}"
+    return f"{head}\n{format_table(columns, rows)}"
 
 
 def _stretch_row(test: SpanTest, run: np.ndarray) -> list[str]:

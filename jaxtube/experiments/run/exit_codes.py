@@ -15,6 +15,8 @@ class ExitCode(IntEnum):
     DONE = 0
     METRIC_OFF = 1
     """A checked metric is off."""
+    NOT_READY = 1
+    """`doctor`: something that is needed is missing or wrong."""
     BAD_INPUT = 2
     BROKEN_OFF = 2
     """The descent of `tune` broke off."""

@@ -1,7 +1,7 @@
 """Tables of text that fit the terminal: columns with headings, units and alignment.
 
-A table wider than the terminal wraps the cells of its widest columns, words whole; output that goes
-to no terminal keeps its natural width.
+A table wider than 80 characters, or than the terminal, wraps the cells of its widest columns, words
+whole.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from collections.abc import Iterable, Sequence
 from typing import Literal, NamedTuple
 
 WIDTH = 100
-"""Columns of all text that is saved."""
+"""Characters of a line of a paragraph."""
+TABLE_WIDTH = 80
+"""Characters of a line of a table, which a terminal shows unbroken."""
 GAP = "  "
 """Between two columns."""
-WIDTH = 100
-"""Characters of a line of a paragraph."""
 
 
 class Column(NamedTuple):
@@ -45,14 +45,15 @@ def left(heading: str) -> Column:
 
 
 def format_table(
-    columns: Sequence[Column], rows: Iterable[Sequence[str]], width: int | None = None
+    columns: Sequence[Column], rows: Iterable[Sequence[str]], width: int = TABLE_WIDTH
 ) -> str:
     """Return a table as text, a rule below its headings.
 
     Args:
         columns: one for each cell of a row.
         rows: cells as text; a new line in a cell is kept.
-        width: columns of text at most; those of the terminal where it has fewer, or where None.
+        width: characters of a line at most; those of the terminal where it has fewer. A word is
+            never cut: where words need more, lines are longer.
     """
     body = [tuple(row) for row in rows]
     head = tuple(column.title for column in columns)
@@ -60,7 +61,7 @@ def format_table(
     widths = [max(map(_length, column)) for column in cells]
     least = [max(map(_longest_word, column)) for column in cells]
     gaps = len(GAP) * (len(columns) - 1)
-    _narrow(widths, least, min(width or sys.maxsize, find_width()) - gaps)
+    _narrow(widths, least, min(width, find_width()) - gaps)
     rule = "-" * (sum(widths) + gaps)
     lines = [*_lines(columns, head, widths, above=True), rule]
     for row in body:

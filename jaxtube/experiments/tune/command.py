@@ -20,7 +20,7 @@ from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.tune import compare as tune_compare
 from jaxtube.experiments.tune import report as tune_report
 from jaxtube.experiments.tune.log import TuningLog
-from jaxtube.progress import progress
+from jaxtube.progress import announce, progress
 from jaxtube.scenario.reading import load
 from jaxtube.scenario.tree import Scenario, to_toml
 from jaxtube.tuning.bar import DescentBar
@@ -35,6 +35,7 @@ SETTINGS = ("variables", "method", "evaluations", "laps", "held_out", "learning_
 
 def run(scenario: Scenario, options: TuneOptions) -> int:
     """Run the command; returns 3 where no iterate is certified, 2 where the descent broke off."""
+    announce("designing where tuning starts")
     tuner = make_tuner(
         scenario,
         variables=options.variables,
@@ -61,10 +62,12 @@ def run(scenario: Scenario, options: TuneOptions) -> int:
         refusal = save_result(tuned, file, options.accept_uncertified)
         if refusal:
             return _say(refusal, ExitCode.NO_GUARANTEE)
-        numbers = report(folder, tuned)
+        summary = report(folder, tuned)
+        numbers = summary.numbers
         if options.compare:
             numbers |= tune_compare.run(folder, tuned, log, settings)
         folder.save_metrics(numbers)
+        folder.save_page(tune_report.make_page(tuned, summary))
     print(f"\nwritten to {folder.path}/; the tuned scenario is {file.path}")
     if tuned.stop in (Stop.NOT_A_NUMBER, Stop.CLIFF):
         return _say(f"{tuned.sentence}; the best certified iterate is kept", ExitCode.BROKEN_OFF)
@@ -121,13 +124,15 @@ def save_result(tuned: Tuned, file: TunedFile, accept_uncertified: bool) -> str:
     return f"the best iterate does not certify when read back: {failing}"
 
 
-def report(folder: RunFolder, tuned: Tuned) -> dict:
-    """Print, draw and save what came out, and return the numbers."""
+def report(folder: RunFolder, tuned: Tuned) -> tune_report.Summary:
+    """Print, draw and save what came out, and return it."""
+    announce("comparing start and result on new laps, compiled first")
     summary = tune_report.summarise_tuning(tuned)
     folder.report(summary.text)
     folder.save_arrays("iterates", **tune_report.iterate_arrays(tuned))
+    announce("drawing")
     tune_report.draw(folder, tuned)
-    return summary.numbers
+    return summary
 
 
 def _say(line: str, code: ExitCode) -> int:

@@ -1,0 +1,1 @@
+"""The command `doctor`: does everything that jaxtube needs work here?"""
