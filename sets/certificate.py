@@ -91,18 +91,27 @@ class Condition:
     def describe(self) -> str:
         """Return name, margin and sentence in lines of text, after a word for whether it holds."""
         words = REQUIRED if self.required else INFORMATIVE
-        head = f"  {words[self.holds]:<6} {self.name:<32} margin {self._show_margin()}"
+        head = f"  {words[self.holds]:<6} {self.name:<32} margin {self._number:>10}{self._unit}"
         sentence = textwrap.wrap(
             self.sentence, WIDTH, initial_indent=INDENT, subsequent_indent=INDENT
         )
         return "\n".join([head, *sentence])
 
-    def _show_margin(self) -> str:
+    @property
+    def margin_words(self) -> str:
+        """The margin as tables write it, with its unit."""
+        return f"{self._number}{self._unit}"
+
+    @property
+    def _number(self) -> str:
         if not np.isfinite(self.margin):
-            return f"{'-':>10}"
-        if 0 <= self.margin < TIGHT:
-            return f"{'tight':>10}"
-        return f"{self.margin:10.3g}{UNITS.get(self.name, '')}"
+            return "-"
+        return "tight" if 0 <= self.margin < TIGHT else f"{self.margin:.3g}"
+
+    @property
+    def _unit(self) -> str:
+        is_number = self._number not in ("-", "tight")
+        return UNITS.get(self.name, "") if is_number else ""
 
 
 def judge(

@@ -42,6 +42,7 @@ ROOMS = (
     "results",
     "exporting",
     "figures",
+    "reporting",
     "experiments",
 )
 """A room may import from itself and from the rooms before it."""

@@ -72,6 +72,8 @@ MARGIN = Rule(lambda value: 0 <= value < 1, "is out of range; give a slip from 0
 LOG_FILE = Rule(bool, "is missing; name the file of a log, or of a table of windows")
 PATH_FILE = Rule(bool, "is missing; name the file of a path")
 SCENARIO = Rule(bool, "is missing; name a scenario, such as the identified.toml of `identify`")
+RUN = Rule(bool, "is missing; name the folder of a run")
+STYLE = Rule(bool, "is missing; name a style of matplotlib, or a file that ends in .mplstyle")
 SHARE = Rule(
     lambda value: value is None or 0 < value < 1,
     "is out of range; give a share between 0 and 1, such as 0.77",
@@ -543,6 +545,58 @@ class BenchOptions(Options):
 
 
 @dataclass(frozen=True)
+class PastRunOptions(Options):
+    """What every command takes that reads the folder of a run."""
+
+    positional = ("run",)
+
+    run: Annotated[Positional[str], arg(metavar="RUN", help_behavior_hint=""), RUN] = ""
+    """folder of a run, such as runs/paper-paper"""
+    scenario: Suppress[str] = ""
+    seed: Suppress[int] = 0
+
+
+@dataclass(frozen=True)
+class AnimateOptions(PastRunOptions):
+    """Write a lap of a run as moving picture, from the laps in its folder."""
+
+    command = "animate"
+    module = "animate.command"
+
+    out: Suppress[str] = ""
+    controller: Annotated[
+        str, arg(metavar="NAME,...", help_behavior_hint="(default: the last of the run)")
+    ] = ""
+    """controller, or several that are drawn together"""
+    lap: Annotated[str, arg(metavar="median|worst|NUMBER")] = "median"
+    """lap: by the largest share of a limit that laps of the first controller used, or its number"""
+    to: Annotated[
+        str, arg(metavar="FILE.gif|FILE.mp4", help_behavior_hint="(default: RUN/lap.gif)")
+    ] = ""
+    """file to write; MP4 needs ffmpeg"""
+    frames: Annotated[int, arg(metavar="COUNT"), at_least(2)] = 150
+    """pictures from the first to the last instant"""
+
+
+@dataclass(frozen=True)
+class FiguresOptions(PastRunOptions):
+    """Draw the figures of a run again in another style, from the data in its folder."""
+
+    command = "figures"
+    module = "figures.command"
+
+    style: Annotated[str, arg(metavar="NAME|FILE.mplstyle", help_behavior_hint=""), STYLE] = ""
+    """style of matplotlib, or a file of one"""
+    out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: RUN/STYLE)"), FOLDER] = ""
+    """folder of the figures"""
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the figures."""
+        return Path(self.out or Path(self.run) / Path(self.style).stem)
+
+
+@dataclass(frozen=True)
 class ListOptions(Options):
     """List the scenarios that come with the project (--scenario: only this one)."""
 
@@ -619,6 +673,8 @@ COMMANDS: dict[str, type[Options]] = {
         ReplayOptions,
         ExportOptions,
         BenchOptions,
+        AnimateOptions,
+        FiguresOptions,
         ListOptions,
         CheckOptions,
         DoctorOptions,

@@ -37,6 +37,9 @@ MOST_STARTS = 2000
 PLANE = [1, 2]
 """The errors whose plane shows the starts: e_y and e_theta."""
 
+QUANTILES = (0.5, 0.95, 1.0)
+"""Of the runs at each step, which are drawn."""
+
 STRESSED = {"plain": "plain_mpc", "tube": "tube_mpc"}
 MARKS: dict[str, dict[str, Any]] = {
     "plain": {"marker": "o", "markersize": 2.6, "markeredgewidth": 0},
@@ -48,43 +51,44 @@ MARKS: dict[str, dict[str, Any]] = {
 class Runs(NamedTuple):
     """The runs of one controller in one case."""
 
-    usage: Float[np.ndarray, "steps+1 batch"]  # largest |error| over its limit
+    tail: Float[np.ndarray, "3 steps+1"]  # of the largest |error| over its limit: QUANTILES
     leaves: Bool[np.ndarray, " batch"]  # E; NaN is outside
+    last_exit: int  # last step at which a run is outside E, 0 where none ever is
 
-    @property
-    def last_exit(self) -> int:
-        """Last step at which a run is outside E, 0 where none ever is."""
-        outside = ~np.all(self.usage <= 1, axis=1)
-        return int(np.max(np.flatnonzero(outside), initial=0))
+
+class StressedCase(NamedTuple):
+    """The runs of both controllers in one case, `plain` and `tube`, from the same starts."""
+
+    title: str
+    starts: Float[np.ndarray, "batch 3"]  # m, m, rad
+    runs: Mapping[str, Runs]
 
 
 @styled
 def stress(
-    problem: Problem, cases: Sequence[Mapping[str, Any]], boundary: Float[np.ndarray, "k 3"]
+    problem: Problem, cases: Sequence[StressedCase], boundary: Float[np.ndarray, "k 3"]
 ) -> Figure:
     """Draw tube MPC against MPC without tube from starts all over the feasible set, one column a
     case.
 
     Args:
         problem: gives the reference and the period.
-        cases: each with `title`, the half widths `limits` of E, and the errors (steps+1, batch, 3)
-            `tube` and `plain` from the same starts.
+        cases: from `judge_case`.
         boundary: points on the boundary of the feasible set.
     """
     dt = problem.reference.dt
     figure = page_figure(5.2)
     usages, starts = figure.subplots(2, len(cases), sharex="row", sharey="row", squeeze=False)
-    every = [{kind: _judge(case["limits"], case[kind]) for kind in STRESSED} for case in cases]
-    last_exit = max(runs.last_exit for case in every for runs in case.values())
+    last_exit = max(int(runs.last_exit) for case in cases for runs in case.runs.values())
     shown = min(round(max(FIRST_SECONDS / dt, 1.2 * last_exit)), problem.reference.steps)
-    for axes, case, runs in zip(usages, cases, every, strict=True):
+    for axes, case in zip(usages, cases, strict=True):
         for kind, name in STRESSED.items():
-            _draw_tail(axes, dt, runs[kind].usage[: shown + 1], CONTROLLERS[name])
+            _draw_tail(axes, dt, case.runs[kind].tail[:, : shown + 1], CONTROLLERS[name])
         axes.axhline(100, **LIMIT)
         axes.set(xlim=(0, shown * dt), xlabel="time [s]")
-        axes.set_title(f"{case['title']}\n{_count(runs)}")
-    for axes, case, runs in zip(starts, cases, every, strict=True):
-        _draw_starts(axes, case["plain"][0], boundary, runs)
+        axes.set_title(f"{case.title}\n{_count(case.runs)}")
+    for axes, case in zip(starts, cases, strict=True):
+        _draw_starts(axes, case.starts, boundary, case.runs)
         axes.set_xlabel(f"start: {error_label(PLANE[0])}")
     usages[0].set_ylim(bottom=0)
     usages[0].set_ylabel("largest share of a limit of $\\mathcal{E}$ [%]")
@@ -93,19 +97,39 @@ def stress(
     return figure
 
 
+def judge_case(
+    title: str,
+    limits: Float[np.ndarray, "3"],
+    errors: Mapping[str, Float[np.ndarray, "steps+1 batch 3"]],
+) -> StressedCase:
+    """Return what is drawn of a case.
+
+    Args:
+        title: of the case.
+        limits: half widths of E.
+        errors: of the runs, `plain` and `tube`.
+    """
+    starts = errors["plain"][0]
+    return StressedCase(title, starts, {kind: _judge(limits, errors[kind]) for kind in STRESSED})
+
+
 def _judge(limits: Float[np.ndarray, "3"], errors: Float[np.ndarray, "steps+1 batch 3"]) -> Runs:
     usage = np.abs(errors[..., 0]) / limits[0]
     # Coordinate by coordinate: many runs at once are some hundred megabytes.
     for coordinate in (1, 2):
         np.maximum(usage, np.abs(errors[..., coordinate]) / limits[coordinate], out=usage)
-    return Runs(usage, ~np.all(usage <= 1, axis=0))
+    is_inside = usage <= 1
+    outside = np.flatnonzero(~np.all(is_inside, axis=1))
+    return Runs(
+        quantiles(usage, QUANTILES), ~np.all(is_inside, axis=0), int(np.max(outside, initial=0))
+    )
 
 
-def _draw_tail(axes: Axes, dt: float, usage: Float[np.ndarray, "times batch"], line: Line) -> None:
+def _draw_tail(axes: Axes, dt: float, tail: Float[np.ndarray, "3 times"], line: Line) -> None:
     """Draw the median, the 95 % quantile and the greatest usage, the band between the last two
     filled."""
-    time = np.arange(len(usage)) * dt
-    median, high, greatest = 100 * quantiles(usage, (0.5, 0.95, 1.0))
+    time = np.arange(tail.shape[1]) * dt
+    median, high, greatest = 100 * tail
     axes.fill_between(time, high, greatest, color=line.colour, alpha=0.25, linewidth=0)
     draw_line(axes, time, np.stack([median, high], axis=1), line, linewidth=0.6)
     draw_line(axes, time, greatest, line)

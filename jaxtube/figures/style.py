@@ -6,11 +6,15 @@ Colours are those of Okabe and Ito, which differ for colour-blind eyes and in pr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import wraps
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import matplotlib
+import matplotlib.style
 import numpy as np
 from jaxtyping import Float
 from matplotlib.axes import Axes
@@ -58,6 +62,40 @@ SETTINGS: dict[Any, Any] = {
     "pdf.fonttype": 42,
     "savefig.dpi": 300,
 }
+
+
+OF_NO_STYLE = ("backend", "interactive")
+"""Settings in a style's file that are none of its look."""
+
+_CHOSEN: ContextVar[Mapping[str, Any]] = ContextVar("style", default=MappingProxyType({}))
+"""What a style that was chosen sets otherwise."""
+
+
+def read_style(name: str) -> dict[str, Any]:
+    """Return the settings of a style of matplotlib, by its name or file.
+
+    Raises:
+        OSError: where there is none of the name.
+    """
+    known = matplotlib.style.library.get(name)
+    given = known or matplotlib.rc_params_from_file(name, use_default_template=False)
+    return {key: value for key, value in given.items() if key not in OF_NO_STYLE}
+
+
+@contextmanager
+def use_style(settings: Mapping[str, Any]) -> Iterator[None]:
+    """Let figures follow a style besides this one, over which it goes; its width, where it sets
+    `figure.figsize`, becomes theirs."""
+    token = _CHOSEN.set(settings)
+    try:
+        yield
+    finally:
+        _CHOSEN.reset(token)
+
+
+def current_settings() -> dict[Any, Any]:
+    """Return the settings that figures are drawn in."""
+    return SETTINGS | dict(_CHOSEN.get())
 
 
 class Line(NamedTuple):
@@ -139,7 +177,7 @@ class PaperFigure(Figure):
         """Save as matplotlib does, PNG with less compression in half of the time."""
         if options.get("format") == "png":
             options.setdefault("pil_kwargs", {"compress_level": PNG_COMPRESSION})
-        with matplotlib.rc_context(SETTINGS):
+        with matplotlib.rc_context(current_settings()):
             self._fix_layout()
             super().savefig(*arguments, **options)
 
@@ -155,20 +193,28 @@ def styled(draw: Callable[..., Figure]) -> Callable[..., Figure]:
 
     @wraps(draw)
     def draw_in_style(*arguments, **options) -> Figure:
-        with matplotlib.rc_context(SETTINGS):
+        with matplotlib.rc_context(current_settings()):
             return draw(*arguments, **options)
 
     return draw_in_style
 
 
 def page_figure(height: float) -> Figure:
-    """Return an empty figure over the width of the page, height in inches."""
-    return PaperFigure(figsize=(PAGE_WIDTH, height), dpi=PNG_DPI, layout="constrained")
+    """Return an empty figure over the width of the page, height in inches at PAGE_WIDTH."""
+    width = _CHOSEN.get().get("figure.figsize", (PAGE_WIDTH,))[0]
+    return PaperFigure(
+        figsize=(width, height * width / PAGE_WIDTH), dpi=PNG_DPI, layout="constrained"
+    )
 
 
 def bottom_legend(figure: Figure, handles: list, columns: int = 3) -> None:
-    """Put one legend for all panels under them."""
-    figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+    """Put one legend for all panels under them, in fewer columns where a style that was chosen
+    makes it wider than the figure."""
+    legend = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+    while _CHOSEN.get() and columns > 1 and legend.get_window_extent().width > figure.bbox.width:
+        legend.remove()
+        columns -= 1
+        legend = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
 
 
 def line_keys(lines: Iterable[Line]) -> list[Line2D]:

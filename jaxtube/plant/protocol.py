@@ -35,17 +35,27 @@ goes on with its last value, so that a single value is a constant."""
 
 
 class Measurement(NamedTuple):
-    """What a controller learns of the plant at the start of a period."""
+    """What a controller learns of the plant at the start of a period.
 
-    errors: Float[Array, "batch 3"]  # tracking errors, measured or estimated, (m, m, rad)
-    slip: Float[Array, "batch 2"]  # slips of the period that begins, without unit
+    Attributes:
+        errors: tracking errors, measured or estimated, (m, m, rad).
+        slip: slips (right, left) of the period that begins, without unit.
+    """
+
+    errors: Float[Array, "batch 3"]
+    slip: Float[Array, "batch 2"]
 
 
 class Command(NamedTuple):
-    """What a controller asks of the plant over one period."""
+    """What a controller asks of the plant over one period.
 
-    inputs: Float[Array, "batch 2"]  # virtual inputs (u1 m/s, u2 rad/s)
-    wheels: Float[Array, "batch 2"]  # the wheel speeds that realise them, m/s, not saturated
+    Attributes:
+        inputs: virtual inputs (u1 m/s, u2 rad/s).
+        wheels: the wheel speeds (right, left) that realise them, m/s, not saturated.
+    """
+
+    inputs: Float[Array, "batch 2"]
+    wheels: Float[Array, "batch 2"]
 
 
 class Advance(NamedTuple):

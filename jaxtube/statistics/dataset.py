@@ -20,6 +20,9 @@ from jaxtube.statistics.tally import CLOUD_REACH, STAGE_EVENTS
 from jaxtube.statistics.task import facets, lay_map_grid, sections
 from jaxtube.synthesis.parts import Design
 
+RANKED_SETS = {"error": "E", "disturbance": "W", "tube": "the tube"}
+"""By what laps are ranked: the set whose use ranks them."""
+
 DIMENSIONS = {
     "events": ("event", "steps_with_event"),
     "stage_events": ("stage", "stage_event", "plans_with_event"),
@@ -59,7 +62,28 @@ EXPLANATIONS = {
     "cost_excess": "largest V+ - V + cost of the step; negative: every cost fell by more",
     "command_step": "largest change of each wheel's command in a period, m/s",
     "ultimate_bound": "half widths of the settled error while w is in W and no row is active",
+    **{
+        f"excess/{name}": f"largest excess over each facet of {of_set}; negative: inside"
+        for name, of_set in {"disturbance": "W", "error": "E", "input": "U"}.items()
+    },
+    **{
+        f"worst_lap/{name}": f"numbers of the laps that used most of {of_set}"
+        for name, of_set in RANKED_SETS.items()
+    },
+    **{
+        f"worst_usage/{name}": f"what they used of {of_set}, 1 being its boundary"
+        for name, of_set in RANKED_SETS.items()
+    },
 }
+
+OF_TUBES = {
+    "tube_outside": "plans outside the section of each stage of the tube",
+    "tube_excess": "largest excess over a facet of each stage of the tube",
+}
+"""What the statistics of a tube are; its name follows."""
+
+BY_COORDINATE = {"units_from": "unit"}
+"""Attribute of what is in the unit of the coordinate."""
 
 
 def make_dataset(
@@ -92,8 +116,29 @@ class Variable(NamedTuple):
 
 def _make_variable(name: str, value: Any) -> Variable:
     of_stages = ("stage",) if name.startswith("tube_") else ()
-    attributes = {"long_name": EXPLANATIONS[name]} if name in EXPLANATIONS else {}
+    attributes = {"long_name": _explain(name)} | find_units(name)
     return Variable(DIMENSIONS.get(name, of_stages), np.asarray(value), attributes)
+
+
+def _explain(name: str) -> str:
+    """Return what a statistic is, in words."""
+    if name in EXPLANATIONS:
+        return EXPLANATIONS[name]
+    kind, tube = name.split("/")
+    return f"{OF_TUBES[kind]} {tube!r}"
+
+
+def find_units(name: str) -> dict[str, str]:
+    """Return the attribute that tells the unit of a statistic: `units`, or, where it changes along
+    a dimension, `units_from`, the coordinate that holds the units."""
+    kind, _, of_set = name.partition("/")
+    if kind == "excess":
+        return {"units_from": f"{of_set}_facet_unit"}
+    if name == "ultimate_bound":
+        return {"units_from": "unit"}
+    if kind == "tube_excess":
+        return {"units": "m or rad"}
+    return {"units": "m/s" if name == "command_step" else "1"}
 
 
 def make_coordinates(design: Design, statistics: Statistics) -> dict[str, tuple]:
@@ -103,22 +148,25 @@ def make_coordinates(design: Design, statistics: Statistics) -> dict[str, tuple]
     plans = statistics["stage_events"].shape[-1]
     planes = [f"{NAMES[first]},{NAMES[second]}" for first, second in PLANES]
     plain = {
-        "event": np.array(EVENT_NAMES),
-        "steps_with_event": np.arange(steps + 1),
-        "stage": np.arange(1, stages + 1),
-        "stage_event": np.array(STAGE_EVENTS),
-        "plans_with_event": np.arange(plans),
-        "coordinate": np.array(NAMES),
-        "plane": np.array(planes),
+        "event": (np.array(EVENT_NAMES), "event of a period"),
+        "steps_with_event": (np.arange(steps + 1), "steps of a lap that had the event"),
+        "stage": (np.arange(1, stages + 1), "stage of a plan"),
+        "stage_event": (np.array(STAGE_EVENTS), "event of a plan at a stage"),
+        "plans_with_event": (np.arange(plans), "plans of a lap that had the event"),
+        "coordinate": (np.array(NAMES), "coordinate of errors and disturbances"),
+        "plane": (np.array(planes), "pair of coordinates, abscissa first"),
+        "step": (np.arange(1, steps + 1), "periods gone"),
     }
     if "command_step" in statistics:
-        plain["wheel"] = np.array(["right", "left"])
+        plain["wheel"] = (np.array(["right", "left"]), "wheel")
     for name in ("disturbance", "error", "input"):
-        plain[f"{name}_facet"] = np.arange(len(statistics[f"excess/{name}"]))
+        facet = np.arange(len(statistics[f"excess/{name}"]))
+        plain[f"{name}_facet"] = (facet, f"facet of the {name} set")
+    time = design.problem.reference.dt * np.arange(1, steps + 1)
     return {
-        **{name: (name, values) for name, values in plain.items()},
+        **{name: _make_coordinate(name, *content) for name, content in plain.items()},
         "unit": ("coordinate", np.array(SI_UNITS), {"long_name": "unit of the coordinate"}),
-        "step": ("step", np.arange(1, steps + 1), {"long_name": "periods gone"}),
+        "time": ("step", time, {"long_name": "time since the start", "units": "s"}),
         **_buckets(),
         **_facet_units(design),
         **_map_cells(design, statistics),
@@ -127,13 +175,19 @@ def make_coordinates(design: Design, statistics: Statistics) -> dict[str, tuple]
     }
 
 
+def _make_coordinate(name: str, values: np.ndarray, long_name: str) -> tuple:
+    """Return a coordinate along its own dimension; numbers without a unit have the unit 1."""
+    unit = {"units": "1"} if np.issubdtype(values.dtype, np.number) else {}
+    return name, values, {"long_name": long_name} | unit
+
+
 def _buckets() -> dict[str, tuple]:
     lower = np.append(0.0, histogram.EDGES[1:])
     upper = np.append(histogram.EDGES[1:], np.inf)
     of_unit = "in the unit of the coordinate"
     return {
-        "bucket": ("bucket", lower, {"long_name": f"lower edge, {of_unit}"}),
-        "bucket_upper": ("bucket", upper, {"long_name": f"upper edge, {of_unit}"}),
+        "bucket": ("bucket", lower, {"long_name": f"lower edge, {of_unit}", **BY_COORDINATE}),
+        "bucket_upper": ("bucket", upper, {"long_name": f"upper edge, {of_unit}", **BY_COORDINATE}),
     }
 
 
@@ -146,7 +200,12 @@ def _facet_units(design: Design) -> dict[str, tuple]:
         "input": list(map(find_input_unit, problem.input_rows.inputs)),
     }
     return {
-        f"{name}_facet_unit": (f"{name}_facet", np.array(values)) for name, values in units.items()
+        f"{name}_facet_unit": (
+            f"{name}_facet",
+            np.array(values),
+            {"long_name": f"unit along the facet of the {name} set"},
+        )
+        for name, values in units.items()
     }
 
 
@@ -185,7 +244,11 @@ def _cloud_cells(design: Design, statistics: Statistics) -> dict[str, tuple]:
     return {
         **_centre("cloud_column", CLOUD_REACH * _centres(columns), unit, "first"),
         **_centre("cloud_row", CLOUD_REACH * _centres(rows), unit, "second"),
-        "section_half_width": (("stage", "coordinate"), half_widths, {"long_name": box}),
+        "section_half_width": (
+            ("stage", "coordinate"),
+            half_widths,
+            {"long_name": box, **BY_COORDINATE},
+        ),
     }
 
 
@@ -196,14 +259,14 @@ def _start_cells(design: Design, statistics: Statistics) -> dict[str, tuple]:
     return {
         **_centre("start_column", _centres(columns), "limits of E", "first"),
         **_centre("start_row", _centres(rows), "limits of E", "second"),
-        "error_limit": ("coordinate", limits, {"long_name": "half widths of E"}),
+        "error_limit": ("coordinate", limits, {"long_name": "half widths of E", **BY_COORDINATE}),
     }
 
 
 def _centre(name: str, values: Float[np.ndarray, " cells"], unit: str, which: str) -> dict:
     """Return the coordinate of the centres of cells along an axis of a plane."""
     explanation = f"centre of the cell, in {unit}, {which} coordinate of the plane"
-    return {name: (name, values, {"long_name": explanation})}
+    return {name: (name, values, {"long_name": explanation, "units": "1"})}
 
 
 def _centres(cells: int) -> Float[np.ndarray, " cells"]:

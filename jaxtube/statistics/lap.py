@@ -9,6 +9,7 @@ whatever ran beside it there.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -62,9 +63,7 @@ class Lap(NamedTuple):
 def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
     """Simulate lap `number`, from 0 to 2^64 - 1, of the run of a task and seed."""
     keys = realisation_keys(seed, number, 1)
-    batch = jax.tree.map(
-        np.asarray, run_laps(task.controller, task.plant, keys, task.starts.draw(keys))
-    )
+    batch = _run(task, keys)
     trajectory = jax.tree.map(lambda array: array[:, 0], batch)
     disturbance = batches.model_disturbances(design, batch)[:, 0]
     slips = None
@@ -81,6 +80,30 @@ def lap(design: Design, task: Task, seed: int, number: int) -> Lap:
         _usage(task.checks.error, trajectory.errors[1:]),
         _usage(task.checks.disturbance, disturbance),
     )
+
+
+def run_numbered(task: Task, seed: int, numbers: Sequence[int]) -> Trajectory:
+    """Simulate laps of a run by their numbers, and return numpy arrays (time, laps, ..)."""
+    return _run(task, jnp.concatenate([realisation_keys(seed, number, 1) for number in numbers]))
+
+
+def choose_numbers(summary: dict, count: int) -> list[int]:
+    """Return numbers of laps of a run that are worth a look, in ascending order: those that used
+    most of E and of W, and the first of the others.
+
+    Args:
+        summary: of the run.
+        count: of laps; fewer where the run has fewer.
+    """
+    ranked = [*summary["worst"]["error"][:3], *summary["worst"]["disturbance"][:1]]
+    chosen = dict.fromkeys(entry["lap"] for entry in ranked)
+    chosen |= dict.fromkeys(range(min(count, summary["laps"])))
+    return sorted(list(chosen)[: min(count, summary["laps"])])
+
+
+def _run(task: Task, keys: Key[Array, " laps"]) -> Trajectory:
+    laps = run_laps(task.controller, task.plant, keys, task.starts.draw(keys))
+    return jax.tree.map(np.asarray, laps)
 
 
 def _usage(facets: Facets, points: Float[np.ndarray, "steps 3"]) -> Usage:

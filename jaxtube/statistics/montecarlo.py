@@ -118,6 +118,10 @@ class MonteCarlo:
         'jaxtube[results]'."""
         attributes = {
             "title": f"statistics of {self.laps:,} laps",
+            "source": "jaxtube montecarlo",
+            "controller": self.law.controller,
+            "plant": self.law.plant,
+            "starts": self.law.starts,
             "law": self.summary["law"],
             "seed": self.seed,
             "scenario": to_toml(self.design.problem.scenario),

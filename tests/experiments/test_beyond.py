@@ -6,6 +6,7 @@ import json
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from pages import find_first_lines
 from tolerances import CLOSED_LOOP
 
 from jaxtube import qp
@@ -165,12 +166,13 @@ def test_the_command_writes_levels_with_units_and_prints_a_table(tmp_path, capsy
         assert levels == sorted(levels)
     verdict, _, table = capsys.readouterr().out.partition("\n\n")
     assert len(verdict) < WIDTH and "imperfections" in verdict
+    assert find_first_lines(tmp_path) == (verdict, verdict)
     assert max(map(len, table.splitlines())) <= WIDTH
     words = set(table.split())
     for imperfection in IMPERFECTIONS.values():
         assert set(imperfection.title.split()) <= words
     names = {"beyond.png", "beyond.pdf", "metrics.json", "manifest.json", "scenario.toml"}
-    names |= {"report.txt"}
+    names |= {"report.txt", "report.html"}
     assert {path.name for path in tmp_path.iterdir()} == names
 
 

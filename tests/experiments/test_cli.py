@@ -122,7 +122,8 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
             [
                 "papr",
                 "paper, design, montecarlo, falsify, guarantee, fit, maps, beyond, path, tune, "
-                "identify, replay, bench, list, check, doctor, completion",
+                "identify, replay, export, bench, animate, figures, list, check, doctor, "
+                "completion",
             ],
         ),
         (["desing"], ["did you mean design?"]),

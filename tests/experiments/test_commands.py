@@ -2,10 +2,14 @@
 those computed."""
 
 import dataclasses
+import html
 import json
+import re
 
 import numpy as np
 import pytest
+from pages import find_first_lines
+from PIL import Image
 from spoken import leave_out_waits
 from tolerances import CLOSED_LOOP, WORLD_FRAME
 
@@ -41,6 +45,7 @@ def known_designs(monkeypatch, certified_paper_design, robust_design):
 
     monkeypatch.setattr("jaxtube.experiments.design.command.make_design", design)
     monkeypatch.setattr("jaxtube.experiments.paper.command.make_design", design)
+    monkeypatch.setattr("jaxtube.experiments.paper.drawings.make_design", design)
 
 
 def run(folder, *words):
@@ -224,8 +229,10 @@ def test_the_design_command_writes_what_was_designed(
     steps = robust_design.problem.reference.steps
     assert found["disturbance"]["steps"] == batches.BATCH * steps
     assert {path.name for path in tmp_path.iterdir()} == {
+        "laps.npz",
         "metrics.json",
         "manifest.json",
+        "report.html",
         "report.txt",
         "scenario.toml",
         "sets.pdf",
@@ -240,6 +247,61 @@ def test_the_design_command_writes_what_was_designed(
     assert text.startswith((tmp_path / "report.txt").read_text())
     for words in ("* summed", f"{found['terminal_facets']} facets", str(tmp_path)):
         assert words in text
+    check_page(tmp_path, {"sets"}, robust_design)
+
+
+def check_page(folder, figures, design):
+    """The page tells all conditions, what is assumed and the printed text, and shows all figures in
+    words, too."""
+    text = (folder / "report.html").read_text()
+    verdict, printed = find_first_lines(folder)
+    assert verdict == printed
+    assert len(text.encode()) < 5e6
+    told = html.unescape(text)
+    for condition in design.certificate.checked:
+        assert condition.sentence in told
+    for assumption in design.certificate.assumptions:
+        assert assumption in told
+    assert (folder / "report.txt").read_text() in told
+    pictures = re.findall(
+        r'<img src="data:image/(?:webp|png);base64,[^"]+" [^>]*alt="([^"]{40,})"', text
+    )
+    assert len(pictures) == len(figures)
+    assert {name for name in figures if f"<b>{name}</b>" in text} == figures
+    assert json.loads((folder / "manifest.json").read_text())["command_line"] in told
+
+
+def test_a_design_is_drawn_again_in_another_style(tmp_path, capsys, known_designs):
+    assert run(tmp_path, "design", "--scenario", "robust") == 0
+    style = tmp_path / "thesis.mplstyle"
+    style.write_text("figure.figsize: 5, 3\nfont.size: 7\n")
+    assert main(["figures", str(tmp_path), "--style", str(style)]) == 0
+    redrawn = tmp_path / "thesis"
+    assert {path.name for path in redrawn.iterdir()} == {"sets.png", "sets.pdf"}
+    with Image.open(tmp_path / "sets.png") as usual, Image.open(redrawn / "sets.png") as styled:
+        assert styled.width == 5 * 200 < usual.width
+        assert styled.height / styled.width == pytest.approx(usual.height / usual.width, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["{run}"], "--style"),
+        (["{run}", "--style", "no-such-style"], "is no style of matplotlib; name a file"),
+        (["{run}", "--style", "ggplot", "controller.horizon=7"], "is of no use here"),
+        (["{run}/none", "--style", "ggplot"], "holds no complete run; name the folder"),
+        (["{beyond}", "--style", "ggplot"], "is a run of beyond; figures can be drawn again of"),
+    ],
+)
+def test_what_cannot_be_drawn_again_is_refused_in_one_line(tmp_path, capsys, words, told):
+    for name in ("run", "beyond"):
+        (tmp_path / name).mkdir()
+        line = {"command_line": f"python -m jaxtube.experiments {name.replace('run', 'design')}"}
+        (tmp_path / name / "manifest.json").write_text(json.dumps(line))
+        (tmp_path / name / "scenario.toml").write_text("")
+    folders = {name: str(tmp_path / name) for name in ("run", "beyond")}
+    assert main(["figures", *(word.format(**folders) for word in words)]) == 2
+    assert told in refusal(capsys)
 
 
 # -------------------------------------------------------------------------------------------- paper
@@ -261,6 +323,7 @@ def paper_run(tmp_path_factory, certified_paper_design, robust_design):
             return known
 
         patch.setattr("jaxtube.experiments.paper.command.make_design", design)
+        patch.setattr("jaxtube.experiments.paper.drawings.make_design", design)
         code = run(folder, "paper", "--realisations", str(REALISATIONS))
     return code, folder, metrics_of(folder)
 
@@ -270,10 +333,31 @@ def test_the_paper_command_writes_every_file(paper_run):
     code, folder, _ = paper_run
     assert code == 0
     names = {f"{name}.{kind}" for name in FIGURES for kind in ("png", "pdf")}
-    names |= {"metrics.json", "manifest.json", "scenario.toml", "report.txt"}
-    names |= {"laps.npz", "noise_free.npz"}
+    names |= {"metrics.json", "manifest.json", "scenario.toml", "report.txt", "report.html"}
+    names |= {"laps.npz", "noise_free.npz", "deviations.npz", "stress.npz"}
     assert {path.name for path in folder.iterdir()} == names
     assert all(path.stat().st_size > 0 for path in folder.iterdir())
+
+
+@pytest.mark.slow
+def test_the_page_of_the_paper_command_tells_claims_first(paper_run, certified_paper_design):
+    _, folder, found = paper_run
+    check_page(folder, FIGURES, certified_paper_design)
+    text = re.sub("</?code>", "`", (folder / "report.html").read_text())
+    told = html.unescape(text)
+    counted = sum(row["verdict"] == "reproduced" for row in found["claims"])
+    assert re.search(rf"<h1[^>]*>of 13 claims of the paper {counted} are reproduced, ", told)
+    for row in found["claims"]:
+        assert row["claim"] in told and row["measured"] in told
+
+
+@pytest.mark.slow
+def test_the_figures_of_the_paper_command_are_drawn_again(paper_run, tmp_path):
+    _, folder, _ = paper_run
+    words = ["--style", "ggplot", "--out", str(tmp_path)]
+    assert main(["figures", str(folder), *words]) == 0
+    names = {f"{name}.{kind}" for name in FIGURES for kind in ("png", "pdf")}
+    assert {path.name for path in tmp_path.iterdir()} == names
 
 
 @pytest.mark.slow

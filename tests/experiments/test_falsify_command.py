@@ -1,6 +1,7 @@
 """The command `falsify`: what it refuses, saves and plays again."""
 
 import numpy as np
+from pages import find_first_lines
 from tolerances import FALSIFY_REPLAY
 
 from jaxtube.experiments.cli import main
@@ -42,6 +43,7 @@ def test_the_command_saves_worst_cases_that_replay_to_the_same_margin(
     assert main(["falsify", *options, *words]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("no violation found; smallest margin")
+    assert find_first_lines(tmp_path) == (lines[0], lines[0])
     for name in ("metrics.json", "scenario.toml", "worst_error.npz", "worst_error.png"):
         assert (tmp_path / name).stat().st_size > 0
     assert main(["falsify", "--replay", str(tmp_path / "worst_error.npz"), *words]) == 0

@@ -13,7 +13,7 @@ from jaxtube.coordinates import COORDINATES, KEYS, TO_DISPLAY
 from jaxtube.figures import laps, sets
 from jaxtube.figures.paths import trajectories
 from jaxtube.figures.realisations import realisations_in_tube
-from jaxtube.figures.stress import stress
+from jaxtube.figures.stress import judge_case, stress
 from jaxtube.figures.style import CONTROLLERS, INSIDE, MILLIMETRES, OUTSIDE
 from jaxtube.figures.tightened import tightened_sets
 from sets.certificate import escape_excess
@@ -64,14 +64,8 @@ def deviations(design):
 @pytest.fixture(scope="module")
 def cases(problem, runs):
     """Runs under stress from random starts."""
-    return [
-        {
-            "title": "invented",
-            "limits": problem.error_set.offsets[:3],
-            "plain": runs["uncompensated"].errors,
-            "tube": runs["compensated"].errors,
-        }
-    ]
+    errors = {"plain": runs["uncompensated"].errors, "tube": runs["compensated"].errors}
+    return [judge_case("invented", problem.error_set.offsets[:3], errors)]
 
 
 BOUNDARY = np.random.default_rng(5).normal(size=(60, 3))
@@ -140,7 +134,10 @@ def test_a_run_that_is_not_finite_counts_as_outside_and_is_drawn(problem, runs, 
     assert any("14 % leave" in text for text in legend_texts(figure))
     for draw in (trajectories, laps.wheel_speeds, laps.margins):
         save(draw(problem, lost))
-    save(stress(problem, [{**cases[0], "tube": errors}], BOUNDARY))
+    both = {"plain": runs["uncompensated"].errors, "tube": errors}
+    lost_case = judge_case("lost", problem.error_set.offsets[:3], both)
+    assert lost_case.runs["tube"].leaves.sum() == 1
+    save(stress(problem, [lost_case], BOUNDARY))
 
 
 def test_stress_counts_the_runs_outside(problem, cases):

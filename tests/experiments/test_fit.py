@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from figure_checks import assert_presentable, legend_texts
+from pages import find_first_lines
 from spoken import leave_out_waits
 
 from jaxtube.experiments.cli import main, parse
@@ -88,6 +89,8 @@ def test_the_fitted_scenario_loads_and_is_the_border(quantity, asked, tmp_path, 
     assert first.startswith("# Fitted from certified. The ")
     for name in ("frontier.png", "frontier.pdf", "report.txt", "scenario.toml", "manifest.json"):
         assert (tmp_path / "run" / name).exists()
+    verdict, printed = find_first_lines(tmp_path / "run")
+    assert verdict == printed
     told = capsys.readouterr().out
     assert "does not prove that there is" in told
     assert f"design --scenario {tmp_path / 'run' / 'fitted.toml'}" in told

@@ -9,12 +9,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from pages import find_first_lines
 from spoken import leave_out_waits
 from tolerances import CLOSED_LOOP
 
 from jaxtube.control.protocol import WheelMap
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.guarantee import claims, command, report
+from jaxtube.experiments.guarantee import page as guarantee_page
 from jaxtube.experiments.guarantee.attack import (
     LAWS,
     PROCESSES,
@@ -33,6 +35,7 @@ from jaxtube.scenario.tree import RobotTable
 from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.events import EVENT_NAMES, VIOLATIONS, find_event
+from jaxtube.statistics.intervals import share_interval
 from jaxtube.statistics.montecarlo import make_closed_loop_task, name_law
 from jaxtube.statistics.run import BLOCK, Run
 from jaxtube.statistics.summary import summarise
@@ -188,7 +191,15 @@ LIMITED = Scenario(robot=RobotTable(wheel_acceleration_max_mps2=5.0))
 
 def law(laps=4096, steps=300, plans=8000, usage=0.9, **seen):
     """Return the summary of a law; `seen` are laps with an event, or plans by "cost" and "tube"."""
-    events = {name: {"laps": seen.get(name, 0), "share_of_steps": 0.01} for name in EVENT_NAMES}
+    events = {
+        name: {
+            "laps": seen.get(name, 0),
+            "share_of_laps": seen.get(name, 0) / laps,
+            "share_of_laps_interval": share_interval(seen.get(name, 0), laps),
+            "share_of_steps": 0.01,
+        }
+        for name in EVENT_NAMES
+    }
     return {
         "laps": laps,
         "steps_a_lap": steps,
@@ -377,6 +388,20 @@ def test_the_metrics_are_plain_and_hold_every_verdict(tmp_path):
     assert other["laws"]["iid"]["share_of_violating_laps_at_most"] == expected
 
 
+@pytest.mark.parametrize("broken", [(), ("true_error_in_e",)])
+def test_the_page_begins_with_what_became_of_the_design_under_test(broken):
+    tested = [make_tested(name="other"), make_tested(*broken)]
+    page = guarantee_page.make_page(tested, {})
+    assert page.verdict.startswith("mine: NOT CERTIFIED" if broken else "mine: CERTIFIED")
+    assert page.tone == ("bad" if broken else "good")
+    (table, _) = page.sections[0].parts
+    assert [row[0] for row in table.rows] == [claim.title for claim in claims.list_claims(tested)]
+    by_title = {row[0]: row for row in table.rows}
+    proved = by_title["the error stays in E"][2]
+    assert proved.tone == ("bad" if broken else "good")
+    assert by_title["the error stays in E"][5].tone == "good"
+
+
 # -------------------------------------------------------------------------------- the whole command
 
 SMALL = 64
@@ -453,6 +478,8 @@ def test_an_interrupted_run_goes_on_and_a_law_is_the_monte_carlo_of_its_process(
     laws = json.loads((whole / "metrics.json").read_text())["designs"]["certified"]["laws"]
     assert set(laws) == {law.name for law in LAWS}
     assert all(law["laps"] == 128 for law in laws.values())
+    verdict, printed = find_first_lines(whole)
+    assert verdict == printed
 
     attacking = LAWS[-1]
     recorded = laws[attacking.name]

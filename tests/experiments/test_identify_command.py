@@ -5,6 +5,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from pages import find_first_lines
 from spoken import leave_out_waits
 
 from jaxtube.experiments import cli
@@ -73,6 +74,7 @@ def test_the_promise_is_printed_before_anything_else(finished):
     share = int(100 * metrics["promised_share"])
     promised = f"the box of slips holds for at least {share} % of new commands at 95 % confidence"
     assert lines[0].startswith(promised) and len(lines[0]) < 100
+    assert find_first_lines(finished) == (lines[0], lines[0])
     assert f"95 % needs {metrics['commands_for_95_percent']}" in lines[2]
 
 

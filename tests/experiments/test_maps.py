@@ -6,6 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from pages import find_first_lines
 
 from jaxtube.experiments.cli import main
 from jaxtube.experiments.maps import command as maps
@@ -195,7 +196,10 @@ def test_the_command_writes_figures_and_all_numbers(in_threads, tmp_path, capsys
     assert main(["maps", "--points", "2", "--out", str(tmp_path)]) == 0
     names = {path.name for path in tmp_path.iterdir() if not path.name.startswith("points-")}
     figures = {f"ratio_{name}.{kind}" for name in ("speed", "period") for kind in ("png", "pdf")}
-    assert names == figures | {"scenario.toml", "manifest.json", "metrics.json", "report.txt"}
+    reports = {"report.txt", "report.html"}
+    assert names == figures | reports | {"scenario.toml", "manifest.json", "metrics.json"}
+    verdict, printed = find_first_lines(tmp_path)
+    assert verdict == printed
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert len(metrics["points"]) == len(DESIGNS) * 3 * (2 + 3 - 1)
     for point in metrics["points"]:

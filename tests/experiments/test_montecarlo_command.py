@@ -15,6 +15,7 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
+from pages import find_first_lines
 from spoken import leave_out_waits
 
 from jaxtube import qp
@@ -135,6 +136,7 @@ def test_the_first_line_is_the_verdict(undisturbed, quick, tmp_path, capsys):
     laps = BLOCKS * BLOCK
     assert first == f"w left W, so the tube's premise does not hold here; 0 of {laps} laps left E"
     assert second == ""
+    assert find_first_lines(folder) == (first, first)
     assert f"w outside W in {share:.2%} of the steps (" in report
     assert "share of the laps that leave E: at most 0.00575\n" in report
     assert statistics_of(folder) == statistics_of(undisturbed)

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from made_paths import drive, text_of, there_and_back, write_made
+from pages import find_first_lines
 
 from jaxtube.experiments.cli import main, parse
 from jaxtube.experiments.options import command_line
@@ -41,6 +42,8 @@ def test_missions_are_told_written_and_drawn(tmp_path, capsys):
     assert "checked in all" in said and "largest deviation" in said
     assert "lie outside of any certificate" in said
     report = (folder / "report.txt").read_text()
+    verdict, printed = find_first_lines(folder)
+    assert verdict == printed
     assert max(map(len, report.splitlines())) <= WIDTH
     metrics = json.loads((folder / "metrics.json").read_text())
     assert [mission["ends"] for mission in metrics["missions"]] == [

@@ -59,6 +59,26 @@ def lap(design, task):
     return laps.lap(design, task, SEED, 5)
 
 
+def test_laps_by_their_numbers_are_those_of_the_run(design, task, lap):
+    """A lap is the same beside any others, whatever their order; numbers reach to 2^64."""
+    numbers = [2**63 + 1, 5, 0]
+    several = laps.run_numbered(task, SEED, numbers)
+    assert several.errors.shape[1] == len(numbers)
+    np.testing.assert_allclose(several.errors[:, 1], lap.trajectory.errors, rtol=0, atol=REPLAYED)
+    far = laps.lap(design, task, SEED, 2**63 + 1).trajectory.errors
+    np.testing.assert_allclose(several.errors[:, 0], far, rtol=0, atol=REPLAYED)
+
+
+@pytest.mark.parametrize(("run_laps", "count"), [(1, 40), (3, 40), (500, 10), (500, 2)])
+def test_the_worst_lap_is_among_those_worth_a_look(run_laps, count):
+    ranked = [{"lap": number, "usage": 1.0} for number in (run_laps - 1, 0, run_laps // 2)]
+    summary = {"laps": run_laps, "worst": {"error": ranked, "disturbance": ranked[::-1]}}
+    chosen = laps.choose_numbers(summary, count)
+    assert run_laps - 1 in chosen
+    assert chosen == sorted(set(chosen)) and max(chosen) < run_laps
+    assert len(chosen) == min(count, run_laps)
+
+
 def test_the_worst_laps_use_again_what_the_run_recorded(design, task, monkeypatch):
     for name in ("BLOCK", "TILE"):
         monkeypatch.setattr(montecarlo, name, 2 * LAPS)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pages import find_first_lines
 from spoken import leave_out_waits
 
 from jaxtube.experiments.cli import main
@@ -121,6 +122,7 @@ def test_a_run_leaves_a_report_metrics_figures_and_slips(finished):
 def test_the_promise_stands_first_and_is_judged(finished):
     lines = (finished / "report.txt").read_text().splitlines()
     assert "promised 73 % of new commands" in lines[0] and len(lines[0]) < 100
+    assert find_first_lines(finished) == (lines[0], lines[0])
     assert lines[2].startswith("Promised: at least 73 % of new commands inside")
     metrics = read_metrics(finished)
     assert metrics["promised_share"] == 0.73

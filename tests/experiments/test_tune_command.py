@@ -12,6 +12,7 @@ import time
 import numpy as np
 import pytest
 import stand_ins
+from pages import find_first_lines
 from spoken import leave_out_waits
 
 from jaxtube.experiments.cli import main
@@ -74,6 +75,11 @@ def undisturbed(tmp_path_factory, laps):
 @pytest.fixture
 def quick(monkeypatch):
     small(monkeypatch)
+
+
+def test_the_page_begins_as_the_report_does(undisturbed):
+    verdict, printed = find_first_lines(undisturbed)
+    assert verdict == printed
 
 
 def test_the_file_holds_the_best_certified_iterate(undisturbed):

@@ -97,12 +97,35 @@ def check_dataset(dataset, run):
     cloud = dataset["cloud"].sel(stage=2, plane="lateral,heading")
     assert np.array_equal(cloud, statistics["cloud"][1, 2])
     assert dataset["tube_outside_paper"].dims == ("stage",)
+    check_attributes(dataset)
     assert dataset.attrs == {
+        "source": "jaxtube montecarlo",
+        "controller": "tube_mpc",
+        "plant": "robot",
+        "starts": "scenario",
         "title": f"statistics of {int(statistics['laps']):,} laps",
         "law": "invented",
         "seed": 3,
         "scenario": to_toml(run.design.problem.scenario),
     }
+
+
+def check_attributes(dataset):
+    """Everything has a name in words; every number has a unit, or names the coordinate along one of
+    its dimensions that holds its units."""
+    for name, variable in dataset.variables.items():
+        assert variable.attrs["long_name"], name
+        if not np.issubdtype(variable.dtype, np.number):
+            continue
+        assert ("units" in variable.attrs) != ("units_from" in variable.attrs), name
+        if "units_from" in variable.attrs:
+            units = dataset[variable.attrs["units_from"]]
+            of_coordinate = {"bucket", "bucket_upper"}
+            assert name in of_coordinate or set(units.dims) <= set(variable.dims), name
+            assert set(units.values) <= {"m", "rad", "m/s", "rad/s", "m and rad"}
+    seconds = dataset["time"]
+    assert seconds.attrs["units"] == "s"
+    assert seconds.values[0] == pytest.approx(seconds.values[-1] / dataset.sizes["step"])
 
 
 def test_statistics_come_back_bit_by_bit_under_named_coordinates(run):

@@ -14,11 +14,13 @@ from jaxtube.experiments.bench import (
     qp_topic,
     scale_topic,
 )
-from jaxtube.experiments.bench.topic import Headline, Topic
+from jaxtube.experiments.bench.topic import Headline, Topic, say_verdict
 from jaxtube.experiments.options import BenchOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.progress import announce
+from jaxtube.reporting.page import Page, Section
 from jaxtube.scenario.tree import Scenario
 
 TOPICS: dict[str, Topic] = {
@@ -53,6 +55,8 @@ def run(scenario: Scenario, options: BenchOptions) -> int:
         folder.save_metrics(metrics)
     if options.topic == "all":
         folder.report(f"\n{write_closing_table(headlines)}")
+    section = Section("Measured", [make_table(CLOSING, headlines)])
+    folder.save_page(Page(say_verdict(headlines), sections=[section]))
     print(f"\nwritten to {folder.path}/")
     return 0
 

@@ -15,6 +15,7 @@ from jaxtube.experiments.bench.agreement import Agreement, Amount
 from jaxtube.experiments.bench.sweep import Case, Row
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.table import Column, format_table, left
+from jaxtube.reporting.page import Page
 
 BILLION = 1e9
 """Laps that the time is told of."""
@@ -83,6 +84,9 @@ class Record:
         seconds = time.perf_counter() - self.begin
         self.say(f"{seconds:.0f} s in all; written to {self.folder.path}/")
         self.save()
+        cases = len(find_best(self.rows))
+        verdict = f"Laps of {cases} cases, measured on {self.device.device_kind}."
+        self.folder.save_page(Page(verdict))
 
     def _metrics(self) -> dict[str, Any]:
         best = find_best(self.rows)

@@ -23,13 +23,25 @@ from jaxtube.experiments.beyond.search import (
 )
 from jaxtube.experiments.options import BeyondOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.design_page import certificate_section
 from jaxtube.experiments.run.designing import make_design
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.progress import announce, progress
+from jaxtube.reporting.page import Page, Section
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.design import refuse_infeasible_start
+from jaxtube.synthesis.parts import Design
+
+COLUMNS = (
+    left("imperfection"),
+    Column("first w outside W"),
+    Column("first violation"),
+    left("unit"),
+    left("violated"),
+)
 
 
 def run(scenario: Scenario, options: BeyondOptions) -> int:
@@ -49,6 +61,7 @@ def run(scenario: Scenario, options: BeyondOptions) -> int:
     folder.save_metrics(metrics(searches, options.realisations))
     folder.save_figure(beyond_figures.usages(panels(searches)), "beyond")
     folder.report(table(searches, options.realisations))
+    folder.save_page(make_page(searches, options.realisations, design))
     print(f"\nwritten to {folder.path}/")
     return 0
 
@@ -132,21 +145,14 @@ def _make_panel(name: str, search: LevelSearch) -> beyond_figures.Panel:
 
 def table(searches: dict[str, LevelSearch], realisations: int) -> str:
     """Return what was found as a table."""
-    columns = [
-        left("imperfection"),
-        Column("first w outside W"),
-        Column("first violation"),
-        left("unit"),
-        left("violated"),
-    ]
-    rows = [_row(IMPERFECTIONS[name], search) for name, search in searches.items()]
     note = wrap(
         "Violation: a limit of errors, inputs or wheels is left, or there is no plan. First: the "
         f"least level at which a lap did. {realisations:,} laps of each slip process: "
         f"{', '.join(TEST_PROCESSES)}; in parentheses: those under which a limit is violated at "
         "that level. A limit of acceleration is 1 / level."
     )
-    return "\n".join([say_verdict(searches), "", format_table(columns, rows), "", *note])
+    cells = format_table(COLUMNS, _rows(searches))
+    return "\n".join([say_verdict(searches), "", cells, "", *note])
 
 
 def say_verdict(searches: dict[str, LevelSearch]) -> str:
@@ -157,6 +163,34 @@ def say_verdict(searches: dict[str, LevelSearch]) -> str:
         f"of {len(searches)} imperfections {violated} violate a limit as far as tried; {left_w} "
         "drive w out of W"
     )
+
+
+def make_page(searches: dict[str, LevelSearch], realisations: int, design: Design) -> Page:
+    """Return the page of the searches."""
+    violated = [
+        IMPERFECTIONS[name].title for name in searches if searches[name].violation is not None
+    ]
+    note = (
+        f"{realisations:,} laps of each slip process at each level: {', '.join(TEST_PROCESSES)}; "
+        "in parentheses those under which a limit is violated. A limit of acceleration is "
+        "1 / level. No violation in laps is no proof."
+    )
+    lead = ["The certificate covers none of these imperfections."]
+    if violated:
+        lead.append(f"A limit is violated by: {'; '.join(violated)}.")
+    return Page(
+        say_verdict(searches),
+        lead=lead,
+        sections=[
+            Section("First levels", [make_table(COLUMNS, _rows(searches), note=note)]),
+            certificate_section(design.certificate),
+        ],
+        not_covered=design.certificate.assumptions,
+    )
+
+
+def _rows(searches: dict[str, LevelSearch]) -> list[list[str]]:
+    return [_row(IMPERFECTIONS[name], search) for name, search in searches.items()]
 
 
 def _row(imperfection: Imperfection, search: LevelSearch) -> list[str]:

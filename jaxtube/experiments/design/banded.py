@@ -7,15 +7,35 @@ import numpy as np
 from jaxtube.experiments.design.banded_attack import REFERENCES, BandedLaps, attack
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.design_page import certificate_section, find_tone
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.limits import describe_error_set
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.experiments.run.verdict import fit_line
 from jaxtube.plant.slip_processes import TEST_PROCESSES
 from jaxtube.progress import announce, progress
+from jaxtube.reporting.page import Bar, Bars, Page, Section
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.bands import BandedLaw, make_law
 from sets.certificate import MARGINS
+
+ATTACKED = (
+    left("slip"),
+    Column("laps"),
+    Column("steps"),
+    Column("left set"),
+    Column("w left W"),
+    Column("caps"),
+    Column("wheels"),
+    Column("set used"),
+    Column("W used"),
+)
+ATTACK = (
+    "laps with wheel speeds jumping anywhere in the range, from starts all over the invariant set: "
+    "periods in which the error left the set, w left W, an input left its caps, a wheel was at its "
+    "limit; and the largest share of set and W that was used"
+)
 
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
@@ -31,6 +51,7 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
                 attacks[process] = attack(law, process, options.seed, bar.update)
         folder.report("\n" + attack_report(attacks))
     folder.save_metrics(metrics(law, attacks))
+    folder.save_page(make_page(law, attacks))
     print(f"\nwritten to {folder.path}/")
     return exit_code(law.certificate, options.require_certificate)
 
@@ -57,6 +78,24 @@ def report(law: BandedLaw) -> str:
         lines += wrap(f"  * {assumption}", "    ")
     lines += ["", f"designed in {law.seconds:.1f} s"]
     return "\n".join(lines)
+
+
+def make_page(law: BandedLaw, attacks: dict[str, BandedLaps]) -> Page:
+    """Return the page of a law scheduled on speed."""
+    bars = [Bar(name, share, f"{share:.1%}") for name, share in law.shares.items()]
+    sections = [
+        certificate_section(law.certificate),
+        Section("What the law uses", [Bars("", bars, "The dashed line is the cap.")]),
+    ]
+    if attacks:
+        table = make_table(ATTACKED, _list_attacks(attacks), note=ATTACK)
+        sections.append(Section("Laps that attacked it", [table]))
+    return Page(
+        say_verdict(law),
+        find_tone(law.certificate),
+        sections=sections,
+        not_covered=law.certificate.assumptions,
+    )
 
 
 def _band_table(law: BandedLaw) -> str:
@@ -109,14 +148,11 @@ def say_verdict(law: BandedLaw) -> str:
 
 def attack_report(attacks: dict[str, BandedLaps]) -> str:
     """Return the laps run against the law as text."""
-    head = wrap(
-        "laps with wheel speeds jumping anywhere in the range, from starts all over the invariant "
-        "set: periods in which the error left the set, w left W, an input left its caps, a wheel "
-        "was at its limit; and the largest share of set and W that was used"
-    )
-    names = ("laps", "steps", "left set", "w left W", "caps", "wheels", "set used", "W used")
-    rows = [_attack_row(process, laps) for process, laps in attacks.items()]
-    return "\n".join([*head, format_table([left("slip"), *map(Column, names)], rows)])
+    return "\n".join([*wrap(ATTACK), format_table(ATTACKED, _list_attacks(attacks))])
+
+
+def _list_attacks(attacks: dict[str, BandedLaps]) -> list[list[str]]:
+    return [_attack_row(process, laps) for process, laps in attacks.items()]
 
 
 def _attack_row(process: str, laps: BandedLaps) -> list[str]:

@@ -16,12 +16,16 @@ from jaxtube.experiments.design.nearest import say_nearest, say_nearest_to
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
+from jaxtube.experiments.run.design_page import make_page
 from jaxtube.experiments.run.design_report import report
 from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.limits import describe_pose
 from jaxtube.progress import announce, progress
+from jaxtube.reporting import laps as kept_laps
+from jaxtube.reporting.player import make_player
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Operating, Scenario
 from jaxtube.simulation import batches, components
@@ -36,6 +40,12 @@ from jaxtube.synthesis.tightening import EmptySetError
 
 SAVED = "design"
 """Folder of the saved design in that of the run."""
+
+PLAYED = (
+    "These are laps of the tube's local gain alone, without prediction; `paper` and `montecarlo` "
+    "play the tube-MPC."
+)
+"""What the laps of a design are."""
 
 
 def run(scenario: Scenario, options: DesignOptions) -> int:
@@ -74,14 +84,20 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     folder.report(f"\n{describe_saved(designed.save(folder.path / SAVED))}")
     start_fault = _find_start_fault(made)
     started = time.perf_counter()
+    player = None
     if start_fault is None:
         announce("driving laps, compiled first: does w stay in W?")
-        disturbance = simulate_disturbance(made, options.seed)
+        laps = simulate_laps(made, options.seed)
+        disturbance = measure_disturbance(made, laps)
         numbers["disturbance"] = disturbance
         folder.report("\n" + disturbance_line(made, disturbance, "the local gain"))
+        kept = kept_laps.collect(made, {"local_gain": laps})
+        folder.save_arrays("laps", **kept.arrays())
+        player = make_player(kept, " ".join([PLAYED, describe_pose(made.problem)]).strip())
     folder.save_metrics(numbers)
     announce("drawing the sets")
     draw_sets(made, options.label, folder)
+    folder.save_page(make_page(made, options.label, numbers, nearest, player))
     seconds = time.perf_counter() - started
     print(f"\nlaps, their compilation and figures took another {seconds:.1f} s")
     print(f"written to {folder.path}/; scenario.toml there can be run again")
@@ -155,15 +171,19 @@ def scenario_lines(best: Optimum) -> str:
     return "\n".join(lines)
 
 
-def simulate_disturbance(made: Design, seed: int) -> dict:
+def simulate_laps(made: Design, seed: int) -> Trajectory:
+    """Return laps of the local gain on the slipping robot, which compile quickly."""
+    starts = np.tile(made.problem.initial_error, (batches.BATCH, 1))
+    controller = components.controller_makers(made)["local_gain"]()
+    return batches.run_realisations(controller, components.slipping_robot(made), starts, seed)
+
+
+def measure_disturbance(made: Design, trajectory: Trajectory) -> dict:
     """Return what laps of the local gain say of w(k) in W: they can refute it, never prove it.
 
     Of a computed W only steps count in which measured error and input lie in what it was computed
     for.
     """
-    starts = np.tile(made.problem.initial_error, (batches.BATCH, 1))
-    controller = components.controller_makers(made)["local_gain"]()
-    trajectory = batches.run_realisations(controller, components.slipping_robot(made), starts, seed)
     disturbances = batches.model_disturbances(made, trajectory)
     if made.problem.disturbance_bound is not None:
         disturbances = disturbances[within_caps(made, trajectory)][:, None]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from jaxtube.experiments.export.page import make_page
 from jaxtube.experiments.export.report import describe_in_c, describe_in_numpy, say_verdict
 from jaxtube.experiments.options import ExportOptions
 from jaxtube.experiments.run import folder as run_folder
@@ -29,6 +30,7 @@ def run(scenario: Scenario, options: ExportOptions) -> int:
     in_c = None if compiler is None else replay_in_c(exported.folder, compiler)
     folder.report(describe_in_c(in_c))
     folder.save_metrics(list_metrics(exported) | {"replayed": replay._asdict()})
+    folder.save_page(make_page(made, exported, replay, in_c))
     print(f"\nREADME.md in {exported.folder}/ says how to use it")
     if replay.wrong:
         return ExitCode.METRIC_OFF

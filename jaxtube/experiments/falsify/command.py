@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jaxtube.experiments.falsify.report import metrics, report
+from jaxtube.experiments.falsify.report import make_page, metrics, report
 from jaxtube.experiments.options import FalsifyOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.designing import make_design
@@ -61,7 +61,8 @@ def run(scenario: Scenario, options: FalsifyOptions) -> int:
     for name, row in falsification.rows.items():
         save(setting.limits, options.starts, folder, row.worst, row.played)
         draw(setting.limits, folder, f"worst_{name}", row.worst, row.played, row)
-    print(f"\nworst cases, figures, metrics.json and manifest.json are in {folder.path}/")
+    folder.save_page(make_page(falsification))
+    print(f"\nreport.html, worst cases, figures and metrics.json are in {folder.path}/")
     return 0
 
 

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.experiments.run.design_page import certificate_section
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.falsification.cases import (
     Row,
@@ -17,7 +19,19 @@ from jaxtube.falsification.cases import (
 from jaxtube.falsification.falsify import Falsification
 from jaxtube.falsification.setting import LoopLimits
 from jaxtube.plant.reference import TRANSIENT_S
+from jaxtube.reporting.page import Bar, Bars, Page, Section
 
+COLUMNS = (
+    left("limit"),
+    Column("certified"),
+    Column("found\nusage"),
+    Column("found\nmargin"),
+    Column("found\nlaps"),
+    Column("found\ntime", "s"),
+    Column("drawn\nusage"),
+    Column("drawn\nlaps"),
+    left("where"),
+)
 NOTE = (
     "usage: 1 on the facet, above 1 outside; certified: what no lap can pass; found: by gradient, "
     "with the laps that were played with their derivative; drawn: the worst of laps that were "
@@ -30,22 +44,9 @@ WIDEST = "Of the tube `sequence` only the plans with the widest window ahead wer
 
 def report(falsification: Falsification) -> str:
     """Return the verdict and the table."""
-    columns = [
-        left("limit"),
-        Column("certified"),
-        Column("found\nusage"),
-        Column("found\nmargin"),
-        Column("found\nlaps"),
-        Column("found\ntime", "s"),
-        Column("drawn\nusage"),
-        Column("drawn\nlaps"),
-        left("where"),
-    ]
-    limits = falsification.limits
     rows = falsification.rows
-    body = [_make_line(limits, name, row) for name, row in rows.items()]
     lines = [say_verdict(falsification), *wrap(falsification.verdict, "  "), ""]
-    lines += [format_table(columns, body), "", *wrap(NOTE)]
+    lines += [format_table(COLUMNS, _list_rows(falsification)), "", *wrap(NOTE)]
     if "tube" in rows and falsification.design.tube.follows_reference:
         lines.append(WIDEST)
     return "\n".join(lines)
@@ -62,6 +63,43 @@ def say_verdict(falsification: Falsification) -> str:
         size = f"{-facet.margin:.4g} {facet.unit}"
         return f"VIOLATED: {', '.join(violated)}; at the worst by {size} at step {worst.step}"
     return f"no violation found; smallest margin {facet.margin:.4g} {facet.unit} of `{names[0]}`"
+
+
+def make_page(falsification: Falsification) -> Page:
+    """Return the page of a search."""
+    limits = falsification.limits
+    uses = [
+        Bar(name, row.worst.usage, f"{row.worst.usage:.1%} by gradient")
+        for name, row in falsification.rows.items()
+    ]
+    uses += [
+        Bar(f"{name}, drawn laps", row.sampled.usage(name), f"{row.sampled.usage(name):.1%}")
+        for name, row in falsification.rows.items()
+    ]
+    is_violated = any(row.is_violated for row in falsification.rows.values())
+    note = "The dashed line is the limit. What was not found may exist all the same."
+    sections = [
+        Section(
+            "Worst cases",
+            [
+                Bars("What worst cases use of each limit", uses, note),
+                make_table(COLUMNS, _list_rows(falsification), note=NOTE),
+            ],
+        ),
+        certificate_section(limits.design.certificate),
+    ]
+    return Page(
+        say_verdict(falsification),
+        "bad" if is_violated else "good",
+        [f"{falsification.verdict}."],
+        sections=sections,
+        not_covered=limits.design.certificate.assumptions,
+    )
+
+
+def _list_rows(falsification: Falsification) -> list[list[str]]:
+    limits = falsification.limits
+    return [_make_line(limits, name, row) for name, row in falsification.rows.items()]
 
 
 def _make_line(limits: LoopLimits, name: str, row: Row) -> list[str]:

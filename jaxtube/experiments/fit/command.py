@@ -17,7 +17,7 @@ from jaxtube.atomic import write_atomically
 from jaxtube.experiments.design.nearest import say_nearest
 from jaxtube.experiments.fit import figures
 from jaxtube.experiments.fit.attempts import Fit, FrontierPoint, fit
-from jaxtube.experiments.fit.report import describe_border, report
+from jaxtube.experiments.fit.report import describe_border, make_page, report
 from jaxtube.experiments.options import PROGRAM, FitOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.exit_codes import ExitCode
@@ -58,6 +58,7 @@ def run(scenario: Scenario, options: FitOptions) -> int:
     else:
         folder.report("\n  No figure: of no attempt is there a tube to draw.")
     folder.save_metrics(_metrics(found))
+    folder.save_page(make_page(bare, found))
     best = found.border.best
     if best is not None:
         _save_fitted(folder, bare, found, best, options)

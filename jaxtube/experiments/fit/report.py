@@ -4,7 +4,9 @@ quantity."""
 from __future__ import annotations
 
 from jaxtube.experiments.fit.attempts import Fit, FrontierPoint
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
+from jaxtube.reporting.page import Page, Section
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.attempt import Attempt
 from jaxtube.synthesis.levers import Lever
@@ -36,6 +38,16 @@ def say_verdict(found: Fit) -> str:
         f"CERTIFIED; the {SUPERLATIVES[found.lever.name]} found is {best.factor:.4g} times the "
         f"scenario's; the tube fills {best.ratio:.1%} of its caps"
     )
+
+
+def make_page(scenario: Scenario, found: Fit) -> Page:
+    """Return the page of a fit."""
+    table = make_table(
+        _attempt_columns(found), map(_attempt_row, found.border.attempts), note=CAVEAT
+    )
+    tone = "bad" if found.border.best is None else "good"
+    lead = describe_border(scenario, found)
+    return Page(say_verdict(found), tone, lead, [Section("Attempts", [table])])
 
 
 def describe_border(scenario: Scenario, found: Fit) -> list[str]:
@@ -71,15 +83,18 @@ def _say_place(scenario: Scenario, lever: Lever, attempt: Attempt) -> str:
     return lever.say_measured(lever.scale(scenario, attempt.factor))
 
 
-def _attempt_table(found: Fit) -> str:
-    columns = [
+def _attempt_columns(found: Fit) -> list[Column]:
+    return [
         Column(found.lever.label),
         Column("factor"),
         Column("tube fills", "% of caps"),
         left("certified"),
         left("binds, or denies it"),
     ]
-    return format_table(columns, map(_attempt_row, found.border.attempts))
+
+
+def _attempt_table(found: Fit) -> str:
+    return format_table(_attempt_columns(found), map(_attempt_row, found.border.attempts))
 
 
 def _attempt_row(attempt: Attempt) -> list[str]:

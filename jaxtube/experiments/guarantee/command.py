@@ -22,6 +22,7 @@ import numpy as np
 from jaxtube.atomic import write_atomically
 from jaxtube.coordinates import NAMES, TO_DISPLAY
 from jaxtube.experiments.guarantee import claims as guarantee_claims
+from jaxtube.experiments.guarantee import page as guarantee_page
 from jaxtube.experiments.guarantee import report as guarantee_report
 from jaxtube.experiments.guarantee.attack import (
     EDGE_SECONDS,
@@ -39,17 +40,21 @@ from jaxtube.experiments.run.designing import identify_restored, make_design
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
-from jaxtube.experiments.run.limits import describe_error_set
+from jaxtube.experiments.run.limits import describe_error_set, describe_pose
 from jaxtube.experiments.run.metrics import by_coordinate
 from jaxtube.experiments.run.records import Records
 from jaxtube.progress import announce, progress
+from jaxtube.reporting.laps import collect
+from jaxtube.reporting.player import make_player
 from jaxtube.scenario.reading import load, replace
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario, to_toml
+from jaxtube.simulation.promise import limit_true_errors
 from jaxtube.statistics import histogram
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.checks import OUTSIDE
 from jaxtube.statistics.events import find_row
+from jaxtube.statistics.lap import choose_numbers, run_numbered
 from jaxtube.statistics.montecarlo import name_law
 from jaxtube.statistics.run import BLOCK, Run, Statistics
 from jaxtube.statistics.summary import summarise
@@ -60,6 +65,8 @@ SHARED = ("robot", "slip", "noise", "initial", "reference")
 """Sections that both designs take from the first scenario."""
 COVERED = ("wheel_speed_min_mps", "wheel_speed_max_mps", "certified_for")
 """Keys of [reference] that a design keeps: the wheel speeds that it promises to cover."""
+KEPT = 12
+"""Laps of each law that are kept, to be played."""
 
 
 class LawRun(NamedTuple):
@@ -97,6 +104,8 @@ def run(scenario: Scenario, options: GuaranteeOptions) -> int:
         for name in (other, first)
     ]
     save(folder, tested, performance)
+    save_page(folder, designs, tested, attacks, options.seed)
+    print(f"\nreport.html, guarantee.md, laps.npz and the records are in {folder.path}/")
     return exit_code(designs[first].certificate, options.require_certificate)
 
 
@@ -289,4 +298,30 @@ def save(folder: RunFolder, tested: list[DesignUnderTest], performance: dict) ->
         laps = performance["laps"]
         seconds = performance["seconds"]
         folder.report(f"\n{laps:,} laps computed in {seconds:.1f} s, with compilation")
-    print(f"\nguarantee.md, metrics.json, both scenarios and the records are in {folder.path}/")
+
+
+def save_page(
+    folder: RunFolder,
+    designs: dict[str, Design],
+    tested: list[DesignUnderTest],
+    attacks: list[LawRun],
+    seed: int,
+) -> None:
+    """Keep some laps of each design under each law over whole laps, and write the page that plays
+    them."""
+    kept = []
+    for design in tested:
+        for attack in attacks:
+            if attack.name != design.name or attack.law.edge:
+                continue
+            numbers = choose_numbers(design.laws[attack.law.name], KEPT)
+            laps = run_numbered(attack.run.task, seed, numbers)
+            name = f"{design.name}-{attack.law.name}"
+            total = design.laws[attack.law.name]["laps"]
+            by_name = {name: np.array(numbers, np.uint64)}
+            judged = limit_true_errors(designs[design.name], "robot")
+            kept.append(collect(judged, {name: laps}, by_name, total))
+    joined = kept[-1]._replace(laps={name: lap for each in kept for name, lap in each.laps.items()})
+    folder.save_arrays("laps", **joined.arrays())
+    note = describe_pose(designs[tested[-1].name].problem)
+    folder.save_page(guarantee_page.make_page(tested, make_player(joined, note)))

@@ -17,7 +17,7 @@ from jaxtube.atomic import write_atomically
 from jaxtube.experiments.identify import box_figure, figures, prediction_figure
 from jaxtube.experiments.identify.log_report import say_log
 from jaxtube.experiments.identify.metrics import measure
-from jaxtube.experiments.identify.report import report
+from jaxtube.experiments.identify.report import make_page, report
 from jaxtube.experiments.options import PROGRAM, IdentifyOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
@@ -64,6 +64,7 @@ def run(scenario: None, options: IdentifyOptions) -> int:
     announce("drawing")
     save(folder, identified, findings, options)
     folder.save_metrics(measure(identified, findings, options.track_m))
+    folder.save_page(make_page(identified, findings, options.track_m))
     print(f"\n{FILE}, figures, windows.npz, metrics.json and manifest.json are in {folder.path}/")
     scenario_file = folder.path / FILE
     print(f"next: {PROGRAM} fit speed --scenario {scenario_file}")

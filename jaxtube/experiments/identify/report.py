@@ -12,6 +12,7 @@ from jaxtube.identification.identify import Identified
 from jaxtube.identification.scenario_text import find_track_width, list_open_points
 from jaxtube.identification.uncovered import find_uncovered
 from jaxtube.identification.words import say_holding, say_needed, say_other_boxes, say_sample
+from jaxtube.reporting.page import Heading, Listing, Page, Part, Section, Table
 
 
 def report(identified: Identified, findings: Findings | None, track_width: float | None) -> str:
@@ -35,6 +36,24 @@ def report(identified: Identified, findings: Findings | None, track_width: float
 def say_verdict(identified: Identified) -> str:
     """Return one line: what the box of slips promises of new commands."""
     return f"the box of slips {say_holding(identified)} commands"
+
+
+def make_page(identified: Identified, findings: Findings | None, track_width: float | None) -> Page:
+    """Return the page of an identification."""
+    rows = _robot_rows(identified, findings, track_width)
+    headings = [Heading("quantity"), Heading("found"), Heading("spread"), Heading("from")]
+    parts: list[Part] = [Table("", headings, [tuple(row) for row in rows])]
+    open_points = list_open_points(findings)
+    if open_points:
+        parts.append(Listing(open_points, "To settle before a design, in identified.toml"))
+    lead = ["; ".join(say_needed(identified)), say_sample(identified), say_other_boxes(identified)]
+    return Page(
+        say_verdict(identified),
+        lead=[*filter(None, lead)],
+        sections=[Section("What was found", parts)],
+        not_covered=_list_limits(identified),
+        not_covered_lead="The promise does not cover:",
+    )
 
 
 def _robot_rows(
@@ -101,33 +120,40 @@ def _say_open(findings: Findings | None) -> list[str]:
 
 
 def _say_limits(identified: Identified) -> list[str]:
-    """Return what the promise does not cover."""
-    uncovered = find_uncovered(identified)
+    """Return what the promise does not cover, as lines."""
     lines = ["Not covered by the promise:"]
-    lines += wrap(
-        "* slips within a window: what is promised is their mean over it; lag, noise and anything "
+    for sentence in _list_limits(identified):
+        lines += wrap(f"* {sentence}")
+    return lines
+
+
+def _list_limits(identified: Identified) -> list[str]:
+    """Return what the promise does not cover, a sentence each."""
+    uncovered = find_uncovered(identified)
+    told = [
+        "slips within a window: what is promised is their mean over it; lag, noise and anything "
         "the drive did not meet (other ground, load, speed)"
-    )
+    ]
     if identified.slip_noise is not None:
-        lines += wrap(
-            "* which part of an interval is slip: pose noise spreads the slips of windows by "
+        told.append(
+            "which part of an interval is slip: pose noise spreads the slips of windows by "
             f"{100 * identified.slip_noise:.2g} % (one standard deviation, median), so that the "
             "intervals are wider than slip alone is, the more the slower a wheel turns"
         )
     if uncovered.on_the_spot:
         commands = count_words(uncovered.on_the_spot, "command", "commands")
         low, middle, high = uncovered.spot_track
-        lines += wrap(
-            f"* turning on the spot, {commands}: there "
+        told.append(
+            f"turning on the spot, {commands}: there "
             f"wheels differ by {middle:.3g} m times the yaw rate, slip included ({low:.3g} to "
             f"{high:.3g} m in 80 % of windows)"
         )
     if uncovered.reversing:
-        lines += wrap(f"* reversing, {count_words(uncovered.reversing, 'command', 'commands')}")
+        told.append(f"reversing, {count_words(uncovered.reversing, 'command', 'commands')}")
     if uncovered.changing:
         share = uncovered.changing_inside / uncovered.changing
-        lines += wrap(
-            "* changing speed: of windows that drive forwards but not steadily, "
+        told.append(
+            "changing speed: of windows that drive forwards but not steadily, "
             f"{100 * share:.0f} % of {uncovered.changing} lie inside the box"
         )
-    return lines
+    return told

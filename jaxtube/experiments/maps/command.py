@@ -25,9 +25,11 @@ from jaxtube.experiments.maps.points import (
 )
 from jaxtube.experiments.options import MapsOptions
 from jaxtube.experiments.run import folder as run_folder
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.experiments.run.value_log import open_log
 from jaxtube.progress import announce
+from jaxtube.reporting.page import Page, Section
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.problem import make_problem
@@ -81,6 +83,7 @@ def run(scenario: Scenario, options: MapsOptions) -> int:
         folder.save_figure(figure, "feasible_set")
         folder.report(feasible_report(sets))
     folder.save_metrics(metrics)
+    folder.save_page(make_page(grid, border, results, slip_error))
     print(f"\nwritten to {folder.path}/")
     return 0
 
@@ -150,14 +153,26 @@ def interpolate(results: list[Guarantee], values: list[float]) -> Border:
     return Border(last, float(np.interp(1.0, [before, after], [last, values[count]])))
 
 
-def report(grid: Grid, borders: dict, results: GuaranteeByPoint, slip_error: str) -> str:
-    """Return the borders of the three designs, and the ratios of the optimised one."""
+def make_page(grid: Grid, borders: dict, results: GuaranteeByPoint, slip_error: str) -> Page:
+    """Return the page of the maps."""
+    rows = [_border_row(grid, borders[design], results, design) for design in TITLES]
+    table = make_table(_border_columns(grid, slip_error), rows, note=f"{RATIO}.")
+    section = Section("How far guarantees reach", [table])
+    return Page(say_verdict(results), sections=[section])
+
+
+def _border_columns(grid: Grid, slip_error: str) -> list[Column]:
     own = grid.own
-    columns = [
+    return [
         left("guaranteed"),
         left(f"largest {slip_error} from {own.slowest_mps:g} m/s on"),
         left(f"lowest wheel speed at {100 * own.slip_error:.4g}%"),
     ]
+
+
+def report(grid: Grid, borders: dict, results: GuaranteeByPoint, slip_error: str) -> str:
+    """Return the borders of the three designs, and the ratios of the optimised one."""
+    columns = _border_columns(grid, slip_error)
     rows = [_border_row(grid, borders[design], results, design) for design in TITLES]
     failed = sum(result.ratio is None for result in results.values())
     lines = [

@@ -14,23 +14,30 @@ import resource
 import sys
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING
 
 import jax
+import numpy as np
 
 from jaxtube.experiments.montecarlo import netcdf, replay, tube_reach
 from jaxtube.experiments.montecarlo import report as montecarlo_report
+from jaxtube.experiments.montecarlo.page import make_page
 from jaxtube.experiments.options import MontecarloOptions
 from jaxtube.experiments.run import blocks
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.designing import identify_restored, make_design
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.limits import describe_pose
 from jaxtube.experiments.run.records import Records
 from jaxtube.progress import announce, progress
+from jaxtube.reporting.laps import StoredLaps, collect
+from jaxtube.reporting.player import make_player
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation.promise import limit_true_errors
 from jaxtube.statistics import run as montecarlo
 from jaxtube.statistics.events import find_row
+from jaxtube.statistics.lap import choose_numbers, run_numbered
 from jaxtube.statistics.montecarlo import MonteCarlo, make_closed_loop_task, name_law
 from jaxtube.statistics.run import BLOCK, Run, Statistics, Task
 from jaxtube.synthesis.design import refuse_infeasible_start
@@ -38,6 +45,9 @@ from jaxtube.synthesis.parts import Design
 
 if TYPE_CHECKING:
     from jaxtube.experiments.run.cluster import Cluster
+
+KEPT = 40
+"""Laps that are kept, to be played and drawn."""
 
 
 def run(scenario: Scenario, options: MontecarloOptions) -> int:
@@ -151,5 +161,24 @@ def save(
         netcdf.save(folder.path / "statistics.nc", result)
     # First what was found: figures take as long as a small run.
     folder.report(montecarlo_report.text(design.problem, options.seed, summary, performance))
-    montecarlo_figures.draw(design, task, options.seed, statistics, summary, folder)
-    print(f"\nfigures, metrics.json, statistics.npz and the records are in {folder.path}/")
+    with ThreadPoolExecutor(1) as pool:
+        # Most of it is compilation, which runs beside Python.
+        keeping = pool.submit(keep_laps, design, task, options, summary)
+        montecarlo_figures.draw(design, task, options.seed, statistics, summary, folder)
+        kept = keeping.result()
+    folder.save_arrays("laps", **kept.arrays())
+    player = make_player(kept, describe_pose(design.problem))
+    folder.save_page(make_page(design, summary, player))
+    print(
+        "\nreport.html, figures, metrics.json, statistics.npz, laps.npz and the records are in "
+        f"{folder.path}/"
+    )
+
+
+def keep_laps(design: Design, task: Task, options: MontecarloOptions, summary: dict) -> StoredLaps:
+    """Return some laps of the run, simulated again: those that used most of E and W, and the
+    first."""
+    numbers = choose_numbers(summary, KEPT)
+    laps = run_numbered(task, options.seed, numbers)
+    by_controller = {options.controller: np.array(numbers, np.uint64)}
+    return collect(design, {options.controller: laps}, by_controller, summary["laps"])

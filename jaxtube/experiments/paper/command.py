@@ -9,9 +9,8 @@ need not stay feasible, it is that of `robust`.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -19,6 +18,14 @@ from jaxtyping import Float
 from jaxtube.experiments.options import PaperOptions, title
 from jaxtube.experiments.paper import stress
 from jaxtube.experiments.paper.claims import claims, table
+from jaxtube.experiments.paper.drawings import (
+    DesignOfRun,
+    Drawn,
+    draw,
+    find_stressed,
+    make_drawings,
+)
+from jaxtube.experiments.paper.page import make_page
 from jaxtube.experiments.paper.report import comparison, restart_note, say_verdict, stress_table
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
@@ -28,9 +35,12 @@ from jaxtube.experiments.run.designing import make_design
 from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.limits import describe_pose
 from jaxtube.experiments.run.side_by_side import run_side_by_side
+from jaxtube.figures.stress import StressedCase, judge_case
 from jaxtube.progress import announce, progress
-from jaxtube.scenario.reading import load
+from jaxtube.reporting import laps as kept_laps
+from jaxtube.reporting.player import make_player
 from jaxtube.scenario.tree import Scenario
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
@@ -39,16 +49,8 @@ from jaxtube.synthesis.feasible import spread_starts
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import make_problem
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-Drawings = dict[str, Callable[[], "Figure"]]
-"""What draws each figure, by name."""
-
 STRESS_RUNS = 40
 """Runs of the stress cases for each realisation of the comparison: 10,240 for 256."""
-STRESSED_FOR_PAPER = "robust"
-"""The scenario whose design is put under stress for the scenario `paper`."""
 NOISE_FREE = ("uncompensated", "compensated", "tube_mpc", "plain_mpc")
 
 
@@ -81,10 +83,9 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     announce("designing: sets, gains and certificate")
     design = make_design(scenario, options)
     refuse_infeasible_start(design)
-    stressed_name = STRESSED_FOR_PAPER if name == "paper" else name
-    if stressed_name != name:
-        announce(f"designing `{stressed_name}`, which is put under stress")
-    stressed = make_design(load(stressed_name)) if stressed_name != name else design
+    own = DesignOfRun(name, design)
+    under_stress = find_stressed(own)
+    stressed_name, stressed = under_stress
     announce("searching the edge of its feasible set")
     boundary = stress.find_starts(stressed, options.seed)
     folder = run_folder.create(scenario, options)
@@ -92,7 +93,13 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
     announce("driving noise-free laps, compiled first")
     _save_noise_free(design, folder)
     announce("saving all laps")
-    _save_laps(simulated.laps, folder)
+    drawn = Drawn(
+        kept_laps.collect(design, simulated.laps),
+        simulated.deviations,
+        _judge_stress(stressed, simulated.stressed),
+        simulated.stressed.boundary,
+    )
+    drawn.save(folder)
     announce("measuring what was simulated")
     measured = {
         **metrics.design_metrics(design),
@@ -114,13 +121,12 @@ def run(scenario: Scenario, options: PaperOptions) -> int:
         table(rows),
     ]
     folder.report("\n\n".join(parts))
-    drawings = _make_drawings(design, options.label, simulated)
-    drawings |= _make_stress_drawings(stressed, simulated.stressed)
-    if stressed is not design:
-        drawings["stress_terminal_set"] = partial(_draw_terminal_set, stressed, stressed_name)
-    _draw(drawings, folder)
+    draw(make_drawings(own, under_stress, options.label, drawn), folder)
+    player = make_player(drawn.kept, describe_pose(design.problem))
+    folder.save_page(make_page(design, options.label, measured, rows, player))
     print(
-        f"\nfigures, metrics.json, laps.npz, noise_free.npz and manifest.json are in {folder.path}/"
+        "\nreport.html, figures, metrics.json, laps.npz, noise_free.npz and manifest.json are in "
+        f"{folder.path}/"
     )
     return exit_code(design.certificate, options.require_certificate)
 
@@ -202,63 +208,16 @@ def _save_noise_free(design: Design, folder: RunFolder) -> None:
     folder.save_arrays("noise_free", **laps)
 
 
-def _save_laps(laps: dict[str, Trajectory], folder: RunFolder) -> None:
-    """Save errors, inputs and wheel speeds of all laps of each controller, in single precision: the
-    figures can be drawn again from them."""
-    arrays = {}
-    for name, lap in laps.items():
-        arrays[f"{name}_errors"] = np.asarray(lap.errors, np.float32)
-        arrays[f"{name}_inputs"] = np.asarray(lap.inputs, np.float32)
-        arrays[f"{name}_wheels"] = np.asarray(lap.wheels, np.float32)
-    folder.save_arrays("laps", **arrays)
-
-
-def _make_drawings(design: Design, name: str, simulated: PaperRuns) -> Drawings:
-    """Return what draws each figure of a design and its laps, by name."""
-    from jaxtube.figures import laps as lap_figures
-    from jaxtube.figures.paths import trajectories
-    from jaxtube.figures.realisations import realisations_in_tube
-    from jaxtube.figures.sets import tube_sections
-    from jaxtube.figures.tightened import tightened_sets
-
-    problem = design.problem
-    laps = simulated.laps
+def _judge_stress(design: Design, runs: stress.Stress) -> dict[str, StressedCase]:
+    """Return the runs under stress as they are drawn, by case."""
     return {
-        "trajectories": partial(trajectories, problem, laps),
-        "errors": partial(lap_figures.errors, problem, laps),
-        "wheel_speeds": partial(lap_figures.wheel_speeds, problem, laps),
-        "margins": partial(lap_figures.margins, problem, laps),
-        "tube_sections": partial(tube_sections, design, name),
-        "tightened_sets": partial(tightened_sets, design, name),
-        "terminal_set": partial(_draw_terminal_set, design, name),
-        "realisations_in_tube": partial(realisations_in_tube, design, simulated.deviations),
-    }
-
-
-def _make_stress_drawings(stressed: Design, runs: stress.Stress) -> Drawings:
-    """Return what draws the runs under stress."""
-    from jaxtube.figures.stress import stress as draw_stress
-
-    cases = [
-        {
-            "title": stress.CASES[case],
-            "limits": stress.limit_errors(stressed, case).problem.error_set.offsets[:3],
-            "tube": by_controller["tube_mpc"].errors,
-            "plain": by_controller["plain_mpc"].errors,
-        }
+        case: judge_case(
+            stress.CASES[case],
+            stress.limit_errors(design, case).problem.error_set.offsets[:3],
+            {
+                "plain": np.asarray(by_controller["plain_mpc"].errors),
+                "tube": np.asarray(by_controller["tube_mpc"].errors),
+            },
+        )
         for case, by_controller in runs.runs.items()
-    ]
-    return {"stress": partial(draw_stress, stressed.problem, cases, runs.boundary)}
-
-
-def _draw_terminal_set(design: Design, name: str) -> Figure:
-    from jaxtube.figures.sets import terminal_set
-
-    return terminal_set(design, name)
-
-
-def _draw(drawings: Drawings, folder: RunFolder) -> None:
-    with progress(len(drawings), "drawing", "figures", starting="starting") as bar:
-        for name, draw in drawings.items():
-            folder.save_figure(draw(), name)
-            bar.update()
+    }

@@ -14,7 +14,7 @@ import msgspec
 from jaxtube.atomic import write_atomically
 from jaxtube.experiments.options import PathOptions
 from jaxtube.experiments.path import figures
-from jaxtube.experiments.path.report import metrics, report
+from jaxtube.experiments.path.report import make_page, metrics, report
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.exit_codes import ExitCode
 from jaxtube.experiments.run.folder import RunFolder
@@ -41,6 +41,7 @@ def run(scenario: Scenario, options: PathOptions) -> int:
         _save(folder, f"{name}.csv", write_mission(mission.reference, raw.origin))
         _save(folder, f"{name}.toml", _write_scenario(scenario, drive, name, options))
     folder.save_metrics(metrics(plan, drive))
+    folder.save_page(make_page(raw, plan, name_missions(plan)))
     print(f"\nwritten to {folder.path}/")
     if not plan.missions:
         print(

@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.paths.driving import Drive, Mission
 from jaxtube.paths.missions import PathPlan
 from jaxtube.paths.rows import polygon_length
 from jaxtube.recordings.path import RawPath
+from jaxtube.reporting.page import Listing, Page, Part, Section
 
 STANDSTILL = 1e-6
 """Speed in m/s that is none."""
@@ -22,6 +24,18 @@ SAME_SPEED = 0.01
 STRAIGHT = 1e4
 """Radius in m from which on a path is straight."""
 
+COLUMNS = (
+    left("mission"),
+    left("from"),
+    Column("length", "m"),
+    Column("time", "s"),
+    Column("speed", "m/s"),
+    Column("radius", "m"),
+    Column("wheels", "m/s"),
+    Column("change", "m/s²"),
+    Column("off", "m"),
+    Column("rms", "m"),
+)
 LEGEND = (
     "off, rms: largest distance of a row of the file from the driven arcs, and the root mean "
     "square of all; radius: the tightest; wheels, change: least and greatest speed of a wheel, and "
@@ -62,6 +76,23 @@ def say_verdict(plan: PathPlan) -> str:
     )
 
 
+def make_page(raw: RawPath, plan: PathPlan, names: list[str]) -> Page:
+    """Return the page of a path."""
+    count = len(plan.missions)
+    told = [str(note) for note in plan.notes]
+    refused = [str(reason) for reason in plan.refused]
+    parts: list[Part] = []
+    if told:
+        parts.append(Listing(told, "Cut and changed"))
+    if refused:
+        parts.append(Listing(refused, "Refused"))
+    if count:
+        parts.append(make_table(COLUMNS, _rows(plan, names), "Missions", LEGEND))
+    section = Section("What became of the path", parts)
+    tone = "good" if count else "bad"
+    return Page(say_verdict(plan), tone, [f"{_describe_file(raw)}."], [section])
+
+
 def _describe_file(raw: RawPath) -> str:
     rows = f"{len(raw.lines):,} rows"
     time = "no time" if raw.time is None else f"{np.ptp(raw.time):.1f} s"
@@ -88,20 +119,11 @@ def _note_lines(plan: PathPlan) -> list[str]:
 
 
 def _table(plan: PathPlan, names: list[str]) -> str:
-    columns = [
-        left("mission"),
-        left("from"),
-        Column("length", "m"),
-        Column("time", "s"),
-        Column("speed", "m/s"),
-        Column("radius", "m"),
-        Column("wheels", "m/s"),
-        Column("change", "m/s²"),
-        Column("off", "m"),
-        Column("rms", "m"),
-    ]
-    rows = [_row(name, mission) for name, mission in zip(names, plan.missions, strict=True)]
-    return format_table(columns, rows)
+    return format_table(COLUMNS, _rows(plan, names))
+
+
+def _rows(plan: PathPlan, names: list[str]) -> list[list[str]]:
+    return [_row(name, mission) for name, mission in zip(names, plan.missions, strict=True)]
 
 
 def _row(name: str, mission: Mission) -> list[str]:

@@ -13,7 +13,7 @@ from jaxtube.atomic import write_atomically
 from jaxtube.experiments.options import ReplayOptions
 from jaxtube.experiments.replay import figures
 from jaxtube.experiments.replay.metrics import metrics
-from jaxtube.experiments.replay.report import report
+from jaxtube.experiments.replay.report import make_page, report
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.hints import make_hints
@@ -50,7 +50,10 @@ def run(scenario: Scenario, options: ReplayOptions) -> int:
     announce("drawing")
     save(folder, witness)
     folder.save_metrics(metrics(witness, promise))
-    print(f"\nfigures, spans.npz, metrics.json and manifest.json are in {folder.path}/")
+    folder.save_page(make_page(witness, promise, options.scenario))
+    print(
+        f"\nreport.html, figures, spans.npz, metrics.json and manifest.json are in {folder.path}/"
+    )
     if save_slips(folder, witness):
         print(
             f"{SLIPS} drives laps with the slips of this log: montecarlo --scenario "

@@ -9,6 +9,7 @@ from jaxtube.experiments.replay.set_table import say_sets
 from jaxtube.experiments.replay.span_tables import list_tests, say_spans, say_stretches
 from jaxtube.experiments.replay.words import say_percent
 from jaxtube.experiments.run.table import wrap
+from jaxtube.reporting.page import Page
 from jaxtube.statistics.intervals import CONFIDENCE
 from jaxtube.witness.examine import Witness
 from jaxtube.witness.shares import QuotedPromise, is_own_log, judge_promise
@@ -46,16 +47,33 @@ def say_verdict(witness: Witness, promise: QuotedPromise | None) -> str:
     return f"{judged}: promised {say_percent(promise.share)} of new commands, {inside}"
 
 
+def make_page(witness: Witness, promise: QuotedPromise | None, name: str) -> Page:
+    """Return the page of a replay."""
+    verdict = say_verdict(witness, promise)
+    return Page(
+        verdict,
+        "bad" if verdict.startswith("BROKEN") else "plain",
+        _list_promise(witness, promise, name),
+        not_covered=_list_limits(witness),
+        not_covered_lead="What this can say, and what it cannot:",
+    )
+
+
 def _say_promise(witness: Witness, promise: QuotedPromise | None, name: str) -> str:
     """Return what was promised of new commands, and what the windows of this log say."""
+    sentences = _list_promise(witness, promise, name)
+    return "\n".join(line for sentence in sentences for line in wrap(sentence))
+
+
+def _list_promise(witness: Witness, promise: QuotedPromise | None, name: str) -> list[str]:
+    """Return the same, a sentence each."""
     windows = witness.windows
     share = windows.share
     if not share.commands:
-        found = (
+        return [
             "No steady window of this log drives both wheels forwards at "
             f"{windows.least_wheel:.3g} m/s and more: it says nothing of a promise."
-        )
-        return "\n".join(wrap(found))
+        ]
     low, high = share.interval
     found = (
         f"Found: {share.whole} of {share.commands} commands have all of their steady windows of "
@@ -75,36 +93,41 @@ def _say_promise(witness: Witness, promise: QuotedPromise | None, name: str) -> 
             f"Promised: at least {say_percent(promise.share)} of new commands inside "
             f"({promise.source}): {judge_promise(share, promise)}."
         )
-    lines = [*wrap(first), *wrap(found)]
+    sentences = [first, found]
     outside = windows.steady & ~windows.inside
     if outside.any():
         times = ", ".join(f"{start:.1f}" for start in windows.start[outside][:MOST_TIMES])
         more = int(outside.sum()) - MOST_TIMES
         rest = f" and {more} more" if more > 0 else ""
-        lines += wrap(f"Steady windows outside begin at {times} s{rest}.")
-    return "\n".join(lines)
+        sentences.append(f"Steady windows outside begin at {times} s{rest}.")
+    return sentences
 
 
 def _say_limits(witness: Witness) -> list[str]:
-    """Return what a log can say, and what it cannot."""
-    clock = witness.findings.clock
+    """Return what a log can say, and what it cannot, as lines."""
     lines = ["What this can say, and what it cannot:"]
-    lines += wrap(
-        "* w is the error of a reference that starts at a measured pose and drives as the nominal "
+    for sentence in _list_limits(witness):
+        lines += wrap(f"* {sentence}")
+    return lines
+
+
+def _list_limits(witness: Witness) -> list[str]:
+    """Return the same, a sentence each."""
+    clock = witness.findings.clock
+    told = [
+        "w is the error of a reference that starts at a measured pose and drives as the nominal "
         "model does on the logged wheels, at the next pose. Wheel speeds are taken as logged: "
-        "their lag is in them, their own error counts as slip."
-    )
-    lines += wrap(
-        f"* clocks were aligned on this log itself, poses {clock.offset:.3f} s behind wheels; "
-        "nothing else is fitted to it"
-    )
+        "their lag is in them, their own error counts as slip.",
+        f"clocks were aligned on this log itself, poses {clock.offset:.3f} s behind wheels; "
+        "nothing else is fitted to it",
+    ]
     period = witness.period
     if period.spans.pieces > 1:
-        lines += wrap(
-            f"* poses come every {np.median(period.spans.duration):.2g} s, later than the "
+        told.append(
+            f"poses come every {np.median(period.spans.duration):.2g} s, later than the "
             f"controller's period: slip may change {period.spans.pieces - 1} times in a span"
         )
-    lines += wrap(
-        "* spans of one command are not independent: shares of spans have no interval, commands do"
+    told.append(
+        "spans of one command are not independent: shares of spans have no interval, commands do"
     )
-    return lines
+    return told

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.limits import describe_error_set
@@ -157,24 +158,33 @@ def _tube_lines(design: Design) -> list[str]:
     return lines
 
 
-def _disturbance_lines(design: Design) -> list[str]:
-    """Return the computed W and what each cause adds to it, nothing where W is assumed."""
+def find_causes(design: Design) -> dict[str, Float[np.ndarray, "4"]]:
+    """Return half widths (yaw kick deg, e_x mm, e_y mm, e_th deg) of one step: of the computed W,
+    of the largest disturbances "found", and of each cause alone; nothing where W is assumed."""
     bound = design.problem.disturbance_bound
     if bound is None:
-        return []
+        return {}
     parts = disturbance_parts(operation(design.problem), kinematics(design.problem))
     rows = {
         "W": np.array([bound.yaw, *bound.box]),
         "found": np.array([bound.found_yaw, *bound.found_box]),
     }
-    rows |= {f"  {name} alone": widths for name, widths in parts.items() if widths.any()}
+    rows |= {name: widths for name, widths in parts.items() if widths.any()}
     units = np.array([np.rad2deg(1.0), 1e3, 1e3, np.rad2deg(1.0)])
+    return {name: widths * units for name, widths in rows.items()}
+
+
+def _disturbance_lines(design: Design) -> list[str]:
+    """Return the computed W and what each cause adds to it, nothing where W is assumed."""
+    bound = design.problem.disturbance_bound
+    if bound is None:
+        return []
     lines = [
         f"disturbance set {'yaw kick [deg]':>21}{'e_x [mm]':>11}{'e_y [mm]':>11}{'e_th [deg]':>13}"
     ]
-    for name, widths in rows.items():
-        yaw, x, y, heading = widths * units
-        lines.append(f"  {name:<18}{yaw:>17.4f}{x:>11.3f}{y:>11.3f}{heading:>13.4f}")
+    for name, (yaw, x, y, heading) in find_causes(design).items():
+        shown = name if name in ("W", "found") else f"  {name} alone"
+        lines.append(f"  {shown:<18}{yaw:>17.4f}{x:>11.3f}{y:>11.3f}{heading:>13.4f}")
     shift = bound.lateral_per_yaw * 1e3 * np.deg2rad(1.0)
     return [
         *lines,

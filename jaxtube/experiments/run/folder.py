@@ -5,11 +5,14 @@
     manifest.json    versions, platform, hashes of scenario and sources, command line, seed, date,
                      git commit
     report.txt       what was printed
+    report.html      the same and more as one page: figures, laps to play, certificate, environment
     NAME.png, NAME.pdf, NAME.npz
 
 Files appear complete or not at all. Those of an earlier run are replaced, each by the new one, and
 not before: a run that fails leaves them as they are.
 """
+
+from __future__ import annotations
 
 import hashlib
 import importlib.metadata
@@ -25,16 +28,20 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import msgspec
 import numpy as np
 
 from jaxtube.atomic import write_atomically
 from jaxtube.experiments.options import Options, command_line
+from jaxtube.experiments.run.captions import find_caption
 from jaxtube.experiments.run.json_file import read_table
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.scenario.tree import Scenario, to_toml
+
+if TYPE_CHECKING:
+    from jaxtube.reporting.page import Page
 
 PACKAGES = (
     "jaxtube",
@@ -67,6 +74,7 @@ class RunFolder:
     scenario: str = ""
     manifest: Mapping[str, Any] = field(default_factory=dict)
     _printed: list[str] = field(default_factory=list)
+    _drawn: dict[str, str] = field(default_factory=dict)  # figures in words, by name
 
     def report(self, text: str, name: str = "report") -> None:
         """Print a part of the report, and save all parts so far as NAME.txt."""
@@ -89,11 +97,28 @@ class RunFolder:
 
     def save_figure(self, figure: Any, name: str) -> None:
         """Write a matplotlib figure as NAME.png and NAME.pdf; equal figures give equal bytes."""
+        from jaxtube.reporting.alternatives import describe_figure
+
         undated = {"CreationDate": None}
         self._write(f"{name}.png", lambda file: figure.savefig(file, format="png", dpi=200))
         self._write(
             f"{name}.pdf", lambda file: figure.savefig(file, format="pdf", metadata=undated)
         )
+        self._drawn[name] = describe_figure(figure)
+
+    def save_page(self, page: Page) -> None:
+        """Write report.html: what a command found, with the text and the figures so far; the last
+        thing that a command writes."""
+        from jaxtube.reporting.document import render
+        from jaxtube.reporting.page import Picture, Run
+
+        pictures = [
+            Picture(name, find_caption(name), words, (self.path / f"{name}.png").read_bytes())
+            for name, words in self._drawn.items()
+        ]
+        title = self.manifest.get("title", self.path.name)
+        run = Run(title, "".join(self._printed), self.manifest, pictures)
+        self._write_text("report.html", render(page, run))
 
     def save_json(self, name: str, content: Mapping[str, Any]) -> None:
         """Write NAME.json like metrics.json."""
@@ -205,6 +230,7 @@ def _describe(scenario_text: str, options: Options) -> dict[str, Any]:
     """Return the manifest of a run that starts now."""
     jax = sys.modules.get("jax")
     return {
+        "title": _name_run(options),
         "command_line": command_line(options),
         "seed": options.seed,
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -220,6 +246,11 @@ def _describe(scenario_text: str, options: Options) -> dict[str, Any]:
         "source_sha256": source_hashes(),
         "git_commit": _find_commit(),
     }
+
+
+def _name_run(options: Options) -> str:
+    """Name a run: its command, and its scenario where it has one."""
+    return f"{options.command}, scenario {options.label}" if options.label else options.command
 
 
 def source_hashes() -> dict[str, str]:

@@ -27,6 +27,16 @@ def describe_error_set(problem: Problem) -> str:
     return f"{words}\n  {source}; [constraints] are {describe_half_widths(constraints)}"
 
 
+def describe_pose(problem: Problem) -> str:
+    """Return in a sentence which pose errors are of, "" where it is simply the robot's."""
+    if problem.scenario.robot.obeys_at_once:
+        return ""
+    return (
+        "Wheels lag or commands arrive late: errors and poses are those of the committed pose, to "
+        "which the commands given will take the robot."
+    )
+
+
 def _describe_committed(problem: Problem) -> str:
     """Return E where wheels lag, which is of the committed pose, and what follows for the pose."""
     limits = problem.error_set.support(np.eye(3))

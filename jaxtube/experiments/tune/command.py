@@ -62,10 +62,12 @@ def run(scenario: Scenario, options: TuneOptions) -> int:
         refusal = save_result(tuned, file, options.accept_uncertified)
         if refusal:
             return _say(refusal, ExitCode.NO_GUARANTEE)
-        numbers = report(folder, tuned)
+        summary = report(folder, tuned)
+        numbers = summary.numbers
         if options.compare:
             numbers |= tune_compare.run(folder, tuned, log, settings)
         folder.save_metrics(numbers)
+        folder.save_page(tune_report.make_page(tuned, summary))
     print(f"\nwritten to {folder.path}/; the tuned scenario is {file.path}")
     if tuned.stop in (Stop.NOT_A_NUMBER, Stop.CLIFF):
         return _say(f"{tuned.sentence}; the best certified iterate is kept", ExitCode.BROKEN_OFF)
@@ -122,15 +124,15 @@ def save_result(tuned: Tuned, file: TunedFile, accept_uncertified: bool) -> str:
     return f"the best iterate does not certify when read back: {failing}"
 
 
-def report(folder: RunFolder, tuned: Tuned) -> dict:
-    """Print, draw and save what came out, and return the numbers."""
+def report(folder: RunFolder, tuned: Tuned) -> tune_report.Summary:
+    """Print, draw and save what came out, and return it."""
     announce("comparing start and result on new laps, compiled first")
     summary = tune_report.summarise_tuning(tuned)
     folder.report(summary.text)
     folder.save_arrays("iterates", **tune_report.iterate_arrays(tuned))
     announce("drawing")
     tune_report.draw(folder, tuned)
-    return summary.numbers
+    return summary
 
 
 def _say(line: str, code: ExitCode) -> int:

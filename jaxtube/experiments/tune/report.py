@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.experiments.run.folder import RunFolder
+from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left
 from jaxtube.experiments.tune.figures import error_figure, tube_figure
 from jaxtube.experiments.tune.parameter_figure import parameter_figure
@@ -23,6 +24,7 @@ from jaxtube.experiments.tune.result import (
     weights_at,
 )
 from jaxtube.figures.learning import make_curve
+from jaxtube.reporting.page import Page, Section, Table
 from jaxtube.simulation.usage import play
 from jaxtube.synthesis.certificate.fill import widest_tube
 from jaxtube.tuning.judgement import pool
@@ -36,10 +38,12 @@ DRAWN_LAPS = 128
 
 
 class Summary(NamedTuple):
-    """A report and its numbers."""
+    """A report, its first line, its numbers, and the start beside the tuned design."""
 
     text: str
+    verdict: str
     numbers: dict
+    compared: Table
 
 
 def summarise_tuning(tuned: Tuned) -> Summary:
@@ -57,12 +61,14 @@ def summarise_tuning(tuned: Tuned) -> Summary:
         Column("start"),
         Column("tuned"),
     ]
+    rows = _rows(before, after)
+    verdict = say_verdict(tuned, reduction.share, effort_increase)
     lines = [
-        say_verdict(tuned, reduction.share, effort_increase),
+        verdict,
         "",
         f"{outcome.evaluations} gradients of {tuner.laps} laps; {outcome.sentence}",
         "",
-        format_table(columns, _rows(before, after)),
+        format_table(columns, rows),
         "",
         f"lateral error once settled: {reduction.share:.1%} less (95 %: {reduction.low:.1%} to "
         f"{reduction.high:.1%}), effort {effort_increase:+.1%}",
@@ -83,7 +89,20 @@ def summarise_tuning(tuned: Tuned) -> Summary:
         "certified_iterates": int(tuned.descent.certified.sum()),
         "weights": weights._asdict(),
     }
-    return Summary("\n".join(lines), numbers)
+    return Summary("\n".join(lines), verdict, numbers, make_table(columns, rows))
+
+
+def make_page(tuned: Tuned, summary: Summary) -> Page:
+    """Return the page of a tuning run."""
+    reduction = summary.numbers["lateral_reduction"]
+    interval = f"{reduction['low']:.1%} to {reduction['high']:.1%}"
+    lead = [
+        f"{tuned.verdict}.",
+        f"Lateral error once settled: {reduction['share']:.1%} less (95 %: {interval}).",
+        f"The descent: {summary.numbers['sentence']}.",
+    ]
+    tone = "good" if tuned.is_certified else "bad"
+    return Page(summary.verdict, tone, lead, [Section("Start and result", [summary.compared])])
 
 
 def say_verdict(tuned: Tuned, reduction: float, effort_increase: float) -> str:

@@ -1,0 +1,1 @@
+"""The command `animate`: `command.run`."""
