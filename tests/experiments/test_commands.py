@@ -315,7 +315,7 @@ def paper_run(tmp_path_factory, certified_paper_design, robust_design):
     folder = tmp_path_factory.mktemp("paper")
     with pytest.MonkeyPatch.context() as patch:
 
-        def design(scenario):
+        def design(scenario, options=None):
             known = (
                 robust_design if scenario.controller.tube == "summed" else certified_paper_design
             )
@@ -395,9 +395,10 @@ def test_the_laps_behind_the_figures_are_saved(paper_run, certified_paper_design
     shapes = {"errors": (steps + 1, REALISATIONS, 3), "inputs": (steps, REALISATIONS, 2)}
     shapes["wheels"] = shapes["inputs"]
     with np.load(folder / "laps.npz") as laps:
-        assert set(laps) == {f"{name}_{kind}" for name in CONTROLLERS for kind in shapes}
-        for name in laps:
-            assert laps[name].shape == shapes[name.rpartition("_")[2]]
+        assert set(laps["controllers"]) == CONTROLLERS
+        for name in CONTROLLERS:
+            for kind, shape in shapes.items():
+                assert laps[f"{name}_{kind}"].shape == shape
         fastest = np.abs(laps["tube_mpc_wheels"]).max()
     assert fastest == pytest.approx(found["controllers"]["tube_mpc"]["wheel_speed_max_mps"])
 
