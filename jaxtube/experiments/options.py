@@ -593,7 +593,7 @@ class FiguresOptions(PastRunOptions):
     @property
     def folder(self) -> Path:
         """The folder of the figures."""
-        return Path(self.out or Path(self.run) / Path(self.style).stem)
+        return Path(self.out or Path(self.run) / f"figures-{Path(self.style).stem}")
 
 
 @dataclass(frozen=True)

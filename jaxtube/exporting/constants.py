@@ -23,8 +23,8 @@ TIMING = 0.1
 """Share of a period by which poses may be old and calls early or late, and still be used."""
 CERTIFIED_TIMING = 1e-6
 """The same for what is guaranteed: certificates know no such times."""
-FARTHER = 2.0
-"""Times their caps that inputs of plans are taken to be, where it is proved that there is none."""
+WIDER = 2
+"""Times their caps that errors and inputs of plans are taken to be in proofs."""
 EXCHANGES = 4
 """By the number of inputs of a plan, before the active rows are given up."""
 SLIP_ROUNDING = 1e-12
@@ -99,7 +99,7 @@ class Constants:
     delay_rest: float  # of the commands, nominal, beyond whole periods, s
     delay_periods: int
     most_age: float  # of a pose, s
-    most_jitter: float  # of the time between two calls, s
+    most_jitter: float  # of a call, s
     restarts: bool  # plans start at the error, not at the nominal one
     is_certified: bool  # for the robot
     precision: Precision
@@ -142,19 +142,6 @@ class Constants:
         for name in ("tolerance", "row_tolerance", "dependent", "unmoved"):
             named[name] = getattr(precision, name)
         return {name: np.asarray(value) for name, value in named.items()}
-
-
-QP_ARRAYS = (
-    "rows",
-    "row_errors",
-    "lower",
-    "upper",
-    "whitened",
-    "unwhiten",
-    "free_inputs",
-    "start",
-)
-"""The constants that are in the precision of the QPs."""
 
 
 def gather_constants(design: Design, precision: Precision = DOUBLE) -> Constants:
@@ -213,7 +200,7 @@ def _bound_plans(design: Design) -> Float[np.ndarray, " windows"]:
     """Return |z| at most of plans whose inputs are within twice their caps, in every window."""
     problem = design.problem
     inputs = problem.input_set.support(np.concatenate([np.eye(2), -np.eye(2)]))
-    largest = FARTHER * np.tile(np.maximum(inputs[:2], inputs[2:]), problem.horizon)
+    largest = WIDER * np.tile(np.maximum(inputs[:2], inputs[2:]), problem.horizon)
     to_z = np.linalg.inv(np.swapaxes(design.tube_qps.factors.root, -1, -2))
     return np.linalg.norm(np.abs(to_z) @ largest, axis=-1)
 

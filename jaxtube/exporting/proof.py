@@ -21,7 +21,7 @@ compared with over and under, which says how exact the rows are, and no more.
 
 Not proved here: that a plan is found where there is one (where none is found, the controller says
 so); what the matrices of the model, which are floats, differ by from those of the exact re-check
-(at most `ROUNDING` an entry, some 1e-11 in a row); and the compiled code.
+(at most `sets.certificate.ROUNDING` an entry, some 1e-11 in a row); and the compiled code.
 
 Source: Higham 2002, Accuracy and Stability of Numerical Algorithms, lemma 3.1, for the rounding of
 inner products; the rest is new.
@@ -37,7 +37,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxtube.exporting.constants import DOUBLE, SINGLE, Constants, gather_constants
+from jaxtube.exporting.constants import DOUBLE, SINGLE, WIDER, Constants, gather_constants
 from jaxtube.synthesis.certificate.exact import recheck
 from jaxtube.synthesis.condense import tube_bounds
 from jaxtube.synthesis.design import finish
@@ -45,8 +45,6 @@ from jaxtube.synthesis.parts import Condensed, Design
 from jaxtube.synthesis.prediction import UNREACHED
 from jaxtube.synthesis.tightening import EmptySetError, find_back_off
 
-WIDER = 2
-"""Times their caps that errors and inputs are taken to be."""
 SPARE = 1.25
 """Times what the rows of floats miss that constraints are first drawn in by."""
 ATTEMPTS = 4

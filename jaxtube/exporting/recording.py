@@ -34,7 +34,6 @@ class Recording(NamedTuple):
 
 
 @in_64_bits
-@in_64_bits
 def draw_starts(design: Design, laps: int, seed: int = 0) -> Float[np.ndarray, "2*laps 3"]:
     """Return true errors to start from: the scenario's start, and as many on the edge of the
     feasible set."""

@@ -35,6 +35,10 @@ from jaxtube.synthesis.stored_certificate import list_certificate_facts
 LAPS = 4
 """Laps of recorded steps, from the scenario's start and again from the edge of the feasible set."""
 SUMS = "SHA256SUMS"
+SHOWN_NAMES = 3
+"""Files named in a message."""
+MADE = ("replay_steps", "replay_floats")
+"""What the Makefile makes."""
 STATIC = {
     "controller.py": "controller.py",
     "c/controller.h": "controller.h",
@@ -43,6 +47,16 @@ STATIC = {
     "c/Makefile": "Makefile",
 }
 """Templates by the files that they are, unchanged."""
+RENDERED = (
+    "certificate.json",
+    "controller.npz",
+    "c/constants.h",
+    "c/constants.c",
+    "c/steps.csv",
+    "README.md",
+)
+FILES = (*STATIC, *RENDERED, SUMS)
+"""All files of an export."""
 
 
 class Exported(NamedTuple):
@@ -51,7 +65,7 @@ class Exported(NamedTuple):
     Attributes:
         folder: where it lies.
         constants: its numbers.
-        proofs: of its numbers, by precision; None where they are not certified.
+        proofs: of its numbers, by precision; None where float32 is not offered.
         recorded: steps in steps.csv.
         operations: of floating point in a plan, at most.
     """
@@ -89,7 +103,7 @@ def export(design: Design, folder: str | Path, title: str = "a design") -> Expor
     """
     require_design(design)
     path = Path(folder)
-    _refuse_foreign(path)
+    refuse_foreign(path)
     proof = _settle(prove_doubles(design))
     if not proof.holds:
         raise ScenarioError(
@@ -236,14 +250,29 @@ def _read_template(name: str) -> str:
     return files("jaxtube.exporting").joinpath("templates", name).read_text(encoding="utf-8")
 
 
-def _refuse_foreign(path: Path) -> None:
+def refuse_foreign(path: Path) -> None:
     """Raise ScenarioError for a folder that holds anything but an exported controller."""
     cure = "name a new or an empty folder"
     if path.is_file():
         raise refusal("export", "folder", str(path), "is a file", cure)
-    if path.is_dir() and any(path.iterdir()) and not (path / SUMS).is_file():
-        problem = "holds files that no export has written"
+    # While SHA256SUMS is missing the files are those of an export that was broken off.
+    present = [entry.relative_to(path).as_posix() for entry in path.rglob("*")]
+    foreign = sorted(name for name in present if not _is_own(name))
+    if foreign:
+        problem = f"holds files that no export has written ({', '.join(foreign[:SHOWN_NAMES])})"
         raise refusal("export", "folder", str(path), problem, cure)
+
+
+def _is_own(name: str) -> bool:
+    """Tell whether a file is one of an export, or one that a killed export was writing, or what was
+    made of such files."""
+    folder, _, file = name.rpartition("/")
+    if name in ("c", "__pycache__") or folder == "__pycache__" or file in MADE:
+        return True
+    return any(
+        name == own or (folder == own.rpartition("/")[0] and file.startswith(f".{Path(own).name}."))
+        for own in FILES
+    )
 
 
 def _write(path: Path, contents: Mapping[str, bytes]) -> None:

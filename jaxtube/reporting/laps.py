@@ -27,6 +27,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtube.figures.style import outline
+from jaxtube.numpy_archive import read_archive
 
 if TYPE_CHECKING:
     from jaxtube.simulation.rollout import Trajectory
@@ -145,16 +146,17 @@ def read(folder: Path) -> StoredLaps:
 
     Raises:
         FileNotFoundError: where it holds none.
+        ValueError: where they are damaged.
         KeyError: where a part of them is missing.
     """
-    with np.load(folder / FILE, allow_pickle=False) as arrays:
-        laps = {
-            str(name): LapSet(*(arrays[f"{name}_{field}"] for field in LapSet._fields))
-            for name in arrays["controllers"]
-        }
-        return StoredLaps(
-            float(arrays["period_s"]), arrays["reference_poses"], float(arrays["track_m"]), laps
-        )
+    arrays = read_archive((folder / FILE).read_bytes())
+    laps = {
+        str(name): LapSet(*(arrays[f"{name}_{field}"] for field in LapSet._fields))
+        for name in arrays["controllers"]
+    }
+    return StoredLaps(
+        float(arrays["period_s"]), arrays["reference_poses"], float(arrays["track_m"]), laps
+    )
 
 
 def find_poses(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import subprocess
 from collections.abc import Iterator, Mapping
@@ -63,9 +64,11 @@ def _write_mp4(pictures: Iterator[Image.Image], path: Path) -> None:
     def write(file: Any) -> None:
         with subprocess.Popen([*given, *coded, file.name], stdin=subprocess.PIPE) as coder:
             assert coder.stdin is not None
-            for picture in pictures:
-                coder.stdin.write(picture.tobytes())
-            coder.stdin.close()
+            # Where ffmpeg has ended before, its exit status says so.
+            with contextlib.suppress(BrokenPipeError):
+                for picture in pictures:
+                    coder.stdin.write(picture.tobytes())
+                coder.stdin.close()
             if coder.wait():
                 raise ValueError("could not be written by ffmpeg; end it in .gif")
 

@@ -105,6 +105,11 @@ def is_inside(name: Any) -> bool:
     return not path.is_absolute() and ".." not in path.parts and path.as_posix() == name != "."
 
 
+def leads_out(folder: Path, name: str) -> bool:
+    """Tell whether a name leads out of its folder by a link."""
+    return not (folder / name).resolve().is_relative_to(folder.resolve())
+
+
 def refuse_folder(folder: str | Path, problem: str) -> ScenarioError:
     """Return the refusal of a folder."""
     cure = "name a folder that the `save` of a result has written"
@@ -116,6 +121,8 @@ def _check_files(folder: Path, files: Any) -> None:
     if not isinstance(files, dict) or SCENARIO not in files or not all(map(is_inside, files)):
         raise refuse_folder(folder, "is damaged: result.json names other files than its own")
     for name, digest in files.items():
+        if leads_out(folder, name):
+            raise refuse_folder(folder, f"is damaged: {name} is a link to another place")
         if hash_bytes(read_bytes(folder, name)) != digest:
             raise refuse_folder(folder, f"is damaged: {name} differs from what was written")
 

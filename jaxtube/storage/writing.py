@@ -17,6 +17,7 @@ from jaxtube.scenario.folders import (
     SCHEMA,
     UNFINISHED,
     is_inside,
+    leads_out,
     read_loosely,
     refuse_folder,
 )
@@ -124,6 +125,8 @@ def _find_replaced(path: Path, kind: str) -> set[str]:
     listed = files if isinstance(files, list | dict) else ()
     own: set[str] = {name for name in listed if is_inside(name)}
     own.update(FILES)
+    if any(leads_out(path, name) for name in own):
+        raise _refuse_to_save(path, "holds links to other places")
     entries = {name.split("/")[0] for name in own}
     names = [name for name in present if not _is_leftover(name, entries)]
     foreign = [name for name in names if name not in entries]

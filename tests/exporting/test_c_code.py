@@ -7,7 +7,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from c_controller import COMPILER, CController, compile_c, needs_compiler
+from c_controller import COMPILER, WARNINGS, CController, compile_c, needs_compiler
 
 pytestmark = needs_compiler
 
@@ -15,7 +15,7 @@ pytestmark = needs_compiler
 @pytest.mark.parametrize("flags", [["-Wdouble-promotion", "-Wcast-qual"], ["-DJAXTUBE_FLOAT32"]])
 @pytest.mark.parametrize("level", ["-O0", "-O3"])
 def test_it_compiles_without_a_warning(exported, tmp_path, flags, level):
-    compile_c(exported.folder, tmp_path / "replay", *flags, level, main=True)
+    compile_c(exported.folder, tmp_path / "replay", *WARNINGS, *flags, level, main=True)
 
 
 def test_it_asks_for_nothing_but_math(exported):
@@ -63,7 +63,7 @@ def counting(exported, tmp_path_factory):
     )
 
 
-def test_no_plan_takes_more_operations_than_the_bound(exported, counting, certified):
+def test_no_plan_takes_more_operations_than_the_bound(exported, counting):
     controller = CController(counting)
     counter = ctypes.c_ulong.in_dll(ctypes.CDLL(str(counting)), "jaxtube_operations")
     generator = np.random.default_rng(2)
@@ -77,7 +77,7 @@ def test_no_plan_takes_more_operations_than_the_bound(exported, counting, certif
     assert 10_000 < most <= exported.operations
 
 
-def test_floats_command_nearly_what_doubles_do(exported, library, tmp_path, certified):
+def test_floats_command_nearly_what_doubles_do(exported, library, tmp_path):
     floats = CController(compile_c(exported.folder, tmp_path / "c.so", "-DJAXTUBE_FLOAT32"))
     assert floats.is_sound
     doubles = CController(library)

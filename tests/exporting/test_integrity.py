@@ -10,7 +10,8 @@ import pytest
 from c_controller import CController, compile_c, needs_compiler
 
 from jaxtube.exporting.replay import load_controller
-from jaxtube.exporting.write import SUMS
+from jaxtube.exporting.write import SUMS, refuse_foreign
+from jaxtube.scenario.refusal import ScenarioError
 
 MUTATIONS = 1000
 
@@ -93,7 +94,7 @@ def test_arrays_that_changed_places_never_run(exported, tmp_path):
     path = folder / "controller.npz"
     with np.load(path) as file:
         arrays = dict(file)
-    arrays["rows"], arrays["whitened"] = arrays["whitened"], arrays["rows"]
+    arrays |= {"rows": arrays["whitened"], "whitened": arrays["rows"]}
     np.savez_compressed(path, **arrays)
     with pytest.raises(ValueError, match="SHA256SUMS"):
         load_controller(folder).Controller(path)
@@ -142,10 +143,28 @@ def test_constants_that_were_changed_and_compiled_are_found_before_the_first_ste
         assert np.array_equal(output.wheels, [0.0, 0.0])
 
 
-def test_an_export_replaces_an_export_and_nothing_else(exported, certified, tmp_path):
-    import jaxtube as jt
+def test_only_files_of_an_export_are_replaced(tmp_path):
+    for name in ("mine.txt", SUMS, "c/controller.h", "c/mine.c"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("mine")
+    with pytest.raises(ScenarioError, match="no export has written"):
+        refuse_foreign(tmp_path)
+    (tmp_path / "mine.txt").unlink()
+    with pytest.raises(ScenarioError, match=r"c/mine\.c"):
+        refuse_foreign(tmp_path)
+    (tmp_path / "c" / "mine.c").unlink()
+    refuse_foreign(tmp_path)
+    # As a killed export leaves it.
+    (tmp_path / SUMS).unlink()
+    (tmp_path / "c" / ".constants.c.123").write_text("half")
+    refuse_foreign(tmp_path)
 
-    (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(jt.ScenarioError, match="no export has written"):
-        jt.export(certified, tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+def test_the_sums_are_of_all_files(exported):
+    named = {line.split()[1] for line in (exported.folder / SUMS).read_text().splitlines()}
+    present = {
+        path.relative_to(exported.folder).as_posix()
+        for path in exported.folder.rglob("*")
+        if path.is_file()
+    }
+    assert present == named | {SUMS}

@@ -219,11 +219,13 @@ public:
 };
 }
 """,
-    "nav2_core/exceptions.hpp": """
+    "nav2_core/controller_exceptions.hpp": """
 #pragma once
 #include <stdexcept>
 namespace nav2_core {
-struct PlannerException : std::runtime_error { using std::runtime_error::runtime_error; };
+struct ControllerException : std::runtime_error { using std::runtime_error::runtime_error; };
+struct InvalidController : ControllerException { using ControllerException::ControllerException; };
+struct NoValidControl : ControllerException { using ControllerException::ControllerException; };
 }
 """,
     "nav2_util/node_utils.hpp": """

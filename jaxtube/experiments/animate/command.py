@@ -32,7 +32,7 @@ def run(scenario: None, options: AnimateOptions) -> int:
     try:
         save_animation(stored, places, options.frames, path)
     except OSError as error:
-        raise unwritable(path, error) from None
+        raise unwritable(path, error, "--to") from None
     except ValueError as error:
         problem, _, cure = str(error).partition("; ")
         raise refusal("command line", "--to", str(path), problem, cure) from None

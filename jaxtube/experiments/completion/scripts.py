@@ -12,7 +12,7 @@ _jaxtube() {
         COMPREPLY=("${COMPREPLY[@]#"${typed%=*}="}")
     fi
     if [[ ${COMPREPLY[0]} == *[.=] ]]; then
-        compopt -o nospace
+        compopt -o nospace 2>/dev/null  # bash 4
     fi
 }
 complete -o default -F _jaxtube jaxtube

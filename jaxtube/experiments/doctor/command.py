@@ -1,5 +1,5 @@
 """`doctor`: versions, devices, 64-bit arithmetic, solvers, folders, and a closed loop that is
-certified; nothing is written."""
+certified; nothing but compiled programs is written."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ def run(scenario: Scenario, options: ExportOptions) -> int:
     folder.save_metrics(list_metrics(exported) | {"replayed": replay._asdict()})
     folder.save_page(make_page(made, exported, replay, in_c))
     print(f"\nREADME.md in {exported.folder}/ says how to use it")
-    if replay.wrong:
+    if replay.wrong or (in_c is not None and in_c.is_compiled and not in_c.is_same):
         return ExitCode.METRIC_OFF
     return exit_code(made.certificate, options.require_certificate)
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from jaxtube.experiments.export.report import describe_in_c, describe_in_numpy, say_verdict
 from jaxtube.experiments.run.design_page import certificate_section
 from jaxtube.exporting.proof import KINDS, Proof, list_margins
-from jaxtube.exporting.replay import Replay
+from jaxtube.exporting.replay import Replay, ReplayInC
 from jaxtube.exporting.write import Exported
 from jaxtube.reporting.page import Heading, Listing, Page, Section, Table
 from jaxtube.synthesis.parts import Design
@@ -24,16 +24,16 @@ NOTE = (
 )
 
 
-def make_page(design: Design, exported: Exported, replay: Replay, in_c: str | None) -> Page:
+def make_page(design: Design, exported: Exported, replay: Replay, in_c: ReplayInC | None) -> Page:
     """Return the page of an export.
 
     Args:
         design: of the controller.
         exported: what was written.
         replay: of recorded steps in NumPy.
-        in_c: what main.c printed, None where it was not compiled.
+        in_c: the same in C, None where there is no compiler.
     """
-    is_certified = any(proof and proof.constants.is_certified for proof in exported.proofs.values())
+    is_certified = any(proof and proof.certifies for proof in exported.proofs.values())
     headings = [
         Heading("numbers"),
         Heading("sets"),
@@ -64,7 +64,7 @@ def _list_cells(name: str, proof: Proof | None) -> Iterator[str]:
     """Yield the row of a precision."""
     yield name
     if proof is None:
-        yield from ("not certified", *["-"] * (len(KINDS) + 1))
+        yield from ("not offered", *["-"] * (len(KINDS) + 1))
         return
     yield proof.design.certificate.verdict
     yield str(proof.describe()["rooms"])

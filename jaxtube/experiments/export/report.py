@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from jaxtube.exporting.replay import Replay
+from jaxtube.exporting.replay import Replay, ReplayInC
 from jaxtube.exporting.write import Exported
 
 
@@ -24,9 +24,11 @@ def describe_in_numpy(replay: Replay) -> str:
     )
 
 
-def describe_in_c(printed: str | None) -> str:
+def describe_in_c(replay: ReplayInC | None) -> str:
     """Return what main.c printed, or that it was not compiled."""
-    if printed is None:
+    if replay is None:
         return "c/ was not compiled: there is no C compiler here (cc, gcc, clang)"
-    lines = printed.strip().splitlines()
-    return "\n".join(["main.c, compiled here, plays them:", *(f"  {line}" for line in lines[:3])])
+    lines = replay.printed.strip().splitlines()[:3]
+    if not replay.is_compiled:
+        return "\n".join(["c/ could not be compiled here:", *(f"  {line}" for line in lines)])
+    return "\n".join(["main.c, compiled here, plays them:", *(f"  {line}" for line in lines)])

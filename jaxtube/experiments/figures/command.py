@@ -9,8 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import cast
 
-import numpy as np
-
 from jaxtube.experiments.design.command import draw_sets
 from jaxtube.experiments.montecarlo import figures as montecarlo_figures
 from jaxtube.experiments.montecarlo.command import make_task
@@ -19,6 +17,8 @@ from jaxtube.experiments.paper import drawings as paper_drawings
 from jaxtube.experiments.run.folder import RunFolder, unwritable
 from jaxtube.experiments.run.past_run import PastRun, read_run
 from jaxtube.figures.style import read_style, use_style
+from jaxtube.numpy_archive import read_archive
+from jaxtube.scenario.folders import SCENARIO
 from jaxtube.scenario.reading import load
 from jaxtube.scenario.refusal import refusal
 from jaxtube.simulation.promise import limit_true_errors
@@ -43,11 +43,6 @@ def run(scenario: None, options: FiguresOptions) -> int:
         problem = f"is a run of {past.options.command}"
         cure = f"figures can be drawn again of {', '.join(REDRAWN)}"
         raise refusal("command line", "RUN", options.run, problem, cure)
-    folder = RunFolder(options.folder)
-    try:
-        folder.path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(folder.path, error) from None
     try:
         style = read_style(options.style)
     except OSError:
@@ -55,10 +50,16 @@ def run(scenario: None, options: FiguresOptions) -> int:
         raise refusal(
             "command line", "--style", options.style, "is no style of matplotlib", cure
         ) from None
+    made = make_design(load(str(past.folder / SCENARIO)))
+    folder = RunFolder(options.folder)
+    try:
+        folder.path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise unwritable(folder.path, error) from None
     try:
         with use_style(style):
-            redraw(past, make_design(load(str(past.folder / "scenario.toml"))), folder)
-    except (FileNotFoundError, KeyError) as error:
+            redraw(past, made, folder)
+    except (FileNotFoundError, KeyError, ValueError) as error:
         problem = f"lacks data of its figures ({error})"
         raise refusal("command line", "RUN", options.run, problem, "run it again") from None
     print(f"figures in the style {options.style} are in {folder.path}/")
@@ -79,8 +80,7 @@ def _redraw_design(past: PastRun, made: Design, folder: RunFolder) -> None:
 
 def _redraw_montecarlo(past: PastRun, made: Design, folder: RunFolder) -> None:
     options = cast(MontecarloOptions, past.options)
-    with np.load(past.folder / "statistics.npz", allow_pickle=False) as arrays:
-        statistics = dict(arrays)
+    statistics = read_archive((past.folder / "statistics.npz").read_bytes())
     judged = limit_true_errors(made, options.plant)
     law = name_law(judged, options.controller, options.plant, options.starts)
     summary = MonteCarlo(judged, law, options.seed, statistics).summary

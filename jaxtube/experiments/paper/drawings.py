@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.figures.stress import Runs, StressedCase
+from jaxtube.numpy_archive import read_archive
 from jaxtube.progress import announce, progress
 from jaxtube.reporting import laps as kept_laps
 from jaxtube.reporting.laps import StoredLaps
@@ -70,13 +71,13 @@ def read_drawn(folder: Path) -> Drawn:
 
     Raises:
         OSError, KeyError: where files or parts of them are missing.
+        ValueError: where they are damaged.
     """
     kept = kept_laps.read(folder)
-    with np.load(folder / "deviations.npz", allow_pickle=False) as arrays:
-        deviations = arrays["deviations"].astype(float)
-    with np.load(folder / "stress.npz", allow_pickle=False) as arrays:
-        cases = {str(name): _read_case(arrays, str(name)) for name in arrays["cases"]}
-        return Drawn(kept, deviations, cases, arrays["boundary"])
+    deviations = read_archive((folder / "deviations.npz").read_bytes())["deviations"].astype(float)
+    stressed = read_archive((folder / "stress.npz").read_bytes())
+    cases = {str(name): _read_case(stressed, str(name)) for name in stressed["cases"]}
+    return Drawn(kept, deviations, cases, stressed["boundary"])
 
 
 def _read_case(arrays: Mapping[str, np.ndarray], name: str) -> StressedCase:

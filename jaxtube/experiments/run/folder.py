@@ -166,10 +166,10 @@ def create(scenario: Scenario, options: Options) -> RunFolder:
     return RunFolder(folder, text, _describe(text, options))
 
 
-def unwritable(folder: Path, error: OSError) -> ScenarioError:
+def unwritable(folder: Path, error: OSError, option: str = "--out") -> ScenarioError:
     """Return the one line that refuses a folder that cannot be written to."""
     problem = f"cannot be written to ({error.strerror})"
-    return refusal("command line", "--out", str(folder), problem, "name a folder you may write to")
+    return refusal("command line", option, str(folder), problem, "name a folder you may write to")
 
 
 def _refuse_to_overwrite(text: str, options: Options) -> None:

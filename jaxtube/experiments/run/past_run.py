@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 from pathlib import Path
 from typing import NamedTuple
 
 from jaxtube.experiments.options import PROGRAM, Options
+from jaxtube.experiments.run.json_file import read_table
+from jaxtube.scenario.folders import MANIFEST
 from jaxtube.scenario.refusal import refusal
 
 
@@ -28,10 +29,10 @@ def read_run(name: str) -> PastRun:
 
     folder = Path(name)
     try:
-        manifest = json.loads((folder / "manifest.json").read_bytes())
-        words = shlex.split(manifest["command_line"])
-        options = parse(words[len(PROGRAM.split()) :])
-    except (OSError, ValueError, LookupError, TypeError):
+        line = read_table(folder / MANIFEST).get("command_line")
+        words = shlex.split(line) if isinstance(line, str) else []
+        options = parse(words[len(PROGRAM.split()) :]) if words else None
+    except ValueError:
         options = None
     if options is None:
         cure = "name the folder of a run, such as runs/paper-paper"

@@ -39,7 +39,7 @@ typedef struct {
     double margins[3]; /* share of each cap that the errors leave */
     int status;
     int pose;
-    int in_time;    /* the call came one period after the last one */
+    int in_time;    /* the call came at its period's start, counted from the first call */
     int guaranteed; /* since the start nothing has happened that the certificate is not about */
     int plan_left;  /* periods for which a plan is left */
     int exchanges;  /* of active rows */

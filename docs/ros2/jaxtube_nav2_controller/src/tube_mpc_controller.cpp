@@ -4,7 +4,7 @@
 #include <cmath>
 #include <limits>
 
-#include "nav2_core/exceptions.hpp"
+#include "nav2_core/controller_exceptions.hpp"
 #include "nav2_util/node_utils.hpp"
 #include "pluginlib/class_list_macros.hpp"
 
@@ -17,7 +17,7 @@ void TubeMpcController::configure(
 {
   const auto node = parent.lock();
   if (!node) {
-    throw nav2_core::PlannerException("the node is gone");
+    throw nav2_core::InvalidController("the node is gone");
   }
   logger_ = node->get_logger();
   clock_ = node->get_clock();
@@ -28,13 +28,13 @@ void TubeMpcController::configure(
   node->get_parameter(separation, wheel_separation_);
   node->get_parameter(tolerance, path_tolerance_);
   if (!(wheel_separation_ > 0.0)) {
-    throw nav2_core::PlannerException(separation + ": give metres, such as 0.5");
+    throw nav2_core::InvalidController(separation + ": give metres, such as 0.5");
   }
   if (JAXTUBE_NEEDS_SLIP) {
-    throw nav2_core::PlannerException("the controller needs measured slips, which Nav2 has not");
+    throw nav2_core::InvalidController("the controller needs measured slips, which Nav2 has not");
   }
   if (jaxtube_begin(&controller_, 0) != 0) {
-    throw nav2_core::PlannerException("the constants are damaged; export the controller again");
+    throw nav2_core::InvalidController("the constants are damaged; export the controller again");
   }
 }
 
@@ -133,10 +133,10 @@ geometry_msgs::msg::TwistStamped TubeMpcController::computeVelocityCommands(
   nav2_core::GoalChecker *)
 {
   if (!has_plan_) {
-    throw nav2_core::PlannerException("the plan is not the reference of the controller");
+    throw nav2_core::NoValidControl("the plan is not the reference of the controller");
   }
   if (pose.header.frame_id != plan_.header.frame_id) {
-    throw nav2_core::PlannerException("poses are not in the frame of the plan");
+    throw nav2_core::NoValidControl("poses are not in the frame of the plan");
   }
   const rclcpp::Time now = clock_->now();
   const Pose seen = see(read(pose.pose), origin_);
@@ -153,7 +153,7 @@ geometry_msgs::msg::TwistStamped TubeMpcController::computeVelocityCommands(
   drives_ = status != JAXTUBE_HALTED && status != JAXTUBE_FINISHED;
   has_plan_ = drives_;
   if (status == JAXTUBE_HALTED) {
-    throw nav2_core::PlannerException("halted: no pose could be used for too long");
+    throw nav2_core::NoValidControl("halted: no pose could be used for too long");
   }
   if (!output.guaranteed) {
     RCLCPP_WARN(logger_, "no guarantee: status %d, pose %d", status, output.pose);

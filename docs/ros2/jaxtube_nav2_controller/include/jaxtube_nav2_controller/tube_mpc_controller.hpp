@@ -31,7 +31,7 @@ public:
   /// on, and no other one is taken before it is driven.
   void setPlan(const nav_msgs::msg::Path & path) override;
 
-  /// Throws nav2_core::PlannerException where the plan is not the reference, or the controller has
+  /// Throws nav2_core::NoValidControl where the plan is not the reference, or the controller has
   /// halted.
   geometry_msgs::msg::TwistStamped computeVelocityCommands(
     const geometry_msgs::msg::PoseStamped & pose, const geometry_msgs::msg::Twist & velocity,
