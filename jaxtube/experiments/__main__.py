@@ -5,7 +5,14 @@ import sys
 from typing import NoReturn
 
 from jaxtube.experiments import environment
-from jaxtube.experiments.cli import INTERRUPTED_LINE, main
+
+try:
+    from jaxtube.experiments.cli import INTERRUPTED_LINE, main
+except ModuleNotFoundError as error:
+    sys.exit(
+        f"{sys.executable}: {error.name} is not installed there; give the python of the "
+        "environment that jaxtube was installed in, such as .venv/bin/python"
+    )
 from jaxtube.experiments.run.exit_codes import ExitCode
 
 

@@ -57,6 +57,8 @@ Exact = np.ndarray
 NOTHING = Fraction(0)
 UNBOUNDED = Fraction(10) ** 9
 """What rows miss that are bounded in the design or in the constants alone."""
+SAME_NUMBERS = "other numbers"
+"""The name of the margin of all numbers that are no rows: 0, or minus infinity."""
 PROVED_ROWS = ("rows", "row_errors", "lower", "upper")
 """The constants that rows are made of, which may differ by what is proved; no others may."""
 
@@ -141,7 +143,7 @@ def prove(design: Design, constants: Constants, once: float) -> Proof:
     missed = comparison.find_missed()
     rooms = _find_rooms(design)
     is_exact = bool(rooms)
-    margins = {"other numbers": 0.0 if _are_others_the_same(design, constants) else -np.inf}
+    margins = {SAME_NUMBERS: 0.0 if _are_others_the_same(design, constants) else -np.inf}
     if not is_exact:
         margins |= {f"{kind} backed off": float(Fraction(once) - missed[kind]) for kind in KINDS}
     enlarged = comparison.enlarge_terminal(missed["terminal"])
@@ -334,7 +336,7 @@ def list_margins(proofs: Mapping[str, Proof | None]) -> list[str]:
 def _say_what_holds(proof: Proof | None) -> str:
     if proof is None:
         return "not offered; constraints cannot be drawn in as far as it needs"
-    least = min(proof.margins.values())
+    least = min(margin for name, margin in proof.margins.items() if name != SAME_NUMBERS)
     if proof.certifies:
         return f"certified again, least margin {least:.3g}"
     missed = max(proof.missed.values())

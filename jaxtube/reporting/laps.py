@@ -149,7 +149,7 @@ def read(folder: Path) -> StoredLaps:
         ValueError: where they are damaged.
         KeyError: where a part of them is missing.
     """
-    arrays = read_archive((folder / FILE).read_bytes())
+    arrays: dict[str, Any] = dict(read_archive((folder / FILE).read_bytes()))
     laps = {
         str(name): LapSet(*(arrays[f"{name}_{field}"] for field in LapSet._fields))
         for name in arrays["controllers"]

@@ -206,8 +206,8 @@ class Page:
     not_covered: Sequence[str] = ()
     player: Mapping[str, Any] | None = None
     not_covered_lead: str = (
-        "All that is certified here takes this for granted, and says nothing about a robot for "
-        "which it is not so:"
+        "What holds above takes this for granted, and says nothing about a robot for which it is "
+        "not so:"
     )
 
 

@@ -60,7 +60,7 @@ def test_the_verdict_of_the_paper_counts_every_claim():
     rows = [SimpleNamespace(verdict=verdict) for verdict in verdicts]
     line = say_paper(rows, make_design(NAMES))
     assert line == (
-        "of 4 claims of the paper 1 are reproduced, 2 in part, 1 not; the design is NOT CERTIFIED"
+        "1 of the paper's 4 claims are reproduced, 2 in part, 1 not; the design is NOT CERTIFIED"
     )
 
 

@@ -20,7 +20,7 @@ def say_verdict(rows: Sequence[PaperClaim], design: Design) -> str:
     counts = Counter(row.verdict for row in rows)
     certified = "CERTIFIED" if design.certificate.holds_for_robot else "NOT CERTIFIED"
     return (
-        f"of {len(rows)} claims of the paper {counts['reproduced']} are reproduced, "
+        f"{counts['reproduced']} of the paper's {len(rows)} claims are reproduced, "
         f"{counts['in part']} in part, {counts['not reproduced']} not; the design is {certified}"
     )
 

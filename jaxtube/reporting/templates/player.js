@@ -323,8 +323,13 @@
     pen.fillStyle = colours.soft;
     pen.fillText(unit, 6, top + tall / 2 + 13);
     pen.textAlign = "right";
-    pen.fillText(+(to * reach).toPrecision(2), EDGE.left - 5, top + 9);
-    pen.fillText(`−${+(to * reach).toPrecision(2)}`, EDGE.left - 5, top + tall);
+    // The limits at their lines; the ends of the axis only where they are well beyond.
+    const told = y(limit) - top > 14 ? [reach, limit] : [limit];
+    for (const value of told.filter((one) => one <= reach)) {
+      const text = +(to * value).toPrecision(3);
+      pen.fillText(text, EDGE.left - 5, Math.max(y(value) + 4, top + 9));
+      pen.fillText(`−${text}`, EDGE.left - 5, Math.min(y(-value) + 4, top + tall));
+    }
     pen.textAlign = "left";
   };
 
@@ -404,7 +409,7 @@
     const keys = [
       [draw(`<rect x="5" y="2" width="14" height="10" fill="${colour}"/>`), "robot, track to scale"],
       [draw('<rect x="5" y="2" width="14" height="10" fill="none" stroke="currentColor" stroke-dasharray="3 2"/>'), "reference"],
-      [draw('<rect x="1" y="1" width="22" height="12" fill="none" stroke="currentColor" stroke-width="1.6" stroke-dasharray="5 3"/>'), "E: where the robot may be"],
+      [draw('<rect x="1" y="1" width="22" height="12" fill="none" stroke="currentColor" stroke-width="1.6" stroke-dasharray="5 3"/>'), "E: where the robot's centre may be"],
       [draw('<rect x="4" y="3" width="16" height="8" fill="#e69f00" fill-opacity=".45" stroke="#e69f00"/>'), "last section of the tube"],
       [draw(`<circle cx="7" cy="7" r="2.4" fill="${colour}"/><circle cx="16" cy="5" r="2.4" fill="${colour}"/>`), "the other laps now"],
     ];
