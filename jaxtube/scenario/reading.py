@@ -116,7 +116,7 @@ def _read(path: Path, source: str) -> dict[str, Any]:
         reason = getattr(error, "strerror", None) or "not UTF-8 text"
         problem = f"cannot be read ({reason})"
         beside = [*map(str, path.parent.glob("*.toml")), *names()]
-        meant = [] if path.exists() else find_nearest(str(path), beside)
+        meant = [] if os.path.exists(path) else find_nearest(str(path), beside)
         cure = ask_if_meant(meant) or "give a readable file in UTF-8"
         raise refusal(source, "scenario", str(path), problem, cure) from None
     try:

@@ -16,6 +16,12 @@ from jaxtube.scenario.refusal import ScenarioError
 MUTATIONS = 1000
 
 
+def list_files(folder) -> set[str]:
+    """Return the names of all files but those that Python makes where a controller is imported."""
+    files = (path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    return {path.as_posix() for path in files if "__pycache__" not in path.parts}
+
+
 def check_sums(folder) -> bool:
     """Say what `sha256sum --check --strict` says."""
     lines = (folder / SUMS).read_bytes().split(b"\n")
@@ -59,7 +65,7 @@ def mutate(content: bytes, generator: np.random.Generator) -> bytes:
 def test_a_thousand_mutations_of_the_folder_are_all_found(exported, tmp_path):
     folder = tmp_path / "mutated"
     shutil.copytree(exported.folder, folder)
-    names = sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+    names = sorted(list_files(folder))
     assert check_sums(folder)
     generator = np.random.default_rng(4)
     for number in range(MUTATIONS):
@@ -162,9 +168,4 @@ def test_only_files_of_an_export_are_replaced(tmp_path):
 
 def test_the_sums_are_of_all_files(exported):
     named = {line.split()[1] for line in (exported.folder / SUMS).read_text().splitlines()}
-    present = {
-        path.relative_to(exported.folder).as_posix()
-        for path in exported.folder.rglob("*")
-        if path.is_file()
-    }
-    assert present == named | {SUMS}
+    assert list_files(exported.folder) == named | {SUMS}
