@@ -445,6 +445,18 @@ def test_names_do_not_lead_out_of_the_folder(folder, tmp_path, design, no_design
         design.save(folder)
         assert outside.read_text() == "mine"
     (folder / "result.json").write_bytes(sealed.seal(facts))
+    linked = tmp_path / "inside" / "linked"
+    linked.mkdir()
+    (linked / "a.txt").write_text("mine")
+    (folder / "reference").symlink_to(linked)
+    files = {**facts["files"], "reference/a.txt": hashed}
+    (folder / "result.json").write_bytes(sealed.seal({**facts, "files": files}))
+    assert "is a link to another place" in refuse(folder)
+    with pytest.raises(jt.ScenarioError, match="holds links to other places"):
+        design.save(folder)
+    assert (linked / "a.txt").read_text() == "mine"
+    (folder / "reference").unlink()
+    (folder / "result.json").write_bytes(sealed.seal(facts))
     forge(folder, {"arrays.npz": pack({"../victim": np.ones(2), str(outside): np.ones(2)})})
     before = list_files(tmp_path)
     with only_reading():

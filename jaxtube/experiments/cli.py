@@ -13,6 +13,7 @@ import contextlib
 import dataclasses
 import errno
 import importlib
+import importlib.metadata
 import inspect
 import io
 import os
@@ -71,13 +72,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parse(arguments: Sequence[str]) -> Options | None:
-    """Read the words after the program's name; None when they asked for help, which is then on the
+    """Read the words after the program's name; None when they asked for help or the version, which is then on the
     standard output.
 
     Raises:
         ScenarioError: one line, for words that cannot be read.
     """
     words, overrides = _split(_check_text(arguments))
+    if words == ["--version"]:
+        print(f"jaxtube {importlib.metadata.version('jaxtube')}")
+        return None
     asks_for_help = words[:1] in (["-h"], ["--help"])
     if not asks_for_help and (not words or words[0].startswith("-")):
         words = [DEFAULT_COMMAND, *words]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from importlib.resources import files
 
-import jinja2
 import numpy as np
 
 from jaxtube.exporting.constants import Constants
+from jaxtube.exporting.templating import render
 
 INPUT_MAPS = ("paper", "cosine_free", "x_exact")
 """By their numbers in C."""
@@ -59,7 +58,7 @@ def render_header(constants: Constants, title: str, verdict: str, certificate_sh
         certificate_sha256: of the file that holds it.
     """
     m, n = constants.rows.shape[1:]
-    return _render(
+    return render(
         "constants.h.jinja",
         title=_comment(title),
         verdict=_comment(verdict),
@@ -79,7 +78,7 @@ def render_source(
 ) -> str:
     """Return constants.c; without constants for floats, that build is refused by the compiler."""
     refusal = "#error this controller is not certified with quadratic programs in floats"
-    return _render(
+    return render(
         "constants.c.jinja",
         title=_comment(title),
         of_doubles=_render_precision(doubles, certificate_sha256),
@@ -201,11 +200,3 @@ def _fold(words: Iterable[str]) -> str:
 def _comment(text: str) -> str:
     """Return text that cannot end a comment of C."""
     return " ".join(text.split()).replace("*/", "* /").replace("\\", "/")
-
-
-def _render(name: str, **values) -> str:
-    source = files("jaxtube.exporting").joinpath("templates", name).read_text(encoding="utf-8")
-    environment = jinja2.Environment(
-        undefined=jinja2.StrictUndefined, autoescape=False, keep_trailing_newline=True
-    )
-    return environment.from_string(source).render(**values)

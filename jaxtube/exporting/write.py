@@ -15,18 +15,18 @@ import hashlib
 import io
 import json
 from collections.abc import Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import NamedTuple
 
-import jinja2
 import numpy as np
 
 from jaxtube.atomic import write_atomically
 from jaxtube.exporting.c_source import count_operations, render_header, render_source
 from jaxtube.exporting.constants import Constants
 from jaxtube.exporting.proof import Proof, list_margins, prove_doubles, prove_floats
+from jaxtube.exporting.readme import render_readme
 from jaxtube.exporting.recording import Recording, draw_starts, record_laps
+from jaxtube.exporting.templating import read_template
 from jaxtube.precision import in_64_bits
 from jaxtube.scenario.refusal import ScenarioError, refusal
 from jaxtube.synthesis.parts import Design, require_design
@@ -141,7 +141,7 @@ def _render(
     verdict = design.certificate.verdict
     certificate = _describe_certificate(design, proofs)
     digest = hashlib.sha256(certificate).hexdigest()
-    contents = {name: _read_template(template).encode() for name, template in STATIC.items()}
+    contents = {name: read_template(template).encode() for name, template in STATIC.items()}
     of_floats = None if floats is None else floats.constants
     contents |= {
         "certificate.json": certificate,
@@ -149,7 +149,7 @@ def _render(
         "c/constants.h": render_header(constants, title, verdict, digest).encode(),
         "c/constants.c": render_source(constants, of_floats, title, digest).encode(),
         "c/steps.csv": write_steps(constants, recording).encode(),
-        "README.md": _render_readme(design, proofs, recording, title).encode(),
+        "README.md": render_readme(design, proofs, recording, title).encode(),
     }
     sums = [f"{hashlib.sha256(contents[name]).hexdigest()}  {name}\n" for name in sorted(contents)]
     return contents | {SUMS: "".join(sums).encode()}
@@ -187,67 +187,6 @@ def write_steps(constants: Constants, recording: Recording) -> str:
 def _spell(number: float) -> str:
     """Return the shortest decimals that are read back to the bit."""
     return repr(float(number))
-
-
-def _render_readme(
-    design: Design,
-    proofs: Mapping[str, Proof | None],
-    recording: Recording,
-    title: str,
-) -> str:
-    proof = proofs["float64"]
-    assert proof is not None
-    constants = proof.constants
-    settings = design.problem.scenario.controller
-    caps = constants.caps
-    of_commands = not design.problem.scenario.robot.obeys_at_once
-    acted_on = "; an estimate" if settings.has_observer else ""
-    acted_on += (
-        "; of the committed pose, to which commands given will take it" if of_commands else ""
-    )
-    floats = "solves in floats" if proofs["float32"] else "is refused: it would not be as exact"
-    needs_slip = ", which this design is **not** certified for: give slips" * constants.needs_slip
-    needs_running = (
-        " The wheels lag: begin with wheels that run as the reference does (`runs`); from rest "
-        "nothing is guaranteed."
-    ) * constants.remembers_wheels
-    right, left = constants.nominal_slip
-    x, y, heading = constants.reference_poses[0]
-    environment = jinja2.Environment(
-        undefined=jinja2.StrictUndefined,
-        autoescape=False,
-        keep_trailing_newline=True,
-        trim_blocks=True,
-    )
-    return environment.from_string(_read_template("README.md.jinja")).render(
-        title=" ".join(title.split()),
-        steps=len(constants.window),
-        dt=constants.dt,
-        verdict=design.certificate.verdict,
-        proved="; ".join(list_margins(dict(proofs))) + ".",
-        operations=f"{count_operations(constants):,}",
-        floats=floats,
-        recorded=f"{recording.status.size:,}",
-        start=f"({x:g} m, {y:g} m, {heading:g} rad)",
-        limits=[f"{limit:g}" for limit in constants.wheel_limits],
-        slip=f"{right:g} right, {left:g} left",
-        acted_on=acted_on,
-        caps=f"{caps[0]:.3g} m, {caps[1]:.3g} m, {np.rad2deg(caps[2]):.3g} deg",
-        age=f"{constants.most_age:g}",
-        jitter=f"{constants.most_jitter:g}",
-        horizon=constants.horizon,
-        exchanges=constants.most_exchanges,
-        is_certified=constants.is_certified,
-        needs_slip=needs_slip,
-        needs_running=needs_running,
-        certified_time=f"{constants.certified_time:g}",
-        has_floats=proofs["float32"] is not None,
-        assumptions=[assumption.rstrip(".") for assumption in design.certificate.assumptions],
-    )
-
-
-def _read_template(name: str) -> str:
-    return files("jaxtube.exporting").joinpath("templates", name).read_text(encoding="utf-8")
 
 
 def refuse_foreign(path: Path) -> None:

@@ -623,3 +623,8 @@ def test_claims_that_cannot_be_read_are_bad_input(claim, tmp_path, capsys):
 def test_a_check_without_claims_is_bad_input(tmp_path, capsys):
     (tmp_path / "scenario.toml").write_text("")
     assert "expected.toml" in error_line(capsys, "check", str(tmp_path / "scenario.toml"))
+
+
+def test_the_version_is_told(capsys):
+    assert main(["--version"]) == 0
+    assert re.fullmatch(r"jaxtube \d+\.\d+\.\d+\n", capsys.readouterr().out)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from jaxtube.exporting.constants import DOUBLE, SINGLE, Constants, gather_constants
-from jaxtube.exporting.proof import KINDS, prove, prove_doubles, prove_floats
+from jaxtube.exporting.proof import prove, prove_doubles, prove_floats
+from jaxtube.exporting.rows import KINDS
 from jaxtube.synthesis.tightening import find_back_off
 
 

@@ -111,6 +111,42 @@ def test_a_folder_without_laps_is_refused_in_one_line(tmp_path, capsys):
         assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    "content", [b'{"command_line": 5}', b'{"command_line": null}', b"[" * 100_000, b"no JSON"]
+)
+def test_a_run_whose_manifest_is_damaged_is_refused_in_one_line(run_folder, capsys, content):
+    (run_folder / "manifest.json").write_bytes(content)
+    assert main(["figures", str(run_folder), "--style", "ggplot"]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_damaged_laps_are_refused_in_one_line(run_folder, capsys):
+    content = (run_folder / "laps.npz").read_bytes()
+    for damaged in (content[: len(content) // 2], b"PK\x03\x04 no archive", b""):
+        (run_folder / "laps.npz").write_bytes(damaged)
+        assert main(["animate", str(run_folder)]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_an_unknown_style_leaves_nothing_behind(run_folder, capsys):
+    manifest = {"command_line": "python -m jaxtube.experiments design"}
+    (run_folder / "manifest.json").write_text(json.dumps(manifest))
+    before = sorted(run_folder.iterdir())
+    assert main(["figures", str(run_folder), "--style", "nosuchstyle"]) == 2
+    assert "is no style of matplotlib" in capsys.readouterr().err
+    assert sorted(run_folder.iterdir()) == before
+
+
+def test_an_ffmpeg_that_fails_is_told_as_that(run_folder, capsys, monkeypatch, tmp_path):
+    failing = tmp_path / "bin" / "ffmpeg"
+    failing.parent.mkdir()
+    failing.write_text("#!/bin/sh\nexit 1\n")
+    failing.chmod(0o755)
+    monkeypatch.setenv("PATH", str(failing.parent), prepend=":")
+    assert main(["animate", str(run_folder), "--to", str(tmp_path / "lap.mp4")]) == 2
+    assert "could not be written by ffmpeg" in capsys.readouterr().err
+
+
 def test_mp4_without_ffmpeg_is_refused_with_the_cure(run_folder, capsys, monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
     assert main(["animate", str(run_folder), "--to", str(run_folder / "lap.mp4")]) == 2

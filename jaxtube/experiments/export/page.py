@@ -7,8 +7,9 @@ from collections.abc import Iterator
 
 from jaxtube.experiments.export.report import describe_in_c, describe_in_numpy, say_verdict
 from jaxtube.experiments.run.design_page import certificate_section
-from jaxtube.exporting.proof import KINDS, Proof, list_margins
+from jaxtube.exporting.proof import Proof, list_margins
 from jaxtube.exporting.replay import Replay, ReplayInC
+from jaxtube.exporting.rows import KINDS
 from jaxtube.exporting.write import Exported
 from jaxtube.reporting.page import Heading, Listing, Page, Section, Table
 from jaxtube.synthesis.parts import Design
