@@ -72,8 +72,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parse(arguments: Sequence[str]) -> Options | None:
-    """Read the words after the program's name; None when they asked for help or the version, which is then on the
-    standard output.
+    """Read the words after the program's name; None when they asked for help or for the version,
+    which is then on the standard output.
 
     Raises:
         ScenarioError: one line, for words that cannot be read.
