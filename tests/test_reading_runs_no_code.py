@@ -11,6 +11,8 @@ ROOT = Path(__file__).parents[1]
 IN_MEMORY = {"jaxtube/synthesis/disturbance.py"}
 """Modules that pickle values of their own, and never a file."""
 RUNNING = {"eval", "exec", "compile", "__import__"}
+RUNS_ITS_OWN = {"jaxtube/exporting/replay.py"}
+"""Modules that run a module by its path: one that has just been written, as SECURITY.md says."""
 LOADERS = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "marshal", "shelve", "yaml"}
 
 
@@ -32,6 +34,16 @@ def test_nothing_evaluates_text():
         if isinstance(call.func, ast.Name) and call.func.id in RUNNING
     ]
     assert found == []
+
+
+def test_modules_are_run_by_their_path_where_it_is_said_alone():
+    found = {
+        name
+        for name, tree in read_trees().items()
+        for call in find_calls(tree)
+        if isinstance(call.func, ast.Attribute) and call.func.attr in ("exec_module", "load_module")
+    }
+    assert found == RUNS_ITS_OWN
 
 
 def test_libraries_whose_files_are_code_are_imported_by_the_named_modules_alone():
