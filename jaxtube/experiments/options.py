@@ -587,7 +587,9 @@ class FiguresOptions(PastRunOptions):
 
     style: Annotated[str, arg(metavar="NAME|FILE.mplstyle", help_behavior_hint=""), STYLE] = ""
     """style of matplotlib, or a file of one"""
-    out: Annotated[str, arg(metavar="DIR", help_behavior_hint="(default: RUN/STYLE)"), FOLDER] = ""
+    out: Annotated[
+        str, arg(metavar="DIR", help_behavior_hint="(default: RUN/figures-STYLE)"), FOLDER
+    ] = ""
     """folder of the figures"""
 
     @property

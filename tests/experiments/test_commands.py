@@ -276,7 +276,7 @@ def test_a_design_is_drawn_again_in_another_style(tmp_path, capsys, known_design
     style = tmp_path / "thesis.mplstyle"
     style.write_text("figure.figsize: 5, 3\nfont.size: 7\n")
     assert main(["figures", str(tmp_path), "--style", str(style)]) == 0
-    redrawn = tmp_path / "thesis"
+    redrawn = tmp_path / "figures-thesis"
     assert {path.name for path in redrawn.iterdir()} == {"sets.png", "sets.pdf"}
     with Image.open(tmp_path / "sets.png") as usual, Image.open(redrawn / "sets.png") as styled:
         assert styled.width == 5 * 200 < usual.width
