@@ -23,6 +23,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from jaxtube.exporting.constants import WIDER, Constants
+from jaxtube.synthesis.certificate.program import bound_rows, predict_rows
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.prediction import UNREACHED
 
@@ -45,9 +46,10 @@ class RowComparison:
     def __init__(self, design: Design, constants: Constants):
         self._design = design
         self._constants = constants
-        reached = np.abs(_predict_rows_as_floats(design)[:, :, 3:]).max(axis=(0, 2)) > UNREACHED
+        reached = np.abs(predict_rows(design)[:, :, 3:]).max(axis=(0, 2)) > UNREACHED
         self._order = np.concatenate([np.flatnonzero(reached), np.flatnonzero(~reached)])
         self._norms = self._find_norms(int(reached.sum()))
+        self._lower, self._upper = bound_rows(design)
 
     def _find_norms(self, reached: int) -> Float[np.ndarray, "windows m"]:
         """Return by what the rows of the design were divided."""
@@ -90,16 +92,18 @@ class RowComparison:
         """Return over and under of every row of a window."""
         constants = self._constants
         norms = as_fractions(self._norms[window])
-        exact = _predict_rows(self._design, window)[self._order]
+        exact = _predict_exactly(self._design, window)[self._order]
         written = np.hstack([constants.row_errors[window], constants.rows[window]])
         scaled = as_fractions(written.astype(float))
         differs = np.abs(norms[:, None] * scaled - exact) @ self._box
         size = np.abs(scaled) @ self._box
         tolerance = Fraction(constants.precision.tolerance)
-        lower, upper = _bound_rows(self._design, window)
         over = np.full(len(norms), NOTHING, object)
         under = np.full(len(norms), NOTHING, object)
-        sides = ((-lower, -constants.lower[window]), (upper, constants.upper[window]))
+        sides = (
+            (-self._lower[window], -constants.lower[window]),
+            (self._upper[window], constants.upper[window]),
+        )
         for ours, theirs in sides:
             designed = ours[self._order]
             finite = np.isfinite(designed)
@@ -131,7 +135,7 @@ class RowComparison:
         return Fraction(float(np.max(getattr(self._design.bounds, kind))))
 
 
-def _predict_rows(design: Design, window: int) -> Exact:
+def _predict_exactly(design: Design, window: int) -> Exact:
     """Return the exact rows on the first error and the inputs of a plan, those on E_1 .. E_{N-1},
     on U_0 .. U_{N-1} and on e_N, by the model's matrices; of opposite rows the first stands for
     both."""
@@ -155,26 +159,3 @@ def _predict_rows(design: Design, window: int) -> Exact:
         errors = transition @ errors + as_fractions(matrices[0, stage]) @ inputs
     of_terminal = as_fractions(design.bounds.terminal_normals) @ errors
     return np.concatenate([*of_errors, *of_inputs, of_terminal])
-
-
-def _predict_rows_as_floats(design: Design) -> Float[np.ndarray, "windows m 3+n"]:
-    return np.array([_predict_rows(design, w) for w in range(len(design.windows.schedules))], float)
-
-
-def _bound_rows(
-    design: Design, window: int
-) -> tuple[Float[np.ndarray, " m"], Float[np.ndarray, " m"]]:
-    """Return the lower and upper bounds of these rows."""
-    bounds = design.bounds
-    half = bounds.inputs.shape[2] // 2
-    upper = [
-        bounds.errors[window, 1:, :3],
-        bounds.inputs[window, :, :half],
-        bounds.terminal[window],
-    ]
-    lower = [-bounds.errors[window, 1:, 3:], -bounds.inputs[window, :, half:]]
-    unbounded = np.full(bounds.terminal[window].shape, -np.inf)
-    return (
-        np.concatenate([*map(np.ravel, lower), unbounded]),
-        np.concatenate([*map(np.ravel, upper)]),
-    )

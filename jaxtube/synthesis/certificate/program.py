@@ -62,8 +62,8 @@ def _blocks(design: Design) -> Iterator[Block]:
     yield "gains of the tube", qp.tube_gain, windows.gains[:, 0]
     yield "the first transitions", qp.transition, transitions[:, 0]
     yield "the first input matrices", qp.input_matrix, inputs[:, 0]
-    rows = _predict_rows(design)
-    lower, upper = _bound_rows(design)
+    rows = predict_rows(design)
+    lower, upper = bound_rows(design)
     is_reached = np.abs(rows[:, :, 3:]).max(axis=(0, 2)) > UNREACHED
     on_inputs = qp.factors.rows * qp.factors.row_norms[..., None]
     yield "the rows", np.concatenate([qp.row_errors, on_inputs], axis=2), rows[:, is_reached]
@@ -76,7 +76,7 @@ def _blocks(design: Design) -> Iterator[Block]:
     yield "the rows without constraints", qp.free_rows, free_rows
 
 
-def _predict_rows(design: Design) -> Float[np.ndarray, "windows m 3+n"]:
+def predict_rows(design: Design) -> Float[np.ndarray, "windows m 3+n"]:
     """Return what the rows on E_1 .. E_{N-1}, on U_0 .. U_{N-1} and on e_N become at the unit
     vectors of the first error and of the inputs; of opposite rows the first stands for both."""
     problem = design.problem
@@ -100,7 +100,7 @@ def _predict_rows(design: Design) -> Float[np.ndarray, "windows m 3+n"]:
     return np.concatenate([*of_errors, *of_inputs, of_terminal], axis=1)
 
 
-def _bound_rows(
+def bound_rows(
     design: Design,
 ) -> tuple[Float[np.ndarray, "windows m"], Float[np.ndarray, "windows m"]]:
     """Return the lower and upper bounds of these rows."""
