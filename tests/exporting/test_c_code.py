@@ -5,9 +5,14 @@ import ctypes
 import shutil
 import subprocess
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from c_controller import COMPILER, WARNINGS, CController, compile_c, needs_compiler
+
+from jaxtube.exporting.proof import prove_floats
+from jaxtube.plant.error_dynamics import world_pose
+from jaxtube.synthesis.feasible import shortfall, true_starts
 
 pytestmark = needs_compiler
 
@@ -75,6 +80,23 @@ def test_no_plan_takes_more_operations_than_the_bound(exported, counting):
         controller.step(pose)
         most = max(most, counter.value)
     assert 10_000 < most <= exported.operations
+
+
+def test_floats_call_no_error_infeasible_that_has_a_plan(exported, certified, tmp_path):
+    floats = CController(compile_c(exported.folder, tmp_path / "c.so", "-DJAXTUBE_FLOAT32"))
+    proof = prove_floats(certified)
+    assert proof is not None
+    edge = true_starts(certified.tube_qps, certified.first_window, certified.problem, seed=1)
+    statuses = []
+    for error in np.concatenate([0.99 * edge, 0.999 * edge, 1.02 * edge]):
+        floats.restart()
+        pose = world_pose(jnp.asarray(error), certified.problem.reference.poses[0])
+        output = floats.step(np.asarray(pose))
+        statuses.append(output.status)
+        if output.status == 1:
+            design = proof.design
+            assert shortfall(design.tube_qps, design.first_window, output.errors) > 0
+    assert set(statuses) >= {0, 1}
 
 
 def test_floats_command_nearly_what_doubles_do(exported, library, tmp_path):

@@ -73,6 +73,23 @@ def test_bounds_that_give_in_one_stage_and_take_in_the_next_add_up(certified, do
     assert not prove(certified, both, room).holds
 
 
+def test_terminal_rows_that_are_missed_enlarge_what_is_asked_of_the_terminal_set(
+    certified, doubles
+):
+    by = 1e-3
+    facets = len(certified.bounds.terminal_normals)
+    norms = certified.tube_qps.factors.row_norms[:, -facets:]
+    upper = doubles.constants.upper.copy()
+    upper[:, -facets:] += by / norms
+    changed = dataclasses.replace(doubles.constants, upper=upper)
+    margins = prove(certified, changed, find_back_off(certified.problem)).margins
+    share = by / certified.bounds.terminal.min()
+    for kind in ("errors", "inputs"):
+        lost = doubles.margins[f"{kind} returns"] - margins[f"{kind} returns"]
+        largest = np.max(getattr(certified.bounds, kind))
+        np.testing.assert_allclose(lost, share * largest, rtol=1e-6)
+
+
 def test_a_bound_where_the_design_has_none_is_not_proved(certified, doubles):
     lower = doubles.constants.lower.copy()
     assert np.any(np.isinf(lower))

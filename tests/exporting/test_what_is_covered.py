@@ -1,5 +1,8 @@
 """`guaranteed` says no more than the certificate: what it is not about ends it from the start."""
 
+import re
+import shutil
+
 import numpy as np
 import pytest
 from c_controller import COMPILER, CController, compile_c, needs_compiler
@@ -66,3 +69,25 @@ def test_a_controller_that_was_never_begun_stands_still(library, certified):
 def test_c_code_refuses_arithmetic_that_the_proof_is_not_about(exported, tmp_path):
     with pytest.raises(AssertionError, match="ffast-math"):
         compile_c(exported.folder, tmp_path / "fast.so", "-ffast-math")
+
+
+def test_without_slips_that_it_needs_nothing_is_guaranteed(controller, certified):
+    pose = certified.problem.reference.poses[0]
+    slip = certified.problem.scenario.slip.nominal
+    controller.needs_slip = True
+    assert controller.step(pose, slip=slip).guaranteed
+    controller.restart()
+    assert not controller.step(pose).guaranteed
+
+
+@needs_compiler
+def test_choices_of_the_preprocessor_are_hashed_like_numbers(exported, tmp_path):
+    folder = tmp_path / "changed"
+    shutil.copytree(exported.folder, folder)
+    path = folder / "c" / "constants.h"
+    text = path.read_text()
+    for number, (name, value) in enumerate({"IS_CERTIFIED": 0, "NEEDS_SLIP": 1}.items()):
+        changed = re.sub(rf"(#define JAXTUBE_{name}) \d", rf"\1 {value}", text)
+        assert changed != text
+        path.write_text(changed)
+        assert not CController(compile_c(folder, tmp_path / f"c{number}.so", "-O0")).is_sound
