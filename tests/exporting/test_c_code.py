@@ -12,7 +12,7 @@ from c_controller import COMPILER, WARNINGS, CController, compile_c, needs_compi
 
 from jaxtube.exporting.proof import prove_floats
 from jaxtube.plant.error_dynamics import world_pose
-from jaxtube.synthesis.feasible import shortfall, true_starts
+from jaxtube.synthesis.feasible import reach_of_ray
 
 pytestmark = needs_compiler
 
@@ -86,16 +86,18 @@ def test_floats_call_no_error_infeasible_that_has_a_plan(exported, certified, tm
     floats = CController(compile_c(exported.folder, tmp_path / "c.so", "-DJAXTUBE_FLOAT32"))
     proof = prove_floats(certified)
     assert proof is not None
-    edge = true_starts(certified.tube_qps, certified.first_window, certified.problem, seed=1)
+    qps = proof.design.tube_qps
+    window = certified.first_window
+    generator = np.random.default_rng(8)
     statuses = []
-    for error in np.concatenate([0.99 * edge, 0.999 * edge, 1.02 * edge]):
-        floats.restart()
-        pose = world_pose(jnp.asarray(error), certified.problem.reference.poses[0])
-        output = floats.step(np.asarray(pose))
-        statuses.append(output.status)
-        if output.status == 1:
-            design = proof.design
-            assert shortfall(design.tube_qps, design.first_window, output.errors) > 0
+    for direction in generator.normal(size=(150, 3)) * certified.problem.operating_set.offsets[:3]:
+        reach = reach_of_ray(qps, window, direction, np.zeros(3))
+        for share in (0.9995, 0.999, 0.998, 1.02):
+            floats.restart()
+            error = jnp.asarray(share * reach * direction)
+            pose = np.asarray(world_pose(error, certified.problem.reference.poses[0]))
+            statuses.append(floats.step(pose).status)
+            assert statuses[-1] != 1 or share > 1
     assert set(statuses) >= {0, 1}
 
 
