@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple
+from typing import Any, ClassVar, Literal, NamedTuple
 
 Tone = Literal["good", "bad", "plain"]
 """Whether a word is good news, bad news or neither; always beside the word, never instead of it."""
@@ -46,7 +46,7 @@ class Table:
     headings: Sequence[Heading]
     rows: Sequence[Sequence[Cell]]
     note: str = ""
-    kind: str = "table"
+    kind: ClassVar[str] = "table"
 
     @property
     def is_prose(self) -> bool:
@@ -82,7 +82,7 @@ class Bars:
     title: str
     bars: Sequence[Bar]
     note: str = ""
-    kind: str = "bars"
+    kind: ClassVar[str] = "bars"
 
 
 class Interval(NamedTuple):
@@ -102,7 +102,7 @@ class Intervals:
     title: str
     rows: Sequence[Interval]
     note: str = ""
-    kind: str = "intervals"
+    kind: ClassVar[str] = "intervals"
 
     @property
     def decades(self) -> int:
@@ -155,7 +155,7 @@ class Conditions:
     title: str
     rows: Sequence[ConditionRow]
     note: str = ""
-    kind: str = "conditions"
+    kind: ClassVar[str] = "conditions"
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class Listing:
     title: str = ""
     bulleted: bool = True
     note: str = ""
-    kind: str = "listing"
+    kind: ClassVar[str] = "listing"
 
 
 Part = Table | Bars | Intervals | Conditions | Listing
