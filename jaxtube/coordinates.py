@@ -72,3 +72,9 @@ def describe_half_widths(half_widths: Float[np.ndarray, "3"]) -> str:
         for coordinate, limit in zip(COORDINATES, half_widths, strict=True)
     ]
     return ", ".join(words)
+
+
+def describe_excursion(excursion: Float[np.ndarray, "3"]) -> str:
+    """Return how far positions, (m, m, rad), leave their limits, in words; headings left out."""
+    words = [coordinate.say(size) for coordinate, size in zip(COORDINATES, excursion, strict=True)]
+    return f"by at most {words[0]} lengthwise and {words[1]} sideways"

@@ -21,6 +21,7 @@ from jaxtube.synthesis.acceleration import find_command_steps, limit_acceleratio
 from jaxtube.synthesis.problem import Problem, make_problem
 from sets.polytope import Polytope
 from sets.robot.actuation import Actuation
+from sets.robot.between import bound_excursion
 from sets.robot.disturbance import (
     DisturbanceBound,
     disturbance_bound,
@@ -178,6 +179,23 @@ def bound_pose_errors(problem: Problem) -> Float[np.ndarray, "3"]:
         where.ground,
         where.schedules,
     )
+
+
+def bound_error_between_periods(problem: Problem) -> Float[np.ndarray, "3"]:
+    """Return how far true errors, (m, m, rad), leave the box of those at the ends of periods in
+    between.
+
+    Raises:
+        ValueError: where wheels lag, or errors are so wide that angles leave a quarter turn.
+    """
+    limits = bound_committed_errors(problem)
+    question = pickle.dumps((operation(problem), kinematics(problem), limits))
+    return pickle.loads(_answer_excursion(question))
+
+
+@lru_cache(maxsize=16)
+def _answer_excursion(question: bytes) -> bytes:
+    return pickle.dumps(bound_excursion(*pickle.loads(question)))
 
 
 def ground_speed_limits(problem: Problem) -> Float[np.ndarray, "2 2"]:

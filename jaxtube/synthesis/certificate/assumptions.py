@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from jaxtube.coordinates import describe_excursion
 from jaxtube.scenario.tree import Slip
 from jaxtube.synthesis.acceleration import find_reference_steps
-from jaxtube.synthesis.disturbance import find_actuation
+from jaxtube.synthesis.disturbance import bound_error_between_periods, find_actuation
 from jaxtube.synthesis.problem import Problem
 
 
@@ -81,7 +82,7 @@ def _assume_noise(problem: Problem) -> str:
 def _assume_instants(problem: Problem) -> str:
     """Return when the promise holds, in words."""
     if problem.scenario.robot.obeys_at_once:
-        when = "at the ends of periods, nothing between them"
+        when = f"at the ends of periods, {_say_between(problem)}"
     else:
         latency = find_actuation(problem.scenario).nominal(problem.model.dt).latency
         when = (
@@ -90,6 +91,16 @@ def _assume_instants(problem: Problem) -> str:
             "later, against where the reference was or is by then as late; nothing in between"
         )
     return f"what is promised holds {when}; controllers in 64 bits"
+
+
+def _say_between(problem: Problem) -> str:
+    """Return what holds between the ends of periods, in words."""
+    try:
+        excursion = bound_error_between_periods(problem)
+    except ValueError:
+        return "nothing between them"
+    by = describe_excursion(excursion)
+    return f"and the true error leaves the limits that it has there {by} in between"
 
 
 def _assume_period(problem: Problem) -> str:

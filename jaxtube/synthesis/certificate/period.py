@@ -190,9 +190,19 @@ def next_errors(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"
     return _end_errors(problem, cases, problem.robot.lever_arm)
 
 
-def _end_errors(problem: Problem, cases: PeriodCases, lever_arm: float) -> Float[np.ndarray, "n 3"]:
-    """Return the errors, (m, m, rad), of robots with a lever arm, m, a period later."""
-    T = problem.model.dt
+def errors_within_period(
+    problem: Problem, cases: PeriodCases, share: float
+) -> Float[np.ndarray, "n 3"]:
+    """Return the true errors, (m, m, rad), after a share of the period, in [0, 1]."""
+    return _end_errors(problem, cases, problem.robot.lever_arm, share)
+
+
+def _end_errors(
+    problem: Problem, cases: PeriodCases, lever_arm: float, share: float = 1.0
+) -> Float[np.ndarray, "n 3"]:
+    """Return the errors, (m, m, rad), of robots with a lever arm, m, a share of the period
+    later."""
+    T = share * problem.model.dt
     b = problem.model.track_width
     reference_speed = cases.wheels.mean(axis=1)
     reference_turn = (cases.wheels[:, 0] - cases.wheels[:, 1]) / b

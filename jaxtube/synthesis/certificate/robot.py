@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from jaxtube.coordinates import COORDINATES
 from jaxtube.synthesis.certificate.acceleration import check_acceleration
+from jaxtube.synthesis.certificate.between import check_between_periods
 from jaxtube.synthesis.certificate.noise import changes_noise, find_noise
 from jaxtube.synthesis.certificate.period import (
     extreme_cases,
@@ -35,6 +36,8 @@ PREMISE = "disturbance_bound_proved"
 def check_robot(problem: Problem) -> Iterator[Condition]:
     """Yield the conditions that make a guarantee for the linear model one for the robot."""
     yield check_true_error(problem)
+    if problem.scenario.robot.obeys_at_once:
+        yield check_between_periods(problem)
     if problem.scenario.controller.has_observer:
         yield check_estimate_error(problem)
     yield check_disturbance_set(problem)
