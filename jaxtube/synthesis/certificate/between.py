@@ -6,6 +6,8 @@ Source: new.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 from jaxtyping import Float
 
@@ -21,9 +23,9 @@ SHARES = (0.25, 0.5, 0.75)
 """Shares of a period after which motions are looked at."""
 
 
-def check_between_periods(problem: Problem) -> Condition:
+def check_between_periods(problem: Problem) -> Iterator[Condition]:
     """Check that true errors which lie in their limits at the ends of a period lie in the error
-    constraints within it.
+    constraints within it; nothing where there is no bound on them, as the assumptions then say.
 
     It is for information: what the verdicts promise holds at the ends of periods. A motion that
     leaves the bound decides the verdict for the robot all the same, for then the mathematics is
@@ -31,17 +33,18 @@ def check_between_periods(problem: Problem) -> Condition:
     """
     try:
         excursion = bound_error_between_periods(problem)
-    except ValueError as error:
-        return Condition(NAME, -np.inf, f"No bound within a period: {error}.", "information")
+    except ValueError:
+        return
     limits = bound_committed_errors(problem)
     found = find_chord_distance(problem, limits)
     if np.any(found > excursion + ROUNDING):
         sentence = f"The bound within a period is refuted: found {found}, where {excursion} is."
-        return Condition(NAME, float(np.min(excursion - found)), sentence, "robot")
+        yield Condition(NAME, float(np.min(excursion - found)), sentence, "robot")
+        return
     rooms = error_vector(problem.scenario.constraints) - limits - excursion
     worst = int(np.argmin(rooms))
     by = describe_excursion(excursion)
-    return judge(
+    yield judge(
         NAME,
         float(rooms[worst]) + ROUNDING,
         f"Between the ends of periods the true error leaves the limits that it has there {by}, and "

@@ -36,8 +36,7 @@ PREMISE = "disturbance_bound_proved"
 def check_robot(problem: Problem) -> Iterator[Condition]:
     """Yield the conditions that make a guarantee for the linear model one for the robot."""
     yield check_true_error(problem)
-    if problem.scenario.robot.obeys_at_once:
-        yield check_between_periods(problem)
+    yield from check_between_periods(problem)
     if problem.scenario.controller.has_observer:
         yield check_estimate_error(problem)
     yield check_disturbance_set(problem)

@@ -118,13 +118,13 @@ def test_wheels_that_lag_and_wide_errors_have_no_bound(certified):
 
 
 def test_the_condition_compares_with_the_constraints(certified):
-    condition = check_between_periods(certified)
+    (condition,) = check_between_periods(certified)
     assert condition.holds
     assert condition.scope == "information"
     limits = bound_committed_errors(certified) + bound_error_between_periods(certified)
     lateral = 0.5 * (limits[1] + bound_committed_errors(certified)[1])
     narrow = complete_problem(load("certified", [f"constraints.lateral_m={lateral}"]))
-    condition = check_between_periods(narrow)
+    (condition,) = check_between_periods(narrow)
     assert not condition.holds
     assert "lateral" in condition.sentence
 
@@ -132,9 +132,14 @@ def test_the_condition_compares_with_the_constraints(certified):
 def test_a_bound_that_is_too_small_is_refuted(certified, monkeypatch):
     halved = 0.5 * bound_error_between_periods(certified)
     monkeypatch.setattr(between, "bound_error_between_periods", lambda problem: halved)
-    condition = check_between_periods(certified)
+    (condition,) = check_between_periods(certified)
     assert condition.scope == "robot"
     assert not condition.holds
+
+
+def test_without_a_bound_nothing_is_said():
+    for name in ("paper", "certified_lag"):
+        assert list(check_between_periods(complete_problem(load(name)))) == []
 
 
 def test_a_certificate_says_it():
