@@ -279,6 +279,17 @@ def _run_solver(
     limits: Float[np.ndarray, " m"],
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]:
     """Return x and multipliers as HiGHS leaves them; NaN where it has none."""
+    highs = _start_solver(solver, cost, rows, limits)
+    return _read_answer(highs, rows)
+
+
+def _start_solver(
+    solver: str,
+    cost: Float[np.ndarray, " n"],
+    rows: Float[np.ndarray, "m n"],
+    limits: Float[np.ndarray, " m"],
+) -> highspy.Highs:
+    """Return HiGHS with a program."""
     count, dimension = rows.shape
     program = highspy.HighsLp()
     program.num_col_ = dimension
@@ -297,11 +308,39 @@ def _run_solver(
         highs.setOptionValue(option, value)
     highs.setOptionValue("solver", solver)
     highs.passModel(program)
+    return highs
+
+
+def _read_answer(
+    highs: highspy.Highs, rows: Float[np.ndarray, "m n"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " m"]]:
+    """Run HiGHS and return x and multipliers; NaN where it has none."""
     highs.run()
     answer = highs.getSolution()
     if not (answer.value_valid and answer.dual_valid):
-        return np.full(dimension, np.nan), np.full(count, np.nan)
+        return np.full(rows.shape[1], np.nan), np.full(len(rows), np.nan)
     return np.array(answer.col_value), -np.array(answer.row_dual)
+
+
+def solve_programs(
+    costs: Float[np.ndarray, "k n"], rows: Float[np.ndarray, "m n"], limits: Float[np.ndarray, " m"]
+) -> Float[np.ndarray, "k n"]:
+    """Minimise each cost x over rows x <= limits; return every x, optimal to 1e-8 by its own
+    residuals. Each program begins with the answer of the one before.
+
+    Raises:
+        ArithmeticError: as `solve_program`.
+    """
+    highs = _start_solver("choose", costs[0], rows, limits)
+    columns = np.arange(rows.shape[1], dtype=np.int32)
+    answers = []
+    for cost in costs:
+        highs.changeColsCost(len(columns), columns, cost)
+        solution, multipliers = _read_answer(highs, rows)
+        if not _compute_misfit(cost, rows, limits, solution, multipliers) <= 1e-8:
+            solution, _ = solve_program(cost, rows, limits)
+        answers.append(solution)
+    return np.array(answers)
 
 
 def _compute_misfit(cost, rows, limits, solution, multipliers) -> float:

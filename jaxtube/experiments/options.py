@@ -74,6 +74,10 @@ PATH_FILE = Rule(bool, "is missing; name the file of a path")
 SCENARIO = Rule(bool, "is missing; name a scenario, such as the identified.toml of `identify`")
 RUN = Rule(bool, "is missing; name the folder of a run")
 STYLE = Rule(bool, "is missing; name a style of matplotlib, or a file that ends in .mplstyle")
+HORIZONS = Rule(
+    lambda value: all(re.fullmatch("[1-9][0-9]?", word) for word in value.split(",")),
+    "holds no horizons; give whole numbers from 1 to 99 with commas between, such as 5,10,20",
+)
 SHARE = Rule(
     lambda value: value is None or 0 < value < 1,
     "is out of range; give a share between 0 and 1, such as 0.77",
@@ -278,7 +282,26 @@ class MapsOptions(Options):
     points: Annotated[int, arg(metavar="COUNT"), at_least(2)] = 4
     """values along each axis, the scenario's own come on top"""
     feasible: bool = False
-    """also the feasible set by the horizon, beside the largest control invariant set"""
+    """deprecated: run `coverage` afterwards"""
+
+
+@dataclass(frozen=True)
+class CoverageOptions(Options):
+    """Measure how much of what any controller could keep has a plan, by the horizon, and what a
+    step costs."""
+
+    command = "coverage"
+    module = "coverage.command"
+
+    scenario: Annotated[str, arg(metavar="NAME|FILE.toml|DIR")] = "certified"
+    """a scenario that `list` prints, or a file"""
+    horizons: Annotated[str, arg(metavar="N,N,..."), HORIZONS] = "1,2,3,5,7,10,15,20"
+    """horizons of the tube-MPC, from short to long"""
+
+    @property
+    def horizon_values(self) -> tuple[int, ...]:
+        """The horizons."""
+        return tuple(int(word) for word in self.horizons.split(","))
 
 
 @dataclass(frozen=True)
@@ -668,6 +691,7 @@ COMMANDS: dict[str, type[Options]] = {
         GuaranteeOptions,
         FitOptions,
         MapsOptions,
+        CoverageOptions,
         BeyondOptions,
         PathOptions,
         TuneOptions,

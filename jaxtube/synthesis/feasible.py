@@ -14,6 +14,7 @@ from jaxtube.control.planning import CondensedQp
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis.problem import Problem
 from sets.polytope import Polytope
+from sets.projection import SHARE, Projection, project
 
 RAYS = 400
 """Rays by which starts are spread over the feasible set: boundary points of their hull."""
@@ -83,6 +84,26 @@ def boundary(
     in_error_set = 1 / np.max(directions @ error_set.normals.T / error_set.offsets, axis=1)
     in_feasible_set = [reach_of_ray(qps, index, direction) for direction in directions]
     return np.minimum(in_feasible_set, in_error_set)[:, None] * directions
+
+
+def project_feasible_set(
+    qps: CondensedQp, index: int, error_set: Polytope, share: float = SHARE
+) -> Projection:
+    """Return F within E of one window, between two polytopes.
+
+    Args:
+        qps: the condensed MPC.
+        index: the window.
+        error_set: E.
+        share: of a facet's offset, by which F may reach beyond the inner polytope.
+
+    Raises:
+        ValueError: where the origin has no plan.
+    """
+    errors, rows, bounds = _constraints(qps, index)
+    of_errors = np.concatenate([errors, error_set.normals])
+    of_plans = np.pad(rows, ((0, len(error_set.normals)), (0, 0)))
+    return project(of_errors, of_plans, np.append(bounds, error_set.offsets), share)
 
 
 def true_starts(

@@ -122,8 +122,8 @@ def test_the_folder_of_a_run_is_named_after_command_and_scenario(scenario, title
             ["papr"],
             [
                 "papr",
-                "paper, design, montecarlo, falsify, guarantee, fit, maps, beyond, path, tune, "
-                "identify, replay, export, bench, animate, figures, list, check, doctor, "
+                "paper, design, montecarlo, falsify, guarantee, fit, maps, coverage, beyond, path, "
+                "tune, identify, replay, export, bench, animate, figures, list, check, doctor, "
                 "completion",
             ],
         ),

@@ -4,7 +4,6 @@ of any outcome."""
 import json
 from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import pytest
 from pages import find_first_lines
 
@@ -166,30 +165,6 @@ def test_the_ratio_map_shows_points_without_a_design_as_crosses(found):
     assert [panel.count("x") for panel in marks] == [3, 0, 0]
     nothing = dict.fromkeys(found, Guarantee(reason="none"))
     maps_figures.ratio_map(GRID, nothing, "slowest_mps", "slip error")
-
-
-def test_feasible_sets_are_drawn_with_and_without_a_largest_set():
-    corners = np.array(np.meshgrid(*[[-0.1, 0.1]] * 3)).reshape(3, -1).T
-    sets = {
-        "operating_volume": 0.008,
-        "control_invariant": {
-            "volume": 0.006,
-            "corners": (0.9 * corners).tolist(),
-            "settled": True,
-            "steps": 4,
-        },
-        "horizons": [
-            {"horizon": 1, "volume": 0.004, "corners": (0.8 * corners).tolist(), "failing": []},
-            {"horizon": 2, "volume": None, "reason": "E_1 is empty"},
-        ],
-    }
-    maps_figures.feasible_figure(sets, corners)
-    text = maps.feasible_report(sets)
-    for words in ("75.0% of the volume of the caps", "50.0%", "66.7%", "E_1 is empty"):
-        assert words in text
-    sets["control_invariant"] |= {"volume": 0.0, "corners": []}
-    maps_figures.feasible_figure(sets, corners)
-    assert "-" in maps.feasible_report(sets)
 
 
 def test_the_command_writes_figures_and_all_numbers(in_threads, tmp_path, capsys):

@@ -1,5 +1,4 @@
-"""`maps`: what can be guaranteed, over slip error and speed range, over slip error and period, and
-by the horizon.
+"""`maps`: what can be guaranteed, over slip error and speed range, and over slip error and period.
 
 The ratio of a design is the largest share of a cap that its tube fills at its widest: below 1 there
 is a guarantee.
@@ -13,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jaxtube.experiments.maps import feasible as maps_feasible
+from jaxtube.experiments.coverage import command as coverage
 from jaxtube.experiments.maps import figures as maps_figures
 from jaxtube.experiments.maps.figures import ratio_table
 from jaxtube.experiments.maps.points import (
@@ -23,7 +22,7 @@ from jaxtube.experiments.maps.points import (
     compute,
     make_grid,
 )
-from jaxtube.experiments.options import MapsOptions
+from jaxtube.experiments.options import CoverageOptions, MapsOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run.page_table import make_table
 from jaxtube.experiments.run.table import Column, format_table, left
@@ -75,16 +74,12 @@ def run(scenario: Scenario, options: MapsOptions) -> int:
         "border": border,
         "points": [_point_metrics(*item) for item in sorted(results.items())],
     }
-    if options.feasible:
-        with open_log(folder, "feasible", {}, scenario) as log:
-            sets = maps_feasible.feasible_sets(scenario, log)
-        metrics["feasible"] = sets
-        figure = maps_figures.feasible_figure(sets, problem.operating_set.vertices())
-        folder.save_figure(figure, "feasible_set")
-        folder.report(feasible_report(sets))
     folder.save_metrics(metrics)
     folder.save_page(make_page(grid, border, results, slip_error))
     print(f"\nwritten to {folder.path}/")
+    if options.feasible:
+        announce("--feasible is deprecated: use the command `coverage`, which runs now")
+        return coverage.run(scenario, CoverageOptions(options.scenario, seed=options.seed))
     return 0
 
 
@@ -232,31 +227,3 @@ def _format_ratios(
         words = ["none" if np.isnan(ratio) else f"{ratio:.3f}" for ratio in ratios]
         rows.append([f"{value:.4g}", *words])
     return f"{TITLES['optimised']}: ratio by {slip_error}\n{format_table(columns, rows)}"
-
-
-def feasible_report(sets: dict) -> str:
-    """Return the volumes of feasible sets as a table."""
-    largest = sets["control_invariant"]
-    whole = sets["operating_volume"]
-    state = "settled" if largest["settled"] else "NOT settled"
-    columns = [
-        Column("horizon"),
-        Column("of the caps"),
-        Column("of the invariant set"),
-        left("certified"),
-    ]
-    rows = [_feasible_row(record, largest["volume"], whole) for record in sets["horizons"]]
-    return (
-        f"\nlargest control invariant set: {largest['volume'] / whole:.1%} of the volume of the "
-        f"caps (outer bound, {state} after {largest['steps']} steps)\n"
-        f"{format_table(columns, rows)}"
-    )
-
-
-def _feasible_row(record: dict, largest: float, whole: float) -> list[str]:
-    horizon = str(record["horizon"])
-    if record["volume"] is None:
-        return [horizon, "none", "", record["reason"]]
-    of_largest = f"{record['volume'] / largest:.1%}" if largest else "-"
-    certified = f"no: {', '.join(record['failing'])}" if record["failing"] else "yes"
-    return [horizon, f"{record['volume'] / whole:.1%}", of_largest, certified]

@@ -1,5 +1,4 @@
-"""The figures of `maps`: the ratio over slip error and speed range or period, and feasible sets by
-horizon."""
+"""The figures of `maps`: the ratio over slip error and speed range or period."""
 
 from __future__ import annotations
 
@@ -12,17 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm, LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 
-from jaxtube.coordinates import TO_DISPLAY
 from jaxtube.experiments.maps.points import Grid, GuaranteeByPoint, Point
 from jaxtube.figures.style import (
-    LIMIT,
-    Line,
     bottom_legend,
-    draw_polygon,
-    label_plane,
-    line_keys,
     mark_key,
     page_figure,
     styled,
@@ -51,11 +43,6 @@ LOOKS: dict[str, dict[str, Any]] = {
 MOST_TICKS = 7
 OWN = "the scenario"
 OWN_LOOK = {**MARK, "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 0.9}
-
-LIMITS = Line("caps $\\mathcal{E}_{op}$", LIMIT["color"], LIMIT["linestyle"])
-LARGEST = Line("largest control invariant set $C$", "#009E73", (0, (4, 1.5)))
-LAST = Line("feasible set $F_N$", "#0072B2")
-FIRST = Line("feasible set $F_N$", "#D55E00", (0, (1, 1)))
 
 
 @styled
@@ -154,50 +141,3 @@ def ratio_table(
             [found[Point(design, operating_point)].ratio for operating_point in operating_points]
         )
     return np.array(rows, dtype=float)
-
-
-@styled
-def feasible_figure(sets: dict, operating: Float[np.ndarray, "8 3"]) -> Figure:
-    """Draw volumes of the feasible set by horizon, and projections of the first and the last one.
-
-    Args:
-        sets: from `maps.feasible.feasible_sets`.
-        operating: corners of E_op.
-    """
-    figure = page_figure(3.2)
-    volumes, left, right = figure.subplots(1, 3)
-    records = [record for record in sets["horizons"] if record["volume"] is not None]
-    _draw_volumes(volumes, sets, records)
-    shown = [(LIMITS, operating)]
-    corners = sets["control_invariant"]["corners"]
-    if corners:
-        shown.append((LARGEST, np.array(corners)))
-    if records:
-        for line, record in ((LAST, records[-1]), (FIRST, records[0])):
-            label = f"feasible set $F_{{{record['horizon']}}}$"
-            shown.append((line._replace(label=label), np.array(record["corners"])))
-    for axes, plane, title in (
-        (left, (1, 2), "(b) lateral and heading error"),
-        (right, (0, 2), "(c) longitudinal and heading error"),
-    ):
-        for line, points in shown:
-            look = {"edgecolor": line.colour, "linestyle": line.dashes, "linewidth": 1.2}
-            draw_polygon(axes, (points * TO_DISPLAY)[:, plane], **look)
-        label_plane(axes, plane)
-        axes.set_title(title)
-    bottom_legend(figure, line_keys([line for line, _ in shown]), columns=4)
-    return figure
-
-
-def _draw_volumes(axes: Axes, sets: dict, records: list[dict]) -> None:
-    """Draw the volumes of the feasible sets and of the control invariant set, in % of the caps."""
-    whole = sets["operating_volume"]
-    horizons = [record["horizon"] for record in records]
-    sizes = [100 * record["volume"] / whole for record in records]
-    largest = 100 * sets["control_invariant"]["volume"] / whole
-    axes.plot(horizons, sizes, "o-", color=LAST.colour, markersize=3)
-    axes.axhline(largest, color=LARGEST.colour, linestyle=LARGEST.dashes)
-    axes.axhline(100, **LIMIT)
-    axes.set(title="(a) volume", xlabel="horizon $N$ [steps]", ylim=(0, 106))
-    axes.set_ylabel("volume [% of $\\mathcal{E}_{op}$]")
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
