@@ -47,6 +47,7 @@ def check_rules(scenario: Scenario, refuse: Refuse) -> None:
     _check_complete(scenario.operating, refuse)
     _check_gains(scenario.controller, refuse)
     _check_vertex_gains(scenario, refuse)
+    _check_cost(scenario.controller, refuse)
     _check_bands(scenario, refuse)
     reference_rules.check_reference(scenario, refuse)
 
@@ -110,6 +111,13 @@ def _check_relative_slip(slip: Slip, refuse: Refuse) -> None:
                 "a spinning wheel"
             )
             refuse(f"slip.nominal_{side}", problem, "keep nominal * (1 + relative_error) below 1")
+
+
+def _check_cost(controller: ControllerTable, refuse: Refuse) -> None:
+    """Refuse a cost of deviations from a gain that does not go on when the plan has ended."""
+    if controller.cost == "deviation" and not controller.tube_has_terminal_gain:
+        problem = f'is "deviation", and controller.terminal = "{controller.terminal}"'
+        refuse("controller.cost", problem, 'set controller.terminal = "T-A"')
 
 
 def _check_limits(scenario: Scenario, refuse: Refuse) -> None:

@@ -251,6 +251,10 @@ class ControllerTable(Table, frozen=True):
     """The predictive controller; a weight is a list of diagonal entries or a symmetric matrix, a
     list of rows.
 
+    A plan costs `tracking`, what errors and inputs weigh, or `deviation`, what the weight of the
+    inputs makes of how far they deviate from the terminal gain: then that gain is what runs
+    wherever it may, and the error that the closed loop ends within is certified.
+
     `tracking_gains` (k1 1/s, k2 rad/(m s), k3 1/s) take the place of the gains from
     `lmi_objective`: u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th. So do `vertex_gains`, of
     u = +K(th) e: K row by row at the vertices (min, max), (min, min), (max, min), (max, max) of the
@@ -269,6 +273,7 @@ class ControllerTable(Table, frozen=True):
     horizon: Annotated[int, msgspec.Meta(ge=1, le=200)] = 5
     error_weight: Weight = (1.0, 1.0, 0.01)
     input_weight: Weight = (1.0, 1.0)
+    cost: Literal["tracking", "deviation"] = "tracking"
     tube: Literal["paper", "hull", "summed", "sequence"] = "paper"
     model: Literal["paper", "consistent", "exact_jacobian"] = "paper"
     discretisation: Literal["euler", "zoh"] = "euler"

@@ -68,6 +68,7 @@ class Sections(NamedTuple):
         "cost_errors",
         "error_weight",
         "input_weight",
+        "kept_gains",
         "command_step",
     ],
 )
@@ -78,8 +79,10 @@ class Checks:
     `ultimate` holds the half widths that bound the measured error once it has settled, `settled`
     the step from which that and the RMS count. `map_corner` and `map_cell` lay the grid of the
     trajectory map. With windows as in the controller, e^T cost_errors e + (F e)^T g + g^T H g / 2
-    is the whole cost of a plan. `input` is a set of (u, measured error). `command_step` is by how
-    much a wheel's command may change from one period to the next, m/s; None for any.
+    is the whole cost of a plan, whose first stage costs |e|^2 by the error weight and |g_0 - K e|^2
+    by the input weight, K of `kept_gains`, which are 0 where errors cost. `input` is a set of (u,
+    measured error). `command_step` is by how much a wheel's command may change from one period to
+    the next, m/s; None for any.
     """
 
     transitions: Float[AnyArray, "steps 3 3"]
@@ -97,6 +100,7 @@ class Checks:
     cost_errors: Float[AnyArray, "windows 3 3"]
     error_weight: Float[AnyArray, "3 3"]
     input_weight: Float[AnyArray, "2 2"]
+    kept_gains: Float[AnyArray, "windows 2 3"]
     command_step: Float[AnyArray, ""] | None = None
 
     @property

@@ -359,7 +359,8 @@ def _observe_costs(
     now = controller.index[step]
     later = controller.index[step + 1]
     expected = expected_error(controller, step, measured, plan)
-    stage = _form(checks.error_weight, measured) + _form(checks.input_weight, plan.inputs[:, 0])
+    deviation = plan.inputs[:, 0] - matmul(measured, checks.kept_gains[now].T)
+    stage = _form(checks.error_weight, measured) + _form(checks.input_weight, deviation)
     cost = plan_cost(checks, controller, now, measured, plan)
     next_cost = plan_cost(checks, controller, later, expected, followed.next_plan)
     excess = next_cost - cost + stage

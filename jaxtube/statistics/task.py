@@ -44,6 +44,7 @@ def make_checks(design: Design, controller: Controller) -> Checks:
     transitions, inputs = problem.model.matrices(problem.schedule[:steps])
     settled = settled_step(reference)
     map_corner, map_cell = lay_map_grid(reference)
+    keeps_gain = float(problem.scenario.controller.cost == "deviation")
     checks = Checks(
         transitions=transitions,
         input_matrices=inputs,
@@ -58,8 +59,9 @@ def make_checks(design: Design, controller: Controller) -> Checks:
         map_corner=map_corner,
         map_cell=map_cell,
         cost_errors=cost_of_errors(design),
-        error_weight=problem.error_weight,
+        error_weight=(1 - keeps_gain) * problem.error_weight,
         input_weight=problem.input_weight,
+        kept_gains=keeps_gain * design.windows.gains[:, 0],
         command_step=find_command_step(problem.scenario),
     )
     return jax.device_put(checks)
@@ -168,8 +170,25 @@ def cost_of_errors(design: Design) -> Float[np.ndarray, "windows 3 3"]:
     """Return the matrices of what a plan of no input costs, by the error it starts from."""
     problem = design.problem
     transitions, _ = problem.model.matrices(design.windows.schedules)
+    if problem.scenario.controller.cost == "deviation":
+        return _cost_of_deviating(transitions, design.windows.gains, problem.input_weight)
     cost = np.broadcast_to(design.cost.cost, transitions[:, 0].shape)
     for stage in range(problem.horizon - 1, -1, -1):
         A = transitions[:, stage]
         cost = problem.error_weight + np.swapaxes(A, 1, 2) @ cost @ A
+    return cost
+
+
+def _cost_of_deviating(
+    transitions: Float[np.ndarray, "windows horizon 3 3"],
+    gains: Float[np.ndarray, "windows horizon 2 3"],
+    input_weight: Float[np.ndarray, "2 2"],
+) -> Float[np.ndarray, "windows 3 3"]:
+    """Return the matrices of what it costs to ask for nothing where gains would ask for more."""
+    ahead = np.broadcast_to(np.eye(3), transitions[:, 0].shape)
+    cost = np.zeros_like(transitions[:, 0])
+    for stage in range(transitions.shape[1]):
+        asked = gains[:, stage] @ ahead
+        cost = cost + np.swapaxes(asked, 1, 2) @ input_weight @ asked
+        ahead = transitions[:, stage] @ ahead
     return cost

@@ -3,6 +3,12 @@ every realisation.
 
     1/2 g^T H g + (F e)^T g,      H = 2 (sum_j Theta_j^T Q_j Theta_j + R),
                                   F = 2 sum_j Theta_j^T Q_j Psi_j,   Q_N = P
+
+or, where a plan costs its deviation sum_j |g_j - K_j e_j|_R^2 from the tube's gains, with rows
+D_j = (row j of the identity) - K_j Theta_j,
+
+                                  H = 2 sum_j D_j^T R D_j,   F = -2 sum_j D_j^T R K_j Psi_j
+
     lower <= row_errors e + rows g <= upper
 
 Psi_j, Theta_j and the rows are those of `prediction`. Constraints are backed off by what a solver
@@ -97,11 +103,13 @@ class RowBounds(NamedTuple):
 
 
 class Cost(NamedTuple):
-    """Weights of errors and inputs, and the terminal cost."""
+    """Weights of errors and inputs, and the terminal cost; and the gains of each window that inputs
+    should not deviate from, where that is all a plan costs."""
 
     error_weight: Float[AnyArray, "3 3"]
     input_weight: Float[AnyArray, "2 2"]
     terminal: Float[AnyArray, "3 3"]
+    kept_gains: Float[AnyArray, "windows horizon 2 3"] | None = None
 
 
 class Gains(NamedTuple):
@@ -125,7 +133,9 @@ def condense(
     """
     ahead = predict(problem, windows, bounds.terminal_normals)
     gains = Gains(windows.gains[:, 0], terminal.gains.along(windows.schedules[:, 0]))
-    cost = Cost(problem.error_weight, problem.input_weight, terminal_cost)
+    has_gains = problem.scenario.controller.cost == "deviation"
+    kept_gains = windows.gains if has_gains else None
+    cost = Cost(problem.error_weight, problem.input_weight, terminal_cost, kept_gains)
     try:
         return weigh(ahead, row_bounds(bounds, ahead, np), gains, cost, widths(problem), np)
     except np.linalg.LinAlgError:
@@ -208,6 +218,8 @@ def condense_cost(
     ahead: Prediction, cost: Cost, xp: ModuleType
 ) -> tuple[Float[AnyArray, "windows n n"], Float[AnyArray, "windows n 3"]]:
     """Return H and F."""
+    if cost.kept_gains is not None:
+        return _condense_deviation(ahead, cost.kept_gains, cost.input_weight, xp)
     N = ahead.free.shape[1] - 1
     stages = xp.broadcast_to(cost.error_weight, (N, 3, 3))
     weights = xp.concatenate([stages, cost.terminal[None]])  # Q_0 .. Q_N
@@ -216,6 +228,22 @@ def condense_cost(
     of_inputs = xp.kron(xp.eye(N), cost.input_weight)
     linear = 2 * xp.einsum("wjay,wjye->wae", weighted, ahead.free)
     return 2 * (of_errors + of_inputs), linear
+
+
+def _condense_deviation(
+    ahead: Prediction,
+    gains: Float[AnyArray, "windows horizon 2 3"],
+    input_weight: Float[AnyArray, "2 2"],
+    xp: ModuleType,
+) -> tuple[Float[AnyArray, "windows n n"], Float[AnyArray, "windows n 3"]]:
+    """Return H and F of the deviation from gains."""
+    N = gains.shape[1]
+    own = xp.eye(2 * N).reshape(N, 2, 2 * N)
+    deviation = own - gains @ ahead.forced[:, :N]
+    weighted = xp.einsum("wjua,uv->wjav", deviation, input_weight)
+    hessian = 2 * xp.einsum("wjav,wjvb->wab", weighted, deviation)
+    linear = -2 * xp.einsum("wjav,wjve->wae", weighted, gains @ ahead.free[:, :N])
+    return hessian, linear
 
 
 def cost_unit(

@@ -236,6 +236,11 @@ def make_tuner(
         ScenarioError: where the scenario gives no gains, or gains without a bounded tube, so that
             there is nothing to descend on.
     """
+    if scenario.controller.cost != "tracking":
+        raise ScenarioError(
+            f'scenario: controller.cost = "{scenario.controller.cost}": weights of tracking are '
+            'what is tuned; set controller.cost = "tracking"'
+        )
     problem = complete_problem(scenario)
     try:
         parameters = make_parameters(problem, variables)

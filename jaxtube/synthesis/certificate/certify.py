@@ -20,6 +20,7 @@ from jaxtube.synthesis.certificate.terminal import (
     check_terminal,
     has_any_order,
 )
+from jaxtube.synthesis.certificate.ultimate import check_ultimate_bound
 from jaxtube.synthesis.gains import Region
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.tightening import find_back_off
@@ -58,6 +59,7 @@ def _conditions(design: Design) -> Iterator[Condition]:
         "may miss them by.",
     )
     yield check_in_rationals(design)
+    yield from check_ultimate_bound(design)
     if len(problem.given_gains):
         yield check_widest_tube(problem, design.terminal.gains)
     else:
