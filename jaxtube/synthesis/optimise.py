@@ -40,8 +40,8 @@ QUIET = 0.9
 """Share of the ratio that is left without pose noise, below which an observer is tried."""
 WORTH = 0.97
 """Share of the ratio of the measured error that an observer has to reach, to be worth it."""
-OBSERVER_RATES = (10.0, 3.0, 25.0)
-"""Rates, 1/s, at which the search for an observer's gain starts, (longitudinal, lateral,
+OBSERVER_RATES = (1.0, 0.3, 2.5)
+"""Rates, by period, at which the search for an observer's gain starts, (longitudinal, lateral,
 heading)."""
 CORRECTIONS = 3
 """Searches at most for wheels that keep their limits."""
@@ -75,11 +75,11 @@ def optimise(
     """
     refuse_other_kinds(problem.scenario)
     estimate = Estimate(problem)
-    best = None if near is None else descend(estimate, _to_point(problem, near))
+    best = None if near is None else descend(estimate, estimate.to_point(near))
     if best is not None and describe(best).holds:
         return _correct(best)
     own = caps_and_gains(problem.scenario)
-    starts = [] if own is None else [_to_point(problem, own)]
+    starts = [] if own is None else [estimate.to_point(own)]
     for start in [*starts, *make_starts(estimate)[:TRIED]]:
         descent = descend(estimate, start)
         if descent is not None and (best is None or descent.objective < best.objective):
@@ -93,7 +93,7 @@ def optimise(
             "narrow reference.wheel_speed_min_mps and wheel_speed_max_mps"
         )
     if _is_noisy(best):
-        observed = descend(estimate, np.append(best.point, _observer_start(estimate)))
+        observed = descend(estimate, np.append(best.point, _observer_start()))
         if observed is not None and observed.objective < best.objective + math.log(WORTH):
             best = observed
         on_progress(describe(best).ratio)
@@ -114,23 +114,17 @@ def _is_noisy(descent: Descent) -> bool:
     return bool(quiet.caps.max() < QUIET * shares.caps.max())
 
 
-def _observer_start(estimate: Estimate) -> Float[np.ndarray, "3"]:
+def _observer_start() -> Float[np.ndarray, "3"]:
     """Return where the search for an observer's gain starts, in logarithms."""
-    return np.log(-np.expm1(-np.array(OBSERVER_RATES) * estimate.period.dt))
-
-
-def _to_point(problem: Problem, values: Sequence[float]) -> Float[np.ndarray, " k"]:
-    """Return caps and gains as a point of the search; a gain of an observer that the scenario gives
-    is no part of it."""
-    given = problem.scenario.controller.has_observer
-    return np.log(values[:CAPS_AND_GAINS] if given else values)
+    return np.log(-np.expm1(-np.array(OBSERVER_RATES)))
 
 
 def optimise_nearby(problem: Problem, near: Sequence[float]) -> Optimum | None:
     """Return the end of the one search from caps and gains nearby, quick and uncorrected; None
     where their tube is not bounded."""
     refuse_other_kinds(problem.scenario)
-    descent = descend(Estimate(problem), _to_point(problem, near))
+    estimate = Estimate(problem)
+    descent = descend(estimate, estimate.to_point(near))
     return None if descent is None else describe(descent)
 
 
