@@ -151,10 +151,8 @@ class _Scale(NamedTuple):
         """Return a weight of squares of quantities of these units, as a list of rows where it is
         one."""
         matrix = weight_matrix(value).tolist()
-        rows = [
-            [self.number(entry, NONE.per(row).per(column)) for entry, column in zip(of_row, powers)]
-            for of_row, row in zip(matrix, powers, strict=True)
-        ]
+        per_row = [[NONE.per(row).per(column) for column in powers] for row in powers]
+        rows = [self.each(entries, its) for entries, its in zip(matrix, per_row, strict=True)]
         is_diagonal = not isinstance(value[0], tuple)
         return np.diag(rows).tolist() if is_diagonal else rows
 

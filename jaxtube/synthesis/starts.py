@@ -23,6 +23,7 @@ from jaxtube.scenario.tree import Operating, Scenario
 from jaxtube.synthesis.corners import CAPS_AND_GAINS, NAMES
 from jaxtube.synthesis.estimate import Estimate
 
+
 class Damping(NamedTuple):
     """Gains without units: (V T) T k2 and T k3."""
 
