@@ -18,11 +18,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.scenario.tree import Scenario
+from jaxtube.synthesis.continuation import PATHS, follow
 from jaxtube.synthesis.corners import CAPS_AND_GAINS
 from jaxtube.synthesis.descent import Descent, descend
 from jaxtube.synthesis.design import find_share_of_start, prepare
@@ -34,7 +36,7 @@ from jaxtube.synthesis.starts import caps_and_gains, make_starts
 
 TRIED = 2
 """Starts made for the robot that are followed, beside the scenario's own."""
-SEARCHES = 2 + TRIED
+SEARCHES = 2 + TRIED + len(PATHS)
 """Searches at most, beside the one from nearby."""
 QUIET = 0.9
 """Share of the ratio that is left without pose noise, below which an observer is tried."""
@@ -48,6 +50,7 @@ CORRECTIONS = 3
 FARTHER = (1.03, 1.12)
 """Factors by which a start without a plan is taken for farther away than it has to be, one try
 after the other where rigorous bounds deny what the estimate showed."""
+get_objective = attrgetter("objective")
 KIND = ("exact_jacobian", "x_exact", "sequence", "T-A", "computed")
 """Model, input map, tube, terminal set and bound that the search knows."""
 
@@ -62,9 +65,12 @@ def optimise(
     Args:
         problem: its operating section and tracking gains are replaced; all else is kept.
         on_progress: is told the best ratio so far after each search; there are `SEARCHES` at most.
-        near: caps and gains, in the order of `starts.NAMES` and k1, k2, k3: the optimum of a
+        near: caps and gains, in the order of `corners.NAMES` and k1, k2, k3: the optimum of a
             problem much like this one. Where the search from there ends with a design it is the
             only one.
+
+    Where none of them ends with a design, an easier scenario's optimum is followed to this one
+    (`synthesis.continuation`).
 
     Returns:
         The best of all searches, an estimate: design the scenario to know its ratio and its
@@ -82,9 +88,13 @@ def optimise(
     starts = [] if own is None else [estimate.to_point(own)]
     for start in [*starts, *make_starts(estimate)[:TRIED]]:
         descent = descend(estimate, start)
-        if descent is not None and (best is None or descent.objective < best.objective):
-            best = descent
+        if descent is not None:
+            best = descent if best is None else min(best, descent, key=get_objective)
         on_progress(np.inf if best is None else describe(best).ratio)
+    if near is None and (best is None or not describe(best).holds):
+        for descent in follow(estimate):
+            best = descent if best is None else min(best, descent, key=get_objective)
+            on_progress(describe(best).ratio)
     if best is None:
         section = problem.scenario.reference
         raise ValueError(

@@ -8,6 +8,7 @@ import pytest
 from jaxtube.scenario import load, replace
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.advice import say_what_helps, say_what_widens
+from jaxtube.synthesis.corners import NAMES
 from jaxtube.synthesis.descent import PENALTY, descend, find_ends
 from jaxtube.synthesis.design import design, refuse_infeasible_start
 from jaxtube.synthesis.disturbance import complete_problem
@@ -17,11 +18,13 @@ from jaxtube.synthesis.nearest import choose_levers, find_pull
 from jaxtube.synthesis.optimise import optimise, optimise_nearby, wheel_excess
 from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.problem import make_problem
-from jaxtube.synthesis.starts import NAMES, caps_and_gains, make_starts, without_caps
+from jaxtube.synthesis.starts import caps_and_gains, make_starts, without_caps
 
 ON_PATH = {"initial.x_m": 0.0, "initial.y_m": 0.0}
 SEARCHED = 0.03
 """Relative difference of two searches from different starts."""
+
+
 def bare(values: dict | None = None) -> Scenario:
     return replace(without_caps(load("certified")), values or {})
 
