@@ -62,7 +62,7 @@ def suprema(
     upper: Float[np.ndarray, "variables boxes"],
     objectives: Sequence[tuple[int, int, int]],
     tolerance: float,
-    negligible: float = 1e-9,
+    negligible: float | Float[np.ndarray, " groups"] = 1e-9,
     most_cells: int = 100_000,
 ) -> tuple[Float[np.ndarray, " groups"], Float[np.ndarray, " groups"]]:
     """Bound sup {sign f_output(x) : lower <= x <= upper in some box} over every group of
@@ -73,7 +73,8 @@ def suprema(
         lower, upper: ends of the boxes; equal ends are allowed.
         objectives: (output, sign, group) of each; only the largest of a group counts.
         tolerance: relative gap at which a cell is done, positive.
-        negligible: gap at which a cell is done anyway, in the unit of the outputs.
+        negligible: gap at which a cell is done anyway, in the unit of the outputs; one for all
+            groups, or one for each.
         most_cells: number of cells after which the search stops; the bounds hold all the same, only
             less tightly.
 
@@ -94,6 +95,7 @@ def suprema(
     count = len(output)
     boxes = lower.shape[1]
     found = np.full(group.max() + 1, -np.inf)
+    least_gap = np.broadcast_to(negligible, found.shape)
     proved = np.full(group.max() + 1, -np.inf)
     cells = Cells(
         np.tile(lower, (1, count)),
@@ -108,7 +110,7 @@ def suprema(
         form = _evaluate(function, cells, output[cells.objective], sign[cells.objective])
         np.maximum.at(found, own, form.values)
         cells, spread = _collapse(replace(cells, bound=form.bound), form.gradient)
-        gap = tolerance * np.abs(found[own]) + negligible
+        gap = tolerance * np.abs(found[own]) + least_gap[own]
         is_tight = cells.bound <= found[own] + gap
         is_done = is_tight | (spread.max(axis=0) == 0) | (evaluated > most_cells)
         np.maximum.at(proved, own[is_done], cells.bound[is_done])

@@ -41,7 +41,8 @@ from jaxtube.synthesis.certificate.exact import recheck
 from jaxtube.synthesis.condense import tube_bounds
 from jaxtube.synthesis.design import finish
 from jaxtube.synthesis.parts import Condensed, Design
-from jaxtube.synthesis.tightening import EmptySetError, find_back_off
+from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.tightening import EmptySetError, find_back_off, reach_of_limits
 
 SPARE = 1.25
 """Times what the rows of floats miss that constraints are first drawn in by."""
@@ -102,7 +103,8 @@ def prove_floats(design: Design) -> Proof | None:
     """Draw the constraints of a design in until float32 constants keep its guarantee; return the
     proof, or None where no such design was found, or the verdict would be another."""
     missed = RowComparison(design, gather_constants(design, SINGLE)).find_missed()
-    once = SPARE * float(max(missed["errors"], missed["inputs"]))
+    limits = _find_least_limits(design.problem)
+    once = SPARE * max(float(missed[kind]) / limits[kind] for kind in limits)
     for _ in range(ATTEMPTS):
         try:
             drawn_in = _draw_in(design, once)
@@ -118,22 +120,27 @@ def prove_floats(design: Design) -> Proof | None:
 
 
 def _draw_in(design: Design, once: float) -> Design:
-    """Return the design with constraints backed off by so much in every stage, certified anew."""
+    """Return the design with constraints backed off by such a share of each in every stage,
+    certified anew."""
     bounds = tube_bounds(design.problem, design.tightening, design.terminal, once)
     condensed = Condensed(design.problem, design.windows, design.terminal, design.cost.cost, bounds)
     return finish(replace(design, bounds=bounds, condensed=condensed))
 
 
 def prove(design: Design, constants: Constants, once: float) -> Proof:
-    """Compare constants with a design whose constraints are backed off by so much more in every
-    stage than in the one before."""
+    """Compare constants with a design whose constraints are backed off by such a share of each more
+    in every stage than in the one before."""
     comparison = RowComparison(design, constants)
     missed = comparison.find_missed()
     rooms = _find_rooms(design)
     is_exact = bool(rooms)
     margins = {SAME_NUMBERS: 0.0 if _are_others_the_same(design, constants) else -np.inf}
     if not is_exact:
-        margins |= {f"{kind} backed off": float(Fraction(once) - missed[kind]) for kind in KINDS}
+        limits = _find_least_limits(design.problem) | _find_least_terminal(design)
+        margins |= {
+            f"{kind} backed off": float(Fraction(once * limits[kind]) - missed[kind])
+            for kind in KINDS
+        }
     enlarged = comparison.enlarge_terminal(missed["terminal"])
     for name, room in rooms.items():
         kind, condition = name.split(" ")
@@ -143,6 +150,21 @@ def prove(design: Design, constants: Constants, once: float) -> Proof:
         margins[name] = float(room - needed)
     as_floats = {kind: float(value) for kind, value in missed.items()}
     return Proof(constants, design, as_floats, margins, is_exact)
+
+
+def _find_least_limits(problem: Problem) -> dict[str, float]:
+    """Return the narrowest limits of errors and of inputs, of which constraints are backed off by a
+    share."""
+    return {
+        "errors": float(problem.operating_set.offsets.min()),
+        "inputs": float(problem.input_rows.offsets.min()),
+    }
+
+
+def _find_least_terminal(design: Design) -> dict[str, float]:
+    """Return the same of the rows on the last error."""
+    reach = reach_of_limits(design.problem, design.bounds.terminal_normals)
+    return {"terminal": float(reach.min())}
 
 
 def _are_others_the_same(design: Design, constants: Constants) -> bool:

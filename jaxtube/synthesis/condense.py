@@ -36,7 +36,7 @@ from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis.prediction import Prediction, predict
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import Terminal
-from jaxtube.synthesis.tightening import Tightening, find_back_off
+from jaxtube.synthesis.tightening import Tightening, find_back_off, reach_of_limits
 from jaxtube.synthesis.windows import Windows
 
 
@@ -60,19 +60,29 @@ def tube_bounds(
         problem: of the design.
         tightening: by its tube.
         terminal: its terminal set.
-        once: what a stage is backed off more than the one before, in the units of E and U; that of
-            `find_back_off` unless given.
+        once: what a stage is backed off more than the one before, as a share of each limit; that
+            of `find_back_off` unless given.
     """
     N = problem.horizon
     normals = terminal.constraint_normals
     once = find_back_off(problem) if once is None else once
-    back_off = once * np.arange(1, N + 1)[:, None]
-    last_back_off = (N + 1) * once * np.linalg.norm(normals, axis=1)
+    left = 1 - once * np.arange(1, N + 1)[:, None]
+    last_back_off = (N + 1) * once * reach_of_limits(problem, normals)
     return Bounds(
-        errors=problem.operating_set.offsets - tightening.error_reach[:, :N] - back_off,
-        inputs=problem.input_rows.offsets - tightening.input_reach - back_off,
+        errors=left * problem.operating_set.offsets - tightening.error_reach[:, :N],
+        inputs=left * problem.input_rows.offsets - tightening.input_reach,
         terminal_normals=normals,
         terminal=terminal.constraint_offsets - last_back_off,
+    )
+
+
+def draw_in(problem: Problem, bounds: Bounds, share: float) -> Bounds:
+    """Return bounds drawn in by a share of each limit."""
+    return Bounds(
+        errors=bounds.errors - share * problem.operating_set.offsets,
+        inputs=bounds.inputs - share * problem.input_rows.offsets,
+        terminal_normals=bounds.terminal_normals,
+        terminal=bounds.terminal - share * reach_of_limits(problem, bounds.terminal_normals),
     )
 
 
@@ -185,7 +195,8 @@ def weigh(
 
     In jax they are differentiable in both and in the gains; numpy needs no compilation. Only the
     ratio of the weights matters to the plan. Their size is chosen so that the gradient at g = 0 is
-    1 at most for errors up to `largest_errors`: to that the solver's tolerance is relative.
+    1 at most, and attains it, for errors up to `largest_errors`: to that the solver's tolerance is
+    relative.
     """
     hessian, linear = condense_cost(ahead, cost, xp)
     unit = cost_unit(linear, largest_errors, xp)
@@ -251,7 +262,8 @@ def cost_unit(
 ) -> Float[AnyArray, ""]:
     """Return what the cost of all windows is divided by; no plan depends on it, so that it has no
     derivative."""
-    unit = xp.maximum(1.0, xp.max(xp.abs(linear) @ largest_errors))
+    largest = xp.max(xp.abs(linear) @ largest_errors)
+    unit = xp.where(largest > 0, largest, 1.0)
     return unit if xp is np else jax.lax.stop_gradient(unit)
 
 
@@ -268,9 +280,25 @@ def solve_free(
     return rough + optimum @ (hessian @ rough + linear)
 
 
-def bound_solver_slack(problem: Problem, qps: CondensedQp) -> float:
-    """Return by how much an accepted answer may miss a constraint, from any error in E, in the
-    units of E and U."""
+def bound_solver_slack(
+    problem: Problem, windows: Windows, bounds: Bounds, qps: CondensedQp
+) -> float:
+    """Return by what share of its limit an accepted answer may miss a constraint, from any error in
+    E."""
     directions = np.concatenate([np.eye(2), -np.eye(2)])
     largest_input = float(np.max(problem.input_set.support(directions)))
-    return qp.bound_tolerance(largest_input) * float(np.max(qps.factors.row_norms))
+    reached = predict(problem, windows, bounds.terminal_normals).reached
+    limits = row_limits(problem, bounds.terminal_normals)[reached]
+    return qp.bound_tolerance(largest_input) * float(np.max(qps.factors.row_norms / limits))
+
+
+def row_limits(
+    problem: Problem, terminal_normals: Float[np.ndarray, "facets 3"]
+) -> Float[np.ndarray, " m"]:
+    """Return the limit of every row, untightened, to which back-off and slack are relative: of
+    opposite rows that of the narrower one, of terminal rows the reach of E."""
+    N = problem.horizon
+    pairs = problem.input_rows.offsets.reshape(2, -1).min(axis=0)
+    errors = np.tile(problem.operating_set.offsets[:3], N - 1)
+    terminal = reach_of_limits(problem, terminal_normals)
+    return np.concatenate([errors, np.tile(pairs, N), terminal])

@@ -36,6 +36,18 @@ from sets.robot.plant import Late
 ALONG = 5
 """Points along an edge, where an extreme may lie between its ends."""
 ENDS = np.array([-1.0, 1.0])
+NAMES = (
+    "longitudinal_m",
+    "lateral_m",
+    "heading_deg",
+    "speed_deficit_min_mps",
+    "speed_deficit_max_mps",
+    "yaw_rate_deficit_radps",
+    "turning_longitudinal_m",
+    "turning_yaw_rate_radps",
+)
+"""Caps in the order of a point of the search, the least speed deficit by its size; k1, k2, k3
+follow."""
 CAPS_AND_GAINS = 11
 """Numbers of a point before those of the observer."""
 

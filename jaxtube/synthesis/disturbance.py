@@ -35,7 +35,7 @@ from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics
 
 FLAT = 1e-12
-"""Half width below which W is flat, m or rad."""
+"""Half width below which W is flat, as a share of the limits of the error."""
 
 
 def operation(problem: Problem) -> Operation:
@@ -284,7 +284,7 @@ def with_computed_bound(problem: Problem) -> Problem:
         raise ScenarioError(
             f'scenario: disturbance.bound = "computed": {error}; narrow [operating]'
         ) from None
-    if np.any(bound.support(np.eye(3)) < FLAT):
+    if np.any(bound.support(np.eye(3)) < FLAT * error_vector(problem.scenario.constraints)):
         raise ScenarioError(
             'scenario: disturbance.bound = "computed": without slip error and noise W is flat; '
             "give slip.relative_error, slip intervals or the three numbers of [noise]"

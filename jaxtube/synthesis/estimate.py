@@ -11,6 +11,7 @@ Source: new.
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -21,6 +22,7 @@ from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis import lateral_tube
 from jaxtube.synthesis.corners import (
     CAPS_AND_GAINS,
+    NAMES,
     Caps,
     Corners,
     EstimatedDisturbance,
@@ -30,6 +32,7 @@ from jaxtube.synthesis.corners import (
 from jaxtube.synthesis.disturbance import ground_speed_limits
 from jaxtube.synthesis.late_corners import find_pose_errors
 from jaxtube.synthesis.lateral_tube import Policy, Ring
+from jaxtube.synthesis.natural import DECIMALS, NaturalUnits
 from jaxtube.synthesis.problem import Problem, region_corners
 
 START_STEPS = 2
@@ -88,12 +91,17 @@ class Active(NamedTuple):
 
 class Estimate:
     """One problem's shares at points: logarithms of caps, tracking gains and, where it is not the
-    scenario's own, an observer's gain."""
+    scenario's own, an observer's gain.
+
+    All but `problem` is in natural units (`synthesis.natural`), points too.
+    """
 
     def __init__(self, problem: Problem):
+        self.problem = problem
+        self.units = NaturalUnits.of(problem.scenario)
+        problem = self.units.express(problem)
         scenario = problem.scenario
         model = problem.model
-        self.problem = problem
         self.corners = OperatingCorners(problem)
         self.period = self.corners.period
         self.constraints = error_vector(scenario.constraints)
@@ -109,9 +117,21 @@ class Estimate:
         self.start = np.abs(problem.initial_error)
         self.ring = Ring(self.error_limits[1] / self.error_limits[2])
 
+    def to_point(self, values: Sequence[float]) -> Float[np.ndarray, " k"]:
+        """Return caps and gains, in the order of `starts.caps_and_gains` and their own units, as a
+        point; the gain of an observer that the scenario gives is no part of it."""
+        given = self.problem.scenario.controller.has_observer
+        taken = values[:CAPS_AND_GAINS] if given else values
+        point = np.log(taken) - self.units.logarithms(NAMES)[: len(taken)]
+        return point.round(DECIMALS)
+
+    def to_values(self, point: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+        """Return the caps and gains of a point in their own units."""
+        return np.exp(point + self.units.logarithms(NAMES)[: len(point)])
+
     @property
     def error_limits(self) -> Float[np.ndarray, "3"]:
-        """What the noise leaves of the constraints, (m, m, rad)."""
+        """What the noise leaves of the constraints."""
         return self.constraints - self.corners.noise
 
     def without_noise(self) -> Estimate:

@@ -12,7 +12,7 @@ Source: new; the envelope theorem for the pulls.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import msgspec
@@ -92,19 +92,21 @@ def find_pull(found: Optimum, lever: Lever) -> float:
     quantity cannot be eased."""
     values = caps_and_gains(found.scenario)
     assert values is not None
-    point = np.log(values)
     try:
         eased = lever.scale(found.scenario, math.exp(lever.easier * STEP))
-        levels = [_find_levels(each, point) for each in (found.scenario, eased)]
+        levels = [_find_levels(each, values) for each in (found.scenario, eased)]
     except ValueError:
         return math.nan
     pressures = np.array([found.pressures[row] for row in ROWS])
     return float(pressures @ (levels[0] - levels[1])) / STEP
 
 
-def _find_levels(scenario: Scenario, point: Float[np.ndarray, " 11"]) -> Float[np.ndarray, " rows"]:
-    """Return the logarithms of the shares at a point, NaN where its tube is not bounded."""
-    shares = Estimate(make_problem(scenario)).shaped_like(point).shares(point)
+def _find_levels(scenario: Scenario, values: Sequence[float]) -> Float[np.ndarray, " rows"]:
+    """Return the logarithms of the shares at caps and gains, NaN where their tube is not
+    bounded."""
+    estimate = Estimate(make_problem(scenario))
+    point = estimate.to_point(values)
+    shares = estimate.shaped_like(point).shares(point)
     if shares is None:
         return np.full(len(ROWS), np.nan)
     return np.log(np.maximum(np.concatenate([shares.caps[0], shares.limits[0]]), LEAST_SHARE))

@@ -18,11 +18,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from operator import attrgetter
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.scenario.tree import Scenario
+from jaxtube.synthesis.continuation import PATHS, follow
 from jaxtube.synthesis.corners import CAPS_AND_GAINS
 from jaxtube.synthesis.descent import Descent, descend
 from jaxtube.synthesis.design import find_share_of_start, prepare
@@ -34,20 +36,21 @@ from jaxtube.synthesis.starts import caps_and_gains, make_starts
 
 TRIED = 2
 """Starts made for the robot that are followed, beside the scenario's own."""
-SEARCHES = 2 + TRIED
+SEARCHES = 2 + TRIED + len(PATHS)
 """Searches at most, beside the one from nearby."""
 QUIET = 0.9
 """Share of the ratio that is left without pose noise, below which an observer is tried."""
 WORTH = 0.97
 """Share of the ratio of the measured error that an observer has to reach, to be worth it."""
-OBSERVER_RATES = (10.0, 3.0, 25.0)
-"""Rates, 1/s, at which the search for an observer's gain starts, (longitudinal, lateral,
+OBSERVER_RATES = (1.0, 0.3, 2.5)
+"""Rates, by period, at which the search for an observer's gain starts, (longitudinal, lateral,
 heading)."""
 CORRECTIONS = 3
 """Searches at most for wheels that keep their limits."""
 FARTHER = (1.03, 1.12)
 """Factors by which a start without a plan is taken for farther away than it has to be, one try
 after the other where rigorous bounds deny what the estimate showed."""
+get_objective = attrgetter("objective")
 KIND = ("exact_jacobian", "x_exact", "sequence", "T-A", "computed")
 """Model, input map, tube, terminal set and bound that the search knows."""
 
@@ -62,9 +65,12 @@ def optimise(
     Args:
         problem: its operating section and tracking gains are replaced; all else is kept.
         on_progress: is told the best ratio so far after each search; there are `SEARCHES` at most.
-        near: caps and gains, in the order of `starts.NAMES` and k1, k2, k3: the optimum of a
+        near: caps and gains, in the order of `corners.NAMES` and k1, k2, k3: the optimum of a
             problem much like this one. Where the search from there ends with a design it is the
             only one.
+
+    Where none of them ends with a design, an easier scenario's optimum is followed to this one
+    (`synthesis.continuation`).
 
     Returns:
         The best of all searches, an estimate: design the scenario to know its ratio and its
@@ -75,16 +81,20 @@ def optimise(
     """
     refuse_other_kinds(problem.scenario)
     estimate = Estimate(problem)
-    best = None if near is None else descend(estimate, _to_point(problem, near))
+    best = None if near is None else descend(estimate, estimate.to_point(near))
     if best is not None and describe(best).holds:
         return _correct(best)
     own = caps_and_gains(problem.scenario)
-    starts = [] if own is None else [_to_point(problem, own)]
+    starts = [] if own is None else [estimate.to_point(own)]
     for start in [*starts, *make_starts(estimate)[:TRIED]]:
         descent = descend(estimate, start)
-        if descent is not None and (best is None or descent.objective < best.objective):
-            best = descent
+        if descent is not None:
+            best = descent if best is None else min(best, descent, key=get_objective)
         on_progress(np.inf if best is None else describe(best).ratio)
+    if near is None and (best is None or not describe(best).holds):
+        for descent in follow(estimate):
+            best = descent if best is None else min(best, descent, key=get_objective)
+            on_progress(describe(best).ratio)
     if best is None:
         section = problem.scenario.reference
         raise ValueError(
@@ -93,7 +103,7 @@ def optimise(
             "narrow reference.wheel_speed_min_mps and wheel_speed_max_mps"
         )
     if _is_noisy(best):
-        observed = descend(estimate, np.append(best.point, _observer_start(estimate)))
+        observed = descend(estimate, np.append(best.point, _observer_start()))
         if observed is not None and observed.objective < best.objective + math.log(WORTH):
             best = observed
         on_progress(describe(best).ratio)
@@ -114,23 +124,17 @@ def _is_noisy(descent: Descent) -> bool:
     return bool(quiet.caps.max() < QUIET * shares.caps.max())
 
 
-def _observer_start(estimate: Estimate) -> Float[np.ndarray, "3"]:
+def _observer_start() -> Float[np.ndarray, "3"]:
     """Return where the search for an observer's gain starts, in logarithms."""
-    return np.log(-np.expm1(-np.array(OBSERVER_RATES) * estimate.period.dt))
-
-
-def _to_point(problem: Problem, values: Sequence[float]) -> Float[np.ndarray, " k"]:
-    """Return caps and gains as a point of the search; a gain of an observer that the scenario gives
-    is no part of it."""
-    given = problem.scenario.controller.has_observer
-    return np.log(values[:CAPS_AND_GAINS] if given else values)
+    return np.log(-np.expm1(-np.array(OBSERVER_RATES)))
 
 
 def optimise_nearby(problem: Problem, near: Sequence[float]) -> Optimum | None:
     """Return the end of the one search from caps and gains nearby, quick and uncorrected; None
     where their tube is not bounded."""
     refuse_other_kinds(problem.scenario)
-    descent = descend(Estimate(problem), _to_point(problem, near))
+    estimate = Estimate(problem)
+    descent = descend(estimate, estimate.to_point(near))
     return None if descent is None else describe(descent)
 
 

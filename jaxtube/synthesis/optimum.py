@@ -86,7 +86,7 @@ def describe(descent: Descent, asked: Estimate | None = None) -> Optimum:
     values = np.concatenate([shares.caps[0], shares.limits[0]])
     pressures = find_pressures(descent)
     return Optimum(
-        _with_values(descent.estimate.problem.scenario, np.exp(descent.point)),
+        _with_values(judge.problem.scenario, judge.to_values(descent.point)),
         float(shares.caps.max()),
         float(shares.limits.max()),
         dict(zip(ROWS, map(float, values), strict=True)),

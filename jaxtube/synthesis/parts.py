@@ -105,9 +105,9 @@ class Design:
 
     @property
     def solver_slack(self) -> float:
-        """By how much an accepted answer of the solver may miss a constraint of the tube-MPC, from
-        any error in E, in the units of E and U."""
-        return condense.bound_solver_slack(self.problem, self.tube_qps)
+        """By what share of its limit an accepted answer of the solver may miss a constraint of the
+        tube-MPC, from any error in E."""
+        return condense.bound_solver_slack(self.problem, self.windows, self.bounds, self.tube_qps)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the numbers that commands are computed from, by name: the condensed QPs with the

@@ -28,6 +28,7 @@ from typing import NamedTuple
 import msgspec
 import numpy as np
 
+from jaxtube.scenario.error_box import error_vector
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.certificate.existence import OBJECTIVES
 from jaxtube.synthesis.certificate.fill import cap_shares
@@ -42,8 +43,8 @@ from jaxtube.synthesis.terminal_cost import terminal_cost_and_gain
 ERROR_WEIGHT = (1.0, 3.0, 1.0)
 INPUT_WEIGHT = (0.3, 0.3)
 """Weights of `weighted`."""
-HOPELESS_M = 0.15
-"""A disturbance of so much in a single step, half of E, leaves no guarantee: its tube is not
+HOPELESS = 0.5
+"""A disturbance of so much of a limit in a single step leaves no guarantee: its tube is not
 computed."""
 
 
@@ -198,9 +199,9 @@ def _list_paper_candidates(scenario: Scenario) -> Iterator[DesignCandidate]:
     for limits, operating in (("wheel limits", usual.operating), ("caps", scenario.operating)):
         try:
             problem = complete_problem(change(scenario, controller=controller, operating=operating))
-            widest = float(np.max(problem.disturbance_set.support(np.eye(3)[:2])))
-            if widest > HOPELESS_M:
-                reason = f"{limits}: disturbances of up to {widest:.3g} m in a step"
+            widest = problem.disturbance_set.support(np.eye(3)[:2])
+            if np.any(widest > HOPELESS * error_vector(scenario.constraints)[:2]):
+                reason = f"{limits}: disturbances of up to {widest.max():.3g} m in a step"
                 yield DesignCandidate(limits, reason=reason)
                 continue
             lmi_gain = terminal_cost_and_gain(problem)[1]

@@ -20,21 +20,8 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.scenario.tree import Operating, Scenario
-from jaxtube.synthesis.corners import CAPS_AND_GAINS
+from jaxtube.synthesis.corners import CAPS_AND_GAINS, NAMES
 from jaxtube.synthesis.estimate import Estimate
-
-NAMES = (
-    "longitudinal_m",
-    "lateral_m",
-    "heading_deg",
-    "speed_deficit_min_mps",
-    "speed_deficit_max_mps",
-    "yaw_rate_deficit_radps",
-    "turning_longitudinal_m",
-    "turning_yaw_rate_radps",
-)
-"""Caps in the order of a point of the search, the least speed deficit by its size; k1, k2, k3
-follow."""
 
 
 class Damping(NamedTuple):

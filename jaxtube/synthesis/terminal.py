@@ -17,7 +17,7 @@ Blanchini 1999.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -25,7 +25,7 @@ from jaxtyping import Float
 
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.problem import Problem
-from jaxtube.synthesis.tightening import Tightening, find_back_off
+from jaxtube.synthesis.tightening import Tightening, find_back_off, reach_of_limits
 from jaxtube.synthesis.tubes import Tube
 from sets import tubes
 from sets.few_facets import few_facet_rpi
@@ -117,7 +117,7 @@ def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tighten
 
 
 def set_back_off(problem: Problem) -> float:
-    """Return by how much the invariant set stays inside the limits, and W is widened."""
+    """Return by what share of them the invariant set stays inside the limits, and W is widened."""
     return (problem.horizon + 2) * find_back_off(problem)
 
 
@@ -128,30 +128,54 @@ def _find_invariant(
 
     The constraints used on line are backed off, so what the plan must return to is smaller by as
     much: the set is built inside backed-off constraints, for a disturbance that is wider by more
-    than the last back-off.
+    than the last back-off. It is built in errors divided by their limits, so that it is the same
+    set in any units.
     """
     back_off = set_back_off(problem)
-    inner = Polytope(
-        admissible.normals,
-        admissible.offsets - back_off * (1 + np.linalg.norm(admissible.normals, axis=1)),
-    )
-    widened = partial(_widened_support, disturbance, back_off)
-    maximal = _maximal(gains.loops, inner, widened)
+    limits = admissible_set(problem, gains).offsets
+    taken = limits + reach_of_limits(problem, admissible.normals)
+    units = problem.operating_set.offsets[:3]
+    inner = Polytope(admissible.normals * units, admissible.offsets - back_off * taken)
+    loops = gains.loops * units / units[:, None]
+    widened = partial(_widened_support, disturbance, units, back_off)
+    maximal = _maximal(loops, inner, widened)
     if maximal.polytope is None:
-        return maximal, None
+        return _to_si(maximal, units), None
+    few = None
     for multiple in FACET_MULTIPLES:
         facets = multiple * problem.scenario.controller.terminal_facets
-        few = few_facet_rpi(gains.loops, inner, widened, maximal.polytope, facets)
+        few = few_facet_rpi(loops, inner, widened, maximal.polytope, facets)
         if few is not None:
-            return maximal, few
-    return maximal, None
+            break
+    found = _to_si(maximal, units)
+    if few is maximal.polytope:
+        return found, found.polytope
+    return found, None if few is None else _scale_set(few, units)
 
 
 def _widened_support(
-    disturbance: tubes.Section, by: float, rows: Float[np.ndarray, "k 3"]
+    disturbance: tubes.Section,
+    units: Float[np.ndarray, "3"],
+    by: float,
+    rows: Float[np.ndarray, "k 3"],
 ) -> Float[np.ndarray, " k"]:
-    """Return the support numbers of the disturbance and a ball."""
-    return disturbance.support(rows) + by * np.linalg.norm(rows, axis=1)
+    """Return the support numbers, along rows on errors in these units, of the disturbance and a
+    share of the box of the units."""
+    return disturbance.support(rows / units) + by * np.abs(rows).sum(axis=1)
+
+
+def _scale_set(polytope: Polytope, units: Float[np.ndarray, "3"]) -> Polytope:
+    """Return a set of errors in these units as one in SI units."""
+    return Polytope(polytope.normals / units, polytope.offsets)
+
+
+def _to_si(found: MaximalRpi, units: Float[np.ndarray, "3"]) -> MaximalRpi:
+    """Return what was found in these units in SI units."""
+    polytope = None if found.polytope is None else _scale_set(found.polytope, units)
+    escape = found.escape
+    if escape is not None:
+        escape = replace(escape, normal=escape.normal / units)
+    return replace(found, polytope=polytope, escape=escape)
 
 
 def _maximal(

@@ -15,14 +15,15 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.coordinates import ERROR_NAMES, INPUT_NAMES
+from jaxtube.qp.regions import AnyArray
 from jaxtube.synthesis.advice import say_what_helps
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.tubes import Tube
 
 BACK_OFF = 1e-7
-"""What constraints whose rows are no longer than `LONG_ROW` are drawn in by for the solver."""
+"""Share of its limit that a constraint is drawn in by for the solver, at least."""
 LONG_ROW = 10.0
-"""Norm of a row, in the units of E and U, from which on its answers miss it by more."""
+"""Norm of a row, divided by its limit, from which on its answers miss it by more."""
 
 WHEEL_NAMES = ("right wheel deficit", "left wheel deficit")
 CAP_NAMES = (*INPUT_NAMES, "coupled cap, outwards", "coupled cap, inwards")
@@ -59,16 +60,24 @@ class Tightening:
 
 
 def find_back_off(problem: Problem) -> float:
-    """Return what constraints are drawn in by for the solver, once more at every stage: more than
-    the slack that it allows, in the units of E and U.
+    """Return the share of its limit that every constraint is drawn in by for the solver, once more
+    at every stage: more than the slack that the solver allows.
 
     So a plan that misses its constraints by that slack still meets, shifted, those of a stage less.
-    A solver's slack is a share of the length of a row; those that couple error and input are long
-    where the robot is small.
+    A solver's slack is a share of the length of a row. Beside its limit a row is long where the
+    robot is small or slow; all limits are then drawn in alike, so that no unit matters.
     """
-    rows = np.hstack([problem.input_rows.inputs, problem.input_rows.errors])
-    longest = float(np.linalg.norm(rows, axis=1).max())
-    return BACK_OFF * max(1.0, longest / LONG_ROW)
+    rows = problem.input_rows
+    normals = np.hstack([rows.inputs, rows.errors])
+    of_inputs = np.linalg.norm(normals, axis=1) / rows.offsets
+    longest = max(of_inputs.max(), (1 / problem.operating_set.offsets).max())
+    return BACK_OFF * max(1.0, float(longest) / LONG_ROW)
+
+
+def reach_of_limits(problem: Problem, normals: Float[AnyArray, "k 3"]) -> Float[AnyArray, " k"]:
+    """Return how far the box of the error limits reaches along rows: their own limits, to which the
+    back-off of rows on the error is relative."""
+    return abs(normals) @ problem.operating_set.offsets[:3]
 
 
 def tighten(problem: Problem, tube: Tube, windows: int) -> Tightening:

@@ -144,14 +144,15 @@ def tightened_bounds(constants: DesignConstants, kappa: Float[Array, " kappa"]) 
     terminal_rows = jnp.broadcast_to(normals, (count, *normals.shape))
     last = reach_along(loops, constants.generators, terminal_rows, horizon)
     back_off = constants.back_off * jnp.arange(1.0, horizon + 1)[:, None]
-    last_back_off = (horizon + 1) * constants.back_off * jnp.linalg.norm(normals, axis=1)
+    reach = jnp.abs(normals) @ constants.widths
+    last_back_off = (horizon + 1) * constants.back_off * reach
 
     def subtract(offsets, taken):
         return jnp.maximum(offsets - taken, ROOM * offsets)
 
     return Bounds(
-        errors=subtract(constants.error_offsets, errors + back_off),
-        inputs=subtract(constants.limits.offsets, inputs + back_off),
+        errors=subtract(constants.error_offsets, errors + back_off * constants.error_offsets),
+        inputs=subtract(constants.limits.offsets, inputs + back_off * constants.limits.offsets),
         terminal_normals=normals,
         terminal=subtract(offsets, last + last_back_off),
     )

@@ -126,13 +126,14 @@ def compute_terminal_set(
     input_rows = closed_loop_rows(limits.inputs, limits.errors, gains).reshape(-1, 3)
     own = jnp.concatenate([error_rows, input_rows])
     bounds = jnp.concatenate([error_offsets, jnp.tile(limits.offsets, len(gains))])
-    bounds = bounds - rows.back_off * (1.0 + jnp.linalg.norm(own, axis=1))
+    widths = error_offsets[:3]
+    bounds = bounds - rows.back_off * (bounds + jnp.abs(own) @ widths)
     normals = jnp.concatenate([own, jnp.asarray(rows.held_normals)])[rows.roots]
     offsets = jnp.concatenate([bounds, jnp.asarray(rows.held_offsets)])[rows.roots]
     for step in range(LONGEST):
         loop = jnp.asarray(rows.paths)[:, step]
         ended = loop < 0
-        reach = support(generators, normals) + rows.back_off * jnp.linalg.norm(normals, axis=1)
+        reach = support(generators, normals) + rows.back_off * (jnp.abs(normals) @ widths)
         before = jnp.einsum("fn,fnm->fm", normals, loops[loop])
         offsets = jnp.where(ended, offsets, offsets - (1.0 + INFLATION) * reach)
         normals = jnp.where(ended[:, None], normals, before)

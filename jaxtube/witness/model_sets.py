@@ -26,6 +26,7 @@ from jaxtube.synthesis.problem import Problem
 from jaxtube.witness.spans import Spans
 from sets.polytope import Polytope
 from sets.robot.disturbance import DisturbanceBound
+from sets.robot.operation import COARSE
 from sets.robot.plant import split_disturbance
 from sets.supremum import suprema
 
@@ -96,8 +97,9 @@ def _bound_part(problem: Problem) -> Polytope:
 
     lower, upper = where.pieces()
     both_signs = [(output, sign, output) for output in (0, 1, 2) for sign in (1, -1)]
+    negligible = COARSE * np.array([1.0, where.travel, where.travel])
     proved, found = suprema(
-        outputs, lower, upper, both_signs, TOLERANCE, negligible=2e-5, most_cells=20_000
+        outputs, lower, upper, both_signs, TOLERANCE, negligible, most_cells=20_000
     )
     # Noise enters the plane with the next measurement too, and the heading twice.
     box = np.append(proved[1:], where.noise[2]) + where.noise

@@ -35,7 +35,7 @@ from jaxtyping import Float
 from sets.polytope import Polytope, hull_vertices
 from sets.robot.actuation import NO_LAG
 from sets.robot.driving import commit_operation
-from sets.robot.operation import Operation
+from sets.robot.operation import COARSE, FINE, Operation
 from sets.robot.plant import Kinematics, Parts, split_disturbance
 from sets.supremum import suprema
 
@@ -178,7 +178,9 @@ def disturbance_bound(
     lower, upper = operation.pieces()
     both_signs = [(output, sign, output) for output in (0, 1, 2) for sign in (1, -1)]
     ends = [(3, -1, 3), (4, -1, 4), (3, 1, 5), (4, 1, 6)]
-    proved, found = suprema(outputs, lower, upper, both_signs + ends, tolerance)
+    units = [1.0, *[operation.travel] * 2, *[operation.speed] * 4]
+    negligible = FINE * np.array(units)
+    proved, found = suprema(outputs, lower, upper, both_signs + ends, tolerance, negligible)
     box = _add_measurement(operation, proved[1:3])
     if min(operation.gain) < 1:
         box[1] += _kick_rounding(operation, float(proved[0]))
@@ -248,9 +250,9 @@ def disturbance_parts(
         operation, kinematics: as for `disturbance_bound`.
 
     Returns:
-        By cause, bounds of differences that add up to w, within 2 % or 0.02 mm of their suprema
-        unless a search was cut short (f the sampled plant without slip and noise, J its Jacobian at
-        e = u = 0):
+        By cause, bounds of differences that add up to w, within 2 % of their suprema or 1e-4 of
+        the way that the reference goes in a period, unless a search was cut short (f the sampled
+        plant without slip and noise, J its Jacobian at e = u = 0):
 
         * "bilinear": f(e, u) - J (e, u) minus the same at u = 0, products of inputs with errors
           and inputs;
@@ -282,9 +284,8 @@ def disturbance_parts(
     lower, upper = operation.pieces()
     count = 1 + 2 * len(CAUSES)
     objectives = [(output, sign, output) for output in range(count) for sign in (1, -1)]
-    proved, _ = suprema(
-        outputs, lower, upper, objectives, tolerance=0.02, negligible=2e-5, most_cells=20_000
-    )
+    negligible = COARSE * np.array([1.0, *[operation.travel] * (count - 1)])
+    proved, _ = suprema(outputs, lower, upper, objectives, 0.02, negligible, most_cells=20_000)
     yaw, *plane = proved
     widths = {}
     for cause, half_widths in zip(CAUSES, np.reshape(plane, (-1, 2)), strict=True):

@@ -20,7 +20,7 @@ from jaxtyping import Float
 from sets.robot.actuation import NO_LAG
 from sets.robot.committed import Commitment, bound_commitment
 from sets.robot.late_ways import Driving
-from sets.robot.operation import Operation
+from sets.robot.operation import FINE, Operation
 from sets.robot.plant import Kinematics, Late, split_disturbance
 from sets.supremum import suprema
 
@@ -80,7 +80,7 @@ def find_driving(operation: Operation, kinematics: Kinematics) -> Driving:
 
     lower, upper = operation.without_disturbances().pieces()
     ends = [(output, sign, group) for group, (sign, output) in enumerate(BOTH_ENDS)]
-    proved, _ = suprema(outputs, lower, upper, ends, TOLERANCE)
+    proved, _ = suprema(outputs, lower, upper, ends, TOLERANCE, FINE * operation.speed)
     least = -proved[:3]
     most = proved[3:]
     return Driving(

@@ -35,7 +35,7 @@ import numpy as np
 from jaxtyping import Float
 
 from sets.robot.driving import commit_operation
-from sets.robot.operation import Operation
+from sets.robot.operation import FINE, Operation
 from sets.robot.plant import Kinematics, split_disturbance
 from sets.supremum import suprema
 
@@ -134,7 +134,8 @@ def _bound_image(
 
     lower, upper = operation.pieces()
     objectives = [(output, sign, output) for output in range(3) for sign in (1, -1)]
-    proved, _ = suprema(outputs, lower, upper, objectives, TOLERANCE)
+    negligible = FINE * np.array([operation.travel, operation.travel, 1.0])
+    proved, _ = suprema(outputs, lower, upper, objectives, TOLERANCE, negligible)
     proved[:2] += unpredicted.added
     proved[2] = min(proved[2], unpredicted.kick) + size[2]
     left = 1 - np.array(operation.gain)

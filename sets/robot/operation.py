@@ -17,6 +17,11 @@ from sets.robot.actuation import NO_LAG, Actuation
 from sets.robot.late_ways import Ground
 from sets.robot.plant import Late, Period
 
+FINE = 5e-9
+"""Gap of a bound that is good enough anyway: rad, or a share of the speed or of the way that the
+reference's faster wheel goes in a period."""
+COARSE = 1e-4
+"""The same of bounds that are told and decide nothing."""
 NEGLIGIBLE = 1e-12
 """Magnitudes above minus this, m, m, rad or a share, are zeros that rounding made negative."""
 
@@ -142,6 +147,16 @@ class Operation:
         if self.late is not None:
             lateral_per_yaw += self.late.lever
         return Period(self.dt, self.track_width, lateral_per_yaw, self.lever_arm, self.late)
+
+    @property
+    def speed(self) -> float:
+        """The greatest reference wheel speed, m/s, by its size."""
+        return float(np.abs(self.schedules).max())
+
+    @property
+    def travel(self) -> float:
+        """How far the reference's faster wheel goes in a period, m."""
+        return self.dt * self.speed
 
     @property
     def kick_per_yaw(self) -> float:

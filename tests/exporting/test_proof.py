@@ -59,7 +59,8 @@ def test_every_number_of_the_controller_is_compared(certified, doubles, name):
 
 def test_bounds_that_give_in_one_stage_and_take_in_the_next_add_up(certified, doubles):
     # A plan that is accepted with the one is shifted into the other.
-    room = find_back_off(certified.problem)
+    share = find_back_off(certified.problem)
+    room = share * certified.problem.input_rows.offsets.min()
     horizon = certified.problem.horizon
     pairs = len(certified.problem.input_rows.offsets) // 2
     upper = doubles.constants.upper.copy()
@@ -67,10 +68,10 @@ def test_bounds_that_give_in_one_stage_and_take_in_the_next_add_up(certified, do
     last = 3 * (horizon - 1) + pairs * (horizon - 1)
     upper[:, last] += 0.6 * room / norms[:, last]
     one = dataclasses.replace(doubles.constants, upper=upper.copy())
-    assert prove(certified, one, room).holds
+    assert prove(certified, one, share).holds
     upper[:, last - pairs] -= 0.6 * room / norms[:, last - pairs]
     both = dataclasses.replace(doubles.constants, upper=upper)
-    assert not prove(certified, both, room).holds
+    assert not prove(certified, both, share).holds
 
 
 def test_terminal_rows_that_are_missed_enlarge_what_is_asked_of_the_terminal_set(

@@ -156,8 +156,11 @@ def test_a_set_wider_by_a_millimetre_misses_reach_and_inclusion(
     wider = changed(getattr(design.bounds, kind), (window, stage, 1), 1e-3)
     certificate = recertify(design, bounds=dataclasses.replace(design.bounds, **{kind: wider}))
     assert certificate.failing_for_model == ["tightening_covers_reach", "shifted_plan_inclusion"]
+    problem = design.problem
+    limits = {"errors": problem.operating_set, "inputs": problem.input_rows}[kind].offsets
+    drawn_in = BACK_OFF * (stage % problem.horizon + 1) * limits[1]
     assert certificate.conditions["tightening_covers_reach"].margin == pytest.approx(
-        -1e-3, rel=1e-3
+        drawn_in - 1e-3, rel=1e-3
     )
     assert not certificate.holds_for_model
 
@@ -444,7 +447,9 @@ def test_a_nominal_error_that_is_never_reset_needs_more_room(robust_design, rece
     assert certificate.failing_for_model == ["nominal_error_never_reset"]
     axes = problem.error_set.normals
     reach = hull_tube(robust_design.tube_gain.loops, problem.disturbance_set, 6)
-    missing = np.max(reach[6].support(axes) - reach[1].support(axes)) - 2 * BACK_OFF
+    missing = np.max(
+        reach[6].support(axes) - reach[1].support(axes) - 2 * BACK_OFF * problem.error_set.offsets
+    )
     assert certificate.conditions["nominal_error_never_reset"].margin == pytest.approx(
         -missing, abs=CERTIFICATE_MARGIN
     )
@@ -462,7 +467,7 @@ def test_a_set_that_backed_off_constraints_alone_exclude_may_exist(uncertified, 
     terminal = dataclasses.replace(design.terminal, maximal=maximal)
     condition = recertify(design, terminal=terminal).conditions["terminal_set_invariant"]
     assert not condition.holds
-    assert "inside constraints backed off by 7e-07" in condition.sentence
+    assert "inside constraints backed off by 7e-07 of each" in condition.sentence
     assert "there may be one" in condition.sentence
 
 

@@ -118,7 +118,7 @@ def plain_rows(found, window, schedules, error, inputs):
             left = (
                 limits[axis]
                 - section_of(found, window, j).support(np.eye(3)[axis])[0]
-                - (j + 1) * BACK_OFF
+                - (j + 1) * BACK_OFF * limits[axis]
             )
             rows.append((errors[j, axis], -left, left))
     b = problem.robot.track_width
@@ -126,17 +126,16 @@ def plain_rows(found, window, schedules, error, inputs):
     for j in range(problem.horizon):
         for wheel, sign in enumerate((1, -1)):
             row = np.array([1, sign * b / 2])
-            upper = U[wheel] - input_reach(found, window, schedules, j, row) - (j + 1) * BACK_OFF
-            lower = (
-                -U[2 + wheel] + input_reach(found, window, schedules, j, -row) + (j + 1) * BACK_OFF
-            )
+            left = 1 - (j + 1) * BACK_OFF
+            upper = left * U[wheel] - input_reach(found, window, schedules, j, row)
+            lower = input_reach(found, window, schedules, j, -row) - left * U[2 + wheel]
             rows.append((row @ inputs[j], lower, upper))
     terminal = found.terminal
     last = (problem.horizon + 1) * BACK_OFF
     for row, offset in zip(
         terminal.constraint_normals, terminal.constraint_offsets[window], strict=True
     ):
-        rows.append((row @ errors[-1], -np.inf, offset - last * np.linalg.norm(row)))
+        rows.append((row @ errors[-1], -np.inf, offset - last * abs(row) @ limits))
     return np.array(rows).T
 
 

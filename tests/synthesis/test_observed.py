@@ -98,15 +98,18 @@ def test_the_estimate_of_a_search_is_close_to_the_proved_sets(problem):
     found = Estimate(make_problem(scenario))
     point = caps_and_gains(scenario)
     assert point is not None
-    values = np.log(point)
+    values = found.to_point(point)
     corners = found.corners.find(values)
     w = found.corners.disturbance(values[None], corners)
-    assert (w.error[0] * (1 + RESERVE) > problem.estimate_error).all()
-    np.testing.assert_allclose(w.error[0], problem.estimate_error, rtol=0.05)
+    lengths = np.array([found.units.length, found.units.length, 1.0])
+    error = w.error[0] * lengths
+    assert (error * (1 + RESERVE) > problem.estimate_error).all()
+    np.testing.assert_allclose(error, problem.estimate_error, rtol=0.05)
     bound = prove_bound(problem)
     assert w.yaw[0] == pytest.approx(bound.yaw, rel=0.01)
-    assert w.lateral_per_yaw[0] == pytest.approx(bound.lateral_per_yaw, rel=1e-12)
-    np.testing.assert_allclose(w.box[0], bound.box, rtol=0.1)
+    lateral_per_yaw = w.lateral_per_yaw[0] * found.units.length
+    assert lateral_per_yaw == pytest.approx(bound.lateral_per_yaw, rel=1e-11)
+    np.testing.assert_allclose(w.box[0] * lengths, bound.box, rtol=0.1)
 
 
 def test_bounds_are_asked_for_what_the_scenario_says(problem):

@@ -8,6 +8,7 @@ import pytest
 from jaxtube.scenario import load, replace
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.advice import say_what_helps, say_what_widens
+from jaxtube.synthesis.corners import NAMES
 from jaxtube.synthesis.descent import PENALTY, descend, find_ends
 from jaxtube.synthesis.design import design, refuse_infeasible_start
 from jaxtube.synthesis.disturbance import complete_problem
@@ -17,66 +18,20 @@ from jaxtube.synthesis.nearest import choose_levers, find_pull
 from jaxtube.synthesis.optimise import optimise, optimise_nearby, wheel_excess
 from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.problem import make_problem
-from jaxtube.synthesis.starts import NAMES, caps_and_gains, make_starts, without_caps
+from jaxtube.synthesis.starts import caps_and_gains, make_starts, without_caps
 
 ON_PATH = {"initial.x_m": 0.0, "initial.y_m": 0.0}
 SEARCHED = 0.03
 """Relative difference of two searches from different starts."""
-LENGTHS = (
-    "robot.track_width_m",
-    "robot.wheel_speed_max_mps",
-    "robot.wheel_speed_min_mps",
-    "reference.radius_m",
-    "reference.speed_mps",
-    "reference.wheel_speed_min_mps",
-    "reference.wheel_speed_max_mps",
-    "constraints.longitudinal_m",
-    "constraints.lateral_m",
-    "noise.longitudinal_m",
-    "noise.lateral_m",
-    "initial.x_m",
-    "initial.y_m",
-)
-POWERS = np.array([1, 1, 0, 1, 1, 0, 1, 0, 0, -1, 0])
-"""Powers of a length by which caps and gains grow with a robot."""
 
 
 def bare(values: dict | None = None) -> Scenario:
     return replace(without_caps(load("certified")), values or {})
 
 
-def resize(scenario: Scenario, size: float) -> Scenario:
-    """Return the scenario of a robot whose lengths and speeds are all larger by a factor."""
-    values = {}
-    for key in LENGTHS:
-        section, name = key.split(".")
-        values[key] = size * getattr(getattr(scenario, section), name)
-    return replace(scenario, values)
-
-
 @pytest.fixture(scope="module")
 def found() -> Optimum:
     return optimise(make_problem(bare()))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("size", [0.1, 10.0])
-def test_a_robot_of_another_size_has_the_same_design_in_its_units(size, found):
-    other = optimise(make_problem(resize(bare(), size)))
-    assert other.ratio == pytest.approx(found.ratio, rel=SEARCHED)
-
-
-@pytest.mark.parametrize("size", [0.1, 10.0])
-def test_a_search_for_a_robot_of_another_size_starts_from_the_same_designs_in_its_units(size):
-    usual = make_problem(bare())
-    starts = [np.exp(start) for start in make_starts(Estimate(usual))]
-    resized = [np.exp(start) for start in make_starts(Estimate(make_problem(resize(bare(), size))))]
-    for start, same in zip(starts, resized, strict=True):
-        np.testing.assert_allclose(same, start * size**POWERS, rtol=1e-6)
-    shares = Estimate(usual).shares(np.log(starts[0]))
-    others = Estimate(make_problem(resize(bare(), size))).shares(np.log(resized[0]))
-    np.testing.assert_allclose(others.caps, shares.caps, rtol=1e-6)
-    np.testing.assert_allclose(others.limits, shares.limits, rtol=1e-6)
 
 
 def test_the_optimum_is_a_design_whose_start_has_a_plan(found):
@@ -93,7 +48,7 @@ def test_a_search_never_ends_worse_than_it_began():
     """So --optimise denies no caps and gains of a file: they are one of its starts."""
     own = (0.12, 0.28, 18.0, 0.27, 0.40, 0.9, 1e3, 1e3, 3.0, 6.5, 6.5)
     estimate = Estimate(make_problem(bare()))
-    for start in (np.log(own), make_starts(estimate)[-1]):
+    for start in (estimate.to_point(own), make_starts(estimate)[-1]):
         shares = estimate.shares(start)
         ended = descend(estimate, start)
         assert shares is not None and ended is not None

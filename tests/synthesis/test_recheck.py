@@ -12,6 +12,8 @@ from tolerances import EXACT_AGAINST_FLOAT
 from jaxtube.scenario import load
 from jaxtube.synthesis.certificate import exact
 from jaxtube.synthesis.certificate.exact import disturbance_points, recheck
+from jaxtube.synthesis.certificate.stages import check_stages
+from jaxtube.synthesis.certificate.terminal import check_terminal
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.disturbance import prove_bound
 from jaxtube.synthesis.parts import Design
@@ -74,19 +76,21 @@ def test_the_report_of_a_certified_design_holds(designed, overrides):
 
 
 @pytest.mark.parametrize("overrides", CHOICES)
-def test_margins_agree_with_those_of_the_float_certificate(designed, overrides):
+def test_margins_agree_with_those_of_the_float_certificate(designed, overrides, monkeypatch):
+    """What the solver may miss is no part of the exact margins, nor here of those of floats."""
     found = designed(overrides)
     scale = np.linalg.norm(found.terminal.invariant.normals, axis=1)
     unit = Polytope(
         found.terminal.invariant.normals / scale[:, None], found.terminal.invariant.offsets / scale
     )
     margins = recheck(replace(found, terminal=replace(found.terminal, invariant=unit))).margins
-    expected = {name: condition.margin for name, condition in found.certificate.conditions.items()}
-    slack = found.solver_slack
+    monkeypatch.setattr(Design, "solver_slack", 0.0)
+    checked = [*check_stages(found), *check_terminal(found)]
+    expected = {condition.name: condition.margin for condition in checked}
     for name, parts, granted in (
         ("tightening_covers_reach", ("errors reach", "inputs reach"), ROUNDING),
-        ("shifted_plan_inclusion", ("errors shifted", "inputs shifted"), ROUNDING - slack),
-        ("plan_stays_feasible", ("errors returns",), -slack),
+        ("shifted_plan_inclusion", ("errors shifted", "inputs shifted"), ROUNDING),
+        ("plan_stays_feasible", ("errors returns",), 0.0),
         ("terminal_set_invariant", ("terminal invariant",), 0.0),
     ):
         exact = float(min(margins[part] for part in parts))

@@ -53,10 +53,10 @@ def _conditions(design: Design) -> Iterator[Condition]:
     yield judge(
         "solver_residual",
         back_off - slack,
-        f"Constraints are backed off by {back_off:.0e}, more than the {slack:.0e} a solved QP "
-        "may miss them by.",
-        f"Constraints are backed off by {back_off:.0e}, less than the {slack:.0e} a solved QP "
-        "may miss them by.",
+        f"Constraints are backed off by {back_off:.0e} of each, more than the {slack:.0e} a solved "
+        "QP may miss of them.",
+        f"Constraints are backed off by {back_off:.0e} of each, less than the {slack:.0e} a solved "
+        "QP may miss of them.",
     )
     yield check_in_rationals(design)
     yield from check_ultimate_bound(design)

@@ -20,7 +20,7 @@ The proof is about Phi(th) and K(th). Not proved here:
 
 * the gain and the matrices of the prediction used on line, which are floats: `gains` says how close
   they are. The difference acts like a disturbance of some 1e-12, and the back-off of the
-  constraints, 1e-7 a stage, leaves room for it and for the solver's slack;
+  constraints, 1e-7 of each a stage at least, leaves room for it and for the solver's slack;
 * that w lies in W, which `sets.robot.disturbance` bounds by intervals; `motions` proves it again;
 * the wheel limits;
 * that the wheel speeds of the reference are those of the windows: they differ by at most 1e-12 m/s.

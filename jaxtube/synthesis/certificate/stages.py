@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.synthesis.condense import Bounds
+from jaxtube.synthesis.condense import Bounds, draw_in
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
@@ -33,8 +33,8 @@ NEVER_RESET_STEPS = 8
 
 
 class StageMargins(NamedTuple):
-    """By how much stages are tightened beyond the reach, and beyond the stage before and what one
-    disturbance adds to it."""
+    """By how much stages are tightened beyond the reach, and beyond the stage before, what one
+    disturbance adds to it and what the solver may miss."""
 
     reach: float
     inclusion: float
@@ -52,7 +52,7 @@ def check_stages(design: Design) -> Iterator[Condition]:
         f"Some stage is tightened by {-margins.reach:.3g} less than products of loops and "
         "disturbances in W can reach.",
     )
-    inclusion = margins.inclusion - design.solver_slack
+    inclusion = margins.inclusion
     yield judge(
         "shifted_plan_inclusion",
         inclusion + ROUNDING,
@@ -67,33 +67,45 @@ def check_stages(design: Design) -> Iterator[Condition]:
 
 def stage_margins(design: Design) -> StageMargins:
     """Return the margins of reach and inclusion, for the tube's own order of wheel speeds."""
+    slack = design.solver_slack
     if design.tube.follows_reference:
-        return margins_along_reference(design.problem, design.windows, design.bounds)
-    return _margins_in_any_order(design.problem, design.tube_gain, design.bounds)
+        return margins_along_reference(design.problem, design.windows, design.bounds, slack)
+    return _margins_in_any_order(design.problem, design.tube_gain, design.bounds, slack)
 
 
-def margins_along_reference(problem: Problem, windows: Windows, bounds: Bounds) -> StageMargins:
-    """Return the margins of reach and inclusion along the reference, from each step to the next."""
+def margins_along_reference(
+    problem: Problem, windows: Windows, bounds: Bounds, slack: float
+) -> StageMargins:
+    """Return the margins of reach and inclusion along the reference, from each step to the next;
+    the solver may miss a share `slack` of each limit."""
+    asked = draw_in(problem, bounds, slack)
     W = problem.disturbance_set.vertices()
     error_rows = problem.operating_set.normals
     taken_errors = problem.operating_set.offsets - bounds.errors
     taken_inputs = problem.input_rows.offsets - bounds.inputs
+    asked_errors = problem.operating_set.offsets - asked.errors
+    asked_inputs = problem.input_rows.offsets - asked.inputs
     reach_margin = np.inf
     inclusion_margin = np.inf
     for window, loops in enumerate(windows.loops):
         followers = windows.followers(window)
         for j in range(problem.horizon):
             input_rows = problem.input_rows.on_errors(windows.gains[window, j])
-            for taken, rows in ((taken_errors, error_rows), (taken_inputs, input_rows)):
+            for taken, asked_of, rows in (
+                (taken_errors, asked_errors, error_rows),
+                (taken_inputs, asked_inputs, input_rows),
+            ):
                 reach, last = sequence_reach(loops[: max(j, 1)], W, rows)
                 reach_margin = min(reach_margin, np.min(taken[window, j] - reach[j]))
                 if j > 0:
-                    growth = taken[window, j] - taken[followers, j - 1] - last[j - 1]
+                    growth = taken[window, j] - asked_of[followers, j - 1] - last[j - 1]
                     inclusion_margin = min(inclusion_margin, np.min(growth, initial=np.inf))
     return StageMargins(float(reach_margin), float(inclusion_margin))
 
 
-def _margins_in_any_order(problem: Problem, gain: Gain, bounds: Bounds) -> StageMargins:
+def _margins_in_any_order(
+    problem: Problem, gain: Gain, bounds: Bounds, slack: float
+) -> StageMargins:
     """Return the margins of reach and inclusion for a tube that holds in every order."""
     W = problem.disturbance_set.vertices()
     last_stage = problem.horizon - 1
@@ -103,9 +115,12 @@ def _margins_in_any_order(problem: Problem, gain: Gain, bounds: Bounds) -> Stage
     taken_inputs = problem.input_rows.offsets - bounds.inputs
     reach_margin = np.inf
     inclusion_margin = np.inf
-    for rows, taken in ((error_rows, taken_errors), (input_rows, taken_inputs)):
+    for rows, taken, limits in (
+        (error_rows, taken_errors, problem.operating_set.offsets),
+        (input_rows, taken_inputs, problem.input_rows.offsets),
+    ):
         least = taken.min(axis=0)
-        most = taken.max(axis=0)
+        most = taken.max(axis=0) + slack * limits
         for row, directions in enumerate(rows):
             reach, last = _largest_reach(gain, W, directions, last_stage)
             reach_margin = min(reach_margin, np.min(least[:, row] - reach))

@@ -12,15 +12,16 @@ from jaxtyping import Float
 
 from jaxtube.synthesis.certificate.escape import escape_margin, say_what_is_passed
 from jaxtube.synthesis.certificate.stages import margins_along_reference
-from jaxtube.synthesis.condense import Bounds, tube_bounds
+from jaxtube.synthesis.condense import Bounds, draw_in, tube_bounds
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import Terminal, admissible_set, set_back_off
-from jaxtube.synthesis.tightening import tighten
+from jaxtube.synthesis.tightening import reach_of_limits, tighten
 from jaxtube.synthesis.tubes import make_following_tube
 from jaxtube.synthesis.windows import Windows, make_windows
 from sets.certificate import ROUNDING, Condition, invariance_margin, judge, terminal_margins
+from sets.invariant import Escape
 from sets.polytope import Polytope
 
 ANY_ORDER = "any_order_of_wheel_speeds"
@@ -96,8 +97,8 @@ def _judge_absence(design: Design) -> Condition:
     sentence = "No invariant terminal set was found."
     if escape is not None and margin > -np.inf:
         back_off = set_back_off(design.problem)
-        real_offset = escape.offset + back_off * (1 + np.linalg.norm(escape.normal))
-        real = escape_margin(replace(escape, offset=float(real_offset)), loops, disturbance)
+        real_offset = escape.offset + back_off * _limit_of_escape(design, escape)
+        real = escape_margin(replace(escape, offset=real_offset), loops, disturbance)
         steps = len(escape.loops) + 1
         what = say_what_is_passed(design.problem, terminal.gains, escape, -margin)
         passes = f"in {steps} steps from e = 0 {what}"
@@ -106,7 +107,7 @@ def _judge_absence(design: Design) -> Condition:
         else:
             sentence = (
                 "No invariant terminal set exists inside constraints backed off by "
-                f"{back_off:.0e}: {passes}; inside those that are not, there may be one."
+                f"{back_off:.0e} of each: {passes}; inside those that are not, there may be one."
             )
     return judge(
         "terminal_set_invariant",
@@ -116,12 +117,21 @@ def _judge_absence(design: Design) -> Condition:
     )
 
 
+def _limit_of_escape(design: Design, escape: Escape) -> float:
+    """Return that of which the row that an escape passes was backed off by a share: its own limit,
+    and how far E reaches along it."""
+    problem = design.problem
+    rows = admissible_set(problem, design.terminal.gains)
+    cosines = rows.normals @ escape.normal / np.linalg.norm(rows.normals, axis=1)
+    limit = rows.offsets[int(np.argmax(cosines))]
+    return float(limit + reach_of_limits(problem, escape.normal))
+
+
 def _check_plan_stays_feasible(design: Design) -> Condition:
     """Check the three terminal inclusions of the shifted plan on the sets used: along the reference
     from each step to the next where the tube follows it, else for every schedule in the regions."""
     margins = list(_terminal_margins(design))
-    slack = design.solver_slack
-    worst = {name: min(margin[name] for margin in margins) - slack for name in INCLUSIONS}
+    worst = {name: min(margin[name] for margin in margins) for name in INCLUSIONS}
     failing = ", ".join(
         f"{INCLUSIONS[name]} by {-margin:.3g}" for name, margin in worst.items() if margin < 0
     )
@@ -141,11 +151,10 @@ def _terminal_margins(design: Design) -> Iterator[dict[str, float]]:
         yield _margins_in_any_order(design)
         return
     index = design.windows.index.tolist()
+    both = (design.bounds, draw_in(design.problem, design.bounds, design.solver_slack))
     # A run of one step is taken to go on in the window it has.
     for now, following in set(pairwise(index)) or {(index[0], index[0])}:
-        yield _margins_along(
-            design.problem, design.terminal, design.windows, design.bounds, now, following
-        )
+        yield _margins_along(design.problem, design.terminal, design.windows, both, now, following)
 
 
 def has_any_order(design: Design) -> bool:
@@ -178,17 +187,14 @@ def check_any_order(design: Design) -> Condition:
     left = omega.offsets - tube.support(elsewhere.horizon, omega.normals)
     terminal = replace(design.terminal, constraint_normals=omega.normals, constraint_offsets=left)
     bounds = tube_bounds(elsewhere, tighten(elsewhere, tube, len(windows.schedules)), terminal)
-    stages = margins_along_reference(elsewhere, windows, bounds)
+    slack = design.solver_slack
+    stages = margins_along_reference(elsewhere, windows, bounds, slack)
+    asked = draw_in(elsewhere, bounds, slack)
     returns = [
-        min(_margins_along(elsewhere, terminal, windows, bounds, now, following).values())
+        min(_margins_along(elsewhere, terminal, windows, (bounds, asked), now, following).values())
         for now, following in set(pairwise(windows.index.tolist()))
     ]
-    margin = min(
-        stages.reach + ROUNDING,
-        stages.inclusion - design.solver_slack,
-        min(returns) - design.solver_slack,
-        left.min(),
-    )
+    margin = min(stages.reach + ROUNDING, stages.inclusion, *returns, left.min())
     return judge(
         ANY_ORDER,
         margin,
@@ -217,18 +223,19 @@ def _margins_in_any_order(design: Design) -> dict[str, float]:
     other."""
     problem = design.problem
     bounds = design.bounds
+    asked = draw_in(problem, bounds, design.solver_slack)
     gains = design.terminal.gains
     last = problem.horizon - 1
     last_reach = _products(design.tube_gain, problem.disturbance_set.vertices(), last)
     return terminal_margins(
         Polytope(bounds.terminal_normals, bounds.terminal.max(axis=0)),
-        Polytope(bounds.terminal_normals, bounds.terminal.min(axis=0)),
+        Polytope(bounds.terminal_normals, asked.terminal.min(axis=0)),
         gains.loops,
-        Polytope(problem.operating_set.normals, bounds.errors[:, last].min(axis=0)),
+        Polytope(problem.operating_set.normals, asked.errors[:, last].min(axis=0)),
         *_unit_input_rows(
             problem,
             problem.input_rows.on_errors(gains.corner_gains),
-            bounds.inputs[:, last].min(axis=0),
+            asked.inputs[:, last].min(axis=0),
         ),
         last_reach,
     )
@@ -238,12 +245,13 @@ def _margins_along(
     problem: Problem,
     terminal: Terminal,
     windows: Windows,
-    bounds: Bounds,
+    both: tuple[Bounds, Bounds],
     now: int,
     following: int,
 ) -> dict[str, float]:
     """Return the margins of the terminal inclusions from the step that has window `now` ahead to
-    the next one."""
+    the next one; `both` are the bounds that are kept, and what is asked of the shifted plan."""
+    bounds, asked = both
     last = problem.horizon - 1
     schedule = windows.schedules[following, -1]
     points = problem.disturbance_set.vertices()
@@ -251,13 +259,13 @@ def _margins_along(
         points = points @ loop.T
     return terminal_margins(
         Polytope(bounds.terminal_normals, bounds.terminal[now]),
-        Polytope(bounds.terminal_normals, bounds.terminal[following]),
+        Polytope(bounds.terminal_normals, asked.terminal[following]),
         terminal.gains.loops_along(schedule)[None],
-        Polytope(problem.operating_set.normals, bounds.errors[following, last]),
+        Polytope(problem.operating_set.normals, asked.errors[following, last]),
         *_unit_input_rows(
             problem,
             problem.input_rows.on_errors(terminal.gains.along(schedule))[None],
-            bounds.inputs[following, last],
+            asked.inputs[following, last],
         ),
         points,
     )
