@@ -118,8 +118,9 @@ def _grow_tree(output: str, sign: int, level: int, cell: list, robot: list, piec
     letters = []
     cells = [cell]
     while cells:
-        slopes = program.find_slopes(output, sign, cells[-1], constants)
-        shrunk = program.shrink(cells.pop(), slopes)
+        cell = cells.pop()
+        slopes = program.find_slopes(output, sign, cell, constants)
+        shrunk = program.shrink(cell, slopes)
         index = _find_widest(shrunk, slopes)
         if program.bound(output, sign, shrunk, slopes, constants) <= level:
             letters.append(".")
@@ -127,7 +128,8 @@ def _grow_tree(output: str, sign: int, level: int, cell: list, robot: list, piec
         low, high = shrunk[index]
         if low == high or len(letters) > MOST_LETTERS:
             raise ValueError(f"motions: {output} is not proved to keep its bound; widen W")
-        letters.append(program.VARIABLES[index])
+        letter = program.VARIABLES[index]
+        letters.append(letter.upper() if shrunk == list(cell) else letter)
         middle = (low + high) // 2
         halves = ((middle, high), (low, middle))
         cells += [[*shrunk[:index], half, *shrunk[index + 1 :]] for half in halves]

@@ -21,33 +21,31 @@ import time
 from fractions import Fraction
 from itertools import pairwise, product
 from math import degrees
+from typing import Any
 
-from check_motion import ONE, Refused, prove, require, scale, stretch
-from check_plans import (
-    check_cost,
-    check_plans,
-    dot,
-    list_inputs,
-    measure_reach,
-    times,
-    weigh,
-)
+from check_motion import ONE, Refused, prove, require, scale
+from check_plans import check_cost, check_plans, dot, list_inputs, reach, stretch, times, weigh
 
 FORMAT = "jaxtube certificate 1"
 ROBOT = ("period", "track", "lever_arm")
 KNOWN = {"format", "name", *ROBOT, "wheel_speeds", "constraints", "noise", "slips", "sideslip"}
 KNOWN |= {"bands", "sets", "inclusions", "cost", "plans"}
+DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
+DAMAGES += (RecursionError,)
+BAND = {"name", "regions", "errors", "u1", "u2", "coupling", "gains", "set", "disturbance", "cells"}
 AXES = [[sign * (k == axis) for k in range(3)] for axis in range(3) for sign in (1, -1)]
 
 
-def read(value):
-    """Return JSON with its fractions "p/q" as numbers."""
+def read(value: Any) -> Any:
+    """Return JSON with its fractions "p/q" as numbers; other numbers would be inexact."""
     if isinstance(value, dict):
         return {name: read(entry) for name, entry in value.items()}
     if isinstance(value, list):
         return [read(entry) for entry in value]
-    is_number = isinstance(value, str) and re.fullmatch(r"-?\d{1,400}(/\d{1,400})?", value)
-    return Fraction(value) if is_number else value
+    if value is None:
+        return None
+    require(isinstance(value, str), f"{value!r} is no string: numbers are strings p/q")
+    return Fraction(value) if re.fullmatch(r"-?\d{1,400}(/\d{1,400})?", value) else value
 
 
 def cut(low, high, *places):
@@ -120,7 +118,13 @@ def list_motions(certificate, band):
     across, turned, *others = [(-size, size) for size in sizes]
     cells = []
     speeds = [each for region in band["regions"] for each in list_speeds(region)[0]]
-    for (u2, *turn), (mean, part, *speed) in product(list_turns(band), speeds):
+    turns = list_turns(band)
+    pairs = {tuple(region) for region in band["regions"] if len(region) == 2}
+    is_even = band["u2"][0] == -band["u2"][1] and pairs == {pair[::-1] for pair in pairs}
+    if is_even and certificate["slips"]["right"] == certificate["slips"]["left"]:
+        # A motion with u2 < 0 is the mirror image of one with u2 > 0, wheels exchanged.
+        turns = [turn for turn in turns if turn[0][0] >= 0]
+    for (u2, *turn), (mean, part, *speed) in product(turns, speeds):
         ranges = [(-1, 1), across, turned, band["u1"], u2, mean, part, *losses, *others]
         require(all(low <= high for low, high in ranges), "a range of the operation is crossed")
         cell = [(scale(low)[0], scale(high)[1]) for low, high in ranges]
@@ -176,7 +180,7 @@ def list_targets(certificate, band):
         shape = certificate["sets"][into]
         rows = zip(shape["rows"], shape["offsets"], strict=True)
         targets[into] = [
-            (times(row, loop), offset - measure_reach(band, row))
+            (times(row, loop), offset - reach(band, row))
             for (row, offset), loop in product(rows, loops)
         ]
     return targets
@@ -213,14 +217,18 @@ def check_sets(certificate, band, extents):
 
 def check(certificate):
     """Check all of a certificate and yield in words what is proved."""
-    unknown = sorted(set(certificate) - KNOWN)
-    require(not unknown, f"UNCHECKED: nothing here proves anything of {', '.join(unknown)}")
+    unknown = sorted(set(certificate) - KNOWN - {"unchecked"})
+    unknown += [f"{name} = {value}" for name, value in certificate.get("unchecked", {}).items()]
+    require(not unknown, f"UNCHECKED: no proof is known here for {', '.join(unknown)}")
     require(certificate["format"] == FORMAT, f"the format is not {FORMAT!r}")
+    require(isinstance(certificate["name"], str), "the certificate has no name")
+    require(min(certificate["period"], certificate["track"]) > 0, "period or track is not positive")
     names = {band["name"] for band in certificate["bands"]}
     require(0 < len(names) == len(certificate["bands"]), "bands need names of their own")
     noise = certificate["noise"]
     extents = {name: find_extents(shape) for name, shape in certificate["sets"].items()}
     for band in certificate["bands"]:
+        require(set(band) == BAND and band["regions"], f"{band['name']} is not described as known")
         most = [cap + size for cap, size in zip(band["errors"], noise, strict=True)]
         pairs = zip(most, certificate["constraints"], strict=True)
         require(all(error <= limit for error, limit in pairs), "true errors may pass their limits")
@@ -232,13 +240,14 @@ def check(certificate):
             f"what is asked of them; {count} cells"
         )
         room = check_sets(certificate, band, extents)
-        yield f"{band['name']}: {len(room)} inclusions of sets, least room {float(min(room)):.3g}"
+        yield f"{band['name']}: {len(room)} inclusions of sets, for speeds in any order"
         if "cost" in certificate:
             check_cost(certificate, *list_loops(certificate, band))
             yield f"{band['name']}: the terminal cost decreases by the cost of a stage"
     if "plans" in certificate:
         room = check_plans(certificate, extents)
-        yield f"plans stay plans: {len(room)} inclusions, least room {float(min(room)):.3g}"
+        shown = f"{len(room)} rows, least room {float(min(room)):.3g}"
+        yield f"plans stay plans along the reference: {shown}"
 
 
 def list_assumptions(certificate):
@@ -254,7 +263,7 @@ def list_assumptions(certificate):
         for region in band["regions"]:
             shown = ", ".join(f"{float(speed):.6g}" for speed in region)
             kind = "right, left" if len(region) == 2 else "least, greatest; of their mean as well"
-            yield f"{band['name']}: reference wheel speeds {shown} m/s ({kind}), in any order"
+            yield f"{band['name']}: reference wheel speeds {shown} m/s ({kind})"
     yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
     if "plans" not in certificate:
         yield "the law u = K e commands; the first measured error lies in the set of its band"
@@ -277,7 +286,7 @@ def main(path):
     except Refused as refusal:
         print(f"REFUSED  {refusal}")
         return 1
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError) as error:
+    except DAMAGES as error:
         print(f"REFUSED  the file is damaged: {type(error).__name__}: {str(error)[:80]}")
         return 1
     print(f"CHECKED  {certificate['name']}, in {time.perf_counter() - began:.1f} s")

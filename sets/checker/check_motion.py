@@ -1,5 +1,5 @@
-"""The motion of a robot that slips, and proofs that what its model leaves out lies in W; part of
-`check_certificate`, of the standard library alone.
+"""The motion of a robot that slips, and proofs that what its model leaves out lies in W, for
+`check_certificate`; of the standard library alone.
 
 A robot drives for a period T with ground speeds g_r, g_l (right, left, b apart); its reference
 drives an arc of length L = T V, V = (V_r + V_l)/2, that turns by A = T (V_r - V_l)/b. With the
@@ -15,30 +15,27 @@ The input u = (u1, u2) asks for a = A - T u2, and for the way that makes x+ = x 
 Wheels keep 1 - d of the ground speed asked of each, and the body slides to the left at zeta v - r w
 besides: the robot turns by a - kick. With h = tan(A/2), c = L C(A/2)/cos(A/2) the model
 
-    e+ = M e + B u + w,   M = [1, A, 0; -2h, 1 - h A, c; 0, 0, 1],   B = [T, 0; -h T, c T/2; 0, T],
+    e+ = M e + B u + w,  M = [1, A, 0; -2h, 1-hA, c; 0, 0, 1],  B = [T, 0; -hT, cT/2; 0, T]
 
 the motion's Jacobian at e = u = 0, leaves out, of errors measured with noise n,
 
     w = (w_x, w_y, kick - n_th) + next n   in   W = {s (0, lean, 1): |s| <= yaw} + box.
 
-That w_x and w_y - lean kick, beside the next n, and the kick keep their bounds is proved by the mean
-value theorem over cells, cut as a certificate says: a motion is largest at an end of a cell where
-its slope has one sign, and rises by no more than slope times way from any other point.
-
-Numbers are intervals of integers in units of 2^-56, rounded outwards; slopes are added up from the
-last operation back (reverse differentiation; Moore, Kearfott, Cloud 2009, chapter 6).
+That w_x and w_y - lean kick, beside the next n, and the kick keep their bounds is proved cell by
+cell: a motion is largest at an end of a cell where its slope has one sign, and rises by no more
+than slope times way from elsewhere (Moore, Kearfott, Cloud 2009, chapter 6).
 """
 
 from fractions import Fraction
 from math import ceil, factorial, floor
 from typing import ClassVar
 
-BITS = 56
+BITS = 56  # of integers, rounded outwards, that are the ends of intervals
 ONE = 1 << BITS
 UP = (ONE, ONE)
 DOWN = (-ONE, -ONE)
 TERMS = 20  # of x^j / j! where |x| <= 1: what is left out is less than a unit
-HALF = Fraction(1, 2)
+HALF = (ONE >> 1, ONE >> 1)
 VARIABLES = "abcdefghijklm"  # letters of those of `find_motion`, in its order: where cells are cut
 
 
@@ -47,6 +44,7 @@ class Refused(Exception):
 
 
 def require(holds, sentence):
+    """Refuse what does not hold."""
     if not holds:
         raise Refused(sentence)
 
@@ -60,10 +58,19 @@ def multiply(left, right):
     """Return the ends of the product of two intervals."""
     a, b = left
     c, d = right
-    if a >= 0 and c >= 0:
-        return a * c >> BITS, -(-b * d >> BITS)
-    products = (a * c, a * d, b * c, b * d)
-    return min(products) >> BITS, -(-max(products) >> BITS)
+    if a >= 0:
+        low = a * c if c >= 0 else b * c
+        high = b * d if d >= 0 else a * d
+    elif b <= 0:
+        low = a * d if d >= 0 else b * d
+        high = b * c if c >= 0 else a * c
+    elif c >= 0 or d <= 0:
+        low = a * d if c >= 0 else b * c
+        high = b * d if c >= 0 else a * c
+    else:
+        low = min(a * d, b * c)
+        high = max(a * c, b * d)
+    return low >> BITS, -(-high >> BITS)
 
 
 class Number:
@@ -115,12 +122,11 @@ class Number:
 
 
 def tabulate(*coefficients):
-    """Return of f, f' and f'' whether each is odd, and its coefficients, the highest first."""
+    """Return of f, f' and f'' whether each is odd, and coefficients, the highest first."""
     tables = []
     for _ in range(3):
         odd = next(j for j, c in enumerate(coefficients) if c) % 2
-        kept = coefficients[odd:TERMS:2]
-        tables.append((odd, [(floor(c * ONE), ceil(c * ONE)) for c in reversed(kept)]))
+        tables.append((odd, [scale(c) for c in reversed(coefficients[odd:TERMS:2])]))
         coefficients = [j * c for j, c in enumerate(coefficients)][1:]
     return tables
 
@@ -142,7 +148,9 @@ def add_up(table, ends):
     most = -(-max(low * low, high * high) >> BITS)
     bottom = 0
     top = 0
-    for below, above in coefficients:
+    # Of small angles the last terms come to less than a unit, too.
+    skipped = 3 if 4 * max(-low, high) <= ONE else 2 if 2 * max(-low, high) <= ONE else 0
+    for below, above in coefficients[skipped:]:
         bottom = below + (bottom * (least if bottom >= 0 else most) >> BITS)
         top = above - (-top * (most if top >= 0 else least) >> BITS)
     total = (bottom - 1, top + 1)
@@ -270,29 +278,23 @@ def bound(output, sign, cell, slopes, constants):
 
 def prove(output, sign, level, tree, cell, robot, piece):
     """Prove that sign times a motion is at most a level over a cell. A letter of the tree cuts a
-    cell into halves along its variable, the lower one first; a dot stands for one that is proved."""
+    cell into halves along its variable, the lower one first, a small letter after it was shrunk; a
+    dot stands for a cell that has to be proved."""
     constants = find_constants(robot, piece)
     cells = [cell]
     for letter in tree:
         require(cells, "a tree goes on where all cells are proved")
         cell = cells.pop()
-        slopes = find_slopes(output, sign, cell, constants)
-        cell = shrink(cell, slopes)
+        if not letter.isupper():
+            slopes = find_slopes(output, sign, cell, constants)
+            cell = shrink(cell, slopes)
         if letter == ".":
-            highest = bound(output, sign, cell, slopes, constants)
-            require(
-                highest <= level, f"{output} may exceed its bound by {(highest - level) / ONE:.3g}"
-            )
+            missed = bound(output, sign, cell, slopes, constants) - level
+            require(missed <= 0, f"{output} may exceed its bound by {missed / ONE:.3g}")
             continue
-        index = VARIABLES.index(letter)
+        index = VARIABLES.index(letter.lower())
         low, high = cell[index]
         middle = (low + high) // 2
         halves = ((middle, high), (low, middle))
         cells += [[*cell[:index], half, *cell[index + 1 :]] for half in halves]
     require(not cells, "cells are left that a tree does not prove")
-
-
-def stretch(angle):
-    """Return tan(x)/x."""
-    x = Number(*scale(angle))
-    return apply(C, x) * apply(COSINE, x).inverse()

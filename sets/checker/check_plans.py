@@ -13,9 +13,9 @@ one is this plan shifted, corrected by K for what w did, and ended by K:
 
 and g'_(N-1) = K' e'_(N-1) at the speeds of the next plan's last period. Every row of it is bounded
 by what a plan may reach of the same row a period later, and W; at the end by multipliers on the
-terminal rows, and W. What a plan may reach of a row: its bound, the solver's tolerance, and that by
-which the row as it runs differs from the one that the model predicts; up to what a plan is accepted:
-the bound less that difference.
+terminal rows, and W. A plan may reach of a row its bound, the solver's tolerance and the difference
+between the row as it runs and as the model predicts it; it is accepted up to the bound less that
+difference.
 
 Source: Chisci, Rossiter, Zappa 2001; Higham 2002, lemma 3.1, for the rounding of inner products.
 """
@@ -43,7 +43,7 @@ def size(value):
     return Fraction(max(-value.low, value.high), ONE) if isinstance(value, Number) else abs(value)
 
 
-def measure_reach(band, row):
+def reach(band, row):
     """Return the greatest product of a row and a disturbance in W."""
     yaw, lean, box = (band["disturbance"][name] for name in ("yaw", "lean", "box"))
     return yaw * size(row[1] * lean + row[2]) + dot(box, map(size, row))
@@ -67,7 +67,7 @@ def list_inputs(band):
 
 
 def make_stage(certificate, band, right, left):
-    """Return M, B, K and Phi at a pair of wheel speeds."""
+    """Return M, B, K and Phi at wheel speeds."""
     T = certificate["period"]
     k1, k2, k3 = band["gains"]
     rate = (right - left) / certificate["track"]
@@ -79,7 +79,8 @@ def make_stage(certificate, band, right, left):
     B = ((T, 0), (h * -T, c * (T / 2)), (0, T))
     K = ((-k1, -rate, 0), (0, -k2, -k3))
     pairs = zip(M, B, strict=True)
-    return M, B, K, [[m + a for m, a in zip(on, times(u, K), strict=True)] for on, u in pairs]
+    Phi = [[m + a for m, a in zip(row, times(u, K), strict=True)] for row, u in pairs]
+    return M, B, K, Phi
 
 
 def is_within(speeds, region):
@@ -91,16 +92,23 @@ def is_within(speeds, region):
     return lowest <= min(speeds) and max(speeds) <= highest and is_mean
 
 
+def stretch(angle):
+    """Return tan(x)/x, by which loops stretch wheel speeds."""
+    x = Number(*scale(angle))
+    return apply(C, x) * apply(COSINE, x).inverse()
+
+
 class Window:
     """A QP: its stages, and by row (kind, stage, number, sign) what a plan may reach of it at most,
     and up to what it is accepted."""
 
     def __init__(self, certificate, plans, band, rows, window):
+        require(plans["tolerance"] >= 0, "a tolerance is negative")
         for speeds in window["speeds"]:
             regions = band["regions"]
             require(any(is_within(speeds, each) for each in regions), "a window leaves its band")
         self.speeds = window["speeds"]
-        self.stages = [make_stage(certificate, band, *speeds) for speeds in self.speeds]
+        self.stages = [make_stage(certificate, band, right, left) for right, left in self.speeds]
         self.reached = {}
         self.accepted = {}
         N = len(self.stages)
@@ -110,7 +118,8 @@ class Window:
         columns = (window[name] for name in ("rows", "norms", "lower", "upper"))
         for name, entries, norm, *ends in zip(plans["order"], *columns, strict=True):
             kind, j, i = (name[0], *map(int, name[1:]))
-            predicted = self.predict(*rows[kind][i], j)
+            on_u, on_e = rows[kind][i]
+            predicted = self.predict(on_u, on_e, j)
             own = [*entries[:3], *(norm * entry for entry in entries[3:])]
             differs = [size(a - b) for a, b in zip(predicted, own, strict=True)]
             for sign, end in zip((-1, 1), ends, strict=True):
@@ -118,6 +127,7 @@ class Window:
                     spread = dot(map(abs, own), box) + abs(end)
                     slack = dot(differs, box) + (len(box) + 6) * 2 * ROUNDING * spread
                     key = (kind, j, i, sign)
+                    require(key not in self.reached and norm > 0, f"row {key} is there twice")
                     self.reached[key] = sign * end + norm * plans["tolerance"] + slack
                     self.accepted[key] = sign * end - slack
 
@@ -185,7 +195,7 @@ def list_successions(certificate):
             disturbed = row
             for each in reversed(window.stages[1 : min(j, N - 1) + 1]):
                 disturbed = times(disturbed, each[3])
-            room = accepted - measure_reach(band, disturbed)
+            room = accepted - reach(band, disturbed)
             yield f"{now} to {after}", f"{kind} {j} {i} {sign}", row, room, reached, ends
 
 
