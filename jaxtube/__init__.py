@@ -10,6 +10,7 @@
     stepper = jt.Stepper(design)                  the controller of one robot, period by period
     jt.save(design, "my_design")                  for jt.read, in another process, to the bit
     jt.export(design, "controller")               the same as NumPy and C99, certified as written
+    jt.write_certificate(design, "proof")         the proof, with a program that checks it alone
 
 Controllers and plants of your own fit `jt.Controller` and `jt.Plant`, slip processes
 `jt.SlipProcess`. What these functions compute on the device they compute in 64 bits, whatever JAX
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from jaxtube.statistics.montecarlo import MonteCarlo, montecarlo
     from jaxtube.synthesis.design import EmptySetError, design
     from jaxtube.synthesis.parts import Design
+    from jaxtube.synthesis.proof_file import write_certificate
     from jaxtube.tuning.tune import Tuned, tune
 
 HOMES = {
@@ -66,6 +68,7 @@ HOMES = {
     "save": "jaxtube.results",
     "simulate": "jaxtube.simulation.simulate",
     "tune": "jaxtube.tuning.tune",
+    "write_certificate": "jaxtube.synthesis.proof_file",
 }
 """The module of each name."""
 
@@ -97,6 +100,7 @@ __all__ = [
     "save",
     "simulate",
     "tune",
+    "write_certificate",
 ]
 
 

@@ -11,6 +11,7 @@ from jaxtube.experiments.run.design_page import certificate_section, find_tone
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.limits import describe_error_set
 from jaxtube.experiments.run.page_table import make_table
+from jaxtube.experiments.run.proof_line import write_proof
 from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.experiments.run.verdict import fit_line
 from jaxtube.plant.slip_processes import TEST_PROCESSES
@@ -44,6 +45,8 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     law = make_law(scenario)
     folder = run_folder.create(scenario, options)
     folder.report(report(law))
+    if law.certificate.holds_for_robot:
+        folder.report(f"\n{write_proof(law, folder.path, options.label)}")
     attacks = {}
     if law.invariant.polytope is not None:
         with progress(len(TEST_PROCESSES) * REFERENCES, "attacking", "references") as bar:

@@ -23,6 +23,7 @@ from jaxtube.experiments.run.disturbance_line import disturbance_line
 from jaxtube.experiments.run.exit_codes import exit_code
 from jaxtube.experiments.run.folder import RunFolder
 from jaxtube.experiments.run.limits import describe_pose
+from jaxtube.experiments.run.proof_line import write_proof
 from jaxtube.progress import announce, progress
 from jaxtube.reporting import laps as kept_laps
 from jaxtube.reporting.player import make_player
@@ -82,6 +83,8 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     if found is not None:
         folder.report(f"\ncaps and gains found, as lines of a scenario\n\n{scenario_lines(found)}")
     folder.report(f"\n{describe_saved(designed.save(folder.path / SAVED))}")
+    if made.certificate.holds_for_robot:
+        folder.report(f"\n{write_proof(made, folder.path, options.label)}")
     start_fault = _find_start_fault(made)
     started = time.perf_counter()
     player = None

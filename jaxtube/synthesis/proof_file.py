@@ -1,0 +1,269 @@
+"""`certificate.json`: a design and its proof as fractions, and beside it the program that checks
+them with Python's standard library alone.
+
+The format is that of `sets/checker`, where each number is said to be what it is for. What the
+checker knows nothing of, the file names under `unchecked`, and the checker refuses it.
+
+Source: new.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from fractions import Fraction
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jaxtube import qp
+from jaxtube.arguments import describe_type
+from jaxtube.atomic import write_atomically
+from jaxtube.plant.slip_bounds import slip_bounds
+from jaxtube.progress import announce
+from jaxtube.scenario.error_box import error_vector
+from jaxtube.scenario.tree import Scenario, Slip
+from jaxtube.synthesis.bands import BandedLaw
+from jaxtube.synthesis.certificate.program import predict_rows
+from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.prediction import UNREACHED
+from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.proof_search import (
+    CHECKER,
+    PROGRAMS,
+    prove_motions,
+    prove_plans,
+    prove_sets,
+)
+
+FILE = "certificate.json"
+FORMAT = "jaxtube certificate 1"
+BAND = "band {}"
+SET = "invariant set"
+CHECKED = {
+    "controller.model": "exact_jacobian",
+    "controller.input_map": "x_exact",
+    "controller.tube": "sequence",
+    "controller.terminal": "T-A",
+    "controller.restart": True,
+    "controller.has_observer": False,
+    "disturbance.bound": "computed",
+    "robot.obeys_at_once": True,
+    "robot.wheel_acceleration_max_mps2": None,
+    "slip.is_measured": False,
+}
+"""What the checker knows, by the scenario's fields."""
+
+
+def write_certificate(design: Design | BandedLaw, folder: str | Path, name: str = "") -> Path:
+    """Write `certificate.json` into a folder, with the programs that check it; return its path.
+
+    Args:
+        design: certified for the robot or for its model; or a law scheduled on speed.
+        folder: is made if it is missing.
+        name: of the design, as the checker says it.
+
+    Raises:
+        ValueError: one line, where nothing is certified, or no proof is found.
+    """
+    if not isinstance(design, Design | BandedLaw):
+        raise ValueError(f"design: is {describe_type(design)}; give jt.design(scenario)")
+    if not (design.certificate.holds_for_robot or design.certificate.holds_for_model):
+        raise ValueError(
+            "design: is not certified, so that there is no proof to write; see its certificate"
+        )
+    path = Path(folder) / FILE
+    path.parent.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(_write_numbers(describe_proof(design, name)), indent=1) + "\n"
+    write_atomically(path, lambda file: file.write(text.encode()))
+    for program in PROGRAMS:
+        shutil.copyfile(CHECKER / program, path.with_name(program))
+    return path
+
+
+def describe_proof(design: Design | BandedLaw, name: str = "") -> dict[str, Any]:
+    """Return the certificate with its proof, numbers as fractions."""
+    scenario = design.problem.scenario
+    unchecked = list_unchecked(scenario)
+    head = {"format": FORMAT, "name": name or "design"}
+    if unchecked:
+        return {**head, "unchecked": unchecked}
+    certificate = {**head, **_describe_robot(design.problem)}
+    if isinstance(design, BandedLaw):
+        certificate |= _describe_law(design)
+    else:
+        certificate |= _describe_design(design)
+    announce("proving the certificate for its file")
+    for band in certificate["bands"]:
+        prove_motions(certificate, band)
+    prove_sets(certificate)
+    if "plans" in certificate:
+        prove_plans(certificate)
+    return certificate
+
+
+def list_unchecked(scenario: Scenario) -> dict[str, str]:
+    """Return the fields of a scenario that the checker knows nothing of, with their values."""
+    unchecked = {}
+    for field, known in CHECKED.items():
+        table, key = field.split(".")
+        value = getattr(getattr(scenario, table), key)
+        if value != known:
+            unchecked[field] = str(value)
+    if not (scenario.controller.tracking_gains or scenario.operating.bands):
+        unchecked["controller.tracking_gains"] = "none"
+    return unchecked
+
+
+def _write_numbers(value: Any) -> Any:
+    """Return a description with its numbers written p/q."""
+    if isinstance(value, dict):
+        return {name: _write_numbers(entry) for name, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_write_numbers(entry) for entry in value]
+    return str(value) if isinstance(value, Fraction | int) else value
+
+
+def _list_fractions(values: Any) -> list:
+    """Return numbers, in lists as they were, as the fractions they are; None for infinite ones."""
+    return [_list_fractions(each) if np.ndim(each) else _read_fraction(each) for each in values]
+
+
+def _read_fraction(value: float) -> Fraction | None:
+    return Fraction(float(value)) if np.isfinite(value) else None
+
+
+def _describe_robot(problem: Problem) -> dict[str, Any]:
+    scenario = problem.scenario
+    robot = problem.robot
+    return {
+        "period": Fraction(problem.model.dt),
+        "track": Fraction(problem.model.track_width),
+        "lever_arm": Fraction(robot.lever_arm),
+        "wheel_speeds": _list_fractions([robot.wheel_speed_min, robot.wheel_speed_max]),
+        "constraints": _list_fractions(error_vector(scenario.constraints)),
+        "noise": _list_fractions(problem.noise),
+        "sideslip": Fraction(scenario.slip.sideslip),
+        "slips": {
+            wheel: _list_slips(scenario.slip, index)
+            for index, wheel in enumerate(("right", "left"))
+        },
+    }
+
+
+def _list_slips(slip: Slip, wheel: int) -> list[list[Fraction]]:
+    """Return (least, greatest) true slips of a wheel, with those that are compensated."""
+    if slip.has_intervals:
+        bounds = slip_bounds(slip)
+        ends = (slip.right, slip.left)[wheel]
+        assert ends is not None
+        error = Fraction(float(bounds.absolute_error[wheel]))
+        nominal = Fraction(float(bounds.nominal[wheel]))
+        return [[*map(Fraction, ends), nominal - error, nominal + error]]
+    nominal = Fraction(slip.nominal[wheel])
+    ends = sorted(nominal * (1 + sign * Fraction(slip.relative_error)) for sign in (-1, 1))
+    if slip.random == "both":
+        return [[*ends, *ends]]
+    return [[*ends, nominal, nominal], [nominal, nominal, *ends]]
+
+
+def _describe_band(problem: Problem, name: str, regions: list, gains: Any) -> dict[str, Any]:
+    """Return caps, gains and W of a band, in which the whole of each of the regions lies."""
+    rows = problem.input_rows
+    half = len(rows.offsets) // 2
+    coupled = np.flatnonzero(rows.is_coupled)
+    coupling = [0.0, 0.0]
+    if len(coupled):
+        coupling = [rows.errors[coupled[0], 0], abs(rows.inputs[coupled[0], 1])]
+    bound = problem.disturbance_bound
+    assert bound is not None
+    return {
+        "name": name,
+        "regions": regions,
+        "errors": _list_fractions(problem.operating_set.offsets[:3]),
+        "u1": _list_fractions([-rows.offsets[half], rows.offsets[0]]),
+        "u2": _list_fractions([-rows.offsets[half + 1], rows.offsets[1]]),
+        "coupling": _list_fractions(coupling),
+        "gains": _list_fractions(gains),
+        "set": SET,
+        "disturbance": {
+            "yaw": Fraction(bound.yaw),
+            "lean": Fraction(bound.lateral_per_yaw),
+            "box": _list_fractions(bound.box),
+        },
+    }
+
+
+def _describe_set(polytope: Any) -> dict[str, Any]:
+    rows = _list_fractions(polytope.normals)
+    return {SET: {"rows": rows, "offsets": _list_fractions(polytope.offsets)}}
+
+
+def _describe_law(law: BandedLaw) -> dict[str, Any]:
+    """Return the bands of a law scheduled on speed, and its set."""
+    low, high = law.problem.model.box
+    bands = law.problem.scenario.operating.bands
+    ends = [law.problem.scenario.reference.wheel_speed_min_mps, *(band.below_mps for band in bands)]
+    described = []
+    triples = zip(law.bands, bands, pairwise(ends), strict=True)
+    for number, (band, settings, means) in enumerate(triples, start=1):
+        region = _list_fractions([low[0], high[0], *means])
+        gains = settings.tracking_gains
+        described.append(_describe_band(band.problem, BAND.format(number), [region], gains))
+    return {"bands": described, "sets": _describe_set(law.invariant.polytope)}
+
+
+def _describe_design(design: Design) -> dict[str, Any]:
+    """Return the one band of a design, its terminal set, its cost and its QPs."""
+    problem = design.problem
+    regions = []
+    for lower, upper in problem.regions:
+        is_pair = np.array_equal(lower, upper)
+        ends = lower if is_pair else [lower[0], upper[0], lower[0], upper[0]]
+        regions.append(_list_fractions(ends))
+    gains = problem.scenario.controller.tracking_gains
+    cost = {"P": design.cost.cost, "Q": problem.error_weight, "R": problem.input_weight}
+    return {
+        "bands": [_describe_band(problem, BAND.format(1), regions, gains)],
+        "sets": _describe_set(design.terminal.invariant),
+        "cost": {name: _list_fractions(matrix) for name, matrix in cost.items()},
+        "plans": _describe_plans(design),
+    }
+
+
+def _describe_plans(design: Design) -> dict[str, Any]:
+    """Return the rows of the QPs as they run, which row is which, and the order of windows."""
+    problem = design.problem
+    qps = design.tube_qps
+    largest = float(np.max(problem.input_set.support(np.concatenate([np.eye(2), -np.eye(2)]))))
+    windows = []
+    for index, speeds in enumerate(design.windows.schedules):
+        running = np.hstack([qps.row_errors[index], qps.factors.rows[index]])
+        checks = qps.check_errors[index]
+        padded = np.hstack([checks, np.zeros((len(checks), running.shape[1] - 3))])
+        norms = np.concatenate([qps.factors.row_norms[index], np.ones(len(checks))])
+        lower = np.concatenate([qps.lower[index], qps.check_lower[index]])
+        upper = np.concatenate([qps.upper[index], qps.check_upper[index]])
+        parts = {"speeds": speeds, "rows": np.vstack([running, padded]), "norms": norms}
+        parts |= {"lower": lower, "upper": upper}
+        windows.append({name: _list_fractions(part) for name, part in parts.items()})
+    return {
+        "band": BAND.format(1),
+        "tolerance": Fraction(qp.bound_tolerance(largest)),
+        "order": _list_rows(design),
+        "windows": windows,
+        "sequence": design.windows.index.tolist(),
+    }
+
+
+def _list_rows(design: Design) -> list[list]:
+    """Return (kind, stage, number) of the QPs' rows, those that no input reaches at the end."""
+    N = design.problem.horizon
+    half = len(design.problem.input_rows.offsets) // 2
+    rows = [["errors", stage, i] for stage in range(1, N) for i in range(3)]
+    rows += [["inputs", stage, i] for stage in range(N) for i in range(half)]
+    rows += [["terminal", N, i] for i in range(len(design.bounds.terminal_normals))]
+    reached = np.abs(predict_rows(design)[:, :, 3:]).max(axis=(0, 2)) > UNREACHED
+    return [rows[i] for i in (*np.flatnonzero(reached), *np.flatnonzero(~reached))]

@@ -1,0 +1,297 @@
+"""Check a certificate of jaxtube with the standard library: python check_certificate.py FILE
+
+The file holds the numbers of a controller and of the proof that a robot under it keeps its limits.
+This program trusts none of them. Beside it lie `check_motion.py`, which says how the robot moves,
+what its model e+ = M e + B u + w is, and proves w in W, and `check_plans.py`, of the QPs. By band
+of the reference's wheel speeds V_r, V_l is proved, besides,
+
+wheels  no command asks a wheel for more than it can do under the greatest slip it compensates;
+sets    Phi S + W lies in S' for the band's set S, every S' that may follow, and all loops
+        Phi = M + B K of the law u = K e, K = [-k1, -Om, 0; 0, -k2, -k3], Om = (V_r - V_l)/b; and
+        S within the caps on which W rests. With t = tan(A/2)/(A/2) loops are affine in t V_r and
+        t V_l, so mixtures of those at corners, and K one in V_r and V_l. Multipliers l >= 0 with
+        l H = d prove d e <= l h where H e <= h (Farkas 1902);
+cost    P - Phi' P Phi - Q - K' R K is positive semidefinite, by its pivots.
+"""
+
+import json
+import re
+import sys
+import time
+from fractions import Fraction
+from itertools import pairwise, product
+from math import degrees
+from typing import Any
+
+from check_motion import ONE, Refused, prove, require, scale
+from check_plans import check_cost, check_plans, dot, list_inputs, reach, stretch, times, weigh
+
+FORMAT = "jaxtube certificate 1"
+ROBOT = ("period", "track", "lever_arm")
+KNOWN = {"format", "name", *ROBOT, "wheel_speeds", "constraints", "noise", "slips", "sideslip"}
+KNOWN |= {"bands", "sets", "inclusions", "cost", "plans"}
+DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
+DAMAGES += (RecursionError,)
+BAND = {"name", "regions", "errors", "u1", "u2", "coupling", "gains", "set", "disturbance", "cells"}
+AXES = [[sign * (k == axis) for k in range(3)] for axis in range(3) for sign in (1, -1)]
+
+
+def read(value: Any) -> Any:
+    """Return JSON with its fractions "p/q" as numbers; other numbers would be inexact."""
+    if isinstance(value, dict):
+        return {name: read(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [read(entry) for entry in value]
+    if value is None:
+        return None
+    require(isinstance(value, str), f"{value!r} is no string: numbers are strings p/q")
+    return Fraction(value) if re.fullmatch(r"-?\d{1,400}(/\d{1,400})?", value) else value
+
+
+def cut(low, high, *places):
+    """Return the stretches into which places cut a range."""
+    ends = sorted({low, high, *(min(max(place, low), high) for place in places)})
+    return list(pairwise(ends)) or [(low, high)]
+
+
+def list_turns(band):
+    """Return stretches of u2, with reach and slope of |x| <= reach + slope u2."""
+    cap = band["errors"][0]
+    of_x, of_turn = band["coupling"]
+    low, high = band["u2"]
+    if not of_turn:
+        return [((low, high), cap, 0)]
+    require(of_x > 0 and of_turn > 0, "the coupling of x with u2 has to be positive")
+    uncut = max((1 - of_x * cap) / of_turn, 0)
+    turns = []
+    for start, end in cut(max(low, -1 / of_turn), min(high, 1 / of_turn), -uncut, 0, uncut):
+        is_cut = max(abs(start), abs(end)) > uncut
+        slope = of_turn / of_x * (1 if start + end < 0 else -1)
+        turns.append(((start, end), 1 / of_x, slope) if is_cut else ((start, end), cap, 0))
+    return turns
+
+
+def list_speeds(region):
+    """Return pieces of a region of wheel speeds, and its corners (right, left). A piece has ranges
+    of both speeds; or of their mean and of parts of half their difference, part (reach + slope
+    mean), with reach and slope."""
+    if len(region) == 2:
+        right, left = region
+        return [((right, right), (left, left), None, None)], [(right, left)]
+    lowest, highest, slowest, fastest = region
+    require(lowest <= slowest <= fastest <= highest, "the speeds of a region are not in order")
+    stretches = []
+    corners = set()
+    for low, high in cut(slowest, fastest, (lowest + highest) / 2):
+        slope = 1 if low + high <= lowest + highest else -1
+        stretches.append(((low, high), (-1, 1), -lowest if slope > 0 else highest, slope))
+        for mean, sign in product((low, high), (1, -1)):
+            half = sign * min(mean - lowest, highest - mean)
+            corners.add((mean + half, mean - half))
+    if (lowest, highest) == (slowest, fastest):
+        stretches = [((lowest, highest), (lowest, highest), None, None)]
+    return stretches, sorted(corners)
+
+
+def list_motions(certificate, band):
+    """Yield what is bounded of the motions of a band: its name, sign and bound, and the cells over
+    which it is bounded, with the constants of robot and cell."""
+    T = certificate["period"]
+    robot = [certificate[name] for name in ROBOT]
+    noise = certificate["noise"]
+    yaw, lean, box = (band["disturbance"][name] for name in ("yaw", "lean", "box"))
+    require(box[2] >= 2 * noise[2], "W is narrower than twice the noise of headings")
+    levels = {"x": box[0] - noise[0], "y": box[1] - noise[1], "kick": yaw}
+    levels = {(output, sign): level for output, level in levels.items() for sign in (1, -1)}
+    losses = []
+    for wheel in ("right", "left"):
+        shares = []
+        slowest, fastest = certificate["wheel_speeds"]
+        for least, most, *seen in certificate["slips"][wheel]:
+            require(least <= most and seen[0] <= seen[1] < 1, f"slips of the {wheel} wheel cross")
+            shares += [(slip - i) / (1 - i) for slip, i in product((least, most), seen)]
+        grips = [1 - i for _, _, *seen in certificate["slips"][wheel] for i in seen]
+        levels[wheel, 1] = T * min(grip * fastest for grip in grips)
+        levels[wheel, -1] = -T * max(grip * slowest for grip in grips)
+        losses.append((min(shares), max(shares)))
+    sizes = [*band["errors"][1:], certificate["sideslip"], *noise]
+    across, turned, *others = [(-size, size) for size in sizes]
+    cells = []
+    speeds = [each for region in band["regions"] for each in list_speeds(region)[0]]
+    turns = list_turns(band)
+    pairs = {tuple(region) for region in band["regions"] if len(region) == 2}
+    is_even = band["u2"][0] == -band["u2"][1] and pairs == {pair[::-1] for pair in pairs}
+    if is_even and certificate["slips"]["right"] == certificate["slips"]["left"]:
+        # A motion with u2 < 0 is the mirror image of one with u2 > 0, wheels exchanged.
+        turns = [turn for turn in turns if turn[0][0] >= 0]
+    for (u2, *turn), (mean, part, *speed) in product(turns, speeds):
+        ranges = [(-1, 1), across, turned, band["u1"], u2, mean, part, *losses, *others]
+        require(all(low <= high for low, high in ranges), "a range of the operation is crossed")
+        cell = [(scale(low)[0], scale(high)[1]) for low, high in ranges]
+        cells.append((cell, (*robot, lean), (*turn, *speed)))
+    for (output, sign), level in levels.items():
+        yield output, sign, scale(level)[0], cells
+
+
+def check_motions(certificate, band):
+    """Prove W of a band, and its commands within the limits of wheels; return how many cells."""
+    count = 0
+    for output, sign, level, cells in list_motions(certificate, band):
+        name = output + ("+" if sign > 0 else "-")
+        trees = band["cells"][name]
+        require(len(trees) == len(cells), f"{len(trees)} trees for {len(cells)} boxes of {name}")
+        for tree, cell in zip(trees, cells, strict=True):
+            prove(output, sign, level, tree, *cell)
+            count += tree.count(".")
+    return count
+
+
+def list_loops(certificate, band):
+    """Return loops whose mixtures are those of a band, and its gains at the corners of speeds."""
+    T, b, _ = (certificate[name] for name in ROBOT)
+    k1, k2, k3 = band["gains"]
+    loops = []
+    gains = []
+    for region in band["regions"]:
+        _, corners = list_speeds(region)
+        gains += [((-k1, -(right - left) / b, 0), (0, -k2, -k3)) for right, left in corners]
+        angles = [T * (right - left) / (2 * b) for right, left in corners]
+        least = 0 if min(angles) <= 0 <= max(angles) else min(map(abs, angles))
+        most = max(map(abs, angles))
+        ratios = (Fraction(stretch(least).low, ONE), Fraction(stretch(most).high, ONE))
+        for (right, left), t in product(corners, ratios):
+            h = t * T * (right - left) / (2 * b)
+            c = t * T * (right + left) / 2
+            turned = (-h * (2 - T * k1), 1 - c * T * k2 / 2, c * (1 - T * k3 / 2))
+            loops.append(((1 - T * k1, 0, 0), turned, (0, -T * k2, 1 - T * k3)))
+    return list(dict.fromkeys(loops)), list(dict.fromkeys(gains))
+
+
+def list_targets(certificate, band):
+    """Return by name what the set of a band is to lie in, as rows e <= offsets: the caps, and what
+    loops and W lead into the sets that may follow."""
+    loops, gains = list_loops(certificate, band)
+    caps = [(axis, band["errors"][index // 2]) for index, axis in enumerate(AXES)]
+    for (on_u, on_e, *ends), gain, sign in product(list_inputs(band), gains, (-1, 1)):
+        row = [sign * (a + c) for a, c in zip(times(on_u, gain), on_e, strict=True)]
+        caps.append((row, sign * ends[sign > 0]))
+    targets = {"caps": caps}
+    for into in sorted({other["set"] for other in certificate["bands"]}):
+        shape = certificate["sets"][into]
+        rows = zip(shape["rows"], shape["offsets"], strict=True)
+        targets[into] = [
+            (times(row, loop), offset - reach(band, row))
+            for (row, offset), loop in product(rows, loops)
+        ]
+    return targets
+
+
+def find_extents(shape):
+    """Return the greatest |x|, |y|, |th| in a set. With R the greatest that multipliers prove and r
+    what they leave of a row, the greatest M is at most R + 3 r M, hence below 2 R."""
+    pairs = zip(AXES, shape["extents"], strict=True)
+    proved = [weigh(shape["rows"], shape["offsets"], *pair) for pair in pairs]
+    left = max(max(parts) for _, parts in proved)
+    require(6 * left <= 1, "a set is not bounded by its multipliers")
+    most = [value + 6 * left * max(value for value, _ in proved) for value, _ in proved]
+    return [max(most[index], most[index + 1]) for index in (0, 2, 4)]
+
+
+def check_sets(certificate, band, extents):
+    """Prove where the set of a band lies and is led to; return the room of every inclusion."""
+    name = band["name"]
+    shape = certificate["sets"][band["set"]]
+    proofs = {(each["loop"], each["into"]): each for each in certificate["inclusions"]}
+    room = []
+    for into, wanted in list_targets(certificate, band).items():
+        proof = proofs.get((name, into), {"set": None, "multipliers": ()})
+        is_whole = proof["set"] == band["set"] and len(proof["multipliers"]) == len(wanted)
+        require(is_whole, f"no proof that the set of {name} leads into {into}")
+        for (row, offset), multipliers in zip(wanted, proof["multipliers"], strict=True):
+            proved, left = weigh(shape["rows"], shape["offsets"], row, multipliers)
+            room.append(offset - proved - dot(left, extents[band["set"]]))
+            missed = -float(room[-1])
+            require(missed <= 0, f"the set of {name} may leave {into} by {missed:.3g}")
+    return room
+
+
+def check(certificate):
+    """Check all of a certificate and yield in words what is proved."""
+    unknown = sorted(set(certificate) - KNOWN - {"unchecked"})
+    unknown += [f"{name} = {value}" for name, value in certificate.get("unchecked", {}).items()]
+    require(not unknown, f"UNCHECKED: no proof is known here for {', '.join(unknown)}")
+    require(certificate["format"] == FORMAT, f"the format is not {FORMAT!r}")
+    require(isinstance(certificate["name"], str), "the certificate has no name")
+    require(min(certificate["period"], certificate["track"]) > 0, "period or track is not positive")
+    names = {band["name"] for band in certificate["bands"]}
+    require(0 < len(names) == len(certificate["bands"]), "bands need names of their own")
+    noise = certificate["noise"]
+    extents = {name: find_extents(shape) for name, shape in certificate["sets"].items()}
+    for band in certificate["bands"]:
+        require(set(band) == BAND and band["regions"], f"{band['name']} is not described as known")
+        most = [cap + size for cap, size in zip(band["errors"], noise, strict=True)]
+        pairs = zip(most, certificate["constraints"], strict=True)
+        require(all(error <= limit for error, limit in pairs), "true errors may pass their limits")
+        count = check_motions(certificate, band)
+        W = band["disturbance"]
+        shown = ", ".join(f"{float(each):.6g}" for each in (W["yaw"], *W["box"]))
+        yield (
+            f"{band['name']}: w lies in W (kick, box: {shown} rad, m, m, rad), and wheels can do "
+            f"what is asked of them; {count} cells"
+        )
+        room = check_sets(certificate, band, extents)
+        yield f"{band['name']}: {len(room)} inclusions of sets, for speeds in any order"
+        if "cost" in certificate:
+            check_cost(certificate, *list_loops(certificate, band))
+            yield f"{band['name']}: the terminal cost decreases by the cost of a stage"
+    if "plans" in certificate:
+        room = check_plans(certificate, extents)
+        shown = f"{len(room)} rows, least room {float(min(room)):.3g}"
+        yield f"plans stay plans along the reference: {shown}"
+
+
+def list_assumptions(certificate):
+    """Yield in words what is taken for granted."""
+    for wheel, slips in certificate["slips"].items():
+        for case in slips:
+            least, most, *seen = (f"{float(slip):.6g}" for slip in case)
+            yield f"{wheel} slip {least} to {most} where {' to '.join(seen)} is compensated"
+    yield f"sideways slip up to {float(certificate['sideslip']):.4g} times the forward speed"
+    x, y, heading = map(float, certificate["noise"])
+    yield f"errors measured within {x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg, without delay"
+    for band in certificate["bands"]:
+        for region in band["regions"]:
+            shown = ", ".join(f"{float(speed):.6g}" for speed in region)
+            kind = "right, left" if len(region) == 2 else "least, greatest; of their mean as well"
+            yield f"{band['name']}: reference wheel speeds {shown} m/s ({kind})"
+    yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
+    if "plans" not in certificate:
+        yield "the law u = K e commands; the first measured error lies in the set of its band"
+        return
+    tolerance = float(certificate["plans"]["tolerance"])
+    yield f"plans that command miss no row of their QP by more than {tolerance:.3g} of its length"
+    yield "a plan is found where there is one, in 64 bits; there is one for the first error"
+
+
+def main(path):
+    """Check a file, say what is proved and assumed, and return 0, or 1 where it is refused."""
+    began = time.perf_counter()
+    try:
+        with open(path, encoding="utf-8") as file:
+            certificate = read(json.load(file))
+        for sentence in check(certificate):
+            print(f"proved   {sentence}")
+        for sentence in list_assumptions(certificate):
+            print(f"assumed  {sentence}")
+    except Refused as refusal:
+        print(f"REFUSED  {refusal}")
+        return 1
+    except DAMAGES as error:
+        print(f"REFUSED  the file is damaged: {type(error).__name__}: {str(error)[:80]}")
+        return 1
+    print(f"CHECKED  {certificate['name']}, in {time.perf_counter() - began:.1f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1]) if len(sys.argv) == 2 else __doc__)
