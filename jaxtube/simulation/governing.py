@@ -63,13 +63,27 @@ class LivePlanner:
         `live.require_any_order`)."""
         self.live = LiveWindows(design)
         self._caps = design.problem.operating_set.support(np.eye(3))
-        self._solve = jax.jit(_solve_one)
+        self._windows = np.zeros((0, design.problem.horizon, 2))  # those condensed last
+        self._qps = None
+
+    def compile_solver(self) -> None:
+        """Compile now what the first plans with active rows would wait for."""
+        qps = self._condense(self.live.box[:1, None].repeat(self._windows.shape[1], axis=1))
+        self._ask_solver(qps, 0, np.zeros((1, 3)))
+        _solve(planning.take_qp(qps, 0), np.zeros(3))
+
+    def _condense(self, windows: Float[np.ndarray, "robots horizon 2"]) -> CondensedQp:
+        """Return the QPs of windows; those of the last ones are at hand."""
+        if self._qps is None or not np.array_equal(windows, self._windows):
+            self._qps = self.live.condense(windows)
+            self._windows = windows.copy()
+        return self._qps
 
     def plan(
         self, windows: Float[np.ndarray, "robots horizon 2"], errors: Float[np.ndarray, "robots 3"]
     ) -> Plans:
         """Plan from measured errors (m, m, rad) along windows within the box."""
-        qps = self.live.condense(windows)
+        qps = self._condense(windows)
         is_free = _are_free(qps, errors)
         inputs = np.einsum("rie,re->ri", qps.free_inputs, errors)
         plans = Plans(
@@ -78,7 +92,7 @@ class LivePlanner:
             residual=np.zeros(len(errors)),
             active=np.zeros(len(errors), bool),
         )
-        for robot in np.flatnonzero(~is_free):
+        for robot in np.flatnonzero(~is_free).tolist():
             for whole, part in zip(plans, self._ask_solver(qps, robot, errors), strict=True):
                 whole[robot] = part
         within_caps = np.all(np.abs(errors) <= self._caps, axis=1)
@@ -93,9 +107,9 @@ class LivePlanner:
         the whole one."""
         whole = planning.take_qp(qps, robot)
         quick = whole._replace(factors=whole.factors._replace(iterated=None))
-        plan = Plans(*self._solve(quick, errors[robot]))
+        plan = Plans(*_solve(quick, errors[robot]))
         if plan.status == qp.UNSOLVED:
-            plan = Plans(*self._solve(whole, errors[robot]))
+            plan = Plans(*_solve(whole, errors[robot]))
         return plan
 
 
@@ -111,7 +125,8 @@ def _are_free(qps: CondensedQp, errors: Float[np.ndarray, "robots 3"]) -> Bool[n
     return within
 
 
-def _solve_one(condensed: CondensedQp, error) -> tuple:
+@jax.jit
+def _solve(condensed: CondensedQp, error) -> tuple:
     """Return the plan of one robot."""
     plan = planning.constrained_plan(condensed, error[None])
     inputs = jnp.where(plan.status[0] == qp.SOLVED, plan.inputs[0], 0.0)

@@ -31,9 +31,9 @@ from jaxtube.statistics.checks import OUTSIDE
 from jaxtube.synthesis.parts import Design
 from sets.polytope import Polytope
 
-Wish = Callable[[int], Float[np.ndarray, "robots horizon 2"]]
-"""The wheel speeds that each robot is asked for, from a period on, within the certified box,
-m/s."""
+Wish = Callable[[int, Float[np.ndarray, "robots 3"]], Float[np.ndarray, "robots horizon 2"]]
+"""From a period and what is measured at its start to the wheel speeds that each robot is asked for
+from then on, within the certified box, m/s."""
 
 Decide = Callable[..., Governed]
 """Who decides what of a revision is accepted: `govern`, or another with its arguments."""
@@ -89,7 +89,7 @@ def run_governed(
     """
     loop = _Loop(design, starts, first, seed, process, decide)
     for period in range(periods):
-        loop.advance(period, wish(period))
+        loop.advance(period, wish)
     loop.run.errors = np.asarray(loop.errors)
     return loop.run
 
@@ -112,13 +112,14 @@ class _Loop:
         self.errors = jnp.asarray(starts)
         self.run = GovernedRun()
 
-    def advance(self, period: int, wished: Float[np.ndarray, "robots horizon 2"]) -> None:
+    def advance(self, period: int, wish: Wish) -> None:
         """Run one period and book what happened."""
         committed = self._committed
         plant = _along(self._plant, committed[:, 0], self._poses)
         measurement, memory = _sense(plant, self._keys, period, self._memory, self.errors)
         errors = np.asarray(measurement.errors)
         self._book_disturbances(errors)
+        wished = wish(period, errors)
         decided = self._decide(self._planner, errors, committed, wished)
         now = decided.windows[:, 0]
         has_plan = decided.plans.status == qp.SOLVED
