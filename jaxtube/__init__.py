@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from jaxtube.scenario.reading import load
     from jaxtube.scenario.refusal import ScenarioError
     from jaxtube.scenario.tree import Scenario
+    from jaxtube.simulation.governor import GovernedStep, Governor
     from jaxtube.simulation.simulate import Laps, simulate
     from jaxtube.simulation.stepper import Step, Stepper
     from jaxtube.statistics.montecarlo import MonteCarlo, montecarlo
@@ -48,6 +49,8 @@ HOMES = {
     "Exported": "jaxtube.exporting.write",
     "Falsification": "jaxtube.falsification.falsify",
     "Feedback": "jaxtube.control.protocol",
+    "GovernedStep": "jaxtube.simulation.governor",
+    "Governor": "jaxtube.simulation.governor",
     "Laps": "jaxtube.simulation.simulate",
     "Measurement": "jaxtube.plant.protocol",
     "MonteCarlo": "jaxtube.statistics.montecarlo",
@@ -80,6 +83,8 @@ __all__ = [
     "Exported",
     "Falsification",
     "Feedback",
+    "GovernedStep",
+    "Governor",
     "Laps",
     "Measurement",
     "MonteCarlo",

@@ -144,6 +144,21 @@ def make_reference(
     return Reference(wheels, poses, dt, steps)
 
 
+def drive(
+    poses: Float[np.ndarray, "... 3"],
+    wheels: Float[np.ndarray, "... 2"],
+    dt: float,
+    track_width: float,
+) -> Float[np.ndarray, "... 3"]:
+    """Return poses one period later, with wheel speeds (right, left) held, m/s: the exact arc."""
+    speed = wheels.mean(axis=-1)
+    turn = dt * (wheels @ np.array([1.0, -1.0])) / track_width
+    chord = dt * speed * np.sinc(turn / (2.0 * np.pi))
+    direction = poses[..., 2] + turn / 2.0
+    move = np.stack([chord * np.cos(direction), chord * np.sin(direction), turn], axis=-1)
+    return poses + move
+
+
 def count_periods(duration: float, dt: float) -> int:
     """Return the number of periods in a duration; refuse one that is not a whole number of them."""
     refuse_unless_positive(duration=duration, dt=dt)

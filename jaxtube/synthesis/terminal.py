@@ -197,12 +197,7 @@ def _constraint(
     if invariant is None:
         return None
     windows = len(tightening.error_reach)
-    facets = len(invariant.offsets)
-    if problem.scenario.controller.terminal_set_holds_reach:
-        taken = disturbance.support(invariant.normals)
-    else:
-        taken = tube.support(problem.horizon, invariant.normals)
-    offsets = invariant.offsets - np.broadcast_to(taken, (windows, facets))
+    offsets = bound_last_errors(problem, invariant, disturbance, tube, windows)
     least = Polytope(invariant.normals, offsets.min(axis=0))
     if least.is_empty():
         return None
@@ -212,3 +207,14 @@ def _constraint(
         least = least.reduce()
         return least.normals, np.broadcast_to(least.offsets, (windows, len(least.offsets)))
     return invariant.normals, offsets
+
+
+def bound_last_errors(
+    problem: Problem, invariant: Polytope, disturbance: tubes.Section, tube: Tube, windows: int
+) -> Float[np.ndarray, "windows facets"]:
+    """Return the offsets of the facets of the invariant set that bound e_N, in so many windows."""
+    if problem.scenario.controller.terminal_set_holds_reach:
+        taken = disturbance.support(invariant.normals)
+    else:
+        taken = tube.support(problem.horizon, invariant.normals)
+    return invariant.offsets - np.broadcast_to(taken, (windows, len(invariant.offsets)))
