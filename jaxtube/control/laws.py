@@ -51,7 +51,7 @@ class TubeMpc:
     @property
     def free_gains(self) -> Float[Array, "steps 2 3"] | None:
         """The gains of the first input where no constraint is active, None without restart."""
-        return self.qps.free_inputs[self.index][:, :2] if self.restart else None
+        return self.qps.free_inputs[self.index][:, : self.qps.inputs] if self.restart else None
 
     @property
     def planner(self) -> TubeMpc | None:
@@ -70,7 +70,8 @@ class TubeMpc:
 
     def initial(self, errors: Float[Array, "batch 3"]) -> mpc.MpcState:
         """Return the memory before the first period: no plan."""
-        return mpc.initial_state(errors, self.qps.linear.shape[1] // 2)
+        inputs = self.qps.inputs
+        return mpc.initial_state(errors, self.qps.linear.shape[1] // inputs, inputs)
 
     def act(
         self,

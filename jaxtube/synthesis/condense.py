@@ -28,7 +28,7 @@ from jaxtube.control.planning import CondensedQp
 from jaxtube.qp.regions import AnyArray
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis.prediction import Prediction, predict
-from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.terminal import Terminal
 from jaxtube.synthesis.tightening import Tightening, find_back_off
 from jaxtube.synthesis.windows import Windows
@@ -46,7 +46,7 @@ class Bounds:
 
 
 def tube_bounds(
-    problem: Problem, tightening: Tightening, terminal: Terminal, once: float | None = None
+    problem: ControlProblem, tightening: Tightening, terminal: Terminal, once: float | None = None
 ) -> Bounds:
     """Return the tightened sets, backed off for the solver's slack.
 
@@ -70,7 +70,7 @@ def tube_bounds(
     )
 
 
-def plain_bounds(problem: Problem, windows: Windows, terminal: Terminal) -> Bounds:
+def plain_bounds(problem: ControlProblem, windows: Windows, terminal: Terminal) -> Bounds:
     """Return E and U untightened and no terminal set: what MPC without a tube uses.
 
     The terminal rows stay, unbounded, so that both controllers share their shapes and one
@@ -112,7 +112,7 @@ class Gains(NamedTuple):
 
 
 def condense(
-    problem: Problem,
+    problem: ControlProblem,
     windows: Windows,
     terminal: Terminal,
     terminal_cost: Float[np.ndarray, "3 3"],
@@ -129,17 +129,16 @@ def condense(
     try:
         return weigh(ahead, row_bounds(bounds, ahead, np), gains, cost, widths(problem), np)
     except np.linalg.LinAlgError:
-        settings = problem.scenario.controller
         raise ScenarioError(
-            f"scenario: controller.input_weight = {settings.input_weight}: beside error_weight = "
-            f"{settings.error_weight} the cost of a plan is not positive definite in float64; "
-            "bring the weights closer together"
+            f"scenario: controller.input_weight = {problem.input_weight.tolist()}: beside "
+            f"error_weight = {problem.error_weight.tolist()} the cost of a plan is not positive "
+            "definite in float64; bring the weights closer together"
         ) from None
 
 
-def widths(problem: Problem) -> Float[np.ndarray, "3"]:
+def widths(problem: ControlProblem) -> Float[np.ndarray, "3"]:
     """Return the half widths of the errors that plans start from, (m, m, rad)."""
-    return problem.operating_set.support(np.eye(3))
+    return problem.operating_set.support(np.eye(problem.operating_set.dimension))
 
 
 def row_bounds(bounds: Bounds, ahead: Prediction, xp: ModuleType = jnp) -> RowBounds:
@@ -147,12 +146,13 @@ def row_bounds(bounds: Bounds, ahead: Prediction, xp: ModuleType = jnp) -> RowBo
     row with two bounds."""
     count, _, both = bounds.inputs.shape
     k = both // 2
+    half = bounds.errors.shape[2] // 2
     below = (
-        -bounds.errors[:, 1:, 3:],
+        -bounds.errors[:, 1:, half:],
         -bounds.inputs[:, :, k:],
         -xp.full_like(bounds.terminal, xp.inf),
     )
-    above = (bounds.errors[:, 1:, :3], bounds.inputs[:, :, :k], bounds.terminal)
+    above = (bounds.errors[:, 1:, :half], bounds.inputs[:, :, :k], bounds.terminal)
     lower = xp.concatenate([part.reshape(count, -1) for part in below], axis=1)
     upper = xp.concatenate([part.reshape(count, -1) for part in above], axis=1)
     return RowBounds(
@@ -209,7 +209,7 @@ def condense_cost(
 ) -> tuple[Float[AnyArray, "windows n n"], Float[AnyArray, "windows n 3"]]:
     """Return H and F."""
     N = ahead.free.shape[1] - 1
-    stages = xp.broadcast_to(cost.error_weight, (N, 3, 3))
+    stages = xp.broadcast_to(cost.error_weight, (N, *cost.error_weight.shape))
     weights = xp.concatenate([stages, cost.terminal[None]])  # Q_0 .. Q_N
     weighted = xp.einsum("wjxa,jxy->wjay", ahead.forced, weights)
     of_errors = xp.einsum("wjay,wjyb->wab", weighted, ahead.forced)
@@ -240,9 +240,10 @@ def solve_free(
     return rough + optimum @ (hessian @ rough + linear)
 
 
-def bound_solver_slack(problem: Problem, qps: CondensedQp) -> float:
+def bound_solver_slack(problem: ControlProblem, qps: CondensedQp) -> float:
     """Return by how much an accepted answer may miss a constraint, from any error in E, in the
     units of E and U."""
-    directions = np.concatenate([np.eye(2), -np.eye(2)])
+    each = np.eye(problem.input_set.dimension)
+    directions = np.concatenate([each, -each])
     largest_input = float(np.max(problem.input_set.support(directions)))
     return qp.bound_tolerance(largest_input) * float(np.max(qps.factors.row_norms))

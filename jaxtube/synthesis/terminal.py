@@ -23,8 +23,8 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.synthesis.gains import Gain
-from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.gain_schedule import GainSchedule
+from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.tightening import Tightening, find_back_off
 from jaxtube.synthesis.tubes import Tube
 from sets import tubes
@@ -46,7 +46,7 @@ class Terminal:
     off.
     """
 
-    gains: Gain
+    gains: GainSchedule
     disturbance: tubes.Section  # W, or D for T-B
     admissible: Polytope  # errors in E whose terminal input is admissible: holds the invariant set
     maximal: MaximalRpi
@@ -70,8 +70,8 @@ class Terminal:
 
 
 def admissible_set(
-    problem: Problem,
-    gain: Gain,
+    problem: ControlProblem,
+    gain: GainSchedule,
     error_offsets: Float[np.ndarray, " 6"] | None = None,
     input_offsets: Float[np.ndarray, " k"] | None = None,
 ) -> Polytope:
@@ -88,12 +88,14 @@ def admissible_set(
     )
 
 
-def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tightening) -> Terminal:
+def make_terminal(problem: ControlProblem, tube: Tube, gains: GainSchedule, tightening: Tightening) -> Terminal:
     """Return the terminal set of the scenario's choice, or its stand-in."""
     N = problem.horizon
-    disturbance = tubes.Section((problem.disturbance_set.vertices(),), 3)
+    disturbance = tubes.Section(
+        (problem.disturbance_set.vertices(),), problem.disturbance_set.dimension
+    )
     admissible = admissible_set(problem, gains)
-    if problem.scenario.controller.terminal_set_holds_reach:
+    if problem.settings.terminal_set_holds_reach:
         disturbance = tubes.propagate(tube.gain.loops, problem.disturbance_set, N - 1)[-1]
         last_errors = problem.operating_set.offsets - tightening.error_reach[:, N - 1].max(axis=0)
         last_inputs = problem.input_rows.offsets - tightening.input_reach[:, N - 1].max(axis=0)
@@ -116,13 +118,13 @@ def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tighten
     )
 
 
-def set_back_off(problem: Problem) -> float:
+def set_back_off(problem: ControlProblem) -> float:
     """Return by how much the invariant set stays inside the limits, and W is widened."""
     return (problem.horizon + 2) * find_back_off(problem)
 
 
 def _find_invariant(
-    problem: Problem, gains: Gain, disturbance: tubes.Section, admissible: Polytope
+    problem: ControlProblem, gains: GainSchedule, disturbance: tubes.Section, admissible: Polytope
 ) -> tuple[MaximalRpi, Polytope | None]:
     """Return the maximal invariant set and the one used on line, of few facets.
 
@@ -140,7 +142,7 @@ def _find_invariant(
     if maximal.polytope is None:
         return maximal, None
     for multiple in FACET_MULTIPLES:
-        facets = multiple * problem.scenario.controller.terminal_facets
+        facets = multiple * problem.settings.terminal_facets
         few = few_facet_rpi(gains.loops, inner, widened, maximal.polytope, facets)
         if few is not None:
             return maximal, few
@@ -163,7 +165,7 @@ def _maximal(
 
 
 def _constraint(
-    problem: Problem,
+    problem: ControlProblem,
     invariant: Polytope | None,
     disturbance: tubes.Section,
     tube: Tube,
@@ -174,7 +176,7 @@ def _constraint(
         return None
     windows = len(tightening.error_reach)
     facets = len(invariant.offsets)
-    if problem.scenario.controller.terminal_set_holds_reach:
+    if problem.settings.terminal_set_holds_reach:
         taken = disturbance.support(invariant.normals)
     else:
         taken = tube.support(problem.horizon, invariant.normals)
