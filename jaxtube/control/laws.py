@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 from jaxtube import qp
 from jaxtube.columns import use_twice
 from jaxtube.control import mpc, planning
-from jaxtube.control.protocol import Controller, WheelMap
+from jaxtube.control.protocol import Controller, DirectInputs, WheelMap
 from jaxtube.control.tracking import tracking_input
 from jaxtube.plant.protocol import Command, Measurement
 from jaxtube.qp.batched_ldl import matmul
@@ -45,7 +45,7 @@ class TubeMpc:
 
     qps: planning.CondensedQp
     index: Int[Array, " steps"]
-    wheel_map: WheelMap
+    wheel_map: WheelMap | DirectInputs
     restart: bool = True
 
     @property
@@ -156,7 +156,7 @@ class ScheduledGain:
     """The static law u = K(th_k) e: a tube's local gain without prediction."""
 
     gains: Float[Array, "steps 2 3"]
-    wheel_map: WheelMap
+    wheel_map: WheelMap | DirectInputs
 
     solves_qp = False
 

@@ -13,12 +13,13 @@ from jaxtyping import Float
 
 from jaxtube.control import planning
 from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
-from jaxtube.control.protocol import Controller, WheelMap
+from jaxtube.control.protocol import Controller, DirectInputs, WheelMap
 from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.forecast import Forecast
 from jaxtube.plant.lagging import BareRobot, LaggingRobot, SlipSource
 from jaxtube.plant.lagging_body import LaggingBody
 from jaxtube.plant.linear import LinearPlant
+from jaxtube.plant.own_motion import OwnMotion
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.recorded_slips import make_recorded
 from jaxtube.plant.slip import SlipProcess
@@ -29,13 +30,16 @@ from jaxtube.scenario.error_box import error_vector
 from jaxtube.simulation.starts import FixedStart, Starts
 from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.free_region import find_free_regions
-from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.parts import Design, LinearDesign, TubeDesign
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.regions import find_regions
 
 PlantType = TypeVar("PlantType", bound=Plant)
 
 SourceType = TypeVar("SourceType", bound=SlipSource)
+
+LINEAR_CONTROLLERS = ("equal_gain", "local_gain", "plain_mpc", "tube_mpc")
+"""Names of the controllers of a linear system."""
 
 Robot = BareRobot | EstimatingRobot[BareRobot]
 """The same, with or without an estimate of its errors."""
@@ -113,6 +117,55 @@ def _make_mpc(design: Design, qps: planning.CondensedQp) -> TubeMpc:
     require_64_bits("controllers of a design")
     return TubeMpc(
         jax.device_put(qps), jnp.asarray(design.windows.index), make_wheel_map(design.problem)
+    )
+
+
+def make_linear_controller(design: LinearDesign, name: str) -> Controller:
+    """Return the controller of a linear system by its name.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    tube_region, plain_region = find_free_regions(design.tube_qps, design.plain_qps)
+    tube_mpc = _make_direct_mpc(design, design.tube_qps._replace(free_region=tube_region))
+    plain_mpc = _make_direct_mpc(design, design.plain_qps._replace(free_region=plain_region))
+    match name:
+        case "tube_mpc":
+            return tube_mpc
+        case "plain_mpc":
+            return plain_mpc
+        case "equal_gain":
+            gains = plain_mpc.qps.free_inputs[plain_mpc.index][:, : design.system.inputs]
+            return ScheduledGain(gains, DirectInputs())
+        case "local_gain":
+            schedule = design.problem.schedule[: design.problem.reference.steps]
+            return ScheduledGain(jnp.asarray(design.tube_gain.along(schedule)), DirectInputs())
+    raise ValueError(
+        f"controller = {name!r}: is unknown; choose one of {list(LINEAR_CONTROLLERS)}"
+    )
+
+
+def _make_direct_mpc(design: LinearDesign, qps: planning.CondensedQp) -> TubeMpc:
+    require_64_bits("controllers of a design")
+    return TubeMpc(jax.device_put(qps), jnp.asarray(design.windows.index), DirectInputs())
+
+
+def own_motion(design: LinearDesign) -> OwnMotion:
+    """Return the motion of a linear system's own as a plant.
+
+    Raises:
+        ValueError: where it has none.
+    """
+    motion = design.system.motion
+    if motion is None:
+        raise ValueError(
+            'plant = "motion": the system has none; give jt.LinearSystem(..., motion=...), or '
+            'choose "linear"'
+        )
+    return OwnMotion(
+        reference_wheels=jnp.asarray(design.problem.schedule[: design.problem.reference.steps]),
+        disturbance_vertices=jnp.asarray(motion.corners),
+        function=motion.function,
     )
 
 
@@ -203,7 +256,7 @@ def exact_robot(design: Design) -> BareRobot:
     return robot.with_nominal_times() if isinstance(robot, LaggingRobot) else robot
 
 
-def linear_plant(design: Design) -> LinearPlant:
+def linear_plant(design: TubeDesign) -> LinearPlant:
     """Return the prediction model along the reference with w drawn in W."""
     problem = design.problem
     schedule = problem.schedule[: problem.reference.steps]

@@ -170,7 +170,7 @@ def make_linear_problem(system: LinearSystem) -> LinearProblem:
         operating_set=E,
         input_set=U,
         input_rows=InputRows(U.normals, np.zeros((count, system.states)), U.offsets),
-        disturbance_set=system.W,
+        disturbance_set=system.disturbance_set,
         initial_error=system.start,
     )
 

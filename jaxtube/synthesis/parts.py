@@ -77,7 +77,7 @@ class TubeDesign:
     windows: Windows
     tubes: dict[str, Tube]
     tightening: Tightening
-    terminal: Terminal
+    terminal: Terminal[GainSchedule]
     bounds: Bounds
     condensed: Condensed | StoredQps
     certificate: Certificate = field(default_factory=Certificate)
@@ -116,6 +116,7 @@ class LinearDesign(TubeDesign):
 
     problem: LinearProblem
     tube_gain: MixedGain
+    terminal: Terminal[MixedGain]
 
     @property
     def system(self) -> LinearSystem:
@@ -141,6 +142,7 @@ class Design(TubeDesign):
     problem: Problem
     lqr_gain: Float[np.ndarray, "2 3"]  # K^n at the centre of the box
     tube_gain: Gain
+    terminal: Terminal[Gain]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the numbers that commands are computed from, by name: the condensed QPs with the
@@ -221,7 +223,7 @@ def _list_fields(part: object, *names: str) -> dict[str, np.ndarray]:
 
 def require_design(value: object) -> None:
     """Raise ValueError, one line, for anything but a design."""
-    if isinstance(value, Design):
+    if isinstance(value, TubeDesign):
         return
     if isinstance(value, str):
         raise ValueError(f"design = {value!r}: is a name; give jt.design(jt.load({value!r}))")

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
+from typing import Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
@@ -37,8 +38,11 @@ FACET_MULTIPLES = (1, 2)
 of every QP, so the limit is doubled only if no invariant set with that many facets is found."""
 
 
+GainType = TypeVar("GainType", bound=GainSchedule, covariant=True)
+
+
 @dataclass(frozen=True, eq=False)
-class Terminal:
+class Terminal(Generic[GainType]):
     """The terminal ingredients of a design.
 
     `constraint_offsets[w]` bound `constraint_normals` e_N in window w; `fallback` says that they
@@ -46,7 +50,7 @@ class Terminal:
     off.
     """
 
-    gains: GainSchedule
+    gains: GainType
     disturbance: tubes.Section  # W, or D for T-B
     admissible: Polytope  # errors in E whose terminal input is admissible: holds the invariant set
     maximal: MaximalRpi
@@ -88,7 +92,9 @@ def admissible_set(
     )
 
 
-def make_terminal(problem: ControlProblem, tube: Tube, gains: GainSchedule, tightening: Tightening) -> Terminal:
+def make_terminal(
+    problem: ControlProblem, tube: Tube, gains: GainType, tightening: Tightening
+) -> Terminal[GainType]:
     """Return the terminal set of the scenario's choice, or its stand-in."""
     N = problem.horizon
     disturbance = tubes.Section(

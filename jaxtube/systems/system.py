@@ -29,11 +29,44 @@ from jaxtube.systems.checks import (
     read_vector,
     refuse,
 )
+from jaxtube.systems.motion import Motion, prove_disturbance
 from sets.lmi import Objective
 from sets.polytope import Polytope
 
 TUBES = ("sequence", "summed", "hull")
 """Tubes along the schedule that is given, or for any order of the vertices; see `sets.tubes`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Proof:
+    """What is proved of a motion beside a linear model.
+
+    Attributes:
+        disturbance_set: holds all that the motion adds to the model over E and U.
+        data: the arrays that it is about.
+        motion: that it is about.
+    """
+
+    disturbance_set: Polytope
+    data: tuple[np.ndarray, ...]
+    motion: Motion
+
+    @classmethod
+    def of(cls, system: LinearSystem, motion: Motion) -> Proof:
+        """Prove what a motion adds to the linear model of a system."""
+        return cls(prove_disturbance(system, motion), _list_data(system), motion)
+
+    def is_of(self, system: LinearSystem) -> bool:
+        """Whether it is about the same motion, model and limits."""
+        same = map(np.array_equal, self.data, _list_data(system))
+        return self.motion is system.motion and all(same)
+
+
+def _list_data(system: LinearSystem) -> tuple[np.ndarray, ...]:
+    """Return what a proof depends on, beside the motion."""
+    E = system.E
+    U = system.U
+    return (system.A, system.B, E.normals, E.offsets, U.normals, U.offsets)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -49,7 +82,10 @@ class LinearSystem:
         B: of the vertices, (v, n, m), or one matrix (n, m) for all.
         E: limits of the state, bounded, the origin inside.
         U: limits of the input, bounded, the origin inside.
-        W: all disturbances of a period; bounded, and it holds the origin.
+        W: all disturbances of a period; bounded, and it holds the origin. None for what is proved
+            of `motion`.
+        motion: that of a nonlinear system, which the linear one stands for; the certificate then
+            says whether W holds all that it adds.
         Q: weight of the state in the cost of a plan, positive semidefinite.
         R: weight of the input, positive definite.
         K: gains u = +K x, (m, n) or one a vertex, mixed as the vertices are; None for those of a
@@ -67,15 +103,17 @@ class LinearSystem:
         objective: what the inequality's cost is best at ("trace_s", "trace_p", "logdet").
         dt: length of a period, for time axes alone.
         state_names, input_names: in texts; x1, x2, .. and u1, u2, .. unless given.
+        proof: what is proved of `motion`; made where it is None or of other data.
     """
 
     A: Float[np.ndarray, "v n n"]
     B: Float[np.ndarray, "v n m"]
     E: Polytope
     U: Polytope
-    W: Polytope
     Q: Float[np.ndarray, "n n"]
     R: Float[np.ndarray, "m m"]
+    W: Polytope | None = None
+    motion: Motion | None = None
     K: Float[np.ndarray, "v m n"] | None = None
     horizon: int = 10
     schedule: Float[np.ndarray, "periods v"] | None = None
@@ -87,16 +125,16 @@ class LinearSystem:
     dt: float = 1.0
     state_names: tuple[str, ...] = field(default=())
     input_names: tuple[str, ...] = field(default=())
+    proof: Proof | None = None
 
     def __post_init__(self):
         A, B = read_matrices(self.A, self.B)
         count, states, inputs = B.shape
         self._keep(A=A, B=B)
         self._keep(E=read_set("E", self.E, states), U=read_set("U", self.U, inputs))
-        self._keep(W=read_set("W", self.W, states))
         for name in ("E", "U"):
             check_bounded_around_origin(name, getattr(self, name))
-        check_holds_origin("W", self.W)
+        self._read_disturbances()
         self._keep(Q=check_weights("Q", self.Q, states), R=check_weights("R", self.R, inputs))
         if self.K is not None:
             gains = np.asarray(self.K, float)
@@ -130,6 +168,12 @@ class LinearSystem:
         """Whether B is the same at all vertices."""
         return bool(np.all(self.B == self.B[0]))
 
+    @property
+    def disturbance_set(self) -> Polytope:
+        """W, given or proved."""
+        assert self.W is not None  # which reading fills in
+        return self.W
+
     def without_schedule(self) -> LinearSystem:
         """Return the system for a controller that does not know th, now or later: one vertex, the
         mean of all, and in W what they add to it, (A_i - A) x + (B_i - B) u over E and U.
@@ -148,11 +192,13 @@ class LinearSystem:
         unmodelled = Polytope.from_vertices(np.concatenate(added))
         K = None if self.K is None else self.K.mean(axis=0)
         periods = len(self.schedule) if self.schedule is not None else self.periods
+        uncertain = None if self.motion is None else self.motion.without_schedule(len(self.A))
         return replace(
             self,
             A=A[None],
             B=B[None],
-            W=self.W.minkowski_sum(unmodelled),
+            W=self.disturbance_set.minkowski_sum(unmodelled),
+            motion=uncertain,
             K=K,
             schedule=None,
             periods=periods,
@@ -161,6 +207,17 @@ class LinearSystem:
     def with_weights(self, Q: Float[np.ndarray, "n n"], R: Float[np.ndarray, "m m"]):
         """Return the system with other weights."""
         return replace(self, Q=Q, R=R)
+
+    def _read_disturbances(self) -> None:
+        """Prove W where there is a motion, and read it where it is given."""
+        if self.motion is not None and (self.proof is None or not self.proof.is_of(self)):
+            self._keep(proof=Proof.of(self, self.motion))
+        if self.W is None:
+            if self.proof is None:
+                raise refuse("W", "none", "is missing", "give W, or a motion of which it is proved")
+            self._keep(W=self.proof.disturbance_set)
+        self._keep(W=read_set("W", self.W, self.states))
+        check_holds_origin("W", self.disturbance_set)
 
     def _keep(self, **values: Any) -> None:
         for name, value in values.items():
