@@ -105,11 +105,23 @@ def uniform_start(points: Float[np.ndarray, "k 3"], edge: bool = False) -> Unifo
     Raises:
         ValueError: where the origin lies outside the hull.
     """
-    hull = ConvexHull(points)
-    if np.any(hull.equations[:, -1] > 0):
+    triangles = _find_facets(points)
+    shares = np.cumsum(np.abs(np.linalg.det(triangles)))
+    return UniformStart(jnp.asarray(triangles), jnp.asarray(shares[:-1] / shares[-1]), edge)
+
+
+def _find_facets(points: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "simplices n n"]:
+    """Return the facets of a hull around the origin, cut into simplices: of numbers both ends."""
+    if points.shape[1] == 1:
+        ends = np.array([points.min(), points.max()])
+        surrounds = ends[0] < 0 < ends[1]
+        facets = ends[:, None, None]
+    else:
+        hull = ConvexHull(points)
+        surrounds = bool(np.all(hull.equations[:, -1] <= 0))
+        facets = points[hull.simplices]
+    if not surrounds:
         raise ValueError(
             "starts: points do not surround the origin; give points on all sides of it"
         )
-    triangles = points[hull.simplices]
-    shares = np.cumsum(np.abs(np.linalg.det(triangles)))
-    return UniformStart(jnp.asarray(triangles), jnp.asarray(shares[:-1] / shares[-1]), edge)
+    return facets
