@@ -16,9 +16,10 @@ from jaxtube.simulation import components
 from jaxtube.simulation.starts import FixedStart, Starts, uniform_start
 from jaxtube.synthesis.feasible import true_starts
 from jaxtube.synthesis.parts import Design, LinearDesign
+from jaxtube.systems.system import LinearSystem
 
 ControllerChoice = str | Controller | Callable[..., Float[Array, "batch 2"]]
-PlantChoice = str | Plant
+PlantChoice = str | Plant | LinearSystem
 SlipChoice = str | SlipProcess | None
 StartChoice = str | Float[np.ndarray, "laps 3"]
 
@@ -46,6 +47,8 @@ def choose_plant(
     design: Design | LinearDesign, plant: PlantChoice, slip: SlipChoice = None
 ) -> Plant:
     """Return the plant of a name, or a user's own; `slip` for the robot alone."""
+    if isinstance(design, LinearDesign) and isinstance(plant, LinearSystem):
+        return components.plant_of_system(design, plant)
     if not isinstance(plant, str):
         return plant
     if isinstance(design, LinearDesign):
@@ -63,13 +66,18 @@ def choose_plant(
 
 def _choose_linear_plant(design: LinearDesign, plant: str, slip: SlipChoice) -> Plant:
     """Return the plant of a linear system by its name."""
-    if slip is not None:
-        raise ValueError(f"slip = {slip!r}: a linear system has no slips; leave it out")
+    refuse_slip(slip)
     if plant == "linear":
         return components.linear_plant(design)
     if plant == "motion":
-        return components.own_motion(design)
+        return components.own_motion(design.problem)
     raise ValueError(f'plant = {plant!r}: is unknown; choose "linear" or "motion"')
+
+
+def refuse_slip(slip: SlipChoice) -> None:
+    """Raise ValueError, one line, for a slip process of a system without slips."""
+    if slip is not None:
+        raise ValueError(f"slip = {slip!r}: a linear system has no slips; leave it out")
 
 
 def find_plant(design: Design | LinearDesign, plant: PlantChoice | None) -> PlantChoice:

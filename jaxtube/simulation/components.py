@@ -30,9 +30,12 @@ from jaxtube.scenario.error_box import error_vector
 from jaxtube.simulation.starts import FixedStart, Starts
 from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.free_region import find_free_regions
+from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.linear_problem import LinearProblem, make_linear_problem
 from jaxtube.synthesis.parts import Design, LinearDesign, TubeDesign
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.regions import find_regions
+from jaxtube.systems.system import LinearSystem
 
 PlantType = TypeVar("PlantType", bound=Plant)
 
@@ -150,20 +153,39 @@ def _make_direct_mpc(design: LinearDesign, qps: planning.CondensedQp) -> TubeMpc
     return TubeMpc(jax.device_put(qps), jnp.asarray(design.windows.index), DirectInputs())
 
 
-def own_motion(design: LinearDesign) -> OwnMotion:
+def plant_of_system(design: LinearDesign, system: LinearSystem) -> LinearPlant | OwnMotion:
+    """Return another system, its motion where it has one, along the schedule of a design.
+
+    Raises:
+        ValueError: where its sizes are others.
+    """
+    own = design.system
+    if system.B.shape != own.B.shape:
+        raise ValueError(
+            f"plant: has (vertices, states, inputs) {system.B.shape}; give {own.B.shape}, as the "
+            "design has"
+        )
+    steps = design.problem.reference.steps
+    problem = make_linear_problem(system).along(design.problem.schedule, steps)
+    if system.motion is None:
+        return _make_linear_plant(problem)
+    return own_motion(problem)
+
+
+def own_motion(problem: LinearProblem) -> OwnMotion:
     """Return the motion of a linear system's own as a plant.
 
     Raises:
         ValueError: where it has none.
     """
-    motion = design.system.motion
+    motion = problem.system.motion
     if motion is None:
         raise ValueError(
             'plant = "motion": the system has none; give jt.LinearSystem(..., motion=...), or '
             'choose "linear"'
         )
     return OwnMotion(
-        reference_wheels=jnp.asarray(design.problem.schedule[: design.problem.reference.steps]),
+        reference_wheels=jnp.asarray(problem.schedule[: problem.reference.steps]),
         disturbance_vertices=jnp.asarray(motion.corners),
         function=motion.function,
     )
@@ -258,7 +280,10 @@ def exact_robot(design: Design) -> BareRobot:
 
 def linear_plant(design: TubeDesign) -> LinearPlant:
     """Return the prediction model along the reference with w drawn in W."""
-    problem = design.problem
+    return _make_linear_plant(design.problem)
+
+
+def _make_linear_plant(problem: ControlProblem) -> LinearPlant:
     schedule = problem.schedule[: problem.reference.steps]
     transitions, inputs = problem.model.matrices(schedule)
     return LinearPlant(
