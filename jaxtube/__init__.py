@@ -11,6 +11,9 @@
     jt.save(design, "my_design")                  for jt.read, in another process, to the bit
     jt.export(design, "controller")               the same as NumPy and C99, certified as written
 
+Any other linear system, parameter-varying in a polytope, is a `jt.LinearSystem`, and a nonlinear
+one that it stands for a `jt.Motion`: the same functions take them.
+
 Controllers and plants of your own fit `jt.Controller` and `jt.Plant`, slip processes
 `jt.SlipProcess`. What these functions compute on the device they compute in 64 bits, whatever JAX
 is configured to. Names are imported when they are first used.
@@ -25,17 +28,23 @@ if TYPE_CHECKING:
     from jaxtube.control.protocol import Controller, Feedback, WheelMap
     from jaxtube.exporting.write import Exported, export
     from jaxtube.falsification.falsify import Falsification, falsify
+    from jaxtube.falsification.linear import LinearFalsification
     from jaxtube.plant.protocol import Command, Measurement, Plant
     from jaxtube.plant.slip import SlipProcess
     from jaxtube.results import read, save
     from jaxtube.scenario.reading import load
     from jaxtube.scenario.refusal import ScenarioError
     from jaxtube.scenario.tree import Scenario
+    from jaxtube.simulation.linear_laps import LinearLaps
     from jaxtube.simulation.simulate import Laps, simulate
     from jaxtube.simulation.stepper import Step, Stepper
+    from jaxtube.statistics.linear_montecarlo import LinearMonteCarlo
     from jaxtube.statistics.montecarlo import MonteCarlo, montecarlo
     from jaxtube.synthesis.design import EmptySetError, design
-    from jaxtube.synthesis.parts import Design
+    from jaxtube.synthesis.parts import Design, LinearDesign
+    from jaxtube.systems.motion import Motion
+    from jaxtube.systems.system import LinearSystem
+    from jaxtube.tuning.linear import LinearTuned
     from jaxtube.tuning.tune import Tuned, tune
 
 HOMES = {
@@ -47,8 +56,15 @@ HOMES = {
     "Falsification": "jaxtube.falsification.falsify",
     "Feedback": "jaxtube.control.protocol",
     "Laps": "jaxtube.simulation.simulate",
+    "LinearDesign": "jaxtube.synthesis.parts",
+    "LinearFalsification": "jaxtube.falsification.linear",
+    "LinearLaps": "jaxtube.simulation.linear_laps",
+    "LinearMonteCarlo": "jaxtube.statistics.linear_montecarlo",
+    "LinearSystem": "jaxtube.systems.system",
+    "LinearTuned": "jaxtube.tuning.linear",
     "Measurement": "jaxtube.plant.protocol",
     "MonteCarlo": "jaxtube.statistics.montecarlo",
+    "Motion": "jaxtube.systems.motion",
     "Plant": "jaxtube.plant.protocol",
     "Scenario": "jaxtube.scenario",
     "ScenarioError": "jaxtube.scenario",
@@ -78,8 +94,15 @@ __all__ = [
     "Falsification",
     "Feedback",
     "Laps",
+    "LinearDesign",
+    "LinearFalsification",
+    "LinearLaps",
+    "LinearMonteCarlo",
+    "LinearSystem",
+    "LinearTuned",
     "Measurement",
     "MonteCarlo",
+    "Motion",
     "Plant",
     "Scenario",
     "ScenarioError",

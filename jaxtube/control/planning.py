@@ -116,7 +116,8 @@ def are_all_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Boo
 def _is_within(region: HalfSpaces, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
     """Return which errors lie within; written out, for one kernel."""
     within = [
-        sum(region.normals[row, i] * errors[:, i] for i in range(errors.shape[1])) <= region.offsets[row]
+        sum(region.normals[row, i] * errors[:, i] for i in range(errors.shape[1]))
+        <= region.offsets[row]
         for row in range(len(region.offsets))
     ]
     return functools.reduce(operator.and_, within)

@@ -187,7 +187,7 @@ def falsify(
         ValueError: one line, for an unknown name, or a slip process or a plant that is not
             searched.
     """
-    require_design(design)
+    require_design(design, or_linear=True)
     _refuse_seconds(seconds)
     plant = find_plant(design, plant)
     if isinstance(design, LinearDesign):

@@ -74,8 +74,7 @@ class LinearFalsification:
             where = self._describe_facet(worst)
             return f"no violation found; smallest margin {worst.margin:.4g}, {where}"
         listed = "; ".join(
-            f"{self._describe_facet(self.rows[name].worst)}, by "
-            f"{-self.rows[name].worst.margin:.4g}"
+            f"{self._describe_facet(self.rows[name].worst)}, by {-self.rows[name].worst.margin:.4g}"
             for name in violated
         )
         return f"violation found: {listed}"
@@ -149,7 +148,10 @@ def _make_lap_limits(design: LinearDesign) -> Limits:
     """Return E and U."""
     problem = design.problem
     E = problem.error_set
-    return {"error": make_limit(E.normals, E.offsets), "input": make_input_limit(problem.input_rows)}
+    return {
+        "error": make_limit(E.normals, E.offsets),
+        "input": make_input_limit(problem.input_rows),
+    }
 
 
 def refuse_start_without_plan(design: LinearDesign) -> None:

@@ -47,8 +47,10 @@ def choose_plant(
     design: Design | LinearDesign, plant: PlantChoice, slip: SlipChoice = None
 ) -> Plant:
     """Return the plant of a name, or a user's own; `slip` for the robot alone."""
-    if isinstance(design, LinearDesign) and isinstance(plant, LinearSystem):
-        return components.plant_of_system(design, plant)
+    if isinstance(plant, LinearSystem):
+        if isinstance(design, LinearDesign):
+            return components.plant_of_system(design, plant)
+        raise ValueError('plant: is a LinearSystem, which is no robot; choose "linear"')
     if not isinstance(plant, str):
         return plant
     if isinstance(design, LinearDesign):

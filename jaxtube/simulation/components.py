@@ -28,9 +28,9 @@ from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.precision import require_64_bits
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.simulation.starts import FixedStart, Starts
+from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.free_region import find_free_regions
-from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.linear_problem import LinearProblem, make_linear_problem
 from jaxtube.synthesis.parts import Design, LinearDesign, TubeDesign
 from jaxtube.synthesis.problem import Problem
@@ -143,9 +143,7 @@ def make_linear_controller(design: LinearDesign, name: str) -> Controller:
         case "local_gain":
             schedule = design.problem.schedule[: design.problem.reference.steps]
             return ScheduledGain(jnp.asarray(design.tube_gain.along(schedule)), DirectInputs())
-    raise ValueError(
-        f"controller = {name!r}: is unknown; choose one of {list(LINEAR_CONTROLLERS)}"
-    )
+    raise ValueError(f"controller = {name!r}: is unknown; choose one of {list(LINEAR_CONTROLLERS)}")
 
 
 def _make_direct_mpc(design: LinearDesign, qps: planning.CondensedQp) -> TubeMpc:

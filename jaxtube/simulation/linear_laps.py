@@ -81,5 +81,7 @@ class LinearLaps(RecordedLaps):
         return "\n".join([verdict, *qp.describe_unsolved(self.statuses)]) + ">"
 
 
-def _form(weight: Float[np.ndarray, "k k"], points: Float[np.ndarray, "steps laps k"]) -> np.ndarray:
+def _form(
+    weight: Float[np.ndarray, "k k"], points: Float[np.ndarray, "steps laps k"]
+) -> np.ndarray:
     return np.einsum("tli,ij,tlj->tl", points, weight, points)

@@ -29,8 +29,8 @@ from jaxtube.simulation.choices import (
     name_controller,
 )
 from jaxtube.simulation.dataset import make_dataset
-from jaxtube.simulation.memory import refuse_laps_beyond_memory
 from jaxtube.simulation.linear_laps import LinearLaps
+from jaxtube.simulation.memory import refuse_laps_beyond_memory
 from jaxtube.simulation.promise import describe_error_limits, limit_true_errors
 from jaxtube.simulation.recorded import RecordedLaps
 from jaxtube.simulation.rollout import (
@@ -185,16 +185,18 @@ def simulate(
     Args:
         design: a design.
         controller: "tube_mpc", "plain_mpc", "equal_gain", "local_gain" and, of a robot,
-            "compensated" or "uncompensated"; a law u = f(errors, reference_wheels), u in the sense of the scenario's
-            controller.input_map (the deficits (V - v, Om - w) for "paper" alone); or a
-            `Controller`.
+            "compensated" or "uncompensated"; a law u = f(errors, reference_wheels), u in the sense
+            of the scenario's controller.input_map (the deficits (V - v, Om - w) for "paper" alone);
+            of a linear system a law u = f(x, th); or a `Controller`.
         plant: "robot" (the scenario's), "exact" (its slip known, its pose measured without noise),
-            "linear" (the prediction model with w in W), or a `Plant`; of a linear system "linear"
-            or "motion". Unless given the robot, or the motion where there is one.
+            "linear" (the prediction model with w in W), or a `Plant`. Of a linear system "linear",
+            "motion", or another `LinearSystem`. Unless given the robot; the motion where a system
+            has one, else the model.
         laps: how many; 256, or one a start, unless given. All are kept: `montecarlo` keeps none.
-        starts: "scenario" (its start, or the system's), "feasible" (uniform in the hull of 400 boundary points of the
-            tube-MPC's feasible set, less the pose noise), "edge" (on the boundary of that hull), or
-            true initial errors (laps, 3) in (m, m, rad), states (laps, n) of a linear system.
+        starts: "scenario" (its start, or the system's), "feasible" (uniform in the hull of 400
+            boundary points of the tube-MPC's feasible set, less the pose noise), "edge" (on the
+            boundary of that hull), or true initial errors (laps, 3) in (m, m, rad); states (laps,
+            n) of a linear system.
         slip: process of the slips of the robot, a name or a `SlipProcess`; the scenario's unless
             given.
         seed: of every draw; lap i is the same whatever `laps` is.
@@ -208,7 +210,7 @@ def simulate(
         ValueError: one line, for an unknown name, a controller of other shapes, or more laps than
             there is memory for.
     """
-    require_design(design)
+    require_design(design, or_linear=True)
     plant = find_plant(design, plant)
     count = _count_laps(laps, starts, design.problem.operating_set.dimension)
     refuse_laps_beyond_memory(count, design.problem.reference.steps)

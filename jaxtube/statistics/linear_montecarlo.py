@@ -24,6 +24,7 @@ from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Plant
 from jaxtube.progress import show_progress
 from jaxtube.qp.batched_ldl import matmul
+from jaxtube.qp.regions import AnyArray
 from jaxtube.simulation.choices import (
     ControllerChoice,
     PlantChoice,
@@ -69,9 +70,9 @@ SETS = ("W", "E", "U")
 class JudgedSet(NamedTuple):
     """Rows normals x <= offsets, and what is rounding for each."""
 
-    normals: Float[Array, "f n"]
-    offsets: Float[Array, " f"]
-    rounding: Float[Array, " f"]
+    normals: Float[AnyArray, "f n"]
+    offsets: Float[AnyArray, " f"]
+    rounding: Float[AnyArray, " f"]
 
     def is_outside(self, points: Float[Array, "batch n"]) -> Bool[Array, " batch"]:
         """Return which points lie outside."""
@@ -87,8 +88,8 @@ class JudgedSet(NamedTuple):
 class Judge(NamedTuple):
     """What a period is judged by."""
 
-    transitions: Float[Array, "steps n n"]
-    input_matrices: Float[Array, "steps n m"]
+    transitions: Float[AnyArray, "steps n n"]
+    input_matrices: Float[AnyArray, "steps n m"]
     W: JudgedSet
     E: JudgedSet
     U: JudgedSet
@@ -195,15 +196,14 @@ def make_judge(design: LinearDesign) -> Judge:
     sizes = problem.operating_set.support(np.eye(design.system.states))
     strengths = problem.input_set.support(np.eye(design.system.inputs))
     # Of w the rounding is that of the terms it is the difference of.
-    of_terms = np.abs(transitions).max(axis=0) @ sizes + np.abs(input_matrices).max(
-        axis=0
-    ) @ np.abs(strengths)
+    of_states = np.abs(transitions).max(axis=0) @ sizes
+    of_inputs = np.abs(input_matrices).max(axis=0) @ strengths
     made = Judge(
         transitions,
         input_matrices,
-        _make_set(problem.disturbance_set, of_terms + sizes),
+        _make_set(problem.disturbance_set, of_states + of_inputs + sizes),
         _make_set(problem.error_set, sizes),
-        _make_set(problem.input_set, np.abs(strengths)),
+        _make_set(problem.input_set, strengths),
     )
     return jax.tree.map(jnp.asarray, made)
 

@@ -187,11 +187,13 @@ def montecarlo(
     Raises:
         ValueError: one line, for an unknown name, or laps that are no whole number.
     """
-    require_design(design)
+    require_design(design, or_linear=True)
     count = require_count("laps", laps)
     plant = find_plant(design, plant)
     if isinstance(design, LinearDesign):
-        return run_linear(design, controller, plant, laps=count, starts=starts, slip=slip, seed=seed)
+        return run_linear(
+            design, controller, plant, laps=count, starts=starts, slip=slip, seed=seed
+        )
     law = name_law(design, controller, plant, starts, slip)
     task = make_closed_loop_task(design, controller, plant, starts, slip, seed)
     run = Run(task, count, chunk=1, devices=tuple(jax.local_devices()))

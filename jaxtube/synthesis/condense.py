@@ -27,8 +27,8 @@ from jaxtube import qp
 from jaxtube.control.planning import CondensedQp
 from jaxtube.qp.regions import AnyArray
 from jaxtube.scenario.refusal import ScenarioError
-from jaxtube.synthesis.prediction import Prediction, predict
 from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.prediction import Prediction, predict
 from jaxtube.synthesis.terminal import Terminal
 from jaxtube.synthesis.tightening import Tightening, find_back_off
 from jaxtube.synthesis.windows import Windows

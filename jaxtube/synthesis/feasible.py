@@ -107,9 +107,9 @@ def true_starts(
             "`design`"
         )
     points = (1 - EDGE) * boundary(qps, index, problem.operating_set, RAYS, seed)
-    if isinstance(problem, Problem) and problem.first_command is not None:
-        if not problem.scenario.robot.obeys_at_once:
-            points = problem.first_command.shrink(points)
+    if isinstance(problem, Problem) and not problem.scenario.robot.obeys_at_once:
+        first = problem.first_command
+        points = points if first is None else first.shrink(points)
     noise = problem.noise
     if not noise.any():
         return points

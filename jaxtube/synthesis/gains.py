@@ -144,4 +144,3 @@ def exact_loops(gain: Gain, stretched: Float[np.ndarray, "v 2"]) -> Float[np.nda
     loops[:, 2, 1] = -T * k2
     loops[:, 2, 2] = 1 - T * k3
     return loops
-

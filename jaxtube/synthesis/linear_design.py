@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis import condense
 from jaxtube.synthesis.certificate.linear import certify_linear
 from jaxtube.synthesis.linear_problem import LinearProblem, MixedGain, make_linear_problem

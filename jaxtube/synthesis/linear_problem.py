@@ -74,7 +74,7 @@ class MixedGain(GainSchedule):
         B = self.model.B
         K = self.vertices
         own = A + B @ K
-        if np.all(B == B[0]) or np.all(K == K[0]):
+        if is_one(B) or is_one(K):
             return own, K
         first, second = np.triu_indices(len(A), k=1)
         crossed = A[first] + B[first] @ K[second] + A[second] + B[second] @ K[first]
@@ -178,6 +178,11 @@ def make_linear_problem(system: LinearSystem) -> LinearProblem:
 def mix_gains(problem: LinearProblem, vertices: Float[np.ndarray, "v m n"]) -> MixedGain:
     """Return the gain with these values at the vertices."""
     return MixedGain(problem.model, vertices.mean(axis=0), vertices)
+
+
+def is_one(matrices: Float[np.ndarray, "v a b"]) -> bool:
+    """Return whether all matrices are the same."""
+    return len(np.unique(matrices, axis=0)) == 1
 
 
 def pair_rows(polytope: Polytope) -> Polytope:

@@ -221,10 +221,16 @@ def _list_fields(part: object, *names: str) -> dict[str, np.ndarray]:
     return {name: getattr(part, name) for name in names}
 
 
-def require_design(value: object) -> None:
-    """Raise ValueError, one line, for anything but a design."""
-    if isinstance(value, TubeDesign):
+def require_design(value: object, *, or_linear: bool = False) -> None:
+    """Raise ValueError, one line, for anything but the design of a scenario or, where told, of a
+    linear system."""
+    if isinstance(value, Design) or (or_linear and isinstance(value, LinearDesign)):
         return
+    if isinstance(value, LinearDesign):
+        raise ValueError(
+            "design: is that of a linear system, which only simulate, montecarlo and falsify take; "
+            "give one of a scenario"
+        )
     if isinstance(value, str):
         raise ValueError(f"design = {value!r}: is a name; give jt.design(jt.load({value!r}))")
     raise ValueError(f"design: is {describe_type(value)}; give jt.design(scenario)")

@@ -24,8 +24,8 @@ from typing import Generic, TypeVar
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.tightening import Tightening, find_back_off
 from jaxtube.synthesis.tubes import Tube
 from sets import tubes

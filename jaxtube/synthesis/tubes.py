@@ -86,7 +86,12 @@ class Tube(Sequence[Section]):
 
     def half_widths(self) -> Float[np.ndarray, "horizon+1 3"]:
         """Return the half widths of R_0 .. R_N, (m, m, rad), the largest over the windows."""
-        return np.stack([self.support(j, np.eye(self.sections[0].dimension)).max(axis=0) for j in range(len(self))])
+        return np.stack(
+            [
+                self.support(j, np.eye(self.sections[0].dimension)).max(axis=0)
+                for j in range(len(self))
+            ]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +150,9 @@ def make_tubes(problem: ControlProblem, gain: GainSchedule, windows: Windows) ->
     return {**made, "sequence": make_following_tube(problem, gain, windows)}
 
 
-def make_following_tube(problem: ControlProblem, gain: GainSchedule, windows: Windows) -> FollowingTube:
+def make_following_tube(
+    problem: ControlProblem, gain: GainSchedule, windows: Windows
+) -> FollowingTube:
     """Return the tube along the reference, the window of widest lateral reach shown."""
     W = problem.disturbance_set
     widest = find_widest_window(problem, windows)

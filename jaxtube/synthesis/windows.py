@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.problem import SAME_SPEED_DECIMALS, merge_equal_speeds
 
 

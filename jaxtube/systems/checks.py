@@ -25,9 +25,7 @@ def refuse(name: str, value: Any, problem: str, cure: str) -> ScenarioError:
     return refusal("system", name, shown, problem, cure)
 
 
-def read_matrices(
-    A: Any, B: Any
-) -> tuple[Float[np.ndarray, "v n n"], Float[np.ndarray, "v n m"]]:
+def read_matrices(A: Any, B: Any) -> tuple[Float[np.ndarray, "v n n"], Float[np.ndarray, "v n m"]]:
     """Return A and B of all vertices.
 
     Raises:
@@ -61,11 +59,15 @@ def _read_stack(name: str, value: Any) -> Float[np.ndarray, "v a b"]:
     try:
         matrices = np.asarray(value, float)
     except (TypeError, ValueError):
-        raise refuse(name, type(value).__name__, "is no array", "give numbers of one shape") from None
+        raise refuse(
+            name, type(value).__name__, "is no array", "give numbers of one shape"
+        ) from None
     if matrices.ndim == 2:
         matrices = matrices[None]
     if matrices.ndim != 3 or not matrices.size:
-        raise refuse(name, matrices.shape, "is no shape of matrices", "give (vertices, rows, columns)")
+        raise refuse(
+            name, matrices.shape, "is no shape of matrices", "give (vertices, rows, columns)"
+        )
     _check_finite(name, matrices)
     return matrices
 

@@ -81,7 +81,8 @@ class Motion:
         d: Float[np.ndarray, "q batch"],
     ) -> Float[np.ndarray, "n batch"]:
         """Return the states after a period, of many at once, coordinates first."""
-        return np.stack([np.asarray(part) for part in self.function(x, u, th, d)])
+        parts = self.function(list(x), list(u), list(th), list(d))
+        return np.stack([np.asarray(part) for part in parts])
 
 
 def prove_disturbance(system: LinearSystem, motion: Motion) -> Polytope:
@@ -100,7 +101,9 @@ def prove_disturbance(system: LinearSystem, motion: Motion) -> Polytope:
         x, u, th, d = _split(system, motion, variables)
         following = motion.function(x, u, th, d)
         if len(following) != states:
-            raise refuse("motion", len(following), "is how many states it returns", f"give {states}")
+            raise refuse(
+                "motion", len(following), "is how many states it returns", f"give {states}"
+            )
         predicted = _predict(system, x, u, th)
         nothing = variables[0] * 0.0  # makes a number with a gradient of one that is constant
         # In shares of E, so that what is negligible has no unit.

@@ -33,8 +33,9 @@ from jaxtube.systems.motion import Motion, prove_disturbance
 from sets.lmi import Objective
 from sets.polytope import Polytope
 
-TUBES = ("sequence", "summed", "hull")
-"""Tubes along the schedule that is given, or for any order of the vertices; see `sets.tubes`."""
+TUBES = ("sequence", "summed")
+"""Tubes along the schedule that is given, or for any order of the vertices; see `sets.tubes`. Its
+`hull` is too narrow for plans that are made anew in every period."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,9 +96,9 @@ class LinearSystem:
             of the future, beyond its end the last row. None for a system of one vertex.
         periods: of a run, where no schedule is given.
         start: initial state.
-        tube: "sequence" (along the schedule, then certified for any other order as well), "summed"
-            or "hull" (one tube for every order). All of them predict along the schedule; where
-            nobody knows it, see `without_schedule`.
+        tube: "sequence" (along the schedule, then certified for any other order as well), or
+            "summed" (one tube for every order). Both predict along the schedule; where nobody knows
+            it, see `without_schedule`.
         terminal_facets: that the terminal set may have; it is smaller than the largest one where
             that has more.
         objective: what the inequality's cost is best at ("trace_s", "trace_p", "logdet").
@@ -166,7 +167,7 @@ class LinearSystem:
     @property
     def has_one_input_matrix(self) -> bool:
         """Whether B is the same at all vertices."""
-        return bool(np.all(self.B == self.B[0]))
+        return len(np.unique(self.B, axis=0)) == 1
 
     @property
     def disturbance_set(self) -> Polytope:

@@ -23,7 +23,9 @@ def escape_margin(
     return -excess if excess > 0 else -np.inf
 
 
-def say_what_is_passed(problem: ControlProblem, gain: GainSchedule, escape: Escape, excess: float) -> str:
+def say_what_is_passed(
+    problem: ControlProblem, gain: GainSchedule, escape: Escape, excess: float
+) -> str:
     """Return which constraint an escape passes, and by how much, in words.
 
     Args:

@@ -3,42 +3,68 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jaxtube.synthesis.certificate.program import check_program
 from jaxtube.synthesis.certificate.stages import check_stages
 from jaxtube.synthesis.certificate.terminal import (
-    ANY_ORDER,
     check_any_order,
     check_terminal,
     has_any_order,
 )
 from jaxtube.synthesis.parts import LinearDesign
 from jaxtube.synthesis.tightening import find_back_off
+from jaxtube.systems.system import LinearSystem, Proof
 from sets.certificate import ROUNDING, Certificate, Condition, decrease_margin, judge
+from sets.polytope import Polytope
 
+ANY_ORDER_OF_WEIGHTS = "any_order_of_weights"
+"""The condition that frees a tube along the schedule from the order of this run."""
 SAMPLES = 200
 """Schedules at which loops are compared with mixtures of loops."""
 
 
-def certify_linear(design: LinearDesign) -> Certificate:
+@dataclass(frozen=True, repr=False)
+class LinearCertificate(Certificate):
+    """The certificate of a linear system and, where W is proved, of the motion it stands for."""
+
+    @property
+    def verdict(self) -> str:
+        """One line: for what the design is certified, and what fails."""
+        if self.holds_for_robot:
+            return "CERTIFIED for the motion itself: every required condition holds"
+        if self.holds_for_model:
+            missing = ", ".join(self.failing)
+            if not missing:
+                return "CERTIFIED for the linear system with w in W: every required condition holds"
+            return (
+                "CERTIFIED for the linear system with w in W alone; NOT CERTIFIED for the motion: "
+                f"{missing}"
+            )
+        return f"NOT CERTIFIED: {', '.join(self.failing) or 'nothing was checked'}"
+
+
+def certify_linear(design: LinearDesign) -> LinearCertificate:
     """Re-check every condition of the guarantee of a linear system; a certificate that the design
     has is not read."""
     conditions = tuple(_conditions(design))
     holding = {condition.name for condition in conditions if condition.holds}
-    any_order = not design.tube.follows_reference or ANY_ORDER in holding
-    return Certificate(conditions, _list_assumptions(design, any_order))
+    any_order = not design.tube.follows_reference or ANY_ORDER_OF_WEIGHTS in holding
+    return LinearCertificate(conditions, _list_assumptions(design, any_order))
 
 
 def _conditions(design: LinearDesign) -> Iterator[Condition]:
     yield from check_stages(design)
     yield from check_terminal(design)
     if has_any_order(design):
-        yield check_any_order(design)
+        yield replace(check_any_order(design), name=ANY_ORDER_OF_WEIGHTS)
     yield _check_decrease(design)
     yield _check_mixtures(design)
     yield check_program(design)
+    if design.system.proof is not None:
+        yield _check_disturbance_set(design.system, design.system.proof)
     slack = design.solver_slack
     back_off = find_back_off(design.problem)
     comparison = "more" if back_off >= slack else "less"
@@ -74,9 +100,7 @@ def _check_mixtures(design: LinearDesign) -> Condition:
     weights = np.concatenate([weights, design.windows.schedules.reshape(-1, len(model.A))])
     crossed = np.einsum("ki,kj->kij", weights, weights)
     mixed = np.einsum("kij,jmn->kimn", crossed, gain.vertices)
-    loops = np.einsum("ki,inm->knm", weights, model.A) + np.einsum(
-        "inm,kimp->knp", model.B, mixed
-    )
+    loops = np.einsum("ki,inm->knm", weights, model.A) + np.einsum("inm,kimp->knp", model.B, mixed)
     worst = float(np.max(np.abs(gain.loops_along(weights) - loops)))
     windows = design.windows
     worst = max(worst, float(np.abs(gain.along(windows.schedules) - windows.gains).max()))
@@ -91,15 +115,41 @@ def _check_mixtures(design: LinearDesign) -> Condition:
     )
 
 
+def _check_disturbance_set(system: LinearSystem, proof: Proof) -> Condition:
+    """Compare W with what is proved of the motion, in shares of the half widths of E: a margin
+    without a unit, whatever the states are."""
+    sizes = system.E.support(np.eye(system.states))
+    W = system.disturbance_set
+    proved = proof.disturbance_set
+    margin = 0.0
+    if W is not proved:
+        scaled = Polytope(W.normals * sizes, W.offsets)
+        margin = scaled.containment_margin(Polytope(proved.normals * sizes, proved.offsets))
+    return judge(
+        "disturbance_set_proved",
+        margin,
+        "W holds all that the motion adds to the model over E and U, as intervals prove.",
+        f"W misses what the motion may add to the model by {-margin:.3g} of E.",
+        "robot",
+    )
+
+
 def _list_assumptions(design: LinearDesign, any_order: bool) -> tuple[str, ...]:
     """Return what the guarantee takes for granted, in words."""
     system = design.system
-    motion = "x+ = A x + B u + w, with w in W in every period"
+    if system.motion is None:
+        motion = "x+ = A(th) x + B(th) u + w, with w in W in every period"
+    else:
+        sizes = ", ".join(f"{half:.4g}" for half in system.motion.uncertainty)
+        motion = (
+            "x+ = f(x, u, th, d), the function given, with |d| at most "
+            f"{sizes} in every period, in any sequence"
+        )
     if len(system.A) > 1:
         order = "in any order" if any_order else "in the order of this run alone"
-        motion = (
-            f"x+ = A(th) x + B(th) u + w, with w in W in every period; th a mixture of "
-            f"{len(system.A)} vertices, {order}, known {system.horizon} periods ahead"
+        motion += (
+            f"; th a mixture of {len(system.A)} vertices, {order}, known {system.horizon} periods "
+            "ahead"
         )
     return (
         motion,

@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.synthesis.condense import Bounds
+from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.parts import TubeDesign
-from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.windows import Windows
 from sets.certificate import (
     ROUNDING,
@@ -72,7 +72,9 @@ def stage_margins(design: TubeDesign) -> StageMargins:
     return _margins_in_any_order(design.problem, design.tube_gain, design.bounds)
 
 
-def margins_along_reference(problem: ControlProblem, windows: Windows, bounds: Bounds) -> StageMargins:
+def margins_along_reference(
+    problem: ControlProblem, windows: Windows, bounds: Bounds
+) -> StageMargins:
     """Return the margins of reach and inclusion along the reference, from each step to the next."""
     W = problem.disturbance_set.vertices()
     error_rows = problem.operating_set.normals
@@ -93,7 +95,9 @@ def margins_along_reference(problem: ControlProblem, windows: Windows, bounds: B
     return StageMargins(float(reach_margin), float(inclusion_margin))
 
 
-def _margins_in_any_order(problem: ControlProblem, gain: GainSchedule, bounds: Bounds) -> StageMargins:
+def _margins_in_any_order(
+    problem: ControlProblem, gain: GainSchedule, bounds: Bounds
+) -> StageMargins:
     """Return the margins of reach and inclusion for a tube that holds in every order."""
     W = problem.disturbance_set.vertices()
     last_stage = problem.horizon - 1

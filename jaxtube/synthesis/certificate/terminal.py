@@ -13,10 +13,10 @@ from jaxtyping import Float
 from jaxtube.synthesis.certificate.escape import escape_margin, say_what_is_passed
 from jaxtube.synthesis.certificate.stages import margins_along_reference
 from jaxtube.synthesis.condense import Bounds, tube_bounds
-from jaxtube.synthesis.gain_schedule import GainSchedule
-from jaxtube.synthesis.parts import TubeDesign
 from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.linear_problem import LinearProblem
+from jaxtube.synthesis.parts import TubeDesign
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import Terminal, admissible_set, set_back_off
 from jaxtube.synthesis.tightening import tighten
@@ -191,12 +191,13 @@ def check_any_order(design: TubeDesign) -> Condition:
         min(returns) - design.solver_slack,
         left.min(),
     )
+    scheduled = "wheel speeds" if isinstance(elsewhere, Problem) else "weights of the vertices"
     return judge(
         ANY_ORDER,
         margin,
-        "Feasibility is recursive in any order of the certified wheel speeds, because the terminal "
+        f"Feasibility is recursive in any order of the certified {scheduled}, because the terminal "
         f"set is invariant at every corner; checked along {RANDOM_STEPS} steps of random order.",
-        "Along wheel speeds in random order a plan may miss its constraints one step later by "
+        f"Along {scheduled} in random order a plan may miss its constraints one step later by "
         f"{-margin:.3g}.",
     )
 
@@ -280,7 +281,9 @@ def _unit_input_rows(
     return rows / scale[:, None], offsets / scale
 
 
-def _products(gain: GainSchedule, W: Float[np.ndarray, "w 3"], steps: int) -> Float[np.ndarray, "p 3"]:
+def _products(
+    gain: GainSchedule, W: Float[np.ndarray, "w 3"], steps: int
+) -> Float[np.ndarray, "p 3"]:
     """Return the corners of the hull of Psi W over every product of `steps` loops, by enumeration
     of the products."""
     points = W
