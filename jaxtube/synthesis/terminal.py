@@ -32,6 +32,7 @@ from sets import tubes
 from sets.few_facets import few_facet_rpi
 from sets.invariant import MaximalRpi, maximal_rpi
 from sets.polytope import Polytope, SupportFunction
+from sets.scalar import maximal_interval
 
 FACET_MULTIPLES = (1, 2)
 """Facets that the invariant set used on line may have, times `terminal_facets`. Each facet is a row
@@ -167,6 +168,8 @@ def _maximal(
 ) -> MaximalRpi:
     if np.any(admissible.offsets <= 0):
         return MaximalRpi(None, None, 0)
+    if admissible.dimension == 1:
+        return maximal_interval(loops, admissible, disturbance)
     return maximal_rpi(loops, admissible, disturbance)
 
 

@@ -12,6 +12,7 @@ Source: Moore, Kearfott, Cloud 2009, Introduction to Interval Analysis, chapters
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -32,6 +33,9 @@ Function = Callable[[Sequence[Any], Sequence[Any], Sequence[Any], Sequence[Any]]
 
 TOLERANCE = 0.01
 """Relative gap at which a bound is taken."""
+PIECES = 4
+"""Pieces that each share of a mixture is cut into at first: over all mixtures at once a weighted
+sum of positive numbers, such as a speed or a length, would seem to reach 0."""
 NEGLIGIBLE = 1e-12
 """Gap at which it is taken anyway, as a share of E."""
 
@@ -47,10 +51,12 @@ class Motion:
     Attributes:
         function: f; th are the weights of the vertices, d the uncertainties.
         uncertainty: half widths of D, the box of the uncertainties.
+        shares: how many of these, the last ones, make a mixture (see `without_schedule`).
     """
 
     function: Function
     uncertainty: Float[np.ndarray, " q"]
+    shares: int = 0
 
     def __post_init__(self):
         half = np.atleast_1d(np.asarray(self.uncertainty, float))
@@ -71,7 +77,8 @@ class Motion:
             shares = [share * 0.5 + 0.5 for share in d[known:]]
             return self.function(x, u, mix(shares), d[:known])
 
-        return Motion(move, np.concatenate([self.uncertainty, np.ones(vertices - 1)]))
+        uncertainty = np.concatenate([self.uncertainty, np.ones(vertices - 1)])
+        return Motion(move, uncertainty, self.shares + vertices - 1)
 
     def __call__(
         self,
@@ -94,7 +101,7 @@ def prove_disturbance(system: LinearSystem, motion: Motion) -> Polytope:
             returns another number of states.
     """
     states = system.states
-    lower, upper = _find_box(system, motion)
+    lower, upper = _find_boxes(system, motion)
     sizes = system.E.support(np.eye(states))
 
     def add_to_model(variables: Sequence[Any]) -> list[Any]:
@@ -115,7 +122,7 @@ def prove_disturbance(system: LinearSystem, motion: Motion) -> Polytope:
     objectives = [(row, sign, 2 * row + (sign < 0)) for row in range(states) for sign in (1, -1)]
     try:
         bounds, _ = suprema(
-            add_to_model, lower[:, None], upper[:, None], objectives, TOLERANCE, NEGLIGIBLE
+            add_to_model, lower, upper, objectives, TOLERANCE, NEGLIGIBLE
         )
     except ScenarioError:
         raise
@@ -132,20 +139,31 @@ def prove_disturbance(system: LinearSystem, motion: Motion) -> Polytope:
     return Polytope.box(np.nextafter(-least, -np.inf), np.nextafter(greatest, np.inf))
 
 
-def _find_box(
+def _find_boxes(
     system: LinearSystem, motion: Motion
-) -> tuple[Float[np.ndarray, " variables"], Float[np.ndarray, " variables"]]:
-    """Return the box of all variables: x, u, s, d; it holds E and U."""
+) -> tuple[Float[np.ndarray, "variables boxes"], Float[np.ndarray, "variables boxes"]]:
+    """Return boxes of all variables, x, u, s, d: together they hold E and U and every mixture."""
+    shares = len(system.A) - 1
     upper = []
     lower = []
     for polytope in (system.E, system.U):
         identity = np.eye(polytope.dimension)
         upper.append(polytope.support(identity))
         lower.append(-polytope.support(-identity))
-    shares = len(system.A) - 1
-    upper += [np.ones(shares), motion.uncertainty]
-    lower += [np.zeros(shares), -motion.uncertainty]
-    return np.concatenate(lower), np.concatenate(upper)
+    least = np.concatenate([*lower, np.zeros(shares), -motion.uncertainty])
+    most = np.concatenate([*upper, np.ones(shares), motion.uncertainty])
+    # Cut are the shares that are known, and those that are uncertain, which come last.
+    first = system.states + system.inputs
+    cut = [*range(first, first + shares), *range(len(least) - motion.shares, len(least))]
+    count = PIECES ** len(cut)
+    pieces = np.reshape(list(itertools.product(range(PIECES), repeat=len(cut))), (count, len(cut)))
+    below = np.repeat(least[:, None], count, axis=1)
+    above = np.repeat(most[:, None], count, axis=1)
+    # Quarters are exact, so that no number is left between two pieces.
+    quarter = (most - least)[cut, None] / PIECES
+    below[cut] = least[cut, None] + quarter * pieces.T
+    above[cut] = least[cut, None] + quarter * (pieces.T + 1)
+    return below, above
 
 
 def _split(system: LinearSystem, motion: Motion, variables: Sequence[Any]) -> tuple[list, ...]:
