@@ -12,6 +12,9 @@
     jt.export(design, "controller")               the same as NumPy and C99, certified as written
     jt.write_certificate(design, "proof")         the proof, with a program that checks it alone
 
+Any other linear system, parameter-varying in a polytope, is a `jt.LinearSystem`, and a nonlinear
+one that it stands for a `jt.Motion`: the same functions take them.
+
 Controllers and plants of your own fit `jt.Controller` and `jt.Plant`, slip processes
 `jt.SlipProcess`. What these functions compute on the device they compute in 64 bits, whatever JAX
 is configured to. Names are imported when they are first used.
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from jaxtube.control.protocol import Controller, Feedback, WheelMap
     from jaxtube.exporting.write import Exported, export
     from jaxtube.falsification.falsify import Falsification, falsify
+    from jaxtube.falsification.linear import LinearFalsification
     from jaxtube.plant.protocol import Command, Measurement, Plant
     from jaxtube.plant.slip import SlipProcess
     from jaxtube.results import read, save
@@ -33,12 +37,17 @@ if TYPE_CHECKING:
     from jaxtube.scenario.refusal import ScenarioError
     from jaxtube.scenario.tree import Scenario
     from jaxtube.simulation.governor import GovernedStep, Governor
+    from jaxtube.simulation.linear_laps import LinearLaps
     from jaxtube.simulation.simulate import Laps, simulate
     from jaxtube.simulation.stepper import Step, Stepper
+    from jaxtube.statistics.linear_montecarlo import LinearMonteCarlo
     from jaxtube.statistics.montecarlo import MonteCarlo, montecarlo
     from jaxtube.synthesis.design import EmptySetError, design
-    from jaxtube.synthesis.parts import Design
+    from jaxtube.synthesis.parts import Design, LinearDesign
     from jaxtube.synthesis.proof_file import write_certificate
+    from jaxtube.systems.motion import Motion
+    from jaxtube.systems.system import LinearSystem
+    from jaxtube.tuning.linear import LinearTuned
     from jaxtube.tuning.tune import Tuned, tune
 
 HOMES = {
@@ -52,8 +61,15 @@ HOMES = {
     "GovernedStep": "jaxtube.simulation.governor",
     "Governor": "jaxtube.simulation.governor",
     "Laps": "jaxtube.simulation.simulate",
+    "LinearDesign": "jaxtube.synthesis.parts",
+    "LinearFalsification": "jaxtube.falsification.linear",
+    "LinearLaps": "jaxtube.simulation.linear_laps",
+    "LinearMonteCarlo": "jaxtube.statistics.linear_montecarlo",
+    "LinearSystem": "jaxtube.systems.system",
+    "LinearTuned": "jaxtube.tuning.linear",
     "Measurement": "jaxtube.plant.protocol",
     "MonteCarlo": "jaxtube.statistics.montecarlo",
+    "Motion": "jaxtube.systems.motion",
     "Plant": "jaxtube.plant.protocol",
     "Scenario": "jaxtube.scenario",
     "ScenarioError": "jaxtube.scenario",
@@ -86,8 +102,15 @@ __all__ = [
     "GovernedStep",
     "Governor",
     "Laps",
+    "LinearDesign",
+    "LinearFalsification",
+    "LinearLaps",
+    "LinearMonteCarlo",
+    "LinearSystem",
+    "LinearTuned",
     "Measurement",
     "MonteCarlo",
+    "Motion",
     "Plant",
     "Scenario",
     "ScenarioError",

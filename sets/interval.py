@@ -223,6 +223,7 @@ def _make_function(name: str, enclose, derivative: Any = None) -> Callable[[Any]
             return x.apply(function)
         return enclose(name, x) if isinstance(x, Interval) else _ON_FLOATS[name](x)
 
+    function.__name__ = name
     return function
 
 
@@ -274,6 +275,7 @@ _ON_FLOATS: dict[str, Callable] = {
     "reciprocal": lambda x: 1.0 / x,
     "sin": np.sin,
     "cos": np.cos,
+    "tan": np.tan,
     "sinc": _sinc,
     "sinc_slope": _sinc_slope,
     "sinc_curvature": _sinc_curvature,
@@ -290,6 +292,7 @@ reciprocal = _make_function("reciprocal", _enclose_reciprocal, lambda x: -square
 
 sin = _make_function("sin", _enclose_increasing, lambda x: cos(x))
 cos = _make_function("cos", _enclose_even_decreasing, lambda x: -sin(x))
+tan = _make_function("tan", _enclose_increasing, lambda x: square(reciprocal(cos(x))))
 
 sinc = _make_function("sinc", _enclose_even_decreasing, lambda x: sinc_slope(x))
 """sin x / x."""

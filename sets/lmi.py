@@ -96,6 +96,7 @@ def terminal_cost(
     error_weight: Float[np.ndarray, "n n"],
     input_weight: Float[np.ndarray, "m m"],
     objective: Objective = "trace_s",
+    shares_gain: bool = False,
 ) -> TerminalCost:
     """Return a quadratic terminal cost and vertex gains that decrease it by the stage cost at
     every vertex.
@@ -105,11 +106,12 @@ def terminal_cost(
         error_weight: Q >= 0.
         input_weight: R > 0.
         objective: what the cost is best at, see the module.
+        shares_gain: ask for one gain that serves all vertices, Y_i = Y.
 
     Returns:
-        The cost, with `decrease_margins` >= 0 in float64 at every vertex. Where B is the same at
-        all vertices this holds for every convex combination of them, with the gains combined by
-        the same weights.
+        The cost, with `decrease_margins` >= 0 in float64 at every vertex. Where B or the gain is
+        the same at all vertices this holds for every convex combination of them, with the gains
+        combined by the same weights.
 
     Raises:
         ValueError: shapes or weights that are refused, or a vertex that no gain stabilises.
@@ -127,7 +129,7 @@ def terminal_cost(
     )
     for Q, R in _raise_in_turn(error_weight, input_weight):
         try:
-            terminal = _solve_scaled(A, B, Q, R, objective)
+            terminal = _solve_scaled(A, B, Q, R, objective, shares_gain)
         except RuntimeError as refusal:
             failure = refusal
             continue
@@ -137,7 +139,7 @@ def terminal_cost(
     raise failure
 
 
-def _solve_scaled(A, B, Q, R, objective: Objective) -> TerminalCost:
+def _solve_scaled(A, B, Q, R, objective: Objective, shares_gain: bool) -> TerminalCost:
     """Solve for the terminal cost in coordinates in which the mean Riccati cost and the input
     weight are identities.
 
@@ -148,7 +150,8 @@ def _solve_scaled(A, B, Q, R, objective: Objective) -> TerminalCost:
     L = np.linalg.cholesky(np.mean(riccati, axis=0))
     T = np.linalg.inv(L).T
     F = np.linalg.inv(compute_root(R))
-    S, Y, Z = _solve(L.T @ A @ T, L.T @ B @ F, compute_root(Q) @ T, T, objective)
+    scaled = (L.T @ A @ T, L.T @ B @ F, compute_root(Q) @ T)
+    S, Y, Z = _solve(*scaled, T, objective, shares_gain)
     S_inverse = np.linalg.inv(S)
     P = L @ S_inverse @ L.T
     gains = F @ Y @ S_inverse @ L.T
@@ -195,7 +198,9 @@ class _Goal(NamedTuple):
     unit: float
 
 
-def _solve(A, B, Q_factor, T, objective: Objective) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _solve(
+    A, B, Q_factor, T, objective: Objective, shares_gain: bool
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Solve L_i >= 0 for R = I and Q = Q_factor^T Q_factor, where P = T^-T S^-1 T^-1: S, Y_i and
     multipliers Z_i."""
     count, n, m = B.shape
@@ -204,11 +209,12 @@ def _solve(A, B, Q_factor, T, objective: Objective) -> tuple[np.ndarray, np.ndar
         "trace_p": [symmetric_basis(n)],
         "logdet": [triangular_basis(n), full_basis(n, 1)],
     }[objective]
-    S, *others = make_unknowns(symmetric_basis(n), *[full_basis(m, n)] * count, *of_goal)
-    Y = others[:count]
+    gains = 1 if shares_gain else count
+    S, *others = make_unknowns(symmetric_basis(n), *[full_basis(m, n)] * gains, *of_goal)
+    Y = others[:1] * count if shares_gain else others[:count]
     decrease = [_state_decrease(a, b, S, y, Q_factor) for a, b, y in zip(A, B, Y, strict=True)]
     floor = S - lift(COST_FLOOR * np.eye(n), len(S) - 1)
-    goal = _state_goal(S, others[count:], T, objective)
+    goal = _state_goal(S, others[gains:], T, objective)
     answer = _answer(goal, [*decrease, floor, *goal.constraints])
     multipliers = goal.unit * np.array(answer.multipliers[:count])
     return evaluate(S, answer.x), np.array([evaluate(y, answer.x) for y in Y]), multipliers

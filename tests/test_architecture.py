@@ -32,6 +32,7 @@ ROOMS = (
     "plant",
     "paths",
     "control",
+    "systems",
     "synthesis",
     "simulation",
     "statistics",

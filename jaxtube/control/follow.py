@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from jaxtube import qp
 from jaxtube.control import mpc
 from jaxtube.control.laws import TubeMpc
-from jaxtube.control.protocol import WheelMap
+from jaxtube.control.protocol import DirectInputs, WheelMap
 from jaxtube.plant.protocol import Command, Measurement
 
 
@@ -50,7 +50,7 @@ class PlanFollower:
     when: Int[Array, " batch"]
 
     @property
-    def wheel_map(self) -> WheelMap:
+    def wheel_map(self) -> WheelMap | DirectInputs:
         """How virtual inputs become wheel speeds."""
         return self.controller.wheel_map
 

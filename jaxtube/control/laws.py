@@ -21,7 +21,7 @@ from jaxtyping import Bool, Float, Int
 from jaxtube import qp
 from jaxtube.columns import use_twice
 from jaxtube.control import mpc, planning
-from jaxtube.control.protocol import Controller, WheelMap
+from jaxtube.control.protocol import Controller, DirectInputs, WheelMap
 from jaxtube.control.tracking import tracking_input
 from jaxtube.plant.protocol import Command, Measurement
 from jaxtube.qp.batched_ldl import matmul
@@ -45,13 +45,13 @@ class TubeMpc:
 
     qps: planning.CondensedQp
     index: Int[Array, " steps"]
-    wheel_map: WheelMap
+    wheel_map: WheelMap | DirectInputs
     restart: bool = True
 
     @property
     def free_gains(self) -> Float[Array, "steps 2 3"] | None:
         """The gains of the first input where no constraint is active, None without restart."""
-        return self.qps.free_inputs[self.index][:, :2] if self.restart else None
+        return self.qps.free_inputs[self.index][:, : self.qps.inputs] if self.restart else None
 
     @property
     def planner(self) -> TubeMpc | None:
@@ -70,7 +70,8 @@ class TubeMpc:
 
     def initial(self, errors: Float[Array, "batch 3"]) -> mpc.MpcState:
         """Return the memory before the first period: no plan."""
-        return mpc.initial_state(errors, self.qps.linear.shape[1] // 2)
+        inputs = self.qps.inputs
+        return mpc.initial_state(errors, self.qps.linear.shape[1] // inputs, inputs)
 
     def act(
         self,
@@ -155,7 +156,7 @@ class ScheduledGain:
     """The static law u = K(th_k) e: a tube's local gain without prediction."""
 
     gains: Float[Array, "steps 2 3"]
-    wheel_map: WheelMap
+    wheel_map: WheelMap | DirectInputs
 
     solves_qp = False
 

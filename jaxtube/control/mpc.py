@@ -59,10 +59,10 @@ class Diagnostics(NamedTuple):
     backup: Bool[Array, " batch"]  # the QP gave no plan: the input is the backup's
 
 
-def initial_state(errors: Float[Array, "batch 3"], horizon: int) -> MpcState:
+def initial_state(errors: Float[Array, "batch 3"], horizon: int, inputs: int) -> MpcState:
     """Return the memory before the first step: no plan, nominal error = measured error."""
     batch = len(errors)
-    no_inputs = jnp.zeros((batch, horizon, 2), errors.dtype)
+    no_inputs = jnp.zeros((batch, horizon, inputs), errors.dtype)
     at_the_end = jnp.full(batch, horizon, jnp.int32)
     return MpcState(no_inputs, at_the_end, errors)
 
@@ -218,7 +218,7 @@ def act_freely(
     """Act where every instance has just made a free plan."""
     start = _choose_start(state, errors, restart)
     plan = planning.free_plan(condensed, start)
-    due = planning.image(condensed.free_inputs[:2], start)
+    due = planning.image(condensed.free_inputs[: condensed.inputs], start)
     command = due if restart else due + planning.image(condensed.tube_gain, errors - start)
     nominal = planning.predict(condensed, start, due)
     following = MpcState(plan.inputs, jnp.ones_like(state.stage), nominal)

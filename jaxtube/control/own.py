@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -16,17 +16,35 @@ from jaxtyping import Float
 from jaxtube.arguments import describe_type
 from jaxtube.control.laws import solves_qp
 from jaxtube.control.mpc import Diagnostics
-from jaxtube.control.protocol import Controller, Feedback, Law, WheelMap
+from jaxtube.control.protocol import Controller, DirectInputs, Feedback, Law, WheelMap
 from jaxtube.plant.protocol import Command, Measurement, Memory
 
 BATCH = 7
 """Realisations of the trial: a number that no other axis has."""
 
-LAW = (
-    "u = f(errors, reference_wheels), from errors (batch, 3) and wheel speeds (2,) to inputs "
-    "(batch, 2), in jax.numpy; no `if` on values, use jnp.where"
-)
-"""What a law must be, in words."""
+
+class Sizes(NamedTuple):
+    """How many numbers a controller meets, and what those that it is scheduled on are called."""
+
+    errors: int = 3
+    inputs: int = 2
+    schedule: int = 2
+    scheduled_on: str = "wheel speeds"
+
+    def say_law(self) -> str:
+        """Return what a law must be, in words."""
+        argument = self.scheduled_on.split()[0]
+        if self.scheduled_on == "wheel speeds":
+            argument = "reference_wheels"
+        return (
+            f"u = f(errors, {argument}), from errors (batch, {self.errors}) and "
+            f"{self.scheduled_on} ({self.schedule},) to inputs (batch, {self.inputs}), in "
+            "jax.numpy; no `if` on values, use jnp.where"
+        )
+
+
+ROBOT = Sizes()
+"""Those of the robot."""
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=[], meta_fields=["controller"])
@@ -52,15 +70,19 @@ class Unregistered:
         return self.controller.act(step, memory, measurement, reference_wheels)
 
 
-def adapt_controller(controller: Controller | Law, wheel_map: WheelMap) -> Controller:
+def adapt_controller(
+    controller: Controller | Law, wheel_map: WheelMap | DirectInputs, sizes: Sizes = ROBOT
+) -> Controller:
     """Return what a closed loop can run of a user's own controller.
 
     Args:
         controller: a `Controller`, pytree or not, or a law u = f(errors, reference_wheels) on
             measured errors (batch, 3) in (m, m, rad) and wheel speeds (2,) in m/s that returns
             virtual inputs (batch, 2) in (m/s, rad/s), in the sense of the map's input map: the
-            deficits of speed and yaw rate for "paper" alone.
+            deficits of speed and yaw rate for "paper" alone. Of another system x (batch, n), th
+            (v,) and u (batch, m).
         wheel_map: how the virtual inputs of a law become wheel speeds.
+        sizes: of what it meets.
 
     Raises:
         ValueError: one line, for anything else, or where what it returns has other shapes.
@@ -69,26 +91,27 @@ def adapt_controller(controller: Controller | Law, wheel_map: WheelMap) -> Contr
         if not callable(controller):
             raise ValueError(
                 f"controller = {controller!r}: is neither a law nor an object with `initial` and "
-                f"`act`; a law is {LAW}"
+                f"`act`; a law is {sizes.say_law()}"
             )
         law = cast(Law, controller)
-        _check_law(law)
+        _check_law(law, sizes)
         return Feedback(law, wheel_map)
     adapted = cast(Controller, controller)
     if jax.tree_util.all_leaves([controller]):
         adapted = Unregistered(adapted)
-    _check_controller(adapted)
+    _check_controller(adapted, sizes)
     return adapted
 
 
-def _check_law(law: Law) -> None:
+def _check_law(law: Law, sizes: Sizes) -> None:
     """Trace a law, and refuse inputs of another shape."""
-    inputs = _trace(law, _floats(BATCH, 3), _floats(2), contract=f"a law is {LAW}")
-    if getattr(inputs, "shape", None) != (BATCH, 2):
-        raise ValueError(f"controller: returns {_describe(inputs)}; a law is {LAW}")
+    contract = f"a law is {sizes.say_law()}"
+    inputs = _trace(law, _floats(BATCH, sizes.errors), _floats(sizes.schedule), contract=contract)
+    if getattr(inputs, "shape", None) != (BATCH, sizes.inputs):
+        raise ValueError(f"controller: returns {_describe(inputs)}; {contract}")
 
 
-def _check_controller(controller: Controller) -> None:
+def _check_controller(controller: Controller, sizes: Sizes) -> None:
     """Trace one period of a controller, and refuse commands of another shape, and a memory that
     changes its structure."""
 
@@ -97,11 +120,12 @@ def _check_controller(controller: Controller) -> None:
         measurement = Measurement(errors, slip)
         return controller.act(jnp.asarray(0), memory, measurement, reference_wheels)
 
-    errors = _floats(BATCH, 3)
+    errors = _floats(BATCH, sizes.errors)
     contract = "jaxtube.control.protocol says what `initial` and `act` must do, in jax.numpy"
     before = _trace(controller.initial, errors, contract=contract)
-    answer = _trace(act, errors, _floats(BATCH, 2), _floats(2), contract=contract)
-    memory = _check_answer(answer)
+    slip = _floats(BATCH, 2)
+    answer = _trace(act, errors, slip, _floats(sizes.schedule), contract=contract)
+    memory = _check_answer(answer, sizes)
     if jax.tree.map(_get_kind, before) != jax.tree.map(_get_kind, memory):
         raise ValueError(
             "controller: `act` returns a memory of another structure, shape or dtype than "
@@ -109,7 +133,7 @@ def _check_controller(controller: Controller) -> None:
         )
 
 
-def _check_answer(answer: Any) -> Memory:
+def _check_answer(answer: Any, sizes: Sizes) -> Memory:
     """Return the memory that `act` returned, and refuse anything but what it must return."""
     match answer:
         case (Command() as command, memory, Diagnostics()):
@@ -120,10 +144,11 @@ def _check_answer(answer: Any) -> Memory:
                 "wheels), memory, jaxtube.control.mpc.no_diagnostics(errors))"
             )
     for name, values in command._asdict().items():
-        if getattr(values, "shape", None) != (BATCH, 2):
+        if getattr(values, "shape", None) != (BATCH, sizes.inputs):
+            units = ", inputs in (m/s, rad/s) and wheels in m/s" if sizes == ROBOT else ""
             raise ValueError(
-                f"controller: returns {name} of {_describe(values)} for errors (batch, 3); return "
-                "(batch, 2), inputs in (m/s, rad/s) and wheels in m/s"
+                f"controller: returns {name} of {_describe(values)} for errors (batch, "
+                f"{sizes.errors}); return (batch, {sizes.inputs}){units}"
             )
     return memory
 

@@ -65,6 +65,11 @@ class CondensedQp(NamedTuple):
     free_region: HalfSpaces | None = None
 
     @property
+    def inputs(self) -> int:
+        """How many inputs a period has."""
+        return self.input_matrix.shape[-1]
+
+    @property
     def parametric(self) -> Parametric:
         """The QP as one of parameters e."""
         return Parametric(self.linear, self.row_errors, self.lower, self.upper)
@@ -111,7 +116,8 @@ def are_all_free(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Boo
 def _is_within(region: HalfSpaces, errors: Float[Array, "batch 3"]) -> Bool[Array, " batch"]:
     """Return which errors lie within; written out, for one kernel."""
     within = [
-        sum(region.normals[row, i] * errors[:, i] for i in range(3)) <= region.offsets[row]
+        sum(region.normals[row, i] * errors[:, i] for i in range(errors.shape[1]))
+        <= region.offsets[row]
         for row in range(len(region.offsets))
     ]
     return functools.reduce(operator.and_, within)
@@ -205,7 +211,8 @@ def free_plan(condensed: CondensedQp, errors: Float[Array, "batch 3"]) -> Plan:
     rounding = (inputs.shape[1] + 5) * jnp.finfo(errors.dtype).eps * condensed.free_scale
     residual = rounding * jnp.max(jnp.abs(errors), axis=1)
     solved = jnp.full(batch, qp.SOLVED, jnp.int32)
-    return Plan(inputs.reshape(batch, -1, 2), solved, residual, jnp.zeros(batch, bool))
+    plans = inputs.reshape(batch, -1, condensed.inputs)
+    return Plan(plans, solved, residual, jnp.zeros(batch, bool))
 
 
 @jax.jit  # long to trace, and asked for in several places of a program
@@ -250,7 +257,7 @@ def choose_plan(
     """Return the free plan where it serves, and what a solver says elsewhere, if the error is
     admissible."""
     active = (solution.status == qp.SOLVED) & jnp.any(jnp.abs(solution.multipliers) > 0, axis=1)
-    inputs = solution.x.reshape(len(errors), -1, 2)
+    inputs = solution.x.reshape(len(errors), -1, condensed.inputs)
     solved = Plan(inputs, solution.status, solution.residual, active)
     plan = select(free, free_plan(condensed, errors), solved)
     # Data that are not numbers are no proof of anything; their residual is infinite.

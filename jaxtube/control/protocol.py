@@ -93,6 +93,21 @@ class WheelMap:
         return Command(inputs, wheels)
 
 
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True)
+class DirectInputs:
+    """Inputs that act as they are, in the place of a `WheelMap` where there are no wheels."""
+
+    def command(
+        self,
+        inputs: Float[Array, "batch m"],
+        measurement: Measurement,
+        reference_wheels: Float[Array, " p"],
+    ) -> Command:
+        """Return the command of inputs."""
+        return Command(inputs, inputs)
+
+
 Law = Callable[[Float[Array, "batch 3"], Float[Array, "2"]], Float[Array, "batch 2"]]
 
 
@@ -102,7 +117,7 @@ class Feedback:
     """A controller without memory, u = law(measured errors, reference wheels)."""
 
     law: Law
-    wheel_map: WheelMap
+    wheel_map: WheelMap | DirectInputs
 
     solves_qp = False
 

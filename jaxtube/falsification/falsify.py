@@ -7,9 +7,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 from jaxtube.falsification.cases import Row, list_worst_first, say_verdict
+from jaxtube.falsification.linear import LinearFalsification, make_linear_setting
 from jaxtube.falsification.sample import SampledExtremes, sample
 from jaxtube.falsification.search import WorstCaseSearch, search_worst_cases
 from jaxtube.falsification.setting import (
@@ -23,10 +24,16 @@ from jaxtube.falsification.storing import list_row_arrays, read_row
 from jaxtube.falsification.worst import Worst
 from jaxtube.precision import in_64_bits
 from jaxtube.progress import show_progress
-from jaxtube.simulation.choices import ControllerChoice, PlantChoice, SlipChoice
+from jaxtube.simulation.choices import (
+    ControllerChoice,
+    PlantChoice,
+    SlipChoice,
+    find_plant,
+    refuse_slip,
+)
 from jaxtube.simulation.promise import describe_certificate
 from jaxtube.storage import StoredResult, flatten, nest, write_result
-from jaxtube.synthesis.parts import Design, require_design
+from jaxtube.synthesis.parts import Design, LinearDesign, require_design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -118,18 +125,46 @@ class Falsification:
         )
 
 
-@in_64_bits
+@overload
 def falsify(
     design: Design,
     controller: ControllerChoice = "tube_mpc",
-    plant: PlantChoice = "robot",
+    plant: PlantChoice | None = None,
     *,
     target: str = "all",
     starts: str = "scenario",
     slip: SlipChoice = None,
     seconds: float = 60.0,
     seed: int = 0,
-) -> Falsification:
+) -> Falsification: ...
+
+
+@overload
+def falsify(
+    design: LinearDesign,
+    controller: ControllerChoice = "tube_mpc",
+    plant: PlantChoice | None = None,
+    *,
+    target: str = "all",
+    starts: str = "scenario",
+    slip: SlipChoice = None,
+    seconds: float = 60.0,
+    seed: int = 0,
+) -> LinearFalsification: ...
+
+
+@in_64_bits
+def falsify(
+    design: Design | LinearDesign,
+    controller: ControllerChoice = "tube_mpc",
+    plant: PlantChoice | None = None,
+    *,
+    target: str = "all",
+    starts: str = "scenario",
+    slip: SlipChoice = None,
+    seconds: float = 60.0,
+    seed: int = 0,
+) -> Falsification | LinearFalsification:
     """Search the smallest margins of a closed loop by gradient, over everything bounded that its
     plant would draw.
 
@@ -152,12 +187,20 @@ def falsify(
         ValueError: one line, for an unknown name, or a slip process or a plant that is not
             searched.
     """
-    require_design(design)
+    require_design(design, or_linear=True)
     _refuse_seconds(seconds)
-    setting = make_setting(design, controller, plant, starts, slip, seed)
+    plant = find_plant(design, plant)
+    if isinstance(design, LinearDesign):
+        refuse_slip(slip)
+        setting = make_linear_setting(design, controller, plant, starts, seed)
+    else:
+        setting = make_setting(design, controller, plant, starts, slip, seed)
     names = setting.limits.choose_names(target)
     with show_progress(2 * len(names), "searching", "limits") as bar:
-        return search_setting(setting, target, seconds=seconds, seed=seed, on_progress=bar.update)
+        rows = search_rows(setting, target, seconds=seconds, seed=seed, on_progress=bar.update)
+    if isinstance(design, LinearDesign):
+        return LinearFalsification(setting.limits, seed, rows)
+    return Falsification(setting.limits, seed, rows)
 
 
 def search_setting(
@@ -169,7 +212,21 @@ def search_setting(
     on_progress: Callable[[], object] | None = None,
 ) -> Falsification:
     """Search each limit of a target for its share of the time, then draw laps for as long as the
-    searches took.
+    searches took; arguments as for `search_rows`."""
+    _refuse_seconds(seconds)
+    rows = search_rows(setting, target, seconds=seconds, seed=seed, on_progress=on_progress)
+    return Falsification(setting.limits, seed, rows)
+
+
+def search_rows(
+    setting: Setting,
+    target: str,
+    *,
+    seconds: float,
+    seed: int,
+    on_progress: Callable[[], object] | None = None,
+) -> dict[str, Row]:
+    """Return what the search of each limit of a target found, by name.
 
     Args:
         setting: what is searched.
@@ -178,7 +235,6 @@ def search_setting(
         seed: of every draw.
         on_progress: called whenever a limit has been searched, and again when its laps are drawn.
     """
-    _refuse_seconds(seconds)
     names = setting.limits.choose_names(target)
     searches: dict[str, WorstCaseSearch] = {}
     for name in names:
@@ -196,7 +252,7 @@ def search_setting(
     for name in names:
         worst = _find_worst(name, searches)
         rows[name] = Row(worst, searches[name], sampled[name], setting.replay(worst))
-    return Falsification(setting.limits, seed, rows)
+    return rows
 
 
 def _refuse_seconds(seconds: float) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple, cast
+from typing import Generic, NamedTuple, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -42,7 +42,7 @@ from jaxtube.simulation.usage import (
 from jaxtube.synthesis.design import refuse_infeasible_start
 from jaxtube.synthesis.feasible import true_starts
 from jaxtube.synthesis.limits import InputRows, find_command_step
-from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.parts import Design, TubeDesign
 from sets.polytope import hull_vertices
 
 INSIDE = 0.999
@@ -55,7 +55,10 @@ TARGETS = {"error": ("error",), "input": ("input", "wheels", "acceleration"), "t
 """The limits of each target."""
 
 
-class LoopLimits(NamedTuple):
+DesignType = TypeVar("DesignType", bound=TubeDesign)
+
+
+class LoopLimits(NamedTuple, Generic[DesignType]):
     """The limits of a closed loop, and whose they are.
 
     Attributes:
@@ -67,7 +70,7 @@ class LoopLimits(NamedTuple):
         of_plans: R_1 .. R_N; empty for a controller that keeps no tube.
     """
 
-    design: Design
+    design: DesignType
     controller: str
     plant: str
     of_laps: Limits
@@ -154,7 +157,7 @@ def make_setting(
     if starts == "scenario" and isinstance(controller, str):
         refuse_infeasible_start(design)
     acting_controller = choose_controller(design, controller)
-    acting_plant = _require_searchable(choose_plant(design, plant, slip))
+    acting_plant = require_searchable(choose_plant(design, plant, slip))
     try:
         acting_plant.uncertainties()
     except ValueError as error:
@@ -176,7 +179,7 @@ def make_setting(
     )
 
 
-def _require_searchable(plant: Plant) -> SearchablePlant:
+def require_searchable(plant: Plant) -> SearchablePlant:
     """Return a plant whose draws can give way to an attack.
 
     Raises:
@@ -205,7 +208,7 @@ def choose_planner(
     return dataclasses.replace(components.make_tube_mpc(design), restart=True)
 
 
-def choose_start_vertices(design: Design, starts: str, seed: int) -> Float[np.ndarray, "k 3"]:
+def choose_start_vertices(design: TubeDesign, starts: str, seed: int) -> Float[np.ndarray, "k 3"]:
     """Return the vertices of the polytope of starts of a name.
 
     Raises:
@@ -218,7 +221,7 @@ def choose_start_vertices(design: Design, starts: str, seed: int) -> Float[np.nd
     raise ValueError(f'starts = {starts!r}: is unknown; choose "scenario" or "feasible"')
 
 
-def find_feasible_vertices(design: Design, seed: int) -> Float[np.ndarray, "k 3"]:
+def find_feasible_vertices(design: TubeDesign, seed: int) -> Float[np.ndarray, "k 3"]:
     """Return the vertices of a polytope of starts from which the tube-MPC has a plan."""
     points = true_starts(design.tube_qps, design.first_window, design.problem, seed=seed)
     return INSIDE * hull_vertices(points)
@@ -260,7 +263,7 @@ def make_input_limit(rows: InputRows) -> Limit:
     return make_limit(normals / scale[:, None], rows.offsets / scale)
 
 
-def make_tube_limits(design: Design) -> Limit:
+def make_tube_limits(design: TubeDesign) -> Limit:
     """Return R_1 .. R_N of the tube in use; of `sequence` those of the widest window."""
     sections = [section.polytope() for section in design.tube[1:]]
     return make_tube_limit([(section.normals, section.offsets) for section in sections])

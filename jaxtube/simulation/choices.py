@@ -8,26 +8,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxtube.control.own import adapt_controller
-from jaxtube.control.protocol import Controller
+from jaxtube.control.own import Sizes, adapt_controller
+from jaxtube.control.protocol import Controller, DirectInputs
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.slip import SlipProcess
 from jaxtube.simulation import components
 from jaxtube.simulation.starts import FixedStart, Starts, uniform_start
 from jaxtube.synthesis.feasible import true_starts
-from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.parts import Design, LinearDesign
+from jaxtube.systems.system import LinearSystem
 
 ControllerChoice = str | Controller | Callable[..., Float[Array, "batch 2"]]
-PlantChoice = str | Plant
+PlantChoice = str | Plant | LinearSystem
 SlipChoice = str | SlipProcess | None
 StartChoice = str | Float[np.ndarray, "laps 3"]
 
 
 def choose_controller(
-    design: Design, controller: ControllerChoice, starts: Starts | None = None
+    design: Design | LinearDesign, controller: ControllerChoice, starts: Starts | None = None
 ) -> Controller:
     """Return the controller of a name, or what a closed loop can run of a user's own; `starts` as
     for `components.make_tube_mpc`."""
+    if isinstance(design, LinearDesign):
+        if isinstance(controller, str):
+            return components.make_linear_controller(design, controller)
+        system = design.system
+        sizes = Sizes(system.states, system.inputs, len(system.A), "th, the weights of vertices,")
+        return adapt_controller(controller, DirectInputs(), sizes)
     if not isinstance(controller, str):
         return adapt_controller(controller, components.make_wheel_map(design.problem))
     makers = components.controller_makers(design, starts)
@@ -36,10 +43,18 @@ def choose_controller(
     return makers[controller]()
 
 
-def choose_plant(design: Design, plant: PlantChoice, slip: SlipChoice = None) -> Plant:
+def choose_plant(
+    design: Design | LinearDesign, plant: PlantChoice, slip: SlipChoice = None
+) -> Plant:
     """Return the plant of a name, or a user's own; `slip` for the robot alone."""
+    if isinstance(plant, LinearSystem):
+        if isinstance(design, LinearDesign):
+            return components.plant_of_system(design, plant)
+        raise ValueError('plant: is a LinearSystem, which is no robot; choose "linear"')
     if not isinstance(plant, str):
         return plant
+    if isinstance(design, LinearDesign):
+        return _choose_linear_plant(design, plant, slip)
     if plant == "robot":
         return components.slipping_robot(design, slip)
     if slip is not None:
@@ -51,7 +66,33 @@ def choose_plant(design: Design, plant: PlantChoice, slip: SlipChoice = None) ->
     raise ValueError(f'plant = {plant!r}: is unknown; choose "robot", "exact" or "linear"')
 
 
-def choose_starts(design: Design, starts: str) -> Starts:
+def _choose_linear_plant(design: LinearDesign, plant: str, slip: SlipChoice) -> Plant:
+    """Return the plant of a linear system by its name."""
+    refuse_slip(slip)
+    if plant == "linear":
+        return components.linear_plant(design)
+    if plant == "motion":
+        return components.own_motion(design.problem)
+    raise ValueError(f'plant = {plant!r}: is unknown; choose "linear" or "motion"')
+
+
+def refuse_slip(slip: SlipChoice) -> None:
+    """Raise ValueError, one line, for a slip process of a system without slips."""
+    if slip is not None:
+        raise ValueError(f"slip = {slip!r}: a linear system has no slips; leave it out")
+
+
+def find_plant(design: Design | LinearDesign, plant: PlantChoice | None) -> PlantChoice:
+    """Return a plant, or the name of the one that a design is run on unless told: the robot of a
+    scenario, the motion of a linear system, and without one its model."""
+    if plant is not None:
+        return plant
+    if isinstance(design, LinearDesign):
+        return "linear" if design.system.motion is None else "motion"
+    return "robot"
+
+
+def choose_starts(design: Design | LinearDesign, starts: str) -> Starts:
     """Return the law of initial errors: the scenario's start, or uniform in the feasible set of the
     tube-MPC, or on its edge.
 

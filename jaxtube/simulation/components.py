@@ -13,12 +13,13 @@ from jaxtyping import Float
 
 from jaxtube.control import planning
 from jaxtube.control.laws import ScheduledGain, TrackingLaw, TubeMpc
-from jaxtube.control.protocol import Controller, WheelMap
+from jaxtube.control.protocol import Controller, DirectInputs, WheelMap
 from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.forecast import Forecast
 from jaxtube.plant.lagging import BareRobot, LaggingRobot, SlipSource
 from jaxtube.plant.lagging_body import LaggingBody
 from jaxtube.plant.linear import LinearPlant
+from jaxtube.plant.own_motion import OwnMotion
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.recorded_slips import make_recorded
 from jaxtube.plant.slip import SlipProcess
@@ -27,15 +28,21 @@ from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.precision import require_64_bits
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.simulation.starts import FixedStart, Starts
+from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.free_region import find_free_regions
-from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.linear_problem import LinearProblem, make_linear_problem
+from jaxtube.synthesis.parts import Design, LinearDesign, TubeDesign
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.regions import find_regions
+from jaxtube.systems.system import LinearSystem
 
 PlantType = TypeVar("PlantType", bound=Plant)
 
 SourceType = TypeVar("SourceType", bound=SlipSource)
+
+LINEAR_CONTROLLERS = ("equal_gain", "local_gain", "plain_mpc", "tube_mpc")
+"""Names of the controllers of a linear system."""
 
 Robot = BareRobot | EstimatingRobot[BareRobot]
 """The same, with or without an estimate of its errors."""
@@ -113,6 +120,72 @@ def _make_mpc(design: Design, qps: planning.CondensedQp) -> TubeMpc:
     require_64_bits("controllers of a design")
     return TubeMpc(
         jax.device_put(qps), jnp.asarray(design.windows.index), make_wheel_map(design.problem)
+    )
+
+
+def make_linear_controller(design: LinearDesign, name: str) -> Controller:
+    """Return the controller of a linear system by its name.
+
+    Raises:
+        ValueError: for an unknown name.
+    """
+    tube_region, plain_region = find_free_regions(design.tube_qps, design.plain_qps)
+    tube_mpc = _make_direct_mpc(design, design.tube_qps._replace(free_region=tube_region))
+    plain_mpc = _make_direct_mpc(design, design.plain_qps._replace(free_region=plain_region))
+    match name:
+        case "tube_mpc":
+            return tube_mpc
+        case "plain_mpc":
+            return plain_mpc
+        case "equal_gain":
+            gains = plain_mpc.qps.free_inputs[plain_mpc.index][:, : design.system.inputs]
+            return ScheduledGain(gains, DirectInputs())
+        case "local_gain":
+            schedule = design.problem.schedule[: design.problem.reference.steps]
+            return ScheduledGain(jnp.asarray(design.tube_gain.along(schedule)), DirectInputs())
+    raise ValueError(f"controller = {name!r}: is unknown; choose one of {list(LINEAR_CONTROLLERS)}")
+
+
+def _make_direct_mpc(design: LinearDesign, qps: planning.CondensedQp) -> TubeMpc:
+    require_64_bits("controllers of a design")
+    return TubeMpc(jax.device_put(qps), jnp.asarray(design.windows.index), DirectInputs())
+
+
+def plant_of_system(design: LinearDesign, system: LinearSystem) -> LinearPlant | OwnMotion:
+    """Return another system, its motion where it has one, along the schedule of a design.
+
+    Raises:
+        ValueError: where its sizes are others.
+    """
+    own = design.system
+    if system.B.shape != own.B.shape:
+        raise ValueError(
+            f"plant: has (vertices, states, inputs) {system.B.shape}; give {own.B.shape}, as the "
+            "design has"
+        )
+    steps = design.problem.reference.steps
+    problem = make_linear_problem(system).along(design.problem.schedule, steps)
+    if system.motion is None:
+        return _make_linear_plant(problem)
+    return own_motion(problem)
+
+
+def own_motion(problem: LinearProblem) -> OwnMotion:
+    """Return the motion of a linear system's own as a plant.
+
+    Raises:
+        ValueError: where it has none.
+    """
+    motion = problem.system.motion
+    if motion is None:
+        raise ValueError(
+            'plant = "motion": the system has none; give jt.LinearSystem(..., motion=...), or '
+            'choose "linear"'
+        )
+    return OwnMotion(
+        reference_wheels=jnp.asarray(problem.schedule[: problem.reference.steps]),
+        disturbance_vertices=jnp.asarray(motion.corners),
+        function=motion.function,
     )
 
 
@@ -203,9 +276,12 @@ def exact_robot(design: Design) -> BareRobot:
     return robot.with_nominal_times() if isinstance(robot, LaggingRobot) else robot
 
 
-def linear_plant(design: Design) -> LinearPlant:
+def linear_plant(design: TubeDesign) -> LinearPlant:
     """Return the prediction model along the reference with w drawn in W."""
-    problem = design.problem
+    return _make_linear_plant(design.problem)
+
+
+def _make_linear_plant(problem: ControlProblem) -> LinearPlant:
     schedule = problem.schedule[: problem.reference.steps]
     transitions, inputs = problem.model.matrices(schedule)
     return LinearPlant(

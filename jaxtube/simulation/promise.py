@@ -8,7 +8,7 @@ import dataclasses
 import numpy as np
 
 from jaxtube.coordinates import describe_half_widths
-from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.parts import Design, TubeDesign
 
 
 def limit_true_errors(design: Design, plant: str) -> Design:
@@ -26,7 +26,7 @@ def describe_error_limits(design: Design, plant: str) -> str:
     return f"E is {describe_half_widths(error_set.support(np.eye(3)))}"
 
 
-def describe_certificate(design: Design, controller: str) -> str:
+def describe_certificate(design: TubeDesign, controller: str) -> str:
     """Return the verdict on a design, and that it is not one on a controller other than its
     tube-MPC."""
     verdict = design.certificate.verdict

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from jaxtyping import Float
@@ -24,19 +24,21 @@ from jaxtube.simulation.choices import (
     choose_controller,
     choose_plant,
     choose_starts,
+    find_plant,
     name_choice,
     name_controller,
 )
 from jaxtube.simulation.dataset import make_dataset
+from jaxtube.simulation.linear_laps import LinearLaps
 from jaxtube.simulation.memory import refuse_laps_beyond_memory
 from jaxtube.simulation.promise import describe_error_limits, limit_true_errors
+from jaxtube.simulation.recorded import RecordedLaps
 from jaxtube.simulation.rollout import (
-    Trajectory,
     read_trajectory,
     realisation_keys,
 )
 from jaxtube.storage import StoredResult, write_result
-from jaxtube.synthesis.parts import Design, require_design
+from jaxtube.synthesis.parts import Design, LinearDesign, require_design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -46,29 +48,11 @@ LAPS = 256
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Laps:
-    """Simulated laps; arrays are numpy, time first, then the laps.
-
-    Attributes:
-        design: whose closed loop they are of.
-        controller: its name; of a user's own what `simulate` was told, or what Python calls it.
-        plant: its name, "own" for a user's.
-        seed: of every draw.
-        trajectory: errors (steps + 1, laps, 3), inputs, wheels and diagnostics.
-        solves_qp: whether the controller solves QPs.
-    """
+class Laps(RecordedLaps):
+    """Simulated laps of a robot: errors are true tracking errors, (m, m, rad), of the committed
+    poses where wheels lag, and RMS errors in the same units."""
 
     design: Design
-    controller: str
-    plant: str
-    seed: int
-    trajectory: Trajectory
-    solves_qp: bool = True
-
-    @property
-    def errors(self) -> Float[np.ndarray, "steps+1 laps 3"]:
-        """True tracking errors, (m, m, rad); of the committed poses where wheels lag."""
-        return np.asarray(self.trajectory.errors)
 
     @property
     def error_limits(self) -> Float[np.ndarray, "3"]:
@@ -85,22 +69,6 @@ class Laps:
         [constraints] hold); NaN counts as outside."""
         limits = self.error_limits
         return int(np.sum(~np.all(np.abs(self.errors) <= limits, axis=(0, 2))))
-
-    @property
-    def statuses(self) -> dict[int, int]:
-        """How many QPs have each status that occurs (`jaxtube.qp.describe` has the words)."""
-        values, counts = np.unique(self.trajectory.diagnostics.status, return_counts=True)
-        return dict(zip(values.tolist(), counts.tolist(), strict=True))
-
-    @property
-    def without_plan(self) -> int:
-        """How many QPs were not solved."""
-        return sum(count for status, count in self.statuses.items() if status != qp.SOLVED)
-
-    @property
-    def rms(self) -> Float[np.ndarray, "3"]:
-        """RMS errors over all laps and the whole reference, (m, m, rad)."""
-        return np.sqrt(np.mean(self.errors**2, axis=(0, 1)))
 
     def plot(self, *others: Laps) -> Figure:
         """Draw the errors against time and limits, beside other laps; return the figure.
@@ -172,32 +140,63 @@ class Laps:
         return "\n".join([verdict, *qp.describe_unsolved(self.statuses)]) + ">"
 
 
-@in_64_bits
+@overload
 def simulate(
     design: Design,
     controller: ControllerChoice = "tube_mpc",
-    plant: PlantChoice = "robot",
+    plant: PlantChoice | None = None,
     *,
     laps: int | None = None,
     starts: StartChoice = "scenario",
     slip: SlipChoice = None,
     seed: int = 0,
     name: str = "",
-) -> Laps:
+) -> Laps: ...
+
+
+@overload
+def simulate(
+    design: LinearDesign,
+    controller: ControllerChoice = "tube_mpc",
+    plant: PlantChoice | None = None,
+    *,
+    laps: int | None = None,
+    starts: StartChoice = "scenario",
+    slip: SlipChoice = None,
+    seed: int = 0,
+    name: str = "",
+) -> LinearLaps: ...
+
+
+@in_64_bits
+def simulate(
+    design: Design | LinearDesign,
+    controller: ControllerChoice = "tube_mpc",
+    plant: PlantChoice | None = None,
+    *,
+    laps: int | None = None,
+    starts: StartChoice = "scenario",
+    slip: SlipChoice = None,
+    seed: int = 0,
+    name: str = "",
+) -> Laps | LinearLaps:
     """Run laps of a design's closed loop along its reference.
 
     Args:
         design: a design.
-        controller: "tube_mpc", "plain_mpc", "equal_gain", "local_gain", "compensated" or
-            "uncompensated"; a law u = f(errors, reference_wheels), u in the sense of the scenario's
-            controller.input_map (the deficits (V - v, Om - w) for "paper" alone); or a
-            `Controller`.
+        controller: "tube_mpc", "plain_mpc", "equal_gain", "local_gain" and, of a robot,
+            "compensated" or "uncompensated"; a law u = f(errors, reference_wheels), u in the sense
+            of the scenario's controller.input_map (the deficits (V - v, Om - w) for "paper" alone);
+            of a linear system a law u = f(x, th); or a `Controller`.
         plant: "robot" (the scenario's), "exact" (its slip known, its pose measured without noise),
-            "linear" (the prediction model with w in W), or a `Plant`.
+            "linear" (the prediction model with w in W), or a `Plant`. Of a linear system "linear",
+            "motion", or another `LinearSystem`. Unless given the robot; the motion where a system
+            has one, else the model.
         laps: how many; 256, or one a start, unless given. All are kept: `montecarlo` keeps none.
-        starts: "scenario", "feasible" (uniform in the hull of 400 boundary points of the
-            tube-MPC's feasible set, less the pose noise), "edge" (on the boundary of that hull), or
-            true initial errors (laps, 3) in (m, m, rad).
+        starts: "scenario" (its start, or the system's), "feasible" (uniform in the hull of 400
+            boundary points of the tube-MPC's feasible set, less the pose noise), "edge" (on the
+            boundary of that hull), or true initial errors (laps, 3) in (m, m, rad); states (laps,
+            n) of a linear system.
         slip: process of the slips of the robot, a name or a `SlipProcess`; the scenario's unless
             given.
         seed: of every draw; lap i is the same whatever `laps` is.
@@ -211,8 +210,9 @@ def simulate(
         ValueError: one line, for an unknown name, a controller of other shapes, or more laps than
             there is memory for.
     """
-    require_design(design)
-    count = _count_laps(laps, starts)
+    require_design(design, or_linear=True)
+    plant = find_plant(design, plant)
+    count = _count_laps(laps, starts, design.problem.operating_set.dimension)
     refuse_laps_beyond_memory(count, design.problem.reference.steps)
     law = choose_starts(design, starts) if isinstance(starts, str) else None
     acting_controller = choose_controller(design, controller, law)
@@ -225,17 +225,14 @@ def simulate(
         trajectory = batches.run_realisations(
             acting_controller, acting_plant, errors, seed, bar.update
         )
-    return Laps(
-        design,
-        name or name_controller(controller),
-        name_choice(plant),
-        seed,
-        trajectory,
-        solves_qp(acting_controller),
-    )
+    told = (name or name_controller(controller), name_choice(plant), seed)
+    plans = solves_qp(acting_controller)
+    if isinstance(design, LinearDesign):
+        return LinearLaps(design, *told, trajectory, plans)
+    return Laps(design, *told, trajectory, plans)
 
 
-def _count_laps(laps: int | None, starts: StartChoice) -> int:
+def _count_laps(laps: int | None, starts: StartChoice, states: int) -> int:
     """Return how many laps are asked for, by number or by their starts.
 
     Raises:
@@ -245,9 +242,9 @@ def _count_laps(laps: int | None, starts: StartChoice) -> int:
     if isinstance(starts, str):
         return LAPS if count is None else count
     errors = np.asarray(starts, float)
-    if errors.ndim != 2 or errors.shape[1] != 3 or not len(errors):
+    if errors.ndim != 2 or errors.shape[1] != states or not len(errors):
         raise ValueError(
-            f"starts: shape {errors.shape} is not (laps, 3); give one initial error a lap"
+            f"starts: shape {errors.shape} is not (laps, {states}); give one initial error a lap"
         )
     if not np.all(np.isfinite(errors)):
         row = int(np.argmin(np.all(np.isfinite(errors), axis=1)))

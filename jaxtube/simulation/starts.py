@@ -44,7 +44,7 @@ class FixedStart:
 
     def draw(self, keys: Key[Array, " batch"]) -> Float[Array, "batch 3"]:
         """Return the initial errors."""
-        return jnp.broadcast_to(self.error, (len(keys), 3))
+        return jnp.broadcast_to(self.error, (len(keys), len(self.error)))
 
     def sample(self, generator: np.random.Generator, count: int) -> Float[np.ndarray, "count 3"]:
         """Return the initial error so many times."""
@@ -74,7 +74,7 @@ class UniformStart:
         dtype = self.triangles.dtype
         draws = jax.vmap(
             lambda key: jax.random.uniform(
-                jax.random.fold_in(key, Stream.INITIAL_ERROR), (4,), dtype
+                jax.random.fold_in(key, Stream.INITIAL_ERROR), (self._uniforms,), dtype
             )
         )(keys)
         return self._place(draws, jnp)
@@ -82,10 +82,15 @@ class UniformStart:
     def sample(self, generator: np.random.Generator, count: int) -> Float[np.ndarray, "count 3"]:
         """Return so many of the same law, off line."""
         on_the_host = jax.tree.map(np.asarray, self)
-        return on_the_host._place(generator.random((count, 4)), np)
+        return on_the_host._place(generator.random((count, on_the_host._uniforms)), np)
 
-    def _place(self, draws: Float[Any, "batch 4"], xp: ModuleType) -> Float[Any, "batch 3"]:
-        """Return the errors of four uniform numbers each."""
+    @property
+    def _uniforms(self) -> int:
+        """Uniform numbers of a draw: one for the simplex, one for each coordinate in it."""
+        return 1 + self.triangles.shape[-1]
+
+    def _place(self, draws: Float[Any, "batch n+1"], xp: ModuleType) -> Float[Any, "batch 3"]:
+        """Return the errors of their uniform numbers."""
         chosen = self.triangles[xp.searchsorted(self.cumulative, draws[:, 0], side="right")]
         weights = xp.diff(xp.sort(draws[:, 1:], axis=1), prepend=0.0, axis=1)
         if self.edge:
@@ -100,11 +105,23 @@ def uniform_start(points: Float[np.ndarray, "k 3"], edge: bool = False) -> Unifo
     Raises:
         ValueError: where the origin lies outside the hull.
     """
-    hull = ConvexHull(points)
-    if np.any(hull.equations[:, -1] > 0):
+    triangles = _find_facets(points)
+    shares = np.cumsum(np.abs(np.linalg.det(triangles)))
+    return UniformStart(jnp.asarray(triangles), jnp.asarray(shares[:-1] / shares[-1]), edge)
+
+
+def _find_facets(points: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "simplices n n"]:
+    """Return the facets of a hull around the origin, cut into simplices: of numbers both ends."""
+    if points.shape[1] == 1:
+        ends = np.array([points.min(), points.max()])
+        surrounds = ends[0] < 0 < ends[1]
+        facets = ends[:, None, None]
+    else:
+        hull = ConvexHull(points)
+        surrounds = bool(np.all(hull.equations[:, -1] <= 0))
+        facets = points[hull.simplices]
+    if not surrounds:
         raise ValueError(
             "starts: points do not surround the origin; give points on all sides of it"
         )
-    triangles = points[hull.simplices]
-    shares = np.cumsum(np.abs(np.linalg.det(triangles)))
-    return UniformStart(jnp.asarray(triangles), jnp.asarray(shares[:-1] / shares[-1]), edge)
+    return facets

@@ -90,12 +90,13 @@ def make_tube_limit(sections: list[tuple[np.ndarray, np.ndarray]]) -> Limit:
         sections: (normals, offsets) of R_1 .. R_N; shorter ones are padded with facets 0 x <= 1.
     """
     facets = max(len(offsets) for _, offsets in sections)
-    normals = np.zeros((len(sections), facets, 3))
+    dimension = sections[0][0].shape[1]
+    normals = np.zeros((len(sections), facets, dimension))
     offsets = np.ones((len(sections), facets))
     for stage, (rows, bounds) in enumerate(sections):
         normals[stage, : len(rows)] = rows
         offsets[stage, : len(rows)] = bounds
-    return Limit(jnp.asarray(normals), jnp.asarray(offsets), jnp.zeros(3))
+    return Limit(jnp.asarray(normals), jnp.asarray(offsets), jnp.zeros(dimension))
 
 
 def play(
@@ -352,7 +353,8 @@ def replay(
     state = _run_until(planner, acting, keys, jnp.asarray(attack["start"]), step)
     plan = _make_plan(planner, step, state.measured)
     if int(plan.status[0]) != qp.SOLVED:
-        return Replay(trajectory, np.zeros((plan.inputs.shape[1], 3)))
+        nothing = np.zeros((plan.inputs.shape[1], state.measured.shape[1]))
+        return Replay(trajectory, nothing)
     deviations = follow_plan(planner, acting, keys, state, step, plan)
     return Replay(trajectory, np.asarray(deviations[:, 0]))
 
@@ -381,7 +383,7 @@ def read_values(name: str, played: Replay) -> Float[np.ndarray, "steps n"]:
     lap = played.trajectory
     if name == "tube":
         assert played.deviations is not None
-        return np.concatenate([np.zeros((1, 3)), played.deviations])
+        return np.concatenate([np.zeros_like(played.deviations[:1]), played.deviations])
     if name == "input":
         return np.concatenate([lap.inputs[:, 0], lap.measured[:-1, 0]], axis=1)
     if name == "acceleration":

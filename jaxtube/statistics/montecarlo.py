@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, overload
 
 import jax
 
@@ -24,6 +24,7 @@ from jaxtube.simulation.choices import (
     choose_controller,
     choose_plant,
     choose_starts,
+    find_plant,
     name_choice,
 )
 from jaxtube.simulation.promise import (
@@ -33,29 +34,16 @@ from jaxtube.simulation.promise import (
 )
 from jaxtube.statistics.dataset import make_dataset
 from jaxtube.statistics.events import EVENT_NAMES
+from jaxtube.statistics.linear_montecarlo import LinearMonteCarlo, run_linear
 from jaxtube.statistics.run import BLOCK, Run, Statistics, Task, merge
+from jaxtube.statistics.share import Share
 from jaxtube.statistics.summary import SamplingLaw, summarise
 from jaxtube.statistics.task import make_task
 from jaxtube.storage import StoredResult, write_result
-from jaxtube.synthesis.parts import Design, require_design
+from jaxtube.synthesis.parts import Design, LinearDesign, require_design
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-
-class Share(NamedTuple):
-    """How often an event was seen, with the interval of the share of laps at 95 % confidence."""
-
-    laps: int
-    of: int
-    low: float
-    high: float
-
-    def __repr__(self) -> str:
-        return (
-            f"{self.laps:,} of {self.of:,} laps, share {self.low:.3g} to {self.high:.3g} "
-            "at 95 % confidence"
-        )
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -147,17 +135,43 @@ class MonteCarlo:
         )
 
 
-@in_64_bits
+@overload
 def montecarlo(
     design: Design,
     controller: ControllerChoice = "tube_mpc",
-    plant: PlantChoice = "robot",
+    plant: PlantChoice | None = None,
     *,
     laps: int = 100_000,
     starts: str = "scenario",
     slip: SlipChoice = None,
     seed: int = 0,
-) -> MonteCarlo:
+) -> MonteCarlo: ...
+
+
+@overload
+def montecarlo(
+    design: LinearDesign,
+    controller: ControllerChoice = "tube_mpc",
+    plant: PlantChoice | None = None,
+    *,
+    laps: int = 100_000,
+    starts: str = "scenario",
+    slip: SlipChoice = None,
+    seed: int = 0,
+) -> LinearMonteCarlo: ...
+
+
+@in_64_bits
+def montecarlo(
+    design: Design | LinearDesign,
+    controller: ControllerChoice = "tube_mpc",
+    plant: PlantChoice | None = None,
+    *,
+    laps: int = 100_000,
+    starts: str = "scenario",
+    slip: SlipChoice = None,
+    seed: int = 0,
+) -> MonteCarlo | LinearMonteCarlo:
     """Run laps by the million and check every period against the sets of a design.
 
     Args:
@@ -173,8 +187,13 @@ def montecarlo(
     Raises:
         ValueError: one line, for an unknown name, or laps that are no whole number.
     """
-    require_design(design)
+    require_design(design, or_linear=True)
     count = require_count("laps", laps)
+    plant = find_plant(design, plant)
+    if isinstance(design, LinearDesign):
+        return run_linear(
+            design, controller, plant, laps=count, starts=starts, slip=slip, seed=seed
+        )
     law = name_law(design, controller, plant, starts, slip)
     task = make_closed_loop_task(design, controller, plant, starts, slip, seed)
     run = Run(task, count, chunk=1, devices=tuple(jax.local_devices()))

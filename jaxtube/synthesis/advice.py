@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.disturbance import kinematics, operation
 from jaxtube.synthesis.problem import Problem
 from sets.robot.disturbance import disturbance_parts
@@ -22,8 +23,10 @@ def say_what_proves_w() -> str:
     )
 
 
-def say_what_helps(problem: Problem) -> str:
+def say_what_helps(problem: ControlProblem) -> str:
     """Return the cures of a tube that is too wide, in words."""
+    if not isinstance(problem, Problem):
+        return "give other gains K, or shrink W"
     if problem.scenario.disturbance.bound == "assumed":
         return "shrink [disturbance] or widen the limits"
     return (

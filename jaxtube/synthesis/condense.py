@@ -33,8 +33,8 @@ from jaxtube import qp
 from jaxtube.control.planning import CondensedQp
 from jaxtube.qp.regions import AnyArray
 from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.prediction import Prediction, predict
-from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import Terminal
 from jaxtube.synthesis.tightening import Tightening, find_back_off, reach_of_limits
 from jaxtube.synthesis.windows import Windows
@@ -52,7 +52,7 @@ class Bounds:
 
 
 def tube_bounds(
-    problem: Problem, tightening: Tightening, terminal: Terminal, once: float | None = None
+    problem: ControlProblem, tightening: Tightening, terminal: Terminal, once: float | None = None
 ) -> Bounds:
     """Return the tightened sets, backed off for the solver's slack.
 
@@ -76,7 +76,7 @@ def tube_bounds(
     )
 
 
-def draw_in(problem: Problem, bounds: Bounds, share: float) -> Bounds:
+def draw_in(problem: ControlProblem, bounds: Bounds, share: float) -> Bounds:
     """Return bounds drawn in by a share of each limit."""
     return Bounds(
         errors=bounds.errors - share * problem.operating_set.offsets,
@@ -86,7 +86,7 @@ def draw_in(problem: Problem, bounds: Bounds, share: float) -> Bounds:
     )
 
 
-def plain_bounds(problem: Problem, windows: Windows, terminal: Terminal) -> Bounds:
+def plain_bounds(problem: ControlProblem, windows: Windows, terminal: Terminal) -> Bounds:
     """Return E and U untightened and no terminal set: what MPC without a tube uses.
 
     The terminal rows stay, unbounded, so that both controllers share their shapes and one
@@ -130,7 +130,7 @@ class Gains(NamedTuple):
 
 
 def condense(
-    problem: Problem,
+    problem: ControlProblem,
     windows: Windows,
     terminal: Terminal,
     terminal_cost: Float[np.ndarray, "3 3"],
@@ -143,23 +143,22 @@ def condense(
     """
     ahead = predict(problem, windows, bounds.terminal_normals)
     gains = Gains(windows.gains[:, 0], terminal.gains.along(windows.schedules[:, 0]))
-    has_gains = problem.scenario.controller.cost == "deviation"
+    has_gains = problem.settings.cost == "deviation"
     kept_gains = windows.gains if has_gains else None
     cost = Cost(problem.error_weight, problem.input_weight, terminal_cost, kept_gains)
     try:
         return weigh(ahead, row_bounds(bounds, ahead, np), gains, cost, widths(problem), np)
     except np.linalg.LinAlgError:
-        settings = problem.scenario.controller
         raise ScenarioError(
-            f"scenario: controller.input_weight = {settings.input_weight}: beside error_weight = "
-            f"{settings.error_weight} the cost of a plan is not positive definite in float64; "
-            "bring the weights closer together"
+            f"scenario: controller.input_weight = {problem.input_weight.tolist()}: beside "
+            f"error_weight = {problem.error_weight.tolist()} the cost of a plan is not positive "
+            "definite in float64; bring the weights closer together"
         ) from None
 
 
-def widths(problem: Problem) -> Float[np.ndarray, "3"]:
+def widths(problem: ControlProblem) -> Float[np.ndarray, "3"]:
     """Return the half widths of the errors that plans start from, (m, m, rad)."""
-    return problem.operating_set.support(np.eye(3))
+    return problem.operating_set.support(np.eye(problem.operating_set.dimension))
 
 
 def row_bounds(bounds: Bounds, ahead: Prediction, xp: ModuleType = jnp) -> RowBounds:
@@ -167,12 +166,13 @@ def row_bounds(bounds: Bounds, ahead: Prediction, xp: ModuleType = jnp) -> RowBo
     row with two bounds."""
     count, _, both = bounds.inputs.shape
     k = both // 2
+    half = bounds.errors.shape[2] // 2
     below = (
-        -bounds.errors[:, 1:, 3:],
+        -bounds.errors[:, 1:, half:],
         -bounds.inputs[:, :, k:],
         -xp.full_like(bounds.terminal, xp.inf),
     )
-    above = (bounds.errors[:, 1:, :3], bounds.inputs[:, :, :k], bounds.terminal)
+    above = (bounds.errors[:, 1:, :half], bounds.inputs[:, :, :k], bounds.terminal)
     lower = xp.concatenate([part.reshape(count, -1) for part in below], axis=1)
     upper = xp.concatenate([part.reshape(count, -1) for part in above], axis=1)
     return RowBounds(
@@ -232,7 +232,7 @@ def condense_cost(
     if cost.kept_gains is not None:
         return _condense_deviation(ahead, cost.kept_gains, cost.input_weight, xp)
     N = ahead.free.shape[1] - 1
-    stages = xp.broadcast_to(cost.error_weight, (N, 3, 3))
+    stages = xp.broadcast_to(cost.error_weight, (N, *cost.error_weight.shape))
     weights = xp.concatenate([stages, cost.terminal[None]])  # Q_0 .. Q_N
     weighted = xp.einsum("wjxa,jxy->wjay", ahead.forced, weights)
     of_errors = xp.einsum("wjay,wjyb->wab", weighted, ahead.forced)
@@ -281,11 +281,12 @@ def solve_free(
 
 
 def bound_solver_slack(
-    problem: Problem, windows: Windows, bounds: Bounds, qps: CondensedQp
+    problem: ControlProblem, windows: Windows, bounds: Bounds, qps: CondensedQp
 ) -> float:
     """Return by what share of its limit an accepted answer may miss a constraint, from any error in
     E."""
-    directions = np.concatenate([np.eye(2), -np.eye(2)])
+    each = np.eye(problem.input_set.dimension)
+    directions = np.concatenate([each, -each])
     largest_input = float(np.max(problem.input_set.support(directions)))
     reached = predict(problem, windows, bounds.terminal_normals).reached
     limits = row_limits(problem, bounds.terminal_normals)[reached]
@@ -293,12 +294,12 @@ def bound_solver_slack(
 
 
 def row_limits(
-    problem: Problem, terminal_normals: Float[np.ndarray, "facets 3"]
+    problem: ControlProblem, terminal_normals: Float[np.ndarray, "facets 3"]
 ) -> Float[np.ndarray, " m"]:
     """Return the limit of every row, untightened, to which back-off and slack are relative: of
     opposite rows that of the narrower one, of terminal rows the reach of E."""
     N = problem.horizon
     pairs = problem.input_rows.offsets.reshape(2, -1).min(axis=0)
-    errors = np.tile(problem.operating_set.offsets[:3], N - 1)
+    errors = np.tile(problem.operating_set.offsets.reshape(2, -1).min(axis=0), N - 1)
     terminal = reach_of_limits(problem, terminal_normals)
     return np.concatenate([errors, np.tile(pairs, N), terminal])

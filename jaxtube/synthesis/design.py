@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import overload
 
 import numpy as np
 from jaxtyping import Float
@@ -23,13 +24,15 @@ from jaxtube.synthesis.certificate.certify import certify
 from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.feasible import noise_corners, reach_of_ray, shortfall
 from jaxtube.synthesis.gains import compensating_gain
-from jaxtube.synthesis.parts import Condensed, Design
+from jaxtube.synthesis.linear_design import design_linear
+from jaxtube.synthesis.parts import Condensed, Design, LinearDesign
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import make_terminal
 from jaxtube.synthesis.terminal_cost import terminal_cost_and_gain
 from jaxtube.synthesis.tightening import EmptySetError, refuse_empty, tighten
 from jaxtube.synthesis.tubes import make_tubes
 from jaxtube.synthesis.windows import make_windows
+from jaxtube.systems.system import LinearSystem
 from sets.certificate import ROUNDING
 
 __all__ = [
@@ -66,13 +69,26 @@ class Clock:
         self._last = now
 
 
-def design(scenario: Scenario) -> Design:
+@overload
+def design(scenario: Scenario) -> Design: ...
+
+
+@overload
+def design(scenario: LinearSystem) -> LinearDesign: ...
+
+
+def design(scenario: Scenario | LinearSystem) -> Design | LinearDesign:
     """Compute sets, gains, terminal ingredients, condensed controllers and certificate.
+
+    Args:
+        scenario: a robot's, or a linear system of your own.
 
     Raises:
         ScenarioError: for data no controller can be built from, in one line.
         EmptySetError: where a tightened set E_j or U_j is empty.
     """
+    if isinstance(scenario, LinearSystem):
+        return design_linear(scenario)
     clock = Clock()
     return finish(_begin(scenario, clock), clock)
 

@@ -12,6 +12,7 @@ from scipy.optimize import linprog
 
 from jaxtube.control.planning import CondensedQp
 from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.problem import Problem
 from sets.polytope import Polytope
 from sets.projection import SHARE, Projection, project
@@ -26,12 +27,12 @@ JUST_INSIDE = 0.999
 """Share of the hull of boundary points that starts close to its edge take."""
 
 
-def noise_corners(problem: Problem) -> Float[np.ndarray, "corners 3"]:
+def noise_corners(problem: ControlProblem) -> Float[np.ndarray, "corners 3"]:
     """Return the extreme errors of the measured pose, the one zero where there is no noise."""
     noise = problem.noise
     if not noise.any():
-        return np.zeros((1, 3))
-    return noise * np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
+        return np.zeros((1, len(noise)))
+    return noise * np.array(np.meshgrid(*[[-1, 1]] * len(noise))).reshape(len(noise), -1).T
 
 
 def reach_of_ray(
@@ -80,7 +81,9 @@ def boundary(
 
     Their convex hull lies in F.
     """
-    directions = np.random.default_rng(seed).normal(size=(count, 3)) * error_set.support(np.eye(3))
+    states = error_set.dimension
+    widths = error_set.support(np.eye(states))
+    directions = np.random.default_rng(seed).normal(size=(count, states)) * widths
     in_error_set = 1 / np.max(directions @ error_set.normals.T / error_set.offsets, axis=1)
     in_feasible_set = [reach_of_ray(qps, index, direction) for direction in directions]
     return np.minimum(in_feasible_set, in_error_set)[:, None] * directions
@@ -107,7 +110,7 @@ def project_feasible_set(
 
 
 def true_starts(
-    qps: CondensedQp, index: int, problem: Problem, seed: int = 0
+    qps: CondensedQp, index: int, problem: ControlProblem, seed: int = 0
 ) -> Float[np.ndarray, "k 3"]:
     """Return corners of a polytope of true errors from which there is a plan, whatever the noise of
     the pose.
@@ -118,14 +121,16 @@ def true_starts(
     Raises:
         ScenarioError: where no error has a plan.
     """
-    if reach_of_ray(qps, index, np.array([0.0, 0.0, 1.0])) <= 0:
+    states = problem.operating_set.dimension
+    if reach_of_ray(qps, index, np.eye(states)[-1]) <= 0:
         raise ScenarioError(
             "scenario: no start has a plan: not even the origin; see the failing conditions of "
             "`design`"
         )
     points = (1 - EDGE) * boundary(qps, index, problem.operating_set, RAYS, seed)
-    if problem.first_command is not None and not problem.scenario.robot.obeys_at_once:
-        points = problem.first_command.shrink(points)
+    if isinstance(problem, Problem) and not problem.scenario.robot.obeys_at_once:
+        first = problem.first_command
+        points = points if first is None else first.shrink(points)
     noise = problem.noise
     if not noise.any():
         return points

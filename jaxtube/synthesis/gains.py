@@ -22,6 +22,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.plant.model import VERTEX_SIDES, Model, bilinear_weights
+from jaxtube.synthesis.gain_schedule import GainSchedule, distinct
 from jaxtube.synthesis.problem import Problem, region_corners
 from sets.riccati import lqr_gain
 
@@ -30,26 +31,12 @@ Region = Float[np.ndarray, "2 2"]
 
 
 @dataclass(frozen=True, eq=False)
-class Gain:
-    """A gain u = +K(th) e, bilinear in the schedule, with its loops over a problem's regions."""
+class Gain(GainSchedule):
+    """A gain u = +K(th) e, bilinear in the schedule (right, left) in m/s, with its loops over a
+    problem's regions."""
 
     model: Model
     regions: Float[np.ndarray, "m 2 2"]
-    nominal: Float[np.ndarray, "2 3"]  # at the centre of the box
-    vertices: Float[np.ndarray, "4 2 3"]
-
-    def at(self, weights: Float[np.ndarray, "... 4"]) -> Float[np.ndarray, "... 2 3"]:
-        """Return the gain at the schedules with these bilinear weights."""
-        return np.tensordot(weights, self.vertices, axes=1)
-
-    def along(self, schedules: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 2 3"]:
-        """Return the gain at schedules (right, left), m/s."""
-        return self.at(self.model.weights(schedules))
-
-    def loops_along(self, schedules: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 3 3"]:
-        """Return the loops A + B K at schedules."""
-        transitions, inputs = self.model.matrices(schedules)
-        return transitions + inputs @ self.along(schedules)
 
     @cached_property
     def corner_gains(self) -> Float[np.ndarray, "4m 2 3"]:
@@ -61,11 +48,6 @@ class Gain:
         """Loops and gains whose joint mixtures are to hold (A + B K, K) at every schedule in the
         regions."""
         return self.loops_along(region_corners(self.regions)), self.corner_gains
-
-    @cached_property
-    def loops(self) -> Float[np.ndarray, "v 3 3"]:
-        """Loops whose mixtures are to hold A + B K at every schedule in the regions, each once."""
-        return distinct(self.pairs[0])
 
     def region_loops(self, region: Region) -> Float[np.ndarray, "4 3 3"]:
         """Return the loops at the corners of a region."""
@@ -111,7 +93,7 @@ class StretchedGain(Gain):
 
 def vertex_gain(problem: Problem, vertices: Float[np.ndarray, "4 2 3"]) -> Gain:
     """Return the gain with these values at the vertices of the box."""
-    return Gain(problem.model, problem.regions, vertices.mean(axis=0), vertices)
+    return Gain(problem.model, vertices.mean(axis=0), vertices, problem.regions)
 
 
 def compensating_gain(problem: Problem) -> Gain:
@@ -120,7 +102,7 @@ def compensating_gain(problem: Problem) -> Gain:
     nominal = lqr_gain(*model.matrices(model.centre), problem.error_weight, problem.input_weight)
     slopes = np.stack(model.compensating_gains())
     vertices = nominal + np.tensordot(model.vertices - model.centre, slopes, axes=1)
-    return Gain(model, problem.regions, nominal, vertices)
+    return Gain(model, nominal, vertices, problem.regions)
 
 
 def decoupled_gain(problem: Problem, gains: Sequence[float] | Float[np.ndarray, "3"]) -> Gain:
@@ -135,7 +117,7 @@ def decoupled_gain(problem: Problem, gains: Sequence[float] | Float[np.ndarray, 
         return values
 
     kind = StretchedGain if model.discretisation == "exact" else Gain
-    return kind(model, problem.regions, law(model.centre), law(model.vertices))
+    return kind(model, law(model.centre), law(model.vertices), problem.regions)
 
 
 def given_gain(problem: Problem, numbers: Float[np.ndarray, " kappa"]) -> Gain:
@@ -162,9 +144,3 @@ def exact_loops(gain: Gain, stretched: Float[np.ndarray, "v 2"]) -> Float[np.nda
     loops[:, 2, 1] = -T * k2
     loops[:, 2, 2] = 1 - T * k3
     return loops
-
-
-def distinct(matrices: Float[np.ndarray, "v m n"]) -> Float[np.ndarray, "w m n"]:
-    """Return the matrices without repetitions, in the order of their first appearance."""
-    first = np.unique(matrices.reshape(len(matrices), -1), axis=0, return_index=True)[1]
-    return matrices[np.sort(first)]

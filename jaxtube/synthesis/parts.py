@@ -16,7 +16,10 @@ from jaxtube.control.planning import CondensedQp
 from jaxtube.storage import StoredResult, flatten, nest, write_result
 from jaxtube.synthesis import condense
 from jaxtube.synthesis.condense import Bounds
+from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.gains import Gain
+from jaxtube.synthesis.linear_problem import LinearProblem, MixedGain
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.stored_certificate import list_certificate_facts
 from jaxtube.synthesis.stored_qps import list_qp_arrays, read_qp_arrays
@@ -24,6 +27,7 @@ from jaxtube.synthesis.terminal import Terminal
 from jaxtube.synthesis.tightening import Tightening
 from jaxtube.synthesis.tubes import Tube
 from jaxtube.synthesis.windows import Windows
+from jaxtube.systems.system import LinearSystem
 from sets.certificate import Certificate
 from sets.lmi import TerminalCost
 from sets.polytope import Polytope
@@ -36,10 +40,10 @@ if TYPE_CHECKING:
 class Condensed:
     """The condensed MPC with the tube and without, each made when it is first asked for."""
 
-    problem: Problem
+    problem: ControlProblem
     windows: Windows
     terminal: Terminal
-    cost: Float[np.ndarray, "3 3"]
+    cost: Float[np.ndarray, "n n"]
     bounds: Bounds
 
     @cached_property
@@ -63,21 +67,17 @@ class StoredQps(NamedTuple):
     without_tube: CondensedQp
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Design:
-    """Everything computed offline for one scenario.
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class TubeDesign:
+    """Gains, sets, tube-MPC and certificate of a control problem, whatever its system is."""
 
-    Before `finish` the certificate is empty: nothing was checked.
-    """
-
-    problem: Problem
-    lqr_gain: Float[np.ndarray, "2 3"]  # K^n at the centre of the box
-    tube_gain: Gain
+    problem: ControlProblem
+    tube_gain: GainSchedule
     cost: TerminalCost
     windows: Windows
     tubes: dict[str, Tube]
     tightening: Tightening
-    terminal: Terminal
+    terminal: Terminal[GainSchedule]
     bounds: Bounds
     condensed: Condensed | StoredQps
     certificate: Certificate = field(default_factory=Certificate)
@@ -86,7 +86,7 @@ class Design:
     @property
     def tube(self) -> Tube:
         """The tube in use."""
-        return self.tubes[self.problem.scenario.controller.tube]
+        return self.tubes[self.problem.settings.tube]
 
     @property
     def first_window(self) -> int:
@@ -108,6 +108,41 @@ class Design:
         """By what share of its limit an accepted answer of the solver may miss a constraint of the
         tube-MPC, from any error in E."""
         return condense.bound_solver_slack(self.problem, self.windows, self.bounds, self.tube_qps)
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class LinearDesign(TubeDesign):
+    """Everything computed offline for one linear system."""
+
+    problem: LinearProblem
+    tube_gain: MixedGain
+    terminal: Terminal[MixedGain]
+
+    @property
+    def system(self) -> LinearSystem:
+        """The system."""
+        return self.problem.system
+
+    def __repr__(self) -> str:
+        facets = len(self.terminal.constraint_normals)
+        parts = (
+            f"{self.system!r}, terminal set of {facets} facets, "
+            f"{len(self.windows.schedules)} windows"
+        )
+        return f"{self.certificate!r}\n{parts}"
+
+
+@dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Design(TubeDesign):
+    """Everything computed offline for one scenario.
+
+    Before `finish` the certificate is empty: nothing was checked.
+    """
+
+    problem: Problem
+    lqr_gain: Float[np.ndarray, "2 3"]  # K^n at the centre of the box
+    tube_gain: Gain
+    terminal: Terminal[Gain]
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the numbers that commands are computed from, by name: the condensed QPs with the
@@ -186,10 +221,16 @@ def _list_fields(part: object, *names: str) -> dict[str, np.ndarray]:
     return {name: getattr(part, name) for name in names}
 
 
-def require_design(value: object) -> None:
-    """Raise ValueError, one line, for anything but a design."""
-    if isinstance(value, Design):
+def require_design(value: object, *, or_linear: bool = False) -> None:
+    """Raise ValueError, one line, for anything but the design of a scenario or, where told, of a
+    linear system."""
+    if isinstance(value, Design) or (or_linear and isinstance(value, LinearDesign)):
         return
+    if isinstance(value, LinearDesign):
+        raise ValueError(
+            "design: is that of a linear system, which only simulate, montecarlo and falsify take; "
+            "give one of a scenario"
+        )
     if isinstance(value, str):
         raise ValueError(f"design = {value!r}: is a name; give jt.design(jt.load({value!r}))")
     raise ValueError(f"design: is {describe_type(value)}; give jt.design(scenario)")

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from jaxtube.qp.regions import AnyArray
-from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.windows import Windows
 
 UNREACHED = 1e-12
@@ -39,7 +39,7 @@ class Prediction(NamedTuple):
 
 
 def predict(
-    problem: Problem, windows: Windows, terminal_normals: Float[np.ndarray, "facets 3"]
+    problem: ControlProblem, windows: Windows, terminal_normals: Float[np.ndarray, "facets 3"]
 ) -> Prediction:
     """Return the prediction along the reference."""
     transitions, inputs = problem.model.matrices(windows.schedules)
@@ -66,19 +66,19 @@ def predict_errors(
     inputs: Float[np.ndarray, "windows horizon 3 2"],
 ) -> tuple[Float[np.ndarray, "windows horizon+1 3 3"], Float[np.ndarray, "windows horizon+1 3 n"]]:
     """Return Psi and Theta with e_j = Psi_j e + Theta_j g."""
-    count, N = transitions.shape[:2]
-    free = np.zeros((count, N + 1, 3, 3))
-    forced = np.zeros((count, N + 1, 3, 2 * N))
-    free[:, 0] = np.eye(3)
+    count, N, states, size = inputs.shape
+    free = np.zeros((count, N + 1, states, states))
+    forced = np.zeros((count, N + 1, states, size * N))
+    free[:, 0] = np.eye(states)
     for j in range(N):
         free[:, j + 1] = transitions[:, j] @ free[:, j]
         forced[:, j + 1] = transitions[:, j] @ forced[:, j]
-        forced[:, j + 1, :, 2 * j : 2 * j + 2] = inputs[:, j]
+        forced[:, j + 1, :, size * j : size * (j + 1)] = inputs[:, j]
     return free, forced
 
 
 def stack_rows(
-    problem: Problem,
+    problem: ControlProblem,
     free: Float[np.ndarray, "windows horizon+1 3 3"],
     forced: Float[np.ndarray, "windows horizon+1 3 n"],
     terminal_normals: Float[np.ndarray, "facets 3"],
@@ -90,10 +90,10 @@ def stack_rows(
     N = problem.horizon
     n = forced.shape[3]
     k = len(problem.input_rows.offsets) // 2
-    C_E = problem.operating_set.normals[:3]
+    C_E = problem.operating_set.normals[: len(problem.operating_set.offsets) // 2]
     D = problem.input_rows.inputs[:k]
     C = problem.input_rows.errors[:k]
-    selection = np.eye(n).reshape(N, 2, n)  # g_j = selection[j] g
+    selection = np.eye(n).reshape(N, n // N, n)  # g_j = selection[j] g
     error_parts = (C_E @ free[:, 1:N], C @ free[:, :N], terminal_normals @ free[:, N])
     input_parts = (
         C_E @ forced[:, 1:N],

@@ -26,7 +26,8 @@ from jaxtube.plant.robot import Robot
 from jaxtube.scenario.error_box import error_vector, noise_bounds
 from jaxtube.scenario.reference_rules import check_reference_wheels
 from jaxtube.scenario.refusal import ScenarioError
-from jaxtube.scenario.tree import Scenario, weight_matrix
+from jaxtube.scenario.tree import ControllerTable, Scenario, weight_matrix
+from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.limits import (
     FirstCommand,
     InputRows,
@@ -43,8 +44,8 @@ SAME_SPEED_DECIMALS = 12
 """Wheel speeds that agree to so many decimals, m/s, are one: they differ by rounding."""
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Problem(ControlProblem):
     """What a design starts from: the scenario as arrays in SI units and radians.
 
     `regions` are boxes of wheel speeds, lower and upper (right, left) in m/s, over whose union sets
@@ -60,19 +61,15 @@ class Problem:
     robot: Robot
     reference: Reference
     model: Model
-    horizon: int
-    error_weight: Float[np.ndarray, "3 3"]
-    input_weight: Float[np.ndarray, "2 2"]
-    error_set: Polytope
-    operating_set: Polytope
-    input_set: Polytope
-    input_rows: InputRows
-    disturbance_set: Polytope
-    initial_error: Float[np.ndarray, "3"]
     regions: Float[np.ndarray, "m 2 2"]
     estimate_error: Float[np.ndarray, "3"]
     disturbance_bound: DisturbanceBound | None = None
     first_command: FirstCommand | None = None
+
+    @property
+    def settings(self) -> ControllerTable:
+        """How the controller is designed."""
+        return self.scenario.controller
 
     @property
     def schedule(self) -> Float[np.ndarray, "periods 2"]:

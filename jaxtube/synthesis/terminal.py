@@ -19,26 +19,31 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Generic, TypeVar
 
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.synthesis.gains import Gain
-from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.tightening import Tightening, find_back_off, reach_of_limits
 from jaxtube.synthesis.tubes import Tube
 from sets import tubes
 from sets.few_facets import few_facet_rpi
 from sets.invariant import MaximalRpi, maximal_rpi
 from sets.polytope import Polytope, SupportFunction
+from sets.scalar import maximal_interval
 
 FACET_MULTIPLES = (1, 2)
 """Facets that the invariant set used on line may have, times `terminal_facets`. Each facet is a row
 of every QP, so the limit is doubled only if no invariant set with that many facets is found."""
 
 
+GainType = TypeVar("GainType", bound=GainSchedule, covariant=True)
+
+
 @dataclass(frozen=True, eq=False)
-class Terminal:
+class Terminal(Generic[GainType]):
     """The terminal ingredients of a design.
 
     `constraint_offsets[w]` bound `constraint_normals` e_N in window w; `fallback` says that they
@@ -46,7 +51,7 @@ class Terminal:
     off.
     """
 
-    gains: Gain
+    gains: GainType
     disturbance: tubes.Section  # W, or D for T-B
     admissible: Polytope  # errors in E whose terminal input is admissible: holds the invariant set
     maximal: MaximalRpi
@@ -70,8 +75,8 @@ class Terminal:
 
 
 def admissible_set(
-    problem: Problem,
-    gain: Gain,
+    problem: ControlProblem,
+    gain: GainSchedule,
     error_offsets: Float[np.ndarray, " 6"] | None = None,
     input_offsets: Float[np.ndarray, " k"] | None = None,
 ) -> Polytope:
@@ -88,12 +93,16 @@ def admissible_set(
     )
 
 
-def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tightening) -> Terminal:
+def make_terminal(
+    problem: ControlProblem, tube: Tube, gains: GainType, tightening: Tightening
+) -> Terminal[GainType]:
     """Return the terminal set of the scenario's choice, or its stand-in."""
     N = problem.horizon
-    disturbance = tubes.Section((problem.disturbance_set.vertices(),), 3)
+    disturbance = tubes.Section(
+        (problem.disturbance_set.vertices(),), problem.disturbance_set.dimension
+    )
     admissible = admissible_set(problem, gains)
-    if problem.scenario.controller.terminal_set_holds_reach:
+    if problem.settings.terminal_set_holds_reach:
         disturbance = tubes.propagate(tube.gain.loops, problem.disturbance_set, N - 1)[-1]
         last_errors = problem.operating_set.offsets - tightening.error_reach[:, N - 1].max(axis=0)
         last_inputs = problem.input_rows.offsets - tightening.input_reach[:, N - 1].max(axis=0)
@@ -116,13 +125,13 @@ def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tighten
     )
 
 
-def set_back_off(problem: Problem) -> float:
+def set_back_off(problem: ControlProblem) -> float:
     """Return by what share of them the invariant set stays inside the limits, and W is widened."""
     return (problem.horizon + 2) * find_back_off(problem)
 
 
 def _find_invariant(
-    problem: Problem, gains: Gain, disturbance: tubes.Section, admissible: Polytope
+    problem: ControlProblem, gains: GainSchedule, disturbance: tubes.Section, admissible: Polytope
 ) -> tuple[MaximalRpi, Polytope | None]:
     """Return the maximal invariant set and the one used on line, of few facets.
 
@@ -134,7 +143,7 @@ def _find_invariant(
     back_off = set_back_off(problem)
     limits = admissible_set(problem, gains).offsets
     taken = limits + reach_of_limits(problem, admissible.normals)
-    units = problem.operating_set.offsets[:3]
+    units = problem.error_widths
     inner = Polytope(admissible.normals * units, admissible.offsets - back_off * taken)
     loops = gains.loops * units / units[:, None]
     widened = partial(_widened_support, disturbance, units, back_off)
@@ -143,7 +152,7 @@ def _find_invariant(
         return _to_si(maximal, units), None
     few = None
     for multiple in FACET_MULTIPLES:
-        facets = multiple * problem.scenario.controller.terminal_facets
+        facets = multiple * problem.settings.terminal_facets
         few = few_facet_rpi(loops, inner, widened, maximal.polytope, facets)
         if few is not None:
             break
@@ -183,11 +192,13 @@ def _maximal(
 ) -> MaximalRpi:
     if np.any(admissible.offsets <= 0):
         return MaximalRpi(None, None, 0)
+    if admissible.dimension == 1:
+        return maximal_interval(loops, admissible, disturbance)
     return maximal_rpi(loops, admissible, disturbance)
 
 
 def _constraint(
-    problem: Problem,
+    problem: ControlProblem,
     invariant: Polytope | None,
     disturbance: tubes.Section,
     tube: Tube,
@@ -210,10 +221,14 @@ def _constraint(
 
 
 def bound_last_errors(
-    problem: Problem, invariant: Polytope, disturbance: tubes.Section, tube: Tube, windows: int
+    problem: ControlProblem,
+    invariant: Polytope,
+    disturbance: tubes.Section,
+    tube: Tube,
+    windows: int,
 ) -> Float[np.ndarray, "windows facets"]:
     """Return the offsets of the facets of the invariant set that bound e_N, in so many windows."""
-    if problem.scenario.controller.terminal_set_holds_reach:
+    if problem.settings.terminal_set_holds_reach:
         taken = disturbance.support(invariant.normals)
     else:
         taken = tube.support(problem.horizon, invariant.normals)

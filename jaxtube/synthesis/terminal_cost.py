@@ -6,11 +6,39 @@ Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (32)-(41).
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
+from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.gains import Gain, given_gain, vertex_gain
+from jaxtube.synthesis.linear_problem import LinearProblem, MixedGain, mix_gains
 from jaxtube.synthesis.problem import Problem
 from sets.lmi import TerminalCost, terminal_cost
 from sets.lyapunov import cost_of_gains
+
+
+def cost_and_gain_of_system(problem: LinearProblem) -> tuple[TerminalCost, MixedGain]:
+    """Return cost and gain of a linear system: for the gains that it gives, else those of the LMI,
+    one for all vertices where B varies.
+
+    Raises:
+        RuntimeError, ValueError: where there is no such cost.
+    """
+    system = problem.system
+    if system.K is None:
+        shares = not system.has_one_input_matrix
+        cost = terminal_cost(system.A, system.B, system.Q, system.R, system.objective, shares)
+        return cost, mix_gains(problem, cost.gains)
+    gain = mix_gains(problem, system.K)
+    return _find_cost(gain, system.Q, system.R), gain
+
+
+def _find_cost(
+    gain: GainSchedule, Q: Float[np.ndarray, "n n"], R: Float[np.ndarray, "m m"]
+) -> TerminalCost:
+    """Return a cost for gains that are given."""
+    P = cost_of_gains(*gain.pairs, Q, R)
+    none = np.zeros((0, 0, 0))
+    return TerminalCost(P, gain.vertices, none, "trace_p", float(np.trace(P)))
 
 
 def terminal_cost_and_gain(problem: Problem) -> tuple[TerminalCost, Gain]:
@@ -24,9 +52,7 @@ def terminal_cost_and_gain(problem: Problem) -> tuple[TerminalCost, Gain]:
     R = problem.input_weight
     if len(problem.given_gains):
         gain = given_gain(problem, problem.given_gains)
-        P = cost_of_gains(*gain.pairs, Q, R)
-        none = np.zeros((0, 0, 0))
-        return TerminalCost(P, gain.vertices, none, "trace_p", float(np.trace(P))), gain
+        return _find_cost(gain, Q, R), gain
     model = problem.model
     objective = problem.scenario.controller.lmi_objective
     cost = terminal_cost(*model.matrices(model.vertices), Q, R, objective)

@@ -17,6 +17,8 @@ from jaxtyping import Float
 from jaxtube.coordinates import ERROR_NAMES, INPUT_NAMES
 from jaxtube.qp.regions import AnyArray
 from jaxtube.synthesis.advice import say_what_helps
+from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.linear_problem import LinearProblem
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.tubes import Tube
 
@@ -59,7 +61,7 @@ class Tightening:
     input_reach: Float[np.ndarray, "windows horizon k"]
 
 
-def find_back_off(problem: Problem) -> float:
+def find_back_off(problem: ControlProblem) -> float:
     """Return the share of its limit that every constraint is drawn in by for the solver, once more
     at every stage: more than the slack that the solver allows.
 
@@ -74,13 +76,15 @@ def find_back_off(problem: Problem) -> float:
     return BACK_OFF * max(1.0, float(longest) / LONG_ROW)
 
 
-def reach_of_limits(problem: Problem, normals: Float[AnyArray, "k 3"]) -> Float[AnyArray, " k"]:
+def reach_of_limits(
+    problem: ControlProblem, normals: Float[AnyArray, "k n"]
+) -> Float[AnyArray, " k"]:
     """Return how far the box of the error limits reaches along rows: their own limits, to which the
     back-off of rows on the error is relative."""
-    return abs(normals) @ problem.operating_set.offsets[:3]
+    return abs(normals) @ problem.error_widths
 
 
-def tighten(problem: Problem, tube: Tube, windows: int) -> Tightening:
+def tighten(problem: ControlProblem, tube: Tube, windows: int) -> Tightening:
     """Return the support numbers that E and U lose at every stage, in so many windows."""
     N = problem.horizon
     rows = problem.operating_set.normals
@@ -92,25 +96,33 @@ def tighten(problem: Problem, tube: Tube, windows: int) -> Tightening:
     )
 
 
-def input_names(problem: Problem) -> tuple[str, ...]:
+def error_names(problem: ControlProblem) -> tuple[str, ...]:
+    """Return the names of the rows of E, one for each opposite pair."""
+    return problem.error_names if isinstance(problem, LinearProblem) else ERROR_NAMES
+
+
+def input_names(problem: ControlProblem) -> tuple[str, ...]:
     """Return the names of the input rows, one for each opposite pair."""
+    if isinstance(problem, LinearProblem):
+        return problem.input_names
+    assert isinstance(problem, Problem)
     steps = () if problem.first_command is None else STEP_NAMES
     if problem.scenario.operating.yaw_rate_deficit_radps is None:
         return (*WHEEL_NAMES, *steps)
     return (*CAP_NAMES[: len(problem.cap_rows.offsets) // 2], *steps)
 
 
-def refuse_empty(problem: Problem, tightening: Tightening) -> None:
+def refuse_empty(problem: ControlProblem, tightening: Tightening) -> None:
     """Raise EmptySetError for the first stage at which E_j or U_j has nothing left."""
     error_reach = tightening.error_reach[:, : problem.horizon]
-    _refuse_empty(problem, "E", problem.operating_set.offsets, error_reach, ERROR_NAMES)
+    _refuse_empty(problem, "E", problem.operating_set.offsets, error_reach, error_names(problem))
     _refuse_empty(
         problem, "U", problem.input_rows.offsets, tightening.input_reach, input_names(problem)
     )
 
 
 def _refuse_empty(
-    problem: Problem,
+    problem: ControlProblem,
     name: str,
     offsets: Float[np.ndarray, " k"],
     reach: Float[np.ndarray, "windows horizon k"],

@@ -22,6 +22,8 @@ from typing import ClassVar
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.limits import InputRows
 from jaxtube.synthesis.problem import Problem
@@ -44,7 +46,7 @@ class Tube(Sequence[Section]):
     follows_reference: ClassVar[bool] = False
 
     name: str
-    gain: Gain
+    gain: GainSchedule
     sections: Sequence[Section]
 
     def __getitem__(self, stage):
@@ -84,7 +86,12 @@ class Tube(Sequence[Section]):
 
     def half_widths(self) -> Float[np.ndarray, "horizon+1 3"]:
         """Return the half widths of R_0 .. R_N, (m, m, rad), the largest over the windows."""
-        return np.stack([self.support(j, np.eye(3)).max(axis=0) for j in range(len(self))])
+        return np.stack(
+            [
+                self.support(j, np.eye(self.sections[0].dimension)).max(axis=0)
+                for j in range(len(self))
+            ]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +128,7 @@ class FollowingTube(Tube):
         return tubes.sequence_support(self.windows.loops, self.disturbance, under, stage)
 
 
-def make_tubes(problem: Problem, gain: Gain, windows: Windows) -> dict[str, Tube]:
+def make_tubes(problem: ControlProblem, gain: GainSchedule, windows: Windows) -> dict[str, Tube]:
     """Return the four tubes by name.
 
     `paper` is left out where eq. (27) does not apply, that is where the loop is not affine in the
@@ -133,8 +140,8 @@ def make_tubes(problem: Problem, gain: Gain, windows: Windows) -> dict[str, Tube
         "hull": tubes.hull_tube(gain.loops, W, N),
         "summed": tubes.summed_tube(gain.loops, W, N),
     }
-    slopes = loop_slopes(gain)
-    if slopes is not None:
+    slopes = loop_slopes(gain) if isinstance(gain, Gain) else None
+    if slopes is not None and isinstance(problem, Problem):
         nominal, right, left = slopes
         ranges = [(-half, half) for half in problem.model.half_widths]
         paper = tubes.paper_tube(nominal, (right, left), ranges, W, N)
@@ -143,7 +150,9 @@ def make_tubes(problem: Problem, gain: Gain, windows: Windows) -> dict[str, Tube
     return {**made, "sequence": make_following_tube(problem, gain, windows)}
 
 
-def make_following_tube(problem: Problem, gain: Gain, windows: Windows) -> FollowingTube:
+def make_following_tube(
+    problem: ControlProblem, gain: GainSchedule, windows: Windows
+) -> FollowingTube:
     """Return the tube along the reference, the window of widest lateral reach shown."""
     W = problem.disturbance_set
     widest = find_widest_window(problem, windows)
@@ -151,12 +160,17 @@ def make_following_tube(problem: Problem, gain: Gain, windows: Windows) -> Follo
     return FollowingTube("sequence", gain, sections, windows, W, widest)
 
 
-def find_widest_window(problem: Problem, windows: Windows) -> int:
-    """Return the first window whose tube along the reference has the widest lateral reach."""
-    lateral = np.broadcast_to([0.0, 1.0, 0.0], (len(windows.loops), 1, 3))
+def find_widest_window(problem: ControlProblem, windows: Windows) -> int:
+    """Return the first window whose tube along the reference has the widest lateral reach; of a
+    linear system the widest as a share of E."""
+    rows = np.array([[0.0, 1.0, 0.0]])
+    if not isinstance(problem, Problem):
+        E = problem.operating_set
+        rows = E.normals / E.offsets[:, None]
+    by_window = np.broadcast_to(rows, (len(windows.loops), *rows.shape))
     reach = tubes.sequence_support(
-        windows.loops, problem.disturbance_set, lateral, problem.horizon
-    )[:, 0]
+        windows.loops, problem.disturbance_set, by_window, problem.horizon
+    ).max(axis=1)
     return int(np.argmax(reach >= (1 - SAME_REACH) * reach.max()))
 
 

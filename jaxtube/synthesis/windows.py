@@ -10,8 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.synthesis.gains import Gain
-from jaxtube.synthesis.problem import SAME_SPEED_DECIMALS, Problem, merge_equal_speeds
+from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.gain_schedule import GainSchedule
+from jaxtube.synthesis.problem import SAME_SPEED_DECIMALS, merge_equal_speeds
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,7 @@ class Windows:
         return np.unique(self.index[1:][self.index[:-1] == window])
 
 
-def make_windows(problem: Problem, gain: Gain) -> Windows:
+def make_windows(problem: ControlProblem, gain: GainSchedule) -> Windows:
     """Collect the distinct windows of the reference with their closed loops."""
     horizon = problem.horizon
     steps = problem.reference.steps

@@ -73,7 +73,7 @@ class Parameters:
         numbers = jnp.asarray(self.start).at[np.flatnonzero(self.moves)].set(vector)
         gains = numbers[9:]
         kappa = gains * self.scales if len(self.scales) else jnp.exp(gains)
-        return Weights(_square(numbers[:6], 3), _square(numbers[6:9], 2), kappa)
+        return Weights(square_weight(numbers[:6], 3), square_weight(numbers[6:9], 2), kappa)
 
     def scenario(self, scenario: Scenario, vector: Point) -> Scenario:
         """Return the scenario with these weights and gains, to the last bit."""
@@ -114,7 +114,9 @@ def make_parameters(problem: Problem, variables: Variables = "both") -> Paramete
         scales = np.maximum(np.abs(kappa), 0.1 * np.abs(kappa).max())
         gains = kappa / scales
         gain_names = tuple(f"K{v}_{i}{j}" for v in "1234" for i in "12" for j in "123")
-    start = np.concatenate([_factor(problem.error_weight), _factor(problem.input_weight), gains])
+    start = np.concatenate(
+        [factor_weight(problem.error_weight), factor_weight(problem.input_weight), gains]
+    )
     names = (*WEIGHT_NAMES, *gain_names)
     return Parameters(start, scales, names, tuple(_moves(names, variables).tolist()))
 
@@ -133,7 +135,7 @@ def _moves(names: tuple[str, ...], variables: Variables) -> Bool[np.ndarray, " a
             return np.isin(names, DIAGONAL_NAMES)
 
 
-def _square(entries: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
+def square_weight(entries: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
     """Return L L^T from the rows of L, logarithms on its diagonal; symmetric to the last bit."""
     lower = jnp.zeros((n, n), entries.dtype).at[np.tril_indices(n)].set(entries)
     lower = jnp.tril(lower, -1) + jnp.diag(jnp.exp(jnp.diag(lower)))
@@ -141,7 +143,7 @@ def _square(entries: Float[Array, " k"], n: int) -> Float[Array, "n n"]:
     return (product + product.T) / 2
 
 
-def _factor(weight: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " k"]:
+def factor_weight(weight: Float[np.ndarray, "n n"]) -> Float[np.ndarray, " k"]:
     """Return the rows of L, logarithms on its diagonal; eigenvalues are raised to LEAST_PIVOT."""
     n = len(weight)
     missing = LEAST_PIVOT * np.abs(weight).max() - np.linalg.eigvalsh(weight)[0]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, get_args, overload
 
 from jaxtube.arguments import require_count
 from jaxtube.plant.reference import TRANSIENT_S, settled_step
@@ -17,8 +17,10 @@ from jaxtube.storage import StoredResult, flatten, nest, write_result
 from jaxtube.synthesis.design import design, restore_design
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
+from jaxtube.systems.system import LinearSystem
 from jaxtube.tuning.bar import DescentBar
 from jaxtube.tuning.judgement import HeldOutJudgement
+from jaxtube.tuning.linear import LinearTuned, PeriodCost, tune_linear
 from jaxtube.tuning.parameters import Variables
 from jaxtube.tuning.run import Descent, Log, Method, Progress, Settings, descend
 from jaxtube.tuning.storing import list_descent_arrays, list_descent_facts, read_descent
@@ -158,7 +160,7 @@ class Tuned:
         )
 
 
-@in_64_bits
+@overload
 def tune(
     scenario: Scenario,
     *,
@@ -170,14 +172,49 @@ def tune(
     learning_rate: float = 0.1,
     patience: int = 40,
     seed: int = 0,
-) -> Tuned:
+) -> Tuned: ...
+
+
+@overload
+def tune(
+    scenario: LinearSystem,
+    *,
+    aim: PeriodCost | None = None,
+    variables: Variables = "both",
+    method: Method = "lbfgs",
+    evaluations: int = 120,
+    laps: int = 128,
+    held_out: int = 256,
+    learning_rate: float = 0.1,
+    patience: int = 40,
+    seed: int = 0,
+) -> LinearTuned: ...
+
+
+@in_64_bits
+def tune(
+    scenario: Scenario | LinearSystem,
+    *,
+    aim: PeriodCost | None = None,
+    variables: Variables = "both",
+    method: Method = "lbfgs",
+    evaluations: int = 120,
+    laps: int = 128,
+    held_out: int = 256,
+    learning_rate: float = 0.1,
+    patience: int = 40,
+    seed: int = 0,
+) -> Tuned | LinearTuned:
     """Tune weights and gains of a scenario by gradients through laps and through the tube, in 64
     bits.
 
     Errors count once laps have settled, after 10 s; of laps that end before, the last step alone.
 
     Args:
-        scenario: where tuning starts; its [tuning] says what it aims at.
+        scenario: where tuning starts; its [tuning] says what it aims at. Or a linear system, of
+            which Q and R are tuned, on laps from the edge of its feasible set.
+        aim: of a linear system, the cost of a period, aim(states after it, inputs) -> (laps,), in
+            jax.numpy; x'Qx + u'Ru with the weights it starts from unless given.
         variables: what moves: Q, R and gains ("both"), "weights", "gains", or the "diagonal" of Q
             and R.
         method: L-BFGS-B on the same laps in every evaluation ("lbfgs"), or Adam with fresh ones.
@@ -195,8 +232,22 @@ def tune(
         ScenarioError: where the scenario gives no gains, or its gains have no bounded tube.
         ValueError: for settings out of range.
     """
-    require_scenario(scenario)
     _refuse_method(method, learning_rate)
+    if isinstance(scenario, LinearSystem):
+        return tune_linear(
+            scenario,
+            aim,
+            method=method,
+            evaluations=require_count("evaluations", evaluations),
+            laps=require_count("laps", laps),
+            held_out=require_count("held_out", held_out),
+            learning_rate=learning_rate,
+            patience=require_count("patience", patience),
+            seed=seed,
+        )
+    require_scenario(scenario)
+    if aim is not None:
+        raise ValueError("aim: a scenario has its own in [tuning]; leave it out")
     settings = Settings(
         method,
         require_count("evaluations", evaluations),

@@ -85,7 +85,7 @@ def test_diagnostics_have_no_derivative(qps, starts):
     errors = jnp.asarray(starts)
 
     def residuals(errors):
-        state = mpc.initial_state(errors, 5)
+        state = mpc.initial_state(errors, 5, 2)
         return jnp.sum(mpc.act(qps, jnp.int32(0), state, errors, True)[2].residual)
 
     free = 0.1 * errors[:4]

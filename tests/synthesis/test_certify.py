@@ -327,7 +327,7 @@ def plain(uncertified) -> tuple[Design, Gain]:
     design = uncertified("certified")
     gain = design.tube_gain
     assert isinstance(gain, StretchedGain)
-    return design, Gain(gain.model, gain.regions, gain.nominal, gain.vertices)
+    return design, Gain(gain.model, gain.nominal, gain.vertices, gain.regions)
 
 
 def test_the_terminal_gain_must_be_covered_too(plain, recertify):

@@ -3,10 +3,9 @@
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.coordinates import ERROR_NAMES
-from jaxtube.synthesis.gains import Gain
-from jaxtube.synthesis.problem import Problem
-from jaxtube.synthesis.tightening import UNITS, input_names
+from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.gain_schedule import GainSchedule
+from jaxtube.synthesis.tightening import UNITS, error_names, input_names
 from sets.certificate import escape_excess
 from sets.invariant import Escape
 
@@ -24,7 +23,9 @@ def escape_margin(
     return -excess if excess > 0 else -np.inf
 
 
-def say_what_is_passed(problem: Problem, gain: Gain, escape: Escape, excess: float) -> str:
+def say_what_is_passed(
+    problem: ControlProblem, gain: GainSchedule, escape: Escape, excess: float
+) -> str:
     """Return which constraint an escape passes, and by how much, in words.
 
     Args:
@@ -39,12 +40,12 @@ def say_what_is_passed(problem: Problem, gain: Gain, escape: Escape, excess: flo
     return f"the {name} goes {size:.3g} {unit}".rstrip() + " past its limit"
 
 
-def _find_name(problem: Problem, gain: Gain, normal: Float[np.ndarray, "3"]) -> str:
+def _find_name(problem: ControlProblem, gain: GainSchedule, normal: Float[np.ndarray, "3"]) -> str:
     """Return the name of the constraint whose row points as a normal does."""
     by_gain = problem.input_rows.on_errors(np.unique(gain.corner_gains, axis=0))
     normals = np.concatenate([problem.operating_set.normals, *by_gain])
     cosines = normals @ normal / np.linalg.norm(normals, axis=1)
-    of_errors = 2 * ERROR_NAMES
+    of_errors = 2 * error_names(problem)
     of_inputs = 2 * input_names(problem)
     row = int(np.argmax(cosines))
     if row < len(of_errors):

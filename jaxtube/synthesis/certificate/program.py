@@ -12,7 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.parts import TubeDesign
 from jaxtube.synthesis.prediction import UNREACHED
 from sets.certificate import Condition, judge
 
@@ -23,7 +23,7 @@ Block = tuple[str, np.ndarray, np.ndarray]
 """What is compared, as the QPs have it, and as it must be."""
 
 
-def check_program(design: Design) -> Condition:
+def check_program(design: TubeDesign) -> Condition:
     """Check that the tube-MPC's QPs, of every window and of every step of the run, ask of a plan
     what the certificate is about."""
     name, excess = max(map(_compare, _blocks(design)), key=lambda compared: compared[1])
@@ -50,7 +50,7 @@ def _compare(block: Block) -> tuple[str, float]:
     return name, float(np.max(missed, initial=0.0) / scale)
 
 
-def _blocks(design: Design) -> Iterator[Block]:
+def _blocks(design: TubeDesign) -> Iterator[Block]:
     """Yield what is compared."""
     problem = design.problem
     windows = design.windows
@@ -64,31 +64,34 @@ def _blocks(design: Design) -> Iterator[Block]:
     yield "the first input matrices", qp.input_matrix, inputs[:, 0]
     rows = predict_rows(design)
     lower, upper = bound_rows(design)
-    is_reached = np.abs(rows[:, :, 3:]).max(axis=(0, 2)) > UNREACHED
+    states = problem.operating_set.dimension
+    is_reached = np.abs(rows[:, :, states:]).max(axis=(0, 2)) > UNREACHED
     on_inputs = qp.factors.rows * qp.factors.row_norms[..., None]
     yield "the rows", np.concatenate([qp.row_errors, on_inputs], axis=2), rows[:, is_reached]
     yield "the lower bounds", qp.lower, lower[:, is_reached]
     yield "the upper bounds", qp.upper, upper[:, is_reached]
-    yield "the rows on the first error", qp.check_errors, rows[:, ~is_reached, :3]
+    yield "the rows on the first error", qp.check_errors, rows[:, ~is_reached, :states]
     yield "the lower bounds on the first error", qp.check_lower, lower[:, ~is_reached]
     yield "the upper bounds on the first error", qp.check_upper, upper[:, ~is_reached]
-    free_rows = rows[:, is_reached, :3] + rows[:, is_reached, 3:] @ qp.free_inputs
+    on_errors = rows[:, is_reached, :states]
+    free_rows = on_errors + rows[:, is_reached, states:] @ qp.free_inputs
     yield "the rows without constraints", qp.free_rows, free_rows
 
 
-def predict_rows(design: Design) -> Float[np.ndarray, "windows m 3+n"]:
+def predict_rows(design: TubeDesign) -> Float[np.ndarray, "windows m 3+n"]:
     """Return what the rows on E_1 .. E_{N-1}, on U_0 .. U_{N-1} and on e_N become at the unit
     vectors of the first error and of the inputs; of opposite rows the first stands for both."""
     problem = design.problem
     N = problem.horizon
     transitions, input_matrices = problem.model.matrices(design.windows.schedules)
     half = len(problem.input_rows.offsets) // 2
-    error_rows = problem.operating_set.normals[:3]
+    error_rows = problem.operating_set.normals[: len(problem.operating_set.offsets) // 2]
     on_inputs = problem.input_rows.inputs[:half]
     on_errors = problem.input_rows.errors[:half]
-    probes = np.eye(3 + 2 * N)
-    inputs = probes[3:].reshape(N, 2, -1)
-    errors = np.broadcast_to(probes[:3], (len(transitions), 3, len(probes)))
+    states, size = input_matrices.shape[2:]
+    probes = np.eye(states + size * N)
+    inputs = probes[states:].reshape(N, size, -1)
+    errors = np.broadcast_to(probes[:states], (len(transitions), states, len(probes)))
     of_errors = []
     of_inputs = []
     for stage in range(N):
@@ -101,15 +104,16 @@ def predict_rows(design: Design) -> Float[np.ndarray, "windows m 3+n"]:
 
 
 def bound_rows(
-    design: Design,
+    design: TubeDesign,
 ) -> tuple[Float[np.ndarray, "windows m"], Float[np.ndarray, "windows m"]]:
     """Return the lower and upper bounds of these rows."""
     bounds = design.bounds
     N = design.problem.horizon
     half = len(design.problem.input_rows.offsets) // 2
-    upper = [bounds.errors[:, stage, :3] for stage in range(1, N)]
+    pairs = len(design.problem.operating_set.offsets) // 2
+    upper = [bounds.errors[:, stage, :pairs] for stage in range(1, N)]
     upper += [bounds.inputs[:, stage, :half] for stage in range(N)]
-    lower = [-bounds.errors[:, stage, 3:] for stage in range(1, N)]
+    lower = [-bounds.errors[:, stage, pairs:] for stage in range(1, N)]
     lower += [-bounds.inputs[:, stage, half:] for stage in range(N)]
     unbounded = np.full(bounds.terminal.shape, -np.inf)
     return (

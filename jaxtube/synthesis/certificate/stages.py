@@ -14,9 +14,9 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.synthesis.condense import Bounds, draw_in
-from jaxtube.synthesis.gains import Gain
-from jaxtube.synthesis.parts import Design
-from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.gain_schedule import GainSchedule
+from jaxtube.synthesis.parts import TubeDesign
 from jaxtube.synthesis.windows import Windows
 from sets.certificate import (
     ROUNDING,
@@ -40,7 +40,7 @@ class StageMargins(NamedTuple):
     inclusion: float
 
 
-def check_stages(design: Design) -> Iterator[Condition]:
+def check_stages(design: TubeDesign) -> Iterator[Condition]:
     """Yield the conditions on the tightened sets E_j and U_j."""
     yield from _check_not_empty(design.problem, design.bounds)
     margins = stage_margins(design)
@@ -61,11 +61,11 @@ def check_stages(design: Design) -> Iterator[Condition]:
         f"R_(j+1) misses R_j + Psi_j W by {-inclusion:.3g} on some facet: the shifted plan may be "
         "inadmissible.",
     )
-    if not design.problem.scenario.controller.restart:
+    if not design.problem.settings.restart:
         yield _check_never_reset(design)
 
 
-def stage_margins(design: Design) -> StageMargins:
+def stage_margins(design: TubeDesign) -> StageMargins:
     """Return the margins of reach and inclusion, for the tube's own order of wheel speeds."""
     slack = design.solver_slack
     if design.tube.follows_reference:
@@ -74,7 +74,7 @@ def stage_margins(design: Design) -> StageMargins:
 
 
 def margins_along_reference(
-    problem: Problem, windows: Windows, bounds: Bounds, slack: float
+    problem: ControlProblem, windows: Windows, bounds: Bounds, slack: float
 ) -> StageMargins:
     """Return the margins of reach and inclusion along the reference, from each step to the next;
     the solver may miss a share `slack` of each limit."""
@@ -104,7 +104,7 @@ def margins_along_reference(
 
 
 def _margins_in_any_order(
-    problem: Problem, gain: Gain, bounds: Bounds, slack: float
+    problem: ControlProblem, gain: GainSchedule, bounds: Bounds, slack: float
 ) -> StageMargins:
     """Return the margins of reach and inclusion for a tube that holds in every order."""
     W = problem.disturbance_set.vertices()
@@ -130,7 +130,7 @@ def _margins_in_any_order(
 
 
 def _largest_reach(
-    gain: Gain,
+    gain: GainSchedule,
     W: Float[np.ndarray, "w 3"],
     directions: Float[np.ndarray, "k 3"],
     steps: int,
@@ -141,7 +141,7 @@ def _largest_reach(
     return reach, last
 
 
-def _check_not_empty(problem: Problem, bounds: Bounds) -> Iterator[Condition]:
+def _check_not_empty(problem: ControlProblem, bounds: Bounds) -> Iterator[Condition]:
     E = problem.operating_set
     error_sets = _smallest_sets(E.normals, bounds.errors[:, 1:]) or [E]
     input_sets = _smallest_sets(problem.input_rows.inputs, bounds.inputs)
@@ -177,7 +177,7 @@ def _smallest_sets(
     return [Polytope(normals, row) for row in smallest]
 
 
-def _check_never_reset(design: Design) -> Condition:
+def _check_never_reset(design: TubeDesign) -> Condition:
     """Compare what the first stage is tightened by with what a deviation that is never reset can
     reach."""
     problem = design.problem

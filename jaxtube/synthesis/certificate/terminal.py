@@ -13,8 +13,10 @@ from jaxtyping import Float
 from jaxtube.synthesis.certificate.escape import escape_margin, say_what_is_passed
 from jaxtube.synthesis.certificate.stages import margins_along_reference
 from jaxtube.synthesis.condense import Bounds, draw_in, tube_bounds
-from jaxtube.synthesis.gains import Gain
-from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.gain_schedule import GainSchedule
+from jaxtube.synthesis.linear_problem import LinearProblem
+from jaxtube.synthesis.parts import TubeDesign
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import Terminal, admissible_set, set_back_off
 from jaxtube.synthesis.tightening import reach_of_limits, tighten
@@ -35,10 +37,10 @@ INCLUSIONS = {
 }
 
 
-def check_terminal(design: Design) -> Iterator[Condition]:
+def check_terminal(design: TubeDesign) -> Iterator[Condition]:
     """Yield the conditions on the terminal set, and that the shifted plan ends in it."""
     terminal = design.terminal
-    settings = design.problem.scenario.controller
+    settings = design.problem.settings
     label = "D" if settings.terminal_set_holds_reach else "W"
     if terminal.invariant is None:
         yield _judge_absence(design)
@@ -65,20 +67,20 @@ def check_terminal(design: Design) -> Iterator[Condition]:
     yield _check_plan_stays_feasible(design)
 
 
-def _points_to_absorb(design: Design) -> Float[np.ndarray, "p 3"]:
+def _points_to_absorb(design: TubeDesign) -> Float[np.ndarray, "p 3"]:
     """Return points whose hull the invariant set must absorb: W, or where the set holds the reach
     all that W has become at the end of a plan."""
     W = design.problem.disturbance_set.vertices()
-    if not design.problem.scenario.controller.terminal_set_holds_reach:
+    if not design.problem.settings.terminal_set_holds_reach:
         return W
     return _products(design.tube_gain, W, design.problem.horizon - 1)
 
 
-def _admissible_set(design: Design) -> Polytope:
+def _admissible_set(design: TubeDesign) -> Polytope:
     """Return the errors from which the terminal gains may act: within E and U or, where the set
     holds the reach, within what the last stage of a plan leaves of them."""
     gains = design.terminal.gains
-    if not design.problem.scenario.controller.terminal_set_holds_reach:
+    if not design.problem.settings.terminal_set_holds_reach:
         return admissible_set(design.problem, gains)
     last = design.problem.horizon - 1
     errors = design.bounds.errors[:, last].min(axis=0)
@@ -86,7 +88,7 @@ def _admissible_set(design: Design) -> Polytope:
     return admissible_set(design.problem, gains, errors, inputs)
 
 
-def _judge_absence(design: Design) -> Condition:
+def _judge_absence(design: TubeDesign) -> Condition:
     """Say whether no invariant set exists, inside the constraints or only inside those that are
     backed off for the solver, or that none was found."""
     terminal = design.terminal
@@ -117,7 +119,7 @@ def _judge_absence(design: Design) -> Condition:
     )
 
 
-def _limit_of_escape(design: Design, escape: Escape) -> float:
+def _limit_of_escape(design: TubeDesign, escape: Escape) -> float:
     """Return that of which the row that an escape passes was backed off by a share: its own limit,
     and how far E reaches along it."""
     problem = design.problem
@@ -127,7 +129,7 @@ def _limit_of_escape(design: Design, escape: Escape) -> float:
     return float(limit + reach_of_limits(problem, escape.normal))
 
 
-def _check_plan_stays_feasible(design: Design) -> Condition:
+def _check_plan_stays_feasible(design: TubeDesign) -> Condition:
     """Check the three terminal inclusions of the shifted plan on the sets used: along the reference
     from each step to the next where the tube follows it, else for every schedule in the regions."""
     margins = list(_terminal_margins(design))
@@ -145,7 +147,7 @@ def _check_plan_stays_feasible(design: Design) -> Condition:
     )
 
 
-def _terminal_margins(design: Design) -> Iterator[dict[str, float]]:
+def _terminal_margins(design: TubeDesign) -> Iterator[dict[str, float]]:
     """Yield the margins of the terminal inclusions, by name, at every step they are due at."""
     if not design.tube.follows_reference:
         yield _margins_in_any_order(design)
@@ -157,11 +159,11 @@ def _terminal_margins(design: Design) -> Iterator[dict[str, float]]:
         yield _margins_along(design.problem, design.terminal, design.windows, both, now, following)
 
 
-def has_any_order(design: Design) -> bool:
+def has_any_order(design: TubeDesign) -> bool:
     """Whether recursive feasibility can be checked for other orders: the tube follows the reference
     with the terminal gain, and a terminal set is in use."""
     terminal = design.terminal
-    settings = design.problem.scenario.controller
+    settings = design.problem.settings
     return (
         settings.tube_has_terminal_gain
         and design.tube.follows_reference
@@ -170,7 +172,7 @@ def has_any_order(design: Design) -> bool:
     )
 
 
-def check_any_order(design: Design) -> Condition:
+def check_any_order(design: TubeDesign) -> Condition:
     """Check recursive feasibility along wheel speeds in random order, as it follows from the
     invariance of Omega.
 
@@ -181,7 +183,7 @@ def check_any_order(design: Design) -> Condition:
     omega = design.terminal.invariant
     assert omega is not None
     gain = design.tube_gain
-    elsewhere = _with_random_speeds(design.problem)
+    elsewhere = _in_random_order(design.problem)
     windows = make_windows(elsewhere, gain)
     tube = make_following_tube(elsewhere, gain, windows)
     left = omega.offsets - tube.support(elsewhere.horizon, omega.normals)
@@ -195,20 +197,28 @@ def check_any_order(design: Design) -> Condition:
         for now, following in set(pairwise(windows.index.tolist()))
     ]
     margin = min(stages.reach + ROUNDING, stages.inclusion, *returns, left.min())
+    scheduled = "wheel speeds" if isinstance(elsewhere, Problem) else "weights of the vertices"
     return judge(
         ANY_ORDER,
         margin,
-        "Feasibility is recursive in any order of the certified wheel speeds, because the terminal "
+        f"Feasibility is recursive in any order of the certified {scheduled}, because the terminal "
         f"set is invariant at every corner; checked along {RANDOM_STEPS} steps of random order.",
-        "Along wheel speeds in random order a plan may miss its constraints one step later by "
+        f"Along {scheduled} in random order a plan may miss its constraints one step later by "
         f"{-margin:.3g}.",
     )
 
 
-def _with_random_speeds(problem: Problem) -> Problem:
-    """Return the problem along wheel speeds drawn all over its regions, half of them at corners."""
+def _in_random_order(problem: ControlProblem) -> ControlProblem:
+    """Return the problem along schedules drawn all over its range, half of them at corners."""
     random = np.random.default_rng(0)
     count = RANDOM_STEPS + problem.horizon
+    if isinstance(problem, LinearProblem):
+        vertices = problem.model.vertices
+        corners = vertices[random.integers(len(vertices), size=count)]
+        inside = random.dirichlet(np.ones(len(vertices)), count)
+        is_corner = random.random((count, 1)) < 0.5
+        return problem.along(np.where(is_corner, corners, inside), RANDOM_STEPS)
+    assert isinstance(problem, Problem)
     regions = problem.regions[random.integers(len(problem.regions), size=count)]
     corners = random.integers(0, 2, (count, 2))
     inside = random.random((count, 2))
@@ -218,7 +228,7 @@ def _with_random_speeds(problem: Problem) -> Problem:
     return replace(problem, reference=reference)
 
 
-def _margins_in_any_order(design: Design) -> dict[str, float]:
+def _margins_in_any_order(design: TubeDesign) -> dict[str, float]:
     """Return the margins of the terminal inclusions over all regions, from any window to any
     other."""
     problem = design.problem
@@ -242,7 +252,7 @@ def _margins_in_any_order(design: Design) -> dict[str, float]:
 
 
 def _margins_along(
-    problem: Problem,
+    problem: ControlProblem,
     terminal: Terminal,
     windows: Windows,
     both: tuple[Bounds, Bounds],
@@ -272,14 +282,16 @@ def _margins_along(
 
 
 def _unit_input_rows(
-    problem: Problem, rows: Float[np.ndarray, "g k 3"], offsets: Float[np.ndarray, " k"]
+    problem: ControlProblem, rows: Float[np.ndarray, "g k 3"], offsets: Float[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "g k 3"], Float[np.ndarray, " k"]]:
     """Return rows on the error and their offsets in the units of rows of U of norm one."""
     scale = np.linalg.norm(problem.input_rows.inputs, axis=1)
     return rows / scale[:, None], offsets / scale
 
 
-def _products(gain: Gain, W: Float[np.ndarray, "w 3"], steps: int) -> Float[np.ndarray, "p 3"]:
+def _products(
+    gain: GainSchedule, W: Float[np.ndarray, "w 3"], steps: int
+) -> Float[np.ndarray, "p 3"]:
     """Return the corners of the hull of Psi W over every product of `steps` loops, by enumeration
     of the products."""
     points = W

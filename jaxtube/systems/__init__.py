@@ -1,0 +1,1 @@
+"""Linear systems of a user's own, and disturbance sets proved for nonlinear ones."""
