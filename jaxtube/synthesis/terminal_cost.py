@@ -8,6 +8,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
+from jaxtube.qp.regions import AnyArray
+from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.gains import Gain, given_gain, vertex_gain
 from jaxtube.synthesis.linear_problem import LinearProblem, MixedGain, mix_gains
@@ -29,16 +31,32 @@ def cost_and_gain_of_system(problem: LinearProblem) -> tuple[TerminalCost, Mixed
         cost = terminal_cost(system.A, system.B, system.Q, system.R, system.objective, shares)
         return cost, mix_gains(problem, cost.gains)
     gain = mix_gains(problem, system.K)
-    return _find_cost(gain, system.Q, system.R), gain
+    return _find_cost(gain, problem), gain
 
 
-def _find_cost(
-    gain: GainSchedule, Q: Float[np.ndarray, "n n"], R: Float[np.ndarray, "m m"]
-) -> TerminalCost:
+def _find_cost(gain: GainSchedule, problem: ControlProblem) -> TerminalCost:
     """Return a cost for gains that are given."""
-    P = cost_of_gains(*gain.pairs, Q, R)
+    limits = problem.error_widths
+    loops, gains = gain.pairs
+    scaled = in_shares(loops, gains, problem.error_weight, limits)
+    P = cost_of_gains(*scaled, problem.input_weight) / np.outer(limits, limits)
     none = np.zeros((0, 0, 0))
     return TerminalCost(P, gain.vertices, none, "trace_p", float(np.trace(P)))
+
+
+def in_shares(
+    loops: Float[AnyArray, "v n n"],
+    gains: Float[AnyArray, "v m n"],
+    error_weight: Float[AnyArray, "n n"],
+    limits: Float[AnyArray, " n"],
+) -> tuple[AnyArray, AnyArray, AnyArray]:
+    """Return loops, gains and the weight of errors that are divided by their limits; a cost x' P x
+    of these has its trace in one unit, so that no choice of units decides which is least."""
+    return (
+        loops * limits / limits[:, None],
+        gains * limits,
+        error_weight * limits * limits[:, None],
+    )
 
 
 def terminal_cost_and_gain(problem: Problem) -> tuple[TerminalCost, Gain]:
@@ -52,7 +70,7 @@ def terminal_cost_and_gain(problem: Problem) -> tuple[TerminalCost, Gain]:
     R = problem.input_weight
     if len(problem.given_gains):
         gain = given_gain(problem, problem.given_gains)
-        return _find_cost(gain, Q, R), gain
+        return _find_cost(gain, problem), gain
     model = problem.model
     objective = problem.scenario.controller.lmi_objective
     cost = terminal_cost(*model.matrices(model.vertices), Q, R, objective)

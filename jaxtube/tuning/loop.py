@@ -22,6 +22,7 @@ from jaxtube.qp.regions import AnyArray
 from jaxtube.synthesis.condense import Bounds, Cost, Gains, row_bounds, weigh, widths
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.prediction import Prediction, predict, with_terminal_rows
+from jaxtube.synthesis.terminal_cost import in_shares
 from jaxtube.synthesis.tightening import find_back_off
 from jaxtube.tuning.caps import CapLimits, make_limits
 from jaxtube.tuning.gains import GainMaps, differentiate_terminal_cost, make_gain_maps
@@ -160,13 +161,16 @@ def tightened_bounds(constants: DesignConstants, kappa: Float[Array, " kappa"]) 
 
 def terminal_weight(constants: DesignConstants, weights: Weights) -> Float[Array, "3 3"]:
     """Return P, which follows Q, R and the gains."""
-    return differentiate_terminal_cost(
-        constants.terminal_cost,
+    limits = jnp.asarray(constants.widths)
+    units = limits * limits[:, None]
+    of_shares = in_shares(
         constants.maps.vertex_loops.at(weights.kappa),
         constants.maps.vertex_gains.at(weights.kappa),
         weights.error_weight,
-        weights.input_weight,
+        limits,
     )
+    cost = constants.terminal_cost * units
+    return differentiate_terminal_cost(cost, *of_shares, weights.input_weight) / units
 
 
 def condense_windows(constants: DesignConstants, weights: Weights) -> CondensedQp:

@@ -6,9 +6,10 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from jaxtube.scenario import load
+from jaxtube.scenario import load, replace
 from jaxtube.scenario.tree import Scenario
 from jaxtube.scenario.units import rescale
+from jaxtube.simulation.simulate import simulate
 from jaxtube.synthesis.certificate.fill import cap_shares
 from jaxtube.synthesis.design import Design, design, find_share_of_start
 from jaxtube.synthesis.estimate import Estimate
@@ -22,8 +23,15 @@ ALL_TIMES = (0.1, 0.5, 10.0)
 SCENARIOS = ("certified", "certified_20", "certified_lag", "husky")
 SHARES = 1e-6
 """Relative difference of shares of the same caps; W is bounded by the same cuts."""
+SOLVED = 1e-6
+"""The same of the terminal cost, and of plans by it."""
 SEARCHED = 0.01
 """The same of shares that were searched: caps are rounded to four digits of their own units."""
+LAPS = 64
+SHORT = {"reference.duration_s": 2.0}
+SAME_LAPS = 1e-3
+"""Difference of the laps of two sizes, as a share of their limits: the smaller one is backed off by
+more."""
 LENGTHS = np.array([1, 1, 0, 1, 1, 0, 1, 0, 0, -1, 0, 0, 0, 0])
 TIMES = np.array([0, 0, 0, -1, -1, -1, 0, -1, -1, -1, -1, 0, 0, 0])
 """Powers of length and time in the units of caps and gains."""
@@ -56,7 +64,28 @@ def test_the_same_caps_are_filled_alike_at_every_size(size):
     other = design(rescale(load("certified"), size))
     assert_same(weigh(other), weigh(usual), SHARES)
     assert other.terminal.volume_share == pytest.approx(usual.terminal.volume_share, abs=1e-3)
-    assert len(other.tube_qps.lower[0]) == len(usual.tube_qps.lower[0])
+    lengths = np.array([size, size, 1.0])
+    np.testing.assert_allclose(
+        other.cost.cost * np.outer(lengths, lengths), usual.cost.cost, rtol=SOLVED
+    )
+    of_inputs = np.tile([size, 1.0], usual.problem.horizon)
+    plans = other.tube_qps.free_inputs * lengths / of_inputs[:, None]
+    np.testing.assert_allclose(plans, usual.tube_qps.free_inputs, rtol=SOLVED, atol=SOLVED)
+    assert other.tube_qps.lower.shape == usual.tube_qps.lower.shape
+
+
+@pytest.mark.slow
+def test_laps_of_a_robot_of_another_size_are_the_same_in_its_units():
+    """From starts all over the feasible set, where plans have active rows; slips are drawn by
+    number, so they are the same."""
+    usual = simulate(design(replace(load("certified"), SHORT)), laps=LAPS, starts="feasible")
+    for size in QUICK_SIZES:
+        scaled = rescale(replace(load("certified"), SHORT), size)
+        other = simulate(design(scaled), laps=LAPS, starts=usual.errors[0] * [size, size, 1.0])
+        moved = other.errors / [size, size, 1.0] - usual.errors
+        assert np.max(np.abs(moved) / usual.error_limits) < SAME_LAPS
+        assert other.without_plan == usual.without_plan == 0
+    assert usual.trajectory.diagnostics.active.any()
 
 
 @pytest.mark.slow

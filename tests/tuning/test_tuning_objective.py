@@ -21,6 +21,7 @@ from jaxtube.simulation.rollout import realisation_keys, rollout
 from jaxtube.simulation.usage import play
 from jaxtube.synthesis.design import finish, prepare
 from jaxtube.synthesis.feasible import boundary
+from jaxtube.synthesis.terminal_cost import in_shares
 from jaxtube.tuning import minimal, objective, terminal, tube
 from jaxtube.tuning.caps import make_limits
 from jaxtube.tuning.loop import tightened_bounds
@@ -137,7 +138,9 @@ def solve_again(problem, constants, weights, other_gains: bool):
     gains = np.asarray(maps.vertex_gains.at(weights.kappa))
     error_weight = np.asarray(weights.error_weight)
     input_weight = np.asarray(weights.input_weight)
-    cost = jnp.asarray(cost_of_gains(loops, gains, error_weight, input_weight))
+    limits = problem.operating_set.offsets[:3]
+    of_shares = cost_of_gains(*in_shares(loops, gains, error_weight, limits), input_weight)
+    cost = jnp.asarray(of_shares / np.outer(limits, limits))
     return dataclasses.replace(constants, design=constants.design._replace(terminal_cost=cost))
 
 
