@@ -1,5 +1,4 @@
-"""Laws of the checker's own arithmetic and motion, against mpmath and the plant in the world frame."""
-frame."""
+"""Laws of the checker's arithmetic and motion: against mpmath, and the plant in the world frame."""
 
 import random
 from fractions import Fraction
