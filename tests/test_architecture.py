@@ -14,6 +14,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PACKAGES = ("jaxtube", "sets")
+CHECKER = ROOT / "sets" / "checker"
+PROGRAMS = {f"sets.checker.{path.stem}" for path in CHECKER.glob("*.py")}
+"""Programs that run by themselves, beside the file that they check."""
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 
 ROOMS = (
@@ -200,8 +203,22 @@ def test_the_package_is_marked_as_typed(package):
     assert (ROOT / package / "py.typed").exists()
 
 
+def test_the_checker_of_certificates_imports_the_standard_library_and_itself_alone():
+    beside = {name.split(".")[-1] for name in PROGRAMS}
+    for program in PROGRAMS:
+        for entry in read_graph()[program]:
+            first = entry.name.split(".")[0]
+            assert first in sys.stdlib_module_names or first in beside, entry.name
+
+
+@pytest.mark.parametrize("program", sorted(path.name for path in CHECKER.glob("*.py")))
+def test_the_checker_of_certificates_can_be_read_in_one_sitting(program):
+    assert len((CHECKER / program).read_text(encoding="utf-8").splitlines()) <= 300
+
+
 def test_sets_imports_and_works_where_jax_is_absent():
-    modules = [name for name in read_graph() if name.split(".")[0] == "sets"]
+    names = read_graph()
+    modules = [name for name in names if f"{name}.".startswith("sets.") and name not in PROGRAMS]
     blocked = (
         "import sys; sys.modules['jax'] = sys.modules['jaxlib'] = sys.modules['jaxtube'] = None; "
     )

@@ -23,8 +23,9 @@ from itertools import pairwise, product
 from math import degrees
 from typing import Any
 
+import check_plans
 from check_motion import ONE, Refused, prove, require, scale
-from check_plans import check_cost, check_plans, dot, list_inputs, reach, stretch, times, weigh
+from check_plans import dot, list_inputs, pick, reach, stretch, times, weigh
 
 FORMAT = "jaxtube certificate 1"
 ROBOT = ("period", "track", "lever_arm")
@@ -97,9 +98,9 @@ def list_motions(certificate, band):
     """Yield what is bounded of the motions of a band: its name, sign and bound, and the cells over
     which it is bounded, with the constants of robot and cell."""
     T = certificate["period"]
-    robot = [certificate[name] for name in ROBOT]
+    robot = pick(certificate, *ROBOT)
     noise = certificate["noise"]
-    yaw, lean, box = (band["disturbance"][name] for name in ("yaw", "lean", "box"))
+    yaw, lean, box = pick(band["disturbance"], "yaw", "lean", "box")
     require(box[2] >= 2 * noise[2], "W is narrower than twice the noise of headings")
     levels = {"x": box[0] - noise[0], "y": box[1] - noise[1], "kick": yaw}
     levels = {(output, sign): level for output, level in levels.items() for sign in (1, -1)}
@@ -115,7 +116,7 @@ def list_motions(certificate, band):
         levels[wheel, -1] = -T * max(grip * slowest for grip in grips)
         losses.append((min(shares), max(shares)))
     sizes = [*band["errors"][1:], certificate["sideslip"], *noise]
-    across, turned, *others = [(-size, size) for size in sizes]
+    ends = [(-size, size) for size in sizes]
     cells = []
     speeds = [each for region in band["regions"] for each in list_speeds(region)[0]]
     turns = list_turns(band)
@@ -125,7 +126,7 @@ def list_motions(certificate, band):
         # A motion with u2 < 0 is the mirror image of one with u2 > 0, wheels exchanged.
         turns = [turn for turn in turns if turn[0][0] >= 0]
     for (u2, *turn), (mean, part, *speed) in product(turns, speeds):
-        ranges = [(-1, 1), across, turned, band["u1"], u2, mean, part, *losses, *others]
+        ranges = [(-1, 1), *ends[:2], band["u1"], u2, mean, part, *losses, *ends[2:]]
         require(all(low <= high for low, high in ranges), "a range of the operation is crossed")
         cell = [(scale(low)[0], scale(high)[1]) for low, high in ranges]
         cells.append((cell, (*robot, lean), (*turn, *speed)))
@@ -148,7 +149,7 @@ def check_motions(certificate, band):
 
 def list_loops(certificate, band):
     """Return loops whose mixtures are those of a band, and its gains at the corners of speeds."""
-    T, b, _ = (certificate[name] for name in ROBOT)
+    T, b, _ = pick(certificate, *ROBOT)
     k1, k2, k3 = band["gains"]
     loops = []
     gains = []
@@ -242,10 +243,10 @@ def check(certificate):
         room = check_sets(certificate, band, extents)
         yield f"{band['name']}: {len(room)} inclusions of sets, for speeds in any order"
         if "cost" in certificate:
-            check_cost(certificate, *list_loops(certificate, band))
+            check_plans.check_cost(certificate, *list_loops(certificate, band))
             yield f"{band['name']}: the terminal cost decreases by the cost of a stage"
     if "plans" in certificate:
-        room = check_plans(certificate, extents)
+        room = check_plans.check_plans(certificate, extents)
         shown = f"{len(room)} rows, least room {float(min(room)):.3g}"
         yield f"plans stay plans along the reference: {shown}"
 
@@ -254,8 +255,9 @@ def list_assumptions(certificate):
     """Yield in words what is taken for granted."""
     for wheel, slips in certificate["slips"].items():
         for case in slips:
-            least, most, *seen = (f"{float(slip):.6g}" for slip in case)
-            yield f"{wheel} slip {least} to {most} where {' to '.join(seen)} is compensated"
+            shown = [f"{float(slip):.6g}" for slip in case]
+            seen = " to ".join(shown[2:])
+            yield f"{wheel} slip {' to '.join(shown[:2])} where {seen} is compensated"
     yield f"sideways slip up to {float(certificate['sideslip']):.4g} times the forward speed"
     x, y, heading = map(float, certificate["noise"])
     yield f"errors measured within {x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg, without delay"

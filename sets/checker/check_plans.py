@@ -28,6 +28,11 @@ from check_motion import COSINE, ONE, SINE, C, Number, apply, require, scale
 ROUNDING = Fraction(1, 2**53)  # of an operation in 64 bits, relative
 
 
+def pick(table, *names):
+    """Return the entries of these names."""
+    return [table[name] for name in names]
+
+
 def dot(left, right):
     """Return the sum of products."""
     return sum(a * b for a, b in zip(left, right, strict=True))
@@ -45,7 +50,7 @@ def size(value):
 
 def reach(band, row):
     """Return the greatest product of a row and a disturbance in W."""
-    yaw, lean, box = (band["disturbance"][name] for name in ("yaw", "lean", "box"))
+    yaw, lean, box = pick(band["disturbance"], "yaw", "lean", "box")
     return yaw * size(row[1] * lean + row[2]) + dot(box, map(size, row))
 
 
@@ -117,7 +122,9 @@ class Window:
         box = [2 * end for end in (*band["errors"], *most * N)]
         columns = (window[name] for name in ("rows", "norms", "lower", "upper"))
         for name, entries, norm, *ends in zip(plans["order"], *columns, strict=True):
-            kind, j, i = (name[0], *map(int, name[1:]))
+            kind = name[0]
+            j = int(name[1])
+            i = int(name[2])
             on_u, on_e = rows[kind][i]
             predicted = self.predict(on_u, on_e, j)
             own = [*entries[:3], *(norm * entry for entry in entries[3:])]
@@ -217,7 +224,7 @@ def check_plans(certificate, extents):
 
 def check_cost(certificate, loops, gains):
     """Prove that the terminal cost decreases by at least the cost of a stage."""
-    P, Q, R = (certificate["cost"][name] for name in "PQR")
+    P, Q, R = pick(certificate["cost"], *"PQR")
     for loop, gain in product(loops, gains):
         terms = zip(P, weight(P, loop), Q, weight(R, gain), strict=True)
         left = [[p - a - q - r for p, a, q, r in zip(*rows, strict=True)] for rows in terms]

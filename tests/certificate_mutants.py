@@ -1,0 +1,112 @@
+"""Certificates changed somewhere, anywhere: numbers nudged, rows dropped, signs flipped."""
+
+import copy
+from fractions import Fraction
+
+NUDGE = Fraction(1, 10**6)
+
+HARMLESS = {
+    "period": "a period for which everything is proved as well",
+    "track": "a track for which everything is proved as well",
+    "lever_arm": "a lever arm for which W holds as well",
+    "noise": "other noise, for which W holds as well",
+    "slips": "other slips, for which W holds as well",
+    "sideslip": "other sideslip, for which W holds as well",
+    "wheel_speeds": "wheels of other speeds that can do what is asked as well",
+    "constraints": "other limits that caps and noise keep as well",
+    "name": "another name",
+    "bands.errors": "other caps that the proof has room for",
+    "bands.u1": "other caps that the proof has room for",
+    "bands.u2": "other caps that the proof has room for",
+    "bands.coupling": "another coupling that the proof has room for",
+    "bands.gains": "other gains under which the set is invariant as well",
+    "bands.regions": "other speeds for which everything is proved as well",
+    "bands.disturbance": "another W, which is proved and which sets have room for",
+    "bands.cells": "cells cut otherwise, each of which is proved",
+    "sets.rows": "another set that is invariant as well",
+    "sets.offsets": "another set that is invariant as well",
+    "sets.extents": "other multipliers that prove as much",
+    "inclusions.multipliers": "other multipliers that prove as much",
+    "cost": "another cost that decreases as well",
+    "plans.tolerance": "another tolerance that rows have room for",
+    "plans.sequence": "another order of windows that follow each other",
+    "plans.windows": "other rows that plans keep as well",
+    "plans.ends": "other multipliers that prove as much",
+}
+"""What a changed certificate may be that is accepted, by what was changed; all else is refused."""
+
+
+def mutate(certificate, random):
+    """Return a certificate with one change, and where it is."""
+    mutant = copy.deepcopy(certificate)
+    path = []
+    place = mutant
+    while True:
+        keys = list(place) if isinstance(place, dict) else range(len(place))
+        key = random.choice(keys)
+        path.append(key)
+        entry = place[key]
+        # Now and then a whole part is changed, mostly a number at the end of the way.
+        if not isinstance(entry, dict | list) or not entry or random.random() < 0.07:
+            break
+        place = entry
+    _change(place, key, random)
+    return mutant, name_part(path)
+
+
+def name_part(path) -> str:
+    """Return what a path leads to, without the numbers and names on the way."""
+    head = str(path[0])
+    if head in ("bands", "inclusions", "sets") and len(path) > 2:
+        return f"{head}.{path[2]}"
+    return f"{head}.{path[1]}" if head == "plans" and len(path) > 1 else head
+
+
+def _change(place, key, random):
+    entry = place[key]
+    if isinstance(entry, str) and entry and not _is_number(entry) and set(entry) <= TREE:
+        place[key] = _change_tree(entry, random)
+    elif _is_number(entry):
+        place[key] = _change_number(Fraction(entry), random)
+    elif isinstance(entry, list) and len(entry) > 1 and random.random() < 0.5:
+        other = random.randrange(len(entry) - 1)
+        entry[other], entry[other + 1] = entry[other + 1], entry[other]
+    else:
+        del place[key]
+
+
+TREE = set("abcdefghijklmABCDEFGHIJKLM.")
+
+
+def _is_number(entry) -> bool:
+    try:
+        return isinstance(entry, str) and Fraction(entry) is not None
+    except ValueError:
+        return False
+
+
+def _change_number(number: Fraction, random):
+    changes = (
+        lambda: str(number * (1 + NUDGE)),
+        lambda: str(number * (1 - NUDGE)),
+        lambda: str(number * Fraction(11, 10)),
+        lambda: str(number * Fraction(9, 10)),
+        lambda: str(-number),
+        lambda: str(number + random.choice((-1, 1)) * NUDGE),
+        lambda: "0",
+        lambda: float(number),
+        lambda: None,
+    )
+    return random.choice(changes)()
+
+
+def _change_tree(tree: str, random) -> str:
+    place = random.randrange(len(tree))
+    other = random.choice(sorted(TREE))
+    changes = (
+        tree[:place] + tree[place + 1 :],
+        tree[:place] + other + tree[place + 1 :],
+        tree[:place] + other + tree[place:],
+        tree[:place],
+    )
+    return random.choice(changes)

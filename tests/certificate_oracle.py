@@ -1,0 +1,216 @@
+"""Whether what a certificate says holds, in floats and by code that its checker does not share: the
+project's own plant and model, and linear programs."""
+
+from fractions import Fraction
+from itertools import pairwise, product
+from types import SimpleNamespace
+
+import numpy as np
+from scipy.optimize import linprog
+
+from jaxtube.plant.model import make_model
+from sets.robot.disturbance import disturbance_bound
+from sets.robot.operation import Operation
+from sets.robot.plant import Kinematics
+
+PROGRAM_ROUNDING = 1e-9
+"""Of the answers of linear programs, and of W's own vertices."""
+
+
+def to_floats(value):
+    """Return JSON with its fractions as floats, and arrays where they are all numbers."""
+    if isinstance(value, dict):
+        return {name: to_floats(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [to_floats(entry) for entry in value]
+    try:
+        return float(Fraction(value))
+    except (ValueError, TypeError):
+        return value
+
+
+def holds_in_floats(certificate) -> bool:
+    """Return whether no counterexample is found to what a certificate of one band promises."""
+    said = to_floats(certificate)
+    band = said["bands"][0]
+    model = make_model(
+        "exact_jacobian",
+        "euler",
+        said["period"],
+        said["track"],
+        np.zeros(2),
+        (np.full(2, 0.2), np.full(2, 1.5)),
+    )
+    checks = (_keeps_limits, _keeps_disturbances, _keeps_sets, _keeps_plans, _keeps_cost)
+    return all(check(said, band, model) for check in checks)
+
+
+def _keeps_limits(said, band, model) -> bool:
+    most = np.array(band["errors"]) + said["noise"]
+    return bool(np.all(most <= np.array(said["constraints"]) + PROGRAM_ROUNDING))
+
+
+def _keeps_disturbances(said, band, model) -> bool:
+    """Compare W and the wheel limits with what the project's search attains."""
+    losses = []
+    least = []
+    most = []
+    for wheel in ("right", "left"):
+        ends = [
+            (true - seen) / (1 - seen)
+            for low, high, *both in said["slips"][wheel]
+            for true, seen in product((low, high), both)
+        ]
+        grips = [1 - seen for _, _, *both in said["slips"][wheel] for seen in both]
+        losses.append((min(ends), max(ends)))
+        least.append(max(grip * said["wheel_speeds"][0] for grip in grips))
+        most.append(min(grip * said["wheel_speeds"][1] for grip in grips))
+    errors = np.array(band["errors"])
+    of_x, of_turn = band["coupling"]
+    operation = Operation(
+        errors=np.stack([-errors, errors]),
+        inputs=np.array([band["u1"], band["u2"]]).T,
+        schedules=np.array([_find_box(region) for region in band["regions"]]),
+        wheel_errors=np.array(losses).T,
+        noise=np.array(said["noise"]),
+        dt=said["period"],
+        track_width=said["track"],
+        sideslip=said["sideslip"],
+        lever_arm=said["lever_arm"],
+        coupling=(1 / of_x, 1 / of_turn),
+    )
+    W = band["disturbance"]
+    found = disturbance_bound(operation, Kinematics(), tolerance=0.3)
+    lean_gap = abs(W["lean"] - operation.period.lateral_per_yaw) * found.found_yaw
+    room = np.array(W["box"]) - found.found_box
+    is_wide = W["yaw"] >= found.found_yaw * (1 - PROGRAM_ROUNDING)
+    is_wide &= bool(np.all(room >= -PROGRAM_ROUNDING - lean_gap))
+    slowest, fastest = found.ground_speeds
+    # The bounds on speeds are tight to a hundredth here; where they fit, speeds do.
+    slack = 0.01
+    return is_wide and bool(
+        np.all(fastest <= np.array(most) + slack) and np.all(slowest >= np.array(least) - slack)
+    )
+
+
+def _find_box(region):
+    return (region, region) if len(region) == 2 else ((region[0],) * 2, (region[1],) * 2)
+
+
+def _make_stage(said, band, model, speeds):
+    A, B = model.matrices(np.array(speeds))
+    k1, k2, k3 = band["gains"]
+    rate = (speeds[0] - speeds[1]) / said["track"]
+    K = np.array([[-k1, -rate, 0], [0, -k2, -k3]])
+    return SimpleNamespace(A=A, B=B, K=K, loop=A + B @ K)
+
+
+def _draw_stages(said, band, model):
+    random = np.random.default_rng(0)
+    for region in band["regions"]:
+        low, high = np.array(_find_box(region))
+        if len(region) == 2:
+            yield _make_stage(said, band, model, low)
+            continue
+        for share in (*product((0.0, 1.0), repeat=2), *random.random((8, 2))):
+            yield _make_stage(said, band, model, low + np.array(share) * (high - low))
+
+
+def _reach(band, rows):
+    """Return the support numbers of W."""
+    W = band["disturbance"]
+    rows = np.atleast_2d(rows)
+    return W["yaw"] * np.abs(rows @ [0, W["lean"], 1]) + np.abs(rows) @ W["box"]
+
+
+def _support(rows, offsets, direction) -> float:
+    free = [(None, None)] * len(direction)
+    answer = linprog(-np.asarray(direction), A_ub=rows, b_ub=offsets, bounds=free)
+    return np.inf if answer.status == 3 else -answer.fun if answer.status == 0 else -np.inf
+
+
+def _list_inputs(band):
+    of_x, of_turn = band["coupling"]
+    on_inputs = np.array([[1, 0], [0, 1], [0, of_turn], [0, -of_turn]])
+    on_errors = np.array([[0, 0, 0], [0, 0, 0], [of_x, 0, 0], [of_x, 0, 0]])
+    lower = np.array([band["u1"][0], band["u2"][0], -1, -1])
+    upper = np.array([band["u1"][1], band["u2"][1], 1, 1])
+    return on_inputs, on_errors, lower, upper
+
+
+def _keeps_sets(said, band, model) -> bool:
+    shape = said["sets"][band["set"]]
+    H = np.array(shape["rows"])
+    h = np.array(shape["offsets"])
+    on_inputs, on_errors, lower, upper = _list_inputs(band)
+    for stage in _draw_stages(said, band, model):
+        on_both = on_inputs @ stage.K + on_errors
+        rows = np.vstack([H @ stage.loop, np.eye(3), -np.eye(3), on_both, -on_both])
+        limits = [h - _reach(band, H), band["errors"], band["errors"], upper, -lower]
+        for row, limit in zip(rows, np.concatenate(limits), strict=True):
+            if _support(H, h, row) > limit + PROGRAM_ROUNDING:
+                return False
+    return True
+
+
+def _keeps_plans(said, band, model) -> bool:
+    """Search the plan and w whose successor misses a row of the next QP most."""
+    plans = said["plans"]
+    windows = plans["windows"]
+    for now, after in set(pairwise(int(index) for index in plans["sequence"])):
+        rows, offsets = _list_halfspaces(windows[now], plans["tolerance"])
+        caps = np.eye(rows.shape[1])[:3]
+        rows = np.vstack([rows, caps, -caps])
+        offsets = np.concatenate([offsets, np.tile(band["errors"], 2)])
+        plan, disturbed = _succeed(said, band, model, windows[now], windows[after])
+        wanted, limits = _list_halfspaces(windows[after], 0.0)
+        wanted = np.vstack([wanted, caps, -caps])
+        limits = np.concatenate([limits, np.tile(band["errors"], 2)])
+        reached = _reach(band, wanted @ disturbed)
+        for row, limit, by_w in zip(wanted @ plan, limits, reached, strict=True):
+            if _support(rows, offsets, row) + by_w > limit + PROGRAM_ROUNDING:
+                return False
+    return True
+
+
+def _list_halfspaces(window, tolerance):
+    """Return rows and offsets on (e_0, g_0, ..) of the plans that a QP accepts."""
+    norms = np.array(window["norms"])
+    rows = np.array(window["rows"])
+    rows[:, 3:] *= norms[:, None]
+    lower = np.array([-np.inf if end is None else end for end in window["lower"]])
+    upper = np.array([np.inf if end is None else end for end in window["upper"]])
+    offsets = np.concatenate([upper, -lower]) + np.tile(norms, 2) * tolerance
+    kept = np.isfinite(offsets)
+    return np.vstack([rows, -rows])[kept], offsets[kept]
+
+
+def _succeed(said, band, model, window, following):
+    """Return the matrices by which (e_0, g_0, ..) and w give the next error and plan."""
+    stages = [_make_stage(said, band, model, speeds) for speeds in window["speeds"]]
+    last = _make_stage(said, band, model, following["speeds"][-1])
+    N = len(stages)
+    unit = np.eye(3 + 2 * N)
+    errors = [unit[:3]]
+    for j, stage in enumerate(stages):
+        inputs = unit[3 + 2 * j : 5 + 2 * j]
+        errors.append(stage.A @ errors[-1] + stage.B @ inputs)
+    of_plan = [errors[1]]
+    of_w = [np.eye(3)]
+    deviation = np.eye(3)
+    for j in range(1, N):
+        of_plan.append(unit[3 + 2 * j : 5 + 2 * j])
+        of_w.append(stages[j].K @ deviation)
+        deviation = stages[j].loop @ deviation
+    of_plan.append(last.K @ errors[N])
+    of_w.append(last.K @ deviation)
+    return np.vstack(of_plan), np.vstack(of_w)
+
+
+def _keeps_cost(said, band, model) -> bool:
+    P, Q, R = (np.array(said["cost"][name]) for name in "PQR")
+    return all(
+        np.linalg.eigvalsh(P - stage.loop.T @ P @ stage.loop - Q - stage.K.T @ R @ stage.K).min()
+        >= -PROGRAM_ROUNDING
+        for stage in _draw_stages(said, band, model)
+    )

@@ -1,0 +1,197 @@
+"""Laws of the checker's arithmetic and motion: against mpmath, and the plant in the world frame."""
+
+import random
+from fractions import Fraction
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from jaxtube.synthesis.proof_search import PROGRAMS, load_checker
+
+motion = load_checker(PROGRAMS[1])
+plans = load_checker(PROGRAMS[2])
+ONE = motion.ONE
+
+FUNCTIONS = {
+    "SINE": mpmath.sin,
+    "COSINE": mpmath.cos,
+    "EXCESS": lambda x: mpmath.sin(x) - x,
+    "C": lambda x: mpmath.sin(x) / x if x else mpmath.mpf(1),
+    "D": lambda x: (1 - mpmath.cos(x)) / x if x else mpmath.mpf(0),
+}
+WIDEST_ENCLOSURE = 64
+"""Units, of 2^-56, that an enclosure at a point may be wide."""
+DIFFERENCE = 1e-13
+"""Motions of the world frame, in floats."""
+
+angles = st.integers(-ONE, ONE)
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+@given(at=angles)
+def test_series_enclose_functions_and_are_tight(name, at):
+    with mpmath.workdps(40):
+        value = FUNCTIONS[name](mpmath.mpf(at) / ONE) * ONE
+        low, high = motion.add_up(getattr(motion, name)[0], (at, at))
+        assert low <= value <= high
+        assert high - low <= WIDEST_ENCLOSURE
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+@pytest.mark.parametrize("order", [1, 2])
+@given(at=st.integers(-ONE + ONE // 100, ONE - ONE // 100))
+def test_series_enclose_derivatives(name, order, at):
+    with mpmath.workdps(60):
+        if abs(at) < ONE // 1000:
+            return  # where differences of a quotient lose digits
+        value = mpmath.diff(FUNCTIONS[name], mpmath.mpf(at) / ONE, order) * ONE
+        low, high = motion.add_up(getattr(motion, name)[order], (at, at))
+        assert low - 1 <= value <= high + 1
+
+
+@given(ends=st.tuples(angles, angles).map(sorted), share=st.fractions(0, 1))
+def test_series_of_intervals_hold_those_of_their_points(ends, share):
+    at = ends[0] + int((ends[1] - ends[0]) * share)
+    for name in FUNCTIONS:
+        for table in getattr(motion, name):
+            low, high = motion.add_up(table, tuple(ends))
+            least, most = motion.add_up(table, (at, at))
+            assert low <= most and least <= high
+
+
+def test_angles_beyond_the_series_are_refused():
+    with pytest.raises(motion.Refused, match="1 rad"):
+        motion.add_up(motion.SINE[0], (0, ONE + 1))
+
+
+@given(
+    left=st.tuples(angles, angles).map(sorted),
+    right=st.tuples(angles, angles).map(sorted),
+    shares=st.tuples(st.fractions(0, 1), st.fractions(0, 1)),
+)
+def test_products_of_intervals_hold_products_and_are_tight(left, right, shares):
+    low, high = motion.multiply(left, right)
+    ends = [Fraction(a * b, ONE) for a in left for b in right]
+    assert low <= min(ends) < low + 1 and high - 1 < max(ends) <= high
+    a = left[0] + (left[1] - left[0]) * shares[0]
+    b = right[0] + (right[1] - right[0]) * shares[1]
+    assert low <= a * b / ONE <= high
+
+
+ROBOT = (Fraction(1, 10), Fraction(1, 2), Fraction(-3, 100), Fraction(7, 100))
+"""Period, track, lever arm, lean."""
+PIECE = (Fraction(1), Fraction(0), None, None)
+CENTRE = (0.0, 0.0, 0.0, 0.05, 0.0, 1.3, 1.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+WIDTHS = (0.15, 0.2, 0.3, 0.4, 1.0, 0.2, 0.2, 0.03, 0.03, 0.05, 0.01, 0.01, 0.01)
+
+
+def draw_variables(seed):
+    source = random.Random(seed)
+    return [c + w * source.uniform(-1, 1) for c, w in zip(CENTRE, WIDTHS, strict=True)]
+
+
+def place(values):
+    """Return the cell of a point."""
+    return [motion.scale(Fraction(value)) for value in values]
+
+
+def find_world_motion(values):
+    """Return w_x, w_y and the kick from the poses of robot and reference in the world frame."""
+    x, y, th, u1, u2, right, left, d_r, d_l, zeta, n_x, n_y, n_th = values
+    T, b, lever, lean = map(float, ROBOT)
+
+    def drive(speed, rate, sideways):
+        half = T * rate / 2
+        return T * (speed + 1j * sideways) * np.sinc(half / np.pi) * np.exp(1j * half)
+
+    reference = drive((right + left) / 2, (right - left) / b, 0.0)
+    rate = (right - left) / b - u2
+
+    def find_error(start, heading, turned, way):
+        """Return the error, in the robot's frame, of a robot that starts at -start."""
+        place = -start * np.exp(-1j * heading) + way * np.exp(-1j * heading)
+        turn = -heading + turned
+        return (reference - place) * np.exp(-1j * turn)
+
+    def miss(speed):
+        after = find_error(x + 1j * y, th, T * rate, drive(speed, rate, 0.0))
+        return after.real - (x + T * (right - left) / b * y + T * u1)
+
+    speed = -miss(0.0) / (miss(1.0) - miss(0.0))
+    ground_right = (speed + b * rate / 2) * (1 - d_r)
+    ground_left = (speed - b * rate / 2) * (1 - d_l)
+    true_speed = (ground_right + ground_left) / 2
+    true_rate = (ground_right - ground_left) / b
+    way = drive(true_speed, true_rate, zeta * true_speed - lever * true_rate)
+    after = find_error(x - n_x + 1j * (y - n_y), th - n_th, T * true_rate, way)
+    stage = plans.make_stage(
+        {"period": ROBOT[0], "track": ROBOT[1]},
+        {"gains": (0, 0, 0)},
+        Fraction(right),
+        Fraction(left),
+    )
+    M, B = (
+        np.array([[getattr(e, "low", e * ONE) / ONE for e in row] for row in matrix], float)
+        for matrix in stage[:2]
+    )
+    predicted = M @ [x, y, th] + B @ [u1, u2]
+    kick = T * (rate - true_rate)
+    return {
+        "x": after.real - predicted[0],
+        "y": after.imag - predicted[1] - lean * kick,
+        "kick": kick,
+        "right": T * (speed + b * rate / 2),
+        "left": T * (speed - b * rate / 2),
+    }
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_motions_are_those_of_poses_in_the_world_frame(seed):
+    values = draw_variables(seed)
+    constants = motion.find_constants(ROBOT, PIECE)
+    for output, expected in find_world_motion(values).items():
+        result, _ = motion.follow(output, place(values), constants)
+        assert abs(result.low / ONE - expected) < DIFFERENCE
+        assert 0 <= result.high - result.low < 10_000
+
+
+@pytest.mark.parametrize("output", ["x", "y", "kick", "right", "left"])
+def test_slopes_hold_differences_of_a_motion(output):
+    constants = motion.find_constants(ROBOT, PIECE)
+    for seed in range(10):
+        values = draw_variables(seed)
+        ends = [(value, value + width / 50) for value, width in zip(values, WIDTHS, strict=True)]
+        cell = [(motion.scale(Fraction(a))[0], motion.scale(Fraction(b))[1]) for a, b in ends]
+        slopes = motion.find_slopes(output, 1, cell, constants)
+        start, _ = motion.follow(output, [(low, low) for low, _ in cell], constants)
+        for index, (least, most) in enumerate(slopes):
+            moved = [(high if i == index else low,) * 2 for i, (low, high) in enumerate(cell)]
+            end, _ = motion.follow(output, moved, constants)
+            step = Fraction(cell[index][1] - cell[index][0], ONE)
+            assert least * step <= end.high - start.low
+            assert end.low - start.high <= most * step
+
+
+@pytest.mark.parametrize("output", ["x", "y", "kick"])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_bounds_of_cells_hold_all_their_motions(output, sign):
+    constants = motion.find_constants(ROBOT, PIECE)
+    source = random.Random(0)
+    for seed in range(5):
+        values = draw_variables(seed)
+        pairs = zip(values, WIDTHS, strict=True)
+        cell = [
+            (motion.scale(Fraction(v))[0], motion.scale(Fraction(v + w / 5))[1]) for v, w in pairs
+        ]
+        slopes = motion.find_slopes(output, sign, cell, constants)
+        shrunk = motion.shrink(cell, slopes)
+        highest = motion.bound(output, sign, shrunk, slopes, constants)
+        for _ in range(40):
+            point = [
+                (source.choice((low, high, source.randint(low, high))),) * 2 for low, high in cell
+            ]
+            result, _ = motion.follow(output, point, constants)
+            assert min(sign * result.low, sign * result.high) <= highest

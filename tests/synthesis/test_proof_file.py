@@ -1,0 +1,195 @@
+"""Laws of `certificate.json` and its checker: what is certified passes, what is changed is refused
+or holds as well, and what is damaged is refused in one line."""
+
+import json
+import random
+import subprocess
+import sys
+
+import pytest
+from certificate_mutants import HARMLESS, mutate
+from certificate_oracle import holds_in_floats
+
+import jaxtube as jt
+from jaxtube.synthesis import disturbance
+from jaxtube.synthesis.proof_file import FILE, describe_proof, write_certificate
+from jaxtube.synthesis.proof_search import PROGRAMS, load_checker
+
+SHORT = ["reference.certified_for=path", "reference.duration_s=12.5", "controller.horizon=2"]
+"""Of `certified`: two pairs of speeds, three windows, small QPs."""
+LOOSE = 0.1
+"""Relative gap of W: few cells prove it."""
+FASTER = ["robot.wheel_speed_max_mps=3.2"]
+"""Wheels that can do what a loose bound says they may be asked for."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a small certificate and the programs that check it."""
+    tight = disturbance.disturbance_bound
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(disturbance, "disturbance_bound", lambda *args: tight(*args, LOOSE))
+        disturbance._answer.cache_clear()
+        design = jt.design(jt.load("certified", [*SHORT, *FASTER]))
+        path = write_certificate(design, tmp_path_factory.mktemp("proof"), "small")
+    disturbance._answer.cache_clear()
+    return path.parent
+
+
+@pytest.fixture(scope="module")
+def written(folder):
+    """The certificate as JSON."""
+    return json.loads((folder / FILE).read_text())
+
+
+def is_accepted(certificate, tmp_path, capsys) -> bool:
+    path = tmp_path / FILE
+    path.write_text(json.dumps(certificate))
+    code = load_checker(PROGRAMS[0]).main(str(path))
+    said = capsys.readouterr().out
+    last = said.splitlines()[-1]
+    assert code in (0, 1) and last.startswith("CHECKED" if code == 0 else "REFUSED"), said
+    return code == 0
+
+
+def test_a_stranger_checks_what_was_written_without_this_project(folder):
+    command = [sys.executable, "-I", PROGRAMS[0], FILE]
+    program = f"import sys; sys.path.insert(0, '.'); sys.argv = {command[2:]!r}; "
+    program += f"exec(open({PROGRAMS[0]!r}).read())"
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", program], cwd=folder, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1].startswith("CHECKED  small")
+    for word in ("proved", "assumed"):
+        assert sum(line.startswith(word) for line in done.stdout.splitlines()) >= 4
+
+
+def test_the_oracle_agrees_with_what_was_written(written):
+    assert holds_in_floats(written)
+
+
+@pytest.mark.parametrize(
+    "scenario", ["certified_lag", "husky", "robust", "robust controller.restart=false"]
+)
+def test_what_the_checker_knows_nothing_of_is_unchecked_and_refused(scenario, tmp_path, capsys):
+    name, *overrides = scenario.split()
+
+    class Certified:
+        holds_for_robot = True
+
+    class Stand:
+        certificate = Certified()
+        problem = type("Problem", (), {"scenario": jt.load(name, overrides)})
+
+    described = describe_proof(Stand())  # type: ignore[arg-type]
+    path = tmp_path / FILE
+    path.write_text(json.dumps(described))
+    assert load_checker(PROGRAMS[0]).main(str(path)) == 1
+    assert "UNCHECKED" in capsys.readouterr().out
+
+
+def survey_mutants(written, seeds, tmp_path, capsys) -> dict[str, str]:
+    """Return of changed certificates what was accepted, by the reason why that is harmless; each
+    holds in floats."""
+    accepted = {}
+    for seed in seeds:
+        mutant, part = mutate(written, random.Random(seed))
+        if mutant == written or not is_accepted(mutant, tmp_path, capsys):
+            continue
+        assert part in HARMLESS, (seed, part)
+        assert holds_in_floats(mutant), (seed, part)
+        accepted[part] = HARMLESS[part]
+    return accepted
+
+
+def test_what_is_changed_is_refused_or_holds_as_well(written, tmp_path, capsys):
+    accepted = survey_mutants(written, range(30), tmp_path, capsys)
+    assert len(accepted) < 15
+
+
+@pytest.mark.slow
+def test_a_thousand_changed_certificates_are_refused_or_hold_as_well(written, tmp_path, capsys):
+    survey_mutants(written, range(30, 1030), tmp_path, capsys)
+
+
+def change(certificate, *path, by):
+    """Return a certificate whose number at a path is another one."""
+    from fractions import Fraction
+
+    changed = json.loads(json.dumps(certificate))
+    place = changed
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = str(by(Fraction(place[path[-1]])))
+    return changed
+
+
+@pytest.mark.parametrize(
+    ("path", "by"),
+    [
+        (("bands", 0, "disturbance", "yaw"), lambda yaw: yaw * 9 / 10),
+        (("bands", 0, "disturbance", "box", 0), lambda width: width * 85 / 100),
+        (("bands", 0, "disturbance", "box", 1), lambda width: width * 85 / 100),
+        (("bands", 0, "disturbance", "box", 2), lambda width: width * 999999 / 1000000),
+        (("bands", 0, "disturbance", "yaw"), lambda yaw: yaw * 101 / 100),
+        (("noise", 2), lambda noise: noise * 1000001 / 1000000),
+        (("slips", "right", 0, 1), lambda slip: slip * 11 / 10),
+        (("sideslip",), lambda _: 1),
+        (("wheel_speeds", 1), lambda speed: speed * 9 / 10),
+        (("constraints", 1), lambda limit: limit * 4 / 5),
+        (("bands", 0, "errors", 1), lambda cap: cap * 2),
+        (("bands", 0, "u2", 1), lambda cap: cap * 999999 / 1000000),
+        (("bands", 0, "gains", 1), lambda gain: gain / 2),
+        (("sets", "invariant set", "offsets", 0), lambda offset: offset * 2),
+        (("plans", "tolerance"), lambda tolerance: tolerance * 10000),
+        (("plans", "windows", 0, "upper", 3), lambda bound: bound * 1000001 / 1000000),
+        (("plans", "windows", 0, "norms", 0), lambda norm: -norm),
+        (("cost", "P", 0, 0), lambda weight: weight / 2),
+    ],
+)
+def test_a_promise_beyond_what_is_proved_is_refused(path, by, written, tmp_path, capsys):
+    assert not is_accepted(change(written, *path, by=by), tmp_path, capsys)
+
+
+def test_an_assumption_that_is_not_known_is_refused(written, tmp_path, capsys):
+    assert not is_accepted({**written, "wheel_lag": "1/20"}, tmp_path, capsys)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "{",
+        "[]",
+        "null",
+        "7",
+        '"text"',
+        "[" * 100_000,
+        "{}",
+        '{"format": "jaxtube certificate 1"}',
+    ],
+)
+def test_damaged_files_are_refused_in_one_line(text, tmp_path, capsys):
+    path = tmp_path / FILE
+    path.write_text(text)
+    assert load_checker(PROGRAMS[0]).main(str(path)) == 1
+    said = capsys.readouterr().out
+    assert said.startswith("REFUSED") and said.count("\n") == 1
+
+
+def test_a_cut_file_is_refused(written, tmp_path, capsys):
+    text = json.dumps(written)
+    path = tmp_path / FILE
+    for share in (0.1, 0.5, 0.9, 0.999):
+        path.write_text(text[: int(share * len(text))])
+        assert load_checker(PROGRAMS[0]).main(str(path)) == 1
+    assert load_checker(PROGRAMS[0]).main(str(tmp_path / "missing")) == 1
+    assert capsys.readouterr().out.count("\n") == 5
+
+
+def test_what_is_not_certified_has_no_proof(uncertified, tmp_path):
+    with pytest.raises(ValueError, match="is not certified"):
+        write_certificate(uncertified("certified", *SHORT), tmp_path)
+    with pytest.raises(ValueError, match="give jt"):
+        write_certificate("certified", tmp_path)  # type: ignore[arg-type]
