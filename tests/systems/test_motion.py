@@ -63,9 +63,7 @@ def make_pendulum():
         (lambda x, d: x * d, -0.006, 0.006),
     ],
 )
-def test_w_is_what_the_motion_adds_to_the_model_and_at_most_1_percent_more(
-    added, least, greatest
-):
+def test_w_is_what_the_motion_adds_to_the_model_and_at_most_1_percent_more(added, least, greatest):
     system = make_system(lambda x, u, th, d: [x[0] * 0.5 + u[0] + added(x[0], d[0])])
     upper, lower = system.disturbance_set.support(np.array([[1.0], [-1.0]]))
     assert greatest <= upper <= 1.02 * greatest + 1e-9
