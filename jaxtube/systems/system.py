@@ -29,45 +29,14 @@ from jaxtube.systems.checks import (
     read_vector,
     refuse,
 )
-from jaxtube.systems.motion import Motion, prove_disturbance
+from jaxtube.systems.motion import Motion
+from jaxtube.systems.proof import Claim, Proof
 from sets.lmi import Objective
 from sets.polytope import Polytope
 
 TUBES = ("sequence", "summed")
 """Tubes along the schedule that is given, or for any order of the vertices; see `sets.tubes`. Its
 `hull` is too narrow for plans that are made anew in every period."""
-
-
-@dataclass(frozen=True, eq=False)
-class Proof:
-    """What is proved of a motion beside a linear model.
-
-    Attributes:
-        disturbance_set: holds all that the motion adds to the model over E and U.
-        data: the arrays that it is about.
-        motion: that it is about.
-    """
-
-    disturbance_set: Polytope
-    data: tuple[np.ndarray, ...]
-    motion: Motion
-
-    @classmethod
-    def of(cls, system: LinearSystem, motion: Motion) -> Proof:
-        """Prove what a motion adds to the linear model of a system."""
-        return cls(prove_disturbance(system, motion), _list_data(system), motion)
-
-    def is_of(self, system: LinearSystem) -> bool:
-        """Whether it is about the same motion, model and limits."""
-        same = map(np.array_equal, self.data, _list_data(system))
-        return self.motion is system.motion and all(same)
-
-
-def _list_data(system: LinearSystem) -> tuple[np.ndarray, ...]:
-    """Return what a proof depends on, beside the motion."""
-    E = system.E
-    U = system.U
-    return (system.A, system.B, E.normals, E.offsets, U.normals, U.offsets)
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -211,8 +180,10 @@ class LinearSystem:
 
     def _read_disturbances(self) -> None:
         """Prove W where there is a motion, and read it where it is given."""
-        if self.motion is not None and (self.proof is None or not self.proof.is_of(self)):
-            self._keep(proof=Proof.of(self, self.motion))
+        if self.motion is not None:
+            claim = Claim(self.motion, self.A, self.B, self.E, self.U)
+            if self.proof is None or not self.proof.is_of(claim):
+                self._keep(proof=Proof.of(claim))
         if self.W is None:
             if self.proof is None:
                 raise refuse("W", "none", "is missing", "give W, or a motion of which it is proved")

@@ -16,7 +16,8 @@ from jaxtube.synthesis.certificate.terminal import (
 )
 from jaxtube.synthesis.parts import LinearDesign
 from jaxtube.synthesis.tightening import find_back_off
-from jaxtube.systems.system import LinearSystem, Proof
+from jaxtube.systems.proof import Proof
+from jaxtube.systems.system import LinearSystem
 from sets.certificate import ROUNDING, Certificate, Condition, decrease_margin, judge
 from sets.polytope import Polytope
 
