@@ -328,8 +328,8 @@ def sequence_margins(
 
     `boxes[w][j]` encloses stage j of window w, `followers` are pairs (window, window one step
     later; none where the run ends). Sets are rows and offsets; `input_set` is (D, C, d) of D u + C
-    e <= d, with rows D K + C on the error under u = K e. The vertices are those of one W a
-    regime, `regimes[w][j]` the regime of stage j, the first unless given. With Psi = Phi_{j-1} .. Phi_1
+    e <= d, with rows D K + C on the error under u = K e. The vertices are those of one W a regime,
+    `regimes[w][j]` the regime of stage j, the first unless given. With Psi = Phi_{j-1} .. Phi_1
     along the window:
 
         nonempty   the origin lies in every set used
