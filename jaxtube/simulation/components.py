@@ -69,8 +69,8 @@ def controller_makers(
 
 def _make_local_gain(design: Design) -> ScheduledGain:
     problem = design.problem
-    weights = problem.model.weights(problem.schedule[: problem.reference.steps])
-    return ScheduledGain(jnp.asarray(design.tube_gain.at(weights)), make_wheel_map(problem))
+    gains = design.tube_gain.along(problem.schedule[: problem.reference.steps])
+    return ScheduledGain(jnp.asarray(gains), make_wheel_map(problem))
 
 
 def _make_equal_gain(design: Design) -> ScheduledGain:

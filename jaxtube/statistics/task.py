@@ -50,7 +50,7 @@ def make_checks(design: Design, controller: Controller) -> Checks:
         input_matrices=inputs,
         disturbance=disturbance_facets(problem),
         error=facets(problem.error_set),
-        input=input_facets(problem.input_rows),
+        input=input_facets_of(problem),
         tubes={name: sections(design, name) for name in compared},
         tube=used,
         ultimate=bound_settled_error(design, controller, settled),
@@ -104,6 +104,14 @@ def _arrange_by_regime(problem: Problem, by_regime: list[Facets]) -> Facets | Fa
         owners=np.repeat(np.arange(len(by_regime)), sizes),
         regimes=problem.period_regimes[: problem.reference.steps],
     )
+
+
+def input_facets_of(problem: Problem) -> Facets | FacetsByRegime:
+    """Return the rows on (u, measured error), of several regimes those of each."""
+    every = [regime.input_rows for regime in problem.every_regime]
+    if all(rows is every[0] for rows in every):
+        return input_facets(every[0])
+    return _arrange_by_regime(problem, list(map(input_facets, every)))
 
 
 def input_facets(rows: InputRows) -> Facets:

@@ -46,12 +46,17 @@ class Bounds:
 
 
 def tube_bounds(
-    problem: Problem, tightening: Tightening, terminal: Terminal, once: float | None = None
+    problem: Problem,
+    windows: Windows,
+    tightening: Tightening,
+    terminal: Terminal,
+    once: float | None = None,
 ) -> Bounds:
     """Return the tightened sets, backed off for the solver's slack.
 
     Args:
         problem: of the design.
+        windows: its windows.
         tightening: by its tube.
         terminal: its terminal set.
         once: what a stage is backed off more than the one before, in the units of E and U; that of
@@ -64,7 +69,7 @@ def tube_bounds(
     last_back_off = (N + 1) * once * np.linalg.norm(normals, axis=1)
     return Bounds(
         errors=problem.operating_set.offsets - tightening.error_reach[:, :N] - back_off,
-        inputs=problem.input_rows.offsets - tightening.input_reach - back_off,
+        inputs=problem.rows_of(windows.regimes).offsets - tightening.input_reach - back_off,
         terminal_normals=normals,
         terminal=terminal.constraint_offsets - last_back_off,
     )
@@ -78,10 +83,9 @@ def plain_bounds(problem: Problem, windows: Windows, terminal: Terminal) -> Boun
     """
     stages = (len(windows.schedules), problem.horizon)
     errors = problem.operating_set.offsets
-    inputs = problem.input_rows.offsets
     return Bounds(
         errors=np.broadcast_to(errors, (*stages, len(errors))),
-        inputs=np.broadcast_to(inputs, (*stages, len(inputs))),
+        inputs=problem.rows_of(windows.regimes).offsets,
         terminal_normals=terminal.constraint_normals,
         terminal=np.full(terminal.constraint_offsets.shape, np.inf),
     )

@@ -67,6 +67,10 @@ class Gain:
         """Loops whose mixtures are to hold A + B K at every schedule in the regions, each once."""
         return distinct(self.pairs[0])
 
+    def of_regime(self, regime: int) -> Gain:
+        """Return the gain that may act in a regime: itself."""
+        return self
+
     def region_loops(self, region: Region) -> Float[np.ndarray, "4 3 3"]:
         """Return the loops at the corners of a region."""
         return self.loops_along(region_corners(region))

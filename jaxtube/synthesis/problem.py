@@ -95,7 +95,27 @@ class Problem:
     @property
     def period_regimes(self) -> Int[np.ndarray, " periods"]:
         """The regime of every period, preview included."""
-        return self.rule.number(self.schedule)
+        return self.rule.number(merge_equal_speeds(self.schedule))
+
+    def rows_of(self, regimes: Int[np.ndarray, "*shape"]) -> InputRows:
+        """Return the input rows of periods by their regimes, stacked in the same shape; every
+        regime has as many."""
+        every = [regime.input_rows for regime in self.every_regime]
+        return InputRows(
+            np.stack([rows.inputs for rows in every])[regimes],
+            np.stack([rows.errors for rows in every])[regimes],
+            np.stack([rows.offsets for rows in every])[regimes],
+        )
+
+    @property
+    def input_row_count(self) -> int:
+        """How many rows on input and error a period has; the second half is minus the first."""
+        return len(self.every_regime[0].input_rows.offsets)
+
+    @property
+    def has_computed_bound(self) -> bool:
+        """Whether every W was computed."""
+        return all(regime.disturbance_bound is not None for regime in self.every_regime)
 
     @property
     def schedule(self) -> Float[np.ndarray, "periods 2"]:
@@ -117,7 +137,10 @@ class Problem:
     @property
     def given_gains(self) -> Float[np.ndarray, " kappa"]:
         """The numbers of the gains that the scenario gives, none where they come from the terminal
-        cost's LMI."""
+        cost's LMI; of bands three each, one after the other."""
+        bands = self.scenario.operating.bands
+        if bands:
+            return np.ravel([band.tracking_gains for band in bands])
         settings = self.scenario.controller
         return np.ravel(np.array(settings.tracking_gains or settings.vertex_gains, float))
 

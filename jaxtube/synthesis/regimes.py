@@ -1,8 +1,8 @@
-"""Regimes: kinds of periods, each with a disturbance set of its own.
+"""Regimes: kinds of periods, each with a disturbance set, and caps and gains, of its own.
 
 A problem has one regime unless it says otherwise: its W holds in every period. With several, a rule
 says which of them each period of a run belongs to. Tubes, tightening, terminal set, certificate and
-tally ask for the W of a period by the number of its regime.
+tally ask for the W and the input rows of a period by the number of its regime.
 
     R_{j+1|k} = Phi(th_{k+j}) R_{j|k} + W_{m(k+j)},    m(k) the regime of period k
 
@@ -75,6 +75,22 @@ class RegimesByAge:
                 "lengthen controller.horizon"
             )
         return (self.count - 1,)
+
+
+@dataclass(frozen=True)
+class RegimesBySpeed:
+    """The rule of regimes by the mean wheel speed: each up to one of the `ends`, m/s, above the end
+    before; what is faster than all belongs to the last."""
+
+    ends: tuple[float, ...]
+
+    def number(self, wheels: Float[np.ndarray, "periods 2"]) -> Int[np.ndarray, " periods"]:
+        """Return the number of the band of each period."""
+        return np.searchsorted(self.ends[:-1], wheels.mean(axis=1), side="left")
+
+    def lasting(self, horizon: int) -> tuple[int, ...]:
+        """Return all regimes: any speed may come."""
+        return tuple(range(len(self.ends)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -73,17 +73,18 @@ def admissible_set(
     error_offsets: Float[np.ndarray, " 6"] | None = None,
     input_offsets: Float[np.ndarray, " k"] | None = None,
 ) -> Polytope:
-    """Return {e in E : Gamma e in U at every corner}, with offsets of E and of the input rows
-    tightened where given."""
+    """Return {e in E : Gamma e in U at every corner} of every regime, with offsets of E and of the
+    input rows tightened where given."""
     E = problem.operating_set
-    rows = problem.input_rows
-    by_gain = rows.on_errors(np.unique(gain.corner_gains, axis=0))
-    errors = E.offsets if error_offsets is None else error_offsets
-    inputs = rows.offsets if input_offsets is None else input_offsets
-    return Polytope(
-        np.concatenate([E.normals, *by_gain]),
-        np.concatenate([errors, np.tile(inputs, len(by_gain))]),
-    )
+    normals = [E.normals]
+    offsets = [E.offsets if error_offsets is None else error_offsets]
+    for number, regime in enumerate(problem.every_regime):
+        rows = regime.input_rows
+        by_gain = rows.on_errors(np.unique(gain.of_regime(number).corner_gains, axis=0))
+        inputs = rows.offsets if input_offsets is None else input_offsets
+        normals += [*by_gain]
+        offsets.append(np.tile(inputs, len(by_gain)))
+    return Polytope(np.concatenate(normals), np.concatenate(offsets))
 
 
 def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tightening) -> Terminal:
@@ -125,8 +126,9 @@ def pair_lasting_loops(
     disturbances = []
     for regime in problem.rule.lasting(problem.horizon):
         disturbance = tubes.Section((problem.disturbances[regime].vertices(),), 3)
-        loops.append(gains.loops)
-        disturbances += [disturbance] * len(gains.loops)
+        of_regime = gains.of_regime(regime).loops
+        loops.append(of_regime)
+        disturbances += [disturbance] * len(of_regime)
     return np.concatenate(loops), tuple(disturbances)
 
 

@@ -18,6 +18,7 @@ from jaxtube.coordinates import ERROR_NAMES, INPUT_NAMES
 from jaxtube.synthesis.advice import say_what_helps
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.tubes import Tube
+from jaxtube.synthesis.windows import Windows
 
 BACK_OFF = 1e-7
 """What constraints whose rows are no longer than `LONG_ROW` are drawn in by for the solver."""
@@ -66,57 +67,63 @@ def find_back_off(problem: Problem) -> float:
     A solver's slack is a share of the length of a row; those that couple error and input are long
     where the robot is small.
     """
-    rows = np.hstack([problem.input_rows.inputs, problem.input_rows.errors])
+    every = [regime.input_rows for regime in problem.every_regime]
+    rows = np.concatenate([np.hstack([each.inputs, each.errors]) for each in every])
     longest = float(np.linalg.norm(rows, axis=1).max())
     return BACK_OFF * max(1.0, longest / LONG_ROW)
 
 
-def tighten(problem: Problem, tube: Tube, windows: int) -> Tightening:
-    """Return the support numbers that E and U lose at every stage, in so many windows."""
+def tighten(problem: Problem, tube: Tube, windows: Windows) -> Tightening:
+    """Return the support numbers that E and U lose at every stage, in every window."""
     N = problem.horizon
+    count = len(windows.schedules)
     rows = problem.operating_set.normals
     errors = np.stack([tube.support(j, rows) for j in range(N + 1)], axis=1)
-    inputs = np.stack([tube.input_support(j, problem.input_rows) for j in range(N)], axis=1)
+    by_stage = [problem.input_rows] * N
+    if tube.follows_reference:
+        by_stage = [problem.rows_of(regimes) for regimes in windows.regimes.T]
+    inputs = np.stack([tube.input_support(j, by_stage[j]) for j in range(N)], axis=1)
     return Tightening(
-        np.broadcast_to(errors, (windows, *errors.shape[1:])),
-        np.broadcast_to(inputs, (windows, *inputs.shape[1:])),
+        np.broadcast_to(errors, (count, *errors.shape[1:])),
+        np.broadcast_to(inputs, (count, *inputs.shape[1:])),
     )
 
 
 def input_names(problem: Problem) -> tuple[str, ...]:
     """Return the names of the input rows, one for each opposite pair."""
-    steps = () if problem.first_command is None else STEP_NAMES
-    if problem.scenario.operating.yaw_rate_deficit_radps is None:
+    first = problem.every_regime[0]
+    steps = () if first.first_command is None else STEP_NAMES
+    if first.scenario.operating.yaw_rate_deficit_radps is None:
         return (*WHEEL_NAMES, *steps)
-    return (*CAP_NAMES[: len(problem.cap_rows.offsets) // 2], *steps)
+    return (*CAP_NAMES[: len(first.cap_rows.offsets) // 2], *steps)
 
 
-def refuse_empty(problem: Problem, tightening: Tightening) -> None:
+def refuse_empty(problem: Problem, tightening: Tightening, windows: Windows) -> None:
     """Raise EmptySetError for the first stage at which E_j or U_j has nothing left."""
     error_reach = tightening.error_reach[:, : problem.horizon]
-    _refuse_empty(problem, "E", problem.operating_set.offsets, error_reach, ERROR_NAMES)
-    _refuse_empty(
-        problem, "U", problem.input_rows.offsets, tightening.input_reach, input_names(problem)
-    )
+    offsets = np.broadcast_to(problem.operating_set.offsets, error_reach.shape)
+    _refuse_empty(problem, "E", offsets, error_reach, ERROR_NAMES)
+    offsets = problem.rows_of(windows.regimes).offsets
+    _refuse_empty(problem, "U", offsets, tightening.input_reach, input_names(problem))
 
 
 def _refuse_empty(
     problem: Problem,
     name: str,
-    offsets: Float[np.ndarray, " k"],
+    offsets: Float[np.ndarray, "windows horizon k"],
     reach: Float[np.ndarray, "windows horizon k"],
     coordinates: tuple[str, ...],
 ) -> None:
     left = offsets - reach
     size = len(coordinates)
-    width = (left[..., :size] + left[..., size:]).min(axis=0)
-    is_empty = np.any(width < 0, axis=1)
+    width = left[..., :size] + left[..., size:]
+    is_empty = np.any(width < 0, axis=(0, 2))
     if not is_empty.any():
         return
     stage = int(np.argmax(is_empty))
-    row = int(np.argmin(width[stage]))
-    missing = -width[stage, row]
-    whole = offsets[row] + offsets[row + size]
+    window, row = np.unravel_index(np.argmin(width[:, stage]), width[:, stage].shape)
+    missing = -width[window, stage, row]
+    whole = offsets[window, stage, row] + offsets[window, stage, row + size]
     raise EmptySetError(
         f"{name}_{stage} is empty: in the {coordinates[row]} the tube of stage {stage} is "
         f"{whole + missing:.4g} wide and {name} only {whole:.4g} (short by {missing:.4g}); "

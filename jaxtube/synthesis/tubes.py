@@ -133,8 +133,11 @@ def make_tubes(problem: Problem, gain: Gain, windows: Windows) -> dict[str, Tube
     """Return the four tubes by name.
 
     `paper` is left out where eq. (27) does not apply, that is where the loop is not affine in the
-    schedule.
+    schedule, and all but the one along the reference where gains go by speed.
     """
+    following = make_following_tube(problem, gain, windows)
+    if problem.scenario.operating.bands:
+        return {following.name: following}
     W = problem.disturbance_set
     N = problem.horizon
     shared = {
@@ -148,7 +151,7 @@ def make_tubes(problem: Problem, gain: Gain, windows: Windows) -> dict[str, Tube
         paper = tubes.paper_tube(nominal, (right, left), ranges, W, N)
         shared = {"paper": paper, **shared}
     made = {name: Tube(name, gain, sections) for name, sections in shared.items()}
-    return {**made, "sequence": make_following_tube(problem, gain, windows)}
+    return {**made, following.name: following}
 
 
 def make_following_tube(problem: Problem, gain: Gain, windows: Windows) -> FollowingTube:

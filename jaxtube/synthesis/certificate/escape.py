@@ -8,6 +8,7 @@ from jaxtyping import Float
 from jaxtube.coordinates import ERROR_NAMES
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.terminal import admissible_set
 from jaxtube.synthesis.tightening import UNITS, input_names
 from sets.certificate import escape_excess
 from sets.invariant import Escape
@@ -43,8 +44,7 @@ def say_what_is_passed(problem: Problem, gain: Gain, escape: Escape, excess: flo
 
 def _find_name(problem: Problem, gain: Gain, normal: Float[np.ndarray, "3"]) -> str:
     """Return the name of the constraint whose row points as a normal does."""
-    by_gain = problem.input_rows.on_errors(np.unique(gain.corner_gains, axis=0))
-    normals = np.concatenate([problem.operating_set.normals, *by_gain])
+    normals = admissible_set(problem, gain).normals
     cosines = normals @ normal / np.linalg.norm(normals, axis=1)
     of_errors = 2 * ERROR_NAMES
     of_inputs = 2 * input_names(problem)

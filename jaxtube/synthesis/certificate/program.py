@@ -83,10 +83,11 @@ def predict_rows(design: Design) -> Float[np.ndarray, "windows m 3+n"]:
     problem = design.problem
     N = problem.horizon
     transitions, input_matrices = problem.model.matrices(design.windows.schedules)
-    half = len(problem.input_rows.offsets) // 2
+    half = problem.input_row_count // 2
     error_rows = problem.operating_set.normals[:3]
-    on_inputs = problem.input_rows.inputs[:half]
-    on_errors = problem.input_rows.errors[:half]
+    input_rows = problem.rows_of(design.windows.regimes)
+    on_inputs = input_rows.inputs[:, :, :half]
+    on_errors = input_rows.errors[:, :, :half]
     probes = np.eye(3 + 2 * N)
     inputs = probes[3:].reshape(N, 2, -1)
     errors = np.broadcast_to(probes[:3], (len(transitions), 3, len(probes)))
@@ -95,7 +96,7 @@ def predict_rows(design: Design) -> Float[np.ndarray, "windows m 3+n"]:
     for stage in range(N):
         if stage > 0:
             of_errors.append(error_rows @ errors)
-        of_inputs.append(on_inputs @ inputs[stage] + on_errors @ errors)
+        of_inputs.append(on_inputs[:, stage] @ inputs[stage] + on_errors[:, stage] @ errors)
         errors = transitions[:, stage] @ errors + input_matrices[:, stage] @ inputs[stage]
     of_terminal = design.bounds.terminal_normals @ errors
     return np.concatenate([*of_errors, *of_inputs, of_terminal], axis=1)
@@ -107,7 +108,7 @@ def bound_rows(
     """Return the lower and upper bounds of these rows."""
     bounds = design.bounds
     N = design.problem.horizon
-    half = len(design.problem.input_rows.offsets) // 2
+    half = design.problem.input_row_count // 2
     upper = [bounds.errors[:, stage, :3] for stage in range(1, N)]
     upper += [bounds.inputs[:, stage, :half] for stage in range(N)]
     lower = [-bounds.errors[:, stage, 3:] for stage in range(1, N)]

@@ -42,7 +42,7 @@ class StageMargins(NamedTuple):
 
 def check_stages(design: Design) -> Iterator[Condition]:
     """Yield the conditions on the tightened sets E_j and U_j."""
-    yield from _check_not_empty(design.problem, design.bounds)
+    yield from _check_not_empty(design)
     margins = stage_margins(design)
     yield judge(
         "tightening_covers_reach",
@@ -75,16 +75,18 @@ def stage_margins(design: Design) -> StageMargins:
 def margins_along_reference(problem: Problem, windows: Windows, bounds: Bounds) -> StageMargins:
     """Return the margins of reach and inclusion along the reference, from each step to the next."""
     error_rows = problem.operating_set.normals
+    every_row = problem.rows_of(windows.regimes)
     taken_errors = problem.operating_set.offsets - bounds.errors
-    taken_inputs = problem.input_rows.offsets - bounds.inputs
+    taken_inputs = every_row.offsets - bounds.inputs
+    on_errors = every_row.on_errors(windows.gains)
     reach_margin = np.inf
     inclusion_margin = np.inf
     for window, loops in enumerate(windows.loops):
         followers = windows.followers(window)
         every_w = problem.disturbances.vertices_of_periods(windows.regimes[window])
         for j in range(problem.horizon):
-            input_rows = problem.input_rows.on_errors(windows.gains[window, j])
-            for taken, rows in ((taken_errors, error_rows), (taken_inputs, input_rows)):
+            by_kind = ((taken_errors, error_rows), (taken_inputs, on_errors[window, j]))
+            for taken, rows in by_kind:
                 ahead = max(j, 1)
                 reach, last = sequence_reach(loops[:ahead], every_w[:ahead], rows)
                 reach_margin = min(reach_margin, np.min(taken[window, j] - reach[j]))
@@ -127,10 +129,14 @@ def _largest_reach(
     return reach, last
 
 
-def _check_not_empty(problem: Problem, bounds: Bounds) -> Iterator[Condition]:
-    E = problem.operating_set
+def _check_not_empty(design: Design) -> Iterator[Condition]:
+    bounds = design.bounds
+    E = design.problem.operating_set
     error_sets = _smallest_sets(E.normals, bounds.errors[:, 1:]) or [E]
-    input_sets = _smallest_sets(problem.input_rows.inputs, bounds.inputs)
+    input_sets = []
+    for number, regime in enumerate(design.problem.every_regime):
+        has_it = design.windows.regimes == number
+        input_sets += _smallest_sets(regime.input_rows.inputs, bounds.inputs[has_it][:, None])
     for name, letter, polytopes in (
         ("error_sets_not_empty", "E", error_sets),
         ("input_sets_not_empty", "U", input_sets),

@@ -14,6 +14,7 @@ from jaxtube.synthesis.certificate.escape import escape_margin, say_what_is_pass
 from jaxtube.synthesis.certificate.stages import margins_along_reference
 from jaxtube.synthesis.condense import Bounds, tube_bounds
 from jaxtube.synthesis.gains import Gain
+from jaxtube.synthesis.limits import InputRows
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.terminal import Terminal, admissible_set, set_back_off
@@ -67,14 +68,16 @@ def _find_invariance_margin(design: Design, omega: Polytope) -> float:
     W of every regime that lasts, or where the set holds the reach all that W has become at the end
     of a plan."""
     problem = design.problem
-    loops = design.terminal.gains.loops
+    gains = design.terminal.gains
     if problem.scenario.controller.terminal_set_holds_reach:
         W = problem.disturbance_set.vertices()
         reached = _products(design.tube_gain, W, problem.horizon - 1)
-        return invariance_margin(loops, reached, omega)
+        return invariance_margin(gains.loops, reached, omega)
     lasting = problem.rule.lasting(problem.horizon)
     return min(
-        invariance_margin(loops, problem.disturbances[regime].vertices(), omega)
+        invariance_margin(
+            gains.of_regime(regime).loops, problem.disturbances[regime].vertices(), omega
+        )
         for regime in lasting
     )
 
@@ -183,7 +186,7 @@ def check_any_order(design: Design) -> Condition:
     tube = make_following_tube(elsewhere, gain, windows)
     left = omega.offsets - tube.support(elsewhere.horizon, omega.normals)
     terminal = replace(design.terminal, constraint_normals=omega.normals, constraint_offsets=left)
-    bounds = tube_bounds(elsewhere, tighten(elsewhere, tube, len(windows.schedules)), terminal)
+    bounds = tube_bounds(elsewhere, windows, tighten(elsewhere, tube, windows), terminal)
     stages = margins_along_reference(elsewhere, windows, bounds)
     returns = [
         min(_margins_along(elsewhere, terminal, windows, bounds, now, following).values())
@@ -209,7 +212,8 @@ def _with_random_speeds(problem: Problem) -> Problem:
     """Return the problem along wheel speeds drawn all over its regions, half of them at corners."""
     random = np.random.default_rng(0)
     count = RANDOM_STEPS + problem.horizon
-    regions = problem.regions[random.integers(len(problem.regions), size=count)]
+    every_region = np.concatenate([regime.regions for regime in problem.every_regime])
+    regions = every_region[random.integers(len(every_region), size=count)]
     corners = random.integers(0, 2, (count, 2))
     inside = random.random((count, 2))
     share = np.where(random.random((count, 1)) < 0.5, corners, inside)
@@ -232,8 +236,8 @@ def _margins_in_any_order(design: Design) -> dict[str, float]:
         gains.loops,
         Polytope(problem.operating_set.normals, bounds.errors[:, last].min(axis=0)),
         *_unit_input_rows(
-            problem,
-            problem.input_rows.on_errors(gains.corner_gains),
+            problem.input_rows,
+            gains.corner_gains,
             bounds.inputs[:, last].min(axis=0),
         ),
         last_reach,
@@ -261,8 +265,8 @@ def _margins_along(
         terminal.gains.loops_along(schedule)[None],
         Polytope(problem.operating_set.normals, bounds.errors[following, last]),
         *_unit_input_rows(
-            problem,
-            problem.input_rows.on_errors(terminal.gains.along(schedule))[None],
+            problem.rows_of(windows.regimes[following, last]),
+            terminal.gains.along(schedule)[None],
             bounds.inputs[following, last],
         ),
         points,
@@ -270,11 +274,12 @@ def _margins_along(
 
 
 def _unit_input_rows(
-    problem: Problem, rows: Float[np.ndarray, "g k 3"], offsets: Float[np.ndarray, " k"]
+    rows: InputRows, gains: Float[np.ndarray, "g 2 3"], offsets: Float[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "g k 3"], Float[np.ndarray, " k"]]:
-    """Return rows on the error and their offsets in the units of rows of U of norm one."""
-    scale = np.linalg.norm(problem.input_rows.inputs, axis=1)
-    return rows / scale[:, None], offsets / scale
+    """Return the rows on the error under gains, and offsets, in the units of rows of U of norm
+    one."""
+    scale = np.linalg.norm(rows.inputs, axis=1)
+    return rows.on_errors(gains) / scale[:, None], offsets / scale
 
 
 def _products(gain: Gain, W: Float[np.ndarray, "w 3"], steps: int) -> Float[np.ndarray, "p 3"]:
