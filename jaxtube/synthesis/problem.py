@@ -23,7 +23,7 @@ from jaxtyping import Float, Int
 from jaxtube.paths.reference import follow_file
 from jaxtube.plant.model import VERTEX_SIDES, Model, make_model
 from jaxtube.plant.recorded_slips import make_recorded
-from jaxtube.plant.reference import Reference, lemniscate, two_circles
+from jaxtube.plant.reference import Reference, jumps, lemniscate, two_circles
 from jaxtube.plant.robot import Robot
 from jaxtube.scenario.error_box import error_vector, noise_bounds
 from jaxtube.scenario.reference_rules import check_reference_wheels
@@ -111,6 +111,16 @@ class Problem:
     def input_row_count(self) -> int:
         """How many rows on input and error a period has; the second half is minus the first."""
         return len(self.every_regime[0].input_rows.offsets)
+
+    @property
+    def ground_speeds(self) -> Float[np.ndarray, "2 2"] | None:
+        """The ground speeds that may be commanded, (lower, upper) by (right, left), m/s; None where
+        W is assumed."""
+        if not self.has_computed_bound:
+            return None
+        bounds = [regime.disturbance_bound for regime in self.every_regime]
+        speeds = np.stack([bound.ground_speeds for bound in bounds if bound is not None])
+        return np.stack([speeds[:, 0].min(axis=0), speeds[:, 1].max(axis=0)])
 
     @property
     def has_computed_bound(self) -> bool:
@@ -268,6 +278,16 @@ def _make_reference(scenario: Scenario) -> Reference:
         if section.shape == "file":
             return follow_file(scenario)
         assert section.duration_s is not None  # which only a recording leaves open
+        if section.shape == "jumps":
+            return jumps(
+                section.wheel_speed_min_mps,
+                section.wheel_speed_max_mps,
+                section.duration_s,
+                settings.dt_s,
+                preview,
+                track_width,
+                section.jump_seed,
+            )
         shape = {"two_circles": two_circles, "lemniscate": lemniscate}[section.shape]
         return shape(
             section.radius_m,
