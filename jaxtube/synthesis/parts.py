@@ -125,6 +125,10 @@ class Design:
                 "windows": _list_fields(windows, "schedules", "index", "loops", "gains", "regimes"),
                 "reference": _list_fields(problem.reference, "wheels", "poses"),
                 "disturbance_set": _list_fields(problem.disturbance_set, "normals", "offsets"),
+                "regimes": {
+                    str(number): _list_fields(regime.disturbance_set, "normals", "offsets")
+                    for number, regime in enumerate(problem.regimes)
+                },
             }
         )
 
@@ -139,9 +143,18 @@ class Design:
         reference = replace(self.problem.reference, **parts["reference"])
         disturbance_set = Polytope(**parts["disturbance_set"])
         gains = replace(self.terminal.gains, **parts["terminal_gain"])
+        regimes = tuple(
+            replace(regime, disturbance_set=Polytope(**parts["regimes"][str(number)]))
+            for number, regime in enumerate(self.problem.regimes)
+        )
         return replace(
             self,
-            problem=replace(self.problem, reference=reference, disturbance_set=disturbance_set),
+            problem=replace(
+                self.problem,
+                reference=reference,
+                disturbance_set=disturbance_set,
+                regimes=regimes,
+            ),
             tube_gain=replace(self.tube_gain, **parts["tube_gain"]),
             windows=replace(self.windows, **parts["windows"]),
             terminal=replace(self.terminal, gains=gains),

@@ -131,6 +131,17 @@ class Disturbances:
             found[has_it] = self.sets[regime].margin(points[has_it])
         return found
 
+    def shares(
+        self, regimes: Int[np.ndarray, " periods"], points: Float[np.ndarray, "periods k 3"]
+    ) -> Float[np.ndarray, "periods k"]:
+        """Return what points of every period use of its W: 1 on a facet, more outside."""
+        found = np.zeros(points.shape[:2])
+        for regime in np.unique(regimes):
+            has_it = regimes == regime
+            one = self.sets[regime]
+            found[has_it] = np.max(points[has_it] @ one.normals.T / one.offsets, axis=-1)
+        return found
+
     def support(
         self, regimes: Int[np.ndarray, " k"], rows: Float[np.ndarray, "k r 3"]
     ) -> Float[np.ndarray, "k r"]:
