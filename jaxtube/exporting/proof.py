@@ -122,7 +122,7 @@ def prove_floats(design: Design) -> Proof | None:
 def _draw_in(design: Design, once: float) -> Design:
     """Return the design with constraints backed off by such a share of each in every stage,
     certified anew."""
-    bounds = tube_bounds(design.problem, design.tightening, design.terminal, once)
+    bounds = tube_bounds(design.problem, design.windows, design.tightening, design.terminal, once)
     condensed = Condensed(design.problem, design.windows, design.terminal, design.cost.cost, bounds)
     return finish(replace(design, bounds=bounds, condensed=condensed))
 

@@ -62,7 +62,7 @@ class RowComparison:
         """Which rows are of which kind."""
         design = self._design
         N = design.problem.horizon
-        half = len(design.problem.input_rows.offsets) // 2
+        half = design.problem.input_row_count // 2
         counts = (3 * (N - 1), half * N, len(design.bounds.terminal_normals))
         kinds = np.repeat(np.arange(3), counts)[self._order]
         return kinds == np.arange(3)[:, None]
@@ -141,11 +141,12 @@ def _predict_exactly(design: Design, window: int) -> Exact:
     both."""
     problem = design.problem
     N = problem.horizon
-    half = len(problem.input_rows.offsets) // 2
+    half = problem.input_row_count // 2
+    input_rows = problem.rows_of(design.windows.regimes[window])
     transitions, matrices = problem.model.matrices(design.windows.schedules[window][None])
     error_rows = as_fractions(problem.operating_set.normals[:3])
-    on_inputs = as_fractions(problem.input_rows.inputs[:half])
-    on_errors = as_fractions(problem.input_rows.errors[:half])
+    on_inputs = as_fractions(input_rows.inputs[:, :half])
+    on_errors = as_fractions(input_rows.errors[:, :half])
     probes = as_fractions(np.eye(3 + 2 * N))
     errors = probes[:3]
     of_errors = []
@@ -154,7 +155,7 @@ def _predict_exactly(design: Design, window: int) -> Exact:
         inputs = probes[3 + 2 * stage : 5 + 2 * stage]
         if stage > 0:
             of_errors.append(error_rows @ errors)
-        of_inputs.append(on_inputs @ inputs + on_errors @ errors)
+        of_inputs.append(on_inputs[stage] @ inputs + on_errors[stage] @ errors)
         transition = as_fractions(transitions[0, stage])
         errors = transition @ errors + as_fractions(matrices[0, stage]) @ inputs
     of_terminal = as_fractions(design.bounds.terminal_normals) @ errors

@@ -87,7 +87,8 @@ def describe_facet(limit: Limit, worst: Worst) -> Facet:
         unit = "m/s"
     # Upper bounds come first in a limit, lower ones after them.
     is_upper = worst.facet < len(limit.offsets[0]) // 2
-    offset = float(limit.offsets[0, worst.facet]) * factor
+    _, offsets = limit.at_step(worst.step)
+    offset = float(offsets[worst.facet]) * factor
     bound = f"{offset if is_upper else -offset:.3g} {unit}"
     return Facet(
         words=f"{what} {'<=' if is_upper else '>='} {bound}",
@@ -120,15 +121,15 @@ def compute_certified_usage(limits: LoopLimits, name: str) -> float:
     """Return the usage of a limit that the certificate lets no lap pass, infinite where it promises
     nothing: to other controllers than the tube-MPC, and on a user's plant."""
     design = limits.design
-    bound = design.problem.disturbance_bound
+    asked = design.problem.ground_speeds
     is_covered = limits.controller == "tube_mpc" and limits.plant != "own"
-    if bound is None or not design.certificate.holds_for_robot or not is_covered:
+    if asked is None or not design.certificate.holds_for_robot or not is_covered:
         return np.inf
     if name != "wheels":
         return 1.0
     robot = design.problem.robot
     grip = ground_speed_limits(design.problem)[1] / robot.wheel_speed_max
-    ends = bound.ground_speeds / grip
+    ends = asked / grip
     return float(np.max(np.abs(ends - robot.wheel_speed_middle)) / robot.wheel_speed_half_range)
 
 

@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Sequence
 from typing import Generic, NamedTuple, TypeVar, cast
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
@@ -43,6 +44,7 @@ from jaxtube.synthesis.design import refuse_infeasible_start
 from jaxtube.synthesis.feasible import true_starts
 from jaxtube.synthesis.limits import InputRows, find_command_step
 from jaxtube.synthesis.parts import Design, TubeDesign
+from jaxtube.synthesis.problem import Problem
 from sets.polytope import hull_vertices
 
 INSIDE = 0.999
@@ -246,13 +248,24 @@ def make_lap_limits(design: Design) -> Limits:
     middle = [robot.wheel_speed_middle] * 2
     limits = {
         "error": make_limit(problem.error_set.normals, problem.error_set.offsets),
-        "input": make_input_limit(problem.cap_rows),
+        "input": _limit_inputs(problem),
         "wheels": make_limit(np.vstack([identity, -identity]), speeds, middle),
     }
     step = find_command_step(problem.scenario)
     if step is not None:
         limits["acceleration"] = make_limit(np.vstack([identity, -identity]), [step] * 4)
     return limits
+
+
+def _limit_inputs(problem: Problem) -> Limit:
+    """Return the limit on inputs; of several regimes that of every step."""
+    by_regime = [make_input_limit(regime.cap_rows) for regime in problem.every_regime]
+    if len(by_regime) == 1:
+        return by_regime[0]
+    regimes = problem.period_regimes[: problem.reference.steps]
+    normals = jnp.concatenate([limit.normals for limit in by_regime])
+    offsets = jnp.concatenate([limit.offsets for limit in by_regime])
+    return Limit(normals[regimes], offsets[regimes], by_regime[0].centre)
 
 
 def make_input_limit(rows: InputRows) -> Limit:

@@ -40,7 +40,8 @@ def confirm(controller: Controller, plant: SearchablePlant, limit: Limit, worst:
     """Return a worst case with the usage and margin of its replay."""
     played = replay(controller, plant, worst.attack, worst.limit, worst.when)
     values = read_values(worst.limit, played)[worst.step - worst.when]
-    stage = worst.step - worst.when - 1 if worst.limit == "tube" else 0
+    stage = worst.step - worst.when - 1 if worst.limit == "tube" else worst.step
+    stage = min(stage, len(limit.offsets) - 1)
     normal = np.asarray(limit.normals[stage, worst.facet])
     offset = float(limit.offsets[stage, worst.facet])
     margin = float(offset - normal @ values)

@@ -67,10 +67,12 @@ def _draw_error_bounds(axes: Axes, design: Design, coordinate: int) -> None:
 
 def _draw_input_sets(whole: Axes, corner: Axes, design: Design) -> None:
     """Draw U and the nested U_j, whole and at the corner of the greatest forward demand."""
-    bounds = design.bounds.inputs[int(design.windows.index[0])]
-    rows = design.problem.input_rows.inputs
-    corners = design.problem.input_set.vertices()
-    tightened = [Polytope(rows, offsets).vertices() for offsets in bounds]
+    window = int(design.windows.index[0])
+    bounds = design.bounds.inputs[window]
+    regimes = design.windows.regimes[window]
+    rows = design.problem.rows_of(regimes).inputs
+    corners = design.problem.every_regime[regimes[0]].input_set.vertices()
+    tightened = [Polytope(*stage).vertices() for stage in zip(rows, bounds, strict=True)]
     for axes in (whole, corner):
         axes.set(xlabel="$u_1$ [m/s]", ylabel="$u_2$ [rad/s]")
         for points in tightened:

@@ -94,12 +94,15 @@ class SettledUsage(NamedTuple):
 
 
 def make_tracks(problem: Problem, limits: Limits, name: str, played: Replay) -> list[Track]:
-    """Return what the limit bounds; for a tube the errors of the lap up to the plan."""
+    """Return what the limit bounds; for a tube the errors of the lap up to the plan.
+
+    Of a limit that differs from step to step the bounds drawn are the widest, each on its own.
+    """
     shown = "error" if name == "tube" else name
     limit = limits[shown]
     values = played.trajectory.errors[:, 0] if shown == "error" else read_values(shown, played)
     normals = np.asarray(limit.normals[0])
-    offsets = np.asarray(limit.offsets[0])
+    offsets = np.max(limit.offsets, axis=0)
     centres = normals @ np.asarray(limit.centre)
     side = len(offsets) // 2
     labels = _labels(problem, shown)

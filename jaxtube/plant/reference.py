@@ -18,6 +18,9 @@ from scipy.special import ellipj
 MOST_PERIODS = 1_000_000
 """Most periods of a run: a day at 10 Hz has fewer, and one lap still fits into 1 GB."""
 
+LONGEST_STRETCH = 10
+"""Periods that a pair of wheel speeds lasts at most in a reference that jumps."""
+
 TRANSIENT_S = 10.0
 """The first seconds, in which a run forgets its start."""
 
@@ -111,6 +114,44 @@ def lemniscate(
     return make_reference(
         np.zeros(3), np.full_like(yaw_rates, speed), yaw_rates, dt, steps, track_width
     )
+
+
+def jumps(
+    slowest: float,
+    fastest: float,
+    duration: float,
+    dt: float,
+    preview: int,
+    track_width: float,
+    seed: int,
+) -> Reference:
+    """Build a reference whose wheel speeds jump anywhere in a box, from the origin with heading 0.
+
+    A pair of speeds lasts a period in half of the cases, else up to LONGEST_STRETCH of them; in
+    half of the cases it is a corner of the box, else uniform in it.
+
+    Args:
+        slowest, fastest: least and greatest speed of each wheel, m/s.
+        duration: of the run, s, a whole number of periods.
+        dt: s.
+        preview: periods known beyond the run.
+        track_width: m.
+        seed: of the draws.
+
+    Raises:
+        ValueError: for a duration that is no whole number of periods.
+    """
+    steps = count_periods(duration, dt)
+    periods = steps + preview
+    random = np.random.default_rng(seed)
+    lengths = random.integers(1, LONGEST_STRETCH + 1, periods)
+    lengths[random.random(periods) < 0.5] = 1
+    corners = random.integers(0, 2, (periods, 2))
+    inside = random.random((periods, 2))
+    shares = np.where(random.random((periods, 1)) < 0.5, corners, inside)
+    wheels = np.repeat(slowest + shares * (fastest - slowest), lengths, axis=0)[:periods]
+    made = from_wheels(wheels, dt, track_width)
+    return Reference(made.wheels, made.poses, dt, steps)
 
 
 def from_wheels(wheels: Float[np.ndarray, "periods 2"], dt: float, track_width: float) -> Reference:

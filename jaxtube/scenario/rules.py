@@ -171,6 +171,12 @@ def _check_bands(scenario: Scenario, refuse: Refuse) -> None:
     if not is_exact or scenario.disturbance.bound != "computed":
         cure = 'set controller.model = "exact_jacobian" and disturbance.bound = "computed"'
         refuse(key, "need a computed bound and the exact Jacobian", cure)
+    if not (controller.tube_has_terminal_gain and controller.tube == "sequence"):
+        cure = 'set controller.terminal = "T-A" and controller.tube = "sequence"'
+        refuse(key, "give tube and terminal set the same gains, by speed", cure)
+    if not controller.restart:
+        cure = "set controller.restart = true"
+        refuse(key, "change the gains along plans that start at the measured error", cure)
     has_caps = scenario.operating.yaw_rate_deficit_radps is not None
     if controller.tracking_gains or has_caps:
         cure = "leave out input caps and controller.tracking_gains"
@@ -240,7 +246,7 @@ def _check_acceleration(scenario: Scenario, refuse: Refuse) -> None:
         which = "slip.random" if slip.random != "true" else "the measurement errors of [slip]"
         refuse(key, problem, f"leave out {which}, or the limit")
     if scenario.operating.bands:
-        problem = "is kept by plans, and operating.bands asks for a law without them"
+        problem = "is kept with one gain, and operating.bands has several"
         refuse(key, problem, "leave out one of the two")
     if not scenario.controller.restart:
         problem = "is kept by plans that start at the measured error"

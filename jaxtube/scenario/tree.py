@@ -85,13 +85,14 @@ class ReferenceTable(Table, frozen=True):
     `file` goes with the shape "file" only. A clean recording there keeps its own timing where that
     keeps the wheels in the box; any other path is cleaned, and driven at `speed_mps` where it has
     no time (`jaxtube.paths`). Without `duration_s` it runs once from end to end, any other shape
-    for 30 s. `certified_for` says over which wheel speeds
-    sets and certificate hold: the whole "box", under arbitrary changes, or those that occur on the
-    "path", in any order.
+    for 30 s. The wheel speeds of "jumps" jump anywhere in the box, drawn by `jump_seed`; radius and
+    speed play no part. `certified_for` says over which wheel speeds sets and certificate hold: the
+    whole "box", under arbitrary changes, or those that occur on the "path", in any order.
     """
 
-    shape: Literal["two_circles", "lemniscate", "file"] = "two_circles"
+    shape: Literal["two_circles", "lemniscate", "jumps", "file"] = "two_circles"
     file: str = ""
+    jump_seed: Annotated[int, msgspec.Meta(ge=0)] = 0
     radius_m: Positive = 2.5
     speed_mps: Positive = 1.36
     duration_s: Positive | None = None
@@ -208,8 +209,8 @@ class Operating(Table, frozen=True):
 
     Half widths of the measured error, bounds of the inputs u1 (speed deficit) and u2 (yaw rate
     deficit), and |e_x| / turning_longitudinal_m + |u2| / turning_yaw_rate_radps <= 1: to turn hard
-    only near the path. `bands` give input caps and tracking gains by speed instead, for a scheduled
-    tracking law that `design` certifies without MPC.
+    only near the path. `bands` give input caps and tracking gains by the mean reference wheel speed
+    instead, each with a W of its own.
     """
 
     longitudinal_m: Positive | None = None

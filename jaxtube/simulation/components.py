@@ -76,8 +76,8 @@ def controller_makers(
 
 def _make_local_gain(design: Design) -> ScheduledGain:
     problem = design.problem
-    weights = problem.model.weights(problem.schedule[: problem.reference.steps])
-    return ScheduledGain(jnp.asarray(design.tube_gain.at(weights)), make_wheel_map(problem))
+    gains = design.tube_gain.along(problem.schedule[: problem.reference.steps])
+    return ScheduledGain(jnp.asarray(gains), make_wheel_map(problem))
 
 
 def _make_equal_gain(design: Design) -> ScheduledGain:
@@ -288,5 +288,18 @@ def _make_linear_plant(problem: ControlProblem) -> LinearPlant:
         reference_wheels=jnp.asarray(schedule),
         transitions=jnp.asarray(transitions),
         input_matrices=jnp.asarray(inputs),
-        disturbance_vertices=jnp.asarray(problem.disturbance_set.vertices()),
+        disturbance_vertices=jnp.asarray(_find_disturbance_vertices(problem)),
     )
+
+
+def _find_disturbance_vertices(
+    problem: ControlProblem,
+) -> Float[np.ndarray, "v n"] | Float[np.ndarray, "steps v n"]:
+    """Return the vertices of W, of several regimes those of every step; the last vertex fills up
+    the sets that have fewer."""
+    if not problem.regimes:
+        return problem.disturbance_set.vertices()
+    by_regime = [one.vertices() for one in problem.disturbances.sets]
+    most = max(map(len, by_regime))
+    padded = [np.pad(each, ((0, most - len(each)), (0, 0)), "edge") for each in by_regime]
+    return np.stack(padded)[problem.period_regimes[: problem.reference.steps]]

@@ -29,7 +29,7 @@ from jaxtyping import Bool, Float, Int
 from jaxtube import qp
 from jaxtube.control import planning
 from jaxtube.control.planning import CondensedQp
-from jaxtube.synthesis.live import LiveWindows
+from jaxtube.synthesis.live import LiveQps, LiveWindows
 from jaxtube.synthesis.parts import Design
 
 SHARES = (1.0, 0.75, 0.5, 0.25)
@@ -64,26 +64,27 @@ class LivePlanner:
         self.live = LiveWindows(design)
         self._caps = design.problem.operating_set.support(np.eye(3))
         self._windows = np.zeros((0, design.problem.horizon, 2))  # those condensed last
-        self._qps = None
+        self._live = None
 
     def compile_solver(self) -> None:
         """Compile now what the first plans with active rows would wait for."""
-        qps = self._condense(self.live.box[:1, None].repeat(self._windows.shape[1], axis=1))
+        qps = self._condense(self.live.box[:1, None].repeat(self._windows.shape[1], axis=1)).qps
         self._ask_solver(qps, 0, np.zeros((1, 3)))
         _solve(planning.take_qp(qps, 0), np.zeros(3))
 
-    def _condense(self, windows: Float[np.ndarray, "robots horizon 2"]) -> CondensedQp:
+    def _condense(self, windows: Float[np.ndarray, "robots horizon 2"]) -> LiveQps:
         """Return the QPs of windows; those of the last ones are at hand."""
-        if self._qps is None or not np.array_equal(windows, self._windows):
-            self._qps = self.live.condense(windows)
+        if self._live is None or not np.array_equal(windows, self._windows):
+            self._live = self.live.condense(windows)
             self._windows = windows.copy()
-        return self._qps
+        return self._live
 
     def plan(
         self, windows: Float[np.ndarray, "robots horizon 2"], errors: Float[np.ndarray, "robots 3"]
     ) -> Plans:
         """Plan from measured errors (m, m, rad) along windows within the box."""
-        qps = self._condense(windows)
+        live = self._condense(windows)
+        qps = live.qps
         is_free = _are_free(qps, errors)
         inputs = np.einsum("rie,re->ri", qps.free_inputs, errors)
         plans = Plans(
@@ -97,7 +98,7 @@ class LivePlanner:
                 whole[robot] = part
         within_caps = np.all(np.abs(errors) <= self._caps, axis=1)
         plans.status[~within_caps] = qp.INFEASIBLE
-        plans.status[~self.live.are_within_slack(qps)] = qp.UNSOLVED
+        plans.status[~live.within_slack] = qp.UNSOLVED
         return plans
 
     def _ask_solver(

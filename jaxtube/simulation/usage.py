@@ -43,12 +43,19 @@ from jaxtube.simulation.rollout import (
 
 
 class Limit(NamedTuple):
-    """Facets normals x <= offsets about a centre: the same at every step (one stage), or R_1 .. R_N
-    of a tube."""
+    """Facets normals x <= offsets about a centre: the same at every step (one stage), those of each
+    step, or R_1 .. R_N of a tube."""
 
     normals: Float[Array, "stages facets n"]
     offsets: Float[Array, "stages facets"]
     centre: Float[Array, " n"]
+
+    def at_step(
+        self, step: int
+    ) -> tuple[Float[np.ndarray, "facets n"], Float[np.ndarray, " facets"]]:
+        """Return the facets at a step, of a limit that is none of a tube."""
+        stage = min(step, len(self.offsets) - 1)
+        return np.asarray(self.normals[stage]), np.asarray(self.offsets[stage])
 
 
 KEPT = jax.checkpoint_policies.save_only_these_names(mpc.ACTED)

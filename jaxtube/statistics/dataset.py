@@ -17,7 +17,13 @@ from jaxtube.statistics import histogram
 from jaxtube.statistics.events import EVENT_NAMES
 from jaxtube.statistics.run import RANKED, Statistics
 from jaxtube.statistics.tally import CLOUD_REACH, STAGE_EVENTS
-from jaxtube.statistics.task import facets, lay_map_grid, sections
+from jaxtube.statistics.task import (
+    disturbance_facets,
+    facets,
+    input_facets_of,
+    lay_map_grid,
+    sections,
+)
 from jaxtube.synthesis.parts import Design
 
 RANKED_SETS = {"error": "E", "disturbance": "W", "tube": "the tube"}
@@ -195,9 +201,9 @@ def _facet_units(design: Design) -> dict[str, tuple]:
     """Return the unit in which the excess over each facet is given."""
     problem = design.problem
     units = {
-        "disturbance": list(map(find_unit, facets(problem.disturbance_set).normals)),
+        "disturbance": list(map(find_unit, disturbance_facets(problem).normals)),
         "error": list(map(find_unit, facets(problem.error_set).normals)),
-        "input": list(map(find_input_unit, problem.input_rows.inputs)),
+        "input": list(map(find_input_unit, input_facets_of(problem).normals[:, :2])),
     }
     return {
         f"{name}_facet_unit": (

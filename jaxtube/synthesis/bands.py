@@ -1,131 +1,108 @@
-"""Gains, caps and disturbance sets by speed: a scheduled tracking law, certified over a wide range
-of wheel speeds.
+"""Gains, caps and disturbance sets by speed: a design over a wide range of wheel speeds.
 
-    u = K_m(th) e,    K_m = [[-k1, -Om, 0], [0, -k2, -k3]]        for mean wheel speeds V in band m
+    u = g + K_m(th) (e - e_nominal),   K_m = [[-k1, -Om, 0], [0, -k2, -k3]],   mean speed in band m
 
 With one gain and one W for all speeds a slow robot is asked to correct what only a fast one
-suffers. Here each band has its own: W_m bounds the disturbances over the band alone, under the
-band's caps. One invariant set holds for all, under arbitrary changes of speed:
+suffers. Here each band is a regime of its own (`regimes`): W_m bounds the disturbances over the
+band alone, under the band's caps. The bands of a plan's periods are known with the reference, so
+the tube along it sums the W of each, and a stage keeps the caps of the band that its period has.
+One terminal set holds for all bands, under arbitrary changes of speed:
 
     Phi Omega + W_m in Omega    for every loop Phi of band m,    Omega in E_op,
-    u in the caps of band m on Omega.
+    K_m(th) e in the caps of band m on Omega,
 
-A band is a polygon of wheel speeds v. Stretched by tan(x) / x in [1, f], x = T Om / 2, it lies in
-the hull of v and f v over its corners, in which the loops of the exact Jacobian are affine. W_m is
-bounded over boxes that cover the polygon.
+and so does one terminal cost.
 
 Source: new.
 """
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from itertools import pairwise
 
 import msgspec
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
-from jaxtube.coordinates import ERROR_NAMES
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.certificate.fill import ring_normals
-from jaxtube.synthesis.certificate.law import LawBand, certify_law, law_admissible_set
-from jaxtube.synthesis.disturbance import with_computed_bound
-from jaxtube.synthesis.gains import decoupled_gain, exact_loops
-from jaxtube.synthesis.limits import input_constraints
-from jaxtube.synthesis.problem import Problem, make_problem
-from sets.certificate import ROUNDING, Certificate
-from sets.invariant import MaximalRpi, maximal_rpi, minimal_rpi_bound
-from sets.polytope import Polytope, SupportFunction
+from jaxtube.synthesis.banded_gain import BandedGain, band_corners
+from jaxtube.synthesis.gains import decoupled_gain
+from jaxtube.synthesis.limits import InputRows, input_constraints
+from jaxtube.synthesis.problem import Problem, with_regimes
+from jaxtube.synthesis.regimes import RegimesBySpeed
+from sets.polytope import Polytope
 
 COVER = 3
 """Boxes along the width of a band that cover it: more are tighter and take longer."""
 
 
-@dataclass(frozen=True, eq=False)
-class BandedLaw:
-    """The scheduled law: its bands from slow to fast, the invariant set, shares of the caps,
-    certificate, seconds."""
-
-    problem: Problem
-    bands: tuple[LawBand, ...]
-    invariant: MaximalRpi
-    shares: dict[str, float]
-    certificate: Certificate
-    seconds: float
-
-    def band_of(self, schedules: Float[np.ndarray, "k 2"]) -> Int[np.ndarray, " k"]:
-        """Return the band of every pair of wheel speeds."""
-        ends = [band.below_mps for band in self.problem.scenario.operating.bands[:-1]]
-        return np.searchsorted(ends, schedules.mean(axis=1), side="left")
-
-    def gains(self, schedules: Float[np.ndarray, "k 2"]) -> Float[np.ndarray, "k 2 3"]:
-        """Return the gains of the law along wheel speeds."""
-        by_band = np.stack([band.gain.along(schedules) for band in self.bands])
-        return by_band[self.band_of(schedules), np.arange(len(schedules))]
+def split_bands(problem: Problem) -> list[Problem]:
+    """Return the problem of every band from slow to fast: its caps, its gain, and regions that
+    cover it, for W to be bounded over."""
+    ends = list_ends(problem.scenario)
+    return [_make_band(problem, index, *of_band) for index, of_band in enumerate(pairwise(ends))]
 
 
-def make_law(scenario: Scenario) -> BandedLaw:
-    """Compute the disturbance sets of the bands, the invariant set of the law and its certificate.
-
-    Raises:
-        ScenarioError: as `make_problem`, or where W cannot be bounded.
-    """
-    started = time.perf_counter()
-    problem = make_problem(scenario)
-    bands = _make_bands(problem)
-    loops = np.concatenate([band.loops for band in bands])
-    supports = [band.problem.disturbance_set.support for band in bands for _ in band.loops]
-    caps = law_admissible_set(problem, bands)
-    inner = Polytope(caps.normals, caps.offsets * (1 - ROUNDING) - ROUNDING)
-    invariant = maximal_rpi(loops, inner, supports)
-    shares = _cap_shares(problem, bands, loops, supports)
-    certificate = certify_law(problem, bands, invariant.polytope, shares)
-    seconds = time.perf_counter() - started
-    return BandedLaw(problem, bands, invariant, shares, certificate, seconds)
+def join_bands(problem: Problem, bands: list[Problem]) -> Problem:
+    """Return the problem whose regimes are its bands, each with its W; its own inputs are the
+    smallest box that holds those of every band."""
+    axes = np.eye(2)
+    upper = np.max([band.input_set.support(axes) for band in bands], axis=0)
+    lower = -np.max([band.input_set.support(-axes) for band in bands], axis=0)
+    input_set = Polytope.box(lower, upper)
+    rule = RegimesBySpeed(tuple(list_ends(problem.scenario)[1:]))
+    joined = with_regimes(problem, bands, rule)
+    return replace(joined, input_set=input_set, input_rows=InputRows.from_set(input_set))
 
 
-def _make_bands(problem: Problem) -> tuple[LawBand, ...]:
-    """Return the bands from slow to fast, each from the end of the one before."""
-    made = []
-    slowest = problem.scenario.reference.wheel_speed_min_mps
-    for index, settings in enumerate(problem.scenario.operating.bands):
-        made.append(_make_band(problem, index, slowest, settings.below_mps))
-        slowest = settings.below_mps
-    return tuple(made)
+def banded_gain(problem: Problem, numbers: Float[np.ndarray, "bands 3"]) -> BandedGain:
+    """Return the gain of k1 (1/s), k2 (rad/(m s)) and k3 (1/s) of every band."""
+    by_band = [decoupled_gain(problem, row) for row in numbers]
+    ends = list_ends(problem.scenario)
+    return BandedGain(
+        model=problem.model,
+        nominal=np.stack([gain.nominal for gain in by_band]),
+        vertices=np.stack([gain.vertices for gain in by_band]),
+        regions=np.concatenate([regime.regions for regime in problem.every_regime]),
+        rule=problem.rule,
+        corners=tuple(band_corners(problem.model, *of_band) for of_band in pairwise(ends)),
+        band_regions=tuple(regime.regions for regime in problem.every_regime),
+    )
 
 
-def _make_band(problem: Problem, index: int, slowest: float, fastest: float) -> LawBand:
-    """Return the band of mean wheel speeds between two ends."""
-    settings = problem.scenario.operating.bands[index]
-    scenario = _with_caps_of_band(problem.scenario, index)
-    low, high = problem.model.box
-    mean = np.array([[0.5, 0.5], [-0.5, -0.5]])
-    strip = Polytope(mean, np.array([fastest, -slowest]))
-    corners = Polytope.box(low, high).intersect(strip).vertices()
+def list_ends(scenario: Scenario) -> list[float]:
+    """Return the mean wheel speeds at which bands begin, and where the last one ends, m/s."""
+    slowest = scenario.reference.wheel_speed_min_mps
+    return [slowest, *(band.below_mps for band in scenario.operating.bands)]
+
+
+def _make_band(problem: Problem, index: int, slowest: float, fastest: float) -> Problem:
+    """Return the problem of mean wheel speeds between two ends."""
+    scenario = with_band_alone(problem.scenario, index)
     input_set, input_rows = input_constraints(scenario, problem.robot)
-    of_band = replace(
+    return replace(
         problem,
         scenario=scenario,
         input_set=input_set,
         input_rows=input_rows,
-        regions=_covering_boxes(low, high, slowest, fastest),
+        regions=_covering_boxes(*problem.model.box, slowest, fastest),
     )
-    gain = decoupled_gain(problem, settings.tracking_gains)
-    band = LawBand(corners, with_computed_bound(of_band), gain, np.zeros((0, 3, 3)))
-    stretched = np.concatenate([corners, band.farthest_stretch * corners])
-    return replace(band, loops=exact_loops(gain, stretched))
 
 
-def _with_caps_of_band(scenario: Scenario, index: int) -> Scenario:
-    """Return the scenario with the input caps of a band in the place of all bands."""
+def with_band_alone(scenario: Scenario, index: int) -> Scenario:
+    """Return the scenario with input caps and gains of a band in the place of all bands."""
     settings = scenario.operating.bands[index]
     of_law = ("below_mps", "tracking_gains")
     caps = {
         name: getattr(settings, name) for name in settings.__struct_fields__ if name not in of_law
     }
-    operating = msgspec.structs.replace(scenario.operating, bands=(), **caps)
-    return msgspec.structs.replace(scenario, operating=operating)
+    change = msgspec.structs.replace
+    return change(
+        scenario,
+        operating=change(scenario.operating, bands=(), **caps),
+        controller=change(scenario.controller, tracking_gains=settings.tracking_gains),
+    )
 
 
 def _covering_boxes(
@@ -140,28 +117,3 @@ def _covering_boxes(
     upper = np.stack([edges[right + 1], edges[left + 1]], axis=1)
     meets_band = (lower.mean(axis=1) <= fastest) & (upper.mean(axis=1) >= slowest)
     return np.stack([lower, upper], axis=1)[meets_band]
-
-
-def _cap_shares(
-    problem: Problem,
-    bands: tuple[LawBand, ...],
-    loops: Float[np.ndarray, "v 3 3"],
-    supports: list[SupportFunction],
-) -> dict[str, float]:
-    """Return the share of E_op's caps, and of the input caps of every band, that the law's tube
-    fills at its widest."""
-    E = problem.operating_set
-    caps = law_admissible_set(problem, bands)
-    normals = np.concatenate(
-        [caps.normals / caps.offsets[:, None], ring_normals(problem.operating_set.offsets)]
-    )
-    tube = minimal_rpi_bound(loops, supports, normals)
-    of_bands = [f"inputs of band {number}" for number in range(1, len(bands) + 1)]
-    names = [*ERROR_NAMES, *of_bands]
-    if tube is None:
-        return dict.fromkeys(names, np.inf)
-    shares = list((tube.support(E.normals) / E.offsets).reshape(2, -1).max(axis=0))
-    for band in bands:
-        offsets = band.problem.input_rows.offsets
-        shares.append(np.max([tube.support(rows) / offsets for rows in band.rows]))
-    return dict(zip(names, map(float, shares), strict=True))

@@ -52,12 +52,17 @@ class Bounds:
 
 
 def tube_bounds(
-    problem: ControlProblem, tightening: Tightening, terminal: Terminal, once: float | None = None
+    problem: ControlProblem,
+    windows: Windows,
+    tightening: Tightening,
+    terminal: Terminal,
+    once: float | None = None,
 ) -> Bounds:
     """Return the tightened sets, backed off for the solver's slack.
 
     Args:
         problem: of the design.
+        windows: its windows.
         tightening: by its tube.
         terminal: its terminal set.
         once: what a stage is backed off more than the one before, as a share of each limit; that
@@ -70,17 +75,17 @@ def tube_bounds(
     last_back_off = (N + 1) * once * reach_of_limits(problem, normals)
     return Bounds(
         errors=left * problem.operating_set.offsets - tightening.error_reach[:, :N],
-        inputs=left * problem.input_rows.offsets - tightening.input_reach,
+        inputs=left * problem.rows_of(windows.regimes).offsets - tightening.input_reach,
         terminal_normals=normals,
         terminal=terminal.constraint_offsets - last_back_off,
     )
 
 
-def draw_in(problem: ControlProblem, bounds: Bounds, share: float) -> Bounds:
+def draw_in(problem: ControlProblem, windows: Windows, bounds: Bounds, share: float) -> Bounds:
     """Return bounds drawn in by a share of each limit."""
     return Bounds(
         errors=bounds.errors - share * problem.operating_set.offsets,
-        inputs=bounds.inputs - share * problem.input_rows.offsets,
+        inputs=bounds.inputs - share * problem.rows_of(windows.regimes).offsets,
         terminal_normals=bounds.terminal_normals,
         terminal=bounds.terminal - share * reach_of_limits(problem, bounds.terminal_normals),
     )
@@ -94,10 +99,9 @@ def plain_bounds(problem: ControlProblem, windows: Windows, terminal: Terminal) 
     """
     stages = (len(windows.schedules), problem.horizon)
     errors = problem.operating_set.offsets
-    inputs = problem.input_rows.offsets
     return Bounds(
         errors=np.broadcast_to(errors, (*stages, len(errors))),
-        inputs=np.broadcast_to(inputs, (*stages, len(inputs))),
+        inputs=problem.rows_of(windows.regimes).offsets,
         terminal_normals=terminal.constraint_normals,
         terminal=np.full(terminal.constraint_offsets.shape, np.inf),
     )
@@ -282,24 +286,25 @@ def solve_free(
 
 def bound_solver_slack(
     problem: ControlProblem, windows: Windows, bounds: Bounds, qps: CondensedQp
-) -> float:
-    """Return by what share of its limit an accepted answer may miss a constraint, from any error in
-    E."""
+) -> Float[np.ndarray, " windows"]:
+    """Return by what share of its limit an accepted answer may miss a constraint of each window,
+    from any error in E."""
     each = np.eye(problem.input_set.dimension)
     directions = np.concatenate([each, -each])
     largest_input = float(np.max(problem.input_set.support(directions)))
     reached = predict(problem, windows, bounds.terminal_normals).reached
-    limits = row_limits(problem, bounds.terminal_normals)[reached]
-    return qp.bound_tolerance(largest_input) * float(np.max(qps.factors.row_norms / limits))
+    limits = row_limits(problem, windows, bounds.terminal_normals)[:, reached]
+    return qp.bound_tolerance(largest_input) * np.max(qps.factors.row_norms / limits, axis=1)
 
 
 def row_limits(
-    problem: ControlProblem, terminal_normals: Float[np.ndarray, "facets 3"]
-) -> Float[np.ndarray, " m"]:
+    problem: ControlProblem, windows: Windows, terminal_normals: Float[np.ndarray, "facets n"]
+) -> Float[np.ndarray, "windows m"]:
     """Return the limit of every row, untightened, to which back-off and slack are relative: of
     opposite rows that of the narrower one, of terminal rows the reach of E."""
-    N = problem.horizon
-    pairs = problem.input_rows.offsets.reshape(2, -1).min(axis=0)
-    errors = np.tile(problem.operating_set.offsets.reshape(2, -1).min(axis=0), N - 1)
-    terminal = reach_of_limits(problem, terminal_normals)
-    return np.concatenate([errors, np.tile(pairs, N), terminal])
+    count, N = windows.regimes.shape
+    offsets = problem.rows_of(windows.regimes).offsets
+    pairs = offsets.reshape(count, N, 2, -1).min(axis=2).reshape(count, -1)
+    errors = np.tile(problem.operating_set.offsets.reshape(2, -1).min(axis=0), (count, N - 1))
+    terminal = np.tile(reach_of_limits(problem, terminal_normals), (count, 1))
+    return np.concatenate([errors, pairs, terminal], axis=1)

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cached_property
+from typing import Protocol, Self
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxtube.synthesis.limits import InputRows
+from jaxtube.synthesis.regimes import ONE_REGIME, Disturbances, RegimeRule
 from sets.lmi import Objective
 from sets.polytope import Polytope
 
@@ -102,6 +104,9 @@ class ControlProblem(ABC):
 
     Of opposite rows of `operating_set` and `input_rows` the first half comes first, as in a box.
     `error_set` bounds the true error, `operating_set` the one that the controller acts on.
+
+    `regimes` are the problems that would be, did all periods belong to one regime; none where they
+    do. `rule` numbers them along a run. `disturbance_set` then holds the W of each.
     """
 
     model: ScheduledModel
@@ -115,6 +120,38 @@ class ControlProblem(ABC):
     input_rows: InputRows
     disturbance_set: Polytope
     initial_error: Float[np.ndarray, " n"]
+    regimes: tuple[Self, ...] = ()
+    rule: RegimeRule = ONE_REGIME
+
+    @property
+    def every_regime(self) -> tuple[Self, ...]:
+        """The problem of every regime, itself where there is one."""
+        return self.regimes or (self,)
+
+    @cached_property
+    def disturbances(self) -> Disturbances:
+        """The W of every regime."""
+        return Disturbances(tuple(regime.disturbance_set for regime in self.every_regime))
+
+    @property
+    def period_regimes(self) -> Int[np.ndarray, " periods"]:
+        """The regime of every period, preview included."""
+        return self.rule.number(self.schedule)
+
+    def rows_of(self, regimes: Int[np.ndarray, "*shape"]) -> InputRows:
+        """Return the input rows of periods by their regimes, stacked in the same shape; every
+        regime has as many."""
+        every = [regime.input_rows for regime in self.every_regime]
+        return InputRows(
+            np.stack([rows.inputs for rows in every])[regimes],
+            np.stack([rows.errors for rows in every])[regimes],
+            np.stack([rows.offsets for rows in every])[regimes],
+        )
+
+    @property
+    def input_row_count(self) -> int:
+        """How many rows on input and error a period has; the second half is minus the first."""
+        return len(self.every_regime[0].input_rows.offsets)
 
     @property
     def error_widths(self) -> Float[np.ndarray, " n"]:

@@ -112,11 +112,6 @@ def restore_design(scenario: Scenario, arrays: Mapping[str, np.ndarray]) -> Desi
 def _begin(scenario: Scenario, clock: Clock) -> Design:
     """Compute all of a design but the certificate."""
     require_scenario(scenario)
-    if scenario.operating.bands:
-        raise ScenarioError(
-            "scenario: operating.bands: only the command `design` knows gains and caps by speed; "
-            "leave them out"
-        )
     problem = complete_problem(scenario)
     clock.lap("problem")
     return prepare(problem, clock)
@@ -143,12 +138,12 @@ def prepare(problem: Problem, clock: Clock | None = None) -> Design:
             "another terminal"
         )
     tube = tubes[settings.tube]
-    tightening = tighten(problem, tube, len(windows.schedules))
-    refuse_empty(problem, tightening)
+    tightening = tighten(problem, tube, windows)
+    refuse_empty(problem, tightening, windows)
     clock.lap("tubes")
     terminal = make_terminal(problem, tube, terminal_gain, tightening)
     clock.lap("terminal_set")
-    bounds = condense.tube_bounds(problem, tightening, terminal)
+    bounds = condense.tube_bounds(problem, windows, tightening, terminal)
     return Design(
         problem=problem,
         lqr_gain=local_gain.nominal,

@@ -18,6 +18,7 @@ from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.rules import CAP_ROUNDING
 from jaxtube.scenario.tree import Scenario, Slip
 from jaxtube.synthesis.acceleration import find_command_steps, limit_acceleration
+from jaxtube.synthesis.bands import join_bands, split_bands
 from jaxtube.synthesis.problem import Problem, make_problem
 from sets.polytope import Polytope
 from sets.robot.actuation import Actuation
@@ -222,7 +223,7 @@ def complete_problem(scenario: Scenario) -> Problem:
     if scenario.controller.has_observer:
         problem = _with_estimate_error(problem)
     if scenario.disturbance.bound == "computed":
-        problem = with_computed_bound(problem)
+        problem = with_computed_bounds(problem)
     if scenario.robot.wheel_acceleration_max_mps2 is None:
         return problem
     return limit_acceleration(problem, operation(problem), kinematics(problem))
@@ -269,6 +270,14 @@ def _refuse_wide_estimate(scenario: Scenario, size: Float[np.ndarray, "3"]) -> N
                 f"the estimate may be wrong by {error:.4g}, which leaves {limit - error:.4g} of "
                 f"constraints.{name} = {limit:g}{wanted}; raise the gain, or lower the cap"
             )
+
+
+def with_computed_bounds(problem: Problem) -> Problem:
+    """Return the problem with W computed for the robot itself, by speed where it has bands; raises
+    as `with_computed_bound`."""
+    if not problem.scenario.operating.bands:
+        return with_computed_bound(problem)
+    return join_bands(problem, [with_computed_bound(band) for band in split_bands(problem)])
 
 
 def with_computed_bound(problem: Problem) -> Problem:

@@ -43,6 +43,10 @@ class GainSchedule(ABC):
     def pairs(self) -> tuple[Float[np.ndarray, "w n n"], Float[np.ndarray, "w m n"]]:
         """Loops and gains whose joint mixtures are to hold (A + B K, K) at every schedule."""
 
+    def of_regime(self, regime: int) -> GainSchedule:
+        """Return the gain that may act in a regime: itself, unless it knows better."""
+        return self
+
     @cached_property
     def loops(self) -> Float[np.ndarray, "w n n"]:
         """Loops whose mixtures are to hold A + B K at every schedule, each once."""

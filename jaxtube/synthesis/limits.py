@@ -29,11 +29,12 @@ class InputRows:
 
     The rows of U, where e does not count, with a coupling |e_x| / a + |u2| / b <= 1 its four, and
     with a limit on the acceleration of the wheels those that keep it (`synthesis.acceleration`).
+    Those of several periods may be stacked (`Problem.rows_of`).
     """
 
-    inputs: Float[np.ndarray, "k 2"]
-    errors: Float[np.ndarray, "k 3"]
-    offsets: Float[np.ndarray, " k"]
+    inputs: Float[np.ndarray, "*stack k 2"]
+    errors: Float[np.ndarray, "*stack k 3"]
+    offsets: Float[np.ndarray, "*stack k"]
 
     @property
     def is_coupled(self) -> Bool[np.ndarray, " k"]:

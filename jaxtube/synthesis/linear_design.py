@@ -40,10 +40,10 @@ def prepare_linear(problem: LinearProblem) -> LinearDesign:
     windows = make_windows(problem, gain)
     tubes = make_tubes(problem, gain, windows)
     tube = tubes[problem.settings.tube]
-    tightening = tighten(problem, tube, len(windows.schedules))
-    refuse_empty(problem, tightening)
+    tightening = tighten(problem, tube, windows)
+    refuse_empty(problem, tightening, windows)
     terminal = make_terminal(problem, tube, gain, tightening)
-    bounds = condense.tube_bounds(problem, tightening, terminal)
+    bounds = condense.tube_bounds(problem, windows, tightening, terminal)
     return LinearDesign(
         problem=problem,
         tube_gain=gain,

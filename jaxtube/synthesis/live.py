@@ -12,20 +12,29 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
 
-from jaxtube import qp
 from jaxtube.control.planning import CondensedQp
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.synthesis import condense
 from jaxtube.synthesis.certificate.terminal import ANY_ORDER
 from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.regimes import RegimesByAge
 from jaxtube.synthesis.terminal import bound_last_errors
 from jaxtube.synthesis.tightening import find_back_off, tighten
 from jaxtube.synthesis.tubes import Tube, make_following_tube
 from jaxtube.synthesis.windows import Windows
+
+
+class LiveQps(NamedTuple):
+    """Condensed QPs of windows, numpy float64, and in which of them a solved plan misses its rows
+    by less than these are drawn in: what the certificate checks of the windows of the design."""
+
+    qps: CondensedQp
+    within_slack: Bool[np.ndarray, " windows"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,8 +51,8 @@ class LiveWindows:
         """The certified wheel speeds, lower and upper (right, left), m/s."""
         return self.design.problem.regions[0]
 
-    def condense(self, schedules: Float[np.ndarray, "windows horizon 2"]) -> CondensedQp:
-        """Return the condensed QPs of windows, numpy float64.
+    def condense(self, schedules: Float[np.ndarray, "windows horizon 2"]) -> LiveQps:
+        """Return the condensed QPs of windows.
 
         Args:
             schedules: wheel speeds (right, left) within the box, m/s.
@@ -53,33 +62,31 @@ class LiveWindows:
         gain = design.tube_gain
         count = len(schedules)
         windows = Windows(
-            schedules, np.arange(count), gain.loops_along(schedules), gain.along(schedules)
+            schedules=schedules,
+            index=np.arange(count),
+            loops=gain.loops_along(schedules),
+            gains=gain.along(schedules),
+            regimes=problem.rule.number(schedules.reshape(-1, 2)).reshape(schedules.shape[:2]),
         )
         tube = self._follow(windows)
         terminal = design.terminal
         invariant = terminal.invariant
         assert invariant is not None  # or else no order but one would be certified
-        offsets = bound_last_errors(problem, invariant, terminal.disturbance, tube, count)
+        offsets = bound_last_errors(problem, invariant, terminal.disturbances, tube, count)
         terminal = dataclasses.replace(
             terminal, constraint_normals=invariant.normals, constraint_offsets=offsets
         )
-        bounds = condense.tube_bounds(problem, tighten(problem, tube, count), terminal)
-        return condense.condense(problem, windows, terminal, design.cost.cost, bounds)
+        tightening = tighten(problem, tube, windows)
+        bounds = condense.tube_bounds(problem, windows, tightening, terminal)
+        qps = condense.condense(problem, windows, terminal, design.cost.cost, bounds)
+        slack = condense.bound_solver_slack(problem, windows, bounds, qps)
+        return LiveQps(qps, slack <= find_back_off(problem))
 
     def _follow(self, windows: Windows) -> Tube:
         design = self.design
         if not design.tube.follows_reference:
             return design.tube
         return make_following_tube(design.problem, design.tube_gain, windows)
-
-    def are_within_slack(self, qps: CondensedQp) -> Bool[np.ndarray, " windows"]:
-        """Return in which windows a solved plan misses its rows by less than these are drawn in:
-        what the certificate checks of the windows of the design."""
-        problem = self.design.problem
-        directions = np.concatenate([np.eye(2), -np.eye(2)])
-        largest_input = float(np.max(problem.input_set.support(directions)))
-        slack = qp.bound_tolerance(largest_input) * np.max(qps.factors.row_norms, axis=1)
-        return slack <= find_back_off(problem)
 
 
 def require_any_order(design: Design) -> None:
@@ -102,6 +109,11 @@ def require_any_order(design: Design) -> None:
         raise ScenarioError(
             f"scenario: certificate: {certificate.verdict}: a governor needs one for wheel speeds "
             'in any order; design "certified", or see design.certificate.table()'
+        )
+    if isinstance(problem.rule, RegimesByAge):
+        raise ScenarioError(
+            "scenario: slip: what is learnt of it makes the first windows of a run differ, and a "
+            "governor knows one kind; leave slip.change_per_s out"
         )
     if not scenario.controller.restart:
         raise ScenarioError(

@@ -107,7 +107,8 @@ class TubeDesign:
     def solver_slack(self) -> float:
         """By what share of its limit an accepted answer of the solver may miss a constraint of the
         tube-MPC, from any error in E."""
-        return condense.bound_solver_slack(self.problem, self.windows, self.bounds, self.tube_qps)
+        parts = (self.problem, self.windows, self.bounds, self.tube_qps)
+        return float(np.max(condense.bound_solver_slack(*parts)))
 
 
 @dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -157,9 +158,13 @@ class Design(TubeDesign):
                 "plain_qps": list_qp_arrays(self.plain_qps),
                 "tube_gain": _list_fields(self.tube_gain, "nominal", "vertices"),
                 "terminal_gain": _list_fields(terminal_gain, "nominal", "vertices"),
-                "windows": _list_fields(windows, "schedules", "index", "loops", "gains"),
+                "windows": _list_fields(windows, "schedules", "index", "loops", "gains", "regimes"),
                 "reference": _list_fields(problem.reference, "wheels", "poses"),
                 "disturbance_set": _list_fields(problem.disturbance_set, "normals", "offsets"),
+                "regimes": {
+                    str(number): _list_fields(regime.disturbance_set, "normals", "offsets")
+                    for number, regime in enumerate(problem.regimes)
+                },
             }
         )
 
@@ -174,9 +179,18 @@ class Design(TubeDesign):
         reference = replace(self.problem.reference, **parts["reference"])
         disturbance_set = Polytope(**parts["disturbance_set"])
         gains = replace(self.terminal.gains, **parts["terminal_gain"])
+        regimes = tuple(
+            replace(regime, disturbance_set=Polytope(**parts["regimes"][str(number)]))
+            for number, regime in enumerate(self.problem.regimes)
+        )
         return replace(
             self,
-            problem=replace(self.problem, reference=reference, disturbance_set=disturbance_set),
+            problem=replace(
+                self.problem,
+                reference=reference,
+                disturbance_set=disturbance_set,
+                regimes=regimes,
+            ),
             tube_gain=replace(self.tube_gain, **parts["tube_gain"]),
             windows=replace(self.windows, **parts["windows"]),
             terminal=replace(self.terminal, gains=gains),

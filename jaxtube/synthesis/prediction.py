@@ -16,6 +16,7 @@ from jaxtyping import Float, Int
 
 from jaxtube.qp.regions import AnyArray
 from jaxtube.synthesis.control_problem import ControlProblem
+from jaxtube.synthesis.limits import InputRows
 from jaxtube.synthesis.windows import Windows
 
 UNREACHED = 1e-12
@@ -44,7 +45,8 @@ def predict(
     """Return the prediction along the reference."""
     transitions, inputs = problem.model.matrices(windows.schedules)
     free, forced = predict_errors(transitions, inputs)
-    row_errors, rows = stack_rows(problem, free, forced, terminal_normals)
+    input_rows = problem.rows_of(windows.regimes)
+    row_errors, rows = stack_rows(problem, input_rows, free, forced, terminal_normals)
     is_reached = np.abs(rows).max(axis=(0, 2)) > UNREACHED
     reached = np.flatnonzero(is_reached)
     unreached = np.flatnonzero(~is_reached)
@@ -79,20 +81,22 @@ def predict_errors(
 
 def stack_rows(
     problem: ControlProblem,
+    input_rows: InputRows,
     free: Float[np.ndarray, "windows horizon+1 3 3"],
     forced: Float[np.ndarray, "windows horizon+1 3 n"],
     terminal_normals: Float[np.ndarray, "facets 3"],
 ) -> tuple[Float[np.ndarray, "windows m+c 3"], Float[np.ndarray, "windows m+c n"]]:
     """Return the coefficients of e and of g in the rows of E_j, those of U_j, the terminal ones.
 
-    Of each pair of opposite rows of E and U the first stands for both.
+    Of each pair of opposite rows of E and U the first stands for both. `input_rows` are those of
+    every stage of every window.
     """
     N = problem.horizon
     n = forced.shape[3]
-    k = len(problem.input_rows.offsets) // 2
+    k = problem.input_row_count // 2
     C_E = problem.operating_set.normals[: len(problem.operating_set.offsets) // 2]
-    D = problem.input_rows.inputs[:k]
-    C = problem.input_rows.errors[:k]
+    D = input_rows.inputs[:, :, :k]
+    C = input_rows.errors[:, :, :k]
     selection = np.eye(n).reshape(N, n // N, n)  # g_j = selection[j] g
     error_parts = (C_E @ free[:, 1:N], C @ free[:, :N], terminal_normals @ free[:, N])
     input_parts = (

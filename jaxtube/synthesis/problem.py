@@ -13,15 +13,16 @@ Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxtube.paths.reference import follow_file
 from jaxtube.plant.model import VERTEX_SIDES, Model, make_model
 from jaxtube.plant.recorded_slips import make_recorded
-from jaxtube.plant.reference import Reference, lemniscate, two_circles
+from jaxtube.plant.reference import Reference, jumps, lemniscate, two_circles
 from jaxtube.plant.robot import Robot
 from jaxtube.scenario.error_box import error_vector, noise_bounds
 from jaxtube.scenario.reference_rules import check_reference_wheels
@@ -35,6 +36,7 @@ from jaxtube.synthesis.limits import (
     make_input_rows,
     operating_bounds,
 )
+from jaxtube.synthesis.regimes import RegimeRule
 from sets.polytope import Polytope
 from sets.robot.disturbance import DisturbanceBound
 
@@ -55,6 +57,9 @@ class Problem(ControlProblem):
     noise, or S of the estimate (`synthesis.disturbance: complete_problem`). `first_command`
     bounds the first command where `input_rows` keep the acceleration of the wheels, else it is
     None.
+
+    `regimes` are the problems that would be, did all periods belong to one regime; none where they
+    do. `rule` numbers them along a run. `disturbance_set` then holds the W of each.
     """
 
     scenario: Scenario
@@ -65,6 +70,26 @@ class Problem(ControlProblem):
     estimate_error: Float[np.ndarray, "3"]
     disturbance_bound: DisturbanceBound | None = None
     first_command: FirstCommand | None = None
+
+    @property
+    def period_regimes(self) -> Int[np.ndarray, " periods"]:
+        """The regime of every period, preview included."""
+        return self.rule.number(merge_equal_speeds(self.schedule))
+
+    @property
+    def ground_speeds(self) -> Float[np.ndarray, "2 2"] | None:
+        """The ground speeds that may be commanded, (lower, upper) by (right, left), m/s; None where
+        W is assumed."""
+        if not self.has_computed_bound:
+            return None
+        bounds = [regime.disturbance_bound for regime in self.every_regime]
+        speeds = np.stack([bound.ground_speeds for bound in bounds if bound is not None])
+        return np.stack([speeds[:, 0].min(axis=0), speeds[:, 1].max(axis=0)])
+
+    @property
+    def has_computed_bound(self) -> bool:
+        """Whether every W was computed."""
+        return all(regime.disturbance_bound is not None for regime in self.every_regime)
 
     @property
     def settings(self) -> ControllerTable:
@@ -91,7 +116,10 @@ class Problem(ControlProblem):
     @property
     def given_gains(self) -> Float[np.ndarray, " kappa"]:
         """The numbers of the gains that the scenario gives, none where they come from the terminal
-        cost's LMI."""
+        cost's LMI; of bands three each, one after the other."""
+        bands = self.scenario.operating.bands
+        if bands:
+            return np.ravel([band.tracking_gains for band in bands])
         settings = self.scenario.controller
         return np.ravel(np.array(settings.tracking_gains or settings.vertex_gains, float))
 
@@ -158,6 +186,12 @@ def make_problem(scenario: Scenario) -> Problem:
     )
 
 
+def with_regimes(problem: Problem, regimes: Sequence[Problem], rule: RegimeRule) -> Problem:
+    """Return the problem with several regimes, numbered by the rule in the order given."""
+    several = replace(problem, regimes=tuple(regimes), rule=rule)
+    return replace(several, disturbance_set=several.disturbances.hull())
+
+
 def with_controller(problem: Problem, scenario: Scenario) -> Problem:
     """Return the problem with weights and gains of a scenario that has the same sets, model and
     reference."""
@@ -213,6 +247,16 @@ def _make_reference(scenario: Scenario) -> Reference:
         if section.shape == "file":
             return follow_file(scenario)
         assert section.duration_s is not None  # which only a recording leaves open
+        if section.shape == "jumps":
+            return jumps(
+                section.wheel_speed_min_mps,
+                section.wheel_speed_max_mps,
+                section.duration_s,
+                settings.dt_s,
+                preview,
+                track_width,
+                section.jump_seed,
+            )
         shape = {"two_circles": two_circles, "lemniscate": lemniscate}[section.shape]
         return shape(
             section.radius_m,

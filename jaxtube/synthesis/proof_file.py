@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import shutil
 from fractions import Fraction
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,6 @@ from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.progress import announce
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.scenario.tree import Scenario, Slip
-from jaxtube.synthesis.bands import BandedLaw
 from jaxtube.synthesis.certificate.program import predict_rows
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.prediction import UNREACHED
@@ -51,13 +49,14 @@ CHECKED = {
     "controller.has_observer": False,
     "disturbance.bound": "computed",
     "robot.obeys_at_once": True,
+    "operating.bands": (),
     "robot.wheel_acceleration_max_mps2": None,
     "slip.is_measured": False,
 }
 """What the checker knows, by the scenario's fields."""
 
 
-def write_certificate(design: Design | BandedLaw, folder: str | Path, name: str = "") -> Path:
+def write_certificate(design: Design, folder: str | Path, name: str = "") -> Path:
     """Write `certificate.json` into a folder, with the programs that check it; return its path.
 
     Args:
@@ -68,7 +67,7 @@ def write_certificate(design: Design | BandedLaw, folder: str | Path, name: str 
     Raises:
         ValueError: one line, where nothing is certified, or no proof is found.
     """
-    if not isinstance(design, Design | BandedLaw):
+    if not isinstance(design, Design):
         raise ValueError(f"design: is {describe_type(design)}; give jt.design(scenario)")
     if not (design.certificate.holds_for_robot or design.certificate.holds_for_model):
         raise ValueError(
@@ -83,7 +82,7 @@ def write_certificate(design: Design | BandedLaw, folder: str | Path, name: str 
     return path
 
 
-def describe_proof(design: Design | BandedLaw, name: str = "") -> dict[str, Any]:
+def describe_proof(design: Design, name: str = "") -> dict[str, Any]:
     """Return the certificate with its proof, numbers as fractions."""
     scenario = design.problem.scenario
     unchecked = list_unchecked(scenario)
@@ -91,10 +90,7 @@ def describe_proof(design: Design | BandedLaw, name: str = "") -> dict[str, Any]
     if unchecked:
         return {**head, "unchecked": unchecked}
     certificate = {**head, **_describe_robot(design.problem)}
-    if isinstance(design, BandedLaw):
-        certificate |= _describe_law(design)
-    else:
-        certificate |= _describe_design(design)
+    certificate |= _describe_design(design)
     announce("proving the certificate for its file")
     for band in certificate["bands"]:
         prove_motions(certificate, band)
@@ -112,7 +108,7 @@ def list_unchecked(scenario: Scenario) -> dict[str, str]:
         value = getattr(getattr(scenario, table), key)
         if value != known:
             unchecked[field] = str(value)
-    if not (scenario.controller.tracking_gains or scenario.operating.bands):
+    if not scenario.controller.tracking_gains:
         unchecked["controller.tracking_gains"] = "none"
     return unchecked
 
@@ -199,20 +195,6 @@ def _describe_band(problem: Problem, name: str, regions: list, gains: Any) -> di
 def _describe_set(polytope: Any) -> dict[str, Any]:
     rows = _list_fractions(polytope.normals)
     return {SET: {"rows": rows, "offsets": _list_fractions(polytope.offsets)}}
-
-
-def _describe_law(law: BandedLaw) -> dict[str, Any]:
-    """Return the bands of a law scheduled on speed, and its set."""
-    low, high = law.problem.model.box
-    bands = law.problem.scenario.operating.bands
-    ends = [law.problem.scenario.reference.wheel_speed_min_mps, *(band.below_mps for band in bands)]
-    described = []
-    triples = zip(law.bands, bands, pairwise(ends), strict=True)
-    for number, (band, settings, means) in enumerate(triples, start=1):
-        region = _list_fractions([low[0], high[0], *means])
-        gains = settings.tracking_gains
-        described.append(_describe_band(band.problem, BAND.format(number), [region], gains))
-    return {"bands": described, "sets": _describe_set(law.invariant.polytope)}
 
 
 def _describe_design(design: Design) -> dict[str, Any]:

@@ -9,7 +9,8 @@ With the terminal gains Gamma(th) bilinear in the schedule and Omega invariant f
            E - R_{N-1} with Gamma_i Omega' in U - K R_{N-1};   e_N in Omega' - D
 
 With `T-A` and `T-B` the plan stays feasible. Where the set is empty, e_N in E - R_N takes its place
-and the design says so.
+and the design says so. Where there are several regimes, Omega is invariant under the W of each that
+lasts (`regimes`).
 
 Sources: Gonzalez, Fiacchini, Guzman, Alamo 2009, section III-E; Kolmanovsky and Gilbert 1998;
 Blanchini 1999.
@@ -52,18 +53,15 @@ class Terminal(Generic[GainType]):
     """
 
     gains: GainType
-    disturbance: tubes.Section  # W, or D for T-B
+    # Loops of the terminal gains that the set is invariant under, and W of each, or D for T-B.
+    loops: Float[np.ndarray, "v n n"]
+    disturbances: tuple[tubes.Section, ...]
     admissible: Polytope  # errors in E whose terminal input is admissible: holds the invariant set
     maximal: MaximalRpi
     invariant: Polytope | None
     constraint_normals: Float[np.ndarray, "facets 3"]
     constraint_offsets: Float[np.ndarray, "windows facets"]
     fallback: bool
-
-    @property
-    def loops(self) -> Float[np.ndarray, "v 3 3"]:
-        """Loops of the terminal gains that the set is invariant under."""
-        return self.gains.loops
 
     @property
     def volume_share(self) -> float | None:
@@ -80,17 +78,18 @@ def admissible_set(
     error_offsets: Float[np.ndarray, " 6"] | None = None,
     input_offsets: Float[np.ndarray, " k"] | None = None,
 ) -> Polytope:
-    """Return {e in E : Gamma e in U at every corner}, with offsets of E and of the input rows
-    tightened where given."""
+    """Return {e in E : Gamma e in U at every corner} of every regime, with offsets of E and of the
+    input rows tightened where given."""
     E = problem.operating_set
-    rows = problem.input_rows
-    by_gain = rows.on_errors(np.unique(gain.corner_gains, axis=0))
-    errors = E.offsets if error_offsets is None else error_offsets
-    inputs = rows.offsets if input_offsets is None else input_offsets
-    return Polytope(
-        np.concatenate([E.normals, *by_gain]),
-        np.concatenate([errors, np.tile(inputs, len(by_gain))]),
-    )
+    normals = [E.normals]
+    offsets = [E.offsets if error_offsets is None else error_offsets]
+    for number, regime in enumerate(problem.every_regime):
+        rows = regime.input_rows
+        by_gain = rows.on_errors(np.unique(gain.of_regime(number).corner_gains, axis=0))
+        inputs = rows.offsets if input_offsets is None else input_offsets
+        normals += [*by_gain]
+        offsets.append(np.tile(inputs, len(by_gain)))
+    return Polytope(np.concatenate(normals), np.concatenate(offsets))
 
 
 def make_terminal(
@@ -98,24 +97,24 @@ def make_terminal(
 ) -> Terminal[GainType]:
     """Return the terminal set of the scenario's choice, or its stand-in."""
     N = problem.horizon
-    disturbance = tubes.Section(
-        (problem.disturbance_set.vertices(),), problem.disturbance_set.dimension
-    )
+    loops, disturbances = pair_lasting_loops(problem, gains)
     admissible = admissible_set(problem, gains)
     if problem.settings.terminal_set_holds_reach:
-        disturbance = tubes.propagate(tube.gain.loops, problem.disturbance_set, N - 1)[-1]
+        reach = tubes.propagate(tube.gain.loops, problem.disturbance_set, N - 1)[-1]
+        disturbances = (reach,) * len(loops)
         last_errors = problem.operating_set.offsets - tightening.error_reach[:, N - 1].max(axis=0)
         last_inputs = problem.input_rows.offsets - tightening.input_reach[:, N - 1].max(axis=0)
         admissible = admissible_set(problem, gains, last_errors, last_inputs)
-    maximal, invariant = _find_invariant(problem, gains, disturbance, admissible)
-    constraint = _constraint(problem, invariant, disturbance, tube, tightening)
+    maximal, invariant = _find_invariant(problem, gains, loops, disturbances, admissible)
+    constraint = _constraint(problem, invariant, disturbances, tube, tightening)
     normals, offsets = constraint or (
         problem.operating_set.normals,
         problem.operating_set.offsets - tightening.error_reach[:, N],
     )
     return Terminal(
         gains,
-        disturbance,
+        loops,
+        disturbances,
         admissible,
         maximal,
         invariant,
@@ -125,13 +124,33 @@ def make_terminal(
     )
 
 
+def pair_lasting_loops(
+    problem: ControlProblem, gains: GainSchedule
+) -> tuple[Float[np.ndarray, "v n n"], tuple[tubes.Section, ...]]:
+    """Return the loops that may act once a plan has ended, and the W of each: every loop under
+    every regime that lasts."""
+    loops = []
+    disturbances = []
+    for regime in problem.rule.lasting(problem.horizon):
+        W = problem.disturbances[regime]
+        disturbance = tubes.Section((W.vertices(),), W.dimension)
+        of_regime = gains.of_regime(regime).loops
+        loops.append(of_regime)
+        disturbances += [disturbance] * len(of_regime)
+    return np.concatenate(loops), tuple(disturbances)
+
+
 def set_back_off(problem: ControlProblem) -> float:
     """Return by what share of them the invariant set stays inside the limits, and W is widened."""
     return (problem.horizon + 2) * find_back_off(problem)
 
 
 def _find_invariant(
-    problem: ControlProblem, gains: GainSchedule, disturbance: tubes.Section, admissible: Polytope
+    problem: ControlProblem,
+    gains: GainSchedule,
+    loops: Float[np.ndarray, "v n n"],
+    disturbances: tuple[tubes.Section, ...],
+    admissible: Polytope,
 ) -> tuple[MaximalRpi, Polytope | None]:
     """Return the maximal invariant set and the one used on line, of few facets.
 
@@ -145,8 +164,9 @@ def _find_invariant(
     taken = limits + reach_of_limits(problem, admissible.normals)
     units = problem.error_widths
     inner = Polytope(admissible.normals * units, admissible.offsets - back_off * taken)
-    loops = gains.loops * units / units[:, None]
-    widened = partial(_widened_support, disturbance, units, back_off)
+    loops = loops * units / units[:, None]
+    distinct = {id(each): partial(_widened_support, each, units, back_off) for each in disturbances}
+    widened = [distinct[id(each)] for each in disturbances]
     maximal = _maximal(loops, inner, widened)
     if maximal.polytope is None:
         return _to_si(maximal, units), None
@@ -188,19 +208,19 @@ def _to_si(found: MaximalRpi, units: Float[np.ndarray, "3"]) -> MaximalRpi:
 
 
 def _maximal(
-    loops: Float[np.ndarray, "v 3 3"], admissible: Polytope, disturbance: SupportFunction
+    loops: Float[np.ndarray, "v n n"], admissible: Polytope, disturbances: list[SupportFunction]
 ) -> MaximalRpi:
     if np.any(admissible.offsets <= 0):
         return MaximalRpi(None, None, 0)
     if admissible.dimension == 1:
-        return maximal_interval(loops, admissible, disturbance)
-    return maximal_rpi(loops, admissible, disturbance)
+        return maximal_interval(loops, admissible, disturbances[0])
+    return maximal_rpi(loops, admissible, disturbances)
 
 
 def _constraint(
     problem: ControlProblem,
     invariant: Polytope | None,
-    disturbance: tubes.Section,
+    disturbances: tuple[tubes.Section, ...],
     tube: Tube,
     tightening: Tightening,
 ) -> tuple[Float[np.ndarray, "facets 3"], Float[np.ndarray, "windows facets"]] | None:
@@ -208,7 +228,7 @@ def _constraint(
     if invariant is None:
         return None
     windows = len(tightening.error_reach)
-    offsets = bound_last_errors(problem, invariant, disturbance, tube, windows)
+    offsets = bound_last_errors(problem, invariant, disturbances, tube, windows)
     least = Polytope(invariant.normals, offsets.min(axis=0))
     if least.is_empty():
         return None
@@ -223,13 +243,13 @@ def _constraint(
 def bound_last_errors(
     problem: ControlProblem,
     invariant: Polytope,
-    disturbance: tubes.Section,
+    disturbances: tuple[tubes.Section, ...],
     tube: Tube,
     windows: int,
 ) -> Float[np.ndarray, "windows facets"]:
     """Return the offsets of the facets of the invariant set that bound e_N, in so many windows."""
     if problem.settings.terminal_set_holds_reach:
-        taken = disturbance.support(invariant.normals)
+        taken = disturbances[0].support(invariant.normals)  # D, the same for every loop
     else:
         taken = tube.support(problem.horizon, invariant.normals)
     return invariant.offsets - np.broadcast_to(taken, (windows, len(invariant.offsets)))

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.qp.regions import AnyArray
+from jaxtube.synthesis.bands import banded_gain
 from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.gain_schedule import GainSchedule
 from jaxtube.synthesis.gains import Gain, given_gain, vertex_gain
@@ -69,9 +70,17 @@ def terminal_cost_and_gain(problem: Problem) -> tuple[TerminalCost, Gain]:
     Q = problem.error_weight
     R = problem.input_weight
     if len(problem.given_gains):
-        gain = given_gain(problem, problem.given_gains)
+        gain = _given_gain(problem)
         return _find_cost(gain, problem), gain
     model = problem.model
     objective = problem.scenario.controller.lmi_objective
     cost = terminal_cost(*model.matrices(model.vertices), Q, R, objective)
     return cost, vertex_gain(problem, cost.gains)
+
+
+def _given_gain(problem: Problem) -> Gain:
+    """Return the gain of the scenario's numbers, by band where it has bands."""
+    numbers = problem.given_gains
+    if problem.scenario.operating.bands:
+        return banded_gain(problem, numbers.reshape(-1, 3))
+    return given_gain(problem, numbers)

@@ -21,6 +21,7 @@ from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.linear_problem import LinearProblem
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.tubes import Tube
+from jaxtube.synthesis.windows import Windows
 
 BACK_OFF = 1e-7
 """Share of its limit that a constraint is drawn in by for the solver, at least."""
@@ -69,10 +70,12 @@ def find_back_off(problem: ControlProblem) -> float:
     A solver's slack is a share of the length of a row. Beside its limit a row is long where the
     robot is small or slow; all limits are then drawn in alike, so that no unit matters.
     """
-    rows = problem.input_rows
-    normals = np.hstack([rows.inputs, rows.errors])
-    of_inputs = np.linalg.norm(normals, axis=1) / rows.offsets
-    longest = max(of_inputs.max(), (1 / problem.operating_set.offsets).max())
+    every = [regime.input_rows for regime in problem.every_regime]
+    of_inputs = [
+        np.linalg.norm(np.hstack([rows.inputs, rows.errors]), axis=1) / rows.offsets
+        for rows in every
+    ]
+    longest = max(np.max(of_inputs), (1 / problem.operating_set.offsets).max())
     return BACK_OFF * max(1.0, float(longest) / LONG_ROW)
 
 
@@ -84,15 +87,19 @@ def reach_of_limits(
     return abs(normals) @ problem.error_widths
 
 
-def tighten(problem: ControlProblem, tube: Tube, windows: int) -> Tightening:
-    """Return the support numbers that E and U lose at every stage, in so many windows."""
+def tighten(problem: ControlProblem, tube: Tube, windows: Windows) -> Tightening:
+    """Return the support numbers that E and U lose at every stage, in every window."""
     N = problem.horizon
+    count = len(windows.schedules)
     rows = problem.operating_set.normals
     errors = np.stack([tube.support(j, rows) for j in range(N + 1)], axis=1)
-    inputs = np.stack([tube.input_support(j, problem.input_rows) for j in range(N)], axis=1)
+    by_stage = [problem.input_rows] * N
+    if tube.follows_reference:
+        by_stage = [problem.rows_of(regimes) for regimes in windows.regimes.T]
+    inputs = np.stack([tube.input_support(j, by_stage[j]) for j in range(N)], axis=1)
     return Tightening(
-        np.broadcast_to(errors, (windows, *errors.shape[1:])),
-        np.broadcast_to(inputs, (windows, *inputs.shape[1:])),
+        np.broadcast_to(errors, (count, *errors.shape[1:])),
+        np.broadcast_to(inputs, (count, *inputs.shape[1:])),
     )
 
 
@@ -106,38 +113,39 @@ def input_names(problem: ControlProblem) -> tuple[str, ...]:
     if isinstance(problem, LinearProblem):
         return problem.input_names
     assert isinstance(problem, Problem)
-    steps = () if problem.first_command is None else STEP_NAMES
-    if problem.scenario.operating.yaw_rate_deficit_radps is None:
+    first = problem.every_regime[0]
+    steps = () if first.first_command is None else STEP_NAMES
+    if first.scenario.operating.yaw_rate_deficit_radps is None:
         return (*WHEEL_NAMES, *steps)
-    return (*CAP_NAMES[: len(problem.cap_rows.offsets) // 2], *steps)
+    return (*CAP_NAMES[: len(first.cap_rows.offsets) // 2], *steps)
 
 
-def refuse_empty(problem: ControlProblem, tightening: Tightening) -> None:
+def refuse_empty(problem: ControlProblem, tightening: Tightening, windows: Windows) -> None:
     """Raise EmptySetError for the first stage at which E_j or U_j has nothing left."""
     error_reach = tightening.error_reach[:, : problem.horizon]
-    _refuse_empty(problem, "E", problem.operating_set.offsets, error_reach, error_names(problem))
-    _refuse_empty(
-        problem, "U", problem.input_rows.offsets, tightening.input_reach, input_names(problem)
-    )
+    offsets = np.broadcast_to(problem.operating_set.offsets, error_reach.shape)
+    _refuse_empty(problem, "E", offsets, error_reach, error_names(problem))
+    offsets = problem.rows_of(windows.regimes).offsets
+    _refuse_empty(problem, "U", offsets, tightening.input_reach, input_names(problem))
 
 
 def _refuse_empty(
     problem: ControlProblem,
     name: str,
-    offsets: Float[np.ndarray, " k"],
+    offsets: Float[np.ndarray, "windows horizon k"],
     reach: Float[np.ndarray, "windows horizon k"],
     coordinates: tuple[str, ...],
 ) -> None:
     left = offsets - reach
     size = len(coordinates)
-    width = (left[..., :size] + left[..., size:]).min(axis=0)
-    is_empty = np.any(width < 0, axis=1)
+    width = left[..., :size] + left[..., size:]
+    is_empty = np.any(width < 0, axis=(0, 2))
     if not is_empty.any():
         return
     stage = int(np.argmax(is_empty))
-    row = int(np.argmin(width[stage]))
-    missing = -width[stage, row]
-    whole = offsets[row] + offsets[row + size]
+    window, row = np.unravel_index(np.argmin(width[:, stage]), width[:, stage].shape)
+    missing = -width[window, stage, row]
+    whole = offsets[window, stage, row] + offsets[window, stage, row + size]
     raise EmptySetError(
         f"{name}_{stage} is empty: in the {coordinates[row]} the tube of stage {stage} is "
         f"{whole + missing:.4g} wide and {name} only {whole:.4g} (short by {missing:.4g}); "

@@ -236,6 +236,10 @@ def make_tuner(
         ScenarioError: where the scenario gives no gains, or gains without a bounded tube, so that
             there is nothing to descend on.
     """
+    if scenario.operating.bands:
+        raise ScenarioError(
+            "scenario: operating.bands: tuning knows one gain, not several by speed; leave them out"
+        )
     if scenario.controller.cost != "tracking":
         raise ScenarioError(
             f'scenario: controller.cost = "{scenario.controller.cost}": weights of tracking are '
@@ -298,7 +302,7 @@ def failing_conditions(design: Design) -> tuple[str, ...]:
     Where W is assumed they are those of the linear model with w in W.
     """
     certificate = design.certificate
-    is_assumed = design.problem.disturbance_bound is None
+    is_assumed = not design.problem.has_computed_bound
     failing = tuple(certificate.failing_for_model if is_assumed else certificate.failing)
     try:
         refuse_infeasible_start(design)

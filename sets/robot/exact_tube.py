@@ -137,7 +137,8 @@ def _scale_tangent(x: Fraction, factor: Fraction) -> Range:
     return min(products), max(products)
 
 
-def _make_loop(gains: Row, turn: Fraction, advance: Fraction, T: Fraction) -> Matrix:
+def make_loop(gains: Row, turn: Fraction, advance: Fraction, T: Fraction) -> Matrix:
+    """Return Phi of k1, k2, k3 at h and c."""
     k1, k2, k3 = gains
     h = turn
     c = advance
@@ -154,7 +155,7 @@ def exact_vertex_loops(gains: Numbers, box: ScheduleBox, dt: float) -> list[Matr
     k = exact_row(gains, "gains")
     T = Fraction(dt)
     vertices = product(box.turn, box.advance)
-    return [_make_loop(k, turn, advance, T) for turn, advance in vertices]
+    return [make_loop(k, turn, advance, T) for turn, advance in vertices]
 
 
 def exact_wheel_loops(
@@ -178,7 +179,7 @@ def exact_wheel_loops(
     ratios = (tangent_ratio(least)[0], tangent_ratio(most)[1])
     right = _scale_ends(T, (low[0], high[0]), ratios)
     left = _scale_ends(T, (low[1], high[1]), ratios)
-    return [_make_loop(k, (p - q) / (2 * b), (p + q) / 2, T) for p, q in product(right, left)]
+    return [make_loop(k, (p - q) / (2 * b), (p + q) / 2, T) for p, q in product(right, left)]
 
 
 def _scale_ends(factor: Fraction, ends: Range, ratios: Range) -> Range:
@@ -239,14 +240,15 @@ def _multiply(row: GridRow, matrix: GridMatrix) -> GridRow:
 
 @dataclass(frozen=True)
 class _ExactWindow:
-    """One stretch of N schedules: loops, the rows of E and of D K + C as rows on the error, and the
-    offsets used."""
+    """One stretch of N schedules: loops, the rows of E and of D K + C as rows on the error, their
+    offsets and those used, stage by stage."""
 
     loops: list[GridMatrix]
     rows: dict[str, list[list[GridRow]]]
+    whole: dict[str, list[Row]]
     used: dict[str, Matrix]
     terminal: Halfspaces
-    points: list[list[int]]  # of W in units of 1/share
+    points: list[list[list[int]]]  # of the W of every stage in units of 1/share
     share: int
 
     def reach(self, row: GridRow, stage: int) -> Range:
@@ -255,7 +257,7 @@ class _ExactWindow:
         last = 0
         total = 0
         for m in range(stage, 0, -1):
-            last = max(_find_widest(row, point) for point in self.points)
+            last = max(_find_widest(row, point) for point in self.points[m - 1])
             total += last
             row = _multiply(row, self.loops[m - 1]) if m > 1 else row
         return Fraction(last, GRID * self.share), Fraction(total, GRID * self.share)
@@ -287,26 +289,58 @@ def _couple(feedback: GridMatrix, inputs: Row, errors: Row) -> GridRow:
     return tuple((a + c, b + d) for (a, b), (c, d) in pairs)
 
 
+@dataclass(frozen=True)
+class TubeRegime:
+    """What holds in the stages of one regime.
+
+    Attributes:
+        gains: k1 in 1/s, k2 in rad/s/m, k3 in 1/s.
+        disturbance_vertices: whose hull is W.
+        input_set: (D, C, d) of D u + C e <= d, with rows D K + C on the error under u = K e.
+    """
+
+    gains: Numbers
+    disturbance_vertices: NumberRows
+    input_set: tuple[NumberRows, NumberRows, Numbers]
+
+    @cached_property
+    def points(self) -> Matrix:
+        """The vertices of W, exact."""
+        return exact_rows(self.disturbance_vertices, "disturbance_vertices")
+
+    @cached_property
+    def input_rows(self) -> list[tuple[Row, Row]]:
+        """Rows of D and C, exact."""
+        return [(exact_row(D), exact_row(C)) for D, C in zip(*self.input_set[:2], strict=True)]
+
+
 def _make_window(
     stages: Sequence[tuple[GridMatrix, GridMatrix]],
-    points: Matrix,
-    error_rows: Matrix,
-    input_rows: Sequence[tuple[Row, Row]],
+    regimes: Sequence[TubeRegime],
+    error_set: tuple[Matrix, Row],
     used: UsedOffsets,
     index: int,
 ) -> _ExactWindow:
-    """Gather a window whose stages are given by their loops and feedbacks."""
-    share = lcm(*(a.denominator for point in points for a in point))
-    errors = [_place(row) for row in error_rows]
-    inputs = [[_couple(feedback, *row) for row in input_rows] for _, feedback in stages]
+    """Gather a window whose stages are given by their loops and feedbacks, and by their regimes."""
+    points = [regime.points for regime in regimes]
+    share = lcm(*(a.denominator for stage in points for point in stage for a in point))
+    errors = [_place(row) for row in error_set[0]]
+    inputs = [
+        [_couple(feedback, *row) for row in regime.input_rows]
+        for (_, feedback), regime in zip(stages, regimes, strict=True)
+    ]
     kept_errors = tuple(exact_row(row, "errors") for row in used.errors[index])
     kept_inputs = tuple(exact_row(row, "inputs") for row in used.inputs[index])
     return _ExactWindow(
         loops=[loop for loop, _ in stages],
         rows={"errors": [errors] * len(stages), "inputs": inputs},
+        whole={
+            "errors": [error_set[1]] * len(stages),
+            "inputs": [exact_row(regime.input_set[2], "input_set") for regime in regimes],
+        },
         used={"errors": kept_errors, "inputs": kept_inputs},
         terminal=Halfspaces(used.terminal_normals, used.terminal[index]),
-        points=[[int(a * share) for a in point] for point in points],
+        points=[[[int(a * share) for a in point] for point in stage] for stage in points],
         share=share,
     )
 
@@ -314,20 +348,18 @@ def _make_window(
 def sequence_margins(
     boxes: Sequence[Sequence[ScheduleBox]],
     followers: Iterable[tuple[int, int]],
-    gains: Numbers,
     dt: float,
-    disturbance_vertices: NumberRows,
+    regimes: Sequence[TubeRegime],
     error_set: tuple[NumberRows, Numbers],
-    input_set: tuple[NumberRows, NumberRows, Numbers],
     invariant_set: tuple[NumberRows, Numbers],
     used: UsedOffsets,
+    numbers: Sequence[Sequence[int]] | None = None,
 ) -> dict[str, Fraction]:
     """Return the least margins of the tube conditions along known schedules, by name.
 
-    `boxes[w][j]` encloses stage j of window w, `followers` are pairs (window, window one step
-    later; none where the run ends). Sets are rows and offsets; `input_set` is (D, C, d) of D u + C
-    e <= d, with rows D K + C on the error under u = K e. With Psi = Phi_{j-1} .. Phi_1 along the
-    window:
+    `boxes[w][j]` encloses stage j of window w, `numbers[w][j]` is its regime, the first unless
+    given; `followers` are pairs (window, window one step later; none where the run ends). Sets are
+    rows and offsets. With Psi = Phi_{j-1} .. Phi_1 along the window:
 
         nonempty   the origin lies in every set used
         reach      used_j + h_{R_j}(c) <= offset of E, U;  T + R_N in Omega
@@ -345,25 +377,28 @@ def sequence_margins(
             f"used: {len(used.errors)} windows of offsets for {len(boxes)} windows: "
             "give one a window"
         )
-    points = exact_rows(disturbance_vertices, "disturbance_vertices")
-    error_rows = exact_rows(error_set[0], "error_set")
-    input_rows = [(exact_row(D), exact_row(C)) for D, C in zip(*input_set[:2], strict=True)]
-    whole = {
-        "errors": exact_row(error_set[1], "error_set"),
-        "inputs": exact_row(input_set[2], "input_set"),
-    }
+    if numbers is None:
+        numbers = [[0] * len(row) for row in boxes]
+    stages = [list(zip(*of_window, strict=True)) for of_window in zip(boxes, numbers, strict=True)]
+    errors = (exact_rows(error_set[0], "error_set"), exact_row(error_set[1], "error_set"))
     invariant = Halfspaces(*invariant_set)
-    enclosed = _enclose_stages(boxes, gains, dt)
+    enclosed = _enclose_stages(stages, regimes, dt)
     windows = [
-        _make_window([enclosed[box] for box in row], points, error_rows, input_rows, used, index)
-        for index, row in enumerate(boxes)
+        _make_window(
+            [enclosed[stage] for stage in row],
+            [regimes[number] for _, number in row],
+            errors,
+            used,
+            index,
+        )
+        for index, row in enumerate(stages)
     ]
-    following = _find_followers(boxes, followers)
+    following = _find_followers(stages, followers)
     rooms: dict[str, list[Fraction]] = defaultdict(list)
     for index, window in enumerate(windows):
         later_windows = [windows[later] for later in following[index]]
         conditions = [
-            _check_stages(window, later_windows, whole),
+            _check_stages(window, later_windows),
             _check_terminal(window, invariant),
             *(_check_returns(window, later) for later in later_windows),
         ]
@@ -372,24 +407,29 @@ def sequence_margins(
     return {name: min(values) for name, values in rooms.items()}
 
 
+Stage = tuple[ScheduleBox, int]
+"""Where a stage is, and its regime."""
+
+
 def _enclose_stages(
-    boxes: Sequence[Sequence[ScheduleBox]], gains: Numbers, dt: float
-) -> dict[ScheduleBox, tuple[GridMatrix, GridMatrix]]:
-    """Enclose the loop and the feedback of every box that occurs."""
+    stages: Sequence[Sequence[Stage]], regimes: Sequence[TubeRegime], dt: float
+) -> dict[Stage, tuple[GridMatrix, GridMatrix]]:
+    """Enclose the loop and the feedback of every stage that occurs."""
     enclosed = {}
-    for box in set(chain.from_iterable(boxes)):
+    for box, number in set(chain.from_iterable(stages)):
+        gains = regimes[number].gains
         loop = _enclose(exact_vertex_loops(gains, box, dt))
-        enclosed[box] = (loop, _enclose(exact_vertex_feedbacks(gains, box)))
+        enclosed[box, number] = (loop, _enclose(exact_vertex_feedbacks(gains, box)))
     return enclosed
 
 
 def _find_followers(
-    boxes: Sequence[Sequence[ScheduleBox]], followers: Iterable[tuple[int, int]]
+    stages: Sequence[Sequence[Stage]], followers: Iterable[tuple[int, int]]
 ) -> dict[int, list[int]]:
     """Return the windows that follow each window."""
     following: dict[int, list[int]] = defaultdict(list)
     for now, later in set(followers):
-        if list(boxes[now][1:]) != list(boxes[later][:-1]):
+        if list(stages[now][1:]) != list(stages[later][:-1]):
             raise ValueError(
                 f"followers: {now, later}: the second must be the first one step later"
             )
@@ -398,12 +438,13 @@ def _find_followers(
 
 
 def _check_stages(
-    window: _ExactWindow, following: list[_ExactWindow], whole: dict[str, Row]
+    window: _ExactWindow, following: list[_ExactWindow]
 ) -> Iterator[tuple[str, Fraction]]:
     """Yield the room of `reach` and `shifted` along every row of E and U at every stage."""
     for name, stages in window.rows.items():
-        for j, (rows, used) in enumerate(zip(stages, window.used[name], strict=True)):
-            for i, (row, kept, offset) in enumerate(zip(rows, used, whole[name], strict=True)):
+        of_stages = zip(stages, window.used[name], window.whole[name], strict=True)
+        for j, (rows, used, whole) in enumerate(of_stages):
+            for i, (row, kept, offset) in enumerate(zip(rows, used, whole, strict=True)):
                 last, reach = window.reach(row, j)
                 yield f"{name} reach", offset - kept - reach
                 if j == 0:

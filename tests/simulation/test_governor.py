@@ -103,7 +103,7 @@ def require_one_reference(design, steps, renewals=()):
 
 
 def test_windows_of_the_design_get_the_qps_of_the_design(design):
-    live = LiveWindows(design).condense(design.windows.schedules)
+    live = LiveWindows(design).condense(design.windows.schedules).qps
     for ours, expected in zip(jax.tree.leaves(live), jax.tree.leaves(design.tube_qps), strict=True):
         np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-9)
 

@@ -1,4 +1,5 @@
-"""Gains, caps and disturbance sets by speed: one invariant set for all bands, in any order."""
+"""Gains, caps and W by speed: one terminal set for all bands, tubes and rows by the band of each
+period."""
 
 import dataclasses
 
@@ -7,140 +8,163 @@ import numpy as np
 import pytest
 from tolerances import ROUNDING
 
+from jaxtube.plant.reference import jumps
 from jaxtube.scenario import ScenarioError, load
-from jaxtube.synthesis.bands import make_law
-from jaxtube.synthesis.certificate import law as law_certificate
-from jaxtube.synthesis.certificate.law import LawBand
-from jaxtube.synthesis.design import design
-from jaxtube.synthesis.disturbance import kinematics, operation
+from jaxtube.synthesis.certificate.bands import find_band_gap
+from jaxtube.synthesis.certificate.certify import certify
+from jaxtube.synthesis.certificate.exact import recheck
+from jaxtube.synthesis.certificate.exact_regimes import make_exact_regimes
+from jaxtube.synthesis.certificate.robot import check_robot
+from jaxtube.synthesis.design import finish, prepare
+from jaxtube.synthesis.disturbance import complete_problem, kinematics, operation
+from sets.exact import exact_row
 from sets.robot.disturbance import evaluate_disturbance
 
 SLOWEST = 0.85  # the two fastest bands of the scenario: W of each other one takes as long again
 
 
 @pytest.fixture(scope="module")
-def law():
+def problem():
     scenario = load("certified_wide")
-    operating = msgspec.structs.replace(scenario.operating, bands=scenario.operating.bands[4:])
-    reference = msgspec.structs.replace(scenario.reference, wheel_speed_min_mps=SLOWEST)
-    return make_law(msgspec.structs.replace(scenario, operating=operating, reference=reference))
+    change = msgspec.structs.replace
+    reference = change(scenario.reference, wheel_speed_min_mps=SLOWEST, shape="jumps", duration_s=4)
+    operating = change(scenario.operating, bands=scenario.operating.bands[4:])
+    return complete_problem(change(scenario, reference=reference, operating=operating))
 
 
-def test_the_law_is_certified(law):
-    assert law.certificate.failing == []
-    assert max(law.shares.values()) < 0.85
-    assert len(law.certificate.assumptions) == 6
+@pytest.fixture(scope="module")
+def design(problem):
+    return finish(prepare(problem))
 
 
-def test_every_schedule_has_its_bands_gain(law):
+def test_the_mpc_is_certified_for_the_robot_and_confirmed_in_rationals(design):
+    assert design.certificate.failing == []
+    assert recheck(design).holds
+    assert any("known 5 periods" in words for words in design.certificate.assumptions)
+
+
+def test_every_schedule_has_its_bands_gain(problem, design):
     schedules = np.random.default_rng(0).uniform(SLOWEST, 1.5, (50, 2))
-    for schedule, gain in zip(schedules, law.gains(schedules), strict=True):
+    for schedule, gain in zip(schedules, design.tube_gain.along(schedules), strict=True):
         settings = next(
-            b for b in law.problem.scenario.operating.bands if schedule.mean() <= b.below_mps
+            b for b in problem.scenario.operating.bands if schedule.mean() <= b.below_mps
         )
         k1, k2, k3 = settings.tracking_gains
         yaw_rate = (schedule[0] - schedule[1]) / 0.5
         np.testing.assert_allclose(gain, [[-k1, -yaw_rate, 0], [0, -k2, -k3]], atol=ROUNDING)
 
 
-def test_no_order_of_schedules_and_disturbances_leaves_the_invariant_set(law):
+def test_every_stage_keeps_the_caps_of_its_own_band(problem, design):
+    """Of U, what the tube takes off comes from the rows of the band that the period is in."""
+    for window, schedules in enumerate(design.windows.schedules):
+        for stage, schedule in enumerate(schedules):
+            band = int(schedule.mean() > problem.scenario.operating.bands[0].below_mps)
+            rows = problem.regimes[band].input_rows
+            on_errors = rows.on_errors(design.windows.gains[window, stage])
+            taken = design.tube.support(stage, on_errors)[window]
+            left = rows.offsets - taken - design.bounds.inputs[window, stage]
+            np.testing.assert_allclose(left, 1e-7 * (stage + 1), rtol=1e-6, atol=ROUNDING)
+
+
+def test_no_order_of_schedules_and_disturbances_leaves_the_terminal_set(problem, design):
     random = np.random.default_rng(1)
-    omega = law.invariant.polytope
-    corners = np.concatenate([band.corners for band in law.bands])
+    omega = design.terminal.invariant
+    corners = np.concatenate([band.corners for band in design.tube_gain.bands])
     errors = omega.vertices()[random.integers(len(omega.vertices()), size=4000)]
     for _ in range(40):
-        schedule = (
-            corners[random.integers(len(corners))]
-            if random.random() < 0.5
-            else random.uniform(SLOWEST, 1.5, 2)
-        )[None]
-        A, B = law.problem.model.matrices(schedule[0])
-        band = law.bands[law.band_of(schedule)[0]]
-        W = band.problem.disturbance_set.vertices()
-        errors = (
-            errors @ (A + B @ law.gains(schedule)[0]).T
-            + W[random.integers(len(W), size=len(errors))]
-        )
+        at_corner = corners[random.integers(len(corners))]
+        schedule = at_corner if random.random() < 0.5 else random.uniform(SLOWEST, 1.5, 2)
+        W = problem.disturbances[int(problem.rule.number(schedule[None])[0])].vertices()
+        loop = design.tube_gain.loops_along(schedule)
+        errors = errors @ loop.T + W[random.integers(len(W), size=len(errors))]
         assert np.max(errors @ omega.normals.T / omega.offsets) <= 1 + ROUNDING
 
 
-def test_disturbances_of_a_band_lie_in_its_w(law):
+def test_disturbances_of_a_band_lie_in_its_w(problem, design):
     random = np.random.default_rng(2)
     count = 50_000
-    for band in law.bands:
-        where = operation(band.problem)
+    for band, gain in zip(problem.regimes, design.tube_gain.bands, strict=True):
+        where = operation(band)
         low, high = where.box
         points = random.uniform(low, high, (count, 13))
-        points = np.where(
-            random.random((count, 13)) < 0.5, np.where(points > (low + high) / 2, high, low), points
-        )
-        points[:, 5:7] = random.dirichlet(np.ones(len(band.corners)), count) @ band.corners
+        at_ends = np.where(points > (low + high) / 2, high, low)
+        points = np.where(random.random((count, 13)) < 0.5, at_ends, points)
+        points[:, 5:7] = random.dirichlet(np.ones(len(gain.corners)), count) @ gain.corners
         a, b = where.coupling
         room = a * np.maximum(1 - np.abs(points[:, 4]) / b, 0)
         points[:, 0] = np.clip(points[:, 0], -room, room)
         noise = random.choice([-1, 1], (count, 3)) * where.noise
-        w, _, _ = evaluate_disturbance(where, kinematics(band.problem), points, noise)
-        assert band.problem.disturbance_set.margin(w).min() >= -ROUNDING
+        w, _, _ = evaluate_disturbance(where, kinematics(band), points, noise)
+        assert band.disturbance_set.margin(w).min() >= -ROUNDING
 
 
-def test_boxes_and_corner_loops_cover_their_band(law):
-    for band in law.bands:
-        assert law_certificate.coverage_gap(band) <= ROUNDING
-        few = dataclasses.replace(
-            band.problem, regions=band.problem.regions[: len(band.problem.regions) // 2]
-        )
-        assert (
-            law_certificate.coverage_gap(LawBand(band.corners, few, band.gain, band.loops))
-            == np.inf
-        )
+def test_boxes_and_corner_loops_cover_their_band(design):
+    gain = design.tube_gain
+    none = np.zeros((0, 1, 2))
+    assert find_band_gap(gain, none, np.zeros((0, 1), int)) <= ROUNDING
+    half = tuple(regions[: len(regions) // 2] for regions in gain.band_regions)
+    few = dataclasses.replace(gain, band_regions=half)
+    assert find_band_gap(few, none, np.zeros((0, 1), int)) == np.inf
 
 
-def test_a_wider_w_in_one_band_breaks_the_certificate(law):
-    first = law.bands[0]
-    wide = dataclasses.replace(
-        first.problem, disturbance_set=first.problem.disturbance_set.scale(1.5)
-    )
-    changed = (dataclasses.replace(first, problem=wide), *law.bands[1:])
-    assert law_certificate.certify_law(
-        law.problem, changed, law.invariant.polytope, law.shares
-    ).failing == ["invariant_set"]
+def test_exact_corners_of_a_band_are_those_of_its_polygon(problem, design):
+    for regime, gain in zip(make_exact_regimes(problem), design.tube_gain.bands, strict=True):
+        assert all(regime.room_of(exact_row(corner)) >= -1e-15 for corner in gain.corners)
+        outside = gain.corners.mean(axis=0) + np.array([0.4, 0.4])
+        assert regime.room_of(exact_row(outside)) < 0
+        exact = np.array(regime.every_loop, float)
+        for loop in gain.loops_along(gain.corners):
+            assert np.all(loop >= exact.min(axis=0) - ROUNDING)
+            assert np.all(loop <= exact.max(axis=0) + ROUNDING)
 
 
 @pytest.mark.parametrize("number", [0, -1])
-def test_the_w_of_every_band_must_be_proved(law, number):
-    band = law.bands[number]
-    smaller = dataclasses.replace(
-        band.problem, disturbance_set=band.problem.disturbance_set.scale(0.98)
-    )
-    certificate = certify_with(law, number, dataclasses.replace(band, problem=smaller))
-    assert certificate.failing == ["disturbance_bound_proved"]
+def test_a_wider_w_in_one_band_breaks_the_certificate(design, problem, number):
+    wide = problem.regimes[number].disturbance_set.scale(1.5)
+    failing = set(certify(with_band(design, number, disturbance_set=wide)).failing)
+    assert failing >= {"terminal_set_invariant", "tightening_covers_reach"}
 
 
-def test_the_wheels_of_every_band_are_checked(law):
+@pytest.mark.parametrize("number", [0, -1])
+def test_the_w_of_every_band_must_be_proved(design, problem, number):
+    narrow = problem.regimes[number].disturbance_set.scale(0.98)
+    conditions = check_robot(with_band(design, number, disturbance_set=narrow).problem)
+    assert [each.name for each in conditions if not each.holds] == ["disturbance_bound_proved"]
+
+
+def test_the_wheels_of_every_band_are_checked(design, problem):
     """Inputs of the fastest band that are half as wide again ask for more than the wheels have."""
-    band = law.bands[-1]
-    rows = band.problem.input_rows
-    rows = dataclasses.replace(rows, offsets=1.5 * rows.offsets)
-    faster = dataclasses.replace(
-        band.problem, input_rows=rows, input_set=band.problem.input_set.scale(1.5)
-    )
-    certificate = certify_with(law, -1, dataclasses.replace(band, problem=faster))
-    assert "wheel_limits" in certificate.failing
+    band = problem.regimes[-1]
+    rows = dataclasses.replace(band.input_rows, offsets=1.5 * band.input_rows.offsets)
+    wider = {"input_rows": rows, "input_set": band.input_set.scale(1.5)}
+    faster = with_band(design, -1, **wider, regions=band.regions[-1:])
+    conditions = {each.name: each for each in check_robot(faster.problem)}
+    assert not conditions["wheel_limits"].holds
 
 
-def certify_with(law, number: int, band: LawBand):
-    """Certify the law again with one band replaced."""
-    bands = list(law.bands)
-    bands[number] = band
-    return law_certificate.certify_law(
-        law.problem, tuple(bands), law.invariant.polytope, law.shares
-    )
+def test_stages_in_another_band_than_their_wheel_speeds_say_are_found_out(design):
+    windows = dataclasses.replace(design.windows, regimes=1 - design.windows.regimes)
+    failing = certify(dataclasses.replace(design, windows=windows)).failing
+    assert "plans_keep_these_sets" in failing
 
 
-def test_other_commands_refuse_bands_in_one_line():
-    with pytest.raises(ScenarioError, match=r"operating\.bands") as refused:
-        design(load("certified_wide"))
-    assert "\n" not in str(refused.value)
+def with_band(design, number: int, **parts):
+    """Return the design with parts of one band's problem replaced."""
+    regimes = list(design.problem.regimes)
+    regimes[number] = dataclasses.replace(regimes[number], **parts)
+    problem = dataclasses.replace(design.problem, regimes=tuple(regimes))
+    return dataclasses.replace(design, problem=problem)
+
+
+def test_wheel_speeds_that_jump_stay_in_their_box_and_reach_its_corners():
+    reference = jumps(0.2, 1.5, 30.0, 0.1, 6, 0.5, seed=1)
+    assert reference.steps == 300 and len(reference.wheels) == 306
+    assert reference.wheels.min() >= 0.2 - ROUNDING and reference.wheels.max() <= 1.5 + ROUNDING
+    assert len(np.unique(reference.wheels.round(9), axis=0)) > 20
+    at_end = np.abs(reference.wheels - 0.85) > 0.65 - ROUNDING
+    assert np.mean(np.all(at_end, axis=1)) > 0.2
+    other = jumps(0.2, 1.5, 30.0, 0.1, 6, 0.5, seed=2)
+    assert not np.array_equal(other.wheels, reference.wheels)
 
 
 @pytest.mark.parametrize(
@@ -149,8 +173,11 @@ def test_other_commands_refuse_bands_in_one_line():
         ("reference.wheel_speed_max_mps=1.6", "let below_mps grow"),
         ("disturbance.bound=assumed", "need a computed bound"),
         ("controller.tracking_gains=[1.0, 1.0, 1.0]", "bring their own"),
+        ("controller.tube=summed", "by speed"),
+        ("controller.restart=false", "restart = true"),
     ],
 )
 def test_bands_that_do_not_fit_are_refused(override, words):
-    with pytest.raises(ScenarioError, match=words):
+    with pytest.raises(ScenarioError, match=words) as refused:
         load("certified_wide", [override])
+    assert "\n" not in str(refused.value)

@@ -11,7 +11,8 @@ from tolerances import EXACT_AGAINST_FLOAT
 
 from jaxtube.scenario import load
 from jaxtube.synthesis.certificate import exact
-from jaxtube.synthesis.certificate.exact import disturbance_points, recheck
+from jaxtube.synthesis.certificate.exact import recheck
+from jaxtube.synthesis.certificate.exact_regimes import disturbance_points
 from jaxtube.synthesis.certificate.stages import check_stages
 from jaxtube.synthesis.certificate.terminal import check_terminal
 from jaxtube.synthesis.design import design

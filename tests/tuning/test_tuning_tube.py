@@ -103,7 +103,7 @@ def tighten_again(problem, numbers):
     gain = given_gain(problem, numbers)
     windows = make_windows(problem, gain)
     tube = make_following_tube(problem, gain, windows)
-    tightening = tighten(problem, tube, len(windows.schedules))
+    tightening = tighten(problem, tube, windows)
     return tightening.error_reach, tightening.input_reach
 
 

@@ -125,10 +125,10 @@ def lap_usage(design: Design, trajectory: Trajectory) -> ProcessUsage:
     """Return what laps under one process used."""
     problem = design.problem
     robot = problem.robot
-    W = problem.disturbance_set
     error = np.max(np.abs(trajectory.errors), axis=(0, 1)) / problem.error_set.offsets[:3]
-    disturbances = batches.model_disturbances(design, trajectory) @ W.normals.T
+    disturbances = batches.model_disturbances(design, trajectory)
+    used = problem.disturbances.shares(problem.period_regimes[: len(disturbances)], disturbances)
     widest = np.max(np.abs(trajectory.demanded - robot.wheel_speed_middle))
     wheels = widest / robot.wheel_speed_half_range
     without_plan = float(np.sum(trajectory.diagnostics.status != qp.SOLVED))
-    return ProcessUsage(error, np.max(disturbances / W.offsets), wheels, without_plan)
+    return ProcessUsage(error, np.max(used), wheels, without_plan)

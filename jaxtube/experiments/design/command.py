@@ -11,7 +11,6 @@ import msgspec
 import numpy as np
 from jaxtyping import Bool
 
-from jaxtube.experiments.design import banded
 from jaxtube.experiments.design.nearest import say_nearest, say_nearest_to
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
@@ -61,8 +60,6 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
             "scenario: operating.bands: --optimise finds one set of caps, not bands; leave out one "
             "of them"
         )
-    if scenario.operating.bands:
-        return banded.run(scenario, options)
     found = None
     if options.optimise:
         refuse_start_outside_limits(make_problem(_remove_caps(scenario)))
@@ -188,15 +185,18 @@ def measure_disturbance(made: Design, trajectory: Trajectory) -> dict:
     for.
     """
     disturbances = batches.model_disturbances(made, trajectory)
-    if made.problem.disturbance_bound is not None:
-        disturbances = disturbances[within_caps(made, trajectory)][:, None]
-    return metrics.disturbance_metrics(made, disturbances)
+    if not made.problem.has_computed_bound:
+        return metrics.disturbance_metrics(made, disturbances)
+    step, run = np.nonzero(within_caps(made, trajectory))
+    regimes = made.problem.period_regimes[step]
+    return metrics.disturbance_metrics(made, disturbances[step, run][:, None], regimes)
 
 
 def within_caps(made: Design, trajectory: Trajectory) -> Bool[np.ndarray, "steps runs"]:
     """Return where measured error and input lie in what W was computed for."""
-    rows = made.problem.input_rows
     errors = np.asarray(trajectory.measured)[:-1]
-    used = np.asarray(trajectory.inputs) @ rows.inputs.T + errors @ rows.errors.T
-    in_caps = np.all(used <= rows.offsets, axis=2)
+    rows = made.problem.rows_of(made.problem.period_regimes[: len(errors)])
+    used = np.asarray(trajectory.inputs) @ np.swapaxes(rows.inputs, 1, 2)
+    used = used + errors @ np.swapaxes(rows.errors, 1, 2)
+    in_caps = np.all(used <= rows.offsets[:, None], axis=2)
     return in_caps & (made.problem.operating_set.margin(errors) >= 0)

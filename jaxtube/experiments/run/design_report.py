@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.experiments.run import metrics
 from jaxtube.experiments.run.limits import describe_error_set
-from jaxtube.experiments.run.table import wrap
+from jaxtube.experiments.run.table import Column, format_table, left, wrap
 from jaxtube.experiments.run.verdict import LONGEST, list_names
 from jaxtube.synthesis.advice import say_what_helps, say_what_proves_w
+from jaxtube.synthesis.bands import list_ends
 from jaxtube.synthesis.certificate.robot import PREMISE
 from jaxtube.synthesis.disturbance import kinematics, operation
 from jaxtube.synthesis.parts import Design
@@ -84,7 +86,7 @@ def _verdict_lines(design: Design, nearest: Sequence[str]) -> list[str]:
     lines = [say_verdict(design)]
     if nearest:
         return lines + [line for each in nearest for line in wrap(each, "  ")]
-    is_assumed = design.problem.disturbance_bound is None
+    is_assumed = not design.problem.has_computed_bound
     if is_assumed and PREMISE in certificate.failing:
         lines += wrap(f"what helps the robot: {say_what_proves_w()}", "  ")
         if not certificate.holds_for_model:
@@ -111,6 +113,8 @@ def _weight_lines(design: Design) -> list[str]:
 
 def _gain_lines(design: Design) -> list[str]:
     """Return the gains in use: the numbers that the scenario gives, or the values at the centre."""
+    if design.problem.scenario.operating.bands:
+        return _band_lines(design.problem)
     numbers = design.problem.scenario.controller.tracking_gains
     if numbers:
         k1, k2, k3 = numbers
@@ -121,6 +125,31 @@ def _gain_lines(design: Design) -> list[str]:
         terminal = _matrix(design.terminal.gains.nominal)
         lines.append(f"{'terminal gain':<{LABEL}}{terminal} at the centre")
     return lines
+
+
+def _band_lines(problem: Problem) -> list[str]:
+    """Return gains and W of every band."""
+    columns = [
+        left("mean speed [m/s]"),
+        Column("k1", "1/s"),
+        Column("k2", "rad/(m s)"),
+        Column("k3", "1/s"),
+        Column("W: yaw", "deg"),
+        Column("x", "mm"),
+        Column("y", "mm"),
+    ]
+    rows = []
+    for (slowest, fastest), band in zip(
+        pairwise(list_ends(problem.scenario)), problem.regimes, strict=True
+    ):
+        bound = band.disturbance_bound
+        assert bound is not None
+        gains = [f"{gain:.4g}" for gain in band.scenario.controller.tracking_gains]
+        x, y, _ = 1e3 * bound.box
+        widths = [f"{np.rad2deg(bound.yaw):.3f}", f"{x:.2f}", f"{y:.2f}"]
+        rows.append([f"{slowest:g} to {fastest:g}", *gains, *widths])
+    law = "tracking gains  u1 = -k1 e_x - Om e_y,  u2 = -k2 e_y - k3 e_th, by speed; W of one step"
+    return [law, *format_table(columns, rows).splitlines()]
 
 
 def _observer_lines(problem: Problem) -> list[str]:

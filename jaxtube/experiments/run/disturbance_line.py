@@ -31,6 +31,6 @@ def disturbance_line(design: Design, disturbance: dict, controller: str) -> str:
         f"({'; '.join(parts)})"
     )
     text = "\n".join(wrap(line, "  "))
-    if design.problem.disturbance_bound is None:
+    if not design.problem.has_computed_bound:
         return text
     return f"REFUTED: the computed W does not hold\n{text}"

@@ -4,7 +4,7 @@ keys."""
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxtube import qp
 from jaxtube.coordinates import KEYS, TO_DISPLAY
@@ -16,6 +16,7 @@ from jaxtube.synthesis.certificate.fill import cap_shares, ultimate_bound
 from jaxtube.synthesis.limits import InputRows, wheel_rows
 from jaxtube.synthesis.parts import Design
 from sets.polytope import Polytope
+from sets.robot.disturbance import DisturbanceBound
 
 
 def design_metrics(design: Design) -> dict:
@@ -49,27 +50,32 @@ def design_metrics(design: Design) -> dict:
         "assumptions": list(design.certificate.assumptions),
         "design_seconds": design.seconds,
     }
-    return numbers if problem.disturbance_bound is None else numbers | _computed(design)
+    return numbers | _computed(design) if problem.has_computed_bound else numbers
 
 
 def _computed(design: Design) -> dict:
     """Return the numbers of a computed W, and the share of each cap that the tube fills at its
     widest."""
-    bound = design.problem.disturbance_bound
+    bounds = [_describe_bound(regime.disturbance_bound) for regime in design.problem.every_regime]
+    return {
+        "disturbance_bound": bounds[0] if len(bounds) == 1 else bounds,
+        "estimate_error": by_coordinate(design.problem.estimate_error * TO_DISPLAY),
+        "cap_shares": cap_shares(design.problem, design.terminal.gains),
+        "ultimate_bound": _ultimate(design),
+    }
+
+
+def _describe_bound(bound: DisturbanceBound | None) -> dict:
+    """Return the numbers of a computed W."""
     assert bound is not None
     slowest, fastest = bound.ground_speeds
     box_shares = bound.found_box / np.maximum(bound.box, 1e-300)
     return {
-        "disturbance_bound": {
-            "yaw_deg": np.rad2deg(bound.yaw),
-            "lateral_per_yaw_m_per_rad": bound.lateral_per_yaw,
-            **by_coordinate(bound.box * TO_DISPLAY),
-            "found_share": [bound.found_yaw / bound.yaw, *box_shares],
-            "ground_speed_range_mps": [slowest.min(), fastest.max()],
-        },
-        "estimate_error": by_coordinate(design.problem.estimate_error * TO_DISPLAY),
-        "cap_shares": cap_shares(design.problem, design.terminal.gains),
-        "ultimate_bound": _ultimate(design),
+        "yaw_deg": np.rad2deg(bound.yaw),
+        "lateral_per_yaw_m_per_rad": bound.lateral_per_yaw,
+        **by_coordinate(bound.box * TO_DISPLAY),
+        "found_share": [bound.found_yaw / bound.yaw, *box_shares],
+        "ground_speed_range_mps": [slowest.min(), fastest.max()],
     }
 
 
@@ -159,14 +165,27 @@ def _spread(values: Float[np.ndarray, "runs 3"]) -> dict:
     return {name: by_coordinate(values.tolist()) for name, values in statistics.items()}
 
 
-def disturbance_metrics(design: Design, disturbances: Float[np.ndarray, "steps runs 3"]) -> dict:
-    """Return how often and how far w(k) leaves W: by coordinate (its half widths) and in all."""
-    W = design.problem.disturbance_set
-    widths = W.support(np.eye(3))
+def disturbance_metrics(
+    design: Design,
+    disturbances: Float[np.ndarray, "steps runs 3"],
+    regimes: Int[np.ndarray, " steps"] | None = None,
+) -> dict:
+    """Return how often and how far w(k) leaves W: by coordinate (its half widths) and in all.
+
+    Args:
+        design: whose W is meant.
+        disturbances: w, (m, m, rad).
+        regimes: of each row, those of the periods of the run unless given.
+    """
+    problem = design.problem
+    if regimes is None:
+        regimes = problem.period_regimes[: len(disturbances)]
+    axes = np.broadcast_to(np.eye(3), (len(regimes), 3, 3))
+    widths = problem.disturbances.support(regimes, axes)
     sizes = np.abs(disturbances)
-    margins = W.margin(disturbances)
+    margins = problem.disturbances.margin(regimes, disturbances)
     # Counted as "not inside", so that NaN is outside.
-    beyond_widths = ~(sizes <= widths)
+    beyond_widths = ~(sizes <= widths[:, None])
     outside = ~(margins >= 0)
     return {
         "steps": int(outside.size),
@@ -175,7 +194,7 @@ def disturbance_metrics(design: Design, disturbances: Float[np.ndarray, "steps r
             beyond_widths.mean(axis=(0, 1)).tolist()
         ),
         "largest": by_coordinate((sizes.max(axis=(0, 1)) * TO_DISPLAY).tolist()),
-        "allowed": by_coordinate((widths * TO_DISPLAY).tolist()),
+        "allowed": by_coordinate((widths.max(axis=0) * TO_DISPLAY).tolist()),
         "runs_with_every_w_inside": int(np.sum(~outside.any(axis=0))),
         "margin": float(np.min(margins)),
         "every_w_inside": not outside.any(),

@@ -6,13 +6,12 @@ from __future__ import annotations
 import shlex
 from pathlib import Path
 
-from jaxtube.synthesis.bands import BandedLaw
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.proof_file import list_unchecked, write_certificate
 from jaxtube.synthesis.proof_search import PROGRAMS
 
 
-def write_proof(design: Design | BandedLaw, folder: Path, name: str) -> str:
+def write_proof(design: Design, folder: Path, name: str) -> str:
     """Write the proof of a certified design into the folder of its run; return what is said of
     it."""
     unchecked = list_unchecked(design.problem.scenario)

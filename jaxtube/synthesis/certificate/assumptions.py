@@ -13,7 +13,7 @@ def assumptions(problem: Problem, any_order: bool, has_proved_w: bool = False) -
     """Return what the guarantee takes for granted, in words.
 
     Args:
-        problem: of the design, or of a law scheduled on speed.
+        problem: of the design.
         any_order: whether the reference may take the certified wheel speeds in any order.
         has_proved_w: whether W is proved to hold every disturbance, so that nothing is assumed of
             it.
@@ -150,8 +150,6 @@ def _assume_reference(problem: Problem, any_order: bool) -> str:
         speeds = f"wheel speeds between {low[0]:g} and {high[0]:g} m/s{order}"
     else:
         speeds = f"the {len(problem.regions)} pairs of wheel speeds of the path{order}"
-    if problem.scenario.operating.bands:
-        return f"reference of {speeds}"
     if problem.scenario.robot.wheel_acceleration_max_mps2 is not None:
         steps = " and ".join(f"{step:.4g}" for step in find_reference_steps(problem))
         speeds += f", changing by at most {steps} m/s (right, left) from one period to the next"
@@ -159,8 +157,6 @@ def _assume_reference(problem: Problem, any_order: bool) -> str:
 
 
 def _assume_start(problem: Problem, has_proved_w: bool) -> str:
-    if problem.scenario.operating.bands:
-        return "the first measured error lies in the invariant set"
     start = "the first measured error lies within its caps and has a plan"
     if problem.scenario.robot.wheel_acceleration_max_mps2 is not None:
         start += (

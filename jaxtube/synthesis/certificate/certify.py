@@ -7,7 +7,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from jaxtube.synthesis.banded_gain import BandedGain
 from jaxtube.synthesis.certificate.assumptions import assumptions
+from jaxtube.synthesis.certificate.bands import find_band_gap
 from jaxtube.synthesis.certificate.exact import check_in_rationals
 from jaxtube.synthesis.certificate.existence import say_what_exists
 from jaxtube.synthesis.certificate.fill import check_widest_tube
@@ -21,7 +23,7 @@ from jaxtube.synthesis.certificate.terminal import (
     has_any_order,
 )
 from jaxtube.synthesis.certificate.ultimate import check_ultimate_bound
-from jaxtube.synthesis.gains import Region
+from jaxtube.synthesis.gains import Gain, Region
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.tightening import find_back_off
 from sets.certificate import ROUNDING, Certificate, Condition, decrease_margin, judge
@@ -89,12 +91,8 @@ def _check_coverage(design: Design) -> Condition:
     wrong_gains = np.abs(tube_gain.along(windows.schedules) - windows.gains)
     wrong_loops = np.abs(tube_gain.loops_along(windows.schedules) - windows.loops)
     worst = max(float(wrong_gains.max()), float(wrong_loops.max()))
-    used = windows.schedules.reshape(-1, 2)
     for gain in (tube_gain, design.terminal.gains):
-        gaps = [gain.coverage_gap(used, region) for region in design.problem.regions]
-        worst = max(worst, float(np.min(gaps, axis=0).max()))
-        for region in design.problem.regions:
-            worst = max(worst, float(gain.coverage_gap(_grid(region), region).max()))
+        worst = max(worst, _find_gap(design, gain))
     return judge(
         "vertices_cover_schedule",
         ROUNDING - worst,
@@ -103,6 +101,19 @@ def _check_coverage(design: Design) -> Condition:
         "Some loop within the certified wheel speeds differs from mixtures of the corner loops by "
         f"{worst:.3g} (zero-order hold, or the exact Jacobian without tracking gains).",
     )
+
+
+def _find_gap(design: Design, gain: Gain) -> float:
+    """Return by how much a loop of the gain misses the mixtures of corner loops, along the run and
+    at certified wheel speeds."""
+    windows = design.windows
+    if isinstance(gain, BandedGain):
+        return find_band_gap(gain, windows.schedules, windows.regimes)
+    used = windows.schedules.reshape(-1, 2)
+    regions = design.problem.regions
+    gaps = [gain.coverage_gap(used, region) for region in regions]
+    of_regions = [gain.coverage_gap(_grid(region), region).max() for region in regions]
+    return max(float(np.min(gaps, axis=0).max()), *map(float, of_regions))
 
 
 def _grid(region: Region) -> np.ndarray:

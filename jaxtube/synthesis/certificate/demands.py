@@ -11,9 +11,13 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.synthesis.certificate.period import map_inputs, pair_errors_and_inputs
+from jaxtube.synthesis.certificate.period import (
+    find_extreme_speeds,
+    map_inputs,
+    pair_errors_and_inputs,
+)
 from jaxtube.synthesis.certificate.period_cases import PeriodCases
-from jaxtube.synthesis.problem import Problem, region_corners
+from jaxtube.synthesis.problem import Problem
 
 DIRECTIONS = np.array([way for way in itertools.product((-1, 0, 1), repeat=2) if any(way)])
 """In the plane of speed and yaw rate, both by the widths of their ranges."""
@@ -34,7 +38,7 @@ class Demands(NamedTuple):
 
 def find_demands(problem: Problem) -> Demands:
     """Return what the input map asks for, furthest along each of DIRECTIONS."""
-    wheels = np.unique(region_corners(problem.regions), axis=0)
+    wheels = find_extreme_speeds(problem)
     bodies = np.array([_ask(problem, corner) for corner in wheels])
     widths = np.maximum(np.ptp(bodies, axis=(0, 1)), np.finfo(float).tiny)
     furthest = np.argmax((bodies / widths) @ DIRECTIONS.T, axis=1)

@@ -1,10 +1,13 @@
 """The margin of a proof that no invariant set exists, and the constraint that it is about."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.gain_schedule import GainSchedule
+from jaxtube.synthesis.terminal import admissible_set
 from jaxtube.synthesis.tightening import UNITS, error_names, input_names
 from sets.certificate import escape_excess
 from sets.invariant import Escape
@@ -13,7 +16,7 @@ from sets.invariant import Escape
 def escape_margin(
     escape: Escape | None,
     loops: Float[np.ndarray, "v 3 3"],
-    disturbance: Float[np.ndarray, "w 3"],
+    disturbance: Float[np.ndarray, "w 3"] | Sequence[Float[np.ndarray, "w 3"]],
 ) -> float:
     """Return minus what an escape passes its constraint by, -inf where none does: then nothing is
     proved."""
@@ -42,8 +45,7 @@ def say_what_is_passed(
 
 def _find_name(problem: ControlProblem, gain: GainSchedule, normal: Float[np.ndarray, "3"]) -> str:
     """Return the name of the constraint whose row points as a normal does."""
-    by_gain = problem.input_rows.on_errors(np.unique(gain.corner_gains, axis=0))
-    normals = np.concatenate([problem.operating_set.normals, *by_gain])
+    normals = admissible_set(problem, gain).normals
     cosines = normals @ normal / np.linalg.norm(normals, axis=1)
     of_errors = 2 * error_names(problem)
     of_inputs = 2 * input_names(problem)

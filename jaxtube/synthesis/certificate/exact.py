@@ -1,9 +1,10 @@
 """Exact re-check of a design: the certificate once more, in rational arithmetic and from the floats
 the design holds.
 
-For designs with tracking gains k under the exact Jacobian, terminal set T-A and tubes along the
-reference. With th any wheel speeds (each float stands for the binary rational it is), Phi(th) and
-K(th) the exact loop and gain of the sampled model, W = {sigma (0, g_y, 1) : |sigma| <= yaw} + box,
+For designs with tracking gains k under the exact Jacobian, by speed or not, terminal set T-A and
+tubes along the reference; of several regimes each has its own k, W and rows on the input. With th
+any wheel speeds (each float stands for the binary rational it is), Phi(th) and K(th) the exact loop
+and gain of the sampled model, W = {sigma (0, g_y, 1) : |sigma| <= yaw} + box,
 and the sets of the design by their float rows and offsets:
 
     disturbance          the proved bound on w lies in W                          (up to ROUNDING)
@@ -29,21 +30,18 @@ The proof is about Phi(th) and K(th). Not proved here:
 from __future__ import annotations
 
 from fractions import Fraction
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.synthesis.advice import say_what_helps
-from jaxtube.synthesis.disturbance import prove_bound
+from jaxtube.synthesis.certificate.exact_regimes import ExactRegime, make_exact_regimes
 from jaxtube.synthesis.parts import Design
-from jaxtube.synthesis.problem import Problem
 from sets.certificate import ROUNDING, Condition, judge
 from sets.exact import (
     ExactReport,
     Matrix,
-    Numbers,
-    Row,
     decrease_pivot,
     dot,
     exact_containment_margin,
@@ -52,15 +50,17 @@ from sets.exact import (
     exact_rows,
     mapped_rows,
 )
-from sets.polytope import Polytope
 from sets.robot.exact_tube import (
     ScheduleBox,
+    TubeRegime,
     exact_vertex_feedbacks,
     exact_vertex_loops,
-    exact_wheel_loops,
     schedule_box,
     sequence_margins,
 )
+
+Halfspace = tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, " k"]]
+"""Rows and offsets of a set."""
 
 UP_TO_ROUNDING = ("schedules", "gains", "disturbance")
 """Margins that compare floats with the rationals they stand for: no room of the design."""
@@ -98,39 +98,39 @@ def recheck(design: Design) -> ExactReport:
     Raises:
         ValueError: for designs of another kind, or without a terminal set.
     """
-    gains = _tracking_gains(design)
+    _refuse_other_kinds(design)
     omega = _invariant_rows(design)
     problem = design.problem
-    points = disturbance_points(problem)
-    rows = problem.input_rows
     limits = problem.operating_set
-    T = problem.model.dt
-    b = problem.model.track_width
-    loops = [exact_wheel_loops(gains, lower, upper, T, b) for lower, upper in problem.regions]
-    feedbacks = [
-        _distinct_feedbacks(gains, schedule_box(lower, upper, T, b))
-        for lower, upper in problem.regions
-    ]
-    every_loop = [loop for region in loops for loop in region]
-    every_feedback = list(dict.fromkeys(gain for region in feedbacks for gain in region))
-    input_rows = mapped_rows(rows.inputs, rows.errors, every_feedback)
-    input_limits = np.tile(rows.offsets, len(every_feedback))
+    regimes = make_exact_regimes(problem)
+    lasting = [regimes[number] for number in problem.rule.lasting(problem.horizon)]
     pivots = [
-        decrease_pivot(design.cost.cost, *of_region, problem.error_weight, problem.input_weight)
-        for of_region in zip(loops, feedbacks, strict=True)
+        decrease_pivot(design.cost.cost, *part, problem.error_weight, problem.input_weight)
+        for regime in regimes
+        for part in zip(regime.loops, regime.feedbacks, strict=True)
     ]
     margins = {
-        "disturbance": _least_room(problem.disturbance_set, points) + Fraction(ROUNDING),
-        "schedules": _least_covered(design) + Fraction(ROUNDING),
-        "terminal invariant": exact_invariance_margin(*omega, every_loop, points),
+        "disturbance": min(map(_room_of_w, regimes)) + Fraction(ROUNDING),
+        "schedules": _least_covered(design, regimes) + Fraction(ROUNDING),
+        "terminal invariant": min(
+            exact_invariance_margin(*omega, regime.every_loop, regime.points) for regime in lasting
+        ),
         "terminal errors": exact_containment_margin(*omega, limits.normals, limits.offsets),
-        "terminal inputs": exact_containment_margin(*omega, input_rows, input_limits),
+        "terminal inputs": min(_room_of_inputs(omega, regime) for regime in regimes),
         "cost": min(pivots),
     }
-    return ExactReport(margins | _check_along_windows(design, gains, omega, points))
+    return ExactReport(margins | _check_along_windows(design, regimes, omega))
 
 
-def _tracking_gains(design: Design) -> tuple[float, ...]:
+def _room_of_inputs(omega: Halfspace, regime: ExactRegime) -> Fraction:
+    """Return the room that the terminal inputs of a regime leave."""
+    rows = regime.problem.input_rows
+    feedbacks = regime.every_feedback
+    on_errors = mapped_rows(rows.inputs, rows.errors, feedbacks)
+    return exact_containment_margin(*omega, on_errors, np.tile(rows.offsets, len(feedbacks)))
+
+
+def _refuse_other_kinds(design: Design) -> None:
     settings = design.problem.scenario.controller
     for field, value, needed in (
         ("model", settings.model, "exact_jacobian"),
@@ -142,16 +142,13 @@ def _tracking_gains(design: Design) -> tuple[float, ...]:
                 f'controller.{field}: "{value}" has no exact re-check; set controller.{field} = '
                 f'"{needed}"'
             )
-    if not settings.tracking_gains:
+    if not (settings.tracking_gains or design.problem.scenario.operating.bands):
         raise ValueError(
             "controller.tracking_gains: none, so there is no exact re-check; give three gains"
         )
-    return settings.tracking_gains
 
 
-def _invariant_rows(
-    design: Design,
-) -> tuple[Float[np.ndarray, "facets 3"], Float[np.ndarray, " facets"]]:
+def _invariant_rows(design: Design) -> Halfspace:
     """Return rows and offsets of the terminal set."""
     omega = design.terminal.invariant
     if omega is None or design.terminal.fallback:
@@ -162,65 +159,31 @@ def _invariant_rows(
     return omega.normals, omega.offsets
 
 
-def disturbance_points(problem: Problem) -> list[Row]:
-    """Return at most twelve points whose hull is exactly W: segment + box where it is computed,
-    else a box."""
-    if problem.disturbance_bound is None:
-        lower = -problem.disturbance_set.support(-np.eye(3))
-        upper = problem.disturbance_set.support(np.eye(3))
-        return [exact_row(point) for point in product(*zip(lower, upper, strict=True))]
-    bound = prove_bound(problem)
-    yaw, lateral_per_yaw = exact_row((bound.yaw, bound.lateral_per_yaw))
-    kick = (Fraction(0), lateral_per_yaw * yaw, yaw)
-    widths = exact_row(bound.box)
-    along = 1 if lateral_per_yaw >= 0 else -1
-    points = []
-    for sign, *sides in product((-1, 1), repeat=4):
-        # A corner of the box that lies against the kick in both of its coordinates is no extreme
-        # point of the sum.
-        if not sides[1] * along == sides[2] == -sign:
-            corner = [side * width for side, width in zip(sides, widths, strict=True)]
-            points.append(tuple(sign * k + c for k, c in zip(kick, corner, strict=True)))
-    return points
+def _room_of_w(regime: ExactRegime) -> Fraction:
+    """Return the least room of the points whose hull is W in the polytope of the design."""
+    W = regime.problem.disturbance_set
+    rows = zip(exact_rows(W.normals), exact_row(W.offsets), strict=True)
+    return min(offset - dot(normal, point) for normal, offset in rows for point in regime.points)
 
 
-def _least_room(disturbance_set: Polytope, points: list[Row]) -> Fraction:
-    """Return the least room of the points in a polytope."""
-    rows = zip(exact_rows(disturbance_set.normals), exact_row(disturbance_set.offsets), strict=True)
-    return min(offset - dot(normal, point) for normal, offset in rows for point in points)
-
-
-def _least_covered(design: Design) -> Fraction:
-    """Return by how much the least covered schedule of the windows lies inside a region."""
-    regions = [[exact_row(ends) for ends in region] for region in design.problem.regions]
-    schedules = np.unique(design.windows.schedules.reshape(-1, 2), axis=0)
+def _least_covered(design: Design, regimes: list[ExactRegime]) -> Fraction:
+    """Return by how much the least covered schedule of the windows lies inside its regime."""
+    windows = design.windows
+    stages = np.column_stack([windows.schedules.reshape(-1, 2), windows.regimes.ravel()])
     return min(
-        max(_room_in_region(exact_row(wheels), lower, upper) for lower, upper in regions)
-        for wheels in schedules
+        regimes[int(number)].room_of(exact_row(wheels))
+        for *wheels, number in np.unique(stages, axis=0)
     )
 
 
-def _room_in_region(wheels: Row, lower: Row, upper: Row) -> Fraction:
-    """Return by how much wheel speeds lie inside a box of them."""
-    above = [speed - least for speed, least in zip(wheels, lower, strict=True)]
-    below = [most - speed for speed, most in zip(wheels, upper, strict=True)]
-    return min(*above, *below)
-
-
-def _distinct_feedbacks(gains: Numbers, box: ScheduleBox) -> list[Matrix]:
-    """Return the distinct gains at the ends of the yaw rates of a box."""
-    return list(dict.fromkeys(exact_vertex_feedbacks(gains, box)))
-
-
 def _check_along_windows(
-    design: Design, gains: Numbers, omega, points: list[Row]
+    design: Design, regimes: list[ExactRegime], omega: Halfspace
 ) -> dict[str, Fraction]:
     """Return the margins of the tubes along the windows of the reference, and of the loops and
     gains used there."""
     problem = design.problem
     windows = design.windows
     T = problem.model.dt
-    rows = problem.input_rows
     boxes = {
         tuple(wheels): schedule_box(wheels, wheels, T, problem.model.track_width)
         for wheels in np.unique(windows.schedules.reshape(-1, 2), axis=0)
@@ -229,26 +192,39 @@ def _check_along_windows(
     margins = sequence_margins(
         stages,
         pairwise(windows.index.tolist()),
-        gains,
         T,
-        points,
+        [_of_tube(regime) for regime in regimes],
         (problem.operating_set.normals, problem.operating_set.offsets),
-        (rows.inputs, rows.errors, rows.offsets),
         omega,
         design.bounds,
+        windows.regimes.tolist(),
     )
-    return {"gains": Fraction(ROUNDING) - _largest_gap(design, gains, stages)} | margins
+    return {"gains": Fraction(ROUNDING) - _largest_gap(design, regimes, stages)} | margins
 
 
-def _largest_gap(design: Design, gains: Numbers, stages: list[list[ScheduleBox]]) -> Fraction:
+def _of_tube(regime: ExactRegime) -> TubeRegime:
+    """Return what the tubes take from a regime."""
+    rows = regime.problem.input_rows
+    return TubeRegime(regime.gains, regime.points, (rows.inputs, rows.errors, rows.offsets))
+
+
+def _largest_gap(
+    design: Design, regimes: list[ExactRegime], boxes: list[list[ScheduleBox]]
+) -> Fraction:
     """Return the largest difference between an entry of a float loop or gain and the exact one."""
-    boxes = [box for window in stages for box in window]
-    exact_loops = {box: exact_vertex_loops(gains, box, design.problem.model.dt) for box in boxes}
-    exact_gains = {box: _distinct_feedbacks(gains, box) for box in boxes}
-    loops = design.windows.loops.reshape(-1, 3, 3)
-    used_gains = design.windows.gains.reshape(-1, 2, 3)
-    gaps = [_gap(exact_loops[box], loop) for box, loop in zip(boxes, loops, strict=True)]
-    gaps += [_gap(exact_gains[box], gain) for box, gain in zip(boxes, used_gains, strict=True)]
+    windows = design.windows
+    of_stages = zip(
+        [box for window in boxes for box in window],
+        windows.regimes.ravel().tolist(),
+        windows.loops.reshape(-1, 3, 3),
+        windows.gains.reshape(-1, 2, 3),
+        strict=True,
+    )
+    gaps = []
+    for box, number, loop, gain in of_stages:
+        gains = regimes[number].gains
+        gaps.append(_gap(exact_vertex_loops(gains, box, design.problem.model.dt), loop))
+        gaps.append(_gap(exact_vertex_feedbacks(gains, box), gain))
     return max(gaps)
 
 

@@ -21,7 +21,7 @@ from jaxtube.synthesis.disturbance import with_computed_bound
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.limits import make_input_rows
 from jaxtube.synthesis.problem import Problem
-from jaxtube.synthesis.terminal import admissible_set
+from jaxtube.synthesis.terminal import admissible_set, pair_lasting_loops
 from jaxtube.synthesis.tightening import input_names
 from sets.certificate import Condition, judge
 from sets.invariant import minimal_rpi_bound
@@ -39,16 +39,28 @@ def cap_shares(problem: Problem, gain: Gain) -> dict[str, float]:
     """Return the share of each cap that the tube fills at its widest, by name; infinite where no
     bound was found."""
     E = problem.operating_set
-    rows = problem.input_rows
     names = [*ERROR_NAMES, *input_names(problem)]
     tube = widest_tube(problem, gain)
     if tube is None:
         return dict.fromkeys(names, np.inf)
-    by_gain = [tube.support(row) for row in rows.on_errors(gain.corner_gains)]
     of_errors = tube.support(E.normals) / E.offsets
-    of_inputs = np.max(by_gain, axis=0) / rows.offsets
-    shares = [*_take_larger_of_pairs(of_errors), *_take_larger_of_pairs(of_inputs)]
+    of_inputs = np.max(find_input_shares(problem, gain, tube), axis=0)
+    shares = [*_take_larger_of_pairs(of_errors), *of_inputs]
     return dict(zip(names, map(float, shares), strict=True))
+
+
+def find_input_shares(
+    problem: Problem, gain: Gain, tube: Polytope
+) -> Float[np.ndarray, "regimes half"]:
+    """Return the share of each cap on input and error that a tube fills, regime by regime; of each
+    row and the opposite one the larger."""
+    shares = []
+    for number, regime in enumerate(problem.every_regime):
+        rows = regime.input_rows
+        on_errors = rows.on_errors(gain.of_regime(number).corner_gains)
+        by_gain = [tube.support(row) for row in on_errors]
+        shares.append(_take_larger_of_pairs(np.max(by_gain, axis=0) / rows.offsets))
+    return np.array(shares)
 
 
 def _take_larger_of_pairs(shares: Float[np.ndarray, " k"]) -> Float[np.ndarray, " half"]:
@@ -62,7 +74,7 @@ def widest_tube(problem: Problem, gain: Gain) -> Polytope | None:
     normals = np.concatenate(
         [caps.normals / caps.offsets[:, None], ring_normals(problem.operating_set.offsets)]
     )
-    return minimal_rpi_bound(gain.loops, problem.disturbance_set.support, normals)
+    return minimal_rpi_bound(*pair_lasting_loops(problem, gain), normals)
 
 
 def ring_normals(widths: Float[AnyArray, "3"], xp: ModuleType = np) -> Float[AnyArray, "RING 3"]:
@@ -89,6 +101,8 @@ def ultimate_bound(problem: Problem, gain: Gain) -> Float[np.ndarray, "3"]:
     Raises:
         ValueError: where the tube outgrows a cap, or W was not computed.
     """
+    if problem.regimes:
+        raise ValueError("operating.bands: the bound that shrinks with the errors knows one W")
     if problem.disturbance_bound is None:
         raise ValueError(
             'disturbance.bound = "assumed": no bound shrinks with the errors; set it to "computed"'

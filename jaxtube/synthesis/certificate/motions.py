@@ -71,7 +71,19 @@ def check_motions(problem: Problem) -> Condition:
 
 
 def _find_rooms(problem: Problem) -> dict[str, Room]:
-    """Return the rooms within W, S and the ground speeds by name."""
+    """Return the rooms within W, S and the ground speeds by name, of several regimes those of
+    each."""
+    if not problem.regimes:
+        return _find_rooms_of_regime(problem)
+    return {
+        f"{name} in regime {number}": room
+        for number, regime in enumerate(problem.regimes, start=1)
+        for name, room in _find_rooms_of_regime(regime).items()
+    }
+
+
+def _find_rooms_of_regime(problem: Problem) -> dict[str, Room]:
+    """Return the rooms in one regime."""
     where = operation(problem)
     how = kinematics(problem)
     rooms = find_disturbance_rooms(where, how, prove_bound(problem))

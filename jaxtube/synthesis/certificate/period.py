@@ -31,6 +31,7 @@ from jaxtube.synthesis.acceleration import find_command_steps
 from jaxtube.synthesis.certificate.late_period import find_pasts, next_late_errors
 from jaxtube.synthesis.certificate.period_cases import Numbers, PeriodCases
 from jaxtube.synthesis.problem import Problem, region_corners
+from sets.polytope import hull_vertices
 
 ALONG = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Shares of the longitudinal cap that are tried: with a coupling its edge lies at other inputs for
@@ -95,7 +96,7 @@ def extreme_cases(problem: Problem) -> PeriodCases:
     Where input and error are coupled the longitudinal error is shrunk until their row is met.
     """
     errors, inputs = pair_errors_and_inputs(problem)
-    wheels = np.unique(region_corners(problem.regions), axis=0)
+    wheels = find_extreme_speeds(problem)
     slip_pairs = pair_slips(problem)
     sideslips = np.unique(problem.scenario.slip.sideslip * np.array([-1.0, 1.0]))
     has_observer = problem.scenario.controller.has_observer
@@ -113,6 +114,14 @@ def extreme_cases(problem: Problem) -> PeriodCases:
         sideslip=sideslips[sideslip],
         noise=noise[shift] if has_observer else _in_robot_frame(problem, noise[shift], errors),
     )
+
+
+def find_extreme_speeds(problem: Problem) -> Float[np.ndarray, "k 2"]:
+    """Return the corners of the certified wheel speeds (right, left), m/s: of boxes that cover a
+    band those of their hull."""
+    corners = np.unique(region_corners(problem.regions), axis=0)
+    is_cover = problem.scenario.reference.certified_for == "box" and len(problem.regions) > 1
+    return hull_vertices(corners) if is_cover else corners
 
 
 def pair_errors_and_inputs(

@@ -56,6 +56,7 @@ def _blocks(design: TubeDesign) -> Iterator[Block]:
     windows = design.windows
     steps = np.arange(len(windows.index))[:, None] + np.arange(problem.horizon)
     yield "wheel speeds ahead", windows.schedules[windows.index], problem.schedule[steps]
+    yield "regimes ahead", windows.regimes[windows.index], problem.period_regimes[steps]
     transitions, inputs = problem.model.matrices(windows.schedules)
     yield "loops", windows.loops, transitions + inputs @ windows.gains
     qp = design.tube_qps
@@ -84,10 +85,11 @@ def predict_rows(design: TubeDesign) -> Float[np.ndarray, "windows m 3+n"]:
     problem = design.problem
     N = problem.horizon
     transitions, input_matrices = problem.model.matrices(design.windows.schedules)
-    half = len(problem.input_rows.offsets) // 2
+    half = problem.input_row_count // 2
     error_rows = problem.operating_set.normals[: len(problem.operating_set.offsets) // 2]
-    on_inputs = problem.input_rows.inputs[:half]
-    on_errors = problem.input_rows.errors[:half]
+    input_rows = problem.rows_of(design.windows.regimes)
+    on_inputs = input_rows.inputs[:, :, :half]
+    on_errors = input_rows.errors[:, :, :half]
     states, size = input_matrices.shape[2:]
     probes = np.eye(states + size * N)
     inputs = probes[states:].reshape(N, size, -1)
@@ -97,7 +99,7 @@ def predict_rows(design: TubeDesign) -> Float[np.ndarray, "windows m 3+n"]:
     for stage in range(N):
         if stage > 0:
             of_errors.append(error_rows @ errors)
-        of_inputs.append(on_inputs @ inputs[stage] + on_errors @ errors)
+        of_inputs.append(on_inputs[:, stage] @ inputs[stage] + on_errors[:, stage] @ errors)
         errors = transitions[:, stage] @ errors + input_matrices[:, stage] @ inputs[stage]
     of_terminal = design.bounds.terminal_normals @ errors
     return np.concatenate([*of_errors, *of_inputs, of_terminal], axis=1)
@@ -109,7 +111,7 @@ def bound_rows(
     """Return the lower and upper bounds of these rows."""
     bounds = design.bounds
     N = design.problem.horizon
-    half = len(design.problem.input_rows.offsets) // 2
+    half = design.problem.input_row_count // 2
     pairs = len(design.problem.operating_set.offsets) // 2
     upper = [bounds.errors[:, stage, :pairs] for stage in range(1, N)]
     upper += [bounds.inputs[:, stage, :half] for stage in range(N)]

@@ -42,7 +42,7 @@ class StageMargins(NamedTuple):
 
 def check_stages(design: TubeDesign) -> Iterator[Condition]:
     """Yield the conditions on the tightened sets E_j and U_j."""
-    yield from _check_not_empty(design.problem, design.bounds)
+    yield from _check_not_empty(design)
     margins = stage_margins(design)
     yield judge(
         "tightening_covers_reach",
@@ -78,24 +78,26 @@ def margins_along_reference(
 ) -> StageMargins:
     """Return the margins of reach and inclusion along the reference, from each step to the next;
     the solver may miss a share `slack` of each limit."""
-    asked = draw_in(problem, bounds, slack)
-    W = problem.disturbance_set.vertices()
+    asked = draw_in(problem, windows, bounds, slack)
     error_rows = problem.operating_set.normals
+    every_row = problem.rows_of(windows.regimes)
     taken_errors = problem.operating_set.offsets - bounds.errors
-    taken_inputs = problem.input_rows.offsets - bounds.inputs
+    taken_inputs = every_row.offsets - bounds.inputs
     asked_errors = problem.operating_set.offsets - asked.errors
-    asked_inputs = problem.input_rows.offsets - asked.inputs
+    asked_inputs = every_row.offsets - asked.inputs
+    on_errors = every_row.on_errors(windows.gains)
     reach_margin = np.inf
     inclusion_margin = np.inf
     for window, loops in enumerate(windows.loops):
         followers = windows.followers(window)
+        every_w = problem.disturbances.vertices_of_periods(windows.regimes[window])
         for j in range(problem.horizon):
-            input_rows = problem.input_rows.on_errors(windows.gains[window, j])
+            ahead = max(j, 1)
             for taken, asked_of, rows in (
                 (taken_errors, asked_errors, error_rows),
-                (taken_inputs, asked_inputs, input_rows),
+                (taken_inputs, asked_inputs, on_errors[window, j]),
             ):
-                reach, last = sequence_reach(loops[: max(j, 1)], W, rows)
+                reach, last = sequence_reach(loops[:ahead], every_w[:ahead], rows)
                 reach_margin = min(reach_margin, np.min(taken[window, j] - reach[j]))
                 if j > 0:
                     growth = taken[window, j] - asked_of[followers, j - 1] - last[j - 1]
@@ -141,10 +143,14 @@ def _largest_reach(
     return reach, last
 
 
-def _check_not_empty(problem: ControlProblem, bounds: Bounds) -> Iterator[Condition]:
-    E = problem.operating_set
+def _check_not_empty(design: TubeDesign) -> Iterator[Condition]:
+    bounds = design.bounds
+    E = design.problem.operating_set
     error_sets = _smallest_sets(E.normals, bounds.errors[:, 1:]) or [E]
-    input_sets = _smallest_sets(problem.input_rows.inputs, bounds.inputs)
+    input_sets = []
+    for number, regime in enumerate(design.problem.every_regime):
+        has_it = design.windows.regimes == number
+        input_sets += _smallest_sets(regime.input_rows.inputs, bounds.inputs[has_it][:, None])
     for name, letter, polytopes in (
         ("error_sets_not_empty", "E", error_sets),
         ("input_sets_not_empty", "U", input_sets),

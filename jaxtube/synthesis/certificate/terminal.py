@@ -15,6 +15,7 @@ from jaxtube.synthesis.certificate.stages import margins_along_reference
 from jaxtube.synthesis.condense import Bounds, draw_in, tube_bounds
 from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.gain_schedule import GainSchedule
+from jaxtube.synthesis.limits import InputRows
 from jaxtube.synthesis.linear_problem import LinearProblem
 from jaxtube.synthesis.parts import TubeDesign
 from jaxtube.synthesis.problem import Problem
@@ -45,9 +46,7 @@ def check_terminal(design: TubeDesign) -> Iterator[Condition]:
     if terminal.invariant is None:
         yield _judge_absence(design)
     else:
-        margin = invariance_margin(
-            terminal.gains.loops, _points_to_absorb(design), terminal.invariant
-        )
+        margin = _find_invariance_margin(design, terminal.invariant)
         yield judge(
             "terminal_set_invariant",
             margin,
@@ -67,13 +66,23 @@ def check_terminal(design: TubeDesign) -> Iterator[Condition]:
     yield _check_plan_stays_feasible(design)
 
 
-def _points_to_absorb(design: TubeDesign) -> Float[np.ndarray, "p 3"]:
-    """Return points whose hull the invariant set must absorb: W, or where the set holds the reach
-    all that W has become at the end of a plan."""
-    W = design.problem.disturbance_set.vertices()
-    if not design.problem.settings.terminal_set_holds_reach:
-        return W
-    return _products(design.tube_gain, W, design.problem.horizon - 1)
+def _find_invariance_margin(design: TubeDesign, omega: Polytope) -> float:
+    """Return by how much every terminal loop maps the set into itself with what it must absorb: the
+    W of every regime that lasts, or where the set holds the reach all that W has become at the end
+    of a plan."""
+    problem = design.problem
+    gains = design.terminal.gains
+    if problem.settings.terminal_set_holds_reach:
+        W = problem.disturbance_set.vertices()
+        reached = _products(design.tube_gain, W, problem.horizon - 1)
+        return invariance_margin(gains.loops, reached, omega)
+    lasting = problem.rule.lasting(problem.horizon)
+    return min(
+        invariance_margin(
+            gains.of_regime(regime).loops, problem.disturbances[regime].vertices(), omega
+        )
+        for regime in lasting
+    )
 
 
 def _admissible_set(design: TubeDesign) -> Polytope:
@@ -93,8 +102,8 @@ def _judge_absence(design: TubeDesign) -> Condition:
     backed off for the solver, or that none was found."""
     terminal = design.terminal
     escape = terminal.maximal.escape
-    loops = terminal.gains.loops
-    disturbance = terminal.disturbance.vertices()
+    loops = terminal.loops
+    disturbance = [section.vertices() for section in terminal.disturbances]
     margin = escape_margin(escape, loops, disturbance)
     sentence = "No invariant terminal set was found."
     if escape is not None and margin > -np.inf:
@@ -153,7 +162,10 @@ def _terminal_margins(design: TubeDesign) -> Iterator[dict[str, float]]:
         yield _margins_in_any_order(design)
         return
     index = design.windows.index.tolist()
-    both = (design.bounds, draw_in(design.problem, design.bounds, design.solver_slack))
+    both = (
+        design.bounds,
+        draw_in(design.problem, design.windows, design.bounds, design.solver_slack),
+    )
     # A run of one step is taken to go on in the window it has.
     for now, following in set(pairwise(index)) or {(index[0], index[0])}:
         yield _margins_along(design.problem, design.terminal, design.windows, both, now, following)
@@ -188,10 +200,10 @@ def check_any_order(design: TubeDesign) -> Condition:
     tube = make_following_tube(elsewhere, gain, windows)
     left = omega.offsets - tube.support(elsewhere.horizon, omega.normals)
     terminal = replace(design.terminal, constraint_normals=omega.normals, constraint_offsets=left)
-    bounds = tube_bounds(elsewhere, tighten(elsewhere, tube, len(windows.schedules)), terminal)
+    bounds = tube_bounds(elsewhere, windows, tighten(elsewhere, tube, windows), terminal)
     slack = design.solver_slack
     stages = margins_along_reference(elsewhere, windows, bounds, slack)
-    asked = draw_in(elsewhere, bounds, slack)
+    asked = draw_in(elsewhere, windows, bounds, slack)
     returns = [
         min(_margins_along(elsewhere, terminal, windows, (bounds, asked), now, following).values())
         for now, following in set(pairwise(windows.index.tolist()))
@@ -219,7 +231,8 @@ def _in_random_order(problem: ControlProblem) -> ControlProblem:
         is_corner = random.random((count, 1)) < 0.5
         return problem.along(np.where(is_corner, corners, inside), RANDOM_STEPS)
     assert isinstance(problem, Problem)
-    regions = problem.regions[random.integers(len(problem.regions), size=count)]
+    every_region = np.concatenate([regime.regions for regime in problem.every_regime])
+    regions = every_region[random.integers(len(every_region), size=count)]
     corners = random.integers(0, 2, (count, 2))
     inside = random.random((count, 2))
     share = np.where(random.random((count, 1)) < 0.5, corners, inside)
@@ -233,7 +246,7 @@ def _margins_in_any_order(design: TubeDesign) -> dict[str, float]:
     other."""
     problem = design.problem
     bounds = design.bounds
-    asked = draw_in(problem, bounds, design.solver_slack)
+    asked = draw_in(problem, design.windows, bounds, design.solver_slack)
     gains = design.terminal.gains
     last = problem.horizon - 1
     last_reach = _products(design.tube_gain, problem.disturbance_set.vertices(), last)
@@ -243,8 +256,8 @@ def _margins_in_any_order(design: TubeDesign) -> dict[str, float]:
         gains.loops,
         Polytope(problem.operating_set.normals, asked.errors[:, last].min(axis=0)),
         *_unit_input_rows(
-            problem,
-            problem.input_rows.on_errors(gains.corner_gains),
+            problem.input_rows,
+            gains.corner_gains,
             asked.inputs[:, last].min(axis=0),
         ),
         last_reach,
@@ -264,7 +277,7 @@ def _margins_along(
     bounds, asked = both
     last = problem.horizon - 1
     schedule = windows.schedules[following, -1]
-    points = problem.disturbance_set.vertices()
+    points = problem.disturbances[int(windows.regimes[now, 0])].vertices()
     for loop in windows.loops[now, 1:]:
         points = points @ loop.T
     return terminal_margins(
@@ -273,8 +286,8 @@ def _margins_along(
         terminal.gains.loops_along(schedule)[None],
         Polytope(problem.operating_set.normals, asked.errors[following, last]),
         *_unit_input_rows(
-            problem,
-            problem.input_rows.on_errors(terminal.gains.along(schedule))[None],
+            problem.rows_of(windows.regimes[following, last]),
+            terminal.gains.along(schedule)[None],
             asked.inputs[following, last],
         ),
         points,
@@ -282,11 +295,12 @@ def _margins_along(
 
 
 def _unit_input_rows(
-    problem: ControlProblem, rows: Float[np.ndarray, "g k 3"], offsets: Float[np.ndarray, " k"]
+    rows: InputRows, gains: Float[np.ndarray, "g m n"], offsets: Float[np.ndarray, " k"]
 ) -> tuple[Float[np.ndarray, "g k 3"], Float[np.ndarray, " k"]]:
-    """Return rows on the error and their offsets in the units of rows of U of norm one."""
-    scale = np.linalg.norm(problem.input_rows.inputs, axis=1)
-    return rows / scale[:, None], offsets / scale
+    """Return the rows on the error under gains, and offsets, in the units of rows of U of norm
+    one."""
+    scale = np.linalg.norm(rows.inputs, axis=1)
+    return rows.on_errors(gains) / scale[:, None], offsets / scale
 
 
 def _products(

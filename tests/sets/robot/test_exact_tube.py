@@ -28,6 +28,7 @@ from tolerances import EXACT_AGAINST_FLOAT
 from sets.exact import ExactReport
 from sets.polytope import Polytope
 from sets.robot.exact_tube import (
+    TubeRegime,
     exact_vertex_feedbacks,
     exact_vertex_loops,
     schedule_box,
@@ -92,8 +93,9 @@ def margins(
     input_set=UNCOUPLED,
 ):
     omega = invariant(STEP)
-    sets = (E, input_set, (omega.normals, omega.offsets))
-    return sequence_margins(boxes, followers, gains, DT, disturbance, *sets, used)
+    regime = TubeRegime(gains, disturbance, input_set)
+    invariant_set = (omega.normals, omega.offsets)
+    return sequence_margins(boxes, followers, DT, [regime], E, invariant_set, used)
 
 
 NAMES = {
