@@ -1,8 +1,8 @@
 """Laws of scenarios that nobody chose: each is certified, or refused by what binds with a nearest
 scenario that holds; nothing that is certified is seen to fail.
 
-`python tests/attack_unseen.py FOLDER --laps 100000 --seconds 60` does the same at length, one record
-a scenario, and goes on where it was stopped.
+`python tests/attack_unseen.py FOLDER --laps 100000 --seconds 60` does the same at length, one
+record a scenario, and goes on where it was stopped.
 """
 
 import pytest
