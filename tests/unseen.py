@@ -7,6 +7,8 @@ up to 5 mm. Some can be certified and some cannot.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 from jaxtube.scenario import load, replace
@@ -50,7 +52,7 @@ def draw_scenario(index: int) -> Scenario:
     lateral = about(0.1, 0.6)
     noise = between(0.0, 0.005)
     return replace(
-        without_caps(load("certified")),
+        _load_common(),
         {
             "robot.track_width_m": track,
             "robot.wheel_speed_max_mps": _shorten(spare * fastest / (1 - strongest)),
@@ -75,6 +77,12 @@ def draw_scenario(index: int) -> Scenario:
             "initial.y_m": 0.0,
         },
     )
+
+
+@cache
+def _load_common() -> Scenario:
+    """Return what all unseen scenarios have in common."""
+    return without_caps(load("certified"))
 
 
 def _shorten(value: float) -> float:

@@ -98,6 +98,7 @@ class Estimate:
 
     def __init__(self, problem: Problem):
         self.problem = problem
+        self.reserve = RESERVE
         self.units = NaturalUnits.of(problem.scenario)
         problem = self.units.express(problem)
         scenario = problem.scenario
@@ -146,6 +147,13 @@ class Estimate:
         slower = copy.copy(self)
         slower.fastest = self.fastest / factor
         return slower
+
+    def with_reserve(self, reserve: float) -> Estimate:
+        """Return the same estimate, with another share by which proved errors may pass those at
+        corners."""
+        careful = copy.copy(self)
+        careful.reserve = reserve
+        return careful
 
     def with_farther_start(self, factor: float) -> Estimate:
         """Return the same estimate, with the start farther away by a factor."""
@@ -218,11 +226,11 @@ class Estimate:
         """Return how far the caps use what the error of the estimate leaves of the constraints; the
         proved error of an observer is a little larger."""
         is_observed = self.corners.gain(points).min(axis=1) < 1
-        error = w.error * (1 + RESERVE * is_observed[:, None])
+        error = w.error * (1 + self.reserve * is_observed[:, None])
         kept = np.stack([caps.longitudinal, caps.lateral, caps.heading], axis=1)
         if w.late is not None:
             later = find_pose_errors(self.corners.operation, w.late, kept + error)
-            error = (later - kept) * (1 + RESERVE)
+            error = (later - kept) * (1 + self.reserve)
         left = np.maximum(self.constraints - error, ACCURACY * self.constraints)
         return kept / left
 

@@ -50,6 +50,9 @@ CORRECTIONS = 3
 FARTHER = (1.03, 1.12)
 """Factors by which a start without a plan is taken for farther away than it has to be, one try
 after the other where rigorous bounds deny what the estimate showed."""
+RESERVES = (0.05, 0.15, 0.4)
+"""Shares by which proved errors may pass those at corners, one after the other where they pass them
+by more than the estimate counts on."""
 get_objective = attrgetter("objective")
 KIND = ("exact_jacobian", "x_exact", "sequence", "T-A", "computed")
 """Model, input map, tube, terminal set and bound that the search knows."""
@@ -177,7 +180,7 @@ def _correct(descent: Descent) -> Optimum:
     """Return the optimum whose wheels keep their limits by the rigorous bound, and whose start has
     a plan, where that can be had."""
     asked = descent.estimate
-    descent = _spare_wheels(descent, asked)
+    descent = _spare_wheels(_leave_room(descent, asked), asked)
     found = describe(descent, asked)
     share = _find_share(found)
     for farther in FARTHER:
@@ -192,6 +195,27 @@ def _correct(descent: Descent) -> Optimum:
         found = tried
         share = reached
     return found
+
+
+def _leave_room(descent: Descent, asked: Estimate) -> Descent:
+    """Return a search whose caps leave what is proved of an estimate or of late poses, which may
+    pass what corners show, enough of the constraints; the given one where none does."""
+    given = descent
+    for reserve in RESERVES:
+        found = describe(descent, asked)
+        if not found.holds or _is_provable(found):
+            return descent
+        descent = descend(descent.estimate.with_reserve(reserve), descent.point) or descent
+    return descent if _is_provable(describe(descent, asked)) else given
+
+
+def _is_provable(found: Optimum) -> bool:
+    """Whether rigorous bounds let a problem be made of an optimum."""
+    try:
+        complete_problem(found.scenario)
+    except ValueError:
+        return False
+    return True
 
 
 def _spare_wheels(descent: Descent, asked: Estimate) -> Descent:

@@ -1,0 +1,58 @@
+"""Laws of scenarios that nobody chose: each is certified, or refused by what binds with a nearest
+scenario that holds; nothing that is certified is seen to fail.
+
+`python tests/attack_unseen.py FOLDER --laps 100000 --seconds 60` does the same at length, one
+record a scenario, and goes on where it was stopped.
+"""
+
+import pytest
+from attack_unseen import FAILURES, attack, is_short, judge
+from unseen import COUNT, draw_scenario
+
+from jaxtube.scenario.tree import to_toml
+
+QUICK = (4, 14)
+"""Numbers of scenarios that are designed in moments."""
+LAPS = 1000
+SECONDS = 5.0
+
+
+def test_the_scenario_of_a_number_is_always_the_same():
+    for index in (0, COUNT - 1):
+        assert to_toml(draw_scenario(index)) == to_toml(draw_scenario(index))
+    texts = {to_toml(draw_scenario(index)) for index in range(COUNT)}
+    assert len(texts) == COUNT
+
+
+def test_unseen_scenarios_are_within_what_is_claimed_of_them():
+    for index in range(COUNT):
+        scenario = draw_scenario(index)
+        assert 0.2 <= scenario.robot.track_width_m <= 1.2
+        assert 0.05 <= scenario.controller.dt_s <= 0.2
+        assert 0.8 <= scenario.reference.radius_m <= 12.0
+        assert 0.0 <= min(scenario.slip.nominal) <= max(scenario.slip.nominal) <= 0.35
+        assert scenario.slip.right != scenario.slip.left
+        assert scenario.noise.longitudinal_m <= 0.005
+        assert scenario.operating.lateral_m is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", QUICK)
+def test_an_unseen_scenario_that_is_certified_is_not_seen_to_fail(index):
+    record = judge(index)
+    assert record["verdict"] == "certified"
+    assert is_short(record, LAPS, SECONDS)
+    attacked = attack(record, LAPS, SECONDS)
+    assert all(seen == dict.fromkeys(FAILURES, 0) for seen in attacked["seen"].values())
+    assert not attacked["falsified"]
+    assert not is_short(record | attacked, LAPS, SECONDS)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", range(COUNT))
+def test_every_unseen_scenario_is_certified_or_refused_with_one_that_holds(index):
+    record = judge(index)
+    assert record["verdict"] in ("certified", "refused")
+    if record["verdict"] == "refused":
+        assert record["reason"]
+        assert any(entry.get("holds") for entry in record["nearest"])
