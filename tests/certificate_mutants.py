@@ -31,6 +31,7 @@ HARMLESS = {
     "plans.tolerance": "another tolerance that rows have room for",
     "plans.sequence": "another order of windows that follow each other",
     "plans.windows": "other rows that plans keep as well",
+    "plans.terminal": "other terminal rows, whose multipliers prove as much",
     "plans.ends": "other multipliers that prove as much",
 }
 """What a changed certificate may be that is accepted, by what was changed; all else is refused."""
