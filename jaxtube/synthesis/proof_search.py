@@ -141,9 +141,9 @@ def _grow_tree(output: str, sign: int, level: int, cell: list, robot: list, piec
 
 
 def _find_widest(cell: list, slopes: list) -> int:
-    """Return the variable that contributes most to the bound of a cell."""
+    """Return the variable whose unknown slope contributes most to the bound of a cell."""
     widths = [
-        most * -least * (high - low) // (most - least) if low < high else 0
+        (most - least) * (high - low)
         for (low, high), (least, most) in zip(cell, slopes, strict=True)
     ]
     return max(range(len(widths)), key=widths.__getitem__)

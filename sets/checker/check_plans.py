@@ -34,6 +34,12 @@ def pick(table, *names):
     return [table[name] for name in names]
 
 
+def read_index(number):
+    """Return a number that counts."""
+    require(number >= 0 and number == int(number), f"{number} counts nothing")
+    return int(number)
+
+
 def dot(left, right):
     """Return the sum of products."""
     return sum(a * b for a, b in zip(left, right, strict=True))
@@ -135,8 +141,8 @@ class Window:
         columns = (window[name] for name in ("rows", "norms", "lower", "upper"))
         for name, entries, norm, *ends in zip(plans["order"], *columns, strict=True):
             kind = name[0]
-            j = int(name[1])
-            i = int(name[2])
+            j = read_index(name[1])
+            i = read_index(name[2])
             on_u, on_e = rows[kind][i]
             predicted = self.predict(on_u, on_e, j)
             own = [*entries[:3], *(norm * entry for entry in entries[3:])]
@@ -196,7 +202,7 @@ def list_successions(certificate):
     windows, rows = make_windows(certificate, band)
     N = len(windows[0].stages)
     caps = {("errors", 0, i, s): band["errors"][i] for i in range(3) for s in (1, -1)}
-    for now, after in sorted(set(pairwise(map(int, plans["sequence"])))):
+    for now, after in sorted(set(pairwise(map(read_index, plans["sequence"])))):
         window = windows[now]
         following = windows[after]
         require(window.speeds[1:] == following.speeds[:-1], "windows do not follow each other")
