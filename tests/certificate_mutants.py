@@ -26,6 +26,7 @@ HARMLESS = {
     "sets.rows": "another set that is invariant as well",
     "sets.offsets": "another set that is invariant as well",
     "sets.extents": "other multipliers that prove as much",
+    "inclusions": "the same inclusions in another order",
     "inclusions.multipliers": "other multipliers that prove as much",
     "cost": "another cost that decreases as well, or no decrease is promised",
     "plans": "no plans are promised, but what the law alone does",
