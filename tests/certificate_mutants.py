@@ -26,11 +26,14 @@ HARMLESS = {
     "sets.rows": "another set that is invariant as well",
     "sets.offsets": "another set that is invariant as well",
     "sets.extents": "other multipliers that prove as much",
+    "inclusions": "the same inclusions in another order",
     "inclusions.multipliers": "other multipliers that prove as much",
-    "cost": "another cost that decreases as well",
+    "cost": "another cost that decreases as well, or no decrease is promised",
+    "plans": "no plans are promised, but what the law alone does",
     "plans.tolerance": "another tolerance that rows have room for",
     "plans.sequence": "another order of windows that follow each other",
     "plans.windows": "other rows that plans keep as well",
+    "plans.terminal": "other terminal rows, whose multipliers prove as much",
     "plans.ends": "other multipliers that prove as much",
 }
 """What a changed certificate may be that is accepted, by what was changed; all else is refused."""

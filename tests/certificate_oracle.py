@@ -155,6 +155,8 @@ def _keeps_sets(said, band, model) -> bool:
 
 def _keeps_plans(said, band, model) -> bool:
     """Search the plan and w whose successor misses a row of the next QP most."""
+    if "plans" not in said:
+        return True
     plans = said["plans"]
     windows = plans["windows"]
     for now, after in set(pairwise(int(index) for index in plans["sequence"])):
@@ -208,6 +210,8 @@ def _succeed(said, band, model, window, following):
 
 
 def _keeps_cost(said, band, model) -> bool:
+    if "cost" not in said:
+        return True
     P, Q, R = (np.array(said["cost"][name]) for name in "PQR")
     return all(
         np.linalg.eigvalsh(P - stage.loop.T @ P @ stage.loop - Q - stage.K.T @ R @ stage.K).min()

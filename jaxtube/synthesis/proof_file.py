@@ -31,6 +31,7 @@ from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.proof_search import (
     CHECKER,
     PROGRAMS,
+    load_checker,
     prove_motions,
     prove_plans,
     prove_sets,
@@ -92,11 +93,14 @@ def describe_proof(design: Design, name: str = "") -> dict[str, Any]:
     certificate = {**head, **_describe_robot(design.problem)}
     certificate |= _describe_design(design)
     announce("proving the certificate for its file")
-    for band in certificate["bands"]:
-        prove_motions(certificate, band)
-    prove_sets(certificate)
-    if "plans" in certificate:
-        prove_plans(certificate)
+    try:
+        for band in certificate["bands"]:
+            prove_motions(certificate, band)
+        prove_sets(certificate)
+        if "plans" in certificate:
+            prove_plans(certificate)
+    except load_checker(PROGRAMS[1]).Refused as refusal:
+        raise ValueError(f"design: its certificate cannot be written: {refusal}") from None
     return certificate
 
 
@@ -234,6 +238,7 @@ def _describe_plans(design: Design) -> dict[str, Any]:
     return {
         "band": BAND.format(1),
         "tolerance": Fraction(qp.bound_tolerance(largest)),
+        "terminal": {"rows": _list_fractions(design.bounds.terminal_normals)},
         "order": _list_rows(design),
         "windows": windows,
         "sequence": design.windows.index.tolist(),

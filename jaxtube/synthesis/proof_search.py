@@ -58,7 +58,9 @@ def prove_sets(certificate: dict[str, Any]) -> None:
     """Add to a certificate the multipliers of the extents and inclusions of its sets."""
     program = load_checker(PROGRAMS[0])
     for shape in certificate["sets"].values():
-        shape["extents"] = [_find_multipliers_in(shape, axis) for axis in program.AXES]
+        shape["extents"] = [
+            _find_multipliers_in(shape, axis) for axis in load_checker(PROGRAMS[2]).AXES
+        ]
     certificate["inclusions"] = []
     for band in certificate["bands"]:
         shape = certificate["sets"][band["set"]]
@@ -88,8 +90,10 @@ def _find_middle(entry: Any) -> float:
 def prove_plans(certificate: dict[str, Any]) -> None:
     """Add to a certificate the multipliers at the ends of its plans."""
     plans = certificate["plans"]
-    band = next(each for each in certificate["bands"] if each["name"] == plans["band"])
-    shape = certificate["sets"][band["set"]]
+    shape = plans["terminal"]
+    axes = load_checker(PROGRAMS[2]).AXES
+    first = [Fraction(1)] * len(shape["rows"])
+    shape["extents"] = [_find_multipliers_in(shape, axis, first) for axis in axes]
     plans["ends"] = {}
     successions = load_checker(PROGRAMS[2]).list_successions(certificate)
     for pair, key, row, _, reached, offsets in successions:
@@ -137,9 +141,9 @@ def _grow_tree(output: str, sign: int, level: int, cell: list, robot: list, piec
 
 
 def _find_widest(cell: list, slopes: list) -> int:
-    """Return the variable that contributes most to the bound of a cell."""
+    """Return the variable whose unknown slope contributes most to the bound of a cell."""
     widths = [
-        most * -least * (high - low) // (most - least) if low < high else 0
+        (most - least) * (high - low)
         for (low, high), (least, most) in zip(cell, slopes, strict=True)
     ]
     return max(range(len(widths)), key=widths.__getitem__)

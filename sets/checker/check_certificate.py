@@ -25,7 +25,7 @@ from typing import Any
 
 import check_plans
 from check_motion import ONE, Refused, prove, require, scale
-from check_plans import dot, list_inputs, pick, reach, stretch, times, weigh
+from check_plans import AXES, dot, find_extents, list_inputs, pick, reach, stretch, times, weigh
 
 FORMAT = "jaxtube certificate 1"
 ROBOT = ("period", "track", "lever_arm")
@@ -34,7 +34,6 @@ KNOWN |= {"bands", "sets", "inclusions", "cost", "plans"}
 DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 DAMAGES += (RecursionError,)
 BAND = {"name", "regions", "errors", "u1", "u2", "coupling", "gains", "set", "disturbance", "cells"}
-AXES = [[sign * (k == axis) for k in range(3)] for axis in range(3) for sign in (1, -1)]
 
 
 def read(value: Any) -> Any:
@@ -187,17 +186,6 @@ def list_targets(certificate, band):
     return targets
 
 
-def find_extents(shape):
-    """Return the greatest |x|, |y|, |th| in a set. With R the greatest that multipliers prove and r
-    what they leave of a row, the greatest M is at most R + 3 r M, hence below 2 R."""
-    pairs = zip(AXES, shape["extents"], strict=True)
-    proved = [weigh(shape["rows"], shape["offsets"], *pair) for pair in pairs]
-    left = max(max(parts) for _, parts in proved)
-    require(6 * left <= 1, "a set is not bounded by its multipliers")
-    most = [value + 6 * left * max(value for value, _ in proved) for value, _ in proved]
-    return [max(most[index], most[index + 1]) for index in (0, 2, 4)]
-
-
 def check_sets(certificate, band, extents):
     """Prove where the set of a band lies and is led to; return the room of every inclusion."""
     name = band["name"]
@@ -227,7 +215,7 @@ def check(certificate):
     names = {band["name"] for band in certificate["bands"]}
     require(0 < len(names) == len(certificate["bands"]), "bands need names of their own")
     noise = certificate["noise"]
-    extents = {name: find_extents(shape) for name, shape in certificate["sets"].items()}
+    extents = {name: find_extents(**shape) for name, shape in certificate["sets"].items()}
     for band in certificate["bands"]:
         require(set(band) == BAND and band["regions"], f"{band['name']} is not described as known")
         most = [cap + size for cap, size in zip(band["errors"], noise, strict=True)]
@@ -246,7 +234,7 @@ def check(certificate):
             check_plans.check_cost(certificate, *list_loops(certificate, band))
             yield f"{band['name']}: the terminal cost decreases by the cost of a stage"
     if "plans" in certificate:
-        room = check_plans.check_plans(certificate, extents)
+        room = check_plans.check_plans(certificate)
         shown = f"{len(room)} rows, least room {float(min(room)):.3g}"
         yield f"plans stay plans along the reference: {shown}"
 

@@ -25,12 +25,19 @@ from itertools import pairwise, product
 
 from check_motion import COSINE, ONE, SINE, C, Number, apply, require, scale
 
+AXES = [[sign * (k == axis) for k in range(3)] for axis in range(3) for sign in (1, -1)]
 ROUNDING = Fraction(1, 2**53)  # of an operation in 64 bits, relative
 
 
 def pick(table, *names):
     """Return the entries of these names."""
     return [table[name] for name in names]
+
+
+def read_index(number):
+    """Return a number that counts."""
+    require(number >= 0 and number == int(number), f"{number} counts nothing")
+    return int(number)
 
 
 def dot(left, right):
@@ -61,6 +68,17 @@ def weigh(rows, offsets, row, multipliers):
     made = [dot(used.values(), (rows[index][k] for index in used)) for k in range(3)]
     left = [size(wanted - entry) for wanted, entry in zip(row, made, strict=True)]
     return dot(used.values(), (offsets[index] for index in used)), left
+
+
+def find_extents(rows, offsets, extents):
+    """Return the greatest |x|, |y|, |th| in a set. With R the greatest that multipliers prove and r
+    what they leave of a row, the greatest M is at most R + 3 r M, hence below 2 R."""
+    pairs = zip(AXES, extents, strict=True)
+    proved = [weigh(rows, offsets, *pair) for pair in pairs]
+    left = max(max(parts) for _, parts in proved)
+    require(6 * left <= 1, "a set is not bounded by its multipliers")
+    most = [value + 6 * left * max(value for value, _ in proved) for value, _ in proved]
+    return [max(most[index], most[index + 1]) for index in (0, 2, 4)]
 
 
 def list_inputs(band):
@@ -123,8 +141,8 @@ class Window:
         columns = (window[name] for name in ("rows", "norms", "lower", "upper"))
         for name, entries, norm, *ends in zip(plans["order"], *columns, strict=True):
             kind = name[0]
-            j = int(name[1])
-            i = int(name[2])
+            j = read_index(name[1])
+            i = read_index(name[2])
             on_u, on_e = rows[kind][i]
             predicted = self.predict(on_u, on_e, j)
             own = [*entries[:3], *(norm * entry for entry in entries[3:])]
@@ -149,7 +167,7 @@ class Window:
         return [*row, *(entry for pair in inputs for entry in pair)]
 
 
-def make_windows(certificate, band, shape):
+def make_windows(certificate, band):
     """Return the windows of the reference, whose rows are all there and are those of the band."""
     plans = certificate["plans"]
     inputs = list_inputs(band)
@@ -157,20 +175,18 @@ def make_windows(certificate, band, shape):
     rows = {
         "errors": [((0, 0), row) for row in unit],
         "inputs": [(on_u, on_e) for on_u, on_e, *_ in inputs],
-        "terminal": [((0, 0), row) for row in shape["rows"]],
+        "terminal": [((0, 0), row) for row in plans["terminal"]["rows"]],
     }
     windows = [Window(certificate, plans, band, rows, window) for window in plans["windows"]]
     N = len(windows[0].stages)
     signs = (1, -1)
     wanted = set(product(["errors"], range(1, N), range(3), signs))
     wanted |= set(product(["inputs"], range(N), range(len(inputs)), signs))
-    wanted |= set(product(["terminal"], [N], range(len(shape["rows"])), [1]))
+    wanted |= set(product(["terminal"], [N], range(len(rows["terminal"])), [1]))
     for window in windows:
         require(set(window.reached) == wanted, "a QP lacks a row, or has one too many")
         require(len(window.stages) == N, "windows differ in length")
         for (kind, j, i, sign), reached in window.reached.items():
-            if kind == "terminal":
-                require(reached <= shape["offsets"][i], "a plan may end outside the terminal set")
             if kind == "inputs" and j == 0:
                 cap = inputs[i][3] if sign > 0 else -inputs[i][2]
                 require(reached <= cap, "an input may pass its cap")
@@ -183,15 +199,14 @@ def list_successions(certificate):
     where the terminal rows with their bounds have to prove it."""
     plans = certificate["plans"]
     band = next(each for each in certificate["bands"] if each["name"] == plans["band"])
-    shape = certificate["sets"][band["set"]]
-    windows, rows = make_windows(certificate, band, shape)
+    windows, rows = make_windows(certificate, band)
     N = len(windows[0].stages)
     caps = {("errors", 0, i, s): band["errors"][i] for i in range(3) for s in (1, -1)}
-    for now, after in sorted(set(pairwise(map(int, plans["sequence"])))):
+    for now, after in sorted(set(pairwise(map(read_index, plans["sequence"])))):
         window = windows[now]
         following = windows[after]
         require(window.speeds[1:] == following.speeds[:-1], "windows do not follow each other")
-        ends = [window.reached["terminal", N, i, 1] for i in range(len(shape["rows"]))]
+        ends = [window.reached["terminal", N, i, 1] for i in range(len(rows["terminal"]))]
         for key, accepted in sorted({**following.accepted, **caps}.items()):
             kind, j, i, sign = key
             on_u, on_e = rows[kind][i]
@@ -206,17 +221,15 @@ def list_successions(certificate):
             yield f"{now} to {after}", f"{kind} {j} {i} {sign}", row, room, reached, ends
 
 
-def check_plans(certificate, extents):
+def check_plans(certificate):
     """Prove that plans stay plans; return the room of every row."""
     plans = certificate["plans"]
-    band = next(each for each in certificate["bands"] if each["name"] == plans["band"])
-    shape = certificate["sets"][band["set"]]
+    rows, extents = pick(plans["terminal"], "rows", "extents")
     rooms = []
     for pair, key, row, room, reached, ends in list_successions(certificate):
         if reached is None:
-            multipliers = plans["ends"][pair][key]
-            reached, left = weigh(shape["rows"], ends, row, multipliers)
-            reached += dot(left, extents[band["set"]])
+            reached, left = weigh(rows, ends, row, plans["ends"][pair][key])
+            reached += dot(left, find_extents(rows, ends, extents))
         rooms.append(room - reached)
         require(rooms[-1] >= 0, f"from window {pair} the row {key} may be missed")
     return rooms

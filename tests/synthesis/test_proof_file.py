@@ -5,6 +5,7 @@ import json
 import random
 import subprocess
 import sys
+from fractions import Fraction
 
 import pytest
 from certificate_mutants import HARMLESS, mutate
@@ -115,8 +116,6 @@ def test_a_thousand_changed_certificates_are_refused_or_hold_as_well(written, tm
 
 def change(certificate, *path, by):
     """Return a certificate whose number at a path is another one."""
-    from fractions import Fraction
-
     changed = json.loads(json.dumps(certificate))
     place = changed
     for key in path[:-1]:
@@ -145,6 +144,8 @@ def change(certificate, *path, by):
         (("plans", "tolerance"), lambda tolerance: tolerance * 10000),
         (("plans", "windows", 0, "upper", 3), lambda bound: bound * 1000001 / 1000000),
         (("plans", "windows", 0, "norms", 0), lambda norm: -norm),
+        (("plans", "order", 0, 1), lambda stage: stage * 11 / 10),
+        (("plans", "sequence", 0), lambda window: window + 1 / Fraction(10)),
         (("cost", "P", 0, 0), lambda weight: weight / 2),
     ],
 )
