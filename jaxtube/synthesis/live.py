@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -75,11 +76,15 @@ class LiveWindows:
     def are_within_slack(self, qps: CondensedQp) -> Bool[np.ndarray, " windows"]:
         """Return in which windows a solved plan misses its rows by less than these are drawn in:
         what the certificate checks of the windows of the design."""
+        return np.max(qps.factors.row_norms, axis=1) <= self._longest_row
+
+    @cached_property
+    def _longest_row(self) -> float:
+        """Norm of the longest row that answers do not miss by more than it is drawn in."""
         problem = self.design.problem
         directions = np.concatenate([np.eye(2), -np.eye(2)])
         largest_input = float(np.max(problem.input_set.support(directions)))
-        slack = qp.bound_tolerance(largest_input) * np.max(qps.factors.row_norms, axis=1)
-        return slack <= find_back_off(problem)
+        return find_back_off(problem) / qp.bound_tolerance(largest_input)
 
 
 def require_any_order(design: Design) -> None:

@@ -10,9 +10,12 @@ import wishes
 from governed_robot import Robot, find_start
 
 import jaxtube as jt
+from jaxtube import qp
 from jaxtube.plant.reference import drive, two_circles
 from jaxtube.simulation import governor as governors
-from jaxtube.simulation.governing import SHARES, accept_all
+from jaxtube.simulation.backup import Backup
+from jaxtube.simulation.governing import SHARES, LivePlanner, accept_all
+from jaxtube.simulation.governor import find_errors
 from jaxtube.synthesis.feasible import spread_starts, true_starts
 from jaxtube.synthesis.live import LiveWindows
 
@@ -219,7 +222,7 @@ def test_a_missing_pose_is_where_the_last_plan_has_the_robot(design, fresh):
     assert step.is_solved
 
 
-def test_what_cannot_be_governed_is_refused_in_one_line(design, fresh):
+def test_what_cannot_be_governed_is_refused_in_one_line(fresh, certified_paper_design):
     with pytest.raises(ValueError, match="give three numbers"):
         fresh([np.nan, 0.0, 0.0])
     with pytest.raises(ValueError, match="wish: is of shape"):
@@ -227,9 +230,28 @@ def test_what_cannot_be_governed_is_refused_in_one_line(design, fresh):
     quick = two_circles(2.5, 2.0, 10.0, 0.1, 6, 0.5)
     with pytest.raises(ValueError, match="leave the certified"):
         fresh.follow(quick)
-    paper = jt.design(jt.load("paper", ["reference.duration_s=6"]))
     with pytest.raises(jt.ScenarioError, match="in any order"):
-        jt.Governor(paper)
+        jt.Governor(certified_paper_design)
+
+
+@pytest.mark.slow
+def test_the_backup_of_many_robots_is_that_of_the_tube_mpc(design, edge_starts_of_path):
+    """Along the reference, from a start without a plan."""
+    problem = design.problem
+    start = 1.3 * find_errors(edge_starts_of_path[0], problem.reference.poses[0])
+    laps = jt.simulate(design, starts=start[None], laps=1)
+    measured = np.asarray(laps.trajectory.measured)[:12]
+    backup = Backup(design, measured[0])
+    planner = LivePlanner(design)
+    statuses = set()
+    for period, errors in enumerate(measured):
+        window = problem.schedule[period : period + problem.horizon]
+        plans = planner.plan(window[None], errors)
+        has_plan = np.asarray(laps.trajectory.diagnostics.status)[period] == qp.SOLVED
+        statuses.add(bool(has_plan[0]))
+        inputs = backup.act(plans, has_plan, errors, window[:1])
+        np.testing.assert_allclose(inputs, laps.trajectory.inputs[period], atol=1e-8)
+    assert statuses == {True, False}
 
 
 @pytest.mark.slow
