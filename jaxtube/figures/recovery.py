@@ -12,7 +12,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from jaxtube.coordinates import COORDINATES
-from jaxtube.figures.style import LIMIT, REFERENCE, Line, line_key, line_keys, page_figure, styled
+from jaxtube.figures.style import (
+    LIMIT,
+    REFERENCE,
+    Line,
+    bottom_legend,
+    line_key,
+    line_keys,
+    page_figure,
+    styled,
+)
 from jaxtube.simulation.governor import GovernedStep
 from jaxtube.synthesis.parts import Design
 
@@ -47,14 +56,8 @@ def recovery(design: Design, steps: Sequence[GovernedStep]) -> Figure:
     above.plot(*robot[0, :2], marker="o", markersize=4, color="0.15", zorder=4)
     shown = dict.fromkeys(_draw_reference(above, steps))
     above.set(title="(a) from above", aspect="equal", xlabel="$x$ [m]", ylabel="$y$ [m]")
-    above.legend(
-        handles=[
-            line_key("asked for", **REFERENCE),
-            *line_keys(STATES[state] for state in shown),
-            line_key("robot", **ROBOT),
-        ],
-        loc="best",
-    )
+    keys = [line_key("asked for", **REFERENCE), line_key("robot", **ROBOT)]
+    bottom_legend(figure, [*keys, *line_keys(STATES[state] for state in shown)], columns=6)
     _draw_errors(beside, design, steps)
     return figure
 
@@ -89,4 +92,4 @@ def _draw_errors(axes: Axes, design: Design, steps: Sequence[GovernedStep]) -> N
     for side in (-1.0, 1.0):
         axes.axhline(side, **LIMIT)
     axes.set(title="(b) errors", xlabel="$t$ [s]", ylabel="share of the cap")
-    axes.legend(loc="upper right", ncols=3)
+    axes.legend(loc="lower right", ncols=3, bbox_to_anchor=(1.0, 0.05))
