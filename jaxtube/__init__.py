@@ -8,6 +8,7 @@
     worst = jt.falsify(design)                    the worst case, by gradient
     tuned = jt.tune(jt.load("untuned"))           weights and gains, by gradient
     stepper = jt.Stepper(design)                  the controller of one robot, period by period
+    governor = jt.Governor(design)                the same from anywhere, for wishes at any time
     jt.save(design, "my_design")                  for jt.read, in another process, to the bit
     jt.export(design, "controller")               the same as NumPy and C99, certified as written
     jt.write_certificate(design, "proof")         the proof, with a program that checks it alone

@@ -42,6 +42,9 @@ from jaxtube.synthesis.parts import Design, require_design
 INSIDE = 0.99
 """How far into Omega an error is put where the reference begins anew."""
 
+AHEAD = 16
+"""Periods whose QPs are made together where the reference is known ahead."""
+
 BEYOND = 1e-9
 """By how much wheel speeds of a path may leave the box, m/s: rounding."""
 
@@ -213,6 +216,8 @@ class Governor:
         return np.clip(np.broadcast_to(wheels, (horizon, 2)), *self._planner.live.box)
 
     def _decide(self, errors: Float[np.ndarray, "3"]) -> Governed:
+        if self._route.joins is not None:
+            self._planner.look_ahead(self._route.list_windows(AHEAD))
         committed = self._route.committed
         wished = self._route.wished
         return govern(self._planner, errors[None], committed[None], wished[None])

@@ -89,6 +89,13 @@ class Route:
         self._ahead = _hold_last(self._ahead, self._horizon - len(self._ahead))
         return self._ahead[: self._horizon]
 
+    def list_windows(self, count: int) -> Float[np.ndarray, "count horizon 2"]:
+        """Return the windows that will be committed in so many periods, as far as is known now."""
+        missing = self._horizon + count - 1 - len(self._ahead)
+        ahead = _hold_last(self._ahead, missing)
+        windows = np.lib.stride_tricks.sliding_window_view(ahead, self._horizon, axis=0)
+        return windows[:count].swapaxes(1, 2)
+
     @property
     def wished(self) -> Float[np.ndarray, "horizon 2"]:
         """Wheel speeds asked for in these periods: what is committed unless the reference is off

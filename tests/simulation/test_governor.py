@@ -7,12 +7,17 @@ import jax
 import numpy as np
 import pytest
 import wishes
+from figure_checks import assert_presentable
 from governed_robot import Robot, find_start
 
 import jaxtube as jt
+from jaxtube import qp
+from jaxtube.figures.recovery import recovery
 from jaxtube.plant.reference import drive, two_circles
 from jaxtube.simulation import governor as governors
-from jaxtube.simulation.governing import SHARES, accept_all
+from jaxtube.simulation.backup import Backup
+from jaxtube.simulation.governing import SHARES, LivePlanner, accept_all
+from jaxtube.simulation.governor import find_errors
 from jaxtube.synthesis.feasible import spread_starts, true_starts
 from jaxtube.synthesis.live import LiveWindows
 
@@ -116,7 +121,7 @@ def test_a_start_with_a_plan_follows_the_path_at_once(design, fresh):
     assert max(step.distance for step in steps) <= SAME
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_any_start_ends_on_the_path_and_every_period_is_certified(design, fresh, seed):
     start = draw_far_starts(design, 1, seed)[0]
     steps = Robot(design, start, seed).run(fresh, 180)
@@ -143,6 +148,7 @@ def test_a_robot_that_is_pushed_away_comes_back(design, fresh):
     require_one_reference(design, steps, renewals=kicks)
     assert steps[50].state == "joining"
     assert steps[-1].state == "followed"
+    assert_presentable(recovery(design, steps))
     assert steps[-1].distance <= 1e-6
 
 
@@ -219,7 +225,7 @@ def test_a_missing_pose_is_where_the_last_plan_has_the_robot(design, fresh):
     assert step.is_solved
 
 
-def test_what_cannot_be_governed_is_refused_in_one_line(design, fresh):
+def test_what_cannot_be_governed_is_refused_in_one_line(fresh, certified_paper_design):
     with pytest.raises(ValueError, match="give three numbers"):
         fresh([np.nan, 0.0, 0.0])
     with pytest.raises(ValueError, match="wish: is of shape"):
@@ -227,9 +233,28 @@ def test_what_cannot_be_governed_is_refused_in_one_line(design, fresh):
     quick = two_circles(2.5, 2.0, 10.0, 0.1, 6, 0.5)
     with pytest.raises(ValueError, match="leave the certified"):
         fresh.follow(quick)
-    paper = jt.design(jt.load("paper", ["reference.duration_s=6"]))
     with pytest.raises(jt.ScenarioError, match="in any order"):
-        jt.Governor(paper)
+        jt.Governor(certified_paper_design)
+
+
+@pytest.mark.slow
+def test_the_backup_of_many_robots_is_that_of_the_tube_mpc(design, edge_starts_of_path):
+    """Along the reference, from a start without a plan."""
+    problem = design.problem
+    start = 1.3 * find_errors(edge_starts_of_path[0], problem.reference.poses[0])
+    laps = jt.simulate(design, starts=start[None], laps=1)
+    measured = np.asarray(laps.trajectory.measured)[:12]
+    backup = Backup(design, measured[0])
+    planner = LivePlanner(design)
+    statuses = set()
+    for period, errors in enumerate(measured):
+        window = problem.schedule[period : period + problem.horizon]
+        plans = planner.plan(window[None], errors)
+        has_plan = np.asarray(laps.trajectory.diagnostics.status)[period] == qp.SOLVED
+        statuses.add(bool(has_plan[0]))
+        inputs = backup.act(plans, has_plan, errors, window[:1])
+        np.testing.assert_allclose(inputs, laps.trajectory.inputs[period], atol=1e-8)
+    assert statuses == {True, False}
 
 
 @pytest.mark.slow

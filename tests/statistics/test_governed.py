@@ -11,7 +11,7 @@ import jaxtube as jt
 from jaxtube import qp
 from jaxtube.simulation.governing import LivePlanner, accept_all, govern
 from jaxtube.statistics.governed import run_governed
-from jaxtube.synthesis.feasible import spread_starts, true_starts
+from jaxtube.synthesis.feasible import shortfall, spread_starts, true_starts
 
 ROBOTS = 64
 PERIODS = 3
@@ -72,6 +72,29 @@ def test_a_governor_that_never_asks_for_a_plan_is_found_out(design, planner, cor
     monkeypatch.undo()
     assert np.all(broken.shares == 1.0)
     assert np.any(planner.plan(broken.windows, errors).status != qp.SOLVED)
+
+
+def test_from_the_terminal_set_every_window_has_a_plan(design, planner):
+    """At its corners, along corners of the box and what lies between them."""
+    corners = design.terminal.invariant.vertices()
+    errors = np.tile(corners, (8, 1))
+    generator = np.random.default_rng(0)
+    for draw in wishes.LAWS.values():
+        windows = draw(generator, planner.live.box, len(errors), design.problem.horizon)
+        assert np.all(planner.plan(windows, errors).status == qp.SOLVED)
+
+
+def test_there_is_a_plan_where_linear_programs_say_so(design, planner, corners):
+    """Against linear programs over the rows."""
+    errors = spread_starts(corners, 40, 5, edge_share=1.0)
+    windows = wishes.draw_corners(
+        np.random.default_rng(1), planner.live.box, len(errors), design.problem.horizon
+    )
+    plans = planner.plan(windows, errors)
+    qps = planner.live.condense(windows)
+    short = np.array([shortfall(qps, robot, error) for robot, error in enumerate(errors)])
+    assert np.array_equal(plans.status == qp.SOLVED, short <= 1e-9)
+    assert len(set(plans.status.tolist())) > 1
 
 
 @pytest.mark.slow
