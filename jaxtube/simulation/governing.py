@@ -63,29 +63,13 @@ class LivePlanner:
         `live.require_any_order`)."""
         self.live = LiveWindows(design)
         self._caps = design.problem.operating_set.support(np.eye(3))
-<<<<<<< HEAD
-        self._windows = np.zeros((0, design.problem.horizon, 2))  # those condensed last
+        self._known = np.zeros((0, design.problem.horizon, 2))
         self._live = None
 
     def compile_solver(self) -> None:
         """Compile now what the first plans with active rows would wait for."""
-        qps = self._condense(self.live.box[:1, None].repeat(self._windows.shape[1], axis=1)).qps
-        self._ask_solver(qps, 0, np.zeros((1, 3)))
-        _solve(planning.take_qp(qps, 0), np.zeros(3))
-
-    def _condense(self, windows: Float[np.ndarray, "robots horizon 2"]) -> LiveQps:
-        """Return the QPs of windows; those of the last ones are at hand."""
-        if self._live is None or not np.array_equal(windows, self._windows):
-            self._live = self.live.condense(windows)
-            self._windows = windows.copy()
-        return self._live
-=======
-        self._known = np.zeros((0, design.problem.horizon, 2))
-        self._qps = None
-
-    def compile_solver(self) -> None:
-        """Compile now what the first plans with active rows would wait for."""
-        qps = self.live.condense(self.live.box[:1, None].repeat(self._known.shape[1], axis=1))
+        window = self.live.box[:1, None].repeat(self._known.shape[1], axis=1)
+        qps = self.live.condense(window).qps
         self._ask_solver(qps, 0, np.zeros((1, 3)))
         _solve(planning.take_qp(qps, 0), np.zeros(3))
 
@@ -94,18 +78,17 @@ class LivePlanner:
         done: together they take much less time than one by one."""
         if not len(self._find_known(windows[0])):
             self._known = windows.copy()
-            self._qps = self.live.condense(windows)
+            self._live = self.live.condense(windows)
 
     def _find_known(self, window: Float[np.ndarray, "horizon 2"]) -> Int[np.ndarray, " k"]:
         return np.flatnonzero(np.all(self._known == window, axis=(1, 2)))
 
-    def _condense(self, windows: Float[np.ndarray, "robots horizon 2"]) -> CondensedQp:
+    def _condense(self, windows: Float[np.ndarray, "robots horizon 2"]) -> LiveQps:
         """Return the QPs of windows; that of a single one may be at hand."""
         known = self._find_known(windows[0]) if len(windows) == 1 else []
         if not len(known):
             return self.live.condense(windows)
-        return jax.tree.map(lambda stack: stack[known[:1]], self._qps)
->>>>>>> work_G
+        return jax.tree.map(lambda stack: stack[known[:1]], self._live)
 
     def plan(
         self, windows: Float[np.ndarray, "robots horizon 2"], errors: Float[np.ndarray, "robots 3"]

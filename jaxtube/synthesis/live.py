@@ -12,11 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-<<<<<<< HEAD
 from typing import NamedTuple
-=======
-from functools import cached_property
->>>>>>> work_G
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -53,7 +49,7 @@ class LiveWindows:
     @property
     def box(self) -> Float[np.ndarray, "2 2"]:
         """The certified wheel speeds, lower and upper (right, left), m/s."""
-        return self.design.problem.regions[0]
+        return np.array(self.design.problem.model.box)
 
     def condense(self, schedules: Float[np.ndarray, "windows horizon 2"]) -> LiveQps:
         """Return the condensed QPs of windows.
@@ -92,22 +88,6 @@ class LiveWindows:
             return design.tube
         return make_following_tube(design.problem, design.tube_gain, windows)
 
-<<<<<<< HEAD
-=======
-    def are_within_slack(self, qps: CondensedQp) -> Bool[np.ndarray, " windows"]:
-        """Return in which windows a solved plan misses its rows by less than these are drawn in:
-        what the certificate checks of the windows of the design."""
-        return np.max(qps.factors.row_norms, axis=1) <= self._longest_row
-
-    @cached_property
-    def _longest_row(self) -> float:
-        """Norm of the longest row that answers do not miss by more than it is drawn in."""
-        problem = self.design.problem
-        directions = np.concatenate([np.eye(2), -np.eye(2)])
-        largest_input = float(np.max(problem.input_set.support(directions)))
-        return find_back_off(problem) / qp.bound_tolerance(largest_input)
-
->>>>>>> work_G
 
 def require_any_order(design: Design) -> None:
     """Refuse a design whose certificate is not about every window in a box of wheel speeds.
