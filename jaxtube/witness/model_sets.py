@@ -64,6 +64,8 @@ def find_model_sets(scenario: Scenario, spans: Spans) -> ModelSets | str:
     dt = scenario.controller.dt_s
     if scenario.slip.is_measured:
         return "the controller measures slip, and a log has no such measurement"
+    if scenario.operating.bands:
+        return "W goes by speed (operating.bands), and a log is compared with one W"
     if scenario.controller.has_observer:
         return (
             "the controller acts on an estimate, and a log is of what was measured; set "

@@ -38,7 +38,7 @@ def band_corners(low: Row, high: Row, ends: Ends) -> list[Row]:
 def room_in_band(wheels: Row, low: Row, high: Row, ends: Ends) -> Fraction:
     """Return by how much wheel speeds lie inside a band, m/s; negative outside."""
     slowest, fastest = exact_row(ends)
-    mean = sum(wheels) / 2
+    mean = sum(wheels, Fraction(0)) / 2
     above = [speed - least for speed, least in zip(wheels, low, strict=True)]
     below = [most - speed for speed, most in zip(wheels, high, strict=True)]
     return min(*above, *below, mean - slowest, fastest - mean)

@@ -182,7 +182,9 @@ def _tube_lines(design: Design) -> list[str]:
         volume = tube[-1].polytope().volume()
         lines.append(f"  {mark} {name:<18}{e_x:10.6f} {e_y:10.6f} {e_th:11.5f}   {volume:.4e}")
     lines.append("  * the tube in use")
-    if "paper" not in design.tubes:
+    if design.problem.scenario.operating.bands:
+        lines.append("  others: none, they know one gain and one W; operating.bands has several")
+    elif "paper" not in design.tubes:
         lines.append("  paper: none, eq. (27) takes Euler steps and loops affine in wheel speeds")
     return lines
 

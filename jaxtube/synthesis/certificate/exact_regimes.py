@@ -57,7 +57,7 @@ class ExactRegime:
     def room_of(self, wheels: Row) -> Fraction:
         """Return by how much wheel speeds lie inside where the regime holds, m/s."""
         if self.ends is not None:
-            return room_in_band(wheels, *map(exact_row, self.problem.model.box), self.ends)
+            return room_in_band(wheels, *_find_box(self.problem), self.ends)
         return max(
             _room_in_region(wheels, *map(exact_row, region)) for region in self.problem.regions
         )
@@ -89,10 +89,16 @@ def _of_band(problem: Problem, ends: tuple[float, float]) -> ExactRegime:
     gains = problem.scenario.controller.tracking_gains
     T = problem.model.dt
     b = problem.model.track_width
-    corners = band_corners(*map(exact_row, problem.model.box), ends)
+    corners = band_corners(*_find_box(problem), ends)
     loops = exact_polygon_loops(gains, corners, T, b)
     feedbacks = exact_polygon_feedbacks(gains, corners, b)
     return ExactRegime(problem, gains, [loops], [feedbacks], disturbance_points(problem), ends)
+
+
+def _find_box(problem: Problem) -> tuple[Row, Row]:
+    """Return the least and the greatest wheel speeds (right, left), m/s."""
+    low, high = problem.model.box
+    return exact_row(low), exact_row(high)
 
 
 def disturbance_points(problem: Problem) -> list[Row]:

@@ -102,7 +102,7 @@ def ultimate_bound(problem: Problem, gain: Gain) -> Float[np.ndarray, "3"]:
         ValueError: where the tube outgrows a cap, or W was not computed.
     """
     if problem.regimes:
-        raise ValueError("operating.bands: the bound that shrinks with the errors knows one W")
+        raise ValueError("W differs from period to period: no bound shrinks with the errors")
     if problem.disturbance_bound is None:
         raise ValueError(
             'disturbance.bound = "assumed": no bound shrinks with the errors; set it to "computed"'

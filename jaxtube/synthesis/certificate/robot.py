@@ -4,6 +4,7 @@ what is assumed."""
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float
@@ -36,9 +37,15 @@ PREMISE = "disturbance_bound_proved"
 def check_robot(problem: Problem) -> Iterator[Condition]:
     """Yield the conditions that make a guarantee for the linear model one for the robot: of several
     regimes the one with the least room in each."""
-    by_regime = [_check_regime(regime) for regime in problem.every_regime]
+    if not problem.regimes:
+        yield from _check_regime(problem)
+        return
+    by_regime = [_check_regime(regime) for regime in problem.regimes]
     for conditions in zip(*by_regime, strict=True):
-        yield min(conditions, key=lambda condition: condition.margin)
+        tightest = min(range(len(conditions)), key=lambda number: conditions[number].margin)
+        condition = conditions[tightest]
+        of_which = f"Of {len(conditions)} regimes number {tightest + 1} has the least room."
+        yield replace(condition, sentence=f"{condition.sentence} {of_which}")
 
 
 def _check_regime(problem: Problem) -> Iterator[Condition]:
