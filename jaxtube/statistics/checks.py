@@ -69,6 +69,7 @@ class Sections(NamedTuple):
         "error_weight",
         "input_weight",
         "command_step",
+        "slip_radius",
     ],
 )
 @dataclass(frozen=True)
@@ -79,7 +80,9 @@ class Checks:
     the step from which that and the RMS count. `map_corner` and `map_cell` lay the grid of the
     trajectory map. With windows as in the controller, e^T cost_errors e + (F e)^T g + g^T H g / 2
     is the whole cost of a plan. `input` is a set of (u, measured error). `command_step` is by how
-    much a wheel's command may change from one period to the next, m/s; None for any.
+    much a wheel's command may change from one period to the next, m/s; None for any. `slip_radius`
+    is how wide half the intervals of learnt slips (right, left) may be, by the periods since the
+    start, the last one for all later times; None where none are learnt.
     """
 
     transitions: Float[AnyArray, "steps 3 3"]
@@ -98,6 +101,7 @@ class Checks:
     error_weight: Float[AnyArray, "3 3"]
     input_weight: Float[AnyArray, "2 2"]
     command_step: Float[AnyArray, ""] | None = None
+    slip_radius: Float[AnyArray, "ages 2"] | None = None
 
     @property
     def horizon(self) -> int:

@@ -10,12 +10,13 @@ Source: new.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.synthesis.disturbance import kinematics, operation
+from jaxtube.synthesis.disturbance import find_place, kinematics
 from jaxtube.synthesis.estimated_error import (
     CornerErrors,
     find_extremes,
@@ -29,6 +30,7 @@ from jaxtube.synthesis.late_corners import (
     commit_points,
     find_speed_extremes,
 )
+from jaxtube.synthesis.learnt_slips import bound_slips
 from jaxtube.synthesis.problem import Problem
 from sets.polytope import hull_vertices
 from sets.robot.plant import Late
@@ -80,7 +82,8 @@ class OperatingCorners:
     def __init__(self, problem: Problem):
         self.noise = problem.noise
         self.kinematics = kinematics(problem)
-        self.operation = operation(problem)
+        self.operation = find_place(problem)
+        self.scenario = problem.scenario
         self.period = self.operation.period
         self.schedules = hull_vertices(np.unique(problem.corners, axis=0))
         self.is_late = not self.operation.actuation.is_ideal
@@ -152,6 +155,10 @@ class OperatingCorners:
         if not self.is_late:
             d_r = self.operation.wheel_errors[right, 0]
             d_l = self.operation.wheel_errors[left, 1]
+            if self.scenario.slip.is_learnt:
+                learnt = self._learn(caps, (*asked, *[0.0 * (right + left + skid)] * 3))
+                d_r = ENDS[right] * learnt[:, 0].reshape(by_point)
+                d_l = ENDS[left] * learnt[:, 1].reshape(by_point)
             zeta = self.operation.sideslip * ENDS[skid]
             variables = (*asked, d_r, d_l, zeta)
             return split_at_corners(self.kinematics, self.period, variables, (), len(points)), None
@@ -167,6 +174,27 @@ class OperatingCorners:
         variables = (*asked, d_r, d_l, none)
         errors = split_at_corners(self.kinematics, self.period, variables, taken, len(points))
         return add_lag(errors, late), late
+
+    def _learn(self, caps: Caps, still: Sequence[np.ndarray]) -> Float[np.ndarray, "n 2"]:
+        """Return the greatest wheel errors (right, left) of slips that are learnt, at each point,
+        from the variables of a robot that does not slip."""
+        count = len(caps.turning)
+        speeds = split_at_corners(self.kinematics, self.period, still, (), count).speeds
+        least = speeds.min(axis=2).T
+        greatest = speeds.max(axis=2).T
+        reference = np.abs(self.schedules @ [1.0, -1.0]).max() / self.period.track_width
+        errors = np.stack([caps.longitudinal, caps.lateral, caps.heading], axis=1)
+        bounds = [
+            bound_slips(
+                self.scenario,
+                self.operation,
+                errors[i],
+                np.stack([least[i], greatest[i]]),
+                float(caps.turning[i] + reference),
+            )
+            for i in range(count)
+        ]
+        return np.stack([bound.wheel_errors[-1] for bound in bounds])
 
 
 def read_caps(points: Float[np.ndarray, "n k"]) -> Caps:

@@ -18,6 +18,7 @@ from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.rules import CAP_ROUNDING
 from jaxtube.scenario.tree import Scenario, Slip
 from jaxtube.synthesis.acceleration import find_command_steps, limit_acceleration
+from jaxtube.synthesis.learnt_slips import prove_learnt_slips
 from jaxtube.synthesis.problem import Problem, make_problem
 from sets.polytope import Polytope
 from sets.robot.actuation import Actuation
@@ -32,14 +33,41 @@ from sets.robot.latency import bound_late_pose_errors
 from sets.robot.observer import bound_next_error, find_estimate_error
 from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics
+from sets.robot.slip_learning import LearntSlips
 
 FLAT = 1e-12
 """Half width below which W is flat, m or rad."""
 
 
-def operation(problem: Problem) -> Operation:
+def operation(problem: Problem, age: int = -1) -> Operation:
     """Return where the robot works: measured or estimated errors, inputs, certified wheel speeds,
-    slip errors and noise. Inputs are those that the rows of the QPs allow."""
+    slip errors and noise. Inputs are those that the rows of the QPs allow.
+
+    Args:
+        problem: of the design.
+        age: of slips that are learnt the periods since the first measurement; -1 for those that are
+            learnt as well as they will be.
+    """
+    where = find_place(problem)
+    if not problem.scenario.slip.is_learnt:
+        return where
+    greatest = find_learnt_slips(problem).wheel_errors[age]
+    return replace(where, wheel_errors=np.stack([-greatest, greatest]))
+
+
+def find_learnt_slips(problem: Problem) -> LearntSlips:
+    """Return what is proved of slips that are learnt.
+
+    Raises:
+        ValueError: as `prove_bound`.
+    """
+    where = find_place(problem)
+    return prove_learnt_slips(problem.scenario, where, kinematics(problem))
+
+
+def find_place(problem: Problem) -> Operation:
+    """Return the operation; of slips that are learnt that of a controller that knows nothing of
+    them."""
     slip = problem.scenario.slip
     rows = problem.cap_rows
     is_coupled = rows.is_coupled
