@@ -21,7 +21,7 @@ Alamo 2009, section III.
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -261,21 +261,24 @@ def reach_supports(
 
 def sequence_reach(
     loops: Float[np.ndarray, "horizon n n"],
-    disturbance: Float[np.ndarray, "w n"],
+    disturbance: Float[np.ndarray, "w n"] | Sequence[Float[np.ndarray, "w n"]],
     directions: Float[np.ndarray, "k n"],
 ) -> tuple[Float[np.ndarray, "horizon+1 k"], Float[np.ndarray, "horizon k"]]:
     """Return reach by simulation of worst cases along one schedule: h_{R_j}, and h_W([loops[j] ..
-    loops[1]]^T c).
+    loops[1]]^T c) of the first period's W.
 
-    The matrices Psi are formed forwards, one disturbance instant at a time.
+    `disturbance` holds the vertices of W, or of one W a period. The matrices Psi are formed
+    forwards, one disturbance instant at a time.
     """
     horizon, dimension = loops.shape[:2]
     reach = np.zeros((horizon + 1, len(directions)))
     last = np.zeros((horizon, len(directions)))
+    is_one = isinstance(disturbance, np.ndarray)
     for instant in range(horizon):
+        points = disturbance if is_one else disturbance[instant]
         transport = np.eye(dimension)
         for j in range(instant + 1, horizon + 1):
-            width = np.max(directions @ transport @ disturbance.T, axis=1)
+            width = np.max(directions @ transport @ points.T, axis=1)
             reach[j] += width
             if instant == 0:
                 last[j - 1] = width
@@ -286,7 +289,7 @@ def sequence_reach(
 
 def escape_excess(
     loops: Float[np.ndarray, "v n n"],
-    disturbance: Float[np.ndarray, "w n"],
+    disturbance: Float[np.ndarray, "w n"] | Sequence[Float[np.ndarray, "w n"]],
     normal: Float[np.ndarray, " n"],
     offset: float,
     path: tuple[int, ...],
@@ -294,16 +297,21 @@ def escape_excess(
     """Simulate the worst disturbances from the origin along `path`: return (normal x - offset, x)
     at its end.
 
+    `disturbance` holds the vertices of W, or of one W a loop.
+
     A positive excess proves that no invariant set fits: it would contain the origin and with it
     this x. Of disturbances that are equally bad the first is taken.
     """
     rows = [normal]
     for index in reversed(path):
         rows.append(rows[-1] @ loops[index])
-    disturbances = [_find_worst(disturbance, row) for row in reversed(rows)]
-    state = disturbances[0]
-    for index, worst in zip(path, disturbances[1:], strict=True):
-        state = loops[index] @ state + worst
+    is_one = isinstance(disturbance, np.ndarray)
+    # The first disturbance meets the origin, which every loop leaves where it is.
+    first = disturbance if is_one else np.concatenate(disturbance)
+    state = _find_worst(first, rows[-1])
+    for index, row in zip(path, reversed(rows[:-1]), strict=True):
+        points = disturbance if is_one else disturbance[index]
+        state = loops[index] @ state + _find_worst(points, row)
     return float(normal @ state - offset), state
 
 

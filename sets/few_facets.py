@@ -3,7 +3,7 @@ and its offsets.
 
     {x : c_k x <= 1},  k <= facets,     c_k Phi_i y + h_W(c_k) <= 1  at every vertex y
 
-for every loop Phi_i.
+for every loop Phi_i, W that of the loop.
 
 Notation: `dual` holds the rows c_k; the loops Phi_i and W are those of `sets.invariant`, and sets
 are built for (1 + INFLATION) W.
@@ -23,8 +23,14 @@ from scipy.optimize import linprog
 from scipy.sparse import csr_array
 from scipy.spatial import ConvexHull, QhullError
 
-from sets.invariant import INFLATION, find_vertices, minimal_rpi_bound
-from sets.polytope import ConvexSet, Polytope, SupportFunction, support_function
+from sets.invariant import (
+    INFLATION,
+    Disturbance,
+    compute_steps,
+    find_vertices,
+    minimal_rpi_bound,
+)
+from sets.polytope import Polytope
 
 BACK_OFF = 1e-5
 """Sets stay this share inside the constraints: room to repair what a linear program's tolerance
@@ -52,10 +58,10 @@ class _Problem:
 
     loops: Float[np.ndarray, "v n n"]
     constraints: Polytope
-    disturbance: SupportFunction
+    disturbance: Disturbance
 
-    def compute_steps(self, dual: Float[np.ndarray, "k n"]) -> Float[np.ndarray, " k"]:
-        return (1 + INFLATION) * self.disturbance(dual)
+    def compute_steps(self, dual: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "v k"]:
+        return (1 + INFLATION) * compute_steps(self.disturbance, dual, len(self.loops))
 
     def carry(self, dual: Float[np.ndarray, "k n"]) -> Float[np.ndarray, "vk n"]:
         return np.concatenate([dual @ loop for loop in self.loops])
@@ -64,7 +70,7 @@ class _Problem:
 def few_facet_rpi(
     loops: Float[np.ndarray, "v n n"],
     constraints: Polytope,
-    disturbance: ConvexSet,
+    disturbance: Disturbance,
     maximal: Polytope,
     facets: int = 40,
 ) -> Polytope | None:
@@ -76,12 +82,19 @@ def few_facet_rpi(
     the turned normals, exactly. Every set on the way is invariant. Returns None where the chosen
     normals carry no invariant set inside `constraints`.
 
+    Args:
+        loops: vertex loops Phi_i.
+        constraints: that the set keeps.
+        disturbance: W, or one W_i a loop.
+        maximal: the maximal invariant set.
+        facets: at most.
+
     Raises:
         ValueError: the disturbance is flat.
     """
     if len(maximal.offsets) <= facets:
         return maximal
-    problem = _Problem(loops, constraints, support_function(disturbance, "disturbance"))
+    problem = _Problem(loops, constraints, disturbance)
     normals = _spread(maximal.normals / maximal.offsets[:, None], facets)
     start = minimal_rpi_bound(loops, problem.disturbance, normals)
     if start is None or constraints.containment_margin(start) < 0:
@@ -170,7 +183,7 @@ def _turn(
     vertices = inverses.sum(axis=2)
     limits = problem.constraints.normals / problem.constraints.offsets[:, None]
     rows = np.concatenate([problem.carry(dual), limits])
-    own_room = np.tile(1 - problem.compute_steps(dual), len(loops))
+    own_room = 1 - problem.compute_steps(dual).ravel()
     room = np.concatenate([own_room, np.full(len(limits), 1 - BACK_OFF)])
     slack = room[:, None] - rows @ vertices.T
     row, at = np.nonzero(slack < radius)
@@ -218,7 +231,7 @@ def _refit(
         answer = linprog(
             np.einsum("kn,kn->k", slope, dual),
             A_ub=np.concatenate([invariance, admission]),
-            b_ub=np.concatenate([-np.tile(steps, v), limits]),
+            b_ub=np.concatenate([-steps.ravel(), limits]),
             bounds=np.stack([offsets / (1 + growth), offsets * (1 + growth)], axis=1),
         )
         if answer.status != 0:
@@ -258,7 +271,7 @@ def _find_simplices(
 def _restore(
     images: Float[np.ndarray, "vk n"],
     constraints: Polytope,
-    steps: Float[np.ndarray, " k"],
+    steps: Float[np.ndarray, "v k"],
     dual: Float[np.ndarray, "k n"],
     offsets: Float[np.ndarray, " k"],
 ) -> Float[np.ndarray, "k n"] | None:
@@ -268,7 +281,7 @@ def _restore(
         vertices = find_vertices(dual, offsets)
         tight = np.max(dual @ vertices.T, axis=1)
         carried = np.max(images @ vertices.T, axis=1).reshape(-1, len(dual))
-        reach = carried.max(axis=0) + steps
+        reach = np.max(carried + steps, axis=0)
         if np.all(reach <= tight * (1 + 1e-3 * INFLATION)):
             is_inside = np.all(constraints.normals @ vertices.T <= constraints.offsets[:, None])
             return dual / tight[:, None] if is_inside else None

@@ -254,8 +254,10 @@ def compute_steps(
             raise ValueError(
                 f"disturbance: {len(disturbance)} sets for {loops} loops; give one a loop"
             )
-        supports = [support_function(W, "disturbance") for W in disturbance]
-        return np.stack([support(normals) for support in supports])
+        # Of few sets that many loops share each is asked once.
+        distinct = {id(W): support_function(W, "disturbance") for W in disturbance}
+        numbers = {key: support(normals) for key, support in distinct.items()}
+        return np.stack([numbers[id(W)] for W in disturbance])
     support = support_function(disturbance, "disturbance")
     return np.broadcast_to(support(normals), (loops, len(normals)))
 

@@ -8,7 +8,7 @@ with Phi(th) = A(th) + B K(th), Phi_i its values at the vertices of the box of s
 * `paper`     R_{j+1} = Phi_n R_j + co{dV_min A_r R_j u dV_max A_r R_j} + co{... A_l ...} + W
 * `hull`      R_{j+1} = co u_i Phi_i R_j + W, the exact one-step set made convex
 * `summed`    S_0 = W, S_{j+1} = co u_i Phi_i S_j, R_{j+1} = R_j + S_j
-* `sequence`  R_{j+1|k} = Phi(th_{k+j}) R_{j|k} + W along the known schedule
+* `sequence`  R_{j+1|k} = Phi(th_{k+j}) R_{j|k} + W along the known schedule, W that of the period
 
 Every section is a Minkowski sum of convex hulls of point clouds, so its support function is a sum
 of maxima and no facet is ever needed.
@@ -23,7 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from sets.polytope import Polytope, hull_vertices
 
@@ -149,29 +149,46 @@ def summed_tube(
     return sections
 
 
-def sequence_tube(loops: Float[np.ndarray, "horizon n n"], disturbance: Polytope) -> list[Section]:
-    """Return R_0 .. R_N along one known schedule: R_{j+1} = loops[j] R_j + W."""
-    origin, step = _make_start(disturbance)
-    sections = [origin]
-    for loop in loops:
+def sequence_tube(
+    loops: Float[np.ndarray, "horizon n n"], disturbance: Polytope | Sequence[Polytope]
+) -> list[Section]:
+    """Return R_0 .. R_N along one known schedule: R_{j+1} = loops[j] R_j + W_j, W_j the one set, or
+    that of the period of loops[j]."""
+    by_period = [disturbance] * len(loops) if isinstance(disturbance, Polytope) else disturbance
+    sections = [Section((), loops.shape[-1])]
+    for loop, of_period in zip(loops, by_period, strict=True):
+        _, step = _make_start(of_period)
         sections.append(sections[-1].image(loop) + step)
     return sections
 
 
 def sequence_support(
     loops: Float[np.ndarray, "windows horizon n n"],
-    disturbance: Polytope,
+    disturbance: Polytope | Sequence[Polytope],
     directions: Float[np.ndarray, "windows k n"],
     steps: int,
+    acting: Int[np.ndarray, "windows horizon"] | None = None,
 ) -> Float[np.ndarray, "windows k"]:
     """Return the support numbers of the `sequence` section R_steps of many windows at once.
 
-    h_{R_j}(c) = sum over m = 1..j of h_W([Phi_{j-1} ... Phi_m]^T c), the factor being I at m = j.
+    h_{R_j}(c) = sum over m = 1..j of h_{W_{m-1}}([Phi_{j-1} ... Phi_m]^T c), the factor being I at
+    m = j.
+
+    Args:
+        loops: Phi_0 .. Phi_{N-1} of every window.
+        disturbance: W, or several sets.
+        directions: c.
+        steps: j.
+        acting: which of several sets is W of every period; the one set unless given.
     """
-    points = disturbance.vertices()
+    several = [disturbance] if isinstance(disturbance, Polytope) else disturbance
+    points = [one.vertices() for one in several]
+    which = np.zeros(loops.shape[:2], int) if acting is None else acting
     total = np.zeros(directions.shape[:2])
     for m in range(steps, 0, -1):
-        total += np.max(directions @ points.T, axis=-1)
+        for number in np.unique(which[:, m - 1]):
+            has_it = which[:, m - 1] == number
+            total[has_it] += np.max(directions[has_it] @ points[number].T, axis=-1)
         directions = directions @ loops[:, m - 1]
     return total
 

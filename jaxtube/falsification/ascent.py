@@ -47,8 +47,8 @@ def make_mean_attack(uncertainties: dict[str, Uncertainty], batch: int) -> Attac
     are symmetric."""
     attack = {}
     for name, uncertainty in uncertainties.items():
-        mean = uncertainty.vertices.mean(axis=0)
-        attack[name] = jnp.broadcast_to(jnp.asarray(mean), (uncertainty.times, batch, len(mean)))
+        mean = uncertainty.by_time.mean(axis=1)
+        attack[name] = jnp.repeat(jnp.asarray(mean)[:, None], batch, axis=1)
     return attack
 
 
@@ -58,9 +58,9 @@ def draw_vertex_attack(
     """Return an attack of random vertices."""
     attack = {}
     for name, uncertainty in uncertainties.items():
-        vertices = uncertainty.vertices
-        choice = generator.integers(len(vertices), size=(uncertainty.times, batch))
-        attack[name] = jax.device_put(vertices[choice])
+        vertices = uncertainty.by_time
+        choice = generator.integers(vertices.shape[1], size=(uncertainty.times, batch))
+        attack[name] = jax.device_put(np.take_along_axis(vertices, choice[..., None], axis=1))
     return attack
 
 
@@ -100,7 +100,7 @@ def start_ascent(attack: Attack) -> Ascent:
 @jax.jit
 def ascend(
     loop: JudgedLoop,
-    vertices: dict[str, Float[Array, "v n"]],
+    vertices: dict[str, Float[Array, "*times v n"]],
     ascent: Ascent,
     aim: CellAim,
 ) -> Sweep:
@@ -108,7 +108,7 @@ def ascend(
 
     Args:
         loop: whose plant's draws give way to the attack; all limits are judged in every lap.
-        vertices: of each uncertainty, by name.
+        vertices: of each uncertainty, by name; of every time, or of all.
         ascent: the batch.
         aim: of each instance.
     """
@@ -140,7 +140,7 @@ def _step(
     ascent: Ascent,
     usage: Float[Array, " batch"],
     gradient: Attack,
-    vertices: dict[str, Float[Array, "v n"]],
+    vertices: dict[str, Float[Array, "*times v n"]],
 ) -> Ascent:
     """Accept the candidates that are better, and go on from the best so far."""
     candidate = ascent.candidate
@@ -164,14 +164,17 @@ def _step(
 
 
 def _find_best_vertex(
-    vertices: Float[Array, "v n"],
+    vertices: Float[Array, "*times v n"],
     gradient: Float[Array, "times batch n"],
     values: Float[Array, "times batch n"],
 ) -> Float[Array, "times batch n"]:
     """Return the vertices that are best along the gradient; values where none is better."""
-    scores = gradient @ vertices.T
+    scores = gradient @ jnp.swapaxes(vertices, -1, -2)
     gains = jnp.max(scores, axis=2) > jnp.sum(gradient * values, axis=2)
-    return jnp.where(gains[:, :, None], vertices[jnp.argmax(scores, axis=2)], values)
+    best = jnp.argmax(scores, axis=2)
+    by_time = jnp.broadcast_to(vertices, (len(best), *vertices.shape[-2:]))
+    chosen = jnp.take_along_axis(by_time, best[:, :, None], axis=1)
+    return jnp.where(gains[:, :, None], chosen, values)
 
 
 def _choose(is_first: Bool[Array, " batch"], first: Attack, second: Attack) -> Attack:

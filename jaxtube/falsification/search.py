@@ -222,12 +222,12 @@ class _Searcher:
         case = self.cases["tube"]
         horizon = self.cells.shapes["tube"][0]
         names = self._list_sequences()
-        vertices = {name: self.space.uncertainties[name].vertices for name in names}
-        counts = [len(vertices[name]) for name in names for _ in range(horizon)]
+        plan = slice(case.when, case.when + horizon)
+        vertices = {name: self.space.uncertainties[name].by_time[plan] for name in names}
+        counts = [vertices[name].shape[1] for name in names for _ in range(horizon)]
         total = math.prod(counts)
         if not names or total > ENUMERATED:
             return
-        plan = slice(case.when, case.when + horizon)
         cell = np.full(self.batch, case.cell)
         when = np.full(self.batch, case.when)
         for first in range(0, total, self.batch):
@@ -238,7 +238,7 @@ class _Searcher:
                 name: np.repeat(values, self.batch, axis=1) for name, values in case.attack.items()
             }
             for name, choice in zip(names, choices, strict=True):
-                attack[name][plan] = vertices[name][choice]
+                attack[name][plan] = np.take_along_axis(vertices[name], choice[..., None], axis=1)
             on_device = {name: jnp.asarray(values) for name, values in attack.items()}
             yield _Round(on_device, cell, when)
 
@@ -265,7 +265,7 @@ class _Searcher:
         attack = {key: np.array(values[:, 0]) for key, values in case.attack.items()}
         for key, values in attack.items():
             later = step + int(key == "noise" or is_during)
-            values[later:] = self.space.uncertainties[key].vertices.mean(axis=0)
+            values[later:] = self.space.uncertainties[key].by_time.mean(axis=1)[later:]
         unconfirmed = Worst(name, case.usage, np.nan, step, facet, case.when, attack)
         loop = self.space.loop
         return confirm(loop.controller, loop.plant, loop.limits[name], unconfirmed)

@@ -198,7 +198,7 @@ def _draw_escape(design: Design, name: str) -> Figure:
     direction = escape.normal
     gains = [0.0]
     for index in (*reversed(escape.loops), 0):
-        gains.append(float(terminal.disturbance.support(direction)[0]))
+        gains.append(float(terminal.disturbances[index].support(direction)[0]))
         direction = direction @ terminal.loops[index]
     reach = np.cumsum(gains)
     steps = len(reach) - 1

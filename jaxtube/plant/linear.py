@@ -33,7 +33,7 @@ class LinearPlant:
     reference_wheels: Float[Array, "steps 2"]
     transitions: Float[Array, "steps 3 3"]
     input_matrices: Float[Array, "steps 3 2"]
-    disturbance_vertices: Float[Array, "v 3"]
+    disturbance_vertices: Float[Array, "v 3"] | Float[Array, "steps v 3"]  # where W differs by step
 
     has_wheels = False
 
@@ -76,13 +76,15 @@ class LinearPlant:
         """Draw one w: a vertex, or weights that are uniform on the simplex of the vertices."""
         stream = jax.random.fold_in(jax.random.fold_in(key, Stream.DISTURBANCE), step)
         side, inside = jax.random.split(stream)
-        count = self.disturbance_vertices.shape[0]
-        dtype = self.disturbance_vertices.dtype
+        differs = self.disturbance_vertices.ndim == 3
+        vertices = self.disturbance_vertices[step] if differs else self.disturbance_vertices
+        count = vertices.shape[0]
+        dtype = vertices.dtype
         index = jax.random.randint(side, (), 0, 2 * count)
         mixed = jax.random.exponential(inside, (count,), dtype)
         corner = (jnp.arange(count) == index).astype(dtype)
         weights = jnp.where(index < count, corner, mixed / jnp.sum(mixed))
-        return weights @ self.disturbance_vertices
+        return weights @ vertices
 
     def uncertainties(self) -> dict[str, Uncertainty]:
         """Return the disturbance w of every period."""

@@ -97,10 +97,17 @@ class Plant(Protocol):
 
 
 class Uncertainty(NamedTuple):
-    """One bounded uncertainty of a plant: `times` values, each in the hull of `vertices`."""
+    """One bounded uncertainty of a plant: `times` values, each in the hull of `vertices`, or of
+    those of its time."""
 
-    vertices: Float[Array | np.ndarray, "v n"]
+    vertices: Float[Array | np.ndarray, "v n"] | Float[Array | np.ndarray, "times v n"]
     times: int
+
+    @property
+    def by_time(self) -> Float[np.ndarray, "times v n"]:
+        """The vertices of every time."""
+        vertices = np.asarray(self.vertices)
+        return np.broadcast_to(vertices, (self.times, *vertices.shape[-2:]))
 
 
 class SearchablePlant(Plant, Protocol):

@@ -117,11 +117,6 @@ def _check_learning(scenario: Scenario, refuse: Refuse) -> None:
         refuse(key, problem, "leave out controller.observer_gain, or this key")
     if scenario.operating.bands:
         refuse(key, "goes with no operating.bands", "leave out one of the two")
-    serves = scenario.controller.tube_has_terminal_gain and scenario.controller.tube == "sequence"
-    if scenario.disturbance.bound == "computed" and not serves:
-        problem = "makes the first disturbances the widest, which only tubes of the reference know"
-        cure = 'set controller.terminal = "T-A" and controller.tube = "sequence"'
-        refuse(key, problem, cure)
 
 
 def _check_relative_slip(slip: Slip, refuse: Refuse) -> None:

@@ -243,5 +243,18 @@ def linear_plant(design: Design) -> LinearPlant:
         reference_wheels=jnp.asarray(schedule),
         transitions=jnp.asarray(transitions),
         input_matrices=jnp.asarray(inputs),
-        disturbance_vertices=jnp.asarray(problem.disturbance_set.vertices()),
+        disturbance_vertices=jnp.asarray(_find_disturbance_vertices(problem)),
     )
+
+
+def _find_disturbance_vertices(
+    problem: Problem,
+) -> Float[np.ndarray, "v 3"] | Float[np.ndarray, "steps v 3"]:
+    """Return the vertices of W, of several regimes those of every step; the last vertex fills up
+    the sets that have fewer."""
+    if not problem.regimes:
+        return problem.disturbance_set.vertices()
+    by_regime = [one.vertices() for one in problem.disturbances.sets]
+    most = max(map(len, by_regime))
+    padded = [np.pad(each, ((0, most - len(each)), (0, 0)), "edge") for each in by_regime]
+    return np.stack(padded)[problem.period_regimes[: problem.reference.steps]]

@@ -38,6 +38,28 @@ class Facets(NamedTuple):
     lower: Float[AnyArray, " n"]
     upper: Float[AnyArray, " n"]
 
+    def at(self, step: Int[Array, ""]) -> Facets:
+        """Return the polytope, which is due at every step."""
+        return self
+
+
+class FacetsByRegime(NamedTuple):
+    """Polytopes of which one is due at a step, that of its regime; their rows stand one below the
+    other."""
+
+    normals: Float[AnyArray, "f n"]
+    offsets: Float[AnyArray, " f"]
+    lower: Float[AnyArray, "regimes n"]
+    upper: Float[AnyArray, "regimes n"]
+    owners: Int[AnyArray, " f"]  # the regime of each row
+    regimes: Int[AnyArray, " steps"]  # that of each step
+
+    def at(self, step: Int[Array, ""]) -> Facets:
+        """Return the polytope that is due at a step; rows of the others are padding."""
+        regime = self.regimes[step]
+        offsets = jnp.where(self.owners == regime, self.offsets, jnp.inf)
+        return Facets(self.normals, offsets, self.lower[regime], self.upper[regime])
+
 
 class Sections(NamedTuple):
     """The sections R_1 .. R_N of a tube, those of window `index[step]` being due at a step."""
@@ -87,9 +109,9 @@ class Checks:
 
     transitions: Float[AnyArray, "steps 3 3"]
     input_matrices: Float[AnyArray, "steps 3 2"]
-    disturbance: Facets
+    disturbance: Facets | FacetsByRegime
     error: Facets
-    input: Facets
+    input: Facets | FacetsByRegime
     tubes: dict[str, Sections]
     tube: str
     ultimate: Float[AnyArray, "3"]
@@ -151,9 +173,12 @@ def is_beyond(
     return ~(below & above)
 
 
-def find_usage(facets: Facets, excess: Float[Array, "f batch"]) -> Float[Array, " batch"]:
-    """Return what points use of a polytope, 1 on a facet and more outside, from their excess."""
-    scale = jnp.where((facets.offsets > 0) & jnp.isfinite(facets.offsets), facets.offsets, 1.0)
+def find_usage(
+    offsets: Float[AnyArray, " f"], excess: Float[Array, "f batch"]
+) -> Float[Array, " batch"]:
+    """Return what points use of a polytope with such offsets, 1 on a facet and more outside, from
+    their excess."""
+    scale = jnp.where((offsets > 0) & jnp.isfinite(offsets), offsets, 1.0)
     return jnp.max(1 + excess / scale[:, None], axis=0)
 
 
@@ -163,5 +188,5 @@ def judge_points(facets: Facets, points: Float[Array, "n batch"]) -> Judgement:
     outside = ~jnp.all(excess <= OUTSIDE, axis=0)
     below = points <= facets.upper[:, None] + OUTSIDE
     above = points >= facets.lower[:, None] - OUTSIDE
-    usage = find_usage(facets, excess)
+    usage = find_usage(facets.offsets, excess)
     return Judgement(outside, ~(below & above), excess, jnp.where(jnp.isnan(usage), jnp.inf, usage))

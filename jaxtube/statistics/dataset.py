@@ -17,7 +17,7 @@ from jaxtube.statistics import histogram
 from jaxtube.statistics.events import EVENT_NAMES
 from jaxtube.statistics.run import RANKED, Statistics
 from jaxtube.statistics.tally import CLOUD_REACH, STAGE_EVENTS
-from jaxtube.statistics.task import facets, lay_map_grid, sections
+from jaxtube.statistics.task import disturbance_facets, facets, lay_map_grid, sections
 from jaxtube.synthesis.parts import Design
 
 RANKED_SETS = {"error": "E", "disturbance": "W", "tube": "the tube"}
@@ -197,7 +197,7 @@ def _facet_units(design: Design) -> dict[str, tuple]:
     """Return the unit in which the excess over each facet is given."""
     problem = design.problem
     units = {
-        "disturbance": list(map(find_unit, facets(problem.disturbance_set).normals)),
+        "disturbance": list(map(find_unit, disturbance_facets(problem).normals)),
         "error": list(map(find_unit, facets(problem.error_set).normals)),
         "input": list(map(find_input_unit, problem.input_rows.inputs)),
     }

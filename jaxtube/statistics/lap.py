@@ -24,7 +24,7 @@ from jaxtube.plant.lagging import LaggingRobot, SlipSource
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import batches
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, run_laps
-from jaxtube.statistics.checks import Facets, judge_points
+from jaxtube.statistics.checks import Facets, FacetsByRegime, Judgement, judge_points
 from jaxtube.statistics.run import Task
 from jaxtube.synthesis.parts import Design
 
@@ -106,9 +106,19 @@ def _run(task: Task, keys: Key[Array, " laps"]) -> Trajectory:
     return jax.tree.map(np.asarray, laps)
 
 
-def _usage(facets: Facets, points: Float[np.ndarray, "steps 3"]) -> Usage:
-    judged = jax.tree.map(np.asarray, jax.jit(judge_points)(facets, points.T))
-    return Usage(judged.outside, judged.outside_box.T, judged.usage)
+def _usage(facets: Facets | FacetsByRegime, points: Float[np.ndarray, "steps 3"]) -> Usage:
+    judged = jax.tree.map(lambda array: np.asarray(array)[..., 0], _judge_steps(facets, points))
+    return Usage(judged.outside, judged.outside_box, judged.usage)
+
+
+@jax.jit
+def _judge_steps(facets: Facets | FacetsByRegime, points: Float[Array, "steps 3"]) -> Judgement:
+    """Return the judgement of one point a step, by the set that is due then; steps first."""
+
+    def judge(step, point):
+        return judge_points(facets.at(step), point[:, None])
+
+    return jax.vmap(judge)(jnp.arange(len(points)), points)
 
 
 @jax.jit

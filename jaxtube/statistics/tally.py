@@ -39,6 +39,7 @@ from jaxtube.statistics.checks import (
     Checks,
     Coordinates,
     Facets,
+    FacetsByRegime,
     find_excess,
     find_usage,
     is_beyond,
@@ -134,9 +135,14 @@ def _histogram_shapes(checks: Checks, horizon: int) -> dict[str, tuple[int, ...]
     }
 
 
-def _judged_sets(checks: Checks) -> dict[str, Facets]:
-    """Return the sets that every period is judged by."""
+def _judged_sets(checks: Checks) -> dict[str, Facets | FacetsByRegime]:
+    """Return the sets that periods are judged by."""
     return {"disturbance": checks.disturbance, "error": checks.error, "input": checks.input}
+
+
+def _find_due_sets(checks: Checks, step: Int[Array, ""]) -> dict[str, Facets]:
+    """Return the sets that the period which begins at a step is judged by."""
+    return {name: facets.at(step) for name, facets in _judged_sets(checks).items()}
 
 
 def _find_command_step(laps: LapNumbers, happened: PeriodOutcome) -> Float[Array, "2 batch"] | None:
@@ -174,21 +180,22 @@ def _judge_learning(
 
 def find_events(
     checks: Checks,
+    due: dict[str, Facets],
     judged: dict[str, Coordinates],
     happened: PeriodOutcome,
     after: LoopState,
     settled: Bool[Array, ""],
 ) -> dict[str, Bool[Array, " batch"]]:
     """Return which events of `jaxtube.statistics.events` one period of every lap had, without those
-    that compare it with the one before; `judged` are the points of each set."""
+    that compare it with the one before; `due` are the sets, `judged` the points of each."""
     diagnostics = happened.diagnostics
     measured = _coordinates(after.measured)
     within = [jnp.abs(measured[i]) <= checks.ultimate[i] for i in range(3)]
     numbers = functools.reduce(operator.add, [*judged["error"], *judged["input"][:2]])
     found = {
-        "w_outside_W": is_outside(checks.disturbance, judged["disturbance"]),
-        "e_outside_E": is_outside(checks.error, judged["error"]),
-        "u_outside_U": is_outside(checks.input, judged["input"]),
+        "w_outside_W": is_outside(due["disturbance"], judged["disturbance"]),
+        "e_outside_E": is_outside(due["error"], judged["error"]),
+        "u_outside_U": is_outside(due["input"], judged["input"]),
         "wheels_saturated": is_saturated(happened.demanded, happened.wheels),
         "qp_infeasible": diagnostics.status == qp.INFEASIBLE,
         "qp_unsolved": diagnostics.status == qp.UNSOLVED,
@@ -197,12 +204,9 @@ def find_events(
         "outside_ultimate_bound": settled & ~functools.reduce(operator.and_, within),
         "not_finite": ~jnp.isfinite(numbers),
     }
-    for letter, facets, name in (
-        ("w", checks.disturbance, "disturbance"),
-        ("e", checks.error, "error"),
-    ):
+    for letter, name in (("w", "disturbance"), ("e", "error")):
         for i, coordinate in enumerate(coordinates.NAMES):
-            found[f"{letter}_outside_{coordinate}"] = is_beyond(facets, i, judged[name][i])
+            found[f"{letter}_outside_{coordinate}"] = is_beyond(due[name], i, judged[name][i])
     return found
 
 
@@ -223,11 +227,12 @@ def observe(
     judged: dict[str, Coordinates] = {"disturbance": w, "error": e, "input": [*u, *measured]}
     settled = step + 1 >= checks.settled
     command_step = _find_command_step(tally.laps, happened)
-    events = find_events(checks, judged, happened, after, settled)
+    due = _find_due_sets(checks, step)
+    events = find_events(checks, due, judged, happened, after, settled)
     events["acceleration_exceeded"] = _is_too_fast(checks, command_step, step, len(e[0]))
     knows, radius = _judge_learning(checks, before, step)
     events["slip_outside_interval"] = ~knows
-    laps = _observe_laps(checks, tally.laps, events, judged, settled)
+    laps = _observe_laps(due, tally.laps, events, judged, settled)
     if command_step is not None:
         laps = laps._replace(asked=happened.demanded)
     sums = dict(tally.sums)
@@ -274,7 +279,7 @@ def _find_disturbance(
 
 
 def _observe_laps(
-    checks: Checks,
+    due: dict[str, Facets],
     laps: LapNumbers,
     events: dict[str, Bool[Array, " batch"]],
     judged: dict[str, Coordinates],
@@ -284,7 +289,7 @@ def _observe_laps(
     flags = [events[name].astype(jnp.int32) << row for row, name in enumerate(EVENT_NAMES)]
     e = jnp.stack(judged["error"])
     excess = {}
-    for name, facets in _judged_sets(checks).items():
+    for name, facets in due.items():
         found = find_excess(facets, judged[name])
         # NaN is not larger.
         excess[name] = jnp.where(found > laps.excess[name], found, laps.excess[name])
@@ -308,7 +313,7 @@ def find_usages(checks: Checks, laps: LapNumbers) -> Float[Array, "3 batch"]:
     a number was not finite."""
     is_finite = _count_flags(laps)[find_row("not_finite")] == 0
     used = [
-        jnp.where(is_finite, find_usage(facets, laps.excess[name]), jnp.inf)
+        jnp.where(is_finite, find_usage(facets.offsets, laps.excess[name]), jnp.inf)
         for name, facets in (("error", checks.error), ("disturbance", checks.disturbance))
     ]
     return jnp.stack([*used, laps.tube_usage])

@@ -17,12 +17,13 @@ from jaxtube.plant.protocol import Plant
 from jaxtube.plant.random_keys import make_key
 from jaxtube.plant.reference import Reference, settled_step
 from jaxtube.simulation.starts import Starts
-from jaxtube.statistics.checks import Checks, Facets, Sections
+from jaxtube.statistics.checks import Checks, Facets, FacetsByRegime, Sections
 from jaxtube.statistics.run import Task
 from jaxtube.statistics.tally import HEAT_CELLS
 from jaxtube.synthesis.disturbance import find_learnt_slips
 from jaxtube.synthesis.limits import InputRows, find_command_step
 from jaxtube.synthesis.parts import Design
+from jaxtube.synthesis.problem import Problem
 from sets.polytope import Polytope
 
 MAP_MARGIN_M = 0.4
@@ -55,7 +56,7 @@ def make_checks(design: Design, controller: Controller) -> Checks:
     checks = Checks(
         transitions=transitions,
         input_matrices=inputs,
-        disturbance=facets(problem.disturbance_set),
+        disturbance=disturbance_facets(problem),
         error=facets(problem.error_set),
         input=input_facets(problem.input_rows),
         tubes={name: sections(design, name) for name in compared},
@@ -90,6 +91,26 @@ def facets(polytope: Polytope) -> Facets:
         offsets=unit.offsets,
         lower=-polytope.support(-identity),
         upper=polytope.support(identity),
+    )
+
+
+def disturbance_facets(problem: Problem) -> Facets | FacetsByRegime:
+    """Return W, of several regimes that of each."""
+    return _arrange_by_regime(problem, [facets(one) for one in problem.disturbances.sets])
+
+
+def _arrange_by_regime(problem: Problem, by_regime: list[Facets]) -> Facets | FacetsByRegime:
+    """Return the one set that all periods share, or that of every regime."""
+    if len(by_regime) == 1:
+        return by_regime[0]
+    sizes = [len(each.offsets) for each in by_regime]
+    return FacetsByRegime(
+        normals=np.concatenate([each.normals for each in by_regime]),
+        offsets=np.concatenate([each.offsets for each in by_regime]),
+        lower=np.stack([each.lower for each in by_regime]),
+        upper=np.stack([each.upper for each in by_regime]),
+        owners=np.repeat(np.arange(len(by_regime)), sizes),
+        regimes=problem.period_regimes[: problem.reference.steps],
     )
 
 
@@ -156,7 +177,7 @@ def bound_settled_error(
     if gains is None:
         return np.full(3, np.inf)
     problem = design.problem
-    W = problem.disturbance_set
+    regimes = problem.period_regimes
     steps = problem.reference.steps
     transitions, inputs = problem.model.matrices(problem.schedule[:steps])
     loops = transitions + inputs @ np.asarray(gains)
@@ -166,8 +187,9 @@ def bound_settled_error(
     reach = np.zeros((len(ends), 3))
     for back in range(1, steps + 1):
         live = ends >= back
-        reach[live] += W.support(directions[live].reshape(-1, 3)).reshape(-1, 3)
-        directions[live] = directions[live] @ loops[ends[live] - back]
+        period = ends[live] - back
+        reach[live] += problem.disturbances.support(regimes[period], directions[live])
+        directions[live] = directions[live] @ loops[period]
     of_start = problem.error_set.support(directions.reshape(-1, 3)).reshape(-1, 3)
     return np.max(reach + of_start, axis=0)
 

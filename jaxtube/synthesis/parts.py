@@ -122,7 +122,7 @@ class Design:
                 "plain_qps": list_qp_arrays(self.plain_qps),
                 "tube_gain": _list_fields(self.tube_gain, "nominal", "vertices"),
                 "terminal_gain": _list_fields(terminal_gain, "nominal", "vertices"),
-                "windows": _list_fields(windows, "schedules", "index", "loops", "gains"),
+                "windows": _list_fields(windows, "schedules", "index", "loops", "gains", "regimes"),
                 "reference": _list_fields(problem.reference, "wheels", "poses"),
                 "disturbance_set": _list_fields(problem.disturbance_set, "normals", "offsets"),
             }

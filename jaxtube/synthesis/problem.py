@@ -13,10 +13,12 @@ Source: Gonzalez, Fiacchini, Guzman, Alamo 2009, section IV.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxtube.paths.reference import follow_file
 from jaxtube.plant.model import VERTEX_SIDES, Model, make_model
@@ -34,6 +36,7 @@ from jaxtube.synthesis.limits import (
     make_input_rows,
     operating_bounds,
 )
+from jaxtube.synthesis.regimes import ONE_REGIME, Disturbances, RegimeRule
 from sets.polytope import Polytope
 from sets.robot.disturbance import DisturbanceBound
 
@@ -54,6 +57,11 @@ class Problem:
     noise, or S of the estimate (`synthesis.disturbance: complete_problem`). `first_command`
     bounds the first command where `input_rows` keep the acceleration of the wheels, else it is
     None.
+
+    `regimes` are the problems that would be, did all periods belong to one regime; none where they
+    do. `rule` numbers them along a run. `disturbance_set` then holds the W of each.
+    `periods_learnt` says for how many periods slips that are learnt on line have been learnt, None
+    for as many as it takes (`synthesis.learnt_slips`).
     """
 
     scenario: Scenario
@@ -73,6 +81,24 @@ class Problem:
     estimate_error: Float[np.ndarray, "3"]
     disturbance_bound: DisturbanceBound | None = None
     first_command: FirstCommand | None = None
+    periods_learnt: int | None = None
+    regimes: tuple[Problem, ...] = ()
+    rule: RegimeRule = ONE_REGIME
+
+    @property
+    def every_regime(self) -> tuple[Problem, ...]:
+        """The problem of every regime, itself where there is one."""
+        return self.regimes or (self,)
+
+    @cached_property
+    def disturbances(self) -> Disturbances:
+        """The W of every regime."""
+        return Disturbances(tuple(regime.disturbance_set for regime in self.every_regime))
+
+    @property
+    def period_regimes(self) -> Int[np.ndarray, " periods"]:
+        """The regime of every period, preview included."""
+        return self.rule.number(self.schedule)
 
     @property
     def schedule(self) -> Float[np.ndarray, "periods 2"]:
@@ -159,6 +185,12 @@ def make_problem(scenario: Scenario) -> Problem:
         regions=_make_regions(scenario, reference, box),
         estimate_error=noise,
     )
+
+
+def with_regimes(problem: Problem, regimes: Sequence[Problem], rule: RegimeRule) -> Problem:
+    """Return the problem with several regimes, numbered by the rule in the order given."""
+    several = replace(problem, regimes=tuple(regimes), rule=rule)
+    return replace(several, disturbance_set=several.disturbances.hull())
 
 
 def with_controller(problem: Problem, scenario: Scenario) -> Problem:

@@ -9,7 +9,8 @@ With the terminal gains Gamma(th) bilinear in the schedule and Omega invariant f
            E - R_{N-1} with Gamma_i Omega' in U - K R_{N-1};   e_N in Omega' - D
 
 With `T-A` and `T-B` the plan stays feasible. Where the set is empty, e_N in E - R_N takes its place
-and the design says so.
+and the design says so. Where there are several regimes, Omega is invariant under the W of each that
+lasts (`regimes`).
 
 Sources: Gonzalez, Fiacchini, Guzman, Alamo 2009, section III-E; Kolmanovsky and Gilbert 1998;
 Blanchini 1999.
@@ -29,8 +30,8 @@ from jaxtube.synthesis.tightening import Tightening, find_back_off
 from jaxtube.synthesis.tubes import Tube
 from sets import tubes
 from sets.few_facets import few_facet_rpi
-from sets.invariant import MaximalRpi, maximal_rpi
-from sets.polytope import Polytope, SupportFunction
+from sets.invariant import Disturbance, MaximalRpi, maximal_rpi
+from sets.polytope import Polytope
 
 FACET_MULTIPLES = (1, 2)
 """Facets that the invariant set used on line may have, times `terminal_facets`. Each facet is a row
@@ -47,18 +48,15 @@ class Terminal:
     """
 
     gains: Gain
-    disturbance: tubes.Section  # W, or D for T-B
+    # Loops of the terminal gains that the set is invariant under, and W of each, or D for T-B.
+    loops: Float[np.ndarray, "v 3 3"]
+    disturbances: tuple[tubes.Section, ...]
     admissible: Polytope  # errors in E whose terminal input is admissible: holds the invariant set
     maximal: MaximalRpi
     invariant: Polytope | None
     constraint_normals: Float[np.ndarray, "facets 3"]
     constraint_offsets: Float[np.ndarray, "windows facets"]
     fallback: bool
-
-    @property
-    def loops(self) -> Float[np.ndarray, "v 3 3"]:
-        """Loops of the terminal gains that the set is invariant under."""
-        return self.gains.loops
 
     @property
     def volume_share(self) -> float | None:
@@ -91,22 +89,24 @@ def admissible_set(
 def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tightening) -> Terminal:
     """Return the terminal set of the scenario's choice, or its stand-in."""
     N = problem.horizon
-    disturbance = tubes.Section((problem.disturbance_set.vertices(),), 3)
+    loops, disturbances = pair_lasting_loops(problem, gains)
     admissible = admissible_set(problem, gains)
     if problem.scenario.controller.terminal_set_holds_reach:
-        disturbance = tubes.propagate(tube.gain.loops, problem.disturbance_set, N - 1)[-1]
+        reach = tubes.propagate(tube.gain.loops, problem.disturbance_set, N - 1)[-1]
+        disturbances = (reach,) * len(loops)
         last_errors = problem.operating_set.offsets - tightening.error_reach[:, N - 1].max(axis=0)
         last_inputs = problem.input_rows.offsets - tightening.input_reach[:, N - 1].max(axis=0)
         admissible = admissible_set(problem, gains, last_errors, last_inputs)
-    maximal, invariant = _find_invariant(problem, gains, disturbance, admissible)
-    constraint = _constraint(problem, invariant, disturbance, tube, tightening)
+    maximal, invariant = _find_invariant(problem, loops, disturbances, admissible)
+    constraint = _constraint(problem, invariant, disturbances, tube, tightening)
     normals, offsets = constraint or (
         problem.operating_set.normals,
         problem.operating_set.offsets - tightening.error_reach[:, N],
     )
     return Terminal(
         gains,
-        disturbance,
+        loops,
+        disturbances,
         admissible,
         maximal,
         invariant,
@@ -116,13 +116,30 @@ def make_terminal(problem: Problem, tube: Tube, gains: Gain, tightening: Tighten
     )
 
 
+def pair_lasting_loops(
+    problem: Problem, gains: Gain
+) -> tuple[Float[np.ndarray, "v 3 3"], tuple[tubes.Section, ...]]:
+    """Return the loops that may act once a plan has ended, and the W of each: every loop under
+    every regime that lasts."""
+    loops = []
+    disturbances = []
+    for regime in problem.rule.lasting(problem.horizon):
+        disturbance = tubes.Section((problem.disturbances[regime].vertices(),), 3)
+        loops.append(gains.loops)
+        disturbances += [disturbance] * len(gains.loops)
+    return np.concatenate(loops), tuple(disturbances)
+
+
 def set_back_off(problem: Problem) -> float:
     """Return by how much the invariant set stays inside the limits, and W is widened."""
     return (problem.horizon + 2) * find_back_off(problem)
 
 
 def _find_invariant(
-    problem: Problem, gains: Gain, disturbance: tubes.Section, admissible: Polytope
+    problem: Problem,
+    loops: Float[np.ndarray, "v 3 3"],
+    disturbances: tuple[tubes.Section, ...],
+    admissible: Polytope,
 ) -> tuple[MaximalRpi, Polytope | None]:
     """Return the maximal invariant set and the one used on line, of few facets.
 
@@ -135,13 +152,14 @@ def _find_invariant(
         admissible.normals,
         admissible.offsets - back_off * (1 + np.linalg.norm(admissible.normals, axis=1)),
     )
-    widened = partial(_widened_support, disturbance, back_off)
-    maximal = _maximal(gains.loops, inner, widened)
+    distinct = {id(each): partial(_widened_support, each, back_off) for each in disturbances}
+    widened = [distinct[id(each)] for each in disturbances]
+    maximal = _maximal(loops, inner, widened)
     if maximal.polytope is None:
         return maximal, None
     for multiple in FACET_MULTIPLES:
         facets = multiple * problem.scenario.controller.terminal_facets
-        few = few_facet_rpi(gains.loops, inner, widened, maximal.polytope, facets)
+        few = few_facet_rpi(loops, inner, widened, maximal.polytope, facets)
         if few is not None:
             return maximal, few
     return maximal, None
@@ -155,7 +173,7 @@ def _widened_support(
 
 
 def _maximal(
-    loops: Float[np.ndarray, "v 3 3"], admissible: Polytope, disturbance: SupportFunction
+    loops: Float[np.ndarray, "v 3 3"], admissible: Polytope, disturbance: Disturbance
 ) -> MaximalRpi:
     if np.any(admissible.offsets <= 0):
         return MaximalRpi(None, None, 0)
@@ -165,7 +183,7 @@ def _maximal(
 def _constraint(
     problem: Problem,
     invariant: Polytope | None,
-    disturbance: tubes.Section,
+    disturbances: tuple[tubes.Section, ...],
     tube: Tube,
     tightening: Tightening,
 ) -> tuple[Float[np.ndarray, "facets 3"], Float[np.ndarray, "windows facets"]] | None:
@@ -175,7 +193,7 @@ def _constraint(
     windows = len(tightening.error_reach)
     facets = len(invariant.offsets)
     if problem.scenario.controller.terminal_set_holds_reach:
-        taken = disturbance.support(invariant.normals)
+        taken = disturbances[0].support(invariant.normals)  # D, the same for every loop
     else:
         taken = tube.support(problem.horizon, invariant.normals)
     offsets = invariant.offsets - np.broadcast_to(taken, (windows, facets))

@@ -25,9 +25,9 @@ from jaxtyping import Bool, Float, Int
 from jaxtube.synthesis.gains import Gain
 from jaxtube.synthesis.limits import InputRows
 from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.regimes import Disturbances
 from jaxtube.synthesis.windows import Windows
 from sets import tubes
-from sets.polytope import Polytope
 from sets.tubes import Section
 
 AFFINE = 1e-12
@@ -95,13 +95,16 @@ class FollowingTube(Tube):
     follows_reference: ClassVar[bool] = True
 
     windows: Windows
-    disturbance: Polytope
+    disturbances: Disturbances
     shown_window: int
 
     @cached_property
     def sections_by_window(self) -> list[Sequence[Section]]:
         """R_0 .. R_N of every window."""
-        return [tubes.sequence_tube(loops, self.disturbance) for loops in self.windows.loops]
+        return [
+            make_window_sections(self.windows, self.disturbances, window)
+            for window in range(len(self.windows.loops))
+        ]
 
     def shows(self, windows: Int[np.ndarray, " k"]) -> Bool[np.ndarray, " k"]:
         """Return which windows have the sections that are shown."""
@@ -109,16 +112,21 @@ class FollowingTube(Tube):
 
     def support(self, stage: int, rows: Float[np.ndarray, "k 3"]) -> Float[np.ndarray, "windows k"]:
         """Return the support numbers of R_stage along rows, window by window."""
-        loops = self.windows.loops
-        by_window = np.broadcast_to(rows, (len(loops), *rows.shape))
-        return tubes.sequence_support(loops, self.disturbance, by_window, stage)
+        by_window = np.broadcast_to(rows, (len(self.windows.loops), *rows.shape))
+        return self._support(stage, by_window)
 
     def input_support(self, stage: int, rows: InputRows) -> Float[np.ndarray, "windows k"]:
         """Return the support numbers of R_stage along rows under the gain that acts at the stage,
         after the last one the last gain."""
         last = self.windows.gains.shape[1] - 1
         under = rows.on_errors(self.windows.gains[:, min(stage, last)])
-        return tubes.sequence_support(self.windows.loops, self.disturbance, under, stage)
+        return self._support(stage, under)
+
+    def _support(
+        self, stage: int, rows: Float[np.ndarray, "windows k 3"]
+    ) -> Float[np.ndarray, "windows k"]:
+        """Return the support numbers of R_stage along rows of every window."""
+        return support_windows(self.windows, self.disturbances, rows, stage)
 
 
 def make_tubes(problem: Problem, gain: Gain, windows: Windows) -> dict[str, Tube]:
@@ -145,18 +153,33 @@ def make_tubes(problem: Problem, gain: Gain, windows: Windows) -> dict[str, Tube
 
 def make_following_tube(problem: Problem, gain: Gain, windows: Windows) -> FollowingTube:
     """Return the tube along the reference, the window of widest lateral reach shown."""
-    W = problem.disturbance_set
     widest = find_widest_window(problem, windows)
-    sections = tubes.sequence_tube(windows.loops[widest], W)
-    return FollowingTube("sequence", gain, sections, windows, W, widest)
+    sections = make_window_sections(windows, problem.disturbances, widest)
+    return FollowingTube("sequence", gain, sections, windows, problem.disturbances, widest)
+
+
+def make_window_sections(
+    windows: Windows, disturbances: Disturbances, window: int
+) -> list[Section]:
+    """Return R_0 .. R_N along the periods of a window."""
+    of_periods = disturbances.of_periods(windows.regimes[window])
+    return tubes.sequence_tube(windows.loops[window], of_periods)
+
+
+def support_windows(
+    windows: Windows,
+    disturbances: Disturbances,
+    rows: Float[np.ndarray, "windows k 3"],
+    stage: int,
+) -> Float[np.ndarray, "windows k"]:
+    """Return the support numbers of R_stage along the periods of every window."""
+    return tubes.sequence_support(windows.loops, disturbances.sets, rows, stage, windows.regimes)
 
 
 def find_widest_window(problem: Problem, windows: Windows) -> int:
     """Return the first window whose tube along the reference has the widest lateral reach."""
     lateral = np.broadcast_to([0.0, 1.0, 0.0], (len(windows.loops), 1, 3))
-    reach = tubes.sequence_support(
-        windows.loops, problem.disturbance_set, lateral, problem.horizon
-    )[:, 0]
+    reach = support_windows(windows, problem.disturbances, lateral, problem.horizon)[:, 0]
     return int(np.argmax(reach >= (1 - SAME_REACH) * reach.max()))
 
 

@@ -1,6 +1,7 @@
 """Windows: the distinct stretches of N schedules along the reference, with the loops along each.
 
-On a circle all steps share one window; so do the condensed problems made from them.
+On a circle all steps share one window; so do the condensed problems made from them. Stretches whose
+periods belong to different regimes are different windows.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ class Windows:
     index: Int[np.ndarray, " steps"]
     loops: Float[np.ndarray, "windows horizon 3 3"]
     gains: Float[np.ndarray, "windows horizon 2 3"]
+    regimes: Int[np.ndarray, "windows horizon"]
 
     def followers(self, window: int) -> Int[np.ndarray, " k"]:
         """Return the windows that steps along the reference have ahead right after this one."""
@@ -33,9 +35,17 @@ def make_windows(problem: Problem, gain: Gain) -> Windows:
     horizon = problem.horizon
     steps = problem.reference.steps
     wheels = merge_equal_speeds(problem.schedule)
-    stretches = np.stack([wheels[j : j + steps] for j in range(horizon)], axis=1)
-    _, first, index = np.unique(
-        stretches.round(SAME_SPEED_DECIMALS), axis=0, return_index=True, return_inverse=True
+    regimes = problem.period_regimes
+    # The regime of a period stands beside its wheel speeds, so that both tell windows apart.
+    periods = np.column_stack([wheels.round(SAME_SPEED_DECIMALS), regimes])
+    stretches = np.stack([periods[j : j + steps] for j in range(horizon)], axis=1)
+    _, first, index = np.unique(stretches, axis=0, return_index=True, return_inverse=True)
+    ahead = first[:, None] + np.arange(horizon)
+    schedules = wheels[ahead]
+    return Windows(
+        schedules=schedules,
+        index=index.reshape(-1),
+        loops=gain.loops_along(schedules),
+        gains=gain.along(schedules),
+        regimes=regimes[ahead],
     )
-    schedules = stretches[first]
-    return Windows(schedules, index.reshape(-1), gain.loops_along(schedules), gain.along(schedules))

@@ -246,7 +246,7 @@ class _ExactWindow:
     rows: dict[str, list[list[GridRow]]]
     used: dict[str, Matrix]
     terminal: Halfspaces
-    points: list[list[int]]  # of W in units of 1/share
+    points: list[list[list[int]]]  # of the W of every stage in units of 1/share
     share: int
 
     def reach(self, row: GridRow, stage: int) -> Range:
@@ -255,7 +255,7 @@ class _ExactWindow:
         last = 0
         total = 0
         for m in range(stage, 0, -1):
-            last = max(_find_widest(row, point) for point in self.points)
+            last = max(_find_widest(row, point) for point in self.points[m - 1])
             total += last
             row = _multiply(row, self.loops[m - 1]) if m > 1 else row
         return Fraction(last, GRID * self.share), Fraction(total, GRID * self.share)
@@ -289,14 +289,15 @@ def _couple(feedback: GridMatrix, inputs: Row, errors: Row) -> GridRow:
 
 def _make_window(
     stages: Sequence[tuple[GridMatrix, GridMatrix]],
-    points: Matrix,
+    points: Sequence[Matrix],
     error_rows: Matrix,
     input_rows: Sequence[tuple[Row, Row]],
     used: UsedOffsets,
     index: int,
 ) -> _ExactWindow:
-    """Gather a window whose stages are given by their loops and feedbacks."""
-    share = lcm(*(a.denominator for point in points for a in point))
+    """Gather a window whose stages are given by their loops and feedbacks, and by the points of the
+    W of each."""
+    share = lcm(*(a.denominator for stage in points for point in stage for a in point))
     errors = [_place(row) for row in error_rows]
     inputs = [[_couple(feedback, *row) for row in input_rows] for _, feedback in stages]
     kept_errors = tuple(exact_row(row, "errors") for row in used.errors[index])
@@ -306,7 +307,7 @@ def _make_window(
         rows={"errors": [errors] * len(stages), "inputs": inputs},
         used={"errors": kept_errors, "inputs": kept_inputs},
         terminal=Halfspaces(used.terminal_normals, used.terminal[index]),
-        points=[[int(a * share) for a in point] for point in points],
+        points=[[[int(a * share) for a in point] for point in stage] for stage in points],
         share=share,
     )
 
@@ -316,18 +317,20 @@ def sequence_margins(
     followers: Iterable[tuple[int, int]],
     gains: Numbers,
     dt: float,
-    disturbance_vertices: NumberRows,
+    disturbance_vertices: Sequence[NumberRows],
     error_set: tuple[NumberRows, Numbers],
     input_set: tuple[NumberRows, NumberRows, Numbers],
     invariant_set: tuple[NumberRows, Numbers],
     used: UsedOffsets,
+    regimes: Sequence[Sequence[int]] | None = None,
 ) -> dict[str, Fraction]:
     """Return the least margins of the tube conditions along known schedules, by name.
 
     `boxes[w][j]` encloses stage j of window w, `followers` are pairs (window, window one step
     later; none where the run ends). Sets are rows and offsets; `input_set` is (D, C, d) of D u + C
-    e <= d, with rows D K + C on the error under u = K e. With Psi = Phi_{j-1} .. Phi_1 along the
-    window:
+    e <= d, with rows D K + C on the error under u = K e. The vertices are those of one W a regime,
+    `regimes[w][j]` the regime of stage j, the first unless given. With Psi = Phi_{j-1} .. Phi_1
+    along the window:
 
         nonempty   the origin lies in every set used
         reach      used_j + h_{R_j}(c) <= offset of E, U;  T + R_N in Omega
@@ -345,7 +348,8 @@ def sequence_margins(
             f"used: {len(used.errors)} windows of offsets for {len(boxes)} windows: "
             "give one a window"
         )
-    points = exact_rows(disturbance_vertices, "disturbance_vertices")
+    points = [exact_rows(vertices, "disturbance_vertices") for vertices in disturbance_vertices]
+    acting = [[0] * len(row) for row in boxes] if regimes is None else regimes
     error_rows = exact_rows(error_set[0], "error_set")
     input_rows = [(exact_row(D), exact_row(C)) for D, C in zip(*input_set[:2], strict=True)]
     whole = {
@@ -355,7 +359,14 @@ def sequence_margins(
     invariant = Halfspaces(*invariant_set)
     enclosed = _enclose_stages(boxes, gains, dt)
     windows = [
-        _make_window([enclosed[box] for box in row], points, error_rows, input_rows, used, index)
+        _make_window(
+            [enclosed[box] for box in row],
+            [points[regime] for regime in acting[index]],
+            error_rows,
+            input_rows,
+            used,
+            index,
+        )
         for index, row in enumerate(boxes)
     ]
     following = _find_followers(boxes, followers)

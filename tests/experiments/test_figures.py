@@ -162,7 +162,7 @@ def test_a_design_without_terminal_set_shows_how_it_escapes(design):
     without = dataclasses.replace(design, terminal=terminal)
     figure = sets.terminal_set(without, "paper")
     assert_presentable(figure)
-    W = terminal.disturbance.vertices()
+    W = [section.vertices() for section in terminal.disturbances]
     excess, _ = escape_excess(terminal.loops, W, escape.normal, escape.offset, escape.loops)
     reach = figure.axes[0].lines[0].get_ydata()
     assert reach[-1] == pytest.approx(escape.offset + excess)

@@ -293,7 +293,9 @@ def test_the_set_must_be_invariant_for_what_w_becomes_whatever_the_design_says(
 ):
     terminal = dataclasses.replace(
         robust_design.terminal,
-        disturbance=robust_design.terminal.disturbance.image(0.5 * np.eye(3)),
+        disturbances=tuple(
+            section.image(0.5 * np.eye(3)) for section in robust_design.terminal.disturbances
+        ),
         invariant=robust_design.terminal.invariant.scale(0.75),
     )
     assert "terminal_set_invariant" in recertify(robust_design, terminal=terminal).failing_for_model
@@ -455,7 +457,11 @@ def test_a_set_that_backed_off_constraints_alone_exclude_may_exist(uncertified, 
     escape = design.terminal.maximal.escape
     loops = design.terminal.gains.loops
     excess, _ = escape_excess(
-        loops, design.terminal.disturbance.vertices(), escape.normal, 0.0, escape.loops
+        loops,
+        [each.vertices() for each in design.terminal.disturbances],
+        escape.normal,
+        0.0,
+        escape.loops,
     )
     barely = dataclasses.replace(escape, offset=float(excess) - BACK_OFF)
     maximal = dataclasses.replace(design.terminal.maximal, escape=barely)

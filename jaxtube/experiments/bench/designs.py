@@ -115,7 +115,7 @@ def make_design(scenario: Scenario) -> Design:
 
 def measure_set(terminal: Terminal, extent: Extent) -> SetResult | None:
     """Measure the maximal invariant set of the terminal gains; None where there is none."""
-    problem = (terminal.loops, terminal.admissible, terminal.disturbance)
+    problem = (terminal.loops, terminal.admissible, terminal.disturbances[0])
     found = maximal_rpi(*problem).polytope
     if found is None:
         return None

@@ -36,7 +36,7 @@ from jaxtube.simulation.starts import UniformStart
 from jaxtube.statistics import histogram
 from jaxtube.statistics.lap import lap
 from jaxtube.statistics.run import Statistics, Task
-from jaxtube.statistics.task import facets
+from jaxtube.statistics.task import disturbance_facets
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 
@@ -160,7 +160,7 @@ def split_at(
 def disturbance(problem: Problem, statistics: Statistics, summary: dict) -> Figure:
     """Draw how |w| is distributed by coordinate, and how often it exceeds a size, against W."""
     limits = problem.disturbance_set.support(np.eye(3))
-    normals = facets(problem.disturbance_set).normals
+    normals = disturbance_facets(problem).normals
     # The two facets across each axis; W may have slanted ones besides.
     across = np.abs(normals).T == 1.0
     excess = [np.max(statistics["excess/disturbance"][rows]) for rows in across]

@@ -43,7 +43,7 @@ def metrics(design: Design, seed: int) -> dict:
     by_tube = {}
     for name, sections in design.tubes.items():
         if sections.follows_reference:
-            ratios = _ratios_along(design, W)
+            ratios = _ratios_along(design)
             numbers = {"largest_excess": excess.along, "least_share_reached": 1 / ratios.max()}
         else:
             facets = sections[-1].polytope().with_unit_normals()
@@ -117,7 +117,8 @@ def _sample_switching(
     for part in range(SAMPLES // PART):
         generator = np.random.default_rng([seed, part])
         choices = generator.integers(len(loops), size=(design.problem.horizon, PART))
-        for stage, points in enumerate(_deviations(loops[choices], W, generator)):
+        every_w = [W] * design.problem.horizon
+        for stage, points in enumerate(_deviations(loops[choices], every_w, generator)):
             for name, sections in tubes.items():
                 excess[name] = max(excess[name], _largest_excess(sections[stage], points))
     return excess
@@ -125,31 +126,32 @@ def _sample_switching(
 
 def _sample_along(design: Design, seed: int) -> float:
     """Return the largest excess over the sections of `sequence`, each window along its loops."""
-    W = design.problem.disturbance_set
     by_window = design.windows.loops
     samples = -(-SAMPLES // len(by_window))
     excess = -np.inf
     for window, loops in enumerate(by_window):
+        every_w = design.problem.disturbances.of_periods(design.windows.regimes[window])
         sections = [
-            section.polytope().with_unit_normals() for section in sequence_tube(loops, W)[1:]
+            section.polytope().with_unit_normals() for section in sequence_tube(loops, every_w)[1:]
         ]
         generator = np.random.default_rng([seed, SAMPLES // PART + window])
         known = np.broadcast_to(loops[:, None], (len(loops), samples, 3, 3))
-        for stage, points in enumerate(_deviations(known, W.vertices(), generator)):
+        vertices = [one.vertices() for one in every_w]
+        for stage, points in enumerate(_deviations(known, vertices, generator)):
             excess = max(excess, _largest_excess(sections[stage], points))
     return excess
 
 
 def _deviations(
     loops: Float[np.ndarray, "horizon samples 3 3"],
-    W: Float[np.ndarray, "v 3"],
+    every_w: list[Float[np.ndarray, "v 3"]],
     generator: np.random.Generator,
 ) -> Iterator[Float[np.ndarray, "samples 3"]]:
-    """Yield deviations after 1 .. N steps; half of the samples keep to the vertices of W, half are
-    uniform mixtures."""
+    """Yield deviations after 1 .. N steps; half of the samples keep to vertices of the W of each
+    period, half are uniform mixtures."""
     samples = loops.shape[1]
     deviation = np.zeros((samples, 3))
-    for loop in loops:
+    for loop, W in zip(loops, every_w, strict=True):
         weights = generator.exponential(size=(samples, len(W)))
         weights[: samples // 2] = np.eye(len(W))[generator.integers(len(W), size=samples // 2)]
         w = weights / weights.sum(axis=1, keepdims=True) @ W
@@ -162,28 +164,28 @@ def _largest_excess(polytope: Polytope, points: Float[np.ndarray, "samples 3"]) 
     return float(np.max(points @ polytope.normals.T - polytope.offsets))
 
 
-def _ratios_along(design: Design, W: Float[np.ndarray, "v 3"]) -> Float[np.ndarray, " facets"]:
+def _ratios_along(design: Design) -> Float[np.ndarray, " facets"]:
     """Return the ratios of the facets of `sequence`, all windows, to what their worst disturbances
     reach, played."""
     ratios = []
-    for loops in design.windows.loops:
-        section = sequence_tube(loops, design.problem.disturbance_set)[-1]
-        facets = section.polytope().with_unit_normals()
-        ends = _worst_ends(loops, W, facets.normals)
+    for window, loops in enumerate(design.windows.loops):
+        every_w = design.problem.disturbances.of_periods(design.windows.regimes[window])
+        facets = sequence_tube(loops, every_w)[-1].polytope().with_unit_normals()
+        ends = _worst_ends(loops, [one.vertices() for one in every_w], facets.normals)
         ratios.append(facets.offsets / np.einsum("fi,fi->f", facets.normals, ends))
     return np.concatenate(ratios)
 
 
 def _worst_ends(
     loops: Float[np.ndarray, "horizon 3 3"],
-    W: Float[np.ndarray, "v 3"],
+    every_w: list[Float[np.ndarray, "v 3"]],
     normals: Float[np.ndarray, "f 3"],
 ) -> Float[np.ndarray, "f 3"]:
     """Return where each direction's worst disturbances, argmax of w' [Phi .. Phi]^T c, end when
     they are played."""
     directions = normals
     disturbances = []
-    for loop in loops[::-1]:
+    for loop, W in zip(loops[::-1], every_w[::-1], strict=True):
         disturbances.append(W[np.argmax(directions @ W.T, axis=1)])
         directions = directions @ loop
     deviation = np.zeros_like(normals)

@@ -161,12 +161,14 @@ def _spread(values: Float[np.ndarray, "runs 3"]) -> dict:
 
 def disturbance_metrics(design: Design, disturbances: Float[np.ndarray, "steps runs 3"]) -> dict:
     """Return how often and how far w(k) leaves W: by coordinate (its half widths) and in all."""
-    W = design.problem.disturbance_set
-    widths = W.support(np.eye(3))
+    problem = design.problem
+    regimes = problem.period_regimes[: len(disturbances)]
+    axes = np.broadcast_to(np.eye(3), (len(regimes), 3, 3))
+    widths = problem.disturbances.support(regimes, axes)
     sizes = np.abs(disturbances)
-    margins = W.margin(disturbances)
+    margins = problem.disturbances.margin(regimes, disturbances)
     # Counted as "not inside", so that NaN is outside.
-    beyond_widths = ~(sizes <= widths)
+    beyond_widths = ~(sizes <= widths[:, None])
     outside = ~(margins >= 0)
     return {
         "steps": int(outside.size),
@@ -175,7 +177,7 @@ def disturbance_metrics(design: Design, disturbances: Float[np.ndarray, "steps r
             beyond_widths.mean(axis=(0, 1)).tolist()
         ),
         "largest": by_coordinate((sizes.max(axis=(0, 1)) * TO_DISPLAY).tolist()),
-        "allowed": by_coordinate((widths * TO_DISPLAY).tolist()),
+        "allowed": by_coordinate((widths.max(axis=0) * TO_DISPLAY).tolist()),
         "runs_with_every_w_inside": int(np.sum(~outside.any(axis=0))),
         "margin": float(np.min(margins)),
         "every_w_inside": not outside.any(),

@@ -1,5 +1,7 @@
 """The margin of a proof that no invariant set exists, and the constraint that it is about."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
@@ -14,7 +16,7 @@ from sets.invariant import Escape
 def escape_margin(
     escape: Escape | None,
     loops: Float[np.ndarray, "v 3 3"],
-    disturbance: Float[np.ndarray, "w 3"],
+    disturbance: Float[np.ndarray, "w 3"] | Sequence[Float[np.ndarray, "w 3"]],
 ) -> float:
     """Return minus what an escape passes its constraint by, -inf where none does: then nothing is
     proved."""

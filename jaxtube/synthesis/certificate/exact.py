@@ -101,7 +101,8 @@ def recheck(design: Design) -> ExactReport:
     gains = _tracking_gains(design)
     omega = _invariant_rows(design)
     problem = design.problem
-    points = disturbance_points(problem)
+    points = [disturbance_points(regime) for regime in problem.every_regime]
+    lasting = [points[regime] for regime in problem.rule.lasting(problem.horizon)]
     rows = problem.input_rows
     limits = problem.operating_set
     T = problem.model.dt
@@ -120,9 +121,12 @@ def recheck(design: Design) -> ExactReport:
         for of_region in zip(loops, feedbacks, strict=True)
     ]
     margins = {
-        "disturbance": _least_room(problem.disturbance_set, points) + Fraction(ROUNDING),
+        "disturbance": min(map(_least_room, problem.disturbances.sets, points))
+        + Fraction(ROUNDING),
         "schedules": _least_covered(design) + Fraction(ROUNDING),
-        "terminal invariant": exact_invariance_margin(*omega, every_loop, points),
+        "terminal invariant": min(
+            exact_invariance_margin(*omega, every_loop, of_regime) for of_regime in lasting
+        ),
         "terminal errors": exact_containment_margin(*omega, limits.normals, limits.offsets),
         "terminal inputs": exact_containment_margin(*omega, input_rows, input_limits),
         "cost": min(pivots),
@@ -213,7 +217,7 @@ def _distinct_feedbacks(gains: Numbers, box: ScheduleBox) -> list[Matrix]:
 
 
 def _check_along_windows(
-    design: Design, gains: Numbers, omega, points: list[Row]
+    design: Design, gains: Numbers, omega, points: list[list[Row]]
 ) -> dict[str, Fraction]:
     """Return the margins of the tubes along the windows of the reference, and of the loops and
     gains used there."""
@@ -236,6 +240,7 @@ def _check_along_windows(
         (rows.inputs, rows.errors, rows.offsets),
         omega,
         design.bounds,
+        windows.regimes.tolist(),
     )
     return {"gains": Fraction(ROUNDING) - _largest_gap(design, gains, stages)} | margins
 

@@ -56,6 +56,7 @@ def _blocks(design: Design) -> Iterator[Block]:
     windows = design.windows
     steps = np.arange(len(windows.index))[:, None] + np.arange(problem.horizon)
     yield "wheel speeds ahead", windows.schedules[windows.index], problem.schedule[steps]
+    yield "regimes ahead", windows.regimes[windows.index], problem.period_regimes[steps]
     transitions, inputs = problem.model.matrices(windows.schedules)
     yield "loops", windows.loops, transitions + inputs @ windows.gains
     qp = design.tube_qps

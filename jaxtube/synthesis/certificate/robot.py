@@ -33,7 +33,15 @@ PREMISE = "disturbance_bound_proved"
 
 
 def check_robot(problem: Problem) -> Iterator[Condition]:
-    """Yield the conditions that make a guarantee for the linear model one for the robot."""
+    """Yield the conditions that make a guarantee for the linear model one for the robot: of several
+    regimes the one with the least room in each."""
+    by_regime = [_check_regime(regime) for regime in problem.every_regime]
+    for conditions in zip(*by_regime, strict=True):
+        yield min(conditions, key=lambda condition: condition.margin)
+
+
+def _check_regime(problem: Problem) -> Iterator[Condition]:
+    """Yield the conditions on the robot in one regime."""
     yield check_true_error(problem)
     if problem.scenario.controller.has_observer:
         yield check_estimate_error(problem)

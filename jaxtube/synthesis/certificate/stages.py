@@ -74,7 +74,6 @@ def stage_margins(design: Design) -> StageMargins:
 
 def margins_along_reference(problem: Problem, windows: Windows, bounds: Bounds) -> StageMargins:
     """Return the margins of reach and inclusion along the reference, from each step to the next."""
-    W = problem.disturbance_set.vertices()
     error_rows = problem.operating_set.normals
     taken_errors = problem.operating_set.offsets - bounds.errors
     taken_inputs = problem.input_rows.offsets - bounds.inputs
@@ -82,10 +81,12 @@ def margins_along_reference(problem: Problem, windows: Windows, bounds: Bounds) 
     inclusion_margin = np.inf
     for window, loops in enumerate(windows.loops):
         followers = windows.followers(window)
+        every_w = problem.disturbances.vertices_of_periods(windows.regimes[window])
         for j in range(problem.horizon):
             input_rows = problem.input_rows.on_errors(windows.gains[window, j])
             for taken, rows in ((taken_errors, error_rows), (taken_inputs, input_rows)):
-                reach, last = sequence_reach(loops[: max(j, 1)], W, rows)
+                ahead = max(j, 1)
+                reach, last = sequence_reach(loops[:ahead], every_w[:ahead], rows)
                 reach_margin = min(reach_margin, np.min(taken[window, j] - reach[j]))
                 if j > 0:
                     growth = taken[window, j] - taken[followers, j - 1] - last[j - 1]

@@ -42,9 +42,7 @@ def check_terminal(design: Design) -> Iterator[Condition]:
     if terminal.invariant is None:
         yield _judge_absence(design)
     else:
-        margin = invariance_margin(
-            terminal.gains.loops, _points_to_absorb(design), terminal.invariant
-        )
+        margin = _find_invariance_margin(design, terminal.invariant)
         yield judge(
             "terminal_set_invariant",
             margin,
@@ -64,13 +62,21 @@ def check_terminal(design: Design) -> Iterator[Condition]:
     yield _check_plan_stays_feasible(design)
 
 
-def _points_to_absorb(design: Design) -> Float[np.ndarray, "p 3"]:
-    """Return points whose hull the invariant set must absorb: W, or where the set holds the reach
-    all that W has become at the end of a plan."""
-    W = design.problem.disturbance_set.vertices()
-    if not design.problem.scenario.controller.terminal_set_holds_reach:
-        return W
-    return _products(design.tube_gain, W, design.problem.horizon - 1)
+def _find_invariance_margin(design: Design, omega: Polytope) -> float:
+    """Return by how much every terminal loop maps the set into itself with what it must absorb: the
+    W of every regime that lasts, or where the set holds the reach all that W has become at the end
+    of a plan."""
+    problem = design.problem
+    loops = design.terminal.gains.loops
+    if problem.scenario.controller.terminal_set_holds_reach:
+        W = problem.disturbance_set.vertices()
+        reached = _products(design.tube_gain, W, problem.horizon - 1)
+        return invariance_margin(loops, reached, omega)
+    lasting = problem.rule.lasting(problem.horizon)
+    return min(
+        invariance_margin(loops, problem.disturbances[regime].vertices(), omega)
+        for regime in lasting
+    )
 
 
 def _admissible_set(design: Design) -> Polytope:
@@ -90,8 +96,8 @@ def _judge_absence(design: Design) -> Condition:
     backed off for the solver, or that none was found."""
     terminal = design.terminal
     escape = terminal.maximal.escape
-    loops = terminal.gains.loops
-    disturbance = terminal.disturbance.vertices()
+    loops = terminal.loops
+    disturbance = [section.vertices() for section in terminal.disturbances]
     margin = escape_margin(escape, loops, disturbance)
     sentence = "No invariant terminal set was found."
     if escape is not None and margin > -np.inf:
@@ -246,7 +252,7 @@ def _margins_along(
     the next one."""
     last = problem.horizon - 1
     schedule = windows.schedules[following, -1]
-    points = problem.disturbance_set.vertices()
+    points = problem.disturbances[int(windows.regimes[now, 0])].vertices()
     for loop in windows.loops[now, 1:]:
         points = points @ loop.T
     return terminal_margins(

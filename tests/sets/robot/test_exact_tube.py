@@ -93,7 +93,7 @@ def margins(
 ):
     omega = invariant(STEP)
     sets = (E, input_set, (omega.normals, omega.offsets))
-    return sequence_margins(boxes, followers, gains, DT, disturbance, *sets, used)
+    return sequence_margins(boxes, followers, gains, DT, [disturbance], *sets, used)
 
 
 NAMES = {
