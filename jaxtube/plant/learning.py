@@ -96,7 +96,7 @@ class LearningRobot(Generic[PlantType]):
             knowledge=self.observer.initial(errors),
             is_missed=jnp.zeros(len(errors), bool),
             wheels=none,
-            reference=jnp.zeros(2),
+            reference=jnp.zeros_like(self.reference_wheels[0]),
         )
 
     def sense(

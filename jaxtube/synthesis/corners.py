@@ -61,7 +61,9 @@ class Caps(NamedTuple):
 class EstimatedDisturbance(NamedTuple):
     """W of n points by its yaw kick, rad, how far that moves sideways, m/rad, and the box of the
     rest (m, m, rad); the error of what the controller acts on (m, m, rad); the least and the
-    greatest commanded ground speed, m/s; and what lag and delay do, where there is any."""
+    greatest commanded ground speed, m/s; what lag and delay do, where there is any; and of slips
+    that are learnt the greatest steps (m, m, rad) of the first period, when nothing is known of
+    them."""
 
     yaw: Float[np.ndarray, " n"]
     lateral_per_yaw: Float[np.ndarray, " n"]
@@ -70,6 +72,14 @@ class EstimatedDisturbance(NamedTuple):
     least: Float[np.ndarray, " n"]
     greatest: Float[np.ndarray, " n"]
     late: LatePoints | None
+    first: Float[np.ndarray, "n 3"] | None = None
+
+    @property
+    def steps(self) -> Float[np.ndarray, "n 3"]:
+        """The greatest steps that w makes, (m, m, rad)."""
+        lateral = self.lateral_per_yaw * np.ones_like(self.yaw)
+        kick = self.yaw * np.stack([np.zeros_like(self.yaw), lateral, np.ones_like(self.yaw)])
+        return self.box + kick.T
 
 
 class OperatingCorners:
@@ -84,6 +94,7 @@ class OperatingCorners:
         self.kinematics = kinematics(problem)
         self.operation = find_place(problem)
         self.scenario = problem.scenario
+        self.learns = problem.scenario.slip.is_learnt
         self.period = self.operation.period
         self.schedules = hull_vertices(np.unique(problem.corners, axis=0))
         self.is_late = not self.operation.actuation.is_ideal
@@ -112,7 +123,8 @@ class OperatingCorners:
     def find(self, point: Float[np.ndarray, " k"]) -> Corners:
         """Return the corners that make W, the estimate's error and the ground speeds."""
         gain = self.gain(point[None])
-        errors, late = self._split(point[None], np.ix_(*map(np.arange, self.axes)))
+        places = np.ix_(*map(np.arange, self.axes))
+        errors, late = self._split(point[None], places, self.learns)
         lateral_per_yaw = self.period.lateral_per_yaw
         size = solve_error(errors, lateral_per_yaw, gain, self.noise)
         extremes = find_extremes(errors, lateral_per_yaw, gain, size)
@@ -124,8 +136,19 @@ class OperatingCorners:
         self, points: Float[np.ndarray, "n k"], corners: Corners
     ) -> EstimatedDisturbance:
         """Return W, the estimate's error and the ground speeds, from these corners."""
+        learnt = self._disturbance(points, corners, self.learns)
+        if not self.learns:
+            return learnt
+        unlearnt = self._disturbance(points, corners, learns=False)
+        return learnt._replace(first=unlearnt.steps)
+
+    def _disturbance(
+        self, points: Float[np.ndarray, "n k"], corners: Corners, learns: bool
+    ) -> EstimatedDisturbance:
+        """Return the disturbance of slips that are learnt as well as they will be, or not at
+        all."""
         gain = self.gain(points)
-        errors, late = self._split(points, tuple(corners))
+        errors, late = self._split(points, tuple(corners), learns)
         lateral_per_yaw = self.period.lateral_per_yaw
         size = solve_error(errors, lateral_per_yaw, gain, self.noise)
         return EstimatedDisturbance(
@@ -139,7 +162,10 @@ class OperatingCorners:
         )
 
     def _split(
-        self, points: Float[np.ndarray, "n k"], places: tuple[Int[np.ndarray, "..."], ...]
+        self,
+        points: Float[np.ndarray, "n k"],
+        places: tuple[Int[np.ndarray, "..."], ...],
+        learns: bool,
     ) -> tuple[CornerErrors, LatePoints | None]:
         """Return what may happen at places of the grid, at each point, and what of it is lag's."""
         caps = read_caps(points)
@@ -155,7 +181,7 @@ class OperatingCorners:
         if not self.is_late:
             d_r = self.operation.wheel_errors[right, 0]
             d_l = self.operation.wheel_errors[left, 1]
-            if self.scenario.slip.is_learnt:
+            if learns:
                 learnt = self._learn(caps, (*asked, *[0.0 * (right + left + skid)] * 3))
                 d_r = ENDS[right] * learnt[:, 0].reshape(by_point)
                 d_l = ENDS[left] * learnt[:, 1].reshape(by_point)
