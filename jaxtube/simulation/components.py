@@ -24,14 +24,13 @@ from jaxtube.plant.protocol import Plant
 from jaxtube.plant.recorded_slips import make_recorded
 from jaxtube.plant.slip import SlipProcess
 from jaxtube.plant.slip_bounds import slip_bounds, slip_steps
-from jaxtube.plant.slip_observer import SlipObserver
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.precision import require_64_bits
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.simulation.starts import FixedStart, Starts
 from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.free_region import find_free_regions
-from jaxtube.synthesis.learnt_slips import count_periods
+from jaxtube.synthesis.learnt_slips import make_slip_observer
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
 from jaxtube.synthesis.regions import find_regions
@@ -149,28 +148,6 @@ def with_estimate(
         return plant
     gain = jnp.asarray(settings.observer_gain)
     return EstimatingRobot(plant, gain, problem.robot.track_width, problem.reference.dt)
-
-
-def make_slip_observer(problem: Problem) -> SlipObserver:
-    """Return the observer of the slips of a scenario that has them learnt.
-
-    Raises:
-        ValueError: where it does not.
-    """
-    slip = problem.scenario.slip
-    if slip.change_per_s is None:
-        raise ValueError("slip.change_per_s: is not given, so that no slip is learnt; give it")
-    bounds = slip_bounds(slip)
-    dt = problem.reference.dt
-    return SlipObserver(
-        least=jnp.asarray(bounds.middle - bounds.half_width),
-        greatest=jnp.asarray(bounds.middle + bounds.half_width),
-        change=slip.change_per_s * dt,
-        noise=jnp.asarray(problem.noise),
-        track_width=problem.robot.track_width,
-        dt=dt,
-        periods=count_periods(problem.scenario),
-    )
 
 
 def with_lag(

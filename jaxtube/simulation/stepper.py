@@ -34,7 +34,7 @@ from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.plant.slip_observer import SlipKnowledge, SlipObserver
 from jaxtube.precision import in_64_bits
 from jaxtube.simulation.choices import ControllerChoice, choose_controller
-from jaxtube.simulation.components import make_slip_observer
+from jaxtube.synthesis.learnt_slips import make_slip_observer
 from jaxtube.synthesis.parts import Design, require_design
 
 Acted = tuple[Command, Memory, Diagnostics]

@@ -5,11 +5,14 @@ from __future__ import annotations
 import pickle
 from functools import lru_cache
 
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.plant.slip_bounds import slip_bounds
+from jaxtube.plant.slip_observer import SlipObserver
 from jaxtube.scenario.tree import Scenario
+from jaxtube.synthesis.problem import Problem
 from sets.robot.driving import find_driving
 from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics
@@ -25,6 +28,28 @@ def count_periods(scenario: Scenario) -> int:
     The horizon at most: disturbances at the end of a plan are then those of slips that are learnt.
     """
     return min(scenario.controller.horizon, MOST_PERIODS)
+
+
+def make_slip_observer(problem: Problem) -> SlipObserver:
+    """Return the observer of the slips of a scenario that has them learnt.
+
+    Raises:
+        ValueError: where it does not.
+    """
+    slip = problem.scenario.slip
+    if slip.change_per_s is None:
+        raise ValueError("slip.change_per_s: is not given, so that no slip is learnt; give it")
+    bounds = slip_bounds(slip)
+    dt = problem.reference.dt
+    return SlipObserver(
+        least=jnp.asarray(bounds.middle - bounds.half_width),
+        greatest=jnp.asarray(bounds.middle + bounds.half_width),
+        change=slip.change_per_s * dt,
+        noise=jnp.asarray(problem.noise),
+        track_width=problem.robot.track_width,
+        dt=dt,
+        periods=count_periods(problem.scenario),
+    )
 
 
 def prove_learnt_slips(scenario: Scenario, where: Operation, how: Kinematics) -> LearntSlips:

@@ -71,7 +71,18 @@ def check_motions(problem: Problem) -> Condition:
 
 
 def _find_rooms(problem: Problem) -> dict[str, Room]:
-    """Return the rooms within W, S and the ground speeds by name."""
+    """Return the rooms within W, S and the ground speeds by name, of several regimes the
+    least."""
+    least: dict[str, Room] = {}
+    for regime in problem.every_regime:
+        for name, room in _find_regime_rooms(regime).items():
+            before = least.get(name, room)
+            least[name] = Room(min(before.proved, room.proved), min(before.met, room.met))
+    return least
+
+
+def _find_regime_rooms(problem: Problem) -> dict[str, Room]:
+    """Return the rooms of one regime."""
     where = operation(problem)
     how = kinematics(problem)
     rooms = find_disturbance_rooms(where, how, prove_bound(problem))

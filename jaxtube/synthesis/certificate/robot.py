@@ -10,6 +10,7 @@ from jaxtyping import Float
 
 from jaxtube.coordinates import COORDINATES
 from jaxtube.synthesis.certificate.acceleration import check_acceleration
+from jaxtube.synthesis.certificate.learning import check_learnt_slips
 from jaxtube.synthesis.certificate.noise import changes_noise, find_noise
 from jaxtube.synthesis.certificate.period import (
     extreme_cases,
@@ -38,6 +39,8 @@ def check_robot(problem: Problem) -> Iterator[Condition]:
     by_regime = [_check_regime(regime) for regime in problem.every_regime]
     for conditions in zip(*by_regime, strict=True):
         yield min(conditions, key=lambda condition: condition.margin)
+    if problem.scenario.slip.is_learnt:
+        yield check_learnt_slips(problem)
 
 
 def _check_regime(problem: Problem) -> Iterator[Condition]:
