@@ -62,7 +62,7 @@ class LearningMemory(NamedTuple):
     knowledge: SlipKnowledge
     is_missed: Bool[Array, " batch"]
     wheels: Float[Array, "batch 2"]
-    reference: Float[Array, "2"]
+    reference: Float[Array, "batch 2"]
 
 
 @partial(jax.tree_util.register_dataclass, data_fields=["plant", "observer"], meta_fields=[])
@@ -96,7 +96,7 @@ class LearningRobot(Generic[PlantType]):
             knowledge=self.observer.initial(errors),
             is_missed=jnp.zeros(len(errors), bool),
             wheels=none,
-            reference=jnp.zeros_like(self.reference_wheels[0]),
+            reference=none,
         )
 
     def sense(
@@ -125,7 +125,7 @@ class LearningRobot(Generic[PlantType]):
     ) -> Advance:
         """Let the plant move, and remember how fast its wheels ran."""
         moved = self.plant.advance(keys, step, memory.plant, errors, command)
-        reference = self.reference_wheels[step]
+        reference = jnp.broadcast_to(self.reference_wheels[step], moved.wheels.shape)
         following = memory._replace(plant=moved.memory, wheels=moved.wheels, reference=reference)
         return Advance(moved.errors, following, moved.wheels)
 

@@ -48,7 +48,8 @@ ROUNDING = 1e-9
 
 
 class Travel(NamedTuple):
-    """What the measurements before and after one period say of it: numbers (batch).
+    """What the measurements before and after each of the last periods say of it, the last one
+    first; zeros where they say nothing.
 
     Attributes:
         arc: s, m.
@@ -56,16 +57,17 @@ class Travel(NamedTuple):
         along: derivative of s by x, and minus that by x'.
         before, after: derivatives of s by th and th', m/rad.
         beyond: what these leave of the effect of the noise, m.
-        rolled: of the wheels (right, left), T v_w, m.
+        right, left: what these wheels rolled, T v_w, m.
     """
 
-    arc: Float[Array, " batch"]
-    turn: Float[Array, " batch"]
-    along: Float[Array, " batch"]
-    before: Float[Array, " batch"]
-    after: Float[Array, " batch"]
-    beyond: Float[Array, " batch"]
-    rolled: tuple[Float[Array, " batch"], Float[Array, " batch"]]
+    arc: Float[Array, "batch periods"]
+    turn: Float[Array, "batch periods"]
+    along: Float[Array, "batch periods"]
+    before: Float[Array, "batch periods"]
+    after: Float[Array, "batch periods"]
+    beyond: Float[Array, "batch periods"]
+    right: Float[Array, "batch periods"]
+    left: Float[Array, "batch periods"]
 
 
 class SlipKnowledge(NamedTuple):
@@ -76,7 +78,7 @@ class SlipKnowledge(NamedTuple):
         contradicted: whether the last measurements said that noise or slips did not keep their
             bounds, so that nothing is known.
         errors: last measured, (m, m, rad).
-        past: the periods before, the last one first.
+        past: the periods before.
         count: how many of them are connected, -1 before the first measurement.
     """
 
@@ -84,7 +86,7 @@ class SlipKnowledge(NamedTuple):
     upper: Float[Array, "batch 2"]
     contradicted: Bool[Array, " batch"]
     errors: Float[Array, "batch 3"]
-    past: tuple[Travel, ...]
+    past: Travel
     count: Int[Array, " batch"]
 
     @property
@@ -126,15 +128,14 @@ class SlipObserver:
 
     def initial(self, errors: Float[Array, "batch 3"]) -> SlipKnowledge:
         """Return what is known before the first measurement; `errors` gives the batch."""
-        none = jnp.zeros_like(errors[:, 0])
-        nowhere = Travel(none, none, none, none, none, none, (none, none))
         batch = len(errors)
+        none = jnp.zeros((batch, self.periods), errors.dtype)
         return SlipKnowledge(
             lower=jnp.broadcast_to(self.least, (batch, 2)).astype(errors.dtype),
             upper=jnp.broadcast_to(self.greatest, (batch, 2)).astype(errors.dtype),
             contradicted=jnp.zeros(batch, bool),
             errors=jnp.zeros_like(errors),
-            past=(nowhere,) * self.periods,
+            past=Travel(*[none] * len(Travel._fields)),
             count=jnp.full(batch, -1, jnp.int32),
         )
 
@@ -143,7 +144,7 @@ class SlipObserver:
         known: SlipKnowledge,
         errors: Float[Array, "batch 3"],
         wheels: Float[Array, "batch 2"],
-        reference_wheels: Float[Array, "2"],
+        reference_wheels: Float[Array, "2"] | Float[Array, "batch 2"],
     ) -> SlipKnowledge:
         """Return what is known once a period has ended.
 
@@ -159,7 +160,7 @@ class SlipObserver:
         """
         travel, is_usable = self._measure(known.errors, errors, wheels, reference_wheels)
         count = jnp.where(is_usable & (known.count >= 0), known.count + 1, 0)
-        past = (travel, *known.past[:-1])
+        past = jax.tree.map(_push, travel, known.past)
         sides = [self._intersect(known, past, count, wheel) for wheel in (0, 1)]
         lower = jnp.stack([side[0] for side in sides], axis=-1)
         upper = jnp.stack([side[1] for side in sides], axis=-1)
@@ -179,13 +180,15 @@ class SlipObserver:
         errors: Float[Array, "batch 3"],
         following: Float[Array, "batch 3"],
         wheels: Float[Array, "batch 2"],
-        reference_wheels: Float[Array, "2"],
+        reference_wheels: Float[Array, "2"] | Float[Array, "batch 2"],
     ) -> tuple[Travel, Bool[Array, " batch"]]:
-        """Return what the errors before and after a period say of it, and whether they do."""
+        """Return what the errors before and after a period say of it, numbers (batch), and whether
+        they do."""
         x, y, heading = jnp.unstack(errors, axis=-1)
         next_x, next_y, next_heading = jnp.unstack(following, axis=-1)
-        reference_turn = self.dt * (reference_wheels[0] - reference_wheels[1]) / self.track_width
-        reference_chord = self.dt * (reference_wheels[0] + reference_wheels[1]) / 2.0
+        right, left = jnp.unstack(reference_wheels, axis=-1)
+        reference_turn = self.dt * (right - left) / self.track_width
+        reference_chord = self.dt * (right + left) / 2.0
         reference_chord = reference_chord * sinc(reference_turn / 2.0)
         turn = heading - next_heading + reference_turn
         half_turn = turn / 2.0
@@ -205,11 +208,12 @@ class SlipObserver:
             before=(of_half_turn + of_mean) / 2.0,
             after=(of_mean - of_half_turn) / 2.0,
             beyond=self._bound_rest(half_turn, change, reference_chord),
-            rolled=(self.dt * wheels[:, 0], self.dt * wheels[:, 1]),
+            right=self.dt * wheels[:, 0],
+            left=self.dt * wheels[:, 1],
         )
-        numbers = jnp.stack([travel.arc, *travel.rolled])
-        is_within = jnp.abs(half_turn) + self.noise[2] <= MOST_HALF_TURN
-        return travel, is_within & jnp.all(jnp.isfinite(numbers), axis=0)
+        is_finite = jnp.isfinite(travel.arc + travel.right + travel.left)
+        is_usable = is_finite & (jnp.abs(half_turn) + self.noise[2] <= MOST_HALF_TURN)
+        return jax.tree.map(lambda each: jnp.where(is_usable, each, 0.0), travel), is_usable
 
     def _bound_rest(
         self, half_turn: Float[Array, " batch"], change: Float[Array, " batch"], chord
@@ -236,49 +240,68 @@ class SlipObserver:
         return left_out + curved + (0.7 * of_x + 2.0 * of_y) * of_heading
 
     def _intersect(
-        self,
-        known: SlipKnowledge,
-        past: tuple[Travel, ...],
-        count: Int[Array, " batch"],
-        wheel: int,
+        self, known: SlipKnowledge, past: Travel, count: Int[Array, " batch"], wheel: int
     ) -> tuple[Float[Array, " batch"], Float[Array, " batch"]]:
         """Return the ends of the interval of one wheel, crossed where nothing is left."""
         lower = jnp.maximum(known.lower[:, wheel] - self.change, self.least[wheel])
         upper = jnp.minimum(known.upper[:, wheel] + self.change, self.greatest[wheel])
-        for back, (mean, reach) in enumerate(self._list_windows(past, wheel)):
-            reach = jnp.where(count > back, reach + ROUNDING, jnp.inf)
-            mean = jnp.where(count > back, mean, 0.0)
-            lower = jnp.maximum(lower, mean - reach)
-            upper = jnp.minimum(upper, mean + reach)
-        return lower, upper
+        mean, reach = self._find_windows(past, wheel)
+        is_known = jnp.arange(self.periods, dtype=jnp.int32) < count[:, None]
+        reach = jnp.where(is_known, reach + ROUNDING, jnp.inf)
+        mean = jnp.where(is_known, mean, 0.0)
+        return (
+            jnp.maximum(lower, jnp.max(mean - reach, axis=1)),
+            jnp.minimum(upper, jnp.min(mean + reach, axis=1)),
+        )
 
-    def _list_windows(
-        self, past: tuple[Travel, ...], wheel: int
-    ) -> list[tuple[Float[Array, " batch"], Float[Array, " batch"]]]:
+    def _find_windows(
+        self, past: Travel, wheel: int
+    ) -> tuple[Float[Array, "batch periods"], Float[Array, "batch periods"]]:
         """Return, for windows of 1, 2, .. periods, the mean slip measured and how far the slip of
         the period that begins may lie from it."""
-        of_x, of_y, of_heading = jnp.unstack(jnp.asarray(self.noise))
         half_track = self.track_width / 2.0 * (1.0 if wheel == 0 else -1.0)
-        last = past[0]
-        # At the end of the window, and at the instants inside.
-        noise = of_x * jnp.abs(last.along) + of_y * jnp.abs(last.turn / 2.0)
-        noise = noise + of_heading * jnp.abs(last.after - half_track)
-        way = rolled = drift = jnp.zeros_like(last.arc)
-        windows = []
-        for back, travel in enumerate(past):
-            if back > 0:
-                later = past[back - 1]
-                noise = noise + of_x * jnp.abs(later.along - travel.along)
-                noise = noise + of_y * jnp.abs(later.turn + travel.turn) / 2.0
-                noise = noise + of_heading * jnp.abs(travel.after + later.before)
-            noise = noise + travel.beyond
-            way = way + travel.arc + half_track * travel.turn
-            rolled = rolled + travel.rolled[wheel]
-            drift = drift + self.change * (back + 1) * jnp.abs(travel.rolled[wheel])
-            at_begin = of_x * jnp.abs(travel.along) + of_y * jnp.abs(travel.turn / 2.0)
-            at_begin = at_begin + of_heading * jnp.abs(travel.before + half_track)
-            is_rolling = jnp.abs(rolled) > 0.0
-            divisor = jnp.where(is_rolling, rolled, 1.0)
-            reach = (noise + at_begin + drift) / jnp.abs(divisor)
-            windows.append((1.0 - way / divisor, jnp.where(is_rolling, reach, jnp.inf)))
-        return windows
+        rolled = past.left if wheel else past.right
+        travel = past.arc + half_track * past.turn
+        at_begin = self._weigh(past.along, past.turn, past.before + half_track)
+        at_end = self._weigh(past.along, past.turn, past.after - half_track)[:, :1]
+        inside = self._weigh(
+            past.along[:, :-1] - past.along[:, 1:],
+            past.turn[:, :-1] + past.turn[:, 1:],
+            past.before[:, :-1] + past.after[:, 1:],
+        )
+        inside = jnp.pad(inside, ((0, 0), (1, 0)))
+        ages = jnp.arange(1, self.periods + 1).astype(rolled.dtype)
+        drift = self.change * _add_up(jnp.abs(rolled) * ages)
+        reach = at_end + _add_up(inside + past.beyond) + at_begin + drift
+        total = _add_up(rolled)
+        is_rolling = jnp.abs(total) > 0.0
+        divisor = jnp.where(is_rolling, total, 1.0)
+        mean = 1.0 - _add_up(travel) / divisor
+        return mean, jnp.where(is_rolling, reach / jnp.abs(divisor), jnp.inf)
+
+    def _weigh(
+        self,
+        along: Float[Array, "batch n"],
+        turn: Float[Array, "batch n"],
+        heading: Float[Array, "batch n"],
+    ) -> Float[Array, "batch n"]:
+        """Return what noise makes of derivatives by x, by y, which are half the turn, and by th."""
+        of_x, of_y, of_heading = jnp.unstack(jnp.asarray(self.noise))
+        return of_x * jnp.abs(along) + of_y * jnp.abs(turn) / 2.0 + of_heading * jnp.abs(heading)
+
+
+def _push(
+    last: Float[Array, " batch"], before: Float[Array, "batch periods"]
+) -> Float[Array, "batch periods"]:
+    """Return numbers of the last periods with those of one more, the oldest left out."""
+    return jnp.concatenate([last[:, None], before[:, :-1]], axis=1)
+
+
+def _add_up(numbers: Float[Array, "batch periods"]) -> Float[Array, "batch periods"]:
+    """Return the sums over windows of 1, 2, .. periods."""
+    total = numbers[:, 0]
+    sums = [total]
+    for back in range(1, numbers.shape[1]):
+        total = total + numbers[:, back]
+        sums.append(total)
+    return jnp.stack(sums, axis=1)
