@@ -11,6 +11,7 @@ import pytest
 
 import jaxtube as jt
 from jaxtube.plant.learning import LearningRobot, find_missed
+from jaxtube.plant.slip_observer import SlipObserver
 from jaxtube.scenario import ScenarioError
 from jaxtube.simulation import components
 from jaxtube.simulation.learnt import find_slip_intervals
@@ -25,6 +26,7 @@ from jaxtube.synthesis.disturbance import (
 )
 from jaxtube.synthesis.learnt_slips import count_periods, make_slip_observer
 
+update = jax.jit(SlipObserver.update)
 CALM = (
     "reference.duration_s=3",
     "reference.certified_for=path",
@@ -79,11 +81,10 @@ def test_what_is_said_of_learnt_slips_is_witnessed_and_refuted(design, monkeypat
     assert not check_learnt_slips(design.problem).holds
 
 
-@pytest.mark.parametrize("process", ["vertex", "adversarial"])
-def test_laps_keep_the_w_of_each_period_and_every_slip_its_interval(design, process):
+def test_laps_keep_the_w_of_each_period_and_every_slip_its_interval(design):
     """Of the local gain: that of the tube needs no QP."""
     problem = design.problem
-    plant = components.slipping_robot(design, process)
+    plant = components.slipping_robot(design, "adversarial")
     assert isinstance(plant, LearningRobot)
     controller = components.controller_makers(design)["local_gain"]()
     keys = realisation_keys(0, 0, 256)
@@ -115,6 +116,37 @@ def test_laps_keep_the_w_of_each_period_and_every_slip_its_interval(design, proc
     assert np.all(margins >= -1e-12)
 
 
+def test_a_stepper_learns_from_call_to_call(design):
+    """Against the observer, told what the stepper was and asked for."""
+    problem = design.problem
+    observer = make_slip_observer(problem)
+    noise = problem.noise * np.random.default_rng(0).uniform(-1, 1, (8, 3))
+    stepper = jt.Stepper(design, "local_gain")
+    nothing = stepper.learnt_slip
+    assert nothing is not None
+    np.testing.assert_allclose(nothing.lower, [0.1, 0.0])
+    np.testing.assert_allclose(nothing.upper, [0.3, 0.2])
+    known = observer.initial(jnp.zeros((1, 3)))
+    wheels = np.zeros((1, 2))
+    reference = np.zeros(2)
+    for k, measured in enumerate(noise):
+        step = stepper(measured)
+        known = update(observer, known, *map(jnp.asarray, (measured[None], wheels, reference)))
+        learnt = stepper.learnt_slip
+        assert learnt is not None and learnt.contradicted == bool(known.contradicted[0])
+        np.testing.assert_allclose(learnt.lower, known.lower[0], atol=1e-12)
+        np.testing.assert_allclose(learnt.upper, known.upper[0], atol=1e-12)
+        # The wheels of a robot that is to go with the reference make up for the slip learnt.
+        grip = step.wheels * (1 - np.asarray(known.centre[0]))
+        np.testing.assert_allclose(grip, problem.schedule[k], atol=0.1)
+        wheels = step.wheels[None]
+        reference = problem.schedule[k]
+    assert np.all(learnt.upper - learnt.lower < 0.05)
+    with pytest.raises(ValueError, match="is learnt here"):
+        stepper(np.zeros(3), np.zeros(2))
+
+
+@pytest.mark.slow
 def test_a_stepper_learns_what_a_batch_of_one_does(design):
     laps = jt.simulate(design, "local_gain", laps=1)
     known = find_slip_intervals(laps)
@@ -126,8 +158,6 @@ def test_a_stepper_learns_what_a_batch_of_one_does(design):
         assert learnt is not None and not learnt.contradicted
         np.testing.assert_allclose(learnt.lower, known.lower[k, 0], atol=1e-12)
         np.testing.assert_allclose(learnt.upper, known.upper[k, 0], atol=1e-12)
-    with pytest.raises(ValueError, match="is learnt here"):
-        stepper(np.zeros(3), np.zeros(2))
 
 
 def test_scripts_of_slips_are_followed_no_faster_than_slips_change(design):
