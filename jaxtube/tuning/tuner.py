@@ -234,8 +234,14 @@ def make_tuner(
 
     Raises:
         ScenarioError: where the scenario gives no gains, or gains without a bounded tube, so that
-            there is nothing to descend on.
+            there is nothing to descend on; or has slips learnt.
     """
+    if scenario.slip.is_learnt:
+        raise ScenarioError(
+            f"scenario: slip.change_per_s = {scenario.slip.change_per_s:g}: tuning knows one "
+            "disturbance set for all periods, and slips that are learnt have several; leave it "
+            "out, and give slip.measurement_error"
+        )
     problem = complete_problem(scenario)
     try:
         parameters = make_parameters(problem, variables)

@@ -25,6 +25,7 @@ from jaxtube.synthesis.disturbance import (
     operation,
 )
 from jaxtube.synthesis.learnt_slips import count_periods, make_slip_observer
+from jaxtube.tuning.tuner import make_tuner
 
 update = jax.jit(SlipObserver.update)
 CALM = (
@@ -202,6 +203,14 @@ def test_what_does_not_go_with_learning_is_refused_in_one_line(override, fragmen
         jt.load("certified_learning", [override])
     line = str(refusal.value)
     assert fragment in line and "\n" not in line and "leave out" in line
+
+
+def test_tuning_which_knows_one_w_refuses_in_one_line():
+    with pytest.raises(
+        ScenarioError, match=r"slip\.change_per_s = 0\.05: tuning knows one"
+    ) as line:
+        make_tuner(jt.load("certified_learning"))
+    assert "\n" not in str(line.value)
 
 
 def test_an_exported_controller_would_not_learn_and_is_refused(design, tmp_path):
