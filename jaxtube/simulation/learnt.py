@@ -52,10 +52,12 @@ def _observe(
     measured: Float[Array, "steps laps 3"],
     wheels: Float[Array, "steps laps 2"],
     reference: Float[Array, "steps 2"],
-) -> SlipIntervals:
+) -> tuple[Array, Array, Array]:
+    """Return the fields of `SlipIntervals`."""
+
     def period(known: SlipKnowledge, told):
         known = observer.update(known, *told)
-        return known, SlipIntervals(known.lower, known.upper, known.contradicted)
+        return known, (known.lower, known.upper, known.contradicted)
 
     # The wheels of the period before; the first measurement has none, and asks for none.
     before = jnp.concatenate([wheels[:1], wheels[:-1]])
