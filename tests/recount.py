@@ -88,6 +88,7 @@ def flags_of(case, laps, w):
         "backup": laps.diagnostics.status != qp.SOLVED,
         "outside_ultimate_bound": late & ~np.all(settled <= case.task.checks.ultimate, axis=-1),
         "acceleration_exceeded": is_too_fast(case.task.checks, laps),
+        "slip_outside_interval": np.zeros(laps.demanded.shape[:2], bool),
         "not_finite": ~(np.isfinite(e).all(axis=-1) & np.isfinite(laps.inputs).all(axis=-1)),
     }
     assert set(found) == set(EVENT_NAMES)

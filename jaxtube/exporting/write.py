@@ -98,10 +98,12 @@ def export(design: Design, folder: str | Path, title: str = "a design") -> Expor
         title: of the design, for people.
 
     Raises:
-        ScenarioError: one line, for a folder with anything else, or one that cannot be written; and
-            where the numbers, rounded to float64, do not keep the guarantee of the design.
+        ScenarioError: one line, for a folder with anything else, or one that cannot be written; for
+            a design whose controller learns slips; and where the numbers, rounded to float64, do
+            not keep the guarantee of the design.
     """
     require_design(design)
+    _refuse_learning(design)
     path = Path(folder)
     refuse_foreign(path)
     proof = _settle(prove_doubles(design))
@@ -119,6 +121,16 @@ def export(design: Design, folder: str | Path, title: str = "a design") -> Expor
     _write(path, _render(design, proofs, recording, title))
     steps = recording.status.size
     return Exported(path, proof.constants, proofs, steps, count_operations(proof.constants))
+
+
+def _refuse_learning(design: Design) -> None:
+    """Refuse a design whose controller learns slips: what is exported has no observer of them."""
+    slip = design.problem.scenario.slip
+    if slip.is_learnt:
+        raise ScenarioError(
+            f"scenario: slip.change_per_s = {slip.change_per_s:g}: an exported controller does not "
+            "learn slips; run it by jt.Stepper, or leave it out"
+        )
 
 
 def _settle(proof: Proof) -> Proof:

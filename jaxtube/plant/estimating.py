@@ -22,6 +22,7 @@ from jax import Array
 from jaxtyping import Float, Key
 
 from jaxtube.plant.error_dynamics import advance
+from jaxtube.plant.learning import LearningRobot
 from jaxtube.plant.protocol import (
     Advance,
     Command,
@@ -37,8 +38,9 @@ PlantType = TypeVar("PlantType", bound=Plant, covariant=True)
 
 
 def robot_behind(plant: Plant) -> Plant:
-    """Return the plant whose errors are estimated, or the plant itself where they are measured."""
-    return plant.plant if isinstance(plant, EstimatingRobot) else plant
+    """Return the plant whose errors are estimated or whose slips are learnt, or the plant itself
+    where neither is."""
+    return plant.plant if isinstance(plant, EstimatingRobot | LearningRobot) else plant
 
 
 class EstimateMemory(NamedTuple):

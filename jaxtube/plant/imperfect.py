@@ -124,6 +124,10 @@ class ImperfectRobot:
         measurement, slip = self.ideal.sense(keys, step, memory.slip, errors)
         return measurement, memory._replace(slip=slip)
 
+    def true_slip(self, memory: ImperfectMemory) -> Float[Array, "batch 2"]:
+        """Return the true slips that the period which has begun ends with."""
+        return self.ideal.true_slip(memory.slip)
+
     def advance(
         self,
         keys: Key[Array, " batch"],

@@ -102,6 +102,17 @@ def slip_bounds(slip: Slip) -> SlipBounds:
     )
 
 
+def slip_steps(slip: Slip, dt: float) -> tuple[float, float] | None:
+    """Return the greatest changes of the deviations of the true slips (right, left) over a period
+    dt, s; None where they may jump."""
+    if slip.change_per_s is None:
+        return None
+    half_width = slip_bounds(slip).half_width
+    steps = slip.change_per_s * dt / np.maximum(half_width, np.finfo(float).tiny)
+    right, left = np.minimum(steps, 2.0).tolist()
+    return right, left
+
+
 def near_nominal(
     nominal: Float[np.ndarray, "2"], relative_error: float, uncertain_slip: str
 ) -> SlipBounds:
@@ -131,5 +142,7 @@ def compensated_slips(slip: Slip) -> Float[np.ndarray, "2 2"]:
     if not slip.has_intervals:
         deviation = np.abs(bounds.nominal) * slip.relative_error
         return np.stack([bounds.nominal - deviation, bounds.nominal + deviation])
+    if slip.is_learnt:
+        return np.stack([bounds.middle - bounds.half_width, bounds.middle + bounds.half_width])
     measured = bounds.extremes()[:, 1]
     return np.stack([measured.min(axis=0), measured.max(axis=0)])

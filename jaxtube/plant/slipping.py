@@ -29,6 +29,7 @@ from jaxtyping import Float, Key
 from jaxtube.columns import each_coordinate
 from jaxtube.plant import slip
 from jaxtube.plant.error_dynamics import Sideslip, advance, tracking_error, world_pose
+from jaxtube.plant.limited_slips import Limited, limit_script
 from jaxtube.plant.once import make_once
 from jaxtube.plant.protocol import (
     Advance,
@@ -67,7 +68,7 @@ class SlipMemory(NamedTuple):
         "noise",
         "sideslip",
     ],
-    meta_fields=["process", "noise_frame"],
+    meta_fields=["process", "noise_frame", "slip_steps"],
 )
 @dataclass(frozen=True)
 class SlippingRobot:
@@ -84,6 +85,8 @@ class SlippingRobot:
             the robot is then left out as well.
         process: how deviations evolve: a name of `slip_processes.PROCESSES`, or one of your own.
         noise_frame: whether the noise is a box in the frame of the "robot" or of the "world".
+        slip_steps: greatest changes of the deviations of the slips (right, left) from one period to
+            the next, which processes that have a name keep; None for any.
     """
 
     robot: Robot
@@ -95,6 +98,7 @@ class SlippingRobot:
     sideslip: Float[Array, ""] | float | None = None
     process: str | slip.SlipProcess = "iid"
     noise_frame: str = "robot"
+    slip_steps: tuple[float, float] | None = None
 
     has_wheels = True
 
@@ -104,13 +108,22 @@ class SlippingRobot:
         return self
 
     @property
+    def slip_process(self) -> slip.SlipProcess:
+        """How deviations evolve. A process of one's own, or what was recorded, is taken as it is:
+        what it does beyond the limit of its changes is meant."""
+        process = find_process(self.process)
+        if self.slip_steps is None or not isinstance(self.process, str):
+            return process
+        return Limited(process, self.slip_steps)
+
+    @property
     def draws_extremes(self) -> bool:
         """Whether the process draws deviations of -1 or 1 only."""
-        return self.process in EXTREME
+        return self.process in EXTREME and self.slip_steps is None
 
     def initial(self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]) -> SlipMemory:
         """Return the memory of the slip processes."""
-        process = find_process(self.process)
+        process = self.slip_process
         none = jnp.zeros_like(errors[:, :2])
         memory = jax.vmap(lambda key: slip.initial_slip(key, process, errors.dtype))(keys)
         if self.sideslip is None:
@@ -153,7 +166,7 @@ class SlippingRobot:
         self, keys: Key[Array, " batch"], step, memory: SlipMemory, errors: Float[Array, "batch 3"]
     ) -> SlipMemory:
         """Draw the deviations of the slips of one period."""
-        process = find_process(self.process)
+        process = self.slip_process
         uncertain = self.slips.uncertain_slip
 
         def draw(key, memory_of_one, situation):
@@ -175,6 +188,10 @@ class SlippingRobot:
         """Return what the slip processes may look at."""
         poses = world_pose(errors, self.reference_poses[step])
         return slip.Situation(wheel_positions(poses, self.robot.track_width), errors)
+
+    def true_slip(self, memory: SlipMemory) -> Float[Array, "batch 2"]:
+        """Return the true slips of the period that has begun."""
+        return jnp.asarray(self.slips.true_slip(memory.true))
 
     def measured_slip(self, memory: SlipMemory) -> Float[Array, "batch 2"]:
         """Return the slips that are measured in the period that has begun."""
@@ -241,7 +258,10 @@ class SlippingRobot:
         return uncertainties
 
     def under_script(self, script: Script) -> ScriptedRobot:
-        """Return the robot under given slips and noise (see `ScriptedRobot`)."""
+        """Return the robot under given slips and noise (see `ScriptedRobot`); slips whose changes
+        are limited follow those of the script."""
+        if self.slip_steps is not None and "true" in script:
+            script = {**script, "true": limit_script(script["true"], self.slip_steps)}
         return ScriptedRobot(self, script)
 
 
@@ -285,6 +305,10 @@ class ScriptedRobot:
             noise = robot.noise * script_entry(self.script["noise"], step)
             errors = robot.add_noise(step, errors, noise)
         return Measurement(errors, robot.measured_slip(memory)), memory
+
+    def true_slip(self, memory: SlipMemory) -> Float[Array, "batch 2"]:
+        """Return the true slips of the period that has begun."""
+        return self.robot.true_slip(memory)
 
     def _read(self, name: str, step, default: Array) -> Array:
         return script_entry(self.script[name], step) if name in self.script else default

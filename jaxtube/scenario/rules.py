@@ -40,6 +40,7 @@ def check_rules(scenario: Scenario, refuse: Refuse) -> None:
     _check_order(scenario.reference, "reference", refuse)
     _check_slip(scenario.slip, refuse)
     _check_recording(scenario.slip, refuse)
+    _check_learning(scenario, refuse)
     _check_actuation(scenario, refuse)
     _check_acceleration(scenario, refuse)
     _check_weights(scenario.controller, refuse)
@@ -93,6 +94,30 @@ def _check_recording(slip: Slip, refuse: Refuse) -> None:
     if slip.random == "measured":
         problem = 'leaves the true slip at its nominal value, and slip.process is "recorded"'
         refuse("slip.random", problem, 'set slip.random = "true"')
+
+
+def _check_learning(scenario: Scenario, refuse: Refuse) -> None:
+    slip = scenario.slip
+    if not slip.is_learnt:
+        return
+    key = "slip.change_per_s"
+    if not slip.has_intervals:
+        problem = "is of a slip whose interval is not given"
+        refuse(key, problem, "give the intervals slip.right and slip.left, too")
+    if slip.is_measured:
+        problem = "stands beside a measured slip, and what is measured need not be learnt"
+        refuse(key, problem, "leave out one of the two")
+    if slip.sideslip > 0:
+        problem = "goes with no slip.sideslip, whose changes within a period look like slip"
+        refuse(key, problem, "leave out one of the two")
+    if not scenario.robot.obeys_at_once:
+        problem = "goes with wheels that obey at once, for travel is learnt from what they are told"
+        refuse(key, problem, "leave out robot.wheel_lag_s and robot.command_delay_s, or this key")
+    if scenario.controller.has_observer:
+        problem = "goes with the measured error, not with an estimate"
+        refuse(key, problem, "leave out controller.observer_gain, or this key")
+    if scenario.operating.bands:
+        refuse(key, "goes with no operating.bands", "leave out one of the two")
 
 
 def _check_relative_slip(slip: Slip, refuse: Refuse) -> None:
@@ -241,9 +266,10 @@ def _check_acceleration(scenario: Scenario, refuse: Refuse) -> None:
     if scenario.robot.wheel_acceleration_max_mps2 is None:
         return
     slip = scenario.slip
-    if slip.is_measured or slip.random != "true":
+    if slip.is_measured or slip.is_learnt or slip.random != "true":
         problem = "goes with no measured slip, whose compensation makes commands jump"
         which = "slip.random" if slip.random != "true" else "the measurement errors of [slip]"
+        which = "slip.change_per_s" if slip.is_learnt else which
         refuse(key, problem, f"leave out {which}, or the limit")
     if scenario.operating.bands:
         problem = "is kept with one gain, and operating.bands has several"

@@ -114,6 +114,10 @@ class Slip(Table, frozen=True):
     default the middle of the interval; or, where a measurement error is given, a measured slip
     within `measurement_error` + `measurement_error_relative` |true slip| of the true one.
 
+    Where the slip of a wheel changes by at most `change_per_s` a second, from one period to the
+    next, the controller learns it on line: it compensates the centre of an interval, made from
+    measured poses, that always holds the true slip (`jaxtube.plant.slip_observer`).
+
     Without intervals a slip that varies stays within `relative_error` times the nominal one of it,
     on either side. `random` says which slip varies: the "true" one while the measured one is the
     nominal, the "measured" one while the true one is the nominal, or "both", each on its own. Sets
@@ -131,6 +135,7 @@ class Slip(Table, frozen=True):
     nominal_left: SlipValue | None = None
     measurement_error: NonNegative | None = None
     measurement_error_relative: Fraction | None = None
+    change_per_s: Positive | None = None
     relative_error: Fraction = 0.1
     sideslip: Fraction = 0.0
     process: Literal["iid", "constant", "walk", "patches", "vertex", "adversarial", "recorded"] = (
@@ -163,6 +168,11 @@ class Slip(Table, frozen=True):
     def is_measured(self) -> bool:
         """Whether the controller compensates a slip that follows the true one."""
         return self.measurement_error is not None or self.measurement_error_relative is not None
+
+    @property
+    def is_learnt(self) -> bool:
+        """Whether the controller learns the slips on line."""
+        return self.change_per_s is not None
 
     def say_intervals(self) -> str:
         """Return the intervals of the true slips in words."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import jax
 import jax.numpy as jnp
@@ -18,12 +18,13 @@ from jaxtube.plant.estimating import EstimatingRobot
 from jaxtube.plant.forecast import Forecast
 from jaxtube.plant.lagging import BareRobot, LaggingRobot, SlipSource
 from jaxtube.plant.lagging_body import LaggingBody
+from jaxtube.plant.learning import LearningRobot, SlippingPlant
 from jaxtube.plant.linear import LinearPlant
 from jaxtube.plant.own_motion import OwnMotion
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.recorded_slips import make_recorded
 from jaxtube.plant.slip import SlipProcess
-from jaxtube.plant.slip_bounds import slip_bounds
+from jaxtube.plant.slip_bounds import slip_bounds, slip_steps
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.precision import require_64_bits
 from jaxtube.scenario.error_box import error_vector
@@ -31,6 +32,7 @@ from jaxtube.simulation.starts import FixedStart, Starts
 from jaxtube.synthesis.control_problem import ControlProblem
 from jaxtube.synthesis.disturbance import find_actuation
 from jaxtube.synthesis.free_region import find_free_regions
+from jaxtube.synthesis.learnt_slips import make_slip_observer
 from jaxtube.synthesis.linear_problem import LinearProblem, make_linear_problem
 from jaxtube.synthesis.parts import Design, LinearDesign, TubeDesign
 from jaxtube.synthesis.problem import Problem
@@ -44,8 +46,8 @@ SourceType = TypeVar("SourceType", bound=SlipSource)
 LINEAR_CONTROLLERS = ("equal_gain", "local_gain", "plain_mpc", "tube_mpc")
 """Names of the controllers of a linear system."""
 
-Robot = BareRobot | EstimatingRobot[BareRobot]
-"""The same, with or without an estimate of its errors."""
+Robot = BareRobot | EstimatingRobot[BareRobot] | LearningRobot[SlippingPlant]
+"""The same, with or without an estimate of its errors, or an observer of its slips."""
 
 
 def controllers(design: Design) -> dict[str, Controller]:
@@ -206,10 +208,15 @@ def robot_of(problem: Problem, process: str | SlipProcess | None = None) -> Robo
     return with_estimate(problem, with_lag(problem, ideal, ideal))
 
 
-def with_estimate(problem: Problem, plant: PlantType) -> PlantType | EstimatingRobot[PlantType]:
-    """Return a robot with the estimate that the scenario's controller acts on; the robot itself
-    where that acts on the measured error."""
+def with_estimate(
+    problem: Problem, plant: PlantType
+) -> PlantType | EstimatingRobot[PlantType] | LearningRobot[SlippingPlant]:
+    """Return a robot with the estimate that the scenario's controller acts on, or with the observer
+    of its slips; the robot itself where that acts on what is measured."""
     settings = problem.scenario.controller
+    if problem.scenario.slip.is_learnt:
+        # A scenario whose slips are learnt has wheels that obey at once: such robots know them.
+        return LearningRobot(cast(SlippingPlant, plant), make_slip_observer(problem))
     if not settings.has_observer:
         return plant
     gain = jnp.asarray(settings.observer_gain)
@@ -260,6 +267,7 @@ def make_robot(
         sideslip=slip.sideslip if slides else None,
         process=make_recorded(problem.scenario) if chosen == "recorded" else chosen,
         noise_frame=problem.scenario.noise.frame,
+        slip_steps=slip_steps(slip, problem.reference.dt),
     )
 
 

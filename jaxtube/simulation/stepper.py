@@ -29,12 +29,39 @@ from jaxtube.control.laws import TubeMpc
 from jaxtube.control.mpc import Diagnostics
 from jaxtube.control.protocol import Controller
 from jaxtube.plant.protocol import Command, Measurement, Memory
+from jaxtube.plant.robot import Robot, saturate
 from jaxtube.plant.slip_bounds import slip_bounds
+from jaxtube.plant.slip_observer import SlipKnowledge, SlipObserver
 from jaxtube.precision import in_64_bits
 from jaxtube.simulation.choices import ControllerChoice, choose_controller
+from jaxtube.synthesis.learnt_slips import make_slip_observer
 from jaxtube.synthesis.parts import Design, require_design
 
 Acted = tuple[Command, Memory, Diagnostics]
+
+
+class LearnerMemory(NamedTuple):
+    """Memory of a controller and of the observer of the slips that it compensates.
+
+    Attributes:
+        controller: its memory.
+        knowledge: of the slips of the period before, None where none are learnt.
+        wheels: speeds (right, left) of the period before, within the limits, m/s.
+    """
+
+    controller: Memory
+    knowledge: SlipKnowledge | None
+    wheels: Float[Array, "1 2"]
+
+
+class LearntSlip(NamedTuple):
+    """What is known of the slips (right, left) of a period: the ends of the intervals that hold
+    them, and whether the measurements before it contradicted what is assumed of them, so that
+    nothing is known any more."""
+
+    lower: Float[np.ndarray, "2"]
+    upper: Float[np.ndarray, "2"]
+    contradicted: bool
 
 
 class Step(NamedTuple):
@@ -71,7 +98,8 @@ class Stepper:
     Errors are those that the controller acts on: (longitudinal m, lateral m, heading rad) in the
     frame of the robot, positive where the reference is ahead and to the left; measured, or
     estimated where the scenario's controller acts on an estimate. Commands are those of a batch of
-    one in `jt.simulate`.
+    one in `jt.simulate`. Slips that the scenario has learnt (`slip.change_per_s`) are learnt from
+    the errors of call after call.
 
     Attributes:
         periods: how many the reference has.
@@ -93,13 +121,17 @@ class Stepper:
         problem = design.problem
         self.periods = problem.reference.steps
         self._slip = np.asarray(slip_bounds(problem.scenario.slip).nominal, float)
+        learns = problem.scenario.slip.is_learnt
         programs = _Programs(
-            choose_controller(design, controller), problem.schedule[: self.periods]
+            choose_controller(design, controller),
+            problem.schedule[: self.periods],
+            make_slip_observer(problem) if learns else None,
+            problem.robot,
         )
         self._begin = programs.compile_begin()
-        memory = self._begin(np.zeros(3))
-        self._short = programs.compile_short(memory)
-        self._act = programs.compile_act(memory)
+        self._nothing = self._begin(np.zeros(3))
+        self._short = programs.compile_short(self._nothing)
+        self._act = programs.compile_act(self._nothing)
         self.restart()
 
     def restart(self, period: int = 0) -> None:
@@ -123,15 +155,19 @@ class Stepper:
 
         Args:
             errors: at its start (see the class).
-            slip: what is measured of the slips (right, left); the nominal ones unless given.
+            slip: what is measured of the slips (right, left); the nominal ones unless given, or
+                what is learnt, where the scenario has them learnt.
 
         Raises:
-            ValueError: beyond the end of the reference, or for other shapes.
+            ValueError: beyond the end of the reference, for other shapes, or for slips that are
+                learnt.
         """
         if self.next >= self.periods:
             raise ValueError(
                 f"the reference ended after {self.periods} periods; call restart() for another lap"
             )
+        if slip is not None and self.learnt_slip is not None:
+            raise ValueError(f"slip = {slip}: is learnt here (slip.change_per_s); leave it out")
         errors = np.asarray(errors, float)
         slip = self._slip if slip is None else np.asarray(slip, float)
         if errors.shape != (3,) or slip.shape != (2,):
@@ -142,6 +178,17 @@ class Stepper:
         report, self._memory = self._run(np.int32(self.next), memory, errors, slip)
         self.next += 1
         return _read(np.array(report))
+
+    @property
+    def learnt_slip(self) -> LearntSlip | None:
+        """What was known of the slips of the period that the last call was for; before the first
+        one what the scenario says, and None where slips are not learnt."""
+        memory = self._nothing if self._memory is None else self._memory
+        known = memory.knowledge
+        if known is None:
+            return None
+        lower = np.array(known.lower)[0]
+        return LearntSlip(lower, np.array(known.upper)[0], bool(known.contradicted[0]))
 
     def _run(self, period, memory: Memory, errors, slip) -> tuple[Float[Array, " 9"], Memory]:
         """Run the short programs, and the long one where they do not do."""
@@ -155,29 +202,38 @@ class Stepper:
 class _Programs:
     """A controller's programs for one robot."""
 
-    def __init__(self, controller: Controller, reference_wheels: Float[np.ndarray, "steps 2"]):
+    def __init__(
+        self,
+        controller: Controller,
+        reference_wheels: Float[np.ndarray, "steps 2"],
+        observer: SlipObserver | None,
+        robot: Robot,
+    ):
         self._controller = controller
         self._wheels = jnp.asarray(reference_wheels)
+        self._observer = observer
+        self._robot = robot
 
-    def compile_begin(self) -> Callable[..., Memory]:
+    def compile_begin(self) -> Callable[..., LearnerMemory]:
         """Compile what returns the memory before the first period, by its errors."""
 
         def begin(errors):
-            return self._controller.initial(errors[None])
+            memory = self._controller.initial(errors[None])
+            observer = self._observer
+            knowledge = None if observer is None else observer.initial(errors[None])
+            return LearnerMemory(memory, knowledge, jnp.zeros((1, 2)))
 
         return _compile(begin, np.zeros(3))
 
-    def compile_act(self, memory: Memory) -> Callable[..., Any]:
+    def compile_act(self, memory: LearnerMemory) -> Callable[..., Any]:
         """Compile what acts, (report, next memory) by period, memory, errors and slip."""
 
-        def act(period, memory, errors, slip):
-            measurement = Measurement(errors[None], slip[None])
-            acted = self._controller.act(period, memory, measurement, self._wheels[period])
-            return _report(acted, jnp.asarray(True))
+        def always(*arguments):
+            return jnp.asarray(True), self._controller.act(*arguments)
 
-        return _compile(act, *_example(memory))
+        return _compile(self._describe(always), *_example(memory))
 
-    def compile_short(self, memory: Memory) -> list[Callable[..., Any]]:
+    def compile_short(self, memory: LearnerMemory) -> list[Callable[..., Any]]:
         """Compile the same without the solver of a tube-MPC, the shortest program first; none for
         other controllers."""
         controller = self._controller
@@ -193,10 +249,26 @@ class _Programs:
 
         def act(period, memory, errors, slip):
             measurement = Measurement(errors[None], slip[None])
-            fits, acted = way(period, memory, measurement, self._wheels[period])
+            knowledge = self._learn(period, memory, measurement.errors)
+            if knowledge is not None:
+                measurement = measurement._replace(slip=knowledge.centre)
+            fits, acted = way(period, memory.controller, measurement, self._wheels[period])
+            command, following, diagnostics = acted
+            wheels = saturate(command.wheels, self._robot)
+            acted = (command, LearnerMemory(following, knowledge, wheels), diagnostics)
             return _report(acted, fits)
 
         return act
+
+    def _learn(
+        self, period, memory: LearnerMemory, errors: Float[Array, "1 3"]
+    ) -> SlipKnowledge | None:
+        """Return what is known of the slips of a period, None where none are learnt."""
+        if self._observer is None or memory.knowledge is None:
+            return None
+        # The first period has none before it, and nothing is learnt from it then.
+        before = self._wheels[jnp.maximum(period - 1, 0)]
+        return self._observer.update(memory.knowledge, errors, memory.wheels, before)
 
 
 def _example(memory: Memory) -> tuple:

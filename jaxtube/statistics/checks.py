@@ -92,6 +92,7 @@ class Sections(NamedTuple):
         "input_weight",
         "kept_gains",
         "command_step",
+        "slip_radius",
     ],
 )
 @dataclass(frozen=True)
@@ -104,7 +105,9 @@ class Checks:
     is the whole cost of a plan, whose first stage costs |e|^2 by the error weight and |g_0 - K e|^2
     by the input weight, K of `kept_gains`, which are 0 where errors cost. `input` is a set of (u,
     measured error). `command_step` is by how much a wheel's command may change from one period to
-    the next, m/s; None for any.
+    the next, m/s; None for any. `slip_radius` is how wide half the intervals of learnt slips
+    (right, left) may be, by the periods since the start, the last one for all later times; None
+    where none are learnt.
     """
 
     transitions: Float[AnyArray, "steps 3 3"]
@@ -124,6 +127,7 @@ class Checks:
     input_weight: Float[AnyArray, "2 2"]
     kept_gains: Float[AnyArray, "windows 2 3"]
     command_step: Float[AnyArray, ""] | None = None
+    slip_radius: Float[AnyArray, "ages 2"] | None = None
 
     @property
     def horizon(self) -> int:

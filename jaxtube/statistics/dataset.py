@@ -35,6 +35,7 @@ DIMENSIONS = {
     "plans_by_lap": ("plans_with_event",),
     "ultimate_bound": ("coordinate",),
     "command_step": ("wheel",),
+    "slip_radius": ("wheel",),
     "error_by_step": ("step", "coordinate", "bucket"),
     **{name: ("coordinate", "bucket") for name in ("disturbance", "peak", "rms")},
     "map": ("map_row", "map_column"),
@@ -67,6 +68,7 @@ EXPLANATIONS = {
     "cost_excesses": "plans whose cost fell by less than that of the step",
     "cost_excess": "largest V+ - V + cost of the step; negative: every cost fell by more",
     "command_step": "largest change of each wheel's command in a period, m/s",
+    "slip_radius": "half of the widest interval of each wheel's slip, once it is learnt",
     "ultimate_bound": "half widths of the settled error while w is in W and no row is active",
     **{
         f"excess/{name}": f"largest excess over each facet of {of_set}; negative: inside"
@@ -163,7 +165,7 @@ def make_coordinates(design: Design, statistics: Statistics) -> dict[str, tuple]
         "plane": (np.array(planes), "pair of coordinates, abscissa first"),
         "step": (np.arange(1, steps + 1), "periods gone"),
     }
-    if "command_step" in statistics:
+    if "command_step" in statistics or "slip_radius" in statistics:
         plain["wheel"] = (np.array(["right", "left"]), "wheel")
     for name in ("disturbance", "error", "input"):
         facet = np.arange(len(statistics[f"excess/{name}"]))

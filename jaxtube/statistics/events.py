@@ -18,7 +18,7 @@ class Event(NamedTuple):
         meaning: one sentence.
         part: what it is a part of: indented below it in tables; "" for an event of its own.
         needs: what a run must have for the event to be possible: a "QP" or "wheels", a "bound" that
-            is finite, a limit of "acceleration"; "" for nothing.
+            is finite, a limit of "acceleration", "learning" of slips; "" for nothing.
     """
 
     name: str
@@ -71,6 +71,13 @@ EVENTS = (
         "a wheel's command changes from the period before by more than its acceleration allows",
         needs="acceleration",
     ),
+    Event(
+        "slip_outside_interval",
+        "slip outside its interval",
+        "a true slip lies outside of the interval that was learnt, or that interval is wider than "
+        "the design says",
+        needs="learning",
+    ),
     Event("not_finite", "not finite", "an error or an input is not a finite number"),
 )
 """In the order of the rows of `statistics["events"]`."""
@@ -83,6 +90,7 @@ VIOLATIONS = (
     "u_outside_U",
     "wheels_saturated",
     "acceleration_exceeded",
+    "slip_outside_interval",
     "qp_infeasible",
     "qp_unsolved",
     "not_finite",

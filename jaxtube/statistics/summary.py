@@ -138,6 +138,8 @@ def summarise(design: Design, law: SamplingLaw, statistics: Statistics) -> dict:
     }
     if "acceleration_exceeded" in numbers["events"]:
         numbers["wheel_acceleration"] = _summarise_acceleration(problem, statistics)
+    if "slip_radius" in statistics:
+        numbers["widest_slip_interval"] = (2 * statistics["slip_radius"]).tolist()
     return numbers | (_summarise_plans(design, law, statistics) if statistics["plans"] else {})
 
 
@@ -172,6 +174,8 @@ def _missing(law: SamplingLaw, statistics: Statistics) -> set[str]:
         missing.add("bound")
     if "command_step" not in statistics or "wheels" in missing:
         missing.add("acceleration")
+    if "slip_radius" not in statistics:
+        missing.add("learning")
     return missing
 
 

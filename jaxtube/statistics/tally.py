@@ -29,6 +29,7 @@ from jaxtube.control import planning
 from jaxtube.control.laws import TubeMpc
 from jaxtube.coordinates import PLANES
 from jaxtube.plant.error_dynamics import world_pose
+from jaxtube.plant.learning import LearningMemory
 from jaxtube.plant.robot import is_saturated
 from jaxtube.qp.batched_ldl import matmul
 from jaxtube.simulation.rollout import LoopState, PeriodOutcome
@@ -119,6 +120,8 @@ def empty(checks: Checks, horizon: int, batch: int, dtype) -> Tally:
     extremes |= {f"tube_excess/{name}": (horizon,) for name in checks.tubes}
     if checks.command_step is not None:
         extremes |= {"command_step": (2,)}
+    if checks.slip_radius is not None:
+        extremes |= {"slip_radius": (2,)}
     largest = {name: jnp.full(shape, -jnp.inf, dtype) for name, shape in extremes.items()}
     return Tally(laps, sums, largest)
 
@@ -157,6 +160,22 @@ def _is_too_fast(
         return jnp.zeros(batch, bool)
     is_within = jnp.all(command_step <= most + OUTSIDE, axis=0)
     return (step > 0) & ~is_within
+
+
+def _judge_learning(
+    checks: Checks, before: LoopState, step: Int[Array, ""]
+) -> tuple[Bool[Array, " batch"], Float[Array, "2 batch"] | None]:
+    """Return whether the intervals of learnt slips hold the true ones of a period and are as narrow
+    as they should be, and half their widths once they have settled, 0 before; True and None where
+    nothing is learnt."""
+    most = checks.slip_radius
+    memory = before.plant_memory
+    if most is None or not isinstance(memory, LearningMemory):
+        return jnp.ones(len(before.errors), bool), None
+    settled = len(most) - 1
+    radius = memory.knowledge.radius
+    is_narrow = jnp.all(radius <= most[jnp.minimum(step, settled)] + OUTSIDE, axis=1)
+    return ~memory.is_missed & is_narrow, jnp.where(step >= settled, radius, 0.0).T
 
 
 def find_events(
@@ -211,6 +230,8 @@ def observe(
     due = _find_due_sets(checks, step)
     events = find_events(checks, due, judged, happened, after, settled)
     events["acceleration_exceeded"] = _is_too_fast(checks, command_step, step, len(e[0]))
+    knows, radius = _judge_learning(checks, before, step)
+    events["slip_outside_interval"] = ~knows
     laps = _observe_laps(due, tally.laps, events, judged, settled)
     if command_step is not None:
         laps = laps._replace(asked=happened.demanded)
@@ -227,6 +248,9 @@ def observe(
     if command_step is not None:
         seen = _largest(command_step, counted)
         largest["command_step"] = jnp.maximum(largest["command_step"], seen)
+    if radius is not None:
+        seen = _largest(radius, counted)
+        largest["slip_radius"] = jnp.maximum(largest["slip_radius"], seen)
     return Tally(laps, sums, largest)
 
 

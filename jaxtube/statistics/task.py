@@ -3,12 +3,16 @@ checked against."""
 
 from __future__ import annotations
 
+import dataclasses
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
 from jaxtube.control.laws import free_gains_of
 from jaxtube.control.protocol import Controller
+from jaxtube.plant.learning import LearningRobot
 from jaxtube.plant.protocol import Plant
 from jaxtube.plant.random_keys import make_key
 from jaxtube.plant.reference import Reference, settled_step
@@ -16,6 +20,7 @@ from jaxtube.simulation.starts import Starts
 from jaxtube.statistics.checks import Checks, Facets, FacetsByRegime, Sections
 from jaxtube.statistics.run import Task
 from jaxtube.statistics.tally import HEAT_CELLS
+from jaxtube.synthesis.disturbance import find_learnt_slips
 from jaxtube.synthesis.limits import InputRows, find_command_step
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import Problem
@@ -32,6 +37,9 @@ def make_task(
 ) -> Task:
     """Return what every block of a Monte Carlo run of a closed loop needs."""
     checks = make_checks(design, controller)
+    if isinstance(plant, LearningRobot):
+        radius = find_learnt_slips(design.problem).radius
+        checks = dataclasses.replace(checks, slip_radius=jnp.asarray(radius))
     return Task(controller, plant, starts, checks, make_key(seed))
 
 

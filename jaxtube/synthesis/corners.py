@@ -10,12 +10,13 @@ Source: new.
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxtube.synthesis.disturbance import kinematics, operation
+from jaxtube.synthesis.disturbance import find_place, kinematics
 from jaxtube.synthesis.estimated_error import (
     CornerErrors,
     find_extremes,
@@ -29,6 +30,7 @@ from jaxtube.synthesis.late_corners import (
     commit_points,
     find_speed_extremes,
 )
+from jaxtube.synthesis.learnt_slips import bound_slips
 from jaxtube.synthesis.problem import Problem
 from sets.polytope import hull_vertices
 from sets.robot.plant import Late
@@ -71,7 +73,9 @@ class Caps(NamedTuple):
 class EstimatedDisturbance(NamedTuple):
     """W of n points by its yaw kick, rad, how far that moves sideways, m/rad, and the box of the
     rest (m, m, rad); the error of what the controller acts on (m, m, rad); the least and the
-    greatest commanded ground speed, m/s; and what lag and delay do, where there is any."""
+    greatest commanded ground speed, m/s; what lag and delay do, where there is any; and of slips
+    that are learnt the greatest steps (m, m, rad) of the first period, when nothing is known of
+    them."""
 
     yaw: Float[np.ndarray, " n"]
     lateral_per_yaw: Float[np.ndarray, " n"]
@@ -80,6 +84,14 @@ class EstimatedDisturbance(NamedTuple):
     least: Float[np.ndarray, " n"]
     greatest: Float[np.ndarray, " n"]
     late: LatePoints | None
+    first: Float[np.ndarray, "n 3"] | None = None
+
+    @property
+    def steps(self) -> Float[np.ndarray, "n 3"]:
+        """The greatest steps that w makes, (m, m, rad)."""
+        lateral = self.lateral_per_yaw * np.ones_like(self.yaw)
+        kick = self.yaw * np.stack([np.zeros_like(self.yaw), lateral, np.ones_like(self.yaw)])
+        return self.box + kick.T
 
 
 class OperatingCorners:
@@ -92,7 +104,9 @@ class OperatingCorners:
     def __init__(self, problem: Problem):
         self.noise = problem.noise
         self.kinematics = kinematics(problem)
-        self.operation = operation(problem)
+        self.operation = find_place(problem)
+        self.scenario = problem.scenario
+        self.learns = problem.scenario.slip.is_learnt
         self.period = self.operation.period
         self.schedules = hull_vertices(np.unique(problem.corners, axis=0))
         self.is_late = not self.operation.actuation.is_ideal
@@ -121,7 +135,8 @@ class OperatingCorners:
     def find(self, point: Float[np.ndarray, " k"]) -> Corners:
         """Return the corners that make W, the estimate's error and the ground speeds."""
         gain = self.gain(point[None])
-        errors, late = self._split(point[None], np.ix_(*map(np.arange, self.axes)))
+        places = np.ix_(*map(np.arange, self.axes))
+        errors, late = self._split(point[None], places, self.learns)
         lateral_per_yaw = self.period.lateral_per_yaw
         size = solve_error(errors, lateral_per_yaw, gain, self.noise)
         extremes = find_extremes(errors, lateral_per_yaw, gain, size)
@@ -133,8 +148,19 @@ class OperatingCorners:
         self, points: Float[np.ndarray, "n k"], corners: Corners
     ) -> EstimatedDisturbance:
         """Return W, the estimate's error and the ground speeds, from these corners."""
+        learnt = self._disturbance(points, corners, self.learns)
+        if not self.learns:
+            return learnt
+        unlearnt = self._disturbance(points, corners, learns=False)
+        return learnt._replace(first=unlearnt.steps)
+
+    def _disturbance(
+        self, points: Float[np.ndarray, "n k"], corners: Corners, learns: bool
+    ) -> EstimatedDisturbance:
+        """Return the disturbance of slips that are learnt as well as they will be, or not at
+        all."""
         gain = self.gain(points)
-        errors, late = self._split(points, tuple(corners))
+        errors, late = self._split(points, tuple(corners), learns)
         lateral_per_yaw = self.period.lateral_per_yaw
         size = solve_error(errors, lateral_per_yaw, gain, self.noise)
         return EstimatedDisturbance(
@@ -148,7 +174,10 @@ class OperatingCorners:
         )
 
     def _split(
-        self, points: Float[np.ndarray, "n k"], places: tuple[Int[np.ndarray, "..."], ...]
+        self,
+        points: Float[np.ndarray, "n k"],
+        places: tuple[Int[np.ndarray, "..."], ...],
+        learns: bool,
     ) -> tuple[CornerErrors, LatePoints | None]:
         """Return what may happen at places of the grid, at each point, and what of it is lag's."""
         caps = read_caps(points)
@@ -164,6 +193,10 @@ class OperatingCorners:
         if not self.is_late:
             d_r = self.operation.wheel_errors[right, 0]
             d_l = self.operation.wheel_errors[left, 1]
+            if learns:
+                learnt = self._learn(caps, (*asked, *[0.0 * (right + left + skid)] * 3))
+                d_r = ENDS[right] * learnt[:, 0].reshape(by_point)
+                d_l = ENDS[left] * learnt[:, 1].reshape(by_point)
             zeta = self.operation.sideslip * ENDS[skid]
             variables = (*asked, d_r, d_l, zeta)
             return split_at_corners(self.kinematics, self.period, variables, (), len(points)), None
@@ -179,6 +212,27 @@ class OperatingCorners:
         variables = (*asked, d_r, d_l, none)
         errors = split_at_corners(self.kinematics, self.period, variables, taken, len(points))
         return add_lag(errors, late), late
+
+    def _learn(self, caps: Caps, still: Sequence[np.ndarray]) -> Float[np.ndarray, "n 2"]:
+        """Return the greatest wheel errors (right, left) of slips that are learnt, at each point,
+        from the variables of a robot that does not slip."""
+        count = len(caps.turning)
+        speeds = split_at_corners(self.kinematics, self.period, still, (), count).speeds
+        least = speeds.min(axis=2).T
+        greatest = speeds.max(axis=2).T
+        reference = np.abs(self.schedules @ [1.0, -1.0]).max() / self.period.track_width
+        errors = np.stack([caps.longitudinal, caps.lateral, caps.heading], axis=1)
+        bounds = [
+            bound_slips(
+                self.scenario,
+                self.operation,
+                errors[i],
+                np.stack([least[i], greatest[i]]),
+                float(caps.turning[i] + reference),
+            )
+            for i in range(count)
+        ]
+        return np.stack([bound.wheel_errors[-1] for bound in bounds])
 
 
 def read_caps(points: Float[np.ndarray, "n k"]) -> Caps:

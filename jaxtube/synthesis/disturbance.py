@@ -19,7 +19,9 @@ from jaxtube.scenario.rules import CAP_ROUNDING
 from jaxtube.scenario.tree import Scenario, Slip
 from jaxtube.synthesis.acceleration import find_command_steps, limit_acceleration
 from jaxtube.synthesis.bands import join_bands, split_bands
-from jaxtube.synthesis.problem import Problem, make_problem
+from jaxtube.synthesis.learnt_slips import count_periods, prove_learnt_slips
+from jaxtube.synthesis.problem import Problem, make_problem, with_regimes
+from jaxtube.synthesis.regimes import RegimesByAge
 from sets.polytope import Polytope
 from sets.robot.actuation import Actuation
 from sets.robot.between import bound_excursion
@@ -34,6 +36,7 @@ from sets.robot.latency import bound_late_pose_errors
 from sets.robot.observer import bound_next_error, find_estimate_error
 from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics
+from sets.robot.slip_learning import LearntSlips
 
 FLAT = 1e-12
 """Half width below which W is flat, as a share of the limits of the error."""
@@ -42,6 +45,33 @@ FLAT = 1e-12
 def operation(problem: Problem) -> Operation:
     """Return where the robot works: measured or estimated errors, inputs, certified wheel speeds,
     slip errors and noise. Inputs are those that the rows of the QPs allow."""
+    where = find_place(problem)
+    if not problem.scenario.slip.is_learnt:
+        return where
+    greatest = find_wheel_error_sizes(problem)
+    return replace(where, wheel_errors=np.stack([-greatest, greatest]))
+
+
+def find_learnt_slips(problem: Problem) -> LearntSlips:
+    """Return what is proved of slips that are learnt.
+
+    Raises:
+        ValueError: as `prove_bound`.
+    """
+    where = find_place(problem)
+    return prove_learnt_slips(problem.scenario, where, kinematics(problem))
+
+
+def find_wheel_error_sizes(problem: Problem) -> Float[np.ndarray, "2"]:
+    """Return the greatest relative errors of the ground speeds (right, left) of slips that are
+    learnt, by the periods that they have been."""
+    by_age = find_learnt_slips(problem).wheel_errors
+    return by_age[-1 if problem.periods_learnt is None else problem.periods_learnt]
+
+
+def find_place(problem: Problem) -> Operation:
+    """Return the operation; of slips that are learnt that of a controller that knows nothing of
+    them."""
     slip = problem.scenario.slip
     rows = problem.cap_rows
     is_coupled = rows.is_coupled
@@ -224,9 +254,22 @@ def complete_problem(scenario: Scenario) -> Problem:
         problem = _with_estimate_error(problem)
     if scenario.disturbance.bound == "computed":
         problem = with_computed_bounds(problem)
+    if scenario.slip.is_learnt:
+        problem = _with_learnt_slips(problem)
     if scenario.robot.wheel_acceleration_max_mps2 is None:
         return problem
     return limit_acceleration(problem, operation(problem), kinematics(problem))
+
+
+def _with_learnt_slips(problem: Problem) -> Problem:
+    """Return the problem with a regime for each of the first periods, in which less is known of the
+    slips than later."""
+    is_computed = problem.scenario.disturbance.bound == "computed"
+    ages = range(count_periods(problem.scenario))
+    younger = [replace(problem, periods_learnt=age) for age in ages]
+    if is_computed:
+        younger = [with_computed_bound(regime) for regime in younger]
+    return with_regimes(problem, [*younger, problem], RegimesByAge(len(younger) + 1))
 
 
 def _with_estimate_error(problem: Problem) -> Problem:

@@ -214,7 +214,7 @@ class Estimate:
         ]
         limits = [
             self._use_of_constraints(points, caps, w),
-            self._use_by_start(caps, w, k1, reach_speed),
+            self._use_by_start(points, caps, w, reach_speed),
             w.greatest / self.fastest,
             1 + (self.slowest - w.least) / self.fastest,
         ]
@@ -236,25 +236,40 @@ class Estimate:
 
     def _use_by_start(
         self,
+        points: Float[np.ndarray, "n k"],
         caps: Caps,
         w: EstimatedDisturbance,
-        k1: Float[np.ndarray, " n"],
         reach_speed: Float[np.ndarray, " n"],
     ) -> Float[np.ndarray, "n 5"]:
         """Return how far the start uses what it needs of the caps: of the errors, of turning, and
-        of the speed that brings its longitudinal error to what k1 can hold within the horizon."""
-        if not self.start.any():
+        of the speed that brings its longitudinal error to what k1 can hold within the horizon.
+
+        Where slips are learnt the first disturbance is the widest, and what is turned to undo it
+        shares the coupling with what is left of the longitudinal error a period later.
+        """
+        k1, k2, k3 = np.exp(points[:, 8:CAPS_AND_GAINS]).T
+        if not self.start.any() and w.first is None:
             return np.zeros((len(k1), 5))
         errors = np.stack([caps.longitudinal, caps.lateral, caps.heading], axis=1)
-        kick = w.yaw * np.stack([0 * w.yaw, w.lateral_per_yaw, 1 + 0 * w.yaw])
-        at_start = (self.start + START_STEPS * (w.box + kick.T)) / errors
+        first = w.steps if w.first is None else w.first
+        at_start = (self.start + first + (START_STEPS - 1) * w.steps) / errors
         turning = START_TURN * caps.turning / caps.coupled_turning
         turning += self.start[0] / caps.coupled_error
+        if w.first is not None:
+            left = np.maximum(self.start[0] - self.period.dt * caps.faster, 0.0)
+            undone = k2 * first[:, 1] + k3 * first[:, 2]
+            coupled = undone / caps.coupled_turning + (first[:, 0] + left) / caps.coupled_error
+            turned = undone / caps.turning + START_TURN * np.sign(self.start[1])
+            turning = np.maximum(turning, np.maximum(coupled, turned))
         ahead = self.problem.initial_error[0] < 0
         horizon = self.problem.horizon * self.period.dt
         needed = self.start[0] / horizon + reach_speed
         available = (caps.faster if ahead else caps.slower) * (1 + 1 / (k1 * horizon))
-        return np.column_stack([at_start, turning, needed / available])
+        speed = needed / available
+        if w.first is not None:
+            undone = k1 * first[:, 0] + self.yaw_rate * first[:, 1]
+            speed = np.maximum(speed, undone / np.minimum(caps.slower, caps.faster))
+        return np.column_stack([at_start, turning, speed])
 
     def _tube_data(self, points: Float[np.ndarray, "n k"], w: EstimatedDisturbance) -> tuple:
         """Return one step's disturbance, the images of the directions and the rows of the caps, in

@@ -60,6 +60,8 @@ class Problem(ControlProblem):
 
     `regimes` are the problems that would be, did all periods belong to one regime; none where they
     do. `rule` numbers them along a run. `disturbance_set` then holds the W of each.
+    `periods_learnt` says for how many periods slips that are learnt on line have been learnt, None
+    for as many as it takes (`synthesis.learnt_slips`).
     """
 
     scenario: Scenario
@@ -70,6 +72,7 @@ class Problem(ControlProblem):
     estimate_error: Float[np.ndarray, "3"]
     disturbance_bound: DisturbanceBound | None = None
     first_command: FirstCommand | None = None
+    periods_learnt: int | None = None
 
     @property
     def period_regimes(self) -> Int[np.ndarray, " periods"]:

@@ -53,6 +53,7 @@ CHECKED = {
     "operating.bands": (),
     "robot.wheel_acceleration_max_mps2": None,
     "slip.is_measured": False,
+    "slip.is_learnt": False,
 }
 """What the checker knows, by the scenario's fields."""
 

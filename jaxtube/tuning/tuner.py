@@ -234,17 +234,9 @@ def make_tuner(
 
     Raises:
         ScenarioError: where the scenario gives no gains, or gains without a bounded tube, so that
-            there is nothing to descend on.
+            there is nothing to descend on; or has slips learnt.
     """
-    if scenario.operating.bands:
-        raise ScenarioError(
-            "scenario: operating.bands: tuning knows one gain, not several by speed; leave them out"
-        )
-    if scenario.controller.cost != "tracking":
-        raise ScenarioError(
-            f'scenario: controller.cost = "{scenario.controller.cost}": weights of tracking are '
-            'what is tuned; set controller.cost = "tracking"'
-        )
+    _refuse_untunable(scenario)
     problem = complete_problem(scenario)
     try:
         parameters = make_parameters(problem, variables)
@@ -261,6 +253,25 @@ def make_tuner(
             "start from firmer gains, such as those of `certified`, or lower slip.relative_error"
         )
     return tuner
+
+
+def _refuse_untunable(scenario: Scenario) -> None:
+    """Refuse a scenario that has more than one gain or disturbance set, or another cost."""
+    if scenario.slip.is_learnt:
+        raise ScenarioError(
+            f"scenario: slip.change_per_s = {scenario.slip.change_per_s:g}: tuning knows one "
+            "disturbance set for all periods, and slips that are learnt have several; leave it "
+            "out, and give slip.measurement_error"
+        )
+    if scenario.operating.bands:
+        raise ScenarioError(
+            "scenario: operating.bands: tuning knows one gain, not several by speed; leave them out"
+        )
+    if scenario.controller.cost != "tracking":
+        raise ScenarioError(
+            f'scenario: controller.cost = "{scenario.controller.cost}": weights of tracking are '
+            'what is tuned; set controller.cost = "tracking"'
+        )
 
 
 def make_evaluation_constants(prepared: Design) -> EvaluationConstants | None:

@@ -98,7 +98,8 @@ def test_the_metrics_are_those_of_the_statistics(undisturbed):
     assert found["steps_a_lap"] == steps
     # A static gain solves no QP: nothing is said of any.
     of_qps = {"qp_infeasible", "qp_unsolved", "row_active", "backup"}
-    assert set(found["events"]) == set(EVENT_NAMES) - of_qps - {"acceleration_exceeded"}
+    of_others = {"acceleration_exceeded", "slip_outside_interval"}
+    assert set(found["events"]) == set(EVENT_NAMES) - of_qps - of_others
     for name in found["events"].keys() - {"outside_ultimate_bound"}:
         row = statistics["events"][find_row(name)]
         event = found["events"][name]

@@ -104,6 +104,8 @@ REFUSED_OVERRIDES = [
     ("slip.nominal_left=-1.1", ["slip.nominal_left = -1.1", "> -1", "default is 0.2"]),
     ("slip.right=[0.1, 0.3]", ["slip.right = [0.1, 0.3]", "without slip.left", "both"]),
     ("slip.measurement_error=0.1", ["slip.measurement_error = 0.1", "intervals"]),
+    ("slip.change_per_s=0.05", ["slip.change_per_s = 0.05", "interval is not given", "slip.right"]),
+    ("slip.change_per_s=0", ["slip.change_per_s = 0", "> 0"]),
     ("slip.nominal_left=0.95", ["slip.nominal_left = 0.95", "1.045", "below 1"]),
     ("slip.relative_error=1", ["slip.relative_error = 1", "< 1", "default is 0.1"]),
     ("constraints.lateral_m=0", ["constraints.lateral_m = 0", "> 0", "default is 0.3"]),

@@ -122,6 +122,10 @@ class AnySlipRobot:
         after = memory.process[number + 1 :]
         return drawn._replace(process=(*before, drawn.process, *after))
 
+    def true_slip(self, memory: SlipMemory) -> Float[Array, "batch 2"]:
+        """Return the true slips of the period that has begun."""
+        return self.ideal.true_slip(memory)
+
     def advance(
         self,
         keys: Key[Array, " batch"],

@@ -46,6 +46,12 @@ def _assume_slip(problem: Problem) -> str:
 
 
 def _assume_slip_intervals(slip: Slip) -> str:
+    if slip.is_learnt:
+        return (
+            f"true slip anywhere in {slip.say_intervals()}, of either wheel changing by at most "
+            f"{slip.change_per_s:g} a second from one period to the next; learnt on line from "
+            "measured errors and from the wheel speeds, which are known"
+        )
     anywhere = f"true slip anywhere in {slip.say_intervals()}, in any sequence"
     if slip.is_measured:
         return f"{anywhere}; measured within {slip.say_measurement_error()} of it"

@@ -36,8 +36,15 @@ RING = 60
 
 
 def cap_shares(problem: Problem, gain: Gain) -> dict[str, float]:
-    """Return the share of each cap that the tube fills at its widest, by name; infinite where no
-    bound was found."""
+    """Return the share of each cap that the tube fills at its widest, by name, of several regimes
+    the largest of those that last; infinite where no bound was found."""
+    lasting = problem.rule.lasting(problem.horizon)
+    by_regime = [_regime_shares(problem.every_regime[regime], gain) for regime in lasting]
+    return {name: max(shares[name] for shares in by_regime) for name in by_regime[0]}
+
+
+def _regime_shares(problem: Problem, gain: Gain) -> dict[str, float]:
+    """Return the shares of one regime."""
     E = problem.operating_set
     names = [*ERROR_NAMES, *input_names(problem)]
     tube = widest_tube(problem, gain)

@@ -25,11 +25,12 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Complex, Float
 
-from jaxtube.plant.slip_bounds import slip_bounds
+from jaxtube.plant.slip_bounds import compensated_slips, slip_bounds
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.synthesis.acceleration import find_command_steps
 from jaxtube.synthesis.certificate.late_period import find_pasts, next_late_errors
 from jaxtube.synthesis.certificate.period_cases import Numbers, PeriodCases
+from jaxtube.synthesis.disturbance import find_wheel_error_sizes
 from jaxtube.synthesis.problem import Problem, region_corners
 from sets.polytope import hull_vertices
 
@@ -186,12 +187,28 @@ def _meet_coupling(
 def pair_slips(problem: Problem) -> Float[np.ndarray, "k 2 2"]:
     """Return pairs of true and measured slip (right, left) at their extremes: near nominal ones
     either of the two is nominal, unless the scenario lets both vary."""
+    if problem.scenario.slip.is_learnt:
+        return _pair_learnt_slips(problem)
     slips = slip_bounds(problem.scenario.slip)
     pairs = slips.extremes()
     if problem.scenario.slip.has_intervals or slips.uncertain_slip == "both":
         return pairs
     # A bound on either slip's error is one on both readings: the other slip may vary instead.
     return np.concatenate([pairs, pairs[:, ::-1]])
+
+
+def _pair_learnt_slips(problem: Problem) -> Float[np.ndarray, "k 2 2"]:
+    """Return pairs of slips that leave the greatest errors of the ground speeds, with either end of
+    the intervals compensated; how far off what is learnt may be is proved elsewhere."""
+    sizes = find_wheel_error_sizes(problem)
+    ends = compensated_slips(problem.scenario.slip)
+    sides = np.array(list(itertools.product((0, 1), repeat=2)))
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=2)))
+    compensated = ends[sides, [0, 1]]
+    pairs = [
+        np.stack([one + sign * sizes * (1 - one), one]) for one in compensated for sign in signs
+    ]
+    return np.array(pairs)
 
 
 def next_errors(problem: Problem, cases: PeriodCases) -> Float[np.ndarray, "n 3"]:

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from jaxtube.coordinates import COORDINATES
 from jaxtube.synthesis.certificate.acceleration import check_acceleration
 from jaxtube.synthesis.certificate.between import check_between_periods
+from jaxtube.synthesis.certificate.learning import check_learnt_slips
 from jaxtube.synthesis.certificate.noise import changes_noise, find_noise
 from jaxtube.synthesis.certificate.period import (
     extreme_cases,
@@ -46,6 +47,8 @@ def check_robot(problem: Problem) -> Iterator[Condition]:
         condition = conditions[tightest]
         of_which = f"Of {len(conditions)} regimes number {tightest + 1} has the least room."
         yield replace(condition, sentence=f"{condition.sentence} {of_which}")
+    if problem.scenario.slip.is_learnt:
+        yield check_learnt_slips(problem)
 
 
 def _check_regime(problem: Problem) -> Iterator[Condition]:
