@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import cast
 
 import jax
 import jax.numpy as jnp
@@ -243,7 +244,8 @@ def make_tuner(
     except ValueError as error:
         raise ScenarioError(f"scenario: {error}") from None
     aim = make_aim(scenario, settled_step(problem.reference))
-    plant = components.robot_of(problem)
+    # No slip is learnt here, as was refused above.
+    plant = cast("BareRobot | EstimatingRobot[BareRobot]", components.robot_of(problem))
     tuner = Tuner(problem, plant, parameters, aim, laps, held_out, seed)
     start = tuner.candidate(parameters.vector)
     if start.constants is None:
