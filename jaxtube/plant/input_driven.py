@@ -32,11 +32,11 @@ class InputDrivenPlant(ABC):
 
     Attributes:
         reference_wheels: the schedule of every period.
-        disturbance_vertices: whose hull w lies in.
+        disturbance_vertices: whose hull w lies in, the same in every period or by period.
     """
 
     reference_wheels: Float[Array, "steps p"]
-    disturbance_vertices: Float[Array, "v q"]
+    disturbance_vertices: Float[Array, "v q"] | Float[Array, "steps v q"]
 
     has_wheels = False
 
@@ -76,13 +76,15 @@ class InputDrivenPlant(ABC):
         """Draw one w: a vertex, or weights that are uniform on the simplex of the vertices."""
         stream = jax.random.fold_in(jax.random.fold_in(key, Stream.DISTURBANCE), step)
         side, inside = jax.random.split(stream)
-        count = self.disturbance_vertices.shape[0]
-        dtype = self.disturbance_vertices.dtype
+        differs = self.disturbance_vertices.ndim == 3
+        vertices = self.disturbance_vertices[step] if differs else self.disturbance_vertices
+        count = vertices.shape[0]
+        dtype = vertices.dtype
         index = jax.random.randint(side, (), 0, 2 * count)
         mixed = jax.random.exponential(inside, (count,), dtype)
         corner = (jnp.arange(count) == index).astype(dtype)
         weights = jnp.where(index < count, corner, mixed / jnp.sum(mixed))
-        return weights @ self.disturbance_vertices
+        return weights @ vertices
 
     def uncertainties(self) -> dict[str, Uncertainty]:
         """Return the disturbance w of every period."""

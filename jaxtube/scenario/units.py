@@ -38,15 +38,17 @@ UNITS = {
     "mps2": Powers(1, -2),
     "radps": Powers(0, -1),
     "s": Powers(0, 1),
+    "per_s": Powers(0, -1),
     "deg": NONE,
 }
-"""By the last word of a key."""
+"""By the last word of a key, or its last two."""
 ERROR = (UNITS["m"], UNITS["m"], NONE)
 INPUT = (UNITS["mps"], UNITS["radps"])
 TRACKING_GAINS = (INPUT[0].per(ERROR[0]), INPUT[1].per(ERROR[1]), INPUT[1].per(ERROR[2]))
 VERTEX_GAINS = tuple(to.per(of) for to in INPUT for of in ERROR)
 WITHOUT_UNITS = frozenset(
     {
+        "reference.jump_seed",
         "slip.right",
         "slip.left",
         "slip.nominal_right",
@@ -94,7 +96,8 @@ def find_powers(key: str) -> Powers:
     """
     if key in WITHOUT_UNITS:
         return NONE
-    unit = key.rpartition(".")[2].rpartition("_")[2]
+    name = key.rpartition(".")[2]
+    unit = "per_s" if name.endswith("_per_s") else name.rpartition("_")[2]
     if unit not in UNITS:
         raise KeyError(f"{key}: no unit is known; list it in jaxtube.scenario.units")
     return UNITS[unit]

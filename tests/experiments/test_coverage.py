@@ -100,6 +100,7 @@ def test_horizons_that_are_none_are_refused(horizons, capsys):
     assert "whole numbers from 1 to 99" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_the_command_writes_its_figure_and_numbers(sets, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(measuring, "_find_largest", lambda problem: sets["control_invariant"])
     assert (

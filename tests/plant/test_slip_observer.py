@@ -194,6 +194,7 @@ def test_measurements_that_are_no_numbers_prove_nothing(observer):
     assert np.all((lower[:-1] <= drive.slips) & (drive.slips <= upper[:-1]))
 
 
+@pytest.mark.slow
 def test_more_periods_never_widen_an_interval(observer):
     drive = drives.draw_drive(np.random.default_rng(8), 30, 100)
     widths = []

@@ -82,6 +82,7 @@ def test_what_is_said_of_learnt_slips_is_witnessed_and_refuted(design, monkeypat
     assert not check_learnt_slips(design.problem).holds
 
 
+@pytest.mark.slow
 def test_laps_keep_the_w_of_each_period_and_every_slip_its_interval(design):
     """Of the local gain: that of the tube needs no QP."""
     problem = design.problem
@@ -161,6 +162,7 @@ def test_a_stepper_learns_what_a_batch_of_one_does(design):
         np.testing.assert_allclose(learnt.upper, known.upper[k, 0], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_scripts_of_slips_are_followed_no_faster_than_slips_change(design):
     """What a search tries, it tries within what is promised."""
     plant = components.slipping_robot(design, "iid")

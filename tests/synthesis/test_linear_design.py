@@ -214,10 +214,10 @@ def test_units_change_no_verdict_and_no_set(factors):
     np.testing.assert_allclose(found, maximal, rtol=1e-4)  # the back-off has no unit
 
 
-def test_units_that_the_solver_cannot_serve_are_not_certified():
+def test_units_far_apart_change_no_verdict():
     system = varying_mass(K=np.array([[-4.0, -3.0]]))
-    small = design_linear(stretch(system, np.array([100.0, 1.0]), np.array([0.01])))
-    assert "solver_residual" in small.certificate.failing
+    apart = design_linear(stretch(system, np.array([100.0, 1.0]), np.array([0.01])))
+    assert apart.certificate.failing == []
 
 
 def test_rows_come_in_pairs_that_leave_the_set_as_it_is():

@@ -105,8 +105,8 @@ def survey_mutants(written, seeds, tmp_path, capsys) -> dict[str, str]:
 
 
 def test_what_is_changed_is_refused_or_holds_as_well(written, tmp_path, capsys):
-    accepted = survey_mutants(written, range(30), tmp_path, capsys)
-    assert len(accepted) < 15
+    accepted = survey_mutants(written, range(8), tmp_path, capsys)
+    assert len(accepted) < 5
 
 
 @pytest.mark.slow

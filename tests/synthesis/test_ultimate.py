@@ -85,6 +85,7 @@ def test_a_terminal_set_without_room_for_the_tube_ends_the_argument(deviating):
     assert not condition.holds
 
 
+@pytest.mark.slow
 def test_laps_from_the_edge_end_within_it_and_cost_falls_whatever_happens(deviating):
     run = jt.montecarlo(deviating, laps=2048, starts="feasible")
     assert run.share("e_outside_E").laps == 0

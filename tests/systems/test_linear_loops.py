@@ -95,6 +95,7 @@ def test_a_lap_does_not_depend_on_those_beside_it(design, laps):
     np.testing.assert_allclose(fewer.states, laps.states[:, :40], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_law_of_ones_own_acts_as_written(design):
     laps = jt.simulate(design, lambda x, th: x @ jnp.asarray(GAIN.T), laps=4)
     np.testing.assert_allclose(laps.inputs, laps.states[:-1] @ GAIN.T, atol=1e-14)
@@ -153,6 +154,7 @@ def test_monte_carlo_sees_a_disturbance_that_is_not_in_W(design):
         run.share("qp_unsolved")
 
 
+@pytest.mark.slow
 def test_the_worst_case_of_a_static_gain_is_its_closed_form(design):
     found = jt.falsify(design, "local_gain", target="error", seconds=5)
     system = design.system
