@@ -12,7 +12,6 @@ from __future__ import annotations
 import json
 import shutil
 from fractions import Fraction
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -226,8 +225,12 @@ def _list_regions(problem: Problem) -> list[list]:
     """Return the regions of every band: of several bands one each, by the mean of wheel speeds."""
     if problem.regimes:
         low, high = problem.model.box
-        means = pairwise(list_ends(problem.scenario))
-        return [[_list_fractions([low[0], high[0], *ends])] for ends in means]
+        _, *ends, _ = list_ends(problem.scenario)
+        # Means that round to the end of a band belong to it.
+        slowest = [low[0], *ends]
+        fastest = [*np.nextafter(ends, np.inf), high[0]]
+        means = zip(slowest, fastest, strict=True)
+        return [[_list_fractions([low[0], high[0], *of_band])] for of_band in means]
     regions = []
     for lower, upper in problem.regions:
         is_pair = np.array_equal(lower, upper)
