@@ -172,16 +172,15 @@ class Window:
     def check_rows(self):
         """Require every row, and that inputs keep the caps of their bands."""
         N = len(self.stages)
-        wanted = set(product(["errors"], range(1, N), range(3), (1, -1)))
-        wanted |= set(product(["terminal"], [N], range(len(self.terminal)), [1]))
+        caps = {}
         for j, band in enumerate(self.bands):
             for i, (_, _, low, high) in enumerate(list_inputs(band)):
-                for sign, cap in ((1, high), (-1, -low)):
-                    key = ("inputs", j, i, sign)
-                    wanted.add(key)
-                    reached = self.reached.get(key, cap)
-                    require(reached <= cap, f"the input of row {key} may pass its cap")
+                caps |= {("inputs", j, i, 1): high, ("inputs", j, i, -1): -low}
+        wanted = {*caps, *product(["errors"], range(1, N), range(3), (1, -1))}
+        wanted |= {*product(["terminal"], [N], range(len(self.terminal)), [1])}
         require(set(self.reached) == wanted, "a QP lacks a row, or has one too many")
+        is_kept = all(self.reached[key] <= cap for key, cap in caps.items())
+        require(is_kept, "an input may pass its cap")
 
     def predict(self, on_u, row, j):
         """Return the row on the first error and the inputs that is on_u g_j + row e_j."""
