@@ -15,6 +15,8 @@ from sets.robot.plant import Kinematics
 
 PROGRAM_ROUNDING = 1e-9
 """Of the answers of linear programs, and of W's own vertices."""
+PARTS = 4
+"""Boxes along the range of wheel speeds in which those of a band are looked for."""
 
 
 def to_floats(value):
@@ -30,9 +32,8 @@ def to_floats(value):
 
 
 def holds_in_floats(certificate) -> bool:
-    """Return whether no counterexample is found to what a certificate of one band promises."""
+    """Return whether no counterexample is found to what a certificate promises."""
     said = to_floats(certificate)
-    band = said["bands"][0]
     model = make_model(
         "exact_jacobian",
         "euler",
@@ -41,8 +42,9 @@ def holds_in_floats(certificate) -> bool:
         np.zeros(2),
         (np.full(2, 0.2), np.full(2, 1.5)),
     )
-    checks = (_keeps_limits, _keeps_disturbances, _keeps_sets, _keeps_plans, _keeps_cost)
-    return all(check(said, band, model) for check in checks)
+    checks = (_keeps_limits, _keeps_disturbances, _keeps_sets, _keeps_cost)
+    of_bands = product(checks, said["bands"])
+    return all(check(said, band, model) for check, band in of_bands) and _keeps_plans(said, model)
 
 
 def _keeps_limits(said, band, model) -> bool:
@@ -70,7 +72,7 @@ def _keeps_disturbances(said, band, model) -> bool:
     operation = Operation(
         errors=np.stack([-errors, errors]),
         inputs=np.array([band["u1"], band["u2"]]).T,
-        schedules=np.array([_find_box(region) for region in band["regions"]]),
+        schedules=np.array([box for region in band["regions"] for box in _list_boxes(region)]),
         wheel_errors=np.array(losses).T,
         noise=np.array(said["noise"]),
         dt=said["period"],
@@ -97,6 +99,18 @@ def _find_box(region):
     return (region, region) if len(region) == 2 else ((region[0],) * 2, (region[1],) * 2)
 
 
+def _list_boxes(region):
+    """Return boxes of wheel speeds that lie in a region, and hold most of it."""
+    low, high = np.array(_find_box(region))
+    if len(region) == 2 or np.array_equal(region[:2], region[2:]):
+        return [(low, high)]
+    cells = np.array(list(np.ndindex(PARTS, PARTS)))
+    starts = low + cells * (high - low) / PARTS
+    ends = starts + (high - low) / PARTS
+    lies_in = (starts.mean(axis=1) >= region[2]) & (ends.mean(axis=1) <= region[3])
+    return list(zip(starts[lies_in], ends[lies_in], strict=True))
+
+
 def _make_stage(said, band, model, speeds):
     A, B = model.matrices(np.array(speeds))
     k1, k2, k3 = band["gains"]
@@ -108,12 +122,12 @@ def _make_stage(said, band, model, speeds):
 def _draw_stages(said, band, model):
     random = np.random.default_rng(0)
     for region in band["regions"]:
-        low, high = np.array(_find_box(region))
-        if len(region) == 2:
-            yield _make_stage(said, band, model, low)
-            continue
-        for share in (*product((0.0, 1.0), repeat=2), *random.random((8, 2))):
-            yield _make_stage(said, band, model, low + np.array(share) * (high - low))
+        for low, high in _list_boxes(region):
+            if np.array_equal(low, high):
+                yield _make_stage(said, band, model, low)
+                continue
+            for share in (*product((0.0, 1.0), repeat=2), *random.random((8, 2))):
+                yield _make_stage(said, band, model, low + np.array(share) * (high - low))
 
 
 def _reach(band, rows):
@@ -153,21 +167,24 @@ def _keeps_sets(said, band, model) -> bool:
     return True
 
 
-def _keeps_plans(said, band, model) -> bool:
+def _keeps_plans(said, model) -> bool:
     """Search the plan and w whose successor misses a row of the next QP most."""
     if "plans" not in said:
         return True
     plans = said["plans"]
     windows = plans["windows"]
+    bands = {band["name"]: band for band in said["bands"]}
     for now, after in set(pairwise(int(index) for index in plans["sequence"])):
         rows, offsets = _list_halfspaces(windows[now], plans["tolerance"])
+        band = bands[windows[now]["bands"][0]]
+        next_band = bands[windows[after]["bands"][0]]
         caps = np.eye(rows.shape[1])[:3]
         rows = np.vstack([rows, caps, -caps])
         offsets = np.concatenate([offsets, np.tile(band["errors"], 2)])
-        plan, disturbed = _succeed(said, band, model, windows[now], windows[after])
+        plan, disturbed = _succeed(said, bands, model, windows[now], windows[after])
         wanted, limits = _list_halfspaces(windows[after], 0.0)
         wanted = np.vstack([wanted, caps, -caps])
-        limits = np.concatenate([limits, np.tile(band["errors"], 2)])
+        limits = np.concatenate([limits, np.tile(next_band["errors"], 2)])
         reached = _reach(band, wanted @ disturbed)
         for row, limit, by_w in zip(wanted @ plan, limits, reached, strict=True):
             if _support(rows, offsets, row) + by_w > limit + PROGRAM_ROUNDING:
@@ -187,10 +204,11 @@ def _list_halfspaces(window, tolerance):
     return np.vstack([rows, -rows])[kept], offsets[kept]
 
 
-def _succeed(said, band, model, window, following):
+def _succeed(said, bands, model, window, following):
     """Return the matrices by which (e_0, g_0, ..) and w give the next error and plan."""
-    stages = [_make_stage(said, band, model, speeds) for speeds in window["speeds"]]
-    last = _make_stage(said, band, model, following["speeds"][-1])
+    named = zip(window["bands"], window["speeds"], strict=True)
+    stages = [_make_stage(said, bands[name], model, speeds) for name, speeds in named]
+    last = _make_stage(said, bands[following["bands"][-1]], model, following["speeds"][-1])
     N = len(stages)
     unit = np.eye(3 + 2 * N)
     errors = [unit[:3]]

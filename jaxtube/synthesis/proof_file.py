@@ -24,6 +24,7 @@ from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.progress import announce
 from jaxtube.scenario.error_box import error_vector
 from jaxtube.scenario.tree import Scenario, Slip
+from jaxtube.synthesis.bands import list_ends
 from jaxtube.synthesis.certificate.program import predict_rows
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.prediction import UNREACHED
@@ -50,7 +51,6 @@ CHECKED = {
     "controller.has_observer": False,
     "disturbance.bound": "computed",
     "robot.obeys_at_once": True,
-    "operating.bands": (),
     "robot.wheel_acceleration_max_mps2": None,
     "slip.is_measured": False,
     "slip.is_learnt": False,
@@ -62,7 +62,7 @@ def write_certificate(design: Design, folder: str | Path, name: str = "") -> Pat
     """Write `certificate.json` into a folder, with the programs that check it; return its path.
 
     Args:
-        design: certified for the robot or for its model; or a law scheduled on speed.
+        design: certified for the robot or for its model.
         folder: is made if it is missing.
         name: of the design, as the checker says it.
 
@@ -113,7 +113,7 @@ def list_unchecked(scenario: Scenario) -> dict[str, str]:
         value = getattr(getattr(scenario, table), key)
         if value != known:
             unchecked[field] = str(value)
-    if not scenario.controller.tracking_gains:
+    if not (scenario.controller.tracking_gains or scenario.operating.bands):
         unchecked["controller.tracking_gains"] = "none"
     return unchecked
 
@@ -170,7 +170,7 @@ def _list_slips(slip: Slip, wheel: int) -> list[list[Fraction]]:
     return [[*ends, nominal, nominal], [nominal, nominal, *ends]]
 
 
-def _describe_band(problem: Problem, name: str, regions: list, gains: Any) -> dict[str, Any]:
+def _describe_band(problem: Problem, name: str, regions: list) -> dict[str, Any]:
     """Return caps, gains and W of a band, in which the whole of each of the regions lies."""
     rows = problem.input_rows
     half = len(rows.offsets) // 2
@@ -187,7 +187,7 @@ def _describe_band(problem: Problem, name: str, regions: list, gains: Any) -> di
         "u1": _list_fractions([-rows.offsets[half], rows.offsets[0]]),
         "u2": _list_fractions([-rows.offsets[half + 1], rows.offsets[1]]),
         "coupling": _list_fractions(coupling),
-        "gains": _list_fractions(gains),
+        "gains": _list_fractions(problem.scenario.controller.tracking_gains),
         "set": SET,
         "disturbance": {
             "yaw": Fraction(bound.yaw),
@@ -203,21 +203,40 @@ def _describe_set(polytope: Any) -> dict[str, Any]:
 
 
 def _describe_design(design: Design) -> dict[str, Any]:
-    """Return the one band of a design, its terminal set, its cost and its QPs."""
+    """Return the bands of a design, its terminal set, its cost and its QPs."""
     problem = design.problem
+    cost = {"P": design.cost.cost, "Q": problem.error_weight, "R": problem.input_weight}
+    regions = _list_regions(problem)
+    bands = [
+        _describe_band(regime, BAND.format(number), of_band)
+        for number, (regime, of_band) in enumerate(
+            zip(problem.every_regime, regions, strict=True), start=1
+        )
+    ]
+    return {
+        "bands": bands,
+        "sets": _describe_set(design.terminal.invariant),
+        "cost": {name: _list_fractions(matrix) for name, matrix in cost.items()},
+        "plans": _describe_plans(design),
+    }
+
+
+def _list_regions(problem: Problem) -> list[list]:
+    """Return the regions of every band: of several bands one each, by the mean of wheel speeds."""
+    if problem.regimes:
+        low, high = problem.model.box
+        _, *ends, _ = list_ends(problem.scenario)
+        # Means that round to the end of a band belong to it.
+        slowest = [low[0], *ends]
+        fastest = [*np.nextafter(ends, np.inf), high[0]]
+        means = zip(slowest, fastest, strict=True)
+        return [[_list_fractions([low[0], high[0], *of_band])] for of_band in means]
     regions = []
     for lower, upper in problem.regions:
         is_pair = np.array_equal(lower, upper)
         ends = lower if is_pair else [lower[0], upper[0], lower[0], upper[0]]
         regions.append(_list_fractions(ends))
-    gains = problem.scenario.controller.tracking_gains
-    cost = {"P": design.cost.cost, "Q": problem.error_weight, "R": problem.input_weight}
-    return {
-        "bands": [_describe_band(problem, BAND.format(1), regions, gains)],
-        "sets": _describe_set(design.terminal.invariant),
-        "cost": {name: _list_fractions(matrix) for name, matrix in cost.items()},
-        "plans": _describe_plans(design),
-    }
+    return [regions]
 
 
 def _describe_plans(design: Design) -> dict[str, Any]:
@@ -235,9 +254,10 @@ def _describe_plans(design: Design) -> dict[str, Any]:
         upper = np.concatenate([qps.upper[index], qps.check_upper[index]])
         parts = {"speeds": speeds, "rows": np.vstack([running, padded]), "norms": norms}
         parts |= {"lower": lower, "upper": upper}
-        windows.append({name: _list_fractions(part) for name, part in parts.items()})
+        bands = [BAND.format(regime + 1) for regime in design.windows.regimes[index]]
+        described = {name: _list_fractions(part) for name, part in parts.items()}
+        windows.append({"bands": bands, **described})
     return {
-        "band": BAND.format(1),
         "tolerance": Fraction(qp.bound_tolerance(largest)),
         "terminal": {"rows": _list_fractions(design.bounds.terminal_normals)},
         "order": _list_rows(design),
@@ -249,7 +269,7 @@ def _describe_plans(design: Design) -> dict[str, Any]:
 def _list_rows(design: Design) -> list[list]:
     """Return (kind, stage, number) of the QPs' rows, those that no input reaches at the end."""
     N = design.problem.horizon
-    half = len(design.problem.input_rows.offsets) // 2
+    half = design.problem.input_row_count // 2
     rows = [["errors", stage, i] for stage in range(1, N) for i in range(3)]
     rows += [["inputs", stage, i] for stage in range(N) for i in range(half)]
     rows += [["terminal", N, i] for i in range(len(design.bounds.terminal_normals))]

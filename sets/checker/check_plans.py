@@ -2,12 +2,13 @@
 `check_certificate`, of the standard library alone.
 
 A plan (g_0 .. g_(N-1)) from a measured error e_0 predicts e_(j+1) = M_j e_j + B_j g_j, with the
-model at the wheel speeds ahead, and keeps rows
+model at the wheel speeds ahead, and keeps rows, D and C those of the band that period j is in
 
     low <= c e_j <= high,  0 < j < N        low <= D g_j + C e_j <= high,  j < N        H e_N <= t.
 
-The first input acts, w disturbs, and the next error is e_1 + w. The next plan that is proved to be
-one is this plan shifted, corrected by K for what w did, and ended by K:
+The first input acts, w in the W of its band disturbs, and the next error is e_1 + w. The next plan
+that is proved to be one is this plan shifted, corrected by the K of its bands for what w did, and
+ended by K:
 
     e'_j = e_(j+1) + Phi_j .. Phi_1 w        g'_j = g_(j+1) + K_(j+1) (e'_j - e_(j+1))
 
@@ -26,6 +27,7 @@ from itertools import pairwise, product
 from check_motion import COSINE, ONE, SINE, C, Number, apply, require, scale
 
 AXES = [[sign * (k == axis) for k in range(3)] for axis in range(3) for sign in (1, -1)]
+UNIT = [[Fraction(k == axis) for k in range(3)] for axis in range(3)]
 ROUNDING = Fraction(1, 2**53)  # of an operation in 64 bits, relative
 
 
@@ -122,29 +124,32 @@ def stretch(angle):
 
 
 class Window:
-    """A QP: its stages, and by row (kind, stage, number, sign) what a plan may reach of it at most,
-    and up to what it is accepted."""
+    """A QP: its stages with their bands, and by row (kind, stage, number, sign) what a plan may
+    reach of it at most, and up to what it is accepted."""
 
-    def __init__(self, certificate, plans, band, rows, window):
+    def __init__(self, certificate, window):
+        plans = certificate["plans"]
+        bands = {band["name"]: band for band in certificate["bands"]}
         require(plans["tolerance"] >= 0, "a tolerance is negative")
-        for speeds in window["speeds"]:
-            regions = band["regions"]
-            require(any(is_within(speeds, each) for each in regions), "a window leaves its band")
+        self.terminal = plans["terminal"]["rows"]
         self.speeds = window["speeds"]
-        self.stages = [make_stage(certificate, band, right, left) for right, left in self.speeds]
+        self.bands = pick(bands, *window["bands"])
+        self.stages = []
+        for band, speeds in zip(self.bands, self.speeds, strict=True):
+            is_in = any(is_within(speeds, region) for region in band["regions"])
+            require(is_in, f"a window leaves {band['name']}")
+            self.stages.append(make_stage(certificate, band, *speeds))
         self.reached = {}
         self.accepted = {}
-        N = len(self.stages)
         # Rows differ by rounding alone, so that what they bound stays within twice the caps.
-        most = [max(map(abs, band[name])) for name in ("u1", "u2")]
-        box = [2 * end for end in (*band["errors"], *most * N)]
+        caps = [max(map(abs, band[name])) for band in self.bands for name in ("u1", "u2")]
+        box = [2 * end for end in (*self.bands[0]["errors"], *caps)]
         columns = (window[name] for name in ("rows", "norms", "lower", "upper"))
         for name, entries, norm, *ends in zip(plans["order"], *columns, strict=True):
             kind = name[0]
             j = read_index(name[1])
             i = read_index(name[2])
-            on_u, on_e = rows[kind][i]
-            predicted = self.predict(on_u, on_e, j)
+            predicted = self.predict(*self.find_row(kind, j, i), j)
             own = [*entries[:3], *(norm * entry for entry in entries[3:])]
             differs = [size(a - b) for a, b in zip(predicted, own, strict=True)]
             for sign, end in zip((-1, 1), ends, strict=True):
@@ -155,6 +160,27 @@ class Window:
                     require(key not in self.reached and norm > 0, f"row {key} is there twice")
                     self.reached[key] = sign * end + norm * plans["tolerance"] + slack
                     self.accepted[key] = sign * end - slack
+        self.check_rows()
+
+    def find_row(self, kind, j, i):
+        """Return D and C of a row D g_j + C e_j."""
+        if kind == "inputs":
+            return list_inputs(self.bands[j])[i][:2]
+        rows = self.terminal if kind == "terminal" else UNIT
+        return (0, 0), rows[i]
+
+    def check_rows(self):
+        """Require every row, and that inputs keep the caps of their bands."""
+        N = len(self.stages)
+        caps = {}
+        for j, band in enumerate(self.bands):
+            for i, (_, _, low, high) in enumerate(list_inputs(band)):
+                caps |= {("inputs", j, i, 1): high, ("inputs", j, i, -1): -low}
+        wanted = {*caps, *product(["errors"], range(1, N), range(3), (1, -1))}
+        wanted |= {*product(["terminal"], [N], range(len(self.terminal)), [1])}
+        require(set(self.reached) == wanted, "a QP lacks a row, or has one too many")
+        is_kept = all(self.reached[key] <= cap for key, cap in caps.items())
+        require(is_kept, "an input may pass its cap")
 
     def predict(self, on_u, row, j):
         """Return the row on the first error and the inputs that is on_u g_j + row e_j."""
@@ -167,49 +193,26 @@ class Window:
         return [*row, *(entry for pair in inputs for entry in pair)]
 
 
-def make_windows(certificate, band):
-    """Return the windows of the reference, whose rows are all there and are those of the band."""
-    plans = certificate["plans"]
-    inputs = list_inputs(band)
-    unit = [[Fraction(k == axis) for k in range(3)] for axis in range(3)]
-    rows = {
-        "errors": [((0, 0), row) for row in unit],
-        "inputs": [(on_u, on_e) for on_u, on_e, *_ in inputs],
-        "terminal": [((0, 0), row) for row in plans["terminal"]["rows"]],
-    }
-    windows = [Window(certificate, plans, band, rows, window) for window in plans["windows"]]
-    N = len(windows[0].stages)
-    signs = (1, -1)
-    wanted = set(product(["errors"], range(1, N), range(3), signs))
-    wanted |= set(product(["inputs"], range(N), range(len(inputs)), signs))
-    wanted |= set(product(["terminal"], [N], range(len(rows["terminal"])), [1]))
-    for window in windows:
-        require(set(window.reached) == wanted, "a QP lacks a row, or has one too many")
-        require(len(window.stages) == N, "windows differ in length")
-        for (kind, j, i, sign), reached in window.reached.items():
-            if kind == "inputs" and j == 0:
-                cap = inputs[i][3] if sign > 0 else -inputs[i][2]
-                require(reached <= cap, "an input may pass its cap")
-    return windows, rows
-
-
 def list_successions(certificate):
     """Yield what a plan has to keep a period later: between which windows, which row, on what of
     the plan and up to which bound; and the bound that the plan keeps of it, or None at its end,
     where the terminal rows with their bounds have to prove it."""
     plans = certificate["plans"]
-    band = next(each for each in certificate["bands"] if each["name"] == plans["band"])
-    windows, rows = make_windows(certificate, band)
+    windows = [Window(certificate, window) for window in plans["windows"]]
     N = len(windows[0].stages)
-    caps = {("errors", 0, i, s): band["errors"][i] for i in range(3) for s in (1, -1)}
+    require(all(len(window.stages) == N for window in windows), "windows differ in length")
     for now, after in sorted(set(pairwise(map(read_index, plans["sequence"])))):
         window = windows[now]
         following = windows[after]
-        require(window.speeds[1:] == following.speeds[:-1], "windows do not follow each other")
-        ends = [window.reached["terminal", N, i, 1] for i in range(len(rows["terminal"]))]
+        is_next = window.speeds[1:] == following.speeds[:-1]
+        is_next &= window.bands[1:] == following.bands[:-1]
+        require(is_next, "windows do not follow each other")
+        ends = [window.reached["terminal", N, i, 1] for i in range(len(window.terminal))]
+        errors = following.bands[0]["errors"]
+        caps = {("errors", 0, i, s): errors[i] for i in range(3) for s in (1, -1)}
         for key, accepted in sorted({**following.accepted, **caps}.items()):
             kind, j, i, sign = key
-            on_u, on_e = rows[kind][i]
+            on_u, on_e = following.find_row(kind, j, i)
             reached = window.reached.get((kind, j + 1, i, sign))
             stage = window.stages[j + 1] if reached is not None else following.stages[-1]
             row = [sign * (a + c) for a, c in zip(times(on_u, stage[2]), on_e, strict=True)]
@@ -217,7 +220,7 @@ def list_successions(certificate):
             disturbed = row
             for each in reversed(window.stages[1 : min(j, N - 1) + 1]):
                 disturbed = times(disturbed, each[3])
-            room = accepted - reach(band, disturbed)
+            room = accepted - reach(window.bands[0], disturbed)
             yield f"{now} to {after}", f"{kind} {j} {i} {sign}", row, room, reached, ends
 
 

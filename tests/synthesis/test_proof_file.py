@@ -7,6 +7,7 @@ import subprocess
 import sys
 from fractions import Fraction
 
+import msgspec
 import pytest
 from certificate_mutants import HARMLESS, mutate
 from certificate_oracle import holds_in_floats
@@ -18,23 +19,50 @@ from jaxtube.synthesis.proof_search import PROGRAMS, load_checker
 
 SHORT = ["reference.certified_for=path", "reference.duration_s=12.5", "controller.horizon=2"]
 """Of `certified`: two pairs of speeds, three windows, small QPs."""
+JUMPING = ["reference.shape=jumps", "reference.duration_s=1.8", "controller.horizon=2"]
+"""Of `certified_wide`: a few pairs of speeds, small QPs."""
+SPEEDS = (1.0, 1.3)
+"""Of wheels there, m/s: in the two fastest bands."""
 LOOSE = 0.1
 """Relative gap of W: few cells prove it."""
 FASTER = ["robot.wheel_speed_max_mps=3.2"]
 """Wheels that can do what a loose bound says they may be asked for."""
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A folder with a small certificate and the programs that check it."""
+def write_loosely(scenario, folder, name):
+    """Write the certificate of a scenario whose W are not the least; return its folder."""
     tight = disturbance.disturbance_bound
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(disturbance, "disturbance_bound", lambda *args: tight(*args, LOOSE))
         disturbance._answer.cache_clear()
-        design = jt.design(jt.load("certified", [*SHORT, *FASTER]))
-        path = write_certificate(design, tmp_path_factory.mktemp("proof"), "small")
+        path = write_certificate(jt.design(scenario), folder, name)
     disturbance._answer.cache_clear()
     return path.parent
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A folder with a small certificate and the programs that check it."""
+    scenario = jt.load("certified", [*SHORT, *FASTER])
+    return write_loosely(scenario, tmp_path_factory.mktemp("proof"), "small")
+
+
+@pytest.fixture(scope="module")
+def banded(tmp_path_factory):
+    """The certificate as JSON of a small design with two bands, from one into the other of which
+    its reference jumps."""
+    scenario = jt.load("certified_wide", [*JUMPING, *FASTER])
+    change = msgspec.structs.replace
+    low, high = SPEEDS
+    slow, fast = scenario.operating.bands[4:]
+    bands = (slow, change(fast, below_mps=high))
+    scenario = change(
+        scenario,
+        operating=change(scenario.operating, bands=bands),
+        reference=change(scenario.reference, wheel_speed_min_mps=low, wheel_speed_max_mps=high),
+    )
+    folder = write_loosely(scenario, tmp_path_factory.mktemp("banded"), "banded")
+    return json.loads((folder / FILE).read_text())
 
 
 @pytest.fixture(scope="module")
@@ -151,6 +179,47 @@ def change(certificate, *path, by):
 )
 def test_a_promise_beyond_what_is_proved_is_refused(path, by, written, tmp_path, capsys):
     assert not is_accepted(change(written, *path, by=by), tmp_path, capsys)
+
+
+def test_bands_are_checked_with_plans_that_lead_from_one_into_another(banded, tmp_path, capsys):
+    bands = {tuple(window["bands"]) for window in banded["plans"]["windows"]}
+    assert {("band 1", "band 2"), ("band 2", "band 1")} <= bands
+    assert is_accepted(banded, tmp_path, capsys)
+
+
+@pytest.mark.parametrize("band", [0, 1])
+@pytest.mark.parametrize(
+    ("path", "by"),
+    [
+        (("disturbance", "yaw"), lambda yaw: yaw * 9 / 10),
+        (("disturbance", "yaw"), lambda yaw: yaw * 11 / 10),
+        (("gains", 1), lambda gain: gain / 2),
+        (("u2", 1), lambda cap: cap * 999999 / 1000000),
+        (("regions", 0, 2), lambda slowest: slowest + Fraction(1, 10)),
+        (("regions", 0, 3), lambda fastest: fastest - Fraction(1, 10)),
+    ],
+)
+def test_a_promise_of_one_band_beyond_what_is_proved_is_refused(
+    band, path, by, banded, tmp_path, capsys
+):
+    changed = change(banded, "bands", band, *path, by=by)
+    assert not is_accepted(changed, tmp_path, capsys)
+
+
+def test_a_period_that_is_said_to_be_in_another_band_is_refused(banded):
+    program = load_checker(PROGRAMS[0])
+    other = {"band 1": "band 2", "band 2": "band 1"}
+    for index, window in enumerate(banded["plans"]["windows"][:4]):
+        for stage, name in enumerate(window["bands"]):
+            changed = json.loads(json.dumps(banded))
+            changed["plans"]["windows"][index]["bands"][stage] = other[name]
+            with pytest.raises(program.Refused):
+                program.check_plans.check_plans(program.read(changed))
+
+
+@pytest.mark.slow
+def test_the_oracle_agrees_with_what_was_written_of_bands(banded):
+    assert holds_in_floats(banded)
 
 
 def test_an_assumption_that_is_not_known_is_refused(written, tmp_path, capsys):
