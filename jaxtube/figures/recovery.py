@@ -47,11 +47,13 @@ def recovery(design: Design, steps: Sequence[GovernedStep]) -> Figure:
         steps: of periods one after the other.
     """
     problem = design.problem
-    figure = page_figure(3.4)
-    above, beside = figure.subplots(1, 2, width_ratios=(1.3, 1.0))
     asked = problem.reference.poses[: problem.reference.steps + 1]
-    above.plot(asked[:, 0], asked[:, 1], **REFERENCE)
     robot = np.array([find_pose(step) for step in steps])
+    width, height = np.ptp(np.concatenate([asked, robot])[:, :2], axis=0)
+    figure = page_figure(3.4)
+    proportion = max(width / max(height, 0.8 * width), 0.5)
+    above, beside = figure.subplots(1, 2, width_ratios=(proportion, 1.0))
+    above.plot(asked[:, 0], asked[:, 1], **REFERENCE)
     above.plot(robot[:, 0], robot[:, 1], **ROBOT, zorder=3)
     above.plot(*robot[0, :2], marker="o", markersize=4, color="0.15", zorder=4)
     shown = dict.fromkeys(_draw_reference(above, steps))

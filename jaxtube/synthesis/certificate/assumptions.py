@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from jaxtube.coordinates import describe_excursion
 from jaxtube.scenario.tree import Slip
 from jaxtube.synthesis.acceleration import find_reference_steps
@@ -102,10 +104,10 @@ def _assume_instants(problem: Problem) -> str:
 def _say_between(problem: Problem) -> str:
     """Return what holds between the ends of periods, in words."""
     try:
-        excursion = bound_error_between_periods(problem)
+        excursions = [bound_error_between_periods(regime) for regime in problem.every_regime]
     except ValueError:
         return "nothing between them"
-    by = describe_excursion(excursion)
+    by = describe_excursion(np.max(excursions, axis=0))
     return f"and the true error leaves the limits that it has there {by} in between"
 
 

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from jaxtube.coordinates import describe_excursion
 from jaxtube.scenario import load
 from jaxtube.synthesis.certificate import between
+from jaxtube.synthesis.certificate.assumptions import assumptions
 from jaxtube.synthesis.certificate.between import NAME, check_between_periods
 from jaxtube.synthesis.certificate.certify import certify
 from jaxtube.synthesis.design import design
@@ -147,3 +149,11 @@ def test_a_certificate_says_it():
     condition = certify(made).conditions[NAME]
     assert "at all times" in condition.sentence
     assert "in between" in made.certificate.assumptions[4]
+
+
+def test_assumptions_tell_the_regime_that_leaves_the_limits_furthest():
+    learning = complete_problem(load("certified_learning"))
+    first = bound_error_between_periods(learning.regimes[0])
+    last = bound_error_between_periods(learning.regimes[-1])
+    assert np.all(first[:2] > last[:2])
+    assert describe_excursion(first) in assumptions(learning, any_order=True)[4]
