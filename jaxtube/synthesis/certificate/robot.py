@@ -41,8 +41,13 @@ def check_robot(problem: Problem) -> Iterator[Condition]:
     if not problem.regimes:
         yield from _check_regime(problem)
         return
-    by_regime = [_check_regime(regime) for regime in problem.regimes]
-    for conditions in zip(*by_regime, strict=True):
+    checked = [_check_regime(regime) for regime in problem.regimes]
+    by_regime = [{condition.name: condition for condition in each} for each in checked]
+    for name in by_regime[0]:
+        # What is for information alone may be without a bound in some regimes.
+        if not all(name in each for each in by_regime):
+            continue
+        conditions = [each[name] for each in by_regime]
         tightest = min(range(len(conditions)), key=lambda number: conditions[number].margin)
         condition = conditions[tightest]
         of_which = f"Of {len(conditions)} regimes number {tightest + 1} has the least room."
