@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import jax
 import jax.numpy as jnp
@@ -19,6 +19,8 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube.experiments.bench.rounds import time_rounds
+from jaxtube.plant.estimating import EstimatingRobot
+from jaxtube.plant.lagging import BareRobot
 from jaxtube.plant.reference import settled_step
 from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
@@ -111,7 +113,8 @@ def make_objective(design: Design, seed: int, laps: int) -> Callable[..., Array]
     parameters = make_parameters(problem)
     constants = make_evaluation_constants(design)
     assert constants is not None, "the tube of a design is bounded"
-    plant = slipping_robot(design)
+    # No slip is learnt here: gains that could be tuned are those of designs without it.
+    plant = cast("BareRobot | EstimatingRobot[BareRobot]", slipping_robot(design))
     aim = make_aim(problem.scenario, settled_step(problem.reference))
     keys = realisation_keys(seed, 0, laps)
 
