@@ -10,7 +10,7 @@ import pytest
 from tolerances import EXACT_AGAINST_FLOAT
 
 from jaxtube.scenario import load
-from jaxtube.synthesis.certificate import exact
+from jaxtube.synthesis.certificate import exact_regimes
 from jaxtube.synthesis.certificate.exact import recheck
 from jaxtube.synthesis.certificate.exact_regimes import disturbance_points
 from jaxtube.synthesis.certificate.stages import check_stages
@@ -219,7 +219,7 @@ def test_loops_of_other_gains_than_those_used_are_refused(designed):
 def test_a_coupling_that_the_tubes_did_not_count_is_refused(designed, monkeypatch):
     found = designed(COUPLED)
     bound = prove_bound(found.problem)
-    monkeypatch.setattr(exact, "prove_bound", lambda problem: bound)
+    monkeypatch.setattr(exact_regimes, "prove_bound", lambda problem: bound)
     rows = found.problem.input_rows
     steeper = replace(rows, errors=rows.errors * (1 + 1e-3))
     assert "inputs reach" in recheck(of_problem(found, input_rows=steeper)).failing
@@ -229,7 +229,7 @@ def test_a_wider_disturbance_is_refused(designed, monkeypatch):
     found = designed()
     bound = prove_bound(found.problem)
     wider = replace(bound, yaw=bound.yaw * (1 + 1e-4))
-    monkeypatch.setattr(exact, "prove_bound", lambda problem: wider)
+    monkeypatch.setattr(exact_regimes, "prove_bound", lambda problem: wider)
     failing = recheck(found).failing
     assert {"disturbance", "errors reach", "inputs reach"} <= {*failing}
 
