@@ -17,6 +17,7 @@ from jaxtube.synthesis.certificate.exact_regimes import make_exact_regimes
 from jaxtube.synthesis.certificate.robot import check_robot
 from jaxtube.synthesis.design import finish, prepare
 from jaxtube.synthesis.disturbance import complete_problem, kinematics, operation
+from jaxtube.synthesis.tightening import find_back_off
 from sets.exact import exact_row
 from sets.robot.disturbance import evaluate_disturbance
 
@@ -63,7 +64,8 @@ def test_every_stage_keeps_the_caps_of_its_own_band(problem, design):
             on_errors = rows.on_errors(design.windows.gains[window, stage])
             taken = design.tube.support(stage, on_errors)[window]
             left = rows.offsets - taken - design.bounds.inputs[window, stage]
-            np.testing.assert_allclose(left, 1e-7 * (stage + 1), rtol=1e-6, atol=ROUNDING)
+            backed_off = (stage + 1) * find_back_off(problem) * rows.offsets
+            np.testing.assert_allclose(left, backed_off, rtol=1e-5, atol=ROUNDING)
 
 
 def test_no_order_of_schedules_and_disturbances_leaves_the_terminal_set(problem, design):
