@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 ROOT = Path(__file__).parents[1]
-IN_MEMORY = {"jaxtube/synthesis/disturbance.py"}
+IN_MEMORY = {"jaxtube/synthesis/disturbance.py", "jaxtube/synthesis/learnt_slips.py"}
 """Modules that pickle values of their own, and never a file."""
 RUNNING = {"eval", "exec", "compile", "__import__"}
 RUNS_ITS_OWN = {"jaxtube/exporting/replay.py"}

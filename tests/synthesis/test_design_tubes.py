@@ -48,7 +48,9 @@ def test_a_box_of_the_paths_own_speeds_is_covered_in_rationals(radius):
 def test_the_first_of_equally_wide_windows_is_shown(robust_design):
     windows = robust_design.windows
     twice = dataclasses.replace(
-        windows, loops=np.concatenate([windows.loops, windows.loops * (1 + 1e-15)])
+        windows,
+        loops=np.concatenate([windows.loops, windows.loops * (1 + 1e-15)]),
+        regimes=np.concatenate([windows.regimes, windows.regimes]),
     )
     shown = find_widest_window(robust_design.problem, windows)
     assert find_widest_window(robust_design.problem, twice) == shown

@@ -117,6 +117,7 @@ def condense_first(design: Design) -> CondensedQp:
         schedules=design.windows.schedules[one],
         loops=design.windows.loops[one],
         gains=design.windows.gains[one],
+        regimes=design.windows.regimes[one],
     )
     bounds = replace(
         design.bounds,
