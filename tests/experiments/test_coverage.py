@@ -114,3 +114,11 @@ def test_the_command_writes_its_figure_and_numbers(sets, tmp_path, capsys, monke
 @pytest.mark.slow
 def test_a_step_takes_time(scenario):
     assert 0.01 < TIMED(design(scenario), 0) < 100
+
+
+def test_what_a_plan_keeps_beyond_the_largest_set_does_not_count(sets):
+    largest = Polytope.from_vertices(np.array(sets["control_invariant"]["corners"]))
+    longest = sets["horizons"][-1]
+    common = Polytope.from_vertices(np.array(longest["corners"])).intersect(largest)
+    assert longest["covered"] == pytest.approx(common.volume(), rel=3e-4)
+    assert longest["covered"] < 0.9995 * longest["volume"]

@@ -102,3 +102,11 @@ def test_numbers_are_rounded_to_significant_digits():
     assert round_significant(-0.00123456, 4) == -0.001235
     assert round_significant(0.0, 3) == 0.0
     assert UNITS["deg"] == NONE
+
+
+def test_a_change_a_second_is_the_same_a_period_in_all_units():
+    scenario = load("certified_learning")
+    slower = rescale(scenario, time=4.0)
+    assert slower.slip.change_per_s == pytest.approx(scenario.slip.change_per_s / 4)
+    before = scenario.slip.change_per_s * scenario.controller.dt_s
+    assert slower.slip.change_per_s * slower.controller.dt_s == pytest.approx(before)

@@ -1,6 +1,7 @@
 """Laws of the governor of one robot: its reference is a certified one whatever is asked for and
 wherever the robot is, there is a plan in every period, and what is asked for is reached."""
 
+import dataclasses
 import itertools
 
 import jax
@@ -14,12 +15,15 @@ import jaxtube as jt
 from jaxtube import qp
 from jaxtube.figures.recovery import recovery
 from jaxtube.plant.reference import drive, two_circles
+from jaxtube.scenario import ScenarioError
 from jaxtube.simulation import governor as governors
 from jaxtube.simulation.backup import Backup
 from jaxtube.simulation.governing import SHARES, LivePlanner, accept_all
 from jaxtube.simulation.governor import find_errors
+from jaxtube.synthesis import live as live_windows
 from jaxtube.synthesis.feasible import spread_starts, true_starts
 from jaxtube.synthesis.live import LiveWindows
+from jaxtube.synthesis.regimes import RegimesByAge
 
 DURATION = "reference.duration_s=40"
 SAME = 1e-9
@@ -275,3 +279,15 @@ def test_a_thousand_starts_without_a_plan_all_end_on_the_path(design, governor, 
     with capsys.disabled():
         for name, values in (("joined after", periods), ("late by", lates)):
             print(name, np.percentile(values, [0, 5, 50, 95, 100]), "periods")
+
+
+def test_windows_whose_rows_a_solver_may_miss_count_as_without_a_plan(design, monkeypatch):
+    monkeypatch.setattr(live_windows, "find_back_off", lambda problem: 0.0)
+    plans = LivePlanner(design).plan(design.windows.schedules[:1], np.zeros((1, 3)))
+    assert plans.status.tolist() == [qp.UNSOLVED]
+
+
+def test_slip_that_is_learnt_is_refused_for_its_first_windows_differ(design):
+    learning = dataclasses.replace(design.problem, rule=RegimesByAge(1))
+    with pytest.raises(ScenarioError, match="change_per_s"):
+        LiveWindows(dataclasses.replace(design, problem=learning))

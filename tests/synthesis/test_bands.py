@@ -17,6 +17,7 @@ from jaxtube.synthesis.certificate.exact_regimes import make_exact_regimes
 from jaxtube.synthesis.certificate.robot import check_robot
 from jaxtube.synthesis.design import finish, prepare
 from jaxtube.synthesis.disturbance import complete_problem, kinematics, operation
+from jaxtube.synthesis.live import LiveWindows
 from jaxtube.synthesis.tightening import find_back_off
 from sets.exact import exact_row
 from sets.robot.disturbance import evaluate_disturbance
@@ -183,3 +184,7 @@ def test_bands_that_do_not_fit_are_refused(override, words):
     with pytest.raises(ScenarioError, match=words) as refused:
         load("certified_wide", [override])
     assert "\n" not in str(refused.value)
+
+
+def test_a_governor_may_revise_speeds_over_all_bands(problem, design):
+    np.testing.assert_array_equal(LiveWindows(design).box, np.array(problem.model.box))

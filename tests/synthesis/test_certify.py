@@ -13,11 +13,12 @@ from tolerances import CERTIFICATE_MARGIN
 from jaxtube.scenario import load
 from jaxtube.synthesis.certificate import terminal as terminal_conditions
 from jaxtube.synthesis.certificate.period import find_disturbances
+from jaxtube.synthesis.certificate.stages import margins_along_reference
 from jaxtube.synthesis.certificate.terminal import check_any_order
 from jaxtube.synthesis.gains import Gain, StretchedGain
 from jaxtube.synthesis.parts import Condensed, Design
 from jaxtube.synthesis.problem import region_corners
-from jaxtube.synthesis.tightening import BACK_OFF, tighten
+from jaxtube.synthesis.tightening import BACK_OFF, find_back_off, tighten
 from sets.certificate import Certificate, escape_excess
 from sets.polytope import Polytope
 from sets.tubes import hull_tube
@@ -483,3 +484,10 @@ def test_order_of_wheel_speeds_is_promised_where_it_was_checked(uncertified, fol
     assert "in any order" not in recertify(along).assumptions[2]
     shared = uncertified("robust")
     assert "in any order" in recertify(shared).assumptions[2]
+
+
+def test_a_solver_that_misses_more_than_a_stage_is_backed_off_by_loses_recursion(following):
+    once = find_back_off(following.problem)
+    parts = (following.problem, following.windows, following.bounds)
+    assert margins_along_reference(*parts, 0.5 * once).inclusion > 0
+    assert margins_along_reference(*parts, 2.0 * once).inclusion < 0

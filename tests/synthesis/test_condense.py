@@ -300,3 +300,18 @@ def test_many_windows_and_long_horizons_do_not_stand_still():
     command = [sys.executable, "-c", LONG.format(cases=cases)]
     answer = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
     assert answer.stdout.split() == ["600", "50"]
+
+
+def test_bounds_are_drawn_in_by_a_share_of_each_limit(robust_design):
+    problem = robust_design.problem
+    windows = robust_design.windows
+    bounds = robust_design.bounds
+    share = 1e-3
+    drawn = condense.draw_in(problem, windows, bounds, share)
+    E = problem.operating_set.offsets
+    limits = np.broadcast_to(E, bounds.errors.shape)
+    np.testing.assert_allclose(bounds.errors - drawn.errors, share * limits, rtol=1e-9)
+    limits = np.broadcast_to(problem.input_rows.offsets, bounds.inputs.shape)
+    np.testing.assert_allclose(bounds.inputs - drawn.inputs, share * limits, rtol=1e-9)
+    reach = np.broadcast_to(np.abs(bounds.terminal_normals) @ E[:3], bounds.terminal.shape)
+    np.testing.assert_allclose(bounds.terminal - drawn.terminal, share * reach, rtol=1e-9)

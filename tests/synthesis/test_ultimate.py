@@ -100,3 +100,9 @@ def test_other_terminal_sets_and_tuning_are_refused():
         load("robust", ["controller.cost=deviation"])
     with pytest.raises(ScenarioError, match=r"controller\.cost.*tracking"):
         make_tuner(load("tuned", ["controller.cost=deviation"]), laps=8, held_out=8)
+
+
+def test_a_cost_that_does_not_fall_along_the_loops_ends_the_argument(deviating):
+    growing = replace(deviating.cost, cost=np.diag([1.0, 1.0, 1e-6]))
+    (condition,) = check_ultimate_bound(replace(deviating, cost=growing))
+    assert not condition.holds
