@@ -56,6 +56,7 @@ ATTACK_S = 10.0
 
 STRIPS = {
     "true": ("slip, right", "slip, left"),
+    "change": ("change of slip, right", "change of slip, left"),
     "measured": ("measured slip, right", "measured slip, left"),
     "sideslip": ("sideslip",),
     "lag": ("lag of the wheels",),

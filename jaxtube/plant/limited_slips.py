@@ -13,7 +13,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import DTypeLike
@@ -77,17 +76,3 @@ def approach(
     """Return values at most a step nearer to a target, those within reach of it on it."""
     gap = target - now
     return jnp.where(jnp.abs(gap) <= most, target, now + jnp.clip(gap, -most, most))
-
-
-def limit_script(
-    deviations: Float[Array, "times batch 2"], steps: tuple[float, float]
-) -> Float[Array, "times batch 2"]:
-    """Return deviations that follow those of a script, the first ones as they are."""
-    most = jnp.asarray(steps, deviations.dtype)
-
-    def follow(now, target):
-        xi = approach(now, target, most)
-        return xi, xi
-
-    _, following = jax.lax.scan(follow, deviations[0], deviations[1:])
-    return jnp.concatenate([deviations[:1], following])

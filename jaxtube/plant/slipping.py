@@ -29,7 +29,7 @@ from jaxtyping import Float, Key
 from jaxtube.columns import each_coordinate
 from jaxtube.plant import slip
 from jaxtube.plant.error_dynamics import Sideslip, advance, tracking_error, world_pose
-from jaxtube.plant.limited_slips import Limited, limit_script
+from jaxtube.plant.limited_slips import Limited
 from jaxtube.plant.once import make_once
 from jaxtube.plant.protocol import (
     Advance,
@@ -251,6 +251,9 @@ class SlippingRobot:
         uncertain = self.slips.uncertain_slip
         names = [name for name in ("true", "measured") if uncertain in (name, "both")]
         uncertainties = {name: Uncertainty(box_vertices(2), times) for name in names}
+        if self.slip_steps is not None and "true" in names and self.process == "iid":
+            uncertainties["true"] = Uncertainty(box_vertices(2), 1)
+            uncertainties["change"] = Uncertainty(box_vertices(2), steps)
         if self.sideslip is not None:
             uncertainties["sideslip"] = Uncertainty(box_vertices(1), times)
         if self.noise is not None:
@@ -258,10 +261,7 @@ class SlippingRobot:
         return uncertainties
 
     def under_script(self, script: Script) -> ScriptedRobot:
-        """Return the robot under given slips and noise (see `ScriptedRobot`); slips whose changes
-        are limited follow those of the script."""
-        if self.slip_steps is not None and "true" in script:
-            script = {**script, "true": limit_script(script["true"], self.slip_steps)}
+        """Return the robot under given slips and noise (see `ScriptedRobot`)."""
         return ScriptedRobot(self, script)
 
 
@@ -273,6 +273,10 @@ class ScriptedRobot:
     The script has deviations of the slips `true` and `measured`, (times, batch, 2), of the
     `sideslip`, (times, batch, 1), and the pose `noise`, (steps + 1, batch, 3), all in [-1, 1]. What
     it does not name does not deviate.
+
+    Where changes of the slips are limited, `true` says where they begin, and `change`,
+    (steps, batch, 2) in [-1, 1], how they go on from one period to the next, in shares of the
+    greatest change: no script is faster, and a gradient finds its way over all periods.
     """
 
     robot: SlippingRobot
@@ -296,7 +300,7 @@ class ScriptedRobot:
         none = jnp.zeros_like(errors[:, :2])
         memory = SlipMemory(
             (),
-            self._read("true", step, none),
+            self._read_true(step, memory, none),
             self._read("measured", step, none),
             None if robot.sideslip is None else self._read("sideslip", step, none)[:, 0],
         )
@@ -309,6 +313,15 @@ class ScriptedRobot:
     def true_slip(self, memory: SlipMemory) -> Float[Array, "batch 2"]:
         """Return the true slips of the period that has begun."""
         return self.robot.true_slip(memory)
+
+    def _read_true(self, step, memory: SlipMemory, default: Array) -> Array:
+        """Return the deviations of the true slips in the period that begins."""
+        given = self._read("true", step, default)
+        if self.robot.slip_steps is None:
+            return given
+        most = jnp.asarray(self.robot.slip_steps, default.dtype)
+        change = most * self._read("change", step, default)
+        return jnp.where(step == 0, given, jnp.clip(memory.true + change, -1.0, 1.0))
 
     def _read(self, name: str, step, default: Array) -> Array:
         return script_entry(self.script[name], step) if name in self.script else default

@@ -15,7 +15,8 @@ from jaxtube.plant.slip_observer import SlipObserver
 from jaxtube.scenario import ScenarioError
 from jaxtube.simulation import components
 from jaxtube.simulation.learnt import find_slip_intervals
-from jaxtube.simulation.rollout import begin, realisation_keys, run_period
+from jaxtube.simulation.rollout import begin, realisation_keys, rollout, run_period
+from jaxtube.simulation.usage import play
 from jaxtube.synthesis.certificate.learning import check_learnt_slips
 from jaxtube.synthesis.certificate.period import find_disturbances, noise_reach
 from jaxtube.synthesis.certificate.robot import check_disturbance_set
@@ -162,22 +163,52 @@ def test_a_stepper_learns_what_a_batch_of_one_does(design):
         np.testing.assert_allclose(learnt.upper, known.upper[k, 0], atol=1e-12)
 
 
-@pytest.mark.slow
-def test_scripts_of_slips_are_followed_no_faster_than_slips_change(design):
-    """What a search tries, it tries within what is promised."""
-    plant = components.slipping_robot(design, "iid")
-    assert isinstance(plant, LearningRobot)
-    steps = design.problem.reference.steps
-    wild = jnp.asarray(np.random.default_rng(0).choice([-1.0, 1.0], (steps, 1, 2)))
-    scripted = plant.under_script({"true": wild})
+def find_true_slips(plant, steps):
+    """Return the slips of a robot under a script, (steps, 2)."""
     errors = jnp.zeros((1, 3))
     keys = realisation_keys(0, 0, 1)
+    memory = plant.initial(keys, errors)
     slips = []
-    for step in range(10):
-        _, memory = scripted.plant.sense(keys, step, scripted.plant.initial(keys, errors), errors)
-        slips.append(np.asarray(scripted.plant.true_slip(memory))[0])
+    for step in range(steps):
+        _, memory = plant.sense(keys, step, memory, errors)
+        slips.append(np.asarray(plant.true_slip(memory))[0])
+    return np.array(slips)
+
+
+def test_scripts_of_slips_are_followed_no_faster_than_slips_change(design):
+    """What a search tries, it tries within what is promised; every corner of it is in reach."""
+    plant = components.slipping_robot(design, "iid")
+    assert isinstance(plant, LearningRobot)
+    shapes = {name: entry.by_time.shape for name, entry in plant.uncertainties().items()}
+    steps = design.problem.reference.steps
+    assert shapes["true"] == (1, 4, 2)
+    assert shapes["change"] == (steps, 4, 2)
+    start = jnp.array([[[-1.0, 0.0]]])
+    up = jnp.ones((steps, 1, 2))
+    slips = find_true_slips(plant.under_script({"true": start, "change": up}).plant, steps)
     change = design.problem.scenario.slip.change_per_s * design.problem.model.dt
-    assert np.max(np.abs(np.diff(slips, axis=0))) == pytest.approx(change)
+    lower = np.array([0.1, 0.1])
+    upper = np.array([0.3, 0.2])
+    expected = np.minimum(lower + change * np.arange(steps)[:, None], upper)
+    np.testing.assert_allclose(slips, expected, atol=1e-12)
+
+
+def test_laps_that_a_search_judges_are_those_of_their_replay(design):
+    """Slips whose changes are limited remember, so that a script of one period is not enough."""
+    controller = components.controllers(design)["equal_gain"]
+    plant = components.slipping_robot(design, "iid")
+    assert isinstance(plant, LearningRobot)
+    generator = np.random.default_rng(1)
+    script = {
+        name: jnp.asarray(generator.uniform(-1, 1, (entry.times, 3, entry.vertices.shape[-1])))
+        for name, entry in plant.uncertainties().items()
+    }
+    keys = realisation_keys(0, 0, 3)
+    errors = jnp.zeros((3, 3))
+    judged = play(controller, plant, keys, errors, script)
+    replayed = rollout(controller, plant.under_script(script), keys, errors)
+    np.testing.assert_allclose(judged["error"], replayed.errors[1:], atol=1e-12)
+    assert np.max(np.abs(judged["error"])) > 0.005
 
 
 def test_an_observer_looks_back_no_further_than_a_plan_looks_ahead(design):
