@@ -11,9 +11,9 @@ from jaxtyping import Array, Float, Int
 
 from jaxtube.columns import use_twice
 from jaxtube.plant.error_dynamics import world_pose
-from jaxtube.plant.estimating import robot_behind
 from jaxtube.plant.lagging import LaggingRobot
 from jaxtube.plant.motions import join
+from jaxtube.plant.observed import robot_behind
 from jaxtube.precision import in_64_bits
 from jaxtube.qp.regions import AnyArray
 from jaxtube.simulation.choices import choose_starts

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Generic, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,25 +22,8 @@ from jax import Array
 from jaxtyping import Float, Key
 
 from jaxtube.plant.error_dynamics import advance
-from jaxtube.plant.learning import LearningRobot
-from jaxtube.plant.protocol import (
-    Advance,
-    Command,
-    Measurement,
-    Memory,
-    Plant,
-    Script,
-    SearchablePlant,
-    Uncertainty,
-)
-
-PlantType = TypeVar("PlantType", bound=Plant, covariant=True)
-
-
-def robot_behind(plant: Plant) -> Plant:
-    """Return the plant whose errors are estimated or whose slips are learnt, or the plant itself
-    where neither is."""
-    return plant.plant if isinstance(plant, EstimatingRobot | LearningRobot) else plant
+from jaxtube.plant.observed import ObservedPlant, PlantType
+from jaxtube.plant.protocol import Advance, Command, Measurement, Memory
 
 
 class EstimateMemory(NamedTuple):
@@ -58,7 +41,7 @@ class EstimateMemory(NamedTuple):
     meta_fields=[],
 )
 @dataclass(frozen=True)
-class EstimatingRobot(Generic[PlantType]):
+class EstimatingRobot(ObservedPlant[PlantType]):
     """A robot with the estimate that its controller acts on.
 
     Attributes:
@@ -68,17 +51,9 @@ class EstimatingRobot(Generic[PlantType]):
         dt: period, s.
     """
 
-    plant: PlantType
     gain: Float[Array, "3"]
     track_width: float
     dt: float
-
-    has_wheels = True
-
-    @property
-    def reference_wheels(self) -> Float[Array, "steps 2"]:
-        """The reference, m/s."""
-        return self.plant.reference_wheels
 
     def initial(
         self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]
@@ -120,14 +95,3 @@ class EstimatingRobot(Generic[PlantType]):
         )
         following = memory._replace(plant=moved.memory, errors=predicted)
         return Advance(moved.errors, following, moved.wheels)
-
-    def uncertainties(self: EstimatingRobot[SearchablePlant]) -> dict[str, Uncertainty]:
-        """Return everything bounded that the plant would draw."""
-        return self.plant.uncertainties()
-
-    def under_script(
-        self: EstimatingRobot[SearchablePlant], script: Script
-    ) -> EstimatingRobot[Plant]:
-        """Return the robot whose plant meets what a script says."""
-        plant = self.plant.under_script(script)
-        return EstimatingRobot(plant, self.gain, self.track_width, self.dt)

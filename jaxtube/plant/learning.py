@@ -11,23 +11,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Generic, NamedTuple, Protocol, TypeVar, cast
+from typing import NamedTuple, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jax import Array
 from jaxtyping import Bool, Float, Key
 
-from jaxtube.plant.protocol import (
-    Advance,
-    Command,
-    Measurement,
-    Memory,
-    Plant,
-    Script,
-    SearchablePlant,
-    Uncertainty,
-)
+from jaxtube.plant.observed import ObservedPlant
+from jaxtube.plant.protocol import Advance, Command, Measurement, Memory, Plant
 from jaxtube.plant.slip_observer import SlipKnowledge, SlipObserver
 
 
@@ -37,10 +29,6 @@ class SlippingPlant(Plant, Protocol):
     def true_slip(self, memory: Memory) -> Float[Array, "batch 2"]:
         """Return the slips (right, left) of the period that has begun."""
         ...
-
-
-class SearchableSlippingPlant(SlippingPlant, SearchablePlant, Protocol):
-    """The same, whose draws can give way to a script."""
 
 
 PlantType = TypeVar("PlantType", bound=SlippingPlant, covariant=True)
@@ -67,7 +55,7 @@ class LearningMemory(NamedTuple):
 
 @partial(jax.tree_util.register_dataclass, data_fields=["plant", "observer"], meta_fields=[])
 @dataclass(frozen=True)
-class LearningRobot(Generic[PlantType]):
+class LearningRobot(ObservedPlant[PlantType]):
     """A robot with the observer of its slips.
 
     Attributes:
@@ -75,15 +63,7 @@ class LearningRobot(Generic[PlantType]):
         observer: of its slips.
     """
 
-    plant: PlantType
     observer: SlipObserver
-
-    has_wheels = True
-
-    @property
-    def reference_wheels(self) -> Float[Array, "steps 2"]:
-        """The reference, m/s."""
-        return self.plant.reference_wheels
 
     def initial(
         self, keys: Key[Array, " batch"], errors: Float[Array, "batch 3"]
@@ -128,17 +108,6 @@ class LearningRobot(Generic[PlantType]):
         reference = jnp.broadcast_to(self.reference_wheels[step], moved.wheels.shape)
         following = memory._replace(plant=moved.memory, wheels=moved.wheels, reference=reference)
         return Advance(moved.errors, following, moved.wheels)
-
-    def uncertainties(self: LearningRobot[SearchableSlippingPlant]) -> dict[str, Uncertainty]:
-        """Return everything bounded that the plant would draw."""
-        return self.plant.uncertainties()
-
-    def under_script(
-        self: LearningRobot[SearchableSlippingPlant], script: Script
-    ) -> LearningRobot[SlippingPlant]:
-        """Return the robot whose plant meets what a script says."""
-        scripted = cast(SlippingPlant, self.plant.under_script(script))
-        return LearningRobot(scripted, self.observer)
 
 
 def find_missed(slips: Float[Array, "batch 2"], knowledge: SlipKnowledge) -> Bool[Array, " batch"]:

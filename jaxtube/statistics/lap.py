@@ -19,8 +19,8 @@ from jax import Array
 from jaxtyping import Bool, Float, Key
 
 from jaxtube.control.laws import solves_qp
-from jaxtube.plant.estimating import robot_behind
 from jaxtube.plant.lagging import LaggingRobot, SlipSource
+from jaxtube.plant.observed import robot_behind
 from jaxtube.plant.slipping import SlippingRobot
 from jaxtube.simulation import batches
 from jaxtube.simulation.rollout import Trajectory, realisation_keys, run_laps

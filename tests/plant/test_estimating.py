@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from jaxtube.plant.error_dynamics import tracking_error, world_pose
-from jaxtube.plant.estimating import EstimatingRobot, robot_behind
+from jaxtube.plant.estimating import EstimatingRobot
+from jaxtube.plant.observed import robot_behind
 from jaxtube.plant.protocol import Command
 from jaxtube.plant.robot import Robot
 from jaxtube.plant.slip_bounds import near_nominal

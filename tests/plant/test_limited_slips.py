@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxtube.plant.limited_slips import Limited, limit_script
+from jaxtube.plant.limited_slips import Limited
 from jaxtube.plant.slip import Situation
 from jaxtube.plant.slip_processes import PROCESSES
 
@@ -42,12 +42,3 @@ def test_slips_ramp_from_extreme_to_extreme_and_an_unlimited_step_changes_nothin
     assert np.all(np.any(xi == 1.0, axis=0) & np.any(xi == -1.0, axis=0))
     vertex = PROCESSES["vertex"]
     np.testing.assert_array_equal(run(Limited(vertex, (2.0, 2.0))), run(vertex))
-
-
-def test_a_script_is_followed_as_fast_as_may_be():
-    wanted = np.random.default_rng(0).uniform(-1, 1, (50, 3, 2))
-    given = np.asarray(limit_script(jnp.asarray(wanted), STEPS))
-    np.testing.assert_array_equal(given[0], wanted[0])
-    moved = np.diff(given, axis=0)
-    gap = wanted[1:] - given[:-1]
-    np.testing.assert_allclose(moved, np.clip(gap, -np.array(STEPS), STEPS), atol=1e-15)
