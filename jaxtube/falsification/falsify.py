@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, overload
 
-from jaxtube.falsification.cases import Row, list_worst_first, say_verdict
+from jaxtube.falsification.cases import Row, say_verdict
+from jaxtube.falsification.found import WorstCases
 from jaxtube.falsification.linear import LinearFalsification, make_linear_setting
 from jaxtube.falsification.sample import SampledExtremes, sample
 from jaxtube.falsification.search import WorstCaseSearch, search_worst_cases
 from jaxtube.falsification.setting import (
-    LoopLimits,
     Setting,
     draw_starts,
     make_loop_limits,
@@ -31,7 +31,6 @@ from jaxtube.simulation.choices import (
     find_plant,
     refuse_slip,
 )
-from jaxtube.simulation.promise import describe_certificate
 from jaxtube.storage import StoredResult, flatten, nest, write_result
 from jaxtube.synthesis.parts import Design, LinearDesign, require_design
 
@@ -40,33 +39,14 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Falsification:
-    """The worst cases of a closed loop.
+class Falsification(WorstCases[Design]):
+    """The worst cases of a robot's closed loop.
 
     Attributes:
         limits: that were searched, and whose they are.
         seed: of every draw.
         rows: by limit: the worst case, its search, and drawn laps to compare with.
     """
-
-    limits: LoopLimits
-    seed: int
-    rows: dict[str, Row]
-
-    @property
-    def design(self) -> Design:
-        """The design whose limits were searched."""
-        return self.limits.design
-
-    @property
-    def worst(self) -> Worst:
-        """The worst case of all limits, by usage."""
-        return self.rows[list_worst_first(self.rows)[0]].worst
-
-    @property
-    def is_violated(self) -> bool:
-        """Whether any limit is left by more than rounding."""
-        return any(row.is_violated for row in self.rows.values())
 
     @property
     def verdict(self) -> str:
@@ -115,14 +95,6 @@ class Falsification:
         arrays = nest(stored.arrays)
         rows = {name: read_row(name, arrays[name]) for name in facts["rows"]}
         return cls(limits, facts["seed"], rows)
-
-    def __repr__(self) -> str:
-        loop = f"{self.limits.controller} on the {self.limits.plant}"
-        searched = sum(row.search.laps for row in self.rows.values())
-        return (
-            f"<Falsification: {self.verdict}\n{loop}; {searched:,} laps by gradient; "
-            f"{describe_certificate(self.design, self.limits.controller)}>"
-        )
 
 
 @overload

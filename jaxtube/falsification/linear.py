@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxtube.control.laws import planner_of
-from jaxtube.falsification.cases import Row, list_worst_first
+from jaxtube.falsification.cases import list_worst_first
+from jaxtube.falsification.found import WorstCases
 from jaxtube.falsification.setting import (
     LoopLimits,
     Setting,
@@ -25,7 +26,6 @@ from jaxtube.simulation.choices import (
     name_choice,
     name_controller,
 )
-from jaxtube.simulation.promise import describe_certificate
 from jaxtube.simulation.usage import Limits, make_limit
 from jaxtube.synthesis.feasible import shortfall
 from jaxtube.synthesis.parts import LinearDesign
@@ -36,7 +36,7 @@ SHORT = 1e-9
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class LinearFalsification:
+class LinearFalsification(WorstCases[LinearDesign]):
     """The worst cases of a linear system's closed loop.
 
     Attributes:
@@ -45,25 +45,6 @@ class LinearFalsification:
         rows: by limit, "error" (E), "input" (U) and "tube": the worst case, its search, and drawn
             laps to compare with.
     """
-
-    limits: LoopLimits[LinearDesign]
-    seed: int
-    rows: dict[str, Row]
-
-    @property
-    def design(self) -> LinearDesign:
-        """The design whose limits were searched."""
-        return self.limits.design
-
-    @property
-    def worst(self) -> Worst:
-        """The worst case of all limits, by usage."""
-        return self.rows[list_worst_first(self.rows)[0]].worst
-
-    @property
-    def is_violated(self) -> bool:
-        """Whether any limit is left by more than rounding."""
-        return any(row.is_violated for row in self.rows.values())
 
     @property
     def verdict(self) -> str:
@@ -94,14 +75,6 @@ class LinearFalsification:
         sign = "<=" if is_upper else ">="
         size = bound if is_upper else -bound
         return f"of {letter} {place}, {names[worst.facet % len(names)]} {sign} {size:.4g}"
-
-    def __repr__(self) -> str:
-        loop = f"{self.limits.controller} on the {self.limits.plant}"
-        searched = sum(row.search.laps for row in self.rows.values())
-        return (
-            f"<LinearFalsification: {self.verdict}\n{loop}; {searched:,} laps by gradient; "
-            f"{describe_certificate(self.design, self.limits.controller)}>"
-        )
 
 
 def make_linear_setting(
