@@ -10,9 +10,14 @@ from attack_unseen import FAILURES, attack, is_short, judge
 from unseen import COUNT, draw_scenario
 
 from jaxtube.scenario.tree import to_toml
+from jaxtube.synthesis.disturbance import complete_problem
+from jaxtube.synthesis.optimise import optimise, wheel_excess, wheel_shortfall
+from jaxtube.synthesis.problem import make_problem
 
 QUICK = (4, 14)
 """Numbers of scenarios that are designed in moments."""
+WITHOUT_ROOM = (pytest.param(11, marks=pytest.mark.slow), 39)
+"""Numbers of scenarios where the bounds that are proved pass those at corners."""
 LAPS = 1000
 SECONDS = 5.0
 
@@ -34,6 +39,15 @@ def test_unseen_scenarios_are_within_what_is_claimed_of_them():
         assert scenario.slip.right != scenario.slip.left
         assert scenario.noise.longitudinal_m <= 0.005
         assert scenario.operating.lateral_m is None
+
+
+@pytest.mark.parametrize("index", WITHOUT_ROOM)
+def test_where_corners_flatter_the_wheels_or_the_estimate_the_search_leaves_room(index):
+    found = optimise(make_problem(draw_scenario(index)))
+    assert found.holds
+    problem = complete_problem(found.scenario)
+    assert wheel_excess(problem) <= 1
+    assert wheel_shortfall(problem) <= 0
 
 
 @pytest.mark.slow
