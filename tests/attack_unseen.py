@@ -54,7 +54,7 @@ SEED = 11
 
 def main() -> None:
     """Make the records that are missing, and count all of them."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=COUNT)
@@ -122,7 +122,7 @@ def list_nearest(searched: dict[Lever, Scenario | None]) -> list[dict[str, Any]]
     for lever, nearest in searched.items():
         if nearest is None:
             continue
-        entry = {"quantity": lever.name, "value": lever.say_measured(nearest)}
+        entry: dict[str, Any] = {"quantity": lever.name, "value": lever.say_measured(nearest)}
         if not listed:
             again = optimise(make_problem(read_scenario(to_toml(nearest))))
             entry["holds"] = again.holds and not design(again.scenario).certificate.failing
