@@ -47,6 +47,9 @@ OBSERVER_RATES = (1.0, 0.3, 2.5)
 heading)."""
 CORRECTIONS = 3
 """Searches at most for wheels that keep their limits."""
+FIRMER = 4.0
+"""Times that each of them asks for more beyond what is missed than the one before: a search does
+not move for less than it settles by."""
 FARTHER = (1.03, 1.12)
 """Factors by which a start without a plan is taken for farther away than it has to be, one try
 after the other where rigorous bounds deny what the estimate showed."""
@@ -256,7 +259,7 @@ def _is_provable(found: Optimum) -> bool:
 
 def _spare_wheels(descent: Descent, asked: Estimate) -> Descent:
     """Return a search whose wheels keep their limits by the rigorous bound, where it holds."""
-    for _ in range(CORRECTIONS):
+    for correction in range(CORRECTIONS):
         found = describe(descent, asked)
         if not found.holds:
             break
@@ -270,10 +273,11 @@ def _spare_wheels(descent: Descent, asked: Estimate) -> Descent:
             break
         # Corners miss the extreme ground speeds by little: ask for that much less, or more.
         stricter = descent.estimate
+        beyond = ACCURACY * FIRMER**correction
         if excess > 1:
-            stricter = stricter.with_less_speed(excess * (1 + ACCURACY))
+            stricter = stricter.with_less_speed(excess * (1 + beyond))
         if shortfall > 0:
-            stricter = stricter.with_more_speed(shortfall + ACCURACY)
+            stricter = stricter.with_more_speed(shortfall + beyond)
         descent = descend(stricter, descent.point) or descent
     return descent
 
