@@ -22,6 +22,10 @@ from jaxtyping import Float, Int
 
 from sets.interval import EPSILON, TINY, Dual, Interval
 
+MOST_CELLS = 100_000
+"""Cells after which a search stops, if nothing else is said."""
+CHUNK = 1000
+"""Cells that are evaluated at once: what they need fits a processor's cache."""
 TIE = 1e-9
 """Relative difference below which two contributions are equal: the first variable is cut."""
 
@@ -63,7 +67,7 @@ def suprema(
     objectives: Sequence[tuple[int, int, int]],
     tolerance: float,
     negligible: float | Float[np.ndarray, " groups"] = 1e-9,
-    most_cells: int = 100_000,
+    most_cells: int = MOST_CELLS,
 ) -> tuple[Float[np.ndarray, " groups"], Float[np.ndarray, " groups"]]:
     """Bound sup {sign f_output(x) : lower <= x <= upper in some box} over every group of
     objectives.
@@ -107,7 +111,7 @@ def suprema(
     while len(cells.objective):
         evaluated += len(cells.objective)
         own = group[cells.objective]
-        form = _evaluate(function, cells, output[cells.objective], sign[cells.objective])
+        form = _evaluate_in_chunks(function, cells, output, sign)
         np.maximum.at(found, own, form.values)
         cells, spread = _collapse(replace(cells, bound=form.bound), form.gradient)
         gap = tolerance * np.abs(found[own]) + least_gap[own]
@@ -131,6 +135,23 @@ class _Form(NamedTuple):
     values: Float[np.ndarray, " cells"]
     gradient: Interval
     bound: Float[np.ndarray, " cells"]
+
+
+def _evaluate_in_chunks(function, cells: Cells, output, sign) -> _Form:
+    """Return the forms of all cells, with the output and the sign of every objective; cells whose
+    same variables vary are evaluated together, for others have no derivatives then."""
+    order = np.lexsort(cells.lower < cells.upper)
+    forms = []
+    for begin in range(0, len(order), CHUNK):
+        chunk = cells[order[begin : begin + CHUNK]]
+        forms.append(_evaluate(function, chunk, output[chunk.objective], sign[chunk.objective]))
+    back = np.argsort(order)
+    gradient = Interval(
+        np.hstack([form.gradient.lower for form in forms])[:, back],
+        np.hstack([form.gradient.upper for form in forms])[:, back],
+    )
+    values = np.concatenate([form.values for form in forms])[back]
+    return _Form(values, gradient, np.concatenate([form.bound for form in forms])[back])
 
 
 def _evaluate(function, cells: Cells, output, sign) -> _Form:
@@ -160,9 +181,11 @@ def _differentiate(
     """Return an upper bound of each cell's objective and the enclosure of its gradient, by interval
     arithmetic."""
     variables, count = cells.lower.shape
-    seeds = np.broadcast_to(np.eye(variables)[:, :, None], (variables, variables, count))
+    # A variable of no width contributes nothing, whatever its derivative: that is left out.
+    varies = (cells.lower < cells.upper).any(axis=1)
+    seeds = np.eye(variables)[:, varies]
     boxes = zip(cells.lower, cells.upper, seeds, strict=True)
-    duals = [Dual(Interval(low, high), Interval(seed, seed)) for low, high, seed in boxes]
+    duals = [Dual(Interval(low, high), _spread_seed(seed, count)) for low, high, seed in boxes]
     value = np.zeros(count)
     lower = np.zeros((variables, count))
     upper = np.zeros((variables, count))
@@ -172,9 +195,15 @@ def _differentiate(
             if isinstance(result, Dual) and own.any():
                 signed = result * float(direction)
                 value[own] = signed.value.upper[own]
-                lower[:, own] = signed.gradient.lower[:, own]
-                upper[:, own] = signed.gradient.upper[:, own]
+                lower[np.ix_(varies, own)] = signed.gradient.lower[:, own]
+                upper[np.ix_(varies, own)] = signed.gradient.upper[:, own]
     return value, Interval(lower, upper)
+
+
+def _spread_seed(seed: Float[np.ndarray, " variables"], count: int) -> Interval:
+    """Return the derivatives of one variable, the same in all cells."""
+    spread = np.broadcast_to(seed[:, None], (len(seed), count))
+    return Interval(spread, spread)
 
 
 def _enclose_values(

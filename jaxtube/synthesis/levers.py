@@ -5,6 +5,7 @@
     slip     what is not known of it: relative_error; or the errors of the measured slips; or the
              intervals of the true slips about the nominal ones
     noise    all of [noise]
+    range    how far the box of the reference's wheel speeds goes beyond those of the path
     KEY      a single key
 
 Scaled numbers are rounded as one would write them, to what is harder to hold.
@@ -22,6 +23,7 @@ from typing import Any, Literal
 
 from jaxtube.scenario.reading import replace
 from jaxtube.scenario.tree import Scenario
+from jaxtube.synthesis.problem import make_problem
 
 DIGITS = 4
 """Significant digits of scaled numbers."""
@@ -90,13 +92,14 @@ def key_lever(section: str, *keys: str, easier: Literal[1, -1]) -> Lever:
 
 
 def list_levers(scenario: Scenario) -> list[Lever]:
-    """Return the levers that a scenario has: those of `fit`, the noise, and single keys."""
+    """Return the levers that a scenario has: speed, slip, noise, range, and single keys."""
     must_roll = scenario.robot.wheel_speed_min_mps > 0
     slowest = [key_lever("robot", "wheel_speed_min_mps", easier=-1)] if must_roll else []
     levers = [
         SPEED,
         SLIP,
         NOISE,
+        RANGE,
         *(key_lever("constraints", key, easier=1) for key in ERROR_KEYS),
         key_lever("slip", "sideslip", easier=-1),
         key_lever("robot", "wheel_speed_max_mps", easier=1),
@@ -133,6 +136,23 @@ def _scale_speed(scenario: Scenario, factor: float) -> Values:
         "reference.speed_mps": speed,
         "reference.wheel_speed_min_mps": _round(reference.wheel_speed_min_mps * exact, -1),
         "reference.wheel_speed_max_mps": _round(reference.wheel_speed_max_mps * exact, 1),
+    }
+
+
+def _scale_range(scenario: Scenario, factor: float) -> Values:
+    """Return the box, its distance from the wheel speeds of the path scaled; nothing where the box
+    makes the path, or the path alone is certified."""
+    reference = scenario.reference
+    if reference.shape == "jumps" or reference.certified_for == "path":
+        return {}
+    wheels = make_problem(scenario).reference.wheels
+    slowest = float(wheels.min())
+    fastest = float(wheels.max())
+    below = (slowest - reference.wheel_speed_min_mps) * factor
+    above = (reference.wheel_speed_max_mps - fastest) * factor
+    return {
+        "reference.wheel_speed_min_mps": _round(slowest - below, -1),
+        "reference.wheel_speed_max_mps": _round(fastest + above, 1),
     }
 
 
@@ -177,6 +197,13 @@ NOISE = Lever(
     "noise, by the lateral one [m]",
     partial(_scale_keys, "noise", ERROR_KEYS, 1),
     "noise.lateral_m",
+)
+RANGE = Lever(
+    "range",
+    -1,
+    "greatest reference wheel speed [m/s]",
+    _scale_range,
+    "reference.wheel_speed_max_mps",
 )
 FITTED = {lever.name: lever for lever in (SPEED, LIMITS, SLIP)}
 """What `fit` searches the border of."""

@@ -24,7 +24,7 @@ from jaxtube.synthesis.attempt import attempt_design, attempt_search
 from jaxtube.synthesis.border import find_certified
 from jaxtube.synthesis.descent import LEAST_SHARE, ROWS
 from jaxtube.synthesis.estimate import Estimate
-from jaxtube.synthesis.levers import SPEED, Lever, list_levers
+from jaxtube.synthesis.levers import RANGE, SPEED, Lever, list_levers
 from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.starts import caps_and_gains, without_caps
@@ -40,6 +40,8 @@ PRECISION = 0.04
 """Width of the bracket of a border, in logarithms."""
 WANTED = 2
 """Quantities of which a value that holds is enough."""
+WHEEL_SPEEDS = (RANGE, SPEED)
+"""Quantities that decide whether a tube is bounded."""
 
 
 def find_nearest(
@@ -57,11 +59,31 @@ def find_nearest(
         By quantity, the one that decides most first, the scenario with its nearest value for which
         a certified design was found, without caps and gains; None where none was.
     """
-    bare = msgspec.structs.replace(without_caps(found.scenario), initial=ON_PATH)
     near = caps_and_gains(found.scenario)
+    return _search_along(choose_levers(found), found.scenario, near, on_progress)
+
+
+def find_nearest_bounded(
+    scenario: Scenario, on_progress: Callable[[], object] = lambda: None
+) -> dict[Lever, Scenario | None]:
+    """Search the nearest scenario that holds where no gains bound a tube, as `find_nearest` does
+    where some do: along the reference's wheel speeds, for whether a tube is bounded depends on
+    them, on gains and on the period alone."""
+    levers = [lever for lever in WHEEL_SPEEDS if lever.values(scenario, 1.0)]
+    return _search_along(levers, scenario, None, on_progress)
+
+
+def _search_along(
+    levers: Sequence[Lever],
+    scenario: Scenario,
+    near: tuple[float, ...] | None,
+    on_progress: Callable[[], object],
+) -> dict[Lever, Scenario | None]:
+    """Return by quantity the nearest scenario that holds, beginning with caps and gains nearby."""
+    bare = msgspec.structs.replace(without_caps(scenario), initial=ON_PATH)
     nearest: dict[Lever, Scenario | None] = {}
-    for lever in choose_levers(found):
-        if sum(scenario is not None for scenario in nearest.values()) < WANTED:
+    for lever in levers:
+        if sum(held is not None for held in nearest.values()) < WANTED:
             certified = find_certified(
                 partial(attempt_search, bare, lever),
                 partial(attempt_design, bare, lever),

@@ -47,6 +47,9 @@ OBSERVER_RATES = (1.0, 0.3, 2.5)
 heading)."""
 CORRECTIONS = 3
 """Searches at most for wheels that keep their limits."""
+FIRMER = 4.0
+"""Times that each of them asks for more beyond what is missed than the one before: a search does
+not move for less than it settles by."""
 FARTHER = (1.03, 1.12)
 """Factors by which a start without a plan is taken for farther away than it has to be, one try
 after the other where rigorous bounds deny what the estimate showed."""
@@ -56,6 +59,11 @@ by more than the estimate counts on."""
 get_objective = attrgetter("objective")
 KIND = ("exact_jacobian", "x_exact", "sequence", "T-A", "computed")
 """Model, input map, tube, terminal set and bound that the search knows."""
+
+
+class UnboundedTubeError(ValueError):
+    """No tracking gains that were tried bound a tube: wheel speeds of the reference turn the robot
+    too far in a period, or differ too much."""
 
 
 def optimise(
@@ -80,9 +88,11 @@ def optimise(
         certificate.
 
     Raises:
-        ValueError: where no gain bounds a tube, or the scenario is of another kind.
+        UnboundedTubeError: where no gains that were tried bound a tube, or none can.
+        ValueError: the scenario is of another kind.
     """
     refuse_other_kinds(problem.scenario)
+    _refuse_half_turns(problem)
     estimate = Estimate(problem)
     best = None if near is None else descend(estimate, estimate.to_point(near))
     if best is not None and describe(best).holds:
@@ -100,7 +110,7 @@ def optimise(
             on_progress(describe(best).ratio)
     if best is None:
         section = problem.scenario.reference
-        raise ValueError(
+        raise UnboundedTubeError(
             "optimise: no tracking gains tried bound a tube over reference wheel speeds from "
             f"{section.wheel_speed_min_mps:g} to {section.wheel_speed_max_mps:g} m/s in any order; "
             "narrow reference.wheel_speed_min_mps and wheel_speed_max_mps"
@@ -111,6 +121,21 @@ def optimise(
             best = observed
         on_progress(describe(best).ratio)
     return _correct(best)
+
+
+def _refuse_half_turns(problem: Problem) -> None:
+    """Refuse a reference that may turn by half a turn in a period: what steers then is lost."""
+    dt = problem.model.dt
+    turn = dt * float(np.abs(problem.corners @ [1.0, -1.0]).max()) / problem.model.track_width
+    if turn >= math.pi:
+        section = problem.scenario.reference
+        raise UnboundedTubeError(
+            f"optimise: reference wheel speeds from {section.wheel_speed_min_mps:g} to "
+            f"{section.wheel_speed_max_mps:g} m/s in any order turn the robot by up to "
+            f"{turn:.3g} rad in a period of {dt:g} s, and no gains steer beyond half a turn; "
+            "shorten controller.dt_s, or narrow reference.wheel_speed_min_mps and "
+            "wheel_speed_max_mps"
+        )
 
 
 def _is_noisy(descent: Descent) -> bool:
@@ -134,8 +159,13 @@ def _observer_start() -> Float[np.ndarray, "3"]:
 
 def optimise_nearby(problem: Problem, near: Sequence[float]) -> Optimum | None:
     """Return the end of the one search from caps and gains nearby, quick and uncorrected; None
-    where their tube is not bounded."""
+    where their tube is not bounded.
+
+    Raises:
+        ValueError: as `optimise`.
+    """
     refuse_other_kinds(problem.scenario)
+    _refuse_half_turns(problem)
     estimate = Estimate(problem)
     descent = descend(estimate, estimate.to_point(near))
     return None if descent is None else describe(descent)
@@ -147,6 +177,15 @@ def wheel_excess(problem: Problem) -> float:
     assert problem.disturbance_bound is not None
     greatest = problem.disturbance_bound.ground_speeds[1]
     return float(np.max(greatest / ground_speed_limits(problem)[1]))
+
+
+def wheel_shortfall(problem: Problem) -> float:
+    """Return by how much the least ground speed that may be commanded is below what the wheels can
+    make, as a share of the greatest that they can; negative where it is above."""
+    assert problem.disturbance_bound is not None
+    least = problem.disturbance_bound.ground_speeds[0]
+    slowest, fastest = ground_speed_limits(problem)
+    return float(np.max(slowest - least) / np.min(fastest))
 
 
 def can_optimise(scenario: Scenario) -> bool:
@@ -220,18 +259,25 @@ def _is_provable(found: Optimum) -> bool:
 
 def _spare_wheels(descent: Descent, asked: Estimate) -> Descent:
     """Return a search whose wheels keep their limits by the rigorous bound, where it holds."""
-    for _ in range(CORRECTIONS):
+    for correction in range(CORRECTIONS):
         found = describe(descent, asked)
         if not found.holds:
             break
         try:
-            excess = wheel_excess(complete_problem(found.scenario))
+            problem = complete_problem(found.scenario)
         except ValueError:
             break
-        if excess <= 1:
+        excess = wheel_excess(problem)
+        shortfall = wheel_shortfall(problem)
+        if excess <= 1 and shortfall <= 0:
             break
-        # Corners miss the greatest ground speed by little: ask for that much less.
-        stricter = descent.estimate.with_less_speed(excess * (1 + ACCURACY))
+        # Corners miss the extreme ground speeds by little: ask for that much less, or more.
+        stricter = descent.estimate
+        beyond = ACCURACY * FIRMER**correction
+        if excess > 1:
+            stricter = stricter.with_less_speed(excess * (1 + beyond))
+        if shortfall > 0:
+            stricter = stricter.with_more_speed(shortfall + beyond)
         descent = descend(stricter, descent.point) or descent
     return descent
 

@@ -37,7 +37,7 @@ from jaxtyping import Float
 from sets.robot.driving import commit_operation
 from sets.robot.operation import FINE, Operation
 from sets.robot.plant import Kinematics, split_disturbance
-from sets.supremum import suprema
+from sets.supremum import MOST_CELLS, suprema
 
 TOLERANCE = 1e-4
 """Relative gap of the bounds: errors of an estimate sum up 1 / l of them."""
@@ -45,6 +45,11 @@ MARGIN = 3e-3
 """Share by which S is larger than the fixed point; more if that takes long."""
 MOST_STEPS = 10
 """Evaluations before a gain is given up."""
+SETTLED = 3e-4
+"""Relative change at which the fixed point of errors that are attained is known well enough for
+proofs to begin there."""
+FEW_CELLS = 2000
+"""Cells after which a search for values that are attained ends, which proves little."""
 
 
 def find_estimate_error(operation: Operation, kinematics: Kinematics) -> Float[np.ndarray, "3"]:
@@ -69,17 +74,42 @@ def find_estimate_error(operation: Operation, kinematics: Kinematics) -> Float[n
         raise ValueError(
             f"gain: {operation.gain} lets errors grow by turning; give shares nearer to 1"
         )
-    size = operation.noise
+    size = _estimate_fixed_point(unpredicted, slopes, kinematics) * (1 + MARGIN)
     for step in range(MOST_STEPS):
         margin = MARGIN * 2 ** max(step - 3, 0)
         image = _bound_image(unpredicted, size, kinematics)
-        change = image - size
-        along = np.linalg.solve(np.eye(2) - slopes, change[:2])
-        fixed = np.maximum(size + np.append(along, change[2] / gain[2]), operation.noise)
+        fixed = _take_newton_step(size, image, slopes, operation)
         if np.all(image <= size) and np.all(size <= fixed * (1 + 2 * margin)):
             return size
         size = fixed * (1 + margin)
     raise ValueError(f"gain: {operation.gain} leads to no bounded error; give shares nearer to 1")
+
+
+def _estimate_fixed_point(
+    unpredicted: _Unpredicted, slopes: Float[np.ndarray, "2 2"], kinematics: Kinematics
+) -> Float[np.ndarray, "3"]:
+    """Return the fixed point, nearly, of errors that are attained: proofs that begin there seldom
+    need a second step."""
+    size = unpredicted.operation.noise
+    for _ in range(MOST_STEPS):
+        _, found = _image(unpredicted, size, kinematics, FEW_CELLS)
+        fixed = _take_newton_step(size, found, slopes, unpredicted.operation)
+        if np.all(np.abs(fixed - size) <= SETTLED * size):
+            return fixed
+        size = fixed
+    return size
+
+
+def _take_newton_step(
+    size: Float[np.ndarray, "3"],
+    image: Float[np.ndarray, "3"],
+    slopes: Float[np.ndarray, "2 2"],
+    operation: Operation,
+) -> Float[np.ndarray, "3"]:
+    """Return Newton's next size, from a size and its image."""
+    change = image - size
+    along = np.linalg.solve(np.eye(2) - slopes, change[:2])
+    return np.maximum(size + np.append(along, change[2] / operation.gain[2]), operation.noise)
 
 
 def _slopes(operation: Operation) -> Float[np.ndarray, "2 2"]:
@@ -124,20 +154,35 @@ def _bound_image(
     unpredicted: _Unpredicted, size: Float[np.ndarray, "3"], kinematics: Kinematics
 ) -> Float[np.ndarray, "3"]:
     """Return `bound_next_error` of an error within a box of this size."""
+    proved, _ = _image(unpredicted, size, kinematics, MOST_CELLS)
+    return proved * (1 + 8 * np.finfo(float).eps)
+
+
+def _image(
+    unpredicted: _Unpredicted,
+    size: Float[np.ndarray, "3"],
+    kinematics: Kinematics,
+    most_cells: int,
+) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
+    """Return (what is proved, what was found) to be the greatest error (m, m, rad) a period after
+    one within a box of this size, before rounding."""
     operation = replace(unpredicted.operation, estimate_error=size)
-    period = operation.period
+    # The slip with what its yaw kick moves sideways, which W has apart.
+    period = operation.period._replace(lateral_per_yaw=0.0)
 
     def outputs(piece):
         parts = split_disturbance(kinematics, period, operation.variables(piece))
-        x, y = parts.unpredicted
-        return x, y + parts.yaw * period.lateral_per_yaw, parts.yaw
+        return (*parts.unpredicted, parts.yaw)
 
     lower, upper = operation.pieces()
     objectives = [(output, sign, output) for output in range(3) for sign in (1, -1)]
     negligible = FINE * np.array([operation.travel, operation.travel, 1.0])
-    proved, _ = suprema(outputs, lower, upper, objectives, TOLERANCE, negligible)
-    proved[:2] += unpredicted.added
-    proved[2] = min(proved[2], unpredicted.kick) + size[2]
+    ends = suprema(outputs, lower, upper, objectives, TOLERANCE, negligible, most_cells)
     left = 1 - np.array(operation.gain)
-    image = left * proved + operation.gain * operation.noise
-    return image * (1 + 8 * np.finfo(float).eps)
+    images = []
+    for unpredicted_most in ends:
+        most = unpredicted_most.copy()
+        most[:2] += unpredicted.added
+        most[2] = min(most[2], unpredicted.kick) + size[2]
+        images.append(left * most + operation.gain * operation.noise)
+    return images[0], images[1]

@@ -9,9 +9,10 @@ import pytest
 from jaxtube.experiments.design import command
 from jaxtube.experiments.design import nearest as nearest_lines
 from jaxtube.experiments.options import DesignOptions
-from jaxtube.scenario import ScenarioError, load
+from jaxtube.scenario import ScenarioError, load, replace
 from jaxtube.synthesis.descent import ROWS
-from jaxtube.synthesis.levers import NOISE, SPEED
+from jaxtube.synthesis.levers import NOISE, RANGE, SPEED
+from jaxtube.synthesis.optimise import UnboundedTubeError
 from jaxtube.synthesis.optimum import Optimum
 
 NONE: dict[str, float] = {row: 0.0 for row in ROWS}
@@ -56,6 +57,31 @@ def test_a_tube_that_outgrows_every_choice_ends_in_one_line_with_what_is_nearest
     ):
         assert words in line
     assert "[operating]" not in capsys.readouterr().out
+
+
+def test_where_no_gains_bound_a_tube_the_nearest_reference_is_told(monkeypatch):
+    def find_none(*arguments, **options):
+        raise UnboundedTubeError("optimise: no gains bound a tube")
+
+    narrower = replace(load("certified"), {"reference.wheel_speed_min_mps": 1.223})
+    for module in (command, nearest_lines):
+        monkeypatch.setattr(module, "optimise", find_none)
+    monkeypatch.setattr(
+        nearest_lines, "find_nearest_bounded", lambda scenario, bar: {RANGE: narrower, SPEED: None}
+    )
+    with pytest.raises(ScenarioError) as refused:
+        command.find_caps_and_gains(load("certified"), OPTIONS)
+    words = (
+        "no gains bound a tube",
+        "nearest found, certified for starts on the path: reference.wheel_speed_min_mps = 1.223",
+        "nothing certified was found by another speed alone",
+    )
+    for told in (
+        str(refused.value),
+        "; ".join(nearest_lines.say_nearest(load("certified"), OPTIONS)),
+    ):
+        assert "\n" not in told
+        assert all(each in told for each in words)
 
 
 def test_a_design_that_fails_is_told_of_caps_and_gains_that_hold(monkeypatch, outgrown):

@@ -4,7 +4,8 @@ scenario may have."""
 import pytest
 
 from jaxtube.scenario import ScenarioError, load, replace
-from jaxtube.synthesis.levers import LIMITS, NOISE, SLIP, SPEED, key_lever, list_levers
+from jaxtube.synthesis.levers import LIMITS, NOISE, RANGE, SLIP, SPEED, key_lever, list_levers
+from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.starts import without_caps
 
 INTERVALS = {
@@ -20,7 +21,7 @@ def scenario():
     return without_caps(load("certified"))
 
 
-@pytest.mark.parametrize("lever", [SPEED, LIMITS, SLIP, NOISE])
+@pytest.mark.parametrize("lever", [SPEED, LIMITS, SLIP, NOISE, RANGE])
 def test_a_factor_of_one_changes_nothing(scenario, lever):
     assert lever.scale(scenario, 1.0) == scenario
 
@@ -32,6 +33,23 @@ def test_the_box_of_wheel_speeds_goes_along_and_holds_the_path_at_any_factor(sce
         assert scaled.wheel_speed_min_mps <= scaled.speed_mps * 0.9
         assert scaled.wheel_speed_max_mps >= scaled.speed_mps * 1.1
         assert scaled.wheel_speed_max_mps == pytest.approx(1.496 * factor, rel=1e-3)
+
+
+def test_the_range_shrinks_to_the_wheel_speeds_of_the_path_and_holds_them(scenario):
+    wide = {"reference.wheel_speed_min_mps": 0.5, "reference.wheel_speed_max_mps": 1.7}
+    wheels = make_problem(scenario).reference.wheels
+    slowest = wheels.min()
+    fastest = wheels.max()
+    for factor in (1e-3, 0.31, 0.7):
+        scaled = RANGE.scale(replace(scenario, wide), factor).reference
+        below = slowest - scaled.wheel_speed_min_mps
+        above = scaled.wheel_speed_max_mps - fastest
+        assert below == pytest.approx((slowest - 0.5) * factor, abs=1e-3) and below >= 0
+        assert above == pytest.approx((1.7 - fastest) * factor, abs=1e-3) and above >= 0
+        assert scaled.speed_mps == scenario.reference.speed_mps
+    assert "range" in [lever.name for lever in list_levers(scenario)]
+    for alone in ({"reference.shape": "jumps"}, {"reference.certified_for": "path"}):
+        assert "range" not in [lever.name for lever in list_levers(replace(scenario, alone))]
 
 
 def test_rounding_is_to_what_is_harder_to_hold(scenario):

@@ -5,9 +5,9 @@ import pytest
 
 from jaxtube.scenario import load, replace
 from jaxtube.synthesis.design import design
-from jaxtube.synthesis.levers import SPEED
-from jaxtube.synthesis.nearest import ON_PATH, find_nearest
-from jaxtube.synthesis.optimise import optimise
+from jaxtube.synthesis.levers import RANGE, SPEED
+from jaxtube.synthesis.nearest import ON_PATH, find_nearest, find_nearest_bounded
+from jaxtube.synthesis.optimise import UnboundedTubeError, optimise
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.starts import without_caps
 
@@ -25,6 +25,16 @@ HUSKY = {
     "slip.nominal_left": 0.026,
     "initial.x_m": 0.2,
 }
+NEARLY_HALF_A_TURN = {
+    "controller.dt_s": 0.2,
+    "reference.speed_mps": 0.5,
+    "reference.wheel_speed_min_mps": 0.01,
+    "reference.wheel_speed_max_mps": 7.84,
+    "robot.wheel_speed_min_mps": -14.0,
+    "robot.wheel_speed_max_mps": 18.0,
+    "initial.x_m": 0.0,
+    "initial.y_m": 0.0,
+}
 
 
 @pytest.mark.slow
@@ -41,3 +51,16 @@ def test_the_nearest_speed_is_below_and_certified_again():
     found = optimise(make_problem(slower))
     assert design(found.scenario).certificate.failing == []
     assert len(counted) == len(nearest) or len(counted) == 3
+
+
+@pytest.mark.slow
+def test_where_no_gains_bound_a_tube_a_narrower_range_of_wheel_speeds_is_found_and_certified():
+    """The robot may turn by nearly half a turn in a period."""
+    scenario = replace(without_caps(load("certified")), NEARLY_HALF_A_TURN)
+    with pytest.raises(UnboundedTubeError, match="no tracking gains tried bound a tube"):
+        optimise(make_problem(scenario))
+    narrower = find_nearest_bounded(scenario)[RANGE]
+    assert narrower is not None
+    assert 0.6 < narrower.reference.wheel_speed_max_mps < 2.0
+    found = optimise(make_problem(narrower))
+    assert design(found.scenario).certificate.failing == []

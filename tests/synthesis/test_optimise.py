@@ -15,7 +15,7 @@ from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.estimate import CAP_ROWS, LIMIT_ROWS, Estimate
 from jaxtube.synthesis.levers import SPEED, list_levers
 from jaxtube.synthesis.nearest import choose_levers, find_pull
-from jaxtube.synthesis.optimise import optimise, optimise_nearby, wheel_excess
+from jaxtube.synthesis.optimise import UnboundedTubeError, optimise, optimise_nearby, wheel_excess
 from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.starts import caps_and_gains, make_starts, without_caps
@@ -42,6 +42,17 @@ def test_the_optimum_is_a_design_whose_start_has_a_plan(found):
     refuse_infeasible_start(made)
     assert max(found.shares[row] for row in CAP_ROWS) == pytest.approx(found.ratio)
     assert max(found.shares[row] for row in LIMIT_ROWS) == pytest.approx(found.excess)
+
+
+def test_a_reference_that_may_turn_half_a_turn_in_a_period_is_refused_with_a_cure():
+    wheels = {"robot.wheel_speed_max_mps": 18.0, "robot.wheel_speed_min_mps": -14.0}
+    turning = {**wheels, "reference.wheel_speed_max_mps": 9.1, "controller.dt_s": 0.2}
+    with pytest.raises(UnboundedTubeError, match=r"by up to 3\.15 rad in a period of 0\.2 s"):
+        optimise(make_problem(bare(turning)))
+    with pytest.raises(UnboundedTubeError, match="no gains steer beyond half a turn"):
+        optimise_nearby(make_problem(bare(turning)), (0.1,) * 11)
+    shorter = Estimate(make_problem(bare({**turning, "controller.dt_s": 0.15})))
+    assert make_starts(shorter)
 
 
 def test_a_search_never_ends_worse_than_it_began():

@@ -10,9 +10,18 @@ from attack_unseen import FAILURES, attack, is_short, judge
 from unseen import COUNT, draw_scenario
 
 from jaxtube.scenario.tree import to_toml
+from jaxtube.synthesis.design import design
+from jaxtube.synthesis.disturbance import complete_problem
+from jaxtube.synthesis.optimise import optimise, wheel_excess, wheel_shortfall
+from jaxtube.synthesis.problem import make_problem
 
 QUICK = (4, 14)
 """Numbers of scenarios that are designed in moments."""
+WITHOUT_ROOM = (11, 39)
+"""Numbers of scenarios whose proved error of the estimate, or least wheel speed, is close to what
+the first search leaves of its limits."""
+NEAR_ITS_LIMITS = 31
+"""Number of one whose caps fill what the error of the estimate leaves of the constraints."""
 LAPS = 1000
 SECONDS = 5.0
 
@@ -34,6 +43,25 @@ def test_unseen_scenarios_are_within_what_is_claimed_of_them():
         assert scenario.slip.right != scenario.slip.left
         assert scenario.noise.longitudinal_m <= 0.005
         assert scenario.operating.lateral_m is None
+
+
+def test_where_corners_flatter_the_estimate_the_search_leaves_it_room(monkeypatch):
+    monkeypatch.setattr("jaxtube.synthesis.estimate.RESERVE", -0.05)
+    found = optimise(make_problem(draw_scenario(NEAR_ITS_LIMITS)))
+    assert found.holds
+    problem = complete_problem(found.scenario)
+    assert (problem.estimate_error > problem.noise).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("index", WITHOUT_ROOM)
+def test_what_a_search_says_holds_is_certified_where_corners_flatter_the_robot(index):
+    found = optimise(make_problem(draw_scenario(index)))
+    assert found.holds
+    made = design(found.scenario)
+    assert made.certificate.failing == []
+    assert wheel_excess(made.problem) <= 1
+    assert wheel_shortfall(made.problem) <= 0
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Bool
 
-from jaxtube.experiments.design.nearest import say_nearest, say_nearest_to
+from jaxtube.experiments.design.nearest import say_nearest, say_nearest_bounded, say_nearest_to
 from jaxtube.experiments.options import DesignOptions
 from jaxtube.experiments.run import folder as run_folder
 from jaxtube.experiments.run import metrics
@@ -32,7 +32,7 @@ from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
 from jaxtube.synthesis.certificate.motions import confirm_motions
 from jaxtube.synthesis.design import refuse_infeasible_start, refuse_start_outside_limits
-from jaxtube.synthesis.optimise import SEARCHES, optimise
+from jaxtube.synthesis.optimise import SEARCHES, UnboundedTubeError, optimise
 from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.problem import make_problem
@@ -151,6 +151,9 @@ def find_caps_and_gains(scenario: Scenario, options: DesignOptions) -> Optimum:
 
             best = optimise(make_problem(scenario), show)
             bar.total = bar.n
+    except UnboundedTubeError as error:
+        told = "; ".join([str(error), *say_nearest_bounded(scenario)])
+        raise ScenarioError(f"scenario: {told}") from None
     except ValueError as error:
         raise ScenarioError(f"scenario: {error}") from None
     if not best.holds:

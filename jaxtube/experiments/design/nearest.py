@@ -10,8 +10,14 @@ from jaxtube.progress import progress
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.advice import say_what_widens
 from jaxtube.synthesis.levers import FITTED
-from jaxtube.synthesis.nearest import ON_PATH, SEARCHED, find_nearest
-from jaxtube.synthesis.optimise import can_optimise, optimise
+from jaxtube.synthesis.nearest import (
+    ON_PATH,
+    SEARCHED,
+    WHEEL_SPEEDS,
+    find_nearest,
+    find_nearest_bounded,
+)
+from jaxtube.synthesis.optimise import UnboundedTubeError, can_optimise, optimise
 from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.starts import caps_and_gains, without_caps
@@ -24,6 +30,8 @@ def say_nearest(scenario: Scenario, options: Options) -> list[str]:
         return []
     try:
         found = optimise(make_problem(without_caps(scenario)), near=caps_and_gains(scenario))
+    except UnboundedTubeError as error:
+        return [str(error), *say_nearest_bounded(scenario)]
     except ValueError:
         return []
     if found.holds:
@@ -42,7 +50,9 @@ def say_nearest_to(found: Optimum, options: Options) -> list[str]:
     lines = [f"at best {found.describe_binding()}", *([widened] if widened else [])]
     held = [lever.say(scenario) for lever, scenario in nearest.items() if scenario is not None]
     if held:
-        lines.append(f"nearest found, each certified{_say_start(found)}: {'; or '.join(held)}")
+        lines.append(
+            f"nearest found, each certified{_say_start(found.scenario)}: {'; or '.join(held)}"
+        )
     missing = [lever.name for lever, scenario in nearest.items() if scenario is None]
     if missing:
         lines.append(f"nothing certified was found by another {' or '.join(missing)} alone")
@@ -53,10 +63,23 @@ def say_nearest_to(found: Optimum, options: Options) -> list[str]:
     return lines
 
 
-def _say_start(found: Optimum) -> str:
+def say_nearest_bounded(scenario: Scenario) -> list[str]:
+    """Return sentences for a scenario of which no gains bound a tube."""
+    with progress(
+        len(WHEEL_SPEEDS), "searching the nearest that holds", "keys", starting="starting"
+    ) as bar:
+        nearest = find_nearest_bounded(scenario, bar.update)
+    return [
+        f"nearest found, certified{_say_start(scenario)}: {lever.say(held)}"
+        if held is not None
+        else f"nothing certified was found by another {lever.name} alone"
+        for lever, held in nearest.items()
+    ]
+
+
+def _say_start(scenario: Scenario) -> str:
     """Return for which starts what is nearest was certified, nothing where it is the scenario's."""
-    start = found.scenario.initial
-    return "" if start == ON_PATH else " for starts on the path"
+    return "" if scenario.initial == ON_PATH else " for starts on the path"
 
 
 def _command(command: str, options: Options) -> str:

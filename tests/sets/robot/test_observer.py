@@ -21,6 +21,18 @@ NOISY = dataclasses.replace(
     operation(noise=(5e-3, 4e-3, np.deg2rad(0.2))), gain=GAIN, estimate_error=None
 )
 SLIDING_NOISY = dataclasses.replace(SLIDING, gain=(0.7, 0.4, 0.5), estimate_error=None)
+WIDE = Operation(
+    errors=np.array([[-1.0], [1.0]]) * [0.016, 0.117, 0.305],
+    inputs=np.array([[-0.217, -1.035], [0.236, 1.035]]),
+    schedules=np.array([[[0.565, 0.565], [0.869, 0.869]]]),
+    wheel_errors=np.array([[-1.0], [1.0]]) * [0.0148, 0.0347],
+    noise=np.array([1.55e-3, 1.24e-3, 7.17e-4]),
+    dt=0.15,
+    track_width=0.318,
+    gain=(0.897, 0.372, 0.9999),
+    estimate_error=np.array([2.4e-3, 5.6e-3, 7.2e-4]),
+)
+"""A robot of one third of a metre that turns by up to 0.3 rad in a period."""
 WHERE = [NOISY, pytest.param(SLIDING_NOISY, marks=pytest.mark.slow)]
 MODEL = Kinematics()
 
@@ -133,6 +145,27 @@ def test_the_set_is_invariant_and_hardly_more():
     assert (image <= size).all()
     assert (image >= size * (1 - 2 * MARGIN)).all()
     assert (size >= NOISY.noise).all()
+
+
+def climb(where: Operation, coordinate: int, seed: int) -> float:
+    """Return the greatest error a period later that is found by moving one variable after the
+    other to either end, or between them, from drawn points."""
+    low, high = np.hstack([where.box, [-where.noise, where.noise]])
+    points = np.hstack(draw(where, 64, seed))
+    for variable in [*range(16)] * 3:
+        tried = np.repeat(points[None], 4, axis=0)
+        tried[1:, :, variable] = np.linspace(low[variable], high[variable], 3)[:, None]
+        after = [play_period(where, each[:, :13], each[:, 13:]) for each in tried]
+        errors = np.abs([following - true for following, true, _ in after])[..., coordinate]
+        points = tried[errors.argmax(axis=0), np.arange(64)]
+    return float(errors.max())
+
+
+def test_what_is_proved_of_the_next_error_is_attained():
+    proved = bound_next_error(WIDE, MODEL)
+    for coordinate in range(3):
+        attained = climb(WIDE, coordinate, seed=4)
+        assert attained <= proved[coordinate] <= attained * 1.002
 
 
 def test_in_heading_the_set_has_a_closed_form():
