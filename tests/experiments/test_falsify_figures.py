@@ -63,8 +63,9 @@ def test_usage_is_drawn_where_the_run_that_uses_it_lies(scenario, name, uncertif
     usage = usage_of(limits, name, played)
     for track in make_tracks(design.problem, limits, name, played):
         for facet in track.facets:
-            drawn = track.value_at(usage[:, facet], facet)
-            assert drawn == pytest.approx(track.values[-len(usage) :], abs=DRAWN)
+            steps = np.arange(len(track.values))[-len(usage) :]
+            drawn = track.value_at(usage[:, facet], facet, steps)
+            assert drawn == pytest.approx(track.values[steps], abs=DRAWN)
 
 
 def test_the_coupling_of_inputs_to_errors_has_panels_of_its_own(uncertified, played):

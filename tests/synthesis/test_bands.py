@@ -42,7 +42,7 @@ def design(problem):
 def test_the_mpc_is_certified_for_the_robot_and_confirmed_in_rationals(design):
     assert design.certificate.failing == []
     assert recheck(design).holds
-    assert any("known 5 periods" in words for words in design.certificate.assumptions)
+    assert any("known 8 periods" in words for words in design.certificate.assumptions)
 
 
 def test_every_schedule_has_its_bands_gain(problem, design):
