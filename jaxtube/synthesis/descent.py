@@ -20,8 +20,8 @@ import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize, nnls
 
-from jaxtube.synthesis.banded_estimate import BandedActive, BandedEstimate
-from jaxtube.synthesis.estimate import CAP_ROWS, LIMIT_ROWS, Active, Estimate
+from jaxtube.synthesis.banded_estimate import BandedEstimate
+from jaxtube.synthesis.estimate import CAP_ROWS, LIMIT_ROWS, Estimate
 
 ROWS = (*CAP_ROWS, *LIMIT_ROWS)
 """Names of all rows of a problem without bands, in the order of the program's."""
@@ -157,7 +157,7 @@ class _Rows:
     def __init__(self, estimate: AnyEstimate):
         self.estimate = estimate
         self._count = len(estimate.cap_rows) + len(estimate.limit_rows)
-        self._corners: Any = None
+        self._corners: Any = None  # as the estimate has them
 
     def slack(self, point: Float[np.ndarray, " k+2"]) -> Float[np.ndarray, " rows"]:
         """Return the slack of every row, `MISSED` where the loops have no bounded tube."""
@@ -179,7 +179,7 @@ class _Rows:
         return ((slacks[1:] - slacks[0]) / DIFFERENCE).T
 
     def _slack_nearby(
-        self, points: Float[np.ndarray, "n k+2"], active: Active | BandedActive
+        self, points: Float[np.ndarray, "n k+2"], active: Any
     ) -> Float[np.ndarray, "n rows"]:
         shares = self.estimate.shares_nearby(points[:, :-2], active)
         filled = points[:, -2:-1] - np.log(shares.caps)

@@ -97,8 +97,8 @@ def optimise(
         if descent is not None:
             best = descent if best is None else min(best, descent, key=get_objective)
         on_progress(np.inf if best is None else describe(best).ratio)
-    may_follow = near is None and isinstance(estimate, Estimate)
-    if may_follow and (best is None or not describe(best).holds):
+    is_missing = best is None or not describe(best).holds
+    if near is None and is_missing and isinstance(estimate, Estimate):
         for descent in follow(estimate):
             best = descent if best is None else min(best, descent, key=get_objective)
             on_progress(describe(best).ratio)
