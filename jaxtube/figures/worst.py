@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any, NamedTuple
 
 import jax
@@ -51,6 +52,8 @@ SETTLED_DIAMOND: dict[str, Any] = {
 BEFORE_S = 2.0
 AFTER_S = 0.6
 """Seconds of the path that are shown before and after the worst step."""
+LABEL_WIDTH = 16
+"""Characters of an ordinate's label in a line: longer ones would run into the next panel's."""
 ATTACK_S = 10.0
 """Seconds of the attack that are shown before the worst step."""
 
@@ -154,7 +157,7 @@ def worst_run(
     tracks = make_tracks(problem, limits, name, played)
     strips = _make_strips(worst)
     settled = _find_settled(problem, name, worst, reaches[0][name]) if reaches else None
-    figure = page_figure(3.3 + 0.16 * len(strips))
+    figure = page_figure(max(3.3 + 0.16 * len(strips), 1.5 + 0.95 * len(tracks)))
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
     left, right = halves
     panels = left.subplots(len(tracks), 1, sharex=True)
@@ -226,7 +229,7 @@ def _draw_track(axes: Axes, track: Track, worst: Worst, dt: float, last: int) ->
         else:
             axes.step(instants, bound[: last + 1], where="post", **LIMIT)
     axes.axvline(worst.step * dt, color=WORST, linewidth=0.8)
-    axes.set_ylabel(track.label)
+    axes.set_ylabel(textwrap.fill(track.label, LABEL_WIDTH))
     axes.margins(x=0.01)
 
 

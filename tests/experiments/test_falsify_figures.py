@@ -74,7 +74,7 @@ def test_the_coupling_of_inputs_to_errors_has_panels_of_its_own(uncertified, pla
     worst = make_worst(design, "input")
     figure = worst_run(design.problem, limits, worst, played)
     assert_presentable(figure)
-    labels = [axes.get_ylabel() for axes in figure.axes]
+    labels = [axes.get_ylabel().replace("\n", " ") for axes in figure.axes]
     assert "coupled cap, outwards [rad/s]" in labels
     assert "coupled cap, inwards [rad/s]" in labels
 
