@@ -207,6 +207,8 @@ def test_wheel_speeds_that_jump_stay_in_their_box_and_reach_its_corners():
     assert np.mean(np.all(at_end, axis=1)) > 0.2
     other = jumps(0.2, 1.5, 30.0, 0.1, 6, 0.5, seed=2)
     assert not np.array_equal(other.wheels, reference.wheels)
+    longer = jumps(0.2, 1.5, 40.0, 0.1, 10, 0.5, seed=1)
+    np.testing.assert_array_equal(longer.wheels[: len(reference.wheels)], reference.wheels)
 
 
 @pytest.mark.parametrize(
