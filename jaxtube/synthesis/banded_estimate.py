@@ -58,20 +58,20 @@ class TubeData(NamedTuple):
 class BandedEstimate:
     """The shares of a problem with bands at points; as `Estimate`, in natural units.
 
-    A start counts for the bands of the first plan alone.
+    A start counts for the bands of the first plan alone; of a reference whose speeds jump, for all:
+    any may come first.
     """
 
     def __init__(self, problem: Problem):
         self.problem = problem
         ends = list_ends(problem.scenario)
-        first_plan = rule_of_bands(problem.scenario).number(problem.schedule[: problem.horizon])
+        first = _list_first_bands(problem)
         self.bands = []
         for number, (band, of_band) in enumerate(
             zip(split_bands(problem), pairwise(ends), strict=True)
         ):
             estimate = _estimate_band(band, *of_band)
-            starts_here = number in first_plan
-            self.bands.append(estimate if starts_here else estimate.from_the_path())
+            self.bands.append(estimate if number in first else estimate.from_the_path())
         self.units = self.bands[0].units
         self._set_ring(self.bands[0].ring)
         each = range(1, len(self.bands) + 1)
@@ -220,6 +220,15 @@ class BandedEstimate:
             np.concatenate(images, axis=1),
             np.concatenate([shared_rows, *own_rows], axis=1),
         )
+
+
+def _list_first_bands(problem: Problem) -> set[int]:
+    """Return the bands that a start is made in."""
+    scenario = problem.scenario
+    if scenario.reference.shape == "jumps":
+        return set(range(len(scenario.operating.bands)))
+    first_plan = problem.schedule[: problem.horizon]
+    return set(rule_of_bands(scenario).number(first_plan).tolist())
 
 
 def _estimate_band(band: Problem, slowest: float, fastest: float) -> Estimate:
