@@ -1,7 +1,5 @@
-"""Of `certified_wide`: in how many windows of references that jump the paper's start has a plan, and
-that a longer horizon takes none away."""
-
-import dataclasses
+"""Of `certified_wide`: in how many windows of references that jump the paper's start has a plan,
+and that a longer horizon takes none away."""
 
 import numpy as np
 import pytest
