@@ -19,6 +19,8 @@ DRIVE = {
     "reference.wheel_speed_min_mps": 0.85,
     "reference.shape": "jumps",
     "reference.duration_s": 4,
+    "initial.x_m": 0.08,
+    "initial.y_m": 0.08,
 }
 ROUNDING = 1e-9
 STEP = 1e-6

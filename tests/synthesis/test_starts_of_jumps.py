@@ -16,6 +16,10 @@ SEEDS = range(20)
 STRIDE = 12
 """Every so many periods a window is asked about."""
 HORIZONS = (5, 8)
+LEAST = 0.55
+"""Share of the windows; 60 % when it was measured."""
+BACKED_OFF = 1e-5
+"""Constraints are drawn in a little more for the solver where a plan is longer."""
 KNOWN = 16
 """Periods known ahead of the references, whichever horizon a plan has."""
 
@@ -36,25 +40,25 @@ def find_windows(horizon: int):
     return np.concatenate(windows)
 
 
-def find_started(made) -> np.ndarray:
-    """Return in which windows every measurement of the scenario's start has a plan."""
+def find_lacking(made) -> np.ndarray:
+    """Return by how much rows lack in every window before each measurement of the scenario's start
+    has a plan, at most 0 where it has."""
     problem = made.problem
     corners = problem.initial_error + noise_corners(problem)
     qps = LiveWindows(made).condense(find_windows(problem.horizon)).qps
     return np.array(
         [
-            all(shortfall(qps, window, corner) <= SHORT for corner in corners)
+            max(shortfall(qps, window, corner) for corner in corners)
             for window in range(len(qps.lower))
         ]
     )
 
 
 def test_the_papers_start_has_a_plan_in_most_windows_and_a_longer_horizon_keeps_them():
-    started = {
-        horizon: find_started(design(load("certified_wide", [f"controller.horizon={horizon}"])))
+    short, long = (
+        find_lacking(design(load("certified_wide", [f"controller.horizon={horizon}"])))
         for horizon in HORIZONS
-    }
-    shorter, longer = (started[horizon] for horizon in HORIZONS)
-    assert not np.any(shorter & ~longer)
-    assert np.mean(longer) > np.mean(shorter)
-    assert np.mean(longer) >= LEAST
+    )
+    assert np.all(long[short <= SHORT] <= BACKED_OFF)
+    assert np.mean(long <= SHORT) > np.mean(short <= SHORT)
+    assert np.mean(long <= SHORT) >= LEAST
