@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import textwrap
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
@@ -51,6 +52,8 @@ SETTLED_DIAMOND: dict[str, Any] = {
 BEFORE_S = 2.0
 AFTER_S = 0.6
 """Seconds of the path that are shown before and after the worst step."""
+LABEL_WIDTH = 16
+"""Characters of an ordinate's label in a line: longer ones would run into the next panel's."""
 ATTACK_S = 10.0
 """Seconds of the attack that are shown before the worst step."""
 
@@ -70,20 +73,23 @@ STRIPS = {
 class Track(NamedTuple):
     """One quantity against time with the two facets that bound it, in display units.
 
-    A usage of 0 is at the centre, 1 at a bound.
+    A usage of 0 is at the centre, 1 at a bound. Bounds may differ from step to step.
     """
 
     label: str
     values: Float[np.ndarray, " times"]
-    upper: float
-    lower: float
-    centre: float
+    upper: Float[np.ndarray, " times"]
+    lower: Float[np.ndarray, " times"]
+    centre: Float[np.ndarray, " times"]
     facets: tuple[int, int]
 
-    def value_at(self, usage: Float[np.ndarray, "*k"], facet: int) -> Float[np.ndarray, "*k"]:
-        """Return the values that use so much of one facet."""
+    def value_at(
+        self, usage: Float[np.ndarray, "*k"], facet: int, steps: Int[np.ndarray, "*k"]
+    ) -> Float[np.ndarray, "*k"]:
+        """Return the values that use so much of one facet at these steps."""
         bound = self.upper if facet == self.facets[0] else self.lower
-        return self.centre + usage * (bound - self.centre)
+        centre = self.centre[steps]
+        return centre + usage * (bound[steps] - centre)
 
 
 class SettledUsage(NamedTuple):
@@ -95,26 +101,25 @@ class SettledUsage(NamedTuple):
 
 
 def make_tracks(problem: Problem, limits: Limits, name: str, played: Replay) -> list[Track]:
-    """Return what the limit bounds; for a tube the errors of the lap up to the plan.
-
-    Of a limit that differs from step to step the bounds drawn are the widest, each on its own.
-    """
+    """Return what the limit bounds; for a tube the errors of the lap up to the plan."""
     shown = "error" if name == "tube" else name
     limit = limits[shown]
     values = played.trajectory.errors[:, 0] if shown == "error" else read_values(shown, played)
-    normals = np.asarray(limit.normals[0])
-    offsets = np.max(limit.offsets, axis=0)
+    stages = np.minimum(np.arange(len(values)), len(limit.offsets) - 1)
+    normals = np.asarray(limit.normals)[stages]
+    offsets = np.asarray(limit.offsets)[stages]
     centres = normals @ np.asarray(limit.centre)
-    side = len(offsets) // 2
+    along = np.einsum("tfn,tn->tf", normals, values)
+    side = offsets.shape[1] // 2
     labels = _labels(problem, shown)
     scales = TO_DISPLAY if shown == "error" else np.ones(side)
     return [
         Track(
             labels[i],
-            values @ normals[i] * scales[i],
-            offsets[i] * scales[i],
-            -offsets[i + side] * scales[i],
-            centres[i] * scales[i],
+            along[:, i] * scales[i],
+            offsets[:, i] * scales[i],
+            -offsets[:, i + side] * scales[i],
+            centres[:, i] * scales[i],
             (i, i + side),
         )
         for i in range(side)
@@ -128,7 +133,8 @@ def _labels(problem: Problem, name: str) -> list[str]:
         return ["right wheel [m/s]", "left wheel [m/s]"]
     if name == "acceleration":
         return ["right wheel's change [m/s]", "left wheel's change [m/s]"]
-    if problem.scenario.operating.yaw_rate_deficit_radps is not None:
+    operating = problem.scenario.operating
+    if operating.bands or operating.yaw_rate_deficit_radps is not None:
         return [f"{what} [{unit}]" for what, unit in CAPS]
     return ["right wheel's deficit [m/s]", "left wheel's deficit [m/s]"]
 
@@ -152,7 +158,7 @@ def worst_run(
     tracks = make_tracks(problem, limits, name, played)
     strips = _make_strips(worst)
     settled = _find_settled(problem, name, worst, reaches[0][name]) if reaches else None
-    figure = page_figure(3.3 + 0.16 * len(strips))
+    figure = page_figure(max(3.3 + 0.16 * len(strips), 1.5 + 0.95 * len(tracks)))
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
     left, right = halves
     panels = left.subplots(len(tracks), 1, sharex=True)
@@ -164,7 +170,8 @@ def worst_run(
         if name != "tube" and worst.facet in track.facets:
             axes.plot(worst.step * dt, track.values[worst.step], **WORST_DOT)
         if settled is not None and settled.facet in track.facets:
-            value = track.value_at(np.array(settled.usage), settled.facet)
+            place = np.array(settled.step)
+            value = track.value_at(np.array(settled.usage), settled.facet, place)
             axes.plot(settled.step * dt, value, **SETTLED_DIAMOND)
     panels[0].set_title(_title(problem, worst, settled))
     panels[-1].set_xlabel("time [s]")
@@ -207,19 +214,23 @@ def _draw_reaches(axes: Axes, track: Track, name: str, reaches, dt: float) -> No
     """Draw the values that all laps of a search, or of drawn ones, kept between."""
     upper_facet, lower_facet = track.facets
     for reach, (colour, alpha) in zip(reaches, REACHES.values(), strict=True):
-        instants = (_first_instant(name) + np.arange(len(reach[name]))) * dt
-        above = track.value_at(reach[name][:, upper_facet], upper_facet)
-        below = track.value_at(reach[name][:, lower_facet], lower_facet)
-        axes.fill_between(instants, below, above, color=colour, alpha=alpha, linewidth=0)
+        steps = _first_instant(name) + np.arange(len(reach[name]))
+        above = track.value_at(reach[name][:, upper_facet], upper_facet, steps)
+        below = track.value_at(reach[name][:, lower_facet], lower_facet, steps)
+        axes.fill_between(steps * dt, below, above, color=colour, alpha=alpha, linewidth=0)
 
 
 def _draw_track(axes: Axes, track: Track, worst: Worst, dt: float, last: int) -> None:
     """Draw one quantity up to a step, with its bounds and the worst step."""
-    axes.plot(np.arange(last + 1) * dt, track.values[: last + 1], color=RUN)
-    axes.axhline(track.upper, **LIMIT)
-    axes.axhline(track.lower, **LIMIT)
+    instants = np.arange(last + 1) * dt
+    axes.plot(instants, track.values[: last + 1], color=RUN)
+    for bound in (track.upper, track.lower):
+        if np.ptp(bound) == 0:
+            axes.axhline(bound[0], **LIMIT)
+        else:
+            axes.step(instants, bound[: last + 1], where="post", **LIMIT)
     axes.axvline(worst.step * dt, color=WORST, linewidth=0.8)
-    axes.set_ylabel(track.label)
+    axes.set_ylabel(textwrap.fill(track.label, LABEL_WIDTH))
     axes.margins(x=0.01)
 
 

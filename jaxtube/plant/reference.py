@@ -128,7 +128,8 @@ def jumps(
     """Build a reference whose wheel speeds jump anywhere in a box, from the origin with heading 0.
 
     A pair of speeds lasts a period in half of the cases, else up to LONGEST_STRETCH of them; in
-    half of the cases it is a corner of the box, else uniform in it.
+    half of the cases it is a corner of the box, else uniform in it. A longer run, or one of which
+    more is known ahead, begins with the same speeds.
 
     Args:
         slowest, fastest: least and greatest speed of each wheel, m/s.
@@ -144,11 +145,12 @@ def jumps(
     steps = count_periods(duration, dt)
     periods = steps + preview
     random = np.random.default_rng(seed)
-    lengths = random.integers(1, LONGEST_STRETCH + 1, periods)
-    lengths[random.random(periods) < 0.5] = 1
-    corners = random.integers(0, 2, (periods, 2))
-    inside = random.random((periods, 2))
-    shares = np.where(random.random((periods, 1)) < 0.5, corners, inside)
+    # Row by row, so that what comes later changes nothing before.
+    lasting, length, is_corner, *places = random.random((periods, 7)).T
+    lengths = np.where(lasting < 0.5, 1, 1 + (LONGEST_STRETCH * length).astype(int))
+    inside = np.stack(places[:2], axis=1)
+    corners = np.stack(places[2:], axis=1) < 0.5
+    shares = np.where(is_corner[:, None] < 0.5, corners, inside)
     wheels = np.repeat(slowest + shares * (fastest - slowest), lengths, axis=0)[:periods]
     made = from_wheels(wheels, dt, track_width)
     return Reference(made.wheels, made.poses, dt, steps)

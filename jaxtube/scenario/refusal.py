@@ -35,7 +35,8 @@ def refusal(source: str, key: str, value: Any, problem: str, cure: str) -> Scena
 
 
 def literal(value: Any) -> str:
-    """Return a value as a TOML literal; reading it back gives an equal value."""
+    """Return a value as a TOML literal; reading it back gives an equal value. Keys that have none
+    are left out of tables."""
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, str):
@@ -45,6 +46,7 @@ def literal(value: Any) -> str:
         entries = ", ".join(literal(entry) for entry in value)
         return f"[{entries}]"
     if isinstance(value, dict):
-        entries = ", ".join(f"{key} = {literal(entry)}" for key, entry in value.items())
+        given = {key: entry for key, entry in value.items() if entry is not None}
+        entries = ", ".join(f"{key} = {literal(entry)}" for key, entry in given.items())
         return f"{{{entries}}}"
     return repr(value) if isinstance(value, int | float) else str(value)

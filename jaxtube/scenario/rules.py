@@ -11,6 +11,7 @@ from jaxtube.scenario import reference_rules
 from jaxtube.scenario.error_box import noise_bounds
 from jaxtube.scenario.refusal import Refuse
 from jaxtube.scenario.tree import (
+    BandTable,
     ControllerTable,
     Operating,
     ReferenceTable,
@@ -190,6 +191,7 @@ def _check_bands(scenario: Scenario, refuse: Refuse) -> None:
     if not grow or not starts[-1] < fastest <= ends[-1]:
         cure = "let below_mps grow up to reference.wheel_speed_max_mps"
         refuse(key, f"end at {ends} m/s", cure)
+    _check_band_values(bands, refuse)
     if scenario.reference.certified_for == "path":
         refuse(key, "cover a box, not a path", 'set reference.certified_for = "box"')
     is_exact = controller.model == "exact_jacobian"
@@ -206,6 +208,18 @@ def _check_bands(scenario: Scenario, refuse: Refuse) -> None:
     if controller.tracking_gains or has_caps:
         cure = "leave out input caps and controller.tracking_gains"
         refuse(key, "bring their own caps and gains", cure)
+
+
+def _check_band_values(bands: tuple[BandTable, ...], refuse: Refuse) -> None:
+    """Refuse bands that have some of their caps and gains."""
+    missing = [band.list_missing() for band in bands]
+    is_bare = all(len(names) == len(BandTable.__struct_fields__) - 1 for names in missing)
+    lacking = [names[0] for names in missing if names]
+    if lacking and not is_bare:
+        cure = "give all caps and gains of every band, or of none for `design --optimise` to find"
+        refuse("operating.bands", f"lack {lacking[0]}", cure)
+    if any(len(band.tracking_gains) not in (0, 3) for band in bands):
+        refuse("operating.bands", "have tracking_gains that are not three", "give [k1, k2, k3]")
 
 
 def _check_gains(controller: ControllerTable, refuse: Refuse) -> None:

@@ -202,15 +202,19 @@ class Constraints(Table, frozen=True):
 
 class BandTable(Table, frozen=True):
     """Caps and tracking gains for mean reference wheel speeds up to `below_mps`, above those of the
-    band before."""
+    band before; all of them, or none in any band, for `design --optimise` to find."""
 
     below_mps: Positive
-    speed_deficit_min_mps: Negative
-    speed_deficit_max_mps: Positive
-    yaw_rate_deficit_radps: Positive
-    turning_longitudinal_m: Positive
-    turning_yaw_rate_radps: Positive
-    tracking_gains: tuple[Positive, Positive, Positive]
+    speed_deficit_min_mps: Negative | None = None
+    speed_deficit_max_mps: Positive | None = None
+    yaw_rate_deficit_radps: Positive | None = None
+    turning_longitudinal_m: Positive | None = None
+    turning_yaw_rate_radps: Positive | None = None
+    tracking_gains: tuple[Positive, ...] = ()
+
+    def list_missing(self) -> list[str]:
+        """Return the names of the caps and gains that are not given."""
+        return [name for name in self.__struct_fields__ if not getattr(self, name)]
 
 
 class Operating(Table, frozen=True):

@@ -18,6 +18,7 @@ Source: new.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 
@@ -37,6 +38,16 @@ COVER = 3
 """Boxes along the width of a band that cover it: more are tighter and take longer."""
 
 
+INPUT_CAPS = (
+    "speed_deficit_min_mps",
+    "speed_deficit_max_mps",
+    "yaw_rate_deficit_radps",
+    "turning_longitudinal_m",
+    "turning_yaw_rate_radps",
+)
+"""Caps that each band has."""
+
+
 def split_bands(problem: Problem) -> list[Problem]:
     """Return the problem of every band from slow to fast: its caps, its gain, and regions that
     cover it, for W to be bounded over."""
@@ -51,8 +62,7 @@ def join_bands(problem: Problem, bands: list[Problem]) -> Problem:
     upper = np.max([band.input_set.support(axes) for band in bands], axis=0)
     lower = -np.max([band.input_set.support(-axes) for band in bands], axis=0)
     input_set = Polytope.box(lower, upper)
-    rule = RegimesBySpeed(tuple(list_ends(problem.scenario)[1:]))
-    joined = with_regimes(problem, bands, rule)
+    joined = with_regimes(problem, bands, rule_of_bands(problem.scenario))
     return replace(joined, input_set=input_set, input_rows=InputRows.from_set(input_set))
 
 
@@ -69,6 +79,11 @@ def banded_gain(problem: Problem, numbers: Float[np.ndarray, "bands 3"]) -> Band
         corners=tuple(band_corners(problem.model, *of_band) for of_band in pairwise(ends)),
         band_regions=tuple(regime.regions for regime in problem.every_regime),
     )
+
+
+def rule_of_bands(scenario: Scenario) -> RegimesBySpeed:
+    """Return the rule that numbers the bands of a scenario."""
+    return RegimesBySpeed(tuple(list_ends(scenario)[1:]))
 
 
 def list_ends(scenario: Scenario) -> list[float]:
@@ -103,6 +118,29 @@ def with_band_alone(scenario: Scenario, index: int) -> Scenario:
         operating=change(scenario.operating, bands=(), **caps),
         controller=change(scenario.controller, tracking_gains=settings.tracking_gains),
     )
+
+
+def read_band_values(scenario: Scenario) -> tuple[float, ...]:
+    """Return the caps on inputs, the least speed deficit by its size, and the gains of every band,
+    one band after the other."""
+    return tuple(
+        value
+        for band in scenario.operating.bands
+        for value in (*(abs(getattr(band, name)) for name in INPUT_CAPS), *band.tracking_gains)
+    )
+
+
+def with_band_values(scenario: Scenario, values: Sequence[float]) -> Scenario:
+    """Return the scenario with caps and gains of its bands in the order of `read_band_values`."""
+    change = msgspec.structs.replace
+    count = len(INPUT_CAPS)
+    bands = []
+    by_band = np.reshape(values, (len(scenario.operating.bands), -1)).tolist()
+    for band, numbers in zip(scenario.operating.bands, by_band, strict=True):
+        caps = dict(zip(INPUT_CAPS, numbers[:count], strict=True))
+        caps["speed_deficit_min_mps"] *= -1
+        bands.append(change(band, **caps, tracking_gains=tuple(numbers[count:])))
+    return change(scenario, operating=change(scenario.operating, bands=tuple(bands)))
 
 
 def _covering_boxes(

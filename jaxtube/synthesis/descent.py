@@ -14,23 +14,19 @@ non-negative least squares of Lawson and Hanson 1974.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import minimize, nnls
 
-from jaxtube.synthesis.corners import CAPS_AND_GAINS, Corners
-from jaxtube.synthesis.estimate import CAP_ROWS, LIMIT_ROWS, Active, Estimate
+from jaxtube.synthesis.banded_estimate import BandedEstimate
+from jaxtube.synthesis.estimate import CAP_ROWS, LIMIT_ROWS, Estimate
 
 ROWS = (*CAP_ROWS, *LIMIT_ROWS)
-"""Names of all rows, in the order of the program's."""
+"""Names of all rows of a problem without bands, in the order of the program's."""
 REACH = 3.0
 """How far the search may go from its start, in logarithms."""
-SLOWEST_GAIN = 0.02
-"""Least T k1."""
-FASTEST_GAIN = 0.999
-"""Greatest T k1."""
 PENALTY = 20.0
 """What the logarithm of the excess costs, beside that of the ratio."""
 STEPS = 40
@@ -51,36 +47,32 @@ LEAST_SHARE = 1e-9
 """What counts for a share of nothing."""
 COST = np.array([1.0, PENALTY])
 """Slopes of the objective in logarithms of ratio and excess."""
-LEAST_OBSERVED = 0.01
-"""Least gain of an observer that is searched."""
+
+AnyEstimate = Estimate | BandedEstimate
 
 
 class Descent(NamedTuple):
     """Where a search from one start ended, by whose estimate, and the objective there."""
 
-    estimate: Estimate
+    estimate: AnyEstimate
     point: Float[np.ndarray, " k"]
     objective: float
 
 
-def descend(estimate: Estimate, start: Float[np.ndarray, " k"]) -> Descent | None:
+def descend(estimate: AnyEstimate, start: Float[np.ndarray, " k"]) -> Descent | None:
     """Solve the program from logarithms of caps and gains; None where the tube of the start is not
     bounded.
 
     A search that ends early, at a kink or far from its start, begins anew where it ended.
     """
-    gains = np.log(np.array([SLOWEST_GAIN, FASTEST_GAIN]) / estimate.period.dt)
-    start = start.copy()
-    start[8] = np.clip(start[8], *gains)
-    observed = (np.log(LEAST_OBSERVED), 0.0)
-    start[CAPS_AND_GAINS:] = np.clip(start[CAPS_AND_GAINS:], *observed)
+    ranges = estimate.ranges(len(start))
+    start = np.clip(start, *ranges)
     best = _judge(estimate.shaped_like(start), start)
     for _ in range(ROUNDS):
         if best is None:
             break
-        bounds = [(value - REACH, value + REACH) for value in best.point]
-        bounds[8] = (gains[0], gains[1])
-        bounds[CAPS_AND_GAINS:] = [observed] * (len(start) - CAPS_AND_GAINS)
+        near = best.point + np.array([[-REACH], [REACH]])
+        bounds = np.where(np.isfinite(ranges), ranges, near)
         found = _judge(best.estimate, _solve(best, bounds))
         if found is None or found.objective >= best.objective:
             break
@@ -91,7 +83,7 @@ def descend(estimate: Estimate, start: Float[np.ndarray, " k"]) -> Descent | Non
     return best
 
 
-def _solve(begun: Descent, bounds: list[tuple[float, float]]) -> Float[np.ndarray, " k"]:
+def _solve(begun: Descent, bounds: Float[np.ndarray, "2 k"]) -> Float[np.ndarray, " k"]:
     """Return the point where sequential quadratic programs from another one end."""
     rows = _Rows(begun.estimate)
     ends = find_ends(begun.estimate, begun.point)
@@ -102,7 +94,7 @@ def _solve(begun: Descent, bounds: list[tuple[float, float]]) -> Float[np.ndarra
         lambda point: float(cost @ point),
         start,
         jac=lambda point: cost,
-        bounds=[*bounds, (ends[0] - REACH, ends[0] + REACH), (0.0, ends[1] + REACH)],
+        bounds=[*bounds.T, (ends[0] - REACH, ends[0] + REACH), (0.0, ends[1] + REACH)],
         constraints={"type": "ineq", "fun": rows.slack, "jac": rows.slopes},
         method="SLSQP",
         options={"maxiter": STEPS, "ftol": SETTLED},
@@ -110,7 +102,7 @@ def _solve(begun: Descent, bounds: list[tuple[float, float]]) -> Float[np.ndarra
     return answer.x[:-2]
 
 
-def _judge(estimate: Estimate, point: Float[np.ndarray, " k"]) -> Descent | None:
+def _judge(estimate: AnyEstimate, point: Float[np.ndarray, " k"]) -> Descent | None:
     ends = find_ends(estimate, point)
     return None if ends is None else Descent(estimate, point, float(COST @ ends))
 
@@ -120,7 +112,9 @@ def _spread_cost(size: int) -> Float[np.ndarray, " k+2"]:
     return np.append(np.zeros(size - len(COST)), COST)
 
 
-def find_ends(estimate: Estimate, point: Float[np.ndarray, " k"]) -> Float[np.ndarray, "2"] | None:
+def find_ends(
+    estimate: AnyEstimate, point: Float[np.ndarray, " k"]
+) -> Float[np.ndarray, "2"] | None:
     """Return the logarithms of least ratio and excess at a point, None where its tube is not
     bounded."""
     shares = estimate.shares(point)
@@ -141,16 +135,14 @@ def find_pressures(descent: Descent) -> Float[np.ndarray, " rows"]:
     whole = np.array([*point, *ends])
     rows = _Rows(estimate)
     binds = np.flatnonzero(rows.slack(whole) < BINDING)
-    slopes = rows.slopes(whole)[binds]
-    fastest = np.log(FASTEST_GAIN / estimate.period.dt)
-    highest = np.full(len(point), np.inf)
-    highest[8] = fastest
-    highest[CAPS_AND_GAINS:] = 0.0
+    slopes_of_all = rows.slopes(whole)
+    slopes = slopes_of_all[binds]
+    highest = estimate.ranges(len(point))[1]
     touched = -np.eye(len(whole))[:-2][point > highest - BINDING]
     if ends[1] < BINDING:
         touched = np.vstack([touched, np.eye(len(whole))[-1]])
     multipliers, _ = nnls(np.vstack([slopes, touched]).T, _spread_cost(len(whole)))
-    pressures = np.zeros(len(ROWS))
+    pressures = np.zeros(len(slopes_of_all))
     pressures[binds] = multipliers[: len(binds)]
     return pressures
 
@@ -162,33 +154,32 @@ class _Rows:
     that were extreme so far.
     """
 
-    def __init__(self, estimate: Estimate):
+    def __init__(self, estimate: AnyEstimate):
         self.estimate = estimate
-        self._corners: Corners | None = None
+        self._count = len(estimate.cap_rows) + len(estimate.limit_rows)
+        self._corners: Any = None  # as the estimate has them
 
     def slack(self, point: Float[np.ndarray, " k+2"]) -> Float[np.ndarray, " rows"]:
         """Return the slack of every row, `MISSED` where the loops have no bounded tube."""
         if self._corners is None:
-            self._corners = self.estimate.corners.find(point[:-2])
+            self._corners = self.estimate.find_corners(point[:-2])
         active = self.estimate.find_active(point[:-2], self._corners)
         if active is None:
-            return np.full(len(ROWS), MISSED)
+            return np.full(self._count, MISSED)
         return self._slack_nearby(point[None], active)[0]
 
     def slopes(self, point: Float[np.ndarray, " k+2"]) -> Float[np.ndarray, "rows k+2"]:
         """Return the Jacobian of the slacks, by forward differences of what is active."""
-        corners = self.estimate.corners.find(point[:-2])
-        known = corners if self._corners is None else self._corners
-        self._corners = np.unique(np.concatenate([known, corners], axis=1), axis=1)
+        self._corners = self.estimate.find_corners(point[:-2], self._corners)
         active = self.estimate.find_active(point[:-2], self._corners)
         if active is None:
-            return np.zeros((len(ROWS), len(point)))
+            return np.zeros((self._count, len(point)))
         points = point + DIFFERENCE * np.vstack([np.zeros(len(point)), np.eye(len(point))])
         slacks = self._slack_nearby(points, active)
         return ((slacks[1:] - slacks[0]) / DIFFERENCE).T
 
     def _slack_nearby(
-        self, points: Float[np.ndarray, "n k+2"], active: Active
+        self, points: Float[np.ndarray, "n k+2"], active: Any
     ) -> Float[np.ndarray, "n rows"]:
         shares = self.estimate.shares_nearby(points[:, :-2], active)
         filled = points[:, -2:-1] - np.log(shares.caps)

@@ -318,8 +318,14 @@ def _refuse_wide_estimate(scenario: Scenario, size: Float[np.ndarray, "3"]) -> N
 def with_computed_bounds(problem: Problem) -> Problem:
     """Return the problem with W computed for the robot itself, by speed where it has bands; raises
     as `with_computed_bound`."""
-    if not problem.scenario.operating.bands:
+    bands = problem.scenario.operating.bands
+    if not bands:
         return with_computed_bound(problem)
+    if any(band.list_missing() for band in bands):
+        raise ScenarioError(
+            "scenario: operating.bands: have no caps and gains; give them, or let "
+            "`design --optimise` find them"
+        )
     return join_bands(problem, [with_computed_bound(band) for band in split_bands(problem)])
 
 

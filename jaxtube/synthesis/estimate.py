@@ -13,7 +13,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -46,6 +46,13 @@ RESERVE = 0.01
 corners."""
 SPEED_RESERVE = 0.003
 """Share by which the proved ground speed may pass that at corners."""
+
+SLOWEST_GAIN = 0.02
+"""Least T k1."""
+FASTEST_GAIN = 0.999
+"""Greatest T k1."""
+LEAST_OBSERVED = 0.01
+"""Least gain of an observer that is searched."""
 
 CAP_ROWS = (
     "longitudinal error",
@@ -96,6 +103,9 @@ class Estimate:
     All but `problem` is in natural units (`synthesis.natural`), points too.
     """
 
+    cap_rows: ClassVar[tuple[str, ...]] = CAP_ROWS
+    limit_rows: ClassVar[tuple[str, ...]] = LIMIT_ROWS
+
     def __init__(self, problem: Problem):
         self.problem = problem
         self.reserve = RESERVE
@@ -110,13 +120,21 @@ class Estimate:
         self.slowest = float(slowest.max())
         self.fastest = float(fastest.min()) / (1 + SPEED_RESERVE)
         stretched = [np.stack(model.stretched_box(*region)) for region in problem.regions]
-        h, c = model.turn_and_reach(region_corners(np.stack(stretched))).T
-        self.greatest_h = float(np.max(np.abs(h)))
-        self.extreme_c = np.array([c.min(), c.max()])
-        turns = np.abs(self.corners.schedules @ [1.0, -1.0])
-        self.yaw_rate = float(np.max(turns)) / model.track_width
+        self.model = model
+        self._set_speeds(self.corners.schedules, region_corners(np.stack(stretched)))
         self.start = np.abs(problem.initial_error)
         self.ring = Ring(self.error_limits[1] / self.error_limits[2])
+
+    def _set_speeds(
+        self, schedules: Float[np.ndarray, "k 2"], stretched: Float[np.ndarray, "v 2"]
+    ) -> None:
+        """Set the wheel speeds that loops are closed over: the hulls of these, the second one that
+        of the stretched speeds, in which loops are affine."""
+        h, c = self.model.turn_and_reach(stretched).T
+        self.greatest_h = float(np.max(np.abs(h)))
+        self.extreme_c = np.array([c.min(), c.max()])
+        turns = np.abs(schedules @ [1.0, -1.0])
+        self.yaw_rate = float(np.max(turns)) / self.model.track_width
 
     def to_point(self, values: Sequence[float]) -> Float[np.ndarray, " k"]:
         """Return caps and gains, in the order of `starts.caps_and_gains` and their own units, as a
@@ -134,6 +152,33 @@ class Estimate:
     def error_limits(self) -> Float[np.ndarray, "3"]:
         """What the noise leaves of the constraints."""
         return self.constraints - self.corners.noise
+
+    def ranges(self, size: int) -> Float[np.ndarray, "2 k"]:
+        """Return the least and the greatest value of each number of a point of this size, infinite
+        where a search sets none."""
+        ranges = np.tile([[-np.inf], [np.inf]], (1, size))
+        ranges[:, 8] = np.log(np.array([SLOWEST_GAIN, FASTEST_GAIN]) / self.period.dt)
+        ranges[:, CAPS_AND_GAINS:] = np.array([[np.log(LEAST_OBSERVED)], [0.0]])
+        return ranges
+
+    def over(
+        self, schedules: Float[np.ndarray, "k 2"], stretched: Float[np.ndarray, "v 2"]
+    ) -> Estimate:
+        """Return the same estimate, with loops closed over the hull of wheel speeds alone.
+
+        Args:
+            schedules: the wheel speeds.
+            stretched: whose hull holds them, stretched.
+        """
+        narrower = copy.copy(self)
+        narrower._set_speeds(schedules, stretched)
+        return narrower
+
+    def from_the_path(self) -> Estimate:
+        """Return the same estimate for a start without an error."""
+        started = copy.copy(self)
+        started.start = np.zeros(3)
+        return started
 
     def without_noise(self) -> Estimate:
         """Return the same estimate for poses that are measured exactly."""
@@ -186,30 +231,57 @@ class Estimate:
         active = self.find_active(point)
         return None if active is None else self.shares_nearby(point[None], active)
 
+    def find_corners(self, point: Float[np.ndarray, " k"], known: Corners | None = None) -> Corners:
+        """Return the corners that make W at a point, with those that are known."""
+        corners = self.corners.find(point)
+        if known is None:
+            return corners
+        return np.unique(np.concatenate([known, corners], axis=1), axis=1)
+
     def find_active(
         self, point: Float[np.ndarray, " k"], corners: Corners | None = None
     ) -> Active | None:
         """Return what makes W and the tube at a point, None where the tube is not bounded; of all
         corners, or of those given."""
-        if not abs(1 - self.period.dt * np.exp(point[8])) < 1:
-            return None
         points = point[None]
-        corners = self.corners.find(point) if corners is None else corners
-        steps, images, rows = self._tube_data(points, self.corners.disturbance(points, corners))
+        if not self.keeps_ahead(points):
+            return None
+        corners = self.find_corners(point) if corners is None else corners
+        w = self.corners.disturbance(points, corners)
+        steps, images, rows = self.tube_data(points, w, self.reach_ahead(points, w))
         policy = lateral_tube.settle(self.ring, images[0], steps[0], rows[0])
         return None if policy is None else Active(corners, policy)
 
     def shares_nearby(self, points: Float[np.ndarray, "n k"], active: Active) -> Shares:
         """Return the shares at points where the same corners and sides count."""
-        caps = read_caps(points)
         w = self.corners.disturbance(points, active.corners)
-        steps, images, rows = self._tube_data(points, w)
+        ahead = self.reach_ahead(points, w)
+        steps, images, rows = self.tube_data(points, w, ahead)
         supports = lateral_tube.solve(self.ring, active.policy, images, steps)
-        reach = lateral_tube.reach(self.ring, active.policy.rows, supports, rows)
-        reach_y, reach_heading, reach_turning = reach.T
-        k1 = np.exp(points[:, 8])
-        reach_x = w.box[:, 0] / (1 - np.abs(1 - self.period.dt * k1))
-        reach_speed = k1 * reach_x + self.yaw_rate * reach_y
+        sideways = lateral_tube.reach(self.ring, active.policy.rows, supports, rows)
+        return self.fill(points, w, np.column_stack([ahead, sideways]))
+
+    def keeps_ahead(self, points: Float[np.ndarray, "n k"]) -> bool:
+        """Whether k1 bounds the longitudinal error at every point."""
+        return bool(np.all(np.abs(1 - self.period.dt * np.exp(points[:, 8])) < 1))
+
+    def reach_ahead(
+        self, points: Float[np.ndarray, "n k"], w: EstimatedDisturbance
+    ) -> Float[np.ndarray, " n"]:
+        """Return how far the tube reaches in e_x, which decoupled gains leave to itself."""
+        return w.box[:, 0] / (1 - np.abs(1 - self.period.dt * np.exp(points[:, 8])))
+
+    def fill(
+        self,
+        points: Float[np.ndarray, "n k"],
+        w: EstimatedDisturbance,
+        reach: Float[np.ndarray, "n 4"],
+    ) -> Shares:
+        """Return the shares that a tube fills which reaches so far in e_x, e_y, e_th and along
+        (k2, k3)."""
+        caps = read_caps(points)
+        reach_x, reach_y, reach_heading, reach_turning = reach.T
+        reach_speed = np.exp(points[:, 8]) * reach_x + self.yaw_rate * reach_y
         filled = [
             reach_x / caps.longitudinal,
             reach_y / caps.lateral,
@@ -278,14 +350,22 @@ class Estimate:
             speed = np.maximum(speed, undone / np.minimum(caps.slower, caps.faster))
         return np.column_stack([at_start, turning, speed])
 
-    def _tube_data(self, points: Float[np.ndarray, "n k"], w: EstimatedDisturbance) -> tuple:
+    def tube_data(
+        self,
+        points: Float[np.ndarray, "n k"],
+        w: EstimatedDisturbance,
+        ahead: Float[np.ndarray, " n"],
+    ) -> tuple[
+        Float[np.ndarray, "n directions"],
+        Float[np.ndarray, "n loops directions 2"],
+        Float[np.ndarray, "n 3 2"],
+    ]:
         """Return one step's disturbance, the images of the directions and the rows of the caps, in
-        (e_y, e_th)."""
+        (e_y, e_th), where e_x reaches so far ahead."""
         T = self.period.dt
         directions = self.ring.directions
         k1, k2, k3 = np.exp(points[:, 8:CAPS_AND_GAINS]).T
-        contraction = np.abs(1 - T * k1)
-        drift = self.greatest_h * np.abs(2 - T * k1) * w.box[:, 0] / (1 - contraction)
+        drift = self.greatest_h * np.abs(2 - T * k1) * ahead
         kick = np.abs(np.outer(w.lateral_per_yaw, directions[:, 0]) + directions[:, 1])
         box = np.stack([w.box[:, 1] + drift, w.box[:, 2]], axis=1)
         steps = w.yaw[:, None] * kick + box @ np.abs(directions).T

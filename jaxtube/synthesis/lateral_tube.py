@@ -3,7 +3,8 @@
     h_i = s_i + max over loops j of  alpha_ij h_a + beta_ij h_(a+1)
     Phi_j^T d_i = alpha_ij d_a + beta_ij d_(a+1),    alpha, beta >= 0,    a = a(i, j)
 
-h_i is the support number along direction d_i, s_i that of one step's disturbance. The set is
+h_i is the support number along direction d_i, s_i that of one step's disturbance, which may be
+another one with every loop: s_ij then stands inside the max. The set is
 symmetric, so half a turn of directions is enough. For a fixed choice of loops j(i) the equations
 are linear; the choice with the largest right-hand sides is solved anew until none is larger. A
 solution with all h > 0 = s - (h - M h) bounds the set; another one says that the loops have no
@@ -93,7 +94,7 @@ class Ring:
 def settle(
     ring: Ring,
     images: Float[np.ndarray, "loops directions 2"],
-    steps: Float[np.ndarray, " directions"],
+    steps: Float[np.ndarray, "*loops directions"],
     rows: Float[np.ndarray, "rows 2"],
 ) -> Policy | None:
     """Return the choice of loops that carries the tube, None where it is not bounded.
@@ -101,20 +102,23 @@ def settle(
     Args:
         ring: the directions.
         images: Phi_j^T d_i.
-        steps: support numbers of one step's disturbance, positive.
+        steps: support numbers of one step's disturbance, positive; of each loop's own where there
+            is an axis of loops.
         rows: directions whose support numbers are wanted as well.
     """
     cones = ring.locate(images)
     alpha, beta = ring.shares(images, cones)
     following = (cones.first + 1) % HALF_TURN
     places = np.arange(HALF_TURN)
+    steps = np.broadcast_to(steps, alpha.shape)
     loops = np.argmax(alpha + beta, axis=0)
     policy = Policy(loops, cones, ring.locate(rows))
     for _ in range(MOST_POLICIES):
-        supports = solve(ring, policy, images[None], steps[None])[0]
+        chosen = steps[policy.loops, places]
+        supports = solve(ring, policy, images[None], chosen[None])[0]
         if not np.all(supports > 0):
             return None
-        reach = alpha * supports[cones.first] + beta * supports[following]
+        reach = steps + alpha * supports[cones.first] + beta * supports[following]
         best = np.argmax(reach, axis=0)
         gained = reach[best, places] - reach[policy.loops, places]
         if np.all(gained <= SETTLED * supports):
@@ -129,7 +133,8 @@ def solve(
     images: Float[np.ndarray, "n loops directions 2"],
     steps: Float[np.ndarray, "n directions"],
 ) -> Float[np.ndarray, "n directions"]:
-    """Return the support numbers under a choice of loops, NaN where they have none."""
+    """Return the support numbers under a choice of loops, NaN where they have none; `steps` are
+    those of the loops chosen."""
     places = np.arange(HALF_TURN)
     chosen = Cones(
         policy.images.first[policy.loops, places], policy.images.sign[policy.loops, places]

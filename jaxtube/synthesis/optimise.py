@@ -5,6 +5,8 @@ what it may use.
               R the minimal RPI set of the gains
 
 over the caps of the measured error, of the inputs, of |e_x| / a + |u2| / b <= 1, and (k1, k2, k3).
+Of several bands of speed those of every band are chosen at once, and R is the one set of all of
+them (`synthesis.banded_estimate`).
 Where pose noise takes much of the ratio, the gain of an observer is chosen with them. Wider caps
 admit a wider disturbance set W, narrower ones leave less room for it: the optimum is where all
 constraints that matter bind alike. On the way W and R are estimated (`synthesis.estimate`,
@@ -24,9 +26,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.scenario.tree import Scenario
+from jaxtube.synthesis.banded_estimate import BandedEstimate
 from jaxtube.synthesis.continuation import PATHS, follow
 from jaxtube.synthesis.corners import CAPS_AND_GAINS
-from jaxtube.synthesis.descent import Descent, descend
+from jaxtube.synthesis.descent import AnyEstimate, Descent, descend
 from jaxtube.synthesis.design import find_share_of_start, prepare
 from jaxtube.synthesis.disturbance import complete_problem, ground_speed_limits
 from jaxtube.synthesis.estimate import ACCURACY, Estimate
@@ -81,7 +84,7 @@ def optimise(
             only one.
 
     Where none of them ends with a design, an easier scenario's optimum is followed to this one
-    (`synthesis.continuation`).
+    (`synthesis.continuation`), unless it has bands.
 
     Returns:
         The best of all searches, an estimate: design the scenario to know its ratio and its
@@ -93,7 +96,7 @@ def optimise(
     """
     refuse_other_kinds(problem.scenario)
     _refuse_half_turns(problem)
-    estimate = Estimate(problem)
+    estimate = make_estimate(problem)
     best = None if near is None else descend(estimate, estimate.to_point(near))
     if best is not None and describe(best).holds:
         return _correct(best)
@@ -104,7 +107,8 @@ def optimise(
         if descent is not None:
             best = descent if best is None else min(best, descent, key=get_objective)
         on_progress(np.inf if best is None else describe(best).ratio)
-    if near is None and (best is None or not describe(best).holds):
+    is_missing = best is None or not describe(best).holds
+    if near is None and is_missing and isinstance(estimate, Estimate):
         for descent in follow(estimate):
             best = descent if best is None else min(best, descent, key=get_objective)
             on_progress(describe(best).ratio)
@@ -143,7 +147,12 @@ def _is_noisy(descent: Descent) -> bool:
     the scenario gives nor the search has."""
     estimate = descent.estimate
     has_observer = estimate.problem.scenario.controller.has_observer
-    if has_observer or len(descent.point) > CAPS_AND_GAINS or not estimate.corners.noise.any():
+    if (
+        has_observer
+        or isinstance(estimate, BandedEstimate)
+        or len(descent.point) > CAPS_AND_GAINS
+        or not estimate.corners.noise.any()
+    ):
         return False
     shares = estimate.shares(descent.point)
     quiet = estimate.without_noise().shares(descent.point)
@@ -166,7 +175,7 @@ def optimise_nearby(problem: Problem, near: Sequence[float]) -> Optimum | None:
     """
     refuse_other_kinds(problem.scenario)
     _refuse_half_turns(problem)
-    estimate = Estimate(problem)
+    estimate = make_estimate(problem)
     descent = descend(estimate, estimate.to_point(near))
     return None if descent is None else describe(descent)
 
@@ -174,8 +183,8 @@ def optimise_nearby(problem: Problem, near: Sequence[float]) -> Optimum | None:
 def wheel_excess(problem: Problem) -> float:
     """Return by what factor the greatest ground speed that may be commanded passes what the wheels
     can make of it."""
-    assert problem.disturbance_bound is not None
-    greatest = problem.disturbance_bound.ground_speeds[1]
+    assert problem.ground_speeds is not None
+    greatest = problem.ground_speeds[1]
     return float(np.max(greatest / ground_speed_limits(problem)[1]))
 
 
@@ -189,7 +198,8 @@ def wheel_shortfall(problem: Problem) -> float:
 
 
 def can_optimise(scenario: Scenario) -> bool:
-    """Return whether caps and gains of a scenario of this kind can be searched."""
+    """Return whether caps and gains of a scenario of this kind can be searched quickly: those of
+    bands take minutes."""
     return _find_kind(scenario) == KIND and not scenario.operating.bands
 
 
@@ -215,6 +225,11 @@ def _find_kind(scenario: Scenario) -> tuple[str, ...]:
     )
 
 
+def make_estimate(problem: Problem) -> AnyEstimate:
+    """Return the estimate of a problem, with bands or without."""
+    return BandedEstimate(problem) if problem.scenario.operating.bands else Estimate(problem)
+
+
 def _correct(descent: Descent) -> Optimum:
     """Return the optimum whose wheels keep their limits by the rigorous bound, and whose start has
     a plan, where that can be had."""
@@ -236,7 +251,7 @@ def _correct(descent: Descent) -> Optimum:
     return found
 
 
-def _leave_room(descent: Descent, asked: Estimate) -> Descent:
+def _leave_room(descent: Descent, asked: AnyEstimate) -> Descent:
     """Return a search whose caps leave what is proved of an estimate or of late poses, which may
     pass what corners show, enough of the constraints; the given one where none does."""
     given = descent
@@ -257,7 +272,7 @@ def _is_provable(found: Optimum) -> bool:
     return True
 
 
-def _spare_wheels(descent: Descent, asked: Estimate) -> Descent:
+def _spare_wheels(descent: Descent, asked: AnyEstimate) -> Descent:
     """Return a search whose wheels keep their limits by the rigorous bound, where it holds."""
     for correction in range(CORRECTIONS):
         found = describe(descent, asked)

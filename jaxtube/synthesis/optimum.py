@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from jaxtube.scenario.error_box import error_vector, noise_bounds
 from jaxtube.scenario.tree import Scenario
-from jaxtube.synthesis.descent import ROWS, Descent, find_pressures
-from jaxtube.synthesis.estimate import CAP_ROWS, LIMIT_ROWS, Estimate
+from jaxtube.synthesis.descent import AnyEstimate, Descent, find_pressures
+from jaxtube.synthesis.estimate import CAP_ROWS, LIMIT_ROWS
 from jaxtube.synthesis.starts import with_caps_and_gains
 
 LIMIT_ROOM = 1.001
@@ -33,8 +33,9 @@ class Optimum:
         scenario: with these caps and gains.
         ratio: largest share of a cap that the tube fills.
         excess: largest use of a limit by caps, start and wheels.
-        shares: of caps filled and of limits used, by `ROWS`.
-        pressures: by `ROWS`, as of `descent.find_pressures`.
+        shares: of caps filled and of limits used, by row.
+        pressures: by row, as of `descent.find_pressures`.
+        cap_rows, limit_rows: names of the rows; of several bands those of each.
     """
 
     scenario: Scenario
@@ -42,6 +43,8 @@ class Optimum:
     excess: float
     shares: dict[str, float]
     pressures: dict[str, float]
+    cap_rows: tuple[str, ...] = CAP_ROWS
+    limit_rows: tuple[str, ...] = LIMIT_ROWS
 
     @property
     def keeps_limits(self) -> bool:
@@ -56,28 +59,28 @@ class Optimum:
     @property
     def pressing(self) -> list[str]:
         """The limits that hold the caps down, the most pressing first."""
-        limits = sorted(LIMIT_ROWS, key=lambda row: -self.pressures[row])
+        limits = sorted(self.limit_rows, key=lambda row: -self.pressures[row])
         return [row for row in limits if self.pressures[row] > PRESSING]
 
     @property
     def binding(self) -> str:
         """The row that binds most: a limit that holds the caps down, where there is one."""
-        return max(self.pressing[:1] or CAP_ROWS, key=lambda row: self.pressures[row])
+        return max(self.pressing[:1] or self.cap_rows, key=lambda row: self.pressures[row])
 
     def describe_binding(self) -> str:
         """Return what binds, in words: the limit that is passed, or the cap that is filled most and
         the limits that hold the caps down."""
         if not self.keeps_limits:
-            worst = max(LIMIT_ROWS, key=lambda row: self.pressures[row])
+            worst = max(self.limit_rows, key=lambda row: self.pressures[row])
             return f"every choice of caps passes a limit, {worst} by {self.excess - 1:.1%} at best"
-        cap = max(CAP_ROWS, key=lambda row: self.pressures[row])
+        cap = max(self.cap_rows, key=lambda row: self.pressures[row])
         shown = self.pressing[:SHOWN]
         verb = "hold" if len(shown) > 1 else "holds"
         held = f"; {' and '.join(shown)} {verb} the caps down" if shown else ""
         return f"the tube fills {self.ratio:.1%} of its caps, above all of the {cap}{held}"
 
 
-def describe(descent: Descent, asked: Estimate | None = None) -> Optimum:
+def describe(descent: Descent, asked: AnyEstimate | None = None) -> Optimum:
     """Return what a search has found, judged by the estimate of what was asked for; the search may
     have been stricter."""
     judge = descent.estimate if asked is None else asked.shaped_like(descent.point)
@@ -85,12 +88,15 @@ def describe(descent: Descent, asked: Estimate | None = None) -> Optimum:
     assert shares is not None
     values = np.concatenate([shares.caps[0], shares.limits[0]])
     pressures = find_pressures(descent)
+    rows = (*judge.cap_rows, *judge.limit_rows)
     return Optimum(
         _with_values(judge.problem.scenario, judge.to_values(descent.point)),
         float(shares.caps.max()),
         float(shares.limits.max()),
-        dict(zip(ROWS, map(float, values), strict=True)),
-        dict(zip(ROWS, map(float, pressures), strict=True)),
+        dict(zip(rows, map(float, values), strict=True)),
+        dict(zip(rows, map(float, pressures), strict=True)),
+        judge.cap_rows,
+        judge.limit_rows,
     )
 
 

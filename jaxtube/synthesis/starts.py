@@ -19,9 +19,14 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from jaxtube.scenario.tree import Operating, Scenario
+from jaxtube.scenario.tree import BandTable, Operating, Scenario
+from jaxtube.synthesis.banded_estimate import BandedEstimate
+from jaxtube.synthesis.bands import read_band_values, with_band_values
 from jaxtube.synthesis.corners import CAPS_AND_GAINS, NAMES
 from jaxtube.synthesis.estimate import Estimate
+
+ERRORS = 3
+"""Caps of the error, the first of `NAMES`."""
 
 
 class Damping(NamedTuple):
@@ -59,8 +64,10 @@ FASTEST_TURN = 3.0
 """Yaw rate deficit at most, rad in a period."""
 
 
-def make_starts(estimate: Estimate) -> list[Float[np.ndarray, " 11"]]:
+def make_starts(estimate: Estimate | BandedEstimate) -> list[Float[np.ndarray, " k"]]:
     """Return starts as logarithms of caps and gains, those first that miss least."""
+    if isinstance(estimate, BandedEstimate):
+        return _make_banded_starts(estimate)
     made = [_grow_caps(estimate, damping) for damping in DAMPINGS]
     judged = []
     for start in made:
@@ -70,9 +77,24 @@ def make_starts(estimate: Estimate) -> list[Float[np.ndarray, " 11"]]:
     return [start for _, start in sorted(judged, key=lambda pair: pair[0])]
 
 
+def _make_banded_starts(estimate: BandedEstimate) -> list[Float[np.ndarray, " k"]]:
+    """Return the start that each band alone would have, with the widest caps of the error among
+    them; none where some band has none."""
+    alone = [make_starts(band)[:1] for band in estimate.bands]
+    if not all(alone):
+        return []
+    points = np.concatenate(alone)
+    return [np.append(points[:, :ERRORS].max(axis=0), points[:, ERRORS:])]
+
+
 def caps_and_gains(scenario: Scenario) -> tuple[float, ...] | None:
     """Return the scenario's own caps, tracking gains and observer's gain, where it has one, as a
-    start of the search; None where caps or tracking gains are missing."""
+    start of the search; of bands those of each after the caps of the error. None where caps or
+    tracking gains are missing."""
+    if scenario.operating.bands:
+        errors = [getattr(scenario.operating, name) for name in NAMES[:ERRORS]]
+        is_bare = any(band.list_missing() for band in scenario.operating.bands)
+        return None if is_bare or None in errors else (*errors, *read_band_values(scenario))
     caps = [getattr(scenario.operating, name) for name in NAMES]
     settings = scenario.controller
     if None in caps or not settings.tracking_gains:
@@ -83,6 +105,11 @@ def caps_and_gains(scenario: Scenario) -> tuple[float, ...] | None:
 
 def with_caps_and_gains(scenario: Scenario, values: Sequence[float]) -> Scenario:
     """Return the scenario with caps and gains in the order of a point of the search."""
+    if scenario.operating.bands:
+        errors = dict(zip(NAMES, values[:ERRORS], strict=False))
+        operating = msgspec.structs.replace(scenario.operating, **errors)
+        widened = msgspec.structs.replace(scenario, operating=operating)
+        return with_band_values(widened, values[ERRORS:])
     caps = dict(zip(NAMES, values[:8], strict=True))
     caps["speed_deficit_min_mps"] *= -1
     gains = {"tracking_gains": tuple(values[8:CAPS_AND_GAINS])}
@@ -100,7 +127,9 @@ def without_caps(scenario: Scenario) -> Scenario:
     """Return the scenario without the caps and gains that a search replaces."""
     return msgspec.structs.replace(
         scenario,
-        operating=Operating(),
+        operating=Operating(
+            bands=tuple(BandTable(below_mps=band.below_mps) for band in scenario.operating.bands)
+        ),
         controller=msgspec.structs.replace(scenario.controller, tracking_gains=()),
     )
 

@@ -6,7 +6,8 @@
 
 Whoever uses a tube asks it: for its support numbers, window by window, for the inputs it takes, and
 whether it follows the reference. As a sequence it is its sections R_0 .. R_N; where these differ
-from window to window, those of the window with the widest lateral reach.
+from window to window, those of the window with the widest lateral reach whose plan the reference
+follows to its end.
 
 Sources: Gonzalez, Fiacchini, Guzman, Alamo 2009, eqs. (26)-(27) (`paper`); Chisci, Rossiter, Zappa
 2001 (restarted tubes).
@@ -190,14 +191,21 @@ def support_windows(
 
 def find_widest_window(problem: ControlProblem, windows: Windows) -> int:
     """Return the first window whose tube along the reference has the widest lateral reach; of a
-    linear system the widest as a share of E."""
+    linear system the widest as a share of E.
+
+    Windows that come only within the last horizon of the reference are left out, where there are
+    others: no plan of theirs is followed to its end.
+    """
     rows = np.array([[0.0, 1.0, 0.0]])
     if not isinstance(problem, Problem):
         E = problem.operating_set
         rows = E.normals / E.offsets[:, None]
     by_window = np.broadcast_to(rows, (len(windows.loops), *rows.shape))
     reach = support_windows(windows, problem.disturbances, by_window, problem.horizon).max(axis=1)
-    return int(np.argmax(reach >= (1 - SAME_REACH) * reach.max()))
+    plans_that_end = max(len(windows.index) - problem.horizon + 1, 0)
+    followed = windows.index[:plans_that_end] if plans_that_end else windows.index
+    widest = reach[followed].max()
+    return int(followed[reach[followed] >= (1 - SAME_REACH) * widest].min())
 
 
 def loop_slopes(gain: Gain) -> Float[np.ndarray, "3 3 3"] | None:

@@ -237,7 +237,7 @@ def make_tuner(
         ScenarioError: where the scenario gives no gains, or gains without a bounded tube, so that
             there is nothing to descend on; or has slips learnt.
     """
-    _refuse_untunable(scenario)
+    refuse_untunable(scenario)
     problem = complete_problem(scenario)
     try:
         parameters = make_parameters(problem, variables)
@@ -257,8 +257,12 @@ def make_tuner(
     return tuner
 
 
-def _refuse_untunable(scenario: Scenario) -> None:
-    """Refuse a scenario that has more than one gain or disturbance set, or another cost."""
+def refuse_untunable(scenario: Scenario) -> None:
+    """Refuse a scenario that has more than one gain or disturbance set, or another cost.
+
+    Raises:
+        ScenarioError: one line.
+    """
     if scenario.slip.is_learnt:
         raise ScenarioError(
             f"scenario: slip.change_per_s = {scenario.slip.change_per_s:g}: tuning knows one "

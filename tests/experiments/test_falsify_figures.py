@@ -63,8 +63,9 @@ def test_usage_is_drawn_where_the_run_that_uses_it_lies(scenario, name, uncertif
     usage = usage_of(limits, name, played)
     for track in make_tracks(design.problem, limits, name, played):
         for facet in track.facets:
-            drawn = track.value_at(usage[:, facet], facet)
-            assert drawn == pytest.approx(track.values[-len(usage) :], abs=DRAWN)
+            steps = np.arange(len(track.values))[-len(usage) :]
+            drawn = track.value_at(usage[:, facet], facet, steps)
+            assert drawn == pytest.approx(track.values[steps], abs=DRAWN)
 
 
 def test_the_coupling_of_inputs_to_errors_has_panels_of_its_own(uncertified, played):
@@ -73,7 +74,7 @@ def test_the_coupling_of_inputs_to_errors_has_panels_of_its_own(uncertified, pla
     worst = make_worst(design, "input")
     figure = worst_run(design.problem, limits, worst, played)
     assert_presentable(figure)
-    labels = [axes.get_ylabel() for axes in figure.axes]
+    labels = [axes.get_ylabel().replace("\n", " ") for axes in figure.axes]
     assert "coupled cap, outwards [rad/s]" in labels
     assert "coupled cap, inwards [rad/s]" in labels
 

@@ -10,14 +10,17 @@ from tolerances import ROUNDING
 
 from jaxtube.plant.reference import jumps
 from jaxtube.scenario import ScenarioError, load
+from jaxtube.synthesis.banded_estimate import BandedEstimate
 from jaxtube.synthesis.certificate.bands import find_band_gap
 from jaxtube.synthesis.certificate.certify import certify
 from jaxtube.synthesis.certificate.exact import recheck
 from jaxtube.synthesis.certificate.exact_regimes import make_exact_regimes
+from jaxtube.synthesis.certificate.fill import cap_shares, widest_tube
 from jaxtube.synthesis.certificate.robot import check_robot
 from jaxtube.synthesis.design import finish, prepare
 from jaxtube.synthesis.disturbance import complete_problem, kinematics, operation
 from jaxtube.synthesis.live import LiveWindows
+from jaxtube.synthesis.starts import caps_and_gains
 from jaxtube.synthesis.tightening import find_back_off
 from sets.exact import exact_row
 from sets.robot.disturbance import evaluate_disturbance
@@ -42,7 +45,7 @@ def design(problem):
 def test_the_mpc_is_certified_for_the_robot_and_confirmed_in_rationals(design):
     assert design.certificate.failing == []
     assert recheck(design).holds
-    assert any("known 5 periods" in words for words in design.certificate.assumptions)
+    assert any("known 8 periods" in words for words in design.certificate.assumptions)
 
 
 def test_every_schedule_has_its_bands_gain(problem, design):
@@ -81,6 +84,42 @@ def test_no_order_of_schedules_and_disturbances_leaves_the_terminal_set(problem,
         loop = design.tube_gain.loops_along(schedule)
         errors = errors @ loop.T + W[random.integers(len(W), size=len(errors))]
         assert np.max(errors @ omega.normals.T / omega.offsets) <= 1 + ROUNDING
+
+
+def test_one_tube_holds_all_bands_in_any_order_and_its_shares_are_told(problem, design):
+    """An opponent that picks band, loop and w anew in every period, those that promise most by the
+    tube itself, takes the lateral error nearly to the share that is told, and no further."""
+    shares = cap_shares(problem, design.tube_gain)
+    told = design.certificate.conditions["widest_tube_fits"]
+    assert told.holds and told.margin == pytest.approx(1 - max(shares.values()), abs=ROUNDING)
+    tube = widest_tube(problem, design.tube_gain)
+    assert tube is not None
+    lateral = np.array([0.0, 1.0, 0.0])
+    reached = 0.0
+    best = lateral.copy()
+    for _ in range(60):
+        steps = []  # backwards in time
+        for number, gain in enumerate(design.tube_gain.bands):
+            W = problem.disturbances[number]
+            steps += [(W.support(best[None])[0], loop) for loop in gain.loops]
+        pushed, loop = max(steps, key=lambda step: step[0] + np.abs(best @ step[1]).sum())
+        reached += pushed
+        best = best @ loop
+    used = reached / problem.operating_set.support(lateral[None])[0]
+    assert 0.95 * shares["lateral error"] <= used <= shares["lateral error"] + ROUNDING
+
+
+def test_the_estimate_of_a_search_is_close_to_the_rigorous_shares(problem, design):
+    rigorous = cap_shares(problem, design.tube_gain)
+    values = caps_and_gains(problem.scenario)
+    assert values is not None
+    estimate = BandedEstimate(problem)
+    point = estimate.to_point(values)
+    estimated = estimate.shaped_like(point).shares(point)
+    assert estimated is not None
+    assert estimated.caps.max() == pytest.approx(max(rigorous.values()), rel=0.03)
+    of_errors = [rigorous[f"{name} error"] for name in ("longitudinal", "lateral", "heading")]
+    np.testing.assert_allclose(estimated.caps[0, :3], of_errors, rtol=0.03)
 
 
 def test_disturbances_of_a_band_lie_in_its_w(problem, design):
@@ -168,6 +207,8 @@ def test_wheel_speeds_that_jump_stay_in_their_box_and_reach_its_corners():
     assert np.mean(np.all(at_end, axis=1)) > 0.2
     other = jumps(0.2, 1.5, 30.0, 0.1, 6, 0.5, seed=2)
     assert not np.array_equal(other.wheels, reference.wheels)
+    longer = jumps(0.2, 1.5, 40.0, 0.1, 10, 0.5, seed=1)
+    np.testing.assert_array_equal(longer.wheels[: len(reference.wheels)], reference.wheels)
 
 
 @pytest.mark.parametrize(

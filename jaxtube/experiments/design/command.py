@@ -26,7 +26,7 @@ from jaxtube.experiments.run.proof_line import write_proof
 from jaxtube.progress import announce, progress
 from jaxtube.reporting import laps as kept_laps
 from jaxtube.reporting.player import make_player
-from jaxtube.scenario.refusal import ScenarioError
+from jaxtube.scenario.refusal import ScenarioError, literal
 from jaxtube.scenario.tree import Operating, Scenario
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.rollout import Trajectory
@@ -55,11 +55,6 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     limits is refused before anything is computed, one without a plan after the run folder is
     complete: nothing that took long is lost. Only its laps are left out.
     """
-    if scenario.operating.bands and options.optimise:
-        raise ScenarioError(
-            "scenario: operating.bands: --optimise finds one set of caps, not bands; leave out one "
-            "of them"
-        )
     found = None
     if options.optimise:
         refuse_start_outside_limits(make_problem(_remove_caps(scenario)))
@@ -168,10 +163,18 @@ def scenario_lines(best: Optimum) -> str:
     lines = ["[operating]"]
     lines += [f"{name} = {cap}" for name, cap in caps.items() if isinstance(cap, float)]
     gains = list(best.scenario.controller.tracking_gains)
+    if best.scenario.operating.bands:
+        return "\n".join([*lines, *_band_lines(best.scenario)])
     lines += ["", "[controller]", f"tracking_gains = {gains}"]
     if best.scenario.controller.has_observer:
         lines.append(f"observer_gain = {list(best.scenario.controller.observer_gain)}")
     return "\n".join(lines)
+
+
+def _band_lines(scenario: Scenario) -> list[str]:
+    """Return bands as lines of a scenario file, a band each."""
+    bands = msgspec.to_builtins(scenario.operating.bands)
+    return ["bands = [", *(f"    {literal(band)}," for band in bands), "]"]
 
 
 def simulate_laps(made: Design, seed: int) -> Trajectory:

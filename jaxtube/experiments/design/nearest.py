@@ -43,7 +43,10 @@ def say_nearest(scenario: Scenario, options: Options) -> list[str]:
 
 
 def say_nearest_to(found: Optimum, options: Options) -> list[str]:
-    """Return sentences for the best caps and gains of a scenario that no design was found for."""
+    """Return sentences for the best caps and gains of a scenario that no design was found for; of
+    bands what binds alone, as no key scales their ends."""
+    if found.scenario.operating.bands:
+        return [f"at best {found.describe_binding()}"]
     with progress(SEARCHED, "searching the nearest that holds", "keys", starting="starting") as bar:
         nearest = find_nearest(found, bar.update)
     widened = say_what_widens(make_problem(found.scenario))

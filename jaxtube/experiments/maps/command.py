@@ -48,8 +48,14 @@ def run(scenario: Scenario, options: MapsOptions) -> int:
     """Run the command; an interrupted run goes on from the points in its folder.
 
     Raises:
-        ScenarioError: where the scenario has no caps, which two of the three designs need.
+        ScenarioError: where the scenario has no caps, which two of the three designs need, or caps
+            by speed, which none of them knows.
     """
+    if scenario.operating.bands:
+        raise ScenarioError(
+            "scenario: operating.bands: maps compares designs of one gain and one set of caps, not "
+            "of several by speed; choose --scenario certified, or leave out the bands"
+        )
     if scenario.operating.yaw_rate_deficit_radps is None:
         raise ScenarioError(
             "scenario: [operating] has no caps to compare designs under; choose --scenario "

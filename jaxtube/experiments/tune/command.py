@@ -27,7 +27,7 @@ from jaxtube.tuning.bar import DescentBar
 from jaxtube.tuning.judgement import HeldOutJudgement
 from jaxtube.tuning.run import Settings
 from jaxtube.tuning.tune import Tuned, assumption, run_tuner
-from jaxtube.tuning.tuner import Tuner, make_tuner
+from jaxtube.tuning.tuner import Tuner, make_tuner, refuse_untunable
 from jaxtube.tuning.watch import Stop
 
 SETTINGS = ("variables", "method", "evaluations", "laps", "held_out", "learning_rate", "patience")
@@ -35,6 +35,7 @@ SETTINGS = ("variables", "method", "evaluations", "laps", "held_out", "learning_
 
 def run(scenario: Scenario, options: TuneOptions) -> int:
     """Run the command; returns 3 where no iterate is certified, 2 where the descent broke off."""
+    refuse_untunable(scenario)
     announce("designing where tuning starts")
     tuner = make_tuner(
         scenario,

@@ -36,22 +36,20 @@ RING = 60
 
 
 def cap_shares(problem: Problem, gain: Gain) -> dict[str, float]:
-    """Return the share of each cap that the tube fills at its widest, by name, of several regimes
-    the largest of those that last; infinite where no bound was found."""
-    lasting = problem.rule.lasting(problem.horizon)
-    by_regime = [_regime_shares(problem.every_regime[regime], gain) for regime in lasting]
-    return {name: max(shares[name] for shares in by_regime) for name in by_regime[0]}
+    """Return the share of each cap that the tube fills at its widest, by name; infinite where no
+    bound was found.
 
-
-def _regime_shares(problem: Problem, gain: Gain) -> dict[str, float]:
-    """Return the shares of one regime."""
+    Of several regimes it is the one tube of all that last, in any order, and of each cap on inputs
+    the largest share over these regimes.
+    """
     E = problem.operating_set
     names = [*ERROR_NAMES, *input_names(problem)]
     tube = widest_tube(problem, gain)
     if tube is None:
         return dict.fromkeys(names, np.inf)
     of_errors = tube.support(E.normals) / E.offsets
-    of_inputs = np.max(find_input_shares(problem, gain, tube), axis=0)
+    lasting = list(problem.rule.lasting(problem.horizon))
+    of_inputs = np.max(find_input_shares(problem, gain, tube)[lasting], axis=0)
     shares = [*_take_larger_of_pairs(of_errors), *of_inputs]
     return dict(zip(names, map(float, shares), strict=True))
 
