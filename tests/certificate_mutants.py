@@ -78,7 +78,7 @@ def _change(place, key, random):
         del place[key]
 
 
-TREE = set("abcdefghijklmABCDEFGHIJKLM.")
+TREE = set("abcdefghijklm-.")
 
 
 def _is_number(entry) -> bool:

@@ -26,6 +26,8 @@ from jaxtube.scenario.error_box import error_vector
 from jaxtube.scenario.tree import Scenario, Slip
 from jaxtube.synthesis.bands import list_ends
 from jaxtube.synthesis.certificate.program import predict_rows
+from jaxtube.synthesis.disturbance import find_place, find_wheel_error_sizes, kinematics
+from jaxtube.synthesis.learnt_slips import count_periods, make_slip_observer
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.prediction import UNREACHED
 from jaxtube.synthesis.problem import Problem
@@ -37,11 +39,14 @@ from jaxtube.synthesis.proof_search import (
     prove_plans,
     prove_sets,
 )
+from sets.robot.driving import find_driving
 
 FILE = "certificate.json"
 FORMAT = "jaxtube certificate 1"
 BAND = "band {}"
 SET = "invariant set"
+SPEED_ROOM = 1e-6
+"""Share of a ground speed by which what is asked of wheels that learn may be passed."""
 CHECKED = {
     "controller.model": "exact_jacobian",
     "controller.input_map": "x_exact",
@@ -53,7 +58,6 @@ CHECKED = {
     "robot.obeys_at_once": True,
     "robot.wheel_acceleration_max_mps2": None,
     "slip.is_measured": False,
-    "slip.is_learnt": False,
 }
 """What the checker knows, by the scenario's fields."""
 
@@ -100,7 +104,7 @@ def describe_proof(design: Design, name: str = "") -> dict[str, Any]:
         prove_sets(certificate)
         if "plans" in certificate:
             prove_plans(certificate)
-    except load_checker(PROGRAMS[1]).Refused as refusal:
+    except load_checker("check_intervals.py").Refused as refusal:
         raise ValueError(f"design: its certificate cannot be written: {refusal}") from None
     return certificate
 
@@ -160,6 +164,8 @@ def _list_slips(slip: Slip, wheel: int) -> list[list[Fraction]]:
         bounds = slip_bounds(slip)
         ends = (slip.right, slip.left)[wheel]
         assert ends is not None
+        if slip.is_learnt:
+            return [[*map(Fraction, ends)] * 2]
         error = Fraction(float(bounds.absolute_error[wheel]))
         nominal = Fraction(float(bounds.nominal[wheel]))
         return [[*map(Fraction, ends), nominal - error, nominal + error]]
@@ -168,6 +174,22 @@ def _list_slips(slip: Slip, wheel: int) -> list[list[Fraction]]:
     if slip.random == "both":
         return [[*ends, *ends]]
     return [[*ends, nominal, nominal], [nominal, nominal, *ends]]
+
+
+def _describe_learning(problem: Problem) -> dict[str, Any]:
+    """Return what slips are learnt from, and the ground speeds (least, greatest) of each wheel."""
+    observer = make_slip_observer(problem)
+    wheels = find_driving(find_place(problem), kinematics(problem)).wheels
+    # Outwards: a bound is proved where there is room above it.
+    speeds = wheels + np.array([[-1.0], [1.0]]) * SPEED_ROOM * np.abs(wheels)
+    return {
+        "change": Fraction(observer.change),
+        "periods": Fraction(observer.periods),
+        "speeds": {
+            wheel: _list_fractions(speeds[:, index])
+            for index, wheel in enumerate(("right", "left"))
+        },
+    }
 
 
 def _describe_band(problem: Problem, name: str, regions: list) -> dict[str, Any]:
@@ -194,7 +216,19 @@ def _describe_band(problem: Problem, name: str, regions: list) -> dict[str, Any]
             "lean": Fraction(bound.lateral_per_yaw),
             "box": _list_fractions(bound.box),
         },
+        **_describe_age(problem),
     }
+
+
+def _describe_age(problem: Problem) -> dict[str, Any]:
+    """Return how many periods slips have been learnt in a regime, and how far ground speeds may
+    be off; nothing where no slip is learnt."""
+    if not problem.scenario.slip.is_learnt:
+        return {}
+    age = problem.periods_learnt
+    lasting = count_periods(problem.scenario)
+    losses = _list_fractions(find_wheel_error_sizes(problem))
+    return {"age": Fraction(lasting if age is None else age), "losses": losses}
 
 
 def _describe_set(polytope: Any) -> dict[str, Any]:
@@ -213,7 +247,9 @@ def _describe_design(design: Design) -> dict[str, Any]:
             zip(problem.every_regime, regions, strict=True), start=1
         )
     ]
+    learning = {"learning": _describe_learning(problem)} if problem.scenario.slip.is_learnt else {}
     return {
+        **learning,
         "bands": bands,
         "sets": _describe_set(design.terminal.invariant),
         "cost": {name: _list_fractions(matrix) for name, matrix in cost.items()},
@@ -223,7 +259,7 @@ def _describe_design(design: Design) -> dict[str, Any]:
 
 def _list_regions(problem: Problem) -> list[list]:
     """Return the regions of every band: of several bands one each, by the mean of wheel speeds."""
-    if problem.regimes:
+    if problem.scenario.operating.bands:
         low, high = problem.model.box
         _, *ends, _ = list_ends(problem.scenario)
         # Means that round to the end of a band belong to it.
@@ -236,7 +272,7 @@ def _list_regions(problem: Problem) -> list[list]:
         is_pair = np.array_equal(lower, upper)
         ends = lower if is_pair else [lower[0], upper[0], lower[0], upper[0]]
         regions.append(_list_fractions(ends))
-    return [regions]
+    return [regions] * len(problem.every_regime)
 
 
 def _describe_plans(design: Design) -> dict[str, Any]:
