@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.arguments import describe_type
@@ -179,17 +180,21 @@ def _list_slips(slip: Slip, wheel: int) -> list[list[Fraction]]:
 def _describe_learning(problem: Problem) -> dict[str, Any]:
     """Return what slips are learnt from, and the ground speeds (least, greatest) of each wheel."""
     observer = make_slip_observer(problem)
-    wheels = find_driving(find_place(problem), kinematics(problem)).wheels
-    # Outwards: a bound is proved where there is room above it.
-    speeds = wheels + np.array([[-1.0], [1.0]]) * SPEED_ROOM * np.abs(wheels)
+    slowest, fastest = find_driving(find_place(problem), kinematics(problem)).wheels
+    slowest = _level_wheels(problem.scenario.slip, -slowest * (1 - SPEED_ROOM))
+    fastest = _level_wheels(problem.scenario.slip, fastest * (1 + SPEED_ROOM))
+    speeds = np.stack([-slowest, fastest], axis=1)
     return {
         "change": Fraction(observer.change),
         "periods": Fraction(observer.periods),
-        "speeds": {
-            wheel: _list_fractions(speeds[:, index])
-            for index, wheel in enumerate(("right", "left"))
-        },
+        "speeds": dict(zip(("right", "left"), _list_fractions(speeds), strict=True)),
     }
+
+
+def _level_wheels(slip: Slip, bounds: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+    """Return upper bounds by wheel (right, left), the same of wheels that slip alike, which differ
+    by rounding: what turns right is then the mirror image of what turns left."""
+    return np.full(2, bounds.max()) if slip.right == slip.left else bounds
 
 
 def _describe_band(problem: Problem, name: str, regions: list) -> dict[str, Any]:
@@ -227,8 +232,11 @@ def _describe_age(problem: Problem) -> dict[str, Any]:
         return {}
     age = problem.periods_learnt
     lasting = count_periods(problem.scenario)
-    losses = _list_fractions(find_wheel_error_sizes(problem))
-    return {"age": Fraction(lasting if age is None else age), "losses": losses}
+    losses = _level_wheels(problem.scenario.slip, find_wheel_error_sizes(problem))
+    return {
+        "age": Fraction(lasting if age is None else age),
+        "losses": _list_fractions(losses),
+    }
 
 
 def _describe_set(polytope: Any) -> dict[str, Any]:

@@ -205,12 +205,14 @@ def list_assumptions(certificate):
             kind = "right, left" if len(region) == 2 else "least, greatest; of their mean as well"
             yield f"{band['name']}: reference wheel speeds {shown} m/s ({kind})"
     yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
+    yield "what is proved holds at the ends of periods, nothing in between"
     if "plans" not in certificate:
         yield "the law u = K e commands; the first measured error lies in the set of its band"
         return
     tolerance = float(certificate["plans"]["tolerance"])
     yield f"plans that command miss no row of their QP by more than {tolerance:.3g} of its length"
-    yield "a plan is found where there is one, in 64 bits; there is one for the first error"
+    yield "a plan is found where there is one, in 64 bits, and its first input is commanded"
+    yield "the first measured error lies within the caps of its band and has a plan"
 
 
 def main(path):

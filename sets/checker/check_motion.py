@@ -86,10 +86,12 @@ def find_motion(output, variables, constants):
     left = way - a * half_b
     if output in ("right", "left"):
         return right if output == "right" else left
-    kick = (right * d_r - left * d_l) * per_b
+    right_lost = right * d_r
+    left_lost = left * d_l
+    kick = (right_lost - left_lost) * per_b
     if output == "kick":
         return kick
-    lost = (right * d_r + left * d_l) * HALF
+    lost = (right_lost + left_lost) * HALF
     turn = a - kick
     back = -kick
     half_back = back * HALF

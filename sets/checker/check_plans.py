@@ -155,17 +155,20 @@ def list_successions(certificate):
     windows = [Window(certificate, window) for window in plans["windows"]]
     N = len(windows[0].stages)
     require(all(len(window.stages) == N for window in windows), "windows differ in length")
-    for now, after in sorted(set(pairwise(map(read_index, plans["sequence"])))):
+    sequence = [read_index(number) for number in plans["sequence"]]
+    # The last period ends in an error within the caps, too, but in no plan.
+    for now, after in [*sorted(set(pairwise(sequence))), (sequence[-1], None)]:
         window = windows[now]
-        following = windows[after]
+        following = window if after is None else windows[after]
         is_next = window.speeds[1:] == following.speeds[:-1]
         is_next &= window.bands[1:] == following.bands[:-1]
-        require(is_next, "windows do not follow each other")
+        require(is_next or after is None, "windows do not follow each other")
+        wanted = {} if after is None else following.accepted
         ends = [(window.reached["terminal", N, i, 1],) * 2 for i in range(len(window.terminal))]
         end_set = Set(window.terminal, ends, plans["terminal"]["extents"])
         errors = scale_all(following.bands[0]["errors"])
         caps = {("errors", 0, i, s): errors[i][0] for i in range(3) for s in (1, -1)}
-        for key, accepted in sorted({**following.accepted, **caps}.items()):
+        for key, accepted in sorted({**wanted, **caps}.items()):
             kind, j, i, sign = key
             on_u, on_e = following.find_row(kind, j, i)
             reached = window.reached.get((kind, j + 1, i, sign))
