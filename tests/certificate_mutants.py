@@ -22,6 +22,8 @@ HARMLESS = {
     "bands.gains": "other gains under which the set is invariant as well",
     "bands.regions": "other speeds for which everything is proved as well",
     "bands.disturbance": "another W, which is proved and which sets have room for",
+    "bands.losses": "other losses, which are proved and under which W holds as well",
+    "learning": "other changes of slips or speeds, from which as much is proved to be learnt",
     "bands.cells": "cells cut otherwise, each of which is proved",
     "sets.rows": "another set that is invariant as well",
     "sets.offsets": "another set that is invariant as well",
@@ -37,6 +39,15 @@ HARMLESS = {
     "plans.ends": "other multipliers that prove as much",
 }
 """What a changed certificate may be that is accepted, by what was changed; all else is refused."""
+PROOFS = (
+    "bands.cells",
+    "sets.extents",
+    "inclusions",
+    "inclusions.multipliers",
+    "plans.ends",
+    "name",
+)
+"""Parts that promise nothing, so that a certificate that is accepted promises what it did."""
 
 
 def mutate(certificate, random):

@@ -46,6 +46,8 @@ FILE = "certificate.json"
 FORMAT = "jaxtube certificate 1"
 BAND = "band {}"
 SET = "invariant set"
+LEVEL = 1e-12
+"""Share of a bound by which those of the two wheels may differ by rounding."""
 SPEED_ROOM = 1e-6
 """Share of a ground speed by which what is asked of wheels that learn may be passed."""
 CHECKED = {
@@ -181,8 +183,8 @@ def _describe_learning(problem: Problem) -> dict[str, Any]:
     """Return what slips are learnt from, and the ground speeds (least, greatest) of each wheel."""
     observer = make_slip_observer(problem)
     slowest, fastest = find_driving(find_place(problem), kinematics(problem)).wheels
-    slowest = _level_wheels(problem.scenario.slip, -slowest * (1 - SPEED_ROOM))
-    fastest = _level_wheels(problem.scenario.slip, fastest * (1 + SPEED_ROOM))
+    slowest = _level_wheels(-slowest * (1 - SPEED_ROOM))
+    fastest = _level_wheels(fastest * (1 + SPEED_ROOM))
     speeds = np.stack([-slowest, fastest], axis=1)
     return {
         "change": Fraction(observer.change),
@@ -191,10 +193,10 @@ def _describe_learning(problem: Problem) -> dict[str, Any]:
     }
 
 
-def _level_wheels(slip: Slip, bounds: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
-    """Return upper bounds by wheel (right, left), the same of wheels that slip alike, which differ
-    by rounding: what turns right is then the mirror image of what turns left."""
-    return np.full(2, bounds.max()) if slip.right == slip.left else bounds
+def _level_wheels(bounds: Float[np.ndarray, "2"]) -> Float[np.ndarray, "2"]:
+    """Return upper bounds by wheel (right, left), the same where they differ by rounding: what
+    turns right is then the mirror image of what turns left."""
+    return np.full(2, bounds.max()) if np.ptp(bounds) < LEVEL * np.abs(bounds).max() else bounds
 
 
 def _describe_band(problem: Problem, name: str, regions: list) -> dict[str, Any]:
@@ -232,7 +234,7 @@ def _describe_age(problem: Problem) -> dict[str, Any]:
         return {}
     age = problem.periods_learnt
     lasting = count_periods(problem.scenario)
-    losses = _level_wheels(problem.scenario.slip, find_wheel_error_sizes(problem))
+    losses = _level_wheels(find_wheel_error_sizes(problem))
     return {
         "age": Fraction(lasting if age is None else age),
         "losses": _list_fractions(losses),
