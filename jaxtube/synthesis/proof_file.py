@@ -50,6 +50,16 @@ LEVEL = 1e-12
 """Share of a bound by which those of the two wheels may differ by rounding."""
 SPEED_ROOM = 1e-6
 """Share of a ground speed by which what is asked of wheels that learn may be passed."""
+CHECKED_OF_MODEL = {
+    "controller.discretisation": "euler",
+    "controller.input_map": "paper",
+    "controller.restart": True,
+    "controller.has_observer": False,
+    "robot.obeys_at_once": True,
+    "robot.wheel_acceleration_max_mps2": None,
+    "slip.is_learnt": False,
+}
+"""What the checker knows of scenarios whose W is assumed, by their fields."""
 CHECKED = {
     "controller.model": "exact_jacobian",
     "controller.input_map": "x_exact",
@@ -99,14 +109,15 @@ def describe_proof(design: Design, name: str = "") -> dict[str, Any]:
     if unchecked:
         return {**head, "unchecked": unchecked}
     certificate = {**head, **_describe_robot(design.problem)}
-    certificate |= _describe_design(design)
+    is_of_model = concerns_model(scenario)
+    certificate |= _describe_model(design) if is_of_model else _describe_design(design)
     announce("proving the certificate for its file")
     try:
-        for band in certificate["bands"]:
-            prove_motions(certificate, band)
-        prove_sets(certificate)
-        if "plans" in certificate:
-            prove_plans(certificate)
+        if not is_of_model:
+            for band in certificate["bands"]:
+                prove_motions(certificate, band)
+            prove_sets(certificate)
+        prove_plans(certificate)
     except load_checker("check_intervals.py").Refused as refusal:
         raise ValueError(f"design: its certificate cannot be written: {refusal}") from None
     return certificate
@@ -115,14 +126,22 @@ def describe_proof(design: Design, name: str = "") -> dict[str, Any]:
 def list_unchecked(scenario: Scenario) -> dict[str, str]:
     """Return the fields of a scenario that the checker knows nothing of, with their values."""
     unchecked = {}
-    for field, known in CHECKED.items():
+    is_of_model = concerns_model(scenario)
+    for field, known in (CHECKED_OF_MODEL if is_of_model else CHECKED).items():
         table, key = field.split(".")
         value = getattr(getattr(scenario, table), key)
         if value != known:
             unchecked[field] = str(value)
-    if not (scenario.controller.tracking_gains or scenario.operating.bands):
+    has_gains = scenario.controller.tracking_gains or scenario.operating.bands
+    if not (has_gains or is_of_model):
         unchecked["controller.tracking_gains"] = "none"
     return unchecked
+
+
+def concerns_model(scenario: Scenario) -> bool:
+    """Return whether a scenario promises something of a linear model alone, whose W is assumed."""
+    is_assumed = scenario.disturbance.bound == "assumed"
+    return is_assumed and scenario.controller.model in ("paper", "consistent")
 
 
 def _write_numbers(value: Any) -> Any:
@@ -246,10 +265,60 @@ def _describe_set(polytope: Any) -> dict[str, Any]:
     return {SET: {"rows": rows, "offsets": _list_fractions(polytope.offsets)}}
 
 
+def _describe_cost(design: Design) -> dict[str, list]:
+    problem = design.problem
+    cost = {"P": design.cost.cost, "Q": problem.error_weight, "R": problem.input_weight}
+    return {name: _list_fractions(matrix) for name, matrix in cost.items()}
+
+
+def _describe_model(design: Design) -> dict[str, Any]:
+    """Return a linear model, its band, its cost and its QPs."""
+    problem = design.problem
+    (regions,) = _list_regions(problem)
+    corners = [
+        [[right, left] for right in (lower[0], upper[0]) for left in (lower[1], upper[1])]
+        for lower, upper in problem.regions
+    ]
+    laws = {"K": design.tube_gain, "G": design.terminal.gains}
+    band = {
+        "name": BAND.format(1),
+        "regions": regions,
+        "errors": _list_fractions(problem.operating_set.offsets[:3]),
+        "inputs": _list_deficits(problem),
+        "gains": [
+            {name: _list_fractions(gain.along(np.array(each))) for name, gain in laws.items()}
+            for each in corners
+        ],
+        "disturbance": {
+            "yaw": Fraction(0),
+            "lean": Fraction(0),
+            "box": _list_fractions(problem.disturbance_set.support(np.eye(3))),
+        },
+    }
+    return {
+        "model": {"turning": _list_fractions(problem.model.slip_factors)},
+        "bands": [band],
+        "cost": _describe_cost(design),
+        "plans": _describe_plans(design),
+    }
+
+
+def _list_deficits(problem: Problem) -> list[dict[str, Fraction]]:
+    """Return the rows on u1 + (b/2) u2 and u1 - (b/2) u2 that wheels can do."""
+    rows = problem.input_rows
+    return [
+        {
+            "on_u2": Fraction(rows.inputs[index, 1]),
+            "low": -Fraction(rows.offsets[2 + index]),
+            "high": Fraction(rows.offsets[index]),
+        }
+        for index in (0, 1)
+    ]
+
+
 def _describe_design(design: Design) -> dict[str, Any]:
     """Return the bands of a design, its terminal set, its cost and its QPs."""
     problem = design.problem
-    cost = {"P": design.cost.cost, "Q": problem.error_weight, "R": problem.input_weight}
     regions = _list_regions(problem)
     bands = [
         _describe_band(regime, BAND.format(number), of_band)
@@ -262,7 +331,7 @@ def _describe_design(design: Design) -> dict[str, Any]:
         **learning,
         "bands": bands,
         "sets": _describe_set(design.terminal.invariant),
-        "cost": {name: _list_fractions(matrix) for name, matrix in cost.items()},
+        "cost": _describe_cost(design),
         "plans": _describe_plans(design),
     }
 

@@ -30,6 +30,7 @@ PROGRAMS = (
     "check_sets.py",
     "check_plans.py",
     "check_learning.py",
+    "check_model.py",
 )
 """The checker's files; the first one is the program."""
 USED = 1e-9

@@ -25,6 +25,7 @@ from typing import Any
 
 from check_intervals import ONE, Refused, pick, require, scale, scale_all
 from check_learning import check_learning
+from check_model import check_wheels, list_ends
 from check_motion import prove
 from check_plans import check_plans
 from check_sets import Set, check_cost, check_sets, cut, is_lasting, list_loops, list_speeds
@@ -32,9 +33,10 @@ from check_sets import Set, check_cost, check_sets, cut, is_lasting, list_loops,
 FORMAT = "jaxtube certificate 1"
 ROBOT = ("period", "track", "lever_arm")
 KNOWN = {"format", "name", *ROBOT, "wheel_speeds", "constraints", "noise", "slips", "sideslip"}
-KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning"}
+KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning", "model"}
 DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 DAMAGES += (RecursionError,)
+BAND_OF_MODEL = {"name", "regions", "errors", "inputs", "gains", "disturbance"}
 BAND = {"name", "regions", "errors", "u1", "u2", "coupling", "gains", "set", "disturbance", "cells"}
 
 
@@ -140,53 +142,82 @@ def check_motions(certificate, band):
     return count
 
 
-def check(certificate):
-    """Check all of a certificate and yield in words what is proved."""
+def check_head(certificate):
+    """Require that a certificate is described as known here."""
     unknown = sorted(set(certificate) - KNOWN - {"unchecked"})
     unknown += [f"{name} = {value}" for name, value in certificate.get("unchecked", {}).items()]
     require(not unknown, f"UNCHECKED: no proof is known here for {', '.join(unknown)}")
     require(certificate["format"] == FORMAT, f"the format is not {FORMAT!r}")
     require(isinstance(certificate["name"], str), "the certificate has no name")
     require(min(certificate["period"], certificate["track"]) > 0, "period or track is not positive")
+    require(set(certificate["slips"]) == {"right", "left"}, "slips are not those of two wheels")
     names = {band["name"] for band in certificate["bands"]}
     require(0 < len(names) == len(certificate["bands"]), "bands need names of their own")
-    noise = certificate["noise"]
-    shapes = {
-        name: Set(*map(scale_all, pick(shape, "rows", "offsets")), shape["extents"])
-        for name, shape in certificate["sets"].items()
-    }
-    require(set(certificate["slips"]) == {"right", "left"}, "slips are not those of two wheels")
+    known = BAND_OF_MODEL if "model" in certificate else BAND
+    known = known | {"age", "losses"} if "learning" in certificate else known
+    for band in certificate["bands"]:
+        require(set(band) == known and band["regions"], f"{band['name']} is not described as known")
+        pairs = zip(band["errors"], certificate["noise"], strict=True)
+        pairs = zip((cap + size for cap, size in pairs), certificate["constraints"], strict=True)
+        require(all(error <= limit for error, limit in pairs), "true errors may pass their limits")
+
+
+def check(certificate):
+    """Check all of a certificate and yield in words what is proved."""
+    check_head(certificate)
     if "learning" in certificate:
         losses = ", ".join(f"{float(loss):.4g}" for loss in check_learning(certificate))
         yield f"slips are learnt: ground speeds err by {losses} (right, left) at most in the end"
-    for band in certificate["bands"]:
-        known = BAND | {"age", "losses"} if "learning" in certificate else BAND
-        require(set(band) == known and band["regions"], f"{band['name']} is not described as known")
-        most = [cap + size for cap, size in zip(band["errors"], noise, strict=True)]
-        pairs = zip(most, certificate["constraints"], strict=True)
-        require(all(error <= limit for error, limit in pairs), "true errors may pass their limits")
-        count = check_motions(certificate, band)
-        W = band["disturbance"]
-        shown = ", ".join(f"{float(each):.6g}" for each in (W["yaw"], *W["box"]))
-        yield (
-            f"{band['name']}: w lies in W (kick, box: {shown} rad, m, m, rad), and wheels can do "
-            f"what is asked of them; {count} cells"
-        )
-        if not is_lasting(certificate, band):
-            continue
-        room = check_sets(certificate, band, shapes[band["set"]])
-        yield f"{band['name']}: {len(room)} inclusions of sets, for speeds in any order"
-        if "cost" in certificate:
-            check_cost(certificate, *list_loops(certificate, band))
-            yield f"{band['name']}: the terminal cost decreases by the cost of a stage"
+    check_bands = check_bands_of_model if "model" in certificate else check_bands_of_robot
+    for name, sentence in check_bands(certificate):
+        yield f"{name}: {sentence}"
     if "plans" in certificate:
         room = check_plans(certificate)
         shown = f"{len(room)} rows, least room {min(room) / ONE:.3g}"
         yield f"plans stay plans along the reference: {shown}"
 
 
+def check_bands_of_robot(certificate):
+    """Check bands whose W is proved of the robot, and whose law u = K e has a set of its own; yield
+    their names and what is proved."""
+    shapes = {
+        name: Set(*map(scale_all, pick(shape, "rows", "offsets")), shape["extents"])
+        for name, shape in certificate["sets"].items()
+    }
+    for band in certificate["bands"]:
+        name = band["name"]
+        count = check_motions(certificate, band)
+        W = show_disturbance(band)
+        yield name, f"w lies in W ({W}), and wheels can do what is asked of them; {count} cells"
+        if is_lasting(certificate, band):
+            room = check_sets(certificate, band, shapes[band["set"]])
+            yield name, f"{len(room)} inclusions of sets, for speeds in any order"
+            if "cost" in certificate:
+                check_cost(certificate, product(*list_loops(certificate, band)))
+                yield name, "the terminal cost decreases by the cost of a stage"
+
+
+def check_bands_of_model(certificate):
+    """Check bands whose W is assumed; yield their names and what is proved."""
+    require("plans" in certificate, "a certificate of a model alone is one of its plans")
+    for band in certificate["bands"]:
+        check_wheels(certificate, band)
+        yield band["name"], "wheels can do what is asked of them"
+        if "cost" in certificate:
+            check_cost(certificate, list_ends(certificate, band))
+            yield band["name"], "the terminal cost decreases by the cost of a stage"
+
+
+def show_disturbance(band):
+    """Return the sizes of W in words."""
+    yaw, box = pick(band["disturbance"], "yaw", "box")
+    return f"kick, box: {', '.join(f'{float(each):.6g}' for each in (yaw, *box))} rad, m, m, rad"
+
+
 def list_assumptions(certificate):
     """Yield in words what is taken for granted."""
+    for band in certificate["bands"] if "model" in certificate else ():
+        yield f"{band['name']}: w lies in W ({show_disturbance(band)}), proved of no robot"
     for wheel, slips in certificate["slips"].items():
         for case in slips:
             shown = [f"{float(slip):.6g}" for slip in case]
@@ -196,7 +227,8 @@ def list_assumptions(certificate):
         change = float(certificate["learning"]["change"])
         yield f"a slip changes by at most {change:.4g} from one period to the next"
         yield "the slip compensated is the centre of the interval of check_learning, within 1e-9"
-    yield f"sideways slip up to {float(certificate['sideslip']):.4g} times the forward speed"
+    if "model" not in certificate:
+        yield f"sideways slip up to {float(certificate['sideslip']):.4g} times the forward speed"
     x, y, heading = map(float, certificate["noise"])
     yield f"errors measured within {x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg, without delay"
     for band in certificate["bands"]:
@@ -204,7 +236,8 @@ def list_assumptions(certificate):
             shown = ", ".join(f"{float(speed):.6g}" for speed in region)
             kind = "right, left" if len(region) == 2 else "least, greatest; of their mean as well"
             yield f"{band['name']}: reference wheel speeds {shown} m/s ({kind})"
-    yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
+    if "model" not in certificate:
+        yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
     yield "what is proved holds at the ends of periods, nothing in between"
     if "plans" not in certificate:
         yield "the law u = K e commands; the first measured error lies in the set of its band"

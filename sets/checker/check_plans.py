@@ -8,11 +8,12 @@ model at the wheel speeds ahead, and keeps rows, D and C those of the band that 
 
 The first input acts, w in the W of its band disturbs, and the next error is e_1 + w. The next plan
 that is proved to be one is this plan shifted, corrected by the K of its bands for what w did, and
-ended by K:
+ended by a law:
 
     e'_j = e_(j+1) + Phi_j .. Phi_1 w        g'_j = g_(j+1) + K_(j+1) (e'_j - e_(j+1))
 
-and g'_(N-1) = K' e'_(N-1) at the speeds of the next plan's last period. Every row of it is bounded
+and g'_(N-1) = K' e'_(N-1) at the speeds of the next plan's last period, or G' e'_(N-1) where
+another law ends plans. Every row of it is bounded
 by what a plan may reach of the same row a period later, and W; at the end by multipliers on the
 terminal rows, and W. A plan may reach of a row its bound, the solver's tolerance and the difference
 between the row as it runs and as the model predicts it; it is accepted up to the bound less that
@@ -22,6 +23,7 @@ Source: Chisci, Rossiter, Zappa 2001; Higham 2002, lemma 3.1, for the rounding o
 """
 
 from itertools import pairwise, product
+from typing import NamedTuple
 
 from check_intervals import (
     COSINE,
@@ -40,35 +42,61 @@ from check_intervals import (
     subtract,
     times,
 )
-from check_sets import AXES, Set, find_greatest, list_inputs, negate_if, reach
+from check_model import find_pair, mix_gains
+from check_sets import (
+    AXES,
+    Set,
+    find_greatest,
+    find_input_sizes,
+    is_within,
+    list_inputs,
+    negate_if,
+    reach,
+)
 
 ROUNDING = 53  # bits of an operation in 64 bits
 
 
+class Stage(NamedTuple):
+    """A period of a plan: M, B, the K that corrects it with Phi = M + B K, and the same of the law
+    that ends it; intervals."""
+
+    M: list
+    B: list
+    K: list
+    Phi: list
+    end_K: list
+    end_Phi: list
+
+
 def make_stage(certificate, band, right, left):
-    """Return M, B, K and Phi at wheel speeds."""
+    """Return a period at wheel speeds."""
+    if "model" in certificate:
+        M, B = map(scale_all, find_pair(certificate, right, left))
+        gains = [scale_all(mix_gains(band, name, [right, left])) for name in ("K", "G")]
+    else:
+        M, B = find_jacobian(certificate, right, left)
+        k1, k2, k3 = band["gains"]
+        gains = [scale_all(((-k1, (left - right) / certificate["track"], 0), (0, -k2, -k3)))] * 2
+    closed = []
+    for K in gains:
+        pairs = zip(M, B, strict=True)
+        closed += [K, [list(map(add, row, times(on_u, K))) for row, on_u in pairs]]
+    return Stage(M, B, *closed)
+
+
+def find_jacobian(certificate, right, left):
+    """Return M and B of the motion's Jacobian at wheel speeds."""
     T = certificate["period"]
-    k1, k2, k3 = band["gains"]
-    rate = (right - left) / certificate["track"]
-    half = scale(T * rate / 2)
+    turn = T * (right - left) / certificate["track"]
+    half = scale(turn / 2)
     secant = invert(COSINE.value(half))
     h = multiply(SINE.value(half), secant)
     c = multiply(multiply(C.value(half), scale(T * (right + left) / 2)), secant)
-    turned = subtract(scale(1), multiply(h, scale(T * rate)))
-    M = [scale_all((1, T * rate, 0)), [multiply(h, scale(-2)), turned, c], scale_all((0, 0, 1))]
+    turned = subtract(scale(1), multiply(h, scale(turn)))
+    M = [scale_all((1, turn, 0)), [multiply(h, scale(-2)), turned, c], scale_all((0, 0, 1))]
     B = [scale_all((T, 0)), [multiply(h, scale(-T)), multiply(c, scale(T / 2))], scale_all((0, T))]
-    K = scale_all(((-k1, -rate, 0), (0, -k2, -k3)))
-    Phi = [list(map(add, row, times(u, K))) for row, u in zip(M, B, strict=True)]
-    return M, B, K, Phi
-
-
-def is_within(speeds, region):
-    """Return whether a pair of wheel speeds lies in a region."""
-    if len(region) == 2:
-        return speeds == region
-    lowest, highest, slowest, fastest = region
-    is_mean = slowest <= sum(speeds) / 2 <= fastest
-    return lowest <= min(speeds) and max(speeds) <= highest and is_mean
+    return M, B
 
 
 class Window:
@@ -99,7 +127,7 @@ class Window:
     def read_row(self, row, entries, norm, ends, tolerance):
         """Note what a row as it runs says of the row that the model predicts. They differ by
         rounding alone, so that what they bound stays within twice the caps."""
-        caps = [max(map(abs, band[name])) for band in self.bands for name in ("u1", "u2")]
+        caps = [cap for band in self.bands for cap in find_input_sizes(band)]
         box = [scale(2 * end) for end in (*self.bands[0]["errors"], *caps)]
         own = [*entries[:3], *(multiply(norm, entry) for entry in entries[3:])]
         predicted = self.predict(*self.find_row(*row), row[1])
@@ -141,9 +169,8 @@ class Window:
         """Return the row on the first error and the inputs that is on_u g_j + row e_j."""
         inputs = [on_u if stage == j else (ZERO, ZERO) for stage in range(len(self.stages))]
         for stage in reversed(range(j)):
-            M, B, *_ = self.stages[stage]
-            inputs[stage] = times(row, B)
-            row = times(row, M)
+            inputs[stage] = times(row, self.stages[stage].B)
+            row = times(row, self.stages[stage].M)
         return [*row, *(entry for pair in inputs for entry in pair)]
 
 
@@ -172,12 +199,12 @@ def list_successions(certificate):
             kind, j, i, sign = key
             on_u, on_e = following.find_row(kind, j, i)
             reached = window.reached.get((kind, j + 1, i, sign))
-            stage = window.stages[j + 1] if reached is not None else following.stages[-1]
-            row = negate_if(sign, map(add, times(on_u, stage[2]), on_e))
-            row = times(row, stage[3]) if kind == "terminal" else row
+            K = following.stages[-1].end_K if reached is None else window.stages[j + 1].K
+            row = negate_if(sign, map(add, times(on_u, K), on_e))
+            row = times(row, following.stages[-1].end_Phi) if kind == "terminal" else row
             disturbed = row
             for each in reversed(window.stages[1 : min(j, N - 1) + 1]):
-                disturbed = times(disturbed, each[3])
+                disturbed = times(disturbed, each.Phi)
             room = accepted - reach(window.bands[0], disturbed)
             yield f"{now} to {after}", f"{kind} {j} {i} {sign}", row, room, reached, end_set
 

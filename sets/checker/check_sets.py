@@ -86,11 +86,27 @@ class Set:
 def list_inputs(band):
     """Return rows D, C, as intervals, and ends of low <= D u + C e <= high: the caps of inputs,
     coupled with x."""
-    of_x, of_turn = band["coupling"]
-    alone = [((1, 0), (0, 0, 0), *band["u1"]), ((0, 1), (0, 0, 0), *band["u2"])]
-    coupled = [((0, sign * of_turn), (of_x, 0, 0), -1, 1) for sign in (1, -1)]
-    rows = alone + coupled if of_turn else alone
+    if "inputs" in band:
+        rows = [
+            ((1, each["on_u2"]), (0, 0, 0), *pick(each, "low", "high")) for each in band["inputs"]
+        ]
+    else:
+        of_x, of_turn = band["coupling"]
+        rows = [((1, 0), (0, 0, 0), *band["u1"]), ((0, 1), (0, 0, 0), *band["u2"])]
+        coupled = [((0, sign * of_turn), (of_x, 0, 0), -1, 1) for sign in (1, -1)]
+        rows += coupled if of_turn else []
     return [(scale_all(on_u), scale_all(on_e), *ends) for on_u, on_e, *ends in rows]
+
+
+def find_input_sizes(band):
+    """Return the greatest |u1| and |u2| that the rows on inputs alone leave: with |u1 + s u2| and
+    |u1 - s u2| at most m, these are m and m/s."""
+    if "inputs" not in band:
+        return [max(map(abs, band[name])) for name in ("u1", "u2")]
+    first, second = (each["on_u2"] for each in band["inputs"])
+    require(first == -second > 0, "rows on inputs are not those of two wheels")
+    most = max(abs(each[end]) for each in band["inputs"] for end in ("low", "high"))
+    return [most, most / first]
 
 
 def cut(low, high, *places):
@@ -119,6 +135,15 @@ def list_speeds(region):
     if (lowest, highest) == (slowest, fastest):
         stretches = [((lowest, highest), (lowest, highest), None, None)]
     return stretches, sorted(corners)
+
+
+def is_within(speeds, region):
+    """Return whether a pair of wheel speeds lies in a region."""
+    if len(region) == 2:
+        return speeds == region
+    lowest, highest, slowest, fastest = region
+    is_mean = slowest <= sum(speeds) / 2 <= fastest
+    return lowest <= min(speeds) and max(speeds) <= highest and is_mean
 
 
 def stretch(angle):
@@ -192,10 +217,11 @@ def check_sets(certificate, band, shape):
     return room
 
 
-def check_cost(certificate, loops, gains):
-    """Prove that the terminal cost decreases by at least the cost of a stage."""
+def check_cost(certificate, pairs):
+    """Prove that the terminal cost decreases by at least the cost of a stage, whatever mixture of
+    pairs of a loop and its gain acts."""
     P, Q, R = pick(certificate["cost"], *"PQR")
-    for loop, gain in product(loops, gains):
+    for loop, gain in pairs:
         terms = zip(P, weight(P, loop), Q, weight(R, gain), strict=True)
         left = [[p - a - q - r for p, a, q, r in zip(*rows, strict=True)] for rows in terms]
         require(is_semidefinite(left), "the terminal cost may decrease by less than a stage costs")
