@@ -28,12 +28,21 @@ from check_learning import check_learning
 from check_model import check_wheels, list_ends
 from check_motion import prove
 from check_plans import check_plans
-from check_sets import Set, check_cost, check_sets, cut, is_lasting, list_loops, list_speeds
+from check_sets import (
+    Set,
+    check_cost,
+    check_sets,
+    cut,
+    is_lasting,
+    list_loops,
+    list_slips,
+    list_speeds,
+)
 
 FORMAT = "jaxtube certificate 1"
 ROBOT = ("period", "track", "lever_arm")
 KNOWN = {"format", "name", *ROBOT, "wheel_speeds", "constraints", "noise", "slips", "sideslip"}
-KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning", "model"}
+KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning", "model", "measured"}
 DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 DAMAGES += (RecursionError,)
 BAND_OF_MODEL = {"name", "regions", "errors", "inputs", "gains", "disturbance"}
@@ -78,8 +87,8 @@ def list_levels(certificate, band):
     levels = {"x": box[0] - noise[0], "y": box[1] - noise[1], "kick": yaw}
     levels = {(output, sign): level for output, level in levels.items() for sign in (1, -1)}
     slowest, fastest = certificate["wheel_speeds"]
-    for wheel, slips in certificate["slips"].items():
-        grips = [1 - i for _, _, *seen in slips for i in seen]
+    for wheel in ("right", "left"):
+        grips = [1 - seen for _, seen in list_slips(certificate, wheel)]
         levels[wheel, 1] = T * min(grip * fastest for grip in grips)
         levels[wheel, -1] = -T * max(grip * slowest for grip in grips)
         if "learning" in certificate:
@@ -95,10 +104,7 @@ def list_losses(certificate, band):
         return [(-loss, loss) for loss in band["losses"]]
     losses = []
     for wheel in ("right", "left"):
-        shares = []
-        for least, most, *seen in certificate["slips"][wheel]:
-            require(least <= most and seen[0] <= seen[1] < 1, f"slips of the {wheel} wheel cross")
-            shares += [(slip - i) / (1 - i) for slip, i in product((least, most), seen)]
+        shares = [(true - seen) / (1 - seen) for true, seen in list_slips(certificate, wheel)]
         losses.append((min(shares), max(shares)))
     return losses
 
@@ -181,7 +187,7 @@ def check_bands_of_robot(certificate):
     """Check bands whose W is proved of the robot, and whose law u = K e has a set of its own; yield
     their names and what is proved."""
     shapes = {
-        name: Set(*map(scale_all, pick(shape, "rows", "offsets")), shape["extents"])
+        name: Set(scale_all(shape["rows"]), scale_all(shape["offsets"]), shape["extents"])
         for name, shape in certificate["sets"].items()
     }
     for band in certificate["bands"]:
@@ -219,10 +225,12 @@ def list_assumptions(certificate):
     for band in certificate["bands"] if "model" in certificate else ():
         yield f"{band['name']}: w lies in W ({show_disturbance(band)}), proved of no robot"
     for wheel, slips in certificate["slips"].items():
-        for case in slips:
-            shown = [f"{float(slip):.6g}" for slip in case]
-            seen = " to ".join(shown[2:])
-            yield f"{wheel} slip {' to '.join(shown[:2])} where {seen} is compensated"
+        for least, most, *seen in slips:
+            shown = f"where {float(seen[0]):.6g} to {float(seen[1]):.6g} is compensated"
+            if "measured" in certificate:
+                constant, share = map(float, certificate["measured"][wheel])
+                shown = f"measured within {constant:.4g} and {share:.4g} of it"
+            yield f"{wheel} slip {float(least):.6g} to {float(most):.6g}, {shown}"
     if "learning" in certificate:
         change = float(certificate["learning"]["change"])
         yield f"a slip changes by at most {change:.4g} from one period to the next"

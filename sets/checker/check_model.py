@@ -1,7 +1,7 @@
 """A certificate for a linear model alone, of gains that are mixed from those at the corners of the
 wheel speeds; part of `check_certificate`, of the standard library alone.
 
-With the shares f_r, f_l of the wheels' speeds that count in the yaw rate, Om = (f_r V_r - f_l V_l)/b
+With the shares f_r, f_l of the wheels' speeds that count in the yaw rate, b Om = f_r V_r - f_l V_l
 and V = (V_r + V_l)/2, the model is
 
     e+ = M e + B u + w,    M = [1, T Om, 0; -T Om, 1, T V; 0, 0, 1],    B = [T, 0; 0, 0; 0, T].
@@ -17,7 +17,7 @@ from itertools import product
 from operator import add, mul
 
 from check_intervals import pick, require
-from check_sets import is_within
+from check_sets import is_within, list_slips
 
 
 def find_pair(certificate, right, left):
@@ -59,8 +59,7 @@ def check_wheels(certificate, band):
     for index, wheel in enumerate(("right", "left")):
         on_u2, low, high = pick(band["inputs"][index], "on_u2", "low", "high")
         require(on_u2 == (half, -half)[index], f"a row on inputs is not that of the {wheel} wheel")
-        grips = [1 - i for _, _, *seen in certificate["slips"][wheel] for i in seen]
-        require(min(grips) > 0, f"slips of the {wheel} wheel cross")
+        grips = [1 - seen for _, seen in list_slips(certificate, wheel)]
         for region in band["regions"]:
             least, most = list_corners(region)[index]
             is_able = most - low <= min(grip * fastest for grip in grips)

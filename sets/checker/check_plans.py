@@ -130,7 +130,8 @@ class Window:
         caps = [cap for band in self.bands for cap in find_input_sizes(band)]
         box = [scale(2 * end) for end in (*self.bands[0]["errors"], *caps)]
         own = [*entries[:3], *(multiply(norm, entry) for entry in entries[3:])]
-        predicted = self.predict(*self.find_row(*row), row[1])
+        kind, j, i = row
+        predicted = self.predict(*self.find_row(kind, j, i), j)
         differs = [subtract(*pair) for pair in zip(predicted, own, strict=True)]
         for sign, end in zip((-1, 1), ends, strict=True):
             if end is not None:

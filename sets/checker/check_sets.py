@@ -109,6 +109,28 @@ def find_input_sizes(band):
     return [most, most / first]
 
 
+def list_slips(certificate, wheel):
+    """Return pairs of a true slip and the one that is compensated then, which hold the extremes of
+    both and of d = (true - compensated) / (1 - compensated). Where a slip i is measured within a +
+    r |i|, d has one slope on either side of i = 0, and its greatest values at ends."""
+    pairs = []
+    for least, most, *seen in certificate["slips"][wheel]:
+        require(least <= most and seen[0] <= seen[1] < 1, f"slips of the {wheel} wheel cross")
+        pairs += product((least, most), seen)
+    if "measured" in certificate:
+        constant, share = certificate["measured"][wheel]
+        require(min(constant, share) >= 0, "slips are measured within less than nothing")
+        ends = [slip for least, most, *_ in certificate["slips"][wheel] for slip in (least, most)]
+        errors = [constant + share * abs(slip) for slip in ends]
+        pairs = [
+            (slip, slip + sign * error)
+            for slip, error in zip(ends, errors, strict=True)
+            for sign in (1, -1)
+        ]
+    require(all(seen < 1 for _, seen in pairs), f"the {wheel} wheel is said to slip in full")
+    return pairs
+
+
 def cut(low, high, *places):
     """Return the stretches into which places cut a range."""
     ends = sorted({low, high, *(min(max(place, low), high) for place in places)})
