@@ -1,7 +1,11 @@
 """Certificates changed somewhere, anywhere: numbers nudged, rows dropped, signs flipped."""
 
 import copy
+import json
 from fractions import Fraction
+
+from jaxtube.synthesis.proof_file import FILE
+from jaxtube.synthesis.proof_search import PROGRAMS, load_checker
 
 NUDGE = Fraction(1, 10**6)
 
@@ -57,7 +61,9 @@ def mutate(certificate, random):
     place = mutant
     while True:
         keys = list(place) if isinstance(place, dict) else range(len(place))
-        key = random.choice(keys)
+        # What holds much is changed more often than what is one number.
+        weights = [1 + 2 * isinstance(place[key], dict | list) for key in keys]
+        (key,) = random.choices(keys, weights)
         path.append(key)
         entry = place[key]
         # Now and then a whole part is changed, mostly a number at the end of the way.
@@ -124,3 +130,25 @@ def _change_tree(tree: str, random) -> str:
         tree[:place],
     )
     return random.choice(changes)
+
+
+def change(certificate, *path, by):
+    """Return a certificate whose number at a path is another one."""
+    changed = copy.deepcopy(certificate)
+    place = changed
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = str(by(Fraction(place[path[-1]])))
+    return changed
+
+
+def is_accepted(certificate, folder, capsys) -> bool:
+    """Return whether the checker accepts a certificate; it says so in its last line, and with its
+    exit code."""
+    path = folder / FILE
+    path.write_text(json.dumps(certificate))
+    code = load_checker(PROGRAMS[0]).main(str(path))
+    said = capsys.readouterr().out
+    last = said.splitlines()[-1]
+    assert code in (0, 1) and last.startswith("CHECKED" if code == 0 else "REFUSED"), said
+    return code == 0

@@ -85,7 +85,7 @@ def write_certificate(design: Design, folder: str | Path, name: str = "") -> Pat
 def describe_proof(design: Design, name: str = "") -> dict[str, Any]:
     """Return the certificate with its proof, numbers as fractions."""
     scenario = design.problem.scenario
-    unchecked = list_unchecked(scenario)
+    unchecked = list_unchecked(design)
     head = {"format": FORMAT, "name": name or "design"}
     if unchecked:
         return {**head, "unchecked": unchecked}
@@ -104,10 +104,12 @@ def describe_proof(design: Design, name: str = "") -> dict[str, Any]:
     return certificate
 
 
-def list_unchecked(scenario: Scenario) -> dict[str, str]:
-    """Return the fields of a scenario that the checker knows nothing of, with their values."""
-    unchecked = {}
+def list_unchecked(design: Design) -> dict[str, str]:
+    """Return the fields of a design's scenario that the checker knows nothing of, with their
+    values, and its verdict where the checker proves no such verdict."""
+    scenario = design.problem.scenario
     is_of_model = concerns_model(scenario)
+    unchecked = {}
     for field, known in (CHECKED_OF_MODEL if is_of_model else CHECKED).items():
         table, key = field.split(".")
         value = getattr(getattr(scenario, table), key)
@@ -116,6 +118,8 @@ def list_unchecked(scenario: Scenario) -> dict[str, str]:
     has_gains = scenario.controller.tracking_gains or scenario.operating.bands
     if not (has_gains or is_of_model):
         unchecked["controller.tracking_gains"] = "none"
+    if not (design.certificate.holds_for_robot or is_of_model):
+        unchecked["verdict"] = "for the model alone, though W is computed"
     return unchecked
 
 

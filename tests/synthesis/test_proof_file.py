@@ -9,7 +9,7 @@ from fractions import Fraction
 
 import msgspec
 import pytest
-from certificate_mutants import HARMLESS, mutate
+from certificate_mutants import HARMLESS, change, is_accepted, mutate
 from certificate_oracle import holds_in_floats
 
 import jaxtube as jt
@@ -71,16 +71,6 @@ def written(folder):
     return json.loads((folder / FILE).read_text())
 
 
-def is_accepted(certificate, tmp_path, capsys) -> bool:
-    path = tmp_path / FILE
-    path.write_text(json.dumps(certificate))
-    code = load_checker(PROGRAMS[0]).main(str(path))
-    said = capsys.readouterr().out
-    last = said.splitlines()[-1]
-    assert code in (0, 1) and last.startswith("CHECKED" if code == 0 else "REFUSED"), said
-    return code == 0
-
-
 def test_a_stranger_checks_what_was_written_without_this_project(folder):
     command = [sys.executable, "-I", PROGRAMS[0], FILE]
     program = f"import sys; sys.path.insert(0, '.'); sys.argv = {command[2:]!r}; "
@@ -99,7 +89,14 @@ def test_the_oracle_agrees_with_what_was_written(written):
 
 
 @pytest.mark.parametrize(
-    "scenario", ["certified_lag", "husky", "robust", "robust controller.restart=false"]
+    "scenario",
+    [
+        "certified_lag",
+        "husky",
+        "robust controller.restart=false",
+        "robust controller.input_map=cosine_free",
+        "certified robot.wheel_acceleration_max_mps2=15",
+    ],
 )
 def test_what_the_checker_knows_nothing_of_is_unchecked_and_refused(scenario, tmp_path, capsys):
     name, *overrides = scenario.split()
@@ -140,16 +137,6 @@ def test_what_is_changed_is_refused_or_holds_as_well(written, tmp_path, capsys):
 @pytest.mark.slow
 def test_a_thousand_changed_certificates_are_refused_or_hold_as_well(written, tmp_path, capsys):
     survey_mutants(written, range(30, 1030), tmp_path, capsys)
-
-
-def change(certificate, *path, by):
-    """Return a certificate whose number at a path is another one."""
-    changed = json.loads(json.dumps(certificate))
-    place = changed
-    for key in path[:-1]:
-        place = place[key]
-    place[path[-1]] = str(by(Fraction(place[path[-1]])))
-    return changed
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from jaxtube.synthesis.proof_search import PROGRAMS
 def write_proof(design: Design, folder: Path, name: str) -> str:
     """Write the proof of a certified design into the folder of its run; return what is said of
     it."""
-    unchecked = list_unchecked(design.problem.scenario)
+    unchecked = list_unchecked(design)
     path = write_certificate(design, folder, name)
     if unchecked:
         return (
