@@ -39,6 +39,8 @@ def to_floats(value):
 def holds_in_floats(certificate) -> bool:
     """Return whether no counterexample is found to what a certificate promises."""
     said = to_floats(certificate)
+    if "model" in said:
+        return _holds_for_model(said)
     model = make_model(
         "exact_jacobian",
         "euler",
@@ -51,6 +53,51 @@ def holds_in_floats(certificate) -> bool:
     of_bands = product(checks, said["bands"])
     holds = all(check(said, band, model) for check, band in of_bands)
     return holds and _keeps_slips(said) and _keeps_plans(said, model)
+
+
+def _holds_for_model(said) -> bool:
+    """Return the same of a certificate of a linear model alone."""
+    nominal = 1 - np.array(said["model"]["turning"])
+    ends = (np.full(2, 0.2), np.full(2, 1.5))
+    model = make_model("paper", "euler", said["period"], said["track"], nominal, ends)
+    return (
+        all(
+            check(said, band, model)
+            for check in (_keeps_limits, _keeps_wheels, _keeps_cost)
+            for band in said["bands"]
+        )
+    ) and _keeps_plans(said, model)
+
+
+def _keeps_wheels(said, band, model) -> bool:
+    """Try the corners of speeds, inputs and slips."""
+    first, second = band["inputs"]
+    ends = [(each["low"], each["high"]) for each in (first, second)]
+    matrix = [[1, each["on_u2"]] for each in (first, second)]
+    inputs = np.linalg.solve(matrix, np.array(list(product(*ends))).T)
+    asked = np.array([inputs[0] + sign * said["track"] / 2 * inputs[1] for sign in (1, -1)])
+    slowest, fastest = said["wheel_speeds"]
+    for index, wheel in enumerate(WHEELS):
+        seen = [slip for *_, low, high in said["slips"][wheel] for slip in (low, high)]
+        for region, slip in product(band["regions"], seen):
+            for speed in np.array(_find_box(region))[:, index]:
+                wheels = (speed - asked[index]) / (1 - slip)
+                within = np.clip(wheels, slowest, fastest)
+                if slip >= 1 or np.max(np.abs(wheels - within)) > PROGRAM_ROUNDING:
+                    return False
+    return True
+
+
+def _mix(band, name, speeds):
+    """Return a gain between those at the corners of its region."""
+    for region, gains in zip(band["regions"], band["gains"], strict=True):
+        low, high = np.array(_find_box(region))
+        if np.all(low <= speeds) and np.all(speeds <= high):
+            shares = (speeds - low) / np.where(high > low, high - low, 1.0)
+            pairs = [(1 - share, share) for share in shares]
+            weights = [a * b for a, b in product(*pairs)]
+            return np.tensordot(weights, np.array(gains[name]), axes=1)
+    raise ValueError("no region has these speeds")
 
 
 def _keeps_limits(said, band, model) -> bool:
@@ -147,10 +194,14 @@ def _list_boxes(region):
 
 def _make_stage(said, band, model, speeds):
     A, B = model.matrices(np.array(speeds))
+    if "model" in said:
+        K, G = (_mix(band, name, np.array(speeds)) for name in "KG")
+        return SimpleNamespace(A=A, B=B, K=K, loop=A + B @ K, end_K=G, end_loop=A + B @ G)
     k1, k2, k3 = band["gains"]
     rate = (speeds[0] - speeds[1]) / said["track"]
     K = np.array([[-k1, -rate, 0], [0, -k2, -k3]])
-    return SimpleNamespace(A=A, B=B, K=K, loop=A + B @ K)
+    loop = A + B @ K
+    return SimpleNamespace(A=A, B=B, K=K, loop=loop, end_K=K, end_loop=loop)
 
 
 def _draw_stages(said, band, model):
@@ -178,6 +229,10 @@ def _support(rows, offsets, direction) -> float:
 
 
 def _list_inputs(band):
+    if "inputs" in band:
+        on_inputs = np.array([[1, each["on_u2"]] for each in band["inputs"]])
+        ends = np.array([(each["low"], each["high"]) for each in band["inputs"]])
+        return on_inputs, np.zeros((2, 3)), *ends.T
     of_x, of_turn = band["coupling"]
     on_inputs = np.array([[1, 0], [0, 1], [0, of_turn], [0, -of_turn]])
     on_errors = np.array([[0, 0, 0], [0, 0, 0], [of_x, 0, 0], [of_x, 0, 0]])
@@ -258,8 +313,8 @@ def _succeed(said, bands, model, window, following):
         of_plan.append(unit[3 + 2 * j : 5 + 2 * j])
         of_w.append(stages[j].K @ deviation)
         deviation = stages[j].loop @ deviation
-    of_plan.append(last.K @ errors[N])
-    of_w.append(last.K @ deviation)
+    of_plan.append(last.end_K @ errors[N])
+    of_w.append(last.end_K @ deviation)
     return np.vstack(of_plan), np.vstack(of_w)
 
 
@@ -268,7 +323,11 @@ def _keeps_cost(said, band, model) -> bool:
         return True
     P, Q, R = (np.array(said["cost"][name]) for name in "PQR")
     return all(
-        np.linalg.eigvalsh(P - stage.loop.T @ P @ stage.loop - Q - stage.K.T @ R @ stage.K).min()
-        >= -PROGRAM_ROUNDING
+        np.linalg.eigvalsh(_find_decrease(stage, P, R) - Q).min() >= -PROGRAM_ROUNDING
         for stage in _draw_stages(said, band, model)
     )
+
+
+def _find_decrease(stage, P, R):
+    end_K = stage.end_K
+    return P - stage.end_loop.T @ P @ stage.end_loop - end_K.T @ R @ end_K
