@@ -67,7 +67,7 @@ def list_turns(band):
     of_x, of_turn = band["coupling"]
     low, high = band["u2"]
     if not of_turn:
-        return [((low, high), cap, 0)]
+        return [(stretch, cap, 0) for stretch in cut(low, high, 0)]
     require(of_x > 0 and of_turn > 0, "the coupling of x with u2 has to be positive")
     uncut = max((1 - of_x * cap) / of_turn, 0)
     turns = []
@@ -131,6 +131,7 @@ def list_motions(certificate, band):
         require(all(low <= high for low, high in ranges), "a range of the operation is crossed")
         cell = [(scale(low)[0], scale(high)[1]) for low, high in ranges]
         cells.append((cell, robot, (*turn, *speed)))
+    require(cells, f"{band['name']} has no motions")
     for (output, sign), level in levels.items():
         yield output, sign, scale(level)[0], cells
 
@@ -166,6 +167,8 @@ def check_head(certificate):
         pairs = zip(band["errors"], certificate["noise"], strict=True)
         pairs = zip((cap + size for cap, size in pairs), certificate["constraints"], strict=True)
         require(all(error <= limit for error, limit in pairs), "true errors may pass their limits")
+        yaw, box = pick(band["disturbance"], "yaw", "box")
+        require(min(yaw, *box) >= 0, f"the W of {band['name']} has a negative width")
 
 
 def check(certificate):
@@ -181,6 +184,8 @@ def check(certificate):
         room = check_plans(certificate)
         shown = f"{len(room)} rows, least room {min(room) / ONE:.3g}"
         yield f"plans stay plans along the reference: {shown}"
+    limits = ", ".join(f"{float(limit):.6g}" for limit in certificate["constraints"])
+    yield f"hence, at the end of every period, true errors within {limits} m, m, rad"
 
 
 def check_bands_of_robot(certificate):
@@ -235,10 +240,14 @@ def list_assumptions(certificate):
         change = float(certificate["learning"]["change"])
         yield f"a slip changes by at most {change:.4g} from one period to the next"
         yield "the slip compensated is the centre of the interval of check_learning, within 1e-9"
+    T, b, lever = map(float, pick(certificate, *ROBOT))
+    yield f"a robot of two wheels, {b:.6g} m apart, commanded every {T:.6g} s"
     if "model" not in certificate:
-        yield f"sideways slip up to {float(certificate['sideslip']):.4g} times the forward speed"
+        slide = float(certificate["sideslip"])
+        yield f"which slides by {slide:.4g} of its speed at most, and {lever:.4g} m by its yaw rate"
     x, y, heading = map(float, certificate["noise"])
-    yield f"errors measured within {x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg, without delay"
+    shown = f"{x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg"
+    yield f"errors measured within {shown} in the robot's frame, without delay"
     for band in certificate["bands"]:
         for region in band["regions"]:
             shown = ", ".join(f"{float(speed):.6g}" for speed in region)
@@ -251,6 +260,7 @@ def list_assumptions(certificate):
         yield "the law u = K e commands; the first measured error lies in the set of its band"
         return
     tolerance = float(certificate["plans"]["tolerance"])
+    yield "the controller solves the QPs of this file, along the reference that they are in"
     yield f"plans that command miss no row of their QP by more than {tolerance:.3g} of its length"
     yield "a plan is found where there is one, in 64 bits, and its first input is commanded"
     yield "the first measured error lies within the caps of its band and has a plan"

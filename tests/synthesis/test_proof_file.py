@@ -146,6 +146,7 @@ def test_a_thousand_changed_certificates_are_refused_or_hold_as_well(written, tm
         (("bands", 0, "disturbance", "box", 0), lambda width: width * 85 / 100),
         (("bands", 0, "disturbance", "box", 1), lambda width: width * 85 / 100),
         (("bands", 0, "disturbance", "box", 2), lambda width: width * 999999 / 1000000),
+        (("bands", 0, "disturbance", "yaw"), lambda yaw: -yaw),
         (("bands", 0, "disturbance", "yaw"), lambda yaw: yaw * 101 / 100),
         (("noise", 2), lambda noise: noise * 1000001 / 1000000),
         (("slips", "right", 0, 1), lambda slip: slip * 11 / 10),
@@ -166,6 +167,19 @@ def test_a_thousand_changed_certificates_are_refused_or_hold_as_well(written, tm
 )
 def test_a_promise_beyond_what_is_proved_is_refused(path, by, written, tmp_path, capsys):
     assert not is_accepted(change(written, *path, by=by), tmp_path, capsys)
+
+
+def test_motions_whose_turns_are_not_coupled_with_x_are_cut_where_they_mirror_each_other(written):
+    program = load_checker(PROGRAMS[0])
+    changed = json.loads(json.dumps(written))
+    band = changed["bands"][0]
+    band["coupling"] = ["0", "0"]
+    band["cells"] = {name: [] for name in band["cells"]}
+    certificate = program.read(changed)
+    motions = program.list_motions(certificate, certificate["bands"][0])
+    assert all(cells for *_, cells in motions)
+    with pytest.raises(program.Refused, match="0 trees"):
+        program.check_motions(certificate, certificate["bands"][0])
 
 
 def test_bands_are_checked_with_plans_that_lead_from_one_into_another(banded, tmp_path, capsys):
