@@ -78,11 +78,11 @@ def check_derivatives():
 
 def bend(h):
     """Return the second derivatives of k = r cos and of r = 1/C over an interval of h."""
-    value, slope, curve = (add_up(table, h) for table in C.tables)
-    r = invert(value)
+    slope = add_up(C.tables[1], h)
+    r = invert(C.value(h))
     squared = multiply(r, r)
     twice = multiply(multiply(slope, slope), r)
-    of_r = multiply(subtract(add(twice, twice), curve), squared)
+    of_r = multiply(subtract(add(twice, twice), add_up(C.tables[2], h)), squared)
     turning = multiply(SINE.value(h), multiply(slope, squared))
     of_k = multiply(COSINE.value(h), subtract(of_r, r))
     return add(of_k, add(turning, turning)), of_r
@@ -98,7 +98,7 @@ def bound_noise(certificate):
     """Return E_N at most over all that is certified, of N = 1, 2 .. periods."""
     T, b = pick(certificate, "period", "track")
     bands = certificate["bands"]
-    E_x, E_y, E_th = (max(band["errors"][k] for band in bands) for k in range(3))
+    E_x, E_y, E_th = map(max, zip(*(band["errors"] for band in bands), strict=True))
     n_x, n_y, n_th = certificate["noise"]
     regions = [region for band in bands for region in band["regions"]]
     corners = [corner for region in regions for corner in list_speeds(region)[1]]
@@ -138,7 +138,8 @@ def find_reach(noise, change, ways):
 def bound_wheel(learning, noise, period, slips, speeds):
     """Return |d| of a wheel at most, by the periods that its slip has been learnt."""
     least, most = slips
-    slowest, fastest = (period * speed for speed in speeds)
+    slowest = period * speeds[0]
+    fastest = period * speeds[1]
     rolled = (slowest / (1 - least), fastest / (1 - most))
     change = learning["change"]
     radius = [(most - least) / 2]

@@ -103,8 +103,8 @@ def find_input_sizes(band):
     |u1 - s u2| at most m, these are m and m/s."""
     if "inputs" not in band:
         return [max(map(abs, band[name])) for name in ("u1", "u2")]
-    first, second = (each["on_u2"] for each in band["inputs"])
-    require(first == -second > 0, "rows on inputs are not those of two wheels")
+    first = band["inputs"][0]["on_u2"]
+    require(first == -band["inputs"][1]["on_u2"] > 0, "rows on inputs are not those of two wheels")
     most = max(abs(each[end]) for each in band["inputs"] for end in ("low", "high"))
     return [most, most / first]
 
