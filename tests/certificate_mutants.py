@@ -2,7 +2,12 @@
 
 import copy
 import json
+import random
 from fractions import Fraction
+from functools import cache
+
+import pytest
+from certificate_oracle import holds_in_floats
 
 from jaxtube.synthesis.proof_file import FILE
 from jaxtube.synthesis.proof_search import PROGRAMS, load_checker
@@ -54,7 +59,7 @@ PROOFS = (
 """Parts that promise nothing, so that a certificate that is accepted promises what it did."""
 
 
-def mutate(certificate, random):
+def mutate(certificate, source):
     """Return a certificate with one change, and where it is."""
     mutant = copy.deepcopy(certificate)
     path = []
@@ -63,14 +68,14 @@ def mutate(certificate, random):
         keys = list(place) if isinstance(place, dict) else range(len(place))
         # What holds much is changed more often than what is one number.
         weights = [1 + 2 * isinstance(place[key], dict | list) for key in keys]
-        (key,) = random.choices(keys, weights)
+        (key,) = source.choices(keys, weights)
         path.append(key)
         entry = place[key]
         # Now and then a whole part is changed, mostly a number at the end of the way.
-        if not isinstance(entry, dict | list) or not entry or random.random() < 0.07:
+        if not isinstance(entry, dict | list) or not entry or source.random() < 0.07:
             break
         place = entry
-    _change(place, key, random)
+    _change(place, key, source)
     return mutant, name_part(path)
 
 
@@ -82,14 +87,14 @@ def name_part(path) -> str:
     return f"{head}.{path[1]}" if head == "plans" and len(path) > 1 else head
 
 
-def _change(place, key, random):
+def _change(place, key, source):
     entry = place[key]
     if isinstance(entry, str) and entry and not _is_number(entry) and set(entry) <= TREE:
-        place[key] = _change_tree(entry, random)
+        place[key] = _change_tree(entry, source)
     elif _is_number(entry):
-        place[key] = _change_number(Fraction(entry), random)
-    elif isinstance(entry, list) and len(entry) > 1 and random.random() < 0.5:
-        other = random.randrange(len(entry) - 1)
+        place[key] = _change_number(Fraction(entry), source)
+    elif isinstance(entry, list) and len(entry) > 1 and source.random() < 0.5:
+        other = source.randrange(len(entry) - 1)
         entry[other], entry[other + 1] = entry[other + 1], entry[other]
     else:
         del place[key]
@@ -105,31 +110,31 @@ def _is_number(entry) -> bool:
         return False
 
 
-def _change_number(number: Fraction, random):
+def _change_number(number: Fraction, source):
     changes = (
         lambda: str(number * (1 + NUDGE)),
         lambda: str(number * (1 - NUDGE)),
         lambda: str(number * Fraction(11, 10)),
         lambda: str(number * Fraction(9, 10)),
         lambda: str(-number),
-        lambda: str(number + random.choice((-1, 1)) * NUDGE),
+        lambda: str(number + source.choice((-1, 1)) * NUDGE),
         lambda: "0",
         lambda: float(number),
         lambda: None,
     )
-    return random.choice(changes)()
+    return source.choice(changes)()
 
 
-def _change_tree(tree: str, random) -> str:
-    place = random.randrange(len(tree))
-    other = random.choice(sorted(TREE))
+def _change_tree(tree: str, source) -> str:
+    place = source.randrange(len(tree))
+    other = source.choice(sorted(TREE))
     changes = (
         tree[:place] + tree[place + 1 :],
         tree[:place] + other + tree[place + 1 :],
         tree[:place] + other + tree[place:],
         tree[:place],
     )
-    return random.choice(changes)
+    return source.choice(changes)
 
 
 def change(certificate, *path, by):
@@ -152,3 +157,33 @@ def is_accepted(certificate, folder, capsys) -> bool:
     last = said.splitlines()[-1]
     assert code in (0, 1) and last.startswith("CHECKED" if code == 0 else "REFUSED"), said
     return code == 0
+
+
+def survey_mutants(written, seeds, folder, capsys) -> dict[str, str]:
+    """Return of changed certificates what was accepted, by the reason why that is harmless; each
+    holds in floats."""
+    accepted = {}
+    program = load_checker(PROGRAMS[0])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(program, "prove", remember(program.prove))
+        for seed in seeds:
+            mutant, part = mutate(written, random.Random(seed))
+            if mutant == written or not is_accepted(mutant, folder, capsys):
+                continue
+            assert part in HARMLESS, (seed, part)
+            assert part in PROOFS or holds_in_floats(mutant), (seed, part)
+            accepted[part] = HARMLESS[part]
+    return accepted
+
+
+def remember(prove):
+    """Return the same proof of a motion, which is not gone through again where it has passed."""
+
+    @cache
+    def prove_once(output, sign, level, tree, cell, robot, piece):
+        prove(output, sign, level, tree, cell, robot, piece)
+
+    def prove_frozen(output, sign, level, tree, cell, robot, piece):
+        prove_once(output, sign, level, tree, tuple(cell), tuple(robot), tuple(piece))
+
+    return prove_frozen

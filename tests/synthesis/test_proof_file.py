@@ -2,14 +2,13 @@
 or holds as well, and what is damaged is refused in one line."""
 
 import json
-import random
 import subprocess
 import sys
 from fractions import Fraction
 
 import msgspec
 import pytest
-from certificate_mutants import HARMLESS, change, is_accepted, mutate
+from certificate_mutants import change, is_accepted, survey_mutants
 from certificate_oracle import holds_in_floats
 
 import jaxtube as jt
@@ -113,20 +112,6 @@ def test_what_the_checker_knows_nothing_of_is_unchecked_and_refused(scenario, tm
     path.write_text(json.dumps(described))
     assert load_checker(PROGRAMS[0]).main(str(path)) == 1
     assert "UNCHECKED" in capsys.readouterr().out
-
-
-def survey_mutants(written, seeds, tmp_path, capsys) -> dict[str, str]:
-    """Return of changed certificates what was accepted, by the reason why that is harmless; each
-    holds in floats."""
-    accepted = {}
-    for seed in seeds:
-        mutant, part = mutate(written, random.Random(seed))
-        if mutant == written or not is_accepted(mutant, tmp_path, capsys):
-            continue
-        assert part in HARMLESS, (seed, part)
-        assert holds_in_floats(mutant), (seed, part)
-        accepted[part] = HARMLESS[part]
-    return accepted
 
 
 def test_what_is_changed_is_refused_or_holds_as_well(written, tmp_path, capsys):

@@ -5,7 +5,7 @@ import json
 from fractions import Fraction
 
 import pytest
-from certificate_mutants import change, is_accepted
+from certificate_mutants import change, is_accepted, survey_mutants
 from certificate_oracle import holds_in_floats
 
 import jaxtube as jt
@@ -124,3 +124,11 @@ def test_plans_that_skip_the_first_periods_of_learning_are_refused(learnt, tmp_p
     assert not is_accepted(changed, tmp_path, capsys)
     del changed["plans"]
     assert not is_accepted(changed, tmp_path, capsys)
+
+
+@pytest.mark.slow
+def test_changed_certificates_of_other_kinds_are_refused_or_hold_as_well(
+    modelled, learnt, tmp_path, capsys
+):
+    survey_mutants(modelled, range(150), tmp_path, capsys)
+    survey_mutants(learnt, range(150), tmp_path, capsys)
