@@ -20,8 +20,8 @@ LOOSER = 0.01
 
 PROGRAM_ROUNDING = 1e-9
 """Of the answers of linear programs, and of W's own vertices."""
-PARTS = 4
-"""Boxes along the range of wheel speeds in which those of a band are looked for."""
+PARTS = 3
+"""Mean wheel speeds of a band that are tried."""
 
 
 def to_floats(value):
@@ -181,15 +181,16 @@ def _find_box(region):
 
 
 def _list_boxes(region):
-    """Return boxes of wheel speeds that lie in a region, and hold most of it."""
+    """Return boxes of wheel speeds that lie in a region: all of it, or places on its rim and in its
+    middle."""
     low, high = np.array(_find_box(region))
     if len(region) == 2 or np.array_equal(region[:2], region[2:]):
         return [(low, high)]
-    cells = np.array(list(np.ndindex(PARTS, PARTS)))
-    starts = low + cells * (high - low) / PARTS
-    ends = starts + (high - low) / PARTS
-    lies_in = (starts.mean(axis=1) >= region[2]) & (ends.mean(axis=1) <= region[3])
-    return list(zip(starts[lies_in], ends[lies_in], strict=True))
+    places = []
+    for mean, side in product(np.linspace(region[2], region[3], PARTS), (-1, 0, 1)):
+        half = side * min(mean - region[0], region[1] - mean)
+        places.append(np.array([mean + half, mean - half]))
+    return [(place, place) for place in places]
 
 
 def _make_stage(said, band, model, speeds):

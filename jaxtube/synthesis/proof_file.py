@@ -20,7 +20,7 @@ from jaxtube.atomic import write_atomically
 from jaxtube.progress import announce
 from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.parts import Design
-from jaxtube.synthesis.proof_parts import describe_design, describe_model, describe_robot
+from jaxtube.synthesis.proof_parts import describe_design, describe_mixed, describe_robot
 from jaxtube.synthesis.proof_search import (
     CHECKER,
     PROGRAMS,
@@ -32,28 +32,23 @@ from jaxtube.synthesis.proof_search import (
 
 FILE = "certificate.json"
 FORMAT = "jaxtube certificate 1"
-CHECKED_OF_MODEL = {
-    "controller.discretisation": "euler",
-    "controller.input_map": "paper",
-    "controller.restart": True,
-    "controller.has_observer": False,
-    "robot.obeys_at_once": True,
-    "robot.wheel_acceleration_max_mps2": None,
-    "slip.is_learnt": False,
-}
-"""What the checker knows of scenarios whose W is assumed, by their fields."""
 CHECKED = {
-    "controller.model": "exact_jacobian",
-    "controller.input_map": "x_exact",
-    "controller.tube": "sequence",
-    "controller.terminal": "T-A",
     "controller.restart": True,
     "controller.has_observer": False,
-    "disturbance.bound": "computed",
     "robot.obeys_at_once": True,
     "robot.wheel_acceleration_max_mps2": None,
 }
 """What the checker knows, by the scenario's fields."""
+OF_LAWS = {
+    "controller.model": "exact_jacobian",
+    "controller.input_map": "x_exact",
+    "controller.tube": "sequence",
+    "controller.terminal": "T-A",
+    "disturbance.bound": "computed",
+}
+"""Besides, where the law u = K e has a set of its own."""
+OF_MIXED = {"controller.discretisation": "euler", "slip.is_learnt": False}
+"""Besides, of gains that are mixed."""
 
 
 def write_certificate(design: Design, folder: str | Path, name: str = "") -> Path:
@@ -90,13 +85,13 @@ def describe_proof(design: Design, name: str = "") -> dict[str, Any]:
     if unchecked:
         return {**head, "unchecked": unchecked}
     certificate = {**head, **describe_robot(design.problem)}
-    is_of_model = concerns_model(scenario)
-    certificate |= describe_model(design) if is_of_model else describe_design(design)
+    certificate |= describe_mixed(design) if mixes_gains(scenario) else describe_design(design)
     announce("proving the certificate for its file")
     try:
-        if not is_of_model:
+        if scenario.disturbance.bound == "computed":
             for band in certificate["bands"]:
                 prove_motions(certificate, band)
+        if "sets" in certificate:
             prove_sets(certificate)
         prove_plans(certificate)
     except load_checker("check_intervals.py").Refused as refusal:
@@ -108,25 +103,30 @@ def list_unchecked(design: Design) -> dict[str, str]:
     """Return the fields of a design's scenario that the checker knows nothing of, with their
     values, and its verdict where the checker proves no such verdict."""
     scenario = design.problem.scenario
-    is_of_model = concerns_model(scenario)
+    is_mixed = mixes_gains(scenario)
+    is_computed = scenario.disturbance.bound == "computed"
+    wanted = {**CHECKED, **(OF_MIXED if is_mixed else OF_LAWS)}
+    if is_mixed:
+        wanted["controller.input_map"] = "x_exact" if is_computed else "paper"
+        wanted["controller.model"] = "consistent" if is_computed else scenario.controller.model
     unchecked = {}
-    for field, known in (CHECKED_OF_MODEL if is_of_model else CHECKED).items():
+    for field, known in wanted.items():
         table, key = field.split(".")
         value = getattr(getattr(scenario, table), key)
         if value != known:
             unchecked[field] = str(value)
     has_gains = scenario.controller.tracking_gains or scenario.operating.bands
-    if not (has_gains or is_of_model):
+    if not (has_gains or is_mixed):
         unchecked["controller.tracking_gains"] = "none"
-    if not (design.certificate.holds_for_robot or is_of_model):
+    if is_computed and not design.certificate.holds_for_robot:
         unchecked["verdict"] = "for the model alone, though W is computed"
     return unchecked
 
 
-def concerns_model(scenario: Scenario) -> bool:
-    """Return whether a scenario promises something of a linear model alone, whose W is assumed."""
-    is_assumed = scenario.disturbance.bound == "assumed"
-    return is_assumed and scenario.controller.model in ("paper", "consistent")
+def mixes_gains(scenario: Scenario) -> bool:
+    """Return whether the model of a scenario is affine in the wheel speeds, so that loops are
+    mixtures of those at corners whatever gains are mixed there."""
+    return scenario.controller.model != "exact_jacobian" and not scenario.operating.bands
 
 
 def _write_numbers(value: Any) -> Any:

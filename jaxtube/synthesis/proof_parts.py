@@ -117,8 +117,6 @@ def _describe_band(problem: Problem, name: str, regions: list) -> dict[str, Any]
         "u1": list_fractions([-rows.offsets[half], rows.offsets[0]]),
         "u2": list_fractions([-rows.offsets[half + 1], rows.offsets[1]]),
         "coupling": list_fractions(coupling),
-        "gains": list_fractions(problem.scenario.controller.tracking_gains),
-        "set": SET,
         "disturbance": {
             "yaw": Fraction(bound.yaw),
             "lean": Fraction(bound.lateral_per_yaw),
@@ -153,35 +151,45 @@ def _describe_cost(design: Design) -> dict[str, list]:
     return {name: list_fractions(matrix) for name, matrix in cost.items()}
 
 
-def describe_model(design: Design) -> dict[str, Any]:
-    """Return a linear model, its band, its cost and its QPs."""
+def _describe_law(problem: Problem) -> dict[str, Any]:
+    gains = list_fractions(problem.scenario.controller.tracking_gains)
+    return {"gains": gains, "set": SET}
+
+
+def describe_mixed(design: Design) -> dict[str, Any]:
+    """Return a linear model whose gains are mixed, its band, its cost and its QPs."""
     problem = design.problem
     (regions,) = _list_regions(problem)
+    describe = _describe_band if problem.has_computed_bound else _describe_assumed
     corners = [
         [[right, left] for right in (lower[0], upper[0]) for left in (lower[1], upper[1])]
         for lower, upper in problem.regions
     ]
     laws = {"K": design.tube_gain, "G": design.terminal.gains}
-    band = {
-        "name": BAND.format(1),
+    gains = [
+        {name: list_fractions(gain.along(np.array(each))) for name, gain in laws.items()}
+        for each in corners
+    ]
+    return {
+        "model": {"turning": list_fractions(problem.model.slip_factors)},
+        "bands": [{**describe(problem, BAND.format(1), regions), "gains": gains}],
+        "cost": _describe_cost(design),
+        "plans": _describe_plans(design),
+    }
+
+
+def _describe_assumed(problem: Problem, name: str, regions: list) -> dict[str, Any]:
+    """Return caps, inputs that wheels can do and a W that is assumed."""
+    return {
+        "name": name,
         "regions": regions,
         "errors": list_fractions(problem.operating_set.offsets[:3]),
         "inputs": _list_deficits(problem),
-        "gains": [
-            {name: list_fractions(gain.along(np.array(each))) for name, gain in laws.items()}
-            for each in corners
-        ],
         "disturbance": {
             "yaw": Fraction(0),
             "lean": Fraction(0),
             "box": list_fractions(problem.disturbance_set.support(np.eye(3))),
         },
-    }
-    return {
-        "model": {"turning": list_fractions(problem.model.slip_factors)},
-        "bands": [band],
-        "cost": _describe_cost(design),
-        "plans": _describe_plans(design),
     }
 
 
@@ -203,7 +211,7 @@ def describe_design(design: Design) -> dict[str, Any]:
     problem = design.problem
     regions = _list_regions(problem)
     bands = [
-        _describe_band(regime, BAND.format(number), of_band)
+        {**_describe_band(regime, BAND.format(number), of_band), **_describe_law(regime)}
         for number, (regime, of_band) in enumerate(
             zip(problem.every_regime, regions, strict=True), start=1
         )

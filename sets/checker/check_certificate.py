@@ -46,7 +46,7 @@ KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning", "model", "
 DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 DAMAGES += (RecursionError,)
 BAND_OF_MODEL = {"name", "regions", "errors", "inputs", "gains", "disturbance"}
-BAND = {"name", "regions", "errors", "u1", "u2", "coupling", "gains", "set", "disturbance", "cells"}
+BAND = {"name", "regions", "errors", "u1", "u2", "coupling", "gains", "disturbance", "cells"}
 
 
 def read(value: Any) -> Any:
@@ -84,7 +84,8 @@ def list_levels(certificate, band):
     noise = certificate["noise"]
     yaw, box = pick(band["disturbance"], "yaw", "box")
     require(box[2] >= 2 * noise[2], "W is narrower than twice the noise of headings")
-    levels = {"x": box[0] - noise[0], "y": box[1] - noise[1], "kick": yaw}
+    sideways = "y" if "model" not in certificate else "y of the model"
+    levels = {"x": box[0] - noise[0], sideways: box[1] - noise[1], "kick": yaw}
     levels = {(output, sign): level for output, level in levels.items() for sign in (1, -1)}
     slowest, fastest = certificate["wheel_speeds"]
     for wheel in ("right", "left"):
@@ -137,7 +138,9 @@ def list_motions(certificate, band):
 
 
 def check_motions(certificate, band):
-    """Prove W of a band, and its commands within the limits of wheels; return how many cells."""
+    """Prove W of a band, and its commands within the limits of wheels; return it in words."""
+    turning = certificate.get("model", {"turning": [1, 1]})["turning"]
+    require(turning == [1, 1], "no W is proved of a model whose slipping wheels turn it less")
     count = 0
     for output, sign, level, cells in list_motions(certificate, band):
         name = output + ("+" if sign > 0 else "-")
@@ -146,7 +149,13 @@ def check_motions(certificate, band):
         for tree, cell in zip(trees, cells, strict=True):
             prove(output, sign, level, tree, *cell)
             count += tree.count(".")
-    return count
+    W = show_disturbance(band)
+    return f"w lies in W ({W}), and wheels can do what is asked of them; {count} cells"
+
+
+def is_of_robot(certificate):
+    """Return whether W is said to be proved."""
+    return all("cells" in band for band in certificate["bands"])
 
 
 def check_head(certificate):
@@ -160,8 +169,10 @@ def check_head(certificate):
     require(set(certificate["slips"]) == {"right", "left"}, "slips are not those of two wheels")
     names = {band["name"] for band in certificate["bands"]}
     require(0 < len(names) == len(certificate["bands"]), "bands need names of their own")
-    known = BAND_OF_MODEL if "model" in certificate else BAND
+    require(is_of_robot(certificate) or "model" in certificate, "no W is proved or assumed")
+    known = BAND if is_of_robot(certificate) else BAND_OF_MODEL
     known = known | {"age", "losses"} if "learning" in certificate else known
+    known = known if "model" in certificate else known | {"set"}
     for band in certificate["bands"]:
         require(set(band) == known and band["regions"], f"{band['name']} is not described as known")
         pairs = zip(band["errors"], certificate["noise"], strict=True)
@@ -177,9 +188,10 @@ def check(certificate):
     if "learning" in certificate:
         losses = ", ".join(f"{float(loss):.4g}" for loss in check_learning(certificate))
         yield f"slips are learnt: ground speeds err by {losses} (right, left) at most in the end"
-    check_bands = check_bands_of_model if "model" in certificate else check_bands_of_robot
-    for name, sentence in check_bands(certificate):
-        yield f"{name}: {sentence}"
+    for band in certificate["bands"]:
+        check_band = check_motions if is_of_robot(certificate) else check_wheels
+        yield f"{band['name']}: {check_band(certificate, band)}"
+    yield from (check_ends if "model" in certificate else check_law)(certificate)
     if "plans" in certificate:
         room = check_plans(certificate)
         shown = f"{len(room)} rows, least room {min(room) / ONE:.3g}"
@@ -188,35 +200,27 @@ def check(certificate):
     yield f"hence, at the end of every period, true errors within {limits} m, m, rad"
 
 
-def check_bands_of_robot(certificate):
-    """Check bands whose W is proved of the robot, and whose law u = K e has a set of its own; yield
-    their names and what is proved."""
+def check_law(certificate):
+    """Check the sets and the cost of the law u = K e; yield in words what is proved."""
     shapes = {
         name: Set(scale_all(shape["rows"]), scale_all(shape["offsets"]), shape["extents"])
         for name, shape in certificate["sets"].items()
     }
     for band in certificate["bands"]:
-        name = band["name"]
-        count = check_motions(certificate, band)
-        W = show_disturbance(band)
-        yield name, f"w lies in W ({W}), and wheels can do what is asked of them; {count} cells"
         if is_lasting(certificate, band):
             room = check_sets(certificate, band, shapes[band["set"]])
-            yield name, f"{len(room)} inclusions of sets, for speeds in any order"
+            yield f"{band['name']}: {len(room)} inclusions of sets, for speeds in any order"
             if "cost" in certificate:
                 check_cost(certificate, product(*list_loops(certificate, band)))
-                yield name, "the terminal cost decreases by the cost of a stage"
+                yield f"{band['name']}: the terminal cost decreases by the cost of a stage"
 
 
-def check_bands_of_model(certificate):
-    """Check bands whose W is assumed; yield their names and what is proved."""
-    require("plans" in certificate, "a certificate of a model alone is one of its plans")
-    for band in certificate["bands"]:
-        check_wheels(certificate, band)
-        yield band["name"], "wheels can do what is asked of them"
-        if "cost" in certificate:
-            check_cost(certificate, list_ends(certificate, band))
-            yield band["name"], "the terminal cost decreases by the cost of a stage"
+def check_ends(certificate):
+    """Check the cost of the law u = G e that ends plans; yield in words what is proved."""
+    require("plans" in certificate, "without plans gains that are mixed promise nothing")
+    for band in certificate["bands"] if "cost" in certificate else ():
+        check_cost(certificate, list_ends(certificate, band))
+        yield f"{band['name']}: the terminal cost decreases by the cost of a stage"
 
 
 def show_disturbance(band):
@@ -227,7 +231,8 @@ def show_disturbance(band):
 
 def list_assumptions(certificate):
     """Yield in words what is taken for granted."""
-    for band in certificate["bands"] if "model" in certificate else ():
+    of_robot = is_of_robot(certificate)
+    for band in () if of_robot else certificate["bands"]:
         yield f"{band['name']}: w lies in W ({show_disturbance(band)}), proved of no robot"
     for wheel, slips in certificate["slips"].items():
         for least, most, *seen in slips:
@@ -242,9 +247,11 @@ def list_assumptions(certificate):
         yield "the slip compensated is the centre of the interval of check_learning, within 1e-9"
     T, b, lever = map(float, pick(certificate, *ROBOT))
     yield f"a robot of two wheels, {b:.6g} m apart, commanded every {T:.6g} s"
-    if "model" not in certificate:
+    if of_robot:
         slide = float(certificate["sideslip"])
         yield f"which slides by {slide:.4g} of its speed at most, and {lever:.4g} m by its yaw rate"
+    how = "the way of check_motion" if of_robot else "V - u1 -+ (b/2) u2"
+    yield f"wheels (right, left) are asked for {how} over ground, by the slip that is compensated"
     x, y, heading = map(float, certificate["noise"])
     shown = f"{x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg"
     yield f"errors measured within {shown} in the robot's frame, without delay"
@@ -253,7 +260,7 @@ def list_assumptions(certificate):
             shown = ", ".join(f"{float(speed):.6g}" for speed in region)
             kind = "right, left" if len(region) == 2 else "least, greatest; of their mean as well"
             yield f"{band['name']}: reference wheel speeds {shown} m/s ({kind})"
-    if "model" not in certificate:
+    if of_robot:
         yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
     yield "what is proved holds at the ends of periods, nothing in between"
     if "plans" not in certificate:

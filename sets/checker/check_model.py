@@ -1,5 +1,5 @@
-"""A certificate for a linear model alone, of gains that are mixed from those at the corners of the
-wheel speeds; part of `check_certificate`, of the standard library alone.
+"""A linear model that is not the motion's Jacobian, and gains that are mixed from those at the
+corners of the wheel speeds; part of `check_certificate`, of the standard library alone.
 
 With the shares f_r, f_l of the wheels' speeds that count in the yaw rate, b Om = f_r V_r - f_l V_l
 and V = (V_r + V_l)/2, the model is
@@ -9,7 +9,7 @@ and V = (V_r + V_l)/2, the model is
 A gain K or G of a region, right speeds from a to a', left ones from c to c', is given at (a, c),
 (a, c'), (a', c), (a', c') and mixed by the shares of either way. M is affine in the speeds and B
 constant, so that (M + B G, G) is a mixture of those at the corners by the same shares. Plans are
-corrected by K and ended by G. That w lies in W is assumed.
+corrected by K and ended by G. That w lies in W is assumed, but where a certificate proves it.
 """
 
 from fractions import Fraction
@@ -52,8 +52,8 @@ def mix_gains(band, name, speeds):
 
 
 def check_wheels(certificate, band):
-    """Prove that inputs within their limits ask no wheel for more than it can do: the right one is
-    asked for V_r - u1 - (b/2) u2 over ground, the left one for V_l - u1 + (b/2) u2."""
+    """Prove that inputs within their limits ask no wheel for more than it can do, and say so: the
+    right one is asked for V_r - u1 - (b/2) u2 over ground, the left one for V_l - u1 + (b/2) u2."""
     slowest, fastest = certificate["wheel_speeds"]
     half = certificate["track"] / 2
     for index, wheel in enumerate(("right", "left")):
@@ -65,6 +65,7 @@ def check_wheels(certificate, band):
             is_able = most - low <= min(grip * fastest for grip in grips)
             is_able &= least - high >= max(grip * slowest for grip in grips)
             require(is_able, f"the {wheel} wheel may be asked for more than it can do")
+    return "wheels can do what is asked of them"
 
 
 def list_ends(certificate, band):

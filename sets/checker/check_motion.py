@@ -21,6 +21,7 @@ the motion's Jacobian at e = u = 0, leaves out, of errors measured with noise n,
 
     w = (w_x, w_y, kick - n_th) + next n   in   W = {s (0, lean, 1): |s| <= yaw} + box.
 
+Of another model, "y of the model", the difference between the models is added to w_y.
 That w_x and w_y - lean kick, beside the next n, and the kick keep their bounds is proved cell by
 cell: a motion is largest at an end of a cell where its slope has one sign, and rises by no more
 than slope times way from elsewhere (Moore, Kearfott, Cloud 2009, chapter 6).
@@ -63,7 +64,8 @@ def turn_sine(x, half_step):
 
 
 def find_motion(output, variables, constants):
-    """Return w_x, w_y - lean kick, the kick, or the way of a wheel that is asked for."""
+    """Return w_x, w_y - lean kick, the same of a model that is not the motion's Jacobian, the kick,
+    or the way of a wheel that is asked for."""
     share, y, th, u1, u2, first, second, d_r, d_l, zeta, n_x, n_y, n_th = variables
     T, turning, half_b, per_b, lever, lean, x_reach, x_slope, v_reach, v_slope = constants
     x = share * (u2 * x_slope + x_reach)
@@ -114,7 +116,16 @@ def find_motion(output, variables, constants):
     curved = curved - turn_cosine(half_A, half_m * MINUS_HALF) * secants * ahead_th
     swing = d_cos * y - d_sin * x + chord * turn_sine(psi, half_swing)
     slip = way * D.change(a, back) - lost * D(turn) - sideways * C(turn)
-    return bent + chord * curved + swing + slip + sin_turn * n_x - cos_turn * n_y - kick * lean
+    found = bent + chord * curved + swing + slip + sin_turn * n_x - cos_turn * n_y - kick * lean
+    if output == "y":
+        return found
+    # Of the model I + T (.), with f_r = f_l = 1, beside the Jacobian.
+    secant_A = COSINE(half_A).inverse()
+    tangent = SINE(half_A) * secant_A
+    quarter = SINE(half_A * HALF)
+    bend = (half_A * quarter * quarter * 2 + EXCESS(half_A)) * secant_A * -2
+    longer = chord * secant_A - middle * T
+    return found + bend * x - tangent * (A * y + u1 * T) + longer * th + chord * secant_A * m * HALF
 
 
 def note_motion(output, cell, robot, piece):

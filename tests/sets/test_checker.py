@@ -142,6 +142,9 @@ def find_world_motion(values):
     return {
         "x": after.real - predicted[0],
         "y": after.imag - predicted[1] - lean * kick,
+        "y of the model": after.imag
+        - (y - T * (right - left) / b * x + T * (right + left) / 2 * th)
+        - lean * kick,
         "kick": kick,
         "right": T * (speed + b * rate / 2),
         "left": T * (speed - b * rate / 2),
@@ -178,7 +181,7 @@ def test_formulas_without_the_variables_that_are_zero_are_the_same(output):
     assert max(ends) - min(ends) < 10_000
 
 
-@pytest.mark.parametrize("output", ["x", "y", "kick", "right", "left"])
+@pytest.mark.parametrize("output", ["x", "y", "y of the model", "kick", "right", "left"])
 def test_slopes_hold_differences_of_a_motion(output):
     formula = note(output)
     for seed in range(10):
@@ -195,7 +198,7 @@ def test_slopes_hold_differences_of_a_motion(output):
             assert end[0] - start[1] <= most * step
 
 
-@pytest.mark.parametrize("output", ["x", "y", "kick"])
+@pytest.mark.parametrize("output", ["x", "y", "y of the model", "kick"])
 @pytest.mark.parametrize("sign", [1, -1])
 def test_bounds_of_cells_hold_all_their_motions(output, sign):
     formula = note(output)

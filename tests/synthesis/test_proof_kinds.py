@@ -13,6 +13,7 @@ from jaxtube.synthesis.proof_file import write_certificate
 from jaxtube.synthesis.proof_search import PROGRAMS, load_checker
 
 SHORT = ["reference.certified_for=path", "reference.duration_s=1.2", "controller.horizon=2"]
+MIXED = ["controller.model=consistent", "controller.tracking_gains=[]", "slip.relative_error=0.05"]
 MEASURED = [*SHORT, "slip.right=[0.1,0.3]", "slip.left=[0.1,0.3]", "robot.wheel_speed_max_mps=3.6"]
 MEASURED += ["slip.measurement_error=0.005", "slip.measurement_error_relative=0.05"]
 
@@ -83,6 +84,22 @@ def test_slips_that_are_measured_are_checked(measured, tmp_path, capsys):
     for index in (0, 1):
         wider = change(measured, "measured", "right", index, by=lambda error: error * 11 / 10)
         assert not is_accepted(wider, tmp_path, capsys)
+
+
+@pytest.mark.slow
+def test_gains_of_an_lmi_are_checked_for_the_robot(tmp_path, capsys):
+    mixed = write("certified", [*MIXED, "reference.duration_s=1.2"], tmp_path)
+    assert is_accepted(mixed, tmp_path, capsys)
+    for key, by in (("yaw", Fraction(9, 10)), ("yaw", Fraction(11, 10)), ("lean", Fraction(2))):
+        changed = change(mixed, "bands", 0, "disturbance", key, by=lambda width, by=by: width * by)
+        assert not is_accepted(changed, tmp_path, capsys)
+    for width in (0, 1):
+        changed = change(mixed, "bands", 0, "disturbance", "box", width, by=lambda w: w * 9 / 10)
+        assert not is_accepted(changed, tmp_path, capsys)
+    changed = change(mixed, "model", "turning", 0, by=lambda share: share * 9 / 10)
+    assert not is_accepted(changed, tmp_path, capsys)
+    del mixed["bands"][0]["cells"]
+    assert not is_accepted(mixed, tmp_path, capsys)
 
 
 @pytest.mark.slow
