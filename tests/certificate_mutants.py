@@ -24,6 +24,7 @@ HARMLESS = {
     "wheel_speeds": "wheels of other speeds that can do what is asked as well",
     "constraints": "other limits that caps and noise keep as well",
     "name": "another name",
+    "bands": "the same bands in another order, or promises of fewer of them",
     "bands.errors": "other caps that the proof has room for",
     "bands.u1": "other caps that the proof has room for",
     "bands.u2": "other caps that the proof has room for",
