@@ -13,11 +13,10 @@ ended by a law:
     e'_j = e_(j+1) + Phi_j .. Phi_1 w        g'_j = g_(j+1) + K_(j+1) (e'_j - e_(j+1))
 
 and g'_(N-1) = K' e'_(N-1) at the speeds of the next plan's last period, or G' e'_(N-1) where
-another law ends plans. Every row of it is bounded
-by what a plan may reach of the same row a period later, and W; at the end by multipliers on the
-terminal rows, and W. A plan may reach of a row its bound, the solver's tolerance and the difference
-between the row as it runs and as the model predicts it; it is accepted up to the bound less that
-difference.
+another law ends plans. Every row of it is bounded by what a plan may reach of the same row a period
+later, and W; at the end by multipliers on the terminal rows, and W. A plan may reach of a row its
+bound, the solver's tolerance and the difference between the row as it runs and as the model
+predicts it; it is accepted up to the bound less that difference.
 
 Source: Chisci, Rossiter, Zappa 2001; Higham 2002, lemma 3.1, for the rounding of inner products.
 """
@@ -131,7 +130,8 @@ class Window:
         box = [scale(2 * end) for end in (*self.bands[0]["errors"], *caps)]
         own = [*entries[:3], *(multiply(norm, entry) for entry in entries[3:])]
         kind, j, i = row
-        predicted = self.predict(*self.find_row(kind, j, i), j)
+        on_u, on_e = self.find_row(kind, j, i)
+        predicted = self.predict(on_u, on_e, j)
         differs = [subtract(*pair) for pair in zip(predicted, own, strict=True)]
         for sign, end in zip((-1, 1), ends, strict=True):
             if end is not None:

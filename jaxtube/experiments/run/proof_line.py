@@ -22,4 +22,5 @@ def write_proof(design: Design, folder: Path, name: str) -> str:
             f"{', '.join(unchecked)}"
         )
     words = shlex.join(["python3", str(folder / PROGRAMS[0]), str(path)])
-    return f"proof in {path}, for Python's standard library to check: {words}"
+    about = "" if design.certificate.holds_for_robot else " for the linear model alone"
+    return f"proof{about} in {path}, for Python's standard library to check: {words}"
