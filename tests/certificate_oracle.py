@@ -12,11 +12,16 @@ from jaxtube.plant.model import make_model
 from sets.robot.disturbance import disturbance_bound
 from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics
+from sets.robot.slip_learning import Learning, bound_learnt_slips
+
+WHEELS = ("right", "left")
+LOOSER = 0.01
+"""Share by which proofs of learnt slips may differ."""
 
 PROGRAM_ROUNDING = 1e-9
 """Of the answers of linear programs, and of W's own vertices."""
-PARTS = 4
-"""Boxes along the range of wheel speeds in which those of a band are looked for."""
+PARTS = 3
+"""Mean wheel speeds of a band that are tried."""
 
 
 def to_floats(value):
@@ -34,6 +39,8 @@ def to_floats(value):
 def holds_in_floats(certificate) -> bool:
     """Return whether no counterexample is found to what a certificate promises."""
     said = to_floats(certificate)
+    if "model" in said:
+        return _holds_for_model(said)
     model = make_model(
         "exact_jacobian",
         "euler",
@@ -44,7 +51,53 @@ def holds_in_floats(certificate) -> bool:
     )
     checks = (_keeps_limits, _keeps_disturbances, _keeps_sets, _keeps_cost)
     of_bands = product(checks, said["bands"])
-    return all(check(said, band, model) for check, band in of_bands) and _keeps_plans(said, model)
+    holds = all(check(said, band, model) for check, band in of_bands)
+    return holds and _keeps_slips(said) and _keeps_plans(said, model)
+
+
+def _holds_for_model(said) -> bool:
+    """Return the same of a certificate of a linear model alone."""
+    nominal = 1 - np.array(said["model"]["turning"])
+    ends = (np.full(2, 0.2), np.full(2, 1.5))
+    model = make_model("paper", "euler", said["period"], said["track"], nominal, ends)
+    return (
+        all(
+            check(said, band, model)
+            for check in (_keeps_limits, _keeps_wheels, _keeps_cost)
+            for band in said["bands"]
+        )
+    ) and _keeps_plans(said, model)
+
+
+def _keeps_wheels(said, band, model) -> bool:
+    """Try the corners of speeds, inputs and slips."""
+    first, second = band["inputs"]
+    ends = [(each["low"], each["high"]) for each in (first, second)]
+    matrix = [[1, each["on_u2"]] for each in (first, second)]
+    inputs = np.linalg.solve(matrix, np.array(list(product(*ends))).T)
+    asked = np.array([inputs[0] + sign * said["track"] / 2 * inputs[1] for sign in (1, -1)])
+    slowest, fastest = said["wheel_speeds"]
+    for index, wheel in enumerate(WHEELS):
+        seen = [slip for *_, low, high in said["slips"][wheel] for slip in (low, high)]
+        for region, slip in product(band["regions"], seen):
+            for speed in np.array(_find_box(region))[:, index]:
+                wheels = (speed - asked[index]) / (1 - slip)
+                within = np.clip(wheels, slowest, fastest)
+                if slip >= 1 or np.max(np.abs(wheels - within)) > PROGRAM_ROUNDING:
+                    return False
+    return True
+
+
+def _mix(band, name, speeds):
+    """Return a gain between those at the corners of its region."""
+    for region, gains in zip(band["regions"], band["gains"], strict=True):
+        low, high = np.array(_find_box(region))
+        if np.all(low <= speeds) and np.all(speeds <= high):
+            shares = (speeds - low) / np.where(high > low, high - low, 1.0)
+            pairs = [(1 - share, share) for share in shares]
+            weights = [a * b for a, b in product(*pairs)]
+            return np.tensordot(weights, np.array(gains[name]), axes=1)
+    raise ValueError("no region has these speeds")
 
 
 def _keeps_limits(said, band, model) -> bool:
@@ -57,7 +110,7 @@ def _keeps_disturbances(said, band, model) -> bool:
     losses = []
     least = []
     most = []
-    for wheel in ("right", "left"):
+    for wheel in WHEELS:
         ends = [
             (true - seen) / (1 - seen)
             for low, high, *both in said["slips"][wheel]
@@ -67,6 +120,8 @@ def _keeps_disturbances(said, band, model) -> bool:
         losses.append((min(ends), max(ends)))
         least.append(max(grip * said["wheel_speeds"][0] for grip in grips))
         most.append(min(grip * said["wheel_speeds"][1] for grip in grips))
+    if "learning" in said:
+        losses = [(-loss, loss) for loss in band["losses"]]
     errors = np.array(band["errors"])
     of_x, of_turn = band["coupling"]
     operation = Operation(
@@ -82,7 +137,7 @@ def _keeps_disturbances(said, band, model) -> bool:
         coupling=(1 / of_x, 1 / of_turn),
     )
     W = band["disturbance"]
-    found = disturbance_bound(operation, Kinematics(), tolerance=0.3)
+    found = disturbance_bound(operation, Kinematics(), tolerance=0.003)
     lean_gap = abs(W["lean"] - operation.period.lateral_per_yaw) * found.found_yaw
     room = np.array(W["box"]) - found.found_box
     is_wide = W["yaw"] >= found.found_yaw * (1 - PROGRAM_ROUNDING)
@@ -95,28 +150,59 @@ def _keeps_disturbances(said, band, model) -> bool:
     )
 
 
+def _keeps_slips(said) -> bool:
+    """Compare the losses of slips that are learnt with what the project proves of its observer."""
+    if "learning" not in said:
+        return True
+    last = said["bands"][-1]
+    corners = np.concatenate([_find_box(region) for region in last["regions"]])
+    learning = said["learning"]
+    proved = bound_learnt_slips(
+        Learning(
+            slips=np.array([said["slips"][wheel][0][:2] for wheel in WHEELS]).T,
+            change=learning["change"],
+            periods=int(learning["periods"]),
+            errors=np.array(last["errors"]),
+            noise=np.array(said["noise"]),
+            speeds=np.array([learning["speeds"][wheel] for wheel in WHEELS]).T,
+            yaw_rate=np.abs(np.diff(corners)).max() / said["track"] + np.abs(last["u2"]).max(),
+            reference_speed=corners.max(),
+            dt=said["period"],
+            track_width=said["track"],
+        )
+    ).wheel_errors
+    losses = np.array([band["losses"] for band in said["bands"]])
+    # The project bounds the turn of a period a little more loosely.
+    return losses.shape == proved.shape and bool(np.all(losses >= proved * (1 - LOOSER)))
+
+
 def _find_box(region):
     return (region, region) if len(region) == 2 else ((region[0],) * 2, (region[1],) * 2)
 
 
 def _list_boxes(region):
-    """Return boxes of wheel speeds that lie in a region, and hold most of it."""
+    """Return boxes of wheel speeds that lie in a region: all of it, or places on its rim and in its
+    middle."""
     low, high = np.array(_find_box(region))
     if len(region) == 2 or np.array_equal(region[:2], region[2:]):
         return [(low, high)]
-    cells = np.array(list(np.ndindex(PARTS, PARTS)))
-    starts = low + cells * (high - low) / PARTS
-    ends = starts + (high - low) / PARTS
-    lies_in = (starts.mean(axis=1) >= region[2]) & (ends.mean(axis=1) <= region[3])
-    return list(zip(starts[lies_in], ends[lies_in], strict=True))
+    places = []
+    for mean, side in product(np.linspace(region[2], region[3], PARTS), (-1, 0, 1)):
+        half = side * min(mean - region[0], region[1] - mean)
+        places.append(np.array([mean + half, mean - half]))
+    return [(place, place) for place in places]
 
 
 def _make_stage(said, band, model, speeds):
     A, B = model.matrices(np.array(speeds))
+    if "model" in said:
+        K, G = (_mix(band, name, np.array(speeds)) for name in "KG")
+        return SimpleNamespace(A=A, B=B, K=K, loop=A + B @ K, end_K=G, end_loop=A + B @ G)
     k1, k2, k3 = band["gains"]
     rate = (speeds[0] - speeds[1]) / said["track"]
     K = np.array([[-k1, -rate, 0], [0, -k2, -k3]])
-    return SimpleNamespace(A=A, B=B, K=K, loop=A + B @ K)
+    loop = A + B @ K
+    return SimpleNamespace(A=A, B=B, K=K, loop=loop, end_K=K, end_loop=loop)
 
 
 def _draw_stages(said, band, model):
@@ -144,6 +230,10 @@ def _support(rows, offsets, direction) -> float:
 
 
 def _list_inputs(band):
+    if "inputs" in band:
+        on_inputs = np.array([[1, each["on_u2"]] for each in band["inputs"]])
+        ends = np.array([(each["low"], each["high"]) for each in band["inputs"]])
+        return on_inputs, np.zeros((2, 3)), *ends.T
     of_x, of_turn = band["coupling"]
     on_inputs = np.array([[1, 0], [0, 1], [0, of_turn], [0, -of_turn]])
     on_errors = np.array([[0, 0, 0], [0, 0, 0], [of_x, 0, 0], [of_x, 0, 0]])
@@ -153,6 +243,8 @@ def _list_inputs(band):
 
 
 def _keeps_sets(said, band, model) -> bool:
+    if "learning" in said and band["age"] < said["learning"]["periods"]:
+        return True  # at the start alone, where plans say what follows
     shape = said["sets"][band["set"]]
     H = np.array(shape["rows"])
     h = np.array(shape["offsets"])
@@ -222,8 +314,8 @@ def _succeed(said, bands, model, window, following):
         of_plan.append(unit[3 + 2 * j : 5 + 2 * j])
         of_w.append(stages[j].K @ deviation)
         deviation = stages[j].loop @ deviation
-    of_plan.append(last.K @ errors[N])
-    of_w.append(last.K @ deviation)
+    of_plan.append(last.end_K @ errors[N])
+    of_w.append(last.end_K @ deviation)
     return np.vstack(of_plan), np.vstack(of_w)
 
 
@@ -232,7 +324,11 @@ def _keeps_cost(said, band, model) -> bool:
         return True
     P, Q, R = (np.array(said["cost"][name]) for name in "PQR")
     return all(
-        np.linalg.eigvalsh(P - stage.loop.T @ P @ stage.loop - Q - stage.K.T @ R @ stage.K).min()
-        >= -PROGRAM_ROUNDING
+        np.linalg.eigvalsh(_find_decrease(stage, P, R) - Q).min() >= -PROGRAM_ROUNDING
         for stage in _draw_stages(said, band, model)
     )
+
+
+def _find_decrease(stage, P, R):
+    end_K = stage.end_K
+    return P - stage.end_loop.T @ P @ stage.end_loop - end_K.T @ R @ end_K

@@ -15,20 +15,12 @@ from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from jaxtube import qp
 from jaxtube.arguments import describe_type
 from jaxtube.atomic import write_atomically
-from jaxtube.plant.slip_bounds import slip_bounds
 from jaxtube.progress import announce
-from jaxtube.scenario.error_box import error_vector
-from jaxtube.scenario.tree import Scenario, Slip
-from jaxtube.synthesis.bands import list_ends
-from jaxtube.synthesis.certificate.program import predict_rows
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.parts import Design
-from jaxtube.synthesis.prediction import UNREACHED
-from jaxtube.synthesis.problem import Problem
+from jaxtube.synthesis.proof_parts import describe_design, describe_mixed, describe_robot
 from jaxtube.synthesis.proof_search import (
     CHECKER,
     PROGRAMS,
@@ -40,22 +32,23 @@ from jaxtube.synthesis.proof_search import (
 
 FILE = "certificate.json"
 FORMAT = "jaxtube certificate 1"
-BAND = "band {}"
-SET = "invariant set"
 CHECKED = {
+    "controller.restart": True,
+    "controller.has_observer": False,
+    "robot.obeys_at_once": True,
+    "robot.wheel_acceleration_max_mps2": None,
+}
+"""What the checker knows, by the scenario's fields."""
+OF_LAWS = {
     "controller.model": "exact_jacobian",
     "controller.input_map": "x_exact",
     "controller.tube": "sequence",
     "controller.terminal": "T-A",
-    "controller.restart": True,
-    "controller.has_observer": False,
     "disturbance.bound": "computed",
-    "robot.obeys_at_once": True,
-    "robot.wheel_acceleration_max_mps2": None,
-    "slip.is_measured": False,
-    "slip.is_learnt": False,
 }
-"""What the checker knows, by the scenario's fields."""
+"""Besides, where the law u = K e has a set of its own."""
+OF_MIXED = {"controller.discretisation": "euler", "slip.is_learnt": False}
+"""Besides, of gains that are mixed."""
 
 
 def write_certificate(design: Design, folder: str | Path, name: str = "") -> Path:
@@ -87,35 +80,53 @@ def write_certificate(design: Design, folder: str | Path, name: str = "") -> Pat
 def describe_proof(design: Design, name: str = "") -> dict[str, Any]:
     """Return the certificate with its proof, numbers as fractions."""
     scenario = design.problem.scenario
-    unchecked = list_unchecked(scenario)
+    unchecked = list_unchecked(design)
     head = {"format": FORMAT, "name": name or "design"}
     if unchecked:
         return {**head, "unchecked": unchecked}
-    certificate = {**head, **_describe_robot(design.problem)}
-    certificate |= _describe_design(design)
+    certificate = {**head, **describe_robot(design.problem)}
+    certificate |= describe_mixed(design) if mixes_gains(scenario) else describe_design(design)
     announce("proving the certificate for its file")
     try:
-        for band in certificate["bands"]:
-            prove_motions(certificate, band)
-        prove_sets(certificate)
-        if "plans" in certificate:
-            prove_plans(certificate)
-    except load_checker(PROGRAMS[1]).Refused as refusal:
+        if scenario.disturbance.bound == "computed":
+            for band in certificate["bands"]:
+                prove_motions(certificate, band)
+        if "sets" in certificate:
+            prove_sets(certificate)
+        prove_plans(certificate)
+    except load_checker("check_intervals.py").Refused as refusal:
         raise ValueError(f"design: its certificate cannot be written: {refusal}") from None
     return certificate
 
 
-def list_unchecked(scenario: Scenario) -> dict[str, str]:
-    """Return the fields of a scenario that the checker knows nothing of, with their values."""
+def list_unchecked(design: Design) -> dict[str, str]:
+    """Return the fields of a design's scenario that the checker knows nothing of, with their
+    values, and its verdict where the checker proves no such verdict."""
+    scenario = design.problem.scenario
+    is_mixed = mixes_gains(scenario)
+    is_computed = scenario.disturbance.bound == "computed"
+    wanted = {**CHECKED, **(OF_MIXED if is_mixed else OF_LAWS)}
+    if is_mixed:
+        wanted["controller.input_map"] = "x_exact" if is_computed else "paper"
+        wanted["controller.model"] = "consistent" if is_computed else scenario.controller.model
     unchecked = {}
-    for field, known in CHECKED.items():
+    for field, known in wanted.items():
         table, key = field.split(".")
         value = getattr(getattr(scenario, table), key)
         if value != known:
             unchecked[field] = str(value)
-    if not (scenario.controller.tracking_gains or scenario.operating.bands):
+    has_gains = scenario.controller.tracking_gains or scenario.operating.bands
+    if not (has_gains or is_mixed):
         unchecked["controller.tracking_gains"] = "none"
+    if is_computed and not design.certificate.holds_for_robot:
+        unchecked["verdict"] = "for the model alone, though W is computed"
     return unchecked
+
+
+def mixes_gains(scenario: Scenario) -> bool:
+    """Return whether the model of a scenario is affine in the wheel speeds, so that loops are
+    mixtures of those at corners whatever gains are mixed there."""
+    return scenario.controller.model != "exact_jacobian" and not scenario.operating.bands
 
 
 def _write_numbers(value: Any) -> Any:
@@ -125,153 +136,3 @@ def _write_numbers(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_write_numbers(entry) for entry in value]
     return str(value) if isinstance(value, Fraction | int) else value
-
-
-def _list_fractions(values: Any) -> list:
-    """Return numbers, in lists as they were, as the fractions they are; None for infinite ones."""
-    return [_list_fractions(each) if np.ndim(each) else _read_fraction(each) for each in values]
-
-
-def _read_fraction(value: float) -> Fraction | None:
-    return Fraction(float(value)) if np.isfinite(value) else None
-
-
-def _describe_robot(problem: Problem) -> dict[str, Any]:
-    scenario = problem.scenario
-    robot = problem.robot
-    return {
-        "period": Fraction(problem.model.dt),
-        "track": Fraction(problem.model.track_width),
-        "lever_arm": Fraction(robot.lever_arm),
-        "wheel_speeds": _list_fractions([robot.wheel_speed_min, robot.wheel_speed_max]),
-        "constraints": _list_fractions(error_vector(scenario.constraints)),
-        "noise": _list_fractions(problem.noise),
-        "sideslip": Fraction(scenario.slip.sideslip),
-        "slips": {
-            wheel: _list_slips(scenario.slip, index)
-            for index, wheel in enumerate(("right", "left"))
-        },
-    }
-
-
-def _list_slips(slip: Slip, wheel: int) -> list[list[Fraction]]:
-    """Return (least, greatest) true slips of a wheel, with those that are compensated."""
-    if slip.has_intervals:
-        bounds = slip_bounds(slip)
-        ends = (slip.right, slip.left)[wheel]
-        assert ends is not None
-        error = Fraction(float(bounds.absolute_error[wheel]))
-        nominal = Fraction(float(bounds.nominal[wheel]))
-        return [[*map(Fraction, ends), nominal - error, nominal + error]]
-    nominal = Fraction(slip.nominal[wheel])
-    ends = sorted(nominal * (1 + sign * Fraction(slip.relative_error)) for sign in (-1, 1))
-    if slip.random == "both":
-        return [[*ends, *ends]]
-    return [[*ends, nominal, nominal], [nominal, nominal, *ends]]
-
-
-def _describe_band(problem: Problem, name: str, regions: list) -> dict[str, Any]:
-    """Return caps, gains and W of a band, in which the whole of each of the regions lies."""
-    rows = problem.input_rows
-    half = len(rows.offsets) // 2
-    coupled = np.flatnonzero(rows.is_coupled)
-    coupling = [0.0, 0.0]
-    if len(coupled):
-        coupling = [rows.errors[coupled[0], 0], abs(rows.inputs[coupled[0], 1])]
-    bound = problem.disturbance_bound
-    assert bound is not None
-    return {
-        "name": name,
-        "regions": regions,
-        "errors": _list_fractions(problem.operating_set.offsets[:3]),
-        "u1": _list_fractions([-rows.offsets[half], rows.offsets[0]]),
-        "u2": _list_fractions([-rows.offsets[half + 1], rows.offsets[1]]),
-        "coupling": _list_fractions(coupling),
-        "gains": _list_fractions(problem.scenario.controller.tracking_gains),
-        "set": SET,
-        "disturbance": {
-            "yaw": Fraction(bound.yaw),
-            "lean": Fraction(bound.lateral_per_yaw),
-            "box": _list_fractions(bound.box),
-        },
-    }
-
-
-def _describe_set(polytope: Any) -> dict[str, Any]:
-    rows = _list_fractions(polytope.normals)
-    return {SET: {"rows": rows, "offsets": _list_fractions(polytope.offsets)}}
-
-
-def _describe_design(design: Design) -> dict[str, Any]:
-    """Return the bands of a design, its terminal set, its cost and its QPs."""
-    problem = design.problem
-    cost = {"P": design.cost.cost, "Q": problem.error_weight, "R": problem.input_weight}
-    regions = _list_regions(problem)
-    bands = [
-        _describe_band(regime, BAND.format(number), of_band)
-        for number, (regime, of_band) in enumerate(
-            zip(problem.every_regime, regions, strict=True), start=1
-        )
-    ]
-    return {
-        "bands": bands,
-        "sets": _describe_set(design.terminal.invariant),
-        "cost": {name: _list_fractions(matrix) for name, matrix in cost.items()},
-        "plans": _describe_plans(design),
-    }
-
-
-def _list_regions(problem: Problem) -> list[list]:
-    """Return the regions of every band: of several bands one each, by the mean of wheel speeds."""
-    if problem.regimes:
-        low, high = problem.model.box
-        _, *ends, _ = list_ends(problem.scenario)
-        # Means that round to the end of a band belong to it.
-        slowest = [low[0], *ends]
-        fastest = [*np.nextafter(ends, np.inf), high[0]]
-        means = zip(slowest, fastest, strict=True)
-        return [[_list_fractions([low[0], high[0], *of_band])] for of_band in means]
-    regions = []
-    for lower, upper in problem.regions:
-        is_pair = np.array_equal(lower, upper)
-        ends = lower if is_pair else [lower[0], upper[0], lower[0], upper[0]]
-        regions.append(_list_fractions(ends))
-    return [regions]
-
-
-def _describe_plans(design: Design) -> dict[str, Any]:
-    """Return the rows of the QPs as they run, which row is which, and the order of windows."""
-    problem = design.problem
-    qps = design.tube_qps
-    largest = float(np.max(problem.input_set.support(np.concatenate([np.eye(2), -np.eye(2)]))))
-    windows = []
-    for index, speeds in enumerate(design.windows.schedules):
-        running = np.hstack([qps.row_errors[index], qps.factors.rows[index]])
-        checks = qps.check_errors[index]
-        padded = np.hstack([checks, np.zeros((len(checks), running.shape[1] - 3))])
-        norms = np.concatenate([qps.factors.row_norms[index], np.ones(len(checks))])
-        lower = np.concatenate([qps.lower[index], qps.check_lower[index]])
-        upper = np.concatenate([qps.upper[index], qps.check_upper[index]])
-        parts = {"speeds": speeds, "rows": np.vstack([running, padded]), "norms": norms}
-        parts |= {"lower": lower, "upper": upper}
-        bands = [BAND.format(regime + 1) for regime in design.windows.regimes[index]]
-        described = {name: _list_fractions(part) for name, part in parts.items()}
-        windows.append({"bands": bands, **described})
-    return {
-        "tolerance": Fraction(qp.bound_tolerance(largest)),
-        "terminal": {"rows": _list_fractions(design.bounds.terminal_normals)},
-        "order": _list_rows(design),
-        "windows": windows,
-        "sequence": design.windows.index.tolist(),
-    }
-
-
-def _list_rows(design: Design) -> list[list]:
-    """Return (kind, stage, number) of the QPs' rows, those that no input reaches at the end."""
-    N = design.problem.horizon
-    half = design.problem.input_row_count // 2
-    rows = [["errors", stage, i] for stage in range(1, N) for i in range(3)]
-    rows += [["inputs", stage, i] for stage in range(N) for i in range(half)]
-    rows += [["terminal", N, i] for i in range(len(design.bounds.terminal_normals))]
-    reached = np.abs(predict_rows(design)[:, :, 3:]).max(axis=(0, 2)) > UNREACHED
-    return [rows[i] for i in (*np.flatnonzero(reached), *np.flatnonzero(~reached))]

@@ -23,7 +23,15 @@ import sets
 
 CHECKER = Path(sets.__file__).parent / "checker"
 """Folder of the checker: programs of the standard library alone."""
-PROGRAMS = ("check_certificate.py", "check_motion.py", "check_plans.py")
+PROGRAMS = (
+    "check_certificate.py",
+    "check_intervals.py",
+    "check_motion.py",
+    "check_sets.py",
+    "check_plans.py",
+    "check_learning.py",
+    "check_model.py",
+)
 """The checker's files; the first one is the program."""
 USED = 1e-9
 """Share of the largest multiplier up to which one is the rounding of zero."""
@@ -42,7 +50,7 @@ def load_checker(program: str) -> ModuleType:
 
 
 def find_multipliers(
-    rows: Float[np.ndarray, "k 3"], offsets: Float[np.ndarray, " k"], row: Float[np.ndarray, "3"]
+    rows: Float[np.ndarray, "k 3"], offsets: Float[np.ndarray, " k"], row: Sequence[float]
 ) -> dict[str, Fraction]:
     """Return multipliers l >= 0 by the index of their row, l rows = row up to rounding, of the
     least l offsets; none where no multiple of the rows reaches the row."""
@@ -56,49 +64,49 @@ def find_multipliers(
 
 def prove_sets(certificate: dict[str, Any]) -> None:
     """Add to a certificate the multipliers of the extents and inclusions of its sets."""
-    program = load_checker(PROGRAMS[0])
+    program = load_checker("check_sets.py")
     for shape in certificate["sets"].values():
-        shape["extents"] = [
-            _find_multipliers_in(shape, axis) for axis in load_checker(PROGRAMS[2]).AXES
-        ]
+        prove_extents(shape, shape["offsets"])
     certificate["inclusions"] = []
     for band in certificate["bands"]:
+        if not program.is_lasting(certificate, band):
+            continue
         shape = certificate["sets"][band["set"]]
         for into, wanted in program.list_targets(certificate, band).items():
             inclusion = {"set": band["set"], "loop": band["name"], "into": into}
-            proofs = [_find_multipliers_in(shape, row) for row, _ in wanted]
+            proofs = [_find_multipliers_in(shape, row, shape["offsets"]) for row, _ in wanted]
             certificate["inclusions"].append({**inclusion, "multipliers": proofs})
 
 
+def prove_extents(shape: dict[str, Any], offsets: Sequence[Fraction]) -> None:
+    """Add to a set the multipliers that bound its coordinates."""
+    axes = load_checker("check_sets.py").AXES
+    shape["extents"] = [_find_multipliers_in(shape, axis, offsets) for axis in axes]
+
+
 def _find_multipliers_in(
-    shape: Mapping[str, Any], row: Sequence[Any], offsets: Sequence[Fraction] | None = None
+    shape: Mapping[str, Any], row: Sequence[tuple[int, int]], offsets: Sequence[float | Fraction]
 ) -> dict[str, Fraction]:
-    bounds = shape["offsets"] if offsets is None else offsets
     middle = [_find_middle(entry) for entry in row]
-    return find_multipliers(
-        np.array(shape["rows"], float), np.array(bounds, float), np.array(middle, float)
-    )
+    return find_multipliers(np.array(shape["rows"], float), np.array(offsets, float), middle)
 
 
-def _find_middle(entry: Any) -> float:
-    """Return a float near a fraction or a number of the checker."""
-    if not hasattr(entry, "low"):
-        return float(entry)
-    return float(Fraction(entry.low + entry.high, 2 * load_checker(PROGRAMS[1]).ONE))
+def _find_middle(ends: tuple[int, int]) -> float:
+    """Return a float near an interval of the checker."""
+    return float(Fraction(sum(ends), 2 * load_checker("check_intervals.py").ONE))
 
 
 def prove_plans(certificate: dict[str, Any]) -> None:
     """Add to a certificate the multipliers at the ends of its plans."""
     plans = certificate["plans"]
     shape = plans["terminal"]
-    axes = load_checker(PROGRAMS[2]).AXES
-    first = [Fraction(1)] * len(shape["rows"])
-    shape["extents"] = [_find_multipliers_in(shape, axis, first) for axis in axes]
+    prove_extents(shape, [Fraction(1)] * len(shape["rows"]))
     plans["ends"] = {}
-    successions = load_checker(PROGRAMS[2]).list_successions(certificate)
-    for pair, key, row, _, reached, offsets in successions:
+    successions = load_checker("check_plans.py").list_successions(certificate)
+    for pair, key, row, _, reached, end_set in successions:
         if reached is None:
             of_pair = plans["ends"].setdefault(pair, {})
+            offsets = [_find_middle(ends) for ends in end_set.offsets]
             of_pair[key] = _find_multipliers_in(shape, row, offsets)
 
 
@@ -117,26 +125,30 @@ def prove_motions(certificate: Mapping[str, Any], band: dict[str, Any]) -> None:
 
 def _grow_tree(output: str, sign: int, level: int, cell: list, robot: list, piece: tuple) -> str:
     """Return how a cell is cut, as the checker's `prove` reads it."""
-    program = load_checker(PROGRAMS[1])
-    constants = program.find_constants(robot, piece)
+    program = load_checker("check_motion.py")
+    formula = program.note_motion(output, cell, robot, piece)
     letters = []
     cells = [cell]
     while cells:
         cell = cells.pop()
-        slopes = program.find_slopes(output, sign, cell, constants)
+        slopes = formula.find_slopes(cell, sign)
         shrunk = program.shrink(cell, slopes)
-        index = _find_widest(shrunk, slopes)
-        if program.bound(output, sign, shrunk, slopes, constants) <= level:
+        if program.bound(formula, sign, shrunk, slopes) <= level:
             letters.append(".")
             continue
-        low, high = shrunk[index]
+        if shrunk != list(cell):
+            # What is left of the cell has narrower slopes.
+            letters.append("-")
+            cells.append(shrunk)
+            continue
+        index = _find_widest(cell, slopes)
+        low, high = cell[index]
         if low == high or len(letters) > MOST_LETTERS:
             raise ValueError(f"motions: {output} is not proved to keep its bound; widen W")
-        letter = program.VARIABLES[index]
-        letters.append(letter.upper() if shrunk == list(cell) else letter)
+        letters.append(program.VARIABLES[index])
         middle = (low + high) // 2
         halves = ((middle, high), (low, middle))
-        cells += [[*shrunk[:index], half, *shrunk[index + 1 :]] for half in halves]
+        cells += [[*cell[:index], half, *cell[index + 1 :]] for half in halves]
     return "".join(letters)
 
 

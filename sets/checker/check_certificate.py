@@ -19,21 +19,34 @@ import re
 import sys
 import time
 from fractions import Fraction
-from itertools import pairwise, product
+from itertools import product
 from math import degrees
 from typing import Any
 
-import check_plans
-from check_motion import ONE, Refused, prove, require, scale
-from check_plans import AXES, dot, find_extents, list_inputs, pick, reach, stretch, times, weigh
+from check_intervals import ONE, Refused, pick, require, scale, scale_all
+from check_learning import check_learning
+from check_model import check_wheels, list_ends
+from check_motion import prove
+from check_plans import check_plans
+from check_sets import (
+    Set,
+    check_cost,
+    check_sets,
+    cut,
+    is_lasting,
+    list_loops,
+    list_slips,
+    list_speeds,
+)
 
 FORMAT = "jaxtube certificate 1"
 ROBOT = ("period", "track", "lever_arm")
 KNOWN = {"format", "name", *ROBOT, "wheel_speeds", "constraints", "noise", "slips", "sideslip"}
-KNOWN |= {"bands", "sets", "inclusions", "cost", "plans"}
+KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning", "model", "measured"}
 DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 DAMAGES += (RecursionError,)
-BAND = {"name", "regions", "errors", "u1", "u2", "coupling", "gains", "set", "disturbance", "cells"}
+BAND_OF_MODEL = {"name", "regions", "errors", "inputs", "gains", "disturbance"}
+BAND = {"name", "regions", "errors", "u1", "u2", "coupling", "gains", "disturbance", "cells"}
 
 
 def read(value: Any) -> Any:
@@ -48,19 +61,13 @@ def read(value: Any) -> Any:
     return Fraction(value) if re.fullmatch(r"-?\d{1,400}(/\d{1,400})?", value) else value
 
 
-def cut(low, high, *places):
-    """Return the stretches into which places cut a range."""
-    ends = sorted({low, high, *(min(max(place, low), high) for place in places)})
-    return list(pairwise(ends)) or [(low, high)]
-
-
 def list_turns(band):
     """Return stretches of u2, with reach and slope of |x| <= reach + slope u2."""
     cap = band["errors"][0]
     of_x, of_turn = band["coupling"]
     low, high = band["u2"]
     if not of_turn:
-        return [((low, high), cap, 0)]
+        return [(stretch, cap, 0) for stretch in cut(low, high, 0)]
     require(of_x > 0 and of_turn > 0, "the coupling of x with u2 has to be positive")
     uncut = max((1 - of_x * cap) / of_turn, 0)
     turns = []
@@ -71,70 +78,69 @@ def list_turns(band):
     return turns
 
 
-def list_speeds(region):
-    """Return pieces of a region of wheel speeds, and its corners (right, left). A piece has ranges
-    of both speeds; or of their mean and of parts of half their difference, part (reach + slope
-    mean), with reach and slope."""
-    if len(region) == 2:
-        right, left = region
-        return [((right, right), (left, left), None, None)], [(right, left)]
-    lowest, highest, slowest, fastest = region
-    require(lowest <= slowest <= fastest <= highest, "the speeds of a region are not in order")
-    stretches = []
-    corners = set()
-    for low, high in cut(slowest, fastest, (lowest + highest) / 2):
-        slope = 1 if low + high <= lowest + highest else -1
-        stretches.append(((low, high), (-1, 1), -lowest if slope > 0 else highest, slope))
-        for mean, sign in product((low, high), (1, -1)):
-            half = sign * min(mean - lowest, highest - mean)
-            corners.add((mean + half, mean - half))
-    if (lowest, highest) == (slowest, fastest):
-        stretches = [((lowest, highest), (lowest, highest), None, None)]
-    return stretches, sorted(corners)
+def list_levels(certificate, band):
+    """Return by name and sign up to which bound motions of a band are to be proved."""
+    T = certificate["period"]
+    noise = certificate["noise"]
+    yaw, box = pick(band["disturbance"], "yaw", "box")
+    require(box[2] >= 2 * noise[2], "W is narrower than twice the noise of headings")
+    sideways = "y" if "model" not in certificate else "y of the model"
+    levels = {"x": box[0] - noise[0], sideways: box[1] - noise[1], "kick": yaw}
+    levels = {(output, sign): level for output, level in levels.items() for sign in (1, -1)}
+    slowest, fastest = certificate["wheel_speeds"]
+    for wheel in ("right", "left"):
+        grips = [1 - seen for _, seen in list_slips(certificate, wheel)]
+        levels[wheel, 1] = T * min(grip * fastest for grip in grips)
+        levels[wheel, -1] = -T * max(grip * slowest for grip in grips)
+        if "learning" in certificate:
+            least, most = certificate["learning"]["speeds"][wheel]
+            levels[wheel, 1] = min(levels[wheel, 1], T * most)
+            levels[wheel, -1] = min(levels[wheel, -1], -T * least)
+    return levels
+
+
+def list_losses(certificate, band):
+    """Return the ranges of d by which wheels (right, left) miss the ground speed asked of them."""
+    if "learning" in certificate:
+        return [(-loss, loss) for loss in band["losses"]]
+    losses = []
+    for wheel in ("right", "left"):
+        shares = [(true - seen) / (1 - seen) for true, seen in list_slips(certificate, wheel)]
+        losses.append((min(shares), max(shares)))
+    return losses
 
 
 def list_motions(certificate, band):
     """Yield what is bounded of the motions of a band: its name, sign and bound, and the cells over
     which it is bounded, with the constants of robot and cell."""
-    T = certificate["period"]
-    robot = pick(certificate, *ROBOT)
-    noise = certificate["noise"]
-    yaw, lean, box = pick(band["disturbance"], "yaw", "lean", "box")
-    require(box[2] >= 2 * noise[2], "W is narrower than twice the noise of headings")
-    levels = {"x": box[0] - noise[0], "y": box[1] - noise[1], "kick": yaw}
-    levels = {(output, sign): level for output, level in levels.items() for sign in (1, -1)}
-    losses = []
-    for wheel in ("right", "left"):
-        shares = []
-        slowest, fastest = certificate["wheel_speeds"]
-        for least, most, *seen in certificate["slips"][wheel]:
-            require(least <= most and seen[0] <= seen[1] < 1, f"slips of the {wheel} wheel cross")
-            shares += [(slip - i) / (1 - i) for slip, i in product((least, most), seen)]
-        grips = [1 - i for _, _, *seen in certificate["slips"][wheel] for i in seen]
-        levels[wheel, 1] = T * min(grip * fastest for grip in grips)
-        levels[wheel, -1] = -T * max(grip * slowest for grip in grips)
-        losses.append((min(shares), max(shares)))
-    sizes = [*band["errors"][1:], certificate["sideslip"], *noise]
+    robot = (*pick(certificate, *ROBOT), band["disturbance"]["lean"])
+    levels = list_levels(certificate, band)
+    losses = list_losses(certificate, band)
+    sizes = [*band["errors"][1:], certificate["sideslip"], *certificate["noise"]]
     ends = [(-size, size) for size in sizes]
     cells = []
     speeds = [each for region in band["regions"] for each in list_speeds(region)[0]]
     turns = list_turns(band)
     pairs = {tuple(region) for region in band["regions"] if len(region) == 2}
     is_even = band["u2"][0] == -band["u2"][1] and pairs == {pair[::-1] for pair in pairs}
-    if is_even and certificate["slips"]["right"] == certificate["slips"]["left"]:
+    is_even &= all(levels["right", sign] == levels["left", sign] for sign in (1, -1))
+    if is_even and losses[0] == losses[1]:
         # A motion with u2 < 0 is the mirror image of one with u2 > 0, wheels exchanged.
         turns = [turn for turn in turns if turn[0][0] >= 0]
     for (u2, *turn), (mean, part, *speed) in product(turns, speeds):
         ranges = [(-1, 1), *ends[:2], band["u1"], u2, mean, part, *losses, *ends[2:]]
         require(all(low <= high for low, high in ranges), "a range of the operation is crossed")
         cell = [(scale(low)[0], scale(high)[1]) for low, high in ranges]
-        cells.append((cell, (*robot, lean), (*turn, *speed)))
+        cells.append((cell, robot, (*turn, *speed)))
+    require(cells, f"{band['name']} has no motions")
     for (output, sign), level in levels.items():
         yield output, sign, scale(level)[0], cells
 
 
 def check_motions(certificate, band):
-    """Prove W of a band, and its commands within the limits of wheels; return how many cells."""
+    """Prove W of a band, and its commands within the limits of wheels; return it in words."""
+    turning = certificate.get("model", {"turning": [1, 1]})["turning"]
+    require(turning == [1, 1], "no W is proved of a model whose slipping wheels turn it less")
     count = 0
     for output, sign, level, cells in list_motions(certificate, band):
         name = output + ("+" if sign > 0 else "-")
@@ -143,124 +149,128 @@ def check_motions(certificate, band):
         for tree, cell in zip(trees, cells, strict=True):
             prove(output, sign, level, tree, *cell)
             count += tree.count(".")
-    return count
+    W = show_disturbance(band)
+    return f"w lies in W ({W}), and wheels can do what is asked of them; {count} cells"
 
 
-def list_loops(certificate, band):
-    """Return loops whose mixtures are those of a band, and its gains at the corners of speeds."""
-    T, b, _ = pick(certificate, *ROBOT)
-    k1, k2, k3 = band["gains"]
-    loops = []
-    gains = []
-    for region in band["regions"]:
-        _, corners = list_speeds(region)
-        gains += [((-k1, -(right - left) / b, 0), (0, -k2, -k3)) for right, left in corners]
-        angles = [T * (right - left) / (2 * b) for right, left in corners]
-        least = 0 if min(angles) <= 0 <= max(angles) else min(map(abs, angles))
-        most = max(map(abs, angles))
-        ratios = (Fraction(stretch(least).low, ONE), Fraction(stretch(most).high, ONE))
-        for (right, left), t in product(corners, ratios):
-            h = t * T * (right - left) / (2 * b)
-            c = t * T * (right + left) / 2
-            turned = (-h * (2 - T * k1), 1 - c * T * k2 / 2, c * (1 - T * k3 / 2))
-            loops.append(((1 - T * k1, 0, 0), turned, (0, -T * k2, 1 - T * k3)))
-    return list(dict.fromkeys(loops)), list(dict.fromkeys(gains))
+def is_of_robot(certificate):
+    """Return whether W is said to be proved."""
+    return all("cells" in band for band in certificate["bands"])
 
 
-def list_targets(certificate, band):
-    """Return by name what the set of a band is to lie in, as rows e <= offsets: the caps, and what
-    loops and W lead into the sets that may follow."""
-    loops, gains = list_loops(certificate, band)
-    caps = [(axis, band["errors"][index // 2]) for index, axis in enumerate(AXES)]
-    for (on_u, on_e, *ends), gain, sign in product(list_inputs(band), gains, (-1, 1)):
-        row = [sign * (a + c) for a, c in zip(times(on_u, gain), on_e, strict=True)]
-        caps.append((row, sign * ends[sign > 0]))
-    targets = {"caps": caps}
-    for into in sorted({other["set"] for other in certificate["bands"]}):
-        shape = certificate["sets"][into]
-        rows = zip(shape["rows"], shape["offsets"], strict=True)
-        targets[into] = [
-            (times(row, loop), offset - reach(band, row))
-            for (row, offset), loop in product(rows, loops)
-        ]
-    return targets
-
-
-def check_sets(certificate, band, extents):
-    """Prove where the set of a band lies and is led to; return the room of every inclusion."""
-    name = band["name"]
-    shape = certificate["sets"][band["set"]]
-    proofs = {(each["loop"], each["into"]): each for each in certificate["inclusions"]}
-    room = []
-    for into, wanted in list_targets(certificate, band).items():
-        proof = proofs.get((name, into), {"set": None, "multipliers": ()})
-        is_whole = proof["set"] == band["set"] and len(proof["multipliers"]) == len(wanted)
-        require(is_whole, f"no proof that the set of {name} leads into {into}")
-        for (row, offset), multipliers in zip(wanted, proof["multipliers"], strict=True):
-            proved, left = weigh(shape["rows"], shape["offsets"], row, multipliers)
-            room.append(offset - proved - dot(left, extents[band["set"]]))
-            missed = -float(room[-1])
-            require(missed <= 0, f"the set of {name} may leave {into} by {missed:.3g}")
-    return room
-
-
-def check(certificate):
-    """Check all of a certificate and yield in words what is proved."""
+def check_head(certificate):
+    """Require that a certificate is described as known here."""
     unknown = sorted(set(certificate) - KNOWN - {"unchecked"})
     unknown += [f"{name} = {value}" for name, value in certificate.get("unchecked", {}).items()]
     require(not unknown, f"UNCHECKED: no proof is known here for {', '.join(unknown)}")
     require(certificate["format"] == FORMAT, f"the format is not {FORMAT!r}")
     require(isinstance(certificate["name"], str), "the certificate has no name")
     require(min(certificate["period"], certificate["track"]) > 0, "period or track is not positive")
+    require(set(certificate["slips"]) == {"right", "left"}, "slips are not those of two wheels")
     names = {band["name"] for band in certificate["bands"]}
     require(0 < len(names) == len(certificate["bands"]), "bands need names of their own")
-    noise = certificate["noise"]
-    extents = {name: find_extents(**shape) for name, shape in certificate["sets"].items()}
+    require(is_of_robot(certificate) or "model" in certificate, "no W is proved or assumed")
+    known = BAND if is_of_robot(certificate) else BAND_OF_MODEL
+    known = known | {"age", "losses"} if "learning" in certificate else known
+    known = known if "model" in certificate else known | {"set"}
     for band in certificate["bands"]:
-        require(set(band) == BAND and band["regions"], f"{band['name']} is not described as known")
-        most = [cap + size for cap, size in zip(band["errors"], noise, strict=True)]
-        pairs = zip(most, certificate["constraints"], strict=True)
+        require(set(band) == known and band["regions"], f"{band['name']} is not described as known")
+        pairs = zip(band["errors"], certificate["noise"], strict=True)
+        pairs = zip((cap + size for cap, size in pairs), certificate["constraints"], strict=True)
         require(all(error <= limit for error, limit in pairs), "true errors may pass their limits")
-        count = check_motions(certificate, band)
-        W = band["disturbance"]
-        shown = ", ".join(f"{float(each):.6g}" for each in (W["yaw"], *W["box"]))
-        yield (
-            f"{band['name']}: w lies in W (kick, box: {shown} rad, m, m, rad), and wheels can do "
-            f"what is asked of them; {count} cells"
-        )
-        room = check_sets(certificate, band, extents)
-        yield f"{band['name']}: {len(room)} inclusions of sets, for speeds in any order"
-        if "cost" in certificate:
-            check_plans.check_cost(certificate, *list_loops(certificate, band))
-            yield f"{band['name']}: the terminal cost decreases by the cost of a stage"
+        yaw, box = pick(band["disturbance"], "yaw", "box")
+        require(min(yaw, *box) >= 0, f"the W of {band['name']} has a negative width")
+
+
+def check(certificate):
+    """Check all of a certificate and yield in words what is proved."""
+    check_head(certificate)
+    if "learning" in certificate:
+        losses = ", ".join(f"{float(loss):.4g}" for loss in check_learning(certificate))
+        yield f"slips are learnt: ground speeds err by {losses} (right, left) at most in the end"
+    for band in certificate["bands"]:
+        check_band = check_motions if is_of_robot(certificate) else check_wheels
+        yield f"{band['name']}: {check_band(certificate, band)}"
+    yield from (check_ends if "model" in certificate else check_law)(certificate)
     if "plans" in certificate:
-        room = check_plans.check_plans(certificate)
-        shown = f"{len(room)} rows, least room {float(min(room)):.3g}"
+        room = check_plans(certificate)
+        shown = f"{len(room)} rows, least room {min(room) / ONE:.3g}"
         yield f"plans stay plans along the reference: {shown}"
+    limits = ", ".join(f"{float(limit):.6g}" for limit in certificate["constraints"])
+    yield f"hence, at the end of every period, true errors within {limits} m, m, rad"
+
+
+def check_law(certificate):
+    """Check the sets and the cost of the law u = K e; yield in words what is proved."""
+    shapes = {
+        name: Set(scale_all(shape["rows"]), scale_all(shape["offsets"]), shape["extents"])
+        for name, shape in certificate["sets"].items()
+    }
+    for band in certificate["bands"]:
+        if is_lasting(certificate, band):
+            room = check_sets(certificate, band, shapes[band["set"]])
+            yield f"{band['name']}: {len(room)} inclusions of sets, for speeds in any order"
+            if "cost" in certificate:
+                check_cost(certificate, product(*list_loops(certificate, band)))
+                yield f"{band['name']}: the terminal cost decreases by the cost of a stage"
+
+
+def check_ends(certificate):
+    """Check the cost of the law u = G e that ends plans; yield in words what is proved."""
+    require("plans" in certificate, "without plans gains that are mixed promise nothing")
+    for band in certificate["bands"] if "cost" in certificate else ():
+        check_cost(certificate, list_ends(certificate, band))
+        yield f"{band['name']}: the terminal cost decreases by the cost of a stage"
+
+
+def show_disturbance(band):
+    """Return the sizes of W in words."""
+    yaw, box = pick(band["disturbance"], "yaw", "box")
+    return f"kick, box: {', '.join(f'{float(each):.6g}' for each in (yaw, *box))} rad, m, m, rad"
 
 
 def list_assumptions(certificate):
     """Yield in words what is taken for granted."""
+    of_robot = is_of_robot(certificate)
+    for band in () if of_robot else certificate["bands"]:
+        yield f"{band['name']}: w lies in W ({show_disturbance(band)}), proved of no robot"
     for wheel, slips in certificate["slips"].items():
-        for case in slips:
-            shown = [f"{float(slip):.6g}" for slip in case]
-            seen = " to ".join(shown[2:])
-            yield f"{wheel} slip {' to '.join(shown[:2])} where {seen} is compensated"
-    yield f"sideways slip up to {float(certificate['sideslip']):.4g} times the forward speed"
+        for least, most, *seen in slips:
+            shown = f"where {float(seen[0]):.6g} to {float(seen[1]):.6g} is compensated"
+            if "measured" in certificate:
+                constant, share = map(float, certificate["measured"][wheel])
+                shown = f"measured within {constant:.4g} and {share:.4g} of it"
+            yield f"{wheel} slip {float(least):.6g} to {float(most):.6g}, {shown}"
+    if "learning" in certificate:
+        change = float(certificate["learning"]["change"])
+        yield f"a slip changes by at most {change:.4g} from one period to the next"
+        yield "the slip compensated is the centre of the interval of check_learning, within 1e-9"
+    T, b, lever = map(float, pick(certificate, *ROBOT))
+    yield f"a robot of two wheels, {b:.6g} m apart, commanded every {T:.6g} s"
+    if of_robot:
+        slide = float(certificate["sideslip"])
+        yield f"which slides by {slide:.4g} of its speed at most, and {lever:.4g} m by its yaw rate"
+    how = "the way of check_motion" if of_robot else "V - u1 -+ (b/2) u2"
+    yield f"wheels (right, left) are asked for {how} over ground, by the slip that is compensated"
     x, y, heading = map(float, certificate["noise"])
-    yield f"errors measured within {x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg, without delay"
+    shown = f"{x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg"
+    yield f"errors measured within {shown} in the robot's frame, without delay"
     for band in certificate["bands"]:
         for region in band["regions"]:
             shown = ", ".join(f"{float(speed):.6g}" for speed in region)
             kind = "right, left" if len(region) == 2 else "least, greatest; of their mean as well"
             yield f"{band['name']}: reference wheel speeds {shown} m/s ({kind})"
-    yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
+    if of_robot:
+        yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
+    yield "what is proved holds at the ends of periods, nothing in between"
     if "plans" not in certificate:
         yield "the law u = K e commands; the first measured error lies in the set of its band"
         return
     tolerance = float(certificate["plans"]["tolerance"])
+    yield "the controller solves the QPs of this file, along the reference that they are in"
     yield f"plans that command miss no row of their QP by more than {tolerance:.3g} of its length"
-    yield "a plan is found where there is one, in 64 bits; there is one for the first error"
+    yield "a plan is found where there is one, in 64 bits, and its first input is commanded"
+    yield "the first measured error lies within the caps of its band and has a plan"
 
 
 def main(path):

@@ -75,7 +75,7 @@ def run(scenario: Scenario, options: DesignOptions) -> int:
     if found is not None:
         folder.report(f"\ncaps and gains found, as lines of a scenario\n\n{scenario_lines(found)}")
     folder.report(f"\n{describe_saved(designed.save(folder.path / SAVED))}")
-    if made.certificate.holds_for_robot:
+    if made.certificate.holds_for_robot or made.certificate.holds_for_model:
         folder.report(f"\n{write_proof(made, folder.path, options.label)}")
     start_fault = _find_start_fault(made)
     started = time.perf_counter()

@@ -14,7 +14,7 @@ from jaxtube.synthesis.proof_search import PROGRAMS
 def write_proof(design: Design, folder: Path, name: str) -> str:
     """Write the proof of a certified design into the folder of its run; return what is said of
     it."""
-    unchecked = list_unchecked(design.problem.scenario)
+    unchecked = list_unchecked(design)
     path = write_certificate(design, folder, name)
     if unchecked:
         return (
@@ -22,4 +22,5 @@ def write_proof(design: Design, folder: Path, name: str) -> str:
             f"{', '.join(unchecked)}"
         )
     words = shlex.join(["python3", str(folder / PROGRAMS[0]), str(path)])
-    return f"proof in {path}, for Python's standard library to check: {words}"
+    about = "" if design.certificate.holds_for_robot else " for the linear model alone"
+    return f"proof{about} in {path}, for Python's standard library to check: {words}"
