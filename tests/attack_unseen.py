@@ -30,6 +30,7 @@ from jaxtube.experiments import environment
 from jaxtube.plant.slip_processes import find_process
 from jaxtube.scenario.refusal import ScenarioError
 from jaxtube.scenario.tree import Scenario, to_toml
+from jaxtube.synthesis.attempt import find_fault
 from jaxtube.synthesis.design import design
 from jaxtube.synthesis.levers import Lever
 from jaxtube.synthesis.nearest import find_nearest, find_nearest_bounded
@@ -91,18 +92,13 @@ def judge(index: int) -> dict[str, Any]:
     record: dict[str, Any] = {"index": index, "scenario": to_toml(scenario)}
     try:
         found = optimise(make_problem(scenario))
-        made = design(found.scenario) if found.holds else None
-        failing = [] if made is None else made.certificate.failing
+        fault = find_fault(found.scenario) if found.holds else found.describe_binding()
         record |= describe_search(found)
-        if made is not None and not failing:
-            record |= {"verdict": "certified", "designed": to_toml(found.scenario)}
+        if fault:
+            nearest = list_nearest(find_nearest(found))
+            record |= {"verdict": "refused", "reason": fault, "nearest": nearest}
         else:
-            denied = ", ".join(failing) or found.describe_binding()
-            record |= {
-                "verdict": "refused",
-                "reason": denied,
-                "nearest": list_nearest(find_nearest(found)),
-            }
+            record |= {"verdict": "certified", "designed": to_toml(found.scenario)}
     except ScenarioError as error:
         record |= {"verdict": "no scenario", "reason": str(error)}
     except UnboundedTubeError as error:
@@ -125,7 +121,7 @@ def list_nearest(searched: dict[Lever, Scenario | None]) -> list[dict[str, Any]]
         entry: dict[str, Any] = {"quantity": lever.name, "value": lever.say_measured(nearest)}
         if not listed:
             again = optimise(make_problem(read_scenario(to_toml(nearest))))
-            entry["holds"] = again.holds and not design(again.scenario).certificate.failing
+            entry["holds"] = again.holds and not find_fault(again.scenario)
         listed.append(entry)
     return listed
 

@@ -76,7 +76,7 @@ def attempt_design(
     tried = _describe_search(factor, lever, made)
     if not made.holds:
         return tried
-    reason = _find_fault(made.scenario)
+    reason = find_fault(made.scenario)
     return replace(tried, holds=not reason, reason=reason)
 
 
@@ -109,7 +109,7 @@ def _describe_search(factor: float, lever: Lever, made: Optimum) -> Attempt:
     )
 
 
-def _find_fault(scenario: Scenario) -> str:
+def find_fault(scenario: Scenario) -> str:
     """Return what a design lacks to be certified and driven, empty where nothing."""
     try:
         designed = design(scenario)

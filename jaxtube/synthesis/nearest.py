@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxtube.scenario.tree import Initial, Scenario
-from jaxtube.synthesis.attempt import attempt_design, attempt_search
+from jaxtube.synthesis.attempt import Attempt, attempt_design, attempt_search
 from jaxtube.synthesis.border import find_certified
 from jaxtube.synthesis.descent import LEAST_SHARE, ROWS
 from jaxtube.synthesis.estimate import Estimate
@@ -86,7 +86,7 @@ def _search_along(
         if sum(held is not None for held in nearest.values()) < WANTED:
             certified = find_certified(
                 partial(attempt_search, bare, lever),
-                partial(attempt_design, bare, lever),
+                partial(_design_afresh, bare, lever),
                 lever.easier,
                 PRECISION,
                 1.0,
@@ -96,6 +96,13 @@ def _search_along(
             nearest[lever] = scaled
         on_progress()
     return nearest
+
+
+def _design_afresh(
+    scenario: Scenario, lever: Lever, factor: float, _: Sequence[float] | None
+) -> Attempt:
+    """Attempt a design from the scenario alone, as one does who is told what is nearest."""
+    return attempt_design(scenario, lever, factor, None)
 
 
 def choose_levers(found: Optimum) -> list[Lever]:
