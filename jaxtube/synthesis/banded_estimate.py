@@ -113,6 +113,11 @@ class BandedEstimate:
         """Return the same estimate, with the greatest ground speed divided by a factor."""
         return self._change(lambda band: band.with_less_speed(factor))
 
+    def with_more_speed(self, share: float) -> BandedEstimate:
+        """Return the same estimate, with the least ground speed higher by a share of the greatest
+        one."""
+        return self._change(lambda band: band.with_more_speed(share))
+
     def with_reserve(self, reserve: float) -> BandedEstimate:
         """Return the same estimate, with another share by which proved errors may pass those at
         corners."""
