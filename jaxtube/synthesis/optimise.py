@@ -191,8 +191,8 @@ def wheel_excess(problem: Problem) -> float:
 def wheel_shortfall(problem: Problem) -> float:
     """Return by how much the least ground speed that may be commanded is below what the wheels can
     make, as a share of the greatest that they can; negative where it is above."""
-    assert problem.disturbance_bound is not None
-    least = problem.disturbance_bound.ground_speeds[0]
+    assert problem.ground_speeds is not None
+    least = problem.ground_speeds[0]
     slowest, fastest = ground_speed_limits(problem)
     return float(np.max(slowest - least) / np.min(fastest))
 
