@@ -40,7 +40,8 @@ class MixedLaws:
 
 def choose_law(key: Array, count: int) -> Array:
     """Return the law of a lap, by the key of its true slips."""
-    return jax.random.randint(jax.random.fold_in(key, CHOICE), (), 0, count)
+    chosen = jax.random.fold_in(key, CHOICE)
+    return jax.random.randint(chosen, (), 0, count, jnp.int32)  # the same in 32 and in 64 bits
 
 
 def count_laps(mixture: MixedLaws, seed: int, laps: int) -> Sequence[int]:
