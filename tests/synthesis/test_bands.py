@@ -102,7 +102,8 @@ def test_one_tube_holds_all_bands_in_any_order_and_its_shares_are_told(problem, 
         for number, gain in enumerate(design.tube_gain.bands):
             W = problem.disturbances[number]
             steps += [(W.support(best[None])[0], loop) for loop in gain.loops]
-        pushed, loop = max(steps, key=lambda step: step[0] + np.abs(best @ step[1]).sum())
+        promised = [pushed + tube.support((best @ loop)[None])[0] for pushed, loop in steps]
+        pushed, loop = steps[int(np.argmax(promised))]
         reached += pushed
         best = best @ loop
     used = reached / problem.operating_set.support(lateral[None])[0]
