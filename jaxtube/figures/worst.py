@@ -69,6 +69,9 @@ STRIPS = {
 }
 """Components of an attack."""
 
+BEGINNING = ("first slip, right", "first slip, left")
+"""What `true` is where changes follow it."""
+
 
 class Track(NamedTuple):
     """One quantity against time with the two facets that bound it, in display units.
@@ -260,6 +263,8 @@ def _make_strips(worst: Worst) -> list[tuple[str, Float[np.ndarray, " times"]]]:
         if key not in worst.attack:
             continue
         values = worst.attack[key]
+        if key == "true" and "change" in worst.attack:
+            labels = BEGINNING
         # Disturbances have units; the other deviations are shares of their bounds already.
         largest = np.max(np.abs(values), axis=0) if key == "disturbance" else np.ones(len(labels))
         scales = np.where(largest > 0, largest, 1.0)
