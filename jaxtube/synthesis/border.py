@@ -188,12 +188,35 @@ def find_certified(
         easier, precision, first, near: as of `find_border`.
     """
     border = find_border(search, easier, precision, first, near)
-    if border.best is None:
+    return None if border.best is None else _certify_from(border.best, certify, easier)
+
+
+def find_nearest_certified(
+    search: Ask,
+    certify: Ask,
+    easier: int,
+    precision: float,
+    first: float,
+    near: tuple[float, ...] | None,
+) -> Attempt | None:
+    """Return a certified attempt near a factor that does not hold, None where none was found; as
+    `find_certified`, which is after the hardest one: that may be far away on the harder side."""
+    border = find_border(search, easier, precision, first, near)
+    held = [attempt for attempt in border.attempts if attempt.holds]
+    if border.best is None or not held:
         return None
-    near = border.best.caps_and_gains
+    nearest = min(held, key=lambda attempt: abs(math.log(attempt.factor / first)))
+    away = 1 if nearest.factor > first else -1
+    if nearest is not border.best or away != easier:
+        border = find_border(search, away, precision, nearest.factor, nearest.caps_and_gains)
+    return _certify_from(border.best or nearest, certify, away)
+
+
+def _certify_from(best: Attempt, certify: Ask, easier: int) -> Attempt | None:
+    """Return the first certified attempt from one that the estimate lets hold on, None where there
+    is none nearby."""
     for step in EASED:
-        factor = border.best.factor * math.exp(easier * step)
-        tried = certify(factor, near)
+        tried = certify(best.factor * math.exp(easier * step), best.caps_and_gains)
         if tried.holds:
             return tried
     return None

@@ -21,7 +21,7 @@ from jaxtyping import Float
 
 from jaxtube.scenario.tree import Initial, Scenario
 from jaxtube.synthesis.attempt import Attempt, attempt_design, attempt_search
-from jaxtube.synthesis.border import find_certified
+from jaxtube.synthesis.border import find_nearest_certified
 from jaxtube.synthesis.descent import LEAST_SHARE, ROWS
 from jaxtube.synthesis.estimate import Estimate
 from jaxtube.synthesis.levers import RANGE, SPEED, Lever, list_levers
@@ -67,8 +67,8 @@ def find_nearest_bounded(
     scenario: Scenario, on_progress: Callable[[], object] = lambda: None
 ) -> dict[Lever, Scenario | None]:
     """Search the nearest scenario that holds where no gains bound a tube, as `find_nearest` does
-    where some do: along the reference's wheel speeds, for whether a tube is bounded depends on
-    them, on gains and on the period alone."""
+    where some do: along the reference's wheel speeds. With the period and the track they make the
+    loops, which decide whether a tube is bounded; the limits do not."""
     levers = [lever for lever in WHEEL_SPEEDS if lever.values(scenario, 1.0)]
     return _search_along(levers, scenario, None, on_progress)
 
@@ -84,7 +84,7 @@ def _search_along(
     nearest: dict[Lever, Scenario | None] = {}
     for lever in levers:
         if sum(held is not None for held in nearest.values()) < WANTED:
-            certified = find_certified(
+            certified = find_nearest_certified(
                 partial(attempt_search, bare, lever),
                 partial(_design_afresh, bare, lever),
                 lever.easier,

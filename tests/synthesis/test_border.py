@@ -6,7 +6,13 @@ import math
 import pytest
 
 from jaxtube.synthesis.attempt import Attempt
-from jaxtube.synthesis.border import FARTHEST, Border, find_border, find_certified
+from jaxtube.synthesis.border import (
+    FARTHEST,
+    Border,
+    find_border,
+    find_certified,
+    find_nearest_certified,
+)
 
 PRECISION = math.log(1.01)
 FEW = 9
@@ -103,3 +109,23 @@ def test_a_quick_search_ends_at_what_is_certified_or_with_nothing():
     never = make_asker(lambda place: place - 0.5, lambda place: False)
     assert find_certified(search, never, -1, 0.02, 1.0, None) is None
     assert find_certified(make_asker(lambda place: 1.0), late, -1, 0.02, 1.0, None) is None
+
+
+@pytest.mark.parametrize("easier", [-1, 1])
+@pytest.mark.parametrize(("low", "high"), [(0.1, 0.7), (-0.7, -0.1)])
+def test_what_holds_on_either_side_is_found_where_it_is_nearest(easier, low, high):
+    """A speed may be too low, as wheels must not stand, or too high."""
+
+    def level(place):
+        return max(low - place, place - high)
+
+    ask = make_asker(level)
+    found = find_nearest_certified(ask, ask, easier, 0.01, 1.0, None)
+    assert found is not None
+    distance = abs(math.log(found.factor))
+    assert 0.1 <= distance <= 0.11
+
+
+def test_nothing_nearest_is_told_where_nothing_holds():
+    ask = make_asker(lambda place: 1.0)
+    assert find_nearest_certified(ask, ask, -1, 0.02, 1.0, None) is None
