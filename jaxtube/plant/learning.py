@@ -31,7 +31,7 @@ class SlippingPlant(Plant, Protocol):
         ...
 
 
-PlantType = TypeVar("PlantType", bound=SlippingPlant, covariant=True)
+SlippingType = TypeVar("SlippingType", bound=SlippingPlant, covariant=True)
 
 
 class LearningMemory(NamedTuple):
@@ -55,7 +55,7 @@ class LearningMemory(NamedTuple):
 
 @partial(jax.tree_util.register_dataclass, data_fields=["plant", "observer"], meta_fields=[])
 @dataclass(frozen=True)
-class LearningRobot(ObservedPlant[PlantType]):
+class LearningRobot(ObservedPlant[SlippingType]):
     """A robot with the observer of its slips.
 
     Attributes:

@@ -261,7 +261,17 @@ class SlippingRobot:
         return uncertainties
 
     def under_script(self, script: Script) -> ScriptedRobot:
-        """Return the robot under given slips and noise (see `ScriptedRobot`)."""
+        """Return the robot under given slips and noise (see `ScriptedRobot`).
+
+        Raises:
+            ValueError: for slips of several periods where their changes are limited.
+        """
+        given = len(script.get("true", ()))
+        if self.slip_steps is not None and given > 1:
+            raise ValueError(
+                f"script: `true` has {given} entries, and changes of the slips are limited; give "
+                "the first one, and `change` for those that follow"
+            )
         return ScriptedRobot(self, script)
 
 

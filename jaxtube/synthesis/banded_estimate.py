@@ -6,6 +6,7 @@ all of them in any order:
 
     e_x:          r = max_m  w_m / (1 - |1 - T k1_m|)
     (e_y, e_th):  the polygon of `lateral_tube`, over the loops of all bands, each with its own W
+                  and with what e_x, up to r, adds to the lateral error
 
 Source: new.
 """

@@ -141,7 +141,7 @@ def _scale_speed(scenario: Scenario, factor: float) -> Values:
 
 def _scale_range(scenario: Scenario, factor: float) -> Values:
     """Return the box, its distance from the wheel speeds of the path scaled; nothing where the box
-    makes the path, or the path alone is certified."""
+    makes the path or is no wider, or the path alone is certified."""
     reference = scenario.reference
     if reference.shape == "jumps" or reference.certified_for == "path":
         return {}
@@ -150,6 +150,8 @@ def _scale_range(scenario: Scenario, factor: float) -> Values:
     fastest = float(wheels.max())
     below = (slowest - reference.wheel_speed_min_mps) * factor
     above = (reference.wheel_speed_max_mps - fastest) * factor
+    if below == above == 0:
+        return {}
     return {
         "reference.wheel_speed_min_mps": _round(slowest - below, -1),
         "reference.wheel_speed_max_mps": _round(fastest + above, 1),

@@ -68,7 +68,10 @@ def find_nearest_bounded(
 ) -> dict[Lever, Scenario | None]:
     """Search the nearest scenario that holds where no gains bound a tube, as `find_nearest` does
     where some do: along the reference's wheel speeds. With the period and the track they make the
-    loops, which decide whether a tube is bounded; the limits do not."""
+    loops, which decide whether a tube is bounded; the limits do not. Nothing with bands, whose
+    ends no quantity scales."""
+    if scenario.operating.bands:
+        return {}
     levers = [lever for lever in WHEEL_SPEEDS if lever.values(scenario, 1.0)]
     return _search_along(levers, scenario, None, on_progress)
 

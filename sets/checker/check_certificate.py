@@ -2,8 +2,8 @@
 
 The file holds the numbers of a controller and of the proof that a robot under it keeps its limits.
 This program trusts none of them. Beside it lie `check_motion.py`, which says how the robot moves,
-what its model e+ = M e + B u + w is, and proves w in W, and `check_plans.py`, of the QPs. By band
-of the reference's wheel speeds V_r, V_l is proved, besides,
+what its model e+ = M e + B u + w is, and proves w in W, `check_plans.py`, of the QPs, and what they
+need, of sets, learnt slips, linear models and intervals. By band of wheel speeds V_r, V_l is proved
 
 wheels  no command asks a wheel for more than it can do under the greatest slip it compensates;
 sets    Phi S + W lies in S' for the band's set S, every S' that may follow, and all loops
@@ -197,7 +197,7 @@ def check(certificate):
         shown = f"{len(room)} rows, least room {min(room) / ONE:.3g}"
         yield f"plans stay plans along the reference: {shown}"
     limits = ", ".join(f"{float(limit):.6g}" for limit in certificate["constraints"])
-    yield f"hence, at the end of every period, true errors within {limits} m, m, rad"
+    yield f"hence, with w in W, at the end of every period, true errors within {limits} m, m, rad"
 
 
 def check_law(certificate):
@@ -244,7 +244,7 @@ def list_assumptions(certificate):
     if "learning" in certificate:
         change = float(certificate["learning"]["change"])
         yield f"a slip changes by at most {change:.4g} from one period to the next"
-        yield "the slip compensated is the centre of the interval of check_learning, within 1e-9"
+        yield "compensated is the centre of an interval in that of check_learning, the slip in it"
     T, b, lever = map(float, pick(certificate, *ROBOT))
     yield f"a robot of two wheels, {b:.6g} m apart, commanded every {T:.6g} s"
     if of_robot:
@@ -262,6 +262,8 @@ def list_assumptions(certificate):
             yield f"{band['name']}: reference wheel speeds {shown} m/s ({kind})"
     if of_robot:
         yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
+    if "cost" in certificate:
+        yield "P, Q and R are those of the cost of the plans"
     yield "what is proved holds at the ends of periods, nothing in between"
     if "plans" not in certificate:
         yield "the law u = K e commands; the first measured error lies in the set of its band"
@@ -289,7 +291,8 @@ def main(path):
     except DAMAGES as error:
         print(f"REFUSED  the file is damaged: {type(error).__name__}: {str(error)[:80]}")
         return 1
-    print(f"CHECKED  {certificate['name']}, in {time.perf_counter() - began:.1f} s")
+    whose = "" if is_of_robot(certificate) else " for its linear model alone"
+    print(f"CHECKED  {certificate['name']}{whose}, in {time.perf_counter() - began:.1f} s")
     return 0
 
 

@@ -243,6 +243,8 @@ def check_cost(certificate, pairs):
     """Prove that the terminal cost decreases by at least the cost of a stage, whatever mixture of
     pairs of a loop and its gain acts."""
     P, Q, R = pick(certificate["cost"], *"PQR")
+    is_cost = all(map(is_semidefinite, (P, Q, R))) and R[0][0] * R[1][1] > R[0][1] * R[1][0]
+    require(is_cost, "a cost may be negative, or inputs may cost nothing")
     for loop, gain in pairs:
         terms = zip(P, weight(P, loop), Q, weight(R, gain), strict=True)
         left = [[p - a - q - r for p, a, q, r in zip(*rows, strict=True)] for rows in terms]

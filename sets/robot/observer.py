@@ -18,9 +18,10 @@ A box S holds n for ever, under any sequence of slips, inputs and references, wh
     (I - L) sup {|r| : |n| <= S} + L nu  <=  S,        nu <= S,
 
 for the first estimate is the first measurement. In heading r = kappa - n_th alone, and the least
-such S is nu_th + (1 / l_th - 1) sup |kappa|; along and across it is a fixed point of bounds by
-intervals, found by Newton's method with the turn of the robot as the slope. What is returned is a
-little larger, and its inclusion was evaluated. For L = I, S = nu.
+such S is nu_th + (1 / l_th - 1) sup |kappa|; along and across it is near a
+fixed point of errors that are attained, found by Newton's method with the turn of the robot as the
+slope. What is returned is a little larger, and its inclusion was proved by intervals. For L = I,
+S = nu.
 
 Source: new; a Luenberger observer whose error is kept in a robust invariant set goes back to Mayne,
 Rakovic, Findeisen, Allgoewer 2006, Automatica 42(7), section 3.

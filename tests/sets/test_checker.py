@@ -14,6 +14,7 @@ from jaxtube.synthesis.proof_search import load_checker
 intervals = load_checker("check_intervals.py")
 motion = load_checker("check_motion.py")
 plans = load_checker("check_plans.py")
+sets_of_errors = load_checker("check_sets.py")
 ONE = intervals.ONE
 
 FUNCTIONS = {
@@ -219,3 +220,38 @@ def test_bounds_of_cells_hold_all_their_motions(output, sign):
             ]
             ends = formula.follow(point)[-1]
             assert min(sign * end for end in ends) <= highest
+
+
+ZEROS = [[Fraction(0)] * 3 for _ in range(3)]
+IDENTITY = [[Fraction(int(i == j)) for j in range(3)] for i in range(3)]
+SMALL_INPUTS = [[Fraction(1, 100), Fraction(0)], [Fraction(0), Fraction(1, 100)]]
+
+
+def fraction_matrix(factor, matrix):
+    return [[Fraction(factor) * entry for entry in row] for row in matrix]
+
+
+@pytest.mark.parametrize(
+    "cost",
+    [
+        {"P": ZEROS, "Q": ZEROS, "R": fraction_matrix(0, SMALL_INPUTS)},
+        {"P": ZEROS, "Q": fraction_matrix(-1, IDENTITY), "R": SMALL_INPUTS},
+        {"P": IDENTITY, "Q": ZEROS, "R": fraction_matrix(-1, SMALL_INPUTS)},
+    ],
+)
+def test_a_cost_that_is_none_is_refused(cost):
+    """An unstable loop may decrease it as much as it likes."""
+    loop = fraction_matrix(2, IDENTITY)
+    gain = [[Fraction(0)] * 3] * 2
+    with pytest.raises(intervals.Refused, match="cost"):
+        sets_of_errors.check_cost({"cost": cost}, [(loop, gain)])
+
+
+def test_a_cost_that_decreases_passes_and_one_that_does_not_is_refused():
+    """0.5 e under P = 2 I, Q = I: 2 - 0.5 - 1 = 0.5 is left; under 0.9 e 2 - 1.62 - 1 < 0."""
+    gain = [[Fraction(0)] * 3] * 2
+    cost = {"P": fraction_matrix(2, IDENTITY), "Q": IDENTITY, "R": SMALL_INPUTS}
+    sets_of_errors.check_cost({"cost": cost}, [(fraction_matrix(Fraction(1, 2), IDENTITY), gain)])
+    with pytest.raises(intervals.Refused, match="decrease"):
+        loop = fraction_matrix(Fraction(9, 10), IDENTITY)
+        sets_of_errors.check_cost({"cost": cost}, [(loop, gain)])

@@ -191,6 +191,8 @@ def test_scripts_of_slips_are_followed_no_faster_than_slips_change(design):
     upper = np.array([0.3, 0.2])
     expected = np.minimum(lower + change * np.arange(steps)[:, None], upper)
     np.testing.assert_allclose(slips, expected, atol=1e-12)
+    with pytest.raises(ValueError, match="script: `true` has 30 entries"):
+        plant.under_script({"true": up})
 
 
 def test_laps_that_a_search_judges_are_those_of_their_replay(design):

@@ -18,7 +18,8 @@ from jaxtube.synthesis.proof_search import PROGRAMS, load_checker
 
 SHORT = ["reference.certified_for=path", "reference.duration_s=12.5", "controller.horizon=2"]
 """Of `certified`: two pairs of speeds, three windows, small QPs."""
-JUMPING = ["reference.shape=jumps", "reference.duration_s=1.8", "controller.horizon=2"]
+JUMPING = ["reference.shape=jumps", "reference.jump_seed=11"]
+JUMPING += ["reference.duration_s=1.8", "controller.horizon=2"]
 """Of `certified_wide`: a few pairs of speeds, small QPs."""
 SPEEDS = (1.0, 1.3)
 """Of wheels there, m/s: in the two fastest bands."""
