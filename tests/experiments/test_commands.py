@@ -23,6 +23,8 @@ from jaxtube.synthesis.design import design as compute
 from jaxtube.synthesis.design import refuse_infeasible_start, refuse_start_outside_limits
 from jaxtube.synthesis.optimum import Optimum
 from jaxtube.synthesis.problem import make_problem
+from jaxtube.synthesis.proof_file import FILE
+from jaxtube.synthesis.proof_search import PROGRAMS
 from sets.certificate import Certificate, Condition
 
 REALISATIONS = 4
@@ -238,6 +240,8 @@ def test_the_design_command_writes_what_was_designed(
         "sets.pdf",
         "sets.png",
         "design",
+        FILE,
+        *PROGRAMS,
     }
     kept = storage.read_result(tmp_path / "design")
     assert kept.scenario == robust_design.problem.scenario
