@@ -159,7 +159,7 @@ def worst_run(
     name = worst.limit
     dt = problem.reference.dt
     tracks = make_tracks(problem, limits, name, played)
-    strips = _make_strips(worst)
+    strips = make_strips(worst)
     settled = _find_settled(problem, name, worst, reaches[0][name]) if reaches else None
     figure = page_figure(max(3.3 + 0.16 * len(strips), 1.5 + 0.95 * len(tracks)))
     halves: Any = figure.subfigures(1, 2, width_ratios=(1.15, 1))
@@ -256,7 +256,7 @@ def _draw_path(axes: Axes, problem: Problem, worst: Worst, played: Replay) -> No
     axes.set_aspect("equal", adjustable="datalim")
 
 
-def _make_strips(worst: Worst) -> list[tuple[str, Float[np.ndarray, " times"]]]:
+def make_strips(worst: Worst) -> list[tuple[str, Float[np.ndarray, " times"]]]:
     """Return (name, values from -1 to 1) of every component of the attack."""
     strips = []
     for key, labels in STRIPS.items():

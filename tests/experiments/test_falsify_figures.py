@@ -10,7 +10,7 @@ from tolerances import DRAWN
 
 from jaxtube.falsification.setting import make_lap_limits
 from jaxtube.falsification.worst import Worst
-from jaxtube.figures.worst import make_tracks, worst_run
+from jaxtube.figures.worst import make_strips, make_tracks, worst_run
 from jaxtube.figures.worst_section import worst_section
 from jaxtube.simulation.usage import Replay, read_values
 
@@ -104,3 +104,12 @@ def test_the_facet_is_a_line_where_it_is_seen_edge_on(design, played):
         assert shares == pytest.approx([120.0] * design.problem.horizon)
         assert np.count_nonzero(np.abs(normal) > 1e-9) == 1, "R_1 of this design is a box"
         assert all(len(axes.lines) == 3 for axes in figure.axes[:2])
+
+
+def test_strips_tell_a_slip_from_where_it_begins():
+    attack = {"true": np.zeros((1, 2)), "noise": np.zeros((4, 3))}
+    worst = Worst("error", 0.5, 0.5, STEP, 0, 0, attack)
+    assert [name for name, _ in make_strips(worst)][:2] == ["slip, right", "slip, left"]
+    worst = dataclasses.replace(worst, attack=attack | {"change": np.zeros((4, 2))})
+    names = [name for name, _ in make_strips(worst)]
+    assert names[:3] == ["first slip, right", "first slip, left", "change of slip, right"]

@@ -48,7 +48,12 @@ def test_the_range_shrinks_to_the_wheel_speeds_of_the_path_and_holds_them(scenar
         assert above == pytest.approx((1.7 - fastest) * factor, abs=1e-3) and above >= 0
         assert scaled.speed_mps == scenario.reference.speed_mps
     assert "range" in [lever.name for lever in list_levers(scenario)]
-    for alone in ({"reference.shape": "jumps"}, {"reference.certified_for": "path"}):
+    as_narrow_as_may_be = {
+        "reference.wheel_speed_min_mps": float(slowest),
+        "reference.wheel_speed_max_mps": float(fastest),
+    }
+    path_alone = {"reference.certified_for": "path"}
+    for alone in ({"reference.shape": "jumps"}, path_alone, as_narrow_as_may_be):
         assert "range" not in [lever.name for lever in list_levers(replace(scenario, alone))]
 
 

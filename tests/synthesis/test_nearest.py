@@ -64,3 +64,7 @@ def test_where_no_gains_bound_a_tube_a_narrower_range_of_wheel_speeds_is_found_a
     assert 0.6 < narrower.reference.wheel_speed_max_mps < 2.0
     found = optimise(make_problem(narrower))
     assert design(found.scenario).certificate.failing == []
+
+
+def test_nothing_is_searched_where_no_quantity_scales_the_ends_of_bands():
+    assert find_nearest_bounded(load("certified_wide")) == {}
