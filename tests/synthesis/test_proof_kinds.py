@@ -51,6 +51,10 @@ def test_what_is_proved_of_a_model_alone_says_that_w_is_assumed(modelled, tmp_pa
     said = [*program.list_assumptions(program.read(modelled))]
     assert any("w lies in W" in sentence for sentence in said)
     assert not any("w lies in W" in sentence for sentence in program.check(program.read(modelled)))
+    path = tmp_path / "certificate.json"
+    path.write_text(json.dumps(modelled))
+    assert program.main(str(path)) == 0
+    assert "for its linear model alone" in capsys.readouterr().out.splitlines()[-1]
 
 
 @pytest.mark.parametrize(
@@ -59,6 +63,7 @@ def test_what_is_proved_of_a_model_alone_says_that_w_is_assumed(modelled, tmp_pa
         (("model", "turning", 0), lambda share: share * 1001 / 1000),
         (("bands", 0, "disturbance", "box", 1), lambda width: width * 10001 / 10000),
         (("bands", 0, "disturbance", "yaw"), lambda _: Fraction(1, 100)),
+        (("bands", 0, "disturbance", "yaw"), lambda _: Fraction(-1, 100)),
         (("bands", 0, "errors", 1), lambda cap: cap * 1000001 / 1000000),
         (("bands", 0, "errors", 1), lambda cap: cap * 999999 / 1000000),
         (("bands", 0, "inputs", 0, "high"), lambda cap: cap * 999999 / 1000000),
