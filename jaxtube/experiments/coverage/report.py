@@ -55,7 +55,9 @@ def say_what(sets: dict) -> str:
         f"largest control invariant set C: {share:.1%} of the volume of the caps (outer bound, "
         f"{state}\nafter {largest['steps']} steps); coverage: what of C has a plan, least over "
         f"{windows} windows of the reference,\nby an inner bound; us a step: of the processor, "
-        f"of laps\nside by side from all over the feasible set, the median of {ROUNDS} rounds"
+        f"of laps\nside by side from all over the feasible set, the median of {ROUNDS} rounds\n"
+        "C is for wheel speeds in any order; plans know those ahead, so that a feasible set may\n"
+        "pass C, and what is beyond it does not count"
     )
 
 
