@@ -31,6 +31,7 @@ PROGRAMS = (
     "check_plans.py",
     "check_learning.py",
     "check_model.py",
+    "check_words.py",
 )
 """The checker's files; the first one is the program."""
 USED = 1e-9

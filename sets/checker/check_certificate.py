@@ -20,7 +20,6 @@ import sys
 import time
 from fractions import Fraction
 from itertools import product
-from math import degrees
 from typing import Any
 
 from check_intervals import ONE, Refused, pick, require, scale, scale_all
@@ -38,9 +37,9 @@ from check_sets import (
     list_slips,
     list_speeds,
 )
+from check_words import ROBOT, is_of_robot, list_assumptions, show_disturbance
 
 FORMAT = "jaxtube certificate 1"
-ROBOT = ("period", "track", "lever_arm")
 KNOWN = {"format", "name", *ROBOT, "wheel_speeds", "constraints", "noise", "slips", "sideslip"}
 KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning", "model", "measured"}
 DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
@@ -153,11 +152,6 @@ def check_motions(certificate, band):
     return f"w lies in W ({W}), and wheels can do what is asked of them; {count} cells"
 
 
-def is_of_robot(certificate):
-    """Return whether W is said to be proved."""
-    return all("cells" in band for band in certificate["bands"])
-
-
 def check_head(certificate):
     """Require that a certificate is described as known here."""
     unknown = sorted(set(certificate) - KNOWN - {"unchecked"})
@@ -221,58 +215,6 @@ def check_ends(certificate):
     for band in certificate["bands"] if "cost" in certificate else ():
         check_cost(certificate, list_ends(certificate, band))
         yield f"{band['name']}: the terminal cost decreases by the cost of a stage"
-
-
-def show_disturbance(band):
-    """Return the sizes of W in words."""
-    yaw, box = pick(band["disturbance"], "yaw", "box")
-    return f"kick, box: {', '.join(f'{float(each):.6g}' for each in (yaw, *box))} rad, m, m, rad"
-
-
-def list_assumptions(certificate):
-    """Yield in words what is taken for granted."""
-    of_robot = is_of_robot(certificate)
-    for band in () if of_robot else certificate["bands"]:
-        yield f"{band['name']}: w lies in W ({show_disturbance(band)}), proved of no robot"
-    for wheel, slips in certificate["slips"].items():
-        for least, most, *seen in slips:
-            shown = f"where {float(seen[0]):.6g} to {float(seen[1]):.6g} is compensated"
-            if "measured" in certificate:
-                constant, share = map(float, certificate["measured"][wheel])
-                shown = f"measured within {constant:.4g} and {share:.4g} of it"
-            yield f"{wheel} slip {float(least):.6g} to {float(most):.6g}, {shown}"
-    if "learning" in certificate:
-        change = float(certificate["learning"]["change"])
-        yield f"a slip changes by at most {change:.4g} from one period to the next"
-        yield "compensated is the centre of an interval in that of check_learning, the slip in it"
-    T, b, lever = map(float, pick(certificate, *ROBOT))
-    yield f"a robot of two wheels, {b:.6g} m apart, commanded every {T:.6g} s"
-    if of_robot:
-        slide = float(certificate["sideslip"])
-        yield f"which slides by {slide:.4g} of its speed at most, and {lever:.4g} m by its yaw rate"
-    how = "the way of check_motion" if of_robot else "V - u1 -+ (b/2) u2"
-    yield f"wheels (right, left) are asked for {how} over ground, by the slip that is compensated"
-    x, y, heading = map(float, certificate["noise"])
-    shown = f"{x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg"
-    yield f"errors measured within {shown} in the robot's frame, without delay"
-    for band in certificate["bands"]:
-        for region in band["regions"]:
-            shown = ", ".join(f"{float(speed):.6g}" for speed in region)
-            kind = "right, left" if len(region) == 2 else "least, greatest; of their mean as well"
-            yield f"{band['name']}: reference wheel speeds {shown} m/s ({kind})"
-    if of_robot:
-        yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
-    if "cost" in certificate:
-        yield "P, Q and R are those of the cost of the plans"
-    yield "what is proved holds at the ends of periods, nothing in between"
-    if "plans" not in certificate:
-        yield "the law u = K e commands; the first measured error lies in the set of its band"
-        return
-    tolerance = float(certificate["plans"]["tolerance"])
-    yield "the controller solves the QPs of this file, along the reference that they are in"
-    yield f"plans that command miss no row of their QP by more than {tolerance:.3g} of its length"
-    yield "a plan is found where there is one, in 64 bits, and its first input is commanded"
-    yield "the first measured error lies within the caps of its band and has a plan"
 
 
 def main(path):
