@@ -23,10 +23,12 @@ from itertools import product
 from typing import Any
 
 from check_intervals import ONE, Refused, pick, require, scale, scale_all
+from check_lag import find_late, narrow_levels
 from check_learning import check_learning
 from check_model import check_wheels, list_ends
 from check_motion import prove
 from check_plans import check_plans
+from check_pose import bound_poses, check_lateness
 from check_sets import (
     Set,
     check_cost,
@@ -42,6 +44,7 @@ from check_words import ROBOT, is_of_robot, list_assumptions, show_disturbance
 FORMAT = "jaxtube certificate 1"
 KNOWN = {"format", "name", *ROBOT, "wheel_speeds", "constraints", "noise", "slips", "sideslip"}
 KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning", "model", "measured"}
+KNOWN |= {"lateness"}
 DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 DAMAGES += (RecursionError,)
 BAND_OF_MODEL = {"name", "regions", "errors", "inputs", "gains", "disturbance"}
@@ -112,10 +115,25 @@ def list_losses(certificate, band):
 def list_motions(certificate, band):
     """Yield what is bounded of the motions of a band: its name, sign and bound, and the cells over
     which it is bounded, with the constants of robot and cell."""
-    robot = (*pick(certificate, *ROBOT), band["disturbance"]["lean"])
+    T, b, lever = pick(certificate, *ROBOT)
+    slide = certificate["sideslip"]
     levels = list_levels(certificate, band)
     losses = list_losses(certificate, band)
-    sizes = [*band["errors"][1:], certificate["sideslip"], *certificate["noise"]]
+    late = find_late(certificate, band)
+    if late:
+        lever = 0
+        slide = 0
+        levels = narrow_levels(certificate, levels, late)
+        losses = late.lost
+    robot = (
+        T,
+        b,
+        Fraction(lever),
+        late.lever if late else Fraction(0),
+        band["disturbance"]["lean"],
+    )
+    sizes = [*band["errors"][1:], Fraction(slide), *certificate["noise"]]
+    sizes += late.taken if late else ()
     ends = [(-size, size) for size in sizes]
     cells = []
     speeds = [each for region in band["regions"] for each in list_speeds(region)[0]]
@@ -161,6 +179,8 @@ def check_head(certificate):
     require(isinstance(certificate["name"], str), "the certificate has no name")
     require(min(certificate["period"], certificate["track"]) > 0, "period or track is not positive")
     require(set(certificate["slips"]) == {"right", "left"}, "slips are not those of two wheels")
+    if "lateness" in certificate:
+        check_lateness(certificate)
     names = {band["name"] for band in certificate["bands"]}
     require(0 < len(names) == len(certificate["bands"]), "bands need names of their own")
     require(is_of_robot(certificate) or "model" in certificate, "no W is proved or assumed")
@@ -170,7 +190,10 @@ def check_head(certificate):
     for band in certificate["bands"]:
         require(set(band) == known and band["regions"], f"{band['name']} is not described as known")
         pairs = zip(band["errors"], certificate["noise"], strict=True)
-        pairs = zip((cap + size for cap, size in pairs), certificate["constraints"], strict=True)
+        errors = [cap + size for cap, size in pairs]
+        if "lateness" in certificate:
+            errors = bound_poses(certificate, errors)
+        pairs = zip(errors, certificate["constraints"], strict=True)
         require(all(error <= limit for error, limit in pairs), "true errors may pass their limits")
         yaw, box = pick(band["disturbance"], "yaw", "box")
         require(min(yaw, *box) >= 0, f"the W of {band['name']} has a negative width")

@@ -21,7 +21,9 @@ the motion's Jacobian at e = u = 0, leaves out, of errors measured with noise n,
 
     w = (w_x, w_y, kick - n_th) + next n   in   W = {s (0, lean, 1): |s| <= yaw} + box.
 
-Of another model, "y of the model", the difference between the models is added to w_y.
+Of another model, "y of the model", the difference between the models is added to w_y. Of wheels that
+lag, by `check_lag`, d are the ways that slip takes from them, beside a way and a turn that lag takes,
+and a kick moves the robot sideways by a lever of its own; W has room for the rest.
 That w_x and w_y - lean kick, beside the next n, and the kick keep their bounds is proved cell by
 cell: a motion is largest at an end of a cell where its slope has one sign, and rises by no more
 than slope times way from elsewhere (Moore, Kearfott, Cloud 2009, chapter 6).
@@ -43,13 +45,15 @@ from check_intervals import (
 )
 
 MINUS_HALF = (-HALF[1], -HALF[0])
-VARIABLES = "abcdefghijklm"  # letters of those of `find_motion`, in its order: where cells are cut
+VARIABLES = (
+    "abcdefghijklmno"  # letters of those of `find_motion`, in its order: where cells are cut
+)
 
 
 def find_constants(robot, piece):
     """Return the ends of what is constant in `find_motion`."""
-    T, b, lever, lean = robot
-    values = (T, T / b, b / 2, 1 / b, lever, lean, *piece)
+    T, b, lever, late_lever, lean = robot
+    values = (T, T / b, b / 2, 1 / b, lever, late_lever, lean, *piece)
     return [None if value is None else scale(value) for value in values]
 
 
@@ -65,9 +69,10 @@ def turn_sine(x, half_step):
 
 def find_motion(output, variables, constants):
     """Return w_x, w_y - lean kick, the same of a model that is not the motion's Jacobian, the kick,
-    or the way of a wheel that is asked for."""
-    share, y, th, u1, u2, first, second, d_r, d_l, zeta, n_x, n_y, n_th = variables
-    T, turning, half_b, per_b, lever, lean, x_reach, x_slope, v_reach, v_slope = constants
+    or the way of a wheel or of the body that is asked for."""
+    share, y, th, u1, u2, first, second, d_r, d_l, zeta, n_x, n_y, n_th, *late = variables
+    T, turning, half_b, per_b, lever, late_lever, lean, x_reach, x_slope, *speeds = constants
+    v_reach, v_slope = speeds
     x = share * (u2 * x_slope + x_reach)
     if v_reach is None:
         middle = (first + second) * HALF
@@ -84,16 +89,18 @@ def find_motion(output, variables, constants):
     sine = SINE(half_a)
     ahead = chord * COSINE(psi) - sine * sine * x * 2 + (EXCESS(a) - m) * y - u1 * T
     way = ahead * C(a).inverse()
+    if output == "way":
+        return way
     right = way + a * half_b
     left = way - a * half_b
     if output in ("right", "left"):
         return right if output == "right" else left
-    right_lost = right * d_r
-    left_lost = left * d_l
-    kick = (right_lost - left_lost) * per_b
+    right_lost, left_lost = [d_r, d_l] if late else [right * d_r, left * d_l]
+    way_taken, turn_taken = late or [ZERO, ZERO]
+    kick = (right_lost - left_lost) * per_b + turn_taken
     if output == "kick":
         return kick
-    lost = (right_lost + left_lost) * HALF
+    lost = (right_lost + left_lost) * HALF + way_taken
     turn = a - kick
     back = -kick
     half_back = back * HALF
@@ -114,7 +121,7 @@ def find_motion(output, variables, constants):
     bent = SINE(half_m) * secants * (x * 2 + A * y + u1 * T)
     curved = EXCESS(ahead_th) * secant_a
     curved = curved - turn_cosine(half_A, half_m * MINUS_HALF) * secants * ahead_th
-    swing = d_cos * y - d_sin * x + chord * turn_sine(psi, half_swing)
+    swing = d_cos * y - d_sin * x + chord * turn_sine(psi, half_swing) + kick * late_lever
     slip = way * D.change(a, back) - lost * D(turn) - sideways * C(turn)
     found = bent + chord * curved + swing + slip + sin_turn * n_x - cos_turn * n_y - kick * lean
     if output == "y":
