@@ -115,25 +115,19 @@ def list_losses(certificate, band):
 def list_motions(certificate, band):
     """Yield what is bounded of the motions of a band: its name, sign and bound, and the cells over
     which it is bounded, with the constants of robot and cell."""
-    T, b, lever = pick(certificate, *ROBOT)
-    slide = certificate["sideslip"]
+    T, b, lever_arm = pick(certificate, *ROBOT)
+    lean = band["disturbance"]["lean"]
+    robot = (T, b, lever_arm, 0, lean)
     levels = list_levels(certificate, band)
     losses = list_losses(certificate, band)
+    sizes = [*band["errors"][1:], certificate["sideslip"], *certificate["noise"]]
     late = find_late(certificate, band)
     if late:
-        lever = 0
-        slide = 0
+        # What slides is in the rest, which the levels leave room for.
+        robot = (T, b, 0, certificate["lateness"]["lever"], lean)
         levels = narrow_levels(certificate, levels, late)
         losses = late.lost
-    robot = (
-        T,
-        b,
-        Fraction(lever),
-        late.lever if late else Fraction(0),
-        band["disturbance"]["lean"],
-    )
-    sizes = [*band["errors"][1:], Fraction(slide), *certificate["noise"]]
-    sizes += late.taken if late else ()
+        sizes = [*band["errors"][1:], 0, *certificate["noise"], *late.taken]
     ends = [(-size, size) for size in sizes]
     cells = []
     speeds = [each for region in band["regions"] for each in list_speeds(region)[0]]
@@ -190,9 +184,7 @@ def check_head(certificate):
     for band in certificate["bands"]:
         require(set(band) == known and band["regions"], f"{band['name']} is not described as known")
         pairs = zip(band["errors"], certificate["noise"], strict=True)
-        errors = [cap + size for cap, size in pairs]
-        if "lateness" in certificate:
-            errors = bound_poses(certificate, errors)
+        errors = bound_poses(certificate, [cap + size for cap, size in pairs])
         pairs = zip(errors, certificate["constraints"], strict=True)
         require(all(error <= limit for error, limit in pairs), "true errors may pass their limits")
         yaw, box = pick(band["disturbance"], "yaw", "box")
@@ -214,7 +206,8 @@ def check(certificate):
         shown = f"{len(room)} rows, least room {min(room) / ONE:.3g}"
         yield f"plans stay plans along the reference: {shown}"
     limits = ", ".join(f"{float(limit):.6g}" for limit in certificate["constraints"])
-    yield f"hence, with w in W, at the end of every period, true errors within {limits} m, m, rad"
+    when = "end of every period" + (", and a latency later" if "lateness" in certificate else "")
+    yield f"hence, with w in W, at the {when}, true errors within {limits} m, m, rad"
 
 
 def check_law(certificate):

@@ -1,53 +1,56 @@
-"""What lag of the wheels and delay of commands do to the motion; part of `check_certificate`, of the
-standard library alone.
+"""What lag of the wheels and delay of commands do to the motion; part of `check_certificate`, of
+the standard library alone.
 
-A controller whose wheels lag keeps small the error of its committed pose q_k, where the commands
-given so far take the robot by the nominal lag tau and delay D. From its pose p_k wheels first run
-out, as if the body drove tau v ahead and then turned by tau w, at the speeds v, w which they are
-expected to have; then it drives an arc for every command of the last D. A command c so moves the
-committed pose by its whole arc, whatever the wheels do meanwhile, and `check_motion` holds of it, but
-for what is derived here: what is lost between p_k and p_(k+1) happens before the way that is still
-ahead, which it turns.
+A controller whose wheels lag keeps small the error of its committed pose q_k, to which the commands
+given so far lead by the nominal lag tau and delay D. From the robot's pose p_k the wheels first run
+out, as if the body drove tau v ahead and then turned by tau w at the speeds v, w that they are
+expected to have; then the body drives an arc for each command of the last D. So a command c_k moves
+the committed pose by its whole arc, and `check_motion` holds of it, but for the order of motions,
+and for what is lost between p_k and p_(k+1), before the way that is still ahead.
 
 Travels s = (x_r + x_l)/2, h = (x_r - x_l)/b of the wheels lead along the integral of e^(ih) ds. Two
-ways to the same travels lead apart by i times the integral of e^(ih) over the area between them, in
-ds dh, with its sign (Green). All is seen from the end, from which no heading differs by more than
+ways to the same travels lead apart by i times the integral of e^(ih) over the signed area between
+them in s and h (Green). All is seen from the end. No heading differs from the one there by more
+than
 
-    turn = (T + tau + D) |w| + kick + swerve.
+    turn = (T + tau + D) |w| + turn lost + swerve.
 
-Order. Without losses, wheels that follow from the speeds (v, w) to (v', w'), and then run out, and
-wheels that run out, and then obey, lead to the same travels. The area between them comes to
-tau^2/2 (v - v') (w + w') in all; between the straight run-out and the curve that the lag makes of
-it lie tau^2/2 (1 - e^(-t/tau)) |v w_c - w v_c|, t the time under the command, and triangles
-tau^2/2 |v w| at either end. Let the sums over the commands of a period be S and R, and s =
-(T + tau) |w| / 2 from some heading hold all there. With an integrand between two numbers, areas add
-up to its middle times S and half its range times R at most. So the ends are apart by
+Order. Wheels that follow a command from the speeds (v, w) to (v', w') and then run out, and wheels
+that run out and then obey, reach the same travels. The area between them is tau^2/2 (v - v')
+(w + w') in all. It is made of triangles tau^2/2 |v w| at either end, and, between the straight run-
+out and the curve that the lag makes of it, of tau^2/2 (1 - e^(-t/tau)) |v w_c - w v_c|, after a
+time t under the command (v_c, w_c). Let S and R be the sums of these over the commands that act in
+a period. All headings there are within g = (T + tau) |w| / 2 of one. Where an integrand lies
+between two numbers, signed areas add up to its middle times S and half its range times R at most:
 
-    ahead_0 = sin(turn) S + sin(s) R,    side_0 = S + sin(turn) sin(s) R,    far_0 = S + 2 sin(s/2) R.
+    ahead_0 = sin(turn) S + sin(g) R,    side_0 = S + sin(turn) sin(g) R,
+    far_0 = S + 2 sin(g/2) R.
 
-Losses. Wheels lose (d_s, d_h)(t) of their travel, and the arc is driven at the command less the mean
-of that, from which the loss strays by (stray, swerve). Let losses grow as r d, r from 0 to 1, let M(t)
-be the way that is still ahead of the robot at t, and Y(t) where it leads, seen from the arc. A loss
-moves the end along the heading at its time, and turns all that follows. Integrated by parts,
+Losses. Let d(t) = (d_s, d_h) be the travel lost until t, beside an even loss by (stray, swerve);
+the arc is driven at what the even loss leaves of the command. Let losses grow as r d, 0 <= r <= 1.
+A loss moves the end along the heading at its time, and turns what follows. With M(t) the way still
+ahead of the robot at t, and Y(t) how far it leads from the arc, by parts
 
-    dY/dr = terms i e^(ih) of size `across`  -  i integral of (M + Y) d d_h,
-    across = ((tau + D) |w| + swerve) |d d_s| + (T |w| + kick) mean stray + (T |v| + way lost) mean swerve.
+    dY/dr = terms i e^(ih), `across` in all  -  i integral of (M + Y) d d_h,
+    across = ((tau + D) |w| + swerve) |way lost|, up and down, + (T |w| + turn lost) mean stray
+             + (T |v| + way lost) mean swerve.
 
-In M lie (tau + D) v, by cosines of up to `turn` shorter, ahead: the kick moves the end sideways by
-the `lever` times itself, and by that by which the two differ, `missed`. Before the end of the period
-travels differ by the stray, too, so that with swing = |d d_h|, grows = across + stray + swing (tau +
-D) |v|, all |Y| stay below the line from far_0 to far_1 = (far_0 + grows) / (1 - swing). Ahead, Y
-grows by tilted parts of the same, and as its own direction turns. So the rest of the motion is
+Ahead, M is (tau + D) v, or shorter by the cosine of `turn`; so a kick moves the end sideways by
+`lever` times itself, and by the difference of the two, `missed`. With `swing` the turn lost up and
+down, and turned = swing (tau + D) |v|, Y is below the line from far_0 to
 
-    ahead = ahead_0 + sin(turn) (across + swing (tau + D) |v|) + swing (far_0 + far_1) / 2,
-    side  = side_0 + across + swing (missed + ahead_0 + (sin(turn) (across + swing (tau + D) |v|)
-            + stray) / 2 + swing (2 far_0 + far_1) / 3).
+    far_1 = (far_0 + across + stray + turned) / (1 - swing),
 
-Slip takes the share d of what a wheel does, in all its share of some speed in the range of commands,
-or d c of every command where each compensates another slip, and so strays with it. Sideslip and the
-lever arm move the robot sideways at headings between those above.
+the stray for times before the end. Ahead it begins with ahead_0, and grows by sin(turn) (across +
+turned), by the stray, and by Y as it turns, twice: once in the integral, once with the end. Hence
 
-Source: Smith 1957 and Artstein 1982 predict where commands take a plant.
+    ahead = ahead_0 + sin(turn) (across + turned) + swing (far_0 + far_1) / 2,
+    side  = side_0 + across + swing (missed + ahead_0 + (sin(turn) (across + turned) + stray) / 2
+                                     + swing (2 far_0 + far_1) / 3).
+
+Sideslip and lever arm move the robot sideways, too, at headings within `turn`.
+
+Source: predicting where commands lead a plant goes back to Smith 1957 and Artstein 1982.
 """
 
 from fractions import Fraction
@@ -55,58 +58,20 @@ from itertools import product
 from typing import NamedTuple
 
 from check_intervals import COSINE, SINE, pick, read_units, require, scale
-from check_sets import list_slips, list_speeds
-from check_travel import bound_unknown, decay, find_strays, find_travel
-
-WHEELS = ("right", "left")
+from check_losses import bound_losses, find_width, list_lost, read_commands
+from check_travel import decay
 
 
 class Late(NamedTuple):
-    """What lag and delay add to a motion: the ways that slip takes from the wheels (right, left),
-    ranges, m; (way m, turn rad) that unknown lag and delay take; the kick, rad, less than all these
-    together give; the lever of kicks, m/rad; and how far the rest moves the robot, (m, m)."""
+    """What lag and delay make of a period: the ranges of the ways, m, that slip takes from the
+    wheels (right, left); the (way m, turn rad) that unknown lag and delay take; the kick, rad, less
+    than these together give; and the (m, m) by which the robot is moved besides, ahead and
+    sideways, in either direction."""
 
     lost: list
     taken: tuple
     kick: Fraction
-    lever: Fraction
-    box: tuple
-
-
-class Commands(NamedTuple):
-    """What is commanded: ranges of the speeds of the wheels (right, left), of the body, and of its
-    yaw rate."""
-
-    wheels: list
-    speeds: tuple
-    yaw_rates: tuple
-
-    @property
-    def fastest(self):
-        """Greatest speed of the body."""
-        return max(map(abs, self.speeds))
-
-    @property
-    def turning(self):
-        """Greatest yaw rate."""
-        return max(map(abs, self.yaw_rates))
-
-
-class Losses(NamedTuple):
-    """What is lost in a period, (way, turn): by slip, by unknown lag and delay, in all, up and down,
-    and beside an even loss, at most and in the mean."""
-
-    slipped: tuple
-    taken: tuple
-    total: tuple
-    variation: tuple
-    stray: tuple
-    mean_stray: tuple
-
-
-def find_width(ends):
-    """Return the width of a range."""
-    return ends[1] - ends[0]
+    rest: tuple
 
 
 def find_sine(angle):
@@ -119,177 +84,98 @@ def find_cosine(angle):
     return read_units(COSINE.value(scale(angle))[0])
 
 
-def read_commands(certificate, band):
-    """Return what may be commanded. Wheels and body are proved by `check_motion`; yaw rates are
-    those of the reference less u2."""
-    late = certificate["lateness"]
-    corners = [corner for region in band["regions"] for corner in list_speeds(region)[1]]
-    rates = [(right - left) / certificate["track"] for right, left in corners]
-    low, high = band["u2"]
-    return Commands(
-        pick(late["wheels"], *WHEELS), late["speeds"], (min(rates) - high, max(rates) - low)
-    )
-
-
 def find_late(certificate, band):
-    """Return what lag and delay add to the motion of a band; None of wheels that obey at once."""
+    """Return what lag and delay make of the motion of a band; None of wheels that obey at once."""
     if "lateness" not in certificate:
         return None
-    T, b = pick(certificate, "period", "track")
+    T, b, lever_arm = pick(certificate, "period", "track", "lever_arm")
     commands = read_commands(certificate, band)
-    ranges = list_lost(certificate, commands)
     losses = bound_losses(certificate, commands)
-    by_wheels = max(ranges[0][1] - ranges[1][0], ranges[1][1] - ranges[0][0]) / b
-    ahead, side = bound_rest(certificate, commands, losses)
+    lost = list_lost(certificate, commands)
+    (right_least, right_most), (left_least, left_most) = lost
+    by_wheels = max(right_most - left_least, left_most - right_least) / b
     way, turn = losses.slipped
     slide = certificate["sideslip"] * (T * commands.fastest + way)
-    slide += abs(certificate["lever_arm"]) * (T * commands.turning + turn)
+    slide += abs(lever_arm) * (T * commands.turning + turn)
     tilt = find_sine(find_turn(certificate, commands, losses))
+    ahead, side = bound_rest(certificate, commands, losses)
     return Late(
-        lost=ranges,
+        lost=lost,
         taken=losses.taken,
         kick=min(turn, by_wheels) + losses.taken[1],
-        lever=certificate["lateness"]["lever"],
-        box=(ahead + tilt * slide, side + slide),
+        rest=(ahead + tilt * slide, side + slide),
     )
 
 
 def narrow_levels(certificate, levels, late):
-    """Return by name and sign up to which bound motions are to be proved, what lag and delay add
-    besides taken off, and commands within those that are said to be given."""
+    """Return by name and sign up to which bound motions are to be proved: W less the rest, and
+    commands within those that the certificate says."""
     T = certificate["period"]
     asked = {**certificate["lateness"]["wheels"], "way": certificate["lateness"]["speeds"]}
-    of_x, of_y = late.box
-    beside = {"x": of_x, "y": of_y, "y of the model": of_y}
+    ahead, side = late.rest
+    beside = {"x": ahead, "y": side, "y of the model": side}
     narrowed = {key: level - beside.get(key[0], 0) for key, level in levels.items()}
     for sign in (1, -1):
-        require(late.kick <= narrowed.pop(("kick", sign)), "lag may turn the robot by more than W")
+        require(late.kick <= narrowed.pop(("kick", sign)), "lag may turn the robot further than W")
         for name, ends in asked.items():
             level = T * (ends[1] if sign > 0 else -ends[0])
             narrowed[name, sign] = min(level, narrowed.get((name, sign), level))
     return narrowed
 
 
-def list_errors(certificate):
-    """Return by wheel ranges of d, of which the wheel loses the share: under the command of the
-    period, and under those before it; and whether all of them compensate one slip."""
-    errors = []
-    for wheel in WHEELS:
-        pairs = list_slips(certificate, wheel)
-        seen = {compensated for _, compensated in pairs}
-        fresh = [(true - slip) / (1 - slip) for true, slip in pairs]
-        old = [(true - slip) / (1 - slip) for true, _ in pairs for slip in seen]
-        errors.append(((min(fresh), max(fresh)), (min(old), max(old)), len(seen) == 1))
-    return errors
-
-
-def mix(certificate, fresh, old):
-    """Return the greatest loss of a period, from the greatest under its command and under those
-    before it, by the least share that the former has."""
-    T = certificate["period"]
-    lags, delays = pick(certificate["lateness"], "lag", "delay")
-    share = max(find_travel(max(T - delays[1], Fraction(0)), lags[1])[0], 0) / T
-    return share * fresh + (1 - share) * old
-
-
-def list_products(first, second):
-    """Return the ends of products of two ranges."""
-    products = [a * b for a, b in product(first, second)]
-    return min(products), max(products)
-
-
-def list_lost(certificate, commands):
-    """Return the ranges of the ways that slip takes from the wheels."""
-    T = certificate["period"]
-    ranges = []
-    for (fresh, old, _), speeds in zip(list_errors(certificate), commands.wheels, strict=True):
-        least, most = list_products(fresh, speeds)
-        old_least, old_most = list_products(old, speeds)
-        low = -T * mix(certificate, -least, -old_least)
-        ranges.append((low, T * mix(certificate, most, old_most)))
-    return ranges
-
-
-def bound_losses(certificate, commands):
-    """Return bounds of what is lost in a period."""
-    T, b = pick(certificate, "period", "track")
-    late = certificate["lateness"]
-    unknown = bound_unknown(T, late["lag"], late["delay"], late["nominal"])
-    most, mean = find_strays(T, *late["nominal"])
-    errors = list_errors(certificate)
-    sizes = [[max(map(abs, of_wheel[i])) for of_wheel in errors] for i in (0, 1)]
-    fastest = [max(map(abs, ends)) for ends in commands.wheels]
-    by_wheel = [sum(map(Fraction.__mul__, each, fastest)) for each in sizes]
-    # Speeds of the wheels add up to 2 |v| or b |w|, whichever is more.
-    of_both = max(2 * commands.fastest, b * commands.turning)
-    by_body = [max(each) * of_both for each in sizes]
-    slipped = T * min(mix(certificate, *by_wheel), mix(certificate, *by_body))
-    width = 0
-    for (_, old, is_one), speeds in zip(errors, commands.wheels, strict=True):
-        width += (
-            max(map(abs, old)) * find_width(speeds)
-            if is_one
-            else find_width(list_products(old, speeds))
-        )
-    of_body = (Fraction(1, 2), 1 / b)
-    spans = (find_width(commands.speeds), find_width(commands.yaw_rates))
-    each = list(zip(of_body, spans, strict=True))
-    uneven = [share * width * unknown.uneven + span * unknown.uneven for share, span in each]
-    return Losses(
-        slipped=tuple(share * slipped for share in of_body),
-        taken=tuple(span * unknown.total for span in spans),
-        total=tuple(share * slipped + span * unknown.total for share, span in each),
-        variation=tuple(share * slipped + span * unknown.variation for share, span in each),
-        stray=tuple(s * width * most + more for s, more in zip(of_body, uneven, strict=True)),
-        mean_stray=tuple(s * width * mean + more for s, more in zip(of_body, uneven, strict=True)),
-    )
-
-
 def find_turn(certificate, commands, losses):
-    """Return by how much headings differ from that at the end at most."""
+    """Return by how much headings differ from the one at the end at most, rad."""
     latency = sum(certificate["lateness"]["nominal"])
     nominal = (certificate["period"] + latency) * commands.turning
     return nominal + losses.total[1] + losses.stray[1]
 
 
 def bound_order(certificate, commands):
-    """Return S, R and s of the order of motions."""
+    """Return S and R, m, and g, rad, of the order of motions."""
     T, b = pick(certificate, "period", "track")
     lag, delay = certificate["lateness"]["nominal"]
     arrives = delay % T
-    times = [time for time in (arrives, T - arrives) if time]
-    closed = sum(1 - read_units(decay(time, lag)[0]) for time in times)
-    crossed = [
-        max(abs(a * q - c * p) for a, c, p, q in product(first, first, second, second))
-        for first, second in ((commands.speeds, commands.yaw_rates), commands.wheels)
-    ]
-    square = lag**2
-    signed = square * closed * find_width(commands.speeds) * commands.turning
-    sizes = closed * min(crossed[0], crossed[1] / b) / 2 + commands.fastest * commands.turning
-    return signed, square * sizes, (T + lag) * commands.turning / 2
+    closed = sum(1 - read_units(decay(time, lag)[0]) for time in (arrives, T - arrives) if time)
+    of_body = find_greatest_cross(commands.speeds, commands.yaw_rates)
+    of_wheels = find_greatest_cross(*commands.wheels) / b
+    in_all = lag**2 * closed * find_width(commands.speeds) * commands.turning
+    sizes = closed * min(of_body, of_wheels) / 2 + commands.fastest * commands.turning
+    return in_all, lag**2 * sizes, (T + lag) * commands.turning / 2
+
+
+def find_greatest_cross(first, second):
+    """Return the greatest |a q - c p| of a, c in one range and p, q in another."""
+    return max(abs(a * q - c * p) for a, c, p, q in product(first, first, second, second))
 
 
 def bound_rest(certificate, commands, losses):
-    """Return how far lag and delay move the robot ahead and sideways, beside the lever of kicks."""
+    """Return how far lag and delay move the robot ahead and sideways, m, beside the lever times a
+    kick."""
     T = certificate["period"]
     latency = sum(certificate["lateness"]["nominal"])
-    signed, sizes, spread = bound_order(certificate, commands)
+    in_all, sizes, spread = bound_order(certificate, commands)
     turn = find_turn(certificate, commands, losses)
     tilt = find_sine(turn)
-    ahead_first = tilt * signed + find_sine(spread) * sizes
-    side_first = signed + tilt * find_sine(spread) * sizes
-    far_first = signed + 2 * find_sine(spread / 2) * sizes
-    way, swing = losses.variation
-    across = (latency * commands.turning + losses.stray[1]) * way
-    across += (T * commands.turning + losses.total[1]) * losses.mean_stray[0]
-    across += (T * commands.fastest + losses.total[0]) * losses.mean_stray[1]
+    ahead_first = tilt * in_all + find_sine(spread) * sizes
+    side_first = in_all + tilt * find_sine(spread) * sizes
+    far_first = in_all + 2 * find_sine(spread / 2) * sizes
+    (way_lost, turn_lost), (way, swing) = losses.total, losses.variation
+    (stray, swerve), (mean_stray, mean_swerve) = losses.stray, losses.mean_stray
+    across = (latency * commands.turning + swerve) * way
+    across += (T * commands.turning + turn_lost) * mean_stray
+    across += (T * commands.fastest + way_lost) * mean_swerve
     turned = swing * latency * commands.fastest
     require(swing < 1, "losses may turn the robot by a radian in a period")
-    far_last = (far_first + across + losses.stray[0] + turned) / (1 - swing)
+    far_last = (far_first + across + stray + turned) / (1 - swing)
     tilted = tilt * (across + turned)
-    grown = (tilted + losses.stray[0]) / 2 + swing * (2 * far_first + far_last) / 3
-    lever = certificate["lateness"]["lever"]
-    ways = [latency * v * c for v in commands.speeds for c in (1, find_cosine(turn))]
-    missed = max(abs(each - lever) for each in ways)
+    drift = ahead_first + (tilted + stray) / 2 + swing * (2 * far_first + far_last) / 3
     ahead = ahead_first + tilted + swing * (far_first + far_last) / 2
-    return ahead, side_first + across + swing * (missed + ahead_first + grown)
+    return ahead, side_first + across + swing * (find_miss(certificate, commands, turn) + drift)
+
+
+def find_miss(certificate, commands, turn):
+    """Return how far the way still ahead, seen from the end, differs from the lever, m."""
+    late = certificate["lateness"]
+    ways = [sum(late["nominal"]) * speed for speed in commands.speeds]
+    seen = [factor * way for way in ways for factor in (1, find_cosine(turn))]
+    return max(abs(each - late["lever"]) for each in seen)

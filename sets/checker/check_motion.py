@@ -21,9 +21,9 @@ the motion's Jacobian at e = u = 0, leaves out, of errors measured with noise n,
 
     w = (w_x, w_y, kick - n_th) + next n   in   W = {s (0, lean, 1): |s| <= yaw} + box.
 
-Of another model, "y of the model", the difference between the models is added to w_y. Of wheels that
-lag, by `check_lag`, d are the ways that slip takes from them, beside a way and a turn that lag takes,
-and a kick moves the robot sideways by a lever of its own; W has room for the rest.
+Of another model, "y of the model", the difference between the models is added to w_y.
+Of wheels that lag, by `check_lag`, d_r and d_l are the ways that slip takes from them, a way and a
+turn that lag takes come last, and a kick moves the robot sideways by a lever of its own besides.
 That w_x and w_y - lean kick, beside the next n, and the kick keep their bounds is proved cell by
 cell: a motion is largest at an end of a cell where its slope has one sign, and rises by no more
 than slope times way from elsewhere (Moore, Kearfott, Cloud 2009, chapter 6).

@@ -1,87 +1,86 @@
-"""Where the robot itself is while its committed pose is controlled, by `check_lag`; part of
+"""Where a robot itself is whose committed pose is controlled, as `check_lag` has it; part of
 `check_certificate`, of the standard library alone.
 
-M is the motion that is still ahead of the robot, to its committed pose, R that of the reference over
-the latency tau + D before; e is the error of the robot against where the reference was a latency
-before, and e~ that of the committed pose. As motions, one after the other, M e~ = e R. Hence
+Let M be the motion still ahead of the robot, to its committed pose, and R that of the reference
+over the latency tau + D before; e the error of the robot against where the reference was a latency
+before, e~ that of the committed pose against where it is. One after the other these motions lead to
+the same place, M e~ = e R, so that
 
-    th  = M_h + th~ - R_h,
-    z   = M_z + e^(i M_h) z~ - e^(i th) R_z.
+    th = M_h + th~ - R_h,    z = M_z + e^(i M_h) z~ - e^(i th) R_z.
 
-Noise. A pose that is measured n off has e~ off by n turned by M_h, and by R_z turned by n_th.
+Noise. Of a pose that is measured n off, e~ is off by n, turned by M_h, and by R_z, turned by n_th.
 
-Now. Yaw rates of commands are those of the reference less u2; those of the reference count in M
-by what of each command is still to come, and in R by the time in it, which differ by `shift`. Run
-out, M goes straight ahead first, and then turns and drives for D. The heading of R grows evenly at
-most, so that in the mean its sine is that of half of it.
+Now. Commanded yaw rates are those of the reference less u2. In M counts what of each command is
+still to come, in R the time that it was given in; that the two weigh periods differently makes
+`shift` of it. M leads straight ahead until the wheels have run out; only its arcs lead aside. The
+headings of R grow no faster than evenly, so that the mean of their sines is at most that of half.
 
-A latency later. Wheels are by then, and were on their way, as far as the nominal ones but for what
-slip and unknown lag and delay take. These have, with the speed v at x and m the mean of the
-commands that arrived within tau before, travelled tau (m - v) more than M: means of the same
-commands, which differ by their range over e at most, e = 2.718, and so less at first; but M turns
-by tau w only when it has run out. From ways that differ by (short, turned) at their end, by no more
-than (short, swerved) before, and slide, the robot is off by
+A latency later. The wheels have by then travelled, and on their way, as much as M says but for what
+slip and unknown lag and delay take, and but for tau (m - v): m is the mean of the commands that
+arrived in the last tau, v the speed, a mean of commands, too, that forgets with tau. The two differ
+by 1/e of the range of commands at most, e = 2.718, and by less before tau; but M turns by tau w
+only where its wheels have run out. Two ways whose travels differ by (short, turned) at the end, and
+by (short, swerved) before, end by that much apart along the heading of M, and sideways by
 
-    ahead = short + sin(turn) across,    side = sin(turned) short + across,
-    across = short |turn of M| + swerved |way| + slide.
+    across = short |turn of M| + swerved |way of the robot| + slide.
 """
 
 from fractions import Fraction
+from itertools import pairwise
 from math import ceil
 
-from check_intervals import pick, read_units, require
-from check_lag import (
+from check_intervals import pick, read_units, require, scale, size, subtract
+from check_lag import find_cosine, find_sine
+from check_losses import (
     WHEELS,
     bound_losses,
-    find_cosine,
-    find_sine,
+    find_size,
     find_width,
-    list_errors,
     list_products,
+    list_reference,
+    list_shares,
     read_commands,
 )
-from check_sets import list_speeds
-from check_travel import FORGOTTEN, decay, find_travel
+from check_travel import FORGOTTEN, decay, list_missed
 from check_words import is_of_robot
 
 KNOWN = {"lag", "delay", "nominal", "lever", "noise", "wheels", "speeds"}
 
 
 def check_lateness(certificate):
-    """Require lag and delay as known here, and that the noise of the committed pose is no less than
-    what is made of that of the pose."""
+    """Require lag and delay as known here, and that the committed pose is not measured worse than
+    it is said to be."""
     late = certificate["lateness"]
     is_known = set(late) == KNOWN and "learning" not in certificate and is_of_robot(certificate)
     require(is_known, "UNCHECKED: lag and delay beside learnt slips, or of a model alone")
     require(len(certificate["bands"]) == 1, "UNCHECKED: lag and delay where caps change by band")
     for times, nominal in zip(pick(late, "lag", "delay"), late["nominal"], strict=True):
         require(0 <= times[0] <= nominal <= times[1], "lag or delay is in no interval of times")
-    require(find_width(late["delay"]) <= certificate["period"], "a command may pass another")
-    (band,) = certificate["bands"]
+    require(certificate["sideslip"] >= 0, "the sideslip is negative")
+    require(find_width(late["delay"]) <= certificate["period"], "a command may overtake another")
     ranges = [*pick(late["wheels"], *WHEELS), late["speeds"]]
     require(all(low <= high for low, high in ranges), "a range of commands is crossed")
-    latency = sum(late["nominal"])
-    x, y, heading = late["noise"]
-    require(min(x, y, heading) >= 0, "noise is negative")
-    tilt = find_sine(latency * read_commands(certificate, band).turning)
-    swing = latency * max(map(abs, list_reference(certificate)[0])) * heading
-    made = (x + tilt * y + swing, y + tilt * x + swing, heading)
-    is_held = all(a <= b for a, b in zip(made, certificate["noise"], strict=True))
-    require(is_held, "noise of the committed pose may be more than it is said to be")
+    made = commit_noise(certificate, late["noise"])
+    is_held = all(most <= said for most, said in zip(made, certificate["noise"], strict=True))
+    require(is_held, "the committed pose may be measured worse than it is said to be")
 
 
-def list_reference(certificate):
-    """Return the ranges of speeds and yaw rates of the reference."""
+def commit_noise(certificate, noise):
+    """Return what noise of the pose makes of the committed pose at most."""
+    require(min(noise) >= 0, "noise is negative")
     (band,) = certificate["bands"]
-    corners = [corner for region in band["regions"] for corner in list_speeds(region)[1]]
-    speeds = [(right + left) / 2 for right, left in corners]
-    rates = [(right - left) / certificate["track"] for right, left in corners]
-    return (min(speeds), max(speeds)), (min(rates), max(rates))
+    latency = sum(certificate["lateness"]["nominal"])
+    x, y, heading = noise
+    tilt = find_sine(latency * read_commands(certificate, band).turning)
+    swing = latency * find_size(list_reference(certificate, band)[0]) * heading
+    return x + tilt * y + swing, y + tilt * x + swing, heading
 
 
 def bound_poses(certificate, committed):
     """Return the greatest errors of the pose, now and a latency later, by those of the committed
-    pose."""
+    pose, or of wheels that obey at once, which has both in the same place."""
+    if "lateness" not in certificate:
+        return committed
     (band,) = certificate["bands"]
     commands = read_commands(certificate, band)
     now = bound_now(certificate, committed, commands)
@@ -92,78 +91,72 @@ def bound_poses(certificate, committed):
 def bound_now(certificate, committed, commands):
     """Return the greatest errors of the pose where a period ends."""
     (band,) = certificate["bands"]
-    lag, delay = certificate["lateness"]["nominal"]
-    latency = lag + delay
-    x, y, heading = committed
-    speeds, rates = list_reference(certificate)
+    latency = sum(certificate["lateness"]["nominal"])
+    speeds, rates = list_reference(certificate, band)
     turn = latency * commands.turning
-    bend = latency * max(map(abs, rates))
-    apart = latency * max(map(abs, band["u2"])) + find_width(rates) * find_shift(certificate)
+    bend = latency * find_size(rates)
+    x, y, heading = committed
+    apart = latency * find_size(band["u2"]) + find_width(rates) * find_shift(certificate)
     tilted = heading + apart
-    ahead = list_products([latency * v for v in commands.speeds], (find_cosine(turn), 1))
-    behind = list_products([latency * v for v in speeds], (find_cosine(bend), 1))
+    ahead = list_products([latency * speed for speed in commands.speeds], (find_cosine(turn), 1))
+    behind = list_products([latency * speed for speed in speeds], (find_cosine(bend), 1))
     seen = list_products(behind, (find_cosine(tilted), 1))
-    aside = latency * max(map(abs, speeds)) * find_sine(bend / 2)
-    across = delay * commands.fastest * find_sine(turn)
-    far = max(map(abs, behind))
+    aside = latency * find_size(speeds) * find_sine(bend / 2)
+    _, delay = certificate["lateness"]["nominal"]
+    across = delay * commands.fastest * find_sine(turn) + aside
+    along = max(ahead[1] - seen[0], seen[1] - ahead[0]) + find_sine(tilted) * aside
     return (
-        x
-        + find_sine(turn) * y
-        + max(ahead[1] - seen[0], seen[1] - ahead[0])
-        + find_sine(tilted) * aside,
-        y + find_sine(turn) * x + find_sine(tilted) * far + aside + across,
+        x + find_sine(turn) * y + along,
+        y + find_sine(turn) * x + find_sine(tilted) * find_size(behind) + across,
         tilted,
     )
 
 
 def find_shift(certificate):
-    """Return how much of M, s, is of other periods than in R."""
+    """Return how much of M, s, belongs to other periods than in R: half of what they differ by."""
     T = certificate["period"]
     lag, delay = certificate["lateness"]["nominal"]
     count = ceil((FORGOTTEN * lag + delay) / T) + 1
-    ages = [T * i for i in range(count + 1)]
-    shift = Fraction(0)
-    for young, old in zip(ages, ages[1:], strict=False):
-        least, most = (
-            (old - young) - (find_made(old - delay, lag)[i] - find_made(young - delay, lag)[1 - i])
-            for i in (1, 0)
-        )
-        share = min(old, lag + delay) - min(young, lag + delay)
-        shift += max(most - share, share - least)
-    return (shift + lag * read_units(decay(ages[-1] - delay, lag)[1])) / 2
-
-
-def find_made(time, lag):
-    """Return the travel (least, greatest) of a step of 1 a time after it arrived, 0 before."""
-    return find_travel(time, lag) if time > 0 else (0, 0)
+    # Of commands up to an age M has D or all of them, and what was missed since they arrived.
+    driven = [min(T * m, lag + delay) - min(T * m, delay) for m in range(count + 1)]
+    missed = list_missed(lag, -delay, T, count)
+    units = 0
+    for parts, ends in zip(pairwise(missed), pairwise(driven), strict=True):
+        in_motion = subtract(parts[1], parts[0])
+        units += size(subtract(in_motion, scale(ends[1] - ends[0])))
+    left = lag * read_units(decay(count * T - delay, lag)[1])
+    return (read_units(units) + left) / 2
 
 
 def bound_later(certificate, committed, commands):
     """Return the greatest errors of the pose a latency after the end of a period."""
-    T, b = pick(certificate, "period", "track")
     lag, delay = certificate["lateness"]["nominal"]
     latency = lag + delay
-    losses = bound_losses(certificate, commands)
-    x, y, heading = committed
-    slipped = latency * sum(
-        max(map(abs, old)) * max(map(abs, speeds))
-        for (_, old, _), speeds in zip(list_errors(certificate), commands.wheels, strict=True)
-    )
-    apart = read_units(decay(Fraction(1), Fraction(1))[1]) * lag
-    way_lost, turn_lost = (
-        share * slipped + ceil(latency / T) * taken
-        for share, taken in zip((Fraction(1, 2), 1 / b), losses.taken, strict=True)
-    )
+    way_lost, turn_lost = bound_lost_by(certificate, commands, latency)
+    # 1/e of a lag.
+    apart = lag * read_units(decay(Fraction(1), Fraction(1))[1])
     short = apart * find_width(commands.speeds) + way_lost
     turned = apart * find_width(commands.yaw_rates) + turn_lost
     swerved = max(turned, lag * commands.turning + turn_lost)
     way = latency * commands.fastest + way_lost
     turn = latency * commands.turning
-    slide = certificate["sideslip"] * way
-    slide += abs(certificate["lever_arm"]) * (turn + turn_lost)
+    slide = certificate["sideslip"] * way + abs(certificate["lever_arm"]) * (turn + turn_lost)
     across = short * turn + swerved * way + slide
+    swing = find_sine(turned)
+    x, y, heading = committed
     return (
-        x + find_sine(turned) * y + short + find_sine(turn + turned) * across,
-        y + find_sine(turned) * x + find_sine(turned) * short + across,
+        x + swing * y + short + find_sine(turn + turned) * across,
+        y + swing * x + swing * short + across,
         heading + turned,
     )
+
+
+def bound_lost_by(certificate, commands, time):
+    """Return the (way m, turn rad) that slip and unknown lag and delay take within a time."""
+    T, b = pick(certificate, "period", "track")
+    shares = [find_size(each.old) for each in list_shares(certificate)]
+    sizes = [find_size(speeds) for speeds in commands.wheels]
+    spent = time * sum(share * speed for share, speed in zip(shares, sizes, strict=True))
+    way, turn = bound_losses(certificate, commands).taken
+    periods = ceil(time / T)
+    return spent / 2 + periods * way, spent / b + periods * turn

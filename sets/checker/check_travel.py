@@ -117,9 +117,8 @@ def bound_unknown(period, lags, delays, nominal):
     """Return what lags and delays in intervals take that are not the nominal ones."""
     lag, delay = nominal
     sides = [bound_lag(period, lag, end, delay % period) for end in lags if end != lag]
-    worst = Unknown(*map(max, zip(*sides, Unknown(0, 0, 0), strict=True)))
     late = bound_delay(period, tuple(lags), tuple(delays), delay)
-    return Unknown(*(part + late for part in worst))
+    return Unknown(*(max(parts) + late for parts in zip(*sides, (0, 0, 0), strict=True)))
 
 
 @cache
