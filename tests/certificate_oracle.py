@@ -6,6 +6,7 @@ from itertools import pairwise, product
 from types import SimpleNamespace
 
 import numpy as np
+from late_oracle import keeps_lateness
 from scipy.optimize import linprog
 
 from jaxtube.plant.model import make_model
@@ -138,10 +139,13 @@ def _keeps_disturbances(said, band, model) -> bool:
     )
     W = band["disturbance"]
     found = disturbance_bound(operation, Kinematics(), tolerance=0.003)
-    lean_gap = abs(W["lean"] - operation.period.lateral_per_yaw) * found.found_yaw
+    lever = said["lateness"]["lever"] if "lateness" in said else 0.0
+    lean_gap = abs(W["lean"] - lever - operation.period.lateral_per_yaw) * found.found_yaw
     room = np.array(W["box"]) - found.found_box
     is_wide = W["yaw"] >= found.found_yaw * (1 - PROGRAM_ROUNDING)
     is_wide &= bool(np.all(room >= -PROGRAM_ROUNDING - lean_gap))
+    if "lateness" in said:
+        is_wide &= keeps_lateness(said, band, operation, losses)
     slowest, fastest = found.ground_speeds
     # The bounds on speeds are tight to a hundredth here; where they fit, speeds do.
     slack = 0.01

@@ -2,11 +2,21 @@
 by step, come near the worst of them, and are no wider than those that the project proves."""
 
 import itertools
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
-from late_robot import LatePeriod, arc, commit, find_rest, travel
+from late_robot import (
+    LatePeriod,
+    back,
+    commit,
+    drive,
+    find_rest,
+    follow_back,
+    join,
+    read_errors,
+)
 from tolerances import ROUNDING
 
 from jaxtube.synthesis.proof_search import load_checker
@@ -32,7 +42,7 @@ SLIP = Fraction(1, 5)
 REFERENCE = (1.3, 1.4)
 """Least and greatest speed of its wheels, m/s."""
 DEFICIT = YAW - (REFERENCE[1] - REFERENCE[0]) / B
-SAMPLES = 120
+SAMPLES = 80
 SAME = 1e-9
 """Share by which bounds in floats and in integers may differ."""
 
@@ -267,21 +277,6 @@ def test_older_commands_may_compensate_other_slips_than_the_present_one():
     np.testing.assert_allclose([float(low), float(high)], fastest * np.array(expected), rtol=SAME)
 
 
-def join(first, second):
-    """Return two motions (complex place, heading), one after the other."""
-    return first[0] + second[0] * np.exp(1j * first[1]), first[1] + second[1]
-
-
-def back(motion):
-    """Return a motion back."""
-    return -motion[0] * np.exp(-1j * motion[1]), -motion[1]
-
-
-def read_errors(motion):
-    place, heading = motion
-    return np.array([place.real, place.imag, heading])
-
-
 def draw_past(generator, actuation):
     """Return a period, the motion still ahead of its robot, and that of the reference over the
     latency before: commands are its wheels less a deficit."""
@@ -292,15 +287,8 @@ def draw_past(generator, actuation):
     mean = period.commands.mean(axis=1)
     turning = (wheels[:, 0] - wheels[:, 1]) / 2 - deficit
     asked = np.stack([mean + turning, mean - turning], axis=1)
-    period = LatePeriod(
-        T, B, period.nominal, asked, period.lag, period.delays, period.losses, period.sideslip
-    )
-    behind = (0j, 0.0)
-    # The command of the instant is not given yet.
-    for age in range(len(wheels) - 1, 0, -1):
-        duration = np.clip(latency - T * (age - 1), 0.0, T)
-        behind = join(behind, arc(wheels[-1 - age] * duration, B))
-    return period, commit(period, now=True)[:2], behind
+    period = replace(period, commands=asked)
+    return period, commit(period, now=True)[:2], follow_back(period, wheels, latency)
 
 
 def read_pose(certificate, committed):
@@ -329,19 +317,8 @@ def test_the_pose_itself_is_no_further_off_than_is_proved(lag, delay, reached):
     found = np.zeros((2, 3))
     for _ in range(SAMPLES):
         period, ahead, behind = draw_past(generator, actuation)
-        period = LatePeriod(
-            T,
-            B,
-            period.nominal,
-            period.commands,
-            period.lag,
-            period.delays,
-            0.02 * generator.choice([-1, 1], 2),
-        )
-        steps = travel(period, np.linspace(0, latency, 300)) * (1 - period.losses)
-        driven = (0j, 0.0)
-        for way in np.diff(steps, axis=0):
-            driven = join(driven, arc(way, B))
+        period = replace(period, losses=0.02 * generator.choice([-1, 1], 2))
+        driven = drive(period, latency)
         for corner in itertools.product((-1, 1), repeat=3):
             x, y, heading = COMMITTED * corner
             reference = join(ahead, (x + 1j * y, heading))
