@@ -108,7 +108,7 @@ def _change(place, key, source):
         del place[key]
 
 
-TREE = set("abcdefghijklmno-.")
+TREE = set("abcdefghijklmnop-.")
 
 
 def _is_number(entry) -> bool:

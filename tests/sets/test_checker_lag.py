@@ -27,6 +27,7 @@ from sets.robot.latency import bound_committed_noise, bound_later_errors, bound_
 from sets.robot.unknown_travel import bound_unknown_travel
 
 intervals = load_checker("check_intervals.py")
+motion_program = load_checker("check_motion.py")
 lag_program = load_checker("check_lag.py")
 losses_program = load_checker("check_losses.py")
 pose_program = load_checker("check_pose.py")
@@ -395,3 +396,39 @@ def test_a_robot_that_may_turn_too_far_within_its_latency_is_refused():
     certificate, band = make_certificate((0.3, 0.3), (0.5, 0.5), 0.02)
     with pytest.raises(intervals.Refused, match="1 rad"):
         lag_program.find_late(certificate, band)
+
+
+POINT = (0.4, 0.1, -0.2, 0.05, 0.6, 1.3, 1.4, 0.02, -0.01, 0.0, 0.001, -0.001, 0.002)
+"""Of the variables of a motion, without sideslip."""
+PIECE = (Fraction(1, 10), Fraction(0), None, None)
+
+
+def move(output, variables):
+    """Return a motion at a point."""
+    cell = [intervals.scale(Fraction(value)) for value in variables]
+    robot = (Fraction(T), Fraction(B), Fraction(0), Fraction(1, 20))
+    (low, high) = motion_program.note_motion(output, cell, robot, PIECE).follow(cell)[-1]
+    assert high - low < 2**12
+    return (low + high) / 2 / intervals.ONE
+
+
+@pytest.mark.parametrize("output", ["x", "y", "y of the model", "kick", "right", "left"])
+def test_ways_lost_move_a_robot_as_the_shares_that_they_are(output):
+    *rest, d_r, d_l, zeta, n_x, n_y, n_th = POINT
+    ways = [move(wheel, POINT) * d for wheel, d in (("right", d_r), ("left", d_l))]
+    late = move(output, [*rest, *ways, zeta, n_x, n_y, n_th, 0.0, 0.0, 0.0])
+    assert late == pytest.approx(move(output, POINT), abs=1e-14)
+    way, turn = 0.003, 0.02
+    of_wheels = [ways[0] + way + B / 2 * turn, ways[1] + way - B / 2 * turn]
+    expected = move(output, [*rest, *of_wheels, zeta, n_x, n_y, n_th, 0.0, 0.0, 0.0])
+    taken = [*rest, *ways, zeta, n_x, n_y, n_th, way, turn, 0.0]
+    assert move(output, taken) == pytest.approx(expected, abs=1e-14)
+    # A kick moves the committed pose sideways by its lever more.
+    further = move(output, [*taken[:-1], 0.07]) - move(output, taken)
+    kick = move("kick", taken)
+    assert further == pytest.approx(0.07 * kick if output[0] == "y" else 0.0, abs=1e-14)
+
+
+def test_the_way_of_a_body_is_the_mean_of_those_of_its_wheels():
+    ways = [move(wheel, POINT) for wheel in ("right", "left")]
+    assert move("way", POINT) == pytest.approx(sum(ways) / 2, abs=1e-14)
