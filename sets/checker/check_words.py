@@ -79,8 +79,9 @@ def show_latency(late):
 
 def list_lags(late):
     """Yield in words what is taken for granted of wheels that lag."""
-    lags, delays = (show_range(late[name]) for name in ("lag", "delay"))
+    lags = show_range(late["lag"])
     yield f"both wheels lag by one constant time of {lags} s, linearly, without limits"
+    delays = show_range(late["delay"])
     yield f"a command arrives {delays} s late; slips, commands and reference constant over a period"
     lag, delay = map(float, late["nominal"])
     yield f"acted on is the committed pose of check_lag, for a lag of {lag:.6g} s and {delay:.6g} s"
