@@ -86,8 +86,8 @@ def list_lags(late):
     lag, delay = map(float, late["nominal"])
     yield f"acted on is the committed pose of check_lag, for a lag of {lag:.6g} s and {delay:.6g} s"
     right, left = map(show_range, pick(late["wheels"], "right", "left"))
-    ranges = f"wheels to {right} (right), {left} (left), the body to {show_range(late['speeds'])}"
-    yield f"commands before the start, too, drove {ranges} m/s, and turned as those that are proved"
+    ranges = f"wheels {right} (right), {left} (left), body {show_range(late['speeds'])} m/s"
+    yield f"commands before the start are as later: {ranges}, yaw rates of some reference less u2"
 
 
 def show_range(ends):

@@ -402,7 +402,8 @@ def test_noise_of_the_committed_pose_holds_what_noise_of_the_pose_makes_of_it():
         ({"speeds": [Fraction(2), Fraction(1)]}, "crossed"),
         ({"noise": [Fraction(-1, 1000), Fraction(0), Fraction(0)]}, "negative"),
         ({"noise": [Fraction(1, 100), Fraction(0), Fraction(0)]}, "measured worse"),
-        ({"other": Fraction(1)}, "UNCHECKED"),
+        ({"other": Fraction(1)}, "not described"),
+        ({"wheels": {"right": [Fraction(1), Fraction(2)]}}, "not described"),
     ],
 )
 def test_lag_and_delay_that_say_nothing_are_refused(change, said):
@@ -413,6 +414,26 @@ def test_lag_and_delay_that_say_nothing_are_refused(change, said):
     pose_program.check_lateness(certificate)
     certificate["lateness"] |= change
     with pytest.raises(intervals.Refused, match=said):
+        pose_program.check_lateness(certificate)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"learning": {}}, {"bands": [{"cells": {}}, {"cells": {}}]}, {"bands": [{}]}],
+)
+def test_lag_beside_what_it_is_not_proved_with_is_unchecked(change):
+    certificate, band = make_certificate((0.05, 0.05), (0.0, 0.0))
+    certificate["lateness"]["noise"] = [Fraction(0)] * 3
+    band["cells"] = {}
+    with pytest.raises(intervals.Refused, match="UNCHECKED"):
+        pose_program.check_lateness(certificate | change)
+
+
+def test_sideslip_is_no_less_than_none():
+    certificate, band = make_certificate((0.05, 0.05), (0.0, 0.0), sideslip=-0.01)
+    certificate["lateness"]["noise"] = [Fraction(0)] * 3
+    band["cells"] = {}
+    with pytest.raises(intervals.Refused, match="sideslip"):
         pose_program.check_lateness(certificate)
 
 
