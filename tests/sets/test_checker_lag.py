@@ -275,6 +275,15 @@ def test_losses_stray_from_even_ones_as_in_the_project(lag, delay, error, reache
         assert np.all(taken >= 0.8 * bound)
 
 
+@pytest.mark.parametrize("rate", [0.01, 0.3, 0.9])
+def test_what_grows_with_itself_is_no_larger_than_is_said(rate):
+    said = lag_program.grow(Fraction(2), Fraction(3), Fraction(rate))
+    solution = 2 * np.exp(rate) + 3 * np.expm1(rate) / rate
+    assert solution <= said <= 5 / (1 - rate) * (1 + SAME)
+    with pytest.raises(intervals.Refused, match="radian"):
+        lag_program.grow(Fraction(2), Fraction(3), Fraction(1))
+
+
 def test_sideslip_moves_no_robot_further_than_is_proved():
     certificate, band = make_certificate((0.05, 0.05), (0.04, 0.04), 0.02, 0.05)
     rest = floats(lag_program.find_late(certificate, band).rest)
