@@ -411,6 +411,9 @@ def test_errors_of_the_pose_are_those_that_the_project_proves(lag, delay, reache
     expected = bound_later_errors(COMMITTED, actuation, T, B, driving, ground)
     assert np.all(later <= expected * (1 + SAME))
     assert np.all(later >= 0.9 * expected)
+    poses = floats(pose_program.bound_poses(certificate, fractions(COMMITTED)))
+    np.testing.assert_array_equal(poses, np.maximum(now, later))
+    assert np.any(later > now) and np.any(now > later)
 
 
 def turn_round(ends):
