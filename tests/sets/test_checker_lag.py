@@ -413,7 +413,14 @@ def test_errors_of_the_pose_are_those_that_the_project_proves(lag, delay, reache
     assert np.all(later >= 0.9 * expected)
     poses = floats(pose_program.bound_poses(certificate, fractions(COMMITTED)))
     np.testing.assert_array_equal(poses, np.maximum(now, later))
+
+
+def test_unknown_lag_may_leave_the_pose_further_off_later_than_now():
+    certificate, _ = make_certificate((0.04, 0.06), (0.01, 0.03), 0.02, 0.03, -0.02)
+    now, later = read_pose(certificate, fractions(COMMITTED))
     assert np.any(later > now) and np.any(now > later)
+    poses = pose_program.bound_poses(certificate, fractions(COMMITTED))
+    np.testing.assert_array_equal(floats(poses), np.maximum(now, later))
 
 
 def turn_round(ends):
