@@ -415,6 +415,20 @@ def test_errors_of_the_pose_are_those_that_the_project_proves(lag, delay, reache
     np.testing.assert_array_equal(poses, np.maximum(now, later))
 
 
+def test_a_body_that_slides_is_further_off_later_by_as_much_as_in_the_project():
+    still, _ = make_certificate((0.05, 0.05), (0.0, 0.0), 0.02)
+    sliding, _ = make_certificate((0.05, 0.05), (0.0, 0.0), 0.02, 0.03, -0.02)
+    _, without = read_pose(still, fractions(COMMITTED))
+    _, later = read_pose(sliding, fractions(COMMITTED))
+    actuation = Actuation((0.05, 0.05), (0.0, 0.0))
+    errors = 0.02 * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    expected = [
+        bound_later_errors(COMMITTED, actuation, T, B, make_driving(), ground)[1]
+        for ground in (Ground(errors), Ground(errors, None, 0.03, -0.02))
+    ]
+    assert later[1] - without[1] == pytest.approx(expected[1] - expected[0], rel=0.01)
+
+
 def test_unknown_lag_may_leave_the_pose_further_off_later_than_now():
     certificate, _ = make_certificate((0.04, 0.06), (0.01, 0.03), 0.02, 0.03, -0.02)
     now, later = read_pose(certificate, fractions(COMMITTED))
@@ -432,7 +446,7 @@ def describe(certificate):
     """Return all that is bounded of a robot whose wheels lag."""
     (band,) = certificate["bands"]
     late = lag_program.find_late(certificate, band)
-    poses = pose_program.bound_poses(certificate, fractions(COMMITTED))
+    poses = np.concatenate(read_pose(certificate, fractions(COMMITTED)))
     noise = pose_program.commit_noise(certificate, fractions((0.001, 0.002, 0.003)))
     return [*late.rest, late.kick, *late.taken, *poses, *noise]
 
