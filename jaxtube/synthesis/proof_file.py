@@ -34,7 +34,6 @@ FILE = "certificate.json"
 FORMAT = "jaxtube certificate 1"
 CHECKED = {
     "controller.restart": True,
-    "controller.has_observer": False,
     "robot.obeys_at_once": True,
     "robot.wheel_acceleration_max_mps2": None,
 }
@@ -49,6 +48,8 @@ OF_LAWS = {
 """Besides, where the law u = K e has a set of its own."""
 OF_MIXED = {"controller.discretisation": "euler", "slip.is_learnt": False}
 """Besides, of gains that are mixed."""
+OF_ASSUMED = {"controller.has_observer": False}
+"""Besides, where W is assumed: the error of an estimate is proved of the robot."""
 
 
 def write_certificate(design: Design, folder: str | Path, name: str = "") -> Path:
@@ -109,6 +110,8 @@ def list_unchecked(design: Design) -> dict[str, str]:
     if is_mixed:
         wanted["controller.input_map"] = "x_exact" if is_computed else "paper"
         wanted["controller.model"] = "consistent" if is_computed else scenario.controller.model
+    if not is_computed:
+        wanted |= OF_ASSUMED
     unchecked = {}
     for field, known in wanted.items():
         table, key = field.split(".")

@@ -49,6 +49,7 @@ def describe_robot(problem: Problem) -> dict[str, Any]:
     measured = {"measured": {"right": within, "left": within}} if scenario.slip.is_measured else {}
     return {
         **measured,
+        **_describe_estimate(problem),
         "period": Fraction(problem.model.dt),
         "track": Fraction(problem.model.track_width),
         "lever_arm": Fraction(robot.lever_arm),
@@ -61,6 +62,16 @@ def describe_robot(problem: Problem) -> dict[str, Any]:
             for index, wheel in enumerate(("right", "left"))
         },
     }
+
+
+def _describe_estimate(problem: Problem) -> dict[str, Any]:
+    """Return the gain of an observer and the greatest error of its estimate; nothing where the
+    controller acts on what is measured."""
+    settings = problem.scenario.controller
+    if not settings.has_observer:
+        return {}
+    gain = list_fractions(settings.observer_gain)
+    return {"estimate": {"gain": gain, "error": list_fractions(problem.estimate_error)}}
 
 
 def _list_slips(slip: Slip, wheel: int) -> list[list[Fraction]]:

@@ -22,6 +22,7 @@ from fractions import Fraction
 from itertools import product
 from typing import Any
 
+from check_estimate import bound_motions, check_estimate, list_shares, read_estimate
 from check_intervals import ONE, Refused, pick, require, scale, scale_all
 from check_learning import check_learning
 from check_model import check_wheels, list_ends
@@ -41,7 +42,17 @@ from check_words import ROBOT, is_of_robot, list_assumptions, show_disturbance
 
 FORMAT = "jaxtube certificate 1"
 KNOWN = {"format", "name", *ROBOT, "wheel_speeds", "constraints", "noise", "slips", "sideslip"}
-KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning", "model", "measured"}
+KNOWN |= {
+    "bands",
+    "sets",
+    "inclusions",
+    "cost",
+    "plans",
+    "learning",
+    "model",
+    "measured",
+    "estimate",
+}
 DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 DAMAGES += (RecursionError,)
 BAND_OF_MODEL = {"name", "regions", "errors", "inputs", "gains", "disturbance"}
@@ -80,11 +91,7 @@ def list_turns(band):
 def list_levels(certificate, band):
     """Return by name and sign up to which bound motions of a band are to be proved."""
     T = certificate["period"]
-    noise = certificate["noise"]
-    yaw, box = pick(band["disturbance"], "yaw", "box")
-    require(box[2] >= 2 * noise[2], "W is narrower than twice the noise of headings")
-    sideways = "y" if "model" not in certificate else "y of the model"
-    levels = {"x": box[0] - noise[0], sideways: box[1] - noise[1], "kick": yaw}
+    levels = bound_motions(certificate, band)
     levels = {(output, sign): level for output, level in levels.items() for sign in (1, -1)}
     slowest, fastest = certificate["wheel_speeds"]
     for wheel in ("right", "left"):
@@ -112,10 +119,10 @@ def list_losses(certificate, band):
 def list_motions(certificate, band):
     """Yield what is bounded of the motions of a band: its name, sign and bound, and the cells over
     which it is bounded, with the constants of robot and cell."""
-    robot = (*pick(certificate, *ROBOT), band["disturbance"]["lean"])
+    robot = (*pick(certificate, *ROBOT), *list_shares(certificate, band))
     levels = list_levels(certificate, band)
     losses = list_losses(certificate, band)
-    sizes = [*band["errors"][1:], certificate["sideslip"], *certificate["noise"]]
+    sizes = [*band["errors"][1:], certificate["sideslip"], *read_estimate(certificate)[1]]
     ends = [(-size, size) for size in sizes]
     cells = []
     speeds = [each for region in band["regions"] for each in list_speeds(region)[0]]
@@ -161,6 +168,8 @@ def check_head(certificate):
     require(isinstance(certificate["name"], str), "the certificate has no name")
     require(min(certificate["period"], certificate["track"]) > 0, "period or track is not positive")
     require(set(certificate["slips"]) == {"right", "left"}, "slips are not those of two wheels")
+    if "estimate" in certificate:
+        check_estimate(certificate)
     names = {band["name"] for band in certificate["bands"]}
     require(0 < len(names) == len(certificate["bands"]), "bands need names of their own")
     require(is_of_robot(certificate) or "model" in certificate, "no W is proved or assumed")
@@ -169,7 +178,7 @@ def check_head(certificate):
     known = known if "model" in certificate else known | {"set"}
     for band in certificate["bands"]:
         require(set(band) == known and band["regions"], f"{band['name']} is not described as known")
-        pairs = zip(band["errors"], certificate["noise"], strict=True)
+        pairs = zip(band["errors"], read_estimate(certificate)[1], strict=True)
         pairs = zip((cap + size for cap, size in pairs), certificate["constraints"], strict=True)
         require(all(error <= limit for error, limit in pairs), "true errors may pass their limits")
         yaw, box = pick(band["disturbance"], "yaw", "box")
@@ -185,6 +194,9 @@ def check(certificate):
     for band in certificate["bands"]:
         check_band = check_motions if is_of_robot(certificate) else check_wheels
         yield f"{band['name']}: {check_band(certificate, band)}"
+    if "estimate" in certificate:
+        error = ", ".join(f"{float(most):.6g}" for most in certificate["estimate"]["error"])
+        yield f"the estimate is never off by more than {error} m, m, rad"
     yield from (check_ends if "model" in certificate else check_law)(certificate)
     if "plans" in certificate:
         room = check_plans(certificate)
