@@ -33,6 +33,7 @@ HARMLESS = {
     "bands.regions": "other speeds for which everything is proved as well",
     "bands.disturbance": "another W, which is proved and which sets have room for",
     "bands.losses": "other losses, which are proved and under which W holds as well",
+    "estimate": "another estimate, whose error keeps its bound and for which W holds as well",
     "learning": "other changes of slips or speeds, from which as much is proved to be learnt",
     "bands.cells": "cells cut otherwise, each of which is proved",
     "sets.rows": "another set that is invariant as well",

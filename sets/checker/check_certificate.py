@@ -42,17 +42,8 @@ from check_words import ROBOT, is_of_robot, list_assumptions, show_disturbance
 
 FORMAT = "jaxtube certificate 1"
 KNOWN = {"format", "name", *ROBOT, "wheel_speeds", "constraints", "noise", "slips", "sideslip"}
-KNOWN |= {
-    "bands",
-    "sets",
-    "inclusions",
-    "cost",
-    "plans",
-    "learning",
-    "model",
-    "measured",
-    "estimate",
-}
+KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning", "model", "measured"}
+KNOWN |= {"estimate"}
 DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 DAMAGES += (RecursionError,)
 BAND_OF_MODEL = {"name", "regions", "errors", "inputs", "gains", "disturbance"}

@@ -1,0 +1,286 @@
+"""Laws of what the checker says of estimates: their error stays in S under simulated slips and
+noise, S and W are hardly wider than they must be, and what promises more is refused."""
+
+import dataclasses
+import json
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from certificate_mutants import change, is_accepted, survey_mutants
+from certificate_oracle import holds_in_floats, to_floats
+
+import jaxtube as jt
+from jaxtube.synthesis import proof_search
+from jaxtube.synthesis.disturbance import operation
+from jaxtube.synthesis.proof_file import write_certificate
+from jaxtube.synthesis.proof_search import PROGRAMS, load_checker
+from sets.robot.observer import bound_next_error
+from sets.robot.plant import Kinematics
+
+checker = load_checker(PROGRAMS[0])
+estimates = load_checker("check_estimate.py")
+intervals = load_checker("check_intervals.py")
+
+OBSERVED = [
+    "noise.longitudinal_m=0.005",
+    "noise.lateral_m=0.005",
+    "noise.heading_deg=0.2",
+    "slip.sideslip=0.01",
+    "robot.lever_arm_m=-0.02",
+    "controller.observer_gain=[0.45, 0.22, 0.9]",
+    "controller.tracking_gains=[9.99, 8.435, 9.368]",
+    "operating.longitudinal_m=0.131",
+    "operating.lateral_m=0.238",
+    "operating.heading_deg=14.95",
+    "operating.speed_deficit_min_mps=-0.36",
+    "operating.speed_deficit_max_mps=0.406",
+    "operating.yaw_rate_deficit_radps=0.947",
+    "operating.turning_longitudinal_m=0.138",
+    "operating.turning_yaw_rate_radps=1.151",
+]
+SHORT = ["reference.certified_for=path", "reference.duration_s=1.2", "controller.horizon=2"]
+
+
+REACHED = 0.6
+"""Share of S that errors reach: corners of a box do not follow each other."""
+PRECISION = 2e-4
+"""Share by which proofs of the project and of the checker may differ."""
+MOST_LETTERS = 3000
+
+
+@pytest.fixture(scope="module")
+def design():
+    return jt.design(jt.load("certified", [*OBSERVED, *SHORT]))
+
+
+@pytest.fixture(scope="module")
+def written(design, tmp_path_factory):
+    """The certificate as JSON of a small design that acts on an estimate."""
+    path = write_certificate(design, tmp_path_factory.mktemp("estimated"), "estimated")
+    return json.loads(path.read_text())
+
+
+def test_an_estimate_is_checked_and_said_to_be(written, tmp_path, capsys):
+    path = tmp_path / "certificate.json"
+    path.write_text(json.dumps(written))
+    assert checker.main(str(path)) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("proved   the estimate is never off by more") for line in said)
+    assert any(line.startswith("assumed  acted on is the estimate") for line in said)
+    assert holds_in_floats(written)
+
+
+class Observed:
+    """Robots whose errors are estimated, in the world frame, by what a certificate says of them:
+    estimates anywhere within their caps, everything else at random, mostly at its ends."""
+
+    def __init__(self, said, count):
+        self.said = said
+        self.random = np.random.default_rng(3)
+        self.count = count
+        self.off = self.draw(said["noise"])
+
+    def draw(self, sizes):
+        """Return numbers by robot within +- sizes."""
+        shape = (self.count, len(sizes))
+        inside = self.random.uniform(-1, 1, shape)
+        return sizes * np.where(self.random.random(shape) < 0.9, np.sign(inside), inside)
+
+    def draw_between(self, low, high):
+        return (low + high) / 2 + self.draw([(high - low) / 2])[:, 0]
+
+    def drive(self, errors, reference, ground, sideways):
+        """Return the errors after a period in which robot and reference drive arcs, by the ground
+        speeds (right, left) of their wheels, and the robot slides at a speed."""
+        T = self.said["period"]
+        b = self.said["track"]
+
+        def go(wheels, slide=0.0):
+            turn = T * (wheels[0] - wheels[1]) / b
+            chord = T * np.sinc(turn / 2 / np.pi) * np.exp(0.5j * turn)
+            return chord * ((wheels[0] + wheels[1]) / 2 + 1j * slide), turn
+
+        ahead, turned = go(reference)
+        moved, turn = go(ground, sideways)
+        x, y, heading = errors.T
+        after = (x + 1j * y + ahead * np.exp(1j * heading) - moved) * np.exp(-1j * turn)
+        return np.stack([after.real, after.imag, heading + turned - turn], axis=1)
+
+    def advance(self):
+        """Go on by a period; return what disturbed the model of the estimates."""
+        said = self.said
+        (band,) = said["bands"]
+        T = said["period"]
+        b = said["track"]
+        estimates = self.draw(band["errors"])
+        u1 = self.draw_between(*band["u1"])
+        u2 = self.draw_between(*band["u2"])
+        of_x, of_turn = band["coupling"]
+        most = np.maximum(1 - of_turn * np.abs(u2), 0) / of_x
+        u2 = np.clip(u2, -1 / of_turn, 1 / of_turn)
+        estimates[:, 0] = np.clip(estimates[:, 0], -most, most)
+        pairs = np.array(band["regions"])
+        reference = pairs[self.random.integers(len(pairs), size=self.count)].T
+        rate = (reference[0] - reference[1]) / b
+        asked = rate - u2
+
+        def expect(speed):
+            wheels = (speed + b / 2 * asked, speed - b / 2 * asked)
+            return self.drive(estimates, reference, wheels, 0.0), wheels
+
+        # The way ahead is linear in the speed.
+        wanted = estimates[:, 0] + T * rate * estimates[:, 1] + T * u1
+        still, _ = expect(0.0)
+        rolling, _ = expect(1.0)
+        speed = (wanted - still[:, 0]) / (rolling[:, 0] - still[:, 0])
+        expected, wheels = expect(speed)
+        ground = [
+            wheel * self.draw_grip(said["slips"][name])
+            for wheel, name in zip(wheels, ("right", "left"), strict=True)
+        ]
+        share = self.draw([said["sideslip"]])[:, 0]
+        turned = (ground[0] - ground[1]) / b
+        sideways = share * (ground[0] + ground[1]) / 2 - said["lever_arm"] * turned
+        after = self.drive(estimates - self.off, reference, ground, sideways)
+        seen = after + self.draw(said["noise"])
+        following = expected + np.array(said["estimate"]["gain"]) * (seen - expected)
+        self.off = following - after
+        A = T * rate
+        h = np.tan(A / 2)
+        c = T * reference.mean(axis=0) * np.sinc(A / 2 / np.pi) / np.cos(A / 2)
+        x, y, heading = estimates.T
+        modelled = [
+            x + A * y + T * u1,
+            y - h * (2 * x + A * y + T * u1) + c * (heading + T * u2 / 2),
+            heading + T * u2,
+        ]
+        return following - np.stack(modelled, axis=1)
+
+    def breed(self, coordinate):
+        """Let all robots go on from the worst errors of a coordinate: what led there may have
+        happened to each of them."""
+        worst = np.argsort(-np.abs(self.off[:, coordinate]))[: self.count // 200]
+        self.off = self.off[np.resize(worst, self.count)]
+
+    def draw_grip(self, cases):
+        """Return 1 - true slip by 1 - compensated slip."""
+        drawn = np.stack(
+            [[self.draw_between(*case[:2]), self.draw_between(*case[2:])] for case in cases]
+        )
+        which = self.random.integers(len(cases), size=self.count)
+        true, compensated = drawn[which, :, np.arange(self.count)].T
+        return (1 - true) / (1 - compensated)
+
+
+def lies_in(w, W):
+    """Return whether disturbances lie in a segment of kicks plus a box."""
+    kicks = np.stack([np.zeros(len(w)), w[:, 2], w[:, 1] / W["lean"]])
+    x, y, heading = W["box"]
+    sizes = np.array([[W["yaw"]], [heading], [y / W["lean"]]])
+    is_kick = np.max(kicks - sizes, axis=0) <= np.min(kicks + sizes, axis=0)
+    return np.all(is_kick) and np.all(np.abs(w[:, 0]) <= x)
+
+
+@pytest.mark.parametrize("coordinate", range(3))
+def test_errors_of_estimates_stay_in_their_set_and_disturbances_in_w(coordinate, written):
+    said = to_floats(written)
+    S = np.array(said["estimate"]["error"])
+    robots = Observed(said, 10_000)
+    farthest = np.abs(robots.off).max(axis=0)
+    for _ in range(20):
+        assert lies_in(robots.advance(), said["bands"][0]["disturbance"])
+        farthest = np.maximum(farthest, np.abs(robots.off).max(axis=0))
+        robots.breed(coordinate)
+    assert np.all(farthest <= S)
+    assert farthest[coordinate] >= REACHED * S[coordinate]
+
+
+def read_levels(certificate):
+    """Return the bounds up to which the checker proves motions, by coordinate, so that S holds."""
+    changed = json.loads(json.dumps(certificate))
+    yaw_and_box = changed["bands"][0]["disturbance"]
+    yaw_and_box |= {"yaw": "9", "box": ["9"] * 3}
+    read = checker.read(changed)
+    levels = estimates.bound_motions(read, read["bands"][0])
+    return [levels[name] for name in ("x", "unpredicted y", "kick")]
+
+
+def test_what_is_left_of_the_set_is_what_the_project_leaves(written, design):
+    """With r the most that is not predicted, the project finds (1 - l) r + l nu, and asks that it
+    be at most S; of headings r has the estimate's own error besides."""
+    said = to_floats(written)
+    gain = np.array(said["estimate"]["gain"])
+    S = np.array(said["estimate"]["error"])
+    found = bound_next_error(operation(design.problem), Kinematics())
+    unpredicted = (found - gain * said["noise"]) / (1 - gain) - [0, 0, S[2]]
+    levels = np.array(read_levels(written), float)
+    np.testing.assert_allclose(levels - unpredicted, (S - found) / (1 - gain), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "coordinate"), [("x", 0), ("unpredicted y", 1), ("kick", 2)])
+def test_motions_are_proved_up_to_what_the_project_finds_and_no_further(
+    name, coordinate, written, design
+):
+    said = to_floats(written)
+    gain = said["estimate"]["gain"][coordinate]
+    certificate = checker.read(written)
+    (band,) = certificate["bands"]
+    losses = np.array(checker.list_losses(certificate, band), float).T
+    where = dataclasses.replace(operation(design.problem), wheel_errors=losses)
+    found = bound_next_error(where, Kinematics())[coordinate]
+    most = (found - gain * said["noise"][coordinate]) / (1 - gain)
+    most -= said["estimate"]["error"][2] if name == "kick" else 0.0
+    motions = checker.list_motions(certificate, band)
+    of_name = {sign: cells for output, sign, _, cells in motions if output == name}
+
+    def prove(share):
+        level = intervals.scale(Fraction(most * (1 + share)))[0]
+        for sign, cells in of_name.items():
+            for cell in cells:
+                proof_search._grow_tree(name, sign, level, *cell)
+
+    prove(PRECISION)
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(ValueError, match="not proved"):
+        patch.setattr(proof_search, "MOST_LETTERS", MOST_LETTERS)
+        prove(-PRECISION)
+
+
+@pytest.mark.parametrize(
+    ("path", "by"),
+    [
+        (("estimate", "error", 0), lambda error: error * 99 / 100),
+        (("estimate", "error", 0), lambda error: error * 105 / 100),
+        (("estimate", "error", 1), lambda error: error * 99 / 100),
+        (("estimate", "error", 1), lambda error: error * 105 / 100),
+        (("estimate", "error", 2), lambda error: error * 99 / 100),
+        (("estimate", "error", 2), lambda error: error * 1000001 / 1000000),
+        (("estimate", "gain", 0), lambda gain: gain * 99 / 100),
+        (("estimate", "gain", 0), lambda gain: gain * 101 / 100),
+        (("estimate", "gain", 1), lambda gain: gain * 99 / 100),
+        (("estimate", "gain", 1), lambda gain: gain * 101 / 100),
+        (("estimate", "gain", 2), lambda gain: gain * 99 / 100),
+        (("estimate", "gain", 2), lambda gain: gain * 1000001 / 1000000),
+        (("estimate", "gain", 0), lambda gain: gain + 1),
+        (("estimate", "gain", 1), lambda gain: -gain),
+        (("estimate", "gain", 2), lambda _: 0),
+        (("noise", 0), lambda noise: noise * 105 / 100),
+        (("noise", 1), lambda noise: noise * 105 / 100),
+        (("noise", 1), lambda noise: -noise),
+        (("noise", 2), lambda noise: noise * 1000001 / 1000000),
+        (("constraints", 0), lambda limit: limit / 2),
+        (("sideslip",), lambda share: share * 6 / 5),
+        (("lever_arm",), lambda lever: lever * 2),
+        (("bands", 0, "disturbance", "yaw"), lambda yaw: yaw * 99 / 100),
+        (("bands", 0, "disturbance", "box", 0), lambda width: width * 99 / 100),
+        (("bands", 0, "disturbance", "box", 1), lambda width: width * 99 / 100),
+        (("bands", 0, "disturbance", "box", 2), lambda width: width * 999999 / 1000000),
+    ],
+)
+def test_more_than_is_proved_of_an_estimate_is_refused(path, by, written, tmp_path, capsys):
+    assert not is_accepted(change(written, *path, by=by), tmp_path, capsys)
+
+
+@pytest.mark.slow
+def test_changed_certificates_of_estimates_are_refused_or_hold_as_well(written, tmp_path, capsys):
+    survey_mutants(written, range(300), tmp_path, capsys)
