@@ -21,6 +21,7 @@ from sets.robot.plant import Kinematics
 checker = load_checker(PROGRAMS[0])
 estimates = load_checker("check_estimate.py")
 intervals = load_checker("check_intervals.py")
+motions = load_checker("check_motion.py")
 
 OBSERVED = [
     "noise.longitudinal_m=0.005",
@@ -76,10 +77,13 @@ class Observed:
     estimates anywhere within their caps, everything else at random, mostly at its ends."""
 
     def __init__(self, said, count):
+        """Begin with estimates that are measured; `variables` of a period are those of the checker,
+        the error itself in the place of its share."""
         self.said = said
         self.random = np.random.default_rng(3)
         self.count = count
         self.off = self.draw(said["noise"])
+        self.variables = np.empty((count, 13))
 
     def draw(self, sizes):
         """Return numbers by robot within +- sizes."""
@@ -142,6 +146,9 @@ class Observed:
         share = self.draw([said["sideslip"]])[:, 0]
         turned = (ground[0] - ground[1]) / b
         sideways = share * (ground[0] + ground[1]) / 2 - said["lever_arm"] * turned
+        losses = [1 - each / wheel for each, wheel in zip(ground, wheels, strict=True)]
+        others = [u1, u2, *reference, *losses, share]
+        self.variables = np.stack([*estimates.T, *others, *self.off.T], axis=1)
         after = self.drive(estimates - self.off, reference, ground, sideways)
         seen = after + self.draw(said["noise"])
         following = expected + np.array(said["estimate"]["gain"]) * (seen - expected)
@@ -196,6 +203,37 @@ def test_errors_of_estimates_stay_in_their_set_and_disturbances_in_w(coordinate,
     assert farthest[coordinate] >= REACHED * S[coordinate]
 
 
+def test_motions_leave_of_their_bounds_what_disturbances_leave_of_w(written):
+    changed = json.loads(json.dumps(written))
+    changed["estimate"]["error"] = ["9"] * 3  # so that S bounds nothing
+    W = changed["bands"][0]["disturbance"]
+    W["box"][2] = "99"
+    said = to_floats(changed)
+    gain = np.array(said["estimate"]["gain"])
+    robots = Observed(said | {"noise": [0.0] * 3}, 10)
+    robots.off = robots.draw(to_floats(written)["estimate"]["error"])
+    off = robots.off
+    w = robots.advance()
+    kicked = w[:, 2] + gain[2] * off[:, 2]
+    most = w + gain * said["noise"]
+    most[:, 1] -= float(Fraction(W["lean"])) * kicked
+    certificate = checker.read(changed)
+    (band,) = certificate["bands"]
+    levels = estimates.bound_motions(certificate, band)
+    robot = next(checker.list_motions(certificate, band))[-1][0][1]
+    for name, width, shares, reached in (
+        ("x", W["box"][0], gain[0], most[:, 0]),
+        ("y", W["box"][1], 1.0, most[:, 1]),
+        ("kick", W["yaw"], gain[2], kicked),
+    ):
+        for point, most_there in zip(robots.variables, reached, strict=True):
+            cell = [intervals.scale(Fraction(value)) for value in (1, *point[1:])]
+            piece = (Fraction(point[0]), Fraction(0), None, None)
+            motion = motions.note_motion(name, cell, robot, piece).follow(cell)[-1][0]
+            left = shares * (float(levels[name]) - motion / intervals.ONE)
+            assert left == pytest.approx(float(Fraction(width)) - most_there, abs=1e-12)
+
+
 def read_levels(certificate):
     """Return the bounds up to which the checker proves motions, by coordinate, so that S holds."""
     changed = json.loads(json.dumps(certificate))
@@ -231,8 +269,8 @@ def test_motions_are_proved_up_to_what_the_project_finds_and_no_further(
     found = bound_next_error(where, Kinematics())[coordinate]
     most = (found - gain * said["noise"][coordinate]) / (1 - gain)
     most -= said["estimate"]["error"][2] if name == "kick" else 0.0
-    motions = checker.list_motions(certificate, band)
-    of_name = {sign: cells for output, sign, _, cells in motions if output == name}
+    listed = checker.list_motions(certificate, band)
+    of_name = {sign: cells for output, sign, _, cells in listed if output == name}
 
     def prove(share):
         level = intervals.scale(Fraction(most * (1 + share)))[0]
@@ -279,6 +317,29 @@ def test_motions_are_proved_up_to_what_the_project_finds_and_no_further(
 )
 def test_more_than_is_proved_of_an_estimate_is_refused(path, by, written, tmp_path, capsys):
     assert not is_accepted(change(written, *path, by=by), tmp_path, capsys)
+
+
+ROBOT = {"noise": [Fraction(1, 100)] * 3, "bands": [{"cells": {}}]}
+KNOWN = {"gain": [Fraction(1, 2)] * 3, "error": [Fraction(1, 10)] * 3}
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"learning": {}},
+        {"bands": [{}]},
+        {"estimate": KNOWN | {"more": 1}},
+        {"estimate": KNOWN | {"gain": [Fraction(1, 2), Fraction(1, 2), Fraction(0)]}},
+        {"estimate": KNOWN | {"gain": [Fraction(1, 2), Fraction(3, 2), Fraction(1)]}},
+        {"estimate": KNOWN | {"gain": [Fraction(-1, 2), Fraction(1), Fraction(1)]}},
+        {"estimate": KNOWN | {"error": [Fraction(1, 10), Fraction(1, 101), Fraction(1, 10)]}},
+        {"noise": [Fraction(1, 100), Fraction(-1, 100), Fraction(0)]},
+    ],
+)
+def test_what_is_no_estimate_or_begins_beyond_its_set_is_refused(changes):
+    estimates.check_estimate(ROBOT | {"estimate": KNOWN})
+    with pytest.raises(intervals.Refused, match="estimate"):
+        estimates.check_estimate(ROBOT | {"estimate": KNOWN} | changes)
 
 
 @pytest.mark.slow
