@@ -19,7 +19,7 @@ def noise_bounds(scenario: Scenario) -> Float[np.ndarray, "3"]:
 
     Of wheels that lag, or commands that come late, that is the error of the committed pose.
     """
-    noise = _bound_pose_noise(scenario)
+    noise = bound_pose_noise(scenario)
     return noise if scenario.robot.obeys_at_once else _commit(scenario, noise)
 
 
@@ -39,7 +39,7 @@ def _commit(scenario: Scenario, noise: Float[np.ndarray, "3"]) -> Float[np.ndarr
     return bound_committed_noise(noise, nominal.latency, fastest, yaw_rate)
 
 
-def _bound_pose_noise(scenario: Scenario) -> Float[np.ndarray, "3"]:
+def bound_pose_noise(scenario: Scenario) -> Float[np.ndarray, "3"]:
     """Return half widths of the noise of a measured pose in the robot's frame, (m, m, rad).
 
     Noise (n_p, n_phi) of the pose in the world makes Rot(-n_phi) (e - Rot(-phi) n_p) of the

@@ -13,11 +13,16 @@ from jaxtyping import Float
 
 from jaxtube import qp
 from jaxtube.plant.slip_bounds import slip_bounds
-from jaxtube.scenario.error_box import error_vector
-from jaxtube.scenario.tree import Slip
+from jaxtube.scenario.error_box import bound_pose_noise, error_vector
+from jaxtube.scenario.tree import Scenario
 from jaxtube.synthesis.bands import list_ends
 from jaxtube.synthesis.certificate.program import predict_rows
-from jaxtube.synthesis.disturbance import find_place, find_wheel_error_sizes, kinematics
+from jaxtube.synthesis.disturbance import (
+    find_actuation,
+    find_place,
+    find_wheel_error_sizes,
+    kinematics,
+)
 from jaxtube.synthesis.learnt_slips import count_periods, make_slip_observer
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.prediction import UNREACHED
@@ -50,6 +55,7 @@ def describe_robot(problem: Problem) -> dict[str, Any]:
     return {
         **measured,
         **_describe_estimate(problem),
+        **_describe_lateness(problem),
         "period": Fraction(problem.model.dt),
         "track": Fraction(problem.model.track_width),
         "lever_arm": Fraction(robot.lever_arm),
@@ -58,8 +64,7 @@ def describe_robot(problem: Problem) -> dict[str, Any]:
         "noise": list_fractions(problem.noise),
         "sideslip": Fraction(scenario.slip.sideslip),
         "slips": {
-            wheel: _list_slips(scenario.slip, index)
-            for index, wheel in enumerate(("right", "left"))
+            wheel: _list_slips(scenario, index) for index, wheel in enumerate(("right", "left"))
         },
     }
 
@@ -74,8 +79,38 @@ def _describe_estimate(problem: Problem) -> dict[str, Any]:
     return {"estimate": {"gain": gain, "error": list_fractions(problem.estimate_error)}}
 
 
-def _list_slips(slip: Slip, wheel: int) -> list[list[Fraction]]:
-    """Return (least, greatest) true slips of a wheel, with those that are compensated."""
+def _describe_lateness(problem: Problem) -> dict[str, Any]:
+    """Return lag and delay, what noise of the pose is, and what may be commanded; nothing where
+    wheels obey at once."""
+    scenario = problem.scenario
+    if scenario.robot.obeys_at_once:
+        return {}
+    actuation = find_actuation(scenario)
+    nominal = actuation.nominal(problem.model.dt)
+    place = find_place(problem)
+    driving = find_driving(place, kinematics(problem))
+    slowest = _level_wheels(-driving.wheels[0])
+    fastest = _level_wheels(driving.wheels[1])
+    wheels = np.stack([-slowest, fastest], axis=1)
+    return {
+        "lateness": {
+            "lag": list_fractions(actuation.lag),
+            "delay": list_fractions(actuation.delay),
+            "nominal": list_fractions(nominal),
+            "lever": Fraction(nominal.latency * 2 * place.period.lateral_per_yaw / place.dt),
+            "noise": list_fractions(bound_pose_noise(scenario)),
+            "wheels": dict(zip(("right", "left"), list_fractions(wheels), strict=True)),
+            "speeds": list_fractions(driving.speed),
+        }
+    }
+
+
+def _list_slips(scenario: Scenario, wheel: int) -> list[list[Fraction]]:
+    """Return (least, greatest) true slips of a wheel, with those that are compensated.
+
+    What is read as either may change with the command. Of wheels that lag it is the true one.
+    """
+    slip = scenario.slip
     if slip.has_intervals:
         bounds = slip_bounds(slip)
         ends = (slip.right, slip.left)[wheel]
@@ -88,7 +123,11 @@ def _list_slips(slip: Slip, wheel: int) -> list[list[Fraction]]:
     ends = sorted(nominal * (1 + sign * Fraction(slip.relative_error)) for sign in (-1, 1))
     if slip.random == "both":
         return [[*ends, *ends]]
-    return [[*ends, nominal, nominal], [nominal, nominal, *ends]]
+    true = [*ends, nominal, nominal]
+    measured = [nominal, nominal, *ends]
+    if scenario.robot.obeys_at_once:
+        return [true, measured]
+    return [measured if slip.random == "measured" else true]
 
 
 def _describe_learning(problem: Problem) -> dict[str, Any]:

@@ -32,6 +32,10 @@ PROGRAMS = (
     "check_plans.py",
     "check_learning.py",
     "check_model.py",
+    "check_travel.py",
+    "check_losses.py",
+    "check_lag.py",
+    "check_pose.py",
     "check_words.py",
 )
 """The checker's files; the first one is the program."""

@@ -22,12 +22,14 @@ from fractions import Fraction
 from itertools import product
 from typing import Any
 
-from check_estimate import bound_motions, check_estimate, list_shares, read_estimate
+from check_estimate import bound_motions, check_estimate, find_lateral, read_estimate
 from check_intervals import ONE, Refused, pick, require, scale, scale_all
+from check_lag import find_late, narrow_levels
 from check_learning import check_learning
 from check_model import check_wheels, list_ends
 from check_motion import prove
 from check_plans import check_plans
+from check_pose import bound_poses, check_lateness
 from check_sets import (
     Set,
     check_cost,
@@ -43,7 +45,7 @@ from check_words import ROBOT, is_of_robot, list_assumptions, show_disturbance
 FORMAT = "jaxtube certificate 1"
 KNOWN = {"format", "name", *ROBOT, "wheel_speeds", "constraints", "noise", "slips", "sideslip"}
 KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning", "model", "measured"}
-KNOWN |= {"estimate"}
+KNOWN |= {"estimate", "lateness"}
 DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 DAMAGES += (RecursionError,)
 BAND_OF_MODEL = {"name", "regions", "errors", "inputs", "gains", "disturbance"}
@@ -110,10 +112,20 @@ def list_losses(certificate, band):
 def list_motions(certificate, band):
     """Yield what is bounded of the motions of a band: its name, sign and bound, and the cells over
     which it is bounded, with the constants of robot and cell."""
-    robot = (*pick(certificate, *ROBOT), *list_shares(certificate, band))
+    T, b, lever_arm = pick(certificate, *ROBOT)
+    lateral = find_lateral(certificate, band)
+    robot = (T, b, lever_arm, 0, *lateral)
     levels = list_levels(certificate, band)
     losses = list_losses(certificate, band)
-    sizes = [*band["errors"][1:], certificate["sideslip"], *read_estimate(certificate)[1]]
+    _, off = read_estimate(certificate)
+    sizes = [*band["errors"][1:], certificate["sideslip"], *off]
+    late = find_late(certificate, band)
+    if late:
+        # What slides is in the rest, which the levels leave room for.
+        robot = (T, b, 0, certificate["lateness"]["lever"], *lateral)
+        levels = narrow_levels(certificate, levels, late)
+        losses = late.lost
+        sizes = [*band["errors"][1:], 0, *off, *late.taken]
     ends = [(-size, size) for size in sizes]
     cells = []
     speeds = [each for region in band["regions"] for each in list_speeds(region)[0]]
@@ -161,6 +173,8 @@ def check_head(certificate):
     require(set(certificate["slips"]) == {"right", "left"}, "slips are not those of two wheels")
     if "estimate" in certificate:
         check_estimate(certificate)
+    if "lateness" in certificate:
+        check_lateness(certificate)
     names = {band["name"] for band in certificate["bands"]}
     require(0 < len(names) == len(certificate["bands"]), "bands need names of their own")
     require(is_of_robot(certificate) or "model" in certificate, "no W is proved or assumed")
@@ -170,7 +184,8 @@ def check_head(certificate):
     for band in certificate["bands"]:
         require(set(band) == known and band["regions"], f"{band['name']} is not described as known")
         pairs = zip(band["errors"], read_estimate(certificate)[1], strict=True)
-        pairs = zip((cap + size for cap, size in pairs), certificate["constraints"], strict=True)
+        errors = bound_poses(certificate, [cap + size for cap, size in pairs])
+        pairs = zip(errors, certificate["constraints"], strict=True)
         require(all(error <= limit for error, limit in pairs), "true errors may pass their limits")
         yaw, box = pick(band["disturbance"], "yaw", "box")
         require(min(yaw, *box) >= 0, f"the W of {band['name']} has a negative width")
@@ -194,7 +209,8 @@ def check(certificate):
         shown = f"{len(room)} rows, least room {min(room) / ONE:.3g}"
         yield f"plans stay plans along the reference: {shown}"
     limits = ", ".join(f"{float(limit):.6g}" for limit in certificate["constraints"])
-    yield f"hence, with w in W, at the end of every period, true errors within {limits} m, m, rad"
+    when = "end of every period" + (", and a latency later" if "lateness" in certificate else "")
+    yield f"hence, with w in W, at the {when}, true errors within {limits} m, m, rad"
 
 
 def check_law(certificate):

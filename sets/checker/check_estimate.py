@@ -49,8 +49,8 @@ def check_estimate(certificate):
         require(0 <= noise <= error, "the first estimate, which is measured, may be off by more")
 
 
-def list_shares(certificate, band):
-    """Return by how much a kick leans in w_y, and the share l_y of what is not predicted there."""
+def find_lateral(certificate, band):
+    """Return the lean of a kick of the robot in w_y, and the gain l_y."""
     gain, _ = read_estimate(certificate)
     return band["disturbance"]["lean"] * gain[2], gain[1]
 

@@ -23,7 +23,9 @@ the motion's Jacobian at e = u = 0, leaves out, of errors measured with noise n,
 
 with r what slip, sideslip and n do, and m = (0, m_y, 0) what the motion has without them. Of
 another model, "y of the model", the difference between the models is added to m_y. Of an estimate,
-by `check_estimate`, a share l_y of r_y is "taken" over.
+by `check_estimate`, w has a share l_y of r_y, the gain. Of wheels that lag, by `check_lag`, d_r and
+d_l are the ways that slip takes from them, a way and a turn that lag takes come last, and a kick
+moves the robot sideways by a lever of its own besides.
 That r_x, r_y, m_y + l_y r_y - lean kick and the kick keep their bounds is proved cell by cell: a
 motion is largest at an end of a cell where its slope has one sign, and rises by no more
 than slope times way from elsewhere (Moore, Kearfott, Cloud 2009, chapter 6).
@@ -45,13 +47,13 @@ from check_intervals import (
 )
 
 MINUS_HALF = (-HALF[1], -HALF[0])
-VARIABLES = "abcdefghijklm"  # letters of those of `find_motion`, in its order: where cells are cut
+VARIABLES = "abcdefghijklmno"  # letters of those of `find_motion`, in its order, to cut cells by
 
 
 def find_constants(robot, piece):
     """Return the ends of what is constant in `find_motion`."""
-    T, b, lever, lean, taken = robot
-    values = (T, T / b, b / 2, 1 / b, lever, lean, taken, *piece)
+    T, b, lever, late_lever, lean, gain = robot
+    values = (T, T / b, b / 2, 1 / b, lever, late_lever, lean, gain, *piece)
     return [None if value is None else scale(value) for value in values]
 
 
@@ -67,10 +69,10 @@ def turn_sine(x, half_step):
 
 def find_motion(output, variables, constants):
     """Return r_x, r_y, m_y + l_y r_y - lean kick, the same of a model that is not the motion's
-    Jacobian, the kick, or the way of a wheel that is asked for."""
-    share, y, th, u1, u2, first, second, d_r, d_l, zeta, n_x, n_y, n_th = variables
-    T, turning, half_b, per_b, lever, lean, taken, x_reach, x_slope, *speeds = constants
-    v_reach, v_slope = speeds
+    Jacobian, the kick, or the way of a wheel or of the body that is asked for."""
+    share, y, th, u1, u2, first, second, d_r, d_l, zeta, n_x, n_y, n_th, *late = variables
+    T, turning, half_b, per_b, lever, late_lever, lean, gain, *ends = constants
+    x_reach, x_slope, v_reach, v_slope = ends
     x = share * (u2 * x_slope + x_reach)
     if v_reach is None:
         middle = (first + second) * HALF
@@ -87,16 +89,18 @@ def find_motion(output, variables, constants):
     sine = SINE(half_a)
     ahead = chord * COSINE(psi) - sine * sine * x * 2 + (EXCESS(a) - m) * y - u1 * T
     way = ahead * C(a).inverse()
+    if output == "way":
+        return way
     right = way + a * half_b
     left = way - a * half_b
     if output in ("right", "left"):
         return right if output == "right" else left
-    right_lost = right * d_r
-    left_lost = left * d_l
-    kick = (right_lost - left_lost) * per_b
+    right_lost, left_lost = [d_r, d_l] if late else [right * d_r, left * d_l]
+    way_taken, turn_taken = late or [ZERO, ZERO]
+    kick = (right_lost - left_lost) * per_b + turn_taken
     if output == "kick":
         return kick
-    lost = (right_lost + left_lost) * HALF
+    lost = (right_lost + left_lost) * HALF + way_taken
     turn = a - kick
     back = -kick
     half_back = back * HALF
@@ -117,12 +121,12 @@ def find_motion(output, variables, constants):
     bent = SINE(half_m) * secants * (x * 2 + A * y + u1 * T)
     curved = EXCESS(ahead_th) * secant_a
     curved = curved - turn_cosine(half_A, half_m * MINUS_HALF) * secants * ahead_th
-    swing = d_cos * y - d_sin * x + chord * turn_sine(psi, half_swing)
+    swing = d_cos * y - d_sin * x + chord * turn_sine(psi, half_swing) + kick * late_lever
     slip = way * D.change(a, back) - lost * D(turn) - sideways * C(turn)
     unpredicted = swing + slip + sin_turn * n_x - cos_turn * n_y
     if output == "unpredicted y":
         return unpredicted
-    found = bent + chord * curved + unpredicted * taken - kick * lean
+    found = bent + chord * curved + unpredicted * gain - kick * lean
     if output == "y":
         return found
     # Of the model I + T (.), with f_r = f_l = 1, beside the Jacobian.

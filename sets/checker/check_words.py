@@ -42,22 +42,25 @@ def list_assumptions(certificate):
         yield f"which slides by {slide:.4g} of its speed at most, and {lever:.4g} m by its yaw rate"
     how = "the way of check_motion" if of_robot else "V - u1 -+ (b/2) u2"
     yield f"wheels (right, left) are asked for {how} over ground, by the slip that is compensated"
-    x, y, heading = map(float, certificate["noise"])
+    late = certificate.get("lateness")
+    x, y, heading = map(float, late["noise"] if late else certificate["noise"])
     shown = f"{x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg"
     yield f"errors measured within {shown} in the robot's frame, without delay"
     if "estimate" in certificate:
         gain = ", ".join(f"{float(share):.6g}" for share in certificate["estimate"]["gain"])
-        yield f"acted on is the estimate p of check_estimate, measured at first, with L = {gain}"
+        yield f"the error acted on is the estimate p of check_estimate, with L = {gain}"
     for band in certificate["bands"]:
         for region in band["regions"]:
             shown = ", ".join(f"{float(speed):.6g}" for speed in region)
             kind = "right, left" if len(region) == 2 else "least, greatest; of their mean as well"
             yield f"{band['name']}: reference wheel speeds {shown} m/s ({kind})"
-    if of_robot:
+    if late:
+        yield from list_lags(late)
+    elif of_robot:
         yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
     if "cost" in certificate:
         yield "P, Q and R are those of the cost of the plans"
-    yield "what is proved holds at the ends of periods, nothing in between"
+    yield f"what is proved holds at the ends of periods{show_latency(late)}, nothing in between"
     if "plans" not in certificate:
         yield "the law u = K e commands; the first measured error lies in the set of its band"
         return
@@ -66,3 +69,30 @@ def list_assumptions(certificate):
     yield f"plans that command miss no row of their QP by more than {tolerance:.3g} of its length"
     yield "a plan is found where there is one, in 64 bits, and its first input is commanded"
     yield "the first measured error lies within the caps of its band and has a plan"
+
+
+def show_latency(late):
+    """Return when else a promise holds of wheels that lag, in words."""
+    if not late:
+        return ""
+    latency = float(sum(late["nominal"]))
+    when = f"and {latency:.6g} s later, against where the reference was or is by then as late"
+    return f" for the committed pose, and for the robot, then {when}"
+
+
+def list_lags(late):
+    """Yield in words what is taken for granted of wheels that lag."""
+    lags, delays = (show_range(late[name]) for name in ("lag", "delay"))
+    yield f"both wheels lag by one constant time of {lags} s, linearly, without limits"
+    yield f"a command arrives {delays} s late; slips, commands and reference constant over a period"
+    lag, delay = map(float, late["nominal"])
+    yield f"acted on is the committed pose of check_lag, for a lag of {lag:.6g} s and {delay:.6g} s"
+    right, left = map(show_range, pick(late["wheels"], "right", "left"))
+    ranges = f"wheels to {right} (right), {left} (left), the body to {show_range(late['speeds'])}"
+    yield f"commands before the start, too, drove {ranges} m/s, and turned as those that are proved"
+
+
+def show_range(ends):
+    """Return a range in words."""
+    low, high = map(float, ends)
+    return f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"

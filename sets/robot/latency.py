@@ -53,9 +53,8 @@ def bound_committed_noise(
     longitudinal, lateral, heading = noise
     turned = np.sin(min(latency * yaw_rate, np.pi / 2))
     swing = latency * fastest * heading
-    return np.array(
-        [longitudinal + turned * lateral + swing, lateral + turned * longitudinal + swing, heading]
-    )
+    plane = np.array([longitudinal + turned * lateral, lateral + turned * longitudinal]) + swing
+    return np.append(OUTWARDS * plane, heading)
 
 
 def bound_late_pose_errors(

@@ -56,13 +56,13 @@ def without(name, monkeypatch):
     if name in causes:
         monkeypatch.setattr(target, causes[name])
     elif name == "all":
-        monkeypatch.setattr(error_box, "_bound_pose_noise", lambda scenario: np.zeros(3))
+        monkeypatch.setattr(error_box, "bound_pose_noise", lambda scenario: np.zeros(3))
     elif name == "world":
         monkeypatch.setattr(
-            error_box, "_bound_pose_noise", lambda scenario: error_vector(scenario.noise)
+            error_box, "bound_pose_noise", lambda scenario: error_vector(scenario.noise)
         )
     else:
-        monkeypatch.setattr(error_box, "_bound_pose_noise", keep_reach_alone)
+        monkeypatch.setattr(error_box, "bound_pose_noise", keep_reach_alone)
 
 
 def keep_reach_alone(scenario):

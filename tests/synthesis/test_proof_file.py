@@ -92,7 +92,7 @@ def test_the_oracle_agrees_with_what_was_written(written):
     "scenario",
     [
         "certified_lag",
-        "husky",
+        "robust controller.observer_gain=[0.5,0.5,0.5]",
         "robust controller.restart=false",
         "robust controller.input_map=cosine_free",
         "certified robot.wheel_acceleration_max_mps2=15",
