@@ -1,0 +1,420 @@
+"""Laws of what the checker says of wheels that lag: its bounds hold robots that are followed step
+by step, come near the worst of them, and are no wider than those that the project proves."""
+
+import itertools
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from late_robot import LatePeriod, arc, commit, find_rest, travel
+from tolerances import ROUNDING
+
+from jaxtube.synthesis.proof_search import load_checker
+from sets.robot.actuation import Actuation, step_travel
+from sets.robot.committed import bound_commitment
+from sets.robot.late_ways import Driving, Ground, bound_unevenness
+from sets.robot.latency import bound_committed_noise, bound_later_errors, bound_present_errors
+from sets.robot.unknown_travel import bound_unknown_travel
+
+intervals = load_checker("check_intervals.py")
+lag_program = load_checker("check_lag.py")
+losses_program = load_checker("check_losses.py")
+pose_program = load_checker("check_pose.py")
+travel_program = load_checker("check_travel.py")
+
+T = 0.1
+B = 0.5
+SPEEDS = (0.9, 1.7)
+YAW = 1.2
+WHEELS = (0.6, 2.0)
+MIDDLE = 1.36
+SLIP = Fraction(1, 5)
+REFERENCE = (1.3, 1.4)
+"""Least and greatest speed of its wheels, m/s."""
+DEFICIT = YAW - (REFERENCE[1] - REFERENCE[0]) / B
+SAMPLES = 120
+SAME = 1e-9
+"""Share by which bounds in floats and in integers may differ."""
+
+CASES = (
+    # lag, delay, greatest d, least shares of the bounds (ahead, sideways, kick) that samples reach
+    ((0.05, 0.05), (0.0, 0.0), 0.0, (0.3, 0.7, 0.0)),
+    ((0.05, 0.05), (0.0, 0.0), 0.0256, (0.2, 0.5, 0.9)),
+    ((0.1, 0.1), (0.3, 0.3), 0.0256, (0.15, 0.25, 0.9)),
+    ((0.0, 0.0), (0.2, 0.2), 0.0256, (0.1, 0.1, 0.9)),
+    ((0.05, 0.1), (0.0, 0.0), 0.06, (0.02, 0.1, 0.5)),
+    ((0.0, 0.0), (0.02, 0.06), 0.03, (0.02, 0.05, 0.5)),
+    ((0.04, 0.06), (0.08, 0.12), 0.03, (0.02, 0.05, 0.4)),
+)
+
+
+def fractions(values):
+    return [Fraction(float(value)) for value in values]
+
+
+def floats(values):
+    return np.array([float(value) for value in values])
+
+
+def make_certificate(lag, delay, error=0.0, sideslip=0.0, lever_arm=0.0):
+    """Return what a certificate says of a robot whose wheels lag, with its band."""
+    nominal = Actuation(lag, delay).nominal(T)
+    room = Fraction(error) * (1 - SLIP)
+    slips = [[SLIP - room, SLIP + room, SLIP, SLIP]]
+    ends = fractions(REFERENCE)
+    band = {"regions": [[*ends, *ends]], "u2": fractions((-DEFICIT, DEFICIT))}
+    certificate = {
+        "period": Fraction(T),
+        "track": Fraction(B),
+        "sideslip": Fraction(sideslip),
+        "lever_arm": Fraction(lever_arm),
+        "slips": {"right": slips, "left": slips},
+        "bands": [band],
+        "lateness": {
+            "lag": fractions(lag),
+            "delay": fractions(delay),
+            "nominal": fractions(nominal),
+            "lever": Fraction(MIDDLE * nominal.latency),
+            "wheels": {"right": fractions(WHEELS), "left": fractions(WHEELS)},
+            "speeds": fractions(SPEEDS),
+        },
+    }
+    return certificate, band
+
+
+def make_driving():
+    """Return the same commands as the project has them."""
+    none = np.full(2, np.inf)
+    wheels = np.array([[end, end] for end in WHEELS])
+    return Driving(wheels, np.array(SPEEDS), np.array([-YAW, YAW]), none, none)
+
+
+def draw_commands(generator, count):
+    """Return commands (count, 2) at ends of what may be asked for, or within."""
+    wheels = []
+    while len(wheels) < count:
+        speed = generator.choice(SPEEDS) if generator.random() < 0.7 else generator.uniform(*SPEEDS)
+        turn = YAW * (generator.choice([-1, 1]) if generator.random() < 0.7 else generator.random())
+        wheels.append(np.clip([speed + B * turn / 2, speed - B * turn / 2], *WHEELS))
+    return np.array(wheels)
+
+
+def draw_period(generator, actuation, error=0.0, sideslip=0.0):
+    commands = draw_commands(generator, 9)
+    return LatePeriod(
+        T,
+        B,
+        actuation.nominal(T),
+        commands,
+        float(generator.choice(actuation.lag)),
+        generator.choice(actuation.delay, len(commands)),
+        generator.choice([-1.0, 1.0], 2) * error,
+        sideslip * generator.choice([-1.0, 1.0]),
+    )
+
+
+@pytest.mark.parametrize("time", [1e-12, 0.01, 0.7, 1.0, 1.3, 5.0, 36.0, 60.0])
+def test_what_is_missing_of_a_step_is_enclosed_closely(time):
+    low, high = travel_program.decay(Fraction(time), Fraction(1))
+    exact = np.exp(-time)
+    assert low <= exact * intervals.ONE * (1 + 1e-15) and high >= exact * intervals.ONE * (
+        1 - 1e-15
+    )
+    assert high - low <= 2**10
+    assert travel_program.decay(Fraction(time), Fraction(0)) == (0, 0)
+
+
+INTERVALS = (
+    ((0.0184, 0.0221), (0.0, 0.0)),
+    ((0.0, 0.03), (0.0, 0.0)),
+    ((0.05, 0.05), (0.11, 0.16)),
+    ((0.03, 0.12), (0.01, 0.05)),
+)
+
+
+@pytest.mark.parametrize(("lag", "delay"), INTERVALS)
+def test_unknown_lag_and_delay_take_what_the_project_says(lag, delay):
+    actuation = Actuation(lag, delay)
+    nominal = actuation.nominal(T)
+    bound = bound_unknown_travel(actuation, T, np.ones(1), np.ones(1))
+    said = travel_program.bound_unknown(
+        Fraction(T), fractions(lag), fractions(delay), fractions(nominal)
+    )
+    total, variation, uneven = floats(said)
+    np.testing.assert_allclose([total, uneven], [bound.total[0], bound.unevenness[0]], rtol=SAME)
+    assert variation <= bound.variation[0] * (1 + SAME)
+    strays = travel_program.find_strays(Fraction(T), *fractions(nominal))
+    np.testing.assert_allclose(floats(strays), bound_unevenness(nominal, T), rtol=SAME, atol=1e-15)
+
+
+@pytest.mark.parametrize(("lag", "delay"), INTERVALS)
+def test_no_commands_lose_more_by_unknown_lag_and_delay(lag, delay):
+    """Commands from 0 to 1 that are the worst for some lag, delay and time, and others."""
+    actuation = Actuation(lag, delay)
+    nominal = actuation.nominal(T)
+    said = travel_program.bound_unknown(
+        Fraction(T), fractions(lag), fractions(delay), fractions(nominal)
+    )
+    total, variation, uneven = floats(said)
+    ages = T * np.arange(60)[:, None]
+    shares = np.linspace(0, 1, 41)
+    found = np.zeros(3)
+    for true, late in itertools.product(np.linspace(*lag, 5), np.linspace(*delay, 3)):
+
+        def roll(when, lag):
+            return step_travel(ages + T * shares - when, lag) - step_travel(ages - when, lag)
+
+        lost = roll(nominal.delay, nominal.lag) - roll(late, true)
+        # Each share of a command is what its own step loses, less that of the next one.
+        of_commands = np.diff(lost, axis=0, prepend=0.0)
+        even = of_commands - of_commands[:, -1:] * shares
+        rates = np.diff(of_commands, axis=1)
+        found[0] = max(found[0], np.maximum(of_commands, 0).sum(axis=0).max())
+        found[2] = max(found[2], np.maximum(even, 0).sum(axis=0).max())
+        for worst in (*(rates > 0).T, of_commands[:, -1] > 0):
+            found[1] = max(found[1], np.abs(worst @ rates).sum())
+    assert np.all(found <= np.array([total, variation, uneven]) + ROUNDING)
+    assert found[0] >= 0.5 * total and found[2] >= 0.2 * uneven
+
+
+@pytest.mark.parametrize(("lag", "delay", "error", "reached"), CASES)
+def test_what_lag_and_delay_do_holds_sampled_worst_cases(lag, delay, error, reached):
+    certificate, band = make_certificate(lag, delay, error)
+    late = lag_program.find_late(certificate, band)
+    rest = floats(late.rest)
+    lost = np.array([floats(ends) for ends in late.lost]).T / T
+    taken = floats(late.taken) @ [1.0, B / 2] / T
+    generator = np.random.default_rng(3)
+    actuation = Actuation(lag, delay)
+    found = np.zeros(3)
+    for _ in range(SAMPLES):
+        period = draw_period(generator, actuation, error)
+        moved, speeds, kick = find_rest(period, float(certificate["lateness"]["lever"]))
+        assert np.all(np.abs(moved) <= rest + ROUNDING)
+        assert np.all(speeds >= lost[0] - taken - ROUNDING)
+        assert np.all(speeds <= lost[1] + taken + ROUNDING)
+        assert abs(kick) <= late.kick + ROUNDING
+        found = np.maximum(found, [*np.abs(moved), abs(kick)])
+    assert np.all(found >= reached * np.array([*rest, float(late.kick)]))
+
+
+@pytest.mark.parametrize(("lag", "delay", "error", "reached"), CASES)
+@pytest.mark.parametrize("slides", [False, True])
+def test_bounds_are_no_wider_than_those_that_the_project_proves(lag, delay, error, reached, slides):
+    sideslip = 0.05 * slides
+    lever_arm = -0.03 * slides
+    certificate, band = make_certificate(lag, delay, error, sideslip, lever_arm)
+    late = lag_program.find_late(certificate, band)
+    errors = error * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    ground = Ground(errors, None, sideslip, lever_arm)
+    bound = bound_commitment(Actuation(lag, delay), T, B, make_driving(), ground, MIDDLE)
+    most = [*bound.box + bound.slide, bound.kick, *T * bound.unknown]
+    said = floats([*late.rest, late.kick, *late.taken])
+    assert np.all(said <= np.array(most) * (1 + SAME))
+    assert np.all(said >= 0.5 * np.array(most))
+    lost = np.array([floats(ends) for ends in late.lost]).T
+    np.testing.assert_allclose(lost, T * bound.loss, rtol=SAME)
+
+
+def test_sideslip_moves_no_robot_further_than_is_proved():
+    certificate, band = make_certificate((0.05, 0.05), (0.04, 0.04), 0.02, 0.05)
+    rest = floats(lag_program.find_late(certificate, band).rest)
+    generator = np.random.default_rng(3)
+    actuation = Actuation((0.05, 0.05), (0.04, 0.04))
+    found = np.zeros(2)
+    for _ in range(SAMPLES):
+        period = draw_period(generator, actuation, 0.02, 0.05)
+        moved, _, _ = find_rest(period, float(certificate["lateness"]["lever"]))
+        assert np.all(np.abs(moved) <= rest + ROUNDING)
+        found = np.maximum(found, np.abs(moved))
+    assert found[1] >= 0.5 * rest[1]
+
+
+def test_slips_that_each_command_compensates_anew_are_bounded_as_in_the_project():
+    """The true slip is one of two, and so is the one that is compensated."""
+    lag = (0.05, 0.08)
+    certificate, band = make_certificate(lag, (0.0, 0.03))
+    near = [SLIP - Fraction(1, 50), SLIP + Fraction(1, 50)]
+    certificate["slips"] = {wheel: [[*near, *near]] for wheel in ("right", "left")}
+    late = lag_program.find_late(certificate, band)
+    errors = [(true - seen) / (1 - seen) for true, seen in itertools.product(near, near)]
+    errors = floats([min(errors), max(errors)])[:, None] * np.ones(2)
+    ground = Ground(errors, errors)
+    bound = bound_commitment(Actuation(lag, (0.0, 0.03)), T, B, make_driving(), ground, MIDDLE)
+    said = floats([*late.rest, late.kick, *late.taken])
+    most = np.array([*bound.box, bound.kick, *T * bound.unknown])
+    assert np.all(said <= most * (1 + SAME))
+    assert np.all(said >= 0.5 * most)
+    once, _ = make_certificate(lag, (0.0, 0.03), float(errors[1, 0]))
+    assert late.rest > lag_program.find_late(once, band).rest
+
+
+def test_older_commands_may_compensate_other_slips_than_the_present_one():
+    """A slip that is measured closely, but moves far from one period to the next."""
+    certificate, band = make_certificate((0.02, 0.02), (0.03, 0.03))
+    ends = [SLIP - Fraction(1, 20), SLIP + Fraction(1, 20)]
+    certificate["slips"] = {wheel: [[*ends, *ends]] for wheel in ("right", "left")}
+    within = (Fraction(1, 100), Fraction(0))
+    certificate["measured"] = {"right": within, "left": within}
+    (shares, _) = losses_program.list_shares(certificate)
+    assert shares.old[0] < shares.fresh[0] < 0 < shares.fresh[1] < shares.old[1]
+    commands = losses_program.read_commands(certificate, band)
+    (low, high), _ = losses_program.list_lost(certificate, commands)
+    fastest = T * WHEELS[1]
+    # How much of a period's travel is under its own command.
+    own = step_travel(np.array(0.07), 0.02) / T
+    expected = [own * float(a) + (1 - own) * float(b) for a, b in zip(*shares[:2], strict=True)]
+    np.testing.assert_allclose([float(low), float(high)], fastest * np.array(expected), rtol=SAME)
+
+
+def join(first, second):
+    """Return two motions (complex place, heading), one after the other."""
+    return first[0] + second[0] * np.exp(1j * first[1]), first[1] + second[1]
+
+
+def back(motion):
+    """Return a motion back."""
+    return -motion[0] * np.exp(-1j * motion[1]), -motion[1]
+
+
+def read_errors(motion):
+    place, heading = motion
+    return np.array([place.real, place.imag, heading])
+
+
+def draw_past(generator, actuation):
+    """Return a period, the motion still ahead of its robot, and that of the reference over the
+    latency before: commands are its wheels less a deficit."""
+    period = draw_period(generator, actuation)
+    latency = actuation.nominal(T).latency
+    wheels = generator.choice(REFERENCE, period.commands.shape)
+    deficit = DEFICIT * generator.choice([-1, 1], len(wheels)) * B / 2
+    mean = period.commands.mean(axis=1)
+    turning = (wheels[:, 0] - wheels[:, 1]) / 2 - deficit
+    asked = np.stack([mean + turning, mean - turning], axis=1)
+    period = LatePeriod(
+        T, B, period.nominal, asked, period.lag, period.delays, period.losses, period.sideslip
+    )
+    behind = (0j, 0.0)
+    # The command of the instant is not given yet.
+    for age in range(len(wheels) - 1, 0, -1):
+        duration = np.clip(latency - T * (age - 1), 0.0, T)
+        behind = join(behind, arc(wheels[-1 - age] * duration, B))
+    return period, commit(period, now=True)[:2], behind
+
+
+def read_pose(certificate, committed):
+    commands = losses_program.read_commands(certificate, certificate["bands"][0])
+    return (
+        floats(pose_program.bound_now(certificate, committed, commands)),
+        floats(pose_program.bound_later(certificate, committed, commands)),
+    )
+
+
+COMMITTED = np.array([0.15, 0.25, 0.27])
+POSES = (
+    ((0.05, 0.05), (0.0, 0.0), (0.8, 0.9, 0.9)),
+    ((0.02, 0.02), (0.06, 0.06), (0.8, 0.9, 0.9)),
+    ((0.04, 0.06), (0.01, 0.03), (0.7, 0.8, 0.9)),
+)
+
+
+@pytest.mark.parametrize(("lag", "delay", "reached"), POSES)
+def test_the_pose_itself_is_no_further_off_than_is_proved(lag, delay, reached):
+    certificate, _ = make_certificate(lag, delay, 0.02)
+    now, later = read_pose(certificate, fractions(COMMITTED))
+    generator = np.random.default_rng(5)
+    actuation = Actuation(lag, delay)
+    latency = actuation.nominal(T).latency
+    found = np.zeros((2, 3))
+    for _ in range(SAMPLES):
+        period, ahead, behind = draw_past(generator, actuation)
+        period = LatePeriod(
+            T,
+            B,
+            period.nominal,
+            period.commands,
+            period.lag,
+            period.delays,
+            0.02 * generator.choice([-1, 1], 2),
+        )
+        steps = travel(period, np.linspace(0, latency, 300)) * (1 - period.losses)
+        driven = (0j, 0.0)
+        for way in np.diff(steps, axis=0):
+            driven = join(driven, arc(way, B))
+        for corner in itertools.product((-1, 1), repeat=3):
+            x, y, heading = COMMITTED * corner
+            reference = join(ahead, (x + 1j * y, heading))
+            found[0] = np.maximum(found[0], np.abs(read_errors(join(reference, back(behind)))))
+            found[1] = np.maximum(found[1], np.abs(read_errors(join(back(driven), reference))))
+    assert np.all(found[0] <= now + ROUNDING) and np.all(found[1] <= later + ROUNDING)
+    assert np.all(found[0] >= reached * now)
+    assert np.all(found[1] >= 0.6 * later)
+
+
+@pytest.mark.parametrize(("lag", "delay", "reached"), POSES)
+def test_errors_of_the_pose_are_those_that_the_project_proves(lag, delay, reached):
+    certificate, _ = make_certificate(lag, delay, 0.02, 0.03, -0.02)
+    now, later = read_pose(certificate, fractions(COMMITTED))
+    actuation = Actuation(lag, delay)
+    schedules = np.array([[[REFERENCE[0]] * 2, [REFERENCE[1]] * 2]])
+    ground = Ground(0.02 * np.array([[-1.0, -1.0], [1.0, 1.0]]), None, 0.03, -0.02)
+    nominal = actuation.nominal(T)
+    driving = make_driving()
+    expected = bound_present_errors(COMMITTED, nominal, T, B, driving, schedules)
+    np.testing.assert_allclose(now, expected, rtol=SAME)
+    expected = bound_later_errors(COMMITTED, actuation, T, B, driving, ground)
+    assert np.all(later <= expected * (1 + SAME))
+    assert np.all(later >= 0.9 * expected)
+
+
+def test_noise_of_the_committed_pose_holds_what_noise_of_the_pose_makes_of_it():
+    certificate, _ = make_certificate((0.05, 0.05), (0.04, 0.04))
+    noise = np.array([0.01, 0.02, 0.03])
+    made = floats(pose_program.commit_noise(certificate, fractions(noise)))
+    expected = bound_committed_noise(noise, 0.09, REFERENCE[1], YAW)
+    np.testing.assert_allclose(made, expected, rtol=SAME)
+    generator = np.random.default_rng(2)
+    found = np.zeros(3)
+    for _ in range(SAMPLES):
+        _, ahead, behind = draw_past(generator, Actuation((0.05, 0.05), (0.04, 0.04)))
+        x, y, heading = generator.uniform(-1, 1, 3) * COMMITTED
+        for corner in itertools.product((-1, 1), repeat=3):
+            n_x, n_y, n_th = noise * corner
+            errors = [(x + 1j * y, heading), (x + n_x + 1j * (y + n_y), heading + n_th)]
+            exact, measured = (
+                read_errors(join(join(back(ahead), error), behind)) for error in errors
+            )
+            found = np.maximum(found, np.abs(measured - exact))
+    assert np.all(found <= made + ROUNDING)
+    assert np.all(found >= 0.8 * made)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"lag": [Fraction(3, 50), Fraction(1, 20)]}, "no interval"),
+        ({"nominal": [Fraction(1, 5), Fraction(0)]}, "no interval"),
+        ({"delay": [Fraction(-1, 5), Fraction(0)]}, "no interval"),
+        ({"delay": [Fraction(0), Fraction(1, 5)]}, "overtake"),
+        ({"speeds": [Fraction(2), Fraction(1)]}, "crossed"),
+        ({"noise": [Fraction(-1, 1000), Fraction(0), Fraction(0)]}, "negative"),
+        ({"noise": [Fraction(1, 100), Fraction(0), Fraction(0)]}, "measured worse"),
+        ({"other": Fraction(1)}, "UNCHECKED"),
+    ],
+)
+def test_lag_and_delay_that_say_nothing_are_refused(change, said):
+    certificate, band = make_certificate((0.05, 0.05), (0.0, 0.0))
+    certificate["lateness"] |= {"noise": [Fraction(1, 1000)] * 3}
+    certificate["noise"] = [Fraction(1, 500)] * 3
+    band["cells"] = {}
+    pose_program.check_lateness(certificate)
+    certificate["lateness"] |= change
+    with pytest.raises(intervals.Refused, match=said):
+        pose_program.check_lateness(certificate)
+
+
+def test_a_robot_that_may_turn_too_far_within_its_latency_is_refused():
+    certificate, band = make_certificate((0.3, 0.3), (0.5, 0.5), 0.02)
+    with pytest.raises(intervals.Refused, match="1 rad"):
+        lag_program.find_late(certificate, band)
