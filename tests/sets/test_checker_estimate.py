@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from certificate_mutants import change, is_accepted, survey_mutants
 from certificate_oracle import holds_in_floats, to_floats
+from estimated_robots import EstimatedRobots, lies_in
 
 import jaxtube as jt
 from jaxtube.synthesis import proof_search
@@ -72,128 +73,11 @@ def test_an_estimate_is_checked_and_said_to_be(written, tmp_path, capsys):
     assert holds_in_floats(written)
 
 
-class Observed:
-    """Robots whose errors are estimated, in the world frame, by what a certificate says of them:
-    estimates anywhere within their caps, everything else at random, mostly at its ends."""
-
-    def __init__(self, said, count):
-        """Begin with estimates that are measured; `variables` of a period are those of the checker,
-        the error itself in the place of its share."""
-        self.said = said
-        self.random = np.random.default_rng(3)
-        self.count = count
-        self.off = self.draw(said["noise"])
-        self.variables = np.empty((count, 13))
-
-    def draw(self, sizes):
-        """Return numbers by robot within +- sizes."""
-        shape = (self.count, len(sizes))
-        inside = self.random.uniform(-1, 1, shape)
-        return sizes * np.where(self.random.random(shape) < 0.9, np.sign(inside), inside)
-
-    def draw_between(self, low, high):
-        return (low + high) / 2 + self.draw([(high - low) / 2])[:, 0]
-
-    def drive(self, errors, reference, ground, sideways):
-        """Return the errors after a period in which robot and reference drive arcs, by the ground
-        speeds (right, left) of their wheels, and the robot slides at a speed."""
-        T = self.said["period"]
-        b = self.said["track"]
-
-        def go(wheels, slide=0.0):
-            turn = T * (wheels[0] - wheels[1]) / b
-            chord = T * np.sinc(turn / 2 / np.pi) * np.exp(0.5j * turn)
-            return chord * ((wheels[0] + wheels[1]) / 2 + 1j * slide), turn
-
-        ahead, turned = go(reference)
-        moved, turn = go(ground, sideways)
-        x, y, heading = errors.T
-        after = (x + 1j * y + ahead * np.exp(1j * heading) - moved) * np.exp(-1j * turn)
-        return np.stack([after.real, after.imag, heading + turned - turn], axis=1)
-
-    def advance(self):
-        """Go on by a period; return what disturbed the model of the estimates."""
-        said = self.said
-        (band,) = said["bands"]
-        T = said["period"]
-        b = said["track"]
-        estimates = self.draw(band["errors"])
-        u1 = self.draw_between(*band["u1"])
-        u2 = self.draw_between(*band["u2"])
-        of_x, of_turn = band["coupling"]
-        most = np.maximum(1 - of_turn * np.abs(u2), 0) / of_x
-        u2 = np.clip(u2, -1 / of_turn, 1 / of_turn)
-        estimates[:, 0] = np.clip(estimates[:, 0], -most, most)
-        pairs = np.array(band["regions"])
-        reference = pairs[self.random.integers(len(pairs), size=self.count)].T
-        rate = (reference[0] - reference[1]) / b
-        asked = rate - u2
-
-        def expect(speed):
-            wheels = (speed + b / 2 * asked, speed - b / 2 * asked)
-            return self.drive(estimates, reference, wheels, 0.0), wheels
-
-        # The way ahead is linear in the speed.
-        wanted = estimates[:, 0] + T * rate * estimates[:, 1] + T * u1
-        still, _ = expect(0.0)
-        rolling, _ = expect(1.0)
-        speed = (wanted - still[:, 0]) / (rolling[:, 0] - still[:, 0])
-        expected, wheels = expect(speed)
-        ground = [
-            wheel * self.draw_grip(said["slips"][name])
-            for wheel, name in zip(wheels, ("right", "left"), strict=True)
-        ]
-        share = self.draw([said["sideslip"]])[:, 0]
-        turned = (ground[0] - ground[1]) / b
-        sideways = share * (ground[0] + ground[1]) / 2 - said["lever_arm"] * turned
-        losses = [1 - each / wheel for each, wheel in zip(ground, wheels, strict=True)]
-        others = [u1, u2, *reference, *losses, share]
-        self.variables = np.stack([*estimates.T, *others, *self.off.T], axis=1)
-        after = self.drive(estimates - self.off, reference, ground, sideways)
-        seen = after + self.draw(said["noise"])
-        following = expected + np.array(said["estimate"]["gain"]) * (seen - expected)
-        self.off = following - after
-        A = T * rate
-        h = np.tan(A / 2)
-        c = T * reference.mean(axis=0) * np.sinc(A / 2 / np.pi) / np.cos(A / 2)
-        x, y, heading = estimates.T
-        modelled = [
-            x + A * y + T * u1,
-            y - h * (2 * x + A * y + T * u1) + c * (heading + T * u2 / 2),
-            heading + T * u2,
-        ]
-        return following - np.stack(modelled, axis=1)
-
-    def breed(self, coordinate):
-        """Let all robots go on from the worst errors of a coordinate: what led there may have
-        happened to each of them."""
-        worst = np.argsort(-np.abs(self.off[:, coordinate]))[: self.count // 200]
-        self.off = self.off[np.resize(worst, self.count)]
-
-    def draw_grip(self, cases):
-        """Return 1 - true slip by 1 - compensated slip."""
-        drawn = np.stack(
-            [[self.draw_between(*case[:2]), self.draw_between(*case[2:])] for case in cases]
-        )
-        which = self.random.integers(len(cases), size=self.count)
-        true, compensated = drawn[which, :, np.arange(self.count)].T
-        return (1 - true) / (1 - compensated)
-
-
-def lies_in(w, W):
-    """Return whether disturbances lie in a segment of kicks plus a box."""
-    kicks = np.stack([np.zeros(len(w)), w[:, 2], w[:, 1] / W["lean"]])
-    x, y, heading = W["box"]
-    sizes = np.array([[W["yaw"]], [heading], [y / W["lean"]]])
-    is_kick = np.max(kicks - sizes, axis=0) <= np.min(kicks + sizes, axis=0)
-    return np.all(is_kick) and np.all(np.abs(w[:, 0]) <= x)
-
-
 @pytest.mark.parametrize("coordinate", range(3))
 def test_errors_of_estimates_stay_in_their_set_and_disturbances_in_w(coordinate, written):
     said = to_floats(written)
     S = np.array(said["estimate"]["error"])
-    robots = Observed(said, 10_000)
+    robots = EstimatedRobots(said, 10_000)
     farthest = np.abs(robots.off).max(axis=0)
     for _ in range(20):
         assert lies_in(robots.advance(), said["bands"][0]["disturbance"])
@@ -210,7 +94,7 @@ def test_motions_leave_of_their_bounds_what_disturbances_leave_of_w(written):
     W["box"][2] = "99"
     said = to_floats(changed)
     gain = np.array(said["estimate"]["gain"])
-    robots = Observed(said | {"noise": [0.0] * 3}, 10)
+    robots = EstimatedRobots(said | {"noise": [0.0] * 3}, 10)
     robots.off = robots.draw(to_floats(written)["estimate"]["error"])
     off = robots.off
     w = robots.advance()
