@@ -48,7 +48,7 @@ def list_assumptions(certificate):
     yield f"errors measured within {shown} in the robot's frame, without delay"
     if "estimate" in certificate:
         gain = ", ".join(f"{float(share):.6g}" for share in certificate["estimate"]["gain"])
-        yield f"the error acted on is the estimate p of check_estimate, with L = {gain}"
+        yield f"acted on is the estimate of check_estimate, at first what is measured, L = {gain}"
     for band in certificate["bands"]:
         for region in band["regions"]:
             shown = ", ".join(f"{float(speed):.6g}" for speed in region)
