@@ -34,6 +34,13 @@ HARMLESS = {
     "bands.disturbance": "another W, which is proved and which sets have room for",
     "bands.losses": "other losses, which are proved and under which W holds as well",
     "estimate": "another estimate, whose error keeps its bound and for which W holds as well",
+    "lateness.lag": "other lags of the wheels, for which W holds as well",
+    "lateness.delay": "other delays, for which W holds as well",
+    "lateness.nominal": "another lag or delay to count on, for which W holds as well",
+    "lateness.lever": "another lever of kicks, with which W holds as well",
+    "lateness.noise": "other noise of the pose, which that of the committed pose holds as well",
+    "lateness.wheels": "other ranges of commands, which are proved and for which W holds as well",
+    "lateness.speeds": "other ranges of commands, which are proved and for which W holds as well",
     "learning": "other changes of slips or speeds, from which as much is proved to be learnt",
     "bands.cells": "cells cut otherwise, each of which is proved",
     "sets.rows": "another set that is invariant as well",
@@ -86,7 +93,7 @@ def name_part(path) -> str:
     head = str(path[0])
     if head in ("bands", "inclusions", "sets") and len(path) > 2:
         return f"{head}.{path[2]}"
-    return f"{head}.{path[1]}" if head == "plans" and len(path) > 1 else head
+    return f"{head}.{path[1]}" if head in ("plans", "lateness") and len(path) > 1 else head
 
 
 def _change(place, key, source):
@@ -102,7 +109,7 @@ def _change(place, key, source):
         del place[key]
 
 
-TREE = set("abcdefghijklm-.")
+TREE = set("abcdefghijklmnop-.")
 
 
 def _is_number(entry) -> bool:

@@ -6,6 +6,7 @@ from itertools import pairwise, product
 from types import SimpleNamespace
 
 import numpy as np
+from late_oracle import keeps_lateness
 from scipy.optimize import linprog
 
 from jaxtube.plant.model import make_model
@@ -155,10 +156,14 @@ def _keeps_disturbances(said, band, model) -> bool:
             return False
     W = band["disturbance"]
     found = disturbance_bound(operation, Kinematics(), tolerance=0.003)
-    lean_gap = abs(W["lean"] - operation.kick_per_yaw) * found.found_yaw
+    lever = said["lateness"]["lever"] if "lateness" in said else 0.0
+    lean = operation.kick_per_yaw + lever * gain[1] / gain[2]
+    lean_gap = abs(W["lean"] - lean) * found.found_yaw
     room = np.array(W["box"]) - found.found_box
     is_wide = W["yaw"] >= found.found_yaw * (1 - PROGRAM_ROUNDING)
     is_wide &= bool(np.all(room >= -PROGRAM_ROUNDING - lean_gap))
+    if "lateness" in said:
+        is_wide &= keeps_lateness(said, band, operation, losses)
     slowest, fastest = found.ground_speeds
     # The bounds on speeds are tight to a hundredth here; where they fit, speeds do.
     slack = 0.01

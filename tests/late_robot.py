@@ -122,3 +122,38 @@ def find_rest(period, lever):
     kick = (lost[0] - lost[1]) * period.dt / period.track_width
     error = -np.exp(-1j * turn) * (motion - chord)
     return np.array([error.real, error.imag - kick * lever]), lost, kick
+
+
+def join(first, second):
+    """Return two motions (complex place, heading), one after the other."""
+    return first[0] + second[0] * np.exp(1j * first[1]), first[1] + second[1]
+
+
+def back(motion):
+    """Return a motion back."""
+    return -motion[0] * np.exp(-1j * motion[1]), -motion[1]
+
+
+def read_errors(motion):
+    """Return a motion as an error (m, m, rad)."""
+    place, heading = motion
+    return np.array([place.real, place.imag, heading])
+
+
+def follow_back(period, wheels, time):
+    """Return the motion of the reference over a time before the instant, at wheel speeds (n + 1, 2)
+    in the periods of the commands, m/s; the last of these begins at the instant."""
+    behind = (0j, 0.0)
+    for age in range(len(wheels) - 1, 0, -1):
+        duration = np.clip(time - period.dt * (age - 1), 0.0, period.dt)
+        behind = join(behind, arc(wheels[-1 - age] * duration, period.track_width))
+    return behind
+
+
+def drive(period, time, count=300):
+    """Return the motion of the body over a time after the instant, without sideslip."""
+    steps = travel(period, np.linspace(0, time, count)) * (1 - period.losses)
+    driven = (0j, 0.0)
+    for way in np.diff(steps, axis=0):
+        driven = join(driven, arc(way, period.track_width))
+    return driven

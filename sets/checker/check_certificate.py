@@ -113,20 +113,21 @@ def list_motions(certificate, band):
     """Yield what is bounded of the motions of a band: its name, sign and bound, and the cells over
     which it is bounded, with the constants of robot and cell."""
     T, b, lever_arm = pick(certificate, *ROBOT)
-    lateral = find_lateral(certificate, band)
-    robot = (T, b, lever_arm, 0, *lateral)
     levels = list_levels(certificate, band)
     losses = list_losses(certificate, band)
-    _, off = read_estimate(certificate)
-    sizes = [*band["errors"][1:], certificate["sideslip"], *off]
+    sideslip = certificate["sideslip"]
     late = find_late(certificate, band)
     if late:
         # What slides is in the rest, which the levels leave room for.
-        robot = (T, b, 0, certificate["lateness"]["lever"], *lateral)
+        lever_arm = 0
+        sideslip = 0
         levels = narrow_levels(certificate, levels, late)
         losses = late.lost
-        sizes = [*band["errors"][1:], 0, *off, *late.taken]
+    robot = (T, b, lever_arm, *find_lateral(certificate, band))
+    _, off = read_estimate(certificate)
+    sizes = [*band["errors"][1:], sideslip, *off, *(late.taken if late else ())]
     ends = [(-size, size) for size in sizes]
+    ends += [(late.lever, late.lever)] if late else []
     cells = []
     speeds = [each for region in band["regions"] for each in list_speeds(region)[0]]
     turns = list_turns(band)

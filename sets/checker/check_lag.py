@@ -66,12 +66,13 @@ from check_travel import decay
 class Late(NamedTuple):
     """What lag and delay make of a period: the ranges of the ways, m, that slip takes from the
     wheels (right, left); the (way m, turn rad) that unknown lag and delay take; the kick, rad, less
-    than these together give; and the (m, m) by which the robot is moved besides, ahead and
-    sideways, in either direction."""
+    than these together give; its lever, m; and the (m, m) by which the robot is moved besides,
+    ahead and sideways, in either direction."""
 
     lost: list
     taken: tuple
     kick: Fraction
+    lever: Fraction
     rest: tuple
 
 
@@ -104,6 +105,7 @@ def find_late(certificate, band):
         lost=lost,
         taken=losses.taken,
         kick=min(turn, by_wheels) + losses.taken[1],
+        lever=certificate["lateness"]["lever"],
         rest=(ahead + tilt * slide, side + slide),
     )
 

@@ -24,8 +24,8 @@ the motion's Jacobian at e = u = 0, leaves out, of errors measured with noise n,
 with r what slip, sideslip and n do, and m = (0, m_y, 0) what the motion has without them. Of
 another model, "y of the model", the difference between the models is added to m_y. Of an estimate,
 by `check_estimate`, w has a share l_y of r_y, the gain. Of wheels that lag, by `check_lag`, d_r and
-d_l are the ways that slip takes from them, a way and a turn that lag takes come last, and a kick
-moves the robot sideways by a lever of its own besides.
+d_l are the ways that slip takes from them. Last come a way and a turn that lag takes, and a lever,
+by which a kick moves the robot sideways besides.
 That r_x, r_y, m_y + l_y r_y - lean kick and the kick keep their bounds is proved cell by cell: a
 motion is largest at an end of a cell where its slope has one sign, and rises by no more
 than slope times way from elsewhere (Moore, Kearfott, Cloud 2009, chapter 6).
@@ -47,13 +47,14 @@ from check_intervals import (
 )
 
 MINUS_HALF = (-HALF[1], -HALF[0])
-VARIABLES = "abcdefghijklmno"  # letters of those of `find_motion`, in its order, to cut cells by
+# Letters of the variables of `find_motion`, in its order: where cells are cut.
+VARIABLES = "abcdefghijklmnop"
 
 
 def find_constants(robot, piece):
     """Return the ends of what is constant in `find_motion`."""
-    T, b, lever, late_lever, lean, gain = robot
-    values = (T, T / b, b / 2, 1 / b, lever, late_lever, lean, gain, *piece)
+    T, b, lever, lean, gain = robot
+    values = (T, T / b, b / 2, 1 / b, lever, lean, gain, *piece)
     return [None if value is None else scale(value) for value in values]
 
 
@@ -71,8 +72,8 @@ def find_motion(output, variables, constants):
     """Return r_x, r_y, m_y + l_y r_y - lean kick, the same of a model that is not the motion's
     Jacobian, the kick, or the way of a wheel or of the body that is asked for."""
     share, y, th, u1, u2, first, second, d_r, d_l, zeta, n_x, n_y, n_th, *late = variables
-    T, turning, half_b, per_b, lever, late_lever, lean, gain, *ends = constants
-    x_reach, x_slope, v_reach, v_slope = ends
+    T, turning, half_b, per_b, lever, lean, gain, x_reach, x_slope, *speeds = constants
+    v_reach, v_slope = speeds
     x = share * (u2 * x_slope + x_reach)
     if v_reach is None:
         middle = (first + second) * HALF
@@ -96,7 +97,7 @@ def find_motion(output, variables, constants):
     if output in ("right", "left"):
         return right if output == "right" else left
     right_lost, left_lost = [d_r, d_l] if late else [right * d_r, left * d_l]
-    way_taken, turn_taken = late or [ZERO, ZERO]
+    way_taken, turn_taken, late_lever = late or [ZERO] * 3
     kick = (right_lost - left_lost) * per_b + turn_taken
     if output == "kick":
         return kick

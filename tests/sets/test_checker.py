@@ -83,15 +83,8 @@ def test_products_of_intervals_hold_products_and_are_tight(left, right, shares):
     assert low <= a * b / ONE <= high
 
 
-ROBOT = (
-    Fraction(1, 10),
-    Fraction(1, 2),
-    Fraction(-3, 100),
-    Fraction(0),
-    Fraction(7, 100),
-    Fraction(2, 5),
-)
-"""Period, track, lever arm, lever of lag, lean, share of what is not predicted."""
+ROBOT = (Fraction(1, 10), Fraction(1, 2), Fraction(-3, 100), Fraction(7, 100), Fraction(2, 5))
+"""Period, track, lever arm, lean, share of what is not predicted."""
 PIECE = (Fraction(1), Fraction(0), None, None)
 CENTRE = (0.0, 0.0, 0.0, 0.05, 0.0, 1.3, 1.3, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 WIDTHS = (0.15, 0.2, 0.3, 0.4, 1.0, 0.2, 0.2, 0.03, 0.03, 0.05, 0.01, 0.01, 0.01)
@@ -110,7 +103,7 @@ def place(values):
 def find_world_motion(values):
     """Return motions by name from the poses of robot and reference in the world frame."""
     x, y, th, u1, u2, right, left, d_r, d_l, zeta, n_x, n_y, n_th = values
-    T, b, lever, _, lean, taken = map(float, ROBOT)
+    T, b, lever, lean, taken = map(float, ROBOT)
 
     def drive(speed, rate, sideways):
         half = T * rate / 2

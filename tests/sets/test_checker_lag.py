@@ -2,11 +2,21 @@
 by step, come near the worst of them, and are no wider than those that the project proves."""
 
 import itertools
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
-from late_robot import LatePeriod, arc, commit, find_rest, travel
+from late_robot import (
+    LatePeriod,
+    back,
+    commit,
+    drive,
+    find_rest,
+    follow_back,
+    join,
+    read_errors,
+)
 from tolerances import ROUNDING
 
 from jaxtube.synthesis.proof_search import load_checker
@@ -17,6 +27,7 @@ from sets.robot.latency import bound_committed_noise, bound_later_errors, bound_
 from sets.robot.unknown_travel import bound_unknown_travel
 
 intervals = load_checker("check_intervals.py")
+motion_program = load_checker("check_motion.py")
 lag_program = load_checker("check_lag.py")
 losses_program = load_checker("check_losses.py")
 pose_program = load_checker("check_pose.py")
@@ -32,7 +43,7 @@ SLIP = Fraction(1, 5)
 REFERENCE = (1.3, 1.4)
 """Least and greatest speed of its wheels, m/s."""
 DEFICIT = YAW - (REFERENCE[1] - REFERENCE[0]) / B
-SAMPLES = 120
+SAMPLES = 80
 SAME = 1e-9
 """Share by which bounds in floats and in integers may differ."""
 
@@ -267,21 +278,6 @@ def test_older_commands_may_compensate_other_slips_than_the_present_one():
     np.testing.assert_allclose([float(low), float(high)], fastest * np.array(expected), rtol=SAME)
 
 
-def join(first, second):
-    """Return two motions (complex place, heading), one after the other."""
-    return first[0] + second[0] * np.exp(1j * first[1]), first[1] + second[1]
-
-
-def back(motion):
-    """Return a motion back."""
-    return -motion[0] * np.exp(-1j * motion[1]), -motion[1]
-
-
-def read_errors(motion):
-    place, heading = motion
-    return np.array([place.real, place.imag, heading])
-
-
 def draw_past(generator, actuation):
     """Return a period, the motion still ahead of its robot, and that of the reference over the
     latency before: commands are its wheels less a deficit."""
@@ -292,15 +288,8 @@ def draw_past(generator, actuation):
     mean = period.commands.mean(axis=1)
     turning = (wheels[:, 0] - wheels[:, 1]) / 2 - deficit
     asked = np.stack([mean + turning, mean - turning], axis=1)
-    period = LatePeriod(
-        T, B, period.nominal, asked, period.lag, period.delays, period.losses, period.sideslip
-    )
-    behind = (0j, 0.0)
-    # The command of the instant is not given yet.
-    for age in range(len(wheels) - 1, 0, -1):
-        duration = np.clip(latency - T * (age - 1), 0.0, T)
-        behind = join(behind, arc(wheels[-1 - age] * duration, B))
-    return period, commit(period, now=True)[:2], behind
+    period = replace(period, commands=asked)
+    return period, commit(period, now=True)[:2], follow_back(period, wheels, latency)
 
 
 def read_pose(certificate, committed):
@@ -329,19 +318,8 @@ def test_the_pose_itself_is_no_further_off_than_is_proved(lag, delay, reached):
     found = np.zeros((2, 3))
     for _ in range(SAMPLES):
         period, ahead, behind = draw_past(generator, actuation)
-        period = LatePeriod(
-            T,
-            B,
-            period.nominal,
-            period.commands,
-            period.lag,
-            period.delays,
-            0.02 * generator.choice([-1, 1], 2),
-        )
-        steps = travel(period, np.linspace(0, latency, 300)) * (1 - period.losses)
-        driven = (0j, 0.0)
-        for way in np.diff(steps, axis=0):
-            driven = join(driven, arc(way, B))
+        period = replace(period, losses=0.02 * generator.choice([-1, 1], 2))
+        driven = drive(period, latency)
         for corner in itertools.product((-1, 1), repeat=3):
             x, y, heading = COMMITTED * corner
             reference = join(ahead, (x + 1j * y, heading))
@@ -418,3 +396,39 @@ def test_a_robot_that_may_turn_too_far_within_its_latency_is_refused():
     certificate, band = make_certificate((0.3, 0.3), (0.5, 0.5), 0.02)
     with pytest.raises(intervals.Refused, match="1 rad"):
         lag_program.find_late(certificate, band)
+
+
+POINT = (0.4, 0.1, -0.2, 0.05, 0.6, 1.3, 1.4, 0.02, -0.01, 0.0, 0.001, -0.001, 0.002)
+"""Of the variables of a motion, without sideslip."""
+PIECE = (Fraction(1, 10), Fraction(0), None, None)
+
+
+def move(output, variables):
+    """Return a motion at a point."""
+    cell = [intervals.scale(Fraction(value)) for value in variables]
+    robot = (Fraction(T), Fraction(B), Fraction(0), Fraction(1, 20), Fraction(1))
+    (low, high) = motion_program.note_motion(output, cell, robot, PIECE).follow(cell)[-1]
+    assert high - low < 2**12
+    return (low + high) / 2 / intervals.ONE
+
+
+@pytest.mark.parametrize("output", ["x", "y", "y of the model", "kick", "right", "left"])
+def test_ways_lost_move_a_robot_as_the_shares_that_they_are(output):
+    *rest, d_r, d_l, zeta, n_x, n_y, n_th = POINT
+    ways = [move(wheel, POINT) * d for wheel, d in (("right", d_r), ("left", d_l))]
+    late = move(output, [*rest, *ways, zeta, n_x, n_y, n_th, 0.0, 0.0, 0.0])
+    assert late == pytest.approx(move(output, POINT), abs=1e-14)
+    way, turn = 0.003, 0.02
+    of_wheels = [ways[0] + way + B / 2 * turn, ways[1] + way - B / 2 * turn]
+    expected = move(output, [*rest, *of_wheels, zeta, n_x, n_y, n_th, 0.0, 0.0, 0.0])
+    taken = [*rest, *ways, zeta, n_x, n_y, n_th, way, turn, 0.0]
+    assert move(output, taken) == pytest.approx(expected, abs=1e-14)
+    # A kick moves the committed pose sideways by its lever more.
+    further = move(output, [*taken[:-1], 0.07]) - move(output, taken)
+    kick = move("kick", taken)
+    assert further == pytest.approx(0.07 * kick if output[0] == "y" else 0.0, abs=1e-14)
+
+
+def test_the_way_of_a_body_is_the_mean_of_those_of_its_wheels():
+    ways = [move(wheel, POINT) for wheel in ("right", "left")]
+    assert move("way", POINT) == pytest.approx(sum(ways) / 2, abs=1e-14)

@@ -91,8 +91,8 @@ def test_the_oracle_agrees_with_what_was_written(written):
 @pytest.mark.parametrize(
     "scenario",
     [
-        "certified_lag",
         "robust controller.observer_gain=[0.5,0.5,0.5]",
+        "robust robot.wheel_lag_s=[0.02,0.02]",
         "robust controller.restart=false",
         "robust controller.input_map=cosine_free",
         "certified robot.wheel_acceleration_max_mps2=15",

@@ -1,0 +1,100 @@
+"""Laws of `certificate.json` of a design whose wheels lag: it passes, what is changed is refused or
+holds as well, and what no proof is known for is refused."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from certificate_mutants import change, is_accepted, survey_mutants
+from certificate_oracle import holds_in_floats
+
+import jaxtube as jt
+from jaxtube.synthesis.proof_file import FILE, write_certificate
+from jaxtube.synthesis.proof_search import CHECKER
+
+SHORT = ["reference.duration_s=2", "controller.horizon=2"]
+"""Few windows, small QPs."""
+UNKNOWN = ["robot.wheel_lag_s=[0.0495,0.0505]", "robot.command_delay_s=[0.0,0.0005]"]
+SLIDING = ["slip.sideslip=0.001"]
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    """The certificate as JSON of a design of unknown lag and delay, and sideslip."""
+    scenario = jt.load("certified_lag", [*SHORT, *UNKNOWN, *SLIDING])
+    folder = tmp_path_factory.mktemp("proof")
+    write_certificate(jt.design(scenario), folder, "late")
+    return json.loads((folder / FILE).read_text())
+
+
+def test_a_stranger_checks_wheels_that_lag_without_this_project(written, tmp_path):
+    path = tmp_path / FILE
+    path.write_text(json.dumps(written))
+    program = f"import sys; sys.path.insert(0, {str(CHECKER)!r}); import check_certificate; "
+    program += f"sys.exit(check_certificate.main({str(path)!r}))"
+    done = subprocess.run(
+        [sys.executable, "-I", "-S", "-c", program], capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "and a latency later, true errors within" in done.stdout
+    assert "assumed  both wheels lag by one constant time of 0.0495 to 0.0505 s" in done.stdout
+    assert "assumed  a command arrives 0 to 0.0005 s late" in done.stdout
+    assert "assumed  errors measured within 0.001 m, 0.001 m, 0.02 deg" in done.stdout
+    assert "obey at once" not in done.stdout
+
+
+def test_the_oracle_agrees_with_what_was_written_of_lag(written):
+    assert holds_in_floats(written)
+
+
+def test_what_is_changed_of_lag_is_refused_or_holds_as_well(written, tmp_path, capsys):
+    accepted = survey_mutants(written, range(8), tmp_path, capsys)
+    assert len(accepted) < 5
+
+
+@pytest.mark.slow
+def test_many_changed_certificates_of_lag_are_refused_or_hold_as_well(written, tmp_path, capsys):
+    survey_mutants(written, range(30, 530), tmp_path, capsys)
+
+
+@pytest.mark.parametrize(
+    ("path", "by"),
+    [
+        (("lateness", "lag", 0), lambda lag: lag * 9 / 10),
+        (("lateness", "lag", 1), lambda lag: lag * 11 / 10),
+        (("lateness", "delay", 1), lambda delay: delay * 4),
+        (("lateness", "nominal", 0), lambda lag: lag * 2),
+        (("lateness", "lever"), lambda lever: lever / 2),
+        (("lateness", "noise", 0), lambda noise: noise * 1001 / 1000),
+        (("lateness", "wheels", "right", 1), lambda speed: speed * 999 / 1000),
+        (("lateness", "wheels", "left", 0), lambda speed: speed * 1001 / 1000),
+        (("lateness", "speeds", 0), lambda speed: speed * 1001 / 1000),
+        (("lateness", "speeds", 1), lambda speed: speed * 999 / 1000),
+        (("lateness", "speeds", 1), lambda speed: speed * 2),
+        (("sideslip",), lambda sideslip: sideslip * 10),
+        (("sideslip",), lambda sideslip: -sideslip),
+        (("lever_arm",), lambda _: 1),
+        (("slips", "left", 0, 1), lambda slip: slip * 101 / 100),
+        (("slips", "right", 0, 3), lambda slip: slip * 11 / 10),
+        (("noise", 1), lambda noise: noise * 999 / 1000),
+        (("constraints", 0), lambda limit: limit * 7 / 10),
+        (("bands", 0, "disturbance", "yaw"), lambda yaw: yaw * 97 / 100),
+        (("bands", 0, "disturbance", "box", 0), lambda width: width * 97 / 100),
+        (("bands", 0, "disturbance", "box", 1), lambda width: width * 95 / 100),
+    ],
+)
+def test_a_promise_of_wheels_that_lag_beyond_what_is_proved_is_refused(
+    path, by, written, tmp_path, capsys
+):
+    assert not is_accepted(change(written, *path, by=by), tmp_path, capsys)
+
+
+def test_lag_is_not_left_out_of_a_promise(written, tmp_path, capsys):
+    without = {name: entry for name, entry in written.items() if name != "lateness"}
+    assert not is_accepted(without, tmp_path, capsys)
+
+
+def test_of_slips_that_are_read_either_way_the_true_one_is_promised_where_wheels_lag(written):
+    for cases in written["slips"].values():
+        assert len(cases) == 1 and cases[0][0] != cases[0][1] and cases[0][2] == cases[0][3]
