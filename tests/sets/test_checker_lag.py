@@ -1,6 +1,7 @@
 """Laws of what the checker says of wheels that lag: its bounds hold robots that are followed step
 by step, come near the worst of them, and are no wider than those that the project proves."""
 
+import decimal
 import itertools
 from dataclasses import replace
 from fractions import Fraction
@@ -124,15 +125,38 @@ def draw_period(generator, actuation, error=0.0, sideslip=0.0):
     )
 
 
-@pytest.mark.parametrize("time", [1e-12, 0.01, 0.7, 1.0, 1.3, 5.0, 36.0, 60.0])
-def test_what_is_missing_of_a_step_is_enclosed_closely(time):
-    low, high = travel_program.decay(Fraction(time), Fraction(1))
-    exact = np.exp(-time)
-    assert low <= exact * intervals.ONE * (1 + 1e-15) and high >= exact * intervals.ONE * (
-        1 - 1e-15
-    )
+def find_missing(time, lag):
+    """Return e^(-time/lag) to sixty digits."""
+    with decimal.localcontext() as context:
+        context.prec = 60
+        share = Fraction(time) / Fraction(lag)
+        exact = -decimal.Decimal(share.numerator) / decimal.Decimal(share.denominator)
+        return Fraction(exact.exp())
+
+
+@pytest.mark.parametrize("time", [0.0, 1e-12, 0.01, 0.7, 1.0, 1.3, 5.0, 36.0, 60.0])
+@pytest.mark.parametrize("lag", [1.0, 0.3])
+def test_what_is_missing_of_a_step_is_enclosed_closely(time, lag):
+    low, high = travel_program.decay(Fraction(time), Fraction(lag))
+    missing = find_missing(time, lag)
+    assert low <= missing * intervals.ONE <= high
     assert high - low <= 2**10
+    least, most = travel_program.find_travel(Fraction(time), Fraction(lag))
+    assert least <= Fraction(time) - Fraction(lag) * (1 - missing) <= most
+    assert most - least <= Fraction(2**10, intervals.ONE)
     assert travel_program.decay(Fraction(time), Fraction(0)) == (0, 0)
+
+
+@pytest.mark.parametrize("first", [-0.25, -0.2, 0.0, 0.03])
+def test_what_has_been_missed_of_a_step_is_enclosed_at_every_time(first):
+    lag = 0.07
+    step = 0.1
+    missed = travel_program.list_missed(*map(Fraction, (lag, first, step)), 30)
+    assert len(missed) == 31
+    for index, (low, high) in enumerate(missed):
+        time = max(Fraction(first) + index * Fraction(step), Fraction(0))
+        exact = Fraction(lag) * (1 - find_missing(time, lag)) * intervals.ONE
+        assert low <= exact <= high and high - low <= 2**10
 
 
 INTERVALS = (

@@ -10,6 +10,8 @@ from certificate_mutants import change, is_accepted, survey_mutants
 from certificate_oracle import holds_in_floats
 
 import jaxtube as jt
+from jaxtube.synthesis.certificate.assumptions import assumptions
+from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.proof_file import FILE, write_certificate
 from jaxtube.synthesis.proof_search import CHECKER
 
@@ -98,3 +100,12 @@ def test_lag_is_not_left_out_of_a_promise(written, tmp_path, capsys):
 def test_of_slips_that_are_read_either_way_the_true_one_is_promised_where_wheels_lag(written):
     for cases in written["slips"].values():
         assert len(cases) == 1 and cases[0][0] != cases[0][1] and cases[0][2] == cases[0][3]
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [("certified", "true or measured slip"), ("certified_lag", "true slip within")],
+)
+def test_a_guarantee_says_which_slip_may_be_off(name, said):
+    problem = make_problem(jt.load(name, SHORT))
+    assert assumptions(problem, any_order=True)[0].startswith(said)

@@ -44,6 +44,9 @@ def _assume_slip(problem: Problem) -> str:
         nothing = "; of a nominal slip of 0 that is no error at all"
     if slip.random == "both":
         return f"true and, on its own, measured slip {within}{nothing}"
+    if slip.random == "true" and not problem.scenario.robot.obeys_at_once:
+        # Commands that act together would compensate different slips if it were the measured one.
+        return f"true slip {within}; the nominal one is compensated{nothing}"
     return f"true or measured slip {within}; the other one nominal{nothing}"
 
 
