@@ -92,7 +92,7 @@ def _stays(said, band, estimate, past) -> bool:
         return False
     reached = gain * (unpredicted + noise)
     following = (1 - gain) * unpredicted + gain * noise
-    if np.any(reached[:2] > W["box"][:2] + ROUNDING) or np.any(following > error + ROUNDING):
+    if np.any(reached[:2] - W["box"][:2] > ROUNDING) or np.any(following - error > ROUNDING):
         return False
     latency = sum(period.nominal)
     ahead = commit(period, now=True)[:2]

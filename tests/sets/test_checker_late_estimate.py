@@ -6,8 +6,8 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from certificate_mutants import change, is_accepted
-from certificate_oracle import to_floats
+from certificate_mutants import change, is_accepted, survey_mutants
+from certificate_oracle import holds_in_floats, to_floats
 from estimated_robots import LateRobots, lies_in
 
 import jaxtube as jt
@@ -115,3 +115,12 @@ def test_a_kick_of_lag_counts_in_the_heading_of_the_estimate(written):
 )
 def test_more_than_is_proved_is_refused(path, by, written, tmp_path, capsys):
     assert not is_accepted(change(written, *path, by=by), tmp_path, capsys)
+
+
+def test_the_oracle_agrees_with_what_was_written(written):
+    assert holds_in_floats(written)
+
+
+@pytest.mark.slow
+def test_what_is_changed_is_refused_or_holds_as_well(written, tmp_path, capsys):
+    survey_mutants(written, range(300), tmp_path, capsys)
