@@ -20,7 +20,7 @@ from sets.robot.actuation import Nominal
 from sets.robot.driving import find_driving
 from sets.robot.plant import Kinematics
 
-PASTS = 40
+PASTS = 25
 COMMANDS = 9
 """Of a past: more than its lag and its delay last."""
 ROUNDING = 1e-9

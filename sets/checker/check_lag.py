@@ -94,8 +94,8 @@ def find_late(certificate, band):
     commands = read_commands(certificate, band)
     losses = bound_losses(certificate, commands)
     lost = list_lost(certificate, commands)
-    (right_least, right_most), (left_least, left_most) = lost
-    by_wheels = max(right_most - left_least, left_most - right_least) / b
+    right, left = lost
+    by_wheels = max(right[1] - left[0], left[1] - right[0]) / b
     way, turn = losses.slipped
     slide = certificate["sideslip"] * (T * commands.fastest + way)
     slide += abs(lever_arm) * (T * commands.turning + turn)
@@ -155,7 +155,6 @@ def find_greatest_cross(first, second):
 def bound_rest(certificate, commands, losses):
     """Return how far lag and delay move the robot ahead and sideways, m, beside the lever times a
     kick."""
-    T = certificate["period"]
     latency = sum(certificate["lateness"]["nominal"])
     in_all, sizes, spread = bound_order(certificate, commands)
     turn = find_turn(certificate, commands, losses)
@@ -163,18 +162,29 @@ def bound_rest(certificate, commands, losses):
     ahead_first = tilt * in_all + find_sine(spread) * sizes
     side_first = in_all + tilt * find_sine(spread) * sizes
     far_first = in_all + 2 * find_sine(spread / 2) * sizes
-    (way_lost, turn_lost), (way, swing) = losses.total, losses.variation
-    (stray, swerve), (mean_stray, mean_swerve) = losses.stray, losses.mean_stray
-    across = (latency * commands.turning + swerve) * way
-    across += (T * commands.turning + turn_lost) * mean_stray
-    across += (T * commands.fastest + way_lost) * mean_swerve
-    turned = swing * latency * commands.fastest
+    stray = losses.stray[0]
+    swing = losses.variation[1]
     require(swing < 1, "losses may turn the robot by a radian in a period")
+    across = bound_across(certificate, commands, losses)
+    turned = swing * latency * commands.fastest
     far_last = (far_first + across + stray + turned) / (1 - swing)
     tilted = tilt * (across + turned)
-    drift = ahead_first + (tilted + stray) / 2 + swing * (2 * far_first + far_last) / 3
     ahead = ahead_first + tilted + swing * (far_first + far_last) / 2
-    return ahead, side_first + across + swing * (find_miss(certificate, commands, turn) + drift)
+    drift = ahead_first + (tilted + stray) / 2 + swing * (2 * far_first + far_last) / 3
+    missed = find_miss(certificate, commands, turn)
+    return ahead, side_first + across + swing * (missed + drift)
+
+
+def bound_across(certificate, commands, losses):
+    """Return how far losses lead aside because they come at other headings and unevenly, m."""
+    T = certificate["period"]
+    latency = sum(certificate["lateness"]["nominal"])
+    way_lost, turn_lost = losses.total
+    mean_stray, mean_swerve = losses.mean_stray
+    across = (latency * commands.turning + losses.stray[1]) * losses.variation[0]
+    across += (T * commands.turning + turn_lost) * mean_stray
+    across += (T * commands.fastest + way_lost) * mean_swerve
+    return across
 
 
 def find_miss(certificate, commands, turn):

@@ -96,7 +96,8 @@ def find_motion(output, variables, constants):
     left = way - a * half_b
     if output in ("right", "left"):
         return right if output == "right" else left
-    right_lost, left_lost = [d_r, d_l] if late else [right * d_r, left * d_l]
+    right_lost = d_r if late else right * d_r
+    left_lost = d_l if late else left * d_l
     way_taken, turn_taken, late_lever = late or [ZERO] * 3
     kick = (right_lost - left_lost) * per_b + turn_taken
     if output == "kick":

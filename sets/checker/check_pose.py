@@ -51,7 +51,9 @@ def check_lateness(certificate):
     """Require lag and delay as known here, and that the committed pose is not measured worse than
     it is said to be."""
     late = certificate["lateness"]
-    is_known = set(late) == KNOWN and "learning" not in certificate and is_of_robot(certificate)
+    is_known = set(late) == KNOWN and set(late["wheels"]) == set(WHEELS)
+    require(is_known, "lag and delay are not described as known")
+    is_known = "learning" not in certificate and is_of_robot(certificate)
     require(is_known, "UNCHECKED: lag and delay beside learnt slips, or of a model alone")
     require(len(certificate["bands"]) == 1, "UNCHECKED: lag and delay where caps change by band")
     for times, nominal in zip(pick(late, "lag", "delay"), late["nominal"], strict=True):

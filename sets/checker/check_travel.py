@@ -102,7 +102,9 @@ def find_strays(period, lag, delay):
     difference; one that arrives meanwhile brings t - K. Of slopes from 0 to 1 and of one bend, with
     m in the mean, neither is farther from its chord than T m (1 - m), and it stays on one side.
     """
-    low, high = (1 - each / period for each in find_travel(period, lag)[::-1])
+    travelled = find_travel(period, lag)
+    low = 1 - travelled[1] / period
+    high = 1 - travelled[0] / period
     most = period * high * (1 - low)
     mean = lag * (1 - low) - low * period / 2
     left = period - delay % period

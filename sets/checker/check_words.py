@@ -82,14 +82,15 @@ def show_latency(late):
 
 def list_lags(late):
     """Yield in words what is taken for granted of wheels that lag."""
-    lags, delays = (show_range(late[name]) for name in ("lag", "delay"))
+    lags = show_range(late["lag"])
     yield f"both wheels lag by one constant time of {lags} s, linearly, without limits"
+    delays = show_range(late["delay"])
     yield f"a command arrives {delays} s late; slips, commands and reference constant over a period"
     lag, delay = map(float, late["nominal"])
     yield f"acted on is the committed pose of check_lag, for a lag of {lag:.6g} s and {delay:.6g} s"
     right, left = map(show_range, pick(late["wheels"], "right", "left"))
-    ranges = f"wheels to {right} (right), {left} (left), the body to {show_range(late['speeds'])}"
-    yield f"commands before the start, too, drove {ranges} m/s, and turned as those that are proved"
+    ranges = f"wheels {right} (right), {left} (left), body {show_range(late['speeds'])} m/s"
+    yield f"commands before the start are as later: {ranges}, yaw rates of some reference less u2"
 
 
 def show_range(ends):
