@@ -69,7 +69,7 @@ def bound_motions(certificate, band):
         sideways: box[1] - taken[1],
         "kick": yaw / gain[2],
     }
-    # What S allows |r| to be; all of what is measured is taken over.
+    # Up to there |r| leaves the error within S; with a gain of one the error is the noise alone.
     allowed = {
         name: (error[i] - taken[i]) / (1 - gain[i])
         for i, name in enumerate(("x", "unpredicted y", "kick"))
