@@ -9,8 +9,12 @@ import pytest
 from certificate_mutants import change, is_accepted, survey_mutants
 from certificate_oracle import holds_in_floats, to_floats
 from estimated_robots import LateRobots, lies_in
+from tolerances import ROUNDING
 
 import jaxtube as jt
+from jaxtube.simulation import batches, components
+from jaxtube.simulation.choices import choose_starts
+from jaxtube.simulation.rollout import realisation_keys
 from jaxtube.synthesis.proof_file import write_certificate
 from jaxtube.synthesis.proof_search import PROGRAMS, load_checker
 
@@ -22,14 +26,21 @@ LATE = ["robot.command_delay_s=[0.01,0.02]", "robot.lever_arm_m=0"]
 ROBOTS = 150
 REACHED = 0.7
 """Share of S that errors reach within a period."""
+REACHED_ON_LAPS = 0.2
+"""Share of S that errors reach where nobody looks for the worst."""
+LAPS = 512
 WIDE = 9
 """Bound of a motion, m or rad, that is kept anyway."""
 
 
 @pytest.fixture(scope="module")
-def written(tmp_path_factory):
+def design():
+    return jt.design(jt.load("husky", [*SHORT, *LATE]))
+
+
+@pytest.fixture(scope="module")
+def written(design, tmp_path_factory):
     """The certificate as JSON of a small design of a robot that lags and acts on an estimate."""
-    design = jt.design(jt.load("husky", [*SHORT, *LATE]))
     path = write_certificate(design, tmp_path_factory.mktemp("late"), "late")
     return json.loads(path.read_text())
 
@@ -51,6 +62,22 @@ def test_from_its_set_no_error_of_an_estimate_leaves_it_and_no_disturbance_leave
         farthest = np.maximum(farthest, np.abs(robots.off).max(axis=0))
     assert np.all(farthest <= S)
     assert np.all(farthest >= REACHED * S)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("process", ["vertex", "adversarial"])
+def test_laps_keep_what_is_proved_of_their_estimates(process, design, written):
+    said = to_floats(written)
+    (band,) = said["bands"]
+    keys = realisation_keys(7, 0, LAPS)
+    starts = np.asarray(choose_starts(design, "feasible").draw(keys))
+    robot = components.slipping_robot(design, process)
+    laps = batches.run_realisations(components.make_tube_mpc(design), robot, starts, 7)
+    off = np.abs(laps.measured - laps.errors)
+    assert np.all(off <= said["estimate"]["error"])
+    assert np.max(off / said["estimate"]["error"]) >= REACHED_ON_LAPS
+    assert np.all(np.abs(laps.measured) <= np.array(band["errors"]) + ROUNDING)
+    assert lies_in(batches.model_disturbances(design, laps).reshape(-1, 3), band["disturbance"])
 
 
 def test_estimates_take_over_their_share_of_what_lag_adds(written):
