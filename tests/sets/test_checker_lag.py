@@ -306,7 +306,16 @@ def test_slips_that_each_command_compensates_anew_are_bounded_as_in_the_project(
     assert np.all(said >= 0.5 * most)
     once, _ = make_certificate(lag, (0.0, 0.03), np.abs(errors).max())
     for anew, of_one in zip(late.rest, lag_program.find_late(once, band).rest, strict=True):
-        assert anew > of_one
+        assert anew > 1.1 * of_one
+
+
+def test_slip_that_takes_from_both_wheels_turns_a_robot_by_no_more_than_one_of_them():
+    certificate, band = make_certificate((0.05, 0.05), (0.0, 0.0))
+    room = Fraction(1, 20)
+    slips = [[SLIP, SLIP + room, SLIP, SLIP]]
+    certificate["slips"] = {"right": slips, "left": slips}
+    kick = lag_program.find_late(certificate, band).kick
+    assert float(kick) == pytest.approx(float(room / (1 - SLIP)) * T / B * WHEELS[1], rel=SAME)
 
 
 def test_older_commands_may_compensate_other_slips_than_the_present_one():
