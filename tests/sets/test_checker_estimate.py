@@ -41,6 +41,8 @@ OBSERVED = [
     "operating.turning_longitudinal_m=0.138",
     "operating.turning_yaw_rate_radps=1.151",
 ]
+MIXED = ["controller.model=consistent", "controller.tracking_gains=[]", "slip.relative_error=0.05"]
+MIXED += ["controller.observer_gain=[0.6,0.5,0.8]"]
 SHORT = ["reference.certified_for=path", "reference.duration_s=1.2", "controller.horizon=2"]
 
 
@@ -229,3 +231,16 @@ def test_what_is_no_estimate_or_begins_beyond_its_set_is_refused(changes):
 @pytest.mark.slow
 def test_changed_certificates_of_estimates_are_refused_or_hold_as_well(written, tmp_path, capsys):
     survey_mutants(written, range(300), tmp_path, capsys)
+
+
+@pytest.mark.slow
+def test_estimates_are_checked_where_gains_are_mixed(tmp_path, capsys):
+    scenario = jt.load("certified", [*MIXED, "reference.duration_s=1.2", "controller.horizon=2"])
+    mixed = json.loads(write_certificate(jt.design(scenario), tmp_path, "mixed").read_text())
+    assert is_accepted(mixed, tmp_path, capsys)
+    for path in (("disturbance", "yaw"), ("disturbance", "box", 0), ("disturbance", "box", 1)):
+        narrow = change(mixed, "bands", 0, *path, by=lambda width: width * 9 / 10)
+        assert not is_accepted(narrow, tmp_path, capsys)
+    for coordinate in range(3):
+        narrow = change(mixed, "estimate", "error", coordinate, by=lambda error: error * 99 / 100)
+        assert not is_accepted(narrow, tmp_path, capsys)
