@@ -33,6 +33,7 @@ HARMLESS = {
     "bands.regions": "other speeds for which everything is proved as well",
     "bands.disturbance": "another W, which is proved and which sets have room for",
     "bands.losses": "other losses, which are proved and under which W holds as well",
+    "estimate": "another estimate, whose error keeps its bound and for which W holds as well",
     "lateness.lag": "other lags of the wheels, for which W holds as well",
     "lateness.delay": "other delays, for which W holds as well",
     "lateness.nominal": "another lag or delay to count on, for which W holds as well",

@@ -11,6 +11,7 @@ from scipy.optimize import linprog
 
 from jaxtube.plant.model import make_model
 from sets.robot.disturbance import disturbance_bound
+from sets.robot.observer import bound_next_error
 from sets.robot.operation import Operation
 from sets.robot.plant import Kinematics
 from sets.robot.slip_learning import Learning, bound_learnt_slips
@@ -19,6 +20,8 @@ WHEELS = ("right", "left")
 LOOSER = 0.01
 """Share by which proofs of learnt slips may differ."""
 
+LOOSE = 2e-4
+"""Share by which the project's bound of an estimate's error may be above the least one."""
 PROGRAM_ROUNDING = 1e-9
 """Of the answers of linear programs, and of W's own vertices."""
 PARTS = 3
@@ -102,12 +105,19 @@ def _mix(band, name, speeds):
 
 
 def _keeps_limits(said, band, model) -> bool:
-    most = np.array(band["errors"]) + said["noise"]
+    most = np.array(band["errors"]) + _read_estimate(said)[1]
     return bool(np.all(most <= np.array(said["constraints"]) + PROGRAM_ROUNDING))
 
 
+def _read_estimate(said):
+    """Return the gain of an estimate and the bound of its error."""
+    estimate = said.get("estimate", {"gain": [1.0] * 3, "error": said["noise"]})
+    return tuple(estimate["gain"]), np.array(estimate["error"])
+
+
 def _keeps_disturbances(said, band, model) -> bool:
-    """Compare W and the wheel limits with what the project's search attains."""
+    """Compare W, the error of an estimate and the wheel limits with what the project's search
+    attains."""
     losses = []
     least = []
     most = []
@@ -125,6 +135,7 @@ def _keeps_disturbances(said, band, model) -> bool:
         losses = [(-loss, loss) for loss in band["losses"]]
     errors = np.array(band["errors"])
     of_x, of_turn = band["coupling"]
+    gain, error = _read_estimate(said)
     operation = Operation(
         errors=np.stack([-errors, errors]),
         inputs=np.array([band["u1"], band["u2"]]).T,
@@ -136,11 +147,18 @@ def _keeps_disturbances(said, band, model) -> bool:
         sideslip=said["sideslip"],
         lever_arm=said["lever_arm"],
         coupling=(1 / of_x, 1 / of_turn),
+        gain=gain,
+        estimate_error=error,
     )
+    if "estimate" in said:
+        later = bound_next_error(operation, Kinematics()) * (1 - LOOSE)
+        if np.any(error < np.maximum(later, said["noise"])):
+            return False
     W = band["disturbance"]
     found = disturbance_bound(operation, Kinematics(), tolerance=0.003)
     lever = said["lateness"]["lever"] if "lateness" in said else 0.0
-    lean_gap = abs(W["lean"] - lever - operation.period.lateral_per_yaw) * found.found_yaw
+    lean = operation.kick_per_yaw + lever * gain[1] / gain[2]
+    lean_gap = abs(W["lean"] - lean) * found.found_yaw
     room = np.array(W["box"]) - found.found_box
     is_wide = W["yaw"] >= found.found_yaw * (1 - PROGRAM_ROUNDING)
     is_wide &= bool(np.all(room >= -PROGRAM_ROUNDING - lean_gap))

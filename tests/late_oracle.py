@@ -46,7 +46,8 @@ def keeps_lateness(said, band, operation, losses) -> bool:
         return False
     generator = np.random.default_rng(0)
     pasts = [_draw_past(said, band, nominal, losses, generator) for _ in range(PASTS)]
-    return all(_stays(said, band, past) for past in pasts)
+    estimate = (np.array(operation.gain), operation.estimate_error)
+    return all(_stays(said, band, estimate, past) for past in pasts)
 
 
 def _draw_past(said, band, nominal, losses, generator):
@@ -80,13 +81,18 @@ def _list_ends(region):
     return (region, region) if len(region) == 2 else ((region[0],) * 2, (region[1],) * 2)
 
 
-def _stays(said, band, past) -> bool:
+def _stays(said, band, estimate, past) -> bool:
     period = past.period
     noise = np.array(said["noise"])
     W = band["disturbance"]
+    gain, error = estimate
     rest, _, kick = find_rest(period, said["lateness"]["lever"])
-    room = np.array(W["box"][:2]) - noise[:2]
-    if abs(kick) > W["yaw"] + ROUNDING or np.any(np.abs(rest) > room + ROUNDING):
+    unpredicted = np.abs([*rest, abs(kick) + error[2]])
+    if gain[2] * abs(kick) > W["yaw"] + ROUNDING:
+        return False
+    reached = gain * (unpredicted + noise)
+    following = (1 - gain) * unpredicted + gain * noise
+    if np.any(reached[:2] - W["box"][:2] > ROUNDING) or np.any(following - error > ROUNDING):
         return False
     latency = sum(period.nominal)
     ahead = commit(period, now=True)[:2]
@@ -94,7 +100,7 @@ def _stays(said, band, past) -> bool:
     driven = drive(period, latency)
     limits = np.array(said["constraints"]) + ROUNDING
     for corner in CORNERS:
-        x, y, heading = corner * (np.array(band["errors"]) + noise)
+        x, y, heading = corner * (np.array(band["errors"]) + error)
         reference = join(ahead, (x + 1j * y, heading))
         now = read_errors(join(reference, back(behind)))
         later = read_errors(join(back(driven), reference))

@@ -34,7 +34,6 @@ FILE = "certificate.json"
 FORMAT = "jaxtube certificate 1"
 CHECKED = {
     "controller.restart": True,
-    "controller.has_observer": False,
     "robot.wheel_acceleration_max_mps2": None,
 }
 """What the checker knows, by the scenario's fields."""
@@ -48,8 +47,8 @@ OF_LAWS = {
 """Besides, where the law u = K e has a set of its own."""
 OF_MIXED = {"controller.discretisation": "euler", "slip.is_learnt": False}
 """Besides, of gains that are mixed."""
-OF_ASSUMED = {"robot.obeys_at_once": True}
-"""Besides, where W is assumed: lag and delay are proved of the robot."""
+OF_ASSUMED = {"controller.has_observer": False, "robot.obeys_at_once": True}
+"""Besides, where W is assumed: an estimate, lag and delay are proved of the robot."""
 
 
 def write_certificate(design: Design, folder: str | Path, name: str = "") -> Path:

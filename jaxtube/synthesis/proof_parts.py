@@ -54,6 +54,7 @@ def describe_robot(problem: Problem) -> dict[str, Any]:
     measured = {"measured": {"right": within, "left": within}} if scenario.slip.is_measured else {}
     return {
         **measured,
+        **_describe_estimate(problem),
         **_describe_lateness(problem),
         "period": Fraction(problem.model.dt),
         "track": Fraction(problem.model.track_width),
@@ -66,6 +67,16 @@ def describe_robot(problem: Problem) -> dict[str, Any]:
             wheel: _list_slips(scenario, index) for index, wheel in enumerate(("right", "left"))
         },
     }
+
+
+def _describe_estimate(problem: Problem) -> dict[str, Any]:
+    """Return the gain of an observer and the greatest error of its estimate; nothing where the
+    controller acts on what is measured."""
+    settings = problem.scenario.controller
+    if not settings.has_observer:
+        return {}
+    gain = list_fractions(settings.observer_gain)
+    return {"estimate": {"gain": gain, "error": list_fractions(problem.estimate_error)}}
 
 
 def _describe_lateness(problem: Problem) -> dict[str, Any]:

@@ -27,6 +27,7 @@ PROGRAMS = (
     "check_certificate.py",
     "check_intervals.py",
     "check_motion.py",
+    "check_estimate.py",
     "check_sets.py",
     "check_plans.py",
     "check_learning.py",

@@ -22,6 +22,7 @@ from fractions import Fraction
 from itertools import product
 from typing import Any
 
+from check_estimate import bound_motions, check_estimate, find_lateral, read_estimate
 from check_intervals import ONE, Refused, pick, require, scale, scale_all
 from check_lag import find_late, narrow_levels
 from check_learning import check_learning
@@ -44,7 +45,7 @@ from check_words import ROBOT, is_of_robot, list_assumptions, show_disturbance
 FORMAT = "jaxtube certificate 1"
 KNOWN = {"format", "name", *ROBOT, "wheel_speeds", "constraints", "noise", "slips", "sideslip"}
 KNOWN |= {"bands", "sets", "inclusions", "cost", "plans", "learning", "model", "measured"}
-KNOWN |= {"lateness"}
+KNOWN |= {"estimate", "lateness"}
 DAMAGES = (OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError)
 DAMAGES += (RecursionError,)
 BAND_OF_MODEL = {"name", "regions", "errors", "inputs", "gains", "disturbance"}
@@ -83,11 +84,7 @@ def list_turns(band):
 def list_levels(certificate, band):
     """Return by name and sign up to which bound motions of a band are to be proved."""
     T = certificate["period"]
-    noise = certificate["noise"]
-    yaw, box = pick(band["disturbance"], "yaw", "box")
-    require(box[2] >= 2 * noise[2], "W is narrower than twice the noise of headings")
-    sideways = "y" if "model" not in certificate else "y of the model"
-    levels = {"x": box[0] - noise[0], sideways: box[1] - noise[1], "kick": yaw}
+    levels = bound_motions(certificate, band)
     levels = {(output, sign): level for output, level in levels.items() for sign in (1, -1)}
     slowest, fastest = certificate["wheel_speeds"]
     for wheel in ("right", "left"):
@@ -126,8 +123,9 @@ def list_motions(certificate, band):
         sideslip = 0
         levels = narrow_levels(certificate, levels, late)
         losses = late.lost
-    robot = (T, b, lever_arm, band["disturbance"]["lean"])
-    sizes = [*band["errors"][1:], sideslip, *certificate["noise"], *(late.taken if late else ())]
+    robot = (T, b, lever_arm, *find_lateral(certificate, band))
+    _, off = read_estimate(certificate)
+    sizes = [*band["errors"][1:], sideslip, *off, *(late.taken if late else ())]
     ends = [(-size, size) for size in sizes]
     ends += [(late.lever, late.lever)] if late else []
     cells = []
@@ -174,6 +172,8 @@ def check_head(certificate):
     require(isinstance(certificate["name"], str), "the certificate has no name")
     require(min(certificate["period"], certificate["track"]) > 0, "period or track is not positive")
     require(set(certificate["slips"]) == {"right", "left"}, "slips are not those of two wheels")
+    if "estimate" in certificate:
+        check_estimate(certificate)
     if "lateness" in certificate:
         check_lateness(certificate)
     names = {band["name"] for band in certificate["bands"]}
@@ -184,7 +184,7 @@ def check_head(certificate):
     known = known if "model" in certificate else known | {"set"}
     for band in certificate["bands"]:
         require(set(band) == known and band["regions"], f"{band['name']} is not described as known")
-        pairs = zip(band["errors"], certificate["noise"], strict=True)
+        pairs = zip(band["errors"], read_estimate(certificate)[1], strict=True)
         errors = bound_poses(certificate, [cap + size for cap, size in pairs])
         pairs = zip(errors, certificate["constraints"], strict=True)
         require(all(error <= limit for error, limit in pairs), "true errors may pass their limits")
@@ -201,6 +201,9 @@ def check(certificate):
     for band in certificate["bands"]:
         check_band = check_motions if is_of_robot(certificate) else check_wheels
         yield f"{band['name']}: {check_band(certificate, band)}"
+    if "estimate" in certificate:
+        error = ", ".join(f"{float(most):.6g}" for most in certificate["estimate"]["error"])
+        yield f"the estimate is never off by more than {error} m, m, rad"
     yield from (check_ends if "model" in certificate else check_law)(certificate)
     if "plans" in certificate:
         room = check_plans(certificate)

@@ -57,6 +57,7 @@ from fractions import Fraction
 from itertools import product
 from typing import NamedTuple
 
+from check_estimate import read_estimate
 from check_intervals import COSINE, SINE, pick, read_units, require, scale
 from check_losses import bound_losses, find_width, list_lost, read_commands
 from check_travel import decay
@@ -115,7 +116,8 @@ def narrow_levels(certificate, levels, late):
     T = certificate["period"]
     asked = {**certificate["lateness"]["wheels"], "way": certificate["lateness"]["speeds"]}
     ahead, side = late.rest
-    beside = {"x": ahead, "y": side, "y of the model": side}
+    (_, gain, _), _ = read_estimate(certificate)
+    beside = {"x": ahead, "y": gain * side, "y of the model": gain * side, "unpredicted y": side}
     narrowed = {key: level - beside.get(key[0], 0) for key, level in levels.items()}
     for sign in (1, -1):
         require(late.kick <= narrowed.pop(("kick", sign)), "lag may turn the robot further than W")

@@ -19,13 +19,15 @@ besides: the robot turns by a - kick. With h = tan(A/2), c = L C(A/2)/cos(A/2) t
 
 the motion's Jacobian at e = u = 0, leaves out, of errors measured with noise n,
 
-    w = (w_x, w_y, kick - n_th) + next n   in   W = {s (0, lean, 1): |s| <= yaw} + box.
+    w = m + r + next n   in   W = {s (0, lean, 1): |s| <= yaw} + box,    r_th = kick - n_th,
 
-Of another model, "y of the model", the difference between the models is added to w_y.
-Of wheels that lag, by `check_lag`, d_r and d_l are the ways that slip takes from them. Last come a
-way and a turn that lag takes, and a lever, by which a kick moves the robot sideways besides.
-That w_x and w_y - lean kick, beside the next n, and the kick keep their bounds is proved cell by
-cell: a motion is largest at an end of a cell where its slope has one sign, and rises by no more
+with r what slip, sideslip and n do, and m = (0, m_y, 0) what the motion has without them. Of
+another model, "y of the model", the difference between the models is added to m_y. Of an estimate,
+by `check_estimate`, w has a share l_y of r_y, the gain. Of wheels that lag, by `check_lag`, d_r and
+d_l are the ways that slip takes from them. Last come a way and a turn that lag takes, and a lever,
+by which a kick moves the robot sideways besides.
+That r_x, r_y, m_y + l_y r_y - lean kick and the kick keep their bounds is proved cell by cell: a
+motion is largest at an end of a cell where its slope has one sign, and rises by no more
 than slope times way from elsewhere (Moore, Kearfott, Cloud 2009, chapter 6).
 """
 
@@ -51,8 +53,8 @@ VARIABLES = "abcdefghijklmnop"
 
 def find_constants(robot, piece):
     """Return the ends of what is constant in `find_motion`."""
-    T, b, lever, lean = robot
-    values = (T, T / b, b / 2, 1 / b, lever, lean, *piece)
+    T, b, lever, lean, gain = robot
+    values = (T, T / b, b / 2, 1 / b, lever, lean, gain, *piece)
     return [None if value is None else scale(value) for value in values]
 
 
@@ -67,10 +69,11 @@ def turn_sine(x, half_step):
 
 
 def find_motion(output, variables, constants):
-    """Return w_x, w_y - lean kick, the same of a model that is not the motion's Jacobian, the kick,
-    or the way of a wheel or of the body that is asked for."""
+    """Return r_x, r_y, m_y + l_y r_y - lean kick, the same of a model that is not the motion's
+    Jacobian, the kick, or the way of a wheel or of the body that is asked for."""
     share, y, th, u1, u2, first, second, d_r, d_l, zeta, n_x, n_y, n_th, *late = variables
-    T, turning, half_b, per_b, lever, lean, x_reach, x_slope, v_reach, v_slope = constants
+    T, turning, half_b, per_b, lever, lean, gain, x_reach, x_slope, *speeds = constants
+    v_reach, v_slope = speeds
     x = share * (u2 * x_slope + x_reach)
     if v_reach is None:
         middle = (first + second) * HALF
@@ -122,7 +125,10 @@ def find_motion(output, variables, constants):
     curved = curved - turn_cosine(half_A, half_m * MINUS_HALF) * secants * ahead_th
     swing = d_cos * y - d_sin * x + chord * turn_sine(psi, half_swing) + kick * late_lever
     slip = way * D.change(a, back) - lost * D(turn) - sideways * C(turn)
-    found = bent + chord * curved + swing + slip + sin_turn * n_x - cos_turn * n_y - kick * lean
+    unpredicted = swing + slip + sin_turn * n_x - cos_turn * n_y
+    if output == "unpredicted y":
+        return unpredicted
+    found = bent + chord * curved + unpredicted * gain - kick * lean
     if output == "y":
         return found
     # Of the model I + T (.), with f_r = f_l = 1, beside the Jacobian.

@@ -46,6 +46,9 @@ def list_assumptions(certificate):
     x, y, heading = map(float, late["noise"] if late else certificate["noise"])
     shown = f"{x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg"
     yield f"errors measured within {shown} in the robot's frame, without delay"
+    if "estimate" in certificate:
+        gain = ", ".join(f"{float(share):.6g}" for share in certificate["estimate"]["gain"])
+        yield f"acted on is the estimate of check_estimate, at first what is measured, L = {gain}"
     for band in certificate["bands"]:
         for region in band["regions"]:
             shown = ", ".join(f"{float(speed):.6g}" for speed in region)

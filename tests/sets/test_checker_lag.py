@@ -571,7 +571,7 @@ PIECE = (Fraction(1, 10), Fraction(0), None, None)
 def move(output, variables):
     """Return a motion at a point."""
     cell = [intervals.scale(Fraction(value)) for value in variables]
-    robot = (Fraction(T), Fraction(B), Fraction(0), Fraction(1, 20))
+    robot = (Fraction(T), Fraction(B), Fraction(0), Fraction(1, 20), Fraction(1))
     (low, high) = motion_program.note_motion(output, cell, robot, PIECE).follow(cell)[-1]
     assert high - low < 2**12
     return (low + high) / 2 / intervals.ONE

@@ -91,7 +91,7 @@ def test_the_oracle_agrees_with_what_was_written(written):
 @pytest.mark.parametrize(
     "scenario",
     [
-        "husky",
+        "robust controller.observer_gain=[0.5,0.5,0.5]",
         "robust robot.wheel_lag_s=[0.02,0.02]",
         "robust controller.restart=false",
         "robust controller.input_map=cosine_free",
