@@ -203,7 +203,8 @@ def check(certificate):
         yield f"{band['name']}: {check_band(certificate, band)}"
     if "estimate" in certificate:
         error = ", ".join(f"{float(most):.6g}" for most in certificate["estimate"]["error"])
-        yield f"the estimate is never off by more than {error} m, m, rad"
+        whose = "of the committed pose " if "lateness" in certificate else ""
+        yield f"as long as it keeps its caps, the estimate {whose}is within {error} m, m, rad"
     yield from (check_ends if "model" in certificate else check_law)(certificate)
     if "plans" in certificate:
         room = check_plans(certificate)

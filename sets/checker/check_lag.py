@@ -31,9 +31,11 @@ the arc is driven at what the even loss leaves of the command. Let losses grow a
 A loss moves the end along the heading at its time, and turns what follows. With M(t) the way still
 ahead of the robot at t, and Y(t) how far it leads from the arc, by parts
 
-    dY/dr = terms i e^(ih), `across` in all  -  i integral of (M + Y) d d_h,
+    dY/dr = terms i e^(ih), `across` in all  -  i integral of (M - Y) d d_h,
     across = ((tau + D) |w| + swerve) |way lost|, up and down, + (T |w| + turn lost) mean stray
-             + (T |v| + way lost) mean swerve.
+             + (T |v| + way lost) mean swerve,
+
+seen from the end: what Y is there turns with it, and cancels.
 
 Ahead, M is (tau + D) v, or shorter by the cosine of `turn`; so a kick moves the end sideways by
 `lever` times itself, and by the difference of the two, `missed`. With `swing` the turn lost up and
@@ -42,7 +44,8 @@ down, and turned = swing (tau + D) |v|, Y is below the line from far_0 to
     far_1 = (far_0 + across + stray + turned) / (1 - swing),
 
 the stray for times before the end. Ahead it begins with ahead_0, and grows by sin(turn) (across +
-turned), by the stray, and by Y as it turns, twice: once in the integral, once with the end. Hence
+turned), by the stray, and by Y as it turns. Sideways Y before the end counts twice at most: in the
+integral, and by the turn that is still to come. Hence
 
     ahead = ahead_0 + sin(turn) (across + turned) + swing (far_0 + far_1) / 2,
     side  = side_0 + across + swing (missed + ahead_0 + (sin(turn) (across + turned) + stray) / 2

@@ -44,6 +44,7 @@ from check_losses import (
 from check_travel import FORGOTTEN, decay, list_missed
 from check_words import is_of_robot
 
+MOST_PERIODS = 20  # of a lag or a delay: longer ones would take long to check
 KNOWN = {"lag", "delay", "nominal", "lever", "noise", "wheels", "speeds"}
 
 
@@ -57,7 +58,10 @@ def check_lateness(certificate):
     require(is_known, "UNCHECKED: lag and delay beside learnt slips, or of a model alone")
     require(len(certificate["bands"]) == 1, "UNCHECKED: lag and delay where caps change by band")
     for times, nominal in zip(pick(late, "lag", "delay"), late["nominal"], strict=True):
-        require(0 <= times[0] <= nominal <= times[1], "lag or delay is in no interval of times")
+        low, high = times
+        require(0 <= low <= nominal <= high, "lag or delay is in no interval of times")
+        is_short = high <= MOST_PERIODS * certificate["period"]
+        require(is_short, f"UNCHECKED: a lag or a delay of more than {MOST_PERIODS} periods")
     require(certificate["sideslip"] >= 0, "the sideslip is negative")
     require(find_width(late["delay"]) <= certificate["period"], "a command may overtake another")
     ranges = [*pick(late["wheels"], *WHEELS), late["speeds"]]

@@ -45,7 +45,8 @@ def list_assumptions(certificate):
     late = certificate.get("lateness")
     x, y, heading = map(float, late["noise"] if late else certificate["noise"])
     shown = f"{x:.4g} m, {y:.4g} m, {degrees(heading):.4g} deg"
-    yield f"errors measured within {shown} in the robot's frame, without delay"
+    whose = "the robot's errors from where the reference was a latency before" if late else "errors"
+    yield f"{whose} measured within {shown} in the robot's frame, without delay"
     if "estimate" in certificate:
         gain = ", ".join(f"{float(share):.6g}" for share in certificate["estimate"]["gain"])
         yield f"acted on is the estimate of check_estimate, at first what is measured, L = {gain}"
@@ -55,7 +56,7 @@ def list_assumptions(certificate):
             kind = "right, left" if len(region) == 2 else "least, greatest; of their mean as well"
             yield f"{band['name']}: reference wheel speeds {shown} m/s ({kind})"
     if late:
-        yield from list_lags(late)
+        yield from list_lags(late, *certificate["bands"])
     elif of_robot:
         yield "slips, wheel speeds and reference constant over a period; wheels obey at once"
     if "cost" in certificate:
@@ -80,17 +81,23 @@ def show_latency(late):
     return f" for the committed pose, and for the robot, then {when}"
 
 
-def list_lags(late):
-    """Yield in words what is taken for granted of wheels that lag."""
+def list_lags(late, band):
+    """Yield in words what is taken for granted of wheels that lag, in their only band."""
     lags = show_range(late["lag"])
     yield f"both wheels lag by one constant time of {lags} s, linearly, without limits"
     delays = show_range(late["delay"])
-    yield f"a command arrives {delays} s late; slips, commands and reference constant over a period"
+    yield f"a command arrives {delays} s late, at both wheels at once, each by a delay of its own"
+    yield "slips, commands and reference constant over a period"
     lag, delay = map(float, late["nominal"])
-    yield f"acted on is the committed pose of check_lag, for a lag of {lag:.6g} s and {delay:.6g} s"
+    shown = f"a lag of {lag:.6g} s and a delay of {delay:.6g} s"
+    yield f"acted on is the committed pose of check_lag, for {shown}"
     right, left = map(show_range, pick(late["wheels"], "right", "left"))
     ranges = f"wheels {right} (right), {left} (left), body {show_range(late['speeds'])} m/s"
-    yield f"commands before the start are as later: {ranges}, yaw rates of some reference less u2"
+    yield f"commands before the start, and until a latency after the end, are as between: {ranges}"
+    low, high = map(float, band["u2"])
+    deficit = f"u2 of {low:.6g} to {high:.6g} rad/s"
+    yield f"they turn at the yaw rate of the reference then, within its speeds, less {deficit}"
+    yield "and are made for slips that are compensated as they are later"
 
 
 def show_range(ends):

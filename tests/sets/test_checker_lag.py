@@ -519,6 +519,7 @@ def test_noise_of_the_committed_pose_holds_what_noise_of_the_pose_makes_of_it():
         ({"nominal": [Fraction(1, 5), Fraction(0)]}, "no interval"),
         ({"delay": [Fraction(-1, 5), Fraction(0)]}, "no interval"),
         ({"delay": [Fraction(0), Fraction(1, 5)]}, "overtake"),
+        ({"lag": [Fraction(1, 20), Fraction(10**9)]}, "UNCHECKED"),
         ({"speeds": [Fraction(2), Fraction(1)]}, "crossed"),
         ({"noise": [Fraction(-1, 1000), Fraction(0), Fraction(0)]}, "negative"),
         ({"noise": [Fraction(1, 100), Fraction(0), Fraction(0)]}, "measured worse"),

@@ -42,8 +42,8 @@ def test_a_stranger_checks_wheels_that_lag_without_this_project(written, tmp_pat
     assert done.returncode == 0, done.stdout + done.stderr
     assert "and a latency later, true errors within" in done.stdout
     assert "assumed  both wheels lag by one constant time of 0.0495 to 0.0505 s" in done.stdout
-    assert "assumed  a command arrives 0 to 0.0005 s late" in done.stdout
-    assert "assumed  errors measured within 0.001 m, 0.001 m, 0.02 deg" in done.stdout
+    assert "assumed  a command arrives 0 to 0.0005 s late, at both wheels at once" in done.stdout
+    assert "a latency before measured within 0.001 m, 0.001 m, 0.02 deg" in done.stdout
     assert "obey at once" not in done.stdout
 
 
