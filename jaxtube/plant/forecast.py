@@ -29,7 +29,7 @@ INSTANT = 1e-9
 """Share of a period by which a time may differ from a whole number of them by rounding."""
 
 
-def count_periods(time: float, dt: float) -> int:
+def count_whole_periods(time: float, dt: float) -> int:
     """Return how many whole periods a time holds."""
     return int(np.floor(time / dt + INSTANT))
 
@@ -64,10 +64,10 @@ class Forecast:
     @classmethod
     def of(cls, lag: float, delay: float, track_width: float, dt: float) -> Forecast:
         """Return the forecast by a nominal lag and delay, s."""
-        whole = count_periods(delay, dt)
+        whole = count_whole_periods(delay, dt)
         late = max(delay - whole * dt, 0.0)
         latency = lag + delay
-        return cls(lag, late, latency, track_width, dt, whole, count_periods(latency, dt))
+        return cls(lag, late, latency, track_width, dt, whole, count_whole_periods(latency, dt))
 
     @property
     def memory(self) -> int:

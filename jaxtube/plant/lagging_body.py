@@ -25,7 +25,7 @@ from jax import Array
 from jaxtyping import Float
 
 from jaxtube.plant.error_dynamics import Sideslip
-from jaxtube.plant.forecast import INSTANT, Forecast, commit, count_periods, withdraw
+from jaxtube.plant.forecast import INSTANT, Forecast, commit, count_whole_periods, withdraw
 from jaxtube.plant.motions import Motion, arc_of_travel, join, undo
 from jaxtube.plant.protocol import Advance, Command, Measurement
 from jaxtube.plant.robot import saturate, wheel_commands
@@ -94,7 +94,7 @@ class LaggingBody:
         """
         dt = float(forecast.dt)
         low, high = delay
-        whole = count_periods(low, dt)
+        whole = count_whole_periods(low, dt)
         is_on_time = low == high and abs(low - whole * dt) <= dt * INSTANT
         arrivals = 0 if is_on_time else 1 if high <= (whole + 1) * dt else 2
         return cls(

@@ -24,15 +24,19 @@ from jaxtyping import Float
 from jaxtube.synthesis import lateral_tube
 from jaxtube.synthesis.banded_gain import band_corners
 from jaxtube.synthesis.bands import list_ends, rule_of_bands, split_bands
-from jaxtube.synthesis.corners import CAPS_AND_GAINS, NAMES, Corners, EstimatedDisturbance
+from jaxtube.synthesis.corners import (
+    CAPS_AND_GAINS,
+    ERROR_CAPS,
+    NAMES,
+    Corners,
+    EstimatedDisturbance,
+)
 from jaxtube.synthesis.estimate import CAP_ROWS, LIMIT_ROWS, Estimate, Shares
 from jaxtube.synthesis.lateral_tube import Policy, Ring
 from jaxtube.synthesis.natural import DECIMALS
 from jaxtube.synthesis.problem import Problem
 
-SHARED = 3
-"""Caps of the error, which come first in a point."""
-OWN = CAPS_AND_GAINS - SHARED
+OWN = CAPS_AND_GAINS - ERROR_CAPS
 """Numbers of each band."""
 SHARED_LIMITS = 8
 """Limits of caps and start; those of the wheels are of each band."""
@@ -77,8 +81,8 @@ class BandedEstimate:
         self._set_ring(self.bands[0].ring)
         each = range(1, len(self.bands) + 1)
         self.cap_rows = (
-            *CAP_ROWS[:SHARED],
-            *(f"{row}, band {number}" for number in each for row in CAP_ROWS[SHARED:]),
+            *CAP_ROWS[:ERROR_CAPS],
+            *(f"{row}, band {number}" for number in each for row in CAP_ROWS[ERROR_CAPS:]),
         )
         self.limit_rows = (
             *LIMIT_ROWS[:SHARED_LIMITS],
@@ -93,7 +97,7 @@ class BandedEstimate:
     def _logarithms(self) -> Float[np.ndarray, " k"]:
         """Return the logarithms of the units of a point's numbers."""
         of_band = self.units.logarithms(NAMES)[:CAPS_AND_GAINS]
-        return np.append(of_band[:SHARED], np.tile(of_band[SHARED:], len(self.bands)))
+        return np.append(of_band[:ERROR_CAPS], np.tile(of_band[ERROR_CAPS:], len(self.bands)))
 
     def to_point(self, values: Sequence[float]) -> Float[np.ndarray, " k"]:
         """Return caps and gains, in the order of `starts.caps_and_gains` and their own units, as a
@@ -108,7 +112,9 @@ class BandedEstimate:
         """Return the least and the greatest value of each number of a point, infinite where a
         search sets none."""
         of_band = self.bands[0].ranges(CAPS_AND_GAINS)
-        return np.hstack([of_band[:, :SHARED], np.tile(of_band[:, SHARED:], len(self.bands))])
+        return np.hstack(
+            [of_band[:, :ERROR_CAPS], np.tile(of_band[:, ERROR_CAPS:], len(self.bands))]
+        )
 
     def with_less_speed(self, factor: float) -> BandedEstimate:
         """Return the same estimate, with the greatest ground speed divided by a factor."""
@@ -139,8 +145,8 @@ class BandedEstimate:
         shares = self.shares(point)
         if shares is None:
             return self
-        lateral, heading = shares.caps[0, 1:SHARED] * np.exp(point[1:SHARED])
-        turning = shares.caps[0, SHARED:].reshape(len(self.bands), -1)[:, 2]
+        lateral, heading = shares.caps[0, 1:ERROR_CAPS] * np.exp(point[1:ERROR_CAPS])
+        turning = shares.caps[0, ERROR_CAPS:].reshape(len(self.bands), -1)[:, 2]
         k2, k3 = np.exp(self.split(point[None])[int(np.argmax(turning))][0, 9:])
         shaped = self._change(copy.copy)
         shaped._set_ring(Ring.through(k2, k3, lateral / np.deg2rad(heading)))
@@ -148,8 +154,8 @@ class BandedEstimate:
 
     def split(self, points: Float[np.ndarray, "n k"]) -> list[Float[np.ndarray, "n 11"]]:
         """Return the points of every band on its own."""
-        shared = points[:, :SHARED]
-        own = np.split(points[:, SHARED:], len(self.bands), axis=1)
+        shared = points[:, :ERROR_CAPS]
+        own = np.split(points[:, ERROR_CAPS:], len(self.bands), axis=1)
         return [np.hstack([shared, of_band]) for of_band in own]
 
     def shares(self, point: Float[np.ndarray, " k"]) -> Shares | None:
@@ -196,7 +202,7 @@ class BandedEstimate:
         ]
         caps = np.stack([shares.caps for shares in filled], axis=1)
         limits = np.stack([shares.limits for shares in filled], axis=1)
-        return Shares(_join(caps, SHARED), _join(limits, SHARED_LIMITS))
+        return Shares(_join(caps, ERROR_CAPS), _join(limits, SHARED_LIMITS))
 
     def _gather(
         self, points: list[Float[np.ndarray, "n 11"]], corners: tuple[Corners, ...]

@@ -50,6 +50,8 @@ NAMES = (
 )
 """Caps in the order of a point of the search, the least speed deficit by its size; k1, k2, k3
 follow."""
+ERROR_CAPS = 3
+"""Caps of the error, which come first among caps and gains."""
 CAPS_AND_GAINS = 11
 """Numbers of a point before those of the observer."""
 

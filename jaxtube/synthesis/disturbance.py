@@ -19,7 +19,7 @@ from jaxtube.scenario.rules import CAP_ROUNDING
 from jaxtube.scenario.tree import Scenario, Slip
 from jaxtube.synthesis.acceleration import find_command_steps, limit_acceleration
 from jaxtube.synthesis.bands import join_bands, split_bands
-from jaxtube.synthesis.learnt_slips import count_periods, prove_learnt_slips
+from jaxtube.synthesis.learnt_slips import count_learnt_periods, prove_learnt_slips
 from jaxtube.synthesis.problem import Problem, make_problem, with_regimes
 from jaxtube.synthesis.regimes import RegimesByAge
 from sets.polytope import Polytope
@@ -265,7 +265,7 @@ def _with_learnt_slips(problem: Problem) -> Problem:
     """Return the problem with a regime for each of the first periods, in which less is known of the
     slips than later."""
     is_computed = problem.scenario.disturbance.bound == "computed"
-    ages = range(count_periods(problem.scenario))
+    ages = range(count_learnt_periods(problem.scenario))
     younger = [replace(problem, periods_learnt=age) for age in ages]
     if is_computed:
         younger = [with_computed_bound(regime) for regime in younger]

@@ -22,7 +22,7 @@ MOST_PERIODS = 6
 """Periods that an observer looks back at; what is older has drifted, and costs time."""
 
 
-def count_periods(scenario: Scenario) -> int:
+def count_learnt_periods(scenario: Scenario) -> int:
     """Return how many periods an observer of the slips looks back at.
 
     The horizon at most: disturbances at the end of a plan are then those of slips that are learnt.
@@ -48,7 +48,7 @@ def make_slip_observer(problem: Problem) -> SlipObserver:
         noise=jnp.asarray(problem.noise),
         track_width=problem.robot.track_width,
         dt=dt,
-        periods=count_periods(problem.scenario),
+        periods=count_learnt_periods(problem.scenario),
     )
 
 
@@ -94,7 +94,7 @@ def bound_slips(
     learning = Learning(
         slips=np.stack([bounds.middle - bounds.half_width, bounds.middle + bounds.half_width]),
         change=change * where.dt,
-        periods=count_periods(scenario),
+        periods=count_learnt_periods(scenario),
         errors=caps,
         noise=where.noise,
         speeds=speeds,

@@ -48,7 +48,7 @@ WORTH = 0.97
 OBSERVER_RATES = (1.0, 0.3, 2.5)
 """Rates, by period, at which the search for an observer's gain starts, (longitudinal, lateral,
 heading)."""
-CORRECTIONS = 3
+CORRECTIONS = 6
 """Searches at most for wheels that keep their limits."""
 FIRMER = 4.0
 """Times that each of them asks for more beyond what is missed than the one before: a search does

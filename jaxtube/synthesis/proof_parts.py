@@ -23,7 +23,7 @@ from jaxtube.synthesis.disturbance import (
     find_wheel_error_sizes,
     kinematics,
 )
-from jaxtube.synthesis.learnt_slips import count_periods, make_slip_observer
+from jaxtube.synthesis.learnt_slips import count_learnt_periods, make_slip_observer
 from jaxtube.synthesis.parts import Design
 from jaxtube.synthesis.prediction import UNREACHED
 from jaxtube.synthesis.problem import Problem
@@ -182,7 +182,7 @@ def _describe_age(problem: Problem) -> dict[str, Any]:
     if not problem.scenario.slip.is_learnt:
         return {}
     age = problem.periods_learnt
-    lasting = count_periods(problem.scenario)
+    lasting = count_learnt_periods(problem.scenario)
     losses = _level_wheels(find_wheel_error_sizes(problem))
     return {
         "age": Fraction(lasting if age is None else age),

@@ -22,11 +22,8 @@ from jaxtyping import Float
 from jaxtube.scenario.tree import BandTable, Operating, Scenario
 from jaxtube.synthesis.banded_estimate import BandedEstimate
 from jaxtube.synthesis.bands import read_band_values, with_band_values
-from jaxtube.synthesis.corners import CAPS_AND_GAINS, NAMES
+from jaxtube.synthesis.corners import CAPS_AND_GAINS, ERROR_CAPS, NAMES
 from jaxtube.synthesis.estimate import Estimate
-
-ERRORS = 3
-"""Caps of the error, the first of `NAMES`."""
 
 
 class Damping(NamedTuple):
@@ -84,7 +81,7 @@ def _make_banded_starts(estimate: BandedEstimate) -> list[Float[np.ndarray, " k"
     if not all(alone):
         return []
     points = np.concatenate(alone)
-    return [np.append(points[:, :ERRORS].max(axis=0), points[:, ERRORS:])]
+    return [np.append(points[:, :ERROR_CAPS].max(axis=0), points[:, ERROR_CAPS:])]
 
 
 def caps_and_gains(scenario: Scenario) -> tuple[float, ...] | None:
@@ -92,7 +89,7 @@ def caps_and_gains(scenario: Scenario) -> tuple[float, ...] | None:
     start of the search; of bands those of each after the caps of the error. None where caps or
     tracking gains are missing."""
     if scenario.operating.bands:
-        errors = [getattr(scenario.operating, name) for name in NAMES[:ERRORS]]
+        errors = [getattr(scenario.operating, name) for name in NAMES[:ERROR_CAPS]]
         is_bare = any(band.list_missing() for band in scenario.operating.bands)
         return None if is_bare or None in errors else (*errors, *read_band_values(scenario))
     caps = [getattr(scenario.operating, name) for name in NAMES]
@@ -106,10 +103,10 @@ def caps_and_gains(scenario: Scenario) -> tuple[float, ...] | None:
 def with_caps_and_gains(scenario: Scenario, values: Sequence[float]) -> Scenario:
     """Return the scenario with caps and gains in the order of a point of the search."""
     if scenario.operating.bands:
-        errors = dict(zip(NAMES, values[:ERRORS], strict=False))
+        errors = dict(zip(NAMES, values[:ERROR_CAPS], strict=False))
         operating = msgspec.structs.replace(scenario.operating, **errors)
         widened = msgspec.structs.replace(scenario, operating=operating)
-        return with_band_values(widened, values[ERRORS:])
+        return with_band_values(widened, values[ERROR_CAPS:])
     caps = dict(zip(NAMES, values[:8], strict=True))
     caps["speed_deficit_min_mps"] *= -1
     gains = {"tracking_gains": tuple(values[8:CAPS_AND_GAINS])}

@@ -164,15 +164,21 @@ def bound_rest(certificate, commands, losses):
     far_first = in_all + 2 * find_sine(spread / 2) * sizes
     stray = losses.stray[0]
     swing = losses.variation[1]
-    require(swing < 1, "losses may turn the robot by a radian in a period")
     across = bound_across(certificate, commands, losses)
     turned = swing * latency * commands.fastest
-    far_last = (far_first + across + stray + turned) / (1 - swing)
+    far_last = grow(far_first, across + stray + turned, swing)
     tilted = tilt * (across + turned)
     ahead = ahead_first + tilted + swing * (far_first + far_last) / 2
     drift = ahead_first + (tilted + stray) / 2 + swing * (2 * far_first + far_last) / 3
     missed = find_miss(certificate, commands, turn)
     return ahead, side_first + across + swing * (missed + drift)
+
+
+def grow(first, steady, rate):
+    """Return how large a number is at last that grows by something steady and a rate of itself, for
+    a time of one: it is no larger before."""
+    require(rate < 1, "losses may turn the robot by a radian in a period")
+    return (first + steady) / (1 - rate)
 
 
 def bound_across(certificate, commands, losses):

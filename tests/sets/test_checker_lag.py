@@ -275,6 +275,15 @@ def test_losses_stray_from_even_ones_as_in_the_project(lag, delay, error, reache
         assert np.all(taken >= 0.8 * bound)
 
 
+@pytest.mark.parametrize("rate", [0.01, 0.3, 0.9])
+def test_what_grows_with_itself_is_no_larger_than_is_said(rate):
+    said = lag_program.grow(Fraction(2), Fraction(3), Fraction(rate))
+    solution = 2 * np.exp(rate) + 3 * np.expm1(rate) / rate
+    assert solution <= said <= 5 / (1 - rate) * (1 + SAME)
+    with pytest.raises(intervals.Refused, match="radian"):
+        lag_program.grow(Fraction(2), Fraction(3), Fraction(1))
+
+
 def test_sideslip_moves_no_robot_further_than_is_proved():
     certificate, band = make_certificate((0.05, 0.05), (0.04, 0.04), 0.02, 0.05)
     rest = floats(lag_program.find_late(certificate, band).rest)
@@ -402,6 +411,30 @@ def test_errors_of_the_pose_are_those_that_the_project_proves(lag, delay, reache
     expected = bound_later_errors(COMMITTED, actuation, T, B, driving, ground)
     assert np.all(later <= expected * (1 + SAME))
     assert np.all(later >= 0.9 * expected)
+    poses = floats(pose_program.bound_poses(certificate, fractions(COMMITTED)))
+    np.testing.assert_array_equal(poses, np.maximum(now, later))
+
+
+def test_a_body_that_slides_is_further_off_later_by_as_much_as_in_the_project():
+    still, _ = make_certificate((0.05, 0.05), (0.0, 0.0), 0.02)
+    sliding, _ = make_certificate((0.05, 0.05), (0.0, 0.0), 0.02, 0.03, -0.02)
+    _, without = read_pose(still, fractions(COMMITTED))
+    _, later = read_pose(sliding, fractions(COMMITTED))
+    actuation = Actuation((0.05, 0.05), (0.0, 0.0))
+    errors = 0.02 * np.array([[-1.0, -1.0], [1.0, 1.0]])
+    expected = [
+        bound_later_errors(COMMITTED, actuation, T, B, make_driving(), ground)[1]
+        for ground in (Ground(errors), Ground(errors, None, 0.03, -0.02))
+    ]
+    assert later[1] - without[1] == pytest.approx(expected[1] - expected[0], rel=0.01)
+
+
+def test_unknown_lag_may_leave_the_pose_further_off_later_than_now():
+    certificate, _ = make_certificate((0.04, 0.06), (0.01, 0.03), 0.02, 0.03, -0.02)
+    now, later = read_pose(certificate, fractions(COMMITTED))
+    assert np.any(later > now) and np.any(now > later)
+    poses = pose_program.bound_poses(certificate, fractions(COMMITTED))
+    np.testing.assert_array_equal(floats(poses), np.maximum(now, later))
 
 
 def turn_round(ends):
@@ -413,7 +446,7 @@ def describe(certificate):
     """Return all that is bounded of a robot whose wheels lag."""
     (band,) = certificate["bands"]
     late = lag_program.find_late(certificate, band)
-    poses = pose_program.bound_poses(certificate, fractions(COMMITTED))
+    poses = np.concatenate(read_pose(certificate, fractions(COMMITTED)))
     noise = pose_program.commit_noise(certificate, fractions((0.001, 0.002, 0.003)))
     return [*late.rest, late.kick, *late.taken, *poses, *noise]
 

@@ -25,7 +25,7 @@ from jaxtube.synthesis.disturbance import (
     find_wheel_error_sizes,
     operation,
 )
-from jaxtube.synthesis.learnt_slips import count_periods, make_slip_observer
+from jaxtube.synthesis.learnt_slips import count_learnt_periods, make_slip_observer
 from jaxtube.tuning.tuner import make_tuner
 
 update = jax.jit(SlipObserver.update)
@@ -215,9 +215,9 @@ def test_laps_that_a_search_judges_are_those_of_their_replay(design):
 
 def test_an_observer_looks_back_no_further_than_a_plan_looks_ahead(design):
     scenario = design.problem.scenario
-    assert count_periods(scenario) == scenario.controller.horizon
+    assert count_learnt_periods(scenario) == scenario.controller.horizon
     long = jt.load("certified_learning", ["controller.horizon=20"])
-    assert count_periods(long) < 20
+    assert count_learnt_periods(long) < 20
     unlearnt = dataclasses.replace(design.problem, scenario=jt.load("certified"))
     with pytest.raises(ValueError, match=r"slip\.change_per_s: is not given"):
         make_slip_observer(unlearnt)

@@ -4,6 +4,7 @@ holds as well, and what no proof is known for is refused."""
 import json
 import subprocess
 import sys
+from fractions import Fraction
 
 import pytest
 from certificate_mutants import change, is_accepted, survey_mutants
@@ -13,7 +14,7 @@ import jaxtube as jt
 from jaxtube.synthesis.certificate.assumptions import assumptions
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.proof_file import FILE, write_certificate
-from jaxtube.synthesis.proof_search import CHECKER
+from jaxtube.synthesis.proof_search import CHECKER, PROGRAMS, load_checker
 
 SHORT = ["reference.duration_s=2", "controller.horizon=2"]
 """Few windows, small QPs."""
@@ -95,6 +96,21 @@ def test_a_promise_of_wheels_that_lag_beyond_what_is_proved_is_refused(
 def test_lag_is_not_left_out_of_a_promise(written, tmp_path, capsys):
     without = {name: entry for name, entry in written.items() if name != "lateness"}
     assert not is_accepted(without, tmp_path, capsys)
+
+
+def test_cells_hold_what_unknown_lag_takes_and_leave_the_slide_to_the_rest(written):
+    program = load_checker(PROGRAMS[0])
+    certificate = program.read(written)
+    certificate["lever_arm"] = Fraction(1, 1000)
+    (band,) = certificate["bands"]
+    late = load_checker("check_lag.py").find_late(certificate, band)
+    for _, _, _, cells in program.list_motions(certificate, band):
+        for cell, robot, _ in cells:
+            *_, sideslip, _, _, _, way, turn, lever = cell
+            assert robot[2] == 0 and sideslip == (0, 0)
+            for (low, high), size in zip((way, turn), late.taken, strict=True):
+                assert Fraction(high, 2**56) >= size > 0 and low == -high
+            assert lever[0] <= certificate["lateness"]["lever"] * 2**56 <= lever[1]
 
 
 def test_of_slips_that_are_read_either_way_the_true_one_is_promised_where_wheels_lag(written):
