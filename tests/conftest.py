@@ -5,6 +5,7 @@ import gc
 import os
 import shutil
 import tempfile
+from pathlib import Path
 
 from jaxtube.experiments import environment
 
@@ -22,23 +23,55 @@ gc.set_threshold(100_000)
 
 COMPILED = "JAX_COMPILATION_CACHE_DIR"
 """Variable of the environment that names the folder of compiled programs."""
+MOST_BYTES = 500_000_000
+"""Of compiled programs that are kept from run to run: some seven times those of one run."""
+LEFT_OUT = (
+    "simplify-while-loops",
+    "while-loop-invariant-code-motion",
+    "while-loop-constant-sinking",
+    "simplify-conditional",
+    "tree_reduction_rewriter",
+    "reshape-mover",
+)
+"""Passes of XLA without which a large program is compiled in three quarters of the time; they look
+again and again for loops that could run faster."""
 
 
 def pytest_configure(config):
     """Compile quickly what runs once or twice; long tests compile as users do.
 
-    Both workers, and the commands that tests start, share what they compile for as long as the run
-    lasts.
+    Both workers, the commands that tests start, and the runs to come share what they compile.
     """
     if config.option.markexpr == "not slow":
+        environment.add_xla_flags(f"--xla_disable_hlo_passes={','.join(LEFT_OUT)}")
+        os.environ["JAX_DISABLE_MOST_OPTIMIZATIONS"] = "1"  # of commands that tests start
         jax.config.update("jax_disable_most_optimizations", True)
     if COMPILED not in os.environ:
-        folder = tempfile.mkdtemp(prefix="jaxtube-compiled-")
-        os.environ[COMPILED] = folder
-        config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
+        environment.keep_compiled_programs(_find_home_of_programs(config))
+        _forget_oldest(Path(os.environ[COMPILED]))
     jax.config.update("jax_compilation_cache_dir", os.environ[COMPILED])
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
     jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
+
+
+def _find_home_of_programs(config) -> Path:
+    """Return where compiled programs lie: in pytest's cache, or for this run alone without it."""
+    cache = getattr(config, "cache", None)  # absent under `-p no:cacheprovider`
+    if cache is not None:
+        return cache.mkdir("compiled")
+    folder = tempfile.mkdtemp(prefix="jaxtube-compiled-")
+    config.add_cleanup(lambda: shutil.rmtree(folder, ignore_errors=True))
+    return Path(folder)
+
+
+def _forget_oldest(folder: Path) -> None:
+    """Remove the oldest programs beyond MOST_BYTES."""
+    files = [(path, path.stat()) for path in folder.glob("*")]
+    room = MOST_BYTES
+    for path, facts in sorted(files, key=lambda file: file[1].st_mtime, reverse=True):
+        room -= facts.st_size
+        if room < 0:
+            path.unlink(missing_ok=True)
 
 
 # Designs and closed loops that several files look at: computed once, and compiled once for one

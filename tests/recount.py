@@ -199,15 +199,16 @@ def best_plans(design, solver, step, errors) -> Plans:
 
 
 @jax.jit
-def slip_memory(plant, keys, step):
-    """Return the plant's memory before it senses at a step: walks go on by themselves, wherever the
-    robot is."""
+def sense_at(plant, keys, step, errors):
+    """Return the measurement of errors at a step, and the plant's memory after it: walks go on by
+    themselves, wherever the robot is."""
     rest = jnp.zeros((len(keys), 3))
 
     def sense(now, memory):
         return plant.sense(keys, now, memory, rest)[1]
 
-    return jax.lax.fori_loop(0, step, sense, plant.initial(keys, rest))
+    memory = jax.lax.fori_loop(0, step, sense, plant.initial(keys, rest))
+    return plant.sense(keys, step, memory, errors)
 
 
 def tube_sections(design, name, step):
@@ -239,8 +240,7 @@ def follow(case, solver, laps: Trajectory, keys, step) -> Followed:
     plans = best_plans(case.design, solver, step, measured)
     later = best_plans(case.design, solver, step + 1, plans.expected)
     errors = jnp.asarray(laps.errors[step])
-    memory = slip_memory(task.plant, keys, step)
-    measurement, memory = task.plant.sense(keys, step, memory, errors)
+    measurement, memory = sense_at(task.plant, keys, step, errors)
     state = LoopState(errors, measurement, (), memory)
     given = planning.Plan(jnp.nan_to_num(jnp.asarray(plans.inputs)), *[jnp.zeros(len(keys))] * 3)
     deviations = np.asarray(

@@ -37,8 +37,18 @@ def compile_quickly() -> None:
     # An unknown flag is fatal, so they are passed only to the releases that were seen to know them.
     if importlib.metadata.version("jaxlib").startswith("0.10."):
         pieces = f"--xla_cpu_parallel_codegen_split_count={PIECES}"
-        given = os.environ.get("XLA_FLAGS", "")  # last, where it counts
-        os.environ["XLA_FLAGS"] = f"{pieces} --xla_cpu_use_fusion_emitters=false {given}".strip()
+        add_xla_flags(pieces, "--xla_cpu_use_fusion_emitters=false")
+
+
+def add_xla_flags(*flags: str) -> None:
+    """Pass flags to XLA that are not passed already; those that are come last, where they count.
+
+    Processes inherit them, and a compiled program is found again by flags that are the same, word
+    by word.
+    """
+    given = os.environ.get("XLA_FLAGS", "").split()
+    missing = [flag for flag in flags if flag not in given]
+    os.environ["XLA_FLAGS"] = " ".join([*missing, *given])
 
 
 def use_one_thread_for_linear_algebra() -> None:
@@ -47,16 +57,19 @@ def use_one_thread_for_linear_algebra() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-def keep_compiled_programs() -> None:
+def keep_compiled_programs(home: Path | None = None) -> None:
     """Keep compiled programs in a folder, which spares a command half a minute the next time.
 
     A program fits the processor it was compiled for, and homes are shared between machines: one
     folder for each kind.
+
+    Args:
+        home: of these folders; the user's cache where none is given.
     """
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "jaxtube"
     features = sorted(_find_processor_features())
     kind = hashlib.sha256(f"{platform.machine()} {features}".encode()).hexdigest()[:16]
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(home / "jaxtube" / kind))
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str((home or users) / kind))
     # Small ones too: there are a hundred, and each takes longer to compile than to read.
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0")
 

@@ -7,18 +7,26 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxtube.columns import use_twice
+from jaxtube.columns import scan_by_columns, use_twice
+from jaxtube.control.laws import TubeMpc
 from jaxtube.plant.error_dynamics import world_pose
 from jaxtube.plant.lagging import LaggingRobot
 from jaxtube.plant.motions import join
 from jaxtube.plant.observed import robot_behind
+from jaxtube.plant.protocol import Plant
 from jaxtube.precision import in_64_bits
 from jaxtube.qp.regions import AnyArray
 from jaxtube.simulation.choices import choose_starts
 from jaxtube.simulation.components import make_tube_mpc, slipping_robot
-from jaxtube.simulation.rollout import begin, realisation_keys, run_period
+from jaxtube.simulation.rollout import (
+    begin,
+    is_unsolved,
+    realisation_keys,
+    run_period,
+    run_shortened,
+)
 from jaxtube.synthesis.parts import Design
 
 
@@ -52,25 +60,35 @@ def record_laps(design: Design, starts: Float[np.ndarray, "laps 3"], seed: int =
         seed: of every draw.
     """
     keys = realisation_keys(seed, 0, len(starts))
-    errors = jnp.asarray(starts, float)
-    controller = make_tube_mpc(design)
-    plant = slipping_robot(design)
     poses = jnp.asarray(design.problem.reference.poses)
+    arguments = (slipping_robot(design), poses, keys, jnp.asarray(starts, float))
+    recording = run_shortened(_record, _find_unsolved, make_tube_mpc(design), *arguments)
+    return jax.tree.map(np.asarray, recording)
 
-    @jax.jit
-    def run(keys, errors):
-        def period(state, step):
-            state, before = use_twice(state)
-            pose = _measure_poses(plant, keys, step, before, poses[step])
-            following, happened = run_period(controller, plant, keys, step, state)
-            seen = (pose, before.measurement.slip, before.measured)
-            return following, (*seen, happened.inputs, happened.wheels, happened.diagnostics.status)
 
-        start = begin(controller, plant, keys, errors)
-        _, recorded = jax.lax.scan(period, start, jnp.arange(len(plant.reference_wheels)))
-        return Recording(*recorded)
+# Designs of one shape share the program: their numbers are arguments.
+@jax.jit
+def _record(
+    controller: TubeMpc,
+    plant: Plant,
+    poses: Float[Array, "steps 3"],
+    keys: Key[Array, " laps"],
+    errors: Float[Array, "laps 3"],
+) -> Recording:
+    def period(state, step):
+        state, before = use_twice(state)
+        pose = _measure_poses(plant, keys, step, before, poses[step])
+        following, happened = run_period(controller, plant, keys, step, state)
+        seen = (pose, before.measurement.slip, before.measured)
+        return following, (*seen, happened.inputs, happened.wheels, happened.diagnostics.status)
 
-    return jax.tree.map(np.asarray, run(keys, errors))
+    start = begin(controller, plant, keys, errors)
+    _, recorded = scan_by_columns(period, start, jnp.arange(len(plant.reference_wheels)))
+    return Recording(*recorded)
+
+
+def _find_unsolved(recording: Recording) -> Bool[np.ndarray, " laps"]:
+    return is_unsolved(recording.status, recording.errors)
 
 
 def _measure_poses(

@@ -8,14 +8,14 @@ Draws depend on the key of a realisation and the step alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
-from jaxtyping import Float, Int, Key
+from jaxtyping import Bool, Float, Int, Key
 
 from jaxtube import qp
 from jaxtube.columns import scan_by_columns, use_twice
@@ -27,6 +27,7 @@ from jaxtube.plant import slip as slips
 from jaxtube.plant.protocol import Measurement, Memory, Plant
 from jaxtube.plant.random_keys import make_key
 from jaxtube.qp.batched_ldl import matmul
+from jaxtube.qp.regions import AnyArray
 
 DIAGNOSTICS = "diagnostics_"
 """Begins the names of the arrays of diagnostics in a file."""
@@ -177,22 +178,45 @@ def run_laps(
     errors: Float[Array, "batch 3"],
 ) -> Trajectory:
     """Return what `rollout` does, to rounding, from a program that is compiled in two thirds of the
-    time (see `laws.without_rounds`). Laps with a QP that it leaves unsolved are those of the whole
-    program."""
+    time (see `run_shortened`)."""
+
+    def find_unsolved(trajectory: Trajectory) -> Bool[np.ndarray, " batch"]:
+        return is_unsolved(trajectory.diagnostics.status, trajectory.errors)
+
+    return run_shortened(rollout, find_unsolved, controller, plant, keys, errors)
+
+
+def run_shortened(
+    run: Callable[..., Any],
+    find_unsolved: Callable[[Any], Bool[np.ndarray, " batch"]],
+    controller: Controller,
+    *arguments: Any,
+) -> Any:
+    """Return what `run(controller, *arguments)` does, a tree of arrays (steps, batch, ..).
+
+    The program that is compiled first leaves out what hardly any lap needs (see
+    `laws.without_rounds`). Laps that it leaves unsolved are those of the whole program.
+    """
     short = without_rounds(controller)
-    trajectory = rollout(short, plant, keys, errors)
-    status = np.asarray(trajectory.diagnostics.status)
-    is_finite = np.isfinite(trajectory.errors).all(axis=(0, 2))
-    unsolved = np.any(status == qp.UNSOLVED, axis=0) & is_finite
+    laps = run(short, *arguments)
+    unsolved = find_unsolved(laps)
     if short is controller or not unsolved.any():
-        return trajectory
-    whole = rollout(controller, plant, keys, errors)
+        return laps
+    whole = run(controller, *arguments)
 
     def choose(of_whole, of_short):
         where = unsolved.reshape(-1, *[1] * (of_short.ndim - 2))
         return jnp.where(where, of_whole, of_short)
 
-    return jax.tree.map(choose, whole, trajectory)
+    return jax.tree.map(choose, whole, laps)
+
+
+def is_unsolved(
+    status: Int[AnyArray, "steps batch"], errors: Float[AnyArray, "steps batch 3"]
+) -> Bool[np.ndarray, " batch"]:
+    """Return which laps have a QP that is UNSOLVED although their errors are numbers."""
+    is_finite = np.isfinite(errors).all(axis=(0, 2))
+    return np.any(np.asarray(status) == qp.UNSOLVED, axis=0) & is_finite
 
 
 @jax.jit

@@ -13,6 +13,7 @@ import jaxtube as jt
 from jaxtube.control import planning
 from jaxtube.exporting.recording import Recording, draw_starts, record_laps
 from jaxtube.exporting.replay import load_controller, replay_in_numpy
+from jaxtube.exporting.write import LAPS
 from jaxtube.plant.error_dynamics import world_pose
 
 SAME = 1e-9
@@ -45,8 +46,9 @@ def require_commands(controller, recording: Recording, dt: float) -> None:
 @pytest.fixture(scope="module")
 def recording(certified):
     """Laps from the start, from the edge of the feasible set, and from beyond it."""
-    starts = draw_starts(certified, 2)
-    return record_laps(certified, np.concatenate([starts, FAR * starts[2:]]))
+    starts = draw_starts(certified, LAPS)
+    # As many as an export records, for one program.
+    return record_laps(certified, np.concatenate([starts[2:], FAR * starts[-2:]]))
 
 
 def test_numpy_commands_what_the_design_commands(controller, certified, recording):

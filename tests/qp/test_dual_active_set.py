@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tolerances as tol
-from tube_programs import family, hard
+from tube_programs import BATCH, family, hard
 
 from jaxtube import qp
 from jaxtube.qp import blocks, dual_active_set, farkas, fixed_point, rounds, stages
@@ -36,7 +36,11 @@ KEPT = 1e-8
 """What else exchanges keep there, after a score of them."""
 ROUNDS_SHARE = 0.99
 """Of the programs, decided by the rounds of iterations alone."""
-COUNT = 256
+COUNT = BATCH  # one shape for all tests of the solver, so that one compilation serves them
+
+solve = jax.jit(qp.solve)
+factorise = jax.jit(qp.factorise)
+take_exchange = jax.jit(exchange)
 
 
 @pytest.fixture(scope="module", params=[0, 3])
@@ -60,26 +64,50 @@ def exact(P, A, q, l, u):
 
 def prepare(fam, given):
     """The factors, and where the instances' numbers come from."""
-    factors = qp.factorise(jnp.asarray(fam.P), jnp.asarray(fam.A))
-    return factors, Source(tuple(given), lambda data: fixed_point.unit_rows(factors, *data))
+    factors = factorise(jnp.asarray(fam.P), jnp.asarray(fam.A))
+    return factors, make_source(factors, given)
 
 
-def begin(factors, source, count):
+def make_source(factors, given):
+    return Source(tuple(given), lambda data: fixed_point.unit_rows(factors, *data))
+
+
+@jax.jit
+def begin(factors, given):
     """All instances, each in a lane of its own."""
     program = make_program(factors.whitened)
-    start = stages.load_lanes(factors, source, jnp.arange(count, dtype=jnp.int32))
+    count = len(given[0])
+    places = jnp.arange(count, dtype=jnp.int32)
+    start = stages.load_lanes(factors, make_source(factors, given), places)
     empty = dual_active_set._empty_lanes(program, 10, count)
     return program, dual_active_set._begin(empty, start, jnp.ones(count, bool))
 
 
+@jax.jit
+def search(factors, given):
+    """What the method finds of all instances, its multipliers at the upper and at the lower bounds,
+    and where these are proofs that there is no answer."""
+    source = make_source(factors, given)
+    count = len(given[0])
+    found = dual_active_set.find_active_sets(
+        make_program(factors.whitened),
+        lambda places: stages.load_lanes(factors, source, places),
+        jnp.ones(count, bool),
+        32,
+    )
+    upper, lower = stages.push_of(found, len(factors.rows))
+    block = source.form(source.data)
+    proved = farkas.excludes(factors.rows, block.l, block.u, upper, lower, qp.TOLERANCE[8])
+    return found, upper, lower, proved
+
+
 def test_exchanges_keep_the_inverse_the_optimum_and_the_signs(programs):
     factors, source = prepare(*programs)
-    program, lanes = begin(factors, source, COUNT)
+    program, lanes = begin(factors, source.data)
     z_0 = np.asarray(lanes.z)
-    step = jax.jit(lambda lanes: exchange(program, lanes))
     cost = np.full(COUNT, -np.inf)
     for _ in range(20):
-        lanes = step(lanes)
+        lanes = take_exchange(program, lanes)
         N = np.asarray(lanes.normals)
         y = np.asarray(lanes.multipliers)
         used = np.asarray(lanes.rows) >= 0
@@ -113,31 +141,19 @@ def test_exchanges_keep_the_inverse_the_optimum_and_the_signs(programs):
 def test_active_sets_are_those_of_the_exact_answer_and_rays_are_proofs(programs):
     fam, given = programs
     factors, source = prepare(fam, given)
-    program = make_program(factors.whitened)
-
-    @jax.jit
-    def search():
-        everyone = jnp.ones(COUNT, bool)
-        return dual_active_set.find_active_sets(
-            program, lambda places: stages.load_lanes(factors, source, places), everyone, 32
-        )
-
-    found = search()
+    found, upper, lower, proved = jax.tree.map(np.asarray, search(factors, source.data))
     x, feasible = exact(fam.P, fam.A, *map(np.asarray, given))
     np.testing.assert_array_equal(found.is_ray, ~feasible)
-    upper, lower = stages.push_of(found, len(fam.A))
-    block = source.form(tuple(given))
-    answer = np.linalg.solve(fam.P, -(block.q + factors.rows.T @ (upper - lower))).T
+    rows = np.asarray(factors.rows)
+    answer = np.linalg.solve(fam.P, -(np.asarray(given[0]).T + rows.T @ (upper - lower))).T
     np.testing.assert_allclose(answer[feasible], x[feasible], atol=EXACT)
-    assert (np.asarray(found.multipliers) >= 0).all()
-    proved = farkas.excludes(factors.rows, block.l, block.u, upper, lower, qp.TOLERANCE[8])
+    assert (found.multipliers >= 0).all()
     np.testing.assert_array_equal(proved, ~feasible)
 
 
 def test_no_answer_knows_the_other_instances_to_the_last_bit(programs):
     fam, given = programs
-    factors = qp.factorise(jnp.asarray(fam.P), jnp.asarray(fam.A))
-    solve = jax.jit(qp.solve)
+    factors, _ = prepare(fam, given)
     together = solve(factors, *given)
     generator = np.random.default_rng(0)
     order = generator.permutation(COUNT)
@@ -170,7 +186,7 @@ def test_no_answer_knows_the_other_instances_to_the_last_bit(programs):
 def test_what_has_no_usual_answer_ends_without_spoiling_a_lane(kind):
     fam = family(1)
     A = fam.A.copy()
-    given = [part.copy() for part in hard(fam, 1, 64)]
+    given = [part.copy() for part in hard(fam, 1, COUNT)]
     if kind == "crossing":
         given[1][:, 12] = given[2][:, 12] + 0.1
     if kind == "equal":
@@ -181,10 +197,9 @@ def test_what_has_no_usual_answer_ends_without_spoiling_a_lane(kind):
     if kind == "no number":
         given[2][:, 4] = np.nan
     factors, source = prepare(fam._replace(A=A), [jnp.asarray(part) for part in given])
-    program, lanes = begin(factors, source, 64)
-    step = jax.jit(lambda lanes: exchange(program, lanes))
+    program, lanes = begin(factors, source.data)
     for _ in range(40):
-        lanes = step(lanes)
+        lanes = take_exchange(program, lanes)
     for part in (lanes.z, lanes.normals, lanes.inverse, lanes.multipliers):
         assert np.isfinite(part).all()
     ended = np.asarray(lanes.adding)
@@ -256,7 +271,7 @@ def test_the_largest_number_is_not_a_number_where_one_is_none():
 def test_a_step_of_no_length_lets_the_row_leave_that_allows_no_more(programs):
     fam, given = programs
     factors, source = prepare(fam, given)
-    program, lanes = begin(factors, source, COUNT)
+    program, lanes = begin(factors, source.data)
     slots = len(lanes.rows)
     multipliers = jnp.ones((slots, COUNT)).at[2].set(0.0)
     lanes = lanes._replace(multipliers=multipliers, rows=jnp.zeros_like(lanes.rows))

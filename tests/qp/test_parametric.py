@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 import tolerances as tol
-from tube_programs import family
+from tube_programs import BATCH, family
 
 from jaxtube import qp
 from jaxtube.qp.parametric import Parametric, form, solve_parametric
@@ -19,11 +19,11 @@ SLOPE = 1e-9
 def posed():
     """Factors, program, errors within and beyond the feasible set, and which are wanted."""
     fam = family(4)
-    factors = qp.factorise(jnp.asarray(fam.P), jnp.asarray(fam.A))
+    factors = jax.jit(qp.factorise)(jnp.asarray(fam.P), jnp.asarray(fam.A))
     program = Parametric(*map(jnp.asarray, (fam.gradient, fam.offset, fam.lower, fam.upper)))
     generator = np.random.default_rng(4)
-    errors = jnp.asarray(generator.uniform(-0.3, 0.3, (200, 3)))
-    return factors, program, errors, jnp.asarray(generator.random(200) < 0.5)
+    errors = jnp.asarray(generator.uniform(-0.3, 0.3, (BATCH, 3)))
+    return factors, program, errors, jnp.asarray(generator.random(BATCH) < 0.5)
 
 
 def test_wanted_programs_are_answered_as_by_the_solver(posed):
@@ -45,7 +45,7 @@ def test_wanted_programs_are_answered_as_by_the_solver(posed):
 
 def test_derivatives_are_those_of_the_solver(posed):
     factors, program, errors, is_wanted = posed
-    weights = jnp.asarray(np.random.default_rng(5).normal(size=(200, 10)))
+    weights = jnp.asarray(np.random.default_rng(5).normal(size=(BATCH, 10)))
 
     def of_parameters(factors, program, errors):
         found = solve_parametric(factors, program, errors, is_wanted, None)

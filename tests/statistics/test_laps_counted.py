@@ -131,16 +131,19 @@ def make_case(found, controller, spread, most_mps):
     return Case(found, narrowed, sets, rows)
 
 
+@jax.jit
+def draw_starts(starts, keys):
+    return starts.draw(keys)
+
+
 def record(task, first, count=BLOCK) -> Trajectory:
     """Return the laps from the one numbered `first` on."""
     found = []
     for begin in range(first, first + count, TILE):
         keys = realisation_keys(SEED, begin, TILE)
-        found.append(
-            jax.tree.map(
-                np.asarray, run_laps(task.controller, task.plant, keys, task.starts.draw(keys))
-            )
-        )
+        starts = draw_starts(task.starts, keys)
+        laps = run_laps(task.controller, task.plant, keys, starts)
+        found.append(jax.tree.map(np.asarray, laps))
     return jax.tree.map(lambda *arrays: np.concatenate(arrays, axis=1)[:, :count], *found)
 
 
@@ -423,11 +426,7 @@ def test_blocks_come_in_the_order_asked_for(static, first_blocks):
 @pytest.mark.parametrize("far", [0.0, np.inf])
 def test_a_block_with_an_unsolved_qp_is_that_of_the_whole_program(static, paper_design, far):
     inner = components.controllers(paper_design)["compensated"]
-
-    def leaves(errors):
-        return jnp.abs(errors[:, 1]) > far
-
-    whole = Doubtful(inner, leaves)
+    whole = Doubtful(inner, jnp.array(far))
     case = static._replace(task=dataclasses.replace(static.task, controller=whole))
     found = dict(case.run(2 * BLOCK).compute([0, 1]))
     runs = whole if far == 0.0 else whole.without_rounds()
@@ -541,9 +540,10 @@ def test_starts_on_the_faces_of_the_box_count_in_the_cells_within(static):
     faces = np.diag(box.upper) * (1 - 1e-12)
     inside = np.concatenate([faces, -faces, np.diag(box.upper) * (1 + 1e-12)])
     outside = np.concatenate([1.01 * faces, -1.01 * faces, [[np.nan, 0.0, 0.0]]])
+    cover = jax.jit(tally._coverage)
     for starts, counted in ((inside, True), (outside, False)):
         counts = jnp.ones(len(starts), jnp.int32)
-        found = np.asarray(tally._coverage(static.task.checks, jnp.asarray(starts), counts))
+        found = np.asarray(cover(static.task.checks, jnp.asarray(starts), counts))
         # A start outside along one axis is inside in the plane of the others.
         along = [np.sum(np.any(starts[:, list(plane)] != 0, axis=1)) for plane in PLANES]
         expected = len(starts) - (0 if counted else np.array(along))

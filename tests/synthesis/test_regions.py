@@ -16,17 +16,26 @@ from jaxtube.scenario import load
 from jaxtube.simulation import batches, components
 from jaxtube.simulation.choices import choose_starts
 from jaxtube.simulation.rollout import realisation_keys
-from jaxtube.synthesis.design import design
-from jaxtube.synthesis.regions import MOST_REGIONS, find_regions
+from jaxtube.synthesis import regions
+from jaxtube.synthesis.regions import find_regions
 
 SAME = 1e-9
 """In the units of inputs: the accuracy that the solver accepts."""
 
 
+COUNT = 1000
+"""Errors of a batch: one shape, for one program of each kind."""
+
+plan = jax.jit(planning.plan)
+known_plan = jax.jit(planning.known_plan)
+look_up_answers = jax.jit(look_up, static_argnums=2)
+take_qp = jax.jit(planning.take_qp)
+
+
 @pytest.fixture(scope="module")
-def tuned():
+def tuned(uncertified):
     """A design whose rows are active after its start."""
-    return design(load("tuned"))
+    return uncertified("tuned")
 
 
 @pytest.fixture(scope="module")
@@ -37,16 +46,16 @@ def controller(tuned):
 @pytest.fixture(scope="module")
 def first(tuned, controller):
     """The QP of the first window."""
-    return planning.take_qp(controller.qps, tuned.first_window)
+    return take_qp(controller.qps, tuned.first_window)
 
 
 @pytest.fixture(scope="module")
 def errors(tuned):
     """Errors around the start and on the way from there, in the regions and beside them."""
     rng = np.random.default_rng(4)
-    shares = rng.uniform(0.0, 1.0, (1000, 1))
+    shares = rng.uniform(0.0, 1.0, (COUNT, 1))
     widths = np.array([0.02, 0.02, 0.05])
-    return shares * tuned.problem.initial_error + rng.uniform(-widths, widths, (1000, 3))
+    return shares * tuned.problem.initial_error + rng.uniform(-widths, widths, (COUNT, 3))
 
 
 def start_at(error):
@@ -59,8 +68,8 @@ def without_regions(condensed):
 
 
 def test_plans_are_those_of_the_solver(first, errors):
-    known = planning.plan(first, jnp.asarray(errors))
-    solved = planning.plan(without_regions(first), jnp.asarray(errors))
+    known = plan(first, jnp.asarray(errors))
+    solved = plan(without_regions(first), jnp.asarray(errors))
     np.testing.assert_array_equal(known.status, solved.status)
     np.testing.assert_array_equal(known.active, solved.active)
     assert np.mean(known.active) > 0.3
@@ -69,8 +78,8 @@ def test_plans_are_those_of_the_solver(first, errors):
 
 
 def test_a_plan_without_a_solver_is_that_of_the_solver_or_none(first, errors):
-    known = planning.known_plan(first, jnp.asarray(errors))
-    solved = planning.plan(without_regions(first), jnp.asarray(errors))
+    known = known_plan(first, jnp.asarray(errors))
+    solved = plan(without_regions(first), jnp.asarray(errors))
     found = np.asarray(known.status) != qp.UNSOLVED
     assert 0.5 < np.mean(found) < 1.0
     assert np.sum(known.active[found]) > 50
@@ -80,12 +89,18 @@ def test_a_plan_without_a_solver_is_that_of_the_solver_or_none(first, errors):
     assert np.all(known.residual[known.status == qp.SOLVED] <= qp.TOLERANCE[8])
 
 
-def are_known(condensed, errors):
-    """Whether the region that is guessed holds each error."""
+@jax.jit
+def find_known(condensed, errors):
     factors = condensed.factors
-    errors = jnp.asarray(errors)
     found = parametric.look_up(factors, condensed.parametric, errors, condensed.regions)
-    return np.asarray(found.status) == qp.SOLVED
+    return found.status == qp.SOLVED
+
+
+def are_known(condensed, errors):
+    """Whether the region that is guessed holds each error; at most COUNT at a time."""
+    padded = np.resize(errors, (-(-len(errors) // COUNT), COUNT, 3))
+    known = [find_known(condensed, jnp.asarray(block)) for block in padded]
+    return np.concatenate(known)[: len(errors)]
 
 
 def share_of_known(design, controller, starts):
@@ -97,7 +112,7 @@ def share_of_known(design, controller, starts):
     for window in np.unique(windows[active.any(axis=1)]):
         of_window = active & (windows == window)[:, None]
         met = np.asarray(lap.measured)[:-1][of_window]
-        known.append(are_known(planning.take_qp(controller.qps, window), met))
+        known.append(are_known(take_qp(controller.qps, window), met))
     answered = np.concatenate(known)
     assert len(answered) > 100
     return np.mean(answered)
@@ -108,9 +123,9 @@ def test_active_programs_of_laps_are_known(tuned, controller):
     assert share_of_known(tuned, controller, starts) > 0.995
 
 
-def test_programs_from_starts_that_are_drawn_are_known_as_well():
+def test_programs_from_starts_that_are_drawn_are_known_as_well(uncertified):
     """Of laps from the edge, which those from the scenario's start do not resemble."""
-    robust = design(load("robust"))
+    robust = uncertified("robust")
     law = choose_starts(robust, "edge")
     controller = components.make_tube_mpc(robust, law)
     assert components.make_tube_mpc(robust).qps.regions is None
@@ -122,7 +137,7 @@ def test_answers_of_regions_satisfy_the_optimality_conditions(first, errors):
     """At points of each region, by the conditions themselves."""
     factors = first.factors
     rows = factors.rows * factors.row_norms[:, None]
-    x, y = (part.T for part in look_up(first.regions, jnp.asarray(errors), len(rows)))
+    x, y = (part.T for part in look_up_answers(first.regions, jnp.asarray(errors), len(rows)))
     y = y / factors.row_norms
     gradient = x @ factors.hessian + errors @ first.linear.T + y @ rows
     values = x @ rows.T + errors @ first.row_errors.T
@@ -138,8 +153,8 @@ def test_answers_of_regions_satisfy_the_optimality_conditions(first, errors):
 def test_a_wrong_answer_is_not_taken(first, errors):
     wrong = first.regions._replace(multipliers=first.regions.multipliers * 1.01)
     assert not np.any(are_known(first._replace(regions=wrong), errors))
-    spoilt = planning.plan(first._replace(regions=wrong), jnp.asarray(errors))
-    solved = planning.plan(without_regions(first), jnp.asarray(errors))
+    spoilt = plan(first._replace(regions=wrong), jnp.asarray(errors))
+    solved = plan(without_regions(first), jnp.asarray(errors))
     np.testing.assert_array_equal(spoilt.status, solved.status)
     np.testing.assert_allclose(spoilt.inputs, solved.inputs, rtol=0, atol=SAME)
 
@@ -147,42 +162,48 @@ def test_a_wrong_answer_is_not_taken(first, errors):
 def test_a_window_without_regions_guesses_no_row(tuned, controller):
     """Nothing is taken from it."""
     begin = np.asarray(controller.qps.regions.begin)
-    empty = planning.take_qp(controller.qps, np.flatnonzero(begin < 0)[0])
-    errors = jnp.asarray(np.tile(tuned.problem.initial_error, (5, 1)))
-    _, multipliers = look_up(empty.regions, errors, len(empty.lower))
+    empty = take_qp(controller.qps, np.flatnonzero(begin < 0)[0])
+    errors = jnp.asarray(np.tile(tuned.problem.initial_error, (COUNT, 1)))
+    _, multipliers = look_up_answers(empty.regions, errors, len(empty.lower))
     assert not np.any(multipliers)
     assert not np.any(are_known(empty, errors))
 
 
 def test_no_plan_depends_on_the_other_instances(first, errors):
-    together = planning.plan(first, jnp.asarray(errors))
-    few = planning.plan(first, jnp.asarray(errors[::7]))
-    np.testing.assert_allclose(together.inputs[::7], few.inputs, rtol=0, atol=1e-13)
+    together = plan(first, jnp.asarray(errors))
+    some = errors[::7]
+    # Each of them again and again, in other places, and none of the others.
+    among_others = plan(first, jnp.asarray(np.resize(some, errors.shape)))
+    found = among_others.inputs[: len(some)]
+    np.testing.assert_allclose(together.inputs[::7], found, rtol=0, atol=1e-13)
 
 
 def test_derivatives_do_not_know_the_bank(first, errors):
     def total(condensed, scale):
         return jnp.sum(planning.plan(condensed, scale * jnp.asarray(errors[:32])).inputs ** 2)
 
-    known = jax.grad(total, argnums=1)(first, 1.0)
-    solved = jax.grad(total, argnums=1)(without_regions(first), 1.0)
+    slope = jax.jit(jax.grad(total, argnums=1))
+    known = slope(first, 1.0)
+    solved = slope(without_regions(first), 1.0)
     np.testing.assert_allclose(known, solved, rtol=1e-7)
 
 
 def test_a_start_where_no_row_is_active_has_no_bank(tuned):
     problem = tuned.problem
-    regions = find_regions(
+    found = find_regions(
         tuned.tube_qps, tuned.windows.index, start_at(0.0), problem.noise, np.zeros((1, 3))
     )
-    assert regions is None
+    assert found is None
 
 
-def test_a_bank_has_an_end(tuned):
+def test_a_bank_has_an_end(tuned, monkeypatch):
+    most = 32
+    monkeypatch.setattr(regions, "MOST_REGIONS", most)
     far = 10 * tuned.problem.disturbance_set.vertices()
     begin = start_at(tuned.problem.initial_error)
     found = find_regions(tuned.tube_qps, tuned.windows.index, begin, np.zeros(3), far)
     windows = np.count_nonzero(found.begin >= 0)
-    assert len(found.rows) <= 1 + windows * MOST_REGIONS
+    assert most < len(found.rows) <= 1 + windows * most
 
 
 def test_a_controller_that_keeps_its_nominal_error_has_no_bank(tuned):
