@@ -70,7 +70,9 @@ def test_an_estimate_is_checked_and_said_to_be(written, tmp_path, capsys):
     path.write_text(json.dumps(written))
     assert checker.main(str(path)) == 0
     said = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("proved   as long as it keeps its caps, the estimate") for line in said)
+    assert any(
+        line.startswith("proved   as long as it keeps its caps, the estimate") for line in said
+    )
     assert any(line.startswith("assumed  acted on is the estimate") for line in said)
     assert holds_in_floats(written)
 
