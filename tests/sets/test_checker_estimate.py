@@ -6,6 +6,7 @@ import json
 from fractions import Fraction
 
 import numpy as np
+import observed_design
 import pytest
 from certificate_mutants import change, is_accepted, survey_mutants
 from certificate_oracle import holds_in_floats, to_floats
@@ -24,23 +25,7 @@ estimates = load_checker("check_estimate.py")
 intervals = load_checker("check_intervals.py")
 motions = load_checker("check_motion.py")
 
-OBSERVED = [
-    "noise.longitudinal_m=0.005",
-    "noise.lateral_m=0.005",
-    "noise.heading_deg=0.2",
-    "slip.sideslip=0.01",
-    "robot.lever_arm_m=-0.02",
-    "controller.observer_gain=[0.45, 0.22, 0.9]",
-    "controller.tracking_gains=[9.99, 8.435, 9.368]",
-    "operating.longitudinal_m=0.131",
-    "operating.lateral_m=0.238",
-    "operating.heading_deg=14.95",
-    "operating.speed_deficit_min_mps=-0.36",
-    "operating.speed_deficit_max_mps=0.406",
-    "operating.yaw_rate_deficit_radps=0.947",
-    "operating.turning_longitudinal_m=0.138",
-    "operating.turning_yaw_rate_radps=1.151",
-]
+OBSERVED = [*observed_design.OBSERVED, "slip.sideslip=0.01", "robot.lever_arm_m=-0.02"]
 MIXED = ["controller.model=consistent", "controller.tracking_gains=[]", "slip.relative_error=0.05"]
 MIXED += ["controller.observer_gain=[0.6,0.5,0.8]"]
 SHORT = ["reference.certified_for=path", "reference.duration_s=1.2", "controller.horizon=2"]

@@ -5,6 +5,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from observed_design import NOISY, OBSERVED
 
 import jaxtube as jt
 from jaxtube.scenario import ScenarioError, load, replace
@@ -25,20 +26,6 @@ from jaxtube.synthesis.problem import Problem, make_problem
 from jaxtube.synthesis.starts import caps_and_gains
 from sets.robot.operation import Operation
 
-NOISY = ["noise.longitudinal_m=0.005", "noise.lateral_m=0.005", "noise.heading_deg=0.2"]
-OBSERVED = [
-    *NOISY,
-    "controller.observer_gain=[0.45, 0.22, 0.9]",
-    "controller.tracking_gains=[9.99, 8.435, 9.368]",
-    "operating.longitudinal_m=0.131",
-    "operating.lateral_m=0.238",
-    "operating.heading_deg=14.95",
-    "operating.speed_deficit_min_mps=-0.36",
-    "operating.speed_deficit_max_mps=0.406",
-    "operating.yaw_rate_deficit_radps=0.947",
-    "operating.turning_longitudinal_m=0.138",
-    "operating.turning_yaw_rate_radps=1.151",
-]
 PROCESSES = ("iid", "constant", "walk", "patches", "vertex", "adversarial")
 
 

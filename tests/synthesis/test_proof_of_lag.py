@@ -44,6 +44,8 @@ def test_a_stranger_checks_wheels_that_lag_without_this_project(written, tmp_pat
     assert "assumed  both wheels lag by one constant time of 0.0495 to 0.0505 s" in done.stdout
     assert "assumed  a command arrives 0 to 0.0005 s late, at both wheels at once" in done.stdout
     assert "a latency before measured within 0.001 m, 0.001 m, 0.02 deg" in done.stdout
+    assert "commands before the start, and until a latency after the end, are as" in done.stdout
+    assert "at the yaw rate of the reference then, within its speeds, less u2" in done.stdout
     assert "obey at once" not in done.stdout
 
 
@@ -119,9 +121,14 @@ def test_of_slips_that_are_read_either_way_the_true_one_is_promised_where_wheels
 
 
 @pytest.mark.parametrize(
-    ("name", "said"),
-    [("certified", "true or measured slip"), ("certified_lag", "true slip within")],
+    ("name", "random", "said"),
+    [
+        ("certified", "true", "true or measured slip"),
+        ("certified", "measured", "true or measured slip"),
+        ("certified_lag", "true", "true slip within"),
+        ("certified_lag", "measured", "measured slip within"),
+    ],
 )
-def test_a_guarantee_says_which_slip_may_be_off(name, said):
-    problem = make_problem(jt.load(name, SHORT))
+def test_a_guarantee_says_which_slip_may_be_off(name, random, said):
+    problem = make_problem(jt.load(name, [*SHORT, f"slip.random={random}"]))
     assert assumptions(problem, any_order=True)[0].startswith(said)

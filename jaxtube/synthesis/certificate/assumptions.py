@@ -44,9 +44,13 @@ def _assume_slip(problem: Problem) -> str:
         nothing = "; of a nominal slip of 0 that is no error at all"
     if slip.random == "both":
         return f"true and, on its own, measured slip {within}{nothing}"
-    if slip.random == "true" and not problem.scenario.robot.obeys_at_once:
-        # Commands that act together would compensate different slips if it were the measured one.
-        return f"true slip {within}; the nominal one is compensated{nothing}"
+    if not problem.scenario.robot.obeys_at_once:
+        # Commands that act together compensate one slip if it is the true one that varies, and
+        # different ones if it is the measured one: one proof is not that of the other.
+        other = (
+            "the nominal one is compensated" if slip.random == "true" else "the true one nominal"
+        )
+        return f"{slip.random} slip {within}; {other}{nothing}"
     return f"true or measured slip {within}; the other one nominal{nothing}"
 
 
