@@ -8,13 +8,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from c_controller import CController, compile_c, needs_compiler
+from doubtful import Doubtful
 
 import jaxtube as jt
+from jaxtube import qp
 from jaxtube.control import planning
+from jaxtube.exporting import recording as recordings
 from jaxtube.exporting.recording import Recording, draw_starts, record_laps
 from jaxtube.exporting.replay import load_controller, replay_in_numpy
 from jaxtube.exporting.write import LAPS
 from jaxtube.plant.error_dynamics import world_pose
+from jaxtube.simulation import components
 
 SAME = 1e-9
 """By how much commands may differ, m/s and rad/s: what is asked of an exported controller."""
@@ -49,6 +53,22 @@ def recording(certified):
     starts = draw_starts(certified, LAPS)
     # As many as an export records, for one program.
     return record_laps(certified, np.concatenate([starts[2:], FAR * starts[-2:]]))
+
+
+def test_laps_that_the_short_program_leaves_are_recorded_from_the_whole_one(certified, monkeypatch):
+    inner = components.controllers(certified)["compensated"]
+    starts = np.array([[0.0, 0.0, 0.0], [0.0, 0.15, 0.0]])
+
+    def record(far):
+        doubtful = Doubtful(inner, jnp.array(far))
+        monkeypatch.setattr(recordings, "make_tube_mpc", lambda design: doubtful)
+        return record_laps(certified, starts)
+
+    left = record(0.1)
+    solved = record(np.inf)
+    assert not np.any(left.status == qp.UNSOLVED)
+    np.testing.assert_array_equal(left.wheels[:, 0], solved.wheels[:, 0])
+    assert not np.array_equal(left.wheels[:, 1], solved.wheels[:, 1])
 
 
 def test_numpy_commands_what_the_design_commands(controller, certified, recording):

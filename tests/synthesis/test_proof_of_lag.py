@@ -12,8 +12,10 @@ from certificate_oracle import holds_in_floats
 
 import jaxtube as jt
 from jaxtube.synthesis.certificate.assumptions import assumptions
+from jaxtube.synthesis.disturbance import complete_problem
 from jaxtube.synthesis.problem import make_problem
 from jaxtube.synthesis.proof_file import FILE, write_certificate
+from jaxtube.synthesis.proof_parts import describe_robot
 from jaxtube.synthesis.proof_search import CHECKER, PROGRAMS, load_checker
 
 SHORT = ["reference.duration_s=2", "controller.horizon=2"]
@@ -118,6 +120,12 @@ def test_cells_hold_what_unknown_lag_takes_and_leave_the_slide_to_the_rest(writt
 def test_of_slips_that_are_read_either_way_the_true_one_is_promised_where_wheels_lag(written):
     for cases in written["slips"].values():
         assert len(cases) == 1 and cases[0][0] != cases[0][1] and cases[0][2] == cases[0][3]
+
+
+def test_the_measured_slip_is_described_where_it_is_the_one_that_varies():
+    problem = complete_problem(jt.load("certified_lag", [*SHORT, "slip.random=measured"]))
+    for cases in describe_robot(problem)["slips"].values():
+        assert len(cases) == 1 and cases[0][0] == cases[0][1] and cases[0][2] != cases[0][3]
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,8 @@
 """From errors of the committed pose to those of the pose itself, and noise the other way, against
 motions of the plane."""
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 from late_robot import LatePeriod, arc, commit, move
@@ -37,6 +39,16 @@ def test_noise_of_the_pose_becomes_noise_of_the_committed_pose_within_its_bound(
         assert np.all(met <= bound + ROUNDING)
         found = np.maximum(found, met)
     assert np.all(found >= 0.7 * bound)
+
+
+def test_the_bound_of_committed_noise_is_no_less_than_its_exact_value():
+    generator = np.random.default_rng(5)
+    for _ in range(100):
+        noise = generator.uniform(0.001, 0.05, 3)
+        latency, fastest = generator.uniform(0.01, 1.0, 2)
+        bound = bound_committed_noise(noise, latency, fastest, yaw_rate=0.0)
+        swing = Fraction(latency) * Fraction(fastest) * Fraction(noise[2])
+        assert all(Fraction(bound[i]) >= Fraction(noise[i]) + swing for i in range(2))
 
 
 @pytest.mark.parametrize(
