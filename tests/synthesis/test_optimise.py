@@ -17,7 +17,7 @@ from jaxtube.synthesis.levers import SPEED, list_levers
 from jaxtube.synthesis.nearest import choose_levers, find_pull
 from jaxtube.synthesis.optimise import UnboundedTubeError, optimise, optimise_nearby, wheel_excess
 from jaxtube.synthesis.optimum import Optimum
-from jaxtube.synthesis.problem import make_problem
+from jaxtube.synthesis.problem import Problem, make_problem
 from jaxtube.synthesis.starts import caps_and_gains, make_starts, without_caps
 
 ON_PATH = {"initial.x_m": 0.0, "initial.y_m": 0.0}
@@ -53,6 +53,18 @@ def test_a_reference_that_may_turn_half_a_turn_in_a_period_is_refused_with_a_cur
         optimise_nearby(make_problem(bare(turning)), (0.1,) * 11)
     shorter = Estimate(make_problem(bare({**turning, "controller.dt_s": 0.15})))
     assert make_starts(shorter)
+
+
+def test_wheels_that_pass_their_limit_by_the_rigorous_bound_are_searched_again(found, monkeypatch):
+    def bound(problem: Problem) -> float:
+        return 1.003 * wheel_excess(problem)
+
+    problem = make_problem(bare({"robot.wheel_speed_max_mps": 2.3}))
+    near = caps_and_gains(found.scenario)
+    assert bound(complete_problem(optimise(problem, near=near).scenario)) > 1
+    monkeypatch.setattr("jaxtube.synthesis.optimise.wheel_excess", bound)
+    spared = optimise(problem, near=near)
+    assert spared.holds and bound(complete_problem(spared.scenario)) <= 1
 
 
 def test_a_search_never_ends_worse_than_it_began():
